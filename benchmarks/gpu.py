@@ -2,7 +2,7 @@
 
 `python benchmarks/gpu.py [STAGE ...] [--device cuda] [--out FILE] [--small]`. Stages: `plans` (rollouts with map and
 cost, whole plans, and the packing and copying in them), `training` (rollouts forward and back), `pytorch-mppi` (the
-same rollouts by it, eager and compiled), `train` (a short training, and its validation loss on the CPU). Rows are
+same rollouts by it, eager and compiled), `train` (a training, and its validation loss on the CPU). Rows are
 written as they come. Without a GPU, `PYTHONPATH=tests python benchmarks/gpu.py plans --device cpu --small` runs a stage
 on kernels that g++ compiled for this machine (from tests/host_kernels.py), which checks the script, not the GPU: its
 times mean nothing.
@@ -104,14 +104,15 @@ def windows(dynamics: Dynamics, batch: int, device: torch.device) -> tuple[Model
     return start, controls.to(device), Terrain(up.to(device), known.to(device), latent.to(device))
 
 
-def of_plans(dynamics: Dynamics, device: torch.device, small: bool, turns: int) -> Iterator[Row]:
+def of_plans(dynamics: Dynamics, device: torch.device, given: argparse.Namespace) -> Iterator[Row]:
     """Rollouts with map and cost, whole plans, and what is packed and copied for them."""
+    small, turns = given.small, given.turns
     at, weights = situation(), CostWeights(path=5.0)
     codes = encode_map(at.ground, dynamics.encoder)
     units = torch.zeros(1, dynamics.recurrent_size)
     start = ModelState(at.state[None], torch.tensor([[0.0, 0.0, 0.0, 1.0]]), units, units)
     there = ModelState(*(part.to(device) for part in vars(start).values()))
-    kernels = open_kernels(plan_text(dynamics, at.costs.table), device)
+    kernels = open_kernels(plan_text(dynamics, at.costs.table, lanes=device.type == "cuda"), device)
     # memcheck follows the kernels themselves, not a graph of them.
     capture = captured if device.type == "cuda" and not small else None
     plan = torch.zeros(HORIZON_STEPS, 2)
@@ -119,19 +120,19 @@ def of_plans(dynamics: Dynamics, device: torch.device, small: bool, turns: int) 
         settings = Settings(PEDAL_AND_WHEEL, (0.15, 0.15), samples=samples, temperature=3.0, rest=(0.4, 0.0))
         generator = torch.Generator(device).manual_seed(0)
         planner = DevicePlanner(kernels, dynamics, settings, generator, capture)
-        given, size = (plan, start, at, weights, codes), f"{samples} x {HORIZON_STEPS}"
+        taken, size = (plan, start, at, weights, codes), f"{samples} x {HORIZON_STEPS}"
         if turn == 0:
-            check_planner(planner, *given)
+            check_planner(planner, *taken)
             yield {"what": "costs and limits agree with the CPU's"}
         cost_of = costs_by_kernels(kernels, dynamics, there, at, weights, codes)
         controls = (0.3 * torch.rand(samples, HORIZON_STEPS, 3, generator=torch.Generator().manual_seed(1))).to(device)
         yield timed(f"rollouts with map and cost, {size}", lambda c=cost_of, u=controls: c(u), device, turns)
-        yield timed(f"a whole plan of one iteration, {size}", lambda p=planner, g=given: p.improve(*g), device, turns)
+        yield timed(f"a whole plan of one iteration, {size}", lambda p=planner, g=taken: p.improve(*g), device, turns)
         if capture:
             yield {"what": f"the graph of {samples} samples plans as its kernels do"}
         if turn == 0:
             yield timed(
-                "packing and copying, the map of the last plan", lambda p=planner, g=given: p.load(*g), device, turns
+                "packing and copying, the map of the last plan", lambda p=planner, g=taken: p.load(*g), device, turns
             )
             others = [situation() for _ in range(turns + 2)]
 
@@ -161,8 +162,9 @@ def on_device(item: object, device: torch.device) -> dict[str, Tensor]:
     return {name: value.to(device) for name, value in vars(item).items() if isinstance(value, Tensor)}
 
 
-def of_pytorch_mppi(dynamics: Dynamics, device: torch.device, small: bool, turns: int) -> Iterator[Row]:
+def of_pytorch_mppi(dynamics: Dynamics, device: torch.device, given: argparse.Namespace) -> Iterator[Row]:
     """The same rollouts with map and cost by the kernels and by pytorch_mppi, step by step and compiled."""
+    small, turns = given.small, given.turns
     samples, weights = 96 if small else 1024, CostWeights()
     at, model = situation(), on_cpu.network("dc")
     codes = encode_map(at.ground, model.encoder)
@@ -171,7 +173,7 @@ def of_pytorch_mppi(dynamics: Dynamics, device: torch.device, small: bool, turns
     controls = limited(drawn, settings, at.control).to(device)
     begin = on_cpu.start(model, at)
     there = ModelState(*(part.to(device) for part in vars(begin).values()))
-    kernels = open_kernels(plan_text(model, at.costs.table), device)
+    kernels = open_kernels(plan_text(model, at.costs.table, lanes=device.type == "cuda"), device)
     cost_of = costs_by_kernels(kernels, model, there, at, weights, codes)
     yield timed(f"kernels, {samples} x {HORIZON_STEPS}", lambda: cost_of(controls), device, turns)
     wanted, size = cost_of(controls), f"{samples} x {HORIZON_STEPS}"
@@ -186,29 +188,38 @@ def of_pytorch_mppi(dynamics: Dynamics, device: torch.device, small: bool, turns
             }
 
 
-def of_train(dynamics: Dynamics, device: torch.device, small: bool, turns: int) -> Iterator[Row]:
-    """A short training on made-up drives; its validation loss must be that on the CPU."""
+def of_train(dynamics: Dynamics, device: torch.device, given: argparse.Namespace) -> Iterator[Row]:
+    """Trainings on CPU and device: their validation losses must agree. With `--alone`, on the device only."""
     from feature_datasets import dataset_with_features
 
-    losses = {}
     with TemporaryDirectory() as folder:
-        path = Path(folder) / "dataset.zarr"
-        dataset_with_features(path)
-        for place in ("cpu", str(device)):
-            config = TrainConfig("dc", epochs=2, bicycle_epochs=2, actuator_epochs=1, stride=25, device=place)
-            began = time.perf_counter()
-            train(open_dataset(path), config, Path(folder) / f"run-{len(losses)}")
-            loss = kept_epochs(Path(folder) / f"run-{len(losses)}")["model"].validation_loss
-            losses[f"{place}, {len(losses)}"] = loss
-            took = time.perf_counter() - began
-            yield {"what": f"a short training on {place}: {took:.1f} s, validation loss {loss:.5f}"}
-    first, second = losses.values()
-    if not abs(second - first) <= SAME * abs(first):
-        raise SystemExit(f"validation losses differ: {first:.5f} on the CPU, {second:.5f} on {device}")
+        path, epochs = given.dataset, given.epochs
+        if path is None:
+            path, epochs = Path(folder) / "dataset.zarr", 2
+            dataset_with_features(path)
+        dataset = open_dataset(path)
+        model = "dc" if len(dataset.drives[0].rows.normal) > 1 else "df"
+        for batch in given.batch:
+            losses = []
+            for place in (str(device),) if given.alone else ("cpu", str(device)):
+                config = TrainConfig(
+                    model, epochs=epochs, bicycle_epochs=epochs, actuator_epochs=2, batch=batch, device=place
+                )
+                run, began = Path(folder) / f"run-{batch}-{len(losses)}", time.perf_counter()
+                train(dataset, config, run)
+                losses.append(kept_epochs(run)["model"].validation_loss)
+                took = time.perf_counter() - began
+                yield {
+                    "what": f"{epochs} epochs of {model} on {place}, batches of {batch}: {took:.1f} s, validation loss "
+                    f"{losses[-1]:.5f}"
+                }
+            if not abs(losses[-1] - losses[0]) <= SAME * abs(losses[0]):
+                raise SystemExit(f"validation losses differ: {losses[0]:.5f} on the CPU, {losses[-1]:.5f} on {device}")
 
 
-def of_training(dynamics: Dynamics, device: torch.device, small: bool, turns: int) -> Iterator[Row]:
+def of_training(dynamics: Dynamics, device: torch.device, given: argparse.Namespace) -> Iterator[Row]:
     """Rollouts forward and back; the eager model on the same device for the smallest batch, unless the run is small."""
+    small, turns = given.small, given.turns
     dynamics = dynamics.to(device)
     for part in (dynamics.kernel_parts().compensator, dynamics.encoder):
         part.requires_grad_(True)
@@ -250,7 +261,13 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("gpu.json"))
     parser.add_argument("--small", action="store_true", help="few samples, no graph: for memcheck, or without a GPU")
     parser.add_argument("--turns", type=int, default=30)
+    parser.add_argument("--dataset", type=Path, help="of the stage `train`, with features; made-up drives otherwise")
+    parser.add_argument("--epochs", type=int, default=10, help="of bicycle and model on that dataset")
+    parser.add_argument("--batch", type=int, nargs="+", default=[128], help="windows a step of the stage `train`")
+    parser.add_argument("--alone", action="store_true", help="train on the device only, not on the CPU as well")
     given = parser.parse_args()
+    if given.small:
+        given.turns = 2
     if unknown := set(given.stages) - set(STAGES):
         parser.error(f"no stage {', '.join(sorted(unknown))}")
     device = opened(given.device)
@@ -259,7 +276,7 @@ def main() -> None:
     rows: list[Row] = []
     for stage in given.stages:
         dynamics = pretrained("proving-ground/dc").dynamics.requires_grad_(False)
-        for row in STAGES[stage](dynamics, device, given.small, 2 if given.small else given.turns):
+        for row in STAGES[stage](dynamics, device, given):
             rows.append(row)
             given.out.write_text(json.dumps(rows, indent=2) + "\n")
             print(row, flush=True)

@@ -29,6 +29,10 @@ RENAMED = ("CUFFT_INCOMPLETE_PARAMETER_LIST", "CUFFT_PARSE_ERROR", "CUFFT_LICENS
 """Names of errors that CUDA 13 took away, and that MPPI-Generic still has."""
 
 
+SAMPLES = (1024, 8192)
+"""Of plans by MPPI-Generic."""
+
+
 class Skipped(Exception):
     """Why a stage is not run."""
 
@@ -88,7 +92,7 @@ def example(folder: Path, given: argparse.Namespace) -> list[str]:
 
 
 def planner(folder: Path, given: argparse.Namespace) -> list[str]:
-    """The exported planner for MPPI-Generic, where that library's sources are."""
+    """The exported planner for MPPI-Generic, and its own LSTM dynamics, where that library's sources are."""
     sources = Path(os.environ.get("MPPI_GENERIC", HERE.parents[1] / "MPPI-Generic")) / "include"
     eigen = Path(os.environ.get("EIGEN", "/usr/include/eigen3"))
     for place, name in ((sources, "MPPI_GENERIC"), (eigen, "EIGEN")):
@@ -98,9 +102,17 @@ def planner(folder: Path, given: argparse.Namespace) -> list[str]:
     version = re.search(r"release (\d+)", subprocess.run([nvcc, "--version"], capture_output=True, text=True).stdout)
     newer = version is not None and int(version[1]) >= 13
     flags = " ".join(f"-D{name}={901 + number}" for number, name in enumerate(RENAMED) if newer)
-    places = f"-I '{sources}' -I '{eigen}' {flags}"
-    command = f"{nvcc} -std=c++17 -O3 -w -arch=native --extended-lambda {places} planner.cu -o it -lcurand -lcufft"
-    return exported(folder, "mppi-generic", f"{command} && ./it parity.bin")
+    own = HERE / "mppi_generic_own"
+    compiler = f"{nvcc} -std=c++17 -O3 -w -arch=native --extended-lambda -I '{own}' -I '{sources}' -I '{eigen}' {flags}"
+    sources_of = {"planner": "planner.cu", "own": f"'{own / 'own.cu'}'"}
+    made = [
+        f"{compiler} -DSAMPLES={samples} {source} -o {name}-{samples} -lcurand -lcufft & all+=($!)"
+        for name, source in sources_of.items()
+        for samples in SAMPLES
+    ]
+    lines = ["all=()", *made, 'for each in "${all[@]}"; do wait "$each"; done']
+    lines += [f"./{name}-{samples} parity.bin" for samples in SAMPLES for name in sources_of]
+    return exported(folder, "mppi-generic", "\n".join(lines))
 
 
 def exported(folder: Path, kind: str, command: str) -> list[str]:
@@ -109,7 +121,7 @@ def exported(folder: Path, kind: str, command: str) -> list[str]:
     export = (
         f"'{sys.executable}' -m offpiste export pretrained:proving-ground/dc --to '{folder / kind}' --format {kind}"
     )
-    return ["bash", "-euo", "pipefail", "-c", f"{export} && cd '{folder / kind}' && {command}"]
+    return ["bash", "-euo", "pipefail", "-c", f"{export}\ncd '{folder / kind}'\n{command}"]
 
 
 STAGES = (

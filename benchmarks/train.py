@@ -22,13 +22,14 @@ import torch
 import tyro
 from torch import Tensor, nn
 
-from offpiste.dataset.feature_sets import drawn, per_trajectory
+from offpiste.dataset.feature_sets import per_trajectory
 from offpiste.dataset.store import open_dataset
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import Hybrid, Kinematic, rollout
 from offpiste.dynamics.base import Step
 from offpiste.dynamics.kernels.autograd import rollout_recorded
 from offpiste.state import ModelState, RecordedTerrain, Trajectory
+from offpiste.training.batches import draw_sets
 from offpiste.training.build import build, vehicle_of
 from offpiste.training.config import TrainConfig
 from offpiste.training.losses import summed_loss
@@ -149,8 +150,7 @@ class Trainer:
     def step(self, mark: Mark, encode: Callable[[Hybrid, Batch], Batch], roll: Rollout) -> None:
         """One step, from the windows on disk to new weights."""
         index = self.rng.choice(len(self.windows), self.batch, replace=len(self.windows) < self.batch)
-        feature_set_choice = drawn(per_trajectory, self.rng, self.batch, self.windows.horizon, self.windows.sets)
-        batch = self.windows.gather(index, feature_set_choice)
+        batch = self.windows.gather(index, draw_sets(per_trajectory, self.windows, index, self.rng))
         mark("gather")
         batch = encode(self.model, batch)
         mark("encode")

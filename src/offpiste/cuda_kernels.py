@@ -4,6 +4,7 @@ Needs the extra `cuda` (cuda-core) and a torch that was built for CUDA.
 """
 
 import logging
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
@@ -27,11 +28,26 @@ LARGEST_CACHE: Final = 1 << 28
 
 @runtime_checkable
 class Kernels(Protocol):
-    """Compiled kernels, wherever they run."""
+    """Compiled kernels, wherever they run.
 
-    def launch(self, name: str, count: int, *arguments: Tensor | int | None) -> None:
-        """Run a kernel for `count` items; tensors are contiguous, and lie where it runs; None is no array."""
+    Attributes:
+        lanes: threads that share an item, of kernels that have it shared.
+    """
+
+    lanes: int
+
+    def launch(self, name: str, count: int, *arguments: Tensor | int | None, lanes: int = 1) -> None:
+        """Run a kernel for `count` items; tensors are contiguous, and lie where it runs; None is no array.
+
+        Args:
+            lanes: threads for each item.
+        """
         ...
+
+
+def lanes_of(text: str) -> int:
+    """OFFPISTE_LANES of a text (`dynamics/header/lanes.h`)."""
+    return max(map(int, re.findall(r"^#define OFFPISTE_LANES (\d+)", text, re.MULTILINE)), default=1)
 
 
 @final
@@ -53,11 +69,11 @@ class CudaKernels:
         with _errors_of_cuda(f"no work on {device}", "check that nvidia-smi lists the GPU, or use the CPU"):
             major, minor = torch.cuda.get_device_capability(device)
             Device(torch.cuda.current_device() if device.index is None else device.index).set_current()
-        self._code = machine_code(text, f"sm_{major}{minor}")
+        self.lanes, self._code = lanes_of(text), machine_code(text, f"sm_{major}{minor}")
         self._kernels: dict[str, Any] = {}
 
-    def launch(self, name: str, count: int, *arguments: Tensor | int | None) -> None:
-        """Run a kernel for `count` items on torch's current stream.
+    def launch(self, name: str, count: int, *arguments: Tensor | int | None, lanes: int = 1) -> None:
+        """Run a kernel for `count` items, each by so many threads, on torch's current stream.
 
         Raises:
             OffpisteError: the driver does not run it.
@@ -69,7 +85,7 @@ class CudaKernels:
             if name not in self._kernels:
                 self._kernels[name] = self._code.get_kernel(name)
             stream = Stream.from_handle(torch.cuda.current_stream(self._device).cuda_stream)
-            launch(stream, LaunchConfig(grid=-(-count // BLOCK), block=BLOCK), self._kernels[name], *given)
+            launch(stream, LaunchConfig(grid=-(-count * lanes // BLOCK), block=BLOCK), self._kernels[name], *given)
 
 
 def argument_of(argument: Tensor | int | None) -> int | np.int32:
@@ -100,7 +116,9 @@ def machine_code(text: str, architecture: str) -> Any:
     folder = cache_folder() / "cuda"
     how = "install cuda-core[cu12] or cuda-core[cu13], as torch.version.cuda says; a newer NVRTC knows newer GPUs"
     with _errors_of_cuda(f"NVRTC does not compile for {architecture}", how):
-        options = ProgramOptions(arch=architecture, std="c++17", diag_suppress=177)
+        # Quotients and roots within two units in the last place: the exact ones are branches in the middle of a step.
+        exact = {"prec_div": False, "prec_sqrt": False}
+        options = ProgramOptions(arch=architecture, std="c++17", diag_suppress=177, **exact)
         try:
             kept = FileStreamProgramCache(folder, max_size_bytes=LARGEST_CACHE)
             return Program(text, "c++", options).compile("cubin", cache=kept)

@@ -3,6 +3,8 @@
 Feature sets by distance, against brute force that keeps every map and searches every moment.
 """
 
+from functools import partial
+
 import numpy as np
 import pytest
 
@@ -31,7 +33,7 @@ DRAWS = (as_seen, hindsight, hindsight_throughout, masked, per_step, per_traject
 
 
 def of(draw: Draw, count: int, *, seed: int = 0, steps: int = 30) -> FeatureSetChoice:
-    return drawn(draw, np.random.default_rng(seed), driven(count, steps), STORED)
+    return drawn(draw, np.random.default_rng(seed), count, lambda: driven(count, steps), STORED)
 
 
 def driven(count: int, steps: int) -> np.ndarray:
@@ -57,14 +59,16 @@ def test_dc_step_draws_at_every_row():
 
 def test_dc_view_reads_what_was_seen_from_as_far_as_the_ground_lies_ahead():
     ahead = np.tile([-60.0, -8.0, 0.0, 4.0, 26.0, 90.0], (4000, 1))
-    read = drawn(as_seen, np.random.default_rng(0), ahead, STORED).features
+    read = drawn(as_seen, np.random.default_rng(0), len(ahead), lambda: ahead, STORED).features
     distances = np.array([float(name) for name in FEATURE_SETS[1:]])[read - 1]
     inside = (ahead > -20) & (ahead < 40)
     assert np.abs(distances - ahead)[inside].max() <= 10
     np.testing.assert_array_equal(distances[:, [0, 5]], [[-20, 40]] * len(ahead))
     np.testing.assert_allclose(distances[:, 1:5].mean(axis=0), ahead[0, 1:5], atol=0.3)  # ends are drawn: no bias
     rising = np.tile(np.linspace(-5, 45, 200), (50, 1))
-    assert (np.diff(drawn(as_seen, np.random.default_rng(1), rising, STORED).features, axis=1) >= 0).all()
+    assert (
+        np.diff(drawn(as_seen, np.random.default_rng(1), len(rising), lambda: rising, STORED).features, axis=1) >= 0
+    ).all()
 
 
 def test_features_of_hindsight_come_with_drawn_normals():
@@ -86,7 +90,7 @@ def test_masked_takes_flags_alone():
 def test_models_of_a_seed_read_the_same_normals_batch_after_batch():
     def normals(draw: Draw) -> list[np.ndarray]:
         rng = np.random.default_rng(3)
-        return [drawn(draw, rng, driven(count, 20), STORED).normals for count in (40, 7, 40)]
+        return [drawn(draw, rng, count, partial(driven, count, 20), STORED).normals for count in (40, 7, 40)]
 
     wanted = normals(hindsight)
     assert (wanted[0] != wanted[2]).any()
@@ -103,7 +107,7 @@ def test_the_generator_decides():
 
 def test_where_one_set_is_stored_nothing_is_drawn():
     for draw in DRAWS:
-        choice = drawn(draw, np.random.default_rng(3), driven(40, 20), 1)
+        choice = drawn(draw, np.random.default_rng(3), 40, lambda: driven(40, 20), 1)
         assert not choice.features.any()
         assert not choice.normals.any()
 

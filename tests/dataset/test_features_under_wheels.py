@@ -55,7 +55,7 @@ def test_windows_find_what_plain_indexing_finds(table, seed, kind):
         if kind == "one"
         else FeatureSetChoice(rng.integers(0, SETS, shape), np.zeros(len(rows), int), kind == "flags")
     )
-    under = table(cells, torch.device("cpu")).under(rows, feature_set_choice, history=2)
+    under = table(cells, torch.device("cpu")).under(start, 6, feature_set_choice, history=2)
     wanted, valid = plainly(cells, rows, feature_set_choice)
     number = torch.cat((under.past, under.ahead), dim=1)
     assert under.past.shape[1] == 2

@@ -62,68 +62,63 @@ def set_number(name: str, stored: int) -> int:
     return number
 
 
-Draw = Callable[[np.random.Generator, Int[np.ndarray, " B"], Float[np.ndarray, "B R"], int], FeatureSetChoice]
-"""From a generator, the sets that normals are read from, how far rows t-10 ... t+T-1 lie ahead of the start, negative
-behind it [m] (`Windows.ahead`), and the number of stored sets to what windows read."""
+Ahead = Callable[[], Float[np.ndarray, "B R"]]
+"""How far rows t-10 ... t+T-1 lie ahead of the start, negative behind it [m] (`Windows.ahead`), for draws that ask."""
+
+Draw = Callable[[np.random.Generator, Int[np.ndarray, " B"], Ahead, int], FeatureSetChoice]
+"""From a generator, the sets that normals are read from, how far rows lie ahead, and the number of stored sets to what
+windows read."""
 
 
-def hindsight(
-    rng: np.random.Generator, normals: Int[np.ndarray, " B"], ahead: Float[np.ndarray, "B R"], stored: int
-) -> FeatureSetChoice:
+def hindsight(rng: np.random.Generator, normals: Int[np.ndarray, " B"], ahead: Ahead, stored: int) -> FeatureSetChoice:
     """`df`, `cf`: features of hindsight. `b`, which reads none, draws so, too."""
     return FeatureSetChoice(np.zeros((len(normals), 1), int), normals)
 
 
 def per_trajectory(
-    rng: np.random.Generator, normals: Int[np.ndarray, " B"], ahead: Float[np.ndarray, "B R"], stored: int
+    rng: np.random.Generator, normals: Int[np.ndarray, " B"], ahead: Ahead, stored: int
 ) -> FeatureSetChoice:
     """`dc`: features of the set that the normals are of."""
     return FeatureSetChoice(normals[:, None], normals)
 
 
-def per_step(
-    rng: np.random.Generator, normals: Int[np.ndarray, " B"], ahead: Float[np.ndarray, "B R"], stored: int
-) -> FeatureSetChoice:
+def per_step(rng: np.random.Generator, normals: Int[np.ndarray, " B"], ahead: Ahead, stored: int) -> FeatureSetChoice:
     """`dc-step`: the features' set is drawn anew at every step; the paper found it poor."""
-    return FeatureSetChoice(rng.integers(0, stored, ahead.shape), normals)
+    return FeatureSetChoice(rng.integers(0, stored, ahead().shape), normals)
 
 
-def as_seen(
-    rng: np.random.Generator, normals: Int[np.ndarray, " B"], ahead: Float[np.ndarray, "B R"], stored: int
-) -> FeatureSetChoice:
+def as_seen(rng: np.random.Generator, normals: Int[np.ndarray, " B"], ahead: Ahead, stored: int) -> FeatureSetChoice:
     """`dc-view`: each row's features are those seen from as far as the row lies ahead, as on a map at the start.
 
     Sets are 10 m apart: where one ends and the next begins is drawn for each trajectory. As recorded places do, this
     gives away how far the vehicle will go; on a map at predicted places nothing does.
     """
     if stored == 1:
-        return same_feature_set(len(ahead), 0)
-    shifted = ahead + rng.uniform(-VIEW_SHIFT, VIEW_SHIFT, (len(ahead), 1))
+        return same_feature_set(len(normals), 0)
+    shifted = ahead() + rng.uniform(-VIEW_SHIFT, VIEW_SHIFT, (len(normals), 1))
     between = (DISTANCES[1:] + DISTANCES[:-1]) / 2
     return FeatureSetChoice(1 + np.searchsorted(between, shifted), normals)
 
 
-def masked(
-    rng: np.random.Generator, normals: Int[np.ndarray, " B"], ahead: Float[np.ndarray, "B R"], stored: int
-) -> FeatureSetChoice:
+def masked(rng: np.random.Generator, normals: Int[np.ndarray, " B"], ahead: Ahead, stored: int) -> FeatureSetChoice:
     """`cf-masked`: features that would be missing from the normals' set are, but the rest is as in hindsight."""
     return FeatureSetChoice(normals[:, None], normals, flags_only=True)
 
 
 def hindsight_throughout(
-    rng: np.random.Generator, normals: Int[np.ndarray, " B"], ahead: Float[np.ndarray, "B R"], stored: int
+    rng: np.random.Generator, normals: Int[np.ndarray, " B"], ahead: Ahead, stored: int
 ) -> FeatureSetChoice:
     """`b-hindsight`: nothing is drawn, as in the paper."""
     return same_feature_set(len(normals), 0)
 
 
-def drawn(draw: Draw, rng: np.random.Generator, ahead: Float[np.ndarray, "B R"], stored: int) -> FeatureSetChoice:
-    """What windows read in training: one of the stored sets for the normals of each, and beside it what a model draws.
+def drawn(draw: Draw, rng: np.random.Generator, count: int, ahead: Ahead, stored: int) -> FeatureSetChoice:
+    """What `count` windows read in training: a stored set for the normals of each, and beside it what a model draws.
 
     Fair: from generators in the same state, all models get the same normals. What one of them draws besides does not
     come from the generator itself, so that it does not change what follows.
     """
-    normals = rng.integers(0, stored, len(ahead))
+    normals = rng.integers(0, stored, count)
     return draw(rng.spawn(1)[0], normals, ahead, stored)
 
 

@@ -122,19 +122,18 @@ class CellTable:
         return len(self._valid)
 
     def under(
-        self, rows: Int[np.ndarray, "B R"], feature_set_choice: FeatureSetChoice, history: int = 0
+        self, start: Int[np.ndarray, " B"], count: int, feature_set_choice: FeatureSetChoice, history: int = 0
     ) -> FeaturesUnderWheels:
-        """Features of the cells under the wheels at rows.
+        """Features of the cells under the wheels at `count` rows from `start`.
 
         Args:
-            rows: of each window, rising.
             history: how many of them are past.
         """
-        cell = self._index[rows]
+        cell: Int[np.ndarray, "B R 4"] = self._index[start[:, None] + np.arange(count)]
         sets = np.broadcast_to(feature_set_choice.features[..., None], cell.shape)
         known = cell >= 0
         place, ranges, total = _merged(cell, feature_set_choice.features, self.sets, int(self._first[-1]))
-        number = np.where(known, cell + place[np.arange(len(rows))[:, None, None], sets], total)
+        number = np.where(known, cell + place[np.arange(len(start))[:, None, None], sets], total)
         touched = np.zeros(total + 1, bool)
         touched[number] = True
         touched[-1] = True

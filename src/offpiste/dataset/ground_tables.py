@@ -35,28 +35,36 @@ class ResidentCells:
             self._features[:, begin:end] = torch.from_numpy(np.array(c.features))
 
     def under(
-        self, rows: Int[np.ndarray, "B R"], feature_set_choice: FeatureSetChoice, history: int = 0
+        self, start: Int[np.ndarray, " B"], count: int, feature_set_choice: FeatureSetChoice, history: int = 0
     ) -> FeaturesUnderWheels:
-        """Features of the cells under the wheels at rows (`CellTable.under`)."""
+        """Features of the cells under the wheels at `count` rows from `start` (`CellTable.under`)."""
         device, (_, cells, channels) = self._features.device, self._features.shape
-        cell = self._index[torch.from_numpy(rows).to(device)]
+        cell = self._index[rows_from(start, count, device)]
         chosen = torch.from_numpy(np.ascontiguousarray(feature_set_choice.features)).to(device)[..., None]
         nowhere = self.sets * cells
         key = torch.where(cell >= 0, chosen * cells + cell, nowhere)
-        distinct, number = torch.unique(torch.cat((key.flatten(), key.new_tensor([nowhere]))), return_inverse=True)
-        touched = distinct[:-1]  # the last one is nowhere
-        from_set = torch.div(touched, cells, rounding_mode="floor")
+        # Marks and a running count: torch.unique sorts all keys of a batch for it.
+        touched = torch.zeros(nowhere + 1, dtype=torch.bool, device=device)
+        touched[key] = True
+        touched[nowhere] = True
+        under = (touched.cumsum(0) - 1)[key]
+        distinct = touched[:-1].nonzero()[:, 0]
+        from_set = torch.div(distinct, cells, rounding_mode="floor")
         read = torch.zeros_like(from_set) if feature_set_choice.flags_only else from_set
-        place = touched % cells
+        place = distinct % cells
         valid = self._valid[read, place] & self._valid[from_set, place]
         features = self._features[read, place].float()
-        under = number[:-1].view(cell.shape)
         return FeaturesUnderWheels(
             torch.cat((features, features.new_full((1, channels), torch.nan))),
             torch.cat((valid, valid.new_zeros(1))),
             under[:, :history],
             under[:, history:],
         )
+
+
+def rows_from(start: Int[np.ndarray, " B"], count: int, device: torch.device) -> Int[Tensor, "B R"]:
+    """R = `count` rows from `start`, counted on the device: they would take long to get there."""
+    return torch.from_numpy(start).to(device)[:, None] + torch.arange(count, device=device)
 
 
 class ResidentNormals:
@@ -77,9 +85,8 @@ class ResidentNormals:
     def at(self, start: Int[np.ndarray, " B"], count: int, sets: Int[np.ndarray, " B"]) -> Float[Tensor, "B R 4 3"]:
         """Normals at R = `count` rows from `start`, of a feature set for each window."""
         device = self._values.device
-        rows = torch.from_numpy(start[:, None] + np.arange(count)).to(device)
         chosen = torch.from_numpy(np.ascontiguousarray(sets)).to(device)
-        return self._values[chosen[:, None], rows]
+        return self._values[chosen[:, None], rows_from(start, count, device)]
 
 
 @dataclass(frozen=True)

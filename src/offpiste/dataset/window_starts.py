@@ -1,9 +1,14 @@
-"""Where windows start: complete, in one part, fast enough, and on ground that was seen."""
+"""Where windows start: complete, in one part, fast enough, and on ground that was seen; and which rows they hold."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from torch import Tensor
 
 from offpiste.conventions import DT, FEATURE_SETS, HISTORY_STEPS, HORIZON_STEPS, MIN_EVALUATION_SPEED
+from offpiste.dataset.columns import Column, Segment
 from offpiste.dataset.features_under_wheels import Cells
 from offpiste.dataset.resample import Rows
 from offpiste.dataset.splits import part_number
@@ -82,3 +87,24 @@ def no_window(dataset: Dataset, part: str, horizon: int, min_speed: float) -> Da
         what = f"{what}, and no row (split {dataset.split.text}, {count} drive{'s' * (count > 1)})"
         how = "extract more or longer drives"
     return DatasetError(what, where=dataset.path, how=f"{how}, or choose another --split")
+
+
+@dataclass(frozen=True)
+class Segments:
+    """Which rows of the dataset a batch of windows holds.
+
+    Attributes:
+        rows: of each segment.
+        place: what is subtracted from columns that are `relative`: px, py and whole turns of the yaw at the start.
+    """
+
+    rows: Mapping[Segment, Tensor]
+    place: Float[Tensor, "B 6"]
+
+    def of(self, values: Tensor, column: Column) -> dict[Segment, Tensor]:
+        """The segments of a column that it declares."""
+        result = {segment: values[self.rows[segment]] for segment in column.segments}
+        if column.relative:
+            for segment, part in result.items():
+                result[segment] = part - (self.place if segment == "start" else self.place[:, None])
+        return result

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from offpiste.conventions import HISTORY_STEPS, HORIZON_STEPS
-from offpiste.dataset.columns import COLUMNS, Column, Segment
+from offpiste.dataset.columns import COLUMNS, Segment
 from offpiste.dataset.feature_sets import FeatureSetChoice, same_feature_set, set_number
 from offpiste.dataset.features_under_wheels import FeaturesUnderWheels, LevelNormals, NormalsUnderWheels
 from offpiste.dataset.ground_tables import GroundTables, ResidentNormals, ground_tables
@@ -20,7 +20,7 @@ from offpiste.dataset.resample import OWN_COLUMNS
 from offpiste.dataset.splits import part_number
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.window_maps import WindowMaps
-from offpiste.dataset.window_starts import evaluation_starts, no_window
+from offpiste.dataset.window_starts import Segments, evaluation_starts, no_window
 from offpiste.errors import DatasetError
 from offpiste.state import History, Terrain, wrap_angle
 
@@ -56,27 +56,6 @@ class Batch:
     target_actuators: Float[Tensor, "B T A"]
     ground: FeaturesUnderWheels | None = None
     extra: Mapping[str, Mapping[Segment, Tensor]] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class _Segments:
-    """Which rows of the dataset a batch of windows holds.
-
-    Attributes:
-        rows: of each segment.
-        place: what is subtracted from columns that are `relative`: px, py and whole turns of the yaw at the start.
-    """
-
-    rows: Mapping[Segment, Tensor]
-    place: Float[Tensor, "B 6"]
-
-    def of(self, values: Tensor, column: Column) -> dict[Segment, Tensor]:
-        """The segments of a column that it declares."""
-        result = {segment: values[self.rows[segment]] for segment in column.segments}
-        if column.relative:
-            for segment, part in result.items():
-                result[segment] = part - (self.place if segment == "start" else self.place[:, None])
-        return result
 
 
 class Windows:
@@ -125,7 +104,7 @@ class Windows:
         self._state, self._start = self._columns["state"], self._columns["state_causal"]
         self._valid = self._joined([r.valid for r in rows])
         ground = ground or ground_tables(dataset, self.device)
-        self._cells, self.read_ahead = ground.cells, self.device.type == "cuda" and not ground.resident
+        self._cells, self._with_features, self.read_ahead = ground.cells, True, self.device.type == "cuda"
         self._normals: NormalsUnderWheels | ResidentNormals | LevelNormals = ground.normals
         self.sets = self._cells.sets if self._cells is not None else 1
         self._set, self._level = set_number(feature_set, self.sets), False
@@ -134,9 +113,8 @@ class Windows:
         offset = np.concatenate(([0], np.cumsum([len(r.time) for r in rows])))
         starts, drives = [], []
         for number, drive in enumerate(dataset.drives):
-            result = evaluation_starts(
-                drive.rows, drive.part == part_number(part), dataset.min_hindsight, min_speed, horizon
-            )
+            mine = drive.part == part_number(part)
+            result = evaluation_starts(drive.rows, mine, dataset.min_hindsight, min_speed, horizon)
             starts.append(offset[number] + result)
             drives.append(np.full(len(result), number))
         self.rows: Int[np.ndarray, " n"] = np.concatenate(starts)
@@ -160,15 +138,13 @@ class Windows:
         Raises:
             IndexError: there is no such window.
         """
-        index = np.atleast_1d(np.arange(len(self))[chosen])
-        other = copy(self)
+        other, index = copy(self), np.atleast_1d(np.arange(len(self))[chosen])
         other.rows, other.drive, other.maps = self.rows[index], self.drive[index], self.maps.take(index)
         return other
 
     def every(self, stride: int, *, phase: int = 0) -> Int[np.ndarray, " n"]:
         """Indices of the windows whose row in their drive is `phase` modulo `stride`."""
-        row = self.rows - self._offset[self.drive]
-        return np.flatnonzero(row % stride == phase % stride)
+        return np.flatnonzero((self.rows - self._offset[self.drive]) % stride == phase % stride)
 
     def with_feature_set(self, feature_set: str) -> "Windows":
         """The same windows with another feature set."""
@@ -176,11 +152,20 @@ class Windows:
         other._set = set_number(feature_set, self.sets)
         return other
 
-    def without_terrain(self, horizon: int | None = None) -> "Windows":
+    def without_features(self) -> "Windows":
+        """The same windows, for models that read no features: batches have none, and nothing else differs."""
+        other = copy(self)
+        other._with_features = False
+        return other
+
+    def without_terrain(self, horizon: int | None = None, device: torch.device | None = None) -> "Windows":
         """The same windows over level ground, with `MOTION` alone; batches hold `horizon` steps, all by default."""
         other = copy(self)
-        other._cells, other._normals, other._level = None, LevelNormals(self.device), True
+        other.device = device or self.device
+        other._cells, other._normals, other._level = None, LevelNormals(other.device), True
         other._gathered = [(name, COLUMNS[name]) for name in MOTION]
+        other._columns = {name: self._columns[name].to(other.device) for name in MOTION}
+        other._state, other._start = other._columns["state"], other._columns["state_causal"]
         other.horizon = min(horizon or self.horizon, self.horizon)
         return other
 
@@ -209,11 +194,10 @@ class Windows:
         normal = self._normals.at(first, count, feature_set_choice.normals)
         terrain = LevelNormals.terrain(normal) if self._level else self._recorded(normal)
         before, after = terrain.rows(slice(HISTORY_STEPS)), terrain.rows(slice(HISTORY_STEPS, None))
-        ground = None
         if self._cells is None and "normal_causal" in read and self.start == "causal":
             before = Terrain.of(read["normal_causal"]["past"][:, :, None].expand_as(before.normal))
-        if self._cells is not None:
-            ground = self._cells.under(first[:, None] + np.arange(count), feature_set_choice, HISTORY_STEPS)
+        cells = self._cells if self._with_features else None
+        ground = None if cells is None else cells.under(first, count, feature_set_choice, HISTORY_STEPS)
         state, actuators, control = read["state_causal"], read["actuators_causal"], read["control_causal"]
         extra = {name: values for name, values in read.items() if name not in OWN_COLUMNS}
         past = {name: values["past"] for name, values in extra.items() if "past" in values}
@@ -229,21 +213,21 @@ class Windows:
             extra=extra,
         )
 
-    def _segments(self, index: Int[np.ndarray, " B"]) -> _Segments:
+    def _segments(self, index: Int[np.ndarray, " B"]) -> Segments:
         t = torch.as_tensor(self.rows[index], device=self.device)
         ahead = t[:, None] + torch.arange(self.horizon, device=self.device)
         past = t[:, None] + torch.arange(-HISTORY_STEPS, 0, device=self.device)
         place = torch.zeros_like(self._start[t])
         place[:, :2] = self._start[t, :2]
         place[:, 2] = self._start[t, 2] - wrap_angle(self._start[t, 2])
-        return _Segments({"past": past, "start": t, "ahead": ahead, "target": ahead + 1}, place)
+        return Segments({"past": past, "start": t, "ahead": ahead, "target": ahead + 1}, place)
 
     def features_at_starts(self, most: int = 20_000) -> tuple[Float[Tensor, "M F"], Bool[Tensor, " M"]]:
         """Features under the wheels at the start of windows, all or `most` of them, and whether they are there."""
         if self._cells is None:
             raise DatasetError("no terrain features", how="extract them with `--features ground-truth`")
-        chosen = np.unique(np.linspace(0, len(self) - 1, min(most, len(self))).astype(int))
-        under = self._cells.under(self.rows[chosen, None], same_feature_set(len(chosen), self._set))
+        chosen = self.rows[np.unique(np.linspace(0, len(self) - 1, min(most, len(self))).astype(int))]
+        under = self._cells.under(chosen, 1, same_feature_set(len(chosen), self._set))
         cells = under.ahead.flatten()
         return under.features[cells], under.valid[cells]
 
@@ -268,7 +252,7 @@ class Windows:
     def ahead(self, index: Int[np.ndarray, " B"]) -> Float[np.ndarray, "B R"]:
         """How far rows t-10 ... t+T-1 lie from the start, negative before it [m]."""
         row = np.arange(-HISTORY_STEPS, self.horizon)
-        at = torch.as_tensor(self.rows[index][:, None] + row, device=self.device)
+        at = torch.as_tensor(self.rows[index], device=self.device)[:, None] + torch.as_tensor(row, device=self.device)
         away = torch.linalg.vector_norm(self._state[at][..., :2] - self._state[at[:, HISTORY_STEPS], None, :2], dim=-1)
         return np.where(row < 0, -1.0, 1.0) * away.cpu().numpy()
 

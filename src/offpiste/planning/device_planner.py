@@ -160,7 +160,7 @@ class DevicePlanner:
             costs = b.costs.new_empty(settings.samples, dtype=torch.float32)
             self.kernels.launch(
                 "offpiste_roll_out", settings.samples, self._params, b.situation, b.slope, b.codes, b.layers, given,
-                costs, None, steps,
+                costs, None, steps, lanes=self.kernels.lanes,
             )  # fmt: skip
             b.costs.copy_(costs)
             finite = b.costs.masked_fill(~b.costs.isfinite(), torch.inf)

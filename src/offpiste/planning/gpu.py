@@ -38,7 +38,7 @@ def gpu_planner(
     if situation.caution is not None:
         raise PlanningError("no spread on a GPU", how="plan on the CPU, or with the risk none")
     place = gpu_of(device)
-    kernels = cuda_kernels(plan_text(dynamics, situation.costs.table), place)
+    kernels = cuda_kernels(plan_text(dynamics, situation.costs.table, lanes=True), place)
     return DevicePlanner(kernels, dynamics, settings, torch.Generator(place).manual_seed(seed), captured)
 
 

@@ -6,7 +6,7 @@ user's cache is one safetensors file with its own digest, written whole or not a
 
 import logging
 import platform
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -34,6 +34,12 @@ logger = logging.getLogger(__name__)
 NAME: Final = "actuators"
 """Of the stage, and stem of its files."""
 
+LARGEST_EPOCH: Final = 100_000
+"""Windows: with more of them they lie further apart, since these models are small and neighbours are much alike."""
+
+LARGEST_BATCH: Final = 1024
+"""Windows in a step: with all that a GPU takes at once there would be few steps."""
+
 FORMAT: Final = 1
 """Version of an entry and of its digest."""
 
@@ -56,18 +62,21 @@ def fit_actuators(
     record: Record,
     group: Group = ALONE,
 ) -> KeptEpoch:
-    """Fit the actuators' models, or take those of an earlier run with the same digest: the weights are the same.
+    """Fit the actuators' models where they lie, or take those of an earlier run with the same digest: they are alike.
 
     Raises:
         TrainingError: as `run_stage`.
     """
-    fitted, validated = (part.without_terrain(FITTED_STEPS) for part in (windows, validation))
+    device = actuators.raw.device
+    fitted, validated = (part.without_terrain(FITTED_STEPS, device) for part in (windows, validation))
+    stride, batch = max(config.stride, len(windows) // LARGEST_EPOCH), min(config.batch, LARGEST_BATCH)
+    config = replace(config, stride=stride, batch=batch, device=str(device))
     key, done = "", (folder / f"{NAME}.safetensors").exists()
     if group.writes and not done:
         key = stage_key(fitted, validated, actuators.vehicle, config, group.size)
         done = take_stage(key, folder)
     group.together(None)
-    loss = actuator_loss(actuators, windows.without_terrain())
+    loss = actuator_loss(actuators, windows.without_terrain(device=device))
     with single_threaded_torch():
         stage = Stage(NAME, actuators, loss, config.actuator_epochs)
         kept = run_stage(stage, fitted, validated, config, folder, record, group)

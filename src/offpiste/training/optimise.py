@@ -29,6 +29,9 @@ from offpiste.training.mirror import Mirror
 
 logger = logging.getLogger(__name__)
 
+EVALUATED_AT_ONCE: Final = 512
+"""Windows, where a batch is not larger."""
+
 Metrics = dict[str, float | int | str]
 """Of one epoch, with the names of its stage and its number."""
 
@@ -189,7 +192,7 @@ def _score(stage: Stage, validation: Windows, config: TrainConfig, group: Group)
 def mean_loss(stage: Stage, windows: Windows, config: TrainConfig, group: Group = ALONE) -> float:
     """Mean loss over the evaluation windows of a part, without gradients."""
     index, rng = strided(windows, config.stride), np.random.default_rng(config.seed)
-    parts = np.array_split(index, math.ceil(len(index) / 512))
+    parts = np.array_split(index, math.ceil(len(index) / max(EVALUATED_AT_ONCE, config.batch)))
     feature_set_choice = [draw_sets(stage.draw, windows, part, rng) for part in parts]
     total = torch.zeros((), dtype=torch.float64, device=windows.device)
     with torch.no_grad():

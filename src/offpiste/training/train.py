@@ -20,7 +20,9 @@ from offpiste.dataset.split_balance import split_warning
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Batch, Windows
-from offpiste.dynamics import MODELS, Dynamics
+from offpiste.dynamics import MODELS, Dynamics, Vehicle
+from offpiste.dynamics.actuators import Actuators
+from offpiste.dynamics.kernels.actuators import supports_actuators
 from offpiste.dynamics.models import initial_actuators, reference_of
 from offpiste.errors import DatasetError, OffpisteError, RunError, TrainingError
 from offpiste.files import check_folder, remove_partials
@@ -42,6 +44,9 @@ from offpiste.training.speed_weights import speed_weights
 from offpiste.training.terrain_sources import encoded
 
 logger = logging.getLogger(__name__)
+
+SCALED = 100_000
+"""Windows that the units of the loss are taken from: with more of them they lie further apart."""
 
 STANDARDISED = 4096
 """Windows that means and scales of a network's inputs are taken from."""
@@ -71,8 +76,7 @@ def train(
     """
     refuse_impossible(config)
     check_folder(folder)
-    device = check_device(config.device)
-    dataset = dataset.starting_above(config.min_speed)
+    device, dataset = check_device(config.device), dataset.starting_above(config.min_speed)
     vehicle = vehicle_of(dataset, config)
     dynamics = build(config.model, vehicle, seed=config.seed).to(device)
     ground = ground_tables(dataset, device, free_budget(device))
@@ -90,12 +94,13 @@ def train(
         kept[name] = epoch
         _log_kept(name, epoch, group)
 
-    def fit(stage: Stage) -> None:
-        keep(stage.name, run_stage(stage, windows, validation, config, folder, record, group))
+    def fit(stage: Stage, model: Dynamics) -> None:
+        read = [w if model.encoder is not None else w.without_features() for w in (windows, validation)]
+        keep(stage.name, run_stage(stage, read[0], read[1], config, folder, record, group))
 
     reference = MODELS[reference_of(vehicle)](vehicle, seed=config.seed).to(device)
     if vehicle.actuators:
-        lags = initial_actuators(vehicle, config.seed).to(device)
+        lags = _lags(vehicle, config, device, group)
         keep("actuators", fit_actuators(lags, config, windows, validation, folder, record, group))
         _freeze(lags, reference, dynamics)
     scale = loss_scale(reference, windows, config)
@@ -114,14 +119,21 @@ def train(
     if (physics := dynamics.physics()) is not None:
         if physics.actuators is not None:
             physics.actuators.requires_grad_(False)
-        fit(rolled_out("bicycle", physics, config.bicycle_epochs, hindsight))  # alike, whatever the model draws
+        fit(rolled_out("bicycle", physics, config.bicycle_epochs, hindsight), physics)  # alike, whatever is drawn after
         dynamics.adopt_physics(physics, learns=config.refit_constants)
     standardise(dynamics, windows)
     if any(p.requires_grad for p in dynamics.parameters()):
-        fit(rolled_out("model", dynamics, config.epochs, draw))
+        fit(rolled_out("model", dynamics, config.epochs, draw), dynamics)
     if group.writes:
         save_run(folder, dynamics, config, dataset, scale, kept, noise_of(dynamics, windows))
     return dynamics
+
+
+def _lags(vehicle: Vehicle, config: TrainConfig, device: torch.device, group: Group) -> Actuators:
+    """Actuators to be fitted: alone on the CPU, whose kernels are faster than a GPU that launches step after step."""
+    lags = initial_actuators(vehicle, config.seed)
+    alone = group.size == 1 and supports_actuators(lags, torch.device("cpu"), torch.float32)
+    return lags if alone else lags.to(device)
 
 
 def _log_kept(stage: str, kept: KeptEpoch, group: Group) -> None:
@@ -206,8 +218,9 @@ def loss_scale(reference: Dynamics, windows: Windows, config: TrainConfig) -> Fl
     if not reference.reads_terrain:
         windows = windows.without_terrain()
     errors = []
+    stride, size = max(config.stride, len(windows) // SCALED), max(2048, config.batch)
     with torch.no_grad():
-        for part in in_parts(windows.every(config.stride), windows, None, size=2048):
+        for part in in_parts(windows.every(stride), windows, None, size=size):
             batch = windows.gather(part)
             errors.append(squared_errors(predict(reference, batch).state, batch.target))
     return torch.cat(errors).mean(dim=(0, 1)).clamp(min=1e-8)

@@ -119,7 +119,7 @@ def strayed_at_recorded(run: Run, windows: Windows, index: np.ndarray, rng: np.r
     draw = MODELS[run.model].draw
 
     def choose(some: np.ndarray) -> FeatureSetChoice:
-        return drawn(draw, rng, windows.ahead(some), windows.sets)
+        return drawn(draw, rng, len(some), lambda: windows.ahead(some), windows.sets)
 
     return _joined([strayed for _, strayed in predicted(run, windows, index, "recorded", choose)])
 

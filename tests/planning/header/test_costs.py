@@ -19,6 +19,40 @@ from planning_maps import layers, situation
 pytestmark = needs_gcc
 
 
+def printed(dynamics, at, controls, weights, *, lanes):
+    """Costs and states of the printed C, by one thread a sample or by four."""
+    kernels = HostKernels(plan_text(dynamics, at.costs.table, lanes=lanes))
+    assert kernels.lanes == (4 if lanes else 1)
+    states = torch.empty(controls.shape[1], 6, len(controls))
+    codes = encode_map(at.ground, dynamics.encoder)
+    return costs_by_kernels(kernels, dynamics, start(dynamics, at), at, weights, codes)(controls, states), states
+
+
+@pytest.mark.parametrize("vehicle", [COMMANDED, VEHICLE], ids=["commands", "actuators"])
+@pytest.mark.parametrize("kind", ["parametric", "b", "dc", "hold"])
+def test_four_lanes_come_to_what_one_thread_does(kind, vehicle):
+    dynamics, weights = model(kind, vehicle), CostWeights(lateral_limit=0.25, rollover=20.0)
+    at = situation(ground(), hazards=Hazards(obstacle=50.0), state=(-3.0, 1, 0.3, 8, 0.2, 0.1))
+    controls = commands(6)[:, :40]
+    controls[4, 20:] = torch.nan
+    (costs, states), (wanted, of_one) = (
+        printed(dynamics, at, controls, weights, lanes=lanes) for lanes in (True, False)
+    )
+    torch.testing.assert_close(states, of_one, atol=1e-4, rtol=1e-5, equal_nan=True)
+    torch.testing.assert_close(costs, wanted, atol=1e-3, rtol=1e-4, equal_nan=True)
+    assert costs.isnan().tolist() == [False, False, False, False, True, False]
+
+
+@pytest.mark.parametrize("place", [0.0, 300.0, 1e9, float("nan")], ids=["on the map", "off it", "far away", "nowhere"])
+def test_four_lanes_read_the_ground_as_one_thread_does(place):
+    at = situation(ground(), state=(place, 0, 1, 5, 0, 0))
+    (costs, _), (wanted, _) = (
+        printed(model("dc"), at, commands(3)[:, :10], CostWeights(lateral_limit=2.0), lanes=lanes)
+        for lanes in (True, False)
+    )
+    torch.testing.assert_close(costs, wanted, atol=1e-3, rtol=1e-4, equal_nan=True)
+
+
 def both(dynamics, at, controls, weights):
     """Costs and states of the printed C, and of the Numba kernel."""
     model_state, codes = start(dynamics, at), encode_map(at.ground, dynamics.encoder)

@@ -141,4 +141,5 @@ def _matrix_adjoints(
         (terms[:, GATES:], on_inner),
         (outer, pad(torch.cat((layer, one), dim=1), (0, 0, 0, shapes[2][1] - width - 1))),
     )
-    return [torch.einsum("tgn,tmn->gm", adjoint, value) for adjoint, value in pairs]
+    # A product for each step, then their sum: as one product, all rows would be copied into another order first.
+    return [torch.matmul(adjoint, value.transpose(1, 2)).sum(dim=0) for adjoint, value in pairs]

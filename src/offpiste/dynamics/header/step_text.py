@@ -8,6 +8,9 @@ from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.header.networks import LANE, PrintedNetwork, printed_networks
 from offpiste.dynamics.kernels import layout
 
+LANES = layout.HIDDEN
+"""Threads that share a step, a unit of each LSTM for each: OFFPISTE_LANES in `lanes.h`."""
+
 MOVED = len(layout.STEPPED)
 NEXT = layout.ROW[layout.NEXT[0]]
 
@@ -17,26 +20,36 @@ def shipped_text(name: str) -> str:
     return files(__package__).joinpath(name).read_text("utf-8")
 
 
-def step_text(dynamics: Dynamics, *, adjoint: bool = False, apart: bool = False) -> str:
+def step_text(dynamics: Dynamics, *, adjoint: bool = False, apart: bool = False, lanes: bool = False) -> str:
     """C code of one step of a model, without its weights.
 
     Args:
         adjoint: also `offpiste_step_adjoint`.
         apart: whether what codes add to the first network is given instead of the codes (`terms_of_codes`).
+        lanes: whether `LANES` threads share a step (`lanes.h`); neither back nor apart.
 
     Raises:
         ValueError: kernels cannot step the model.
     """
     networks = printed_networks(dynamics, apart=apart)
-    parts = [shipped_text("elementary.h"), shipped_text("physics.h")]
-    parts += [network.text(shipped_text("network.h")) for network in networks]
+    parts = [shipped_text(name) for name in ("elementary.h", *(["lanes.h"] if lanes else []), "physics.h")]
+    parts += [network.text(shipped_text("network_lanes.h" if lanes else "network.h")) for network in networks]
     parts += [_declarations(dynamics, networks, apart), _see(dynamics), _step(dynamics, networks)]
+    parts += [_arranged(networks)] if lanes else []
     if adjoint:
         parts += [shipped_text("physics_adjoint.h")]
         parts += [network.text(shipped_text("network_adjoint.h")) for network in networks]
         parts += [_adjoint(dynamics, networks)]
     guard = "OFFPISTE_STEP_H"
     return f"#ifndef {guard}\n#define {guard}\n\n" + "\n".join(parts) + f"\n#endif /* {guard} */\n"
+
+
+def _arranged(networks: Sequence[PrintedNetwork]) -> str:
+    """What puts weights in the order in which lanes read them."""
+    gates = [f"p->{of.name}.gates" for of in networks]
+    body = [f"    offpiste_by_unit({name}[0], sizeof({name}) / sizeof({name}[0]), first, apart);" for name in gates]
+    head = "OFFPISTE_FN void offpiste_arrange(offpiste_params* p, int first, int apart) {"
+    return "\n".join((head, "    (void)p; (void)first; (void)apart;", *body, "}\n"))
 
 
 def term_count(dynamics: Dynamics) -> int:

@@ -30,7 +30,7 @@ OFFPISTE_FN int offpiste_nearest(const offpiste_grid* grid, offpiste_cell_place 
 /* Adds a quarter of a wheel's unit normal to normal, or straight up and a quarter to unknown.
    rise: towards +x and +y, NaN where unknown. */
 OFFPISTE_FN void offpiste_add_tilt(const float* rise, int inside, float* normal, float* unknown) {
-    const int known = inside && rise[0] - rise[0] == 0.0f && rise[1] - rise[1] == 0.0f;
+    const int known = inside & (rise[0] - rise[0] == 0.0f) & (rise[1] - rise[1] == 0.0f);
     const float x = known ? rise[0] : 0.0f, y = known ? rise[1] : 0.0f;
     const float quarter = 0.25f / sqrtf(1.0f + x * x + y * y);
     normal[0] -= x * quarter;

@@ -35,21 +35,25 @@ INFINITE: Final = "3.4e38f * 10.0f"
 FUNCTIONS: Final = {name: called(f"offpiste_{name}") for name in ELEMENTARY}
 
 
-def plan_text(dynamics: Dynamics, layers: tuple[CostLayer, ...]) -> str:
+def plan_text(dynamics: Dynamics, layers: tuple[CostLayer, ...], *, lanes: bool = False) -> str:
     """C++ and CUDA text of the kernels `offpiste_roll_out` and `offpiste_keep_within`.
+
+    Args:
+        lanes: whether `LANES` threads share a sample of `offpiste_roll_out`, as they do on GPUs.
 
     Raises:
         ValueError: kernels cannot step the model.
         PlanningError: a term reads what nothing provides, or cannot be written as C.
     """
     here = files(__package__)
-    parts = [step_text(dynamics), shipped_text("kernels.h"), shipped_text("terrain.h"), cost_text(layers)]
+    parts = [step_text(dynamics, lanes=lanes), shipped_text("kernels.h"), shipped_text("terrain.h")]
+    parts.append(cost_text(layers, lanes=lanes))
     parts += [here.joinpath(name).read_text("utf-8") for name in ("plan.h", "limits.h")]
     return "\n".join(parts)
 
 
-def cost_text(layers: tuple[CostLayer, ...]) -> str:
-    """C code of all declared terms, for cost maps of these layers."""
+def cost_text(layers: tuple[CostLayer, ...], *, lanes: bool = False) -> str:
+    """C code of all declared terms, for cost maps of these layers; for `lanes`, see `plan_text`."""
     terms = list(cost_terms().values())
     numbers = places_of_numbers(terms)
     last = max(numbers, key=lambda name: numbers[name])
@@ -64,15 +68,15 @@ def cost_text(layers: tuple[CostLayer, ...]) -> str:
         "    float control[3], cos_yaw, sin_yaw, vx_before, vy_before, layers[OFFPISTE_LAYERS];",
         "} offpiste_values;",
         "",
-        *_layer_functions(layers),
+        *_layer_functions(layers, lanes),
         *_control_cost(of_controls, numbers),
         *_motion_cost([term for term in terms if not term.of_controls], numbers, layers),
     ]
     return "\n".join(lines) + "\n"
 
 
-def _layer_functions(layers: tuple[CostLayer, ...]) -> list[str]:
-    begin, wheel, pose = [], [], []
+def _layer_functions(layers: tuple[CostLayer, ...], lanes: bool) -> list[str]:
+    begin, wheel, join, pose = [], [], [], []
     for row, layer in enumerate(layers):
         value = f"v->layers[{row}]"
         number = f"cell[{row}]" if layer.outside is None else f"(inside ? cell[{row}] : outside[{row}])"
@@ -81,17 +85,21 @@ def _layer_functions(layers: tuple[CostLayer, ...]) -> list[str]:
         elif layer.read == "mean of wheels":
             begin.append(f"{value} = 0.0f;")
             wheel.append(f"{value} += 0.25f * {number};")
+            join.append(f"{value} = offpiste_over_lanes({value});")
         else:
             begin.append(f"{value} = {INFINITE};")
             wheel += ["{", f"    const float number = {number};", f"    {value} = number < {value} ? number : {value};"]
             wheel.append("}")
+            join.append(f"{value} = offpiste_least_of_lanes({value});")
     read = "(const float* cell, int inside, const float* outside, offpiste_values* v)"
     unused = "(void)cell; (void)inside; (void)outside; (void)v;"
-    functions = (
+    functions = [
         ("begin_layers(offpiste_values* v)", ["(void)v;", *begin]),
         (f"read_wheel_layers{read}", [unused, *wheel]),
         (f"read_pose_layers{read}", [unused, *pose]),
-    )
+    ]
+    if lanes:
+        functions.append(("join_layers(offpiste_values* v)", ["(void)v;", *join]))
     lines = []
     for head, body in functions:
         lines += [f"OFFPISTE_FN void offpiste_{head} {{", *(f"    {line}" for line in body), "}", ""]

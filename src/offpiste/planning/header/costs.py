@@ -54,7 +54,8 @@ def costs_by_kernels(
         samples, steps, _ = controls.shape
         by_step = controls[..., : len(CONTROL)].permute(1, 2, 0).contiguous()
         costs = torch.empty(samples, device=device)
-        kernels.launch("offpiste_roll_out", samples, params, packed, *maps, by_step, costs, states, steps)
+        given = (params, packed, *maps, by_step, costs, states, steps)
+        kernels.launch("offpiste_roll_out", samples, *given, lanes=kernels.lanes)
         return costs
 
     return roll

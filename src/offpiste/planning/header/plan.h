@@ -16,6 +16,25 @@ typedef struct {
     const float *slope, *codes, *layers;
 } offpiste_maps;
 
+/* What the model reads of the ground under a wheel into normal, unknown and codes, and what the cost reads. */
+OFFPISTE_FN void offpiste_sample_wheel(
+    const offpiste_situation* s, const offpiste_maps* maps, const float* state, int k, int reads, float* normal,
+    float* unknown, float* codes, offpiste_values* values) {
+    const float wx = s->wheels[k][0], wy = s->wheels[k][1];
+    const float px = state[0] + values->cos_yaw * wx - values->sin_yaw * wy;
+    const float py = state[1] + values->sin_yaw * wx + values->cos_yaw * wy;
+    const offpiste_cell_place place = offpiste_cell_at(&s->ground, px, py);
+    const offpiste_cell_place cost = offpiste_cell_at(&s->costs, px, py);
+    offpiste_add_normal(&s->ground, maps->slope, place, normal, unknown);
+    offpiste_read_wheel_layers(
+        maps->layers + OFFPISTE_LAYERS * offpiste_nearest(&s->costs, cost), cost.inside, s->outside, values);
+    (void)reads;
+    (void)codes;
+#if OFFPISTE_CODES
+    if (reads) offpiste_read_codes(maps->codes, s->missing, offpiste_nearest(&s->ground, place), place.inside, codes);
+#endif
+}
+
 /* What the model reads of the ground under a state into given, and what the cost reads into values. */
 OFFPISTE_FN void offpiste_sample(
     const offpiste_situation* s, const offpiste_maps* maps, const float* state, int reads, offpiste_given* given,
@@ -24,24 +43,32 @@ OFFPISTE_FN void offpiste_sample(
     values->cos_yaw = offpiste_cos(state[2]);
     values->sin_yaw = offpiste_sin(state[2]);
     offpiste_begin_layers(values);
-    OFFPISTE_UNROLL
-    for (int k = 0; k < 4; k++) {
-        const float wx = s->wheels[k][0], wy = s->wheels[k][1];
-        const float px = state[0] + values->cos_yaw * wx - values->sin_yaw * wy;
-        const float py = state[1] + values->sin_yaw * wx + values->cos_yaw * wy;
-        const offpiste_cell_place place = offpiste_cell_at(&s->ground, px, py);
-        const offpiste_cell_place cost = offpiste_cell_at(&s->costs, px, py);
-        offpiste_add_normal(&s->ground, maps->slope, place, normal, &unknown);
-        offpiste_read_wheel_layers(
-            maps->layers + OFFPISTE_LAYERS * offpiste_nearest(&s->costs, cost), cost.inside, s->outside, values);
 #if OFFPISTE_CODES
-        if (reads)
-            offpiste_read_codes(
-                maps->codes, s->missing, offpiste_nearest(&s->ground, place), place.inside,
-                given->codes + OFFPISTE_CODE * k);
+    float* codes = given->codes;
+#define OFFPISTE_CODES_OF(k) codes + OFFPISTE_CODE * (k)
+#else
+#define OFFPISTE_CODES_OF(k) 0
 #endif
-    }
-    (void)reads;
+#if OFFPISTE_LANES > 1 /* a wheel for each */
+#if OFFPISTE_CODES
+    float own[OFFPISTE_CODE];
+    offpiste_sample_wheel(s, maps, state, OFFPISTE_LANE, reads, normal, &unknown, own, values);
+    if (reads)
+        OFFPISTE_UNROLL
+        for (int k = 0; k < OFFPISTE_CODES; k++)
+            codes[k] = offpiste_from_lane(own[k % OFFPISTE_CODE], k / OFFPISTE_CODE);
+#else
+    offpiste_sample_wheel(s, maps, state, OFFPISTE_LANE, reads, normal, &unknown, 0, values);
+#endif
+    OFFPISTE_UNROLL
+    for (int k = 0; k < 3; k++) normal[k] = offpiste_over_lanes(normal[k]);
+    unknown = offpiste_over_lanes(unknown);
+    offpiste_join_layers(values);
+#else
+    OFFPISTE_UNROLL
+    for (int k = 0; k < 4; k++)
+        offpiste_sample_wheel(s, maps, state, k, reads, normal, &unknown, OFFPISTE_CODES_OF(k), values);
+#endif
     OFFPISTE_UNROLL
     for (int k = 0; k < 3; k++) given->normal[k] = normal[k];
     given->unknown = unknown;
@@ -54,24 +81,29 @@ OFFPISTE_FN void offpiste_sample(
 
 /* controls: [steps, 3, n], throttle, brake, steer. costs: [n], to fill. states: [steps, 6, n], to fill, or null. */
 OFFPISTE_KERNEL(
-    offpiste_roll_out, const offpiste_params* weights, const offpiste_situation* situation, const float* slope,
-    const float* codes, const float* layers, const float* controls, float* costs, float* states, int steps, int n) {
+    offpiste_roll_out, const offpiste_params* weights, const offpiste_situation* OFFPISTE_RESTRICT situation,
+    const float* OFFPISTE_RESTRICT slope, const float* OFFPISTE_RESTRICT codes, const float* OFFPISTE_RESTRICT layers,
+    const float* OFFPISTE_RESTRICT controls, float* OFFPISTE_RESTRICT costs, float* OFFPISTE_RESTRICT states, int steps,
+    int n) {
     OFFPISTE_SHARED_PARAMS(params, weights)
-    OFFPISTE_EACH(i, n) {
+    OFFPISTE_EACH_BY_LANES(i, n) {
         const offpiste_maps maps = {slope, codes, layers};
         const offpiste_situation* s = situation;
-        float state[OFFPISTE_STATE], before[3], total = 0.0f;
+        float state[OFFPISTE_STATE], before[3], next[3], total = 0.0f;
         offpiste_given given;
         offpiste_values values;
         OFFPISTE_UNROLL
         for (int k = 0; k < OFFPISTE_STATE; k++) state[k] = s->start[k];
         OFFPISTE_UNROLL
-        for (int k = 0; k < 3; k++) before[k] = s->control[k];
+        for (int k = 0; k < 3; k++) before[k] = s->control[k], next[k] = controls[k * n + i];
         offpiste_sample(s, &maps, state, 1, &given, &values);
         for (int t = 0; t < steps; t++) {
             OFFPISTE_FORGET
             OFFPISTE_UNROLL
-            for (int k = 0; k < 3; k++) values.control[k] = controls[(3 * t + k) * n + i];
+            for (int k = 0; k < 3; k++) {
+                values.control[k] = next[k];
+                next[k] = controls[(3 * (t + 1 < steps ? t + 1 : t) + k) * n + i]; /* they come from far */
+            }
             OFFPISTE_UNROLL
             for (int k = 0; k < OFFPISTE_CONTROLS; k++) given.control[k] = k < 3 ? values.control[k] : s->gear;
             values.vx_before = state[3];
