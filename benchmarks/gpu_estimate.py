@@ -16,6 +16,7 @@ import plan as on_cpu
 
 from offpiste.conventions import HORIZON_STEPS
 from offpiste.dynamics.header.recorded import recorded_text
+from offpiste.dynamics.header.step_text import LANES
 from offpiste.planning.cost_map import cost_map
 from offpiste.planning.costs.layers import Hazards
 from offpiste.planning.course import Course
@@ -63,7 +64,16 @@ def compiled(text: str, architecture: str) -> dict[str, tuple[int, int, int]]:
     with TemporaryDirectory() as folder:
         source, cubin = Path(folder) / "kernels.cu", Path(folder) / "kernels.cubin"
         source.write_text(text)
-        command = ["nvcc", "-std=c++17", f"-arch={architecture}", "-cubin", "-Xptxas", "-v", source, "-o", cubin]
+        command = [
+            "nvcc",
+            "-std=c++17",
+            f"-arch={architecture}",
+            "-prec-div=false",
+            "-prec-sqrt=false",
+            "-Xptxas",
+            "-v",
+        ]
+        command += ["-cubin", source, "-o", cubin]
         said = subprocess.run(command, check=True, capture_output=True, text=True).stderr
         pattern = r"entry function '(\w+)'.*?(\d+) bytes spill stores.*?Used (\d+) registers"
         loops = {name: longest_loop(code, architecture) for name, code in sections(cubin.read_bytes()).items()}
@@ -75,7 +85,7 @@ def main() -> None:
     dynamics = pretrained("proving-ground/dc").dynamics.requires_grad_(False)
     course = Course(np.array([[-20.0, 0], [20, 3]]), np.full(2, 6.0))
     layers = cost_map(on_cpu.ground(60), course, Hazards()).table
-    texts = {"planning": plan_text(dynamics, layers), "training": recorded_text(dynamics)}
+    texts = {"planning": plan_text(dynamics, layers, lanes=True), "training": recorded_text(dynamics)}
     print("| GPU | kernel | registers | spilled [bytes] | instructions a step | estimate, up to a warp a scheduler |")
     print("|---|---|---|---|---|---|")
     for card, (architecture, processors, clock) in CARDS.items():
@@ -86,7 +96,7 @@ def main() -> None:
                 gathered = GATHERED if name == "offpiste_roll_out" else 0  # recorded ground needs no map
                 cycles = [loop / issued + gathered for issued in ISSUED]
                 low, high = (HORIZON_STEPS * each / clock / 1e6 for each in cycles)
-                most = processors * 4 * 32
+                most = processors * 4 * 32 // (LANES if name == "offpiste_roll_out" else 1)
                 estimate = f"{low:.1f} to {high:.1f} ms for up to {most}"
                 print(f"| {card} | `{name}` | {registers} | {spilled} | {loop} | {estimate} |")
 

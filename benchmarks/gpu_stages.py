@@ -33,6 +33,10 @@ SAMPLES = (1024, 8192)
 """Of plans by MPPI-Generic."""
 
 
+BLOCKS = ("8 8", "16 8", "32 4", "32 8")
+"""Shapes of its blocks for dynamics of its own."""
+
+
 class Skipped(Exception):
     """Why a stage is not run."""
 
@@ -111,7 +115,11 @@ def planner(folder: Path, given: argparse.Namespace) -> list[str]:
         for samples in SAMPLES
     ]
     lines = ["all=()", *made, 'for each in "${all[@]}"; do wait "$each"; done']
-    lines += [f"./{name}-{samples} parity.bin" for samples in SAMPLES for name in sources_of]
+    for samples in SAMPLES:
+        lines += [f"./planner-{samples} parity.bin"]
+        lines += [
+            f"./own-{samples} {block} || echo 'no blocks of {block}'" for block in ("8 8", "16 8", "32 4", "32 8")
+        ]
     return exported(folder, "mppi-generic", "\n".join(lines))
 
 

@@ -1,11 +1,12 @@
 /* MPPI-Generic plans with LSTM dynamics of its own: RacerDubinsElevationLSTMSteering, of the size its tests have, on a
-   map of heights, with the planner and the cost of the exported planner.cu. Prints the median time of a plan for each
-   shape of a block; their best is what planner.cu is to be compared with.
+   map of heights, with the planner and the cost of the exported planner.cu. Prints the median time of a plan for blocks
+   of a shape; the best of several is what planner.cu is to be compared with.
 
        nvcc -std=c++17 -O3 -w -arch=native --extended-lambda -DSAMPLES=1024 -I . -I MPPI-Generic/include -I eigen3 \
-           own.cu -o own -lcurand -lcufft && ./own */
+           own.cu -o own -lcurand -lcufft && ./own 8 8 */
 #include <algorithm>
 #include <chrono>
+#include <cstdlib>
 
 #include <mppi/cost_functions/cost.cuh>
 #include <mppi/controllers/MPPI/mppi_controller.cuh>
@@ -92,7 +93,7 @@ static float median_of(dim3 block, Vehicle& dynamics, GoalCost& cost, Sampler& s
     return taken[taken.size() / 2];
 }
 
-int main() {
+int main(int count, char** arguments) {
     std::vector<int> first = {23, 100, 8}, then = {8, 20, 1};
     Vehicle dynamics(3, 20, first, 4, 4, then, 11);
     auto& network = *dynamics.getHelper()->getLSTMModel();
@@ -109,14 +110,9 @@ int main() {
     }
     Sampler sampler(noise);
     GoalCost cost;
-    const dim3 blocks[] = {dim3(8, 8, 1), dim3(16, 8, 1), dim3(32, 4, 1), dim3(32, 8, 1), dim3(16, 16, 1), dim3(64, 4, 1)};
-    float best = 1e9f;
-    for (const dim3 block : blocks) {
-        const float median = median_of(block, dynamics, cost, sampler, 30);
-        best = std::min(best, median);
-        printf("blocks of %u x %u: a plan of %d x %d takes %.2f ms\n", block.x, block.y, SAMPLES, STEPS, median);
-        fflush(stdout);
-    }
-    printf("MPPI-Generic's own LSTM dynamics: a plan of %d x %d takes %.2f ms\n", SAMPLES, STEPS, best);
+    const dim3 block(count > 2 ? atoi(arguments[1]) : 8, count > 2 ? atoi(arguments[2]) : 8, 1);
+    const float median = median_of(block, dynamics, cost, sampler, 100);
+    printf("MPPI-Generic's own LSTM dynamics: a plan of %d x %d takes %.2f ms in blocks of %u x %u\n", SAMPLES, STEPS,
+           median, block.x, block.y);
     return 0;
 }

@@ -140,8 +140,8 @@ class Hybrid(Dynamics):
         return KernelParts(self.bicycle, self.compensator, self.force_scale)
 
     def physics(self) -> Parametric:
-        """The bicycle alone, with a copy of the actuators."""
-        return Parametric(self.vehicle, deepcopy(self.actuators))
+        """A bicycle alone, not yet fitted, with a copy of the actuators, where they lie."""
+        return Parametric(self.vehicle, deepcopy(self.actuators)).to(self.bicycle.raw.device)
 
     def adopt_physics(self, fitted: Dynamics, *, learns: bool = False) -> None:
         """Take over the bicycle's constants, and keep them unless the bicycle `learns` further."""

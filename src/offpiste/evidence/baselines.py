@@ -60,4 +60,4 @@ def physics_of(dynamics: Dynamics) -> Dynamics | None:
     if alone is None or parts is None or inside is None:
         return None
     inside.bicycle.load_state_dict(parts.bicycle.state_dict())
-    return alone.to(next(dynamics.parameters()).device).eval()
+    return alone.eval()

@@ -1,0 +1,37 @@
+"""Training on a GPU, pretended: no tensor lies in the wrong place, and it comes to what the CPU comes to."""
+
+import pytest
+import torch
+
+from feature_datasets import dataset_with_features
+from host_kernels import HostKernels, needs_gcc
+from offpiste.training.config import TrainConfig
+from offpiste.training.run import kept_epochs
+from offpiste.training.train import train
+from pretended_gpu import GPU, pretended_gpu
+
+
+def test_tensors_of_two_devices_do_not_meet(monkeypatch):
+    with pretended_gpu(monkeypatch, HostKernels):
+        there = torch.ones(3, device=GPU)
+        assert there.device == GPU
+        assert (there + 1).device == GPU
+        assert (there.cpu() * 2).tolist() == [2, 2, 2]
+        with pytest.raises(RuntimeError, match="on the CPU and on the GPU"):
+            there + torch.ones(3)
+
+
+@needs_gcc
+@pytest.mark.parametrize("model", ["b", "dc"])
+def test_a_training_there_is_the_one_here(model, tmp_path, monkeypatch):
+    dataset = dataset_with_features(tmp_path / "data.zarr", rows=400)
+    losses = []
+    for device in ("cpu", str(GPU)):
+        config = TrainConfig(model, epochs=1, bicycle_epochs=1, actuator_epochs=1, stride=25, batch=8, device=device)
+        if device == "cpu":
+            train(dataset, config, tmp_path / device[:3])
+        else:
+            with pretended_gpu(monkeypatch, HostKernels):
+                train(dataset, config, tmp_path / device[:3])
+        losses.append(kept_epochs(tmp_path / device[:3])["model"].validation_loss)
+    assert losses[1] == pytest.approx(losses[0], rel=1e-3)
