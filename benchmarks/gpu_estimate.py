@@ -15,6 +15,7 @@ import numpy as np
 import plan as on_cpu
 
 from offpiste.conventions import HORIZON_STEPS
+from offpiste.cuda_kernels import lanes_of
 from offpiste.dynamics.header.recorded import recorded_text
 from offpiste.dynamics.header.step_text import LANES
 from offpiste.planning.cost_map import cost_map
@@ -64,16 +65,19 @@ def compiled(text: str, architecture: str) -> dict[str, tuple[int, int, int]]:
     with TemporaryDirectory() as folder:
         source, cubin = Path(folder) / "kernels.cu", Path(folder) / "kernels.cubin"
         source.write_text(text)
+        rounded = ["-prec-div=false", "-prec-sqrt=false"] if lanes_of(text) > 1 else []
         command = [
             "nvcc",
             "-std=c++17",
             f"-arch={architecture}",
-            "-prec-div=false",
-            "-prec-sqrt=false",
+            "-cubin",
+            *rounded,
             "-Xptxas",
             "-v",
+            source,
+            "-o",
+            cubin,
         ]
-        command += ["-cubin", source, "-o", cubin]
         said = subprocess.run(command, check=True, capture_output=True, text=True).stderr
         pattern = r"entry function '(\w+)'.*?(\d+) bytes spill stores.*?Used (\d+) registers"
         loops = {name: longest_loop(code, architecture) for name, code in sections(cubin.read_bytes()).items()}

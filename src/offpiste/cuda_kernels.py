@@ -116,9 +116,10 @@ def machine_code(text: str, architecture: str) -> Any:
     folder = cache_folder() / "cuda"
     how = "install cuda-core[cu12] or cuda-core[cu13], as torch.version.cuda says; a newer NVRTC knows newer GPUs"
     with _errors_of_cuda(f"NVRTC does not compile for {architecture}", how):
-        # Quotients and roots within two units in the last place: the exact ones are branches in the middle of a step.
-        exact = {"prec_div": False, "prec_sqrt": False}
-        options = ProgramOptions(arch=architecture, std="c++17", diag_suppress=177, **exact)
+        # Exact quotients and roots are branches amid a step. Lanes do without, to two units in the last place; going
+        # back, a thread would spill more.
+        rounded = {"prec_div": False, "prec_sqrt": False} if lanes_of(text) > 1 else {}
+        options = ProgramOptions(arch=architecture, std="c++17", diag_suppress=177, **rounded)
         try:
             kept = FileStreamProgramCache(folder, max_size_bytes=LARGEST_CACHE)
             return Program(text, "c++", options).compile("cubin", cache=kept)
