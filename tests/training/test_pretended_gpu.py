@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from feature_datasets import dataset_with_features
+from feature_datasets import dataset_with_features, with_snapshots
 from host_kernels import HostKernels, needs_gcc
 from offpiste.training.config import TrainConfig
 from offpiste.training.run import kept_epochs
@@ -22,9 +22,11 @@ def test_tensors_of_two_devices_do_not_meet(monkeypatch):
 
 
 @needs_gcc
-@pytest.mark.parametrize("model", ["b", "dc"])
-def test_a_training_there_is_the_one_here(model, tmp_path, monkeypatch):
+@pytest.mark.parametrize(("model", "maps"), [("b", False), ("dc", False), ("dc", True)])
+def test_a_training_there_is_the_one_here(model, maps, tmp_path, monkeypatch):
     dataset = dataset_with_features(tmp_path / "data.zarr", rows=400)
+    if maps:
+        dataset = with_snapshots(dataset, tmp_path / "snapshots", range(20, 400, 40))
     losses = []
     for device in ("cpu", str(GPU)):
         config = TrainConfig(model, epochs=1, bicycle_epochs=1, actuator_epochs=1, stride=25, batch=8, device=device)

@@ -163,16 +163,14 @@ class EvaluationData:
 
 
 @lru_cache(maxsize=1)
-def _with_maps(
-    settings: ReproductionSettings, start: str, device: str, version: tuple[int, ...]
-) -> tuple[Dataset, MapLoss | None]:
+def _with_maps(settings: ReproductionSettings, start: str, version: tuple[int, ...]) -> tuple[Dataset, MapLoss | None]:
     """The dataset and the maps of its validation windows, kept by a process for all runs that it trains.
 
     Args:
         version: differs where the dataset does.
     """
     dataset = opened(settings)
-    return dataset, map_loss(Windows(dataset, "validation", start=start, device=device), ALONE)
+    return dataset, map_loss(Windows(dataset, "validation", start=start), ALONE)
 
 
 def train_run(settings: ReproductionSettings, model: FigureModel, seed: int) -> None:
@@ -181,7 +179,7 @@ def train_run(settings: ReproductionSettings, model: FigureModel, seed: int) -> 
     reuse_stages(settings.runs, folder, seed)
     config = model.config(settings.size, seed, settings.device)
     written = tuple(path.stat().st_mtime_ns for path in sorted(settings.data.glob(f"*/{CHECKSUMS}")))
-    dataset, maps = _with_maps(settings, config.start, config.device, written)
+    dataset, maps = _with_maps(settings, config.start, written)
     train(dataset, config, folder, resume=(folder / "config.json").exists(), maps=maps)
 
 

@@ -34,10 +34,10 @@ def summed_loss(
 
     Args:
         scale: mean square error of the reference (`offpiste.training.train.loss_scale`), in the components' units
-            squared.
-        weights: weight of each component (`offpiste.training.config.Weights.in_order`).
+            squared, on any device.
+        weights: weight of each component (`offpiste.training.config.Weights.in_order`), beside it.
     """
-    return (squared_errors(predicted, target).mean(dim=1) * (weights / scale)).sum(dim=-1)
+    return (squared_errors(predicted, target).mean(dim=1) * (weights / scale).to(target.device)).sum(dim=-1)
 
 
 FITTED_STEPS = 100

@@ -1,6 +1,7 @@
 """Loss of validation windows read on the map at predicted places: what epochs are chosen by, as it decides."""
 
 from collections.abc import Callable
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
@@ -41,7 +42,7 @@ class MapLoss:
     Maps are read from disk once, when the first epoch asks; features are encoded as wheels come over them.
 
     Attributes:
-        windows: of validation.
+        windows: of validation; on the CPU its kernels read maps, and a GPU would launch step after step.
         index: of the windows that are rolled out.
         group: the processes that share them out.
     """
@@ -52,9 +53,11 @@ class MapLoss:
 
     @torch.no_grad()
     def of(self, dynamics: Dynamics, loss: WindowLoss) -> float:
-        """The mean loss of a model."""
-        total = torch.zeros((), dtype=torch.float64, device=self.windows.device)
+        """The mean loss of a model, computed where the windows lie."""
+        trained, here = next(dynamics.parameters()).device, self.windows.device
+        total = torch.zeros((), dtype=torch.float64, device=here)
         if len(self._mine):
+            dynamics = dynamics if trained == here else deepcopy(dynamics).to(here)
             batch, maps = self._kept
             number = torch.arange(len(self._mine), device=self.windows.device)
             places = self.windows.places(self._mine)
@@ -62,7 +65,7 @@ class MapLoss:
             batch, ahead = read_on(dynamics, source, batch)
             start = dynamics.start(batch.history, batch.state, batch.actuators)
             total += loss(predict_on(dynamics, start, batch.control, ahead), batch).double().sum()
-        return float(self.group.sum(total)) / len(self.index)
+        return float(self.group.sum(total.to(trained))) / len(self.index)
 
     @cached_property
     def _mine(self) -> Int[np.ndarray, " m"]:

@@ -110,7 +110,7 @@ def train(
     def window_loss(predicted: Trajectory, batch: Batch) -> Float[Tensor, " B"]:
         return weigh(batch) * summed_loss(_checked(predicted, batch).state, batch.target, scale, weights)
 
-    maps, mirror = maps or map_loss(validation, group), mirror_of(windows) if config.mirror else None
+    maps, mirror = maps or map_loss(_on_cpu(validation), group), mirror_of(windows) if config.mirror else None
 
     def rolled_out(name: str, model: Dynamics, epochs: int, draw: Draw) -> Stage:
         on_map = None if maps is None else partial(maps.of, model, window_loss)
@@ -127,6 +127,11 @@ def train(
     if group.writes:
         save_run(folder, dynamics, config, dataset, scale, kept, noise_of(dynamics, windows))
     return dynamics
+
+
+def _on_cpu(windows: Windows) -> Windows:
+    """The windows of a part, whose batches lie on the CPU."""
+    return windows if windows.device.type == "cpu" else Windows(windows.dataset, windows.part, start=windows.start)
 
 
 def _lags(vehicle: Vehicle, config: TrainConfig, device: torch.device, group: Group) -> Actuators:
