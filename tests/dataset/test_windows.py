@@ -5,9 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from factories import circle_rows, small_rig
+from feature_datasets import dataset_with_features
 from offpiste.conventions import HISTORY_STEPS, HORIZON_STEPS
+from offpiste.dataset.feature_sets import FeatureSetChoice
 from offpiste.dataset.resample import Rows
 from offpiste.dataset.splits import PARTS, parse_split
 from offpiste.dataset.store import Dataset, StoredDrive
@@ -127,3 +130,16 @@ def test_present_channels_are_those_of_the_rig():
     assert windows.control == ("throttle", "brake", "steer")
     assert windows.actuators == ()
     assert dataclasses.is_dataclass(windows.gather(np.array([0])))
+
+
+def test_models_that_read_no_features_get_the_same_windows_without(tmp_path: Path) -> None:
+    windows = Windows(dataset_with_features(tmp_path / "data.zarr", rows=400), "train")
+    without, index = windows.without_features(), np.array([3, 40, 7])
+    choice = FeatureSetChoice(np.array([[1], [0], [2]]), np.array([1, 0, 2]))
+    wanted, found = windows.gather(index, choice), without.gather(index, choice)
+    assert wanted.ground is not None
+    assert found.ground is None
+    assert without.sets == windows.sets > 1
+    assert torch.equal(found.terrain.normal, wanted.terrain.normal)
+    assert torch.equal(found.history.terrain.normal, wanted.history.terrain.normal)
+    assert torch.equal(found.target, wanted.target)

@@ -114,3 +114,27 @@ def test_motion_alone_gives_the_same_loss(dataset: Dataset) -> None:
         whole = loss(windows.gather(index))
         assert torch.equal(loss(windows.without_terrain().gather(index)), whole)
         assert torch.equal(loss(windows.without_terrain(FITTED_STEPS).gather(index)), whole)
+
+
+def test_where_there_are_many_windows_fewer_are_taken_further_apart(
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen = []
+
+    def run_stage(stage, windows, validation, config, *others):  # type: ignore[no-untyped-def]
+        seen.append(config)
+        return kept_as_it_was(stage, windows, validation, config, *others)
+
+    kept_as_it_was = actuator_stage.run_stage
+    monkeypatch.setattr(actuator_stage, "run_stage", run_stage)
+    windows, validation = Windows(dataset, "train"), Windows(dataset, "validation")
+    lags = initial_actuators(vehicle_of(dataset, QUICK), 0)
+    few = len(windows) // 100
+    for most, largest, stride, batch in ((100_000, 1024, 60, 32), (few, 16, len(windows) // few, 16)):
+        monkeypatch.setattr(actuator_stage, "LARGEST_EPOCH", most)
+        monkeypatch.setattr(actuator_stage, "LARGEST_BATCH", largest)
+        monkeypatch.setenv(VARIABLE, str(tmp_path / f"cache-{most}"))
+        folder = tmp_path / str(most)
+        folder.mkdir()
+        actuator_stage.fit_actuators(lags, QUICK, windows, validation, folder, lambda line: None)
+        assert (seen[-1].stride, seen[-1].batch, seen[-1].device) == (stride, batch, "cpu")

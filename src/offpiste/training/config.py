@@ -38,7 +38,7 @@ class TrainConfig:
         refit_constants: the bicycle's constants keep learning beside the network, as in the paper; otherwise they stay
             those that fit without it.
         actuator_epochs: passes that fit the actuator models before they are frozen.
-        batch: windows in a step; on a GPU 16384, see docs/gpu.md.
+        batch: windows in a step; more of them on a GPU, see docs/gpu.md.
         stride: rows between the windows of one epoch; the phase changes from epoch to epoch, so all rows are used.
         learning_rate: learning rate of Adam for networks.
         constants_learning_rate: learning rate of Adam for the constants of physics.
