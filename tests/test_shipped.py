@@ -36,6 +36,8 @@ def test_each_drives_without_further_files(name):
 
 def test_what_ground_is_familiar_ships_too():
     load_planner(Path(f"{PREFIX}proving-ground/dc"), novelty="missing")
+    with pytest.raises(RunError, match="reads no features, so no ground looks new to it"):
+        load_planner(Path(f"{PREFIX}proving-ground/b"), novelty="missing")
 
 
 def test_all_are_undamaged_and_small():

@@ -57,7 +57,7 @@ def load_planner(folder: str | Path, pca: Path | None = None, *, novelty: Novelt
 
     Raises:
         RunError: no such run, or its features are not available: no PCA is given, or not the one it was trained with;
-            its spread belongs to other weights; or it does not know which ground is familiar.
+            its spread belongs to other weights; or it does not know which ground is familiar, or reads no features.
         PerceptionError: not a PCA, or its backbone is not available.
     """
     run = load_run(folder)
@@ -71,6 +71,8 @@ def load_planner(folder: str | Path, pca: Path | None = None, *, novelty: Novelt
     ships, folder = str(folder).startswith(PREFIX), run.folder
     planner = _without_features(run)
     if run.dynamics.encoder is None:
+        if novelty == "missing":
+            raise RunError("reads no features, so no ground looks new to it", where=folder, how="leave --novelty out")
         return planner
     if novelty == "missing":
         make_wary(run.dynamics, load_familiar(run))
