@@ -2,10 +2,10 @@
 
 `python benchmarks/gpu.py [STAGE ...] [--device cuda] [--out FILE] [--small]`. Stages: `plans` (rollouts with map and
 cost, whole plans, and the packing and copying in them), `training` (rollouts forward and back), `pytorch-mppi` (the
-same rollouts by it, eager and compiled), `train` (a training, and its validation loss on the CPU). Rows are
-written as they come. Without a GPU, `PYTHONPATH=tests python benchmarks/gpu.py plans --device cpu --small` runs a stage
-on kernels that g++ compiled for this machine (from tests/host_kernels.py), which checks the script, not the GPU: its
-times mean nothing.
+same rollouts by it, eager and compiled), `train` (trainings on the CPU and on the device, whose validation losses must
+agree; with `--alone` on the device only). Rows are written as they come. Without a GPU,
+`PYTHONPATH=tests python benchmarks/gpu.py plans --device cpu --small` runs a stage on kernels that g++ compiled for
+this machine (from tests/host_kernels.py), which checks the script, not the GPU: its times mean nothing.
 """
 
 import argparse
@@ -79,6 +79,19 @@ def timed(what: str, run: Callable[[], Any], device: torch.device, turns: int) -
     return {"what": what, "median": statistics.median(taken), "best": min(taken)}
 
 
+def by_events(what: str, run: Callable[[], Any], turns: int) -> Row:
+    """Median and best time of a function between two events on the GPU [ms], without the way there and back."""
+    taken = []
+    for _ in range(turns + 2):
+        began, ended = (torch.cuda.Event(enable_timing=True) for _ in range(2))
+        began.record()
+        run()
+        ended.record()
+        torch.cuda.synchronize()
+        taken.append(began.elapsed_time(ended))
+    return {"what": what, "median": statistics.median(taken[2:]), "best": min(taken[2:])}
+
+
 def situation() -> Situation:
     """The map of benchmarks/plan.py."""
     layers = on_cpu.ground()
@@ -116,7 +129,7 @@ def of_plans(dynamics: Dynamics, device: torch.device, given: argparse.Namespace
     # memcheck follows the kernels themselves, not a graph of them.
     capture = captured if device.type == "cuda" and not small else None
     plan = torch.zeros(HORIZON_STEPS, 2)
-    for turn, samples in enumerate([96] if small else [1024, 8192]):
+    for turn, samples in enumerate([90] if small else [1024, 8192]):
         settings = Settings(PEDAL_AND_WHEEL, (0.15, 0.15), samples=samples, temperature=3.0, rest=(0.4, 0.0))
         generator = torch.Generator(device).manual_seed(0)
         planner = DevicePlanner(kernels, dynamics, settings, generator, capture)
@@ -127,6 +140,8 @@ def of_plans(dynamics: Dynamics, device: torch.device, given: argparse.Namespace
         cost_of = costs_by_kernels(kernels, dynamics, there, at, weights, codes)
         controls = (0.3 * torch.rand(samples, HORIZON_STEPS, 3, generator=torch.Generator().manual_seed(1))).to(device)
         yield timed(f"rollouts with map and cost, {size}", lambda c=cost_of, u=controls: c(u), device, turns)
+        if device.type == "cuda":
+            yield by_events(f"rollouts by events of the GPU, {size}", lambda c=cost_of, u=controls: c(u), turns)
         yield timed(f"a whole plan of one iteration, {size}", lambda p=planner, g=taken: p.improve(*g), device, turns)
         if capture:
             yield {"what": f"the graph of {samples} samples plans as its kernels do"}
@@ -165,7 +180,7 @@ def on_device(item: object, device: torch.device) -> dict[str, Tensor]:
 def of_pytorch_mppi(dynamics: Dynamics, device: torch.device, given: argparse.Namespace) -> Iterator[Row]:
     """The same rollouts with map and cost by the kernels and by pytorch_mppi, step by step and compiled."""
     small, turns = given.small, given.turns
-    samples, weights = 96 if small else 1024, CostWeights()
+    samples, weights = 90 if small else 1024, CostWeights()
     at, model = situation(), on_cpu.network("dc")
     codes = encode_map(at.ground, model.encoder)
     settings = Settings(PEDALS_AND_WHEEL, (0.3, 0.1, 0.3), samples=samples)

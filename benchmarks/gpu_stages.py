@@ -116,10 +116,9 @@ def planner(folder: Path, given: argparse.Namespace) -> list[str]:
     ]
     lines = ["all=()", *made, 'for each in "${all[@]}"; do wait "$each"; done']
     for samples in SAMPLES:
-        lines += [f"./planner-{samples} parity.bin"]
-        lines += [
-            f"./own-{samples} {block} || echo 'no blocks of {block}'" for block in ("8 8", "16 8", "32 4", "32 8")
-        ]
+        lines += [f"./planner-{samples} parity.bin | tee -a times"]
+        lines += [f"./own-{samples} {block} | tee -a times || echo 'no blocks of {block}'" for block in BLOCKS]
+    lines += ["grep -oh '[0-9]* x 250 takes .*' times | paste -sd ';'"]
     return exported(folder, "mppi-generic", "\n".join(lines))
 
 
@@ -163,7 +162,7 @@ def ended(command: list[str], log: Path, seconds: float, **more: str) -> str:
 def last_line(log: Path) -> str:
     """What a log ends with."""
     lines = [line.strip() for line in log.read_text("utf-8", "replace").splitlines() if line.strip()]
-    return lines[-1][:300] if lines else "no output"
+    return lines[-1][:1000] if lines else "no output"
 
 
 def run(stage: Stage, folder: Path, given: argparse.Namespace, seconds: float) -> dict[str, object]:

@@ -32,10 +32,10 @@ from offpiste.state import ModelState, RecordedTerrain, Trajectory
 from offpiste.training.batches import draw_sets
 from offpiste.training.build import build, vehicle_of
 from offpiste.training.config import TrainConfig
-from offpiste.training.losses import summed_loss
+from offpiste.training.losses import loss_scale, summed_loss
 from offpiste.training.optimise import keep_freed_memory
 from offpiste.training.terrain_sources import encoded
-from offpiste.training.train import loss_scale, standardise
+from offpiste.training.train import standardise
 
 Mark = Callable[[str], None]
 """Says that the part of this name has just ended."""

@@ -5,7 +5,8 @@ import torch
 
 from feature_datasets import dataset_with_features
 from offpiste.dataset.feature_sets import FeatureSetChoice
-from offpiste.dataset.ground_tables import free_budget, ground_tables
+from offpiste.dataset.features_under_wheels import CellTable
+from offpiste.dataset.ground_tables import ResidentCells, free_budget, ground_tables
 from offpiste.dataset.windows import Windows
 
 CPU = torch.device("cpu")
@@ -17,9 +18,9 @@ def test_what_fits_is_resident_and_gives_the_same_batches(tmp_path):
     needed = sum(
         r.normal.nbytes + r.cells.features.nbytes + r.cells.valid.nbytes + 2 * r.cells.index.nbytes for r in rows
     )
-    assert not ground_tables(dataset, CPU, needed - 1).resident
+    assert isinstance(ground_tables(dataset, CPU, needed - 1).cells, CellTable)
     ground = ground_tables(dataset, CPU, needed)
-    assert ground.resident
+    assert isinstance(ground.cells, ResidentCells)
     kept = (ground.cells._index, ground.cells._valid, ground.cells._features, ground.normals._values)
     assert sum(part.nbytes for part in kept) == needed
     from_disk, from_device = Windows(dataset, "train"), Windows(dataset, "train", ground=ground)

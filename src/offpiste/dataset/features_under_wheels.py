@@ -140,10 +140,10 @@ class CellTable:
         features = np.empty((total + 1, self._channels), np.float16)
         features[-1] = np.nan  # the ranges fill all others
         valid = np.zeros(total + 1, bool)
-        for chosen, first, low, count in ranges:
+        for chosen, first, low, size in ranges:
             self._read(
-                features[first : first + count],
-                valid[first : first + count],
+                features[first : first + size],
+                valid[first : first + size],
                 chosen,
                 low,
                 feature_set_choice.flags_only,

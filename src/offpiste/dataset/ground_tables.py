@@ -47,7 +47,7 @@ class ResidentCells:
         touched = torch.zeros(nowhere + 1, dtype=torch.bool, device=device)
         touched[key] = True
         touched[nowhere] = True
-        under = (touched.cumsum(0) - 1)[key]
+        under = touched.cumsum(0, dtype=torch.int32)[key].long() - 1
         distinct = touched[:-1].nonzero()[:, 0]
         from_set = torch.div(distinct, cells, rounding_mode="floor")
         read = torch.zeros_like(from_set) if feature_set_choice.flags_only else from_set
@@ -96,12 +96,10 @@ class GroundTables:
     Attributes:
         cells: features under the wheels; None where there are none.
         normals: surface normals under the wheels.
-        resident: whether both lie on the device.
     """
 
     cells: CellTable | ResidentCells | None
     normals: NormalsUnderWheels | ResidentNormals
-    resident: bool
 
 
 def ground_tables(dataset: Dataset, device: torch.device, budget: int = 0) -> GroundTables:
@@ -116,8 +114,8 @@ def ground_tables(dataset: Dataset, device: torch.device, budget: int = 0) -> Gr
     arrays = [*normals, *(array for c in cells for array in (c.features, c.valid, c.index, c.index))]  # 64-bit numbers
     resident = sum(array.nbytes for array in arrays) <= budget
     if resident:
-        return GroundTables(ResidentCells(cells, device) if cells else None, ResidentNormals(normals, device), True)
-    return GroundTables(CellTable(cells, device) if cells else None, NormalsUnderWheels(normals, device), False)
+        return GroundTables(ResidentCells(cells, device) if cells else None, ResidentNormals(normals, device))
+    return GroundTables(CellTable(cells, device) if cells else None, NormalsUnderWheels(normals, device))
 
 
 def free_budget(device: torch.device) -> int:

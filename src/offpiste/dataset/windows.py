@@ -159,9 +159,15 @@ class Windows:
         return other
 
     def without_terrain(self, horizon: int | None = None, device: torch.device | None = None) -> "Windows":
-        """The same windows over level ground, with `MOTION` alone; batches hold `horizon` steps, all by default."""
+        """The same windows over level ground, with `MOTION` alone.
+
+        Args:
+            horizon: steps of a batch, all by default.
+            device: where batches are made, by default where they were.
+        """
         other = copy(self)
         other.device = device or self.device
+        other.read_ahead = other.device.type == "cuda"
         other._cells, other._normals, other._level = None, LevelNormals(other.device), True
         other._gathered = [(name, COLUMNS[name]) for name in MOTION]
         other._columns = {name: self._columns[name].to(other.device) for name in MOTION}

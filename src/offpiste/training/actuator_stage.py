@@ -21,6 +21,8 @@ from offpiste.dataset.windows import Windows
 from offpiste.dynamics import Vehicle
 from offpiste.dynamics.actuator_lags import lagging_of
 from offpiste.dynamics.actuators import Actuators
+from offpiste.dynamics.kernels.actuators import supports_actuators
+from offpiste.dynamics.models import initial_actuators
 from offpiste.errors import RunError
 from offpiste.training.checkpoint import load_tensors, save_tensors
 from offpiste.training.config import TrainConfig
@@ -35,7 +37,8 @@ NAME: Final = "actuators"
 """Of the stage, and stem of its files."""
 
 LARGEST_EPOCH: Final = 100_000
-"""Windows: with more of them they lie further apart, since these models are small and neighbours are much alike."""
+"""Windows, or about as many: with more of them they lie further apart, since these models are small and neighbours
+are much alike."""
 
 LARGEST_BATCH: Final = 1024
 """Windows in a step: with all that a GPU takes at once there would be few steps."""
@@ -49,8 +52,18 @@ SETTINGS: Final = (
 )  # fmt: skip
 """Settings of a training that the actuators' stage reads."""
 
-SOURCES: Final = ("dynamics", "training", "dataset/windows.py", "channels.py", "conventions.py", "compilation.py")
+SOURCES: Final = (
+    "dynamics", "training", "dataset/windows.py", "dataset/window_starts.py", "dataset/columns",
+    "dataset/features_under_wheels.py", "channels.py", "conventions.py", "compilation.py",
+)  # fmt: skip
 """Code that the fit runs through, relative to the package."""
+
+
+def actuators_to_fit(vehicle: Vehicle, config: TrainConfig, device: torch.device, group: Group) -> Actuators:
+    """Actuators before they are fitted: alone on the CPU, whose kernels are faster than a GPU that steps eagerly."""
+    lags = initial_actuators(vehicle, config.seed)
+    alone = group.size == 1 and supports_actuators(lags, torch.device("cpu"), torch.float32)
+    return lags if alone else lags.to(device)
 
 
 def fit_actuators(
@@ -69,7 +82,7 @@ def fit_actuators(
     """
     device = actuators.raw.device
     fitted, validated = (part.without_terrain(FITTED_STEPS, device) for part in (windows, validation))
-    stride, batch = max(config.stride, len(windows) // LARGEST_EPOCH), min(config.batch, LARGEST_BATCH)
+    stride, batch = max(config.stride, -(-len(windows) // LARGEST_EPOCH)), min(config.batch, LARGEST_BATCH)
     config = replace(config, stride=stride, batch=batch, device=str(device))
     key, done = "", (folder / f"{NAME}.safetensors").exists()
     if group.writes and not done:

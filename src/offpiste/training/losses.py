@@ -8,12 +8,18 @@ from torch import Tensor
 
 from offpiste.conventions import HORIZON_STEPS
 from offpiste.dataset.windows import Batch, Windows
+from offpiste.dynamics import Dynamics
 from offpiste.dynamics.actuators import Actuators
 from offpiste.dynamics.kernels.actuators import rollout_actuators, supports_actuators
 from offpiste.state import wrap_angle
+from offpiste.training.config import TrainConfig
+from offpiste.training.prediction import in_parts, predict
 
 COMPONENTS = ("position", "yaw", "vx", "vy", "yaw_rate")
 """[m, rad, m/s, m/s, rad/s]"""
+
+SCALED = 100_000
+"""Windows, or about as many, that the units are taken from: with more of them they lie further apart."""
 
 
 def squared_errors(predicted: Float[Tensor, "B T 6"], target: Float[Tensor, "B T 6"]) -> Float[Tensor, "B T 5"]:
@@ -33,11 +39,24 @@ def summed_loss(
     """The loss of each window: mean over its steps, summed over the components.
 
     Args:
-        scale: mean square error of the reference (`offpiste.training.train.loss_scale`), in the components' units
+        scale: mean square error of the reference (`loss_scale`), in the components' units
             squared, on any device.
         weights: weight of each component (`offpiste.training.config.Weights.in_order`), beside it.
     """
     return (squared_errors(predicted, target).mean(dim=1) * (weights / scale).to(target.device)).sum(dim=-1)
+
+
+def loss_scale(reference: Dynamics, windows: Windows, config: TrainConfig) -> Float[Tensor, " 5"]:
+    """Mean square error of the reference on the training windows by component: the units of the loss."""
+    if not reference.reads_terrain:
+        windows = windows.without_terrain()
+    errors = []
+    stride, size = max(config.stride, -(-len(windows) // SCALED)), max(2048, config.batch)
+    with torch.no_grad():
+        for part in in_parts(windows.every(stride), windows, None, size=size):
+            batch = windows.gather(part)
+            errors.append(squared_errors(predict(reference, batch).state, batch.target))
+    return torch.cat(errors).mean(dim=(0, 1)).clamp(min=1e-8)
 
 
 FITTED_STEPS = 100

@@ -80,9 +80,15 @@ class MapLoss:
 
 
 def map_loss(windows: Windows, group: Group, *, most: int = WINDOWS) -> MapLoss | None:
-    """The loss on windows with a snapshot, `most` of them, evenly spread; None where there is no snapshot."""
+    """The loss on windows with a snapshot, `most` of them, evenly spread; None where there is no snapshot.
+
+    Args:
+        windows: all of a part; on a GPU they are made again on the CPU.
+    """
     snapped = np.flatnonzero(windows.maps.snapped)
     if not len(snapped):
         return None
+    if windows.device.type != "cpu":
+        windows = Windows(windows.dataset, windows.part, start=windows.start, horizon=windows.horizon)
     chosen = np.unique(np.linspace(0, len(snapped) - 1, min(most, len(snapped))).round().astype(int))
     return MapLoss(windows, snapped[chosen], group)

@@ -20,33 +20,28 @@ from offpiste.dataset.split_balance import split_warning
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Batch, Windows
-from offpiste.dynamics import MODELS, Dynamics, Vehicle
-from offpiste.dynamics.actuators import Actuators
-from offpiste.dynamics.kernels.actuators import supports_actuators
-from offpiste.dynamics.models import initial_actuators, reference_of
+from offpiste.dynamics import MODELS, Dynamics
+from offpiste.dynamics.models import reference_of
 from offpiste.errors import DatasetError, OffpisteError, RunError, TrainingError
 from offpiste.files import check_folder, remove_partials
 from offpiste.state import Trajectory
-from offpiste.training.actuator_stage import fit_actuators
+from offpiste.training.actuator_stage import actuators_to_fit, fit_actuators
 from offpiste.training.build import build, vehicle_of
 from offpiste.training.checkpoint import load_json, save_json
 from offpiste.training.config import TrainConfig, refuse_impossible
 from offpiste.training.distributed import ALONE, Group
 from offpiste.training.kept_epoch import FEW_WINDOWS, KeptEpoch
-from offpiste.training.losses import squared_errors, summed_loss
+from offpiste.training.losses import loss_scale, summed_loss
 from offpiste.training.map_loss import MapLoss, map_loss
 from offpiste.training.mirror import mirror_of
 from offpiste.training.optimise import REMEDY, Record, Stage, also_tensorboard, metrics_writer, run_stage
-from offpiste.training.prediction import in_parts, predict
+from offpiste.training.prediction import predict
 from offpiste.training.run import check_device, save_run
 from offpiste.training.short_errors import noise_of
 from offpiste.training.speed_weights import speed_weights
 from offpiste.training.terrain_sources import encoded
 
 logger = logging.getLogger(__name__)
-
-SCALED = 100_000
-"""Windows that the units of the loss are taken from: with more of them they lie further apart."""
 
 STANDARDISED = 4096
 """Windows that means and scales of a network's inputs are taken from."""
@@ -100,7 +95,7 @@ def train(
 
     reference = MODELS[reference_of(vehicle)](vehicle, seed=config.seed).to(device)
     if vehicle.actuators:
-        lags = _lags(vehicle, config, device, group)
+        lags = actuators_to_fit(vehicle, config, device, group)
         keep("actuators", fit_actuators(lags, config, windows, validation, folder, record, group))
         _freeze(lags, reference, dynamics)
     scale = loss_scale(reference, windows, config)
@@ -110,7 +105,7 @@ def train(
     def window_loss(predicted: Trajectory, batch: Batch) -> Float[Tensor, " B"]:
         return weigh(batch) * summed_loss(_checked(predicted, batch).state, batch.target, scale, weights)
 
-    maps, mirror = maps or map_loss(_on_cpu(validation), group), mirror_of(windows) if config.mirror else None
+    maps, mirror = maps or map_loss(validation, group), mirror_of(windows) if config.mirror else None
 
     def rolled_out(name: str, model: Dynamics, epochs: int, draw: Draw) -> Stage:
         on_map = None if maps is None else partial(maps.of, model, window_loss)
@@ -127,18 +122,6 @@ def train(
     if group.writes:
         save_run(folder, dynamics, config, dataset, scale, kept, noise_of(dynamics, windows))
     return dynamics
-
-
-def _on_cpu(windows: Windows) -> Windows:
-    """The windows of a part, whose batches lie on the CPU."""
-    return windows if windows.device.type == "cpu" else Windows(windows.dataset, windows.part, start=windows.start)
-
-
-def _lags(vehicle: Vehicle, config: TrainConfig, device: torch.device, group: Group) -> Actuators:
-    """Actuators to be fitted: alone on the CPU, whose kernels are faster than a GPU that launches step after step."""
-    lags = initial_actuators(vehicle, config.seed)
-    alone = group.size == 1 and supports_actuators(lags, torch.device("cpu"), torch.float32)
-    return lags if alone else lags.to(device)
 
 
 def _log_kept(stage: str, kept: KeptEpoch, group: Group) -> None:
@@ -216,19 +199,6 @@ def standardise(dynamics: Dynamics, windows: Windows) -> None:
         if dynamics.encoder is not None:
             dynamics.encoder.fill_with(*windows.features_at_starts())
         dynamics.standardise_on(encoded(dynamics, windows.gather(index)).history)
-
-
-def loss_scale(reference: Dynamics, windows: Windows, config: TrainConfig) -> Float[Tensor, " 5"]:
-    """Mean square error of the reference on the training windows by component: the units of the loss."""
-    if not reference.reads_terrain:
-        windows = windows.without_terrain()
-    errors = []
-    stride, size = max(config.stride, len(windows) // SCALED), max(2048, config.batch)
-    with torch.no_grad():
-        for part in in_parts(windows.every(stride), windows, None, size=size):
-            batch = windows.gather(part)
-            errors.append(squared_errors(predict(reference, batch).state, batch.target))
-    return torch.cat(errors).mean(dim=(0, 1)).clamp(min=1e-8)
 
 
 def _claim(folder: Path, dataset: Dataset, config: TrainConfig, resume: bool) -> None:

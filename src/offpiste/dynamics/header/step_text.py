@@ -8,8 +8,8 @@ from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.header.networks import LANE, PrintedNetwork, printed_networks
 from offpiste.dynamics.kernels import layout
 
-LANES = layout.HIDDEN
-"""Threads that share a step, a unit of each LSTM for each: OFFPISTE_LANES in `lanes.h`."""
+LANES = 4
+"""Threads that share a step, a unit of each LSTM and a wheel for each: OFFPISTE_LANES in `lanes.h`."""
 
 MOVED = len(layout.STEPPED)
 NEXT = layout.ROW[layout.NEXT[0]]
@@ -32,6 +32,7 @@ def step_text(dynamics: Dynamics, *, adjoint: bool = False, apart: bool = False,
         ValueError: kernels cannot step the model.
     """
     networks = printed_networks(dynamics, apart=apart)
+    assert not lanes or layout.HIDDEN == LANES, "a lane has one unit of an LSTM"
     parts = [shipped_text(name) for name in ("elementary.h", *(["lanes.h"] if lanes else []), "physics.h")]
     parts += [network.text(shipped_text("network_lanes.h" if lanes else "network.h")) for network in networks]
     parts += [_declarations(dynamics, networks, apart), _see(dynamics), _step(dynamics, networks)]

@@ -1,18 +1,18 @@
-"""Training on a GPU, pretended: no tensor lies in the wrong place, and it comes to what the CPU comes to."""
+"""Training on a fake GPU: no tensor lies in the wrong place, and it comes to what the CPU comes to."""
 
 import pytest
 import torch
 
+from fake_gpu import GPU, fake_gpu
 from feature_datasets import dataset_with_features, with_snapshots
 from host_kernels import HostKernels, needs_gcc
 from offpiste.training.config import TrainConfig
 from offpiste.training.run import kept_epochs
 from offpiste.training.train import train
-from pretended_gpu import GPU, pretended_gpu
 
 
 def test_tensors_of_two_devices_do_not_meet(monkeypatch):
-    with pretended_gpu(monkeypatch, HostKernels):
+    with fake_gpu(monkeypatch, HostKernels):
         there = torch.ones(3, device=GPU)
         assert there.device == GPU
         assert (there + 1).device == GPU
@@ -33,7 +33,7 @@ def test_a_training_there_is_the_one_here(model, maps, tmp_path, monkeypatch):
         if device == "cpu":
             train(dataset, config, tmp_path / device[:3])
         else:
-            with pretended_gpu(monkeypatch, HostKernels):
+            with fake_gpu(monkeypatch, HostKernels):
                 train(dataset, config, tmp_path / device[:3])
         losses.append(kept_epochs(tmp_path / device[:3])["model"].validation_loss)
     assert losses[1] == pytest.approx(losses[0], rel=1e-3)

@@ -46,7 +46,7 @@ class OnGpu(Tensor):
         return run(function, args, kwargs or {})
 
 
-class Pretending(TorchDispatchMode):
+class Faking(TorchDispatchMode):
     """Makes tensors on the GPU where a call asks for that."""
 
     def __torch_dispatch__(self, function: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
@@ -111,7 +111,7 @@ def inside(value: Any) -> Any:
 
 
 @contextmanager
-def pretended_gpu(monkeypatch: Any, kernels: Callable[[str], Any]) -> Iterator[None]:
+def fake_gpu(monkeypatch: Any, kernels: Callable[[str], Any]) -> Iterator[None]:
     """A GPU on which kernels of a text are those that `kernels` makes."""
 
     class There:
@@ -133,5 +133,5 @@ def pretended_gpu(monkeypatch: Any, kernels: Callable[[str], Any]) -> Iterator[N
             else None
         ),
     )
-    with FromNumbers(), Pretending():
+    with FromNumbers(), Faking():
         yield
