@@ -82,3 +82,18 @@ def test_the_words_are_those_of_the_field(file):
         text = "\n".join(token.string.replace("_", " ") for token in tokens)
     found = sorted({match.group(0).lower() for match in BANNED.finditer(text)})
     assert not found, found
+
+
+def test_functions_made_while_running_have_no_shapes_in_their_annotations():
+    """Each shape would be a new class every time, which only a full garbage collection takes away."""
+    shape = re.compile(r"\b[A-Z]\w+\[(Tensor|np\.ndarray), ")
+    found = []
+    for file in SOURCES:
+        for outer in (
+            node for node in ast.walk(ast.parse(file.read_text("utf-8"))) if isinstance(node, ast.FunctionDef)
+        ):
+            for inner in (node for node in ast.walk(outer) if isinstance(node, ast.FunctionDef) and node is not outer):
+                written = [each.annotation for each in (*inner.args.args, *inner.args.kwonlyargs)] + [inner.returns]
+                if any(each is not None and shape.search(ast.unparse(each)) for each in written):
+                    found.append(f"{file.relative_to(ROOT)}:{inner.lineno} {inner.name}")
+    assert not found, found

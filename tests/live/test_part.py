@@ -1,5 +1,7 @@
 """The robot's clock as the processes read it, and the vehicle's track by it."""
 
+import subprocess
+import sys
 from contextlib import contextmanager
 from types import SimpleNamespace
 
@@ -46,3 +48,21 @@ def test_a_stamp_that_comes_late_is_no_clock_that_goes_back(tmp_path, monkeypatc
         assert len(feed.track._readings) == 4
         assert heard(100.1) == (pytest.approx(100.1), True), "this one went back"
         assert len(feed.track._readings) == 1
+
+
+def test_what_was_loaded_is_left_alone_and_garbage_behind_it_is_not():
+    """Python looks through the oldest objects once there are a quarter more of them than the last time it did."""
+    code = """if True:
+        import gc
+        loaded = [[] for _ in range(400_000)]
+        from offpiste.live.part import keep_loaded
+        keep_loaded()
+        before, held = gc.get_stats()[2]["collections"], [None] * 2000
+        for number in range(200_000):
+            held[number % 2000] = itself = []
+            itself.append(itself)
+        print(gc.get_stats()[2]["collections"] - before, len(gc.get_objects()) < 20_000)
+    """
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    assert int(said[0]) >= 1
+    assert said[1] == "True"

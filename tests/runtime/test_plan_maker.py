@@ -1,5 +1,8 @@
 """Plans by a declared risk: slower where the model is unsure, refused where it cannot know; and what is an error."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 import torch
@@ -57,3 +60,22 @@ def test_settings_that_no_plan_can_be_made_with_are_an_error(monkeypatch):
     monkeypatch.setattr(PlanImprover, "improve", refuses)
     with pytest.raises(PlanningError, match="something else"):
         stream.run(1.5)
+
+
+def test_plans_leave_nothing_to_garbage_collection():
+    """In a process without the import hook of these tests, which makes some."""
+    code = """if True:
+        import gc
+        from runtime.stream import straight_drive
+        stream = straight_drive()
+        stream.run(1.0)
+        gc.collect()
+        gc.disable()
+        plans = len(stream.runtime.predictions)
+        stream.run(1.0)
+        gc.set_debug(gc.DEBUG_SAVEALL)
+        gc.collect()
+        print(len(stream.runtime.predictions) > plans, len(gc.garbage), {type(each).__name__ for each in gc.garbage})
+    """
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert said == "True 0 set()\n"

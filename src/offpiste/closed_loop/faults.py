@@ -4,7 +4,6 @@ from dataclasses import dataclass, field, replace
 from typing import Literal, get_args
 
 import numpy as np
-from jaxtyping import Float32, UInt8
 
 from offpiste.logs.measurements import Cloud, Image
 from offpiste.mapping.replay import ExtractFeatures
@@ -62,7 +61,7 @@ class Fault:
     def extractor(self, extract: ExtractFeatures) -> ExtractFeatures:
         """Feature extractor with the fault."""
 
-        def faulty(pixels: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "rows columns F"]:
+        def faulty(pixels: np.ndarray) -> np.ndarray:
             features = extract(pixels)
             broken = self.kind == "nan-features" and self._now >= self.start
             return np.full_like(features, np.nan) if broken else features

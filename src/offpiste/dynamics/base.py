@@ -129,7 +129,7 @@ def as_callable(
     """The model as pytorch_mppi and similar planners want it: `f(packed model state, control, t)` -> the next one."""
     step = dynamics.stepper()
 
-    def call(packed: Float[Tensor, "B P"], control: Float[Tensor, "B U"], t: int = 0) -> Float[Tensor, "B P"]:
+    def call(packed: Tensor, control: Tensor, t: int = 0) -> Tensor:
         model_state = ModelState.unpack(packed, len(dynamics.vehicle.actuator_columns))
         return step(model_state, control, source.at(t, model_state.state)).pack()
 

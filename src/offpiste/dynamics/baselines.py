@@ -28,7 +28,7 @@ class ConstantMotion(Dynamics):
     def stepper(self) -> Step:
         """Integrate the pose."""
 
-        def step(model_state: ModelState, control: Float[Tensor, "B U"], terrain: Terrain) -> ModelState:
+        def step(model_state: ModelState, control: Tensor, terrain: Terrain) -> ModelState:
             return ModelState(
                 _moved(model_state.state, model_state.state[:, 3:]),
                 model_state.actuators,
@@ -68,7 +68,7 @@ class Kinematic(Dynamics):
         """Integrate the pose along the steered arc."""
         lags = self.actuators.constants()
 
-        def step(model_state: ModelState, control: Float[Tensor, "B U"], terrain: Terrain) -> ModelState:
+        def step(model_state: ModelState, control: Tensor, terrain: Terrain) -> ModelState:
             steer = drive_train(self.vehicle, model_state.state, model_state.actuators, control).steer
             vx = model_state.state[:, 3]
             yaw_rate = vx * torch.tan(steer) / self.vehicle.wheelbase
@@ -107,7 +107,7 @@ class Recurrent(Dynamics):
         lags = self.actuators.constants()
         own = self.network.hidden
 
-        def step(model_state: ModelState, control: Float[Tensor, "B U"], terrain: Terrain) -> ModelState:
+        def step(model_state: ModelState, control: Tensor, terrain: Terrain) -> ModelState:
             hidden, cell = model_state.hidden[:, :own], model_state.cell[:, :own]
             seen = self._inputs(model_state.state, model_state.actuators, control, terrain)
             acceleration, hidden, cell = self.network(seen, hidden, cell)

@@ -42,7 +42,7 @@ class Parametric(Dynamics):
         """Forces, then rates, then forward Euler."""
         lags, constants = self.actuators.constants(), self.bicycle()
 
-        def step(model_state: ModelState, control: Float[Tensor, "B U"], terrain: Terrain) -> ModelState:
+        def step(model_state: ModelState, control: Tensor, terrain: Terrain) -> ModelState:
             normal = body_normal(terrain, model_state.state[:, 2])
             force = parametric_forces(
                 self.vehicle, constants, model_state.state, model_state.actuators, control, normal
@@ -108,7 +108,7 @@ class Hybrid(Dynamics):
         lags, constants = self.actuators.constants(), self.bicycle()
         own = self.compensator.hidden
 
-        def step(model_state: ModelState, control: Float[Tensor, "B U"], terrain: Terrain) -> ModelState:
+        def step(model_state: ModelState, control: Tensor, terrain: Terrain) -> ModelState:
             hidden, cell = model_state.hidden[:, :own], model_state.cell[:, :own]
             normal = body_normal(terrain, model_state.state[:, 2])
             force = parametric_forces(

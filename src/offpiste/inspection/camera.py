@@ -88,7 +88,7 @@ def _compared(
     points, normal, shift = points[same], normal[same], shift[same]
     back = _Mapping(matrix, second, first, points, normal)
 
-    def residual(now: Parameters) -> Float[np.ndarray, " n"]:
+    def residual(now: Parameters) -> np.ndarray:
         # Where the two cameras would see the points; the second place is mapped back to the first image.
         views = [_camera_pose(camera, image.time, poses, now) for image in (one, other)]
         if views[0] is None or views[1] is None:

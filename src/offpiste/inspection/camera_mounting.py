@@ -167,7 +167,7 @@ def estimate_rotation(
         # Linear near the candidate, so that a rotation of tens of degrees stays one.
         mounting = turned(guess, start)
 
-        def compare(now: Parameters, at: Float[np.ndarray, "4 4"] = mounting) -> list[Pair]:
+        def compare(now: Parameters, at: np.ndarray = mounting) -> list[Pair]:
             return [_compared(one, at, poses, now) for one in moving]
 
         misfit = fit_misfit(compare, prior=_PRIOR, rounds=10)

@@ -84,7 +84,7 @@ def _compared(
     normal, flat = planes(seen.world, seen.tree, seen.world[nearest])
     known, normal, onto = known[flat], normal[flat], seen.world[nearest][flat]
 
-    def residual(now: Parameters) -> Float[np.ndarray, " n"]:
+    def residual(now: Parameters) -> np.ndarray:
         return np.einsum("ni,ni->n", normal, _triangulated(seen.matches, body_from_camera, poses, now)[known] - onto)
 
     return differentiated(residual, parameters)

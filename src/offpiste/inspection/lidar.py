@@ -80,7 +80,7 @@ def _compared(lidar: Lidar, one: Scan, other: Scan, chosen: np.ndarray, poses: P
     normal, flat = planes(there[known], tree, there[nearest])
     chosen, here, nearest, normal = chosen[flat], here[flat], nearest[flat], normal[flat]
 
-    def residual(at: Parameters) -> Float[np.ndarray, " n"]:
+    def residual(at: Parameters) -> np.ndarray:
         apart = one.in_world(mounting, poses, at, chosen) - other.in_world(mounting, poses, at, nearest)
         return np.einsum("ni,ni->n", normal, apart)
 

@@ -33,6 +33,7 @@ def keep_loaded() -> None:
     """Keep what has been loaded out of garbage collection: to look through it all takes a quarter of a second."""
     gc.collect()
     gc.freeze()
+    gc.collect()  # Python waits with the next until there is a quarter as much as the last one looked through
 
 
 class Part:

@@ -108,7 +108,7 @@ def _plausible(time: Float[np.ndarray, " n"], between: Between, limits: Limits, 
     if np.mean(segments.first == segments.last) * len(segments.first) > 0.5 * len(fresh):
         return Plausible(everything.keep, everything.jumps, hopeless=True)
 
-    def costs(origins: Int[np.ndarray, " m"], to: int) -> Float[np.ndarray, " m"]:
+    def costs(origins: np.ndarray, to: int) -> np.ndarray:
         return segments.costs(origins, to, between, limits, least, typical)
 
     on_its_way = (segments.first == segments.last) & np.append(fast, fast[-1])[np.searchsorted(fresh, segments.first)]

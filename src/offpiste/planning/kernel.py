@@ -107,7 +107,7 @@ def fused_costs(
     """
     roll = _bind(dynamics, model_state, situation, weights, codes)
 
-    def cost_of(controls: Float[Tensor, "K T U"]) -> Float[Tensor, " K"]:
+    def cost_of(controls: Tensor) -> Tensor:
         return roll(controls, torch.empty(0, 0, 6))
 
     return cost_of

@@ -31,7 +31,7 @@ def pedals_of(controls: Float[Tensor, "*P 3"]) -> Float[Tensor, "*P 2"]:
 def with_pedal(cost_of: CostOf) -> CostOf:
     """Costs of sequences of pedal and steer [K, T, 2], from costs of throttle, brake and steer."""
 
-    def cost(pedal_and_steer: Float[Tensor, "K T 2"]) -> Float[Tensor, " K"]:
+    def cost(pedal_and_steer: Tensor) -> Tensor:
         return cost_of(controls_of(pedal_and_steer))
 
     return cost

@@ -28,7 +28,7 @@ def model_costs(
         cost: costs [K] of predicted trajectories and their controls [K, T, U], e.g. `driving_cost`.
     """
 
-    def cost_of(controls: Float[Tensor, "K T U"]) -> Float[Tensor, " K"]:
+    def cost_of(controls: Tensor) -> Tensor:
         return cost(rollout(dynamics, spread_model_state(model_state, len(controls)), controls, source), controls)
 
     return cost_of
@@ -49,7 +49,7 @@ def driving_costs(
             map holds codes.
     """
 
-    def cost_of(controls: Float[Tensor, "K T U"]) -> Float[Tensor, " K"]:
+    def cost_of(controls: Tensor) -> Tensor:
         source = situation_terrain(dynamics, situation, len(controls), encode)
         caution, start = situation.caution, situation.state.expand(len(controls), 6)
 
@@ -107,7 +107,7 @@ def callable_costs(
         terminal_cost: costs [K] of the last states.
     """
 
-    def cost_of(controls: Float[Tensor, "K T U"]) -> Float[Tensor, " K"]:
+    def cost_of(controls: Tensor) -> Tensor:
         states, total = state.expand(len(controls), -1), controls.new_zeros(len(controls))
         for control in controls.unbind(dim=1):
             states = dynamics(states, control)

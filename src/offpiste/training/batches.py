@@ -50,7 +50,7 @@ def batches_of(
         mirror: of half of the windows; None for none.
     """
 
-    def gathered(index: Int[np.ndarray, " B"]) -> Batch | None:
+    def gathered(index: np.ndarray) -> Batch | None:
         chosen, share = draw_sets(draw, windows, index, rng), group.share(len(index))
         images = None if mirror is None else rng.random(len(index)) < MIRRORED
         if not len(mine := index[share]):

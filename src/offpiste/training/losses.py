@@ -74,7 +74,7 @@ def actuator_loss(actuators: Actuators, windows: Windows) -> Callable[[Batch], F
     sample = windows.gather(every if len(every) else windows.every(1)[:64]).target_actuators[..., present]
     variance = sample.flatten(0, 1).var(dim=0).clamp(min=1e-6)
 
-    def loss(batch: Batch) -> Float[Tensor, " B"]:
+    def loss(batch: Batch) -> Tensor:
         predicted = roll_actuators(actuators, batch)[..., present]
         error = (predicted - batch.target_actuators[:, :FITTED_STEPS, present]).square() / variance
         return error.mean(dim=1).sum(dim=-1)

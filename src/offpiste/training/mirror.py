@@ -110,7 +110,7 @@ def mirror_of(windows: Windows) -> Mirror:
     if unknown:
         raise RunError(f"no mirror image is known of the column '{unknown[0]}'", how="train without --mirror")
 
-    def signs(lateral: list[bool]) -> Float[Tensor, " C"]:
+    def signs(lateral: list[bool]) -> Tensor:
         return 1.0 - 2.0 * torch.tensor(lateral, dtype=torch.float32, device=windows.device)
 
     return Mirror(signs([c.lateral for c in rig.controls]), signs([a.lateral for a in rig.actuators]))

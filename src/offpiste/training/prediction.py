@@ -6,7 +6,7 @@ from typing import Final, Literal, get_args
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Int
 from torch import Tensor
 
 from offpiste.channels import absent_value
@@ -131,7 +131,7 @@ def in_columns_of(vehicle: Vehicle, batch: Batch, columns: Sequence[str]) -> Bat
     if wanted == tuple(columns):
         return batch
 
-    def chosen(values: Float[Tensor, "B T V"]) -> Float[Tensor, "B T U"]:
+    def chosen(values: Tensor) -> Tensor:
         there = dict(zip(columns, values.unbind(-1), strict=True))
         absent = {name: torch.full_like(values[..., 0], absent_value(name)) for name in wanted if name not in there}
         return torch.stack([(there | absent)[name] for name in wanted], dim=-1)

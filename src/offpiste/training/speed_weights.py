@@ -22,7 +22,7 @@ def speed_weights(windows: Windows, relative: float) -> Weigh:
     """
     least = min_evaluation_speed(windows.dataset.rig.vehicle.wheelbase)
 
-    def weigh(state: Float[Tensor, "B 6"]) -> Float[Tensor, " B"]:
+    def weigh(state: Tensor) -> Tensor:
         return (torch.linalg.vector_norm(state[:, 3:5], dim=-1) + least) ** (-2 * relative)
 
     states = torch.as_tensor(windows.motion()["state_causal"][windows.rows])

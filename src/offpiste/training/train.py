@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float
 from torch import Tensor, nn
 
 from offpiste.conventions import DT, STATE
@@ -102,7 +101,7 @@ def train(
     weights = torch.tensor(config.weights.in_order(), device=device)
     weigh = speed_weights(windows, config.relative)
 
-    def window_loss(predicted: Trajectory, batch: Batch) -> Float[Tensor, " B"]:
+    def window_loss(predicted: Trajectory, batch: Batch) -> Tensor:
         return weigh(batch) * summed_loss(_checked(predicted, batch).state, batch.target, scale, weights)
 
     maps, mirror = maps or map_loss(validation, group), mirror_of(windows) if config.mirror else None

@@ -117,7 +117,7 @@ def _loop(rng: np.random.Generator, centre: Float[np.ndarray, " 2"], extent: flo
     angle = np.linspace(0, 2 * np.pi, 1440, endpoint=False)
     waves = (amplitude[:, None] * np.cos(orders[:, None] * angle + phase[:, None])).sum(axis=0)
 
-    def shape(waviness: float) -> Float[np.ndarray, "n 2"]:
+    def shape(waviness: float) -> np.ndarray:
         radius = 1 + waviness * waves / np.abs(waves).max()
         loop = radius[:, None] * np.stack((np.cos(angle), np.sin(angle)), axis=1)
         low, high = loop.min(axis=0), loop.max(axis=0)
