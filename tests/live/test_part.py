@@ -66,3 +66,27 @@ def test_what_was_loaded_is_left_alone_and_garbage_behind_it_is_not():
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
     assert int(said[0]) >= 1
     assert said[1] == "True"
+
+
+def test_freed_memory_is_given_back():
+    code = """if True:
+        import ctypes
+        import numpy as np
+        from offpiste.live import part
+
+        def resident():
+            return int(open("/proc/self/statm").read().split()[1]) * 4096 / 1e6
+
+        for option in (-3, -1):  # large arrays come from the heap, and stay in it: as holes do
+            ctypes.CDLL(None).mallopt(option, 1 << 30)
+        part.GIVEN_BACK, freed, before = -1.0, part.FreedMemory(), resident()
+        array = np.ones(10_000_000)
+        del array
+        held = resident() - before
+        freed.give_back()
+        print(held, resident() - before)
+    """
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    held, left = map(float, said)
+    assert held > 60
+    assert left < 20

@@ -1,5 +1,6 @@
 """What all processes of a drive share: their rings, the clock, the vehicle's track, and a sign of life."""
 
+import ctypes
 import gc
 import os
 import struct
@@ -25,6 +26,8 @@ RUNS_ON: Final = 1.0
 """The clock runs on for so long after the last new stamp [s]; then it stands still, and nothing is driven by it."""
 BACK: Final = 0.1
 """The clock went back where a stamp is older than the newest by more [s]; else messages came in another order."""
+GIVEN_BACK: Final = 10.0
+"""Time between two times that freed memory is given back [s]."""
 AFTER: Final = 8.0
 """Once the parent is gone, what stops the vehicle is looked after for so long [s]."""
 
@@ -34,6 +37,23 @@ def keep_loaded() -> None:
     gc.collect()
     gc.freeze()
     gc.collect()  # Python waits with the next until there is a quarter as much as the last one looked through
+
+
+class FreedMemory:
+    """Freed memory, given back to the system now and then, where the C library is glibc.
+
+    Maps grow, and the next one does not fit into the hole that the last one leaves: in half an hour such holes came to
+    a gigabyte.
+    """
+
+    def __init__(self) -> None:
+        self._trim, self._last = getattr(ctypes.CDLL(None), "malloc_trim", None), time.monotonic()
+
+    def give_back(self) -> None:
+        """Give it back, if the last time is long enough ago."""
+        if self._trim is not None and time.monotonic() - self._last > GIVEN_BACK:
+            self._trim(0)
+            self._last = time.monotonic()
 
 
 class Part:

@@ -7,7 +7,7 @@ import torch
 
 from offpiste.compilation import single_threaded_torch
 from offpiste.live.packing import layers_from, pack_plan, packed, unpacked
-from offpiste.live.part import Part, TrackFeed, keep_loaded
+from offpiste.live.part import FreedMemory, Part, TrackFeed, keep_loaded
 from offpiste.live.parts.setup import NewestCourse, load_kernels
 from offpiste.live.session import Session
 from offpiste.mapping.terrain_map import TerrainLayers
@@ -98,9 +98,11 @@ def plan(session: Session) -> None:
     plans = Plans(part)
     load_kernels(part, plans.planner)
     keep_loaded()
+    freed = FreedMemory()
     period = 1 / part.settings.runtime.plan_rate
     while not part.ending:
         began = time.monotonic()
         state = plans.plan()
         part.beat(state, plan_ms=1e3 * plans.took)
+        freed.give_back()
         time.sleep(max(period - (time.monotonic() - began), 0.002))
