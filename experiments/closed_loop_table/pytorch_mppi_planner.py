@@ -92,12 +92,12 @@ def stepwise(dynamics: Dynamics, area: Area, at: Situation, settings: RuntimeSet
     """
     step = as_callable(dynamics, situation_terrain(dynamics, at, samples, area.encode))
 
-    def after(state: Float[Tensor, "K P"], pedal_and_steer: Float[Tensor, "K 2"]) -> Float[Tensor, "K P"]:
+    def after(state: Tensor, pedal_and_steer: Tensor) -> Tensor:
         control = controls_of(pedal_and_steer)
         given = complete(dynamics.vehicle, control, at.gear)
         return torch.cat((step(state[:, :-8], given, 0), state[:, 3:5], state[:, -3:], control), dim=1)
 
-    def cost(state: Float[Tensor, "K P"], _: Float[Tensor, "K 2"]) -> Float[Tensor, " K"]:
+    def cost(state: Tensor, _: Tensor) -> Tensor:
         terms = terms_after(state[:, :6], state[:, -8:-6], state[:, -3:], state[:, -6:-3], at, settings.weights)
         return DT * torch.stack(tuple(terms.values())).sum(dim=0)
 

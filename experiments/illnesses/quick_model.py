@@ -130,12 +130,12 @@ def fit(windows: Windows, wheelbase: float) -> QuickModel:
     scale = _scale(windows, wheelbase)
     some = (np.array((0.2, 0.4, 0.7, 1.0)) * _STEPS).astype(int) - 1
 
-    def residuals(constants: Float[np.ndarray, "P 8"]) -> Float[np.ndarray, "P r"]:
+    def residuals(constants: np.ndarray) -> np.ndarray:
         away = np.moveaxis(rolled_out(constants, windows, wheelbase)[some], 1, 0) - windows.place[some]
         left: np.ndarray = np.nan_to_num(away / scale, nan=1e3).reshape(len(constants), -1)
         return np.clip(left, -1e3, 1e3)
 
-    def slopes(constants: Float[np.ndarray, " 8"]) -> Float[np.ndarray, "r 8"]:
+    def slopes(constants: np.ndarray) -> np.ndarray:
         # All differences in one rollout: small arrays cost as much as larger ones.
         stepped = residuals(np.vstack((constants, constants + _DIFFERENCE * np.eye(8))))
         return (stepped[1:] - stepped[0]).T / _DIFFERENCE

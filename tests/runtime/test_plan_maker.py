@@ -1,7 +1,9 @@
 """Plans by a declared risk: slower where the model is unsure, refused where it cannot know; and what is an error."""
 
+import os
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -77,5 +79,6 @@ def test_plans_leave_nothing_to_garbage_collection():
         gc.collect()
         print(len(stream.runtime.predictions) > plans, len(gc.garbage), {type(each).__name__ for each in gc.garbage})
     """
-    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    there = os.environ | {"PYTHONPATH": str(Path(__file__).parents[1])}
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=there).stdout
     assert said == "True 0 set()\n"
