@@ -42,8 +42,8 @@ def keep_loaded() -> None:
 class FreedMemory:
     """Freed memory, given back to the system now and then, where the C library is glibc.
 
-    Maps grow, and the next one does not fit into the hole that the last one leaves: in half an hour such holes came to
-    a gigabyte.
+    Maps grow, and the next one may not fit into the hole that the last one leaves. The process that plans grew by a
+    gigabyte in half an hour; whether by such holes is not proven.
     """
 
     def __init__(self) -> None:
