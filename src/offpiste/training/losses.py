@@ -39,8 +39,7 @@ def summed_loss(
     """The loss of each window: mean over its steps, summed over the components.
 
     Args:
-        scale: mean square error of the reference (`loss_scale`), in the components' units
-            squared, on any device.
+        scale: mean square error of the reference (`loss_scale`), in the components' units squared, on any device.
         weights: weight of each component (`offpiste.training.config.Weights.in_order`), beside it.
     """
     return (squared_errors(predicted, target).mean(dim=1) * (weights / scale).to(target.device)).sum(dim=-1)
