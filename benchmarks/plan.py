@@ -213,7 +213,7 @@ def encoding(model: Hybrid, at: Situation) -> None:
     runs = {
         "all cells": lambda: encode_map(at.ground, model.encoder)[0],
         "within 40 m": lambda: encode_map(at.ground, model.encoder, centre=at.offset, reach=40.0)[0],
-        "codes already": lambda: coded_map(coded, model.encoder)[0],
+        "codes already": lambda: coded_map(coded.features[0], model.encoder)[0],
     }
     for name, one in in_turns(runs, 2.0).items():
         print(f"  {name:16} {one}", flush=True)

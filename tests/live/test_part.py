@@ -10,7 +10,7 @@ import pytest
 
 from live.made_up_robot import small_settings, write_course, write_rig
 from live.test_supervisor import RUN
-from offpiste.live.packing import pack_measured
+from offpiste.live.packing import pack_measured, unpacked
 from offpiste.live.part import STAMP, Part, TrackFeed
 from offpiste.live.reception import CourseRequest
 from offpiste.live.session import LiveSettings, new_session
@@ -48,6 +48,15 @@ def test_a_stamp_that_comes_late_is_no_clock_that_goes_back(tmp_path, monkeypatc
         assert len(feed.track._readings) == 4
         assert heard(100.1) == (pytest.approx(100.1), True), "this one went back"
         assert len(feed.track._readings) == 1
+
+
+def test_numbers_that_take_time_are_counted_only_for_a_sign_of_life_that_is_due(tmp_path):
+    with part_of(tmp_path) as part:
+        asked = []
+        for number in range(50):
+            part.beat("ready", lambda number=number: asked.append(number) or {"number": number})
+        assert asked == [0]
+        assert unpacked(part.session.ring("status-map").newest().data)["number"] == 0
 
 
 def test_what_was_loaded_is_left_alone_and_garbage_behind_it_is_not():

@@ -60,6 +60,9 @@ class Maker:
         states = np.tile((0.0, 0, 0, 2.0, 0, 0), (250, 1))
         return Planned(TimedPlan(now + 0.2, now, torch.zeros(250, 3)), Prediction(now + 0.2, states), 0.0)
 
+    def forget(self):
+        pass
+
 
 @contextmanager
 def planning(folder):
@@ -72,17 +75,37 @@ def planning(folder):
         yield Plans(part), session, clock
 
 
+def plan_at(plans, session, now):
+    """A command and a reading come, and a plan is made on a map of that moment."""
+    session.ring("commands").write(packed(COMMANDED | {"time": now}))
+    place = np.array((30.0, 0, 0)), np.array((0, 0, 0, 1.0))
+    session.ring("readings").write(
+        pack_measured(VehicleReading(now, *place, np.zeros(3), 0.0, np.zeros(4)), control=None, came=0.0)
+    )
+    plans._layers, plans._scan_time = object(), now
+    return plans.plan()
+
+
+def test_a_clock_that_goes_back_leaves_no_plans_and_commands_of_before(tmp_path):
+    with planning(tmp_path) as (plans, session, clock):
+        plans._maker, longest = Maker(), {"plans": 0, "commands": 0}
+        for _ in range(4):  # a log, played again and again
+            for _ in range(80):
+                clock[0] += 0.1
+                plan_at(plans, session, clock[0])
+                longest["plans"] = max(longest["plans"], len(plans._follower.schedule._plans))
+                longest["commands"] = max(longest["commands"], len(plans._feed.track._commands))
+            clock[0] -= 4.0
+        assert longest["plans"] < 10
+        assert longest["commands"] < 40
+
+
 def test_it_keeps_no_plan_that_is_over_and_continues_a_course_where_control_is(tmp_path):
     with planning(tmp_path) as (plans, session, clock):
         plans._maker = Maker()
-        session.ring("commands").write(packed(COMMANDED | {"time": clock[0]}))
         for _ in range(300):
             clock[0] += 0.1
-            still = VehicleReading(clock[0], np.array((30.0, 0, 0)), np.array((0, 0, 0, 1.0)), np.zeros(3), 0.0,
-                                   np.zeros(4))  # fmt: skip
-            session.ring("readings").write(pack_measured(still, control=None, came=0.0))
-            plans._layers, plans._scan_time = object(), clock[0]
-            state = plans.plan()
+            state = plan_at(plans, session, clock[0])
         assert state == "ready"
         assert len(plans._follower.schedule._plans) < 10
         assert plans._follower.tracker.progress == 30.0, "and not at the beginning of the course"

@@ -194,12 +194,12 @@ def test_a_map_that_holds_codes_needs_no_encoder():
     # As a map gives them: NaN where nothing was seen.
     seen = at.ground.features[0].isfinite().all(-1, keepdim=True)
     coded_at = replace(at, ground=replace(at.ground, features=codes.where(seen, torch.nan)[None]))
-    again = coded_map(coded_at.ground, encoder)
+    again = coded_map(coded_at.ground.features[0], encoder)
     torch.testing.assert_close(again, (codes, missing), rtol=0, atol=0)
     eager = driving_costs(dynamics, model_state, coded_at, CostWeights(), as_codes(missing))(controls)
     torch.testing.assert_close(eager, driving_costs(dynamics, model_state, at, CostWeights(), encoder)(controls))
     with pytest.raises(ValueError, match="holds 2 numbers a cell; codes are 3"):
-        coded_map(at.ground, encoder)
+        coded_map(at.ground.features[0], encoder)
 
 
 def test_cells_are_encoded_as_one_by_one_and_only_those_in_reach():

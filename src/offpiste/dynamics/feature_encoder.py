@@ -49,7 +49,7 @@ class Identity(FeatureEncoder):
 
 
 class Compressor(FeatureEncoder):
-    """`cf`, `dc`: features and flag through two hidden layers (64, 32; tanh) to a code (paper, section IV)."""
+    """`cf`, `dc`: features and flag through two hidden layers (64, 32; tanh) to a code (paper, section V)."""
 
     scale: Tensor
 

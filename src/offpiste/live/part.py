@@ -5,7 +5,7 @@ import gc
 import os
 import struct
 import time
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Mapping
 from multiprocessing import parent_process
 from typing import Any, Final
 
@@ -101,8 +101,12 @@ class Part:
         self._orphaned_at = min(self._orphaned_at, time.monotonic())
         return True
 
-    def beat(self, state: str, **values: Any) -> None:
-        """Give a sign of life, with a state in words ("ready", or what it waits for) and numbers; not too often."""
+    def beat(self, state: str, numbers: Callable[[], Mapping[str, Any]] = dict, **values: Any) -> None:
+        """Give a sign of life, with a state in words ("ready", or what it waits for) and numbers; not too often.
+
+        Args:
+            numbers: are asked for when a sign is due; for what takes time to count.
+        """
         now = time.monotonic()
         if now - self._beat < BEAT:
             return
@@ -114,7 +118,7 @@ class Part:
             "dropped": self.dropped.snapshot(),
         }
         about |= {"pid": os.getpid(), "up_s": now - self._started}
-        if not self._status.write(packed(about | values)):
+        if not self._status.write(packed(about | values | dict(numbers()))):
             self._status.write(packed(about))  # a sign of life, whatever there is to say
 
     def end_with(self, state: str) -> None:

@@ -80,13 +80,13 @@ def encode_map(
 
 
 @torch.no_grad()
-def coded_map(maps: MapStack, encoder: FeatureEncoder) -> Codes:
-    """`encode_map` of a map whose features are codes already, as the paper's map holds them.
+def coded_map(codes: Float[Tensor, "ny nx n"], encoder: FeatureEncoder) -> Codes:
+    """`encode_map` of a map that holds codes, as the paper's does; those that are not finite are missing.
 
     Raises:
         ValueError: they are not as long as the encoder's.
     """
-    codes, missing = maps.features[0], encoder.missing()
+    missing = encoder.missing()
     if codes.shape[-1] != encoder.size:
         raise ValueError(f"the map holds {codes.shape[-1]} numbers a cell; codes are {encoder.size}")
     return codes.to(missing.dtype).where(codes.isfinite().all(dim=-1, keepdim=True), missing), missing

@@ -45,7 +45,7 @@ class PlannedDrive:
 
 
 MIX = {"mojave": 0.64, "halter-ranch": 0.28, "dunes": 0.04, "coastal-scrub": 0.04}
-"""Shares of the driving time by world (paper, section V)."""
+"""Shares of the driving time by world (paper, section VI)."""
 
 BLOCKS = "blocks:0.7,0.1,0.2"
 """Split where training and test come from the same logs."""

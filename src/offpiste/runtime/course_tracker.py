@@ -63,6 +63,11 @@ class CourseTracker:
         """Target speed at the vehicle's position [m/s]."""
         return float(self._course.speed[self._next])
 
+    @property
+    def fastest(self) -> float:
+        """Highest target speed of the course [m/s]."""
+        return float(self._course.speed.max())
+
     def move(self, xy: Float[np.ndarray, " 2"]) -> float:
         """Advance to the point of the course nearest to the vehicle at `xy` [m]; returns its distance from it [m].
 

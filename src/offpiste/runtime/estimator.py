@@ -113,7 +113,7 @@ class VehicleTrack:
 
     def commanded(self, time: float, control: Float[np.ndarray, " 3"], gear: float = 1.0) -> None:
         """Record the control that is commanded from `time` [s] on, and the gear: 1 forward, -1 reverse."""
-        if self._commands and self._commands[-1][0] == time:  # the clock stands still
+        while self._commands and self._commands[-1][0] >= time:  # the clock stands still, or went back
             self._commands.pop()
         self._commands.append((time, control, gear))
         while self._commands[0][0] < time - self._seconds:

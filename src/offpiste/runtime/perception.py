@@ -1,7 +1,7 @@
 """On-line perception: images and scans, late, missing or invalid as they may be, into a map of codes."""
 
 import time
-from collections import Counter, defaultdict
+from collections import Counter, defaultdict, deque
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -24,10 +24,14 @@ Measured = TypeVar("Measured", Image, Cloud)
 
 
 class Stopwatch:
-    """Wall-clock times of named stages, for reports only: no decision depends on them."""
+    """Wall-clock times of named stages, for reports only: no decision depends on them.
 
-    def __init__(self) -> None:
-        self._taken: defaultdict[str, list[float]] = defaultdict(list)
+    Args:
+        last: how many of each stage are kept; None for all.
+    """
+
+    def __init__(self, last: int | None = None) -> None:
+        self._taken: defaultdict[str, deque[float]] = defaultdict(lambda: deque(maxlen=last))
 
     @contextmanager
     def of(self, stage: str) -> Iterator[None]:

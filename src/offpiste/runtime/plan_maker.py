@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from offpiste.conventions import DT, HORIZON_STEPS
+from offpiste.conventions import HORIZON_STEPS
 from offpiste.dynamics.base import Dynamics
 from offpiste.errors import NoPlan
 from offpiste.mapping.terrain_map import TerrainLayers
@@ -28,10 +28,10 @@ from offpiste.runtime.prediction import (
     KnownGround,
     Prediction,
     coded_area,
-    cropped,
     model_state_after,
     model_state_of,
     predicted,
+    reachable,
 )
 from offpiste.runtime.schedule import TimedPlan, continued
 from offpiste.runtime.settings import RuntimeSettings
@@ -121,7 +121,7 @@ class PlanMaker:
             self._stuck_at, self._found_stuck = follower.tracker.progress, (state[:2].copy(), stretch)
         if self.stuck:
             return None
-        near = self._reachable(layers, state, follower.tracker.target)
+        near = reachable(layers, state, follower.tracker.target, self._backing_out.gear, settings.margin)
         self.map_empty = not near.known.any()
         if self.map_empty:
             return None
@@ -186,12 +186,6 @@ class PlanMaker:
     def stuck(self) -> bool:
         """Whether backing out was given up: no plan is made."""
         return self._backing_out.gave_up
-
-    def _reachable(self, layers: TerrainLayers, state: Float[np.ndarray, " 6"], target: float) -> TerrainLayers:
-        """The part of the map that a plan can reach."""
-        half = 0.5 * max(float(np.hypot(*state[3:5])), target) * DT * HORIZON_STEPS
-        heading = self._backing_out.gear * np.array((np.cos(state[2]), np.sin(state[2])))
-        return cropped(layers, state[:2] + half * heading, half + self._settings.margin)
 
     def _improved(
         self, now: float, before: Float[torch.Tensor, "T 3"], at: Situation, area: Area, model_state: ModelState

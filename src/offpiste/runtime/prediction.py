@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from offpiste.conventions import DT
+from offpiste.conventions import DT, HORIZON_STEPS
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.feature_encoder import FeatureEncoder
 from offpiste.dynamics.kernels.autograd import supports
@@ -20,7 +20,7 @@ from offpiste.mapping.terrain_sampler import Encode, MapStack, MapTerrain, as_co
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.driving_cost import Situation
 from offpiste.planning.gear import complete
-from offpiste.planning.kernel import Codes, fused_costs, fused_rollout, kernel_model_state
+from offpiste.planning.kernel import Codes, coded_map, fused_costs, fused_rollout, kernel_model_state
 from offpiste.planning.mppi import CostOf
 from offpiste.planning.rollouts import driving_costs, situation_terrain
 from offpiste.runtime.estimator import TrackRows
@@ -70,6 +70,22 @@ def cropped(layers: TerrainLayers, centre: Float[np.ndarray, " 2"], half: float)
     return replace(layers, origin=layers.origin + first * layers.resolution, **cut)
 
 
+def reachable(
+    layers: TerrainLayers, state: Float[np.ndarray, " 6"], target: float, gear: float, margin: float
+) -> TerrainLayers:
+    """The part of the map that a plan can reach.
+
+    Args:
+        state: in the world frame.
+        target: speed of the course [m/s]; a faster vehicle reaches further.
+        gear: of the plan: 1 forward, -1 reverse.
+        margin: so much further on all sides [m].
+    """
+    half = 0.5 * max(float(np.hypot(*state[3:5])), target) * DT * HORIZON_STEPS
+    heading = gear * np.array((np.cos(state[2]), np.sin(state[2])))
+    return cropped(layers, state[:2] + half * heading, half + margin)
+
+
 def coded_area(layers: TerrainLayers, encoder: FeatureEncoder | None, ground: KnownGround | None = None) -> Area:
     """Area of a map that holds codes.
 
@@ -81,12 +97,10 @@ def coded_area(layers: TerrainLayers, encoder: FeatureEncoder | None, ground: Kn
         bare = replace(layers, features=layers.features[..., :0])
         stack = stack_maps([bare.terrain_map()])
         return Area(bare, stack, (stack.features[0], torch.zeros(0)))
-    missing = encoder.missing().detach()
+    held = torch.from_numpy(np.ascontiguousarray(layers.features, np.float32))
     if ground is not None:
-        codes = encoder(*_known(layers, ground)).detach().unflatten(0, layers.known.shape)
-    else:
-        held = torch.from_numpy(np.ascontiguousarray(layers.features, np.float32))
-        codes = torch.where(held.isfinite().all(dim=-1, keepdim=True), held, missing)
+        held = encoder(*_known(layers, ground)).detach().unflatten(0, layers.known.shape)
+    codes, missing = coded_map(held, encoder)
     coded = replace(layers, features=codes.numpy())
     return Area(coded, stack_maps([coded.terrain_map()]), (codes, missing))
 

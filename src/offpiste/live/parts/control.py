@@ -212,7 +212,7 @@ def control(session: Session) -> None:
             controller.late.clear()
             controller.ages.clear()
         controller.late.append(time.monotonic() - due)
-        part.beat(state, **_numbers(controller))
+        part.beat(state, lambda: _numbers(controller))
         due += DT
         if time.monotonic() - due > 5 * DT:  # the process was stopped, or starved: what is missed is not made up for
             part.dropped["ticks missed"] += round((time.monotonic() - due) / DT)

@@ -4,19 +4,20 @@ import time
 
 import numpy as np
 
-from offpiste.conventions import DT, HORIZON_STEPS
 from offpiste.live.packing import cloud_from, pack_layers, packed, unpacked
 from offpiste.live.part import Part, TrackFeed, keep_loaded
-from offpiste.live.parts.setup import load_kernels, wait_for_sensors
+from offpiste.live.parts.setup import NewestCourse, last_command, load_kernels, wait_for_sensors
 from offpiste.live.session import Session
 from offpiste.logs.measurements import Cloud
 from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.runtime.estimator import VehicleTrack
 from offpiste.runtime.perception import OnlineMapper, Stopwatch
-from offpiste.runtime.prediction import cropped
+from offpiste.runtime.prediction import reachable
 
 _SPARE = 4.0
 """The map reaches so much further than a plan from where the vehicle was when it was made [m]."""
+_STROLL = 3.0
+"""How fast plans may be before there is a course, which only shows the map [m/s]."""
 
 
 def map_ground(session: Session) -> None:
@@ -28,12 +29,15 @@ def map_ground(session: Session) -> None:
     if setup is None:
         return
     encoder = planner.dynamics.eval().requires_grad_(False).encoder
-    feed, watch = TrackFeed(part, planner.dynamics.vehicle.actuators), Stopwatch()
+    feed, watch = TrackFeed(part, planner.dynamics.vehicle.actuators), Stopwatch(last=1)
     mapper = OnlineMapper(setup, encoder, feed.track, part.settings.runtime.replay, watch)
     mapper.dropped = part.dropped
     keep_loaded()
     scan_number, code_number, took = part.ring("scans").written, part.ring("codes").written, 0.0
+    course, fastest = NewestCourse(part), _STROLL
     while not part.ending:
+        if (tracker := course.changed()) is not None:
+            fastest = tracker.fastest
         if feed.update(part.now()):
             mapper.restart()
             part.hand_on("map", pack_layers(None))
@@ -53,7 +57,7 @@ def map_ground(session: Session) -> None:
             if not feed.intake.ahead(cloud.lidar, cloud.time):
                 mapper.scan(cloud)
         if mapper.scan_time > before:
-            layers = _within_reach(mapper.layers(), feed.track, part.settings.runtime.margin)
+            layers = _within_reach(mapper.layers(), feed.track, part, fastest)
             part.hand_on("map", pack_layers(layers, scan_time=mapper.scan_time, image_time=mapper.state.image_time))
             took = time.monotonic() - began
         state = mapper.state
@@ -63,12 +67,9 @@ def map_ground(session: Session) -> None:
             time.sleep(0.01)
 
 
-def _within_reach(layers: TerrainLayers, track: VehicleTrack, margin: float) -> TerrainLayers:
-    """What a plan can reach."""
+def _within_reach(layers: TerrainLayers, track: VehicleTrack, part: Part, fastest: float) -> TerrainLayers:
+    """What plans can reach until the next map comes."""
     latest = track.latest
     assert latest is not None
-    half = 0.5 * max(float(np.hypot(*latest.velocity[:2])), 3.0) * DT * HORIZON_STEPS
-    rows = track.rows(latest.time)
-    yaw = float(rows.state[-1, 2])
-    ahead = half * np.array((np.cos(yaw), np.sin(yaw)))
-    return cropped(layers, latest.position[:2] + ahead, half + margin + _SPARE)
+    state, gear = track.rows(latest.time).state[-1], last_command(part).get("gear", 1.0)
+    return reachable(layers, state, fastest, gear, part.settings.runtime.margin + _SPARE)

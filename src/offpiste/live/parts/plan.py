@@ -14,6 +14,7 @@ from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.rig.outputs import can_reverse
 from offpiste.rig.rig import load_rig
 from offpiste.runtime.follower import Follower
+from offpiste.runtime.perception import Stopwatch
 from offpiste.runtime.plan_maker import PlanMaker
 
 
@@ -29,8 +30,9 @@ class Plans:
         # In shadow mode somebody else drives, and may wait.
         reverses = settings.drive and can_reverse(self._rig.outputs)
         self._maker = PlanMaker(
-            dynamics, wheels, settings.runtime, spread=spread, seed=settings.seed, reverses=reverses
-        )
+            dynamics, wheels, settings.runtime, watch=Stopwatch(last=1), spread=spread, seed=settings.seed,
+            reverses=reverses,
+        )  # fmt: skip
         self._course = NewestCourse(part)
         self._follower: Follower | None = None
         self._commands, self._map_number = part.ring("commands").written, 0
@@ -45,6 +47,8 @@ class Plans:
             self._layers = None
             self._map_number = part.ring("map").written  # those that were not taken yet are of before, too
             self._maker.forget()
+            if self._follower is not None:
+                self._follower.restart()
         self._take_over()
         latest = self._feed.track.latest
         if self._follower is None:

@@ -10,12 +10,6 @@ def lateral_acceleration(vy: Scalar, vy_before: Scalar, dt: Scalar, vx: Scalar, 
 
 
 @quantity
-def forward_acceleration(vx: Scalar, vx_before: Scalar, dt: Scalar, vy: Scalar, yaw_rate: Scalar) -> Scalar:
-    """Acceleration of the pose point forward, in the horizontal plane [m/s^2]."""
-    return (vx - vx_before) / dt - vy * yaw_rate
-
-
-@quantity
 def normal_x(cos_yaw: Scalar, world_normal_x: Scalar, sin_yaw: Scalar, world_normal_y: Scalar) -> Scalar:
     """Ground's normal turned by minus yaw; above 0 where the ground falls ahead."""
     return cos_yaw * world_normal_x + sin_yaw * world_normal_y
