@@ -271,11 +271,15 @@ def train_folds(
 ) -> None:
     """Train one run a fold, in `folder/fold-0`, `folder/fold-1`, ...
 
+    All choose their epochs at recorded places: snapshots of the map are of the windows of the dataset's own split.
+
     Raises:
         RunError: fewer than three folds, which leave no row for each part.
     """
     if folds < 3:
         raise RunError(f"{folds} folds", how="cross-validation takes 3 or more")
+    if any(drive.snapshots is not None for drive in dataset.drives):
+        logger.info("the map was kept for the dataset's own split: folds choose epochs, and are evaluated, without it")
     for number in range(folds):
         logger.info(f"fold {number + 1} of {folds}")
         relabelled = dataset.relabelled(parse_split(f"fold:{number}/{folds}"))
