@@ -64,8 +64,7 @@ def train(
         maps: those of the validation windows, where a training before has read them; otherwise they are read here.
 
     Raises:
-        RunError: a setting is out of range, the folder holds a run and `resume` is false, or one with other settings
-            or of other data.
+        RunError: a setting is out of range, or the folder holds a run: `resume` is false, or settings or data differ.
         DatasetError: a part has no window, there are fewer to train than a batch takes, or no ground was ever seen.
         TrainingError: something is not finite; the last good checkpoint stays.
         OffpisteError: the folder is a file.
