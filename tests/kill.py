@@ -56,7 +56,8 @@ def train_model(inputs: Path, out: Path) -> None:
     from offpiste.training.train import train
 
     os.environ["OFFPISTE_CACHE"] = f"{out}-cache"  # each run fits its own actuators
-    config = TrainConfig(model="dc", epochs=3, bicycle_epochs=2, actuator_epochs=2, stride=40, batch=32)
+    # Enough epochs that what the last ones gained depends on those before the kill.
+    config = TrainConfig(model="dc", epochs=6, bicycle_epochs=5, actuator_epochs=5, stride=40, batch=32)
     train(open_dataset(inputs / "features.zarr"), config, out / "run", resume=True)
 
 

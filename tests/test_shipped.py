@@ -9,7 +9,7 @@ from offpiste.closed_loop.planner import load_planner
 from offpiste.errors import RunError
 from offpiste.file_check import check_paths
 from offpiste.perception.pca import load_pca
-from offpiste.shipped import PREFIX, pca_file, pretrained_names, run_folder
+from offpiste.shipped import PREFIX, names_apart, pca_file, pretrained_names, run_folder
 
 NAMES = pretrained_names()
 SHIPPED_BYTES = 1_000_000
@@ -65,3 +65,18 @@ def test_the_features_of_a_family_ship_under_its_name():
         RunError, match=r"no PCA 'proving-ground/dc' ships; did you mean 'proving-ground'\? there are: proving-ground$"
     ):
         load_pca("pretrained:proving-ground/dc")
+
+
+@pytest.mark.parametrize(
+    ("runs", "names"),
+    [
+        (["runs/dc"], ["dc"]),
+        (["runs/dc", "runs/b"], ["dc", "b"]),
+        (["s0/dc", "/elsewhere/s1/dc", "b"], ["s0/dc", "s1/dc", f"{Path.cwd().name}/b"]),
+        (["runs/dc", f"{PREFIX}proving-ground/dc"], ["runs/dc", "proving-ground/dc"]),
+        (["runs/dc", "runs/dc"], ["dc", "dc"]),
+        ([], []),
+    ],
+)
+def test_names_are_as_long_as_it_takes_to_tell_runs_apart(runs: list[str], names: list[str]) -> None:
+    assert names_apart(runs) == names

@@ -1,5 +1,6 @@
 """Trained models that ship with offpiste: run folders inside the package, and the PCA of their features."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
@@ -37,6 +38,14 @@ def run_folder(run: str | Path) -> Path:
 def named(folder: Path) -> str:
     """How a person names a run: `pretrained:NAME` for a model that ships, else its folder."""
     return f"{PREFIX}{folder.relative_to(_FOLDER).as_posix()}" if folder.is_relative_to(_FOLDER) else str(folder)
+
+
+def names_apart(runs: Sequence[str | Path]) -> list[str]:
+    """Names of runs, given as to `run_folder`: the ends of their paths, as long as it takes for them to differ."""
+    folders = [run_folder(run).absolute().parts for run in runs]
+    lengths = range(1, max(map(len, folders), default=1) + 1)
+    names = (["/".join(parts[-length:]) for parts in folders] for length in lengths)
+    return next(ends for ends in names if len(set(ends)) == len(set(folders)))
 
 
 def alike(folder: Path) -> str:

@@ -9,6 +9,7 @@ import pytest
 import zarr
 
 from factories import circle_rows, small_rig
+from feature_datasets import dataset_with_features, with_snapshots
 from offpiste.checksums import write_checksums
 from offpiste.dataset import store
 from offpiste.dataset.resample import Rows
@@ -59,6 +60,14 @@ def test_folds_relabel_the_same_rows(tmp_path):
     assert again.split == fold
     assert again.drives[0].rows is dataset.drives[0].rows
     assert (again.drives[0].part != dataset.drives[0].part).any()
+
+
+def test_snapshots_are_of_the_split_that_a_dataset_was_made_with(tmp_path):
+    dataset = with_snapshots(dataset_with_features(tmp_path / "data.zarr"), tmp_path / "snapshots", [100])
+    assert all(drive.snapshots is not None for drive in dataset.drives)
+    again = dataset.relabelled(parse_split("fold:0/3"))
+    assert all(drive.snapshots is None for drive in again.drives)
+    assert [drive.load_map for drive in again.drives] == [drive.load_map for drive in dataset.drives]
 
 
 def test_an_interrupted_write_leaves_nothing(tmp_path, monkeypatch):

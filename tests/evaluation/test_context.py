@@ -16,8 +16,10 @@ from offpiste.dynamics import MODELS, Dynamics
 from offpiste.dynamics.slow_context import SHIFTED, ContextSettings, shifted
 from offpiste.errors import RunError
 from offpiste.evaluation.context import errors_with_context
-from offpiste.evaluation.errors import prediction_errors
+from offpiste.evaluation.errors import positions, prediction_errors
 from offpiste.evaluation.evaluate_runs import evaluate_runs
+from offpiste.evaluation.report_figures.windows import WORST, predict_worst
+from offpiste.evaluation.window_paths import worst_windows
 from offpiste.training.build import vehicle_of
 from offpiste.training.config import TrainConfig
 from offpiste.training.run import load_run, save_run
@@ -92,6 +94,14 @@ def test_evaluate_shows_runs_with_and_without_context(dataset: Dataset, tmp_path
     errors = {case.variant: errors for case, errors in evaluation.errors.items() if case.model == "parametric"}
     np.testing.assert_array_equal(errors[""].row, errors["context"].row)
     assert not np.array_equal(errors[""].values, errors["context"].values)
+    chosen = worst_windows(evaluation.errors[evaluation.shown], count=WORST)
+    drawn = [
+        np.linalg.norm(window.predicted["parametric (context)"][0][-1] - window.recorded[-1])
+        for window in predict_worst(evaluation)
+    ]
+    wanted = errors["context"].distance()[positions(chosen, errors["context"])]
+    np.testing.assert_allclose(drawn, wanted, atol=1e-3)
+    assert np.abs(wanted - chosen.distance()).max() > 0.01, "without context it would be another picture"
 
 
 def test_runs_without_noise_are_refused_in_a_line(dataset: Dataset, tmp_path: Path) -> None:

@@ -24,7 +24,7 @@ from offpiste.training.distributed import ALONE, Group
 from offpiste.training.losses import summed_loss
 from offpiste.training.map_loss import map_loss
 from offpiste.training.prediction import predict_windows, roll_out
-from offpiste.training.train import train
+from offpiste.training.train import fold_folders, train, train_folds
 
 ROWS = tuple(range(20, 600, 40))
 QUICK = TrainConfig(model="cf", epochs=1, bicycle_epochs=1, actuator_epochs=1, stride=50, batch=16)
@@ -147,3 +147,13 @@ def test_training_chooses_on_the_map_where_there_are_snapshots(dataset: Dataset,
     train(dataset, QUICK, tmp_path / "run")
     lines = [json.loads(line) for line in (tmp_path / "run" / "metrics.jsonl").read_text().splitlines()]
     assert [(line["stage"], line["validation_on"]) for line in lines] == [("bicycle", "map"), ("model", "map")]
+
+
+def test_folds_all_choose_at_recorded_places(tmp_path: Path) -> None:
+    """Even one snapshot was enough for a fold to choose on the map, and the next one not."""
+    whole = dataset_with_features(tmp_path / "seen.zarr", ("train", "validation"), rows=3300, speeds=(2.5, 3.0))
+    dataset = with_snapshots(whole, tmp_path / "snapshots", [200])
+    train_folds(dataset, replace(QUICK, model="b", stride=200), tmp_path / "folds", folds=3)
+    for folder in fold_folders(tmp_path / "folds"):
+        lines = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
+        assert {line["validation_on"] for line in lines} == {"recorded"}

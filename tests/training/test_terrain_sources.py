@@ -6,13 +6,18 @@ import pytest
 import torch
 
 from factories import RIG, circle_rows
+from feature_datasets import dataset_with_features, with_snapshots
 from offpiste.conventions import DT
 from offpiste.dataset.resample import Rows
 from offpiste.dataset.splits import Split
 from offpiste.dataset.store import Dataset, StoredDrive
 from offpiste.dataset.windows import Windows
+from offpiste.dynamics import MODELS
+from offpiste.errors import DatasetError
 from offpiste.rig.rig import parse_rig
 from offpiste.state import RecordedTerrain
+from offpiste.training.build import vehicle_of
+from offpiste.training.prediction import predict_windows
 from offpiste.training.terrain_sources import codes_of_cells, path_terrain
 
 SPEED = 5.0
@@ -134,3 +139,27 @@ def test_gradients_of_codes_are_those_of_indexing_and_always_the_same() -> None:
     finally:
         torch.set_num_threads(threads)
     assert all(torch.equal(first, other) for other in others)
+
+
+@pytest.mark.parametrize("model", ["b", "dc"])
+def test_training_drives_are_not_read_on_the_driven_path_where_others_have_maps(tmp_path: Path, model: str) -> None:
+    """In a dataset with features the path's normals are the map's in hindsight."""
+    dataset = dataset_with_features(tmp_path / "seen.zarr")
+    snapped = with_snapshots(dataset, tmp_path / "snapshots", [100])
+
+    def refused(snapshots: bool, maps: bool, what: str) -> None:
+        drives = tuple(
+            replace(
+                drive,
+                snapshots=drive.snapshots if snapshots and drive.part.all() else None,
+                load_map=drive.load_map if maps else None,
+            )
+            for drive in snapped.drives
+        )
+        windows = Windows(replace(dataset, drives=drives), "train")
+        with pytest.raises(DatasetError, match=what):
+            predict_windows(MODELS[model](vehicle_of(dataset), seed=0), windows[:2], "map")
+
+    refused(snapshots=True, maps=False, what="2 of 2 windows do not start with a snapshot of the map")
+    refused(snapshots=False, maps=True, what="drive 'circle-0' has no map")
+    refused(snapshots=False, maps=False, what="drive 'circle-0' has no map")

@@ -1,5 +1,6 @@
 import inspect
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -235,6 +236,35 @@ def test_a_folder_with_a_run_is_not_overwritten(dataset: Dataset, run: Path) -> 
         with pytest.raises(RunError, match=r"begun with other settings \(batch 64 then, 4 now\)") as error:
             train(dataset, replace(QUICK, batch=4), run, resume=resume)
         assert error.value.how == how
+
+
+def test_a_run_is_not_resumed_on_a_dataset_that_changed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    path, listed, run = tmp_path / "data.zarr", tmp_path / "parts.txt", tmp_path / "run"
+    config = replace(QUICK, model="parametric")
+
+    def made(speed: float = 4.0, others: str = "validation", more: str = "") -> Dataset:
+        shutil.rmtree(path, ignore_errors=True)
+        listed.write_text(f"one train\ntwo validation\nthree test\nfour {others}\n")
+        split = parse_split(f"drives:{listed}")
+        create(path, small_rig(), split)
+        for name in ("one", "two", "three", *more.split()):
+            add_drive(path, name, circle_rows(1500, speed=speed), split, ())
+        return open_dataset(path)
+
+    with monkeypatch.context() as patch:
+        kill_after(0, patch)
+        with pytest.raises(Killed):
+            train(made(), config, run)
+    for changed in ({"speed": 4.1}, {"others": "test"}, {"more": "four"}):
+        with pytest.raises(RunError, match="holds a run that was begun before the dataset changed"):
+            train(made(**changed), config, run, resume=True)
+    train(made(), config, run, resume=True)
+    assert "has no digest" not in caplog.text
+    save_json(run / "config.json", {k: v for k, v in load_json(run / "config.json").items() if k != "dataset_sha256"})
+    train(made(speed=4.1), config, run, resume=True)
+    assert "has no digest of the dataset, since an older offpiste wrote it" in caplog.text
 
 
 def test_an_unknown_model_is_named(dataset: Dataset, tmp_path: Path) -> None:

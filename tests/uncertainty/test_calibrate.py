@@ -5,11 +5,12 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import torch
 
-from feature_datasets import dataset_with_features, with_snapshots
+from feature_datasets import FEATURES, dataset_with_features, with_snapshots
 from offpiste.cli import main
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
@@ -77,6 +78,25 @@ def test_predictions_come_with_the_regions_that_hold_the_vehicle(dataset: Datase
     assert (half < most).all()
     recorded = predict_with_spread(run, windows, "recorded")
     assert torch.equal(recorded.trajectory.state, run.predict(windows, "recorded").state)
+
+
+def test_a_run_refuses_windows_of_another_dataset(dataset: Dataset, run: Run) -> None:
+    kept_or_fitted(run, dataset, QUICK)
+    windows = Windows(replace(dataset, features=tuple(f"other{k}" for k in range(FEATURES))), "test")[:2]
+    with pytest.raises(RunError, match="reads the terrain features pca0, pca1"):
+        predict_with_spread(run, windows)
+
+
+def test_runs_whose_folders_have_one_name_are_told_apart(dataset: Dataset, run: Run, tmp_path: Path) -> None:
+    kept_or_fitted(run, dataset, QUICK)
+    folders = [Path(shutil.copytree(run.folder, tmp_path / seed / "dc")) for seed in ("s0", "s1")]
+    assert coverage_of_kept(folders, dataset.path, tmp_path / "out") is not None
+    rows = json.loads((tmp_path / "out" / "calibration.json").read_text("utf-8"))["rows"]
+    assert list(dict.fromkeys(row["run"] for row in rows)) == ["s0/dc", "s1/dc"]
+    alone = tmp_path / "alone"
+    coverage_of_kept(folders[:1], dataset.path, alone)
+    widths = [cv2.imread(str(each / "calibration.png")).shape[1] for each in (alone, tmp_path / "out")]
+    assert widths[1] == pytest.approx(2 * widths[0], rel=0.01), "a panel for each"
 
 
 def test_maps_as_they_were_are_read(dataset: Dataset, run: Run, tmp_path: Path) -> None:

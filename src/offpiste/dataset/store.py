@@ -89,9 +89,10 @@ class Dataset:
         return self if min_speed is None else replace(self, min_speed=min_speed)
 
     def relabelled(self, split: Split) -> "Dataset":
-        """The same rows under another split (folds)."""
-        drives = tuple(replace(d, part=split.label(d.name, d.rows.state[:, :2] + d.rows.origin)) for d in self.drives)
-        return replace(self, split=split, drives=drives)
+        """The same rows under another split (folds), without snapshots: few of its windows would start with one."""
+        parts = [split.label(drive.name, drive.rows.state[:, :2] + drive.rows.origin) for drive in self.drives]
+        drives = (replace(d, part=part, snapshots=None) for d, part in zip(self.drives, parts, strict=True))
+        return replace(self, split=split, drives=tuple(drives))
 
 
 def create(

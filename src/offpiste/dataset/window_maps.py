@@ -55,14 +55,20 @@ class WindowMaps:
 
     @property
     def any(self) -> bool:
-        """Whether there are maps."""
-        return bool(self.snapped.any()) or any(drive.load_map is not None for drive in self._drives)
+        """Whether models can be evaluated on maps: some windows have a snapshot, or all of their drives a map."""
+        whole = all(self._drives[number].load_map is not None for number in np.unique(self._drive))
+        return bool(self.snapped.any()) or (whole and not self.snapshots_elsewhere)
 
     @property
     def snapshots_elsewhere(self) -> bool:
-        """Whether drives of these windows have snapshots, but at the start of none of them."""
-        snapshots = [self._drives[number].snapshots for number in np.unique(self._drive)]
+        """Whether the dataset has snapshots, but at the start of none of these windows."""
+        snapshots = [drive.snapshots for drive in self._drives]
         return not self.snapped.any() and any(one is not None and len(one.row) > 0 for one in snapshots)
+
+    @property
+    def kept(self) -> bool:
+        """Whether the dataset has maps, of these windows or of others."""
+        return self.any or self.snapshots_elsewhere or any(drive.load_map is not None for drive in self._drives)
 
     def of(self, index: Int[np.ndarray, " B"]) -> tuple[MapStack | CellStack, Int[np.ndarray, " B"]]:
         """Maps of some windows, and the number of the map that each reads; -1 where it has none.
@@ -82,7 +88,8 @@ class WindowMaps:
         if self._whole is None:
             used = [n for n in np.unique(self._drive) if self._drives[n].load_map is not None]
             if not used:
-                raise DatasetError(f"drive '{self._drives[0].name}' has no map", how="extract with --pca (see fit-pca)")
+                name = self._drives[self._drive[0]].name
+                raise DatasetError(f"drive '{name}' has no map", how="extract with --pca (see fit-pca)")
             loaders = [self._drives[n].load_map for n in used]
             self._whole = stack_maps([load() for load in loaders if load is not None], device=self._device)
             self._numbers[used] = np.arange(len(used))

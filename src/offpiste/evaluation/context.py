@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.slow_context import ContextSettings, shifted
-from offpiste.evaluation.errors import Errors, Progress, no_progress, prediction_errors
+from offpiste.evaluation.errors import Errors, Progress, no_progress, prediction_errors, trajectories
 from offpiste.training.prediction import Lookup
 from offpiste.training.short_errors import shifts_of, short_errors
 
@@ -30,11 +30,36 @@ def errors_with_context(
     Returns:
         the errors, and the shifts.
     """
-    settings = settings or ContextSettings()
-    shifts = shifts_of(short_errors(dynamics, windows, settings), windows, index, noise, settings)
+    shifts = _shifts(dynamics, windows, index, noise, settings)
     found = [
         prediction_errors(shifted(dynamics, shift), windows, one, weights=weights, lookup=lookup, scale=scale)
         for one, shift in track(list(zip(index[:, None], shifts, strict=True)), description)
     ]
     values, losses = (np.concatenate([getattr(each, name) for each in found]) for name in ("values", "loss"))
     return Errors(windows.drive[index], windows.row_in_drive(index), values, losses), shifts
+
+
+def trajectories_with_context(
+    dynamics: Dynamics,
+    windows: Windows,
+    index: Int[np.ndarray, " n"],
+    noise: Float[np.ndarray, " 3"],
+    *,
+    lookup: Lookup | None,
+) -> Float[np.ndarray, "n T 6"]:
+    """Predicted states whose errors `errors_with_context` gives, positions relative to each window's start."""
+    states = np.empty((len(index), windows.horizon, 6))
+    for number, shift in enumerate(_shifts(dynamics, windows, index, noise)):
+        states[number] = trajectories(shifted(dynamics, shift), windows, index[number : number + 1], lookup=lookup)[0]
+    return states
+
+
+def _shifts(
+    dynamics: Dynamics,
+    windows: Windows,
+    index: Int[np.ndarray, " n"],
+    noise: Float[np.ndarray, " 3"],
+    settings: ContextSettings | None = None,
+) -> Float[np.ndarray, "n F"]:
+    settings = settings or ContextSettings()
+    return shifts_of(short_errors(dynamics, windows, settings), windows, index, noise, settings)

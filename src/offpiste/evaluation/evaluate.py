@@ -11,7 +11,6 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from offpiste.conventions import DT, EVALUATION_STRIDE
-from offpiste.dataset.splits import Split
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
 from offpiste.evaluation.context import errors_with_context
@@ -20,8 +19,8 @@ from offpiste.evaluation.evaluated_models import (
     NO_READING,
     EvaluatedModel,
     Reading,
+    by_split,
     readings_of,
-    splits_of,
     with_baselines,
 )
 from offpiste.evaluation.evaluated_windows import EvaluatedWindows, share_driven_in_training
@@ -100,7 +99,9 @@ def evaluate_models(
     """
     weights, sampling = weights or Weights(), sampling or Sampling()
     models = with_baselines(models, dataset, device)
-    readings = readings_of(dataset, part, lookups, feature_sets)
+    groups = by_split(models, dataset)
+    datasets = [each for each, _ in groups]
+    readings = readings_of(datasets, part, lookups, feature_sets)
     compute = partial(_errors, scale=scale, weights=torch.tensor(weights.in_order()), track=track)
     predictions = [
         Prediction(
@@ -115,21 +116,20 @@ def evaluate_models(
                 description=_described(case),
             ),
         )
-        for case, model, windows in _every_reading(models, dataset, part, starts, readings, device)
+        for case, model, windows in _every_reading(groups, part, starts, readings, device)
     ]
     cases = _by_case(predictions)
     together = seeded(cases)
     errors = {case: runs.mean for case, runs in together.items()}
     first = next(iter(errors.values()))
     windows = EvaluatedWindows(dataset, first.drive, first.row)
-    splits = splits_of(models, dataset)
     metrics = Metrics(
         dataset=str(dataset.path),
-        split=", ".join(split.text for split in splits),
+        split=", ".join(each.split.text for each in datasets),
         part=part,
         made=provenance(command, sampling.seed, device),
         loss=_loss_units(weights, scale),
-        windows=_window_numbers(windows, splits, part, stride, sampling),
+        windows=_window_numbers(windows, datasets, part, stride, sampling),
         headlines=headlines(cases, sampling),
         results=result_rows(cases, part, sampling),
         warnings=(*dataset.findings, *warnings),
@@ -150,23 +150,20 @@ def _described(case: Case) -> str:
 
 
 def _every_reading(
-    models: Sequence[EvaluatedModel],
-    dataset: Dataset,
+    groups: Sequence[tuple[Dataset, Sequence[EvaluatedModel]]],
     part: str,
     starts: Sequence[Start],
     readings: Sequence[Reading],
     device: torch.device | str,
 ) -> Iterator[tuple[Case, EvaluatedModel, Windows]]:
     """Each model from each start, reading the terrain in each way, on the windows of its split."""
-    for split in splits_of(models, dataset):
-        parted = dataset if split == dataset.split else dataset.relabelled(split)
+    for dataset, models in groups:
         for start in starts:
-            windows = Windows(parted, part, start=start, device=device)
+            windows = Windows(dataset, part, start=start, device=device)
             for model in models:
-                if (model.split or dataset.split) == split:
-                    for lookup, chosen in readings if model.dynamics.reads_terrain else (NO_READING,):
-                        read = windows.with_feature_set(chosen) if chosen else windows
-                        yield Case(model.name, model.variant, start, lookup, chosen), model, read
+                for lookup, chosen in readings if model.dynamics.reads_terrain else (NO_READING,):
+                    read = windows.with_feature_set(chosen) if chosen else windows
+                    yield Case(model.name, model.variant, start, lookup, chosen), model, read
 
 
 def _by_case(predictions: Sequence[Prediction]) -> Cases:
@@ -191,9 +188,9 @@ def _loss_units(weights: Weights, scale: Float[Tensor, " 5"]) -> LossUnits:
 
 
 def _window_numbers(
-    windows: EvaluatedWindows, splits: Sequence[Split], part: str, stride: int, sampling: Sampling
+    windows: EvaluatedWindows, datasets: Sequence[Dataset], part: str, stride: int, sampling: Sampling
 ) -> WindowNumbers:
-    shares = [share_driven_in_training(windows.dataset.relabelled(split), part) for split in splits]
+    shares = [share_driven_in_training(dataset, part) for dataset in datasets]
     return WindowNumbers(
         n=len(windows.row),
         drives=len(np.unique(windows.drive)),

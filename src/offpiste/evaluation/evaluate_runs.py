@@ -109,7 +109,7 @@ def evaluate_runs(
         logger.info(f"rows with the lookup 'map' decide: they read the ground where wheels are predicted{nearest}")
     if (result := evaluation.metrics.windows.blocks) < MIN_UNITS:
         line = f"–: no interval, since windows lie in too few blocks of 10 s: {result}, and {MIN_UNITS} are needed"
-        logger.info(line + _folds(folders[0], runs[0].model, dataset_path))
+        logger.info(line + _folds(folders[0], runs[0].model, dataset, dataset_path))
     logger.info(f"report: {out / 'report.html'}")
     return evaluation
 
@@ -127,13 +127,19 @@ def _noise(run: Run) -> tuple[float, float, float]:
     return run.noise
 
 
-def _folds(folder: Path, model: str, dataset: Path) -> str:
-    """The command that tests a model on all of the driving; nothing for runs that are folds, or that ship."""
-    if not folder.is_dir() or fold_folders(folder):
+def _folds(folder: Path, model: str, dataset: Dataset, path: Path) -> str:
+    """The command that tests a model on all of the driving; nothing for runs that are folds, or that ship.
+
+    Nor is there any for a dataset with snapshots: folds are evaluated at recorded places only, which do not decide.
+
+    Args:
+        path: of the dataset, as it was given.
+    """
+    if not folder.is_dir() or fold_folders(folder) or any(drive.snapshots is not None for drive in dataset.drives):
         return ""
     settings = options(_settings(folder), model=model)
     more = ["--out", f"{folder}-folds", "--folds", "5", *settings]
-    return f"; to test on all of the driving: {join(['offpiste', 'train', str(dataset), *more])}"
+    return f"; to test on all of the driving: {join(['offpiste', 'train', str(path), *more])}"
 
 
 def _settings(folder: Path) -> TrainConfig:

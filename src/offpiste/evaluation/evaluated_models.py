@@ -1,5 +1,6 @@
 """Models that are evaluated together: runs, the baselines beside them, and where they read the terrain."""
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -16,6 +17,8 @@ from offpiste.evaluation.metrics import label
 from offpiste.training.build import vehicle_of
 from offpiste.training.prediction import Lookup
 
+logger = logging.getLogger(__name__)
+
 Reading = tuple[Lookup | None, str | None]
 """Terrain lookup of a model, and the feature set that it reads at recorded places."""
 
@@ -23,21 +26,28 @@ NO_READING: Reading = (None, None)
 
 
 def readings_of(
-    dataset: Dataset, part: str, lookups: Sequence[Lookup], feature_sets: Sequence[str]
+    datasets: Sequence[Dataset], part: str, lookups: Sequence[Lookup], feature_sets: Sequence[str]
 ) -> Sequence[Reading]:
-    """Ways in which models can read the terrain: without a map, features only at recorded places.
+    """Ways in which models can read the terrain: features only at recorded places, unless every split has maps.
 
     Args:
-        part: of the split, whose windows are evaluated.
+        datasets: the same rows under each split.
+        part: of the splits, whose windows are evaluated.
         lookups, feature_sets: those wanted.
     """
-    if not _has_terrain(dataset):
+    if not _has_terrain(datasets[0]):
         return (NO_READING,)
-    windows = Windows(dataset, part)
-    mapped = not dataset.features or windows.maps.any
-    sets = tuple(feature_sets) if windows.sets > 1 else (None,)
-    recorded: list[Reading] = [("recorded", chosen) for chosen in sets] if "recorded" in lookups or not mapped else []
-    on_map: list[Reading] = [("map", None)] if "map" in lookups and mapped else []
+    sets: Sequence[str | None] = (None,)
+    bare: list[str] = []
+    for dataset in datasets:
+        windows = Windows(dataset, part)
+        sets = tuple(feature_sets) if windows.sets > 1 else (None,)
+        if dataset.features and not windows.maps.any:
+            bare.append(dataset.split.text)
+    if bare and "map" in lookups:
+        logger.info(f"models are not evaluated on the map: windows of the split {', '.join(bare)} have none")
+    recorded: list[Reading] = [("recorded", chosen) for chosen in sets] if "recorded" in lookups or bare else []
+    on_map: list[Reading] = [("map", None)] if "map" in lookups and not bare else []
     return recorded + on_map
 
 
@@ -134,3 +144,13 @@ def _refuse_unlike(models: Sequence[EvaluatedModel], dataset: Dataset) -> None:
 def splits_of(models: Sequence[EvaluatedModel], dataset: Dataset) -> list[Split]:
     """Splits that models are evaluated under; the dataset's own where none of them has another."""
     return list(dict.fromkeys(model.split or dataset.split for model in models)) or [dataset.split]
+
+
+def by_split(models: Sequence[EvaluatedModel], dataset: Dataset) -> list[tuple[Dataset, list[EvaluatedModel]]]:
+    """The dataset under each split that models are evaluated under, with these models.
+
+    Of several splits none has snapshots, so that windows are chosen alike in all of them.
+    """
+    splits = splits_of(models, dataset)
+    datasets = [dataset] if splits == [dataset.split] else [dataset.relabelled(split) for split in splits]
+    return [(each, [model for model in models if (model.split or dataset.split) == each.split]) for each in datasets]

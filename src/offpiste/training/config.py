@@ -1,8 +1,9 @@
 """Settings of a training, with defaults that are right for a log of some minutes to some hours."""
 
+import json
 import math
-from dataclasses import dataclass, field
-from typing import Literal
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal
 
 from offpiste.errors import RunError
 
@@ -101,3 +102,17 @@ def refuse_impossible(config: TrainConfig) -> None:
 def _refuse(name: str, value: int | float, allowed: str) -> None:
     option = "--" + name.replace("_", "-")
     raise RunError(f"{option} is {value:g}", how=f"give {allowed}")
+
+
+def other_settings(before: dict[str, Any], now: dict[str, Any]) -> str:
+    """What differs between the settings of two runs, in words."""
+    if isinstance(before.get("train"), dict):  # of runs that are older than a setting
+        before["train"] = {**json.loads(json.dumps(asdict(TrainConfig()))), **before["train"]}
+    for key in now:
+        then, new = before.get(key), now[key]
+        if then != new and isinstance(then, dict):
+            other = [name for name in new if then.get(name) != new[name]]
+            return ", ".join(f"{name} {then.get(name)} then, {new[name]} now" for name in other)
+        if then != new:
+            return key
+    return ""

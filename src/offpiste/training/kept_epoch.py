@@ -43,7 +43,7 @@ class KeptEpoch:
 
     @classmethod
     def last_of(cls, epoch: int | None, losses: Sequence[float], epochs: int, best: float) -> "KeptEpoch":
-        """From the validation losses of a stage's epochs, as far as this process has seen them."""
+        """From the validation losses of a stage's epochs."""
         before = min(losses[:-_RECENT], default=None)
         return cls(epoch, epochs, best, None if not before else max(1 - best / before, 0.0))
 

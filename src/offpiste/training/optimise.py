@@ -144,14 +144,13 @@ def run_stage(
         state.restore(running)
     else:
         state.keep_if_best(_score(stage, validation, config, group))
-    losses: list[float] = []
     for epoch in range(state.epoch, stage.epochs):
         began = time.perf_counter()
         loss = _train_epoch(stage, state, train, config, epoch, group)
         score = _score(stage, validation, config, group)
         state.epoch = epoch + 1
         state.keep_if_best(score)
-        losses.append(score)
+        state.losses.append(score)
         record(
             {
                 "stage": stage.name,
@@ -165,7 +164,7 @@ def run_stage(
         if group.writes:
             state.save(running)
     load_weights(stage.module, state.best, done)
-    kept = KeptEpoch.last_of(state.best_epoch, losses, stage.epochs, state.best_score)
+    kept = KeptEpoch.last_of(state.best_epoch, state.losses, stage.epochs, state.best_score)
     if group.writes:
         save_tensors(done, state.best, **kept.about())
         running.unlink(missing_ok=True)
@@ -202,7 +201,7 @@ def mean_loss(stage: Stage, windows: Windows, config: TrainConfig, group: Group 
 
 
 class _State:
-    """What a checkpoint holds: weights, the optimiser's state, the best weights so far, the next epoch."""
+    """What a checkpoint holds: weights, now and the best so far, the optimiser's state, losses, the next epoch."""
 
     def __init__(self, stage: Stage, config: TrainConfig) -> None:
         self.module = stage.module
@@ -214,6 +213,7 @@ class _State:
         self.optimiser = torch.optim.Adam([{"params": p, "lr": lr, "peak": lr} for p, lr in groups if p])
         self.best, self.best_score, self.epoch = self._weights(), math.inf, 0
         self.best_epoch: int | None = 0
+        self.losses: list[float] = []
 
     def keep_if_best(self, score: float) -> None:
         if score < self.best_score:
@@ -221,14 +221,15 @@ class _State:
 
     def save(self, path: Path) -> None:
         weights = {"now": self._weights(), "best": self.best}
-        about = {"epoch": self.epoch, "best_score": self.best_score, "best_epoch": self.best_epoch}
-        save_checkpoint(path, weights, self.optimiser, **about)
+        best = {"best_score": self.best_score, "best_epoch": self.best_epoch}
+        save_checkpoint(path, weights, self.optimiser, epoch=self.epoch, losses=self.losses, **best)
 
     def restore(self, path: Path) -> None:
         weights, about = load_checkpoint(path, self.optimiser)
         load_weights(self.module, weights["now"], path)
         self.best, self.best_score, self.epoch = weights["best"], about["best_score"], about["epoch"]
         self.best_epoch = about.get("best_epoch")
+        self.losses = about.get("losses", [self.best_score] * self.epoch)  # an older checkpoint has the least one only
 
     def _weights(self) -> dict[str, Tensor]:
         return {name: value.detach().clone() for name, value in self.module.state_dict().items()}

@@ -101,7 +101,7 @@ class Run:
         Args:
             lookup: "map" reads the ground at predicted places, on the map as it was when each window began: what a
                 planner can do. "recorded" reads it under the wheels' later, recorded places, which no planner knows.
-                Without any maps in the dataset, "map" reads the slope of the driven path at the nearest place.
+                In a dataset without features, "map" reads the slope of the driven path at the nearest place.
 
         Raises:
             RunError: the run was trained with other features or channels than the dataset has.

@@ -84,7 +84,7 @@ def codes_of_cells(codes: Float[Tensor, "M n"], cells: Int[Tensor, "*S"]) -> Flo
 def on_map(
     dynamics: Dynamics, windows: Windows, index: Int[np.ndarray, " B"], batch: Batch
 ) -> tuple[Batch, TerrainSource]:
-    """The ground where predictions go, as a planner reads it: on the map, or else the slope of the driven path.
+    """The ground where predictions go, as a planner reads it: on the map, or without any the slope of the driven path.
 
     What lay under the wheels before the start comes from the map as well: hindsight knows more than the vehicle did.
 
@@ -95,9 +95,10 @@ def on_map(
         the batch, its past read on the map, and the source of what lies ahead.
 
     Raises:
-        DatasetError: a drive has no map, or a window does not start with a snapshot of it.
+        DatasetError: a drive has no map, though the dataset has features or maps of others, or a window does not start
+            with a snapshot of it.
     """
-    if not windows.maps.any and not windows.maps.snapshots_elsewhere:
+    if not windows.dataset.features and not windows.maps.kept:
         return batch, path_terrain(windows, index)
     return read_on(dynamics, map_terrain(dynamics, windows, index), batch)
 
@@ -133,7 +134,8 @@ def _refuse_without_snapshot(windows: Windows, index: Int[np.ndarray, " B"]) -> 
     lacking = int((~windows.maps.snapped[index]).sum())
     if lacking:
         what = f"{lacking} of {len(index)} windows do not start with a snapshot of the map"
-        raise DatasetError(what, how="choose among all windows of a part with `windows[windows.evaluation_indices(5)]`")
+        how = "choose among all windows of the validation or test part with `windows[windows.evaluation_indices(5)]`"
+        raise DatasetError(what, how=how)
 
 
 def with_past_on(source: TerrainSource, batch: Batch) -> Batch:

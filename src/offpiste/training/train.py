@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from offpiste.checksums import CHECKSUMS, sha256_of, sha256_of_json
 from offpiste.conventions import DT, STATE
 from offpiste.dataset.feature_sets import Draw, hindsight
 from offpiste.dataset.ground_tables import free_budget, ground_tables
@@ -27,7 +28,7 @@ from offpiste.state import Trajectory
 from offpiste.training.actuator_stage import actuators_to_fit, fit_actuators
 from offpiste.training.build import build, vehicle_of
 from offpiste.training.checkpoint import load_json, save_json
-from offpiste.training.config import TrainConfig, refuse_impossible
+from offpiste.training.config import TrainConfig, other_settings, refuse_impossible
 from offpiste.training.distributed import ALONE, Group
 from offpiste.training.kept_epoch import FEW_WINDOWS, KeptEpoch
 from offpiste.training.losses import loss_scale, summed_loss
@@ -63,7 +64,7 @@ def train(
         maps: those of the validation windows, where a training before has read them; otherwise they are read here.
 
     Raises:
-        RunError: a setting is out of range, the folder holds a run and `resume` is false, or one with other settings.
+        RunError: a setting is out of range, or the folder holds a run: `resume` is false, or settings or data differ.
         DatasetError: a part has no window, there are fewer to train than a batch takes, or no ground was ever seen.
         TrainingError: something is not finite; the last good checkpoint stays.
         OffpisteError: the folder is a file.
@@ -203,31 +204,29 @@ def standardise(dynamics: Dynamics, windows: Windows) -> None:
 def _claim(folder: Path, dataset: Dataset, config: TrainConfig, resume: bool) -> None:
     """Make the run folder, or check that the run in it is this one."""
     described = {"train": asdict(config), "dataset": str(dataset.path.resolve()), "split": dataset.split.text}
-    described = json.loads(json.dumps(described))
+    described, data = json.loads(json.dumps(described)), _data_of(dataset)
     remove_partials(folder)
     path = folder / "config.json"
     if not path.exists():
-        save_json(path, described)
+        save_json(path, {**described, "dataset_sha256": data})
         return
-    if other := _other_settings(load_json(path), described):
+    before = load_json(path)
+    if other := other_settings(before, described):
         how = "resume with the same, or choose another --out" if resume else "choose another --out"
         raise RunError(f"holds a run that was begun with other settings ({other})", where=folder, how=how)
+    if before.get("dataset_sha256", data) != data:
+        how = "restore the dataset, or choose another --out"
+        raise RunError("holds a run that was begun before the dataset changed", where=folder, how=how)
     if not resume:
         raise RunError("holds a run already", where=folder, how="add --resume, or choose another --out")
+    if "dataset_sha256" not in before:
+        logger.warning(f"{path}: has no digest of the dataset, since an older offpiste wrote it: changes go unnoticed")
 
 
-def _other_settings(before: dict[str, Any], now: dict[str, Any]) -> str:
-    """What differs between the settings of two runs, in words."""
-    if isinstance(before.get("train"), dict):  # of runs that are older than a setting
-        before["train"] = {**json.loads(json.dumps(asdict(TrainConfig()))), **before["train"]}
-    for key in now:
-        then, new = before.get(key), now[key]
-        if then != new and isinstance(then, dict):
-            other = [name for name in new if then.get(name) != new[name]]
-            return ", ".join(f"{name} {then.get(name)} then, {new[name]} now" for name in other)
-        if then != new:
-            return key
-    return ""
+def _data_of(dataset: Dataset) -> str:
+    """SHA-256 of the checksums of the dataset's settings and drives, which other rows, parts or features change."""
+    folders = [dataset.path, *(dataset.path / drive.name for drive in dataset.drives)]
+    return sha256_of_json([[file.parent.name, sha256_of(file)] for each in folders for file in each.glob(CHECKSUMS)])
 
 
 def _refuse_ground(batch: Batch) -> None:
@@ -271,11 +270,15 @@ def train_folds(
 ) -> None:
     """Train one run a fold, in `folder/fold-0`, `folder/fold-1`, ...
 
+    All choose their epochs at recorded places: snapshots of the map are of the windows of the dataset's own split.
+
     Raises:
         RunError: fewer than three folds, which leave no row for each part.
     """
     if folds < 3:
         raise RunError(f"{folds} folds", how="cross-validation takes 3 or more")
+    if any(drive.snapshots is not None for drive in dataset.drives):
+        logger.info("the map was kept for the dataset's own split: folds choose epochs, and are evaluated, without it")
     for number in range(folds):
         logger.info(f"fold {number + 1} of {folds}")
         relabelled = dataset.relabelled(parse_split(f"fold:{number}/{folds}"))

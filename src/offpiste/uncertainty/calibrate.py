@@ -16,7 +16,7 @@ from offpiste.evaluation.intervals import Sampling
 from offpiste.evaluation.speed_bands import members
 from offpiste.files import write_text
 from offpiste.report.figure import write_png
-from offpiste.shipped import run_folder
+from offpiste.shipped import names_apart, run_folder
 from offpiste.training.checkpoint import load_json, save_tensors
 from offpiste.training.fitness import refuse_seen, refuse_unfit
 from offpiste.training.run import Run, load_run
@@ -52,13 +52,13 @@ def calibrate(folders: Sequence[Path], path: Path, out: Path, settings: SpreadSe
         DatasetError: a part has no window.
     """
     dataset, report = open_dataset(path), _Report()
-    for folder in folders:
+    for folder, name in zip(folders, names_apart(folders), strict=True):
         run = _fitting_run(folder, dataset)
         mine = dataset.starting_above(_min_speed(run))
         spread = kept_or_fitted(run, mine, settings)
         if run.dynamics.encoder is not None:
             keep_familiar(run, mine)
-        report.add(run, spread, mine)
+        report.add(name, run, spread, mine)
     return report.write(out)
 
 
@@ -78,9 +78,9 @@ def coverage_of_kept(folders: Sequence[Path], path: Path, out: Path, min_speed: 
     if not keeping:
         return None
     dataset, report = open_dataset(path).starting_above(min_speed), _Report()
-    for folder in keeping:
+    for folder, name in zip(keeping, names_apart(keeping), strict=True):
         run = _fitting_run(folder, dataset)
-        report.add(run, load_spread(run), dataset)
+        report.add(name, run, load_spread(run), dataset)
     return report.write(out)
 
 
@@ -91,14 +91,14 @@ class _Report:
     rows: list[CalibrationRow] = field(default_factory=list)
     within: dict[str, np.ndarray] = field(default_factory=dict)
 
-    def add(self, run: Run, spread: Spread, dataset: Dataset) -> None:
+    def add(self, name: str, run: Run, spread: Spread, dataset: Dataset) -> None:
         """Evaluate a run's spread on the windows of the test part that have a map."""
         windows = Windows(dataset, PART)
         index = windows.evaluation_indices(5)
         foretold = foretold_by(spread, strayed_on_maps(run, windows, index))
         located = EvaluatedWindows(dataset, windows.drive[index], windows.row_in_drive(index))
-        self.rows += calibration_rows(run.folder.name, foretold, members(located), Sampling().on(located))
-        self.within[run.folder.name] = foretold.within
+        self.rows += calibration_rows(name, foretold, members(located), Sampling().on(located))
+        self.within[name] = foretold.within
 
     def write(self, out: Path) -> Path:
         """Write table, numbers and picture; show the table."""

@@ -12,6 +12,7 @@ from offpiste.dataset.windows import Windows
 from offpiste.errors import RunError
 from offpiste.state import Trajectory
 from offpiste.training.checkpoint import load_json, load_tensors, load_weights
+from offpiste.training.fitness import refuse_unfit
 from offpiste.training.prediction import Lookup
 from offpiste.training.run import Run
 from offpiste.uncertainty.fit import predicted
@@ -48,9 +49,11 @@ def predict_with_spread(run: Run, windows: Windows, lookup: Lookup = "map") -> S
         lookup: where the ground is read (`Run.predict`).
 
     Raises:
-        RunError: the run's folder has no spread, or that of other weights; `offpiste calibrate` makes it.
+        RunError: the run was trained with other features or channels than the dataset has, or its folder has no spread
+            (`offpiste calibrate` makes it), or that of other weights.
         DatasetError: the map is asked for and a window does not start with one.
     """
+    refuse_unfit(run, windows.dataset)
     spread = load_spread(run)
     parts = list(predicted(run, windows, np.arange(len(windows)), lookup))
     trajectory = Trajectory(
