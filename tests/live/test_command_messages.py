@@ -94,9 +94,44 @@ def test_a_channel_with_the_same_entries_reads_back_what_is_sent(value, scale, o
         ("geometry_msgs/msg/Twist", '"linear" = { of = "speed" }', "linear is no number"),
         ("geometry_msgs/msg/Twist", '"linear.x[2]" = { of = "speed" }', "x is no sequence"),
         ("std_msgs/msg/String", '"data" = { of = "speed" }', "data is no number"),
+        ("geometry_msgs/msg/PoseWithCovariance", '"covariance[36]" = { of = "speed" }', "array length"),
     ],
 )
 def test_fields_that_a_type_does_not_have_are_named(msgtype, fields, what):
     with pytest.raises(RigError, match=what) as raised:
         outputs(output(msgtype, fields))
     assert "outputs.a" in str(raised.value)
+
+
+@pytest.mark.parametrize("element", [False, True])
+@pytest.mark.parametrize(
+    ("kind", "refused", "fits"),
+    [
+        ("UInt8", 'of = "brake", scale = 0.0039', 'of = "brake", scale = 0.004'),
+        ("UInt8", 'of = "steer", scale = 0.01', 'of = "steer", scale = 0.01, offset = -1'),
+        ("UInt8", 'of = "gear"', 'of = "gear", clip = [0, 1]'),
+        ("UInt8", 'of = "constant", value = 300', 'of = "constant", value = 200'),
+        ("Int8", 'of = "pedal", scale = 0.005', 'of = "pedal", scale = 0.01'),
+        ("Int16", 'of = "speed", scale = 0.001', 'of = "speed", scale = 0.001, clip = [-30000, 30000]'),
+        ("Int16", 'of = "yaw_rate", scale = 0.0001', 'of = "yaw_rate", scale = 0.001'),
+    ],
+)
+def test_a_field_that_cannot_hold_what_it_may_have_to_is_refused_before_driving(kind, refused, fits, element):
+    path, msgtype = ("data[1]", f"std_msgs/msg/{kind}MultiArray") if element else ("data", f"std_msgs/msg/{kind}")
+    with pytest.raises(RigError, match=r"cannot hold .*scale, offset or clip") as raised:
+        outputs(output(msgtype, f'"{path}" = {{ {refused} }}'))
+    assert f"'{path}'" in str(raised.value)
+    assert "outputs.a" in str(raised.value)
+    assert "\n" not in str(raised.value)
+    outputs(output(msgtype, f'"{path}" = {{ {fits} }}'))
+
+
+def test_limits_say_how_much_a_field_has_to_hold():
+    speed = output("std_msgs/msg/Int16", '"data" = { of = "speed", scale = 0.001 }')
+    outputs(speed + "[live.limits]\nspeed = 20.0\n")
+
+
+def test_elements_of_whole_numbers_are_rounded_as_whole_numbers_are():
+    fields = '"data[0]" = { of = "steer", scale = 0.01 }\n"data[1]" = { of = "brake", scale = 0.01 }'
+    made = outputs(output("std_msgs/msg/Int32MultiArray", fields))
+    assert made.messages(Command(1.0, np.array((0, 0.297, -0.298))))["/a"].data.tolist() == [-30, 30]

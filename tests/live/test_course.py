@@ -23,6 +23,11 @@ def test_a_table_with_and_without_speeds(tmp_path):
     np.testing.assert_array_equal(course.speed, [9, 9])
 
 
+def test_a_table_that_excel_saved(tmp_path):
+    course = read_course(written(tmp_path, "\ufeffx,y\n0,0\n3,4\n"), 9.0)
+    np.testing.assert_array_equal(course.path, [[0, 0], [3, 4]])
+
+
 @pytest.mark.parametrize(
     ("text", "what"),
     [

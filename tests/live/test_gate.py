@@ -58,6 +58,14 @@ def test_the_dead_mans_switch_has_to_be_heard_and_pressed():
     assert lost.control[:2].tolist() == [0.0, 0.5]
 
 
+def test_a_switch_that_another_thread_heard_a_moment_later_is_heard():
+    gate = Gate(LIMITS, Enable("/enable", timeout=0.3), 0.5)
+    gate.enabled(True, 1.0)
+    assert gate.blocked(0.999) == ""
+    gate.restart(0.5)
+    assert gate.blocked(0.5) == "the enable topic is not heard", "it is of another time"
+
+
 def test_a_switch_without_its_field_is_named():
     gate = Gate(LIMITS, Enable("/enable", field="value", timeout=0.3), 0.5)
     gate.enabled(None, 1.0)

@@ -9,7 +9,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from live.made_up_robot import ENABLE, planner, rig, small_settings, write_course, write_log, write_rig
+from live.made_up_robot import (
+    ENABLE,
+    START,
+    cloud,
+    odometry,
+    planner,
+    rig,
+    small_settings,
+    write_course,
+    write_log,
+    write_rig,
+)
+from live.test_reception import path
 from offpiste.errors import LiveError
 from offpiste.live.command_messages import Command, CommandMessages
 from offpiste.live.driver import Heard, StepDriver
@@ -18,12 +30,14 @@ from offpiste.live.log_steps import RecordedDrive
 from offpiste.live.play import LogPlayer, clock_message
 from offpiste.live.reception import CourseRequest, Reception
 from offpiste.live.replay import decoded, replayed
+from offpiste.logs.ros.bag_files import stamp_of
 from offpiste.logs.ros.writer import make
 from offpiste.transport.message_types import MessageTypes
 from transport.routers import network, until
 
 __all__ = ["network"]
 RUN = "pretrained:proving-ground/parametric"
+ODOM = "nav_msgs/msg/Odometry"
 
 
 def driver_of(vehicle, request, **options):
@@ -89,6 +103,19 @@ def test_it_waits_for_what_it_needs(log, tmp_path):
 def test_a_goal_is_a_straight_course_from_where_the_vehicle_is(log):
     steps = [step for _, step in offline(log, rig(), CourseRequest(goal=(40.0, 0.0), speed=4.0)) if step is not None]
     assert steps[-1].controls.mode == "driving"
+
+
+def test_a_path_that_is_sent_again_is_not_begun_again(log):
+    vehicle = rig()
+    driver, _ = driver_of(vehicle, CourseRequest(topic="/plan"))
+    drive, types, trackers = RecordedDrive(log, vehicle), MessageTypes(), []
+    for step in drive.steps():
+        now = step.time / 1e9
+        heard = [Heard(one.topic, decoded(types, one.type, one.data), now) for one in step.messages]
+        driver.step([*heard, Heard("/plan", path("map", step.time), now)], now)
+        trackers += [] if driver.runtime is None else [driver.runtime.follower.tracker]
+    assert len(trackers) > 50
+    assert all(tracker is trackers[0] for tracker in trackers)
 
 
 def test_without_the_switch_it_is_held_and_does_not_wind_up(log, tmp_path):
@@ -168,15 +195,16 @@ def test_in_lockstep_another_publisher_makes_it_stop_and_a_frozen_clock_is_no_st
 
 
 class Counting(StepDriver):
-    """A driver that counts its steps."""
+    """A driver that counts its steps and keeps what it was given."""
 
     stop = Command(0.0, np.array((0.0, 1.0, 0.0)), 1.0)
 
     def __init__(self):
-        self.times = []
+        self.times, self.heard = [], []
 
     def step(self, heard, now):
         self.times.append(now)
+        self.heard.append(list(heard))
         return None
 
 
@@ -199,6 +227,51 @@ def test_a_step_is_made_once_every_dt_of_a_clock_whatever_its_period(network, pe
     stop.set()
     running.join(10)
     assert len(driver.times) == pytest.approx(expected + 1, abs=1)
+
+
+def counted(node):
+    driver = Counting()
+    return Lockstep(node, driver, Reception(rig(), CourseRequest(topic="/plan"), cameras=False), None), driver
+
+
+def test_before_the_first_clock_all_is_kept_but_old_scans(network, monkeypatch):
+    monkeypatch.setattr("offpiste.live.lockstep._HELD", 1)
+    robot, (lockstep, driver), stop = network.session(patient=True), counted(network.session()), threading.Event()
+    odom, points = robot.publisher("/odom", ODOM), robot.publisher("/points", "sensor_msgs/msg/PointCloud2")
+    clock = robot.publisher("/clock", "rosgraph_msgs/msg/Clock")
+    for send in (lambda: odom(odometry(0.0)), lambda: points(cloud(0.0))):
+        waiting = lockstep._received.qsize()
+        assert until(lambda send=send, waiting=waiting: send() or lockstep._received.qsize() > waiting, every=0.2)
+    for row in range(1, 9):
+        points(cloud(row / 50))
+        odom(odometry(row / 50))
+    running = threading.Thread(target=lockstep.run, args=(lambda *_: None, stop))
+    running.start()
+    assert until(lambda: driver.times or clock(clock_message(10**9)), every=0.2)
+    stop.set()
+    running.join(10)
+    rows = [(one.topic, round((stamp_of(0, one.message, "header") * 1e9 - START) / 2e7)) for one in driver.heard[0]]
+    assert [row for topic, row in rows if topic == "/odom"][-9:] == list(range(9))
+    assert [row for topic, row in rows if topic == "/points"] == [8]
+
+
+def test_a_robot_without_a_clock_is_not_waited_for_for_ever(network, monkeypatch):
+    monkeypatch.setattr("offpiste.live.lockstep._WAIT", 0.3)
+    robot, (lockstep, _), stop, ended = network.session(), counted(network.session()), threading.Event(), []
+
+    def run():
+        try:
+            lockstep.run(lambda *_: None, stop)
+        except LiveError as error:
+            ended.append(str(error))
+
+    running, odom = threading.Thread(target=run), robot.publisher("/odom", ODOM)
+    running.start()
+    ends = until(lambda: odom(odometry(0.0)) or ended)
+    stop.set()
+    running.join(10)
+    assert ends, "though messages keep coming"
+    assert "/clock was not heard" in ended[0]
 
 
 def test_a_signal_ends_a_lockstep_in_order(tmp_path, network):

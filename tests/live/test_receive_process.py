@@ -1,10 +1,11 @@
 """The process that receives: it does not wait for ever on a connection whose thread has ended."""
 
 import time
+from itertools import count
 
 import pytest
 
-from live.made_up_robot import odometry, small_settings, write_course, write_rig
+from live.made_up_robot import cloud, odometry, small_settings, tree, write_course, write_rig
 from live.test_supervisor import RUN
 from offpiste.errors import LiveError
 from offpiste.live.backlog import Backlog
@@ -12,6 +13,7 @@ from offpiste.live.part import Part
 from offpiste.live.parts import receive
 from offpiste.live.reception import CourseRequest
 from offpiste.live.session import LiveSettings, new_session
+from offpiste.planning.course import Course
 from offpiste.transport.interface import Received
 from offpiste.transport.tally import Tally
 from offpiste.transport.zenoh_transport import ZenohSettings
@@ -52,9 +54,30 @@ def test_a_course_that_is_driven_already_is_not_begun_again(part):
     again = receive.Receiver(part, cameras=False)
     assert part.ring("course").written == 1, "it was only started again"
     again._course(again.reception.course)
-    assert part.ring("course").written == 2, "but who sends it again wants it driven again"
+    assert part.ring("course").written == 1, "it is only sent again, as planners do"
+    again._course(Course(again.reception.course.path + 1.0, again.reception.course.speed))
+    assert part.ring("course").written == 2
     first.transport.close()
     again.transport.close()
+
+
+def test_an_optional_sensor_that_comes_too_late_is_named(part, network, tmp_path):
+    write_rig(tmp_path, '[lidars.rear]\ntopic = "/rear"\noptional = true\n')
+    receiver, robot, seconds = receive.Receiver(part, cameras=False), network.session(), count(0.0, 0.5)
+    odom = robot.publisher("/odom", "nav_msgs/msg/Odometry")
+    points, rear = (robot.publisher(topic, "sensor_msgs/msg/PointCloud2") for topic in ("/points", "/rear"))
+    robot.publisher("/tf_static", "tf2_msgs/msg/TFMessage", keep=True)(tree())
+
+    def is_ready():
+        points(cloud(0.0))
+        odom(odometry(next(seconds)))
+        receiver.read()
+        return receiver.state == "ready"
+
+    assert receiver.state.startswith("waits for readings")
+    assert until(is_ready)
+    assert until(lambda: rear(cloud(0.0)) or receiver.state.startswith("ready, without rear"))
+    receiver.transport.close()
 
 
 def test_the_oldest_give_way_and_are_counted():

@@ -9,10 +9,10 @@ from offpiste.logs.ros.writer import header, make, quaternion, vector
 from offpiste.planning.course import Course
 
 
-def path(frame):
-    turn, head = quaternion((0, 0, 0, 1)), header(START, frame)
+def path(frame, stamp=START, end=9.0):
+    turn, head = quaternion((0, 0, 0, 1)), header(stamp, frame)
     poses = [make("geometry_msgs/Pose", position=vector((x, 0, 0), "geometry_msgs/Point"), orientation=turn)
-             for x in (0.0, 9.0)]  # fmt: skip
+             for x in (0.0, end)]  # fmt: skip
     stamped = [make("geometry_msgs/PoseStamped", header=head, pose=pose) for pose in poses]
     return make("nav_msgs/Path", header=head, poses=stamped)
 
@@ -38,6 +38,13 @@ def test_a_path_in_the_frame_of_the_poses_is_taken_also_where_it_comes_before_th
         topics = ["/plan" if "Path" in one.__msgtype__ else "/odom" for one in heard]
         assert len(courses(reception, *zip(topics, heard, strict=True))) == 1
         assert not reception.refusals
+
+
+def test_the_same_path_again_is_no_new_course_whatever_its_stamp():
+    reception = Reception(rig(), CourseRequest(topic="/plan"), cameras=False)
+    later = path("map", START + 10**9)
+    assert len(courses(reception, ("/odom", odometry(0.0)), ("/plan", path("map")), ("/plan", later))) == 1
+    assert len(courses(reception, ("/plan", path("map", end=8.0)), ("/plan", later))) == 2
 
 
 def test_a_goal_where_the_vehicle_is_waits_until_it_is_elsewhere():

@@ -1,9 +1,17 @@
 """Sensors from the first messages are those that a log of the same messages has."""
 
+import threading
+from pathlib import Path
+
 import numpy as np
 
 import sensor_bags
+from live.made_up_robot import write_course, write_rig
+from offpiste.errors import LogError
+from offpiste.live.commands import run_live
+from offpiste.live.reception import CourseRequest
 from offpiste.live.sensor_messages import SensorMessages
+from offpiste.live.session import LiveSettings
 from offpiste.logs import open_log
 
 
@@ -51,11 +59,53 @@ def test_it_says_what_it_waits_for(tmp_path):
 def test_optional_sensors_are_left_out_once_the_others_are_settled(tmp_path):
     text = sensor_bags.SENSORS + '[lidars.rear]\ntopic = "/rear"\noptional = true\n'
     path, rig = sensor_bags.record(tmp_path / "a.mcap"), sensor_bags.sensor_rig(text)
-    sensors, _ = taken(recorded(path), rig, cameras=False)
+    messages = recorded(path)
+    sensors, _ = taken(messages, rig, cameras=False)
     assert sensors.sensors is None
     assert sensors.waiting_for == "messages on /rear"
     sensors.settle()
     assert list(sensors.sensors[1]) == ["top"]
+    assert sensors.left_out == []
+    scan = next(message for topic, message in messages if topic == "/points")
+    assert [sensors.take("/rear", scan, 0.0) for _ in range(2)] == [None, None]
+    assert sensors.left_out == ["rear"], "named, now that it comes"
+
+
+def test_what_was_left_out_is_named_after_a_replay(tmp_path, monkeypatch, caplog):
+    def replayed(settings, rig, driver, reception, *_):
+        reception.sensors.left_out.append("rear")
+
+    monkeypatch.setattr("offpiste.live.commands._replay", replayed)
+    rig, course = write_rig(tmp_path, actuators=True), CourseRequest(write_course(tmp_path))
+    settings = LiveSettings(rig, "pretrained:proving-ground/parametric", None, course)
+    run_live(settings, lockstep=False, replay=Path("a.mcap"), commands=None)
+    assert "rear was left out" in caplog.text
+
+
+def test_a_camera_that_cannot_be_set_up_is_not_lost_where_two_threads_try(tmp_path, monkeypatch):
+    path, rig = sensor_bags.record(tmp_path / "a.mcap"), sensor_bags.sensor_rig()
+    messages = recorded(path)
+    sensors, _ = taken([one for one in messages if one[0] != "/points"], rig, cameras=True)
+    other, tries, ended = threading.Thread(target=sensors.settle), threading.Event(), threading.Event()
+
+    def no_camera(*_):
+        if threading.current_thread() is other:
+            tries.set()
+            ended.wait(1.0)
+        raise LogError("images without calibration")
+
+    def lidar(*_):
+        if threading.current_thread() is not other:
+            other.start()
+            tries.wait(0.5)
+
+    monkeypatch.setattr("offpiste.live.sensor_messages.camera_of", no_camera)
+    monkeypatch.setattr("offpiste.live.sensor_messages.lidar_of", lidar)
+    sensors.take("/points", next(message for topic, message in messages if topic == "/points"), 0.0)
+    ended.set()
+    other.join()
+    assert sensors.sensors is None
+    assert "without calibration" in sensors.waiting_for
 
 
 def test_what_cannot_be_decoded_is_counted(tmp_path):

@@ -28,7 +28,7 @@ class Live:
     course: Path | None = None
     """Course: a table (.csv) with the columns x, y and, if need be, speed, in the frame of the poses."""
     course_topic: str = ""
-    """Course: a topic with a nav_msgs/Path; a new one replaces it."""
+    """Course: a topic with a nav_msgs/Path; another one replaces it."""
     goal: tuple[float, float] | None = None
     """Course: straight to x, y [m]."""
     speed: float = 3.0

@@ -2,6 +2,7 @@
 
 import threading
 from collections import deque
+from collections.abc import Collection
 
 from offpiste.transport.interface import Received
 from offpiste.transport.tally import Tally
@@ -45,3 +46,36 @@ class Backlog:
         received = self._waiting.popleft()
         self._held -= len(received.data)
         return received
+
+
+class Batch:
+    """Messages until the next step, in their order: all but of large topics, of which the newest are kept.
+
+    Args:
+        large: topics that are bounded.
+        size: of what is kept of each of them [bytes]; its newest message is kept in any case.
+    """
+
+    def __init__(self, large: Collection[str], size: int) -> None:
+        self._size, self._count = size, 0
+        self._messages: dict[int, Received] = {}
+        self._large = {topic: deque[int]() for topic in large}
+
+    def __len__(self) -> int:
+        return len(self._messages)
+
+    def add(self, received: Received) -> None:
+        """Add a message."""
+        self._messages[self._count] = received
+        if (numbers := self._large.get(received.topic)) is not None:
+            numbers.append(self._count)
+            while len(numbers) > 1 and sum(len(self._messages[number].data) for number in numbers) > self._size:
+                del self._messages[numbers.popleft()]
+        self._count += 1
+
+    def taken(self) -> list[Received]:
+        """All that are kept, which are forgotten."""
+        messages, self._messages = list(self._messages.values()), {}
+        for numbers in self._large.values():
+            numbers.clear()
+        return messages

@@ -1,10 +1,13 @@
 """Commands as the rig's outputs say them: topics, types, fields, signs and scales."""
 
+import struct
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from jaxtyping import Float
+from msgspec.structs import replace
+from rosbags.serde import SerdeError
 
 from offpiste.errors import RigError
 from offpiste.logs.ros.writer import header
@@ -12,6 +15,9 @@ from offpiste.rig.outputs import CommandLimits, Output, OutputField
 from offpiste.rig.rig import Rig
 from offpiste.runtime.prediction import Prediction
 from offpiste.transport.message_types import MessageTypes
+
+_BEYOND: Final = (100.0, 20.0)
+"""Speed [m/s] and yaw rate [rad/s] that no plan comes to, where the rig limits neither."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +62,7 @@ class CommandMessages:
         types: message types that are known.
 
     Raises:
-        RigError: an output's type is not known, or has no such field.
+        RigError: an output's type is not known, has no such field, or one that cannot hold all that it may have to.
     """
 
     def __init__(self, rig: Rig, types: MessageTypes) -> None:
@@ -65,12 +71,9 @@ class CommandMessages:
             if output.type not in types:
                 how = "give the file of its definition in live.definitions"
                 raise RigError(f"message type {output.type} is not known", where=f"outputs.{name}", how=how)
-            try:
-                types.store.serialize_cdr(self._message(output, Command(0.0, np.zeros(3))), output.type)
-            except (AttributeError, TypeError, IndexError, ValueError, AssertionError) as error:
-                reason = str(error).splitlines()[0][:100] if str(error) else "does not fit"
-                how = f"give fields of {output.type}, which are numbers"
-                raise RigError(f"a field is not one of its type: {reason}", where=f"outputs.{name}", how=how) from error
+            for path, field in output.fields.items():
+                for command in _ends(rig.live.limits):
+                    self._check(name, replace(output, fields={path: field}), command)
 
     @property
     def topics(self) -> dict[str, str]:
@@ -80,6 +83,24 @@ class CommandMessages:
     def messages(self, command: Command) -> dict[str, Any]:
         """The messages of a command, by topic."""
         return {output.topic: self._message(output, command) for output in self._rig.outputs.values()}
+
+    def _check(self, name: str, output: Output, command: Command) -> None:
+        """Refuse an output of one field that cannot be sent.
+
+        Raises:
+            RigError: which field, and how to fix it.
+        """
+        where, ((path, field),) = f"outputs.{name}", output.fields.items()
+        try:
+            self._types.store.serialize_cdr(self._message(output, command), output.type)
+        except (struct.error, OverflowError) as error:
+            held = field.written(command.value(field, self._rig.live.limits), self._rig.vehicle.max_steer)
+            how = "give it a scale, offset or clip with which all values fit (speed and yaw_rate: or live.limits)"
+            raise RigError(f"'{path}' cannot hold {held:g}: {error}", where=where, how=how) from error
+        except (AttributeError, TypeError, IndexError, ValueError, AssertionError, SerdeError) as error:
+            reason = str(error).splitlines()[0][:100] if str(error) else "does not fit"
+            how = f"give fields of {output.type}, which are numbers"
+            raise RigError(f"a field is not one of its type: {reason}", where=where, how=how) from error
 
     def _message(self, output: Output, command: Command) -> Any:
         message = self._types.empty(output.type)
@@ -91,11 +112,20 @@ class CommandMessages:
         return message
 
 
+def _ends(limits: CommandLimits) -> tuple[Command, Command]:
+    """Commands that hold the lowest and the highest of every quantity."""
+    speed, yaw_rate = (min(pair) for pair in zip((limits.speed, limits.yaw_rate), _BEYOND, strict=True))
+    state = np.array([[0.0, 0.0, 0.0, speed, 0.0, yaw_rate]])
+    lowest = Command(0.0, np.array((0.0, 1.0, -limits.steer)), -1.0, Prediction(0.0, -state))
+    return lowest, Command(0.0, np.array((limits.throttle, 0.0, limits.steer)), 1.0, Prediction(0.0, state))
+
+
 def _put(message: Any, path: str, value: float) -> None:
     """Set a number of a message: `drive.speed`, or `axes[2]`, which makes a sequence as long as needed.
 
     Raises:
         AttributeError, TypeError: there is no such number.
+        OverflowError: an element cannot hold it; where a field alone cannot, it shows when the message is serialised.
     """
     *parents, last = path.split(".")
     for name in parents:
@@ -107,11 +137,19 @@ def _put(message: Any, path: str, value: float) -> None:
             raise TypeError(f"{name} is no sequence of numbers")
         if int(index) >= len(present):
             present = np.concatenate((present, np.zeros(int(index) + 1 - len(present), present.dtype)))
-        present[int(index)] = value
+        number = _alike(present[int(index)].item(), value)
+        if present.dtype.kind in "iu" and not np.iinfo(present.dtype).min <= number <= np.iinfo(present.dtype).max:
+            raise OverflowError(f"its elements are of {present.dtype}")
+        present[int(index)] = number
         setattr(message, name, present)
-    elif isinstance(present, bool):
-        setattr(message, name, value > 0.5)
     elif isinstance(present, int | float):
-        setattr(message, name, type(present)(value) if isinstance(present, float) else round(value))
+        setattr(message, name, _alike(present, value))
     else:
         raise TypeError(f"{path} is no number")
+
+
+def _alike(present: int | float, value: float) -> int | float:
+    """A value as a field holds it whose present one is given: a truth value, a whole number, or as it is."""
+    if isinstance(present, bool):
+        return value > 0.5
+    return round(value) if isinstance(present, int) else value

@@ -60,6 +60,8 @@ def run_live(settings: LiveSettings, *, lockstep: bool, replay: Path | None, com
             _lockstep(settings, rig, driver, reception, on_step)
         else:
             supervise(settings, planner, [Path(name) for name in rig.live.definitions])
+    for name in reception.sensors.left_out:
+        logger.warning(f"{name} was left out: it is optional, and was first heard once the others were set up")
 
 
 def _refuse_ignored(settings: LiveSettings, *, lockstep: bool, replay: Path | None, commands: Path | None) -> None:

@@ -27,7 +27,7 @@ def read_course(path: Path, speed: float) -> Course:
     """
     how = "give a .csv with a line 'x,y' or 'x,y,speed' first, in metres of the poses' frame"
     try:
-        with path.open(newline="", encoding="utf-8") as file:
+        with path.open(newline="", encoding="utf-8-sig") as file:  # Excel begins with a byte order mark
             rows = [row for _, row in zip(range(_LONGEST + 1), csv.DictReader(file), strict=False)]
     except OSError as error:
         raise LiveError(f"no course: {error.strerror}", where=path, how=how) from error
@@ -67,6 +67,11 @@ def course_to(goal: Float[np.ndarray, " 2"], start: Float[np.ndarray, " 2"], spe
         LiveError: the vehicle is there.
     """
     return course_of(np.stack((start, goal)), np.full(2, speed), where="the goal")
+
+
+def is_same_course(one: Course, other: Course) -> bool:
+    """Whether two courses have the same points and speeds."""
+    return np.array_equal(one.path, other.path) and np.array_equal(one.speed, other.speed)
 
 
 def course_of(xy: Float[np.ndarray, "P 2"], speed: Float[np.ndarray, " P"], *, where: str) -> Course:

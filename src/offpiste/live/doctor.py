@@ -7,7 +7,7 @@ import shutil
 import time
 from collections import deque
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
@@ -34,6 +34,7 @@ Level = Literal["ok", "warning", "error"]
 _CORES: Final = 4
 _FREE_MEMORY: Final = 3.0
 """Of a drive with a model that reads images, about [GB]."""
+_MEMORY: Final = Path("/proc/meminfo")
 _SHARED_MEMORY: Final = 0.5
 """Of its rings [GB]."""
 _WAITING: Final = 16
@@ -105,13 +106,22 @@ def _computer() -> Iterator[Finding]:
     cores = usable_cores()
     few = f"{cores} cores: plans and maps will be late; {_CORES} or more are better"
     yield Finding("warning", few) if cores < _CORES else Finding("ok", f"{cores} cores")
-    free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 1e9
+    free = _free_memory()
     yield Finding("ok" if free > _FREE_MEMORY else "warning", f"{free:.1f} GB of memory are free")
     shared = Path("/dev/shm")
     room = shutil.disk_usage(shared).free / 1e9 if shared.is_dir() else 0.0
     much = room > _SHARED_MEMORY
     hint = "" if much else "; in a container, give it more: --shm-size 1g"
     yield Finding("ok" if much else "error", f"{room:.1f} GB of shared memory are free{hint}")
+
+
+def _free_memory() -> float:
+    """Memory that a drive can have [GB]: also what holds files for now, where the system says how much that is."""
+    with suppress(OSError):
+        for line in _MEMORY.read_text(encoding="ascii").splitlines():
+            if line.startswith("MemAvailable:"):
+                return int(line.split()[1]) * 1024 / 1e9
+    return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 1e9
 
 
 def _for_driving(rig: Rig) -> Iterator[Finding]:

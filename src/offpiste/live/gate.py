@@ -71,7 +71,7 @@ class Gate:
             return "another publisher commands the vehicle"
         if self._enable is None:
             return ""
-        if not 0 <= now - self._pressed_at <= self._enable.timeout:
+        if now - self._pressed_at > self._enable.timeout:
             return "the enable topic is not heard"
         if self._pressed is None:
             return f"the messages of the enable topic have no number '{self._enable.field}'"

@@ -9,6 +9,7 @@ import numpy as np
 
 from offpiste.conventions import DT
 from offpiste.errors import LiveError
+from offpiste.live.backlog import Batch
 from offpiste.live.command_messages import Command, CommandMessages
 from offpiste.live.driver import STEP_NS, Heard, StepDriver
 from offpiste.live.reception import Reception
@@ -24,7 +25,11 @@ READY: Final = "/offpiste/ready"
 END: Final = "/offpiste/end"
 """Topic of a message that ends a lockstep: the log is played."""
 _WAIT: Final = 60.0
-"""Longest time between two messages on /clock [s]."""
+"""Longest time between two messages on /clock, and from the first message to /clock [s]."""
+_BEGINS: Final = 600.0
+"""Longest time until the first message [s]."""
+_HELD: Final = 128 << 20
+"""Size of the images or scans of one topic that are kept for the next step [bytes]."""
 _STILL: Final = 2.0
 """Once the clock has stood still for so long, the stop is sent [s]: a simulator's step may take its time."""
 _LOOK: Final = 0.2
@@ -49,7 +54,7 @@ class Lockstep:
         self._transport, self._driver = transport, driver
         self._received: queue.SimpleQueue[Received] = queue.SimpleQueue()
         self._clocks, self._last, self._commanded = 0, -1, False
-        self._due, self._lock = 0, threading.Lock()
+        self._due, self._lock, self._batch = 0, threading.Lock(), Batch(reception.sensors.measured, _HELD)
         for topic, history in reception.topics.items():
             transport.subscribe(topic, self._received.put, msgtype=reception.type_of(topic), history=history)
         transport.subscribe(CLOCK, self._clock, msgtype="rosgraph_msgs/msg/Clock")
@@ -79,7 +84,7 @@ class Lockstep:
                 time.sleep(DT)
 
     def _run(self, on_step: OnStep, stop: threading.Event, seconds: float) -> None:
-        batch, first, moved = list[Received](), -1, time.monotonic()
+        first, moved = -1, time.monotonic()
         while not stop.is_set():
             try:
                 received = self._received.get(timeout=_LOOK)
@@ -88,16 +93,17 @@ class Lockstep:
             silent = time.monotonic() - moved
             if silent > _STILL and self._commanded:
                 self._send(self._driver.stop)  # the clock stands still, the vehicle may not
-            if received is None:
-                if silent > (_WAIT if self._last >= 0 else 10 * _WAIT):
+            if received is not None and received.topic == END:
+                return
+            if received is None or received.topic != CLOCK:
+                if silent > (_WAIT if self._last >= 0 or self._batch else _BEGINS):
                     if self._last >= 0:
                         return
                     raise LiveError("/clock was not heard", how="start `offpiste play LOG --lockstep`")
-                continue
-            if received.topic == END:
-                return
-            if received.topic != CLOCK:
-                batch.append(received)
+                if received is not None:
+                    if self._last < 0 and not self._batch:
+                        moved = time.monotonic()
+                    self._batch.add(received)
                 continue
             if self._clocks > _BEHIND:
                 how = "let it wait (`offpiste play --lockstep`), or leave out --lockstep"
@@ -109,13 +115,13 @@ class Lockstep:
             if nanoseconds in (-1, self._last):  # a clock that stands still is no step
                 continue
             back = nanoseconds < self._last
-            self._last, moved, first = nanoseconds, time.monotonic(), nanoseconds if first < 0 else first
+            self._last, first = nanoseconds, nanoseconds if first < 0 else first
             if back or nanoseconds >= self._due - _EARLY:  # limits of rate count by steps
                 self._due += STEP_NS
                 if back or nanoseconds >= self._due:
                     self._due = nanoseconds + STEP_NS
-                self._step(batch, nanoseconds, on_step)
-                batch = []
+                self._step(self._batch.taken(), nanoseconds, on_step)
+            moved = time.monotonic()  # however long the step took
             if (nanoseconds - first) / 1e9 >= seconds:
                 return
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from offpiste.errors import LiveError, OffpisteError, RigError
-from offpiste.live.course import course_from_message, course_to, read_course
+from offpiste.live.course import course_from_message, course_to, is_same_course, read_course
 from offpiste.live.sensor_messages import SensorMessages
 from offpiste.live.vehicle_messages import VehicleMessages
 from offpiste.logs.measurements import Cloud, Image
@@ -31,7 +31,7 @@ class CourseRequest:
 
     Attributes:
         file: a table.
-        topic: of nav_msgs/Path; a new one replaces the course.
+        topic: of nav_msgs/Path; another one replaces the course.
         goal: x, y [m].
         speed: where they give none [m/s].
     """
@@ -167,6 +167,8 @@ class Reception:
             return []
         if frame is None:
             self._early = message
+            return []
+        if self.course is not None and is_same_course(course, self.course):  # planners repeat it
             return []
         self.course = course
         return [course]

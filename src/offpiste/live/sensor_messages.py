@@ -1,5 +1,6 @@
 """Cameras and LiDARs of a robot from its first messages, and then its images and scans."""
 
+import threading
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -73,6 +74,7 @@ class SensorMessages:
     Attributes:
         topics: that are needed.
         dropped: number of messages that cannot be used, by sensor and reason.
+        left_out: optional sensors that were not heard until all others were set up, but are now.
     """
 
     def __init__(self, rig: Rig, *, cameras: bool) -> None:
@@ -84,7 +86,14 @@ class SensorMessages:
         self.topics = (*self._of, *infos, *rig.frames.topics)
         self.dropped = Tally()
         self.sensors: Sensors | None = None
+        self.left_out: list[str] = []
         self._why: dict[str, str] = {}
+        self._lock = threading.Lock()  # messages are taken in one thread, and settled in another
+
+    @property
+    def measured(self) -> frozenset[str]:
+        """Topics of images and scans."""
+        return frozenset(self._of)
 
     @property
     def waiting_for(self) -> str:
@@ -106,27 +115,32 @@ class SensorMessages:
 
     def _take(self, topic: str, message: Any, received: float) -> Image | Cloud | None:
         name = self._of.get(topic)
-        if self.sensors is None:
-            self._log.hear(topic, message, is_transforms=topic in self._rig.frames.topics)
-            self._set_up(complete=False)
+        with self._lock:
+            if self.sensors is None:
+                self._log.hear(topic, message, is_transforms=topic in self._rig.frames.topics)
+                self._set_up(complete=False)
         if name is None or self.sensors is None:
             return None
         cameras, lidars = self.sensors
         time = stamp_of(round(received * 1e9), message, self._rig.clock.stamps)
         if name in cameras:
             return self._image(cameras[name], topic, message, time)
-        return self._cloud(lidars[name], message, time) if name in lidars else None
+        if name in lidars:
+            return self._cloud(lidars[name], message, time)
+        if name not in self.left_out:
+            self.left_out.append(name)
+        return None
 
     def settle(self) -> None:
         """Take the sensors that were heard, if all are there but for optional ones (see `waiting_for`)."""
-        if self.sensors is None:
-            self._set_up(complete=True)
+        with self._lock:
+            if self.sensors is None:
+                self._set_up(complete=True)
 
     def _set_up(self, *, complete: bool) -> None:
         """Set up all sensors; with `complete`, those optional ones that were heard."""
         cameras, lidars = dict[str, Camera](), dict[str, Lidar]()
-        transforms = self._log.transforms(())
-        self._why, missing = {}, False
+        transforms, why, missing = self._log.transforms(()), dict[str, str](), False
         for name, entry in self._entries.items():
             if entry.topic not in self._log.last:
                 missing |= not (entry.optional and complete)
@@ -138,10 +152,11 @@ class SensorMessages:
                 else:
                     lidars[name] = lidar_of(self._log, self._rig, name, self._rig.lidars[name], transforms)
             except (LogError, PerceptionError) as error:
-                self._why[name] = str(error)
+                why[name] = str(error)
             except Exception as error:  # noqa: BLE001 - see `take`
-                self._why[name] = f"{name}: its messages are of another kind ({type(error).__name__})"
-        if not missing and not self._why and lidars:
+                why[name] = f"{name}: its messages are of another kind ({type(error).__name__})"
+        self._why = why
+        if not missing and not why and lidars:
             self.sensors = cameras, lidars
 
     def _image(self, camera: Camera, topic: str, message: Any, time: float) -> Image | None:

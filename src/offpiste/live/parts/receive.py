@@ -38,10 +38,9 @@ class Receiver:
         self._small = Backlog(_WAITING, part.dropped)
         self._newest: dict[str, Received] = {}
         self._calibrations: deque[Received] = deque(maxlen=_WAITING)
-        self._stamp, self._first_course, self._heard_at = -1.0, True, np.inf
+        self._stamp, self._heard_at = -1.0, np.inf
         self._lock, self._any, self._handed_over = threading.Lock(), threading.Event(), False
-        measured = {*(c.topic for c in self.rig.cameras.values()), *(one.topic for one in self.rig.lidars.values())}
-        self._measured = measured & set(self.reception.sensors.topics)
+        self._measured = self.reception.sensors.measured
         for topic, history in self.reception.topics.items():
             msgtype = self.reception.type_of(topic)
             self.transport.subscribe(topic, self._deliver, msgtype=msgtype, history=history)
@@ -51,6 +50,14 @@ class Receiver:
             self._course(self.reception.course)
         self._sensing = threading.Thread(target=self._sense, daemon=True)
         self._sensing.start()
+
+    @property
+    def state(self) -> str:
+        """What it waits for, or that it is ready, in words."""
+        if waits := self.reception.waiting_for:
+            return f"waits for {waits}"
+        late = ", ".join(self.reception.sensors.left_out)
+        return f"ready, without {late}: optional, and first heard once the others were set up" if late else "ready"
 
     def _deliver(self, received: Received) -> None:
         """Called in zenoh's thread."""
@@ -94,11 +101,10 @@ class Receiver:
             self.part.hand_on("clock", STAMP.pack(stamp, steady))
 
     def _course(self, course: Course) -> None:
-        """Hand on a course; the first after a restart is mostly the one that is being driven."""
+        """Hand on a course, unless it is the one that is being driven, as mostly after a restart."""
         newest, data = self.part.ring("course").newest(), pack_course(course)
-        if not self._first_course or newest is None or newest.data != data:
+        if newest is None or newest.data != data:
             self.part.hand_on("course", data)
-        self._first_course = False
 
     def check(self) -> None:
         """End what no longer receives or decodes: it is started again.
@@ -141,12 +147,11 @@ def receive(session: Session, *, cameras: bool) -> None:
     while not part.ended:  # control needs readings until the vehicle is at a standstill
         receiver.read()
         receiver.check()
-        waits, routers = receiver.reception.waiting_for, receiver.transport.routers()
-        state = f"waits for {waits}" if waits else "ready"
+        routers = receiver.transport.routers()
         part.dropped.add("connection to the router lost", connected and not routers)
         connected = routers > 0
         part.beat(
-            state if routers else "no router: nothing is heard or sent",
+            receiver.state if routers else "no router: nothing is heard or sent",
             refused=receiver.transport.refused.snapshot(),
             unusable=receiver.reception.vehicle.dropped.snapshot() | receiver.reception.sensors.dropped.snapshot(),
             routers=routers,
