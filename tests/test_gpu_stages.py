@@ -1,9 +1,11 @@
 """Stages of benchmarks/gpu.sh: what fails, takes too long or cannot be run stops nothing behind it, and says why."""
 
 import json
+import os
 import subprocess
 import sys
 import time
+import zipfile
 from argparse import Namespace
 from pathlib import Path
 
@@ -74,3 +76,27 @@ def test_without_a_gpu_it_is_one_line(tmp_path):
     assert done.stdout == ""
     assert done.stderr.startswith("no stage was run: exit code 1: no GPU 'cuda': torch ")
     assert done.stderr.count("\n") == 1
+
+
+def test_wheels_of_a_folder_are_there_for_the_run_alone(tmp_path):
+    wheels, about = tmp_path / "wheels", "only_there-1.0.dist-info"
+    wheels.mkdir()
+    with zipfile.ZipFile(wheels / "only_there-1.0-py3-none-any.whl", "w") as wheel:
+        wheel.writestr("only_there.py", "HERE = 'found'")
+        wheel.writestr(f"{about}/METADATA", "Metadata-Version: 2.1\nName: only_there\nVersion: 1.0\n")
+        wheel.writestr(f"{about}/WHEEL", "Wheel-Version: 1.0\nRoot-Is-Purelib: true\nTag: py3-none-any\n")
+        wheel.writestr(f"{about}/RECORD", "")
+    python = tmp_path / "python"
+    prints = f'exec "{sys.executable}" -c "import only_there; print(only_there.HERE, only_there.__file__)"'
+    python.write_text(f'#!/bin/sh\n[ "$1" = -m ] && exec "{sys.executable}" "$@"\n{prints}\n')
+    python.chmod(0o755)
+
+    def run(**more):
+        given = os.environ | {"PATH": f"{tmp_path}:{os.environ['PATH']}"} | more
+        return subprocess.run(["bash", str(BENCHMARKS / "gpu.sh")], capture_output=True, text=True, env=given)
+
+    found, place = run(WHEELS=str(wheels)).stdout.split()
+    assert found == "found"
+    assert not Path(place).exists()
+    assert run().returncode == 1, "without them"
+    assert run(WHEELS=str(tmp_path / "none")).stdout == "", "nothing is run where they cannot be installed"

@@ -1,0 +1,16 @@
+#!/usr/bin/env bash
+# Wheels for benchmarks/gpu.sh on a computer without network that has torch for CUDA, numpy, numba, scipy and cuda-core.
+#
+#     bash benchmarks/gpu_wheels.sh WHEELS [3.12]
+#
+# Downloads what such an image lacks for its version of Python, and makes a wheel of this checkout.
+set -euo pipefail
+here=$(cd "$(dirname "$0")" && pwd)
+folder=${1:?usage: bash benchmarks/gpu_wheels.sh WHEELS [PYTHON VERSION]}
+platforms=(manylinux_2_28_x86_64 manylinux_2_24_x86_64 manylinux_2_17_x86_64 manylinux2014_x86_64)
+packages=(arm-pytorch-utilities beartype docstring-parser donfig google-crc32c hypothesis lz4 msgspec numcodecs
+  pytorch-mppi pytorch-seed tomlkit typeguard tyro zarr==3.1.6 zstandard)
+mkdir -p "$folder"
+python3 -m pip download --quiet --no-deps --only-binary=:all: --python-version "${2:-3.12}" --implementation cp \
+  "${platforms[@]/#/--platform=}" --dest "$folder" "${packages[@]}"
+python3 -m pip wheel --quiet --no-deps --wheel-dir "$folder" "$here/.."
