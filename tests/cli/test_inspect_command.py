@@ -1,6 +1,8 @@
 """`offpiste inspect` names the command that comes next, and writes rigs to edit."""
 
+import errno
 import json
+import os
 import re
 import shlex
 from pathlib import Path
@@ -9,6 +11,7 @@ import pytest
 from test_draft_tables import POSE, written
 
 from offpiste.cli import main
+from offpiste.cli.entry import of_the_system
 from offpiste.rig.rig import rig_text
 
 
@@ -135,3 +138,32 @@ def test_an_extraction_with_another_rig_gets_another_name(
         run("inspect", log, "--rig", "my.toml")
         proposed.append(shlex.split(capsys.readouterr().out.splitlines()[-1])[-1])
     assert proposed == ["dataset.zarr", "dataset-2.zarr"]
+
+
+def test_findings_are_shown_although_no_rig_can_be_drafted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "no pose.csv"
+    file.write_text("time,a\n" + "".join(f"{0.02 * row:.2f},{row % 7}\n" for row in range(600)))
+    assert run("inspect", str(file), "--write-rig", str(tmp_path / "my.toml")) == 1
+    said = capsys.readouterr()
+    assert "600" in said.out, "the table of topics"
+    assert said.err.startswith("offpiste: ")
+    assert not (tmp_path / "my.toml").exists()
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may read and write everything")
+def test_a_folder_that_may_not_be_written_to_is_one_line(log: str, tmp_path: Path, capsys) -> None:
+    closed = tmp_path / "closed"
+    closed.mkdir(mode=0o555)
+    assert run("inspect", log, "--write-rig", str(closed / "my.toml")) == 1
+    assert re.match(r"offpiste: .*closed.*: cannot be opened: Permission denied; give files", capsys.readouterr().err)
+
+
+def test_errors_of_the_system_that_a_user_can_put_right_are_one_line() -> None:
+    for number, said in (
+        (errno.EACCES, "my.toml: cannot be opened: Permission denied; give files that you may read"),
+        (errno.EROFS, "my.toml: cannot be opened: Read-only file system"),
+        (errno.ENOSPC, "my.toml: cannot be written: No space left on device; make room"),
+        (errno.ENOTDIR, "my.toml: is a file, or lies in one"),
+    ):
+        assert str(of_the_system(OSError(number, os.strerror(number), "my.toml"))).startswith(said)
+    assert of_the_system(OSError(errno.EIO, "no device", "my.toml")) is None

@@ -1,7 +1,9 @@
-"""Lists of images: written and read, and refused in one line."""
+"""Lists of images: written and read, and refused in one line; and the images that a PCA may see."""
 
+import numpy as np
 import pytest
 
+from offpiste.dataset import fit_pca
 from offpiste.dataset.fit_pca import ListedImage, read_image_list, write_image_list
 from offpiste.errors import PerceptionError
 
@@ -30,3 +32,9 @@ def test_what_is_no_list_ends_in_one_line(tmp_path, text, said):
 def test_a_list_that_is_not_there(tmp_path):
     with pytest.raises(PerceptionError, match="no list of images"):
         read_image_list(tmp_path / "list.txt")
+
+
+def test_a_stamp_is_rounded_alike_from_an_array_and_from_an_image():
+    stamps = 1_700_000_000 + np.random.default_rng(0).integers(0, 10**11, 500) * 1e-9
+    assert any(round(stamp, 6) != rounded for stamp, rounded in zip(stamps.tolist(), np.round(stamps, 6), strict=True))
+    assert [fit_pca._moment(stamp) for stamp in stamps] == [round(stamp, 6) for stamp in stamps.tolist()]

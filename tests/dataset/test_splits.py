@@ -106,6 +106,13 @@ def test_a_place_has_one_part_in_every_drive_and_on_every_pass():
     assert (ours[both] == others[both]).all()
 
 
+def test_where_the_place_is_not_known_the_vehicle_is_where_it_was():
+    place = np.array([[np.nan, 0], [10, 10], [10, 10], [np.nan, np.nan], [1010, 10], [np.nan, 10]])
+    held = _place_labels(place[[1, 1, 2, 2, 4, 4]], 50.0)
+    assert _place_labels(place, 50.0).tolist() == held.tolist()
+    assert _place_labels(np.full((3, 2), np.nan), 50.0).tolist() == [0, 0, 0]
+
+
 def test_places_are_drawn_about_70_10_20():
     grid = np.stack(np.meshgrid(np.arange(0, 10000, 100.0), np.arange(-5000, 5000, 100.0)), axis=-1).reshape(-1, 2)
     share = np.bincount(_place_labels(grid, 50.0), minlength=3) / len(grid)

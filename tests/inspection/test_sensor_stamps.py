@@ -28,6 +28,16 @@ def test_even_stamps_are_right(tmp_path):
     assert stamped(tmp_path) == []
 
 
+def test_images_of_one_stamp_are_no_copies(tmp_path):
+    times = np.arange(0.2, 20.0, 0.5).tolist()
+    messages = [(t + 0.05, "/points", cloud(t)) for t in times]
+    messages += [(t + 0.05, "/image", compressed(np.floor(t), IMAGE)) for t in times]
+    path = record(tmp_path / "seconds.mcap", messages + FIXED, until=20.0)
+    (found,) = [f for f in check_sensor_stamps(open_log(path), opened(path)) if f.what == "stamps repeat"]
+    assert found.severity == "warning"
+    assert "copies" not in found.remedy
+
+
 def test_a_camera_that_stops_early(tmp_path):
     assert stamped(tmp_path, last=15.0) == [("note", "/image", "starts late or stops early")]
     assert stamped(tmp_path, last=8.0) == [("warning", "/image", "starts late or stops early")]

@@ -44,6 +44,13 @@ def test_mistakes_are_named_in_one_line(case):
     assert "\n" not in str(error.value)
 
 
+def test_times_since_1970_are_of_a_clock_that_arrivals_are_not_of():
+    text = RIG + LIDAR + 'time_field = "t"\ntime_origin = "epoch"\n'
+    assert parse_rig(text, where="mine.toml").lidars["top"].time_origin == "epoch"
+    with pytest.raises(RigError, match=r'lidars\.top\.time_origin is "epoch" and clock\.stamps is "receive"'):
+        parse_rig(text + '[clock]\nstamps = "receive"\n', where="mine.toml")
+
+
 def test_defaults_are_those_of_ros():
     rig = parse_rig(RIG + CAMERA + LIDAR, where="test")
     assert (rig.frames.body, rig.frames.topics) == ("base_link", ("/tf_static",))

@@ -59,6 +59,7 @@ file cannot claim to hold gigabytes, and NumPy's products are too small for thre
 
 _NO_ROOM: Final = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _NO_FOLDER: Final = {errno.EEXIST, errno.ENOTDIR}
+_NOT_ALLOWED: Final = {errno.EACCES, errno.EPERM, errno.EROFS}
 _MAKE_ROOM: Final = "make room on the disk and run it again; what was finished is kept"
 
 
@@ -66,6 +67,19 @@ def commands_in_order() -> dict[str, Callable[..., Command]]:
     """All commands by name, those of `PIPELINE` first."""
     order = {name: number for number, name in enumerate(PIPELINE)}
     return dict(sorted(COMMANDS.items(), key=lambda named: order.get(named[0], len(order))))
+
+
+def of_the_system(error: OSError) -> OffpisteError | None:
+    """An error of the operating system that a user can put right; None for others."""
+    where = error.filename or "a file"
+    if error.errno in _NO_FOLDER:
+        return OffpisteError("is a file, or lies in one", where=where, how="give a folder as --out")
+    if error.errno in _NO_ROOM:
+        return OffpisteError(f"cannot be written: {error.strerror}", where=where, how=_MAKE_ROOM)
+    if error.errno in _NOT_ALLOWED:
+        how = "give files that you may read, and folders that you may write to"
+        return OffpisteError(f"cannot be opened: {error.strerror}", where=where, how=how)
+    return None
 
 
 def _no_command(word: str, commands: Sequence[str]) -> OffpisteError:
@@ -124,12 +138,8 @@ def main(arguments: list[str] | None = None) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
     except OSError as error:
-        if debug or error.errno not in _NO_ROOM | _NO_FOLDER:
+        said = of_the_system(error)
+        if debug or said is None:
             raise
-        if error.errno in _NO_FOLDER:
-            what = OffpisteError("is a file, or lies in one", where=error.filename, how="give a folder as --out")
-            print(f"offpiste: {what}", file=sys.stderr)  # noqa: T201
-            sys.exit(1)
-        full = OffpisteError(f"cannot be written: {error.strerror}", where=error.filename or "a file", how=_MAKE_ROOM)
-        print(f"offpiste: {full}", file=sys.stderr)  # noqa: T201
+        print(f"offpiste: {said}", file=sys.stderr)  # noqa: T201
         sys.exit(1)

@@ -75,8 +75,8 @@ class Inspect:
         with brought(path) as here:
             log = open_log(here, clock=rig.clock if rig else Clock(column=self.time))
             inspection = replace(inspect_log(log, rig, sensors=True), log=path)
+            show(dumps(inspection.as_dict(), indent=2) if self.json else render(inspection))
             text = rig_text(self.rig) if self.rig else draft_rig(log) if self.write_rig else ""
-        show(dumps(inspection.as_dict(), indent=2) if self.json else render(inspection))
         if self.write_rig:
             write_rig(edited_text(text, inspection.cure), self.write_rig)
             lacking = [] if self.rig else missing(text)

@@ -205,6 +205,11 @@ def _text(arrays: dict[str, np.ndarray | int]) -> str:
     return base64.b64encode(save({name: np.asarray(values) for name, values in arrays.items()})).decode()
 
 
+def _moment(stamp: float) -> float:
+    """A stamp as lists of images hold it [s]; NumPy's own rounding is another one, of every eighth stamp."""
+    return round(float(stamp), 6)
+
+
 def _find_images(job: Job, report: Report) -> str:
     with brought(job.log) as path:
         log = open_log(path, clock=job.rig.clock)
@@ -213,7 +218,7 @@ def _find_images(job: Job, report: Report) -> str:
         rows = extract_rows(drive_from_log(log, job.rig))
         training = job.split.label(drive_name(path), rows.state[:, :2] + rows.origin) == 0
         found = [
-            (list(job.rig.cameras).index(image.camera), round(image.time, 6), image_statistics(image.pixels))
+            (list(job.rig.cameras).index(image.camera), _moment(image.time), image_statistics(image.pixels))
             for image in _spaced_images(sensors, rows, training, job.spacing, report)
         ]
     camera, time, statistics = (np.array([one[part] for one in found]) for part in range(3))
@@ -227,10 +232,10 @@ def _spaced_images(
         stamps = np.sort(sensors.stamps(camera))
         stamps = stamps[_in_training(stamps, rows, training)]
         kept = keyframes_by_travel(sensors.poses.at(stamps)[:, :3, 3], spacing)
-        times = set(np.round(stamps[kept], 6))
+        times = {_moment(stamp) for stamp in stamps[kept]}
         for image in sensors.stream([camera]):
             report((done + _share(image.time, sensors)) / len(sensors.cameras))
-            if isinstance(image, Image) and round(image.time, 6) in times:
+            if isinstance(image, Image) and _moment(image.time) in times:
                 yield image
 
 
@@ -262,7 +267,7 @@ def _moments(log: SensorLog, backbone: Backbone, times: frozenset[tuple[str, flo
             return np.asarray(backbone(pixels[None])[0].cpu().numpy())
 
     def wanted(image: Image) -> bool:
-        return (image.camera, round(image.time, 6)) in times
+        return (image.camera, _moment(image.time)) in times
 
     for moment in replay(log, cameras, extract, 0, wanted=wanted):
         report(_share(moment.time, log))

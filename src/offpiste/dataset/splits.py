@@ -166,8 +166,15 @@ def _fold_labels(rows: int, number: int, total: int) -> Int[np.ndarray, " N"]:
 
 
 def _place_labels(position: Float[np.ndarray, "N 2"], cell: float) -> Int[np.ndarray, " N"]:
-    """A square's part follows from its place alone, so that every drive agrees (the hash of Teschner et al. 2003)."""
-    square = np.floor(position / cell).astype(np.int64)
+    """A square's part follows from its place alone, so that every drive agrees (the hash of Teschner et al. 2003).
+
+    Where the place is not known, the vehicle counts as where it was known last, or first.
+    """
+    known = np.isfinite(position).all(axis=1)
+    if not known.any():
+        return np.zeros(len(position), dtype=np.int8)
+    last = np.maximum.accumulate(np.where(known, np.arange(len(known)), np.argmax(known)))
+    square = np.floor(position[last] / cell).astype(np.int64)
     hashed = (square[:, 0] * 73856093 ^ square[:, 1] * 19349663) % 1000
     return np.searchsorted([700, 800], hashed, side="right").astype(np.int8)
 

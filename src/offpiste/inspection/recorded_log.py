@@ -66,9 +66,12 @@ class RememberedLog(Log):
         return self._opened
 
     def by(self, clock: Clock) -> "RememberedLog":
-        """The same samples, their stamps in the unit of another clock where the format has no unit of its own."""
+        """The same samples, their stamps in the unit of another clock where the format has no unit of its own.
+
+        A clock that names neither column nor unit leaves the unit to the log, as on opening it.
+        """
         other = copy(self)
-        if self._log.has_clock_unit:
+        if self._log.has_clock_unit and (clock.column or clock.unit != Clock().unit):
             other._per_stamp = SECONDS[clock.unit] / SECONDS[self._opened.unit]
         return other
 
@@ -99,20 +102,23 @@ class RememberedLog(Log):
     def _read(self, topic: Topic, fields: Sequence[str], stamps: str) -> Samples:
         quantities = self.quantities(topic)
         if not set(fields) <= set(quantities):
-            return _of_usable_size(self._log.read(topic.name, fields, stamps=stamps))
+            return self._in_unit(_of_usable_size(self._log.read(topic.name, fields, stamps=stamps)))
         key = (topic.name, stamps)
         if key not in self._samples:
             try:
                 self._samples[key] = _of_usable_size(self._log.read(topic.name, quantities, stamps=stamps))
             except LogError:
                 # One field that cannot be read must not hide the others.
-                return _of_usable_size(self._log.read(topic.name, fields, stamps=stamps))
+                return self._in_unit(_of_usable_size(self._log.read(topic.name, fields, stamps=stamps)))
         samples = self._samples[key]
         values = samples.values.view()
         values.flags.writeable = False
         if tuple(fields) != tuple(quantities):
             values = values[:, [quantities.index(f) for f in fields]]
-        return Samples(samples.time * self._per_stamp, values)
+        return self._in_unit(Samples(samples.time, values))
+
+    def _in_unit(self, samples: Samples) -> Samples:
+        return Samples(samples.time * self._per_stamp, samples.values)
 
 
 def _of_usable_size(samples: Samples) -> Samples:

@@ -220,7 +220,12 @@ def _order(where: str, topic: Recorded, seen: Timing, origin: float, clock: Cloc
 
 
 def _are_copies(topic: Recorded) -> bool:
-    """Whether samples with equal stamps hold equal values: another clock would only tear them apart."""
+    """Whether samples with equal stamps hold equal values: another clock would only tear them apart.
+
+    Images and clouds are not compared: they are taken for different ones.
+    """
+    if not topic.values.shape[1]:
+        return False
     again = np.flatnonzero(np.diff(topic.time) == 0)
     return np.array_equal(topic.values[again], topic.values[again + 1], equal_nan=True)
 

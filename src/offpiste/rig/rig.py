@@ -211,4 +211,8 @@ def check_rig(rig: Rig) -> None:
             raise RigError(f"{key} is {number}", how="give a number above zero")
     check_vehicle(rig.vehicle, steers="steer" in rig.channels)
     check_sensors(rig.cameras, rig.lidars)
+    epoch = next((name for name, lidar in rig.lidars.items() if lidar.time_field and lidar.time_origin == "epoch"), "")
+    if epoch and rig.clock.stamps == "receive":
+        how = "the points' times are of the LiDAR's clock: use clock.stamps = \"header\", or leave out time_field"
+        raise RigError(f'lidars.{epoch}.time_origin is "epoch" and clock.stamps is "receive"', how=how)
     check_outputs(rig.outputs, rig.live, rig.vehicle.max_steer)

@@ -38,6 +38,8 @@ def test_every_value_says_where_it_comes_from():
         ("track = 1.32", "trakc = 1.32", "trakc"),
         ("track = 1.32", "", "track"),
         ("track = 1.32", "track = ", "not TOML"),
+        ("mass = 1150.0", "mass = 60.0", "mass is 60 kg, and its four wheels are"),
+        ("yaw_inertia = 950.0", "yaw_inertia = 1950.0", "yaw_inertia is 1950, more than the other two together"),
     ],
 )
 def test_errors_name_the_key(tmp_path, old, new, said):

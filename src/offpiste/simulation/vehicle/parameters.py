@@ -153,7 +153,7 @@ def load_vehicle(path: str | Path | None = None) -> VehicleParameters:
     """
     file = resources.files("offpiste.simulation.vehicle") / "side_by_side.toml" if path is None else Path(path)
     try:
-        return msgspec.convert(tomllib.loads(file.read_text(encoding="utf-8")), VehicleParameters)
+        vehicle = msgspec.convert(tomllib.loads(file.read_text(encoding="utf-8")), VehicleParameters)
     except OSError as error:
         raise VehicleError(f"cannot read the vehicle: {error.strerror}", where=str(file)) from error
     except tomllib.TOMLDecodeError as error:
@@ -161,3 +161,12 @@ def load_vehicle(path: str | Path | None = None) -> VehicleParameters:
     except msgspec.ValidationError as error:
         how = "compare with offpiste/simulation/vehicle/side_by_side.toml"
         raise VehicleError(f"{error}".replace("$.", ""), where=str(file), how=how) from error
+    if vehicle.sprung_mass <= 0:
+        what = f"mass is {vehicle.mass:g} kg, and its four wheels are {4 * vehicle.unsprung_mass:g}"
+        raise VehicleError(what, where=str(file), how="give mass of the whole vehicle, and unsprung_mass of one wheel")
+    moments = {key: getattr(vehicle, key) for key in ("roll_inertia", "pitch_inertia", "yaw_inertia")}
+    largest = max(moments, key=lambda key: moments[key])
+    if 2 * moments[largest] > sum(moments.values()):
+        what = f"{largest} is {moments[largest]:g}, more than the other two together: no body has that"
+        raise VehicleError(what, where=str(file), how="give moments of inertia about the centre of mass [kg m^2]")
+    return vehicle
