@@ -12,6 +12,7 @@ from offpiste.errors import PlanningError
 from offpiste.planning.costs.layers import Hazards
 from offpiste.planning.course import Course
 from offpiste.runtime.backing_out import BackingOut, BackingOutSettings
+from offpiste.runtime.prediction import reachable
 from runtime.stream import Held, straight_drive
 
 SETTINGS = BackingOutSettings(after=3.0, distance=4.0, longest=6.0, attempts=2)
@@ -326,7 +327,7 @@ def test_a_place_counts_of_which_there_is_no_map_at_the_moment_it_is_found_stuck
     changed = BackingOutSettings(after=0.6, longest=0.6, attempts=1)
     stream = straight_drive(dynamics=geared(), stream={"truth": Wall()}, backing_out=changed)
     maker = stream.runtime._maker
-    update, reachable, found = maker._backing_out.update, maker._reachable, []
+    update, found = maker._backing_out.update, []
 
     def noticed(*given, **named):
         found.append(update(*given, **named))
@@ -337,7 +338,7 @@ def test_a_place_counts_of_which_there_is_no_map_at_the_moment_it_is_found_stuck
         return replace(layers, known=np.zeros_like(layers.known)) if found[-1] else layers
 
     monkeypatch.setattr(maker._backing_out, "update", noticed)
-    monkeypatch.setattr(maker, "_reachable", empty_then)
+    monkeypatch.setattr("offpiste.runtime.plan_maker.reachable", empty_then)
     stream.run(4.0)
     assert any(found)
     assert stream.modes()[-1] == ("stopped", "stuck")
