@@ -11,7 +11,7 @@ import pytest
 from test_draft_tables import POSE, written
 
 from offpiste.cli import main
-from offpiste.cli.entry import of_the_system
+from offpiste.cli.entry import user_error_of
 from offpiste.rig.rig import rig_text
 
 
@@ -158,12 +158,12 @@ def test_a_folder_that_may_not_be_written_to_is_one_line(log: str, tmp_path: Pat
     assert re.match(r"offpiste: .*closed.*: cannot be opened: Permission denied; give files", capsys.readouterr().err)
 
 
-def test_errors_of_the_system_that_a_user_can_put_right_are_one_line() -> None:
+def test_errors_user_error_of_that_a_user_can_put_right_are_one_line() -> None:
     for number, said in (
         (errno.EACCES, "my.toml: cannot be opened: Permission denied; give files that you may read"),
         (errno.EROFS, "my.toml: cannot be opened: Read-only file system"),
         (errno.ENOSPC, "my.toml: cannot be written: No space left on device; make room"),
         (errno.ENOTDIR, "my.toml: is a file, or lies in one"),
     ):
-        assert str(of_the_system(OSError(number, os.strerror(number), "my.toml"))).startswith(said)
-    assert of_the_system(OSError(errno.EIO, "no device", "my.toml")) is None
+        assert str(user_error_of(OSError(number, os.strerror(number), "my.toml"))).startswith(said)
+    assert user_error_of(OSError(errno.EIO, "no device", "my.toml")) is None

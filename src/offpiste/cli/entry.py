@@ -69,7 +69,7 @@ def commands_in_order() -> dict[str, Callable[..., Command]]:
     return dict(sorted(COMMANDS.items(), key=lambda named: order.get(named[0], len(order))))
 
 
-def of_the_system(error: OSError) -> OffpisteError | None:
+def user_error_of(error: OSError) -> OffpisteError | None:
     """An error of the operating system that a user can put right; None for others."""
     where = error.filename or "a file"
     if error.errno in _NO_FOLDER:
@@ -138,7 +138,7 @@ def main(arguments: list[str] | None = None) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
     except OSError as error:
-        said = of_the_system(error)
+        said = user_error_of(error)
         if debug or said is None:
             raise
         print(f"offpiste: {said}", file=sys.stderr)  # noqa: T201

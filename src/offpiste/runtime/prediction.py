@@ -76,7 +76,7 @@ def reachable(
     """The part of the map that a plan can reach.
 
     Args:
-        state: in the world frame.
+        state: x, y [m], yaw [rad], vx, vy [m/s], yaw rate [rad/s], in the world frame.
         target: speed of the course [m/s]; a faster vehicle reaches further.
         gear: of the plan: 1 forward, -1 reverse.
         margin: so much further on all sides [m].
@@ -97,8 +97,9 @@ def coded_area(layers: TerrainLayers, encoder: FeatureEncoder | None, ground: Kn
         bare = replace(layers, features=layers.features[..., :0])
         stack = stack_maps([bare.terrain_map()])
         return Area(bare, stack, (stack.features[0], torch.zeros(0)))
-    held = torch.from_numpy(np.ascontiguousarray(layers.features, np.float32))
-    if ground is not None:
+    if ground is None:
+        held = torch.from_numpy(np.ascontiguousarray(layers.features, np.float32))
+    else:
         held = encoder(*_known(layers, ground)).detach().unflatten(0, layers.known.shape)
     codes, missing = coded_map(held, encoder)
     coded = replace(layers, features=codes.numpy())

@@ -72,7 +72,7 @@ def check_kernels(kernels: Kernels, dynamics: Dynamics, device: torch.device) ->
     Raises:
         OffpisteError: they differ.
     """
-    dynamics = _stirred(dynamics)
+    dynamics = _with_other_weights(dynamics)
     model_state, controls, terrain = _random(dynamics, device, batch=65, steps=10)
     parts, _ = kernel_parts(dynamics)
     networks = () if parts.compensator is None else parts.compensator.parameters()
@@ -98,13 +98,13 @@ def check_kernels(kernels: Kernels, dynamics: Dynamics, device: torch.device) ->
         raise OffpisteError(what, how="use --device cpu, and report GPU, driver and this line")
 
 
-def _stirred(dynamics: Dynamics) -> Dynamics:
+def _with_other_weights(dynamics: Dynamics) -> Dynamics:
     """The model with other weights: before training most gradients are zero, since the last layer is."""
-    stirred, draw = deepcopy(dynamics), torch.Generator().manual_seed(1)
-    networks = kernel_parts(stirred)[0].compensator
+    other, draw = deepcopy(dynamics), torch.Generator().manual_seed(1)
+    networks = kernel_parts(other)[0].compensator
     for weights in () if networks is None else networks.parameters():
         weights.data += 0.2 * torch.randn(weights.shape, generator=draw).to(weights.device)
-    return stirred
+    return other
 
 
 def _random(dynamics: Dynamics, device: torch.device, batch: int, steps: int) -> tuple[ModelState, Tensor, Terrain]:

@@ -16,8 +16,8 @@ from offpiste.runtime.prediction import reachable
 
 _SPARE = 4.0
 """The map reaches so much further than a plan from where the vehicle was when it was made [m]."""
-_STROLL = 3.0
-"""How fast plans may be before there is a course, which only shows the map [m/s]."""
+_WITHOUT_COURSE = 3.0
+"""Speed for whose plans the map is cut before there is a course, when it is only shown [m/s]."""
 
 
 def map_ground(session: Session) -> None:
@@ -34,7 +34,7 @@ def map_ground(session: Session) -> None:
     mapper.dropped = part.dropped
     keep_loaded()
     scan_number, code_number, took = part.ring("scans").written, part.ring("codes").written, 0.0
-    course, fastest = NewestCourse(part), _STROLL
+    course, fastest = NewestCourse(part), _WITHOUT_COURSE
     while not part.ending:
         if (tracker := course.changed()) is not None:
             fastest = tracker.fastest
@@ -68,7 +68,11 @@ def map_ground(session: Session) -> None:
 
 
 def _within_reach(layers: TerrainLayers, track: VehicleTrack, part: Part, fastest: float) -> TerrainLayers:
-    """What plans can reach until the next map comes."""
+    """What plans can reach until the next map comes.
+
+    Args:
+        fastest: speed of the course [m/s].
+    """
     latest = track.latest
     assert latest is not None
     state, gear = track.rows(latest.time).state[-1], last_command(part).get("gear", 1.0)
