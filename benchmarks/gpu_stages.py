@@ -76,10 +76,14 @@ def tool(name: str) -> str:
 
 
 def checked_accesses(folder: Path, given: argparse.Namespace) -> list[str]:
-    """A small run in which each array is an allocation of its own, so that memcheck knows where it ends."""
+    """A small run in which each array is an allocation of its own, so that memcheck knows where it ends.
+
+    Calls that fail do not count: cuda-core asks a driver for functions of later versions, and copes without them.
+    """
     out = str(folder / "memcheck.json")
     small = [sys.executable, str(HERE / "gpu.py"), "plans", "training", "--small", "--device", given.device]
-    return [tool("compute-sanitizer"), "--tool", "memcheck", "--error-exitcode", "1", *small, "--out", out]
+    memcheck = [tool("compute-sanitizer"), "--tool", "memcheck", "--report-api-errors", "no", "--error-exitcode", "1"]
+    return [*memcheck, *small, "--out", out]
 
 
 def tests(folder: Path, given: argparse.Namespace) -> list[str]:

@@ -104,7 +104,7 @@ def _with_other_weights(dynamics: Dynamics) -> Dynamics:
     networks = kernel_parts(other)[0].compensator
     for weights in () if networks is None else networks.parameters():
         weights.data += 0.2 * torch.randn(weights.shape, generator=draw).to(weights.device)
-    return other
+    return other.to(next(other.parameters()).device)  # cuDNN wants an LSTM's weights in one piece, which copies are not
 
 
 def _random(dynamics: Dynamics, device: torch.device, batch: int, steps: int) -> tuple[ModelState, Tensor, Terrain]:
