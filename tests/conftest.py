@@ -1,8 +1,9 @@
-"""Shared by all tests; shapes and types of offpiste's functions are checked while they run."""
+"""Shared by all tests; modules that declare shapes have shapes and types checked while they run."""
 
 import os
 import pathlib
 import tempfile
+from collections.abc import Iterator
 
 if "PYTEST_XDIST_WORKER" in os.environ:  # each worker has a core; libraries read this when they are first imported
     os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -11,9 +12,13 @@ if "PYTEST_XDIST_WORKER" in os.environ:  # each worker has a core; libraries rea
 os.environ.setdefault("NUMBA_CACHE_DIR", str(pathlib.Path(__file__).parents[1] / ".numba_cache"))
 os.environ["OFFPISTE_CACHE"] = (_shared := tempfile.TemporaryDirectory(prefix="offpiste-cache-")).name
 
-from jaxtyping import install_import_hook
+import jaxtyping
 
-install_import_hook("offpiste", "beartype.beartype")
+_package = pathlib.Path(__file__).parents[1] / "src" / "offpiste"
+_shaped = [file for file in _package.rglob("*.py") if "from jaxtyping import" in file.read_text("utf-8")]
+jaxtyping.install_import_hook(
+    [".".join(file.relative_to(_package.parent).with_suffix("").parts) for file in _shaped], "beartype.beartype"
+)
 
 from pathlib import Path  # noqa: E402
 
@@ -23,6 +28,29 @@ from hypothesis import settings  # noqa: E402
 # The suite gives the same answer every time; `--hypothesis-profile=default` looks for new counterexamples.
 settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.load_profile("repeatable")
+
+
+WHOLE_PATHS = (
+    "closed_loop", "demo", "evidence", "experiments", "golden", "inspection", "reproduction", "runtime",
+    "simulation/test_recorder.py",
+)  # fmt: skip
+"""Tests that run without checks of shapes, as users do: the parts have tests with them, and they take up to half of
+the time."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def shapes_checked(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Check shapes and types, but for tests of whole paths."""
+    where = request.path.relative_to(Path(__file__).parent).as_posix()
+    before = jaxtyping.config.jaxtyping_disable
+    jaxtyping.config.update("jaxtyping_disable", before or where.startswith(WHOLE_PATHS))
+    yield
+    jaxtyping.config.update("jaxtyping_disable", before)
+
+
+def pytest_xdist_auto_num_workers() -> int:
+    """One more than cores: tests of processes wait for them most of the time."""
+    return len(os.sched_getaffinity(0)) + 1
 
 
 @pytest.fixture(scope="session")

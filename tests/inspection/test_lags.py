@@ -53,6 +53,31 @@ def test_glitches_hardly_move_it() -> None:
     assert abs(fit.delay(fit.best())[0]) < 0.02
 
 
+def test_each_block_is_left_out_as_if_it_had_not_been_driven() -> None:
+    random = np.random.default_rng(4)
+    source, base = _wave(random, 1000), random.standard_normal((1000, 2))
+    source[200:300] *= 30  # a block that outweighs all others
+    target = source + base @ [0.3, -0.2] + 0.1 * random.standard_normal(1000)
+    rows = np.arange(1000) >= 40
+    fit = fit_lags(target, base, _lagged(source), LAGS, rows)
+    assert fit is not None
+    assert fit.left_out.shape == (10, len(LAGS))
+    for block in range(10):
+        other = fit_lags(target, base, _lagged(source), LAGS, rows & (np.arange(1000) // 100 != block))
+        assert other is not None
+        np.testing.assert_allclose(fit.left_out[block], other.r, atol=1e-3)  # glitches are weighed anew
+        np.testing.assert_allclose(fit.gain_left_out[block], other.gain, atol=2e-3)
+
+
+def test_a_block_without_which_nothing_varies_is_not_left_out() -> None:
+    random = np.random.default_rng(4)
+    source = np.where(np.arange(1000) // 100 == 5, 1e4 * random.standard_normal(1000), 0.0)
+    rows = np.abs(np.arange(1000) - 550) < 400
+    fit = fit_lags(source, np.zeros((1000, 0)), source[None], np.zeros(1), rows)
+    assert fit is not None
+    assert len(fit.left_out) == 8
+
+
 def test_the_jackknife_of_a_mean_is_its_standard_error() -> None:
     values = np.random.default_rng(2).standard_normal(50)
     left_out = (values.sum() - values) / 49

@@ -4,12 +4,12 @@ A vehicle follows its controls: motion up to half a second after steering is a r
 stamp. Uncertainties are those of a jackknife over blocks of driving, since neighbouring samples are not independent.
 """
 
-from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from offpiste.inspection.findings import Finding
 from offpiste.logs.channel import Channel
@@ -117,78 +117,82 @@ def fit_lags(
     use = rows & np.isfinite(target) & np.isfinite(base).all(axis=1) & np.isfinite(lagged).all(axis=0)
     if use.sum() < 40:
         return None
-    y, known = target[use], base[use]
-    block = np.flatnonzero(use) // round(_BLOCK / step)
-    starts = np.flatnonzero(np.diff(block, prepend=-1))
+    y, known, columns = target[use], base[use], np.flatnonzero(use)
+    starts = np.flatnonzero(np.diff(columns // round(_BLOCK / step), prepend=-1))
     weight = np.ones(len(y))
     # Glitches must not decide: rows far off the best explanation weigh less, in two steps.
     for last in (False, False, True):
-        # One lag at a time: all of them at once would be most of the memory that a long log takes.
-        sums = _Sums.of(known, (row[use] for row in lagged), y, weight, starts)
-        solved = sums.solve()
-        if solved is None:
+        sums = _Sums.of(known, lagged, y, weight, columns, starts)
+        r, gain, varies = sums.whole().solve()
+        if not varies:
             return None
-        r, gain = solved
         if last:
             break
         residual = _residual(known, lagged[np.abs(r).argmax()][use], y, weight)
         scale = max(1.4826 * float(np.median(np.abs(residual))), 1e-12)
         weight = np.minimum(1.0, _OUTLIER * scale / np.maximum(np.abs(residual), 1e-12)) ** 2
-    without = [sums.without(i).solve() for i in range(len(starts))] if len(starts) > 1 else []
-    rest = [pair for pair in without if pair is not None]
-    left_out, gain_left_out = (np.array([pair[i] for pair in rest]).reshape(-1, len(lags)) for i in (0, 1))
-    return LagFit(lags, r, gain, int(use.sum()), left_out, gain_left_out)
+    left_out, gain_left_out, varies = sums.without_each().solve()
+    varies &= len(starts) > 1
+    return LagFit(lags, r, gain, int(use.sum()), left_out[varies], gain_left_out[varies])
 
 
 @dataclass(frozen=True)
 class _Sums:
-    """Sums of products by block: of the base with itself and the target, of each lag with all of them."""
+    """Sums of products, of blocks or of all of them: base with itself and the target, each lag with all of them."""
 
-    base: Float[np.ndarray, "B b b"]
-    target: Float[np.ndarray, "B b"]
-    power: Float[np.ndarray, " B"]
-    crossed: Float[np.ndarray, "B L b"]
-    product: Float[np.ndarray, "B L"]
-    spread: Float[np.ndarray, "B L"]
+    base: Float[np.ndarray, "*B b b"]
+    target: Float[np.ndarray, "*B b"]
+    power: Float[np.ndarray, "*B"]
+    crossed: Float[np.ndarray, "*B L b"]
+    product: Float[np.ndarray, "*B L"]
+    spread: Float[np.ndarray, "*B L"]
 
     @classmethod
     def of(
-        cls, base: np.ndarray, lagged: Iterable[np.ndarray], y: np.ndarray, weight: np.ndarray, starts: np.ndarray
+        cls,
+        base: Float[np.ndarray, "n b"],
+        lagged: Float[np.ndarray, "L N"],
+        y: Float[np.ndarray, " n"],
+        weight: Float[np.ndarray, " n"],
+        columns: Int[np.ndarray, " n"],
+        starts: Int[np.ndarray, " B"],
     ) -> "_Sums":
-        weighed = base * weight[:, None]
+        """Of each block; `columns` are those of `lagged` that are used, `starts` the first one of each block."""
+        sums = []
+        # Block by block: all at once would be most of the memory that a long log takes.
+        for block in (slice(*ends) for ends in pairwise((*starts, len(y)))):
+            part, weighed = lagged[:, columns[block]], base[block] * weight[block, None]
+            target = weight[block] * y[block]
+            power = np.asarray(target @ y[block])
+            of_lags = part @ weighed, part @ target, part**2 @ weight[block]
+            sums.append((weighed.T @ base[block], weighed.T @ y[block], power, *of_lags))
+        return cls(*(np.stack(each) for each in zip(*sums, strict=True)))
 
-        def by_block(rows: np.ndarray) -> np.ndarray:
-            return np.asarray(np.add.reduceat(rows, starts, axis=-1))
+    def whole(self) -> "_Sums":
+        """Of all blocks."""
+        return _Sums(*(np.asarray(part.sum(axis=0)) for part in vars(self).values()))
 
-        sums = [(by_block(weighed.T * x).T, by_block(x * (weight * y)), by_block(x * x * weight)) for x in lagged]
-        crossed, product, spread = (np.stack(part, axis=1) for part in zip(*sums, strict=True))
-        return cls(
-            np.moveaxis(by_block(np.einsum("nb,nc->bcn", weighed, base)), -1, 0),
-            by_block((weighed * y[:, None]).T).T,
-            by_block(weight * y * y),
-            crossed,
-            product,
-            spread,
-        )
+    def without_each(self) -> "_Sums":
+        """Of all blocks but one, for each."""
+        return _Sums(*map(_without_each, vars(self).values()))
 
-    def without(self, block: int) -> "_Sums":
-        keep = np.arange(len(self.power)) != block
-        return _Sums(
-            *(part[keep] for part in (self.base, self.target, self.power, self.crossed, self.product, self.spread))
-        )
+    def solve(self) -> tuple[Float[np.ndarray, "*B L"], Float[np.ndarray, "*B L"], Bool[np.ndarray, "*B"]]:
+        """Partial correlation and gain at each lag, and whether anything varies; elsewhere they say nothing."""
+        inverse = np.linalg.pinv(self.base)
+        projected = self.crossed @ inverse
+        product = self.product - np.einsum("...Lb,...b->...L", projected, self.target)
+        spread = self.spread - np.einsum("...Lb,...Lb->...L", projected, self.crossed)
+        power = self.power - np.einsum("...b,...bc,...c->...", self.target, inverse, self.target)
+        varies = np.asarray((power > 1e-12) & (spread > 1e-12).all(axis=-1))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return product / np.sqrt(spread * power[..., None]), product / spread, varies
 
-    def solve(self) -> tuple[Float[np.ndarray, " L"], Float[np.ndarray, " L"]] | None:
-        """Partial correlation and gain at each lag; None where nothing varies."""
-        normal, target = self.base.sum(axis=0), self.target.sum(axis=0)
-        inverse = np.linalg.pinv(normal)
-        crossed = self.crossed.sum(axis=0)
-        projected = crossed @ inverse
-        product = self.product.sum(axis=0) - projected @ target
-        spread = self.spread.sum(axis=0) - np.einsum("Lb,Lb->L", projected, crossed)
-        power = float(self.power.sum() - target @ inverse @ target)
-        if power <= 1e-12 or not (spread > 1e-12).all():
-            return None
-        return product / np.sqrt(spread * power), product / spread
+
+def _without_each(part: Float[np.ndarray, "B ..."]) -> Float[np.ndarray, "B ..."]:
+    """Sums over all but one, for each; a difference from the sum of all would leave its rounding where all are zero."""
+    none = np.zeros_like(part[:1])
+    before = np.concatenate((none, part[:-1].cumsum(axis=0)))
+    return before + np.concatenate((part[:0:-1].cumsum(axis=0)[::-1], none))
 
 
 def _residual(base: np.ndarray, x: np.ndarray, y: np.ndarray, weight: np.ndarray) -> Float[np.ndarray, " n"]:
