@@ -72,6 +72,21 @@ def test_a_steering_rate_is_derived_from_the_angle():
     assert parse_rig(WITH_ANGLE, where="").present_actuators == ("steer", "steer_rate")
 
 
+@pytest.mark.parametrize("up", [15.0, -3.0])
+def test_no_slope_is_fitted_across_a_jump_of_the_pose(up):
+    log = straight_log(grade=0.2)
+    time, pose = log.data["odometry"]
+    pose["z"] = pose["z"] + up * (time > 10)
+    rows = extract_rows(drive_from_log(log, small_rig()))
+    wanted = np.array([-0.2 * np.sqrt(0.5), -0.2 * np.sqrt(0.5), 1]) / np.hypot(0.2, 1)
+    assert rows.valid.sum() > 900
+    np.testing.assert_allclose(rows.normal[0, rows.valid, 0], np.tile(wanted, (rows.valid.sum(), 1)), atol=5e-3)
+    steep = np.hypot(rows.normal_causal[:, 0], rows.normal_causal[:, 1]) > 0.2  # flat until two metres were driven
+    assert not steep[rows.valid].any()
+    before = rows.time < 10 - DT
+    np.testing.assert_array_equal(rows.normal_causal[before], extracted(grade=0.2).normal_causal[before])
+
+
 @pytest.mark.parametrize("grade", [0.0, 0.2, -0.2])
 def test_normals_are_those_of_the_driven_slope(grade):
     rows = extracted(grade=grade)
