@@ -131,6 +131,20 @@ def test_rows_in_a_gap_are_invalid_and_never_filled():
     assert rows.valid[(rows.time > 13.5) & (rows.time < 19)].all()
 
 
+@pytest.mark.parametrize("turn", [0.0, 0.5])
+def test_no_row_is_valid_across_a_jump_of_a_yaw_channel(turn):
+    log = straight_log()
+    time, pose = log.data["odometry"]
+    pose["heading"] = np.pi / 4 + turn * (time > 10)
+    text = RIG.replace("[channels.orientation]", "[channels.yaw]").replace('["qx", "qy", "qz", "qw"]', '["heading"]')
+    rig = parse_rig(text, where="test")
+    rows = extract_rows(drive_from_log(log, rig))
+    near = (rows.time > 10 - rig.motion.window / 2) & (rows.time < 10 + rig.motion.window)
+    assert rows.valid[near].any() == (turn == 0)
+    assert np.abs(rows.state[rows.valid, 5]).max() < 1e-3
+    assert rows.valid[(rows.time > 1) & (rows.time < 9) | (rows.time > 11) & (rows.time < 19)].all()
+
+
 def test_a_log_without_one_complete_second_is_an_error():
     with pytest.raises(LogError, match=r"no second of it has all channels.*max_gap"):
         extracted(RIG + "[clock]\nmax_gap = 0.001\n")

@@ -65,7 +65,7 @@ def across_jumps(drive: Drive, at: Float[np.ndarray, " N"], *, causal: bool = Fa
     Args:
         causal: `Motion.state_causal` alone, which no later jump changes.
     """
-    headings = [drive.channels[name] for name in ("orientation",) if name in drive.channels]
+    headings = [drive.channels[name] for name in ("orientation", "yaw") if name in drive.channels]
     across, window = np.zeros(len(at), bool), max(drive.rig.motion.window, 2 * DT)
     for before, after in find_jumps(drive.channels["position"], *headings):
         # Targets use half a window to either side, causal states a whole one back.
