@@ -12,6 +12,7 @@ from offpiste.geometry import (
     planar_body_from_world,
     rotation_from_quaternion,
     rotation_of_one,
+    same_sign,
     yaw_from_quaternion,
     yaw_rate_from_body_rates,
 )
@@ -33,6 +34,15 @@ def test_one_rotation_is_that_of_many_to_the_bit():
     quaternion = np.random.default_rng(1).normal(size=(500, 4))
     each = [rotation_of_one(one) for one in quaternion]
     np.testing.assert_array_equal(each, rotation_from_quaternion(quaternion))
+
+
+def test_rotations_of_one_sign_are_the_same_and_lie_on_one_side():
+    turning = Rotation.from_euler("z", np.linspace(0, 30, 200)[:, None]).as_quat()
+    flipped = turning * np.random.default_rng(2).choice([-1, 1], (200, 1))
+    found = same_sign(flipped)
+    assert (np.einsum("Nk,Nk->N", found[1:], found[:-1]) > 0).all()
+    np.testing.assert_array_equal(np.abs(found), np.abs(flipped))
+    np.testing.assert_array_equal(found[0], flipped[0])
 
 
 def test_yaw_equals_scipys_and_is_unwrapped():

@@ -40,6 +40,15 @@ def rotation_of_one(quaternion: Float[np.ndarray, " 4"]) -> Float[np.ndarray, "3
     )
 
 
+def same_sign(quaternion: Float[np.ndarray, "N 4"]) -> Float[np.ndarray, "N 4"]:
+    """The same rotations, each with the sign that lies nearer to the one before: q and -q are one rotation.
+
+    What lies between two of them is then the short way round, and never zero.
+    """
+    flips = np.einsum("Nk,Nk->N", quaternion[1:], quaternion[:-1]) < 0
+    return quaternion * np.where(np.append(False, np.logical_xor.accumulate(flips)), -1.0, 1.0)[:, None]
+
+
 def yaw_from_quaternion(quaternion: Float[np.ndarray, "N 4"]) -> Float[np.ndarray, " N"]:
     """Heading of the body's x axis in the horizontal plane, unwrapped over the rows [rad]."""
     forward = rotation_from_quaternion(quaternion)[:, :, 0]
