@@ -142,7 +142,7 @@ def _clean(
         new = ~repeated(time, values)
         time, values, numbers = time[new], values[new], numbers[new]
 
-    forward = _increasing(time)
+    forward = increasing(time)
     if not forward.all():
         notes.append(
             f"{name}: {(~forward).sum()} of {len(forward)} stamps repeat or go back; those samples were dropped"
@@ -235,7 +235,7 @@ def _turned(quaternion: Float[np.ndarray, "n 4"], angle: float) -> Float[np.ndar
     return np.stack((x * cos + y * sin, y * cos - x * sin, z * cos + w * sin, w * cos - z * sin), axis=1)
 
 
-def _increasing(time: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+def increasing(time: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
     """Rows to keep so that stamps increase: those later than all before, or earlier than all after if that keeps more.
 
     A single stamp far in the future would drop every row after it by the first rule, only itself by the second.

@@ -220,7 +220,8 @@ class Clock(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         stamps: of messages in bags: their headers', or their arrival.
         column: a table's time column.
         unit: of that column: s, ms, us or ns.
-        sort: samples are put in the order of their stamps; otherwise those out of order are dropped.
+        sort: samples, images and scans are put in the order of their stamps (the latter two where they come at most 20
+            messages late); otherwise those out of order are dropped.
         max_gap: no interpolation between samples further apart; a drive is cut there [s].
     """
 
