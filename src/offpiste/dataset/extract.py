@@ -19,7 +19,7 @@ from offpiste.dataset.map_snapshots import SnapshotSchedule, SnapshotSettings, S
 from offpiste.dataset.place import drive_names, remove_if_empty, working_copy
 from offpiste.dataset.resample import Rows, extract_rows
 from offpiste.dataset.split_balance import fitting_split, split_warning
-from offpiste.dataset.splits import PARTS, Split, empty_parts, parse_split
+from offpiste.dataset.splits import PARTS, Split, empty_parts, parse_split, stored_split
 from offpiste.dataset.store import Dataset, StoredDrive, add_drive, create, open_dataset, temporary_folder
 from offpiste.dataset.visual_features import SnapshotKeeper, with_visual_features
 from offpiste.dataset.window_starts import MIN_HINDSIGHT, evaluation_starts
@@ -108,11 +108,12 @@ def _extract_here(job: Job, report: Report) -> str:
 def _seen_by_pca(extractor: FeatureExtractor, rows: Rows, job: Job) -> tuple[str, ...]:
     """A warning if the PCA was fitted on rows that are for validation or test here."""
     about = extractor.pca.fitted_on
-    if job.name not in about.get("logs", ()) or about.get("split") == job.split.text:
+    if job.name not in about.get("logs", ()):
         return ()
     position = rows.state[:, :2] + rows.origin
     try:
-        fitted = parse_split(str(about.get("split"))).label(job.name, position) == 0
+        # The parts of drives count as they were then: their file may say something else by now.
+        fitted = stored_split(str(about.get("split")), about.get("split_drives", ())).label(job.name, position) == 0
     except DatasetError:
         fitted = np.ones(len(position), bool)
     seen = float((fitted & (job.split.label(job.name, position) > 0)).sum() * DT)

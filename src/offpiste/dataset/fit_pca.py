@@ -169,7 +169,8 @@ def fit_pca(
     moments = Moments.none(backbone.channels)
     for _, found in _of_each(_read_features, jobs, at_a_time, "features of the chosen images", cluster):
         moments += Moments(int(found["count"]), found["mean"], found["scatter"])
-    pca = fit(moments, backbone, components=components, logs=names, split=split.text)
+    about = {"logs": names, "split": split.text, "split_drives": [list(pair) for pair in split.drives]}
+    pca = fit(moments, backbone, components=components, **about)
     logger.info(f"{len(chosen)} of {len(result)} images, {moments.count:.0f} patches of ground")
     return FittedPca(pca, [ListedImage(names[result[i].log], result[i].camera, result[i].time) for i in chosen])
 
