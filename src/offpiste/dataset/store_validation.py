@@ -6,14 +6,18 @@ from typing import Annotated, Any
 
 import msgspec
 import numpy as np
+import zarr
 from jaxtyping import Int
 
+from offpiste.checksums import CHECKSUMS, DamagedFile, check_files
 from offpiste.conventions import MIN_EVALUATION_SPEED
 from offpiste.dataset.columns import COLUMNS, Column
 from offpiste.dataset.resample import Rows
 from offpiste.dataset.splits import PARTS
 from offpiste.errors import DatasetError, RigError
 from offpiste.rig.rig import Rig, check_rig
+
+SCHEMA = 2  # 1 had no checksums, no causal actuators and controls, and straight up for unknown normals
 
 MADE_BY = ("schema", "rig", "split", "split_drives", "features", "pca", "min_hindsight", "latency")
 """What all drives of a dataset must share."""
@@ -154,3 +158,23 @@ def _short(value: Any) -> str:
     if not isinstance(value, list):
         return "none" if value is None else str(value)
     return ", ".join(map(str, value[:3])) + (f", … ({len(value)})" if len(value) > 3 else "") or "none"
+
+
+def attributes_of(path: Path) -> dict[str, Any]:
+    """What a dataset says of how it was made, as JSON has it.
+
+    Raises:
+        DatasetError: there is none, or its metadata are damaged.
+    """
+    damaged = DatasetError("is damaged", where=path / "zarr.json", how="restore it from a copy, or extract again")
+    try:
+        attributes = dict(zarr.open_group(path, mode="r").attrs)
+        if attributes.get("schema") == SCHEMA:
+            check_files(path)
+    except DamagedFile as error:
+        raise damaged from error
+    except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
+        if (path / CHECKSUMS).exists():
+            raise damaged from error
+        raise DatasetError("not a dataset", where=path, how="make one with `offpiste extract`") from error
+    return attributes
