@@ -151,6 +151,13 @@ def test_east_and_north_of_the_nearest_hundredth_of_a_degree():
     np.testing.assert_allclose(local, [[149.26, 111.20, 520.0], [0.0, 0.0, 521.0]], atol=0.02)
 
 
+def test_places_from_a_given_origin_are_the_same_whichever_comes_first():
+    place = np.array([[48.001, 11.002], [48.1, 11.1], [47.95, 10.9]])
+    local = local_from_geographic(place, (48.0, 11.0))
+    np.testing.assert_allclose(local[0], [149.26, 111.20], atol=0.02)
+    np.testing.assert_array_equal(local_from_geographic(place[::-1], (48.0, 11.0)), local[::-1])
+
+
 def test_a_log_and_a_part_of_it_have_one_plane_and_unknown_places_are_none():
     place = np.array([[0.0, 0.0], [np.nan, 11.0], [48.001, 11.0], [48.002, 11.001], [95.0, 11.0]])
     local = local_from_geographic(place)
