@@ -12,6 +12,7 @@ from offpiste.geometry import (
     planar_body_from_world,
     rotation_from_quaternion,
     rotation_of_one,
+    same_sign,
     yaw_from_quaternion,
     yaw_rate_from_body_rates,
 )
@@ -33,6 +34,15 @@ def test_one_rotation_is_that_of_many_to_the_bit():
     quaternion = np.random.default_rng(1).normal(size=(500, 4))
     each = [rotation_of_one(one) for one in quaternion]
     np.testing.assert_array_equal(each, rotation_from_quaternion(quaternion))
+
+
+def test_rotations_of_one_sign_are_the_same_and_lie_on_one_side():
+    turning = Rotation.from_euler("z", np.linspace(0, 30, 200)[:, None]).as_quat()
+    flipped = turning * np.random.default_rng(2).choice([-1, 1], (200, 1))
+    found = same_sign(flipped)
+    assert (np.einsum("Nk,Nk->N", found[1:], found[:-1]) > 0).all()
+    np.testing.assert_array_equal(np.abs(found), np.abs(flipped))
+    np.testing.assert_array_equal(found[0], flipped[0])
 
 
 def test_yaw_equals_scipys_and_is_unwrapped():
@@ -139,6 +149,13 @@ def test_east_and_north_of_the_nearest_hundredth_of_a_degree():
     # A degree at 48 degrees north, of a table of WGS 84: 111.200 km of latitude, 74.628 km of longitude.
     local = local_from_geographic(np.array([[48.001, 11.002, 520.0], [48.0, 11.0, 521.0]]))
     np.testing.assert_allclose(local, [[149.26, 111.20, 520.0], [0.0, 0.0, 521.0]], atol=0.02)
+
+
+def test_places_from_a_given_origin_are_the_same_whichever_comes_first():
+    place = np.array([[48.001, 11.002], [48.1, 11.1], [47.95, 10.9]])
+    local = local_from_geographic(place, (48.0, 11.0))
+    np.testing.assert_allclose(local[0], [149.26, 111.20], atol=0.02)
+    np.testing.assert_array_equal(local_from_geographic(place[::-1], (48.0, 11.0)), local[::-1])
 
 
 def test_a_log_and_a_part_of_it_have_one_plane_and_unknown_places_are_none():

@@ -40,6 +40,15 @@ def rotation_of_one(quaternion: Float[np.ndarray, " 4"]) -> Float[np.ndarray, "3
     )
 
 
+def same_sign(quaternion: Float[np.ndarray, "N 4"]) -> Float[np.ndarray, "N 4"]:
+    """The same rotations, each with the sign that lies nearer to the one before: q and -q are one rotation.
+
+    What lies between two of them is then the short way round, and never zero.
+    """
+    flips = np.einsum("Nk,Nk->N", quaternion[1:], quaternion[:-1]) < 0
+    return quaternion * np.where(np.append(False, np.logical_xor.accumulate(flips)), -1.0, 1.0)[:, None]
+
+
 def yaw_from_quaternion(quaternion: Float[np.ndarray, "N 4"]) -> Float[np.ndarray, " N"]:
     """Heading of the body's x axis in the horizontal plane, unwrapped over the rows [rad]."""
     forward = rotation_from_quaternion(quaternion)[:, :, 0]
@@ -110,13 +119,16 @@ _GRID: Final = 0.01
 """Tangent planes touch the ellipsoid at multiples of this [degrees]: a log and a part of it have the same."""
 
 
-def local_from_geographic(place: Float[np.ndarray, "n c"]) -> Float[np.ndarray, "n c"]:
-    """East and north of a point near the first known place, from latitude and longitude on WGS 84's ellipsoid.
+def local_from_geographic(
+    place: Float[np.ndarray, "n c"], origin: tuple[float, float] | None = None
+) -> Float[np.ndarray, "n c"]:
+    """East and north of an origin, from latitude and longitude on WGS 84's ellipsoid.
 
     Distances on a plane that touches there: 5 km away they are 0.1 % off at 50 degrees of latitude.
 
     Args:
         place: latitude, longitude [degrees] and, if there is one, height [m].
+        origin: latitude and longitude of x = y = 0; None: those of a point near the first known place.
 
     Returns:
         x east, y north and the height as it was [m]; NaN where a place is none.
@@ -127,11 +139,11 @@ def local_from_geographic(place: Float[np.ndarray, "n c"]) -> Float[np.ndarray, 
     local[:, 2:] = place[:, 2:]
     if not known.any():
         return local
-    origin = np.round(place[known.argmax(), :2] / _GRID) * _GRID
+    touched = np.round(place[known.argmax(), :2] / _GRID) * _GRID if origin is None else np.array(origin)
     squared = _FLATTENING * (2 - _FLATTENING)
-    bent = 1 - squared * np.sin(np.deg2rad(origin[0])) ** 2
+    bent = 1 - squared * np.sin(np.deg2rad(touched[0])) ** 2
     along = _EQUATOR * (1 - squared) / bent**1.5
-    across = _EQUATOR / np.sqrt(bent) * np.cos(np.deg2rad(origin[0]))
-    north, east = np.deg2rad(place[known, 0] - origin[0]), np.deg2rad((place[known, 1] - origin[1] + 180) % 360 - 180)
+    across = _EQUATOR / np.sqrt(bent) * np.cos(np.deg2rad(touched[0]))
+    north, east = np.deg2rad(place[known, 0] - touched[0]), np.deg2rad((place[known, 1] - touched[1] + 180) % 360 - 180)
     local[known, 0], local[known, 1] = across * east, along * north
     return local

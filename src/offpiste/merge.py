@@ -9,8 +9,8 @@ from pathlib import Path
 from offpiste.checksums import CHECKSUMS
 from offpiste.dataset.place import drive_names, mirrored
 from offpiste.dataset.split_balance import split_warning
-from offpiste.dataset.store import Dataset, attributes_of, open_dataset
-from offpiste.dataset.store_validation import refuse_unlike
+from offpiste.dataset.store import Dataset, open_dataset
+from offpiste.dataset.store_validation import attributes_of, refuse_unlike
 from offpiste.errors import DatasetError
 from offpiste.file_check import check_paths
 from offpiste.files import check_folder, remove_partials, write_folder

@@ -8,10 +8,13 @@ import pytest
 
 from factories import circle_rows, small_rig
 from offpiste.dataset import extract
-from offpiste.dataset.extract import Job, _starts, make_dataset
+from offpiste.dataset.extract import Job, _seen_by_pca, _starts, make_dataset
 from offpiste.dataset.map_snapshots import SnapshotSettings
-from offpiste.dataset.splits import GAP, PARTS, parse_split
+from offpiste.dataset.splits import GAP, PARTS, parse_split, write_drives
 from offpiste.errors import DatasetError
+from offpiste.perception.backbones import open_backbone
+from offpiste.perception.feature_extractor import FeatureExtractor
+from offpiste.perception.pca import PrincipalComponents
 
 ROWS = 6000
 
@@ -42,6 +45,26 @@ def test_drives_of_a_split_that_are_no_log_are_warned_of(tmp_path, monkeypatch, 
         with caplog.at_level(logging.WARNING, "offpiste"), pytest.raises(DatasetError, match="not a dataset"):
             make_dataset(logs, small_rig(), tmp_path / "d.zarr", split=f"drives:{tmp_path}/split.txt")
         assert [r.getMessage().split(" names ")[1].split(":")[0] for r in caplog.records] == warned
+
+
+@pytest.mark.parametrize(("then", "now", "seen"), [("train", "test", True), ("test", "test", False)])
+def test_a_list_of_drives_that_was_edited_since_the_pca_is_noticed(tmp_path, then, now, seen):
+    text = write_drives(tmp_path / "parts.txt", [("drive", now)])
+    about = {"logs": ["drive"], "split": text, "split_drives": [["drive", then]]}
+    backbone = open_backbone("filterbank")
+    channels = backbone.channels
+    pca = PrincipalComponents(
+        mean=np.zeros(channels, np.float32),
+        basis=np.eye(channels, 1, dtype=np.float32),
+        variance=np.ones(1, np.float32),
+        total_variance=1.0,
+        backbone=backbone.name,
+        fingerprint=backbone.fingerprint,
+        fitted_on=about,
+    )
+    job = Job(Path("drive.mcap"), "drive", small_rig(), Path("d.zarr"), parse_split(text))
+    notes = _seen_by_pca(FeatureExtractor(backbone, pca), circle_rows(ROWS, seed=0, speed=5), job)
+    assert [note.startswith("warning: the PCA may have seen 120 s that") for note in notes] == [True] * seen
 
 
 @pytest.mark.parametrize("parts", [("validation", "test"), ("train", "validation"), ("test",)])

@@ -72,6 +72,21 @@ def test_a_steering_rate_is_derived_from_the_angle():
     assert parse_rig(WITH_ANGLE, where="").present_actuators == ("steer", "steer_rate")
 
 
+@pytest.mark.parametrize("up", [15.0, -3.0])
+def test_no_slope_is_fitted_across_a_jump_of_the_pose(up):
+    log = straight_log(grade=0.2)
+    time, pose = log.data["odometry"]
+    pose["z"] = pose["z"] + up * (time > 10)
+    rows = extract_rows(drive_from_log(log, small_rig()))
+    wanted = np.array([-0.2 * np.sqrt(0.5), -0.2 * np.sqrt(0.5), 1]) / np.hypot(0.2, 1)
+    assert rows.valid.sum() > 900
+    np.testing.assert_allclose(rows.normal[0, rows.valid, 0], np.tile(wanted, (rows.valid.sum(), 1)), atol=5e-3)
+    steep = np.hypot(rows.normal_causal[:, 0], rows.normal_causal[:, 1]) > 0.2  # flat until two metres were driven
+    assert not steep[rows.valid].any()
+    before = rows.time < 10 - DT
+    np.testing.assert_array_equal(rows.normal_causal[before], extracted(grade=0.2).normal_causal[before])
+
+
 @pytest.mark.parametrize("grade", [0.0, 0.2, -0.2])
 def test_normals_are_those_of_the_driven_slope(grade):
     rows = extracted(grade=grade)
@@ -114,6 +129,20 @@ def test_rows_in_a_gap_are_invalid_and_never_filled():
     assert np.isnan(rows.state[inside]).all()
     assert rows.valid[(rows.time > 1) & (rows.time < 9.5)].all()
     assert rows.valid[(rows.time > 13.5) & (rows.time < 19)].all()
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.5])
+def test_no_row_is_valid_across_a_jump_of_a_yaw_channel(turn):
+    log = straight_log()
+    time, pose = log.data["odometry"]
+    pose["heading"] = np.pi / 4 + turn * (time > 10)
+    text = RIG.replace("[channels.orientation]", "[channels.yaw]").replace('["qx", "qy", "qz", "qw"]', '["heading"]')
+    rig = parse_rig(text, where="test")
+    rows = extract_rows(drive_from_log(log, rig))
+    near = (rows.time > 10 - rig.motion.window / 2) & (rows.time < 10 + rig.motion.window)
+    assert rows.valid[near].any() == (turn == 0)
+    assert np.abs(rows.state[rows.valid, 5]).max() < 1e-3
+    assert rows.valid[(rows.time > 1) & (rows.time < 9) | (rows.time > 11) & (rows.time < 19)].all()
 
 
 def test_a_log_without_one_complete_second_is_an_error():

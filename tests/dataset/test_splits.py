@@ -7,10 +7,24 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from factories import RIG, MemoryLog
 from offpiste.conventions import HISTORY_STEPS, HORIZON_STEPS
-from offpiste.dataset.splits import GAP, PARTS, _place_labels, empty_parts, parse_split, write_drives
+from offpiste.dataset.extract import make_dataset
+from offpiste.dataset.fit_pca import fit_pca
+from offpiste.dataset.splits import (
+    GAP,
+    PARTS,
+    _place_labels,
+    empty_parts,
+    parse_split,
+    refuse_own_origins,
+    write_drives,
+)
 from offpiste.dataset.window_starts import window_starts
 from offpiste.errors import DatasetError
+from offpiste.logs.channel import read_channel
+from offpiste.perception.backbones import open_backbone
+from offpiste.rig.rig import Rig, parse_rig
 
 REACH = HISTORY_STEPS + HORIZON_STEPS
 
@@ -104,6 +118,42 @@ def test_a_place_has_one_part_in_every_drive_and_on_every_pass():
     both = (ours >= 0) & (others >= 0)
     assert both.sum() > 500
     assert (ours[both] == others[both]).all()
+
+
+def geographic_rig(more: str = "") -> Rig:
+    return parse_rig(
+        RIG.replace("[channels.orientation]", f'unit = "lat lon"\n{more}[channels.orientation]', 1), where=""
+    )
+
+
+def test_a_place_in_degrees_has_one_part_in_every_drive():
+    rig, split = geographic_rig("origin = [48.15, 11.58]\n"), parse_split("places:300")
+    refuse_own_origins(split, rig)
+    count = 20000
+    degrees = np.column_stack((np.linspace(48.14, 48.17, count), np.linspace(11.57, 11.6, count)))
+
+    def label(first: int) -> np.ndarray:
+        time, zero = 0.02 * np.arange(count - first), np.zeros(count - first)
+        place = dict(zip("xyz", (*degrees[first:].T, zero), strict=True))
+        channel, _ = read_channel(MemoryLog(odometry=(time, place)), rig, "position", rig.channels["position"])
+        return split.label("", channel.values[:, :2])
+
+    ours, others = label(0)[9000:], label(9000)
+    both = (ours >= 0) & (others >= 0)
+    assert both.sum() > 5000
+    assert len(set(ours[both])) > 1
+    assert (ours[both] == others[both]).all()
+
+
+def test_places_in_degrees_without_a_common_origin_are_refused_in_one_line(tmp_path):
+    message = (
+        r"places:50: positions in 'lat lon' have an origin of each log.*; give channels.position.origin in the rig"
+    )
+    with pytest.raises(DatasetError, match=message):
+        make_dataset(["one.csv"], geographic_rig(), tmp_path / "d.zarr", split="places:50")
+    with pytest.raises(DatasetError, match=message):
+        fit_pca(["one.csv"], geographic_rig(), parse_split("places:50"), open_backbone("filterbank"))
+    refuse_own_origins(parse_split("fold:0/5"), geographic_rig())
 
 
 def test_where_the_place_is_not_known_the_vehicle_is_where_it_was():

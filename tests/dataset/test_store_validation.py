@@ -5,9 +5,14 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from factories import small_rig
-from offpiste.dataset.store_validation import MADE_BY, refuse_unlike
+from factories import RIG, small_rig
+from offpiste.dataset.map_snapshots import SnapshotSettings
+from offpiste.dataset.splits import parse_split
+from offpiste.dataset.store import create
+from offpiste.dataset.store_validation import MADE_BY, YOUNGER, refuse_unlike
 from offpiste.errors import DatasetError
+from offpiste.rig.rig import load_rig
+from sensor_bags import SENSORS
 
 
 def test_another_split_or_other_features_are_named_with_both(tmp_path: Path) -> None:
@@ -21,6 +26,9 @@ def test_another_split_or_other_features_are_named_with_both(tmp_path: Path) -> 
         ("features", [], r"it has pca_0, pca_1, pca_2, … \(4\), wanted is none"),
         ("pca", None, "it has 1, wanted is none"),
         ("latency", 0.2, "it has 1, wanted is 0.2"),
+        ("keyframe_metres", 0.0, "it has 1, wanted is 0.0"),
+        ("snapshot_seconds", 0.5, "it has 1, wanted is 0.5"),
+        ("snapshot_speed", 3.0, "it has 1, wanted is 3.0"),
     ):
         with pytest.raises(DatasetError, match=f"another {key}: {both}"):
             refuse_unlike(tmp_path, found, found | {key: other})
@@ -30,6 +38,52 @@ def test_another_split_or_other_features_are_named_with_both(tmp_path: Path) -> 
         refuse_unlike(tmp_path, found | moved, found | moved | {"split_drives": [["one", "test"]]})
     with pytest.raises(DatasetError, match="another rig; choose"):
         refuse_unlike(tmp_path, found, found | {"rig": {}})
+
+
+def test_what_an_older_dataset_does_not_say_makes_it_no_other(tmp_path: Path) -> None:
+    found = dict.fromkeys(MADE_BY, 1)
+    older = {key: value for key, value in found.items() if key not in YOUNGER}
+    refuse_unlike(tmp_path, older, found)
+    refuse_unlike(tmp_path, found, older)
+
+
+@pytest.mark.parametrize(
+    ("snapshots", "metres", "said"),
+    [
+        (SnapshotSettings(0.5), 0.0, "keyframe_metres: it has 0.5, wanted is 0.0"),
+        (SnapshotSettings(2.0), 0.5, "snapshot_seconds: it has 0.5, wanted is 2.0"),
+        (SnapshotSettings(0.5, min_speed=0.0), 0.5, "snapshot_speed: it has 1.5, wanted is 0.0"),
+        (SnapshotSettings(0.5, latency=0.0), 0.5, "latency: it has 0.1, wanted is 0.0"),
+    ],
+)
+def test_an_extraction_of_visual_features_is_resumed_with_the_same_settings(
+    tmp_path: Path, snapshots: SnapshotSettings, metres: float, said: str
+) -> None:
+    def begin(snapshots: SnapshotSettings, metres: float) -> None:
+        create(
+            tmp_path / "d.zarr", small_rig(), parse_split("blocks:0.7,0.1,0.2"), ("p",), "pca", 0.5, snapshots, metres
+        )
+        (tmp_path / "d.zarr" / "drive").mkdir(exist_ok=True)
+
+    begin(SnapshotSettings(0.5), 0.5)
+    begin(SnapshotSettings(0.5, min_speed=1.5), 0.5)
+    with pytest.raises(DatasetError, match=f"already holds a dataset with another {said}; choose another --out"):
+        begin(snapshots, metres)
+
+
+def test_masks_are_the_same_where_they_show_the_same_wherever_they_lie(tmp_path: Path) -> None:
+    def begun(name: str, folder: str, content: bytes) -> None:
+        (tmp_path / folder).mkdir(exist_ok=True)
+        (tmp_path / folder / "mask.png").write_bytes(content)
+        text = (RIG + SENSORS).replace('info = "/info"', 'info = "/info"\nmask = "mask.png"')
+        (tmp_path / folder / "rig.toml").write_text(text)
+        create(tmp_path / name, load_rig(tmp_path / folder / "rig.toml"), parse_split("blocks:0.7,0.1,0.2"))
+        (tmp_path / name / "drive").mkdir(exist_ok=True)
+
+    begun("one.zarr", "a", b"a mask")
+    begun("one.zarr", "b", b"a mask")
+    with pytest.raises(DatasetError, match=r"one\.zarr: already holds a dataset with another mask of a camera; choose"):
+        begun("one.zarr", "c", b"another")
 
 
 def test_keys_of_rigs_that_are_younger_than_a_dataset_do_not_make_it_another(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from offpiste.conventions import FEATURE_SETS, PERCEPTION_LATENCY
 from offpiste.dataset.extract import make_dataset
 from offpiste.dataset.fit_pca import fit_pca
 from offpiste.dataset.place import drive_names
-from offpiste.dataset.splits import parse_split
+from offpiste.dataset.splits import parse_split, write_drives
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
 from offpiste.errors import DatasetError, LogError
@@ -31,6 +31,8 @@ from offpiste.rig.rig import load_rig
 from offpiste.simulation.simulate import DriveSettings, simulate
 from offpiste.simulation.world.surface import read_grid
 from offpiste.simulation.world.world import WorldSettings
+
+PARTS_OF_DRIVES = (("drive", "train"), ("other", "train"))
 
 
 @pytest.fixture(scope="module")
@@ -82,7 +84,7 @@ def test_a_pca_is_fitted_on_the_same_images_again_from_its_list(folder: Path) ->
 
 def test_processes_fit_the_pca_that_one_does(folder: Path, tmp_path: Path) -> None:
     logs = [folder / "drive.mcap", shutil.copyfile(folder / "drive.mcap", tmp_path / "other.mcap")]
-    rig, split = load_rig("proving_ground"), parse_split("blocks:1,0,0")
+    rig, split = load_rig("proving_ground"), parse_split(write_drives(tmp_path / "parts.txt", PARTS_OF_DRIVES))
     alone, shared = (
         fit_pca(logs, rig, split, open_backbone("filterbank"), images=6, components=4, processes=processes)
         for processes in (1, 2)
@@ -90,6 +92,7 @@ def test_processes_fit_the_pca_that_one_does(folder: Path, tmp_path: Path) -> No
     assert shared.images == alone.images
     assert {image.drive for image in alone.images} == {"drive", "other"}
     assert shared.pca.identity == alone.pca.identity
+    assert shared.pca.fitted_on["split_drives"] == [list(pair) for pair in PARTS_OF_DRIVES]
 
 
 def test_every_feature_set_is_there_and_was_observed_at_its_distance(dataset: Dataset) -> None:

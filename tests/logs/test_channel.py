@@ -5,11 +5,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from factories import MemoryLog, small_rig
+from factories import RIG, MemoryLog, small_rig
 from offpiste.errors import LogError, RigError
 from offpiste.logs.channel import Channel, convert, read_channel, refuse_long
 from offpiste.logs.drive import common_span
 from offpiste.rig.channels import ChannelSource, Wrap
+from offpiste.rig.rig import parse_rig
 
 
 def channel(time, values) -> Channel:
@@ -156,6 +157,14 @@ def test_a_broken_clock_is_an_error():
 def test_a_channel_without_usable_samples_is_an_error_that_names_it():
     with pytest.raises(RigError, match=r"'throttle'.*'pedals'.*no usable samples"):
         read([0, 1], [np.nan, np.nan])
+
+
+def test_an_origin_far_from_all_places_is_an_error_that_says_how_far():
+    text = RIG.replace("[channels.orientation]", 'unit = "lat lon"\norigin = [11.0, 48.0]\n[channels.orientation]', 1)
+    rig, zero = parse_rig(text, where="test"), np.zeros(4)
+    log = MemoryLog(odometry=(np.arange(4.0), {"x": zero + 48.0, "y": zero + 11.0, "z": zero}))
+    with pytest.raises(RigError, match=r"position\.origin lies \d+ km from the places of .*; .*in this order"):
+        read_channel(log, rig, "position", rig.channels["position"])
 
 
 def test_orientations_that_are_no_rotation_are_dropped():

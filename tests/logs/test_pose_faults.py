@@ -53,6 +53,20 @@ def test_many_runs_are_counted_and_headings_are_in_radians() -> None:
     assert note.endswith("and 3 more runs off the path of any vehicle; dropped")
 
 
+def test_quaternions_of_either_sign_are_never_interpolated_through_zero() -> None:
+    yaw = 0.8 * TIME
+    plain, log = drive_of(5 * TIME, yaw), log_of(5 * TIME, yaw)
+    _, pose = log.data["odometry"]
+    flip = np.where(np.random.default_rng(0).random(len(TIME)) < 0.3, -1, 1)
+    yaw[700:1500:200] += 2.5  # corrupt: dropped, and no sample after one of them takes its sign
+    pose["qz"], pose["qw"] = flip * np.sin(yaw / 2), flip * np.cos(yaw / 2)
+    drive = drive_from_log(log, small_rig())
+    between = TIME[:-1] + 0.01
+    values = drive.channels["orientation"].linear(between, max_gap=0.5)
+    np.testing.assert_allclose(values, plain.channels["orientation"].linear(between, max_gap=0.5), atol=1e-4)
+    assert len(drive.channels["orientation"].time) == len(TIME) - 4
+
+
 def test_a_hopeless_pose_is_said_to_be() -> None:
     drive = drive_of(5000 * TIME)
     assert drive.notes == ("position: moves as no vehicle does for most of the drive; nothing was dropped",)

@@ -137,6 +137,9 @@ def test_a_turn_on_the_spot_is_a_jump_too():
     flips = np.where(TIME < 9, 1, -1)[:, None]  # q and -q turn alike
     turns = Channel("orientation", "1", TIME, Rotation.from_euler("z", yaw[:, None]).as_quat() * flips)
     np.testing.assert_allclose(find_jumps(position(straight()), turns), [[TIME[299], TIME[300]]])
+    wrapped = Channel("yaw", "rad", TIME, ((yaw + np.pi) % (2 * np.pi) - np.pi)[:, None])
+    assert np.ptp(wrapped.values) > 6
+    np.testing.assert_allclose(find_jumps(position(straight()), wrapped), [[TIME[299], TIME[300]]])
 
 
 @settings(max_examples=25, deadline=None)

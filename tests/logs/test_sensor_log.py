@@ -157,6 +157,30 @@ def test_what_cannot_be_used_is_dropped_and_counted(tmp_path):
         )
 
 
+@pytest.mark.parametrize("off", [77.0, -77.0])
+def test_one_stamp_that_is_far_off_drops_that_message_alone(tmp_path, off):
+    messages = [*STILL, *((t / 10, "/points", cloud(off if t == 3 else t / 10)) for t in range(1, 9))]
+    messages += [(t / 10, "/image", compressed(off if t == 5 else t / 10, IMAGE)) for t in range(1, 9)]
+    log = opened(record(tmp_path / "x.mcap", messages))
+    for name, lost in (("top", 3), ("front", 5)):
+        found = [round(10 * (m.time - 100)) for m in log.stream([name])]
+        assert found == [t for t in range(1, 9) if t != lost]
+        assert f"{name}: 1 of 8 stamps repeat or go back; those messages were dropped" in log.notes
+
+
+def test_a_clock_that_sorts_sorts_images_and_scans(tmp_path):
+    order = [2, 1, 4, 3, 77, 6, 5, 6, 7]
+    messages = [*STILL, *((at / 10, "/points", cloud(t / 10)) for at, t in enumerate(order))]
+    messages += [(at / 10, "/image", compressed(t / 10, IMAGE)) for at, t in enumerate(order)]
+    path = record(tmp_path / "x.mcap", messages)
+    log = open_sensors(open_log(path), sensor_rig("[clock]\nsort = true\n" + SENSORS))
+    for name in ("top", "front"):
+        assert [round(10 * (m.time - 100)) for m in log.stream([name])] == [1, 2, 3, 4, 5, 6, 7, 77]
+        assert f"{name}: 1 of 9 stamps repeat or go back; those messages were dropped" in log.notes
+    chosen = {"front": np.array([0, 1, 3])}
+    assert [round(10 * (m.time - 100)) for m in log.picked(chosen)] == [1, 2, 3]
+
+
 def test_an_optional_sensor_may_be_missing_and_that_is_said(tmp_path):
     more = SENSORS + '[cameras.rear]\ntopic = "/rear"\ninfo = "/rear/info"\noptional = true\n'
     log = opened(record(tmp_path / "x.mcap"), more)

@@ -5,11 +5,12 @@ import pytest
 
 from offpiste.logs.measurements import Image, Lidar
 from offpiste.mapping.pipeline import MapSettings
-from offpiste.mapping.replay import MapperSettings, SensorMapper
+from offpiste.mapping.replay import MapperSettings, SensorMapper, replay
 from offpiste.mapping.voxel_map import VoxelSettings
 from offpiste.rig.sensors import LidarSource
 from offpiste.runtime.estimator import VehicleTrack
 from runtime.stream import FEATURES, camera, extract_features, reading, scan
+from sensor_bags import IMAGE, cloud, compressed, info, opened, record, tree
 
 SETTINGS = MapperSettings(0.5, map=MapSettings(VoxelSettings(reach=24.0, capacity=200_000, threads=1)))
 MEMORY = SETTINGS.memory
@@ -60,3 +61,11 @@ def test_old_images_are_not_projected(mapper):
     old = mapper.add_scan(scan(0.5 + MEMORY + 0.1), track.poses(), pose(0.0))
     assert (old.keyframes, old.projection) == ((), None)
     assert len(old.points_world) == len(fresh.points_world)
+
+
+def test_points_at_unknown_poses_do_not_make_the_map_late(tmp_path):
+    still = [(0, "/tf_static", tree()), (0, "/info", info())]
+    scans = [(at, "/points", cloud(at)) for at in (0.5, 0.985)]  # the last point of the second comes after the poses
+    sensors = opened(record(tmp_path / "x.mcap", [*still, (0.1, "/image", compressed(0.1, IMAGE)), *scans]))
+    moments = [(moment.measured, len(moment.points_world)) for moment in replay(sensors, {}, extract_features, 0)]
+    np.testing.assert_allclose(moments, [(100.52, 3), (100.995, 2)])

@@ -32,6 +32,14 @@ WRONG = {
         RIG + 'unit = "m/s"\n',
         r"does not measure steer; use one of: 1, percent, .* rad, deg",
     ),
+    "an origin of metres": (
+        RIG + "origin = [48.0, 11.0]\n",
+        r"steer\.origin is no place of positions in 'lat lon'",
+    ),
+    "an origin off the earth": (
+        edited("[channels.orientation]", 'unit = "lat lon"\norigin = [411.0, 48.0]\n[channels.orientation]'),
+        r"channels\.position\.origin is no place.*latitude and longitude in degrees",
+    ),
     "no frame": (RIG + GYRO, r"channels\.angular_velocity\.frame is missing.*world.*body"),
     "unknown frame": (RIG + GYRO + 'frame = "map"\n', r"map"),
     "sign of two": (RIG + "sign = 2\n", r"sign"),

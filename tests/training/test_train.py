@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 import torch
+import zarr
 from safetensors.torch import load_file
 
 from factories import circle_rows, small_rig
@@ -244,22 +245,28 @@ def test_a_run_is_not_resumed_on_a_dataset_that_changed(
     path, listed, run = tmp_path / "data.zarr", tmp_path / "parts.txt", tmp_path / "run"
     config = replace(QUICK, model="parametric")
 
-    def made(speed: float = 4.0, others: str = "validation", more: str = "") -> Dataset:
+    def made(speed: float = 4.0, others: str = "validation", more: str = "", brake: float = 0.0) -> Dataset:
         shutil.rmtree(path, ignore_errors=True)
         listed.write_text(f"one train\ntwo validation\nthree test\nfour {others}\n")
         split = parse_split(f"drives:{listed}")
         create(path, small_rig(), split)
         for name in ("one", "two", "three", *more.split()):
-            add_drive(path, name, circle_rows(1500, speed=speed), split, ())
+            rows = circle_rows(1500, speed=speed)
+            control = rows.control + np.float32([0, brake, 0])  # which no metadata have
+            add_drive(path, name, replace(rows, control=control), split, ())
         return open_dataset(path)
 
     with monkeypatch.context() as patch:
         kill_after(0, patch)
         with pytest.raises(Killed):
             train(made(), config, run)
-    for changed in ({"speed": 4.1}, {"others": "test"}, {"more": "four"}):
+    for changed in ({"speed": 4.1}, {"others": "test"}, {"more": "four"}, {"brake": 0.1}):
         with pytest.raises(RunError, match="holds a run that was begun before the dataset changed"):
             train(made(**changed), config, run, resume=True)
+    control = zarr.open_group(made().path)["one/control"]
+    control[0, 1] = 0.5  # in place, with its checksum
+    with pytest.raises(RunError, match="holds a run that was begun before the dataset changed"):
+        train(open_dataset(path), config, run, resume=True)
     train(made(), config, run, resume=True)
     assert "has no digest" not in caplog.text
     save_json(run / "config.json", {k: v for k, v in load_json(run / "config.json").items() if k != "dataset_sha256"})

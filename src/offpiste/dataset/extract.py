@@ -19,7 +19,7 @@ from offpiste.dataset.map_snapshots import SnapshotSchedule, SnapshotSettings, S
 from offpiste.dataset.place import drive_names, remove_if_empty, working_copy
 from offpiste.dataset.resample import Rows, extract_rows
 from offpiste.dataset.split_balance import fitting_split, split_warning
-from offpiste.dataset.splits import PARTS, Split, empty_parts, parse_split
+from offpiste.dataset.splits import PARTS, Split, empty_parts, parse_split, refuse_own_origins, stored_split
 from offpiste.dataset.store import Dataset, StoredDrive, add_drive, create, open_dataset, temporary_folder
 from offpiste.dataset.visual_features import SnapshotKeeper, with_visual_features
 from offpiste.dataset.window_starts import MIN_HINDSIGHT, evaluation_starts
@@ -108,11 +108,12 @@ def _extract_here(job: Job, report: Report) -> str:
 def _seen_by_pca(extractor: FeatureExtractor, rows: Rows, job: Job) -> tuple[str, ...]:
     """A warning if the PCA was fitted on rows that are for validation or test here."""
     about = extractor.pca.fitted_on
-    if job.name not in about.get("logs", ()) or about.get("split") == job.split.text:
+    if job.name not in about.get("logs", ()):
         return ()
     position = rows.state[:, :2] + rows.origin
     try:
-        fitted = parse_split(str(about.get("split"))).label(job.name, position) == 0
+        # The parts of drives count as they were then: their file may say something else by now.
+        fitted = stored_split(str(about.get("split")), about.get("split_drives", ())).label(job.name, position) == 0
     except DatasetError:
         fitted = np.ones(len(position), bool)
     seen = float((fitted & (job.split.label(job.name, position) > 0)).sum() * DT)
@@ -211,7 +212,7 @@ def make_dataset(
     mine = set(sorted(names)[shard[0] - 1 :: shard[1]])
     if not mine:
         raise DatasetError(f"{len(names)} logs have no shard {shard[0]}/{shard[1]}", how="give fewer shards")
-    parts = parse_split(split)
+    refuse_own_origins(parts := parse_split(split), rig)
     if empty := empty_parts(parts):
         logger.warning(f"the split {split} leaves nothing for {' and '.join(empty)}: {_useless(empty)}")
     if pca is not None and features != "none":
@@ -223,8 +224,8 @@ def make_dataset(
         if extractor is None:
             create(place, rig, parts, LAYERS[features])
         else:
-            latency = (snapshots or SnapshotSettings()).latency
-            create(place, rig, parts, extractor.names, extractor.identity, min_hindsight, latency)
+            kept, metres = snapshots or SnapshotSettings(), (replay or MapperSettings()).keyframe_metres
+            create(place, rig, parts, extractor.names, extractor.identity, min_hindsight, kept, metres)
     done = set(drive_names(out))
     if strangers := sorted({name for name, _ in parts.drives} - {*names, *done}):
         logger.warning(f"the split {split} names {_some(strangers)}: no log and no drive of {out} is called so")

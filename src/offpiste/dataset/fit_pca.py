@@ -14,7 +14,7 @@ from safetensors.numpy import load, save
 
 from offpiste.cluster import engine_at
 from offpiste.dataset.resample import Rows, extract_rows
-from offpiste.dataset.splits import Split
+from offpiste.dataset.splits import Split, refuse_own_origins
 from offpiste.errors import PerceptionError
 from offpiste.files import write_text
 from offpiste.logs.drive import drive_from_log, drive_name
@@ -80,10 +80,8 @@ def write_image_list(path: Path, images: Iterable[ListedImage]) -> None:
 
 logger = logging.getLogger(__name__)
 
-
 SPACING = 2.0
 """Distance between candidate images of a camera [m]."""
-
 
 NEAR = 0.01
 """Largest difference between the listed time and the stamp of an image [s]."""
@@ -146,6 +144,7 @@ def fit_pca(
         LogError, RigError: a log cannot be read, or has no cameras and LiDARs.
         PerceptionError: no image of the training part, no patch with ground in it, or a listed image that is not there.
     """
+    refuse_own_origins(split, rig)
     logs = expanded(logs)
     spacing = SPACING if isinstance(images, int) else 0.0  # listed images need not lie apart
     jobs = [Job(number, log, rig, split, spacing, backbone) for number, log in enumerate(logs)]
@@ -169,7 +168,8 @@ def fit_pca(
     moments = Moments.none(backbone.channels)
     for _, found in _of_each(_read_features, jobs, at_a_time, "features of the chosen images", cluster):
         moments += Moments(int(found["count"]), found["mean"], found["scatter"])
-    pca = fit(moments, backbone, components=components, logs=names, split=split.text)
+    about = {"logs": names, "split": split.text, "split_drives": [list(pair) for pair in split.drives]}
+    pca = fit(moments, backbone, components=components, **about)
     logger.info(f"{len(chosen)} of {len(result)} images, {moments.count:.0f} patches of ground")
     return FittedPca(pca, [ListedImage(names[result[i].log], result[i].camera, result[i].time) for i in chosen])
 

@@ -11,7 +11,7 @@ from offpiste.dataset.columns import COLUMNS, RowGrid
 from offpiste.dataset.features_under_wheels import Cells
 from offpiste.errors import LogError
 from offpiste.logs.drive import Drive, common_span
-from offpiste.logs.poses import find_jumps
+from offpiste.logs.motion import across_jumps
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ def extract_rows(drive: Drive) -> Rows:
     columns = {name: column.read(grid) for name, column in COLUMNS.items()}
 
     complete = {name: column.complete(columns[name], drive.rig) for name, column in COLUMNS.items()}
-    valid = np.logical_and.reduce([~_across_jumps(drive, time), *complete.values()])
+    valid = np.logical_and.reduce([~across_jumps(drive, time), *complete.values()])
     if valid.sum() * DT < 1.0:
         worst = min(complete, key=lambda name: int(complete[name].sum()))
         raise LogError(
@@ -115,12 +115,3 @@ def extract_rows(drive: Drive) -> Rows:
             columns[name] = columns[name] - np.concatenate((origin, np.zeros(column.shape[0] - 2)))
         columns[name] = columns[name].astype(np.float32)
     return rows_from_arrays({"time": time, **columns, "valid": valid}, origin)
-
-
-def _across_jumps(drive: Drive, time: Float[np.ndarray, " N"]) -> Bool[np.ndarray, " N"]:
-    """Rows whose motion would be estimated from samples on both sides of a jump."""
-    across, window = np.zeros(len(time), bool), max(drive.rig.motion.window, 2 * DT)
-    for before, after in find_jumps(drive.channels["position"], drive.channels.get("orientation")):
-        # Targets use half a window to either side, causal states a whole one back.
-        across |= (time > before - window / 2) & (time < after + window)
-    return across

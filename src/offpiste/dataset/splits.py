@@ -10,6 +10,8 @@ from jaxtyping import Float, Int
 from offpiste.conventions import DT, HISTORY_STEPS, HORIZON_STEPS
 from offpiste.errors import DatasetError, did_you_mean
 from offpiste.files import write_text
+from offpiste.rig.channels import GEOGRAPHIC
+from offpiste.rig.rig import Rig
 
 PARTS = ("train", "validation", "test")
 """Names of the labels 0, 1, 2; -1 is in no part."""
@@ -108,6 +110,21 @@ def parse_split(text: str) -> Split:
     except ValueError:
         pass
     raise DatasetError(f"not a split: '{text}'", how=usage)
+
+
+def refuse_own_origins(split: Split, rig: Rig) -> None:
+    """Raise if a split by places would cut coordinates that mean other places in every log.
+
+    Raises:
+        DatasetError: positions are laid out from an origin of each log.
+    """
+    position = rig.channels["position"]
+    if split.kind == "places" and position.unit == GEOGRAPHIC and position.origin is None:
+        raise DatasetError(
+            f"positions in '{GEOGRAPHIC}' have an origin of each log, so that one place would be in several parts",
+            where=split.text,
+            how="give channels.position.origin in the rig: latitude and longitude of a place near all drives",
+        )
 
 
 def stored_split(text: str, drives: Sequence[Sequence[str]]) -> Split:

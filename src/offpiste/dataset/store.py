@@ -15,23 +15,30 @@ import numpy as np
 import zarr
 from jaxtyping import Int
 
-from offpiste.checksums import CHECKSUMS, DamagedFile, check_files, write_checksums
+from offpiste.checksums import check_files, write_checksums
 from offpiste.conventions import DT, MIN_EVALUATION_SPEED, min_evaluation_speed
 from offpiste.dataset.columns import COLUMNS
 from offpiste.dataset.features_under_wheels import Cells
 from offpiste.dataset.log_findings import LogFinding, findings_by_drive, read_findings, stored_findings
-from offpiste.dataset.map_snapshots import Snapshots, open_snapshots
+from offpiste.dataset.map_snapshots import Snapshots, SnapshotSettings, open_snapshots
 from offpiste.dataset.place import drive_names, mirrored
 from offpiste.dataset.resample import OWN_COLUMNS, Rows, rows_from_arrays
 from offpiste.dataset.splits import Split, stored_split
-from offpiste.dataset.store_validation import read_settings, refuse_invalid, refuse_misshapen, refuse_unlike
-from offpiste.dataset.stored_arrays import mapped_array, whole_array, write_arrays
+from offpiste.dataset.store_validation import (
+    SCHEMA,
+    attributes_of,
+    masks_of,
+    read_settings,
+    refuse_invalid,
+    refuse_misshapen,
+    refuse_unlike,
+)
+from offpiste.dataset.stored_arrays import ARRAYS, digest_of_chunks, mapped_array, whole_array, write_arrays
 from offpiste.errors import DatasetError
 from offpiste.files import PARTIAL, check_folder, remove_partials, write_folder
 from offpiste.mapping.terrain_map import TerrainMap
 from offpiste.rig.rig import Rig
 
-SCHEMA = 2  # 1 had no checksums, no causal actuators and controls, and straight up for unknown normals
 SNAPSHOTS = "snapshots"
 
 
@@ -102,16 +109,19 @@ def create(
     features: tuple[str, ...] = (),
     pca: str | None = None,
     min_hindsight: float = 0.0,
-    latency: float | None = None,
+    snapshots: SnapshotSettings | None = None,
+    keyframe_metres: float | None = None,
 ) -> None:
     """Begin a dataset, or resume one that was begun alike; what a killed run left half done is removed.
 
     Args:
-        latency: of its snapshots (`map_snapshots.SnapshotSettings`) [s]; None without any.
+        snapshots: of the map; None without any.
+        keyframe_metres: of visual features (`mapping.replay.MapperSettings`) [m].
 
     Raises:
         DatasetError: there is something else at `path`, or it was made otherwise.
     """
+    slowest = min_evaluation_speed(rig.vehicle.wheelbase)
     meta = {
         "schema": SCHEMA,
         "made_by": f"offpiste {version('offpiste')}",
@@ -125,15 +135,19 @@ def create(
         "features": list(features),
         "pca": pca,
         "min_hindsight": min_hindsight,
-        "min_speed": min_evaluation_speed(rig.vehicle.wheelbase),
-        "latency": latency,
+        "min_speed": slowest,
+        "masks": masks_of(rig),
+        "keyframe_metres": keyframe_metres,
+        "latency": snapshots and snapshots.latency,
+        "snapshot_seconds": snapshots and snapshots.seconds,
+        "snapshot_speed": snapshots and (slowest if snapshots.min_speed is None else snapshots.min_speed),
     }
     check_folder(path)
     remove_partials(path.parent, path.name)
     if path.exists() and attributes_of(path).get("schema") and not drive_names(path):
         shutil.rmtree(path)  # begun by a run whose logs all failed
     if path.exists():
-        result = {"features": [], "pca": None, "min_hindsight": 0.0, "latency": latency, **attributes_of(path)}
+        result = {"features": [], "pca": None, "min_hindsight": 0.0, **attributes_of(path)}
         refuse_unlike(path, result, json.loads(json.dumps(meta)))
         remove_partials(path)
         return
@@ -186,7 +200,8 @@ def add_drive(
             write_arrays(layers, {"elevation": terrain.elevation, "features": terrain.features})
         if snapshots is not None:
             snapshots.replace(partial / SNAPSHOTS)
-        # Arrays carry a checksum themselves.
+        # Arrays carry checksums themselves; these make other arrays another drive to what compares checksums of files.
+        group.attrs[ARRAYS] = digest_of_chunks(partial)
         write_checksums(partial, partial.rglob("zarr.json"))
 
     write_folder(path / name, write)
@@ -276,23 +291,3 @@ def _reading(path: Path, name: str) -> Iterator[None]:
             where=path,
             how=f"delete {path / name} and run `offpiste extract` again",
         ) from error
-
-
-def attributes_of(path: Path) -> dict[str, Any]:
-    """What a dataset says of how it was made, as JSON has it.
-
-    Raises:
-        DatasetError: there is none, or its metadata are damaged.
-    """
-    damaged = DatasetError("is damaged", where=path / "zarr.json", how="restore it from a copy, or extract again")
-    try:
-        attributes = dict(zarr.open_group(path, mode="r").attrs)
-        if attributes.get("schema") == SCHEMA:
-            check_files(path)
-    except DamagedFile as error:
-        raise damaged from error
-    except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
-        if (path / CHECKSUMS).exists():
-            raise damaged from error
-        raise DatasetError("not a dataset", where=path, how="make one with `offpiste extract`") from error
-    return attributes

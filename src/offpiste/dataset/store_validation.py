@@ -6,8 +6,11 @@ from typing import Annotated, Any
 
 import msgspec
 import numpy as np
+import zarr
 from jaxtyping import Int
+from msgspec.structs import replace
 
+from offpiste.checksums import CHECKSUMS, DamagedFile, check_files, sha256_of
 from offpiste.conventions import MIN_EVALUATION_SPEED
 from offpiste.dataset.columns import COLUMNS, Column
 from offpiste.dataset.resample import Rows
@@ -15,7 +18,12 @@ from offpiste.dataset.splits import PARTS
 from offpiste.errors import DatasetError, RigError
 from offpiste.rig.rig import Rig, check_rig
 
-MADE_BY = ("schema", "rig", "split", "split_drives", "features", "pca", "min_hindsight", "latency")
+SCHEMA = 2  # 1 had no checksums, no causal actuators and controls, and straight up for unknown normals
+
+YOUNGER = ("masks", "latency", "keyframe_metres", "snapshot_seconds", "snapshot_speed")
+"""Of `MADE_BY`, what older datasets do not say."""
+
+MADE_BY = ("schema", "rig", "split", "split_drives", "features", "pca", "min_hindsight", *YOUNGER)
 """What all drives of a dataset must share."""
 
 
@@ -59,25 +67,42 @@ def refuse_unlike(path: Path, stored: dict[str, Any], wanted: dict[str, Any]) ->
     Raises:
         DatasetError: names the first attribute that differs, with both values where they are short.
     """
+    masks = all("masks" in attributes for attributes in (stored, wanted))
     for key in MADE_BY:
-        there, here = (_rig_of(a) if key == "rig" else a.get(key) for a in (stored, wanted))
+        if key in YOUNGER and not (key in stored and key in wanted):
+            continue
+        there, here = (_rig_of(a, mask_files=not masks) if key == "rig" else a.get(key) for a in (stored, wanted))
         if key == "split" and all(str(text).startswith("drives:") for text in (there, here)):
             continue  # the parts count, not the file that names them
         if there != here:
-            both = "" if key in ("rig", "split_drives") else f": it has {_short(there)}, wanted is {_short(here)}"
+            what = {"masks": "mask of a camera"}.get(key, key)
+            long = key in ("rig", "split_drives", "masks")
+            both = "" if long else f": it has {_short(there)}, wanted is {_short(here)}"
             raise DatasetError(
-                f"already holds a dataset with another {key}{both}",
+                f"already holds a dataset with another {what}{both}",
                 where=path,
                 how="choose another --out, or delete it",
             )
 
 
-def _rig_of(attributes: dict[str, Any]) -> Any:
-    """The rig among a dataset's attributes, with defaults for keys that are younger than the dataset."""
+def _rig_of(attributes: dict[str, Any], *, mask_files: bool) -> Any:
+    """The rig among a dataset's attributes, with defaults for keys that are younger than the dataset.
+
+    Args:
+        mask_files: name the files of masks; otherwise their content counts (`masks_of`), wherever they lie.
+    """
     try:
-        return msgspec.convert(attributes.get("rig"), type=Rig)
+        rig = msgspec.convert(attributes.get("rig"), type=Rig)
     except msgspec.ValidationError:
         return attributes.get("rig")
+    cameras = {name: camera if mask_files else replace(camera, mask="") for name, camera in rig.cameras.items()}
+    return replace(rig, cameras=cameras)
+
+
+def masks_of(rig: Rig) -> dict[str, str]:
+    """SHA-256 of the masks of a rig's cameras; empty of one that is not there, which is an error where it is used."""
+    files = {name: Path(camera.mask) for name, camera in rig.cameras.items() if camera.mask}
+    return {name: sha256_of(file) if file.is_file() else "" for name, file in files.items()}
 
 
 def refuse_invalid(path: Path, name: str, rows: Rows, rig: Rig, *, needs_cells: bool) -> None:
@@ -154,3 +179,23 @@ def _short(value: Any) -> str:
     if not isinstance(value, list):
         return "none" if value is None else str(value)
     return ", ".join(map(str, value[:3])) + (f", … ({len(value)})" if len(value) > 3 else "") or "none"
+
+
+def attributes_of(path: Path) -> dict[str, Any]:
+    """What a dataset says of how it was made, as JSON has it.
+
+    Raises:
+        DatasetError: there is none, or its metadata are damaged.
+    """
+    damaged = DatasetError("is damaged", where=path / "zarr.json", how="restore it from a copy, or extract again")
+    try:
+        attributes = dict(zarr.open_group(path, mode="r").attrs)
+        if attributes.get("schema") == SCHEMA:
+            check_files(path)
+    except DamagedFile as error:
+        raise damaged from error
+    except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
+        if (path / CHECKSUMS).exists():
+            raise damaged from error
+        raise DatasetError("not a dataset", where=path, how="make one with `offpiste extract`") from error
+    return attributes

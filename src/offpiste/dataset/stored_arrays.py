@@ -1,5 +1,6 @@
 """Arrays of a dataset on disk: one uncompressed chunk each, with its CRC-32C at the end (Zarr's codec `crc32c`)."""
 
+import os
 from pathlib import Path
 
 import google_crc32c
@@ -7,7 +8,10 @@ import numpy as np
 import zarr
 from zarr.codecs import Crc32cCodec
 
-from offpiste.checksums import DamagedFile
+from offpiste.checksums import CHECKSUMS, DamagedFile, sha256_of_json
+
+ARRAYS = "arrays_sha256"
+"""Attribute of a drive: `digest_of_chunks` of its folder when it was written."""
 
 PIECE = 1 << 22
 """Bytes of a file that are read at a time."""
@@ -79,3 +83,21 @@ def check_crc32c(file: Path) -> None:
             left -= len(piece)
         if opened.read() != checksum.to_bytes(4, "little"):
             raise DamagedFile(file)
+
+
+def digest_of_chunks(folder: Path) -> str:
+    """SHA-256 of the CRC-32Cs at the ends of all chunks below a folder, which other bytes in any array change."""
+    ends = []
+    for file in sorted(folder.rglob("*")):
+        if file.is_file() and file.name not in ("zarr.json", CHECKSUMS):
+            with file.open("rb") as opened:
+                opened.seek(-min(4, file.stat().st_size), os.SEEK_END)
+                ends.append([file.relative_to(folder).as_posix(), opened.read().hex()])
+    return sha256_of_json(ends)
+
+
+def changed_arrays(drive: Path) -> str:
+    """`digest_of_chunks` of a drive whose arrays are not those that were written; empty for others, or older ones."""
+    written = zarr.open_group(drive, mode="r").attrs.get(ARRAYS)
+    found = digest_of_chunks(drive)
+    return found if written not in (None, found) else ""

@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 
 from offpiste.geometry import local_polynomial, planar_body_from_world
 from offpiste.logs.drive import Drive, common_span
-from offpiste.logs.motion import driven_slope, heading
+from offpiste.logs.motion import across_jumps, driven_slope, heading
 
 STEP = 0.05
 """Time between rows [s]."""
@@ -109,8 +109,9 @@ def driven_path(drive: Drive) -> Path:
         )[1][:, 0]
 
     speed = np.hypot(*velocity[:, :2].T)
+    stretches = np.where(across_jumps(drive, time)[:, None], np.nan, position)
     slope = (
-        driven_slope(position, speed, dt=STEP, length=drive.rig.motion.slope_length)
+        driven_slope(stretches, speed, dt=STEP, length=drive.rig.motion.slope_length)
         if position.shape[1] == 3
         else np.zeros(len(time))
     )

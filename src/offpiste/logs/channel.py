@@ -22,6 +22,8 @@ _FARTHEST: Final = 1.5e7
 """Largest coordinate that is a measurement and no fault [m]; northings of UTM reach 1e7 m."""
 LARGEST: Final = 1e9
 """The same of all other channels, in their units."""
+_FAR: Final = 1e5
+"""Distance from the origin at which places on a plane are percents off [m]."""
 _LONGEST: Final = 86400.0
 """Longest recording [s]: stamps that span more are of another unit, or damaged."""
 
@@ -142,7 +144,7 @@ def _clean(
         new = ~repeated(time, values)
         time, values, numbers = time[new], values[new], numbers[new]
 
-    forward = _increasing(time)
+    forward = increasing(time)
     if not forward.all():
         notes.append(
             f"{name}: {(~forward).sum()} of {len(forward)} stamps repeat or go back; those samples were dropped"
@@ -202,7 +204,8 @@ def convert(
         return raw if source.offset == 0 else _turned(raw, source.offset)
     values = _meanings(name, source, raw) if source.values else raw
     if source.unit == GEOGRAPHIC:
-        return local_from_geographic(source.sign * (values * source.scale + source.offset))
+        degrees = source.sign * (values * source.scale + source.offset)
+        return _near_origin(source, local_from_geographic(degrees, source.origin))
     if source.wrap is not None:
         values = unwrapped(values, source.wrap)
     with np.errstate(over="ignore", invalid="ignore"):  # faults, which are dropped
@@ -210,6 +213,17 @@ def convert(
         if (control := control_of(name)) is not None and control.discrete:
             values = np.clip(np.round(values), control.low, control.high)
     return values if source.clip is None else np.clip(values, *source.clip)
+
+
+def _near_origin(source: ChannelSource, place: Float[np.ndarray, "n c"]) -> Float[np.ndarray, "n c"]:
+    """The same, if the plane that touches the earth at the rig's origin holds there."""
+    away = np.nanmedian(np.hypot(place[:, 0], place[:, 1])) if np.isfinite(place[:, :2]).all(axis=1).any() else 0.0
+    if source.origin is not None and away > _FAR:
+        raise RigError(
+            f"channels.position.origin lies {away / 1e3:.0f} km from the places of topic '{source.topic}'",
+            how="give latitude and longitude of a place near the drives, in this order",
+        )
+    return place
 
 
 def _meanings(name: str, source: ChannelSource, raw: Float[np.ndarray, "n 1"]) -> Float[np.ndarray, "n 1"]:
@@ -235,7 +249,7 @@ def _turned(quaternion: Float[np.ndarray, "n 4"], angle: float) -> Float[np.ndar
     return np.stack((x * cos + y * sin, y * cos - x * sin, z * cos + w * sin, w * cos - z * sin), axis=1)
 
 
-def _increasing(time: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+def increasing(time: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
     """Rows to keep so that stamps increase: those later than all before, or earlier than all after if that keeps more.
 
     A single stamp far in the future would drop every row after it by the first rule, only itself by the second.

@@ -1,10 +1,11 @@
 """A drive: the channels of one recording, read from a log through a rig."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from offpiste.errors import LogError
+from offpiste.geometry import same_sign
 from offpiste.logs.channel import Channel, read_numbered_channel, refuse_long
 from offpiste.logs.clock_drift import align_clock
 from offpiste.logs.log import Log
@@ -51,6 +52,9 @@ def drive_from_log(log: Log, rig: Rig) -> Drive:
         notes += added
     channels, faults = without_faults(channels, numbers)
     notes += faults.notes
+    if "orientation" in channels:  # not before: a corrupt sample may have either sign
+        given = channels["orientation"]
+        channels["orientation"] = replace(given, values=same_sign(given.values))
     if rig.alignment is not None:
         channels, added = align_clock(log, rig, rig.alignment, channels)
         notes += added

@@ -77,11 +77,6 @@ class Cloud:
         """Moment of each point [s]."""
         return self.time + (np.zeros(len(self.points)) if self.offset is None else self.offset)
 
-    @property
-    def end(self) -> float:
-        """Moment at which the last of its points was measured, or its stamp if that is later [s]."""
-        return float(max(self.times.max(initial=-np.inf), self.time))
-
 
 def decoded_picture(data: UInt8[np.ndarray, " n"], *, grey: bool = False) -> UInt8[np.ndarray, "h w *c"] | None:
     """BGR, or grey, of a PNG, a JPEG or whatever else OpenCV decodes; None where it cannot, or will not for its size.

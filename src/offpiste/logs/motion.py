@@ -3,8 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
+from offpiste.conventions import DT
 from offpiste.geometry import (
     local_polynomial,
     planar_body_from_world,
@@ -14,6 +15,7 @@ from offpiste.geometry import (
 )
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
+from offpiste.logs.poses import find_jumps
 
 _MOVING = 0.2
 """Speed below which the vehicle is at a standstill [m/s]: noise does not count as path."""
@@ -55,6 +57,20 @@ def heading(drive: Drive) -> Channel:
         channel = drive.channels["orientation"]
         yaw = yaw_from_quaternion(channel.values)
     return Channel("yaw", "rad", channel.time, yaw[:, None])
+
+
+def across_jumps(drive: Drive, at: Float[np.ndarray, " N"], *, causal: bool = False) -> Bool[np.ndarray, " N"]:
+    """Moments at which the motion is estimated from samples on both sides of a jump of the pose.
+
+    Args:
+        causal: `Motion.state_causal` alone, which no later jump changes.
+    """
+    headings = [drive.channels[name] for name in ("orientation", "yaw") if name in drive.channels]
+    across, window = np.zeros(len(at), bool), max(drive.rig.motion.window, 2 * DT)
+    for before, after in find_jumps(drive.channels["position"], *headings):
+        # Targets use half a window to either side, causal states a whole one back.
+        across |= (at >= after if causal else at > before - window / 2) & (at < after + window)
+    return across
 
 
 def driven_slope(

@@ -153,13 +153,16 @@ _TURN_RATE: Final = 4.0
 """... if it is also faster than this [rad/s], which no vehicle turns."""
 
 
-def find_jumps(position: Channel, orientation: Channel | None = None) -> Float[np.ndarray, "j 2"]:
-    """Last moment before and first moment after each jump, in the order of time [s]."""
+def find_jumps(position: Channel, *headings: Channel) -> Float[np.ndarray, "j 2"]:
+    """Last moment before and first moment after each jump, in the order of time [s].
+
+    Args:
+        headings: quaternions, and yaw, wrapped or not.
+    """
     result = [_between(position, position_excess(position) > FARTHEST)]
-    if orientation is not None and len(orientation.time) > 1:
-        turned = _turns(orientation)
-        limit = np.maximum(_TURN, _TURN_RATE * np.diff(orientation.time))
-        result.append(_between(orientation, turned > limit))
+    for heading in headings:
+        limit = np.maximum(_TURN, _TURN_RATE * np.diff(heading.time))
+        result.append(_between(heading, _turns(heading) > limit))
     jumps = np.concatenate(result)
     return jumps[np.lexsort(jumps.T[::-1])]
 
@@ -172,9 +175,11 @@ def position_excess(position: Channel) -> Float[np.ndarray, " m"]:
     return step - (speed + _ACCELERATION * dt) * dt
 
 
-def _turns(orientation: Channel) -> Float[np.ndarray, " m"]:
-    """Angles between neighbouring samples [rad]."""
-    matrix = rotation_from_quaternion(orientation.values)
+def _turns(heading: Channel) -> Float[np.ndarray, " m"]:
+    """Angles between neighbouring samples of quaternions or of yaw [rad]."""
+    if heading.values.shape[1] == 1:
+        return np.abs((np.diff(heading.values[:, 0]) + np.pi) % (2 * np.pi) - np.pi)
+    matrix = rotation_from_quaternion(heading.values)
     trace = np.einsum("nij,nij->n", matrix[:-1], matrix[1:])
     return np.arccos(np.clip((trace - 1) / 2, -1, 1))
 

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from offpiste.errors import LogError
+from offpiste.logs.channel import increasing
 from offpiste.logs.clock_drift import DRIFT_LIMIT, clock_difference, clock_note
 from offpiste.logs.drive import drive_from_log
 from offpiste.logs.log import Log, RawCloud, RawImage
@@ -22,6 +23,8 @@ _USELESS: Final = 10
 """Number of messages in a row without anything usable, after which a sensor is given up."""
 _LATE: Final = 1.0
 """Part of the drive at either end that a sensor may miss unreported [s]."""
+_HELD: Final = 20
+"""Messages of a sensor that are held to put them in order: a transport that shuffles delays none by more."""
 _T = TypeVar("_T")
 
 
@@ -45,6 +48,7 @@ class SensorLog:
         self.path, self.rig = log.path, rig
         self.cameras, self.lidars, self.poses = cameras, lidars, poses
         self._log, self._notes = log, notes
+        self._stamps: dict[str, Float[np.ndarray, " n"]] = {}
         self._read: Counter[str] = Counter()
         self._dropped: Counter[tuple[str, str]] = Counter()
 
@@ -57,7 +61,7 @@ class SensorLog:
     def stream(
         self, names: Iterable[str] | None = None, *, start: float = -np.inf, end: float = np.inf
     ) -> Iterator[Image | Cloud]:
-        """Images and clouds in the order of their times; one message a sensor is held at a time.
+        """Images and clouds in the order of their times; one message a sensor is held at a time, or a few to sort them.
 
         Args:
             names: of cameras and LiDARs; all of them by default.
@@ -78,8 +82,7 @@ class SensorLog:
         """
         streams = []
         for name, index in chosen.items():
-            stamps = self._log.stamps(self._sensor(name).source.topic, stamps=self.rig.clock.stamps)
-            streams.append(self._measured(name, stamps[index]))
+            streams.append(self._measured(name, self._recorded_stamps(name)[index]))
         yield from heapq.merge(*streams, key=lambda measured: measured.time)
 
     def _measured(self, name: str, times: Float[np.ndarray, " n"] | None) -> Iterator[Image | Cloud]:
@@ -89,8 +92,12 @@ class SensorLog:
 
     def stamps(self, name: str) -> Float[np.ndarray, " n"]:
         """Times of a sensor's messages in the order of the file [s], without decoding them."""
-        source = self._sensor(name).source
-        return self._log.stamps(source.topic, stamps=self.rig.clock.stamps) - source.delay
+        return self._recorded_stamps(name) - self._sensor(name).source.delay
+
+    def _recorded_stamps(self, name: str) -> Float[np.ndarray, " n"]:
+        if name not in self._stamps:
+            self._stamps[name] = self._log.stamps(self._sensor(name).source.topic, stamps=self.rig.clock.stamps)
+        return self._stamps[name]
 
     def coverage(self) -> tuple[str, ...]:
         """Poses that jump, sensors that start late, stop early or pause, clocks that drift, in words; reads all stamps.
@@ -164,16 +171,20 @@ class SensorLog:
         return self._converted(lidar.name, raw, convert)
 
     def _converted(
-        self, name: str, raw: Iterator[RawImage] | Iterator[RawCloud], convert: Callable[..., _T | str]
+        self, name: str, raw: Iterator[RawImage | RawCloud], convert: Callable[..., _T | str]
     ) -> Iterator[_T]:
         """Messages that can be used, in the order of time; others are counted."""
         latest, useless = -np.inf, 0
+        stamps = self._recorded_stamps(name)
+        if self.rig.clock.sort:
+            stamps, raw = np.sort(stamps), _sorted(raw)
+        rising = set(stamps[increasing(stamps)].tolist())
         self._read[name] = 0
         for key in [key for key in self._dropped if key[0] == name]:
             del self._dropped[key]
         for measured in raw:
             self._read[name] += 1
-            if not measured.time > latest:
+            if measured.time not in rising or not measured.time > latest:
                 self._dropped[name, "stamps repeat or go back; those messages were dropped"] += 1
                 continue
             converted = convert(measured)
@@ -226,6 +237,16 @@ def open_sensors(log: Log, rig: Rig, *, poses: Poses | None = None, rough: bool 
     known = poses or poses_from_drive(drive_from_log(log, rig))
     notes = [f"no messages of {', '.join(absent)}: the log is read without"] if absent else []
     return SensorLog(log, rig, cameras, lidars, known, notes)
+
+
+def _sorted(raw: Iterator[RawImage | RawCloud]) -> Iterator[RawImage | RawCloud]:
+    """Messages in the order of their stamps, unless one comes more than `_HELD` messages late."""
+    held: list[tuple[float, int, RawImage | RawCloud]] = []
+    for number, message in enumerate(raw):
+        heapq.heappush(held, (message.time, number, message))
+        if len(held) > _HELD:
+            yield heapq.heappop(held)[2]
+    yield from (message for _, _, message in sorted(held, key=lambda one: one[:2]))
 
 
 def _between(measured: Iterator[Image | Cloud], start: float, end: float) -> Iterator[Image | Cloud]:

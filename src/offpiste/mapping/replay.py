@@ -55,10 +55,13 @@ class MappedScan(NamedTuple):
     """A scan as it went into the map, and the keyframes that it was projected onto, if there were any.
 
     Attributes:
+        points_world: without those at unknown poses [m].
+        measured: moment of the last of them, or the scan's stamp if that is later [s].
         ghosts: points that were left out (`mapping.ghosts`).
     """
 
     points_world: Float[np.ndarray, "n 3"]
+    measured: float
     ghosts: Bool[np.ndarray, " n"]
     projection: Projection | None
     keyframes: tuple[Keyframe, ...]
@@ -162,7 +165,7 @@ class SensorMapper:
         lidar = self._lidars[scan.lidar]
         points = points_in_world(scan, lidar, poses)
         known = np.isfinite(points[:, 0] + points[:, 1] + points[:, 2])
-        points = points if known.all() else points[known]
+        points, measured = points if known.all() else points[known], float(scan.times[known].max(initial=scan.time))
         cloud, projection = FeatureCloud(points, (pose @ lidar.body_from_lidar)[:3, 3]), None
         if recent:
             projection = project(points, [k.view for k in recent], self._settings.projection)
@@ -170,7 +173,7 @@ class SensorMapper:
             features = projection.gather([k.features for k in recent]).astype(np.float32, copy=False)
             cloud = replace(cloud, features=features, has_feature=projection.seen)
         ghosts = self.pipeline.add(cloud, pose[:3, 3])
-        return MappedScan(points, ghosts, projection, recent)
+        return MappedScan(points, measured, ghosts, projection, recent)
 
 
 @dataclass(frozen=True)
@@ -252,8 +255,8 @@ def replay(
             if mapper.is_keyframe(measured, pose) if wanted is None else wanted(measured):
                 mapper.add_image(measured, pose)
             continue
-        points, ghosts, projection, keyframes = mapper.add_scan(measured, log.poses, pose)
-        measured_until = max(measured_until, measured.end)
+        points, last, ghosts, projection, keyframes = mapper.add_scan(measured, log.poses, pose)
+        measured_until = max(measured_until, last)
         moment = Moment(
             time=measured.time,
             measured=measured_until,

@@ -90,6 +90,8 @@ class ChannelSource(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         clip: values are limited to this interval.
         values: what recorded values stand for, of channels of one field; keys are numbers, true, false, or the single
             letter whose character code is recorded. The other entries apply to what they stand for.
+        origin: latitude and longitude of x = y = 0, for a position in these [degrees], so that drives share their
+            coordinates; by default a place near the first one of each log.
         interpolation: between samples: a command holds, a measurement is interpolated.
         repeats: "drop": samples equal to the one before are left out, but for one every `REPEATED`: tables hold the
             last value of a slower sensor.
@@ -107,6 +109,7 @@ class ChannelSource(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     valid: tuple[float, float] | None = None
     clip: tuple[float, float] | None = None
     values: dict[str, float] = {}
+    origin: tuple[float, float] | None = None
     interpolation: Literal["linear", "hold"] = "linear"
     repeats: Literal["keep", "drop"] = "keep"
 
@@ -154,6 +157,11 @@ def unit_factor(channel: str, unit: str, max_steer: float = 0.0) -> float:
     return known[unit or own]
 
 
+def _on_earth(place: tuple[float, float]) -> bool:
+    """Whether latitude and longitude are some [degrees]."""
+    return abs(place[0]) <= 90 and abs(place[1]) <= 360
+
+
 def undeclared(given: Collection[str]) -> list[str]:
     """Channels of controls and actuators that a rig must declare absent, or give, besides those that it gives."""
     names = [control.name for control in all_controls() if control.declared]
@@ -187,6 +195,11 @@ def check_channels(channels: Mapping[str, ChannelSource], absent: Collection[str
         unit_factor(name, source.unit, max_steer)
         if source.meanings() and len(source.fields) != 1:
             raise RigError(f"channels.{name}.values needs a single field", how="remove it")
+        if source.origin is not None and (source.unit != GEOGRAPHIC or not _on_earth(source.origin)):
+            raise RigError(
+                f"channels.{name}.origin is no place of positions in '{GEOGRAPHIC}'",
+                how="give latitude and longitude in degrees, such as origin = [48.15, 11.58], or remove it",
+            )
         if name in ("linear_velocity", "angular_velocity") and not source.frame:
             raise RigError(
                 f"channels.{name}.frame is missing",
@@ -220,7 +233,8 @@ class Clock(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         stamps: of messages in bags: their headers', or their arrival.
         column: a table's time column.
         unit: of that column: s, ms, us or ns.
-        sort: samples are put in the order of their stamps; otherwise those out of order are dropped.
+        sort: samples, images and scans are put in the order of their stamps (the latter two where they come at most 20
+            messages late); otherwise those out of order are dropped.
         max_gap: no interpolation between samples further apart; a drive is cut there [s].
     """
 

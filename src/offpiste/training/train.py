@@ -19,6 +19,7 @@ from offpiste.dataset.log_findings import warning_line
 from offpiste.dataset.split_balance import split_warning
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import Dataset
+from offpiste.dataset.stored_arrays import changed_arrays
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import MODELS, Dynamics
 from offpiste.dynamics.models import reference_of
@@ -225,8 +226,9 @@ def _claim(folder: Path, dataset: Dataset, config: TrainConfig, resume: bool) ->
 
 def _digest_of(dataset: Dataset) -> str:
     """SHA-256 of the checksums of the dataset's settings and drives, which other rows, parts or features change."""
-    folders = [dataset.path, *(dataset.path / drive.name for drive in dataset.drives)]
-    return sha256_of_json([[file.parent.name, sha256_of(file)] for each in folders for file in each.glob(CHECKSUMS)])
+    drives = [dataset.path / drive.name for drive in dataset.drives]
+    files = [[file.parent.name, sha256_of(file)] for each in (dataset.path, *drives) for file in each.glob(CHECKSUMS)]
+    return sha256_of_json(files + [[each.name, other] for each in drives if (other := changed_arrays(each))])
 
 
 def _refuse_ground(batch: Batch) -> None:

@@ -5,7 +5,7 @@ from jaxtyping import Float
 
 from offpiste.conventions import DT, STATE, WHEELS
 from offpiste.dataset.columns import COLUMNS, Column, RowGrid
-from offpiste.logs.motion import driven_slope
+from offpiste.logs.motion import across_jumps, driven_slope
 
 COLUMNS.register("state")(
     Column(read=lambda grid: grid.motion.state, shape=(len(STATE),), segments=("target",), relative=True)
@@ -30,6 +30,7 @@ def _slope(grid: RowGrid, *, causal: bool) -> Float[np.ndarray, " N"]:
         return np.zeros(len(grid.time))
     state = grid.motion.state_causal if causal else grid.motion.state
     position = (place.latest if causal else place.linear)(grid.time, max_gap=gap)
+    position[across_jumps(grid.drive, grid.time, causal=causal)] = np.nan
     speed = np.copysign(np.hypot(state[:, 3], state[:, 4]), state[:, 3])
     return driven_slope(position, speed, dt=DT, length=rig.motion.slope_length, causal=causal)
 
