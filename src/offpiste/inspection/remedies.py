@@ -16,6 +16,7 @@ import numpy as np
 from offpiste.errors import OffpisteError
 from offpiste.inspection.course import against_names
 from offpiste.inspection.findings import Cure, Finding, ranked
+from offpiste.logs.axes import turning_sign
 from offpiste.rig.channels import GEOGRAPHIC, unit_factor
 from offpiste.rig.edits import Edit, edited, rounded
 from offpiste.rig.rig import Rig
@@ -180,7 +181,7 @@ def _compass(rig: Rig) -> Iterator[Cure]:
     source = rig.channels.get("yaw")
     if source is not None:
         flipped = Edit("channels.yaw.sign", -source.sign)
-        quarter = np.pi / 2 / (source.sign * unit_factor("yaw", source.unit))
+        quarter = np.pi / 2 / (source.sign * unit_factor("yaw", source.unit)) * turning_sign("yaw", rig.motion.axes)
         yield flipped, Edit("channels.yaw.offset", rounded(source.offset - quarter))
         yield (flipped,)
 
