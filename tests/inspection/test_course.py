@@ -53,6 +53,26 @@ def test_a_turned_heading_is_turned_back_about_axes_that_point_down(degrees: flo
         assert check_course(cured, driven_path(cured)) == []
 
 
+@pytest.mark.parametrize("axes", ["z up", "body down", "world down", "ned"])
+@pytest.mark.parametrize("turned", [False, True])
+def test_the_heading_follows_places_of_latitude_and_longitude_whatever_the_axes(axes: str, turned: bool) -> None:
+    _, odom = CLEAN.data["odom"]
+    # A world of north, east, down is one of north, west, up upside down.
+    east, north = (-odom["y"], odom["x"]) if axes in ("world down", "ned") else (odom["x"], odom["y"])
+    log, by_yaw = pointing(_turned(0.5 if turned else 0.0), axes)
+    log = log.change("odom", "x", lambda _: 50.0 + north / 111_229)
+    log = log.change("odom", "y", lambda _: 8.0 + east / 71_696)
+    places = [Edit("channels.position.unit", "lat lon"), Edit("channels.position.fields", ["x", "y"])]
+    for given in (by_yaw, edited(rig(), [Edit("motion.axes", axes)])):
+        given = edited(given, places)
+        drive = drive_from_log(log, given)
+        found = check_course(drive, driven_path(drive))
+        assert len(found) == turned
+        for finding in found:
+            cured = drive_from_log(log, edited(given, finding.cures[0]))
+            assert check_course(cured, driven_path(cured)) == []
+
+
 @pytest.mark.parametrize("degrees", [-90.0, 30.0, 60.0])
 def test_a_turned_heading_of_a_vehicle_that_reverses_at_times_is_turned_back(degrees: float) -> None:
     time = CLEAN.data["odom"][0]

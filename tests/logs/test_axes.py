@@ -44,3 +44,14 @@ def test_an_offset_turns_to_the_left_by_its_sign() -> None:
         before, after = (to_z_up("orientation", SOURCE[""], each, axes) for each in (before, after))
         about_body = (Rotation.from_quat(before).inv() * Rotation.from_quat(after)).as_rotvec()[0, 2]
         assert about_body == pytest.approx(0.1 * turning_sign("orientation", axes))
+
+
+def test_latitude_and_longitude_have_no_axes_and_are_laid_into_the_world_of_the_others() -> None:
+    """Where the log's world is north, east, down, all else becomes north, west, up; the height is up as it is."""
+    east_north_up = np.array([[1.0, 2.0, 3.0], [-4.0, 5.0, -6.0]])
+    north_west_up = np.array([[2.0, -1.0, 3.0], [5.0, 4.0, -6.0]])
+    source = ChannelSource(fields=("lat", "lon", "height"), unit="lat lon")
+    for axes in ("z up", "body down", "world down", "ned"):
+        expected = north_west_up if axes in ("world down", "ned") else east_north_up
+        assert (to_z_up("position", source, east_north_up, axes) == expected).all()
+        assert (to_z_up("position", source, east_north_up[:, :2], axes) == expected[:, :2]).all()

@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.rig.channels import ChannelSource
+from offpiste.rig.channels import GEOGRAPHIC, ChannelSource
 
 _HALF_TURN = np.array([1.0, -1.0, -1.0])
 _WORLD_DOWN: Final = ("world down", "ned")
@@ -23,6 +23,9 @@ def turning_sign(name: str, axes: str) -> int:
 def to_z_up(name: str, source: ChannelSource, values: Float[np.ndarray, "n k"], axes: str) -> Float[np.ndarray, "n k"]:
     """Values of a channel in a world and a body whose z axes point up.
 
+    Latitude and longitude have no axes. They come as east, north, up; a world of north, east, down is north, west, up
+    once it is turned, and they with it.
+
     Args:
         axes: as the rig's `motion.axes` says them: "body down", "world down" or "ned"; "z up" changes nothing.
     """
@@ -31,11 +34,18 @@ def to_z_up(name: str, source: ChannelSource, values: Float[np.ndarray, "n k"], 
         return _turned(values, world=world, body=body)
     if name in ("yaw", "yaw_rate"):
         return values * turning_sign(name, axes)
+    if name == "position" and source.unit == GEOGRAPHIC:
+        return _north_west(values) if world else values
     in_world = name == "position" or (name in ("linear_velocity", "angular_velocity") and source.frame == "world")
     in_body = name in ("linear_velocity", "angular_velocity") and source.frame == "body"
     if (in_world and world) or (in_body and body):
         return values * _HALF_TURN[: values.shape[1]]
     return values
+
+
+def _north_west(values: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
+    """Places north and west, and their height, from those east and north."""
+    return np.column_stack((values[:, 1], -values[:, 0], values[:, 2:]))
 
 
 def _turned(quaternion: Float[np.ndarray, "n 4"], *, world: bool, body: bool) -> Float[np.ndarray, "n 4"]:
