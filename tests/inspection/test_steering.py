@@ -184,6 +184,11 @@ def test_a_command_that_is_the_angle_of_the_wheels_is_read_as_one() -> None:
     log = drive_log(seed=0).change("steering", "command", lambda steer: MAX_STEER * steer)
     (finding,) = (f for f in inspect_log(log, without).findings if f.severity == "warning")
     assert finding.cures[0] == (Edit("channels.steer.unit", "rad"),)
+    # An angle whose zero is elsewhere: the rig knows where, and it stays there.
+    moved = log.change("steering", "command", lambda angle: angle + 0.05)
+    given = edited(without, [Edit("channels.steer.offset", -0.05)])
+    (finding,) = (f for f in inspect_log(moved, given).findings if f.severity == "warning")
+    assert finding.cures[0] == (Edit("channels.steer.unit", "rad"),)
 
 
 @pytest.mark.parametrize(("steady", "sign"), [(0.98, 1), (0.6, -1)])

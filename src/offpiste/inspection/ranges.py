@@ -13,7 +13,7 @@ from offpiste.inspection.recorded_log import Recorded
 from offpiste.inspection.signal_faults import PERIODS
 from offpiste.logs.channel import convert, largest
 from offpiste.rig.channels import ChannelSource, unit_factor
-from offpiste.rig.edits import Edit, absent, rounded
+from offpiste.rig.edits import Edit, absent, rescaled, rounded
 from offpiste.rig.rig import Rig
 
 _ALTERNATIVES = {"percent": 0.01, "permille": 0.001, "deg": np.pi / 180, "rev/min": 0.001}
@@ -156,16 +156,14 @@ def _cure(
         if not 0.3 * high < extreme * factor <= 1.2 * high or (low == 0 and first < -0.1 * extreme):
             continue
         if not plain:
-            scaled = (("scale", source.scale * factor), ("offset", source.offset * factor))
-            return tuple(Edit(f"channels.{name}.{key}", rounded(new)) for key, new in scaled if new)
+            return rescaled(name, source, factor)
         try:
             unit_factor(name, unit)
         except RigError:
             continue
         return (Edit(f"channels.{name}.unit", unit),)
     if low < 0:
-        scaled = (("scale", source.scale * high / extreme), ("offset", source.offset * high / extreme))
-        return tuple(Edit(f"channels.{name}.{key}", rounded(new)) for key, new in scaled if new)
+        return rescaled(name, source, high / extreme)
     if last < 0.1 * extreme and extreme <= 1.2 * high:
         return (Edit(f"channels.{name}.sign", -source.sign),)
     # 0 to 1 over what was seen: value = sign * (raw * scale + offset) * unit.

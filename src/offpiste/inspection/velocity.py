@@ -21,7 +21,7 @@ from offpiste.logs.axes import turning_sign
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
 from offpiste.rig.channels import ChannelSource, unit_factor
-from offpiste.rig.edits import Edit, rounded
+from offpiste.rig.edits import Edit, rescaled, rounded
 from offpiste.rig.rig import Rig
 
 _FITS = 0.2
@@ -257,14 +257,13 @@ def _gain(
     named = {u: f for u, f in units.items() if abs(size / f - 1) < 0.1 and not source.unit}
     plain = source.unit in units and abs(size * units[source.unit] - 1) < 0.1
     value = min(named) if named else unit
-    scale = Edit(f"channels.{name}.scale", rounded(source.scale / size))
-    edit = Edit(f"channels.{name}.unit", value) if named or plain else scale
+    edits = (Edit(f"channels.{name}.unit", value),) if named or plain else rescaled(name, source, 1 / size)
     places = [*_other_unit_of_places(size, rig)] if unit == "m/s" else []
-    cures = [(edit,)] if named or plain else [*places, (edit,)]
+    cures = [edits] if named or plain else [*places, edits]
     cures += [place for place in places if place not in cures]
     if unit == "m/s":
         cures.append((Edit("channels.position.scale", rounded(rig.channels["position"].scale * size)),))
-    remedy = str(cures[0][0])
+    remedy = ", ".join(map(str, cures[0]))
     return [*findings, Finding("warning", name, f"is not in {unit}", evidence, remedy, 0.9, tuple(cures))]
 
 
