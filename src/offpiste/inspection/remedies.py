@@ -81,7 +81,7 @@ def _best_cure(left: Sequence[Finding], rig: Rig, examine: Examine) -> tuple[Cur
         except OffpisteError:
             continue  # an edit that this rig does not allow
         remains = badness(after) + _PER_EDIT * _size(cure, rig) + against_names(cure, rig)
-        if remains < least - 1e-9:
+        if remains < least - 1e-9 and not _hides_motion(left, after):
             best, least = (cure, after), remains
     return best
 
@@ -98,7 +98,7 @@ def _first_of_two(left: Sequence[Finding], rig: Rig, examine: Examine) -> tuple[
             after = examine(edited(rig, cure))
         except OffpisteError:
             continue
-        if not _is_among(finding, after):
+        if not _is_among(finding, after) and not _hides_motion(left, after):
             firsts.append((cure, after))
     best, least = None, badness(left) - 2 * _LEAST_GAIN
     for cure, after in sorted(firsts, key=lambda first: badness(first[1]))[:_FEW]:
@@ -110,6 +110,12 @@ def _first_of_two(left: Sequence[Finding], rig: Rig, examine: Examine) -> tuple[
         if remains < least - 1e-9:
             best, least = (cure, after), remains
     return best
+
+
+def _hides_motion(before: Sequence[Finding], after: Sequence[Finding]) -> bool:
+    """Whether a cure spoils the pose, so that nothing is compared with the motion any more: that silences much."""
+    now, then = ({f.where for f in each if f.severity == "fatal"} <= {"controls"} for each in (before, after))
+    return now and not then
 
 
 def _remembering(examine: Examine) -> Examine:
@@ -234,4 +240,4 @@ def _harms(cure: Cure, left: Sequence[Finding], rig: Rig, examine: Examine) -> b
         return True
     before, now = (badness([f for f in each if f.severity != "note"]) for each in (left, after))
     wanted = any(cure in f.cures and f.severity != "note" for f in left)
-    return now > before - (_LEAST_GAIN if wanted else 0.0)
+    return _hides_motion(left, after) or now > before - (_LEAST_GAIN if wanted else 0.0)
