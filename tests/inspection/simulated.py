@@ -8,6 +8,9 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
 import factories
+from offpiste.logs.axes import to_z_up
+from offpiste.rig.channels import ChannelSource
+from offpiste.rig.edits import Edit, edited
 from offpiste.rig.rig import Rig, parse_rig
 
 WHEELBASE, MAX_STEER = 2.5, 0.4
@@ -146,6 +149,24 @@ def steered(log: MemoryLog, command: np.ndarray, *, follows: float) -> MemoryLog
     moved = odom | {"x": x, "y": y, "wz": rate, "qz": np.sin(yaw / 2), "qw": np.cos(yaw / 2)}
     steering = columns | {"command": command, "angle": MAX_STEER * wheels}
     return MemoryLog({**log.data, "odom": (time, moved), "steering": (stamps, steering)})
+
+
+def pointing(log: MemoryLog, axes: str) -> tuple[MemoryLog, Rig]:
+    """The log as a vehicle with these axes would have recorded it, and the right rig for it.
+
+    The pose has a field `yaw` and the rates a field `yaw_rate`, which the rig reads instead of vectors and quaternions.
+    """
+    time, odom = log.data["odom"]
+    odom = odom | {"yaw": np.unwrap(2 * np.arctan2(odom["qz"], odom["qw"])), "yaw_rate": odom["wz"]}
+    vectors = ("qx", "qy", "qz", "qw"), ("x", "y", "z"), ("vx", "vy", "vz"), ("yaw",), ("yaw_rate",)
+    for name, fields in zip(("orientation", "position", "linear_velocity", "yaw", "yaw_rate"), vectors, strict=True):
+        source = ChannelSource(fields=fields, frame="body")
+        # Half a turn undoes itself.
+        turned = to_z_up(name, source, np.stack([odom[field] for field in fields], axis=1), axes)
+        odom |= dict(zip(fields, turned.T, strict=True))
+    edits = [Edit(f"channels.{name}", None) for name in ("orientation", "angular_velocity")]
+    edits += [Edit(f"channels.{name}", {"topic": "odom", "fields": [name]}) for name in ("yaw", "yaw_rate")]
+    return MemoryLog({**log.data, "odom": (time, odom)}), edited(rig(), [Edit("motion.axes", axes), *edits])
 
 
 def _wander(random: np.random.Generator, time: np.ndarray, period: float) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from simulated import MemoryLog, drive_log, rig
+from simulated import MemoryLog, drive_log, pointing, rig
 
 from offpiste.inspection.course import check_course, heading_fits, leans_inward
 from offpiste.inspection.driven_path import driven_path
@@ -38,6 +38,39 @@ def test_a_turned_heading_is_turned_back(degrees: float) -> None:
     assert edit.value == pytest.approx(-np.radians(degrees), abs=0.03)
     cured = drive_from_log(log, edited(rig(), [edit]))
     assert check_course(cured, driven_path(cured)) == []
+
+
+@pytest.mark.parametrize("axes", ["body down", "world down", "ned"])
+@pytest.mark.parametrize("degrees", [25.0, -90.0])
+def test_a_turned_heading_is_turned_back_about_axes_that_point_down(degrees: float, axes: str) -> None:
+    log, by_yaw = pointing(_turned(np.radians(degrees)), axes)
+    by_orientation = edited(rig(), [Edit("motion.axes", axes)])
+    for given, name in ((by_yaw, "yaw"), (by_orientation, "orientation")):
+        drive = drive_from_log(log, given)
+        (finding,) = check_course(drive, driven_path(drive))
+        assert [edit.key for edit in finding.cures[0]] == [f"channels.{name}.offset"]
+        cured = drive_from_log(log, edited(given, finding.cures[0]))
+        assert check_course(cured, driven_path(cured)) == []
+
+
+@pytest.mark.parametrize("axes", ["z up", "body down", "world down", "ned"])
+@pytest.mark.parametrize("turned", [False, True])
+def test_the_heading_follows_places_of_latitude_and_longitude_whatever_the_axes(axes: str, turned: bool) -> None:
+    _, odom = CLEAN.data["odom"]
+    # A world of north, east, down is one of north, west, up upside down.
+    east, north = (-odom["y"], odom["x"]) if axes in ("world down", "ned") else (odom["x"], odom["y"])
+    log, by_yaw = pointing(_turned(0.5 if turned else 0.0), axes)
+    log = log.change("odom", "x", lambda _: 50.0 + north / 111_229)
+    log = log.change("odom", "y", lambda _: 8.0 + east / 71_696)
+    places = [Edit("channels.position.unit", "lat lon"), Edit("channels.position.fields", ["x", "y"])]
+    for given in (by_yaw, edited(rig(), [Edit("motion.axes", axes)])):
+        given = edited(given, places)
+        drive = drive_from_log(log, given)
+        found = check_course(drive, driven_path(drive))
+        assert len(found) == turned
+        for finding in found:
+            cured = drive_from_log(log, edited(given, finding.cures[0]))
+            assert check_course(cured, driven_path(cured)) == []
 
 
 @pytest.mark.parametrize("degrees", [-90.0, 30.0, 60.0])

@@ -195,10 +195,10 @@ FAULTS: list[tuple[str, Fault, str, str, tuple[str, str], str]] = [
     ),
     (
         "dead channel",
-        lambda log: log.change("pedals", "brake", np.zeros_like),
-        "brake",
-        "remove channels.brake, absent = [",
-        (f"[channels.brake]\n{BRAKE}", ""),
+        lambda log: log.change("steering", "angle", np.zeros_like),
+        "steer_angle",
+        "remove channels.steer_angle, absent = [",
+        (f"[channels.steer_angle]\n{ANGLE}", ""),
         "",
     ),
 ]
@@ -219,7 +219,7 @@ def test_a_fault_is_named_with_the_line_that_fixes_it(
 
     changes = [change]
     if "absent" in remedy:
-        changes.append(('absent = ["brake_pressure"', 'absent = ["brake", "brake_pressure"'))
+        changes.append(('absent = ["brake_pressure"', f'absent = ["{where}", "brake_pressure"'))
     if 'frame = "world"' in remedy:
         changes = [(VELOCITY, VELOCITY.replace("body", "world"))]
     if where == "steer" and also:

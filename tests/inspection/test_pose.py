@@ -4,8 +4,11 @@ import numpy as np
 import pytest
 from simulated import MemoryLog, drive_log, rig
 
+from offpiste.inspection.driven_path import driven_path
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.inspect import Inspection, inspect_log
+from offpiste.inspection.pose import check_position_unit
+from offpiste.logs.drive import drive_from_log
 from offpiste.rig.edits import Edit, edited
 from offpiste.rig.rig import Rig
 
@@ -135,3 +138,13 @@ def test_heights_of_geographic_places_are_metres() -> None:
         rig(), [Edit("channels.position.unit", "lat lon"), Edit("channels.position.fields", ["y", "x", "z"])]
     )
     assert [f for f in inspect_log(log, swiss).findings if "beyond" in f.what] == []
+
+
+@pytest.mark.parametrize(("unit", "metre"), [("mm", 1000.0), ("cm", 100.0)])
+def test_a_small_vehicle_in_millimetres_is_no_fast_one_in_centimetres(unit: str, metre: float) -> None:
+    log = drive_log(seconds=60)
+    for field in ("x", "y", "z"):
+        log = log.change("odom", field, lambda values: 0.3 * metre * values)
+    drive = drive_from_log(log, rig())
+    (finding,) = check_position_unit(drive, driven_path(drive))
+    assert finding.cures[0] == (Edit("channels.position.unit", unit),)

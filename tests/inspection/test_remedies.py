@@ -169,3 +169,16 @@ def test_a_log_whose_samples_are_all_out_of_order_is_sorted(now: Rig | None) -> 
     found = inspect_log(log, now)
     assert found.cure == (Edit("clock.sort", True),)
     assert not [f for f in found.findings if "unit" in f.what]
+
+
+def test_a_fatal_finding_is_not_exchanged_for_one_that_hides_the_others() -> None:
+    swapped = Edit("channels.position.fields", ["y", "x", "z"])
+    controls = Finding("fatal", "controls", "no control has any effect", "seen", "fix it", 1.0, ((swapped,),))
+    heading = Finding("fatal", "orientation", "does not follow the course", "seen", "fix it", 1.0)
+
+    def examine(now: Rig) -> tuple[Finding, ...]:
+        return (heading,) if now.channels["position"].fields[0] == "y" else (controls, _warning("steer"))
+
+    found = explain(examine(rig()), rig(), examine)
+    assert {finding.where for finding in found} == {"controls", "steer"}
+    assert not any(finding.cures for finding in found)

@@ -10,7 +10,7 @@ from offpiste.inspection.sensor_samples import Grey, driving, pairs
 from offpiste.inspection.sensor_stamps import check_frozen, check_sensor_stamps, untimed_points
 from offpiste.inspection.sensors import check_sensors
 from offpiste.logs import open_log
-from sensor_bags import IMAGE, cloud, compressed, info, opened, record, sensor_rig, tree
+from sensor_bags import IMAGE, SENSORS, cloud, compressed, info, opened, record, sensor_rig, tree
 
 FIXED = [(0, "/tf_static", tree()), (0, "/info", info())]
 
@@ -94,3 +94,35 @@ def test_points_with_times_that_the_rig_does_not_name(tmp_path):
     bare = replace(lidar, source=structs.replace(lidar.source, time_field=""))
     assert untimed_points(log, {"top": lidar}) == {}
     assert untimed_points(log, {"top": bare}) == {"top": "t"}
+
+
+def stamped_as(tmp_path, *, image=lambda t: t, cloud_stamp=lambda t: t, every=0.5, until=20.0, sensors=SENSORS):
+    """Findings about sensors whose messages arrive in order, stamped as given; the vehicle is right."""
+    times = np.arange(0.2, until, every).tolist()
+    messages = [(t + 0.05, "/points", cloud(cloud_stamp(t))) for t in times]
+    messages += [(t + 0.05, "/image", compressed(image(t), IMAGE)) for t in times]
+    path = record(tmp_path / f"{len(sensors)}.mcap", messages + FIXED, until=until)
+    return check_sensor_stamps(open_log(path), opened(path, sensors))
+
+
+def test_what_is_wrong_with_a_sensor_spoils_no_channel_and_edits_no_clock(tmp_path):
+    shuffled = np.random.default_rng(0).permutation(np.arange(0.2, 20.0, 0.5))
+    found = stamped_as(tmp_path, image=lambda t: shuffled[round(2 * (t - 0.2))])
+    assert [(f.severity, f.where, f.what) for f in found] == [
+        ("warning", "/image", "samples are not in the order of their stamps")
+    ]
+    assert found[0].cures == ()
+    assert "are dropped on reading" in found[0].remedy
+
+
+def test_a_sensor_that_is_slow_on_purpose_is_right(tmp_path):
+    assert stamped_as(tmp_path, every=8.0, until=193.0) == []
+
+
+def test_a_sensor_by_another_clock_is_given_the_delay_that_puts_it_right(tmp_path):
+    (found,) = stamped_as(tmp_path, image=lambda t: t - 30.0)
+    assert (found.severity, found.where) == ("warning", "/image")
+    assert found.remedy.startswith("cameras.front.delay = -30.05, ")  # by its arrival
+    assert found.cures == ()  # it may as well be sent late
+    cured = SENSORS.replace('info = "/info"', 'info = "/info"\ndelay = -30.05')
+    assert stamped_as(tmp_path, image=lambda t: t - 30.0, sensors=cured) == []

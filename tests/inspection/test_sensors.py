@@ -3,20 +3,26 @@
 KITTI's drive is cleared; with a camera planted wrongly it is not.
 """
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import simulated
+from scipy.spatial.transform import Rotation
+from simulated import MemoryLog
 
 import textured_world as world
 from experiments.sensor_faults import planted
 from offpiste.inspection.findings import Finding
+from offpiste.inspection.inspect import Inspection, inspect_log
 from offpiste.inspection.misfit import Misfit
 from offpiste.inspection.own_body import check_own_body
 from offpiste.inspection.sensor_samples import Gathered, gather, small_camera
 from offpiste.inspection.sensor_stamps import check_sensor_stamps
 from offpiste.inspection.sensors import CheckedSensor, camera_misfits, can_be_checked, check_mountings, lidar_misfits
 from offpiste.logs import open_log
+from offpiste.logs.log import RawCloud, Topic
 from offpiste.logs.measurements import Camera, Lidar
 from offpiste.logs.sensor_log import open_sensors
 from offpiste.rig.camera import CameraModel
@@ -146,3 +152,73 @@ def test_only_the_pose_decides_whether_sensors_are_checked(where, checked):
     finding = Finding("fatal", where, "is wrong", "", "")
     assert can_be_checked([finding], load_rig("kitti")) == checked
     assert can_be_checked([replace(finding, severity="warning")], load_rig("kitti"))
+
+
+class AmongWalls(MemoryLog):
+    """A drive whose LiDAR sees ground and walls, whatever its log says of it."""
+
+    has_sensors = True
+
+    def __init__(self, log: MemoryLog, true: MemoryLog) -> None:
+        super().__init__(log.data)
+        self.true, self.times = true, true.data["odom"][0][50:-50:25]
+
+    @property
+    def topics(self) -> dict[str, Topic]:
+        return super().topics | {"points": Topic("points", "sensor_msgs/PointCloud2", len(self.times), ())}
+
+    def stamps(self, topic: str, *, stamps: str = "header") -> np.ndarray:
+        return self.times if topic == "points" else super().stamps(topic, stamps=stamps)
+
+    def frame(self, topic: str) -> str:
+        return "lidar"
+
+    def clouds(self, topic: str, *, stamps: str = "header") -> Iterator[RawCloud]:
+        random, (time, odom) = np.random.default_rng(0), self.true.data["odom"]
+        yaw = np.unwrap(2 * np.arctan2(odom["qz"], odom["qw"]))
+        for at in self.times.tolist():
+            here, turn = np.array([np.interp(at, time, odom[axis]) for axis in "xyz"]), np.interp(at, time, yaw)
+            seen = random.uniform(-20, 20, (3000, 3)) + here
+            seen[:, 2] = here[2] + np.where(np.arange(3000) < 1000, 0.0, random.uniform(0, 4, 3000))
+            for wall, axis in ((slice(1000, 2000), 0), (slice(2000, 3000), 1)):
+                seen[wall, axis] = 14 * np.round(seen[wall, axis] / 14)
+            points = (seen - here - [0, 0, 2]) @ Rotation.from_euler("z", turn).as_matrix()
+            records = np.rec.fromarrays(points.astype(np.float32).T, names="x, y, z")
+            yield RawCloud(at, "lidar", np.asarray(records))
+
+
+def among_walls(log: MemoryLog) -> Inspection:
+    """Of a drive of another log than what its one LiDAR sees, whose mounting and stamps are right."""
+    mounting = "{ position = [0.0, 0.0, 2.0], orientation = [0.0, 0.0, 0.0, 1.0] }"
+    lidar = f'[lidars.top]\ntopic = "points"\nbody_from_lidar = {mounting}\n'
+    given = simulated.rig(("[channels.position]", lidar + "[channels.position]"))
+    return inspect_log(AmongWalls(log, simulated.drive_log(seconds=60)), given, sensors=True)
+
+
+def turned(degrees: float) -> MemoryLog:
+    """The drive with its heading turned."""
+    log = simulated.drive_log(seconds=60)
+    _, odom = log.data["odom"]
+    yaw = 2 * np.arctan2(odom["qz"], odom["qw"]) + np.radians(degrees)
+    return log.change("odom", "qz", lambda _: np.sin(yaw / 2)).change("odom", "qw", lambda _: np.cos(yaw / 2))
+
+
+@pytest.mark.parametrize(("degrees", "severity"), [(25.0, "warning"), (-90.0, "fatal")])
+def test_a_heading_that_is_cured_does_not_turn_the_lidar_as_well(degrees: float, severity: str) -> None:
+    found = among_walls(turned(degrees))
+    serious = [(finding.severity, finding.where) for finding in found.findings if finding.severity != "note"]
+    assert serious == [(severity, "orientation")]
+    assert [edit.key for edit in found.cure] == ["channels.orientation.offset"]
+    assert any(finding.where == "LiDARs" for finding in found.findings)  # which were looked at
+
+
+def test_what_the_cure_of_a_late_pose_leaves_is_no_delay_of_the_lidar() -> None:
+    found = among_walls(simulated.drive_log(seconds=60).restamp("odom", lambda time: time + 0.3))
+    assert {edit.key for edit in found.cure} >= {"channels.position.delay", "channels.orientation.delay"}
+    (top,) = [finding for finding in found.findings if finding.where == "top"]
+    assert top.cures == ()
+    assert "the pose is cured above" in top.remedy
+
+
+def test_a_turn_that_only_the_lidar_shows_is_cured_there() -> None:
+    assert [edit.key for edit in among_walls(turned(5.0)).cure] == ["lidars.top.body_from_lidar"]

@@ -1,9 +1,11 @@
 """Single signals with known faults, and signals that only look like it."""
 
 import numpy as np
+import pytest
 from simulated import drive_log, rig
 
 from offpiste.inspection.inspect import inspect_log
+from offpiste.rig.edits import Edit
 
 
 def test_nan_and_infinity_are_counted() -> None:
@@ -54,3 +56,19 @@ def test_a_range_for_spikes_of_one_component_holds_the_others_too() -> None:
     low, high = finding.cures[0][0].value
     forward = clean.data["odom"][1]["vx"]
     assert low < forward.min() <= forward.max() < high < 60.0
+
+
+@pytest.mark.parametrize("rest", [0.0, 0.1, -0.02, 1.0])
+def test_a_brake_that_nobody_pressed_is_kept(rest: float) -> None:
+    log = drive_log(seconds=60).change("pedals", "brake", lambda values: np.full(len(values), rest))
+    found = inspect_log(log, rig())
+    assert found.cure == ()
+    assert [f for f in found.findings if f.severity != "note"] == []
+    (note,) = (f for f in found.findings if f.where.startswith("brake"))
+    assert ("channels.brake.scale = -1.0, channels.brake.offset = 1.0" in note.remedy) == (rest == 1.0)
+
+
+def test_a_brake_that_hangs_half_pressed_is_none() -> None:
+    log = drive_log(seconds=60).change("pedals", "brake", lambda values: np.full(len(values), 0.5))
+    (finding,) = (f for f in inspect_log(log, rig()).findings if f.severity != "note")
+    assert finding.cures[0][0] == Edit("channels.brake", None)

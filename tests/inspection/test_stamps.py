@@ -29,6 +29,14 @@ def test_timing_of_bunches_counts_all_samples() -> None:
     assert seen.lost == 0
 
 
+def test_messages_that_are_sent_twice_are_no_losses() -> None:
+    time, _ = CLEAN.data["pedals"]
+    twice = CLEAN.keep("pedals", np.repeat(np.arange(len(time)), 2))
+    twice = twice.restamp("pedals", lambda stamps: stamps + np.tile([0, 0.0005], len(time)))
+    assert timing(twice.data["pedals"][0], max_gap=0.5).lost == 0
+    assert "samples are missing" not in findings(twice, "pedals")
+
+
 def test_timing_of_periods_that_alternate_counts_all_samples() -> None:
     time = np.cumsum(np.tile([0.10, 0.10, 0.11], 50))
     assert timing(time, max_gap=0.5).rate == pytest.approx(1 / 0.1033, rel=0.005)

@@ -184,6 +184,11 @@ def test_a_command_that_is_the_angle_of_the_wheels_is_read_as_one() -> None:
     log = drive_log(seed=0).change("steering", "command", lambda steer: MAX_STEER * steer)
     (finding,) = (f for f in inspect_log(log, without).findings if f.severity == "warning")
     assert finding.cures[0] == (Edit("channels.steer.unit", "rad"),)
+    # An angle whose zero is elsewhere: the rig knows where, and it stays there.
+    moved = log.change("steering", "command", lambda angle: angle + 0.05)
+    given = edited(without, [Edit("channels.steer.offset", -0.05)])
+    (finding,) = (f for f in inspect_log(moved, given).findings if f.severity == "warning")
+    assert finding.cures[0] == (Edit("channels.steer.unit", "rad"),)
 
 
 @pytest.mark.parametrize(("steady", "sign"), [(0.98, 1), (0.6, -1)])
@@ -197,3 +202,25 @@ def test_who_goes_where_he_steers_does_not_drift(steady: float, sign: int) -> No
 
     turned = fit(-0.31)
     assert SteeringFit(fit(steady), turned, fit(steady), fit(steady), None, 0.0, np.inf).sign == sign
+
+
+@pytest.mark.parametrize("topics", [["steering"], ["pedals", "steering"]])
+def test_a_clock_that_is_seconds_apart_is_found_by_where_it_begins_and_ends(topics: list[str]) -> None:
+    log = drive_log(seed=0)
+    for topic in topics:
+        log = log.restamp(topic, lambda time: time + 18.0)
+    cure = {edit.key: edit.value for edit in inspect_log(log, rig()).cure}
+    # Of two that are alike, the pose is what is apart.
+    moved = (
+        ["steer", "steer_angle"] if len(topics) == 1 else [n for n, s in rig().channels.items() if s.topic == "odom"]
+    )
+    assert cure == {
+        f"channels.{name}.delay": pytest.approx(18.0 if len(topics) == 1 else -18.0, abs=0.1) for name in moved
+    }
+
+
+def test_a_steering_that_begins_late_and_ends_in_time_has_the_right_clock() -> None:
+    log = drive_log(seed=0)
+    late = log.keep("steering", np.flatnonzero(log.data["steering"][0] > START + 18.0))
+    late = late.change("steering", "command", lambda values: np.random.default_rng(0).permutation(values))
+    assert not [edit for edit in inspect_log(late, rig()).cure if edit.key.endswith("delay")]

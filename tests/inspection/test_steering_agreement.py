@@ -8,6 +8,7 @@ from offpiste.inspection.driven_path import driven_path
 from offpiste.inspection.inspect import inspect_log
 from offpiste.inspection.steering_agreement import agreement
 from offpiste.logs.drive import drive_from_log
+from offpiste.rig.edits import Edit, edited
 
 
 def share_of(change=lambda angle: angle) -> float:
@@ -51,6 +52,23 @@ def test_a_command_whose_range_no_vehicle_has_gets_its_scale_first() -> None:
     assert (finding.where, finding.what) == ("steer", "does not fit the wheels' angle")
     assert finding.cures[0][0].key == "channels.steer.scale"
     assert float(finding.cures[0][0].value) == pytest.approx(2.5, rel=0.03)
+
+
+@pytest.mark.parametrize(
+    ("field", "scale", "zero", "keys"),
+    [
+        ("angle", 2.0, 0.1, ["channels.steer_angle.scale", "channels.steer_angle.offset"]),
+        ("command", 0.4, 0.05, ["channels.steer.scale", "channels.steer.offset"]),
+    ],
+)
+def test_a_scale_takes_the_zero_along(field: str, scale: float, zero: float, keys: list[str]) -> None:
+    """The zero of the rig is right in the log's numbers; a scale alone would move it."""
+    log = drive_log(seed=0).change("steering", field, lambda values: scale * values + zero)
+    name = "steer" if field == "command" else "steer_angle"
+    given = edited(rig(), [Edit(f"channels.{name}.offset", -zero)])
+    (finding,) = (f for f in inspect_log(log, given).findings if f.severity == "warning")
+    assert [edit.key for edit in finding.cures[0]] == keys
+    assert not [f for f in inspect_log(log, edited(given, finding.cures[0])).findings if f.severity != "note"]
 
 
 def test_a_linkage_that_is_not_quite_linear_is_healthy() -> None:

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from simulated import MemoryLog, drive_log, rig
+from simulated import MemoryLog, drive_log, pointing, rig
 
 from offpiste.inspection.inspect import inspect_log
 from offpiste.rig.edits import Edit, edited
@@ -49,3 +49,13 @@ def test_a_heading_alone_leaves_the_axes_of_the_velocity_open() -> None:
     changes += [Edit("channels.yaw", {"topic": "odom", "fields": ["qx"]})]
     (finding,) = (f for f in inspect_log(log, edited(rig(), changes)).findings if f.where == "linear_velocity")
     assert finding.cures[0] == (Edit("motion.axes", "body down"),)
+
+
+@pytest.mark.parametrize("axes", ["z up", "body down", "world down", "ned"])
+def test_a_biased_rate_is_cured_about_any_axis(axes: str) -> None:
+    log, given = pointing(CLEAN.change("odom", "wz", lambda rate: rate + 0.1), axes)
+    (finding,) = (f for f in inspect_log(log, given).findings if f.severity != "note")
+    assert finding.what == "is not zero without turning"
+    ((edit,),) = finding.cures
+    assert edit.value == pytest.approx(0.1 if axes in ("world down", "ned") else -0.1, abs=0.01)
+    assert not [f for f in inspect_log(log, edited(given, [edit])).findings if f.severity != "note"]

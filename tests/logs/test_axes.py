@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from offpiste.logs.axes import to_z_up
+from offpiste.logs.axes import to_z_up, turning_sign
 from offpiste.rig.channels import ChannelSource
 
 HALF = np.diag([1.0, -1.0, -1.0])
@@ -33,3 +33,25 @@ def test_a_heading_that_counts_from_north_clockwise_is_turned() -> None:
     assert (to_z_up("yaw", SOURCE[""], heading, "ned") == -heading).all()
     assert (to_z_up("yaw", SOURCE[""], heading, "body down") == heading).all()
     assert (to_z_up("throttle", SOURCE[""], heading, "ned") == heading).all()
+
+
+def test_an_offset_turns_to_the_left_by_its_sign() -> None:
+    yaw = np.array([[0.2]])
+    for axes in ("z up", "body down", "world down", "ned"):
+        turned = to_z_up("yaw", SOURCE[""], yaw + 0.1, axes) - to_z_up("yaw", SOURCE[""], yaw, axes)
+        assert turned == pytest.approx(0.1 * turning_sign("yaw", axes))
+        before, after = (Rotation.from_euler("z", angle).as_quat()[None] for angle in (0.2, 0.3))
+        before, after = (to_z_up("orientation", SOURCE[""], each, axes) for each in (before, after))
+        about_body = (Rotation.from_quat(before).inv() * Rotation.from_quat(after)).as_rotvec()[0, 2]
+        assert about_body == pytest.approx(0.1 * turning_sign("orientation", axes))
+
+
+def test_latitude_and_longitude_have_no_axes_and_are_laid_into_the_world_of_the_others() -> None:
+    """Where the log's world is north, east, down, all else becomes north, west, up; the height is up as it is."""
+    east_north_up = np.array([[1.0, 2.0, 3.0], [-4.0, 5.0, -6.0]])
+    north_west_up = np.array([[2.0, -1.0, 3.0], [5.0, 4.0, -6.0]])
+    source = ChannelSource(fields=("lat", "lon", "height"), unit="lat lon")
+    for axes in ("z up", "body down", "world down", "ned"):
+        expected = north_west_up if axes in ("world down", "ned") else east_north_up
+        assert (to_z_up("position", source, east_north_up, axes) == expected).all()
+        assert (to_z_up("position", source, east_north_up[:, :2], axes) == expected[:, :2]).all()

@@ -154,6 +154,12 @@ def test_a_broken_clock_is_an_error():
         read(np.zeros(10), np.arange(10))
 
 
+def test_messages_that_are_recorded_three_times_break_no_clock():
+    found, notes = read(np.repeat(np.arange(10.0), 3), np.repeat(np.arange(10), 3))
+    assert found.time.tolist() == list(range(10))
+    assert "20 of 30 stamps repeat or go back" in notes[0]
+
+
 def test_a_channel_without_usable_samples_is_an_error_that_names_it():
     with pytest.raises(RigError, match=r"'throttle'.*'pedals'.*no usable samples"):
         read([0, 1], [np.nan, np.nan])

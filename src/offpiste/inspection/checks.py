@@ -26,7 +26,7 @@ from offpiste.inspection.recorded_log import Recorded
 from offpiste.inspection.resolution import check_resolution
 from offpiste.inspection.saturation import check_saturation
 from offpiste.inspection.signals import channel_signals, check_signals, other_signals
-from offpiste.inspection.stamps import check_stamps
+from offpiste.inspection.stamps import check_headers, check_stamps
 from offpiste.inspection.steering import check_steering
 from offpiste.inspection.steering_copies import check_copies
 from offpiste.inspection.steering_fit import SteeringFit, steering_fits
@@ -133,7 +133,8 @@ def _unread(topics: Topics) -> list[Finding]:
 
 
 def _stamps(topics: Topics) -> list[Finding]:
-    return check_stamps(topics.inspected, topics.clock, used=topics.used)
+    alone = check_stamps(topics.inspected, topics.clock, used=topics.used)
+    return alone + check_headers(topics.inspected, topics.clock)
 
 
 TOPIC_CHECKS: Final[tuple[Callable[[Topics], list[Finding]], ...]] = (

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from offpiste.channels import control_of
 from offpiste.inspection.driven_path import Path
 from offpiste.inspection.findings import Finding, Severity
 from offpiste.inspection.recorded_log import Recorded
@@ -51,10 +52,13 @@ def find_wheel_speeds(recorded: dict[str, Recorded], path: Path, *, besides: set
 def check_clocks(recorded: dict[str, Recorded], path: Path, rig: Rig, *, besides: set[str]) -> list[Finding]:
     """A finding for each clock behind the rig's channels that is late or drifts; topics with equal stamps share one."""
     known = set(rig.alignment.topics) if rig.alignment else set()
+    # Where motors turn as fast as the throttle says, the speed follows it, later: a response and no clock.
+    controls = [source for name, source in rig.channels.items() if control_of(name) is not None]
+    commanded = {(source.topic, field) for source in controls for field in source.fields}
     findings: list[Finding] = []
     checked: set[str] = set()
     for wheel in sorted(find_wheel_speeds(recorded, path, besides=besides | known), key=lambda w: -w.correlation):
-        if wheel.topic in checked:
+        if wheel.topic in checked or (wheel.topic, wheel.field) in commanded:
             continue
         shared = [t for t, r in recorded.items() if np.array_equal(r.time, recorded[wheel.topic].time)]
         checked |= set(shared)

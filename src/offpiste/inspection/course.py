@@ -13,6 +13,7 @@ from offpiste.inspection.channel_guesses import named_axis, named_coordinate, na
 from offpiste.inspection.driven_path import STEP, Path
 from offpiste.inspection.findings import Finding, Severity
 from offpiste.inspection.lags import SURE, fit_lags, jackknife
+from offpiste.logs.axes import turning_sign
 from offpiste.logs.drive import Drive
 from offpiste.logs.motion import heading
 from offpiste.rig.channels import unit_factor
@@ -151,11 +152,10 @@ def _with_offset(name: str, reading: Reading, rig: Rig) -> tuple[Edit, ...]:
         return reading.edits
     source = rig.channels[name]
     stated = {edit.key: edit.value for edit in reading.edits}
-    if name == "orientation":
-        per_unit = 1.0
-    else:
+    per_unit = float(turning_sign(name, rig.motion.axes))
+    if name == "yaw":
         sign = stated.get("channels.yaw.sign", source.sign)
-        per_unit = sign * unit_factor("yaw", stated.get("channels.yaw.unit", source.unit))
+        per_unit *= sign * unit_factor("yaw", stated.get("channels.yaw.unit", source.unit))
     half = np.pi / abs(per_unit)
     offset = reading.offset
     quarters = np.round(offset / (np.pi / 2)) * np.pi / 2

@@ -78,8 +78,9 @@ class Inspection:
         return tuple(edit for f in self.findings if f.severity != "note" for cure in f.cures[:1] for edit in cure)
 
     def with_findings(self, more: Iterable[Finding]) -> "Inspection":
-        """The same inspection with further findings, ranked anew."""
-        return replace(self, findings=ranked((*self.findings, *more)))
+        """The same inspection with further findings: causes keep the order in which to cure them, notes come last."""
+        together = (*self.findings, *ranked(more))
+        return replace(self, findings=tuple(sorted(together, key=lambda finding: finding.severity == "note")))
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers, texts and lists, for JSON."""
@@ -132,7 +133,7 @@ def inspect_log(log: Log, rig: Rig | None = None, *, sensors: bool = False) -> I
     findings = (*ranked(unusable), *findings)
     inspection = Inspection(str(log.path), name, summary, rows, findings, tuple(remembered.warnings))
     if sensors and rig is not None and can_be_checked(findings, rig):
-        return inspection.with_findings(check_sensors(log, rig))
+        return inspection.with_findings(check_sensors(log, rig, inspection.cure))
     return inspection
 
 

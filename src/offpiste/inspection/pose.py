@@ -21,6 +21,8 @@ from offpiste.rig.rig import Rig
 
 _UPRIGHT = 0.7
 """Cosine of the tilt that no vehicle drives at for half of a log: 45 degrees."""
+_GRIP: Final = 12.0
+"""Acceleration that tyres hold on the ground [m/s^2]."""
 _FASTEST: Final = 120.0
 """No ground vehicle is faster [m/s]."""
 _HARDEST: Final = 25.0
@@ -34,8 +36,6 @@ _OTHERS: Final = 3.0
 """An instant stands out by this many times what 95 % of the others change."""
 _JUMP_TIME = 0.05
 """A jump is at least as long as the path driven in this time at cruising speed [s]."""
-
-
 _NOISY: Final = 0.03
 """Uncertainty of a velocity [m/s], or of a place [m], over the cruising speed, from which it costs accuracy."""
 _WIDEST: Final = 1.5
@@ -91,9 +91,10 @@ def check_position_unit(drive: Drive, path: Path) -> list[Finding]:
         evidence = f"95 % of the speeds reach {path.cruise:.3g} m/s and of the accelerations {_acceleration(path):.3g} "
         evidence += f"m/s2, read as {now}"
         per_unit = partial(unit_factor, "position")
-        units = [
-            unit for unit in ("cm", "mm", "m", "ft") if unit != now and _plausible(path, per_unit(unit) / per_unit(now))
-        ]
+        factors = {unit: per_unit(unit) / per_unit(now) for unit in ("cm", "mm", "m", "ft") if unit != now}
+        # Of several, those come first with which tyres hold.
+        units = [unit for unit, factor in factors.items() if _plausible(path, factor)]
+        units.sort(key=lambda unit: factors[unit] * _acceleration(path) > _GRIP)
         cures = tuple((Edit("channels.position.unit", unit),) for unit in units) or _scales(rig, path)
         remedy = str(cures[0][0]) if cures else "fix channels.position.unit or scale"
         return [Finding("fatal", "position", "moves too fast", evidence, remedy, 1.0, cures)]

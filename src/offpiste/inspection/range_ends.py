@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float
 from offpiste.channels import CONTROLS
 from offpiste.inspection.findings import Finding, Severity
 from offpiste.logs.drive import Drive
-from offpiste.rig.edits import Edit, rounded
+from offpiste.rig.edits import rescaled
 
 _WHOLE: Final = 0.9
 """A control that reaches this share of its range has it all: stops and trims are not quite at 1."""
@@ -82,9 +82,7 @@ def limit_of(values: Float[np.ndarray, " n"]) -> Limit | None:
 
 def _finding(name: str, limits: list[Limit], drive: Drive) -> Finding:
     value, presses = max(limit.value for limit in limits), sum(limit.presses for limit in limits)
-    source = drive.rig.channels[name]
-    scaled = (("scale", source.scale / value), ("offset", source.offset / value))
-    edits = ", ".join(str(Edit(f"channels.{name}.{key}", rounded(entry))) for key, entry in scaled if entry)
+    edits = ", ".join(map(str, rescaled(name, drive.rig.channels[name], 1 / value)))
     what = "ends short of its range: it is cut off, or in another scale"
     at = " and ".join(f"{limit.value:.3g}" for limit in limits)
     evidence = f"{presses} times it ends at exactly {at}, coming from less, and never goes further: the range is 1"

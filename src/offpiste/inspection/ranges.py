@@ -1,5 +1,7 @@
 """Check of channels, as the rig converts them, against the range of their unit."""
 
+from typing import Final
+
 import msgspec
 import numpy as np
 from jaxtyping import Float
@@ -13,7 +15,7 @@ from offpiste.inspection.recorded_log import Recorded
 from offpiste.inspection.signal_faults import PERIODS
 from offpiste.logs.channel import convert, largest
 from offpiste.rig.channels import ChannelSource, unit_factor
-from offpiste.rig.edits import Edit, absent, rounded
+from offpiste.rig.edits import Edit, absent, rescaled, rounded
 from offpiste.rig.rig import Rig
 
 _ALTERNATIVES = {"percent": 0.01, "permille": 0.001, "deg": np.pi / 180, "rev/min": 0.001}
@@ -26,6 +28,8 @@ _BEYOND = 0.025
 
 _SLACK = 1.1
 """Largest value of a pedal from 0 to 1, with what noise adds."""
+BRAKES: Final = ("brake", "brake_pressure")
+"""Channels that stay where they are in a log in which nobody brakes."""
 
 
 def check_ranges(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
@@ -47,7 +51,8 @@ def check_ranges(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
         if outside <= (0.005 if not source.clip else _CLIPPED if low == 0 else _CUT):
             continue
         first, last = np.percentile(values, (0.5, 99.5))
-        cure = _unwrapped(name, rig, raw, (low - slack, high + slack)) or _of_whole_range(name, source, values, low)
+        cure = _at_rest(name, source, values) or _unwrapped(name, rig, raw, (low - slack, high + slack))
+        cure = cure or _of_whole_range(name, source, values, low)
         cure = cure or (_both_ways(source, values, rig) if name == "throttle" and not source.clip else ())
         cure = cure or _cure(name, source, rig, (low, high), (float(first), float(last)))
         findings.append(
@@ -89,6 +94,14 @@ def _before_clip(name: str, rig: Rig, raw: Float[np.ndarray, "n 1"]) -> Float[np
 def _unclipped(name: str, rig: Rig, raw: Float[np.ndarray, "n 1"]) -> Float[np.ndarray, "n 1"]:
     source = msgspec.structs.replace(rig.channels[name], clip=None)
     return convert(name, source, raw, rig.vehicle.max_steer)
+
+
+def _at_rest(name: str, source: ChannelSource, values: Float[np.ndarray, " n"]) -> tuple[Edit, ...]:
+    """The edit that makes the one value of a brake zero: nobody pressed it, so no scale can be known."""
+    if name not in BRAKES or np.ptp(values) > 0:
+        return ()
+    rest = float(values[0]) / (source.sign * unit_factor(name, source.unit))
+    return (Edit(f"channels.{name}.offset", rounded(source.offset - rest)),)
 
 
 def _unwrapped(name: str, rig: Rig, raw: Float[np.ndarray, "n 1"], fits: tuple[float, float]) -> tuple[Edit, ...]:
@@ -156,16 +169,14 @@ def _cure(
         if not 0.3 * high < extreme * factor <= 1.2 * high or (low == 0 and first < -0.1 * extreme):
             continue
         if not plain:
-            scaled = (("scale", source.scale * factor), ("offset", source.offset * factor))
-            return tuple(Edit(f"channels.{name}.{key}", rounded(new)) for key, new in scaled if new)
+            return rescaled(name, source, factor)
         try:
             unit_factor(name, unit)
         except RigError:
             continue
         return (Edit(f"channels.{name}.unit", unit),)
     if low < 0:
-        scaled = (("scale", source.scale * high / extreme), ("offset", source.offset * high / extreme))
-        return tuple(Edit(f"channels.{name}.{key}", rounded(new)) for key, new in scaled if new)
+        return rescaled(name, source, high / extreme)
     if last < 0.1 * extreme and extreme <= 1.2 * high:
         return (Edit(f"channels.{name}.sign", -source.sign),)
     # 0 to 1 over what was seen: value = sign * (raw * scale + offset) * unit.

@@ -16,6 +16,7 @@ import numpy as np
 from offpiste.errors import OffpisteError
 from offpiste.inspection.course import against_names
 from offpiste.inspection.findings import Cure, Finding, ranked
+from offpiste.logs.axes import turning_sign
 from offpiste.rig.channels import GEOGRAPHIC, unit_factor
 from offpiste.rig.edits import Edit, edited, rounded
 from offpiste.rig.rig import Rig
@@ -80,7 +81,7 @@ def _best_cure(left: Sequence[Finding], rig: Rig, examine: Examine) -> tuple[Cur
         except OffpisteError:
             continue  # an edit that this rig does not allow
         remains = badness(after) + _PER_EDIT * _size(cure, rig) + against_names(cure, rig)
-        if remains < least - 1e-9:
+        if remains < least - 1e-9 and not _hides_motion(left, after):
             best, least = (cure, after), remains
     return best
 
@@ -97,7 +98,7 @@ def _first_of_two(left: Sequence[Finding], rig: Rig, examine: Examine) -> tuple[
             after = examine(edited(rig, cure))
         except OffpisteError:
             continue
-        if not _is_among(finding, after):
+        if not _is_among(finding, after) and not _hides_motion(left, after):
             firsts.append((cure, after))
     best, least = None, badness(left) - 2 * _LEAST_GAIN
     for cure, after in sorted(firsts, key=lambda first: badness(first[1]))[:_FEW]:
@@ -109,6 +110,12 @@ def _first_of_two(left: Sequence[Finding], rig: Rig, examine: Examine) -> tuple[
         if remains < least - 1e-9:
             best, least = (cure, after), remains
     return best
+
+
+def _hides_motion(before: Sequence[Finding], after: Sequence[Finding]) -> bool:
+    """Whether a cure spoils the pose, so that nothing is compared with the motion any more: that silences much."""
+    now, then = ({f.where for f in each if f.severity == "fatal"} <= {"controls"} for each in (before, after))
+    return now and not then
 
 
 def _remembering(examine: Examine) -> Examine:
@@ -180,7 +187,7 @@ def _compass(rig: Rig) -> Iterator[Cure]:
     source = rig.channels.get("yaw")
     if source is not None:
         flipped = Edit("channels.yaw.sign", -source.sign)
-        quarter = np.pi / 2 / (source.sign * unit_factor("yaw", source.unit))
+        quarter = np.pi / 2 / (source.sign * unit_factor("yaw", source.unit)) * turning_sign("yaw", rig.motion.axes)
         yield flipped, Edit("channels.yaw.offset", rounded(source.offset - quarter))
         yield (flipped,)
 
@@ -233,4 +240,4 @@ def _harms(cure: Cure, left: Sequence[Finding], rig: Rig, examine: Examine) -> b
         return True
     before, now = (badness([f for f in each if f.severity != "note"]) for each in (left, after))
     wanted = any(cure in f.cures and f.severity != "note" for f in left)
-    return now > before - (_LEAST_GAIN if wanted else 0.0)
+    return _hides_motion(left, after) or now > before - (_LEAST_GAIN if wanted else 0.0)

@@ -1,7 +1,7 @@
 """Checks of cameras and LiDARs: from misfits of mountings and stamps to findings.
 
-A finding has a cure where the fit leaves no other cause. Unlike those of channels it is not tried by another
-inspection: the fit ended at the corrected mounting and stamps, and compared the measurements there.
+A finding has a cure where the fit leaves no other cause. It is not tried by another inspection, as those of channels
+are: the fit ended at the corrected mounting and stamps, and compared the measurements there.
 """
 
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from offpiste.errors import OffpisteError
 from offpiste.inspection.camera import check_camera
-from offpiste.inspection.findings import Finding
+from offpiste.inspection.findings import Cure, Finding
 from offpiste.inspection.lidar import check_lidar
 from offpiste.inspection.map_health import check_map_health, map_health
 from offpiste.inspection.misfit import Misfit, turned
@@ -26,7 +26,7 @@ from offpiste.logs.measurements import Camera, Lidar
 from offpiste.logs.poses import Poses
 from offpiste.logs.sensor_log import open_sensors
 from offpiste.progress import track
-from offpiste.rig.edits import Edit
+from offpiste.rig.edits import Edit, edited
 from offpiste.rig.rig import Rig
 from offpiste.rig.sensors import CameraSource, LidarSource
 
@@ -47,6 +47,11 @@ that are looked for at a wrong time are further away than the search reaches, an
 APART: Final = 0.2
 """Scans whose points stay further than this from each other's planes show no common world [m]; clean: 0.02 to 0.04."""
 _POSE: Final = ("position", "orientation", "yaw")
+_TURNS_OF_POSE: Final = {"channels.orientation.offset"}
+_DELAYS_OF_POSE: Final = {f"channels.{name}.delay" for name in _POSE}
+_SAME: Final = "as all sensors say the same"
+_CURED: Final = "as the pose is cured above by what the other channels show"
+"""Why the pose may be what is off, and not a sensor."""
 _AXES: Final = ("roll", "pitch", "yaw")
 
 
@@ -92,9 +97,13 @@ class CheckedSensor:
         return bool(abs(self.misfit.parameters[3]) - SURE * self.misfit.sigma[3] > LATE)
 
 
-def check_mountings(checked: Sequence[CheckedSensor]) -> list[Finding]:
-    """Warnings for sensors that are turned or late, and notes for what could not be checked."""
-    result: list[Finding] = []
+def check_mountings(checked: Sequence[CheckedSensor], cure: Cure = ()) -> list[Finding]:
+    """Warnings for sensors that are turned or late, and notes for what could not be checked.
+
+    Args:
+        cure: of the pose that they were compared with; it is less exact than the sensors are, who show what it leaves.
+    """
+    cured, result = {edit.key for edit in cure}, list[Finding]()
     for one in checked:
         if one.misfit is None:
             result.append(_unseen(one))
@@ -104,15 +113,15 @@ def check_mountings(checked: Sequence[CheckedSensor]) -> list[Finding]:
             continue
         if one.is_turned:
             alike = _alike([other for other in checked if other.is_turned], slice(0, 3), TURN, len(checked))
-            result.append(_turned(one, one.misfit, alike))
+            result.append(_turned(one, one.misfit, _SAME if alike else _CURED if cured & _TURNS_OF_POSE else ""))
         if one.is_late:
             alike = _alike([other for other in checked if other.is_late], slice(3, 4), LATE, len(checked))
-            result.append(_late(one, one.misfit, alike))
+            result.append(_late(one, one.misfit, _SAME if alike else _CURED if cured & _DELAYS_OF_POSE else ""))
         result += _unknown(one, one.misfit)
     return result
 
 
-def _turned(one: CheckedSensor, misfit: Misfit, alike: bool) -> Finding:
+def _turned(one: CheckedSensor, misfit: Misfit, blames_pose: str) -> Finding:
     sensor = one.sensor
     given = sensor.body_from_camera if isinstance(sensor, Camera) else sensor.body_from_lidar
     # What is not known stays as the rig has it.
@@ -122,9 +131,9 @@ def _turned(one: CheckedSensor, misfit: Misfit, alike: bool) -> Finding:
     quaternion = Rotation.from_matrix(matrix[:3, :3]).as_quat()
     mounting = {"position": matrix[:3, 3].round(4).tolist(), "orientation": quaternion.round(6).tolist()}
     cure = Edit(key, mounting)
-    remedy, sure = f"calibrate it again; or {cure}", not alike
-    if alike:
-        remedy += "; as all sensors say the same, the pose's orientation or [frames] body may be what is turned"
+    remedy, sure = f"calibrate it again; or {cure}", not blames_pose
+    if blames_pose:
+        remedy += f"; {blames_pose}, the pose's orientation or [frames] body may be what is turned"
     elif isinstance(sensor, Camera) and sensor.source.rectified:
         remedy += " (of the camera before rectification, if its CameraInfo has a rotation R)"
         sure = False
@@ -135,17 +144,17 @@ def _turned(one: CheckedSensor, misfit: Misfit, alike: bool) -> Finding:
     return Finding("warning", sensor.name, what, evidence, remedy, score, ((cure,),) if sure else ())
 
 
-def _late(one: CheckedSensor, misfit: Misfit, alike: bool) -> Finding:
+def _late(one: CheckedSensor, misfit: Misfit, blames_pose: str) -> Finding:
     late, sigma = float(misfit.parameters[3]), float(misfit.sigma[3])
     what = f"is stamped {abs(late) * 1e3:.0f} ms too {'late' if late > 0 else 'early'}, against the poses"
     evidence = f"{late * 1e3:+.1f} ms (standard deviation {sigma * 1e3:.1f}); {_basis(one, misfit)}"
     cure = Edit(f"{one.key}.delay", round(one.sensor.source.delay + late, 3))
-    remedy, sure = str(cure), not one.untimed and not alike
+    remedy, sure = str(cure), not one.untimed and not blames_pose
     if one.untimed:
         field = f'{one.key}.time_field = "{one.untimed}", with its time_unit'
         remedy = f"{field}; only if its scans are compensated: {remedy}"
-    elif alike:
-        remedy += "; as all sensors say the same, the pose's stamps may be what is off: fix its delay instead"
+    elif blames_pose:
+        remedy += f"; {blames_pose}, the pose's stamps may be what is off: fix its delay instead"
     return Finding(
         "warning", one.sensor.name, what, evidence, remedy, min(1.0, abs(late) / 0.2), ((cure,),) if sure else ()
     )
@@ -210,23 +219,25 @@ def _basis(one: CheckedSensor, misfit: Misfit) -> str:
 
 
 def can_be_checked(findings: Sequence[Finding], rig: Rig) -> bool:
-    """Whether the pose is good enough to check sensors by it, whatever is wrong with controls and other channels."""
-    pose = [rig.channels[name] for name in _POSE if name in rig.channels]
-    about = {"log", *_POSE, *(source.topic for source in pose)}
-    return not any(finding.severity == "fatal" and finding.where in about for finding in findings)
+    """Whether the pose is, or can be cured to be, good enough to check sensors by it; controls may be wrong."""
+    about = {"log", *_POSE, *(rig.channels[name].topic for name in _POSE if name in rig.channels)}
+    return not any(f.severity == "fatal" and not f.cures and f.where in about for f in findings)
 
 
-def check_sensors(log: Log, rig: Rig) -> list[Finding]:
+def check_sensors(log: Log, rig: Rig, cure: Cure = ()) -> list[Finding]:
     """Findings on the cameras and LiDARs that a rig names; none where it names none.
 
     Reads all stamps, and the images and scans of the first minute of driving. What makes a log unfit for visual
     features is a warning: it can still be trained on without them.
+
+    Args:
+        cure: of the channels. Sensors are compared with the cured pose, or each would repeat what is wrong with it.
     """
     named: tuple[CameraSource | LidarSource, ...] = (*rig.cameras.values(), *rig.lidars.values())
     if all(source.optional and source.topic not in log.topics for source in named):
         return []
     try:
-        sensors = open_sensors(log, rig)
+        sensors = open_sensors(log, edited(rig, cure))
         findings = check_sensor_stamps(log, sensors)
         cameras = {name: small_camera(camera) for name, camera in sensors.cameras.items()}
         gathered = gather(sensors, cameras)
@@ -248,7 +259,7 @@ def check_sensors(log: Log, rig: Rig) -> list[Finding]:
     ]
     health, misplaced = map_health(sensors.lidars, gathered, sensors.poses), any(one.is_turned for one in checked)
     findings += check_map_health(health, turned=misplaced)
-    return findings + check_mountings(checked + camera_misfits(cameras, checked, gathered, sensors.poses))
+    return findings + check_mountings(checked + camera_misfits(cameras, checked, gathered, sensors.poses), cure)
 
 
 def lidar_misfits(lidars: dict[str, Lidar], gathered: Gathered, poses: Poses) -> list[CheckedSensor]:

@@ -1,6 +1,7 @@
 """Checks of single signals: values that are not finite, dead channels, spikes, wrapped counters."""
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from jaxtyping import Float
@@ -8,7 +9,8 @@ from scipy.ndimage import median_filter
 
 from offpiste.channels import control_of
 from offpiste.inspection.findings import Finding, Severity
-from offpiste.inspection.ranges import limits
+from offpiste.inspection.pedal_scale import scaled_to_unit
+from offpiste.inspection.ranges import BRAKES, limits
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.inspection.signal_faults import MAX_SPIKES, find_spikes, find_wrap
 from offpiste.logs.channel import LARGEST, convert, largest, unwrapped
@@ -19,6 +21,9 @@ from offpiste.rig.rig import Rig
 
 _MOST_LEFT = 0.5
 """A range of valid values that leaves more than this share of the spikes is no remedy."""
+
+_AT_AN_END: Final = 0.15
+"""Distance from an end of its range, 0 or 1, at which a brake that never moves is at rest: some rest a little above."""
 
 
 @dataclass(frozen=True)
@@ -238,7 +243,9 @@ def _dead(signals: list[Signal], rig: Rig | None) -> list[Finding]:
             (absent(s.key.removeprefix("channels."), rig),) if rig else (),
         )
         for s in read
+        if not _is_untouched(s)
     ]
+    findings += [_never_pressed(s, rig) for s in read if rig is not None and _is_untouched(s)]
     if other:
         findings.append(
             Finding(
@@ -251,6 +258,25 @@ def _dead(signals: list[Signal], rig: Rig | None) -> list[Finding]:
             )
         )
     return findings
+
+
+def _is_untouched(signal: Signal) -> bool:
+    """Whether it is a brake that stays at an end of its range, as where nobody brakes."""
+    if signal.key.removeprefix("channels.") not in BRAKES or not len(signal.values):
+        return False
+    return bool(min(abs(signal.values[0]), abs(signal.values[0] - 1)) <= _AT_AN_END)
+
+
+def _never_pressed(signal: Signal, rig: Rig) -> Finding:
+    """A note: other logs of the vehicle show what the brake does."""
+    name, pressed = signal.key.removeprefix("channels."), bool(signal.values[0] > 0.5)
+    how = "nothing where nobody braked: the channel stays"
+    if pressed:
+        turned = ", ".join(map(str, scaled_to_unit(name, rig.channels[name], (0.0, 1.0), turned=True)))
+        how = f"if nobody braked, it is the wrong way round: {turned}"
+    evidence = f"{signal.raw[np.isfinite(signal.raw)][0]:g} in all {len(signal.raw)} samples"
+    what = "stays where it is fully pressed" if pressed else "is never pressed"
+    return Finding("note", signal.where, what, evidence, how, 0.0)
 
 
 def _is_clock(column: Float[np.ndarray, " n"]) -> bool:

@@ -5,7 +5,7 @@ from typing import Final
 
 from offpiste.inspection.course import leans_inward
 from offpiste.inspection.driven_path import Path
-from offpiste.inspection.findings import Finding
+from offpiste.inspection.findings import Cure, Finding
 from offpiste.inspection.lags import LAGS, SURE, delay_cures
 from offpiste.inspection.steering_agreement import agreement
 from offpiste.inspection.steering_delays import changing_delay, uneven_delay, window_delays
@@ -21,6 +21,8 @@ _DYNAMIC_OWN: Final = (-0.12, 0.4)
 """Delays of the turning that are the vehicle's own, as either fit shows them [s]."""
 _USUAL: Final = {"steer": 0.1, "steer_angle": 0.04}
 """Delay in the dynamic fit that healthy vehicles have in the middle, and that a remedy leaves [s]."""
+_TOGETHER: Final = 0.5
+"""Difference of the times by which a topic begins and ends after the pose, below which its clock is apart by it [s]."""
 _CLEAR: Final = 0.7
 """Correlation of the steady fit above which centre and changes of the delay are clear."""
 _CENTRED: Final = {"steer": 0.05, "steer_angle": 0.02}
@@ -40,7 +42,7 @@ def check_steering(
     findings: list[Finding] = []
     for name, fit in fits.items():
         if not fit.has_effect:
-            findings.append(_without_effect(name, fit, drive.rig))
+            findings.append(_without_effect(name, fit, drive))
             continue
         findings += _sign(name, fit, drive, path)
         delays = window_delays(drive.channels[name], path, drive.rig)
@@ -52,16 +54,34 @@ def check_steering(
     return findings + [scale_note(name, fit, drive.rig) for name, fit in acting.items()]
 
 
-def _without_effect(name: str, fit: SteeringFit, rig: Rig) -> Finding:
+def _without_effect(name: str, fit: SteeringFit, drive: Drive) -> Finding:
     steady, dynamic = fit.steady, fit.dynamic
     evidence = f"correlation of the yaw rate with speed times {name}: {steady.r[steady.best()]:.2f} at best, "
     evidence += f"{dynamic.r[dynamic.best()]:.2f} with the change of the yaw rate, within 1.5 s"
     other = "look for another field; no model can do without steering"
-    cures: tuple[tuple[Edit, ...], ...] = ()
+    cures = _other_clocks(name, drive)
     if name != "steer":
         other = f'look for another field, or absent = ["{name}"]'
-        cures = (absent(name, rig),)
+        cures = (*cures, absent(name, drive.rig))
     return Finding("warning", name, "does not turn the vehicle", evidence, other, 1.0, cures)
+
+
+def _other_clocks(name: str, drive: Drive) -> tuple[Cure, ...]:
+    """Delays by which its topic begins and ends as the pose does, or the pose as it: GPS is 18 s ahead of UTC."""
+    own, pose = drive.channels[name].time, drive.channels["position"].time
+    begin, end = own[0] - pose[0], own[-1] - pose[-1]
+    if abs(begin - end) > _TOGETHER or abs(begin) < LAGS[-1]:
+        return ()
+    late = (begin + end) / 2
+    topics = {drive.rig.channels[name].topic: late, drive.rig.channels["position"].topic: -late}
+    return tuple(
+        tuple(
+            Edit(f"channels.{channel}.delay", round(source.delay + float(by), 2))
+            for channel, source in drive.rig.channels.items()
+            if source.topic == topic
+        )
+        for topic, by in topics.items()
+    )
 
 
 def _sign(name: str, fit: SteeringFit, drive: Drive, path: Path) -> list[Finding]:

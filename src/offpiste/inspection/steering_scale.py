@@ -10,7 +10,7 @@ from offpiste.inspection.steering_agreement import Agreement
 from offpiste.inspection.steering_fit import SteeringFit, curvature_per_unit
 from offpiste.logs.drive import Drive
 from offpiste.rig.channels import ANGLES, GEOGRAPHIC, unit_factor
-from offpiste.rig.edits import Edit, number, rounded
+from offpiste.rig.edits import Edit, number, rescaled, rounded
 from offpiste.rig.rig import Rig
 
 _CLEAR: Final = 0.7
@@ -89,25 +89,26 @@ def _contradiction(name: str, agreement: Agreement, rig: Rig) -> Finding:
     )
     if name == "steer_angle":
         evidence += "as the command says"
-        edit = _angle_edit(1 / share, rig)
-        return Finding("warning", name, "does not fit the command", evidence, str(edit), 0.6, ((edit,),))
+        cure = _other_angle(1 / share, rig)
+        remedy = ", ".join(map(str, cure))
+        return Finding("warning", name, "does not fit the command", evidence, remedy, 0.6, (cure,))
     evidence += "as the angle says"
-    angle, source = share * rig.vehicle.max_steer, rig.channels["steer"]
-    cures = [Edit("vehicle.max_steer", rounded(angle)), Edit("channels.steer.scale", rounded(source.scale * share))]
+    angle = share * rig.vehicle.max_steer
+    cures = [(Edit("vehicle.max_steer", rounded(angle)),), rescaled("steer", rig.channels["steer"], share)]
     if not MAX_STEERS[0] < angle < MAX_STEERS[1]:  # which no vehicle has: the command is in another unit
         cures.reverse()
-    remedy = "; or ".join(str(cure) for cure in cures)
-    return Finding("warning", name, "does not fit the wheels' angle", evidence, remedy, 0.6, tuple((c,) for c in cures))
+    remedy = "; or ".join(", ".join(map(str, cure)) for cure in cures)
+    return Finding("warning", name, "does not fit the wheels' angle", evidence, remedy, 0.6, tuple(cures))
 
 
-def _angle_edit(factor: float, rig: Rig) -> Edit:
-    """The edit that makes the wheels' angle `factor` times as large: another unit where that explains it."""
+def _other_angle(factor: float, rig: Rig) -> Cure:
+    """The edits that make the wheels' angle `factor` times as large: another unit where that explains it."""
     source = rig.channels["steer_angle"]
     if abs(factor * 180 / np.pi - 1) < 0.4:
-        return Edit("channels.steer_angle.unit", "deg")
+        return (Edit("channels.steer_angle.unit", "deg"),)
     if source.unit == "deg" and abs(factor * np.pi / 180 - 1) < 0.4:
-        return Edit("channels.steer_angle.unit", "rad")
-    return Edit("channels.steer_angle.scale", rounded(source.scale * factor))
+        return (Edit("channels.steer_angle.unit", "rad"),)
+    return rescaled("steer_angle", source, factor)
 
 
 def _off(name: str, ratio: float, drive: Drive, *, both: bool) -> Finding:
@@ -122,11 +123,11 @@ def _off(name: str, ratio: float, drive: Drive, *, both: bool) -> Finding:
     if name == "steer":
         angle = float(np.arctan(ratio * np.tan(rig.vehicle.max_steer)))
         evidence += f"{angle:.3f} rad at steer = 1; the rig says {rig.vehicle.max_steer:.3f} rad"
-        edit = Edit("vehicle.max_steer", rounded(angle))
+        cure: Cure = (Edit("vehicle.max_steer", rounded(angle)),)
     else:
         evidence += f"{ratio:.3g} times the angle"
-        edit = _angle_edit(ratio, rig)
-    own, unit = ("", (edit,)), ("", _other_unit(rig, ratio))
+        cure = _other_angle(ratio, rig)
+    own, unit = ("", cure), ("", _other_unit(rig, ratio))
     long = (f"the wheelbase is {rig.vehicle.wheelbase / ratio:.2f} m: ", _other_wheelbase(rig, 1 / ratio))
     places = ("", _other_scale(rig, ratio) if both and unit[1] is None else None)
     ways = [unit, long, places, own] if both else [own, long, unit, places]
@@ -134,7 +135,7 @@ def _off(name: str, ratio: float, drive: Drive, *, both: bool) -> Finding:
         ways.sort(key=lambda way: way is not long)
     if name == "steer":
         angle_of = _as_an_angle(rig, ratio)
-        command = ("", angle_of[0] if angle_of else _other_command(rig, ratio))
+        command = ("", angle_of[0] if angle_of else rescaled("steer", rig.channels["steer"], ratio))
         # A range of steering that no vehicle has speaks for the places, the wheels' own, or a command of another unit.
         if MAX_STEERS[0] < angle < MAX_STEERS[1]:
             ways.append(command)
@@ -207,22 +208,15 @@ def _other_scale(rig: Rig, ratio: float) -> Cure | None:
     return None if source.unit == GEOGRAPHIC else (Edit("channels.position.scale", rounded(source.scale * ratio)),)
 
 
-def _other_command(rig: Rig, factor: float) -> Cure:
-    """Commands `factor` times as large, with the zero where it is."""
-    source = rig.channels["steer"]
-    edits = (Edit("channels.steer.scale", rounded(source.scale * factor)),)
-    return edits if not source.offset else (*edits, Edit("channels.steer.offset", rounded(source.offset * factor)))
-
-
 def _as_an_angle(rig: Rig, factor: float) -> tuple[Cure, float] | None:
     """The edits for a command that is an angle of the road wheels, and their factor; None where `factor` is another."""
     source = rig.channels["steer"]
     for unit in ("rad", "deg") if not source.unit else ():
         exact = unit_factor("steer", unit, rig.vehicle.max_steer) / source.scale
         if abs(np.log(factor / exact)) < _AN_ANGLE:
-            back = [Edit(f"channels.steer.{key}", usual) for key, usual in (("scale", 1.0), ("offset", 0.0))
-                    if getattr(source, key) != usual]  # fmt: skip
-            return (Edit("channels.steer.unit", unit), *back), exact
+            # Without a scale, the zero stays where it is.
+            plain = rescaled("steer", source, 1 / source.scale) if source.scale != 1.0 else ()
+            return (Edit("channels.steer.unit", unit), *plain), exact
     return None
 
 

@@ -17,10 +17,11 @@ from offpiste.inspection.driven_path import STEP, TURNING, Path
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.lags import SURE, fit_lags
 from offpiste.inspection.steering_fit import moving_rows
+from offpiste.logs.axes import turning_sign
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
 from offpiste.rig.channels import ChannelSource, unit_factor
-from offpiste.rig.edits import Edit, rounded
+from offpiste.rig.edits import Edit, rescaled, rounded
 from offpiste.rig.rig import Rig
 
 _FITS = 0.2
@@ -38,6 +39,8 @@ _SAME_VELOCITY: Final = (0.92, 1.09)
 """... and a velocity, which states what the pose's derivative is."""
 _SIDEWAYS: Final = 0.5
 """Correlation of two velocities to the side from which they are one; of 90 healthy logs none has less than 0.86."""
+_OTHER_BODY: Final = {"z up": "body down", "body down": "z up", "ned": "world down", "world down": "ned"}
+"""Axes of the same world and a body whose z axis points the other way."""
 _ROLLING: Final = (0.6, 1.8)
 """Speed of wheels over the vehicle's, slip and worn tyres included."""
 _UNITS = {"km/h": 3.6, "mph": 2.23694, "kn": 1.94384}
@@ -115,8 +118,8 @@ def _sideways(drive: Drive, path: Path) -> list[Finding]:
     if fit is None or fit.r[0] > -max(_SIDEWAYS, SURE * fit.r_sigma(0)):
         return []
     evidence = f"correlation with the pose's motion to the left: {fit.r[0]:.2f} ± {fit.r_sigma(0):.2f}"
-    ways = [(Edit("motion.axes", "body down"),)] if drive.rig.motion.axes == "z up" else []
-    cures = (*ways, (Edit("channels.linear_velocity.frame", "unknown"),))
+    axes = Edit("motion.axes", _OTHER_BODY[drive.rig.motion.axes])
+    cures = ((axes,), (Edit("channels.linear_velocity.frame", "unknown"),))
     remedy = "; or ".join(str(edit) for (edit,) in cures)
     return [Finding("warning", "linear_velocity", "is positive to the right", evidence, remedy, 0.5, cures)]
 
@@ -172,17 +175,17 @@ def check_turn_rate(drive: Drive, path: Path) -> list[Finding]:
         how = f"{removed}; the pose is differentiated instead"
         return [Finding("warning", name, "does not follow the pose's yaw rate", evidence, how, 1.0, ((removed,),))]
     wrong = _gain(name, fit, drive.rig, "rad/s", _RATE_UNITS) + _delay(name, fit, source)
-    return wrong or (_bias(name, _on_path(path, _turn_rate(drive))[:, 0], path, source) if name == "yaw_rate" else [])
+    return wrong or (_bias(_on_path(path, drive.channels[name])[:, 0], path, drive.rig) if name == "yaw_rate" else [])
 
 
-def _bias(name: str, recorded: Float[np.ndarray, " n"], path: Path, source: ChannelSource) -> list[Finding]:
-    """A finding if a rate is surely not zero where the vehicle does not turn."""
+def _bias(recorded: Float[np.ndarray, " n"], path: Path, rig: Rig) -> list[Finding]:
+    """A finding if the yaw rate is surely not zero where the vehicle does not turn."""
     one, everywhere = np.ones((1, len(recorded))), np.ones(len(recorded), bool)
     fit = fit_lags(recorded, path.yaw_rate[:, None], one, np.zeros(1), everywhere)
     if fit is None or abs(fit.gain[0]) < _BIASED + SURE * fit.gain_sigma(0):
         return []
-    bias = float(fit.gain[0])
-    per_unit = source.sign * unit_factor(name, source.unit)
+    name, source, bias = "yaw_rate", rig.channels["yaw_rate"], float(fit.gain[0])
+    per_unit = turning_sign(name, rig.motion.axes) * source.sign * unit_factor(name, source.unit)
     edit = Edit(f"channels.{name}.offset", rounded(source.offset - bias / per_unit))
     evidence = f"it is {bias:.3f} ± {fit.gain_sigma(0):.1g} rad/s where the vehicle does not turn"
     return [Finding("warning", name, "is not zero without turning", evidence, str(edit), 0.4, ((edit,),))]
@@ -254,14 +257,13 @@ def _gain(
     named = {u: f for u, f in units.items() if abs(size / f - 1) < 0.1 and not source.unit}
     plain = source.unit in units and abs(size * units[source.unit] - 1) < 0.1
     value = min(named) if named else unit
-    scale = Edit(f"channels.{name}.scale", rounded(source.scale / size))
-    edit = Edit(f"channels.{name}.unit", value) if named or plain else scale
+    edits = (Edit(f"channels.{name}.unit", value),) if named or plain else rescaled(name, source, 1 / size)
     places = [*_other_unit_of_places(size, rig)] if unit == "m/s" else []
-    cures = [(edit,)] if named or plain else [*places, (edit,)]
+    cures = [edits] if named or plain else [*places, edits]
     cures += [place for place in places if place not in cures]
     if unit == "m/s":
         cures.append((Edit("channels.position.scale", rounded(rig.channels["position"].scale * size)),))
-    remedy = str(cures[0][0])
+    remedy = ", ".join(map(str, cures[0]))
     return [*findings, Finding("warning", name, f"is not in {unit}", evidence, remedy, 0.9, tuple(cures))]
 
 

@@ -12,6 +12,7 @@ from tomlkit.exceptions import TOMLKitError
 from tomlkit.items import InlineTable, Item, Table, Whitespace
 
 from offpiste.errors import RigError
+from offpiste.rig.channels import ChannelSource
 from offpiste.rig.rig import Rig, check_rig, parse_rig
 
 
@@ -64,6 +65,12 @@ def edited(rig: Rig, edits: Sequence[Edit]) -> Rig:
 def absent(channel: str, rig: Rig) -> tuple[Edit, ...]:
     """The edits that take a channel out of a rig and declare it absent."""
     return Edit(f"channels.{channel}", None), Edit("absent", [*rig.absent, channel])
+
+
+def rescaled(channel: str, source: ChannelSource, factor: float) -> tuple[Edit, ...]:
+    """The edits that make a channel's values `factor` times as large, the offset of its zero as well."""
+    scaled = (("scale", source.scale * factor), ("offset", source.offset * factor))
+    return tuple(Edit(f"channels.{channel}.{key}", rounded(value)) for key, value in scaled if value)
 
 
 def rounded(value: float) -> float:
