@@ -92,8 +92,12 @@ def rig(*changes: tuple[str, str]) -> Rig:
 
 
 @cache
-def drive_log(seconds: float = 90.0, seed: int = 0) -> MemoryLog:
-    """A bicycle with its pose point at the rear axle: yaw rate = v tan(angle) / wheelbase, and a little noise."""
+def drive_log(seconds: float = 90.0, seed: int = 0, *, braking: float = 5.0) -> MemoryLog:
+    """A bicycle with its pose point at the rear axle: yaw rate = v tan(angle) / wheelbase, and a little noise.
+
+    Args:
+        braking: what full brakes do [m/s^2].
+    """
     random = np.random.default_rng(seed)
     dt = 0.01
     time = np.arange(0, seconds, dt)
@@ -104,7 +108,7 @@ def drive_log(seconds: float = 90.0, seed: int = 0) -> MemoryLog:
 
     v = np.zeros(len(time))
     for i in range(1, len(time)):
-        v[i] = max(v[i - 1] + dt * (3.0 * throttle[i - 1] - 5.0 * brake[i - 1] - 0.15 * v[i - 1]), 0.0)
+        v[i] = max(v[i - 1] + dt * (3.0 * throttle[i - 1] - braking * brake[i - 1] - 0.15 * v[i - 1]), 0.0)
     yaw_rate = v * np.tan(angle) / WHEELBASE
     yaw = 0.3 + np.cumsum(yaw_rate) * dt
     x, y = np.cumsum(v * np.cos(yaw)) * dt, np.cumsum(v * np.sin(yaw)) * dt

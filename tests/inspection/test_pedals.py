@@ -63,6 +63,21 @@ def test_a_brake_without_effect_shows_none() -> None:
     assert "of the time" in finding.evidence
 
 
+def test_a_brake_that_is_dead_shows_where_the_vehicle_brakes_without_it() -> None:
+    dead = inspect_log(CLEAN.change("pedals", "brake", lambda x: 0.0 * x), rig())
+    (finding,) = (f for f in dead.findings if f.where == "brake" and f.severity != "note")
+    assert finding.what == "is never pressed, and the vehicle brakes"
+    assert Edit("channels.brake", None) in dead.cure
+
+
+def test_a_vehicle_that_only_rolls_out_was_not_braked() -> None:
+    """Uphill slopes and drag slow it down, and the brake stays where it is."""
+    log = _downhill(braking=-6.0).change("pedals", "brake", lambda x: 0.0 * x)
+    assert driven_path(drive_from_log(log, rig())).acceleration.min() < -2.5
+    found = inspect_log(log, rig())
+    assert not any(f.where == "brake" and f.severity != "note" for f in found.findings)
+
+
 def test_a_pedal_acts_in_reverse_as_it_does_forwards_on_slopes_too() -> None:
     """The same drive, turned round for every other 15 s: the motion, the hills and the pedals stay as they are."""
     drive = drive_from_log(_downhill(3.0), rig())

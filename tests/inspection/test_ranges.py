@@ -79,7 +79,7 @@ def test_a_throttle_that_goes_below_zero_beside_a_brake_is_cut_there():
 
 @pytest.mark.parametrize("rest", [-1.0, 11.0, 1000.0])
 def test_a_brake_that_nobody_pressed_rests_at_zero_and_has_no_scale(rest: float) -> None:
-    log = drive_log(seconds=60).change("pedals", "brake", lambda values: np.full(len(values), rest))
+    log = drive_log(seconds=60, braking=0.0).change("pedals", "brake", lambda values: np.full(len(values), rest))
     found = inspect_log(log, rig())
     assert found.cure == (Edit("channels.brake.offset", -rest),)
     assert not [f for f in inspect_log(log, edited(rig(), found.cure)).findings if f.severity != "note"]

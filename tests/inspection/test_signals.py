@@ -60,7 +60,7 @@ def test_a_range_for_spikes_of_one_component_holds_the_others_too() -> None:
 
 @pytest.mark.parametrize("rest", [0.0, 0.1, -0.02, 1.0])
 def test_a_brake_that_nobody_pressed_is_kept(rest: float) -> None:
-    log = drive_log(seconds=60).change("pedals", "brake", lambda values: np.full(len(values), rest))
+    log = drive_log(seconds=60, braking=0.0).change("pedals", "brake", lambda values: np.full(len(values), rest))
     found = inspect_log(log, rig())
     assert found.cure == ()
     assert [f for f in found.findings if f.severity != "note"] == []

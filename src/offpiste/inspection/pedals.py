@@ -8,15 +8,16 @@ from jaxtyping import Float
 from offpiste.channels import KERNEL_CONTROLS, all_controls
 from offpiste.conventions import GRAVITY
 from offpiste.inspection.course import heading_fits
-from offpiste.inspection.driven_path import MOVING, Path
+from offpiste.inspection.driven_path import MOVING, STEP, Path
 from offpiste.inspection.findings import Finding, Severity
 from offpiste.inspection.lags import LAGS, SURE, LagFit, check_delay, fit_lags, lagged, sampled
 from offpiste.inspection.pedal_scale import held_range, rests_high, scaled_to_unit, whole_range
+from offpiste.inspection.ranges import BRAKES, is_untouched
 from offpiste.inspection.steering_fit import SteeringFit
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
 from offpiste.rig.channels import unit_factor
-from offpiste.rig.edits import Edit, rounded
+from offpiste.rig.edits import Edit, absent, rounded
 from offpiste.rig.rig import Rig
 
 _EFFECT = 0.2
@@ -104,6 +105,8 @@ _STRONGEST = 60.0
 """Acceleration per pedal that no vehicle has [m/s^2]: six times what tyres hold, since pedals may act at once."""
 _HARDLY = 0.15
 """A pedal that never leaves this is hardly pressed, or in another unit."""
+_BRAKED, _BRAKED_FOR, _BRAKED_OFTEN = 2.5, 0.3, 3
+"""Deceleration on level ground [m/s^2] that drag and engines hardly reach for so long [s] again and again."""
 
 
 def check_pedals(fits: Mapping[str, LagFit], drive: Drive, path: Path) -> list[Finding]:
@@ -135,7 +138,23 @@ def check_pedals(fits: Mapping[str, LagFit], drive: Drive, path: Path) -> list[F
         else:
             findings += check_delay(name, fit, own, drive.rig, usual=_USUAL_DELAY[name], clear=_CLEAR, sign=sign)
             findings += _idle(name, drive, path) + _too_small(name, fit, right, drive)
-    return findings
+    return findings + _braked_without(drive, path)
+
+
+def _braked_without(drive: Drive, path: Path) -> list[Finding]:
+    """A finding on brakes that are never pressed, though the vehicle brakes again and again."""
+    brakes = [name for name in BRAKES if name in drive.channels]
+    if not all(is_untouched(name, drive.channels[name].values[:, 0]) for name in brakes):
+        return []
+    pushed = path.acceleration * np.sign(path.forward) + GRAVITY * path.slope
+    braked = np.diff((pushed < -_BRAKED) & (path.speed > MOVING), prepend=False, append=False)
+    often = int((np.diff(np.flatnonzero(braked))[::2] * STEP >= _BRAKED_FOR - 1e-9).sum())
+    if often < _BRAKED_OFTEN:
+        return []
+    what = "is never pressed, and the vehicle brakes"
+    evidence = f"{often} times it slows down by more than {_BRAKED} m/s2 for {_BRAKED_FOR} s or longer, slopes aside"
+    how = "look for another field, or declare it absent"
+    return [Finding("warning", name, what, evidence, how, 1.0, (absent(name, drive.rig),)) for name in brakes]
 
 
 def _too_small(name: str, fit: LagFit, right: int, drive: Drive) -> list[Finding]:

@@ -31,6 +31,16 @@ _SLACK = 1.1
 BRAKES: Final = ("brake", "brake_pressure")
 """Channels that stay where they are in a log in which nobody brakes."""
 
+_AT_AN_END: Final = 0.15
+"""Distance from an end of its range, 0 or 1, at which a brake that never moves is at rest: some rest a little above."""
+
+
+def is_untouched(name: str, values: Float[np.ndarray, " n"]) -> bool:
+    """Whether a channel is a brake that stays at an end of its range, as where nobody brakes."""
+    if name not in BRAKES or not len(values) or np.ptp(values) > 0:
+        return False
+    return bool(min(abs(values[0]), abs(values[0] - 1)) <= _AT_AN_END)
+
 
 def check_ranges(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
     """Findings on controls and actuators that leave their limits, or that the rig clips there."""

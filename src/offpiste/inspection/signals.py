@@ -1,7 +1,6 @@
 """Checks of single signals: values that are not finite, dead channels, spikes, wrapped counters."""
 
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 from jaxtyping import Float
@@ -10,7 +9,7 @@ from scipy.ndimage import median_filter
 from offpiste.channels import control_of
 from offpiste.inspection.findings import Finding, Severity
 from offpiste.inspection.pedal_scale import scaled_to_unit
-from offpiste.inspection.ranges import BRAKES, limits
+from offpiste.inspection.ranges import is_untouched, limits
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.inspection.signal_faults import MAX_SPIKES, find_spikes, find_wrap
 from offpiste.logs.channel import LARGEST, convert, largest, unwrapped
@@ -21,9 +20,6 @@ from offpiste.rig.rig import Rig
 
 _MOST_LEFT = 0.5
 """A range of valid values that leaves more than this share of the spikes is no remedy."""
-
-_AT_AN_END: Final = 0.15
-"""Distance from an end of its range, 0 or 1, at which a brake that never moves is at rest: some rest a little above."""
 
 
 @dataclass(frozen=True)
@@ -232,6 +228,7 @@ def _dead(signals: list[Signal], rig: Rig | None) -> list[Finding]:
     scalars = [name for name, (_, widths) in known_channels().items() if widths == (1,) and name != "yaw"]
     read = [s for s in signals if s.key.removeprefix("channels.") in scalars]
     other = [s for s in signals if not s.key]
+    untouched = [is_untouched(s.key.removeprefix("channels."), s.values) for s in read]
     findings = [
         Finding(
             "warning",
@@ -242,10 +239,11 @@ def _dead(signals: list[Signal], rig: Rig | None) -> list[Finding]:
             1.0,
             (absent(s.key.removeprefix("channels."), rig),) if rig else (),
         )
-        for s in read
-        if not _is_untouched(s)
+        for s, resting in zip(read, untouched, strict=True)
+        if not resting
     ]
-    findings += [_never_pressed(s, rig) for s in read if rig is not None and _is_untouched(s)]
+    if rig is not None:
+        findings += [_never_pressed(s, rig) for s, resting in zip(read, untouched, strict=True) if resting]
     if other:
         findings.append(
             Finding(
@@ -258,13 +256,6 @@ def _dead(signals: list[Signal], rig: Rig | None) -> list[Finding]:
             )
         )
     return findings
-
-
-def _is_untouched(signal: Signal) -> bool:
-    """Whether it is a brake that stays at an end of its range, as where nobody brakes."""
-    if signal.key.removeprefix("channels.") not in BRAKES or not len(signal.values):
-        return False
-    return bool(min(abs(signal.values[0]), abs(signal.values[0] - 1)) <= _AT_AN_END)
 
 
 def _never_pressed(signal: Signal, rig: Rig) -> Finding:
