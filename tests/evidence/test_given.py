@@ -92,7 +92,7 @@ def test_logs_are_inspected_with_their_sensors(tmp_path: Path, monkeypatch: pyte
     drives = Drives((str(tmp_path / "good.mcap"),), rig, "blocks:0.7,0.1,0.2")
     with pytest.raises(RigError, match="it has no sensors; add"):
         inspect_drives(replace(drives, rig=sensor_rig("")), rig="my.toml")
-    with pytest.raises(LogError, match=r"position: hardly moves.*`offpiste inspect .* --rig my.toml` says more"):
+    with pytest.raises(LogError, match=r"there is no control channel.*`offpiste inspect .* --rig my.toml` says more"):
         inspect_drives(drives, rig="my.toml")
     monkeypatch.setattr("offpiste.evidence.given.findings_on", lambda log, rig: ())
     inspect_drives(drives, rig="my.toml")
