@@ -48,6 +48,11 @@ def shapes_checked(request: pytest.FixtureRequest) -> Iterator[None]:
     jaxtyping.config.update("jaxtyping_disable", before)
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """Files go to workers in their order: those with few tests are long ones, and would come last."""
+    config.option.loadscopereorder = False
+
+
 def pytest_xdist_auto_num_workers() -> int:
     """One more than cores: tests of processes wait for them most of the time."""
     return len(os.sched_getaffinity(0)) + 1
