@@ -17,7 +17,7 @@ from offpiste.dataset.splits import (
     _place_labels,
     empty_parts,
     parse_split,
-    refuse_own_origins,
+    refuse_places_without_origin,
     write_drives,
 )
 from offpiste.dataset.window_starts import window_starts
@@ -128,7 +128,7 @@ def geographic_rig(more: str = "") -> Rig:
 
 def test_a_place_in_degrees_has_one_part_in_every_drive():
     rig, split = geographic_rig("origin = [48.15, 11.58]\n"), parse_split("places:300")
-    refuse_own_origins(split, rig)
+    refuse_places_without_origin(split, rig)
     count = 20000
     degrees = np.column_stack((np.linspace(48.14, 48.17, count), np.linspace(11.57, 11.6, count)))
 
@@ -153,7 +153,7 @@ def test_places_in_degrees_without_a_common_origin_are_refused_in_one_line(tmp_p
         make_dataset(["one.csv"], geographic_rig(), tmp_path / "d.zarr", split="places:50")
     with pytest.raises(DatasetError, match=message):
         fit_pca(["one.csv"], geographic_rig(), parse_split("places:50"), open_backbone("filterbank"))
-    refuse_own_origins(parse_split("fold:0/5"), geographic_rig())
+    refuse_places_without_origin(parse_split("fold:0/5"), geographic_rig())
 
 
 def test_where_the_place_is_not_known_the_vehicle_is_where_it_was():

@@ -19,7 +19,7 @@ from offpiste.dataset.map_snapshots import SnapshotSchedule, SnapshotSettings, S
 from offpiste.dataset.place import drive_names, remove_if_empty, working_copy
 from offpiste.dataset.resample import Rows, extract_rows
 from offpiste.dataset.split_balance import fitting_split, split_warning
-from offpiste.dataset.splits import PARTS, Split, empty_parts, parse_split, refuse_own_origins, stored_split
+from offpiste.dataset.splits import PARTS, Split, empty_parts, parse_split, refuse_places_without_origin, stored_split
 from offpiste.dataset.store import Dataset, StoredDrive, add_drive, create, open_dataset, temporary_folder
 from offpiste.dataset.visual_features import SnapshotKeeper, with_visual_features
 from offpiste.dataset.window_starts import MIN_HINDSIGHT, evaluation_starts
@@ -212,7 +212,7 @@ def make_dataset(
     mine = set(sorted(names)[shard[0] - 1 :: shard[1]])
     if not mine:
         raise DatasetError(f"{len(names)} logs have no shard {shard[0]}/{shard[1]}", how="give fewer shards")
-    refuse_own_origins(parts := parse_split(split), rig)
+    refuse_places_without_origin(parts := parse_split(split), rig)
     if empty := empty_parts(parts):
         logger.warning(f"the split {split} leaves nothing for {' and '.join(empty)}: {_useless(empty)}")
     if pca is not None and features != "none":

@@ -14,7 +14,7 @@ from safetensors.numpy import load, save
 
 from offpiste.cluster import engine_at
 from offpiste.dataset.resample import Rows, extract_rows
-from offpiste.dataset.splits import Split, refuse_own_origins
+from offpiste.dataset.splits import Split, refuse_places_without_origin
 from offpiste.errors import PerceptionError
 from offpiste.files import write_text
 from offpiste.logs.drive import drive_from_log, drive_name
@@ -144,7 +144,7 @@ def fit_pca(
         LogError, RigError: a log cannot be read, or has no cameras and LiDARs.
         PerceptionError: no image of the training part, no patch with ground in it, or a listed image that is not there.
     """
-    refuse_own_origins(split, rig)
+    refuse_places_without_origin(split, rig)
     logs = expanded(logs)
     spacing = SPACING if isinstance(images, int) else 0.0  # listed images need not lie apart
     jobs = [Job(number, log, rig, split, spacing, backbone) for number, log in enumerate(logs)]

@@ -112,7 +112,7 @@ def parse_split(text: str) -> Split:
     raise DatasetError(f"not a split: '{text}'", how=usage)
 
 
-def refuse_own_origins(split: Split, rig: Rig) -> None:
+def refuse_places_without_origin(split: Split, rig: Rig) -> None:
     """Raise if a split by places would cut coordinates that mean other places in every log.
 
     Raises:
