@@ -81,7 +81,7 @@ def checked_accesses(folder: Path, given: argparse.Namespace) -> list[str]:
     Calls that fail do not count: cuda-core asks a driver for functions of later versions, and copes without them.
     """
     out = str(folder / "memcheck.json")
-    small = [sys.executable, str(HERE / "gpu.py"), "plans", "training", "--small", "--device", given.device]
+    small = [sys.executable, str(HERE / "gpu.py"), "plans", "spread", "training", "--small", "--device", given.device]
     memcheck = [tool("compute-sanitizer"), "--tool", "memcheck", "--report-api-errors", "no", "--error-exitcode", "1"]
     return [*memcheck, *small, "--out", out]
 
@@ -137,6 +137,8 @@ def exported(folder: Path, kind: str, command: str) -> list[str]:
 
 STAGES = (
     Stage("plans", 150, by_script("plans")),
+    Stage("spread", 60, by_script("spread")),
+    Stage("images", 60, by_script("images")),
     Stage("training", 120, by_script("training")),
     Stage("train", 150, by_script("train")),
     Stage("example", 60, example),

@@ -52,7 +52,9 @@ def test_a_stage_that_lacks_a_tool_says_which(stages, tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.setenv("MPPI_GENERIC", str(tmp_path / "sources"))
     given = Namespace(device="cpu", small=True)
-    skipped = {stage.name: stages.run(stage, tmp_path, given, 60) for stage in stages.STAGES[3:5] + stages.STAGES[-1:]}
+    wanted = ("example", "memcheck", "mppi-generic")
+    chosen = [stage for stage in stages.STAGES if stage.name in wanted]
+    skipped = {stage.name: stages.run(stage, tmp_path, given, 60) for stage in chosen}
     assert skipped["example"]["skipped"] == "nvcc is not there"
     assert skipped["memcheck"]["skipped"] == "compute-sanitizer is not there"
     assert skipped["mppi-generic"]["skipped"] == f"{tmp_path}/sources/include is not there; set MPPI_GENERIC"

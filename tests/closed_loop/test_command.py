@@ -1,10 +1,22 @@
-"""Tables that `offpiste drive` prints."""
+"""What `offpiste drive` refuses, and the tables that it prints."""
 
 from io import StringIO
+from pathlib import Path
 
+import pytest
+import torch
 from rich.console import Console
 
+from offpiste.cli.drive import Drive
 from offpiste.closed_loop.command import modes_table, stages_table
+from offpiste.errors import PlanningError
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
+def test_a_gpu_that_is_not_there_is_refused_before_a_world_is_built(tmp_path, monkeypatch):
+    monkeypatch.setattr("offpiste.closed_loop.command.drive_course", None)
+    with pytest.raises(PlanningError, match="no GPU 'cuda' for planning"):
+        Drive(Path("pretrained:proving-ground/b"), device="cuda", out=tmp_path / "drive").run()
 
 
 def test_tables_have_their_units():

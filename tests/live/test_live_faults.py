@@ -256,6 +256,14 @@ def test_a_risk_that_needs_a_spread_is_refused_before_anything_starts(tmp_path):
         run_live(settings, lockstep=False, replay=None, commands=None)
 
 
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
+def test_a_gpu_that_is_not_there_is_refused_before_anything_starts(tmp_path):
+    course, runtime = CourseRequest(write_course(tmp_path)), RuntimeSettings(device="cuda")
+    settings = LiveSettings(write_rig(tmp_path), RUN, None, course, runtime)
+    with pytest.raises(PlanningError, match="no GPU 'cuda' for planning"):
+        run_live(settings, lockstep=False, replay=None, commands=None)
+
+
 def test_the_timeouts_of_the_rig_are_those_of_the_drive(tmp_path, monkeypatch):
     begun, more = [], "[live.timeouts]\nstate = 0.25\n"
     monkeypatch.setattr("offpiste.live.commands.supervise", lambda settings, *_: begun.append(settings))

@@ -19,6 +19,7 @@ from offpiste.planning.mppi import PEDALS_AND_WHEEL, Settings, improve
 from offpiste.planning.noise import coloured, gaussian
 from offpiste.planning.pedal import PEDAL_AND_WHEEL, with_pedal
 from planning.test_kernel import STEPS, ground, model, start
+from planning.test_kernel_stray import caution
 from planning_maps import layers, situation
 
 SETTINGS = Settings(
@@ -61,6 +62,26 @@ def test_plans_are_those_of_the_reference(settings):
         torch.testing.assert_close(found.costs, wanted.costs, atol=1e-2, rtol=1e-3)
         assert abs(float(found.weights.sum()) - 1) < 1e-6
         plan = wanted.controls
+
+
+@needs_gcc
+def test_plans_that_count_their_spread_are_those_of_the_reference_and_checked_with_it():
+    at = situation(layers(plane=(0.05, -0.1)), state=(-10.0, 1, 0.1, 4, 0, 0))
+    dynamics, model_state, codes = parts(at)
+    careful = replace(at, caution=caution(dynamics))
+    kernels = HostKernels(plan_text(dynamics, at.costs.table, careful.caution))
+    planner = DevicePlanner(kernels, dynamics, SETTINGS, torch.Generator().manual_seed(3))
+    given = torch.zeros(STEPS, 2), model_state, careful, CostWeights(), codes
+    cost_of = with_pedal(fused_costs(dynamics, *given[1:]))
+    wanted, found = improve(given[0], cost_of, SETTINGS, torch.Generator().manual_seed(3)), planner.improve(*given)
+    torch.testing.assert_close(found.controls, wanted.controls, atol=2e-3, rtol=0)
+    torch.testing.assert_close(found.costs, wanted.costs, atol=1e-2, rtol=1e-3)
+    check_planner(planner, *given)
+    as_predicted = DevicePlanner(
+        HostKernels(plan_text(dynamics, at.costs.table)), dynamics, SETTINGS, torch.Generator()
+    )
+    with pytest.raises(PlanningError, match="costs on cpu differ from those on the CPU"):
+        check_planner(as_predicted, *given)
 
 
 @needs_gcc

@@ -1,6 +1,35 @@
-"""Times of stages: all of them for reports, the last ones where nobody asks."""
+"""Images to codes on a GPU; times of stages: all of them for reports, the last ones where nobody asks."""
 
-from offpiste.runtime.perception import Stopwatch
+import numpy as np
+import pytest
+import torch
+
+from fake_gpu import GPU, Faking, FromNumbers
+from offpiste.closed_loop.planner import load_planner
+from offpiste.runtime.perception import Stopwatch, codes_of, encoder_on
+
+RUN = "pretrained:proving-ground/dc"
+
+
+@pytest.mark.parametrize("novelty", ["ignored", "missing"])
+def test_codes_of_an_image_are_those_of_the_cpu_where_all_of_it_is_on_a_gpu(novelty):
+    pixels = np.random.default_rng(0).integers(0, 256, (140, 280, 3), dtype=np.uint8)
+    planner = load_planner(RUN, novelty=novelty)
+    wanted = codes_of(pixels, planner.extractor.extract, planner.dynamics.encoder)
+    with FromNumbers(), Faking():
+        there = load_planner(RUN, novelty=novelty, device=str(GPU))
+        encoder = encoder_on(str(GPU), there.dynamics.encoder)
+        found = codes_of(pixels, there.extractor.extract, encoder)
+        assert {part.device for part in encoder.state_dict().values()} == {GPU}
+    assert {part.device for part in there.dynamics.state_dict().values()} == {torch.device("cpu")}
+    np.testing.assert_allclose(found, wanted, atol=1e-4)
+    assert (np.std(wanted, axis=(0, 1)) > 0.01).all() == (novelty == "ignored")  # noise looks like no ground
+
+
+def test_an_encoder_that_is_there_already_is_not_copied():
+    encoder = load_planner(RUN).dynamics.encoder
+    assert encoder_on("cpu", encoder) is encoder
+    assert encoder_on("cuda", None) is None
 
 
 def test_a_stopwatch_keeps_all_times_or_the_last_ones():

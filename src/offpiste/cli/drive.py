@@ -40,6 +40,8 @@ class Drive:
     novelty: Literal["ignored", "missing"] = "ignored"
     """What ground is to the model that looks like none in training; missing needs what is familiar (shipped with
     models that see the ground, for others by `offpiste calibrate`)."""
+    device: str = "cpu"
+    """That images are encoded and plans are made on: cpu, or cuda (needs the extra `cuda`)."""
     fault: Literal["none", "camera-dropped", "lidar-dropped", "late-image", "nan-features", "map-empty"] = "none"
     """Fault of the sensors."""
     fault_start: float = 10.0
@@ -63,6 +65,7 @@ class Drive:
             latency=self.latency,
             risk=self.risk,
             novelty=self.novelty,
+            device=self.device,
             fault=self.fault,
             fault_start=self.fault_start,
             recording=self.recording,

@@ -45,6 +45,8 @@ class Live:
     novelty: Literal["ignored", "missing"] = "ignored"
     """What ground is to the model that looks like none in training; missing needs what is familiar (shipped with
     models that see the ground, for others by `offpiste calibrate`)."""
+    device: str = "cpu"
+    """That images are encoded and plans are made on: cpu, or cuda (needs the extra `cuda`)."""
     seed: int = 0
     """Of the sampled controls."""
     seconds: float = float("inf")
@@ -86,7 +88,7 @@ class Live:
                 self.run_folder,
                 self.pca,
                 CourseRequest(self.course, self.course_topic, self.goal, self.speed),
-                RuntimeSettings(latency=self.latency, risk=risk_of(self.risk)),
+                RuntimeSettings(latency=self.latency, risk=risk_of(self.risk), device=self.device),
                 robot,
                 drive=self.drive,
                 clock=self.clock,

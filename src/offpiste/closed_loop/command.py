@@ -12,6 +12,7 @@ from offpiste.closed_loop.faults import Kind
 from offpiste.closed_loop.planner import load_planner
 from offpiste.errors import require
 from offpiste.planning.caution import risk_of
+from offpiste.planning.gpu import require_device
 from offpiste.runtime.settings import RuntimeSettings
 from offpiste.simulation.world.world import WorldSettings
 from offpiste.uncertainty.novelty import Novelty
@@ -32,6 +33,7 @@ def run_drive(
     latency: float,
     risk: str,
     novelty: Novelty,
+    device: str,
     fault: Kind,
     fault_start: float,
     recording: bool,
@@ -43,12 +45,13 @@ def run_drive(
     """
     if recording:
         require("view", "rerun", otherwise="leave out --recording")
-    planner, caution = load_planner(run, pca, novelty=novelty), risk_of(risk)
+    require_device(device)
+    planner, caution = load_planner(run, pca, novelty=novelty, device=device), risk_of(risk)
     settings = CourseDriveSettings(
         WorldSettings(world, seed),
         seconds,
         course=CourseSettings(course, speed),
-        runtime=RuntimeSettings(latency=latency, risk=caution),
+        runtime=RuntimeSettings(latency=latency, risk=caution, device=device),
         fault=fault,
         fault_start=fault_start,
     )

@@ -47,13 +47,16 @@ class Planner:
         return self.extractor is None and self.dynamics.encoder is not None
 
 
-def load_planner(folder: str | Path, pca: Path | None = None, *, novelty: Novelty = "ignored") -> Planner:
+def load_planner(
+    folder: str | Path, pca: Path | None = None, *, novelty: Novelty = "ignored", device: str = "cpu"
+) -> Planner:
     """Load a run and, if its model reads visual features, its feature extractor.
 
     Args:
         folder: of the run, or `pretrained:NAME`.
         pca: the file that the run's dataset was extracted with; models that ship have theirs beside them.
         novelty: "missing" treats ground that looks like none in training as ground without features.
+        device: of the feature extractor; the model is on the CPU.
 
     Raises:
         RunError: no such run, or its features are not available: no PCA is given, or not the one it was trained with;
@@ -85,7 +88,7 @@ def load_planner(folder: str | Path, pca: Path | None = None, *, novelty: Novelt
         pca = folder.parent / PCA
     if pca is None:
         raise RunError("reads visual features", where=folder, how="give --pca, the file its dataset was extracted with")
-    extractor = load_feature_extractor(pca)
+    extractor = load_feature_extractor(pca, device)
     if extractor.identity != identity:
         raise RunError(
             f"was trained with another PCA ({identity}) than {pca} ({extractor.identity})",

@@ -21,6 +21,7 @@ from offpiste.live.replay import OnStep, replayed
 from offpiste.live.session import LiveSettings, ViewSettings
 from offpiste.live.supervisor import asked_to_end, supervise
 from offpiste.planning.caution import caution_of
+from offpiste.planning.gpu import require_device
 from offpiste.progress import track
 from offpiste.rig.rig import Rig, load_rig
 from offpiste.training.fitness import differing_vehicle
@@ -38,7 +39,9 @@ def run_live(settings: LiveSettings, *, lockstep: bool, replay: Path | None, com
     """
     settings.robot.require()
     _refuse_ignored(settings, lockstep=lockstep, replay=replay, commands=commands)
-    rig, planner = load_rig(settings.rig), settings.load_planner()
+    device, alone = settings.runtime.device, lockstep or replay is not None
+    require_device(device)
+    rig, planner = load_rig(settings.rig), settings.load_planner(device if alone else "cpu")
     settings = replace(settings, runtime=replace(settings.runtime, timeouts=rig.live.timeouts))
     _refuse_driving(settings, rig)
     types = MessageTypes([Path(name) for name in rig.live.definitions])

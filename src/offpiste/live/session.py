@@ -82,13 +82,16 @@ class LiveSettings:
     view: ViewSettings | None = None
     novelty: Novelty = "ignored"
 
-    def load_planner(self) -> Planner:
+    def load_planner(self, device: str = "cpu") -> Planner:
         """The run, with its features.
+
+        Args:
+            device: of the feature extractor; only a process that encodes images wants another than the CPU.
 
         Raises:
             RunError, PerceptionError: it cannot be loaded (`closed_loop.planner.load_planner`).
         """
-        return load_planner(self.run, self.pca, novelty=self.novelty)
+        return load_planner(self.run, self.pca, novelty=self.novelty, device=device)
 
 
 @dataclass(frozen=True)

@@ -29,17 +29,25 @@ def gpu_planner(
     """A planner on a GPU.
 
     Args:
-        situation: any one with the layers of the cost maps to come.
+        situation: any one with the layers of the cost maps to come, and with their caution.
 
     Raises:
         MissingExtra: cuda-core is not installed.
         PlanningError: no such GPU, or settings that it cannot plan with.
     """
-    if situation.caution is not None:
-        raise PlanningError("no spread on a GPU", how="plan on the CPU, or with the risk none")
     place = gpu_of(device)
-    kernels = cuda_kernels(plan_text(dynamics, situation.costs.table, lanes=True), place)
+    kernels = cuda_kernels(plan_text(dynamics, situation.costs.table, situation.caution, lanes=True), place)
     return DevicePlanner(kernels, dynamics, settings, torch.Generator(place).manual_seed(seed), captured)
+
+
+def require_device(name: str) -> None:
+    """Refuse a device that cannot plan before anything is begun; the CPU can.
+
+    Raises:
+        PlanningError: there is no such GPU.
+    """
+    if name != "cpu":
+        gpu_of(name)
 
 
 def gpu_of(name: str) -> torch.device:

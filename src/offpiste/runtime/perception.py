@@ -4,6 +4,7 @@ import time
 from collections import Counter, defaultdict, deque
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from copy import deepcopy
 from dataclasses import dataclass, field
 from typing import TypeVar
 
@@ -209,9 +210,16 @@ def codes_of(
     features = torch.from_numpy(extract(pixels))
     if not features.isfinite().all():
         raise PerceptionError("features are not finite")
-    flat = features.flatten(0, 1)
-    codes = encoder(flat, torch.ones(len(flat), dtype=torch.bool))
-    return codes.unflatten(0, features.shape[:2]).numpy()
+    flat = features.flatten(0, 1).to(encoder.mean.device)
+    codes = encoder(flat, torch.ones(len(flat), dtype=torch.bool, device=flat.device))
+    return codes.unflatten(0, features.shape[:2]).cpu().numpy()
+
+
+def encoder_on(device: str, encoder: FeatureEncoder | None) -> FeatureEncoder | None:
+    """A model's encoder where images are encoded: a copy, unless it is there already; None where there is none."""
+    if encoder is None or encoder.mean.device == torch.device(device):
+        return encoder
+    return deepcopy(encoder).to(device)
 
 
 def _no_codes(pixels: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "rows columns E"]:

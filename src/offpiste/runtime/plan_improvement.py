@@ -13,7 +13,7 @@ from offpiste.errors import PlanningError
 from offpiste.planning import mppi
 from offpiste.planning.device_planner import DevicePlanner
 from offpiste.planning.driving_cost import Situation
-from offpiste.planning.gpu import check_planner, gpu_of, gpu_planner
+from offpiste.planning.gpu import check_planner, gpu_planner, require_device
 from offpiste.planning.pedal import pedals_of, with_pedal
 from offpiste.runtime.prediction import Area, costs_from
 from offpiste.runtime.settings import RuntimeSettings
@@ -53,7 +53,7 @@ class PlanImprover:
         self._on_gpu: DevicePlanner | None = None
         if settings.device == "cpu":
             return
-        gpu_of(settings.device)
+        require_device(settings.device)
         with torch.no_grad():
             if not supports(dynamics, CPU, torch.float32):
                 raise PlanningError("no kernels for this model on a GPU", how="plan on the CPU: device='cpu'")

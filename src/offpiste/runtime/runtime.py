@@ -22,7 +22,7 @@ from offpiste.runtime.estimator import VehicleReading, VehicleTrack
 from offpiste.runtime.follower import Applied, Follower
 from offpiste.runtime.intake import Intake
 from offpiste.runtime.modes import Controls, Event, ModeDecision
-from offpiste.runtime.perception import OnlineMapper, SensorSetup, Stopwatch
+from offpiste.runtime.perception import OnlineMapper, SensorSetup, Stopwatch, encoder_on
 from offpiste.runtime.plan_improvement import MakeImprover, PlanImprover
 from offpiste.runtime.plan_maker import PlanMaker
 from offpiste.runtime.prediction import KnownGround, Prediction
@@ -73,12 +73,12 @@ class Runtime:
             )
         self.watch, self._track = Stopwatch(), VehicleTrack(slowest=self._settings.timeouts.state)
         self.follower = Follower(self._settings, self._track, CourseTracker(course))
-        encoder = None if ground is not None else dynamics.encoder
-        self._mapper = OnlineMapper(sensors, encoder, self._track, self._settings.replay, self.watch)
         self._maker = PlanMaker(
             dynamics, wheels, self._settings,
             ground=ground, spread=spread, seed=seed, reverses=reverses, watch=self.watch, improver=improver,
         )  # fmt: skip
+        encoder = None if ground is not None else encoder_on(self._settings.device, dynamics.encoder)
+        self._mapper = OnlineMapper(sensors, encoder, self._track, self._settings.replay, self.watch)
         timeouts, dropped = self._settings.timeouts, self._mapper.dropped
         self._intake = Intake(self._track, dynamics.vehicle.actuators, timeouts, dropped)
         self._plan_due = -np.inf

@@ -35,7 +35,8 @@ class RuntimeSettings:
         arrived: distance from its end at which the course counts as driven [m].
         margin: the map is read this far beyond what a plan can reach [m].
         remember: how long predictions are kept, at 120 kB a second [s].
-        device: that plans are sampled and rolled out on: "cpu", or "cuda" (extra `cuda`).
+        device: that codes are computed, and plans are sampled and rolled out on: "cpu", or "cuda" (extra `cuda`). The
+            feature extractor is where it was loaded.
 
     Raises:
         PlanningError: rate and latency do not fit the steps of the controls.

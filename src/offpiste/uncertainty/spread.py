@@ -92,6 +92,9 @@ class Spread(nn.Module):
     Args:
         inputs: I, how many (`inputs_of`).
         hidden: units of the network's layer.
+
+    Attributes:
+        hidden: as given.
     """
 
     mean: Tensor
@@ -100,6 +103,7 @@ class Spread(nn.Module):
 
     def __init__(self, inputs: int, *, hidden: int = 32) -> None:
         super().__init__()
+        self.hidden = hidden
         self.layers = nn.Sequential(nn.Linear(inputs, hidden), nn.Tanh(), nn.Linear(hidden, 2))
         self.start = nn.Parameter(torch.full((2,), -2.0))
         self.tail = nn.Parameter(torch.tensor(1.0))

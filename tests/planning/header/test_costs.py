@@ -14,6 +14,7 @@ from offpiste.planning.header.cost_text import plan_text
 from offpiste.planning.header.costs import costs_by_kernels
 from offpiste.planning.kernel import encode_map, fused_rollout
 from planning.test_kernel import GEARED, commands, ground, model, start
+from planning.test_kernel_stray import NO_HAZARDS, PATH_ALONE, caution
 from planning_maps import layers, situation
 
 pytestmark = needs_gcc
@@ -21,7 +22,7 @@ pytestmark = needs_gcc
 
 def printed(dynamics, at, controls, weights, *, lanes):
     """Costs and states of the printed C, by one thread a sample or by four."""
-    kernels = HostKernels(plan_text(dynamics, at.costs.table, lanes=lanes))
+    kernels = HostKernels(plan_text(dynamics, at.costs.table, at.caution, lanes=lanes))
     assert kernels.lanes == (4 if lanes else 1)
     states = torch.empty(controls.shape[1], 6, len(controls))
     codes = encode_map(at.ground, dynamics.encoder)
@@ -56,7 +57,7 @@ def test_four_lanes_read_the_ground_as_one_thread_does(place):
 def both(dynamics, at, controls, weights):
     """Costs and states of the printed C, and of the Numba kernel."""
     model_state, codes = start(dynamics, at), encode_map(at.ground, dynamics.encoder)
-    kernels = HostKernels(plan_text(dynamics, at.costs.table))
+    kernels = HostKernels(plan_text(dynamics, at.costs.table, at.caution))
     states = torch.empty(controls.shape[1], 6, len(controls))
     costs = costs_by_kernels(kernels, dynamics, model_state, at, weights, codes)(controls, states)
     return (costs, states.permute(2, 0, 1)), fused_rollout(dynamics, model_state, controls, at, weights, codes)
@@ -72,6 +73,44 @@ def test_costs_and_states_equal_those_of_the_numba_kernel(kind, vehicle):
     difference = (found[0] - wanted[0]).abs()[close] / wanted[0].abs()[close]
     assert (difference < 0.01).float().mean() > 0.9
     assert difference.median() < 1e-4
+
+
+def added_by_caution(costs_of, dynamics, at):
+    """What caution adds to the cost of the path, by a function of a situation."""
+    careful, plain = (costs_of(here) for here in (replace(at, caution=caution(dynamics)), at))
+    return careful - plain
+
+
+@pytest.mark.parametrize("lanes", [False, True], ids=["one thread", "four lanes"])
+@pytest.mark.parametrize("vehicle", [COMMANDED, VEHICLE], ids=["commands", "actuators"])
+@pytest.mark.parametrize("kind", ["parametric", "b", "dc", "hold"])
+def test_what_caution_adds_equals_what_the_numba_kernel_adds(kind, vehicle, lanes):
+    at = situation(ground(), hazards=NO_HAZARDS, state=(-3.0, 1, 0.3, 8, 0.2, 0.1))
+    dynamics, controls = model(kind, vehicle), commands(9 if lanes else 70)[:, :45]
+    model_state, codes = start(dynamics, at), encode_map(at.ground, dynamics.encoder)
+
+    def fused(here):
+        return fused_rollout(dynamics, model_state, controls, here, PATH_ALONE, codes)
+
+    found = added_by_caution(lambda here: printed(dynamics, here, controls, PATH_ALONE, lanes=lanes)[0], dynamics, at)
+    wanted = added_by_caution(lambda here: fused(here)[0], dynamics, at)
+    states = printed(dynamics, at, controls, PATH_ALONE, lanes=lanes)[1].permute(2, 0, 1)
+    close = (states - fused(at)[1]).abs().amax(dim=(1, 2)) < 2e-3
+    assert close.float().mean() > 0.85  # at edges of cells rounding decides, and trajectories part
+    assert (wanted > 0).all()
+    apart = ((found - wanted).abs() / wanted)[close]
+    assert apart.median() < 1e-3
+    assert apart.max() < 0.02
+
+
+@pytest.mark.parametrize("gear", [1.0, -1.0])
+@pytest.mark.parametrize("place", [0.0, 300.0], ids=["on the map", "off it"])
+def test_caution_on_even_ground_and_in_each_gear(place, gear):
+    at = situation(layers(plane=(0.1, -0.2)), hazards=NO_HAZARDS, state=(place, 0, 1, 3, 0, 0))
+    dynamics = model("b", GEARED)
+    at = replace(at, gear=gear, caution=caution(dynamics))
+    found, wanted = both(dynamics, at, commands(33, seed=2)[:, :40], PATH_ALONE)
+    torch.testing.assert_close(found[0], wanted[0], atol=1e-2, rtol=2e-3)
 
 
 @pytest.mark.parametrize("kind", ["b", "dc"])

@@ -8,6 +8,8 @@
 
 #ifndef OFFPISTE_LANES
 #define OFFPISTE_LANES 1 /* threads that share an item (lanes.h) */
+#define OFFPISTE_LANE 0
+#define offpiste_over_lanes(value) (value)
 #endif
 
 #if OFFPISTE_LANES > 1

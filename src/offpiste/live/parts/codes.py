@@ -9,18 +9,19 @@ from offpiste.live.parts.setup import load_kernels, wait_for_sensors
 from offpiste.live.session import Session
 from offpiste.logs.measurements import Image
 from offpiste.mapping.replay import Keyframes
-from offpiste.runtime.perception import codes_of
+from offpiste.runtime.perception import codes_of, encoder_on
 
 
 def codes(session: Session) -> None:
     """The process that extracts features."""
     part = Part("codes", session)
-    planner = part.settings.load_planner()
-    load_kernels(part, planner)
+    device = part.settings.runtime.device
+    planner = part.settings.load_planner(device)
+    load_kernels(part, planner, device)
     setup = wait_for_sensors(part, planner)
     if setup is None or planner.extractor is None:
         return
-    encoder, extract = planner.dynamics.eval().requires_grad_(False).encoder, planner.extractor.extract
+    encoder = encoder_on(device, planner.dynamics.eval().requires_grad_(False).encoder)
     assert encoder is not None
     keep_loaded()
     waiting: dict[str, Image] = {}  # the newest of each camera, until the pose is known
@@ -47,7 +48,8 @@ def codes(session: Session) -> None:
             if keyframes.due(image, pose):
                 began = time.monotonic()
                 try:
-                    found = codes_of(setup.cameras[image.camera].rectifier(image.pixels), extract, encoder)
+                    pixels = setup.cameras[image.camera].rectifier(image.pixels)
+                    found = codes_of(pixels, planner.extractor.extract, encoder)
                 except PerceptionError:
                     part.dropped["images without finite features"] += 1
                     continue

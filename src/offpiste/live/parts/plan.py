@@ -100,7 +100,7 @@ def plan(session: Session) -> None:
     """The process that plans."""
     part = Part("plan", session)
     plans = Plans(part)
-    load_kernels(part, plans.planner)
+    load_kernels(part, plans.planner, part.settings.runtime.device)
     keep_loaded()
     freed = FreedMemory()
     period = 1 / part.settings.runtime.plan_rate

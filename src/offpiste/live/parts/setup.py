@@ -1,6 +1,7 @@
 """Sensors and course as the processes wait for them, and kernels that are compiled before they are needed."""
 
 import time
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -34,8 +35,12 @@ def wait_for_sensors(part: Part, planner: Planner) -> SensorSetup | None:
     return None
 
 
-def load_kernels(part: Part, planner: Planner) -> None:
-    """Drive for a second over made-up ground: what is compiled is loaded before the robot is heard."""
+def load_kernels(part: Part, planner: Planner, device: str = "cpu") -> None:
+    """Drive for a second over made-up ground: what is compiled is loaded before the robot is heard.
+
+    Args:
+        device: of the process; one that neither encodes images nor plans leaves a GPU alone.
+    """
     part.end_with(LOADING)
     rig, still = load_rig(part.settings.rig), np.eye(4)
     still[2, 3] = 1.5
@@ -48,7 +53,8 @@ def load_kernels(part: Part, planner: Planner) -> None:
         camera = Camera("made up", model, looks, CameraSource("/made_up"))
         cameras = {"made up": make_pinhole_camera(camera, planner.extractor.patch)}
         setup = SensorSetup(lidars, cameras, planner.extractor.extract)
-    warm_up(planner.dynamics, setup, rig.wheel_positions(), part.settings.runtime, spread=planner.spread)
+    runtime = replace(part.settings.runtime, device=device)
+    warm_up(planner.dynamics, setup, rig.wheel_positions(), runtime, spread=planner.spread)
 
 
 class NewestCourse:

@@ -6,8 +6,10 @@ from importlib.resources import files
 from typing import Final
 
 from offpiste.conventions import CONTROL as CONTROLS
+from offpiste.conventions import DT
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.header.step_text import shipped_text, step_text
+from offpiste.planning.caution import Caution
 from offpiste.planning.costs.declaration import (
     CONSTANTS,
     ELEMENTARY,
@@ -20,14 +22,18 @@ from offpiste.planning.costs.declaration import (
 from offpiste.planning.costs.layers import CostLayer
 from offpiste.planning.header.c_expression import CExpression, called, traced
 from offpiste.planning.kernel_costs import Numbers, places_of_numbers
+from offpiste.uncertainty.spread import EVERY, INTERVAL
 
 PLACES: Final = {
     "vx": "state[3]", "vy": "state[4]", "yaw_rate": "state[5]", "vx_before": "v->vx_before",
     "vy_before": "v->vy_before", "cos_yaw": "v->cos_yaw", "sin_yaw": "v->sin_yaw", "world_normal_x": "normal[0]",
     "world_normal_y": "normal[1]", "world_normal_z": "normal[2]", "throttle": "v->control[0]",
-    "brake": "v->control[1]", "steer": "v->control[2]", "stray_along": "0.0f", "stray_across": "0.0f",
+    "brake": "v->control[1]", "steer": "v->control[2]", "stray_along": "v->stray[0]", "stray_across": "v->stray[1]",
 }  # fmt: skip
-"""Where `offpiste_motion_cost` finds each of `declaration.MOTION`; a GPU plans as predicted (`gpu.gpu_planner`)."""
+"""Where `offpiste_motion_cost` finds each of `declaration.MOTION`."""
+
+AS_PREDICTED: Final = {"stray_along": "0.0f", "stray_across": "0.0f"}
+"""The same without caution."""
 
 INFINITE: Final = "3.4e38f * 10.0f"
 """Infinity, without a header that NVRTC lacks."""
@@ -35,10 +41,13 @@ INFINITE: Final = "3.4e38f * 10.0f"
 FUNCTIONS: Final = {name: called(f"offpiste_{name}") for name in ELEMENTARY}
 
 
-def plan_text(dynamics: Dynamics, layers: tuple[CostLayer, ...], *, lanes: bool = False) -> str:
+def plan_text(
+    dynamics: Dynamics, layers: tuple[CostLayer, ...], caution: Caution | None = None, *, lanes: bool = False
+) -> str:
     """C++ and CUDA text of the kernels `offpiste_roll_out` and `offpiste_keep_within`.
 
     Args:
+        caution: of the plans; its numbers are not in the text, but in the situation (`costs.packed_situation`).
         lanes: whether `LANES` threads share a sample of `offpiste_roll_out`, as they do on GPUs.
 
     Raises:
@@ -47,13 +56,13 @@ def plan_text(dynamics: Dynamics, layers: tuple[CostLayer, ...], *, lanes: bool 
     """
     here = files(__package__)
     parts = [step_text(dynamics, lanes=lanes), shipped_text("kernels.h"), shipped_text("terrain.h")]
-    parts.append(cost_text(layers, lanes=lanes))
-    parts += [here.joinpath(name).read_text("utf-8") for name in ("plan.h", "limits.h")]
+    parts.append(cost_text(layers, caution, lanes=lanes))
+    parts += [here.joinpath(name).read_text("utf-8") for name in ("stray.h", "plan.h", "limits.h")]
     return "\n".join(parts)
 
 
-def cost_text(layers: tuple[CostLayer, ...], *, lanes: bool = False) -> str:
-    """C code of all declared terms, for cost maps of these layers; for `lanes`, see `plan_text`."""
+def cost_text(layers: tuple[CostLayer, ...], caution: Caution | None = None, *, lanes: bool = False) -> str:
+    """C code of all declared terms, for cost maps of these layers; for the others, see `plan_text`."""
     terms = list(cost_terms().values())
     numbers = places_of_numbers(terms)
     last = max(numbers, key=lambda name: numbers[name])
@@ -63,16 +72,32 @@ def cost_text(layers: tuple[CostLayer, ...], *, lanes: bool = False) -> str:
         "/* Cost per step of the declared terms, and the layers of the cost map that they read. */",
         f"#define OFFPISTE_LAYERS {len(layers)}",
         f"#define OFFPISTE_NUMBERS {count}",
+        *_stray_sizes(caution),
         "",
         "typedef struct {",
         "    float control[3], cos_yaw, sin_yaw, vx_before, vy_before, layers[OFFPISTE_LAYERS];",
+        *(["    float stray[2];"] if caution else []),
         "} offpiste_values;",
         "",
         *_layer_functions(layers, lanes),
         *_control_cost(of_controls, numbers),
-        *_motion_cost([term for term in terms if not term.of_controls], numbers, layers),
+        *_motion_cost(
+            [term for term in terms if not term.of_controls], numbers, layers, {} if caution else AS_PREDICTED
+        ),
     ]
     return "\n".join(lines) + "\n"
+
+
+def _stray_sizes(caution: Caution | None) -> list[str]:
+    """What `stray.h` is compiled for."""
+    if caution is None:
+        return ["#define OFFPISTE_STRAY 0"]
+    sizes = {"STRAY": caution.spread.hidden, "STRAY_EVERY": EVERY}
+    times = {"STRAY_INTERVAL": INTERVAL, "STRAY_STEP": DT}
+    return [
+        *(f"#define OFFPISTE_{name} {value}" for name, value in sizes.items()),
+        *(f"#define OFFPISTE_{name} {value!r}f" for name, value in times.items()),
+    ]
 
 
 def _layer_functions(layers: tuple[CostLayer, ...], lanes: bool) -> list[str]:
@@ -141,8 +166,10 @@ def _control_cost(terms: list[CostTerm], numbers: Numbers) -> list[str]:
     ]
 
 
-def _motion_cost(terms: list[CostTerm], numbers: Numbers, layers: tuple[CostLayer, ...]) -> list[str]:
-    places = PLACES | {layer.name: f"v->layers[{row}]" for row, layer in enumerate(layers)}
+def _motion_cost(
+    terms: list[CostTerm], numbers: Numbers, layers: tuple[CostLayer, ...], fixed: dict[str, str]
+) -> list[str]:
+    places = PLACES | fixed | {layer.name: f"v->layers[{row}]" for row, layer in enumerate(layers)}
     parameters = {name for term in terms for name in term.parameters}
     provided = {*places, *CONSTANTS, *ELEMENTARY, *parameters, "weight"}
     given: dict[str, object] = dict(FUNCTIONS)

@@ -3,6 +3,7 @@
 import math
 from typing import Protocol, runtime_checkable
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -11,13 +12,16 @@ from offpiste.conventions import CONTROL
 from offpiste.cuda_kernels import Kernels
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.header.networks import LANE, packed_parameters
+from offpiste.dynamics.kernels.layout import COMMANDS
 from offpiste.mapping.terrain_sampler import MapStack
+from offpiste.planning.caution import Caution
 from offpiste.planning.cost_map import CostMap
 from offpiste.planning.costs.declaration import CONSTANTS, cost_terms
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.driving_cost import Situation
 from offpiste.planning.kernel import Codes
 from offpiste.planning.kernel_costs import places_of_numbers, vector_of_numbers
+from offpiste.planning.kernel_stray import GIVEN, MOVING, stray_weights
 from offpiste.state import ModelState
 
 Maps = tuple[Tensor, Tensor, Tensor]
@@ -77,8 +81,21 @@ def packed_situation(
         torch.tensor([0.0 if math.isnan(value) else value for value in situation.costs.outside]),
         torch.from_numpy(vector_of_numbers(weights, names)),
         model_state.pack()[0].cpu().float(),
+        packed_stray(dynamics, situation.caution),
     ]
     return torch.cat(parts)
+
+
+def packed_stray(dynamics: Dynamics, caution: Caution | None) -> Float[Tensor, " N"]:
+    """The numbers of `offpiste_stray_weights` in order, on the CPU; none without caution."""
+    if caution is None:
+        return torch.empty(0)
+    vehicle, codes = dynamics.vehicle, dynamics.codes
+    of = stray_weights(caution, vehicle, codes)
+    commands = (MOVING + COMMANDS.index(name) for name in vehicle.control_columns)
+    read = [*range(MOVING), *commands, *range(GIVEN, GIVEN + codes)]
+    parts = of.inner[:, read], of.bias, of.outer[:2], of.outer_bias, of.start, np.array([of.reach])
+    return torch.from_numpy(np.concatenate([part.ravel() for part in parts]))
 
 
 def packed_maps(situation: Situation, codes: Codes, device: torch.device) -> Maps:

@@ -9,6 +9,9 @@ typedef struct {
     offpiste_grid ground, costs;
     float wheels[4][2], gear, holds, control[3];
     float outside[OFFPISTE_LAYERS], numbers[OFFPISTE_NUMBERS], start[OFFPISTE_STATE];
+#if OFFPISTE_STRAY
+    offpiste_stray_weights stray;
+#endif
 } offpiste_situation;
 
 /* Maps: slope [ny, nx, 2], codes [ny, nx, E] and layers [ny, nx, C] of cells. */
@@ -97,6 +100,9 @@ OFFPISTE_KERNEL(
         OFFPISTE_UNROLL
         for (int k = 0; k < 3; k++) before[k] = s->control[k], next[k] = controls[k * n + i];
         offpiste_sample(s, &maps, state, 1, &given, &values);
+#if OFFPISTE_STRAY
+        offpiste_stray stray = offpiste_begin_stray(&s->stray, &values);
+#endif
         for (int t = 0; t < steps; t++) {
             OFFPISTE_FORGET
             OFFPISTE_UNROLL
@@ -106,6 +112,10 @@ OFFPISTE_KERNEL(
             }
             OFFPISTE_UNROLL
             for (int k = 0; k < OFFPISTE_CONTROLS; k++) given.control[k] = k < 3 ? values.control[k] : s->gear;
+#if OFFPISTE_STRAY
+            if (t % OFFPISTE_STRAY_EVERY == 0) offpiste_sense_stray(&s->stray, state, &given, &values, &stray);
+            offpiste_move_stray(&stray, &values);
+#endif
             values.vx_before = state[3];
             values.vy_before = state[4];
             offpiste_step(params, &given, state);

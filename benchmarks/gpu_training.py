@@ -1,0 +1,93 @@
+"""Stages of gpu.py: trainings, and the rollouts in them forward and back."""
+
+import argparse
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import torch
+from gpu_timing import Row, open_kernels, timed
+from torch import Tensor
+
+from offpiste.conventions import ACTUATORS, HORIZON_STEPS
+from offpiste.dataset.store import open_dataset
+from offpiste.dynamics import rollout
+from offpiste.dynamics.base import Dynamics
+from offpiste.dynamics.header.gpu import check_kernels
+from offpiste.dynamics.header.recorded import recorded_text, rollout_by_kernels
+from offpiste.state import ModelState, RecordedTerrain, Terrain
+from offpiste.training.config import TrainConfig
+from offpiste.training.run import kept_epochs
+from offpiste.training.train import train
+
+SAME = 0.02
+"""Largest relative difference of validation losses of a few epochs on two devices."""
+
+
+def windows(dynamics: Dynamics, batch: int, device: torch.device) -> tuple[ModelState, Tensor, Terrain]:
+    """Recorded ground for training."""
+    draw = torch.Generator().manual_seed(0)
+    state = torch.randn(batch, 6, generator=draw) + torch.tensor([0.0, 0, 0, 5, 0, 0])
+    hidden, cell = 0.3 * torch.randn(2, batch, dynamics.recurrent_size, generator=draw)
+    actuators = 0.1 * torch.rand(batch, len(ACTUATORS), generator=draw)
+    shape = batch, HORIZON_STEPS
+    controls = 0.5 * torch.rand(*shape, len(dynamics.vehicle.control_columns), generator=draw)
+    latent = torch.randn(*shape, 4, dynamics.codes, generator=draw)
+    up = torch.tensor([0.0, 0, 1]).expand(*shape, 4, 3)
+    start = ModelState(*(part.to(device) for part in (state, actuators, hidden, cell)))
+    known = torch.ones(*shape, 4, dtype=torch.bool)
+    return start, controls.to(device), Terrain(up.to(device), known.to(device), latent.to(device))
+
+
+def of_train(dynamics: Dynamics, device: torch.device, given: argparse.Namespace) -> Iterator[Row]:
+    """Trainings on CPU and device: their validation losses must agree. With `--alone`, on the device only."""
+    from feature_datasets import dataset_with_features
+
+    with TemporaryDirectory() as folder:
+        path, epochs = given.dataset, given.epochs
+        if path is None:
+            path, epochs = Path(folder) / "dataset.zarr", 2
+            dataset_with_features(path)
+        dataset = open_dataset(path)
+        model = "dc" if len(dataset.drives[0].rows.normal) > 1 else "df"
+        for batch in given.batch:
+            losses = []
+            for place in (str(device),) if given.alone else ("cpu", str(device)):
+                config = TrainConfig(
+                    model, epochs=epochs, bicycle_epochs=epochs, actuator_epochs=2, batch=batch, device=place
+                )
+                run, began = Path(folder) / f"run-{batch}-{len(losses)}", time.perf_counter()
+                train(dataset, config, run)
+                losses.append(kept_epochs(run)["model"].validation_loss)
+                took = time.perf_counter() - began
+                yield {
+                    "what": f"{epochs} epochs of {model} on {place}, batches of {batch}: {took:.1f} s, validation loss "
+                    f"{losses[-1]:.5f}"
+                }
+            if not abs(losses[-1] - losses[0]) <= SAME * abs(losses[0]):
+                raise SystemExit(f"validation losses differ: {losses[0]:.5f} on the CPU, {losses[-1]:.5f} on {device}")
+
+
+def of_training(dynamics: Dynamics, device: torch.device, given: argparse.Namespace) -> Iterator[Row]:
+    """Rollouts forward and back; the eager model on the same device for the smallest batch, unless the run is small."""
+    small, turns = given.small, given.turns
+    dynamics = dynamics.to(device)
+    for part in (dynamics.kernel_parts().compensator, dynamics.encoder):
+        part.requires_grad_(True)
+    kernels, sizes = open_kernels(recorded_text(dynamics), device), [40] if small else [1024, 4096, 16384]
+    if not small:
+        check_kernels(kernels, dynamics, device)
+        yield {"what": "states and gradients agree with the eager model's"}
+    for batch in sizes:
+        start, controls, terrain = windows(dynamics, batch, device)
+
+        def by_kernels(start: ModelState = start, controls: Tensor = controls, terrain: Terrain = terrain) -> None:
+            rollout_by_kernels(kernels, dynamics, start, controls, terrain).state.square().mean().backward()
+
+        def eagerly(start: ModelState = start, controls: Tensor = controls, terrain: Terrain = terrain) -> None:
+            rollout(dynamics, start, controls, RecordedTerrain(terrain)).state.square().mean().backward()
+
+        yield timed(f"forward and back, {batch} windows", by_kernels, device, turns)
+        if batch == sizes[0] and not small:
+            yield timed(f"the same eagerly, {batch} windows", eagerly, device, min(turns, 3))
