@@ -70,6 +70,13 @@ def test_a_brake_that_is_dead_shows_where_the_vehicle_brakes_without_it() -> Non
     assert Edit("channels.brake", None) in dead.cure
 
 
+def test_a_brake_that_is_dead_at_fully_pressed_is_not_called_released() -> None:
+    dead = inspect_log(CLEAN.change("pedals", "brake", lambda x: 0.0 * x + 1.0), rig())
+    whats = {f.what for f in dead.findings if f.where == "brake"}
+    assert "stays where it is fully pressed, and the vehicle brakes" in whats
+    assert not any("never pressed" in what for what in whats)
+
+
 def test_a_vehicle_that_only_rolls_out_was_not_braked() -> None:
     """Uphill slopes and drag slow it down, and the brake stays where it is."""
     log = _downhill(braking=-6.0).change("pedals", "brake", lambda x: 0.0 * x)

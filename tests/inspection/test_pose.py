@@ -140,6 +140,26 @@ def test_heights_of_geographic_places_are_metres() -> None:
     assert [f for f in inspect_log(log, swiss).findings if "beyond" in f.what] == []
 
 
+def test_degrees_that_are_counted_get_their_scale_and_lose_a_height_in_another() -> None:
+    """As PX4 and u-blox receivers record them: integers of 1e-7 degrees, and millimetres of height."""
+    log = CLEAN.change("odom", "x", lambda east: np.round(1e7 * (east / 75_488 + 8.5)))
+    log = log.change("odom", "y", lambda north: np.round(1e7 * (north / 111_180 + 47.4)))
+    log = log.change("odom", "z", lambda up: np.round(1000 * (up + 450)))
+    counted = edited(
+        rig(), [Edit("channels.position.unit", "lat lon"), Edit("channels.position.fields", ["y", "x", "z"])]
+    )
+    found = inspect_log(log, counted)
+    fatal = [f for f in found.findings if f.severity == "fatal"]
+    assert {f.what for f in fatal} == {"is counted in ten-millionths of a degree"}
+    assert found.cure == (Edit("channels.position.scale", 1e-7), Edit("channels.position.fields", ["y", "x"]))
+    cured = edited(counted, found.cure)
+    assert not [f for f in inspect_log(log, cured).findings if f.severity != "note"]
+    driven = np.hypot(*np.ptp(drive_from_log(CLEAN, rig()).channels["position"].values[:, :2], axis=0))
+    assert np.hypot(*np.ptp(drive_from_log(log, cured).channels["position"].values, axis=0)) == pytest.approx(
+        driven, 0.01
+    )
+
+
 @pytest.mark.parametrize(("unit", "metre"), [("mm", 1000.0), ("cm", 100.0)])
 def test_a_small_vehicle_in_millimetres_is_no_fast_one_in_centimetres(unit: str, metre: float) -> None:
     log = drive_log(seconds=60)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from offpiste.inspection.signal_faults import find_spikes, find_wrap
+from offpiste.inspection.signal_faults import counts_degrees, find_spikes, find_wrap
 
 TIME = np.arange(0, 60, 0.02)
 SMOOTH = 150 + 100 * np.sin(TIME) + np.random.default_rng(0).standard_normal(len(TIME))
@@ -88,3 +88,22 @@ def test_a_pedal_that_idles_below_zero_wraps_most_of_the_time() -> None:
 )
 def test_what_is_no_wrap(values: np.ndarray) -> None:
     assert find_wrap(values) is None
+
+
+@pytest.mark.parametrize(
+    ("latitude", "longitude", "counted"),
+    [
+        (481_500_000, 115_800_000, True),
+        (-338_600_000, 1_512_100_000, True),
+        (0, 0, False),
+        (48.15, 11.58, False),
+        (481_500_000.5, 115_800_000, False),
+        (981_500_000, 115_800_000, False),
+        (np.nan, 115_800_000, False),
+    ],
+    ids=["north", "south", "no fix", "degrees", "no integer", "no latitude", "unknown"],
+)
+def test_degrees_that_are_counted(latitude: float, longitude: float, counted: bool) -> None:
+    before_the_fix = np.zeros(5)
+    places = (np.concatenate((before_the_fix, np.full(20, each))) for each in (latitude, longitude))
+    assert counts_degrees(*places) is counted

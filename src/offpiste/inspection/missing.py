@@ -10,7 +10,7 @@ import numpy as np
 from offpiste.channels import CONTROLS
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.recorded_log import Recorded
-from offpiste.rig.channels import POSE, ChannelSource
+from offpiste.rig.channels import POSE, ChannelSource, topic_in_words
 from offpiste.rig.edits import Edit, absent
 from offpiste.rig.rig import Rig
 
@@ -37,7 +37,7 @@ def check_missing(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
         if r is not None and not missing:
             continue
         if r is None:
-            what, there = f"its topic '{source.topic}' is not in the log, or holds no numbers", list(recorded)
+            what, there = f"{topic_in_words(source.topic)} is not in the log, or holds no numbers", list(recorded)
         else:
             what, there = f"its topic has no field '{missing[0]}'", list(map(r.topic.in_words, r.topic.fields))
         cures = tuple(_cures(name, source, recorded, rig))

@@ -151,10 +151,14 @@ def _braked_without(drive: Drive, path: Path) -> list[Finding]:
     often = int((np.diff(np.flatnonzero(braked))[::2] * STEP >= _BRAKED_FOR - 1e-9).sum())
     if often < _BRAKED_OFTEN:
         return []
-    what = "is never pressed, and the vehicle brakes"
     evidence = f"{often} times it slows down by more than {_BRAKED} m/s2 for {_BRAKED_FOR} s or longer, slopes aside"
     how = "look for another field, or declare it absent"
-    return [Finding("warning", name, what, evidence, how, 1.0, (absent(name, drive.rig),)) for name in brakes]
+    found = []
+    for name in brakes:
+        pressed = drive.channels[name].values[0, 0] > 0.5
+        what = f"{'stays where it is fully pressed' if pressed else 'is never pressed'}, and the vehicle brakes"
+        found.append(Finding("warning", name, what, evidence, how, 1.0, (absent(name, drive.rig),)))
+    return found
 
 
 def _too_small(name: str, fit: LagFit, right: int, drive: Drive) -> list[Finding]:

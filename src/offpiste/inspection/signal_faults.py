@@ -1,4 +1,4 @@
-"""Faults within single signals: isolated spikes, and 16-bit counters below zero."""
+"""Faults within single signals: isolated spikes, 16-bit counters below zero, degrees that are counted."""
 
 from typing import Final
 
@@ -14,6 +14,10 @@ PERIODS: Final = (65536.0, 6553.6, 655.36)
 """Of 16-bit counters, whole or in tenths or hundredths."""
 MAX_SPIKES: Final = 0.02
 """More than this share of the samples are no isolated spikes."""
+
+
+COUNTED_DEGREES: Final = 1e-7
+"""Degrees in which GPS receivers and autopilots count latitude and longitude, as integers."""
 
 
 def find_spikes(values: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
@@ -62,6 +66,15 @@ def find_wrap(raw: Float[np.ndarray, " n"]) -> Wrap | None:
         if spread and abs(upper[0]) <= max(2 * np.ptp(lower), 0.05 * period) and lower[0] - upper[-1] < 0.02 * period:
             return Wrap(above=_round(ordered[widest] + space[widest] / 2), period=period)
     return None
+
+
+def counts_degrees(latitude: Float[np.ndarray, " n"], longitude: Float[np.ndarray, " n"]) -> bool:
+    """Whether places are integers of `COUNTED_DEGREES`; read as degrees they would not be on earth."""
+    for raw, most in ((latitude, 90.0), (longitude, 180.0)):
+        known = raw[np.isfinite(raw) & (raw != 0)]  # before the first fix
+        if not len(known) or (known % 1).any() or not 360 < np.median(np.abs(known)) <= most / COUNTED_DEGREES:
+            return False
+    return True
 
 
 def _half_span(values: Float[np.ndarray, " n"]) -> float:

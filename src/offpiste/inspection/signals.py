@@ -11,7 +11,7 @@ from offpiste.inspection.findings import Finding, Severity
 from offpiste.inspection.pedal_scale import scaled_to_unit
 from offpiste.inspection.ranges import is_untouched, limits
 from offpiste.inspection.recorded_log import Recorded
-from offpiste.inspection.signal_faults import MAX_SPIKES, find_spikes, find_wrap
+from offpiste.inspection.signal_faults import COUNTED_DEGREES, MAX_SPIKES, counts_degrees, find_spikes, find_wrap
 from offpiste.logs.channel import LARGEST, convert, largest, unwrapped
 from offpiste.logs.empty_rows import between_samples
 from offpiste.rig.channels import GEOGRAPHIC, POSE, ChannelSource, Wrap, known_channels, unit_factor
@@ -89,10 +89,10 @@ def check_signals(signals: list[Signal], rig: Rig | None) -> list[Finding]:
     Args:
         rig: whose channels read them.
     """
-    findings: list[Finding] = []
-    dead: list[Signal] = []
+    findings, dead = _counted_degrees(signals, rig), list[Signal]()
+    counted = {finding.where for finding in findings}
     for signal in signals:
-        findings += _not_finite(signal)
+        findings += [] if signal.where in counted else _not_finite(signal)
         raw = signal.raw[np.abs(np.nan_to_num(signal.raw, nan=np.inf)) <= signal.largest]
         if len(raw) < 10:
             continue
@@ -108,6 +108,23 @@ def check_signals(signals: list[Signal], rig: Rig | None) -> list[Finding]:
         else:
             findings += _spiked(signal)
     return findings + _dead(dead, rig)
+
+
+def _counted_degrees(signals: list[Signal], rig: Rig | None) -> list[Finding]:
+    """Latitude and longitude that are read as degrees, and are integers of a ten-millionth of one."""
+    source = rig.channels.get("position") if rig else None
+    if source is None or source.unit != GEOGRAPHIC or source.scale != 1:
+        return []
+    both = [signal for signal in signals if signal.key == "channels.position"][:2]
+    if not counts_degrees(*(signal.raw for signal in both)):
+        return []
+    cure = (Edit("channels.position.scale", COUNTED_DEGREES), Edit("channels.position.fields", list(source.fields[:2])))
+    what, how = (
+        "is counted in ten-millionths of a degree",
+        f"{', '.join(map(str, cure))}: a height would be scaled, too",
+    )
+    evidence = f"around ({np.nanmedian(both[0].raw):.0f}, {np.nanmedian(both[1].raw):.0f}), read in degrees"
+    return [Finding("fatal", signal.where, what, evidence, how, 1.0, (cure,)) for signal in both]
 
 
 def place(topic: str, field: str) -> str:

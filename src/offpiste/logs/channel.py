@@ -15,7 +15,15 @@ from offpiste.geometry import local_from_geographic
 from offpiste.logs.axes import to_z_up
 from offpiste.logs.empty_rows import between_samples
 from offpiste.logs.log import Log, Samples
-from offpiste.rig.channels import GEOGRAPHIC, REPEATED, ChannelSource, Wrap, known_channels, unit_factor
+from offpiste.rig.channels import (
+    GEOGRAPHIC,
+    REPEATED,
+    ChannelSource,
+    Wrap,
+    known_channels,
+    topic_in_words,
+    unit_factor,
+)
 from offpiste.rig.rig import Rig
 
 _FARTHEST: Final = 1.5e7
@@ -162,7 +170,7 @@ def _clean(
         )
     if len(time) < 2:
         raise RigError(
-            f"channel '{name}' (topic '{source.topic}') has no usable samples",
+            f"channel '{name}' ({topic_in_words(source.topic)}) has no usable samples",
             where=path,
             how="fix its entry in the rig, or declare it absent",
         )
@@ -222,7 +230,7 @@ def _near_origin(source: ChannelSource, place: Float[np.ndarray, "n c"]) -> Floa
     away = np.nanmedian(np.hypot(place[:, 0], place[:, 1])) if np.isfinite(place[:, :2]).all(axis=1).any() else 0.0
     if source.origin is not None and away > _FAR:
         raise RigError(
-            f"channels.position.origin lies {away / 1e3:.0f} km from the places of topic '{source.topic}'",
+            f"channels.position.origin lies {away / 1e3:.0f} km from the places of {topic_in_words(source.topic)}",
             how="give latitude and longitude of a place near the drives, in this order",
         )
     return place
@@ -235,7 +243,8 @@ def _meanings(name: str, source: ChannelSource, raw: Float[np.ndarray, "n 1"]) -
     if unknown.any():
         known = ", ".join(f'"{key}" = {value:g}' for key, value in source.values.items())
         raise RigError(
-            f"channels.{name}.values lacks {raw[unknown][0]:g}, which topic '{source.topic}' has {unknown.sum()} times",
+            f"channels.{name}.values lacks {raw[unknown][0]:g}, which {topic_in_words(source.topic)} has "
+            f"{unknown.sum()} times",
             how=f"add what it stands for to values = {{ {known} }}",
         )
     values = raw.copy()

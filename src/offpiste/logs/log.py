@@ -17,7 +17,7 @@ from offpiste.errors import LogError
 from offpiste.logs.transforms import Transform
 from offpiste.registry import Registry
 from offpiste.rig.camera import CameraModel
-from offpiste.rig.channels import Clock
+from offpiste.rig.channels import Clock, topic_in_words
 
 LOG_FORMATS: "Registry[type[Log]]" = Registry("log format", package="offpiste.logs.formats", error=LogError)
 """Log formats by name; `offpiste.logs.open_log` chooses the one that recognises a path."""
@@ -159,11 +159,13 @@ class Log(ABC):
         """
         result = self._find(topic)
         if result.count == 0:
-            raise LogError(f"topic '{topic}' is empty", where=self.path, how="declare its channels absent in the rig")
+            raise LogError(
+                f"{topic_in_words(topic)} is empty", where=self.path, how="declare its channels absent in the rig"
+            )
         missing = [f for f in fields if f not in result.fields]
         if missing:
             raise LogError(
-                f"topic '{topic}' ({result.type}) has no field '{missing[0]}'",
+                f"{topic_in_words(topic)} ({result.type}) has no field '{missing[0]}'",
                 where=self.path,
                 how=f"it has: {', '.join(result.fields[:40]) or 'no numeric field'}",
             )

@@ -135,6 +135,11 @@ def _recorded(key: str) -> float:
         raise RigError(f"values has a key '{key}' that is no recorded number", how=how) from None
 
 
+def topic_in_words(topic: str) -> str:
+    """A topic for people; that of a table has no name."""
+    return f"topic '{topic}'" if topic else "the table"
+
+
 def unit_factor(channel: str, unit: str, max_steer: float = 0.0) -> float:
     """Factor from a log's unit to offpiste's unit of this channel; an empty unit means offpiste's own.
 

@@ -142,7 +142,7 @@ def test_cells(tmp_path: Path) -> None:
     assert log.topics[""].fields == ("t", "x", "armed")
     np.testing.assert_array_equal(column(log, "x"), [1.0, np.nan, np.nan, np.inf, -np.inf, 70.0])
     np.testing.assert_array_equal(column(log, "armed"), [1.0, 0.0, np.nan, 1.0, 1.0, 1.0])
-    with pytest.raises(LogError, match=r"topic '' \(CSV table\) has no field 'name'; it has: t, x, armed"):
+    with pytest.raises(LogError, match=r"the table \(CSV table\) has no field 'name'; it has: t, x, armed"):
         log.read("", ["name"])
 
 
@@ -225,7 +225,7 @@ def test_parquet_without_numbers(tmp_path: Path) -> None:
 
 def test_parquet_without_rows(tmp_path: Path) -> None:
     pq.write_table(pa.table({"t": pa.array([], pa.float64())}), tmp_path / "a.parquet")
-    with pytest.raises(LogError, match="topic '' is empty"):
+    with pytest.raises(LogError, match="the table is empty"):
         TableLog(tmp_path / "a.parquet").read("", ["t"])
 
 
