@@ -7,7 +7,7 @@ from live.made_up_robot import RIG, START, odometry, rig
 from offpiste.closed_loop.lockstep import reading_of
 from offpiste.errors import RigError
 from offpiste.live.vehicle_messages import VehicleMessages
-from offpiste.rig.rig import load_rig, parse_rig
+from offpiste.rig.rig import load_rig, parse_rig, rig_text
 from offpiste.simulation.recorder import stamp_ns, vehicle_messages
 from synthetic_drive import samples
 
@@ -51,6 +51,21 @@ def test_what_is_not_finite_is_dropped_and_what_is_old_does_not_count():
     still.pose.pose.orientation.w = np.nan
     assert vehicle.take("/odom", still, NOW) is None, "the heading is a second old"
     assert vehicle.control(NOW + 1) is None, "the rig has no channels of commands"
+
+
+def test_a_command_that_is_published_on_change_does_not_grow_old():
+    text = rig_text("proving_ground")
+    steady, changing = (
+        VehicleMessages(parse_rig(each, where="test"))
+        for each in (text, text.replace('interpolation = "hold"', 'interpolation = "on change"'))
+    )
+    sample = samples(0.5)[5]
+    for vehicle in (steady, changing):
+        for topic, message in vehicle_messages(sample, stamp_ns(sample.time), wheel_radius=0.359).items():
+            vehicle.take(topic, message, 0.0)
+    later = sample.time + 30.0
+    assert steady.control(later) is None
+    np.testing.assert_allclose(changing.control(later), sample.command[:3], atol=1e-6)
 
 
 def test_a_message_of_another_shape_is_counted():

@@ -33,6 +33,22 @@ def test_hold_gives_the_last_value_at_or_before():
     assert held[:, 0].tolist() == [5, 5, 6, 6, 7]
 
 
+def test_a_value_that_is_kept_up_is_repeated_until_the_next_and_to_the_end():
+    kept = channel([0.0, 0.1, 2.0, 2.05], [5.0, 6.0, 7.0, 8.0]).kept_up(3.0, every=0.4)
+    at = np.array([-0.1, 0.0, 0.05, 0.1, 1.0, 1.99, 2.0, 2.06, 2.7, 3.0, 3.01])
+    np.testing.assert_array_equal(kept.hold(at, max_gap=0.4)[:, 0], [np.nan, 5, 5, 6, 6, 6, 7, 8, 8, 8, np.nan])
+    np.testing.assert_array_equal(kept.latest(at[:-1], max_gap=0.4)[:, 0], [np.nan, 5, 5, 6, 6, 6, 7, 8, 8, 8])
+    assert (np.diff(kept.time) > 0).all()
+    assert np.diff(kept.time).max() <= 0.4
+    assert {0.0, 0.1, 2.0, 2.05, 3.0} <= set(kept.time)
+
+
+def test_a_value_that_is_kept_up_to_a_moment_before_its_last_stays_as_it_is():
+    given = channel([0.0, 0.1, 0.2], [5.0, 6.0, 7.0])
+    kept = given.kept_up(0.1, every=0.4)
+    assert (kept.time.tolist(), kept.values.tolist()) == (given.time.tolist(), given.values.tolist())
+
+
 def test_latest_does_not_look_whether_another_sample_follows():
     at = np.array([0.99, 1.0, 1.1, 1.5, 1.75, 2.0, 3.4])
     found = channel([1.0, 1.1, 3.0], [1.0, 2.0, 3.0]).latest(at, max_gap=0.5)[:, 0]

@@ -40,6 +40,10 @@ WRONG = {
         edited("[channels.orientation]", 'unit = "lat lon"\norigin = [411.0, 48.0]\n[channels.orientation]'),
         r"channels\.position\.origin is no place.*latitude and longitude in degrees",
     ),
+    "a heading on change": (
+        edited("[channels.orientation]", '[channels.orientation]\ninterpolation = "on change"'),
+        r"channels\.orientation is measured.*controls and actuators alone",
+    ),
     "no frame": (RIG + GYRO, r"channels\.angular_velocity\.frame is missing.*world.*body"),
     "unknown frame": (RIG + GYRO + 'frame = "map"\n', r"map"),
     "sign of two": (RIG + "sign = 2\n", r"sign"),

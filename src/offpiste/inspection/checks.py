@@ -19,6 +19,7 @@ from offpiste.inspection.lags import LagFit
 from offpiste.inspection.late_poses import check_late_poses
 from offpiste.inspection.lost_throttle import check_lost_throttle
 from offpiste.inspection.missing import check_missing, check_unread
+from offpiste.inspection.on_change import check_on_change
 from offpiste.inspection.pedals import check_controls, check_pedals, pedal_fits
 from offpiste.inspection.range_ends import check_range_ends
 from offpiste.inspection.ranges import check_ranges
@@ -62,6 +63,14 @@ class Topics:
             return set()
         aligned = {self.rig.alignment.speed.topic} if self.rig.alignment else set()
         return {source.topic for source in self.rig.channels.values()} | aligned
+
+    @property
+    def steady(self) -> dict[str, Recorded]:
+        """Those of `inspected` that are published all along; others are silent while what they say stays."""
+        channels = self.rig.channels.values() if self.rig else ()
+        steady = {source.topic for source in channels if source.interpolation != "on change"}
+        changing = {source.topic for source in channels} - steady
+        return {name: r for name, r in self.inspected.items() if name not in changing}
 
     @property
     def inspected(self) -> dict[str, Recorded]:
@@ -122,6 +131,10 @@ def _missing(topics: Topics) -> list[Finding]:
     return check_missing(topics.recorded, topics.rig) if topics.rig is not None and topics.given else []
 
 
+def _on_change(topics: Topics) -> list[Finding]:
+    return check_on_change(topics.recorded, topics.rig) if topics.rig is not None else []
+
+
 def _draft_values(topics: Topics) -> list[Finding]:
     if topics.rig is None or not topics.given:
         return []
@@ -133,7 +146,7 @@ def _unread(topics: Topics) -> list[Finding]:
 
 
 def _stamps(topics: Topics) -> list[Finding]:
-    alone = check_stamps(topics.inspected, topics.clock, used=topics.used)
+    alone = check_stamps(topics.steady, topics.clock, used=topics.used)
     return alone + check_headers(topics.inspected, topics.clock)
 
 
@@ -143,6 +156,7 @@ TOPIC_CHECKS: Final[tuple[Callable[[Topics], list[Finding]], ...]] = (
     _ranges,
     _dropped,
     _stamps,
+    _on_change,
     _draft_values,
     _unread,
 )

@@ -219,8 +219,7 @@ def lagged(channel: Channel, time: Float[np.ndarray, " n"], rig: Rig) -> Float[n
 
 def sampled(channel: Channel, at: Float[np.ndarray, " n"], rig: Rig) -> Float[np.ndarray, " n"]:
     """A control at some times, as the rig interpolates it; NaN in gaps."""
-    hold = rig.channels[channel.name].interpolation == "hold"
-    read = channel.hold if hold else channel.linear
+    read = channel.hold if rig.channels[channel.name].holds else channel.linear
     return read(at, max_gap=max(rig.clock.max_gap, 1.0))[:, 0]
 
 

@@ -194,7 +194,8 @@ class VehicleMessages:
         kept = self._kept.get(channel)
         if not kept:
             return False
-        return time == np.inf or abs(time - kept[-1][0]) <= self._rig.clock.max_gap
+        stays = self._rig.channels[channel].interpolation == "on change"
+        return stays or time == np.inf or abs(time - kept[-1][0]) <= self._rig.clock.max_gap
 
 
 def _yaw(quaternion: Float[np.ndarray, " 4"]) -> float:

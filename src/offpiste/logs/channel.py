@@ -74,6 +74,23 @@ class Channel:
         values[(index < 0) | (at - self.time[np.maximum(index, 0)] > max_gap)] = np.nan
         return values
 
+    def kept_up(self, until: float, *, every: float) -> "Channel":
+        """The same with each value repeated until the next one, and the last one up to a moment.
+
+        Args:
+            until: [s].
+            every: largest interval between samples [s].
+        """
+        ends = np.append(self.time[1:], max(until, self.time[-1]))
+        lasts = ends - self.time
+        counts = np.maximum(np.ceil(lasts / every).astype(int), 1)
+        source = np.repeat(np.arange(len(self.time)), counts)
+        number = np.arange(len(source)) - np.repeat(np.cumsum(counts) - counts, counts)
+        time = self.time[source] + number * (lasts / counts)[source]
+        if until > self.time[-1]:
+            time, source = np.append(time, until), np.append(source, len(self.time) - 1)
+        return dataclasses.replace(self, time=time, values=self.values[source])
+
     def covered(self, at: Float[np.ndarray, " N"], max_gap: float) -> Bool[np.ndarray, " N"]:
         """Whether `linear` knows a value at each time."""
         after = np.clip(np.searchsorted(self.time, at, side="right"), 1, len(self.time) - 1)

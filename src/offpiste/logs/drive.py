@@ -58,7 +58,17 @@ def drive_from_log(log: Log, rig: Rig) -> Drive:
     if rig.alignment is not None:
         channels, added = align_clock(log, rig, rig.alignment, channels)
         notes += added
-    return Drive(drive_name(log.path), rig, channels, tuple(notes), faults)
+    return Drive(drive_name(log.path), rig, _kept_up(channels, rig, log.path), tuple(notes), faults)
+
+
+def _kept_up(channels: dict[str, Channel], rig: Rig, path: Path) -> dict[str, Channel]:
+    """Channels, of which those that are published only when they change have samples all along the poses."""
+    until, result = float(channels["position"].time[-1]), dict(channels)
+    for name, channel in channels.items():
+        if rig.channels[name].interpolation == "on change":
+            refuse_long(channel.time[0], until, path)
+            result[name] = channel.kept_up(until, every=0.9 * rig.clock.max_gap)
+    return result
 
 
 def drive_name(path: str | Path) -> str:

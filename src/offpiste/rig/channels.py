@@ -92,7 +92,8 @@ class ChannelSource(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             letter whose character code is recorded. The other entries apply to what they stand for.
         origin: latitude and longitude of x = y = 0, for a position in these [degrees], so that drives share their
             coordinates; by default a place near the first one of each log.
-        interpolation: between samples: a command holds, a measurement is interpolated.
+        interpolation: between samples: a measurement is interpolated, a command holds; one that is published only when
+            it changes holds however long that takes ("on change").
         repeats: "drop": samples equal to the one before are left out, but for one every `REPEATED`: tables hold the
             last value of a slower sensor.
     """
@@ -110,8 +111,13 @@ class ChannelSource(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     clip: tuple[float, float] | None = None
     values: dict[str, float] = {}
     origin: tuple[float, float] | None = None
-    interpolation: Literal["linear", "hold"] = "linear"
+    interpolation: Literal["linear", "hold", "on change"] = "linear"
     repeats: Literal["keep", "drop"] = "keep"
+
+    @property
+    def holds(self) -> bool:
+        """Whether a sample is valid until the next."""
+        return self.interpolation != "linear"
 
     def meanings(self) -> dict[float, float]:
         """Recorded numbers and what they stand for (`values`).
@@ -209,6 +215,11 @@ def check_channels(channels: Mapping[str, ChannelSource], absent: Collection[str
             raise RigError(
                 f"channels.{name}.frame is missing",
                 how='say "world", "body" or "unknown"; `offpiste inspect` shows which fits',
+            )
+        if source.interpolation == "on change" and name in OTHER_CHANNELS:
+            raise RigError(
+                f"channels.{name} is measured, and changes while nothing is published",
+                how='give interpolation = "on change" to controls and actuators alone',
             )
         if name in absent:
             raise RigError(f"channel '{name}' is both given and declared absent", how="remove one of the two")

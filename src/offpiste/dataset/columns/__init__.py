@@ -47,7 +47,7 @@ class RowGrid:
             return np.full(len(self.time), np.nan)
         source = self.drive.rig.channels.get(name)
         control = control_of(name)
-        hold = (source is not None and source.interpolation == "hold") or (control is not None and control.discrete)
+        hold = (source is not None and source.holds) or (control is not None and control.discrete)
         gap = self.drive.rig.clock.max_gap
         return (channel.hold if hold else channel.linear)(self.time, max_gap=gap)[:, 0]
 

@@ -1,4 +1,6 @@
-"""Drive train from commands to the wheels: engine, CVT, four-wheel drive, brakes and steering (compiled scalars).
+"""Drive train from commands to the wheels: engine, CVT, gear box, four-wheel drive, brakes and steering.
+
+All but the gear box are compiled scalars.
 
 Engine and wheels are five inertias (engine, then wheels in the order of `WHEELS`) joined by couplings that turn slip
 into torque: a centrifugal clutch behind which the belt's ratio applies, a centre coupling (four-wheel drive without
@@ -141,3 +143,29 @@ def wheel_angles(angle, p):  # type: ignore[no-untyped-def]
     curvature = np.tan(angle) / p.wheelbase
     side = 0.5 * p.track * curvature
     return np.arctan(p.wheelbase * curvature / (1.0 - side)), np.arctan(p.wheelbase * curvature / (1.0 + side))
+
+
+class GearBox:
+    """Forward, neutral and reverse, shifted at a standstill, neutral while it shifts; forward at first.
+
+    Args:
+        steps: `conventions.DT` that a shift takes.
+    """
+
+    def __init__(self, steps: int) -> None:
+        self._steps, self._lever, self._left = steps, 1.0, 0
+
+    @property
+    def engaged(self) -> float:
+        """1 forward, -1 reverse, 0 neutral."""
+        return 0.0 if self._left else self._lever
+
+    def shift(self, wanted: float | None, *, moving: bool) -> None:
+        """One step on, with the lever where it is wanted, unless the vehicle moves.
+
+        Args:
+            wanted: 1, 0 or -1; None leaves the lever.
+        """
+        self._left = max(self._left - 1, 0)
+        if wanted is not None and wanted != self._lever and not moving:
+            self._lever, self._left = float(wanted), self._steps

@@ -19,8 +19,8 @@ from offpiste.conventions import DT, GRAVITY
 from offpiste.errors import extra
 from offpiste.simulation.sample import VehicleSample, WheelTruth
 from offpiste.simulation.vehicle.chassis import nearby_obstacles
+from offpiste.simulation.vehicle.drivetrain import GearBox
 from offpiste.simulation.vehicle.forces import PRESSURE, RATIO, STEER, STEER_RATE, substep, substeps
-from offpiste.simulation.vehicle.gear_box import GearBox
 from offpiste.simulation.vehicle.parameters import VehicleParameters
 from offpiste.simulation.world.surface import height, main_kind
 from offpiste.simulation.world.world import World
