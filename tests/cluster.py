@@ -27,15 +27,15 @@ from offpiste.rig.rig import load_rig
 from offpiste.simulation.simulate import DriveSettings, simulate
 from offpiste.simulation.world.world import WorldSettings
 
-DRIVES, BROKEN, NODES = 24, ("drive-07", "drive-19"), 3
+DRIVES, BROKEN, NODES = 24, ("drive-03", "drive-07"), 3
 STORE = 80 * 2**20
 """Memory of a node's objects [bytes]."""
 
 
-def write_logs(folder: Path) -> list[Path]:
-    """Logs of 24 drives; two of them are broken."""
+def write_logs(folder: Path, drives: int = DRIVES) -> list[Path]:
+    """Logs of some drives; two of them are broken."""
     world = WorldSettings("uniform", size=150.0, resolution=0.5)
-    logs = [folder / f"drive-{number:02}.mcap" for number in range(DRIVES)]
+    logs = [folder / f"drive-{number:02}.mcap" for number in range(drives)]
     for number, log in enumerate(logs):
         if number < 3:
             simulate(DriveSettings(world, 20.0, seed=number, sensors="none"), log)
@@ -106,9 +106,12 @@ def _workers() -> list[int]:
 
 @contextmanager
 def killing(
-    kills: list[Callable[[Any, random.Random], None]], cluster: Any, out: Path, seed: int
+    kills: list[Callable[[Any, random.Random], None]], cluster: Any, out: Path, seed: int, drives: int = DRIVES
 ) -> Iterator[list[str]]:
     """Kill one after another at random moments while drives are extracted: each once some more drives are there.
+
+    Args:
+        drives: how many there are, broken ones as well.
 
     Yields:
         Names of what was killed.
@@ -117,7 +120,7 @@ def killing(
 
     def work() -> None:
         for number, kill in enumerate(kills):
-            at = (number + generator.random()) * (DRIVES - len(BROKEN) - 2) / len(kills)
+            at = (number + generator.random()) * (drives - len(BROKEN) - 2) / len(kills)
             while not over.wait(0.1) and (not out.exists() or len(drive_names(out)) < at):
                 pass
             if over.is_set():

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -40,15 +41,65 @@ def module(tmp_path: Path) -> Path:
     return folder
 
 
+def environment(cache: Path) -> dict[str, str]:
+    """Of a process that keeps machine code there."""
+    others = {name: value for name, value in os.environ.items() if not name.startswith("NUMBA")}
+    return others | {"OFFPISTE_CACHE": str(cache), "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+
+
 def called(module: Path, cache: Path) -> str:
     """What a process logs that calls the entries."""
-    others = {name: value for name, value in os.environ.items() if not name.startswith("NUMBA")}
-    environment = others | {"OFFPISTE_CACHE": str(cache), "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     done = subprocess.run(
-        [sys.executable, "-c", CODE, str(module)], env=environment, capture_output=True, text=True, check=True
+        [sys.executable, "-c", CODE, str(module)], env=environment(cache), capture_output=True, text=True, check=True
     )
     assert done.stdout == "6.0\n"
     return done.stderr
+
+
+SLOW = """
+import time
+from offpiste.compilation import SelfContained
+
+passes = SelfContained.define_pipelines
+
+def late(self):
+    open(sys.argv[2], "w").close()
+    time.sleep(4)
+    return passes(self)
+
+SelfContained.define_pipelines = late
+"""
+
+
+def begun(module: Path, cache: Path, code: str, *more: Path) -> subprocess.Popen[str]:
+    """A process that calls the entries."""
+    return subprocess.Popen(
+        [sys.executable, "-c", code, str(module), *map(str, more)],
+        env=environment(cache), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+
+
+def test_a_process_waits_for_another_one_that_compiles_the_same(module: Path, tmp_path: Path) -> None:
+    cache, compiles = tmp_path / "cache", tmp_path / "compiles"
+    first = begun(module, cache, CODE.replace("import called", SLOW + "import called"), compiles)
+    while not compiles.exists():
+        assert first.poll() is None
+        time.sleep(0.02)
+    (out, said), (_, said_first) = begun(module, cache, CODE).communicate(timeout=60), first.communicate(timeout=60)
+    assert (out, said) == ("6.0\n", "waiting for another process, which compiles the doubling\n" * said.count("\n"))
+    assert said
+    assert said_first == WAITS
+
+
+def test_a_process_that_is_killed_while_it_compiles_keeps_no_other_from_it(module: Path, tmp_path: Path) -> None:
+    cache, compiles = tmp_path / "cache", tmp_path / "compiles"
+    first = begun(module, cache, CODE.replace("import called", SLOW + "import called"), compiles)
+    while not compiles.exists():
+        assert first.poll() is None
+        time.sleep(0.02)
+    first.kill()
+    first.communicate()
+    assert called(module, cache) == WAITS
 
 
 def test_the_first_call_says_what_it_waits_for_and_others_do_not_wait(module: Path, tmp_path: Path) -> None:

@@ -1,10 +1,14 @@
 """Machine code of compiled entries, kept in the user's cache folder: installations may be read-only."""
 
+import hashlib
 import logging
 import os
+import time
 from collections.abc import Callable
+from contextlib import suppress
 from functools import cache
-from typing import Any, Final
+from pathlib import Path
+from typing import IO, Any, Final
 
 from numba.core.caching import (
     CompileResultCacheImpl,
@@ -19,6 +23,8 @@ from offpiste.cache import cache_folder
 logger = logging.getLogger(__name__)
 
 DAMAGED: Final = "machine code that was kept cannot be used, and is compiled again"
+WAIT: Final = 180.0
+"""A process that finds another one compiling the same waits for so long before it compiles as well [s]."""
 
 
 class _UserFolder(UserWideCacheLocator):  # type: ignore[misc]
@@ -38,6 +44,8 @@ class _Places(CompileResultCacheImpl):  # type: ignore[misc]
 class KernelCache(FunctionCache):  # type: ignore[misc]
     """Numba's cache of a function, which says what the first call waits for, and survives damage and full disks.
 
+    Processes that begin together, as those of a live drive, do not compile the same each: one does, others wait.
+
     Args:
         function: whose machine code is kept.
         part: of offpiste, for the message; "" for one that compiles so quickly that nothing is said.
@@ -49,16 +57,18 @@ class KernelCache(FunctionCache):  # type: ignore[misc]
     def __init__(self, function: Callable[..., Any], part: str, seconds: int) -> None:
         super().__init__(function)  # type: ignore[no-untyped-call]
         self._part, self._seconds = part, seconds
+        name = f"{function.__module__} {function.__qualname__}"
+        self._turn = _Turn(Path(self.cache_path) / f"{hashlib.sha256(name.encode()).hexdigest()[:16]}.lock", part)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """What was kept for a signature; None where it has to be compiled."""
-        try:
-            found = super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
-        except Exception as error:  # noqa: BLE001  (whatever unpickling damaged bytes may raise)
-            logger.warning(f"{self.cache_path}: {DAMAGED} ({type(error).__name__})")
-            self._forget()
-            found = None
-        if found is None and self._part:
+        found = self._kept(sig, target_context)
+        if found is None:
+            self._turn.take()
+            found = self._kept(sig, target_context)  # what another process has left meanwhile
+        if found is not None:
+            self._turn.leave()
+        elif self._part:
             _announce(self._part, self._seconds)
         return found
 
@@ -68,12 +78,55 @@ class KernelCache(FunctionCache):  # type: ignore[misc]
             super().save_overload(sig, data)  # type: ignore[no-untyped-call]
         except OSError as error:
             logger.debug(f"machine code is not kept: {error}")
+        finally:
+            self._turn.leave()
+
+    def _kept(self, sig: Any, target_context: Any) -> Any:
+        try:
+            return super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+        except Exception as error:  # noqa: BLE001  (whatever unpickling damaged bytes may raise)
+            logger.warning(f"{self.cache_path}: {DAMAGED} ({type(error).__name__})")
+            self._forget()
+            return None
 
     def _forget(self) -> None:
         try:
             self.flush()  # type: ignore[no-untyped-call]
         except OSError as error:
             logger.debug(f"damaged machine code stays: {error}")
+
+
+class _Turn:
+    """One process at a time, by a lock that ends with its process; nothing where files cannot be locked."""
+
+    def __init__(self, path: Path, part: str) -> None:
+        self._path, self._part = path, part
+        self._file: IO[bytes] | None = None
+
+    def take(self) -> None:
+        """Wait for it, but not for ever."""
+        if self._file is not None:  # of a compilation that failed
+            return
+        with suppress(ImportError, OSError):
+            import fcntl
+
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = self._path.open("wb")
+            end, waits = time.monotonic() + WAIT, False
+            while time.monotonic() < end:
+                with suppress(BlockingIOError):
+                    fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    return
+                if not waits and self._part:
+                    logger.info(f"waiting for another process, which compiles {self._part}")
+                waits = True
+                time.sleep(0.05)
+
+    def leave(self) -> None:
+        """Let others have it."""
+        if self._file is not None:
+            self._file.close()
+        self._file = None
 
 
 @cache
