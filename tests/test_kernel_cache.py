@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from offpiste import kernel_cache
+
 CODE = """
 import logging, sys
 logging.basicConfig(level=logging.INFO, format="%(message)s")
@@ -126,3 +128,37 @@ def test_a_folder_that_cannot_be_made_is_done_without(module: Path, tmp_path: Pa
     (tmp_path / "file").write_text("no folder")
     assert called(module, tmp_path / "file") == WAITS
     assert list(module.rglob("*.nbc")), "beside the sources, which can be written here"
+
+
+def test_a_compilation_that_fails_keeps_no_other_process_from_it(module: Path, tmp_path: Path) -> None:
+    """The process that failed lives on."""
+    cache = tmp_path / "cache"
+    fails = SLOW.replace("time.sleep(4)\n    return passes(self)", "raise KeyboardInterrupt")
+    lives_on = CODE.replace("import called", fails + "try:\n    import called\nexcept KeyboardInterrupt:\n    pass")
+    lives_on = lives_on.replace("print(called.double(3.0))", "print('failed', flush=True); sys.stdin.read()")
+    first = subprocess.Popen(
+        [sys.executable, "-c", lives_on, str(module), str(tmp_path / "compiles")],
+        env=environment(cache), stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    assert first.stdout is not None
+    assert first.stdout.readline() == "failed\n"
+    assert called(module, cache) == WAITS
+    first.communicate()
+
+
+def test_where_nothing_can_be_kept_nobody_waits(tmp_path: Path) -> None:
+    class Machine:
+        def codegen(self) -> "Machine":
+            return self
+
+        def magic_tuple(self) -> tuple[str]:
+            return ("machine",)
+
+    first, other = (kernel_cache._Turn(tmp_path, "kernel", "") for _ in range(2))
+    first.take(Machine())
+    first.give_up()
+    began = time.monotonic()
+    other.take(Machine())
+    assert time.monotonic() - began < 5
+    for turn in (first, other):
+        turn.leave()

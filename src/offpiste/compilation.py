@@ -91,6 +91,7 @@ class Compiler:
         entry: Any = _compiled(function, **options)
         with suppress(RuntimeError):  # no folder for the cache
             entry._cache = KernelCache(entry.py_func, self.part, self.seconds)
+            entry._compiler.compile = entry._cache.compiling(entry._compiler.compile)
         return entry  # type: ignore[no-any-return]
 
     def _options(self, makes_arrays: bool) -> dict[str, Any]:

@@ -57,14 +57,13 @@ class KernelCache(FunctionCache):  # type: ignore[misc]
     def __init__(self, function: Callable[..., Any], part: str, seconds: int) -> None:
         super().__init__(function)  # type: ignore[no-untyped-call]
         self._part, self._seconds = part, seconds
-        name = f"{function.__module__} {function.__qualname__}"
-        self._turn = _Turn(Path(self.cache_path) / f"{hashlib.sha256(name.encode()).hexdigest()[:16]}.lock", part)
+        self._turn = _Turn(Path(self.cache_path), f"{function.__module__} {function.__qualname__}", part)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """What was kept for a signature; None where it has to be compiled."""
         found = self._kept(sig, target_context)
         if found is None:
-            self._turn.take()
+            self._turn.take(target_context)
             found = self._kept(sig, target_context)  # what another process has left meanwhile
         if found is not None:
             self._turn.leave()
@@ -78,8 +77,21 @@ class KernelCache(FunctionCache):  # type: ignore[misc]
             super().save_overload(sig, data)  # type: ignore[no-untyped-call]
         except OSError as error:
             logger.debug(f"machine code is not kept: {error}")
+            self._turn.give_up()
         finally:
             self._turn.leave()
+
+    def compiling(self, compile_: Callable[..., Any]) -> Callable[..., Any]:
+        """Numba's compilation, after which others have their turn although it failed."""
+
+        def compiled(*given: Any) -> Any:
+            try:
+                return compile_(*given)
+            except BaseException:
+                self._turn.leave()
+                raise
+
+        return compiled
 
     def _kept(self, sig: Any, target_context: Any) -> Any:
         try:
@@ -97,23 +109,30 @@ class KernelCache(FunctionCache):  # type: ignore[misc]
 
 
 class _Turn:
-    """One process at a time, by a lock that ends with its process; nothing where files cannot be locked."""
+    """One process at a time, by a lock that ends with its process; nothing where files cannot be locked.
 
-    def __init__(self, path: Path, part: str) -> None:
-        self._path, self._part = path, part
+    Args:
+        folder: that machine code is kept in.
+        name: of what is compiled.
+    """
+
+    def __init__(self, folder: Path, name: str, part: str) -> None:
+        self._folder, self._name, self._part = folder, name, part
         self._file: IO[bytes] | None = None
 
-    def take(self) -> None:
-        """Wait for it, but not for ever."""
-        if self._file is not None:  # of a compilation that failed
-            return
+    def take(self, target_context: Any) -> None:
+        """Wait for it, but not for ever, and not where nothing can be kept."""
+        self.leave()
+        machine = target_context.codegen().magic_tuple()  # computers may share the folder
+        digest = hashlib.sha256(repr((self._name, machine)).encode()).hexdigest()
         with suppress(ImportError, OSError):
             import fcntl
 
-            self._path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = self._path.open("wb")
+            self._folder.mkdir(parents=True, exist_ok=True)
+            path = self._folder / f"{digest[:16]}.lock"
+            self._file = path.open("wb")
             end, waits = time.monotonic() + WAIT, False
-            while time.monotonic() < end:
+            while time.monotonic() < end and path.exists():
                 with suppress(BlockingIOError):
                     fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
                     return
@@ -122,9 +141,19 @@ class _Turn:
                 waits = True
                 time.sleep(0.05)
 
+    def give_up(self) -> None:
+        """Let nobody wait any more: what is compiled cannot be kept."""
+        if self._file is not None:
+            with suppress(OSError):
+                Path(self._file.name).unlink()
+
     def leave(self) -> None:
         """Let others have it."""
         if self._file is not None:
+            with suppress(ImportError, OSError):
+                import fcntl
+
+                fcntl.flock(self._file, fcntl.LOCK_UN)  # a child that was forked meanwhile has the file, too
             self._file.close()
         self._file = None
 

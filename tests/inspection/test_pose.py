@@ -160,6 +160,14 @@ def test_degrees_that_are_counted_get_their_scale_and_lose_a_height_in_another()
     )
 
 
+@pytest.mark.parametrize(("lacks", "fields"), [("odom", ["y", "x"]), ("", ["y", "x", "height"])])
+def test_places_in_degrees_that_the_log_lacks_are_missing_and_no_more(lacks: str, fields: list[str]) -> None:
+    log = MemoryLog({topic: data for topic, data in CLEAN.data.items() if topic != lacks})
+    degrees = edited(rig(), [Edit("channels.position.unit", "lat lon"), Edit("channels.position.fields", fields)])
+    found = inspect_log(log, degrees).findings
+    assert any(f.where == "position" and ("is not in the log" in f.what or "no field" in f.what) for f in found)
+
+
 @pytest.mark.parametrize(("unit", "metre"), [("mm", 1000.0), ("cm", 100.0)])
 def test_a_small_vehicle_in_millimetres_is_no_fast_one_in_centimetres(unit: str, metre: float) -> None:
     log = drive_log(seconds=60)

@@ -5,6 +5,7 @@ import pytest
 
 from live.made_up_robot import RIG, START, odometry, rig
 from offpiste.closed_loop.lockstep import reading_of
+from offpiste.conventions import ACTUATORS
 from offpiste.errors import RigError
 from offpiste.live.vehicle_messages import VehicleMessages
 from offpiste.rig.rig import load_rig, parse_rig, rig_text
@@ -66,6 +67,22 @@ def test_a_command_that_is_published_on_change_does_not_grow_old():
     later = sample.time + 30.0
     assert steady.control(later) is None
     np.testing.assert_allclose(changing.control(later), sample.command[:3], atol=1e-6)
+
+
+@pytest.mark.parametrize(("silent", "rate"), [("on change", 0.0), ("linear", np.nan)])
+def test_the_rate_of_a_wheel_that_is_held_still_and_silent_is_zero(silent, rate):
+    before, _, behind = rig_text("proving_ground").partition("[channels.steer_rate]")
+    text = before + behind[behind.index("\n[") :]
+    text = text.replace("[channels.steer_angle]", f'[channels.steer_angle]\ninterpolation = "{silent}"')
+    vehicle = VehicleMessages(parse_rig(text, where="test"))
+    readings = []
+    for sample in samples(3.0):
+        messages = vehicle_messages(sample, stamp_ns(sample.time), wheel_radius=0.359)
+        for topic, message in messages.items():
+            if topic != "/steering" or sample.time < 1.0:  # then it is silent
+                reading = vehicle.take(topic, message, 0.0)
+                readings += [] if reading is None else [reading]
+    np.testing.assert_allclose(readings[-1].actuators[ACTUATORS.index("steer_rate")], rate, atol=1e-6)
 
 
 def test_a_message_of_another_shape_is_counted():

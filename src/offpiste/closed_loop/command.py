@@ -45,8 +45,8 @@ def run_drive(
     """
     if recording:
         require("view", "rerun", otherwise="leave out --recording")
-    require_device(device)
     planner, caution = load_planner(run, pca, novelty=novelty, device=device), risk_of(risk)
+    require_device(device, planner.dynamics)
     settings = CourseDriveSettings(
         WorldSettings(world, seed),
         seconds,

@@ -65,12 +65,10 @@ class Topics:
         return {source.topic for source in self.rig.channels.values()} | aligned
 
     @property
-    def steady(self) -> dict[str, Recorded]:
-        """Those of `inspected` that are published all along; others are silent while what they say stays."""
+    def silent(self) -> set[str]:
+        """Topics that are silent while what they say stays, as the rig has it."""
         channels = self.rig.channels.values() if self.rig else ()
-        steady = {source.topic for source in channels if source.interpolation != "on change"}
-        changing = {source.topic for source in channels} - steady
-        return {name: r for name, r in self.inspected.items() if name not in changing}
+        return {source.topic for source in channels} - {s.topic for s in channels if s.interpolation != "on change"}
 
     @property
     def inspected(self) -> dict[str, Recorded]:
@@ -146,8 +144,10 @@ def _unread(topics: Topics) -> list[Finding]:
 
 
 def _stamps(topics: Topics) -> list[Finding]:
-    alone = check_stamps(topics.steady, topics.clock, used=topics.used)
-    return alone + check_headers(topics.inspected, topics.clock)
+    changing = _on_change(topics)
+    silent = topics.silent | {finding.where for finding in changing}
+    alone = check_stamps(topics.inspected, topics.clock, used=topics.used, silent=silent)
+    return changing + alone + check_headers(topics.inspected, topics.clock)
 
 
 TOPIC_CHECKS: Final[tuple[Callable[[Topics], list[Finding]], ...]] = (
@@ -156,7 +156,6 @@ TOPIC_CHECKS: Final[tuple[Callable[[Topics], list[Finding]], ...]] = (
     _ranges,
     _dropped,
     _stamps,
-    _on_change,
     _draft_values,
     _unread,
 )

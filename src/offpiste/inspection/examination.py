@@ -66,7 +66,8 @@ def _check_driving(log: Log, topics: Topics, rig: Rig) -> tuple[list[Finding], P
     pose = rig.channels["position"].topic
     findings: list[Finding] = []
     if pose in topics.inspected:
-        findings += check_spans(topics.steady, pose, used=topics.given, channels=rig.channels)
+        spans = topics.inspected, pose
+        findings += check_spans(*spans, used=topics.given, channels=rig.channels, silent=topics.silent)
     tilted = _check_orientation(topics.recorded, rig)
     findings += tilted
     try:

@@ -1,18 +1,21 @@
 """Check of topics that are published only when what they say changes, as joysticks and commanded gears are."""
 
+from collections.abc import Set
 from typing import Final
 
 import numpy as np
 from jaxtyping import Bool, Float
 
+from offpiste.channels import control_of
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.rig.channels import OTHER_CHANNELS
 from offpiste.rig.edits import Edit
 from offpiste.rig.rig import Rig
 
+WHAT: Final = "is published only when it changes"
 _FEW: Final = 30
-"""Samples of a topic that tell, at least."""
+"""Samples of a topic that tell, at least; gears change seldom, and one sample may be all that is said of them."""
 _NEW: Final = 0.98
 """Share of samples that differ from the one before, at least."""
 _SILENCES: Final = 5
@@ -26,51 +29,54 @@ _JUMP: Final = 3.0
 def check_on_change(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
     """A finding for each topic of controls or actuators that is silent while they stay.
 
-    No sample says again what the one before said, and none of those after a silence says something far from what was
-    said before it, as it would be where samples are lost.
+    No sample says again what the one before said, and those after a silence say nothing far from what was said before
+    it, as they would where samples are lost.
     """
     findings = []
     for topic, r in recorded.items():
         reads = {name: source for name, source in rig.channels.items() if source.topic == topic}
-        known = [name for name, source in reads.items() if source.interpolation == "on change"]
-        if not reads or len(known) == len(reads) or any(name in OTHER_CHANNELS for name in reads):
-            continue
-        if len(r.time) < _FEW or not np.isfinite(r.time).all():
+        changing = [name for name, source in reads.items() if source.interpolation != "on change"]
+        if not changing or any(name in OTHER_CHANNELS for name in reads) or not np.isfinite(r.time).all():
             continue
         step = np.diff(r.time)
         silence = step > rig.clock.max_gap
         share = float(step[silence].sum() / max(step.sum(), 1e-9))
-        if silence.sum() < _SILENCES or share < _SILENT or not (step > 0).all():
+        gears = all((control := control_of(name)) is not None and control.discrete for name in reads)
+        if not gears and (len(r.time) < _FEW or silence.sum() < _SILENCES or share < _SILENT):
             continue
-        changed, jumps = _changes(r, silence)
-        if changed < _NEW or jumps > _JUMP:
+        changed = _changed(r)
+        if changed < _NEW or not (step > 0).all() or (gears and not silence.all()):
             continue
-        cure = tuple(Edit(f"channels.{name}.interpolation", "on change") for name in reads if name not in known)
-        what = "is published only when it changes"
+        if not gears and _jumps(r, {field for source in reads.values() for field in source.fields}, silence) > _JUMP:
+            continue
+        cure = tuple(Edit(f"channels.{name}.interpolation", "on change") for name in changing)
         evidence = (
-            f"{changed:.0%} of its samples differ from the one before; {silence.sum()} times it is silent for more "
+            f"{len(r.time)} samples, of which {changed:.0%} differ from the one before; {silence.sum()} times it is "
         )
-        evidence += f"than {rig.clock.max_gap:g} s, {share:.0%} of the time"
-        findings.append(Finding("warning", topic or "table", what, evidence, ", ".join(map(str, cure)), share, (cure,)))
+        evidence += f"silent for more than {rig.clock.max_gap:g} s, {share:.0%} of the time"
+        remedy = ", ".join(map(str, cure))
+        findings.append(Finding("warning", topic or "table", WHAT, evidence, remedy, share, (cure,)))
     return findings
 
 
-def _changes(r: Recorded, silence: Bool[np.ndarray, " n"]) -> tuple[float, float]:
-    """Share of samples that differ from the one before; how far after silences, over how far elsewhere.
-
-    Times and counters, which grow with each sample, do not say that something changed.
-    """
+def _changed(r: Recorded) -> float:
+    """Share of samples that differ from the one before; times and counters, which grow with each, do not count."""
     values = r.values[:, [bool(np.isfinite(column).all()) and not _grows(column) for column in r.values.T]]
-    changes: Float[np.ndarray, "n k"] = np.abs(np.diff(values, axis=0))
-    changed = (changes > 0).any(axis=1)
-    if not changed.any() or silence.all():
-        return 0.0, np.inf
+    return float((np.diff(values, axis=0) != 0).any(axis=1).mean()) if len(values) > 1 else 1.0
+
+
+def _jumps(r: Recorded, fields: Set[str], silence: Bool[np.ndarray, " n"]) -> float:
+    """How far fields are after silences from what they were before, over how far they change elsewhere."""
+    values = r.values[:, [field in fields for field in r.fields]]
     spread = np.ptp(values, axis=0)
-    relative = (changes[:, spread > 0] / spread[spread > 0]).max(axis=1)
-    usual = float(np.median(relative[~silence & changed])) if (~silence & changed).any() else 0.0
-    return float(changed.mean()), float(np.median(relative[silence])) / max(usual, 1e-9)
+    moves = spread > 0
+    if not moves.any():
+        return np.inf
+    change = (np.abs(np.diff(values[:, moves], axis=0)) / spread[moves]).max(axis=1)
+    usual = change[~silence & (change > 0)]
+    return float(np.median(change[silence])) / float(np.median(usual)) if len(usual) else np.inf
 
 
 def _grows(column: Float[np.ndarray, " n"]) -> bool:
     step = np.diff(column)
-    return bool((step >= 0).all() and (step > 0).mean() > 0.5)
+    return len(step) > 2 and bool((step >= 0).all() and (step > 0).mean() > 0.5)

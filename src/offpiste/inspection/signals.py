@@ -116,7 +116,7 @@ def _counted_degrees(signals: list[Signal], rig: Rig | None) -> list[Finding]:
     if source is None or source.unit != GEOGRAPHIC or source.scale != 1:
         return []
     both = [signal for signal in signals if signal.key == "channels.position"][:2]
-    if not counts_degrees(*(signal.raw for signal in both)):
+    if len(both) < 2 or not counts_degrees(*(signal.raw for signal in both)):
         return []
     cure = (Edit("channels.position.scale", COUNTED_DEGREES), Edit("channels.position.fields", list(source.fields[:2])))
     what, how = (

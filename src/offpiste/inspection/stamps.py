@@ -100,32 +100,37 @@ def _lost_half(interval: Float[np.ndarray, " n"]) -> tuple[float, float] | None:
     return None
 
 
-def check_stamps(recorded: Mapping[str, Recorded], clock: Clock, *, used: Collection[str]) -> list[Finding]:
+def check_stamps(
+    recorded: Mapping[str, Recorded], clock: Clock, *, used: Collection[str], silent: Collection[str] = ()
+) -> list[Finding]:
     """Findings on every topic's stamps by themselves.
 
     Args:
         used: topics that a rig reads; what the others have is but a note.
+        silent: topics that are silent while nothing changes, which is neither a gap nor a loss.
     """
     findings: list[Finding] = []
     origin = min((float(np.nanmin(r.time)) for r in recorded.values() if np.isfinite(r.time).any()), default=0.0)
     for name, topic in recorded.items():
         where = name or "table"
         seen = timing(topic.time, max_gap=clock.max_gap)
-        message = _order(where, topic, seen, origin, clock) + _intervals(where, seen, origin, clock, used=name in used)
+        intervals = [] if name in silent else _intervals(where, seen, origin, clock, used=name in used)
+        message = _order(where, topic, seen, origin, clock) + intervals
         findings += message if name in used else [replace(f, severity="note") for f in message]
     return merged(findings)
 
 
 def check_spans(
-    recorded: Mapping[str, Recorded], pose: str, *, used: bool, channels: Mapping[str, ChannelSource] | None = None
-) -> list[Finding]:
+    recorded: Mapping[str, Recorded], pose: str, *, used: bool, channels: Mapping[str, ChannelSource] | None = None,
+    silent: Collection[str] = (),
+) -> list[Finding]:  # fmt: skip
     """Topics that do not cover the time of the topic `pose`, and a pose that does not cover theirs.
 
     Args:
         channels: of the rig, whose delays move the topics that they read.
+        silent: topics whose last sample holds to the end.
     """
-    channels = channels or {}
-    delays = {source.topic: source.delay for source in channels.values()}
+    delays = {source.topic: source.delay for source in (channels or {}).values()}
     span = _span(recorded[pose], delays.get(pose, 0.0))
     others = {
         name: _span(topic, delays.get(name, 0.0))
@@ -133,10 +138,10 @@ def check_spans(
         if name != pose and np.isfinite(topic.time).sum() >= 3
     }
     findings = []
-    for name, own in others.items():
+    for name, own in tuple(others.items()):
         if own[1] < span[0] or own[0] > span[1]:
             other_clock = recorded[name].other is not None
-            cure = (_RECEIVE,) if other_clock else _other_clock(name, own[0] - span[0], channels)
+            cure = (_RECEIVE,) if other_clock else _other_clock(name, own[0] - span[0], channels or {})
             findings.append(
                 Finding(
                     "fatal" if used else "note",
@@ -149,6 +154,7 @@ def check_spans(
                 )
             )
         else:
+            own = others[name] = (own[0], max(own[1], span[1])) if name in silent else own
             findings += _part_of(name, own, span, pose, used=used)
     # Where several topics agree that the drive was longer, it is the pose that stops.
     if len(others) > 1:
@@ -185,8 +191,7 @@ def _span(topic: Recorded, delay: float) -> tuple[float, float]:
 
 
 def _order(where: str, topic: Recorded, seen: Timing, origin: float, clock: Clock) -> list[Finding]:
-    findings = []
-    total = len(topic.time)
+    findings, total = [], len(topic.time)
     arrives = topic.other if topic.other is not None and clock.stamps == "header" else np.zeros(0)
     with np.errstate(invalid="ignore"):  # between stamps that are infinite
         step, later = np.diff(topic.time), np.diff(arrives) > 0
@@ -243,7 +248,7 @@ def _intervals(where: str, seen: Timing, origin: float, clock: Clock, *, used: b
         edit = Edit("clock.unit", unit)
         return [Finding("fatal", where, "stamps are in another unit", message, str(edit), 1.0, ((edit,),))]
     if 1 / seen.rate > clock.max_gap and used:
-        edit = Edit("clock.max_gap", float(number_above(2 / seen.rate)))
+        edit = Edit("clock.max_gap", float(np.ceil(20 / seen.rate) / 10))
         evidence = f"one sample in {1 / seen.rate:.2f} s, clock.max_gap is {clock.max_gap} s"
         what, how = "is slower than the longest gap that is interpolated", f"{edit}; or use another topic"
         findings.append(Finding("warning", where, what, evidence, how, 1.0, ((edit,),)))
@@ -293,8 +298,3 @@ def check_headers(recorded: Mapping[str, Recorded], clock: Clock) -> list[Findin
             continue
         findings.append(Finding("warning", name, what, message, str(_RECEIVE), score, ((_RECEIVE,),)))
     return findings
-
-
-def number_above(value: float) -> str:
-    """A round number at least as large."""
-    return f"{np.ceil(value * 10) / 10:.1f}"

@@ -40,8 +40,8 @@ def run_live(settings: LiveSettings, *, lockstep: bool, replay: Path | None, com
     settings.robot.require()
     _refuse_ignored(settings, lockstep=lockstep, replay=replay, commands=commands)
     device, alone = settings.runtime.device, lockstep or replay is not None
-    require_device(device)
     rig, planner = load_rig(settings.rig), settings.load_planner(device if alone else "cpu")
+    require_device(device, planner.dynamics)
     settings = replace(settings, runtime=replace(settings.runtime, timeouts=rig.live.timeouts))
     _refuse_driving(settings, rig)
     types = MessageTypes([Path(name) for name in rig.live.definitions])

@@ -13,7 +13,7 @@ from offpiste.channels import CONTROLS
 from offpiste.errors import RigError
 from offpiste.geometry import local_polynomial, rotation_of_one, yaw_rate_from_body_rates
 from offpiste.logs.axes import to_z_up
-from offpiste.logs.channel import convert, largest
+from offpiste.logs.channel import KEPT_UP, convert, largest
 from offpiste.logs.ros.bag_files import field_getter, stamp_of
 from offpiste.rig.channels import GEOGRAPHIC, ChannelSource
 from offpiste.rig.rig import Rig
@@ -176,6 +176,9 @@ class VehicleMessages:
         samples = list(self._kept.get(channel, ()))
         if not samples:
             return None
+        if self._rig.channels[channel].interpolation == "on change":  # it is what it was last
+            window = time - self._rig.motion.window * np.arange(KEPT_UP)[::-1] / KEPT_UP
+            samples += [(at, samples[-1][1]) for at in window if at > samples[-1][0]]
         return self._derivative(np.array([t for t, _ in samples]), np.stack([v for _, v in samples]), time)
 
     def _derivative(

@@ -32,6 +32,8 @@ LARGEST: Final = 1e9
 """The same of all other channels, in their units."""
 _FAR: Final = 1e5
 """Distance from the origin at which places on a plane are percents off [m]."""
+KEPT_UP: Final = 6
+"""Samples in `motion.window` of a channel that is published only when it changes: its rate is fitted to four."""
 _LONGEST: Final = 86400.0
 """Longest recording [s]: stamps that span more are of another unit, or damaged."""
 
@@ -185,7 +187,7 @@ def _clean(
             how='the clock is broken: take another clock.column of a table, try clock.stamps = "receive" of a bag, or '
             "cut the log",
         )
-    if len(time) < 2:
+    if len(time) < (1 if source.interpolation == "on change" else 2):
         raise RigError(
             f"channel '{name}' ({topic_in_words(source.topic)}) has no usable samples",
             where=path,

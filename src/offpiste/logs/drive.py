@@ -6,7 +6,7 @@ from pathlib import Path
 
 from offpiste.errors import LogError
 from offpiste.geometry import same_sign
-from offpiste.logs.channel import Channel, read_numbered_channel, refuse_long
+from offpiste.logs.channel import KEPT_UP, Channel, read_numbered_channel, refuse_long
 from offpiste.logs.clock_drift import align_clock
 from offpiste.logs.log import Log
 from offpiste.logs.opening import open_log
@@ -64,10 +64,11 @@ def drive_from_log(log: Log, rig: Rig) -> Drive:
 def _kept_up(channels: dict[str, Channel], rig: Rig, path: Path) -> dict[str, Channel]:
     """Channels, of which those that are published only when they change have samples all along the poses."""
     until, result = float(channels["position"].time[-1]), dict(channels)
+    every = min(0.9 * rig.clock.max_gap, rig.motion.window / KEPT_UP)
     for name, channel in channels.items():
         if rig.channels[name].interpolation == "on change":
             refuse_long(channel.time[0], until, path)
-            result[name] = channel.kept_up(until, every=0.9 * rig.clock.max_gap)
+            result[name] = channel.kept_up(until, every=every)
     return result
 
 

@@ -8,7 +8,8 @@ from torch import Tensor
 
 from offpiste.cuda_kernels import cuda_kernels
 from offpiste.dynamics.base import Dynamics
-from offpiste.errors import PlanningError
+from offpiste.dynamics.kernels.autograd import supports
+from offpiste.errors import PlanningError, extra
 from offpiste.planning import mppi
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.device_planner import DevicePlanner, bounds_of, model_controls
@@ -40,14 +41,21 @@ def gpu_planner(
     return DevicePlanner(kernels, dynamics, settings, torch.Generator(place).manual_seed(seed), captured)
 
 
-def require_device(name: str) -> None:
-    """Refuse a device that cannot plan before anything is begun; the CPU can.
+def require_device(name: str, dynamics: Dynamics) -> None:
+    """Refuse a device that cannot plan with a model before anything is begun; the CPU can.
 
     Raises:
-        PlanningError: there is no such GPU.
+        PlanningError: there is no such GPU, or no kernels can step the model there.
+        MissingExtra: cuda-core is not installed.
     """
-    if name != "cpu":
-        gpu_of(name)
+    if name == "cpu":
+        return
+    gpu_of(name)
+    with extra("cuda"):
+        import cuda.core  # noqa: F401
+    with torch.no_grad():
+        if not supports(dynamics, torch.device("cpu"), torch.float32):
+            raise PlanningError("no kernels for this model on a GPU", how="plan on the CPU: device='cpu'")
 
 
 def gpu_of(name: str) -> torch.device:
@@ -60,7 +68,7 @@ def gpu_of(name: str) -> torch.device:
         place = torch.device(name)
     except RuntimeError:
         place = torch.device("cpu")
-    if place.type != "cuda" or not torch.cuda.is_available():
+    if place.type != "cuda" or not (place.index or 0) < torch.cuda.device_count():
         raise PlanningError(f"no GPU '{name}' for planning", how="plan on the CPU, or install torch for CUDA")
     return place
 

@@ -8,8 +8,6 @@ from jaxtyping import Float
 from torch import Tensor
 
 from offpiste.dynamics.base import Dynamics
-from offpiste.dynamics.kernels.autograd import supports
-from offpiste.errors import PlanningError
 from offpiste.planning import mppi
 from offpiste.planning.device_planner import DevicePlanner
 from offpiste.planning.driving_cost import Situation
@@ -51,12 +49,7 @@ class PlanImprover:
         self._dynamics, self._settings, self._seed = dynamics, settings, seed
         self._generator = torch.Generator().manual_seed(seed)
         self._on_gpu: DevicePlanner | None = None
-        if settings.device == "cpu":
-            return
-        require_device(settings.device)
-        with torch.no_grad():
-            if not supports(dynamics, CPU, torch.float32):
-                raise PlanningError("no kernels for this model on a GPU", how="plan on the CPU: device='cpu'")
+        require_device(settings.device, dynamics)
 
     def improve(self, controls: Float[Tensor, "T 3"], model_state: ModelState, area: Area, at: Situation) -> mppi.Plan:
         """A plan of pedal and steering, from one of throttle, brake and steering.

@@ -7,6 +7,8 @@ import hashlib
 import json
 import os
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final, Literal, Protocol
 
@@ -85,7 +87,7 @@ class Backbone(ABC):
         pixels = images if isinstance(images, Tensor) else torch.from_numpy(np.require(images, requirements=["C", "W"]))
         _, height, width, _ = pixels.shape
         rows, columns = self.grid(width, height).crop
-        with torch.no_grad():
+        with torch.no_grad(), _in_full_precision():
             features = self._features_of_pixels(pixels[:, rows, columns])
             with single_threaded_torch():  # threads that are woken for this spin for longer than it takes
                 finite = bool(torch.isfinite(features.sum(dtype=torch.float64)))
@@ -94,6 +96,17 @@ class Backbone(ABC):
                 "features are not finite", where=self.name, how="its weights may be broken: fetch them again"
             )
         return features
+
+
+@contextmanager
+def _in_full_precision() -> Iterator[None]:
+    """On GPUs, convolutions of float32 that do not round to 10 bits (TF32): features are those of the CPU."""
+    before = torch.backends.cudnn.allow_tf32
+    torch.backends.cudnn.allow_tf32 = False
+    try:
+        yield
+    finally:
+        torch.backends.cudnn.allow_tf32 = before
 
 
 def _unit_range(pixels: Shaped[Tensor, "B h w 3"]) -> Float[Tensor, "B 3 h w"]:
