@@ -1,6 +1,6 @@
 """Check of topics that are published only when what they say changes, as joysticks and commanded gears are."""
 
-from collections.abc import Set
+from collections.abc import Mapping, Set
 from typing import Final
 
 import numpy as np
@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from offpiste.channels import control_of
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.recorded_log import Recorded
-from offpiste.rig.channels import OTHER_CHANNELS
+from offpiste.rig.channels import OTHER_CHANNELS, ChannelSource
 from offpiste.rig.edits import Edit
 from offpiste.rig.rig import Rig
 
@@ -27,36 +27,39 @@ _JUMP: Final = 3.0
 
 
 def check_on_change(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
-    """A finding for each topic of controls or actuators that is silent while they stay.
-
-    No sample says again what the one before said, and those after a silence say nothing far from what was said before
-    it, as they would where samples are lost.
-    """
+    """A finding for each topic of controls or actuators that is silent while they stay."""
     findings = []
     for topic, r in recorded.items():
         reads = {name: source for name, source in rig.channels.items() if source.topic == topic}
         changing = [name for name, source in reads.items() if source.interpolation != "on change"]
-        if not changing or any(name in OTHER_CHANNELS for name in reads) or not np.isfinite(r.time).all():
+        measured = any(name in OTHER_CHANNELS for name in reads)
+        if not changing or measured or not _is_on_change(r, reads, rig.clock.max_gap):
             continue
         step = np.diff(r.time)
         silence = step > rig.clock.max_gap
         share = float(step[silence].sum() / max(step.sum(), 1e-9))
-        gears = all((control := control_of(name)) is not None and control.discrete for name in reads)
-        if not gears and (len(r.time) < _FEW or silence.sum() < _SILENCES or share < _SILENT):
-            continue
-        changed = _changed(r)
-        if changed < _NEW or not (step > 0).all() or (gears and not silence.all()):
-            continue
-        if not gears and _jumps(r, {field for source in reads.values() for field in source.fields}, silence) > _JUMP:
-            continue
+        evidence = f"{len(r.time)} samples, {_changed(r):.0%} of them new; {silence.sum()} times it is silent for more "
+        evidence += f"than {rig.clock.max_gap:g} s, {share:.0%} of the time"
         cure = tuple(Edit(f"channels.{name}.interpolation", "on change") for name in changing)
-        evidence = (
-            f"{len(r.time)} samples, of which {changed:.0%} differ from the one before; {silence.sum()} times it is "
-        )
-        evidence += f"silent for more than {rig.clock.max_gap:g} s, {share:.0%} of the time"
         remedy = ", ".join(map(str, cure))
         findings.append(Finding("warning", topic or "table", WHAT, evidence, remedy, share, (cure,)))
     return findings
+
+
+def _is_on_change(r: Recorded, reads: Mapping[str, ChannelSource], max_gap: float) -> bool:
+    """Whether no sample says again what the one before said, and none after a silence says something far from it.
+
+    Where samples are lost, those after a gap are far from those before.
+    """
+    if not np.isfinite(r.time).all() or _changed(r) < _NEW:
+        return False
+    step = np.diff(r.time)
+    silence = step > max_gap
+    if all((control := control_of(name)) is not None and control.discrete for name in reads):
+        return bool(silence.all())
+    often = len(r.time) >= _FEW and silence.sum() >= _SILENCES and step[silence].sum() >= _SILENT * step.sum()
+    fields = {field for source in reads.values() for field in source.fields}
+    return bool((step > 0).all()) and bool(often) and _jumps(r, fields, silence) <= _JUMP
 
 
 def _changed(r: Recorded) -> float:
