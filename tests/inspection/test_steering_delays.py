@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
-from simulated import MemoryLog, drive_log, rig
+from simulated import MemoryLog, drive_log, rig, steered
 
 from offpiste.inspection.driven_path import driven_path
+from offpiste.inspection.inspect import inspect_log
 from offpiste.inspection.steering_delays import WindowDelays, changing_delay, uneven_delay, window_delays
 from offpiste.logs.drive import drive_from_log
 
@@ -44,6 +45,16 @@ def test_a_clock_that_drifts_is_named_with_its_change(first: float, last: float)
     assert (finding.severity, finding.what) == ("warning", "has a clock that drifts")
     said = float(finding.evidence.split("and ")[1].split(" s")[0])
     assert said == pytest.approx(first - last, rel=0.2)
+
+
+def test_a_steering_that_is_moved_slowly_shows_no_delay() -> None:
+    """It fits at any: where the best one lies is chance."""
+    time, _ = CLEAN.data["steering"]
+    slow = steered(CLEAN, 0.4 * np.sin((time - time[0]) / 5), follows=0.0)
+    assert len(_delays(slow).delay) < 3
+    assert not any("delay" in f.what for f in inspect_log(slow, rig()).findings)
+    quick = steered(CLEAN, 0.4 * np.sin(2 * (time - time[0])), follows=0.0)
+    assert len(_delays(quick).delay) > 10
 
 
 def test_a_vehicle_that_only_turns_later_and_later_may_be_slow_itself() -> None:

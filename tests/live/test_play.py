@@ -23,7 +23,7 @@ def test_it_takes_as_long_as_the_log_and_publishes_all_of_it(tmp_path, network):
     listener.subscribe("/clock", clocks.append)
     listener.subscribe("/tf_static", got.append, history=True)
     player = LogPlayer(RecordedDrive(write_log(tmp_path / "a.mcap", seconds=1.0)), network.session(), ("/points",))
-    time.sleep(0.3)
+    time.sleep(1.0)
     began = time.monotonic()
     played = player.play(2.0, 10.0)
     assert time.monotonic() - began > 0.45
@@ -43,7 +43,7 @@ def test_a_recorded_clock_and_what_offpiste_published_are_not_played(tmp_path, n
     listener.subscribe("/clock", clocks.append)
     player = LogPlayer(RecordedDrive(path), network.session())
     assert player.left_out == ("/clock", "/offpiste/mode")
-    time.sleep(0.3)
+    time.sleep(1.0)
     played = player.play(1.0, 10.0)
     assert played.messages == 1
     assert until(lambda: len(clocks) == played.steps)

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 
 from offpiste.inspection.driven_path import Path
 from offpiste.inspection.findings import Finding
-from offpiste.inspection.lags import LAGS, fit_lags, lagged
+from offpiste.inspection.lags import LAGS, LagFit, fit_lags, lagged
 from offpiste.inspection.steering_fit import moving_rows
 from offpiste.logs.channel import Channel
 from offpiste.rig.rig import Rig
@@ -19,6 +19,9 @@ _TURNS: Final = 0.5
 """Spread of a stretch's yaw rates over the drive's, at least."""
 _FITS: Final = 0.85
 """Correlation of the turning with the steering in a stretch, at least."""
+_SHARP: Final = (0.2, 0.005)
+"""So much away from the best delay [s] this much less of the variance is explained, at least: a steering that is moved
+slowly fits at any delay."""
 _FEW: Final = 5
 """Stretches that show a change ..."""
 _EARLY: Final = 3
@@ -73,10 +76,17 @@ def window_delays(channel: Channel, path: Path, rig: Rig) -> WindowDelays:
         if fit is None:
             continue
         best = fit.best()
-        if abs(fit.r[best]) > _FITS and 0 < best < len(LAGS) - 1:
+        if abs(fit.r[best]) > _FITS and 0 < best < len(LAGS) - 1 and _is_sharp(fit, best):
             found.append((start + _WINDOW / 2, fit.delay(best)[0]))
     time, delay = np.array(found).reshape(-1, 2).T
     return WindowDelays(time, delay)
+
+
+def _is_sharp(fit: LagFit, best: int) -> bool:
+    """Whether other delays explain less."""
+    away, less = _SHARP
+    beside = np.abs(np.abs(fit.lags - fit.lags[best]) - away) < 1e-6
+    return bool((fit.r[best] ** 2 - fit.r[beside] ** 2 > less).all())
 
 
 def changing_delay(name: str, delays: WindowDelays) -> list[Finding]:
