@@ -1,5 +1,6 @@
 """Shared by all tests; modules that declare shapes have shapes and types checked while they run."""
 
+import fcntl
 import os
 import pathlib
 import tempfile
@@ -48,6 +49,21 @@ def shapes_checked(request: pytest.FixtureRequest) -> Iterator[None]:
     jaxtyping.config.update("jaxtyping_disable", before or where.startswith(WHOLE_PATHS))
     yield
     jaxtyping.config.update("jaxtyping_disable", before)
+
+
+REAL_TIME = ("live/test_all_processes.py", "live/test_live_faults.py", "live/test_play.py", "live/test_supervisor.py")
+"""Tests with deadlines of a tenth of a second: two of them at once would miss them on two cores."""
+
+
+@pytest.fixture(autouse=True)
+def in_turn(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Let no two tests in real time run at once."""
+    if not request.path.relative_to(Path(__file__).parent).as_posix().startswith(REAL_TIME):
+        yield
+        return
+    with (Path(tempfile.gettempdir()) / f"offpiste-real-time-{os.getuid()}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
 
 
 def pytest_configure(config: pytest.Config) -> None:
