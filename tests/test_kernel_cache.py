@@ -81,12 +81,18 @@ def begun(module: Path, cache: Path, code: str, *more: Path) -> subprocess.Popen
     )  # fmt: skip
 
 
-def test_a_process_waits_for_another_one_that_compiles_the_same(module: Path, tmp_path: Path) -> None:
-    cache, compiles = tmp_path / "cache", tmp_path / "compiles"
-    first = begun(module, cache, CODE.replace("import called", SLOW + "import called"), compiles)
-    while not compiles.exists():
-        assert first.poll() is None
+def compiling(module: Path, cache: Path, mark: Path) -> subprocess.Popen[str]:
+    """A process that takes four seconds to compile, and has begun; it leaves a mark."""
+    process = begun(module, cache, CODE.replace("import called", SLOW + "import called"), mark)
+    while not mark.exists():
+        assert process.poll() is None
         time.sleep(0.02)
+    return process
+
+
+def test_a_process_waits_for_another_one_that_compiles_the_same(module: Path, tmp_path: Path) -> None:
+    cache = tmp_path / "cache"
+    first = compiling(module, cache, tmp_path / "compiles")
     (out, said), (_, said_first) = begun(module, cache, CODE).communicate(timeout=60), first.communicate(timeout=60)
     assert (out, said) == ("6.0\n", "waiting for another process, which compiles the doubling\n" * said.count("\n"))
     assert said
@@ -94,11 +100,8 @@ def test_a_process_waits_for_another_one_that_compiles_the_same(module: Path, tm
 
 
 def test_a_process_that_is_killed_while_it_compiles_keeps_no_other_from_it(module: Path, tmp_path: Path) -> None:
-    cache, compiles = tmp_path / "cache", tmp_path / "compiles"
-    first = begun(module, cache, CODE.replace("import called", SLOW + "import called"), compiles)
-    while not compiles.exists():
-        assert first.poll() is None
-        time.sleep(0.02)
+    cache = tmp_path / "cache"
+    first = compiling(module, cache, tmp_path / "compiles")
     first.kill()
     first.communicate()
     assert called(module, cache) == WAITS

@@ -17,7 +17,7 @@ def codes(session: Session) -> None:
     part = Part("codes", session)
     device = part.settings.runtime.device
     planner = part.settings.load_planner(device)
-    load_kernels(part, planner)  # images are encoded on the device all the same: it plans nothing
+    load_kernels(part, planner)  # on the CPU, since it plans nothing; the extractor is on the device
     setup = wait_for_sensors(part, planner)
     if setup is None or planner.extractor is None:
         return

@@ -39,7 +39,7 @@ def load_kernels(part: Part, planner: Planner, device: str = "cpu") -> None:
     """Drive for a second over made-up ground: what is compiled is loaded before the robot is heard.
 
     Args:
-        device: of the process; one that neither encodes images nor plans leaves a GPU alone.
+        device: that the process plans on; one that does not plan leaves a GPU alone.
     """
     part.end_with(LOADING)
     rig, still = load_rig(part.settings.rig), np.eye(4)
