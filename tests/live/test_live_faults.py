@@ -43,13 +43,18 @@ from transport.routers import until
 class Moving(Drive):
     """A vehicle whose speed and clock are given."""
 
-    speed, gear, clock = 0.0, 1.0, staticmethod(time.time)
+    at, speed, gear, clock = 1.0, 0.0, 1.0, staticmethod(time.time)
+
+    @property
+    def progress(self):
+        """Along the course, as control says it with what it commanded last [m]."""
+        return unpacked(self.rings["commands"].newest().data)["progress"]
 
     def feed(self, *, reads=True, plans=True):
         now = self.clock()
         self.rings["clock"].write(STAMP.pack(now, time.monotonic()))
         if reads:
-            place, turn = np.array((1.0 + self.speed * (now % 10), 0, 0)), np.array((0, 0, 0, 1.0))
+            place, turn = np.array((self.at + self.speed * (now % 10), 0, 0)), np.array((0, 0, 0, 1.0))
             reading = VehicleReading(now, place, turn, np.array((self.speed, 0, 0)), 0.0, np.zeros(4))
             self.rings["readings"].write(pack_measured(reading, control=None, came=time.monotonic()))
         self.rings["map-state"].write(packed({"scan_time": now, "image_time": np.inf}))
@@ -87,13 +92,16 @@ def test_readings_that_run_on_without_their_clock_stop_it_too(moving):
 
 
 def test_a_clock_that_goes_back_stops_it_and_it_drives_again_by_the_new_time(moving):
+    moving.at = 9.0
     assert moving.drives(), moving.supervisor.look()
+    assert moving.progress == pytest.approx(9.0, abs=0.3)
     moment = time.monotonic()
-    moving.clock = lambda: time.time() - 1000.0
+    moving.at, moving.clock = 2.0, lambda: time.time() - 1000.0  # as a simulator that begins again
     moving.run(0.3)
     stops = [after for after, command in moving.since(moment) if command.acceleration < 0]
     assert stops, "though it drives on at once, since it is at a standstill"
     assert moving.drives(20)
+    assert moving.progress == pytest.approx(2.0, abs=0.3)
 
 
 @pytest.mark.parametrize("blow", [signal.SIGKILL, signal.SIGSTOP])
@@ -333,6 +341,5 @@ def test_memory_of_a_killed_session_is_removed_by_the_next_and_that_of_a_living_
 
 def test_what_was_commanded_says_where_the_course_was_left(moving):
     assert moving.drives(), moving.supervisor.look()
-    before = unpacked(moving.rings["commands"].newest().data)
-    assert before["course"] == 1
-    assert before["progress"] == pytest.approx(1.0, abs=0.3)
+    assert unpacked(moving.rings["commands"].newest().data)["course"] == 1
+    assert moving.progress == pytest.approx(1.0, abs=0.3)

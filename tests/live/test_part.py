@@ -32,21 +32,21 @@ def test_a_stamp_that_comes_late_is_no_clock_that_goes_back(tmp_path, monkeypatc
         feed = TrackFeed(part, ())
 
         def heard(stamp):
-            """A stamp and a reading come; the robot's time, and whether the map no longer fits."""
+            """A stamp and a reading come; the robot's time, and why the map no longer fits."""
             part.ring("clock").write(STAMP.pack(stamp, steady[0]))
             still = VehicleReading(stamp, np.zeros(3), np.array((0, 0, 0, 1.0)), np.zeros(3), 0.0, np.zeros(4))
             part.ring("readings").write(pack_measured(still, control=None, came=steady[0]))
             now = part.now()
             return now, feed.update(now)
 
-        assert heard(100.0) == (100.0, False)
+        assert heard(100.0) == (100.0, "")
         steady[0] += 0.5
-        assert (part.now(), feed.update(part.now())) == (100.5, False)
-        assert heard(100.2) == (100.5, False), "the first of a burst after 0.3 s of silence"
-        assert heard(100.49) == (100.5, False)
-        assert heard(100.52) == (100.52, False)
+        assert (part.now(), feed.update(part.now())) == (100.5, "")
+        assert heard(100.2) == (100.5, ""), "the first of a burst after 0.3 s of silence"
+        assert heard(100.49) == (100.5, "")
+        assert heard(100.52) == (100.52, "")
         assert len(feed.track._readings) == 4
-        assert heard(100.1) == (pytest.approx(100.1), True), "this one went back"
+        assert heard(100.1) == (pytest.approx(100.1), "went back"), "this one went back"
         assert len(feed.track._readings) == 1
 
 

@@ -7,6 +7,7 @@ from live.made_up_robot import RIG, START, odometry, rig
 from offpiste.closed_loop.lockstep import reading_of
 from offpiste.conventions import ACTUATORS
 from offpiste.errors import RigError
+from offpiste.geometry import local_from_geographic
 from offpiste.live.vehicle_messages import VehicleMessages
 from offpiste.rig.rig import load_rig, parse_rig, rig_text
 from offpiste.simulation.recorder import stamp_ns, vehicle_messages
@@ -97,13 +98,30 @@ def test_a_clock_that_goes_back_forgets_what_was_before():
     assert vehicle.take("/odom", odometry(1.0, 2.0), NOW).position[0] == 2.0
 
 
+def test_latitude_and_longitude_are_metres_from_the_origin_of_the_rig():
+    entry = '[channels.position]\nunit = "lat lon"\norigin = [48.0, 11.0]\n'
+    vehicle = VehicleMessages(parse_rig(RIG.replace("[channels.position]\n", entry), where="test"))
+    message = odometry(0.0, 48.001)
+    message.pose.pose.position.y = 11.0
+    message.header.frame_id = "antenna"
+    reading = vehicle.take("/odom", message, NOW)
+    north = local_from_geographic(np.array([[48.001, 11.0]]), (48.0, 11.0))[0, 1]
+    np.testing.assert_allclose(reading.position[:2], (0.0, north), atol=1e-9)
+    assert vehicle.frame == "", "the antenna is not the frame of the poses"
+    message = odometry(0.02, 0.0)
+    assert vehicle.take("/odom", message, NOW + 0.02).position[1] == reading.position[1], "0, 0 is no place yet"
+    message = odometry(0.04, 8.0)
+    vehicle.take("/odom", message, NOW + 0.04)
+    assert any("km from the places" in why for why in vehicle.dropped)
+
+
 ALIGNMENT = '[alignment]\ntopics = ["/odom"]\nspeed = { fields = ["x"] }\n'
 
 
 @pytest.mark.parametrize(
     ("old", "new", "what"),
     [
-        ("[channels.position]\n", '[channels.position]\nunit = "lat lon"\n', "no fixed origin"),
+        ("[channels.position]\n", '[channels.position]\nunit = "lat lon"\n', "need an origin"),
         ("[lidars.lidar]", f"{ALIGNMENT}[lidars.lidar]", "whole logs"),
     ],
 )

@@ -24,6 +24,24 @@ def test_where_a_course_crosses_itself_the_vehicle_stays_on_its_branch():
     assert tracker.target == pytest.approx(8.0, abs=0.05)
 
 
+def test_a_vehicle_that_was_lost_is_found_anywhere():
+    tracker = CourseTracker(course := eight())
+    for place in course.path:
+        tracker.move(place)
+    tracker.lose()
+    assert tracker.move(course.path[37]) < 0.1
+    at_37 = np.linalg.norm(np.diff(course.path[:38], axis=0), axis=1).sum()
+    assert tracker.progress == pytest.approx(at_37, abs=0.3), "a simulator put it back"
+    for place in course.path[37:200]:
+        tracker.move(place)
+    before = tracker.progress
+    tracker.lose()
+    tracker.move(np.zeros(2))
+    assert tracker.progress == pytest.approx(before, abs=0.5), "at the crossing, of three branches on its own"
+    tracker.move(course.path[0])
+    assert tracker.progress == pytest.approx(before, abs=0.5), "it does not go back again"
+
+
 def test_distance_beside_a_straight_course():
     tracker = CourseTracker(Course(np.array([[0.0, 0.0], [100.0, 0.0]]), np.full(2, 5.0)))
     assert tracker.move(np.array((3.1, -1.5))) == pytest.approx(1.5, abs=0.02)

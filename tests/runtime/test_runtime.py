@@ -121,6 +121,15 @@ def test_a_clock_that_goes_back_restarts_everything():
     assert modes[-1] == ("driving", "")
 
 
+def test_after_a_clock_that_goes_back_the_vehicle_may_be_anywhere_on_its_course():
+    stream = straight_drive()
+    stream.run(1.5)
+    before = stream.runtime.course_tracker.progress
+    stream.runtime.command(0.5)
+    stream.runtime.vehicle(reading(0.5, *stream.states[0][:3], 0.0, 0.0, 0.0))
+    assert stream.runtime.course_tracker.progress < before - 1.0
+
+
 def test_readings_without_the_actuators_that_a_model_reads_count_as_none():
     stream = straight_drive(dynamics=Parametric(Vehicle(1150.0, 2.06, 0.5, CONTROL, ("engine_rpm",))))
     stream.run(0.5)

@@ -26,7 +26,7 @@ class Live:
     pca: Path | None = None
     """For runs with visual features: the file that their dataset was extracted with; shipped models have theirs."""
     course: Path | None = None
-    """Course: a table (.csv) with the columns x, y and, if need be, speed, in the frame of the poses."""
+    """Course: a table (.csv) with the columns x, y, in the frame of the poses, or lat, lon; and speed, if need be."""
     course_topic: str = ""
     """Course: a topic with a nav_msgs/Path; another one replaces it."""
     goal: tuple[float, float] | None = None

@@ -8,7 +8,11 @@ import numpy as np
 from jaxtyping import Float
 
 from offpiste.errors import LiveError
+from offpiste.geometry import local_from_geographic
+from offpiste.logs.axes import to_z_up
+from offpiste.logs.channel import FAR
 from offpiste.planning.course import FASTEST, Course
+from offpiste.rig.rig import Rig
 
 _LONGEST: Final = 100_000
 """Number of points of a course that is accepted."""
@@ -16,8 +20,10 @@ _APART: Final = 0.05
 """Points that are nearer to each other count once [m]."""
 
 
-def read_course(path: Path, speed: float) -> Course:
+def read_course(path: Path, speed: float, rig: Rig) -> Course:
     """A course from a table with the columns x, y [m] in the world of the poses and, if there is one, speed [m/s].
+
+    In place of x and y it may have lat and lon [degrees], where the rig says where on earth its poses are.
 
     Args:
         speed: where the table has none.
@@ -25,7 +31,7 @@ def read_course(path: Path, speed: float) -> Course:
     Raises:
         LiveError: no such file, or no course in it.
     """
-    how = "give a .csv with a line 'x,y' or 'x,y,speed' first, in metres of the poses' frame"
+    how = "give a .csv with a line 'x,y' or 'x,y,speed' first, in metres of the poses' frame, or 'lat,lon' in degrees"
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:  # Excel begins with a byte order mark
             rows = [row for _, row in zip(range(_LONGEST + 1), csv.DictReader(file), strict=False)]
@@ -34,12 +40,27 @@ def read_course(path: Path, speed: float) -> Course:
     except (UnicodeDecodeError, csv.Error) as error:
         raise LiveError(f"no course: {error}", where=path, how=how) from error
     try:
-        xy = np.array([(float(row["x"]), float(row["y"])) for row in rows]).reshape(-1, 2)
+        geographic = bool(rows) and "lat" in rows[0] and "x" not in rows[0]
+        names = ("lat", "lon") if geographic else ("x", "y")
+        places = np.array([[float(row[name]) for name in names] for row in rows]).reshape(-1, 2)
         has_speed = bool(rows) and rows[0].get("speed") not in (None, "")
-        speeds = np.array([float(row["speed"]) for row in rows]) if has_speed else np.full(len(xy), speed)
+        speeds = np.array([float(row["speed"]) for row in rows]) if has_speed else np.full(len(places), speed)
     except (KeyError, TypeError, ValueError) as error:
         raise LiveError(f"a row without a number: {error}", where=path, how=how) from error
-    return course_of(xy, speeds, where=str(path))
+    return course_of(_on_earth(places, rig, path) if geographic else places, speeds, where=str(path))
+
+
+def _on_earth(degrees: Float[np.ndarray, "P 2"], rig: Rig, path: Path) -> Float[np.ndarray, "P 2"]:
+    """Places in the world of the poses [m], of latitudes and longitudes."""
+    position = rig.channels["position"]
+    if position.origin is None:
+        how = "give x and y in metres of the poses' frame; degrees need positions in 'lat lon' with an origin"
+        raise LiveError(f"a course in degrees, and rig '{rig.name}' does not say where x = y = 0", where=path, how=how)
+    places = to_z_up("position", position, local_from_geographic(degrees, position.origin), rig.motion.axes)
+    if (away := float(np.abs(places).max(initial=0.0))) > FAR:
+        how = "give latitude and longitude of places near the rig's origin, in these columns"
+        raise LiveError(f"a point {away / 1e3:.0f} km from channels.position.origin", where=path, how=how)
+    return places
 
 
 def course_from_message(message: Any, speed: float, topic: str, frame: str = "") -> Course:

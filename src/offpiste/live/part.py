@@ -7,7 +7,7 @@ import struct
 import time
 from collections.abc import Callable, Collection, Mapping
 from multiprocessing import parent_process
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 
@@ -168,11 +168,12 @@ class TrackFeed:
         self._number, self.control = self._ring.written, None
         self.came = -np.inf
 
-    def update(self, now: float) -> bool:
-        """Take what is new; whether the map no longer fits: the pose jumped, or the clock went back."""
-        changed = now < self.intake.now - BACK and self.intake.now < float("inf")
-        if changed:
+    def update(self, now: float) -> Literal["", "jumped", "went back"]:
+        """Take what is new; why the map no longer fits: the pose jumped, or the clock went back; empty if it fits."""
+        changed: Literal["", "jumped", "went back"] = ""
+        if now < self.intake.now - BACK and self.intake.now < float("inf"):
             self.track.clear()
+            changed = "went back"
         self.intake.now = now
         for entry in self._ring.since(self._number):
             self._number, values = entry.number, unpacked(entry.data)
@@ -180,7 +181,8 @@ class TrackFeed:
             taken = self.intake.vehicle(reading_from(values))
             if taken != "dropped":
                 self.came = values["came"]
-            changed |= taken == "jumped"
+            if taken == "jumped":
+                changed = changed or taken
         return changed
 
 

@@ -90,7 +90,7 @@ class Reception:
             raise LiveError(f"rig '{rig.name}' has no LiDAR", where="lidars", how="a map of the ground needs one")
         self._rig, self._request = rig, request
         self.vehicle, self.sensors = VehicleMessages(rig), SensorMessages(rig, cameras=cameras)
-        self.course = None if request.file is None else read_course(request.file, request.speed)
+        self.course = None if request.file is None else read_course(request.file, request.speed, rig)
         self._first: float | None = None
         self._early: Any = None  # a course that came before the frame of the poses is known
         enable = rig.live.enable

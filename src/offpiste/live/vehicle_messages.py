@@ -43,7 +43,8 @@ class VehicleMessages:
     Attributes:
         topics: that are needed.
         position_topic: the one whose messages make readings.
-        frame: of the poses, as its messages say; "" where they say none, None before the first.
+        frame: of the poses, as its messages say; "" where they say none, as those of latitude and longitude, whose
+            header names the antenna; None before the first.
         dropped: number of values that are not usable, by channel.
 
     Raises:
@@ -53,6 +54,7 @@ class VehicleMessages:
     def __init__(self, rig: Rig) -> None:
         _refuse(rig)
         self._rig, self._kept = rig, dict[str, deque[tuple[float, np.ndarray]]]()
+        self._geographic = rig.channels["position"].unit == GEOGRAPHIC
         self.dropped = Tally()
         names = (*_USED, *(a.channel for a in ACTUATOR_TABLE), *(c.name for c in CONTROLS))
         self._sources: dict[str, list[_Source]] = {}
@@ -77,7 +79,8 @@ class VehicleMessages:
             self.dropped[f"{topic}: its header has no stamp"] += 1
             return None
         if topic == self.position_topic:
-            self.frame = str(getattr(getattr(message, "header", None), "frame_id", "")).lstrip("/")
+            named = "" if self._geographic else getattr(getattr(message, "header", None), "frame_id", "")
+            self.frame = str(named).lstrip("/")
         for source in self._sources.get(topic, ()):
             self._add(source, message, stamp)
         return self._reading() if topic == self.position_topic and self._fresh("position", np.inf) else None
@@ -207,9 +210,10 @@ def _yaw(quaternion: Float[np.ndarray, " 4"]) -> float:
 
 
 def _refuse(rig: Rig) -> None:
-    if rig.channels["position"].unit == GEOGRAPHIC:
-        how = "give a topic with metres, e.g. of navsat_transform_node"
-        raise RigError("positions in degrees have no fixed origin while driving", where="channels.position", how=how)
+    position = rig.channels["position"]
+    if position.unit == GEOGRAPHIC and position.origin is None:
+        how = "give channels.position.origin = [latitude, longitude] of a place near by: there x = y = 0"
+        raise RigError("positions in degrees need an origin to be driven by", where="channels.position", how=how)
     if rig.alignment is not None:
         how = "synchronise the clocks, or give the delays"
         raise RigError("clocks that drift are aligned over whole logs only", where="alignment", how=how)

@@ -30,7 +30,7 @@ _FARTHEST: Final = 1.5e7
 """Largest coordinate that is a measurement and no fault [m]; northings of UTM reach 1e7 m."""
 LARGEST: Final = 1e9
 """The same of all other channels, in their units."""
-_FAR: Final = 1e5
+FAR: Final = 1e5
 """Distance from the origin at which places on a plane are percents off [m]."""
 KEPT_UP: Final = 6
 """Samples in `motion.window` of a channel that is published only when it changes: its rate is fitted to four."""
@@ -247,7 +247,7 @@ def convert(
 def _near_origin(source: ChannelSource, place: Float[np.ndarray, "n c"]) -> Float[np.ndarray, "n c"]:
     """The same, if the plane that touches the earth at the rig's origin holds there."""
     away = np.nanmedian(np.hypot(place[:, 0], place[:, 1])) if np.isfinite(place[:, :2]).all(axis=1).any() else 0.0
-    if source.origin is not None and away > _FAR:
+    if source.origin is not None and away > FAR:
         raise RigError(
             f"channels.position.origin lies {away / 1e3:.0f} km from the places of {topic_in_words(source.topic)}",
             how="give latitude and longitude of a place near the drives, in this order",

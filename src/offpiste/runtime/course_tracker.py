@@ -24,6 +24,7 @@ class TrackerRange:
         backed_out: instead of `back`, for a vehicle that backed out: its legs lead far behind its position.
         search: largest advance of the position in one step.
         driven: what is so far behind still counts as the course that the vehicle is on.
+        as_near: where the position was lost, places that differ by less in their distance are as near.
     """
 
     back: float = 6.0
@@ -31,10 +32,11 @@ class TrackerRange:
     backed_out: float = 20.0
     search: float = 12.0
     driven: float = 40.0
+    as_near: float = 1.0
 
 
 class CourseTracker:
-    """Tracks the vehicle's position along a course; it never moves backwards.
+    """Tracks the vehicle's position along a course; it never moves backwards, unless it was lost.
 
     Args:
         limits: of the search and of the section.
@@ -46,7 +48,7 @@ class CourseTracker:
         step = np.linalg.norm(np.diff(self._course.path, axis=0), axis=1)
         self._arc = np.concatenate(([0.0], np.cumsum(step)))
         self._end = min(int(np.searchsorted(self._arc, course.end)), len(dense.path) - 1)
-        self._next = 0
+        self._next, self._lost = 0, False
 
     @property
     def length(self) -> float:
@@ -73,11 +75,32 @@ class CourseTracker:
 
         The distance is that from the course on either side of the position: a vehicle that has backed out is behind it.
         """
+        if self._lost:
+            return self._found(xy)
         first = int(np.searchsorted(self._arc, self.progress - self._limits.driven))
         last = min(int(np.searchsorted(self._arc, self.progress + self._limits.search)), self._end)
-        away = np.min([np.linalg.norm(way[first : last + 1] - xy, axis=1) for way in self._course.ways], axis=0)
+        away = self._distance(xy, first, last)
         self._next += int(np.argmin(away[self._next - first :]))
         return float(away.min())
+
+    def _distance(self, xy: Float[np.ndarray, " 2"], first: int, last: int) -> Float[np.ndarray, " n"]:
+        """Distance of the candidate points from a place, to the nearer way [m]."""
+        return np.min([np.linalg.norm(way[first : last + 1] - xy, axis=1) for way in self._course.ways], axis=0)
+
+    def lose(self) -> None:
+        """The vehicle may be anywhere: the next move searches all of the course.
+
+        Of places that are as near, as where a course crosses itself, it is at the one nearest to its last position.
+        """
+        self._lost = True
+
+    def _found(self, xy: Float[np.ndarray, " 2"]) -> float:
+        away = self._distance(xy, 0, self._end)
+        near = np.flatnonzero(away < away.min() + self._limits.as_near)
+        places = np.split(near, np.flatnonzero(np.diff(near) > 1) + 1)
+        place = min(places, key=lambda indices: np.abs(indices - self._next).min())
+        self._next, self._lost = int(place[np.argmin(away[place])]), False
+        return float(away[self._next])
 
     def resume(self, progress: float) -> None:
         """Continue from a distance along the course [m] that another tracker of it had reached."""

@@ -145,6 +145,12 @@ class Follower:
         """Whether the vehicle does not move."""
         return self.speed < self._settings.standstill
 
-    def restart(self) -> None:
-        """Forget all plans."""
+    def restart(self, *, lost: bool = False) -> None:
+        """Forget all plans.
+
+        Args:
+            lost: whether the vehicle may be anywhere on its course.
+        """
         self.schedule.clear()
+        if lost:
+            self.tracker.lose()

@@ -141,7 +141,7 @@ class Runtime:
     def command(self, now: float, applied: Applied | None = None, held: str = "") -> Controls:
         """Controls for the next `conventions.DT`, to be called that often.
 
-        If the clock goes back, poses, map and plans are forgotten.
+        If the clock goes back, poses, map and plans are forgotten, and the vehicle may be anywhere on its course.
 
         Args:
             now: time [s].
@@ -165,7 +165,7 @@ class Runtime:
 
     def _restart(self) -> None:
         self._track.clear()
-        self.follower.restart()
+        self.follower.restart(lost=True)
         self._mapper.restart()
         self._maker.forget()
         self._plan_due = -np.inf
