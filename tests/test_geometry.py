@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from offpiste.geometry import (
+    bicycle_angle,
     local_from_geographic,
     local_polynomial,
     planar_body_from_world,
@@ -102,6 +103,14 @@ def test_polynomials_reduce_noise_and_do_not_lag_when_centred():
     assert np.std((found[:, 0] - truth)[inner]) < 0.05 / 3
     assert np.std((rate[:, 0] - np.cos(time))[inner]) < 0.1
     assert abs(np.mean((rate[:, 0] - np.cos(time))[inner] * np.sin(time)[inner])) < 0.005
+
+
+def test_a_bicycle_turns_as_its_angle_says():
+    rate, speed = np.array([0.2, -0.5, 0.3, 0.4, 0.0, -0.1]), np.array([1.0, 2.0, -1.5, 0.0, 0.0, 0.0])
+    angle = bicycle_angle(rate, speed, 2.2)
+    np.testing.assert_allclose(speed[:3] * np.tan(angle[:3]) / 2.2, rate[:3])
+    assert (np.abs(angle[:3]) < np.pi / 2).all()
+    np.testing.assert_allclose(angle[3:], (np.pi / 2, 0.0, -np.pi / 2))
 
 
 def test_too_few_samples_give_nan():

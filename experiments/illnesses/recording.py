@@ -98,7 +98,7 @@ class Case:
 
     def values(self, channel: str) -> Float[np.ndarray, "n k"]:
         """A channel as the rig converts it."""
-        return convert(channel, self.source(channel), self.raw(channel))
+        return convert(channel, self.source(channel), self.raw(channel), self.rig.vehicle)
 
     def with_raw(self, channel: str, raw: Float[np.ndarray, "n k"]) -> "Case":
         """The case with other recorded numbers in a channel's fields."""

@@ -1,25 +1,38 @@
 """Clocks that the speed of the wheels shows to be late, and what only looks like it."""
 
 import numpy as np
+import pytest
 from simulated import drive_log, rig
 
 from offpiste.inspection.clocks import check_clocks
 from offpiste.inspection.driven_path import driven_path
+from offpiste.inspection.findings import Finding
 from offpiste.inspection.recorded_log import RememberedLog, read_topics
 from offpiste.logs.drive import drive_from_log
 from offpiste.rig.edits import Edit, edited
+from offpiste.rig.rig import Rig
 
 CLEAN = drive_log(seconds=60)
 
 
-def test_a_speed_that_follows_the_throttle_is_no_clock() -> None:
-    """An electric car goes as fast as its throttle says, 0.6 s later."""
+def findings_with_a_throttle(ahead: float, of: Rig) -> list[Finding]:
+    """Findings where the throttle is a share of the speed that the vehicle has so long after it [s]."""
     time, odom = CLEAN.data["odom"]
     pedals, _ = CLEAN.data["pedals"]
-    ahead = np.interp(pedals + 0.6, time, odom["vx"]) / odom["vx"].max()
-    log = CLEAN.change("pedals", "throttle", lambda _: ahead)
-    recorded, _ = read_topics(RememberedLog(log), rig().clock)
-    path = driven_path(drive_from_log(log, rig()))
-    assert check_clocks(recorded, path, rig(), besides={"odom"}) == []
-    # The same of a field that no control reads is a speed by another clock.
-    assert check_clocks(recorded, path, edited(rig(), [Edit("channels.throttle.fields", ["brake"])]), besides={"odom"})
+    speed = np.interp(pedals + ahead, time, odom["vx"]) / odom["vx"].max()
+    log = CLEAN.change("pedals", "throttle", lambda _: speed)
+    recorded, _ = read_topics(RememberedLog(log), of.clock)
+    return check_clocks(recorded, driven_path(drive_from_log(log, of)), of, besides={"odom"})
+
+
+@pytest.mark.parametrize("fields", [["throttle"], ["brake"]])
+def test_a_speed_that_follows_a_command_is_no_clock(fields: list[str]) -> None:
+    """An electric car goes as fast as its throttle says, 0.6 s later; so does a robot whose speed is commanded, whether
+    a channel reads that or not."""
+    assert findings_with_a_throttle(0.6, edited(rig(), [Edit("channels.throttle.fields", fields)])) == []
+
+
+def test_a_speed_that_comes_late_beside_commands_is_by_a_late_clock() -> None:
+    (found,) = findings_with_a_throttle(-0.6, edited(rig(), [Edit("channels.throttle.fields", ["brake"])]))
+    assert found.what == "is late"
+    assert found.cures == ((Edit("channels.throttle.delay", 0.6), Edit("channels.brake.delay", 0.6)),)

@@ -2,10 +2,13 @@
 
 import numpy as np
 import pytest
+from simulated import rig
 
 from offpiste.inspection.pedal_scale import held_range, rests_high, scaled_to_unit, seen_range, whole_range
 from offpiste.logs.channel import convert
 from offpiste.rig.channels import ChannelSource
+
+VEHICLE = rig().vehicle
 
 
 def presses(low: float, high: float, *, rest: float, share: float = 0.2) -> np.ndarray:
@@ -65,9 +68,11 @@ def test_edits_bring_any_conversion_to_0_to_1(turned: bool) -> None:
         scale, offset = rng.uniform(0.1, 5), rng.uniform(-3, 3)
         source = ChannelSource(("a",), scale=scale, offset=offset, sign=int(rng.choice((-1, 1))), unit="percent")
         raw = rng.uniform(-10, 10, (50, 1))
-        values = convert("throttle", source, raw)
+        values = convert("throttle", source, raw, VEHICLE)
         span = float(values.min()), float(values.max())
         edits = {e.key.rpartition(".")[2]: e.value for e in scaled_to_unit("throttle", source, span, turned=turned)}
         fixed = ChannelSource(("a",), sign=source.sign, unit="percent", **{"scale": scale, "offset": offset} | edits)
         wanted = (values - span[0]) / (span[1] - span[0])
-        np.testing.assert_allclose(convert("throttle", fixed, raw), 1 - wanted if turned else wanted, atol=2e-3)
+        np.testing.assert_allclose(
+            convert("throttle", fixed, raw, VEHICLE), 1 - wanted if turned else wanted, atol=2e-3
+        )

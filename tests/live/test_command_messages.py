@@ -83,7 +83,7 @@ def test_a_channel_with_the_same_entries_reads_back_what_is_sent(value, scale, o
     given = {"unit": unit, "scale": scale, "offset": offset, "sign": sign}
     sent = OutputField("steer", **given).written(value, 0.5)
     channel = msgspec.convert({"fields": ["x"], **given}, ChannelSource)
-    assert convert("steer", channel, np.array([[sent]]), 0.5)[0, 0] == pytest.approx(value, abs=1e-9)
+    assert convert("steer", channel, np.array([[sent]]), rig().vehicle)[0, 0] == pytest.approx(value, abs=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ from offpiste.conventions import ACTUATORS
 from offpiste.errors import RigError
 from offpiste.geometry import local_from_geographic
 from offpiste.live.vehicle_messages import VehicleMessages
+from offpiste.logs.ros.writer import make, vector
 from offpiste.rig.rig import load_rig, parse_rig, rig_text
 from offpiste.simulation.recorder import stamp_ns, vehicle_messages
 from synthetic_drive import samples
@@ -96,6 +97,20 @@ def test_a_clock_that_goes_back_forgets_what_was_before():
     vehicle = VehicleMessages(rig())
     vehicle.take("/odom", odometry(5.0, 10.0), NOW)
     assert vehicle.take("/odom", odometry(1.0, 2.0), NOW).position[0] == 2.0
+
+
+def test_a_turn_rate_that_is_commanded_is_a_steering():
+    command = '[channels.throttle]\ntopic = "/cmd_vel"\nfields = ["linear.x"]\nscale = 0.25\n'
+    command += '[channels.steer]\ntopic = "/cmd_vel"\nfields = ["angular.z", "linear.x"]\nunit = "rad/s"\n'
+    text = RIG.replace('absent = ["throttle", "brake", "steer", ', 'absent = ["brake", ').replace(
+        "[lidars", command + "[lidars"
+    )
+    vehicle = VehicleMessages(parse_rig(text, where="test"))
+    twist = make("geometry_msgs/Twist", linear=vector((2.0, 0.0, 0.0)), angular=vector((0.0, 0.0, 0.3)))
+    assert vehicle.take("/cmd_vel", twist, NOW) is None
+    throttle, brake, steer = vehicle.control(NOW)
+    assert (throttle, brake) == (0.5, 0.0)
+    assert steer == pytest.approx(np.arctan(0.3 * 2.06 / 2.0) / 0.5)
 
 
 def test_latitude_and_longitude_are_metres_from_the_origin_of_the_rig():

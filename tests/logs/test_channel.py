@@ -66,7 +66,29 @@ def test_outside_the_record_and_in_gaps_nothing_is_known(how):
 def test_values_are_unwrapped_scaled_shifted_signed_and_converted_in_this_order():
     source = ChannelSource(fields=("x",), unit="deg", scale=2.0, offset=10.0, sign=-1, wrap=Wrap(above=100, period=256))
     raw = np.array([[45.0], [246.0]])  # the second is -10
-    np.testing.assert_allclose(convert("steer_angle", source, raw)[:, 0], np.deg2rad([-100.0, 10.0]))
+    np.testing.assert_allclose(
+        convert("steer_angle", source, raw, small_rig().vehicle)[:, 0], np.deg2rad([-100.0, 10.0])
+    )
+
+
+def test_a_steering_command_that_is_a_turn_rate_is_the_angle_of_a_bicycle_that_turns_so():
+    vehicle = small_rig().vehicle
+    source = ChannelSource(("turn", "speed"), unit="deg/s", scale=2.0, sign=-1)
+    speed = np.array([2.0, 4.0, -2.0, 0.0, 0.0, 1.0])
+    turn = np.array([0.3, -0.4, 0.3, 0.5, 0.0, np.nan])
+    raw = np.column_stack((-np.rad2deg(turn) / 2, speed))
+    steer = convert("steer", source, raw, vehicle)
+    assert steer.shape == (6, 1)
+    angle = vehicle.max_steer * steer[:, 0]
+    np.testing.assert_allclose(speed[:3] * np.tan(angle[:3]) / vehicle.wheelbase, turn[:3], rtol=1e-12)
+    assert angle[2] < 0, "backwards, the wheels point to the other side"
+    np.testing.assert_allclose(angle[3:5], (np.pi / 2, 0.0), err_msg="on the spot, and at a standstill")
+    assert np.isnan(angle[5])
+    log = MemoryLog(cmd=(np.arange(6.0), {"turn": raw[:, 0], "speed": raw[:, 1]}))
+    clipped = msgspec.structs.replace(source, topic="cmd", clip=(-1.0, 1.0))
+    read_back, notes = read_channel(log, small_rig(), "steer", clipped)
+    np.testing.assert_allclose(read_back.values, np.clip(steer[:5], -1, 1))
+    assert ["1 of 6 samples are not finite" in note for note in notes] == [True]
 
 
 @pytest.mark.parametrize("max_steer", [0.2, 0.5])
@@ -235,6 +257,6 @@ def test_samples_out_of_order_are_sorted_where_the_rig_says_so():
 def test_an_orientation_is_turned_about_the_bodys_z_axis():
     quaternion = Rotation.random(10, random_state=0).as_quat()
     source = ChannelSource(fields=("x", "y", "z", "w"), offset=0.7)
-    turned = Rotation.from_quat(convert("orientation", source, quaternion)).as_matrix()
+    turned = Rotation.from_quat(convert("orientation", source, quaternion, small_rig().vehicle)).as_matrix()
     expected = Rotation.from_quat(quaternion).as_matrix() @ Rotation.from_euler("z", 0.7).as_matrix()
     np.testing.assert_allclose(turned, expected, atol=1e-12)

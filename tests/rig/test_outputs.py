@@ -26,6 +26,10 @@ WRONG = {
     "no path": (OUTPUT.replace("linear.x", "linear x"), r"no path of a field"),
     "scale of zero": (OUTPUT.replace('"speed" }', '"speed", scale = 0 }'), r"scale is not zero"),
     "unit of another": (OUTPUT.replace('"speed" }', '"speed", unit = "rad" }'), r"'rad' does not measure"),
+    "a steering that turns": (
+        OUTPUT.replace('"speed" }', '"steer", unit = "rad/s" }'),
+        r"'rad/s' is of a turn rate.*yaw_rate",
+    ),
     "far ahead": (OUTPUT.replace('"speed" }', '"speed", ahead = 9 }'), r"ahead is 9"),
     "clip": (OUTPUT.replace('"speed" }', '"speed", clip = [1, 0] }'), r"clip is no interval"),
     "one topic twice": (OUTPUT + OUTPUT.replace("outputs.a", "outputs.b"), r"two outputs have one topic"),

@@ -124,6 +124,23 @@ def test_a_gear_is_optional_and_a_column_of_its_own():
         small_rig(gear.replace("gear", "linear_velocity").replace('["x"]', '["x", "y"]') + 'frame = "body"\n')
 
 
+@pytest.mark.parametrize(
+    ("entry", "what"),
+    [
+        ('fields = ["turn", "speed"]', r"channels.steer has 2 fields in '1'"),
+        ('fields = ["turn", "speed"]\nunit = "rad"', r"channels.steer has 2 fields in 'rad'"),
+        ('fields = ["turn"]\nunit = "rad/s"', r"channels.steer has 1 field in 'rad/s'"),
+        ('fields = ["turn", "speed", "x"]\nunit = "rad/s"', r"channels.steer.fields has 3 entries"),
+    ],
+)
+def test_a_turn_rate_comes_with_a_speed_and_nothing_else_does(entry, what):
+    with pytest.raises(RigError, match=what):
+        parse_rig(edited('fields = ["steer"]', entry), where="test")
+    right = parse_rig(edited('fields = ["steer"]', 'fields = ["turn", "speed"]\nunit = "rad/s"'), where="test")
+    assert right.channels["steer"].turns
+    assert not small_rig().channels["steer"].turns
+
+
 def test_units_are_converted_to_si():
     assert unit_factor("steer_angle", "deg") == pytest.approx(np.pi / 180)
     assert unit_factor("linear_velocity", "km/h") == pytest.approx(1 / 3.6)

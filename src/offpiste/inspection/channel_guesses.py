@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from offpiste.channels import ACTUATORS, CONTROLS, all_actuators, all_controls
+from offpiste.inspection.commanded_motion import motion_commands
 from offpiste.logs.log import Log, Topic
 from offpiste.rig.channels import GEOGRAPHIC
 from offpiste.rig.labels import Label, channel_unit, is_array_entry, parse_label
@@ -54,6 +55,8 @@ _TURN_RATE: Final = re.compile(r"ang(ular)?_?vel(ocity)?[/._]z$")
 """The z component alone of an angular velocity."""
 _COMMANDED_JOINTS: Final = re.compile(r"cmd|com+and|desired|target|setpoint", re.IGNORECASE)
 """Topics of joint states that are commanded, not measured."""
+MOTION: Final = 3
+"""Rank of a commanded speed or turn rate, which stands for the throttle or the steering where nothing else does."""
 MEASURED: Final = 2
 """Rank of a steering's position, which beside its command is the measured angle, and without one the steering."""
 _SCALARS: tuple[tuple[str, int, str], ...] = (
@@ -122,9 +125,12 @@ class Guess:
 
 
 def guess_channels(log: Log) -> list[Guess]:
-    """All guesses that names, units and types suggest, in the log's order, the nearest names first."""
+    """All guesses that names, units and types suggest, in the log's order, the nearest names first.
+
+    Of commanded motions the one that comes most often is first: others ask, and one is passed on to the vehicle.
+    """
     guesses = [guess for topic in log.topics.values() if topic.count > 1 for guess in _of_topic(topic)]
-    return sorted(guesses, key=lambda guess: guess.rank)
+    return sorted(guesses, key=lambda g: (g.rank, -log.topics[g.topic].count if g.rank == MOTION else 0))
 
 
 def labels(topic: Topic) -> dict[str, Label]:
@@ -151,6 +157,9 @@ def _of_topic(topic: Topic) -> Iterator[Guess]:
         return
     named = labels(topic)
     taken: set[str] = set()
+    for channel, fields, unit in motion_commands(topic, named):
+        yield Guess(channel, topic.name, fields, unit, MOTION)
+        taken |= set(fields)
     for guess in (*_together(topic, named), *_vectors(topic, named), *_places(topic, named), *_wheels(topic, named)):
         if not taken & set(guess.fields):
             yield guess

@@ -20,6 +20,8 @@ _FOLLOWS = 0.97
 _MAX_LAG = 4.0
 _LATE = 0.15
 """Least lag that is reported [s]."""
+_LEADS = -2.0
+"""A speed that vehicles take longer to come to is no command [s]."""
 _CHANGE = 0.3
 """A lag that changes by more than this between its 5th and 95th percentile drifts [s]."""
 
@@ -70,6 +72,9 @@ def check_clocks(recorded: dict[str, Recorded], path: Path, rig: Rig, *, besides
         low, middle, high = np.percentile(lag, (5, 50, 95))
         field = place(wheel.topic, wheel.field)
         source = {"topic": wheel.topic, "fields": [wheel.field], "scale": rounded(wheel.scale)}
+        readers = {name for name, source in rig.channels.items() if source.topic in shared}
+        if all(map(control_of, readers)) and _LEADS < low <= high < _LATE:
+            continue  # a commanded speed, which the vehicle's follows
         evidence = f"{field} follows the speed (correlation {wheel.correlation:.2f}), "
         evidence += f"{low:+.2f} to {high:+.2f} s late (5 to 95 %)"
         if high - low > _CHANGE:

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from offpiste.errors import OffpisteError
 from offpiste.inspection.channel_guesses import Guess, labels
-from offpiste.inspection.draft_pose import COMMANDED
+from offpiste.inspection.commanded_motion import COMMANDED
 from offpiste.inspection.driven_path import Path, driven_path
 from offpiste.inspection.lags import LAGS, LagFit, fit_lags, lagged
 from offpiste.inspection.pedal_scale import is_signed, rests_high

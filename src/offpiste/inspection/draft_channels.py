@@ -9,9 +9,10 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.inspection.channel_guesses import MEASURED, Guess, guess_channels
-from offpiste.inspection.draft_gear import gear_values
-from offpiste.inspection.draft_pose import COMMANDED, Entry, degrees, draft_pose, field_values, unit_line
+from offpiste.inspection.channel_guesses import MEASURED, MOTION, Guess, guess_channels
+from offpiste.inspection.commanded_motion import COMMANDED, speed_lines, turn_lines
+from offpiste.inspection.draft_pose import Entry, degrees, draft_pose, field_values, unit_line
+from offpiste.inspection.gear import gear_values
 from offpiste.inspection.middle_ranges import FULL_PULSE, are_pulses, pulse_at_rest, steering_middle
 from offpiste.inspection.pedal_scale import (
     full_scale,
@@ -50,7 +51,12 @@ Scalars = dict[str, tuple[Guess, Float[np.ndarray, " n"]]]
 
 
 def draft_channels(
-    log: Log, frame: str, found: Found = MappingProxyType({}), straight: float | None = None
+    log: Log,
+    frame: str,
+    found: Found = MappingProxyType({}),
+    straight: float | None = None,
+    *,
+    plain: bool = False,
 ) -> dict[str, Entry]:
     """Entries by channel, the pose's first.
 
@@ -58,8 +64,9 @@ def draft_channels(
         frame: of the linear velocity.
         found: controls that no name shows.
         straight: recorded steering at which the vehicle goes straight, where the motion shows it.
+        plain: whether what is named a speed and a turn rate is the throttle and the steering itself.
     """
-    guesses = guess_channels(log)
+    guesses = [_as_it_is(guess) if plain else guess for guess in guess_channels(log)]
     entries = draft_pose(log, guesses, frame)
     pose_topic = entries["position"].guess.topic if "position" in entries else ""
     scalars: Scalars = {}
@@ -86,8 +93,8 @@ def draft_channels(
         guess, numbers = scalars.pop("steer_angle")
         # A position beside no command is the steering, of any unit; that of a joint is an angle.
         scalars["steer"] = (guess if is_array_entry(guess.fields[0]) else replace(guess, channel="steer")), numbers
-    plain = {name: _scalar(name, *scalar) for name, scalar in scalars.items() if name not in ("steer", "steer_angle")}
-    entries |= plain | _signed_pedal(scalars) | _steering(scalars, straight)
+    others = {name: _scalar(name, *scalar) for name, scalar in scalars.items() if name not in ("steer", "steer_angle")}
+    entries |= others | _signed_pedal(scalars) | _steering(scalars, straight)
     for channel, (guess, correlation) in found.items():
         if channel in entries and entries[channel].guess is guess:
             follows = f"by its numbers: the motion follows it ({correlation:.2f})"
@@ -99,8 +106,15 @@ def draft_channels(
     return entries
 
 
+def _as_it_is(guess: Guess) -> Guess:
+    """A commanded motion as a pedal or a steering of any unit."""
+    return replace(guess, fields=guess.fields[:1], unit="", rank=1) if guess.rank == MOTION else guess
+
+
 def _scalar(channel: str, guess: Guess, values: Float[np.ndarray, " n"], straight: float | None = None) -> Entry:
     """Scale and wrap from the numbers: controls to 0..1 or -1..1, engine speed to 1000 rev/min."""
+    if guess.rank == MOTION:
+        return Entry(guess, *(speed_lines(values) if channel == "throttle" else turn_lines(values, guess.unit)))
     lines: list[str] = []
     comment = "GUESSED by its name"
     wrap = find_wrap(values)
@@ -176,7 +190,7 @@ def _pedal(channel: str, guess: Guess, values: Float[np.ndarray, " n"]) -> tuple
 
 def _signed_pedal(scalars: Scalars) -> dict[str, Entry]:
     """Throttle and brake where one column holds both, the brake below zero; nothing where it does not."""
-    if "throttle" not in scalars:
+    if "throttle" not in scalars or scalars["throttle"][0].rank == MOTION:
         return {}
     guess, values = scalars["throttle"]
     if are_pulses(values, named=_are_named_pulses(guess)):

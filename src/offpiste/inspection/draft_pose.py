@@ -1,6 +1,5 @@
 """The pose of a first rig, and velocities beside it: which topics hold them, by names, types and numbers."""
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -10,12 +9,11 @@ from jaxtyping import Float
 
 from offpiste.errors import OffpisteError
 from offpiste.inspection.channel_guesses import Guess, by_topic
+from offpiste.inspection.commanded_motion import COMMANDED
 from offpiste.logs.log import Log
 from offpiste.rig.labels import channel_unit
 
 _POSE: Final = ("position", "orientation", "yaw", "linear_velocity", "angular_velocity")
-COMMANDED: Final = re.compile(r"cmd|com+and|desired|target|setpoint|servo|(?<![a-z])(des|ref)(?![a-z])", re.IGNORECASE)
-"""Names of what is asked for, not measured."""
 _RATES: Final = {"angular_velocity", "yaw_rate"}
 
 

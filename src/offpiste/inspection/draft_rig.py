@@ -8,9 +8,11 @@ from pathlib import Path
 from textwrap import wrap
 
 import numpy as np
+from msgspec import structs
 
 from offpiste.errors import LogError, OffpisteError, RigError
 from offpiste.files import write_text
+from offpiste.inspection.commanded_motion import is_turn_rate
 from offpiste.inspection.controls_by_numbers import find_controls, is_measured
 from offpiste.inspection.course import check_course
 from offpiste.inspection.draft_channels import Found, draft_channels
@@ -31,9 +33,10 @@ from offpiste.inspection.findings import Cure
 from offpiste.inspection.recorded_log import is_bulk
 from offpiste.inspection.steering_scale import MAX_STEERS
 from offpiste.inspection.velocity import fit_frames
+from offpiste.logs.channel import read_channel
 from offpiste.logs.drive import drive_from_log
 from offpiste.logs.log import Log
-from offpiste.rig.channels import Clock, undeclared
+from offpiste.rig.channels import ChannelSource, Clock, undeclared
 from offpiste.rig.edits import edited
 from offpiste.rig.labels import is_array_entry
 from offpiste.rig.rig import Rig, parse_rig
@@ -79,6 +82,7 @@ class _Seen:
         assumed: whether the wheelbase is one at which a usual `max_steer` turns the vehicle as it does.
         found: controls that only the motion shows, with its correlation.
         straight: recorded steering at which the vehicle goes straight; None where its middle is no guess.
+        plain: whether what is named a speed and a turn rate is the throttle and the steering itself.
     """
 
     frame: str = "unknown"
@@ -87,6 +91,7 @@ class _Seen:
     assumed: bool = False
     found: Found = field(default_factory=dict)
     straight: float | None = None
+    plain: bool = False
 
 
 def write_rig(text: str, path: Path) -> None:
@@ -118,8 +123,11 @@ def draft_rig(log: Log) -> str:
     text = _text(log, _Seen())
     rig = parse_rig(text, where="the drafted rig")
     heading = _heading_cure(log, rig)
+    plain = _is_plain(log, edited(rig, heading))
+    if plain:
+        rig = parse_rig(_text(log, _Seen(plain=True)), where="the drafted rig")
     if found := find_controls(log, edited(rig, heading)):
-        rig = parse_rig(_text(log, _Seen(found=found)), where="the drafted rig")
+        rig = parse_rig(_text(log, _Seen(found=found, plain=plain)), where="the drafted rig")
     rig = edited(rig, heading)
     frame = _frame(log, rig) if "linear_velocity" in rig.channels else "unknown"
     wheelbase = estimated_wheelbase(log, rig)
@@ -127,7 +135,7 @@ def draft_rig(log: Log) -> str:
     if max_steer > MAX_STEERS[1] and not wheelbase:  # a smaller vehicle than the made-up one
         wheelbase, assumed = rig.vehicle.wheelbase * float(np.tan(_MAX_STEER) / np.tan(max_steer)), True
         max_steer = _MAX_STEER
-    seen = _Seen(frame, wheelbase, max_steer, assumed, found, steering_straight(log, rig))
+    seen = _Seen(frame, wheelbase, max_steer, assumed, found, steering_straight(log, rig), plain)
     return text if seen == _Seen() else _text(log, seen)
 
 
@@ -141,8 +149,23 @@ def _heading_cure(log: Log, rig: Rig) -> Cure:
         return ()
 
 
+def _is_plain(log: Log, rig: Rig) -> bool:
+    """Whether the vehicle turns as a commanded turn rate times the speed says: then it is the steering, whatever its
+    name.
+    """
+    source = rig.channels.get("steer")
+    if source is None or not source.turns:
+        return False
+    plain = structs.replace(rig, channels={**rig.channels, "steer": ChannelSource(source.fields[:1], source.topic)})
+    try:
+        path = driven_path(drive_from_log(log, rig))
+        return not is_turn_rate(read_channel(log, plain, "steer", plain.channels["steer"])[0], path, plain)
+    except OffpisteError:
+        return False
+
+
 def _text(log: Log, seen: _Seen) -> str:
-    entries = draft_channels(log, seen.frame, seen.found, seen.straight)
+    entries = draft_channels(log, seen.frame, seen.found, seen.straight, plain=seen.plain)
     if not {"position"} <= set(entries) or not {"orientation", "yaw"} & set(entries):
         raise LogError(
             "no topic looks like a pose (position and heading)",

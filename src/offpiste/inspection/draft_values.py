@@ -5,6 +5,7 @@ from typing import Final
 import numpy as np
 
 from offpiste.errors import OffpisteError
+from offpiste.inspection.commanded_motion import commanded_curvature
 from offpiste.inspection.driven_path import Path, driven_path
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.steering_fit import steering_fits
@@ -66,12 +67,17 @@ def estimated_wheelbase(log: Log, rig: Rig) -> float:
 def estimated_max_steer(log: Log, rig: Rig, wheelbase: float) -> float:
     """Angle of the road wheels at steer = 1 by yaw rate = speed * steer * tan(angle) / wheelbase, from the poses [rad].
 
+    Of a commanded turn rate it is that of the sharpest curves that are asked for.
+
     Args:
         wheelbase: that the angle is for [m].
 
     Returns:
         0 where the rig has no steering, or the vehicle does not clearly follow it.
     """
+    if "steer" in rig.channels and rig.channels["steer"].turns:
+        raw = log.read(rig.channels["steer"].topic, rig.channels["steer"].fields).values
+        return float(f"{np.arctan(commanded_curvature(raw, rig) * wheelbase):.3g}")
     driven = _driven(log, rig) if "steer" in rig.channels else None
     fit = None if driven is None else steering_fits(*driven, measured=False).get("steer")
     if fit is None or fit.gripping.strength < _CLEAR:

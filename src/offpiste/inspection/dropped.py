@@ -29,7 +29,7 @@ def check_dropped(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
         if source.valid is None or r is None or not set(source.fields) <= set(r.fields):
             continue
         columns = r.values[:, [r.fields.index(field) for field in source.fields]]
-        values = convert(name, msgspec.structs.replace(source, clip=None), columns, rig.vehicle.max_steer)
+        values = convert(name, msgspec.structs.replace(source, clip=None), columns, rig.vehicle)
         values = values[(np.abs(np.nan_to_num(values, nan=np.inf)) <= largest(name)).all(axis=1)]
         outside = ((values < source.valid[0]) | (values > source.valid[1])).any(axis=1)
         measured = _continuing(values, outside)

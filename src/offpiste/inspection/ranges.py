@@ -48,7 +48,7 @@ def check_ranges(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
     for name, low, high in _limits():
         source = rig.channels.get(name)
         r = recorded.get(source.topic) if source else None
-        if source is None or r is None or source.fields[0] not in r.fields:
+        if source is None or source.turns or r is None or source.fields[0] not in r.fields:
             continue
         raw = r.values[:, [r.fields.index(source.fields[0])]]
         values = _before_clip(name, rig, raw)
@@ -103,7 +103,7 @@ def _before_clip(name: str, rig: Rig, raw: Float[np.ndarray, "n 1"]) -> Float[np
 
 def _unclipped(name: str, rig: Rig, raw: Float[np.ndarray, "n 1"]) -> Float[np.ndarray, "n 1"]:
     source = msgspec.structs.replace(rig.channels[name], clip=None)
-    return convert(name, source, raw, rig.vehicle.max_steer)
+    return convert(name, source, raw, rig.vehicle)
 
 
 def _at_rest(name: str, source: ChannelSource, values: Float[np.ndarray, " n"]) -> tuple[Edit, ...]:

@@ -71,9 +71,9 @@ def channel_signals(recorded: dict[str, Recorded], rig: Rig) -> list[Signal]:
         if r is None or not set(source.fields) <= set(r.fields):
             continue
         columns = r.values[:, [r.fields.index(f) for f in source.fields]]
-        converted = _valid(convert(name, source, columns, rig.vehicle.max_steer), source)
+        converted = _valid(convert(name, source, columns, rig.vehicle), source)
         raw = columns if source.wrap is None else unwrapped(columns, source.wrap)
-        for i, field in enumerate(source.fields):
+        for i, field in enumerate(source.fields[: converted.shape[1]]):
             where = f"{name} ({place(source.topic, field)})"
             # Of geographic places, two are degrees and the height is not.
             unit = "m" if source.unit == GEOGRAPHIC and i > 1 else source.unit

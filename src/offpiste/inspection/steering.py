@@ -49,8 +49,11 @@ def check_steering(
         findings += changing_delay(name, delays) or _delay(name, fit, drive.rig) or uneven_delay(name, delays)
         findings += _centre(name, fit, drive.rig)
     acting = {name: fit for name, fit in fits.items() if fit.has_effect and name not in cut}
+    turning = {name: fit for name, fit in acting.items() if drive.rig.channels[name].turns}
     if measured:
-        return findings + check_scale(acting, None if cut else agreement(drive, path), drive)
+        findings += [scale_note(name, fit, drive.rig) for name, fit in turning.items()]
+        others = {name: fit for name, fit in acting.items() if name not in turning}
+        return findings + check_scale(others, None if cut or turning else agreement(drive, path), drive)
     return findings + [scale_note(name, fit, drive.rig) for name, fit in acting.items()]
 
 
@@ -123,9 +126,9 @@ def _delay(name: str, fit: SteeringFit, rig: Rig) -> list[Finding]:
 def _centre(name: str, fit: SteeringFit, rig: Rig) -> list[Finding]:
     """A finding if the vehicle surely goes straight at another steering than zero."""
     off_centre = abs(fit.centre) > _CENTRED[name] + SURE * fit.centre_sigma
-    if fit.gripping.strength < _CLEAR or not off_centre:
-        return []
     source = rig.channels[name]
+    if fit.gripping.strength < _CLEAR or not off_centre or source.turns:
+        return []
     per_unit = source.sign * unit_factor(name, source.unit, rig.vehicle.max_steer)
     edit = Edit(f"channels.{name}.offset", rounded(source.offset - fit.centre / per_unit))
     evidence = f"the vehicle goes straight at {fit.centre:.3f} ± {fit.centre_sigma:.3f}"

@@ -230,6 +230,11 @@ def _is_of_an_angle(rig: Rig) -> bool:
 def scale_note(name: str, fit: SteeringFit, rig: Rig) -> Finding:
     """The scale of the steering where the wheelbase is a guess."""
     curvature = abs(float(fit.gripping.gain[fit.gripping.best()]))
+    if rig.channels[name].turns:
+        share = curvature / curvature_per_unit(name, rig)
+        evidence = f"the vehicle turns {share:.2f} times as fast as it is asked to"
+        remedy = "none: a model learns it; a rig in other units is off by far more"
+        return Finding("note", name, "has this scale", evidence, remedy, 0.4)
     evidence = f"yaw rate / speed = {curvature:.3g} 1/m times {name}"
     evidence += f": a radius of {1 / curvature:.1f} m at steer = 1" if name == "steer" else ", in rad"
     wheelbase = rig.vehicle.wheelbase

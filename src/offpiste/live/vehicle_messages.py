@@ -97,7 +97,7 @@ class VehicleMessages:
         name, entry = source.name, source.entry
         try:
             raw = np.array([[float(get(message)) for get in source.getters]])
-            values = convert(name, entry, raw, self._rig.vehicle.max_steer)
+            values = convert(name, entry, raw, self._rig.vehicle)
         except (AttributeError, TypeError, ValueError, IndexError, OverflowError, RigError) as error:
             self.dropped[f"{name}: {str(error).splitlines()[0][:80]}"] += 1
             return

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 
 from offpiste.channels import control_of
 from offpiste.errors import LogError, RigError
-from offpiste.geometry import local_from_geographic
+from offpiste.geometry import bicycle_angle, local_from_geographic
 from offpiste.logs.axes import to_z_up
 from offpiste.logs.empty_rows import between_samples
 from offpiste.logs.log import Log, Samples
@@ -24,7 +24,7 @@ from offpiste.rig.channels import (
     topic_in_words,
     unit_factor,
 )
-from offpiste.rig.rig import Rig
+from offpiste.rig.rig import Rig, Vehicle
 
 _FARTHEST: Final = 1.5e7
 """Largest coordinate that is a measurement and no fault [m]; northings of UTM reach 1e7 m."""
@@ -132,7 +132,7 @@ def read_numbered_channel(
     samples = log.read(source.topic, source.fields, stamps=rig.clock.stamps)
     order = np.argsort(samples.time, kind="stable") if rig.clock.sort else np.arange(len(samples.time))
     in_order = Samples(samples.time[order], samples.values[order])
-    channel, numbers, notes = _clean(name, source, in_order, log.path, rig.vehicle.max_steer)
+    channel, numbers, notes = _clean(name, source, in_order, log.path, rig.vehicle)
     if rig.motion.axes != "z up":
         channel = dataclasses.replace(channel, values=to_z_up(name, source, channel.values, rig.motion.axes))
     return channel, order[numbers], notes
@@ -144,10 +144,10 @@ def largest(channel: str) -> float:
 
 
 def _clean(
-    name: str, source: ChannelSource, samples: Samples, path: Path, max_steer: float
+    name: str, source: ChannelSource, samples: Samples, path: Path, vehicle: Vehicle
 ) -> tuple[Channel, Int[np.ndarray, " n"], list[str]]:
     # Clipped last: an infinite or invalid value is a fault to drop, not a value at the limit.
-    values = convert(name, msgspec.structs.replace(source, clip=None), samples.values, max_steer)
+    values = convert(name, msgspec.structs.replace(source, clip=None), samples.values, vehicle)
     time = samples.time - source.delay
     notes = []
 
@@ -219,12 +219,12 @@ def unwrapped(values: Float[np.ndarray, "*n"], wrap: Wrap) -> Float[np.ndarray, 
 
 
 def convert(
-    name: str, source: ChannelSource, raw: Float[np.ndarray, "n k"], max_steer: float = 0.0
-) -> Float[np.ndarray, "n k"]:
+    name: str, source: ChannelSource, raw: Float[np.ndarray, "n k"], vehicle: Vehicle
+) -> Float[np.ndarray, "n c"]:
     """Raw numbers of a log in the channel's unit and sign, as its `ChannelSource` gives them.
 
     Args:
-        max_steer: of the rig [rad], for steering commands that are angles.
+        vehicle: of the rig, for steering commands that are angles or turn rates.
 
     Raises:
         RigError: `source.values` lacks a number of the log.
@@ -238,7 +238,11 @@ def convert(
     if source.wrap is not None:
         values = unwrapped(values, source.wrap)
     with np.errstate(over="ignore", invalid="ignore"):  # faults, which are dropped
-        values = source.sign * (values * source.scale + source.offset) * unit_factor(name, source.unit, max_steer)
+        turning = values[:, :1] if source.turns else values
+        values = source.sign * (turning * source.scale + source.offset)
+        values = values * unit_factor(name, source.unit, vehicle.max_steer)
+        if source.turns:
+            values = bicycle_angle(values, raw[:, 1:], vehicle.wheelbase) / vehicle.max_steer
         if (control := control_of(name)) is not None and control.discrete:
             values = np.clip(np.round(values), control.low, control.high)
     return values if source.clip is None else np.clip(values, *source.clip)

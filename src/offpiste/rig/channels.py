@@ -28,6 +28,8 @@ _UNITS: dict[str, dict[str, float]] = {
 
 ANGLES: Final[Mapping[str, float]] = _UNITS["rad"]
 """Units of angles, in which a steering command may be recorded as well (`unit_factor`)."""
+TURN_RATES: Final[Mapping[str, float]] = _UNITS["rad/s"]
+"""Units of turn rates, which a steering command may be, beside a speed (`ChannelSource.turns`)."""
 
 OTHER_CHANNELS: dict[str, tuple[str, tuple[int, ...]]] = {
     "position": ("m", (2, 3)),
@@ -65,7 +67,7 @@ def known_channels() -> dict[str, tuple[str, tuple[int, ...]]]:
     single = (1,)
     controls = {control.name: (control.unit, single) for control in all_controls()}
     actuators = {actuator.channel: (actuator.unit, single) for actuator in all_actuators()}
-    return OTHER_CHANNELS | controls | actuators
+    return OTHER_CHANNELS | controls | actuators | {"steer": (controls["steer"][0], (1, 2))}
 
 
 class Wrap(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -83,7 +85,8 @@ class ChannelSource(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     Attributes:
         topic: topic, folder or, in a table, "" for the table itself.
-        fields: fields or columns in the channel's order: x y z, or a quaternion as x y z w.
+        fields: fields or columns in the channel's order: x y z, or a quaternion as x y z w; of a steering that is
+            commanded as a turn rate, as by geometry_msgs/Twist, that and the speed [m/s].
         frame: for velocities: "world", "body", or "unknown" (then the pose is differentiated instead).
         delay: how much later than it happened a sample is stamped [s].
         valid: values outside of it (after conversion) are measurement faults and dropped.
@@ -119,6 +122,14 @@ class ChannelSource(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         """Whether a sample is valid until the next."""
         return self.interpolation != "linear"
 
+    @property
+    def turns(self) -> bool:
+        """Whether a steering is commanded as a turn rate: the angle is that of a bicycle which turns so.
+
+        The other entries apply to the turn rate.
+        """
+        return len(self.fields) == 2 and self.unit in TURN_RATES
+
     def meanings(self) -> dict[float, float]:
         """Recorded numbers and what they stand for (`values`).
 
@@ -150,13 +161,16 @@ def unit_factor(channel: str, unit: str, max_steer: float = 0.0) -> float:
     """Factor from a log's unit to offpiste's unit of this channel; an empty unit means offpiste's own.
 
     Args:
-        max_steer: of the rig [rad], over which a steering command is that is an angle of the road wheels.
+        max_steer: of the rig [rad], over which a steering command is that is an angle of the road wheels; for a
+            turn rate it says only that the vehicle steers, and the factor is that to rad/s.
 
     Raises:
         RigError: the unit does not measure this channel.
     """
     if channel == "steer" and max_steer > 0 and unit in ANGLES:
         return ANGLES[unit] / max_steer
+    if channel == "steer" and max_steer > 0 and unit in TURN_RATES:
+        return TURN_RATES[unit]
     own = known_channels()[channel][0]
     known = _UNITS.get(own, {own: 1.0})
     if unit and unit not in known:
@@ -204,6 +218,12 @@ def check_channels(channels: Mapping[str, ChannelSource], absent: Collection[str
                 how=f"it takes {' or '.join(map(str, widths))}",
             )
         unit_factor(name, source.unit, max_steer)
+        if name == "steer" and (len(source.fields) == 2) != (source.unit in TURN_RATES):
+            raise RigError(
+                f"channels.steer has {len(source.fields)} field{'s'[: len(source.fields) - 1]} in '{source.unit or 1}'",
+                how='a commanded turn rate takes two, that and the speed: fields = ["angular.z", "linear.x"], '
+                'unit = "rad/s"; all else takes one',
+            )
         if source.meanings() and len(source.fields) != 1:
             raise RigError(f"channels.{name}.values needs a single field", how="remove it")
         if source.origin is not None and (source.unit != GEOGRAPHIC or not _on_earth(source.origin)):

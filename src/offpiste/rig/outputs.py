@@ -11,7 +11,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from offpiste.errors import RigError
-from offpiste.rig.channels import unit_factor
+from offpiste.rig.channels import TURN_RATES, unit_factor
 
 Quantity = Literal["throttle", "brake", "steer", "gear", "pedal", "speed", "yaw_rate", "constant"]
 """What a field can hold: a control, the pedal (throttle minus brake), or what the plan leads to in `ahead` seconds."""
@@ -251,6 +251,8 @@ def _check_field(key: str, path: str, field: OutputField, max_steer: float) -> N
         raise RigError(f"{key}.ahead is {field.ahead}", how="give seconds within the plan: 0 to 5")
     if field.clip is not None and not field.clip[0] < field.clip[1]:
         raise RigError(f"{key}.clip is no interval", how="give the lowest and the highest value")
+    if field.of == "steer" and field.unit in TURN_RATES:
+        raise RigError(f"{key}: '{field.unit}' is of a turn rate", how='send it with of = "yaw_rate"')
     try:
         field.written(0.0, max_steer)
     except RigError as error:

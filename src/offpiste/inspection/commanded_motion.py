@@ -1,0 +1,89 @@
+"""Commands that ask for a motion, a speed and a turn rate, where others ask for pedals and steering."""
+
+import re
+from collections.abc import Iterator, Mapping
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float
+
+from offpiste.inspection.driven_path import Path
+from offpiste.inspection.lags import LAGS, fit_lags, lagged
+from offpiste.inspection.steering_fit import moving_rows, steering_fit
+from offpiste.logs.channel import Channel
+from offpiste.logs.log import Topic
+from offpiste.rig.channels import TURN_RATES
+from offpiste.rig.edits import number
+from offpiste.rig.labels import Label, channel_unit
+from offpiste.rig.rig import Rig
+
+COMMANDED: Final = re.compile(r"cmd|com+and|desired|target|setpoint|servo|(?<![a-z])(des|ref)(?![a-z])", re.IGNORECASE)
+"""Names of what is asked for, not measured."""
+_ALWAYS: Final = "ackermann_msgs/"
+"""Types of messages that are commands whatever their topic is called."""
+_WORDS: Final = re.compile(r"[ ._/]*(cmd|com+and(ed)?|desired|target|setpoint|(?<![a-z])(des|ref)(?![a-z]))[ ._/]*")
+_OTHER: Final = re.compile(r"steer|angle|servo|joint|acc|jerk|limit|max|min|lateral|vertical")
+_SPEED: Final = re.compile(r"(^|[ ._/])((linear|velocity|vel|v|speed)[ ._/]*x?|v_x)$")
+_TURN: Final = re.compile(r"(^|[ ._/])(angular[ ._/]*(velocity|vel)?[ ._/]*z|(yaw|turn)[ ._/]*rate|omega|w|w_z)$")
+_SURELY: Final = 6.5
+"""Turn rates above are in degrees [1/s]: a vehicle that turns round once a second is no vehicle."""
+_USUAL: Final = 95
+"""Percentile of the commanded curvatures that a full lock stands for; the largest are those of turns on the spot."""
+
+
+def motion_commands(topic: Topic, named: Mapping[str, Label]) -> Iterator[tuple[str, tuple[str, ...], str]]:
+    """Throttle and steering of a topic that commands a speed and a turn rate: channel, fields and unit.
+
+    Args:
+        named: name and unit of the topic's fields.
+    """
+    by_topic = topic.type.startswith(_ALWAYS) or COMMANDED.search(topic.name) is not None
+    asked = {field: label for field, label in named.items() if by_topic or COMMANDED.search(label.name)}
+    plain = {field: _WORDS.sub(" ", label.name).strip(" ._/") for field, label in asked.items()}
+    usable = [field for field, name in plain.items() if not _OTHER.search(name)]
+    straight = (f for f in usable if "angular" not in plain[f])
+    speed = next((f for f in straight if _SPEED.search(plain[f]) and _measures("wheel_speed", asked[f])), None)
+    if speed is None:
+        return
+    yield "throttle", (speed,), asked[speed].unit or "m/s"
+    turn = next((f for f in usable if _TURN.search(plain[f]) and _measures("yaw_rate", asked[f])), None)
+    if turn is not None:
+        yield "steer", (turn, speed), asked[turn].unit or "rad/s"
+
+
+def _measures(channel: str, label: Label) -> bool:
+    return channel_unit(channel, label.unit) is not None
+
+
+def speed_lines(values: Float[np.ndarray, " n"]) -> tuple[tuple[str, ...], str]:
+    """Scale of a commanded speed to a throttle of 0..1, and why."""
+    largest = float(np.abs(values).max())
+    words = f"GUESSED: a commanded speed, of which 1 is {largest:.4g}, the largest of this log"
+    words += "; below zero, backwards, it is none" if values.min() < 0 else ""
+    return (f"scale = {number(1 / largest)}", "clip = [0.0, 1.0]"), words
+
+
+def turn_lines(values: Float[np.ndarray, " n"], unit: str) -> tuple[tuple[str, ...], str]:
+    """Unit of a steering that is commanded as a turn rate, and what is made of it."""
+    if unit == "rad/s" and np.abs(values).max() > _SURELY:
+        unit = "deg/s"
+    words = "GUESSED: a commanded turn rate, and the speed: the angle of a bicycle that turns so, over max_steer"
+    return (f'unit = "{unit}"', "clip = [-1.0, 1.0]"), words
+
+
+def commanded_curvature(raw: Float[np.ndarray, "n 2"], rig: Rig) -> float:
+    """Curvature that turn rates and speeds ask for at full lock, which a few turns on the spot leave out [1/m]."""
+    source = rig.channels["steer"]
+    rate, speed = raw[np.isfinite(raw).all(axis=1)].T
+    rate = (rate * source.scale + source.offset) * TURN_RATES[source.unit]
+    quick = np.abs(speed) > 0.3 * np.percentile(np.abs(speed), _USUAL)
+    turns = quick & (rate != 0)
+    return float(np.percentile(np.abs(rate[turns] / speed[turns]), _USUAL)) if turns.any() else 0.0
+
+
+def is_turn_rate(channel: Channel, path: Path, rig: Rig) -> bool:
+    """Whether the vehicle turns as a steering command says, and not as that times the speed."""
+    fitted = steering_fit(channel, path, rig, measured=False)
+    one = np.ones((len(path.time), 1))
+    fit = fit_lags(path.yaw_rate, one, lagged(channel, path.time, rig), LAGS, moving_rows(path))
+    return fit is not None and (fitted is None or fit.strength >= fitted.steady.strength)
