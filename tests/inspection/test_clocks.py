@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from simulated import drive_log, rig
+from simulated import MemoryLog, drive_log, rig
 
 from offpiste.inspection.clocks import check_clocks
 from offpiste.inspection.driven_path import driven_path
@@ -36,3 +36,18 @@ def test_a_speed_that_comes_late_beside_commands_is_by_a_late_clock() -> None:
     (found,) = findings_with_a_throttle(-0.6, edited(rig(), [Edit("channels.throttle.fields", ["brake"])]))
     assert found.what == "is late"
     assert found.cures == ((Edit("channels.throttle.delay", 0.6), Edit("channels.brake.delay", 0.6)),)
+
+
+@pytest.mark.parametrize(("late", "drifts"), [(-0.5, False), (0.5, True)])
+def test_wheels_that_run_ahead_slip_and_those_that_come_late_have_a_clock_that_drifts(
+    late: float, drifts: bool
+) -> None:
+    time, odom = CLEAN.data["odom"]
+    stamps, columns = CLEAN.data["steering"]
+    lag = late * (0.5 - 0.5 * np.cos(2 * np.pi * (stamps - stamps[0]) / 30))
+    log = MemoryLog(
+        {**CLEAN.data, "steering": (stamps, columns | {"wheels": np.interp(stamps - lag, time, odom["vx"])})}
+    )
+    recorded, _ = read_topics(RememberedLog(log), rig().clock)
+    found = check_clocks(recorded, driven_path(drive_from_log(log, rig())), rig(), besides={"odom"})
+    assert [finding.what for finding in found] == (["has a clock that drifts"] if drifts else [])

@@ -54,6 +54,14 @@ def test_a_receiver_an_imu_and_a_gamepad_make_a_rig() -> None:
     assert channels["throttle"].fields == ("axes[5]",)
 
 
+def test_the_odometry_of_wheels_comes_after_that_of_a_filter() -> None:
+    log = Typed(
+        {"drive_controller/Odometry": (TIME, ODOM), "filtered/Odometry": (TIME, ODOM), **_receiver_and_imu().data}
+    )
+    assert _drafted(log).channels["position"].topic == "filtered/Odometry"
+    assert _drafted(Typed(dict(list(log.data.items())[:1]))).channels["position"].topic == "drive_controller/Odometry"
+
+
 def test_rates_of_an_imu_stand_beside_a_pose_that_has_none() -> None:
     pose = {name: values for name, values in ODOM.items() if name[0] not in "vw"}
     log = Typed(CLEAN.data | {"odom": (TIME, pose), "imu/Imu": _receiver_and_imu().data["imu/Imu"]})

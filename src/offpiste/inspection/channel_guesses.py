@@ -9,7 +9,7 @@ from offpiste.channels import ACTUATORS, CONTROLS, all_actuators, all_controls
 from offpiste.inspection.commanded_motion import motion_commands
 from offpiste.logs.log import Log, Topic
 from offpiste.rig.channels import GEOGRAPHIC
-from offpiste.rig.labels import Label, channel_unit, is_array_entry, parse_label
+from offpiste.rig.labels import Label, channel_unit, field_labels, is_array_entry, parse_label
 
 _AXIS_WORDS: Final = tuple(
     (re.compile(rf"(?<![a-z]){pattern}(?![a-z])"), to)
@@ -23,6 +23,9 @@ _AXIS_WORDS: Final = tuple(
         ("(v|vel|velocity|speed)_(lon|long|longitudinal|forward|fwd)", "v_x"),
         ("(v|vel|velocity|speed)_(lat|lateral|left)", "v_y"),
         ("([xyz])_?dot", r"v_\1"),
+        ("(v|vel|velocity)_?e", "v_x"),
+        ("(v|vel|velocity)_?n", "v_y"),
+        ("(v|vel|velocity)_?u", "v_z"),
         ("([xyz])_(v|vel|velocity)", r"v_\1"),
     )
 )
@@ -34,13 +37,13 @@ _PLACES = "utm|enu|local|global|world|map|gps|gnss|ego|car|veh|vehicle|odom|rtk|
 _GROUPS: tuple[tuple[str, re.Pattern[str], str], ...] = (
     ("orientation", re.compile(r"orient|quat|rot|(^|[^a-z])q$"), "yzw"),
     ("angular_velocity", re.compile(r"angular|gyro|omega|(^|[^a-z])[wg]$"), "yz"),
-    ("linear_velocity", re.compile(r"linear_?vel|twist\.linear|vel|(^|[^a-z])v$"), "yz"),
+    ("linear_velocity", re.compile(r"linear_?vel|twist[._/]linear|vel|(^|[^a-z])v$"), "yz"),
     ("position", re.compile(rf"pos|vicon|mocap|optitrack|translation|(^|[^a-z])p?$|(?<![a-z])({_PLACES})$"), "yz"),
 )
 """Vectors, by what stands before the letter x, and the other letters."""
 _WIDTHS: Final = {"orientation": (4,), "angular_velocity": (3,), "linear_velocity": (2, 3), "position": (2, 3)}
 _NOT_GROUPS = re.compile(
-    r"acc|magn|gravity|force|effort|imu.*orient"
+    r"acc|magn|gravity|force|effort|imu.*orient|ll[ah](?![a-z])"
     r"|(?<![a-z])(mag|err|error|ref|des|desired|target|goal|setpoint|waypoint|cov|covariance|std|sigma)(?![a-z])"
 )
 
@@ -63,8 +66,8 @@ _SCALARS: tuple[tuple[str, int, str], ...] = (
     ("yaw_rate", 0, r"yaw_?rate|(^|[ ._/])w( \(imu\))?$|gyro_?z|(?<![a-z])(omega|gz|wz)$|(yaw|psi|theta)_?(dot|vel)$"),
     ("yaw_rate", 0, _TURN_RATE.pattern),
     ("yaw", 0, r"(?<![a-z])(yaw|heading|psi|hdg)$"),
-    ("yaw", 1, r"(?<![a-z])theta$"),
-    ("yaw", 2, r"(?<![a-z])phi$"),
+    ("yaw", 1, r"(?<![a-z])(theta|azimuth)$|(euler|rpy|attitude).*[._/]z$|(yaw_?pitch_?roll|ypr).*[._/]x$"),
+    ("yaw", 2, r"(?<![a-z])(phi|track)$"),
     ("brake_pressure", 0, r"(brake|brk).*press(ure)?(?!ed)|press(ure)?(?!ed).*(brake|brk)|(?<![a-z])p_?(brake|brk)"),
     ("steer_angle", 0, rf"steer(ing)?.*{_ANGLE}|(?<![a-z])delta(_?f|_front)?(_(cmd|des|ref|target))?$"),
     ("steer_angle", 0, rf"(road_?wheel|front_?wheel|(?<![a-z])front|tyre|tire)_?{_ANGLE}"),
@@ -73,8 +76,11 @@ _SCALARS: tuple[tuple[str, int, str], ...] = (
     ("steer_angle", MEASURED, r"(?<![a-z])steer(ing)?_?(pos(ition)?|feedback|fb|act(ual)?|meas(ured)?)$"),
     ("steer", 0, r"(?<![a-z])hand_?wheel(_?(angle|ang|pos(ition)?))?$"),
     ("steer", 1, r"(?<![a-z])servo([_/. ]?(cmd|com+and|input|value|pos(ition)?))?$"),
-    ("throttle", 1, r"(?<![a-z])(motor|duty(_?cycle)?|pwm|esc)(_?(cmd|com+and|input|value))?$"),
+    ("throttle", 1, r"(?<![a-z])(motor|duty(_?cycle)?|pwm|esc)_?(cmd|com+and|input|value)$|(?<![a-z])(motor|pwm|esc)$"),
+    ("throttle", 1, r"(cmd|com+and).*(?<![a-z])duty(_?cycle)?$"),
+    ("throttle", 2, r"(?<![a-z])accel(_?rpt)?[._/]?_?(cmd|com+and|manual_input|input|output|pct|pos(ition)?)$"),
     ("throttle", 1, r"(?<![a-z])(effort|torque)_?(cmd|com+and|input)$"),
+    ("throttle", MOTION + 1, r"(?<![a-z])duty(_?cycle)?$"),
     ("wheel_speed", 1, r"wheels?[ _]?(speed|vel)|(speed|vel)_?wheels?"),
     ("wheel_speed", 2, r"(^|[ ._/])((vehicle|car|ego)_?)?speed$"),
 )
@@ -93,10 +99,11 @@ def _scalars() -> tuple[tuple[str, int, re.Pattern[str]], ...]:
 
 
 _NOT_SCALARS = re.compile(r"velocity|rate_of|status|enable|mode|valid|stamp|count|jerk")
-_PEDAL_ONLY: Final = re.compile(r"^pedal(_(cmd|com+and|value|input|output|pos(ition)?))?$")
-"""Fields that do not say which pedal they are of."""
-_NUMBER_ONLY: Final = re.compile(r"[/.](data|value)$")
-_TARTANDRIVE: dict[str, tuple[tuple[str, tuple[str, ...]], ...]] = {
+_NUMBER: Final = re.compile(r"(^|\.)(data|value)$")
+"""Fields that are called as any number is."""
+_APPLIED: Final = re.compile(r"^output$")
+"""What an actuator was given, by a driver or by commands, of reports that have either, too."""
+_LAYOUTS: dict[str, tuple[tuple[str, tuple[str, ...]], ...]] = {
     "odometry.npy": (
         ("position", ("0", "1", "2")),
         ("orientation", ("3", "4", "5", "6")),
@@ -104,8 +111,16 @@ _TARTANDRIVE: dict[str, tuple[tuple[str, tuple[str, ...]], ...]] = {
         ("angular_velocity", ("10", "11", "12")),
     ),
     "control.npy": (("brake", ("0",)), ("throttle", ("1",))),
+    "px4_msgs/msg/VehicleOdometry": (
+        ("position", ("position[0]", "position[1]", "position[2]")),
+        ("orientation", ("q[1]", "q[2]", "q[3]", "q[0]")),
+        ("linear_velocity", ("velocity[0]", "velocity[1]", "velocity[2]")),
+        ("angular_velocity", ("angular_velocity[0]", "angular_velocity[1]", "angular_velocity[2]")),
+    ),
 }
-"""Columns of TartanDrive's arrays, which have no names."""
+"""Arrays whose entries have no names, by type: of TartanDrive's files, and of messages."""
+DOWN: Final = "px4_msgs/"
+"""Types of messages whose world is north, east, down, and whose body is forward, right, down."""
 
 
 @dataclass(frozen=True)
@@ -134,24 +149,13 @@ def guess_channels(log: Log) -> list[Guess]:
 
 
 def labels(topic: Topic) -> dict[str, Label]:
-    """Name and unit of each field of a topic.
-
-    A message with a single number is named by its topic, and so is a pedal of which the field does not say which it is.
-    """
-    result = {}
-    for name in topic.fields:
-        by_topic = len(topic.fields) <= 2 or _PEDAL_ONLY.search(name) is not None
-        whole = topic.joints.get(name) or (f"{topic.name}/{name}" if by_topic else name)
-        label = parse_label(whole)
-        if not label.unit and (number := _NUMBER_ONLY.search(label.name)):
-            label = parse_label(whole[: number.start()])
-        result[name] = Label(label.name, topic.units.get(name, "") or label.unit)
-    return result
+    """Name and unit of each field of a topic (`offpiste.rig.labels.field_labels`)."""
+    return field_labels(topic.name, topic.fields, topic.units, topic.joints)
 
 
 def _of_topic(topic: Topic) -> Iterator[Guess]:
-    if topic.type in _TARTANDRIVE:
-        for channel, fields in _TARTANDRIVE[topic.type]:
+    if topic.type in _LAYOUTS:
+        for channel, fields in _LAYOUTS[topic.type]:
             if set(fields) <= set(topic.fields):
                 yield Guess(channel, topic.name, fields)
         return
@@ -165,9 +169,10 @@ def _of_topic(topic: Topic) -> Iterator[Guess]:
             yield guess
             taken |= set(guess.fields)
     scalars = _scalars()
-    for field, label in named.items():
+    for field, label in sorted(named.items(), key=lambda item: not _APPLIED.search(item[0])):
         unnamed = is_array_entry(field) and field not in topic.joints
-        other = _NOT_SCALARS.search(label.name) and not _TURN_RATE.search(label.name)
+        own = label.name if _NUMBER.search(field) or field in topic.joints else parse_label(field).name
+        other = _NOT_SCALARS.search(own) and not _TURN_RATE.search(label.name)
         if field in taken or unnamed or other:
             continue
         for channel, rank, pattern in scalars:
@@ -233,6 +238,10 @@ _GEOGRAPHIC: Final = tuple(
 def _places(topic: Topic, named: Mapping[str, Label]) -> Iterator[Guess]:
     """A guess at geographic positions, as of sensor_msgs/NavSatFix."""
     found = [next((f for f, label in named.items() if p.search(label.name)), "") for p in _GEOGRAPHIC]
+    if not found[0]:
+        found = [
+            next((f for f, label in named.items() if re.search(rf"ll[ah][._/].*{a}$", label.name)), "") for a in "xyz"
+        ]
     if found[0] and found[1] and all(named[field].unit in ("", "deg") for field in found[:2]):
         yield Guess("position", topic.name, tuple(field for field in found if field), GEOGRAPHIC, rank=1)
 
@@ -244,13 +253,13 @@ def _with_letters(name: str) -> str:
 
 
 _CORNERS: Final = ("fl", "fr", "rl", "rr")
-_CORNER: Final = re.compile(r"(?<![a-z])(fl|fr|rl|rr|lf|rf|lr)(?![a-z])")
+_CORNER: Final = re.compile(r"(?<![a-z])(fl|fr|rl|rr|lf|rf|lr|lb|rb)(?![a-z])")
 _WHEEL_SPEED: Final = re.compile(r"(wheel|speed|vel|(?<![a-z])(ws|v|omega))")
 
 
 def _wheels(topic: Topic, named: Mapping[str, Label]) -> Iterator[Guess]:
     """Speeds of four wheels."""
-    turned = {"lf": "fl", "rf": "fr", "lr": "rl"}
+    turned = {"lf": "fl", "rf": "fr", "lr": "rl", "lb": "rl", "rb": "rr"}
     columns: dict[str, str] = {}
     for field, label in named.items():
         corner = _CORNER.search(label.name)

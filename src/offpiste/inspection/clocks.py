@@ -22,6 +22,8 @@ _LATE = 0.15
 """Least lag that is reported [s]."""
 _LEADS = -2.0
 """A speed that vehicles take longer to come to is no command [s]."""
+_SLIP = (-0.6, _LATE)
+"""Lags of wheels that spin or lock, and so run ahead of the vehicle [s]."""
 _CHANGE = 0.3
 """A lag that changes by more than this between its 5th and 95th percentile drifts [s]."""
 
@@ -72,9 +74,11 @@ def check_clocks(recorded: dict[str, Recorded], path: Path, rig: Rig, *, besides
         low, middle, high = np.percentile(lag, (5, 50, 95))
         field = place(wheel.topic, wheel.field)
         source = {"topic": wheel.topic, "fields": [wheel.field], "scale": rounded(wheel.scale)}
-        readers = {name for name, source in rig.channels.items() if source.topic in shared}
-        if all(map(control_of, readers)) and _LEADS < low <= high < _LATE:
+        readers = {name for name, source in rig.channels.items() if source.topic == wheel.topic}
+        if readers and all(map(control_of, readers)) and _LEADS < low <= high < _LATE:
             continue  # a commanded speed, which the vehicle's follows
+        if high - low > _CHANGE and _SLIP[0] < low <= high < _SLIP[1]:
+            continue
         evidence = f"{field} follows the speed (correlation {wheel.correlation:.2f}), "
         evidence += f"{low:+.2f} to {high:+.2f} s late (5 to 95 %)"
         if high - low > _CHANGE:

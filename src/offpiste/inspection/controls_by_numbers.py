@@ -14,6 +14,7 @@ from offpiste.inspection.channel_guesses import Guess, labels
 from offpiste.inspection.commanded_motion import COMMANDED
 from offpiste.inspection.driven_path import Path, driven_path
 from offpiste.inspection.lags import LAGS, LagFit, fit_lags, lagged
+from offpiste.inspection.middle_ranges import are_pulses, pulse_at_rest
 from offpiste.inspection.pedal_scale import is_signed, rests_high
 from offpiste.inspection.pedals import pedal_fit
 from offpiste.inspection.steering_fit import moving_rows, steering_fit
@@ -144,10 +145,14 @@ def _is_turn_rate(channel: Channel, path: Path, rig: Rig, strength: float) -> bo
 
 
 def _pressed(channel: Channel) -> Channel | None:
-    """A pedal from 0, released, upwards, or the upper half of a stick that rests at 0; None where it rests nowhere."""
+    """A pedal from 0, released, upwards, or the upper half of a stick, or of pulses, that rest in their middle; None
+    where it rests nowhere.
+    """
     values: Float[np.ndarray, "n 1"] = channel.values
     high = rests_high(values[:, 0])
     if high is None:
+        if channel.name == "throttle" and are_pulses(values[:, 0], named=False):
+            return replace(channel, values=np.maximum(values - pulse_at_rest(values[:, 0]), 0.0))
         both_ways = channel.name == "throttle" and is_signed(values[:, 0])
         return replace(channel, values=np.maximum(values, 0.0)) if both_ways else None
     return Channel(channel.name, channel.unit, channel.time, values.max() - values if high else values - values.min())

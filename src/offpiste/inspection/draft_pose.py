@@ -1,5 +1,6 @@
 """The pose of a first rig, and velocities beside it: which topics hold them, by names, types and numbers."""
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -14,6 +15,8 @@ from offpiste.logs.log import Log
 from offpiste.rig.labels import channel_unit
 
 _POSE: Final = ("position", "orientation", "yaw", "linear_velocity", "angular_velocity")
+_WHEELS: Final = re.compile(r"wheel|controller", re.IGNORECASE)
+"""Names of topics with the odometry of wheels."""
 _RATES: Final = {"angular_velocity", "yaw_rate"}
 
 
@@ -36,17 +39,18 @@ class Entry:
 def draft_pose(log: Log, guesses: Sequence[Guess], frame: str) -> dict[str, Entry]:
     """The topic with most of a pose and velocities, by their number, its rate, then its place in the log.
 
-    Where none has both a position and a heading, as with a GNSS receiver beside an IMU, each comes from its own topic.
+    The odometry of wheels, which slip, comes after others. Where none has both a position and a heading, as with a GNSS
+    receiver beside an IMU, each comes from its own topic.
     """
     best: dict[str, Guess] = {}
-    best_score = (0, 0)
+    best_score = (0, False, 0)
     channels_of = by_topic(guesses)
     for topic in (name for name in log.topics if name in channels_of):
         channels = channels_of[topic]
         if "position" not in channels or not {"orientation", "yaw"} & set(channels):
             continue
         moving = {c: g for c, g in channels.items() if c not in _POSE or _varies(field_values(log, g))}
-        score = (sum(c in _POSE for c in moving), log.topics[topic].count)
+        score = (sum(c in _POSE for c in moving), _WHEELS.search(topic) is None, log.topics[topic].count)
         if "position" in moving and score > best_score:
             best, best_score = moving, score
     best = best or _places_and_headings(log, channels_of)
@@ -117,8 +121,12 @@ def unit_line(channel: str, guess: Guess) -> tuple[str, ...]:
 
 
 def degrees(values: Float[np.ndarray, " n"]) -> tuple[str, ...]:
-    """The unit of an angle that no radians would be."""
-    return ('unit = "deg"',) if np.ptp(values) > 20 and np.abs(values).max() <= 361 else ()
+    """The unit of an angle that no radians would be; receivers of u-blox count hundred-thousandths of a degree."""
+    largest = np.abs(values).max()
+    if np.ptp(values) > 20 and largest <= 361:
+        return ('unit = "deg"',)
+    counted = np.ptp(values) > 2e6 and largest <= 361e5 and bool((values == np.round(values)).all())
+    return ("scale = 1e-5", 'unit = "deg"') if counted else ()
 
 
 def _varies(values: Float[np.ndarray, "n k"] | None) -> bool:

@@ -12,6 +12,7 @@ from msgspec import structs
 
 from offpiste.errors import LogError, OffpisteError, RigError
 from offpiste.files import write_text
+from offpiste.inspection.channel_guesses import DOWN
 from offpiste.inspection.commanded_motion import is_turn_rate
 from offpiste.inspection.controls_by_numbers import find_controls, is_measured
 from offpiste.inspection.course import check_course
@@ -184,6 +185,8 @@ def _text(log: Log, seen: _Seen) -> str:
             *entry.lines,
             "",
         ]
+    if log.topics[entries["position"].guess.topic].type.startswith(DOWN):
+        parts += ["[motion]  # GUESSED by the type of the pose's messages", 'axes = "ned"', ""]
     parts += _clock(log) + _unread(log, entries)
     return "\n".join([*parts, draft_sensors(log, entries["position"].guess.topic)])
 

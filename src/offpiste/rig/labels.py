@@ -1,6 +1,7 @@
 """Labels of columns and fields: the name and the unit in `x(m)`, `vx [m/s]`, `steer_deg`, `speedKmh`, `time_us`."""
 
 import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -49,6 +50,12 @@ _SUFFIX: Final = re.compile(
     + "|".join(re.escape(s) for s in sorted(_AFTER, key=len, reverse=True))
     + r")|\s*([%‰°º]))$"
 )
+_OF_THE_TOPIC: Final = re.compile(
+    r"^(vector|point|quaternion|angle)\.[xyzw]$|^(manual_input|command|output)$"
+    r"|^pedal(_(cmd|com+and|value|input|output|pos(ition)?))?$"
+)
+"""Fields whose topic alone says what they are of: vectors of any kind, reports of any actuator, a pedal."""
+_NUMBER_ONLY: Final = re.compile(r"[/.](data|value)$")
 _NAMES: Final = {"rpm"}
 """Units that name a quantity by themselves, and stay a part of its name."""
 
@@ -80,6 +87,28 @@ def parse_label(header: str) -> Label:
         spelling = match[2] or match[3]
         return Label(text if spelling in _NAMES else match[1], _AFTER[spelling])
     return Label(text)
+
+
+def field_labels(
+    topic: str, fields: Sequence[str], units: Mapping[str, str], joints: Mapping[str, str]
+) -> dict[str, Label]:
+    """Name and unit of each field of a topic.
+
+    A message with a single number is named by its topic, and so is a field that does not say what it is of.
+
+    Args:
+        units: of fields, where the topic has them apart.
+        joints: names of entries of arrays, where the messages have them.
+    """
+    result = {}
+    for name in fields:
+        by_topic = len(fields) <= 2 or (topic and _OF_THE_TOPIC.search(name) is not None)
+        whole = joints.get(name) or (f"{topic}/{name}" if by_topic else name)
+        label = parse_label(whole)
+        if not label.unit and (number := _NUMBER_ONLY.search(label.name)):
+            label = parse_label(whole[: number.start()])
+        result[name] = Label(label.name, units.get(name, "") or label.unit)
+    return result
 
 
 def is_array_entry(field: str) -> bool:

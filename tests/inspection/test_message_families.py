@@ -1,0 +1,190 @@
+"""First rigs of logs with the messages of drivers and stacks that off-road vehicles run."""
+
+import dataclasses
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+from simulated import MAX_STEER, MemoryLog, drive_log
+
+from offpiste.inspection.draft_rig import draft_rig
+from offpiste.inspection.inspect import inspect_log
+from offpiste.logs.log import Topic
+from offpiste.rig.edits import edited
+from offpiste.rig.rig import Rig, parse_rig
+
+CLEAN = drive_log(seed=0)
+TIME, ODOM = CLEAN.data["odom"]
+STEERING = CLEAN.data["steering"]
+
+
+def _quantities() -> dict[str, np.ndarray]:
+    """What a vehicle's messages hold, by the poses' stamps."""
+    yaw = 2 * np.arctan2(ODOM["qz"], ODOM["qw"])
+    at = {name: np.interp(TIME, *pair) for name, pair in {
+        "throttle": (CLEAN.data["pedals"][0], CLEAN.data["pedals"][1]["throttle"]),
+        "brake": (CLEAN.data["pedals"][0], CLEAN.data["pedals"][1]["brake"]),
+        "steer": (STEERING[0], STEERING[1]["command"]),
+        "angle": (STEERING[0], STEERING[1]["angle"]),
+    }.items()}  # fmt: skip
+    return ODOM | at | {
+        "0": 0 * TIME,
+        "1": 0 * TIME + 1,
+        "latitude": 47.4 + ODOM["y"] / 111_180,
+        "longitude": 8.5 + ODOM["x"] / 75_500,
+        "height": 450 + ODOM["z"],
+        "east": np.cos(yaw) * ODOM["vx"] - np.sin(yaw) * ODOM["vy"],
+        "north": np.sin(yaw) * ODOM["vx"] + np.cos(yaw) * ODOM["vy"],
+        "azimuth": np.rad2deg(np.pi / 2 - yaw) % 360,
+        "azimuth in rad": (np.pi / 2 - yaw) % (2 * np.pi),
+        "counted latitude": np.round(1e7 * (47.4 + ODOM["y"] / 111_180)),
+        "counted longitude": np.round(1e7 * (8.5 + ODOM["x"] / 75_500)),
+        "counted height": np.round(1e3 * (450 + ODOM["z"])),
+        "counted azimuth": np.round(1e5 * (np.rad2deg(np.pi / 2 - yaw) % 360)),
+        "counted north": np.round(1e3 * (np.sin(yaw) * ODOM["vx"] + np.cos(yaw) * ODOM["vy"])),
+        "counted east": np.round(1e3 * (np.cos(yaw) * ODOM["vx"] - np.sin(yaw) * ODOM["vy"])),
+        "down": -ODOM["z"],
+        "right": -ODOM["wy"],
+        "clockwise": -ODOM["wz"],
+        "half azimuth cos": np.cos((np.pi / 2 - yaw) / 2),
+        "half azimuth sin": np.sin((np.pi / 2 - yaw) / 2),
+        "wheel": 14 * at["angle"],
+        "tire command": MAX_STEER * at["steer"],
+        "speed command": np.interp(TIME + 0.4, TIME, ODOM["vx"]),
+        "duty": ODOM["vx"] / 20,
+        "steering pulse": 1500 - 400 * at["steer"],
+        "throttle pulse": 1500 + 400 * (at["throttle"] - at["brake"]),
+        "middle pulse": 0 * TIME + 1500,
+    }  # fmt: skip
+
+
+QUANTITIES = _quantities()
+POSE = {f"pose.pose.position.{axis}": axis for axis in "xyz"}
+POSE |= {f"pose.pose.orientation.{axis}": f"q{axis}" for axis in "xyzw"}
+VECTOR = ("vector.x", "vector.y", "vector.z")
+COMMANDS = {"/cmd": {"throttle": "throttle", "brake": "brake", "steer": "steer"}}
+
+
+def report(command: str, output: str) -> dict[str, str]:
+    """A report of pacmod3_msgs, with nobody at the pedals."""
+    return {"enabled": "1", "override_active": "0", "pacmod_fault": "0", "manual_input": "0", "command": command,
+            "output": output}  # fmt: skip
+
+
+FAMILIES: Mapping[str, tuple[dict[str, dict[str, str]], dict[str, tuple[str, ...]]]] = {
+    "NovAtel INSPVA": (
+        {"/inspva": {"latitude": "latitude", "longitude": "longitude", "height": "height", "north_velocity": "north",
+                     "east_velocity": "east", "up_velocity": "vz", "roll": "0", "pitch": "0", "azimuth": "azimuth"}}
+        | COMMANDS,
+        {"position": ("latitude", "longitude", "height"), "yaw": ("azimuth",),
+         "linear_velocity": ("east_velocity", "north_velocity", "up_velocity")},
+    ),
+    "SBG Ellipse": (
+        {"/sbg/ekf_nav": {"latitude": "latitude", "longitude": "longitude", "altitude": "height", "undulation": "1"},
+         "/sbg/ekf_euler": {"angle.x": "0", "angle.y": "0", "angle.z": "azimuth in rad", "accuracy.z": "0"}}
+        | COMMANDS,
+        {"position": ("latitude", "longitude", "altitude"), "yaw": ("angle.z",)},
+    ),
+    "u-blox NavPVT": (
+        {"/ublox/navpvt": {"lon": "counted longitude", "lat": "counted latitude", "height": "counted height",
+                           "vel_n": "counted north", "vel_e": "counted east", "heading": "counted azimuth"}}
+        | COMMANDS,
+        {"position": ("lat", "lon", "height"), "yaw": ("heading",), "linear_velocity": ("vel_e", "vel_n")},
+    ),
+    "GPSFix": (
+        {"/gps": {"latitude": "latitude", "longitude": "longitude", "altitude": "height", "track": "azimuth",
+                  "speed": "vx", "climb": "vz"}}
+        | COMMANDS,
+        {"position": ("latitude", "longitude", "altitude"), "yaw": ("track",), "wheel_speed": ("speed",)},
+    ),
+    "PX4": (
+        {"/fmu/out/vehicle_odometry": {
+            "position[0]": "y", "position[1]": "x", "position[2]": "down", "q[0]": "half azimuth cos", "q[1]": "0",
+            "q[2]": "0", "q[3]": "half azimuth sin", "angular_velocity[0]": "wx", "angular_velocity[1]": "right",
+            "angular_velocity[2]": "clockwise"}}
+        | COMMANDS,
+        {"position": ("position[0]", "position[1]", "position[2]"), "orientation": ("q[1]", "q[2]", "q[3]", "q[0]"),
+         "angular_velocity": ("angular_velocity[0]", "angular_velocity[1]", "angular_velocity[2]")},
+    ),
+    "Xsens": (
+        {"/filter/positionlla": dict(zip(VECTOR, ("latitude", "longitude", "height"), strict=True)),
+         "/filter/quaternion": {f"quaternion.{axis}": f"q{axis}" for axis in "xyzw"},
+         "/filter/velocity": dict(zip(VECTOR, ("east", "north", "vz"), strict=True)),
+         "/filter/free_acceleration": dict(zip(VECTOR, ("vx", "vy", "vz"), strict=True))}
+        | COMMANDS,
+        {"position": VECTOR, "orientation": tuple(f"quaternion.{axis}" for axis in "xyzw"), "linear_velocity": VECTOR},
+    ),
+    "pacmod3": (
+        {"/odom": POSE, "/pacmod/accel_rpt": report("throttle", "throttle"),
+         "/pacmod/brake_rpt": report("brake", "brake"), "/pacmod/steering_rpt": report("steer", "wheel")},
+        {"throttle": ("output",), "brake": ("output",), "steer": ("output",)},
+    ),
+    "Autoware": (
+        {"/localization/kinematic_state": POSE,
+         "/control/command/control_cmd": {
+             "lateral.steering_tire_angle": "tire command", "lateral.steering_tire_rotation_rate": "0",
+             "longitudinal.velocity": "speed command", "longitudinal.acceleration": "0"},
+         "/vehicle/status/steering_status": {"steering_tire_angle": "angle"},
+         "/vehicle/command/actuation_cmd": {
+             "actuation.accel_cmd": "throttle", "actuation.brake_cmd": "brake", "actuation.steer_cmd": "0"}},
+        {"throttle": ("actuation.accel_cmd",), "brake": ("actuation.brake_cmd",),
+         "steer": ("lateral.steering_tire_angle",), "steer_angle": ("steering_tire_angle",)},
+    ),
+    "F1TENTH": (
+        {"/odom": POSE,
+         "/ackermann_cmd": {"drive.steering_angle": "tire command", "drive.steering_angle_velocity": "0",
+                            "drive.speed": "speed command", "drive.acceleration": "0", "drive.jerk": "0"},
+         "/sensors/core": {"state.speed": "vx", "state.duty_cycle": "duty", "state.voltage_input": "1"}},
+        {"throttle": ("drive.speed",), "steer": ("drive.steering_angle",)},
+    ),
+    "MAVROS": (
+        {"/mavros/local_position/odom": POSE,
+         "/mavros/rc/out": {"channels[0]": "steering pulse", "channels[1]": "middle pulse",
+                            "channels[2]": "throttle pulse", "channels[3]": "middle pulse"}},
+        {"throttle": ("channels[2]",), "brake": ("channels[2]",), "steer": ("channels[0]",)},
+    ),
+    "AutoRally": (
+        {"/pose_estimate": POSE,
+         "/chassisState": {"throttleRelayEnabled": "1", "steering": "steer", "throttle": "throttle",
+                           "frontBrake": "brake", "autonomousEnabled": "1"},
+         "/wheelSpeeds": {"lfSpeed": "vx", "rfSpeed": "vx", "lbSpeed": "vx", "rbSpeed": "vx"}},
+        {"throttle": ("throttle",), "brake": ("frontBrake",), "steer": ("steering",),
+         "wheel_speed": ("lfSpeed", "rfSpeed", "lbSpeed", "rbSpeed")},
+    ),
+}  # fmt: skip
+
+
+TYPES: Mapping[str, str] = {"/fmu/out/vehicle_odometry": "px4_msgs/msg/VehicleOdometry"}
+"""Types of messages that say what their fields do not."""
+
+
+class Log(MemoryLog):
+    """Topics of which most have messages of another type than those that the drafts know."""
+
+    @property
+    def topics(self) -> dict[str, Topic]:
+        types = {name: TYPES.get(name, "x/msg/X") for name in super().topics}
+        return {name: dataclasses.replace(topic, type=types[name]) for name, topic in super().topics.items()}
+
+
+def log_of(topics: Mapping[str, Mapping[str, str]]) -> Log:
+    return Log({name: (TIME, {f: QUANTITIES[q] for f, q in fields.items()}) for name, fields in topics.items()})
+
+
+def cured(log: MemoryLog, rig: Rig) -> list[str]:
+    """What is left of the warnings once the rig has the first cures."""
+    for _ in range(3):
+        findings = [f for f in inspect_log(log, rig).findings if f.severity != "note"]
+        if not any(f.cures for f in findings):
+            break
+        rig = edited(rig, [edit for f in findings for edit in (f.cures[0] if f.cures else ())])
+    return [f"{f.where} {f.what}" for f in findings]
+
+
+@pytest.mark.parametrize("name", FAMILIES)
+def test_channels_are_found_in_messages_of(name: str) -> None:
+    topics, expected = FAMILIES[name]
+    log = log_of(topics)
+    rig = parse_rig(draft_rig(log), where="draft")
+    assert {channel: rig.channels[channel].fields for channel in expected} == expected
+    assert cured(log, rig) == []
