@@ -26,6 +26,7 @@ from offpiste.logs.ground_truth import GROUND_KINDS
 from offpiste.report.text_table import TextTable, interval, number
 from offpiste.reproduction.gains import MAP, evaluation_index, same_windows
 from offpiste.runtime.backing_out import BackingOutSettings
+from offpiste.training.run import load_run
 
 AT_REST: Final = 0.1
 """Speed below which a window starts at a standstill [m/s]."""
@@ -48,7 +49,8 @@ ABOUT: Final = (
     f"Windows that start below {AT_REST} m/s, on the map; after {AFTER:g} s. Moves: share of vehicles that are more "
     f"than {MOVED} m away; to say so always is right in as many. Right: share of windows in which the model is, "
     f"with 95 % intervals over drives and blocks of 10 s where there are enough. Throttle shut: below {OPEN} in the "
-    f"mean; in all other rows it is open. Up and down: more than {STEEP:g} degrees along the vehicle."
+    f"mean; in all other rows it is open. Up and down: more than {STEEP:g} degrees along the vehicle. The oracle: df "
+    "on the true ground, where that experiment was run in the same folder."
 )
 
 
@@ -64,7 +66,8 @@ def standstill_control(of: Reproduced, out: Path) -> Path:
     truth = Windows(true_ground(of, out / "oracle"), "test", min_speed=0.0)
     driven = (batch.target[:, step, :2] - batch.state[:, :2]).numpy()
     moves = _far(driven)
-    groups = grouped(batch, kinds_under_wheels(truth, same_windows(windows, index, truth)), step, moves)
+    there = same_windows(windows, index, truth)
+    groups = grouped(batch, kinds_under_wheels(truth, there), step, moves)
     sampled = {
         name: Sampling().on(EvaluatedWindows(of.dataset, windows.drive[chosen], windows.row_in_drive(chosen)))
         for name, chosen in ((name, index[among]) for name, among in groups.items())
@@ -73,8 +76,11 @@ def standstill_control(of: Reproduced, out: Path) -> Path:
         {"group": name, "n": int(among.sum()), "moves": float(moves[among].mean()), "models": {}}
         for name, among in groups.items()
     ]
-    for model in (names := of.present(("parametric", "b", "dc"))):
-        predicted = [trajectories(run.dynamics, windows, index, lookup="map")[:, step, :2] for run in of.runs(model)]
+    readers = {model: (of.runs(model), windows, index) for model in of.present(("parametric", "b", "dc"))}
+    if knowing := [load_run(done.parent) for done in sorted((out / "oracle" / "runs").glob("df-*/model.json"))]:
+        readers["oracle"] = knowing, truth, there
+    for model, (runs, read, at) in readers.items():
+        predicted = [trajectories(run.dynamics, read, at, lookup="map")[:, step, :2] for run in runs]
         missed = np.mean([np.linalg.norm(each - driven, axis=-1) for each in predicted], axis=0)
         right = np.mean([_far(each) == moves for each in predicted], axis=0)
         for row, (name, among) in zip(rows, groups.items(), strict=True):
@@ -84,7 +90,8 @@ def standstill_control(of: Reproduced, out: Path) -> Path:
                 "right": of_right.mean,
                 "right_ci95": of_right.ci95,
             }
-    return write_control(out / "standstill", [standstill_table(rows, names)], {"control": "standstill", "rows": rows})
+    table = standstill_table(rows, list(readers))
+    return write_control(out / "standstill", [table], {"control": "standstill", "rows": rows})
 
 
 def _far(moved: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:

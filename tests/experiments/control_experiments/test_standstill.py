@@ -23,6 +23,7 @@ from experiments.control_experiments.standstill import (
 )
 from feature_datasets import dataset_with_features
 from offpiste.conventions import CONTROL
+from offpiste.dataset.store import open_dataset
 from offpiste.dataset.windows import Windows
 from offpiste.errors import DatasetError
 from offpiste.logs.ground_truth import GROUND_KINDS
@@ -89,13 +90,16 @@ def test_standing_vehicles_from_end_to_end(tmp_path: Path, monkeypatch: pytest.M
     of = open_reproduction(folder)
     for model in ("b", "dc"):
         trained(of.dataset, of.member(model).config(of.size, 0, "cpu"), folder / "runs")
+    truth = open_dataset(folder / "truth.zarr").starting_above(0.0)
+    config = replace(of.member("df").config(of.size, 0, "cpu"), pca=0)
+    trained(truth, config, tmp_path / "controls" / "oracle" / "runs")
     monkeypatch.setattr(standstill, "kinds_under_wheels", lambda truth, index: [MIXED] * len(index))
     page = standstill_control(of, tmp_path / "controls")
     rows = {row["group"]: row for row in json.loads((page.parent / "control.json").read_text("utf-8"))["rows"]}
     assert rows["all"]["n"] == rows["mixed"]["n"] > 0
     assert rows["all"]["moves"] == 0, "they stand"
     windows = Windows(of.dataset, "test", min_speed=0.0)
-    for model in ("b", "dc"):
+    for model in ("b", "dc", "oracle"):
         found = rows["all"]["models"][model]
         assert 0 <= found["right"] <= 1
         assert found["error_m"] >= (1 - found["right"]) * standstill.MOVED, "whoever is said to move is wrong by that"
