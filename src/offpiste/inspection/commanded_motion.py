@@ -25,8 +25,8 @@ _WORDS: Final = re.compile(r"[ ._/]*(cmd|com+and(ed)?|desired|target|setpoint|(?
 _OTHER: Final = re.compile(r"steer|angle|servo|joint|acc|jerk|limit|max|min|lateral|vertical")
 _SPEED: Final = re.compile(r"(^|[ ._/])((linear|velocity|vel|v|speed)[ ._/]*x?|v_x)$")
 _TURN: Final = re.compile(r"(^|[ ._/])(angular[ ._/]*(velocity|vel)?[ ._/]*z|(yaw|turn)[ ._/]*rate|omega|w|w_z)$")
-_SURELY: Final = 6.5
-"""Turn rates above are in degrees [1/s]: a vehicle that turns round once a second is no vehicle."""
+_FASTEST: Final = 6.5
+"""Turn rates above are in degrees: no vehicle turns round once a second [rad/s]."""
 _USUAL: Final = 95
 """Percentile of the commanded curvatures that a full lock stands for; the largest are those of turns on the spot."""
 
@@ -47,7 +47,7 @@ def motion_commands(topic: Topic, named: Mapping[str, Label]) -> Iterator[tuple[
         return
     yield "throttle", (speed,), asked[speed].unit or "m/s"
     turn = next((f for f in usable if _TURN.search(plain[f]) and _measures("yaw_rate", asked[f])), None)
-    if turn is not None:
+    if turn is not None and asked[speed].unit in ("", "m/s"):
         yield "steer", (turn, speed), asked[turn].unit or "rad/s"
 
 
@@ -65,7 +65,7 @@ def speed_lines(values: Float[np.ndarray, " n"]) -> tuple[tuple[str, ...], str]:
 
 def turn_lines(values: Float[np.ndarray, " n"], unit: str) -> tuple[tuple[str, ...], str]:
     """Unit of a steering that is commanded as a turn rate, and what is made of it."""
-    if unit == "rad/s" and np.abs(values).max() > _SURELY:
+    if unit == "rad/s" and np.abs(values).max() > _FASTEST:
         unit = "deg/s"
     words = "GUESSED: a commanded turn rate, and the speed: the angle of a bicycle that turns so, over max_steer"
     return (f'unit = "{unit}"', "clip = [-1.0, 1.0]"), words

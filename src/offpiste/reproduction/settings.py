@@ -82,7 +82,7 @@ SIZES = {
         pca_drives=2,
         snapshot_seconds=1.0,
         seeds=3,
-        train=TrainConfig(epochs=12, bicycle_epochs=12, batch=128, min_speed=0.0),
+        train=TrainConfig(epochs=24, bicycle_epochs=12, batch=128, min_speed=0.0),
         first_seed=22_000,
         manoeuvres=True,
         portion=16,
