@@ -120,7 +120,7 @@ ACTUATORS: Final = (
     Actuator("steer_rate", "steer_rate", "rad/s", rate_of="steer", declared=True, lateral=True),
     Actuator(
         "engine_rpm", "engine_rpm", "1000 rev/min", low=0.0, high=15.0, follows="throttle", lag="engine",
-        drives="engine", pattern=r"engine.*(rpm|speed)|^rpm", declared=True,
+        drives="engine", pattern=r"engine.*(rpm|speed)|^rpm(?![_ ]?(fl|fr|rl|rr|front|rear))", declared=True,
     ),
 )  # fmt: skip
 """Brake pressure over full pressure, angle of the road wheels (+ left) and its rate, engine speed."""

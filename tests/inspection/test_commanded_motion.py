@@ -30,15 +30,19 @@ def lagging(asked: np.ndarray, seconds: float) -> np.ndarray:
     return reached
 
 
-def robot(kind: str, seconds: float = 120.0, seed: int = 0) -> tuple[MemoryLog, dict[str, np.ndarray]]:
+def robot(
+    kind: str, seconds: float = 120.0, seed: int = 0, *, slowest: float = 0.0
+) -> tuple[MemoryLog, dict[str, np.ndarray]]:
     """A log of a robot that turns and drives as it is asked to, and what it was asked for.
 
     Args:
-        kind: of its commands: "twist" (a turn rate), "steering" (in the fields of a twist), or "ackermann".
+        kind: of its commands: "twist" (a turn rate), "steering" (in the fields of a twist), "angle" (the same, of the
+            road wheels, beside a speed), or "ackermann".
+        slowest: speed that is asked for; below zero it reverses at times [m/s].
     """
     random, count = np.random.default_rng(seed), round(seconds / STEP)
     time = START + STEP * np.arange(count)
-    speed = np.clip(held(random, count, -0.3, 3.0, 4.0), 0, None)
+    speed = np.clip(held(random, count, min(slowest, -0.3), 3.0, 4.0), slowest, None)
     turn = held(random, count, -1.0, 1.0, 2.5)
     v = lagging(speed, 0.35)
     yaw_rate = lagging(0.8 * turn, 0.2) if kind == "twist" else v * np.tan(lagging(0.4 * turn, 0.12)) / 0.6
@@ -57,8 +61,8 @@ def robot(kind: str, seconds: float = 120.0, seed: int = 0) -> tuple[MemoryLog, 
         topic = "ackermann_cmd/AckermannDrive"
         command = {"drive.steering_angle": 0.4 * turn, "drive.speed": speed, "drive.acceleration": 0 * time}
     else:
-        pedal = speed / 3.0 if kind == "steering" else speed
-        command, topic = {"linear.x": pedal, "linear.y": 0 * time, "angular.z": turn}, "cmd_vel/Twist"
+        pedal, asked = speed / 3.0 if kind == "steering" else speed, 0.4 * turn if kind == "angle" else turn
+        command, topic = {"linear.x": pedal, "linear.y": 0 * time, "angular.z": asked}, "cmd_vel/Twist"
     idle = {"linear.x": 0.9 * speed[::10], "linear.y": 0 * speed[::10], "angular.z": turn[::10]}
     log = Typed({"odom/Odometry": (time, odom), "teleop/cmd_vel/Twist": (time[::10], idle), topic: (time, command)})
     return log, command
@@ -106,6 +110,20 @@ def test_a_speed_beside_a_steering_angle_is_the_throttle_and_no_late_clock() -> 
     assert not [f for f in inspect_log(log, rig).findings if f.severity != "note"]
 
 
+@pytest.mark.parametrize("kind", ["twist", "ackermann", "angle"])
+def test_a_speed_below_zero_is_a_throttle_in_reverse(kind: str) -> None:
+    log, asked = robot(kind, slowest=-1.5)
+    rig = drafted(log)
+    drive = drive_from_log(log, rig)
+    speed = asked["drive.speed" if kind == "ackermann" else "linear.x"]
+    assert (speed < 0).mean() > 0.1
+    np.testing.assert_allclose(drive.channels["throttle"].values[:, 0], np.abs(speed) / np.abs(speed).max(), atol=1e-3)
+    clear = np.abs(speed) > 0.01 * np.abs(speed).max()
+    np.testing.assert_array_equal(drive.channels["gear"].values[clear, 0], np.sign(speed[clear]))
+    assert "brake" not in rig.channels
+    assert not [f for f in inspect_log(log, rig).findings if f.severity != "note"]
+
+
 @pytest.mark.parametrize(
     ("topic", "fields", "found"),
     [
@@ -123,7 +141,8 @@ def test_a_speed_beside_a_steering_angle_is_the_throttle_and_no_late_clock() -> 
 )
 def test_names_of_commanded_motions(topic: str, fields: tuple[str, ...], found: list[str]) -> None:
     there = Topic(topic, "ackermann_msgs/msg/AckermannDrive" if topic == "/drive" else "table", 1000, fields)
-    assert [" ".join(names) for _, names, _ in motion_commands(there, labels(there))] == found
+    commanded = motion_commands(there, labels(there))
+    assert [" ".join(names) for channel, names, _ in commanded if channel != "gear"] == found
 
 
 def test_turns_on_the_spot_are_no_curvature() -> None:

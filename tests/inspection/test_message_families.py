@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from simulated import MAX_STEER, MemoryLog, drive_log
 
+from offpiste.inspection.channel_guesses import by_topic, guess_channels
 from offpiste.inspection.draft_rig import draft_rig
 from offpiste.inspection.inspect import inspect_log
 from offpiste.logs.log import Topic
@@ -134,8 +135,23 @@ FAMILIES: Mapping[str, tuple[dict[str, dict[str, str]], dict[str, tuple[str, ...
         {"/odom": POSE,
          "/ackermann_cmd": {"drive.steering_angle": "tire command", "drive.steering_angle_velocity": "0",
                             "drive.speed": "speed command", "drive.acceleration": "0", "drive.jerk": "0"},
-         "/sensors/core": {"state.speed": "vx", "state.duty_cycle": "duty", "state.voltage_input": "1"}},
+         "/sensors/core": {"state.temp_fet": "height", "state.temp_motor": "height", "state.current_motor": "duty",
+                           "state.speed": "vx", "state.duty_cycle": "duty", "state.voltage_input": "1"}},
         {"throttle": ("drive.speed",), "steer": ("drive.steering_angle",)},
+    ),
+    "Dataspeed DBW2": (
+        {"/odom": POSE,
+         "/vehicle/throttle/report": {"percent_input": "throttle", "percent_cmd": "0", "enabled": "1", "fault": "0"},
+         "/vehicle/brake/report": {"cmd_type": "0", "torque_input": "brake", "percent_input": "brake", "enabled": "1"},
+         "/vehicle/steering/report": {"steering_wheel_angle": "wheel", "steering_wheel_torque": "wy", "enabled": "1"}},
+        {"throttle": ("percent_input",), "brake": ("percent_input",), "steer": ("steering_wheel_angle",)},
+    ),
+    "AirSim": (
+        {"/airsim_node/Car/odom_local_ned": {
+            "position.x": "y", "position.y": "x", "position.z": "down", "orientation.w": "half azimuth cos",
+            "orientation.x": "0", "orientation.y": "0", "orientation.z": "half azimuth sin"}}
+        | COMMANDS,
+        {"position": ("position.x", "position.y", "position.z")},
     ),
     "MAVROS": (
         {"/mavros/local_position/odom": POSE,
@@ -188,3 +204,56 @@ def test_channels_are_found_in_messages_of(name: str) -> None:
     rig = parse_rig(draft_rig(log), where="draft")
     assert {channel: rig.channels[channel].fields for channel in expected} == expected
     assert cured(log, rig) == []
+
+
+@pytest.mark.parametrize(
+    ("columns", "channel", "first"),
+    [
+        ("steer_pwm throttle_pwm", "steer", "steer_pwm"),
+        ("steer_pwm throttle_pwm", "throttle", "throttle_pwm"),
+        ("steering_torque steering_rate steering_pos", "steer_angle", "steering_pos"),
+        ("steering_torque steering_cmd", "steer", "steering_cmd"),
+        ("steering_angle_cmd steering_torque_cmd drive_torque_cmd brake_torque_cmd", "throttle", "drive_torque_cmd"),
+        ("parking_brake brake_light brake_pedal", "brake", "brake_pedal"),
+        ("brake_temp_fl brakePressed brake", "brake", "brake"),
+        ("brake_psi yaw_deg", "yaw", "yaw_deg"),
+        ("brake_psi yaw_deg", "brake", "brake_psi"),
+        ("gyro_yaw yaw", "yaw", "yaw"),
+        ("gyro_yaw yaw", "yaw_rate", "gyro_yaw"),
+        ("Engine_Speed Vehicle_Speed", "engine_rpm", "Engine_Speed"),
+        ("Engine_Speed Vehicle_Speed", "wheel_speed", "Vehicle_Speed"),
+        ("rpm_fl rpm_fr rpm_rl rpm_rr", "wheel_speed", "rpm_fl"),
+        ("front_left_wheel_speed front_right_wheel_speed rear_left_wheel_speed rear_right_wheel_speed", "wheel_speed",
+         "front_left_wheel_speed"),
+        ("is_wheel_spd_fl_valid wheel_spd_fl wheel_spd_fr wheel_spd_rl wheel_spd_rr", "wheel_speed", "wheel_spd_fl"),
+        ("GForceLat GForceLong latitude longitude", "position", "latitude"),
+        ("v_lat v_lon a_lat lat lon", "position", "lat"),
+        ("bearing lat", "yaw", "bearing"),
+        ("course_over_ground lat", "yaw", "course_over_ground"),
+        ("location.x location.y location.z", "position", "location.x"),
+        ("gt_x gt_y gt_yaw", "position", "gt_x"),
+        ("ekf_x ekf_y", "position", "ekf_x"),
+        ("PN PE PD", "position", "PE"),
+    ],
+)  # fmt: skip
+def test_of_several_columns_the_one_that_says_most_comes_first(columns: str, channel: str, first: str) -> None:
+    log = MemoryLog({"": (TIME, dict.fromkeys(columns.split(), ODOM["x"]))})
+    assert next(guess.fields[0] for guess in guess_channels(log) if guess.channel == channel) == first
+
+
+def test_east_and_north_velocities_are_no_place() -> None:
+    columns = ("EAST VELOCITY", "NORTH VELOCITY", "UP VELOCITY", "LATITUDE", "LONGITUDE")
+    log = MemoryLog({"": (TIME, dict.fromkeys(columns, ODOM["x"]))})
+    found = by_topic(guess_channels(log))[""]
+    assert found["position"].fields == columns[3:]
+    assert found["linear_velocity"].fields == columns[:3]
+
+
+def test_a_pose_in_the_earths_frame_comes_last() -> None:
+    log = log_of({"/odometry_ecef": POSE, "/odometry_enu": POSE} | COMMANDS)
+    assert parse_rig(draft_rig(log), where="draft").channels["position"].topic == "/odometry_enu"
+
+
+def test_a_world_with_its_z_down_is_known_by_its_name() -> None:
+    topics, _ = FAMILIES["AirSim"]
+    assert parse_rig(draft_rig(log_of(topics)), where="draft").motion.axes == "ned"

@@ -12,7 +12,7 @@ from offpiste.rig.channels import Clock
     ("time [ms]", Clock(), 0.02),
     ("time [ms]", Clock(column="time [ms]", unit="s"), 20.0),
     ("time", Clock(unit="ms"), 0.02),
-    ("time", Clock(), 20.0),
+    ("time", Clock(), 0.02),
 ])  # fmt: skip
 def test_the_unit_of_stamps_is_the_rigs_or_else_the_headers_as_on_opening(tmp_path, label, clock, seconds):
     many = [f"c{number}" for number in range(70)]  # of which not all are kept

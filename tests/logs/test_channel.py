@@ -91,6 +91,13 @@ def test_a_steering_command_that_is_a_turn_rate_is_the_angle_of_a_bicycle_that_t
     assert ["1 of 6 samples are not finite" in note for note in notes] == [True]
 
 
+def test_the_size_of_a_commanded_speed_is_clipped_last():
+    source = ChannelSource(("speed",), scale=0.5, clip=(0.0, 1.0), absolute=True)
+    found, _ = read([0.0, 1.0, 2.0, 3.0], [-1.0, 0.5, -4.0, 1.0], scale=0.5, clip=(0.0, 1.0), absolute=True)
+    np.testing.assert_array_equal(found.values[:, 0], [0.5, 0.25, 1.0, 0.5])
+    np.testing.assert_array_equal(convert("throttle", source, np.array([[-1.0]]), small_rig().vehicle), [[0.5]])
+
+
 @pytest.mark.parametrize("max_steer", [0.2, 0.5])
 def test_a_steering_command_that_is_an_angle_is_over_the_largest_one(max_steer):
     angles = np.array([-10.0, 0.0, 5.0])

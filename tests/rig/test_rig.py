@@ -141,6 +141,13 @@ def test_a_turn_rate_comes_with_a_speed_and_nothing_else_does(entry, what):
     assert not small_rig().channels["steer"].turns
 
 
+def test_only_a_control_has_a_size_without_its_sign():
+    entry = '[channels.yaw_rate]\ntopic = "x"\nfields = ["x"]\nabsolute = true\n'
+    with pytest.raises(RigError, match=r"channels.yaw_rate.absolute"):
+        small_rig(entry)
+    assert not small_rig().channels["steer"].absolute
+
+
 def test_units_are_converted_to_si():
     assert unit_factor("steer_angle", "deg") == pytest.approx(np.pi / 180)
     assert unit_factor("linear_velocity", "km/h") == pytest.approx(1 / 3.6)

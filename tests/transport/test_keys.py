@@ -8,8 +8,16 @@ from zenoh_ros2_sdk import keyexpr
 from zenoh_ros2_sdk.entity import EndpointEntity, EntityKind, NodeEntity
 from zenoh_ros2_sdk.qos import QosDurability, QosProfile
 
-from offpiste.transport.attachment import Attachment, unpacked
-from offpiste.transport.keys import Address, BridgeKeys, Endpoint, RmwZenohKeys, dds_type, ros_type
+from offpiste.transport.keys import (
+    Address,
+    Attachment,
+    BridgeKeys,
+    Endpoint,
+    RmwZenohKeys,
+    attachment_of,
+    dds_type,
+    ros_type,
+)
 
 HASH = "RIHS01_" + "0" * 64
 TOPIC = Address("/camera/image", "sensor_msgs/msg/Image", HASH)
@@ -64,7 +72,7 @@ def test_an_attachment_has_33_bytes_and_is_that_of_another_implementation():
     ours = Attachment(42, 1_700_000_000_000_000_001, bytes(range(16)))
     assert len(ours.packed()) == 33
     assert ours.packed() == sdk_attachment.Attachment(*ours).to_bytes()
-    assert unpacked(ours.packed()) == ours
-    assert unpacked(b"") is None
-    assert unpacked(ours.packed()[:-1]) is None
-    assert unpacked(ours.packed()[:16] + b"\x0f" + bytes(16)) is None, "a GID of another length"
+    assert attachment_of(ours.packed()) == ours
+    assert attachment_of(b"") is None
+    assert attachment_of(ours.packed()[:-1]) is None
+    assert attachment_of(ours.packed()[:16] + b"\x0f" + bytes(16)) is None, "a GID of another length"

@@ -9,31 +9,21 @@ from offpiste.channels import ACTUATORS, CONTROLS, all_actuators, all_controls
 from offpiste.inspection.commanded_motion import motion_commands
 from offpiste.logs.log import Log, Topic
 from offpiste.rig.channels import GEOGRAPHIC
-from offpiste.rig.labels import Label, channel_unit, field_labels, is_array_entry, parse_label
-
-_AXIS_WORDS: Final = tuple(
-    (re.compile(rf"(?<![a-z]){pattern}(?![a-z])"), to)
-    for pattern, to in (
-        ("(easting|east)", "x"),
-        ("(northing|north)", "y"),
-        ("(up|altitude|alt|elevation|height)", "z"),
-        ("(utm|pos|position|enu)_?e", r"\1_x"),
-        ("(utm|pos|position|enu)_?n", r"\1_y"),
-        ("(utm|pos|position|enu)_?[uh]", r"\1_z"),
-        ("(v|vel|velocity|speed)_(lon|long|longitudinal|forward|fwd)", "v_x"),
-        ("(v|vel|velocity|speed)_(lat|lateral|left)", "v_y"),
-        ("([xyz])_?dot", r"v_\1"),
-        ("(v|vel|velocity)_?e", "v_x"),
-        ("(v|vel|velocity)_?n", "v_y"),
-        ("(v|vel|velocity)_?u", "v_z"),
-        ("([xyz])_(v|vel|velocity)", r"v_\1"),
-    )
+from offpiste.rig.labels import (
+    GEOGRAPHIC_NAMES,
+    Label,
+    channel_unit,
+    field_labels,
+    is_array_entry,
+    parse_label,
+    with_letters,
 )
-"""Words for the letters x, y and z of vectors."""
 
 _AXIS = re.compile(r"(?<![a-z])([pqvwg]?)x(?![a-z])")
-_AXIS_NAME: Final = re.compile(r"(?<![a-z])p?([xyz])(?![a-z])")
-_PLACES = "utm|enu|local|global|world|map|gps|gnss|ego|car|veh|vehicle|odom|rtk|slam|base|robot|center|cog|pos"
+_PLACES = (
+    "utm|enu|local|global|world|map|gps|gnss|ego|car|veh|vehicle|odom|rtk|slam|base|robot|center|cog|pos|gt|ground_?truth"
+    "|ekf|est|state|cg|rear_?axle|loc(ation)?|coord(inate)?s?"
+)
 _GROUPS: tuple[tuple[str, re.Pattern[str], str], ...] = (
     ("orientation", re.compile(r"orient|quat|rot|(^|[^a-z])q$"), "yzw"),
     ("angular_velocity", re.compile(r"angular|gyro|omega|(^|[^a-z])[wg]$"), "yz"),
@@ -44,7 +34,7 @@ _GROUPS: tuple[tuple[str, re.Pattern[str], str], ...] = (
 _WIDTHS: Final = {"orientation": (4,), "angular_velocity": (3,), "linear_velocity": (2, 3), "position": (2, 3)}
 _NOT_GROUPS = re.compile(
     r"acc|magn|gravity|force|effort|imu.*orient|ll[ah](?![a-z])"
-    r"|(?<![a-z])(mag|err|error|ref|des|desired|target|goal|setpoint|waypoint|cov|covariance|std|sigma)(?![a-z])"
+    r"|(?<![a-z])(mag|err|error|ref|des|desired|target|goal|setpoint|waypoint|cov|covariance|std|stdev|sd|sigma)(?![a-z])"
 )
 
 _TOGETHER: Final[tuple[tuple[frozenset[str], tuple[tuple[str, tuple[str, ...]], ...]], ...]] = (
@@ -64,10 +54,12 @@ MEASURED: Final = 2
 """Rank of a steering's position, which beside its command is the measured angle, and without one the steering."""
 _SCALARS: tuple[tuple[str, int, str], ...] = (
     ("yaw_rate", 0, r"yaw_?rate|(^|[ ._/])w( \(imu\))?$|gyro_?z|(?<![a-z])(omega|gz|wz)$|(yaw|psi|theta)_?(dot|vel)$"),
+    ("yaw_rate", 0, r"(gyro|rate)[_ ]yaw$"),
     ("yaw_rate", 0, _TURN_RATE.pattern),
     ("yaw", 0, r"(?<![a-z])(yaw|heading|psi|hdg)$"),
-    ("yaw", 1, r"(?<![a-z])(theta|azimuth)$|(euler|rpy|attitude).*[._/]z$|(yaw_?pitch_?roll|ypr).*[._/]x$"),
-    ("yaw", 2, r"(?<![a-z])(phi|track)$"),
+    ("yaw", 1, r"(?<![a-z])(theta|azimuth|bearing)$|(yaw|heading)_?(angle|true)$|compass_?bearing$"),
+    ("yaw", 1, r"(euler|rpy|attitude).*[._/]z$|(yaw_?pitch_?roll|ypr).*[._/]x$"),
+    ("yaw", 2, r"(?<![a-z])(phi|track|trk_gnd|course(_over_ground)?|cog)$"),
     ("brake_pressure", 0, r"(brake|brk).*press(ure)?(?!ed)|press(ure)?(?!ed).*(brake|brk)|(?<![a-z])p_?(brake|brk)"),
     ("steer_angle", 0, rf"steer(ing)?.*{_ANGLE}|(?<![a-z])delta(_?f|_front)?(_(cmd|des|ref|target))?$"),
     ("steer_angle", 0, rf"(road_?wheel|front_?wheel|(?<![a-z])front|tyre|tire)_?{_ANGLE}"),
@@ -76,8 +68,8 @@ _SCALARS: tuple[tuple[str, int, str], ...] = (
     ("steer_angle", MEASURED, r"(?<![a-z])steer(ing)?_?(pos(ition)?|feedback|fb|act(ual)?|meas(ured)?)$"),
     ("steer", 0, r"(?<![a-z])hand_?wheel(_?(angle|ang|pos(ition)?))?$"),
     ("steer", 1, r"(?<![a-z])servo([_/. ]?(cmd|com+and|input|value|pos(ition)?))?$"),
-    ("throttle", 1, r"(?<![a-z])(motor|duty(_?cycle)?|pwm|esc)_?(cmd|com+and|input|value)$|(?<![a-z])(motor|pwm|esc)$"),
-    ("throttle", 1, r"(cmd|com+and).*(?<![a-z])duty(_?cycle)?$"),
+    ("throttle", 1, r"(?<![a-z])(motor|duty(_?cycle)?|pwm|esc)_?(cmd|com+and|input|value)$"),
+    ("throttle", 1, r"(^|[ ./])motor$|(?<![a-z])(pwm|esc)$|(cmd|com+and).*(?<![a-z])duty(_?cycle)?$"),
     ("throttle", 2, r"(?<![a-z])accel(_?rpt)?[._/]?_?(cmd|com+and|manual_input|input|output|pct|pos(ition)?)$"),
     ("throttle", 1, r"(?<![a-z])(effort|torque)_?(cmd|com+and|input)$"),
     ("throttle", MOTION + 1, r"(?<![a-z])duty(_?cycle)?$"),
@@ -85,6 +77,18 @@ _SCALARS: tuple[tuple[str, int, str], ...] = (
     ("wheel_speed", 2, r"(^|[ ._/])((vehicle|car|ego)_?)?speed$"),
 )
 """Channels of one number: how far the name is from the channel's own, and its pattern. Nearer ones come first."""
+_NEVER: Final = {
+    "throttle": re.compile(r"steer|servo|brake|brk"),
+    "yaw": re.compile(r"brake|brk|press|tire|tyre|oil|boost|fuel|gyro|rate"),
+    "wheel_speed": re.compile(r"engine|motor|turbine|steer|fan|shaft|wind"),
+}
+"""What a channel is not called where its name is not its own."""
+_BESIDE: Final = re.compile(
+    r"torque|rate|speed|press(?!_?ed)|current|force|effort|temp|engage|light|lamp|switch|bias|park|hand_?brake|pressed|on_off"
+)
+"""What is measured at a pedal or a steering, besides where it is; a channel only where nothing else is."""
+FALLBACK: Final = 10
+"""Rank of that."""
 
 
 def _scalars() -> tuple[tuple[str, int, re.Pattern[str]], ...]:
@@ -98,6 +102,7 @@ def _scalars() -> tuple[tuple[str, int, re.Pattern[str]], ...]:
     return tuple((name, rank, re.compile(pattern, re.IGNORECASE)) for name, rank, pattern in (*more, *_SCALARS, *own))
 
 
+_CONTROLS: Final = tuple(control.name for control in CONTROLS)
 _NOT_SCALARS = re.compile(r"velocity|rate_of|status|enable|mode|valid|stamp|count|jerk")
 _NUMBER: Final = re.compile(r"(^|\.)(data|value)$")
 """Fields that are called as any number is."""
@@ -180,6 +185,10 @@ def _of_topic(topic: Topic) -> Iterator[Guess]:
             if channel == "steer" and joint:
                 channel, rank = "steer_angle", MEASURED  # joints are measured, in radians
             named_so = pattern.search(label.name) or pattern.search(label.name.replace(" ", "_"))
+            if channel in _NEVER and (rank or channel == "yaw") and _NEVER[channel].search(label.name):
+                continue
+            if channel in _CONTROLS and _BESIDE.search(label.name):
+                rank += FALLBACK
             scalar = _guess(channel, topic, (field,), label, rank) if named_so else None
             if scalar is not None:
                 yield scalar
@@ -208,8 +217,8 @@ def _together(topic: Topic, named: Mapping[str, Label]) -> Iterator[Guess]:
 def _vectors(topic: Topic, named: Mapping[str, Label]) -> Iterator[Guess]:
     """Guesses at vectors: fields that differ in one letter, x, y, z or w."""
     plain = {label.name: field for field, label in reversed(list(named.items()))}
-    columns = {_with_letters(name): field for name, field in plain.items()} | plain
-    for name in dict.fromkeys(_with_letters(label.name) for label in named.values()):
+    columns = {with_letters(name): field for name, field in plain.items()} | plain
+    for name in dict.fromkeys(with_letters(label.name) for label in named.values()):
         for match in _AXIS.finditer(name):
             if _NOT_GROUPS.search(name):
                 continue
@@ -228,33 +237,38 @@ def _vectors(topic: Topic, named: Mapping[str, Label]) -> Iterator[Guess]:
 
 _HEIGHT: Final = re.compile(r"((utm|gps|gnss|pos|position)_)?(z|alt|altitude|elevation|height)")
 """What the height of a place is called whose east and north are called otherwise."""
-_GEOGRAPHIC: Final = tuple(
-    re.compile(rf"(?<![a-z])({words})$")
-    for words in ("lat|latitude", "lon|lng|long|longitude", "alt|altitude|height|elevation")
-)
-"""What latitude, longitude and height are called."""
+
+
+_LATERAL: Final = re.compile(r"acc|force|vel|speed|(^|[ ._/])[av]_")
+"""What is lateral or longitudinal, and no latitude or longitude."""
 
 
 def _places(topic: Topic, named: Mapping[str, Label]) -> Iterator[Guess]:
     """A guess at geographic positions, as of sensor_msgs/NavSatFix."""
-    found = [next((f for f, label in named.items() if p.search(label.name)), "") for p in _GEOGRAPHIC]
+    places = {field: label for field, label in named.items() if not _LATERAL.search(label.name)}
+    degrees = {field: label for field, label in places.items() if label.unit in ("", "deg")}
+    among = (degrees, degrees, places)
+    found = [
+        next((f for f, label in fields.items() if pattern.search(label.name)), "")
+        for pattern, fields in zip(GEOGRAPHIC_NAMES, among, strict=True)
+    ]
     if not found[0]:
         found = [
             next((f for f, label in named.items() if re.search(rf"ll[ah][._/].*{a}$", label.name)), "") for a in "xyz"
         ]
-    if found[0] and found[1] and all(named[field].unit in ("", "deg") for field in found[:2]):
+    if found[0] and found[1]:
         yield Guess("position", topic.name, tuple(field for field in found if field), GEOGRAPHIC, rank=1)
-
-
-def _with_letters(name: str) -> str:
-    for pattern, letter in _AXIS_WORDS:
-        name = pattern.sub(letter, name)
-    return name
 
 
 _CORNERS: Final = ("fl", "fr", "rl", "rr")
 _CORNER: Final = re.compile(r"(?<![a-z])(fl|fr|rl|rr|lf|rf|lr|lb|rb)(?![a-z])")
-_WHEEL_SPEED: Final = re.compile(r"(wheel|speed|vel|(?<![a-z])(ws|v|omega))")
+_IN_WORDS: Final = tuple(
+    (re.compile(f"{end}[_ ]?{side}|{side}[_ ]?{end}"), end[0] + side[0])
+    for end in ("front", "rear")
+    for side in ("left", "right")
+)
+_WHEEL_SPEED: Final = re.compile(r"(wheel|speed|vel|rpm|(?<![a-z])(ws|v|omega))")
+_NO_SPEED: Final = re.compile(r"valid|direction|(?<![a-z])is_")
 
 
 def _wheels(topic: Topic, named: Mapping[str, Label]) -> Iterator[Guess]:
@@ -262,34 +276,16 @@ def _wheels(topic: Topic, named: Mapping[str, Label]) -> Iterator[Guess]:
     turned = {"lf": "fl", "rf": "fr", "lr": "rl", "lb": "rl", "rb": "rr"}
     columns: dict[str, str] = {}
     for field, label in named.items():
-        corner = _CORNER.search(label.name)
-        if corner and _WHEEL_SPEED.search(label.name):
+        name = label.name
+        for words, letters in _IN_WORDS:
+            name = words.sub(letters, name)
+        corner = _CORNER.search(name)
+        if corner and _WHEEL_SPEED.search(name) and not _NO_SPEED.search(name):
             columns.setdefault(turned.get(corner[1], corner[1]), field)
     if set(columns) == set(_CORNERS):
         fields = tuple(columns[corner] for corner in _CORNERS)
         if (guess := _guess("wheel_speed", topic, fields, named[fields[0]])) is not None:
             yield guess
-
-
-def named_axis(field: str) -> str:
-    """The axis that a position's field is named by: "x" (or east), "y" (or north), "z" (or up); "" for none."""
-    return _last_letter(_with_letters(parse_label(field).name))
-
-
-def named_coordinate(field: str) -> str:
-    """The coordinate that a position's field is named by: "lat" (latitude) or "lon" (longitude); "" for none."""
-    name = parse_label(field).name
-    return next((what for what, pattern in zip(("lat", "lon"), _GEOGRAPHIC, strict=False) if pattern.search(name)), "")
-
-
-def named_direction(field: str) -> bool:
-    """Whether a position's field is named by a direction, east or north, and not by a letter."""
-    return named_axis(field) in ("x", "y") and named_axis(field) != _last_letter(parse_label(field).name)
-
-
-def _last_letter(name: str) -> str:
-    found = _AXIS_NAME.findall(name)
-    return str(found[-1]) if found else ""
 
 
 def by_topic(result: Iterable[Guess]) -> dict[str, dict[str, Guess]]:

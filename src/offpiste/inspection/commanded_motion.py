@@ -27,12 +27,14 @@ _SPEED: Final = re.compile(r"(^|[ ._/])((linear|velocity|vel|v|speed)[ ._/]*x?|v
 _TURN: Final = re.compile(r"(^|[ ._/])(angular[ ._/]*(velocity|vel)?[ ._/]*z|(yaw|turn)[ ._/]*rate|omega|w|w_z)$")
 _FASTEST: Final = 6.5
 """Turn rates above are in degrees: no vehicle turns round once a second [rad/s]."""
+_DIRECTION: Final = 100.0
+"""Scale of the largest speed that makes slow ones a gear, too: their rounded sign counts."""
 _USUAL: Final = 95
 """Percentile of the commanded curvatures that a full lock stands for; the largest are those of turns on the spot."""
 
 
 def motion_commands(topic: Topic, named: Mapping[str, Label]) -> Iterator[tuple[str, tuple[str, ...], str]]:
-    """Throttle and steering of a topic that commands a speed and a turn rate: channel, fields and unit.
+    """Throttle, gear and steering of a topic that commands a speed and a turn rate: channel, fields and unit.
 
     Args:
         named: name and unit of the topic's fields.
@@ -46,6 +48,7 @@ def motion_commands(topic: Topic, named: Mapping[str, Label]) -> Iterator[tuple[
     if speed is None:
         return
     yield "throttle", (speed,), asked[speed].unit or "m/s"
+    yield "gear", (speed,), asked[speed].unit or "m/s"
     turn = next((f for f in usable if _TURN.search(plain[f]) and _measures("yaw_rate", asked[f])), None)
     if turn is not None and asked[speed].unit in ("", "m/s"):
         yield "steer", (turn, speed), asked[turn].unit or "rad/s"
@@ -55,16 +58,19 @@ def _measures(channel: str, label: Label) -> bool:
     return channel_unit(channel, label.unit) is not None
 
 
-def speed_lines(values: Float[np.ndarray, " n"]) -> tuple[tuple[str, ...], str]:
-    """Scale of a commanded speed to a throttle of 0..1, and why."""
-    largest = float(np.abs(values).max())
-    words = f"GUESSED: a commanded speed, of which 1 is {largest:.4g}, the largest of this log"
-    words += "; below zero, backwards, it is none" if values.min() < 0 else ""
-    return (f"scale = {number(1 / largest)}", "clip = [0.0, 1.0]"), words
+def motion_lines(channel: str, values: Float[np.ndarray, " n"], unit: str) -> tuple[tuple[str, ...], str]:
+    """What a first rig says of a commanded motion, and why.
 
-
-def turn_lines(values: Float[np.ndarray, " n"], unit: str) -> tuple[tuple[str, ...], str]:
-    """Unit of a steering that is commanded as a turn rate, and what is made of it."""
+    Args:
+        values: of the first field: the speed, or the turn rate.
+    """
+    largest, backwards = float(np.abs(values).max()), bool(values.min() < 0)
+    if channel == "gear":
+        return (f"scale = {number(_DIRECTION / largest)}",), "GUESSED: the direction of the commanded speed"
+    if channel == "throttle":
+        words = f"GUESSED: a commanded speed, of which 1 is {largest:.4g}, the largest of this log"
+        size = ("absolute = true",) if backwards else ()
+        return (f"scale = {number(1 / largest)}", *size, "clip = [0.0, 1.0]"), words
     if unit == "rad/s" and np.abs(values).max() > _FASTEST:
         unit = "deg/s"
     words = "GUESSED: a commanded turn rate, and the speed: the angle of a bicycle that turns so, over max_steer"

@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from offpiste.geometry import rotation_from_quaternion
-from offpiste.inspection.channel_guesses import named_axis, named_coordinate, named_direction
 from offpiste.inspection.driven_path import STEP, Path
 from offpiste.inspection.findings import Finding, Severity
 from offpiste.inspection.lags import SURE, fit_lags, jackknife
@@ -18,6 +17,7 @@ from offpiste.logs.drive import Drive
 from offpiste.logs.motion import heading
 from offpiste.rig.channels import unit_factor
 from offpiste.rig.edits import Edit, rounded
+from offpiste.rig.labels import named_axis, named_coordinate, named_direction
 from offpiste.rig.rig import Rig
 
 _TOGETHER: Final = 0.8

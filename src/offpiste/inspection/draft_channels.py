@@ -9,33 +9,33 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.inspection.channel_guesses import MEASURED, MOTION, Guess, guess_channels
-from offpiste.inspection.commanded_motion import COMMANDED, speed_lines, turn_lines
+from offpiste.inspection.channel_guesses import FALLBACK, MEASURED, MOTION, Guess, guess_channels
+from offpiste.inspection.commanded_motion import COMMANDED, motion_lines
+from offpiste.inspection.draft_pedals import (
+    Scalars,
+    are_named_pulses,
+    pedal_lines,
+    rests_above_zero,
+    signed_pedal,
+)
 from offpiste.inspection.draft_pose import Entry, degrees, draft_pose, field_values, unit_line
 from offpiste.inspection.gear import gear_values
-from offpiste.inspection.middle_ranges import FULL_PULSE, are_pulses, pulse_at_rest, steering_middle
+from offpiste.inspection.middle_ranges import steering_middle
 from offpiste.inspection.pedal_scale import (
-    full_scale,
     held_range,
-    is_signed,
-    rests_high,
-    scaled_to_unit,
-    seen_range,
-    whole_range,
 )
 from offpiste.inspection.signal_faults import find_spikes, find_wrap
 from offpiste.logs.channel import unwrapped
 from offpiste.logs.log import Log
-from offpiste.rig.channels import ChannelSource, unit_factor
+from offpiste.rig.channels import unit_factor
 from offpiste.rig.edits import number
 from offpiste.rig.labels import channel_unit, is_array_entry
 
 _VECTORS: Final = ("position", "orientation", "linear_velocity", "angular_velocity")
 _IN_HAND: Final = re.compile(r"steering_?wheel|hand_?wheel|(?<![a-z])swa?(?![a-z])", re.IGNORECASE)
 """Names of the steering wheel, in the driver's hands."""
-_PULSED: Final = re.compile(r"servo|pwm|pulse|(?<![a-z])(esc|rc)(?![a-z])", re.IGNORECASE)
-_SLACK: Final = 25.0
-"""Pulses below the one at rest that are none of a brake [us]."""
+_PEDAL: Final = 1.05
+"""Largest value of a pedal; of a commanded speed some value is larger [m/s]."""
 _WIDEST: Final = 1.05
 """Largest angle of road wheels [rad]; a larger one is of the steering wheel."""
 _STEERING_WHEEL: Final = 130.0
@@ -45,9 +45,6 @@ _STEEPEST: Final = 1.4
 
 Found = Mapping[str, tuple[Guess, float]]
 """Guesses of controls that only the motion shows, with its correlation (`controls_by_numbers`)."""
-
-Scalars = dict[str, tuple[Guess, Float[np.ndarray, " n"]]]
-"""Guesses of channels of one number, and their values."""
 
 
 def draft_channels(
@@ -82,11 +79,14 @@ def draft_channels(
         if channel == "wheel_speed" and guess.rank > 1 and guess.topic != pose_topic:
             continue
         values = field_values(log, guess)
-        if values is not None and np.ptp(values) > 0:
+        if values is not None and np.ptp(values) > 0 and not _only_forward(guess, values):
             scalars[channel] = guess, values[:, 0]
     for channel, (guess, _) in found.items():
         if channel not in scalars and (values := field_values(log, guess)) is not None:
             scalars[channel] = guess, values[:, 0]
+    if plain and "throttle" in scalars and np.abs(scalars["throttle"][1]).max() <= _PEDAL:
+        scalars.pop("gear", None)
+        scalars["throttle"] = replace(scalars["throttle"][0], unit="", rank=1), scalars["throttle"][1]
     if "brake" not in scalars and "brake_pressure" in scalars:
         scalars["brake"] = scalars.pop("brake_pressure")  # which stands for the command
     if "steer" not in scalars and "steer_angle" in scalars and scalars["steer_angle"][0].rank == MEASURED:
@@ -94,7 +94,7 @@ def draft_channels(
         # A position beside no command is the steering, of any unit; that of a joint is an angle.
         scalars["steer"] = (guess if is_array_entry(guess.fields[0]) else replace(guess, channel="steer")), numbers
     others = {name: _scalar(name, *scalar) for name, scalar in scalars.items() if name not in ("steer", "steer_angle")}
-    entries |= others | _signed_pedal(scalars) | _steering(scalars, straight)
+    entries |= others | signed_pedal(scalars) | _steering(scalars, straight)
     for channel, (guess, correlation) in found.items():
         if channel in entries and entries[channel].guess is guess:
             follows = f"by its numbers: the motion follows it ({correlation:.2f})"
@@ -102,19 +102,26 @@ def draft_channels(
             if channel == "throttle" and "brake" in entries and entries["brake"].guess is guess:
                 by_numbers = entries["brake"].comment.replace("by its name and numbers", "by its numbers")
                 entries["brake"] = replace(entries["brake"], comment=by_numbers)
-            entries[channel] = replace(entries[channel], comment=f"GUESSED {follows}{comment and ';'}{comment}")
+            comment = comment.strip("; ")
+            entries[channel] = replace(entries[channel], comment=f"GUESSED {follows}{comment and '; '}{comment}")
     return entries
 
 
+def _only_forward(guess: Guess, values: Float[np.ndarray, "n k"]) -> bool:
+    """Whether a direction is that of a commanded speed that never leads backwards."""
+    return guess.rank == MOTION and guess.channel == "gear" and float(values.min()) >= 0
+
+
 def _as_it_is(guess: Guess) -> Guess:
-    """A commanded motion as a pedal or a steering of any unit."""
-    return replace(guess, fields=guess.fields[:1], unit="", rank=1) if guess.rank == MOTION else guess
+    """A commanded turn rate as a steering of any unit."""
+    turns = guess.rank == MOTION and guess.channel == "steer"
+    return replace(guess, fields=guess.fields[:1], unit="", rank=1) if turns else guess
 
 
 def _scalar(channel: str, guess: Guess, values: Float[np.ndarray, " n"], straight: float | None = None) -> Entry:
     """Scale and wrap from the numbers: controls to 0..1 or -1..1, engine speed to 1000 rev/min."""
     if guess.rank == MOTION:
-        return Entry(guess, *(speed_lines(values) if channel == "throttle" else turn_lines(values, guess.unit)))
+        return Entry(guess, *motion_lines(channel, values, guess.unit))
     lines: list[str] = []
     comment = "GUESSED by its name"
     wrap = find_wrap(values)
@@ -130,14 +137,14 @@ def _scalar(channel: str, guess: Guess, values: Float[np.ndarray, " n"], straigh
     if stated and (channel not in (*pressed, "steer") or reached > 1.05):
         lines += stated
         comment += " and unit"
-    elif channel in pressed and (_rests_above_zero(values) or not (low >= -0.05 and 0.05 < high <= 1.05)):
-        pedal, words = _pedal(channel, guess, values)
+    elif channel in pressed and (rests_above_zero(values) or not (low >= -0.05 and 0.05 < high <= 1.05)):
+        pedal, words = pedal_lines(channel, guess, values)
         lines += pedal
         comment += words
     elif (
         channel == "steer"
         and largest > 1.05
-        and (around := steering_middle(values, named=_are_named_pulses(guess), straight=straight))
+        and (around := steering_middle(values, named=are_named_pulses(guess), straight=straight))
     ):
         middle, reach, words = around
         lines += [f"scale = {number(1 / reach)}", f"offset = {number(-middle / reach)}", "clip = [-1.0, 1.0]"]
@@ -163,79 +170,13 @@ def _scalar(channel: str, guess: Guess, values: Float[np.ndarray, " n"], straigh
     return Entry(guess, tuple(lines), comment)
 
 
-def _rests_above_zero(values: Float[np.ndarray, " n"]) -> bool:
-    """Whether a pedal within 0 to 1 is released well above 0."""
-    low, high = seen_range(values)
-    return rests_high(values) is False and low > 0.05 and high <= 1.05
-
-
-def _pedal(channel: str, guess: Guess, values: Float[np.ndarray, " n"]) -> tuple[list[str], str]:
-    """Scale of a pedal's numbers to 0..1, and why: by what loggers usually write, else by what this log holds."""
-    low, high = seen_range(values)
-    # Of a pressure no number is usual.
-    measured = guess.channel == "brake_pressure" or bool(guess.unit and channel_unit(channel, guess.unit) is None)
-    span = None if measured else whole_range(values)
-    if span == (0.0, 100.0):
-        return ['unit = "percent"', "clip = [0.0, 1.0]"], f" and its numbers up to {high:.4g}: taken as percent"
-    source = ChannelSource(guess.fields, guess.topic)
-    edits = scaled_to_unit(channel, source, span or (low, high), turned=bool(span and span[0] and rests_high(values)))
-    lines = [f"{edit.key.rpartition('.')[2]} = {number(edit.value)}" for edit in edits]
-    seen = f"{low:.4g}..{high:.4g} {guess.unit if measured else ''}".rstrip()
-    fully = "is that full braking?" if guess.channel == "brake_pressure" else "is it fully pressed?"
-    comment = f"; scaled from {seen} to 0..1, the most that this log holds: {fully}"
-    if span:
-        comment = f" and its numbers: of {span[0]:g}..{span[1]:g}, {low:.4g}..{high:.4g} seen"
-    return [*lines, "clip = [0.0, 1.0]"], comment
-
-
-def _signed_pedal(scalars: Scalars) -> dict[str, Entry]:
-    """Throttle and brake where one column holds both, the brake below zero; nothing where it does not."""
-    if "throttle" not in scalars or scalars["throttle"][0].rank == MOTION:
-        return {}
-    guess, values = scalars["throttle"]
-    if are_pulses(values, named=_are_named_pulses(guess)):
-        return _pulsed_pedal(guess, values, alone="brake" not in scalars)
-    if find_wrap(values) is not None or not is_signed(values) or ("brake" in scalars and rests_high(values)):
-        return {}
-    low, high = held_range(values)
-    largest = max(-low, high)
-    scaled = unit_line("throttle", guess) if largest > 1.05 else ()
-    if not scaled and largest > 1.05:
-        full = full_scale(largest)
-        scaled = ('unit = "percent"',) if full == 100 else (f"scale = {number(1 / (full or largest))}",)
-    comment = f"GUESSED by its name and numbers, {low:.4g}..{high:.4g}: "
-    entries = {"throttle": Entry(guess, (*scaled, "clip = [0.0, 1.0]"), comment + "what is above zero")}
-    if "brake" not in scalars:
-        lines = (*scaled, "sign = -1", "clip = [0.0, 1.0]")
-        entries["brake"] = Entry(guess, lines, comment + "what is below zero brakes")
-    return entries
-
-
-def _pulsed_pedal(guess: Guess, values: Float[np.ndarray, " n"], *, alone: bool) -> dict[str, Entry]:
-    """Throttle, and brake where nothing else is one, of a speed controller's pulses [us]."""
-    rest = pulse_at_rest(values)
-    low, high = held_range(values)
-    whole = FULL_PULSE - rest
-    both = rest - low > _SLACK
-    lines = (f"scale = {number(1 / whole)}", f"offset = {number(-rest / whole)}")
-    words = f"GUESSED by its name and numbers: pulses, released at {rest:g}, {low:.4g}..{high:.4g} seen: "
-    words += f"is full throttle {FULL_PULSE:g}?"
-    entries = {"throttle": Entry(guess, (*lines, "clip = [0.0, 1.0]"), words)}
-    if alone and both:
-        entries["brake"] = Entry(guess, (*lines, "sign = -1", "clip = [0.0, 1.0]"), words + "; what is below it brakes")
-    return entries
-
-
-def _are_named_pulses(guess: Guess) -> bool:
-    """Whether unit or name say that numbers are widths of pulses."""
-    return guess.unit == "us" or any(_PULSED.search(name) for name in (guess.topic, *guess.fields))
-
-
 def _steering(scalars: Scalars, straight: float | None) -> dict[str, Entry]:
     """Commands and angles of the steering: an angle that is the only steering stands for its command, too."""
     steer, angle = scalars.get("steer"), scalars.get("steer_angle")
     if angle is not None and not _angle_factor(*angle):  # of the steering wheel
-        steer, angle = steer or angle, None
+        steer, angle = steer if steer is not None and steer[0].rank < FALLBACK else angle, None
+    if steer is not None and steer[0].rank >= FALLBACK and angle is not None:
+        steer = None
     command = steer or angle
     if command is None:
         return {}

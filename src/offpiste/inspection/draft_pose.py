@@ -15,8 +15,8 @@ from offpiste.logs.log import Log
 from offpiste.rig.labels import channel_unit
 
 _POSE: Final = ("position", "orientation", "yaw", "linear_velocity", "angular_velocity")
-_WHEELS: Final = re.compile(r"wheel|controller", re.IGNORECASE)
-"""Names of topics with the odometry of wheels."""
+_LAST: Final = re.compile(r"wheel|controller|ecef", re.IGNORECASE)
+"""Names of topics with the odometry of wheels, or in the earth's own frame, whose z is not up."""
 _RATES: Final = {"angular_velocity", "yaw_rate"}
 
 
@@ -39,8 +39,8 @@ class Entry:
 def draft_pose(log: Log, guesses: Sequence[Guess], frame: str) -> dict[str, Entry]:
     """The topic with most of a pose and velocities, by their number, its rate, then its place in the log.
 
-    The odometry of wheels, which slip, comes after others. Where none has both a position and a heading, as with a GNSS
-    receiver beside an IMU, each comes from its own topic.
+    The odometry of wheels, which slip, and poses in the earth's frame come after others. Where none has both a position
+    and a heading, as with a GNSS receiver beside an IMU, each comes from its own topic.
     """
     best: dict[str, Guess] = {}
     best_score = (0, False, 0)
@@ -50,7 +50,7 @@ def draft_pose(log: Log, guesses: Sequence[Guess], frame: str) -> dict[str, Entr
         if "position" not in channels or not {"orientation", "yaw"} & set(channels):
             continue
         moving = {c: g for c, g in channels.items() if c not in _POSE or _varies(field_values(log, g))}
-        score = (sum(c in _POSE for c in moving), _WHEELS.search(topic) is None, log.topics[topic].count)
+        score = (sum(c in _POSE for c in moving), _LAST.search(topic) is None, log.topics[topic].count)
         if "position" in moving and score > best_score:
             best, best_score = moving, score
     best = best or _places_and_headings(log, channels_of)

@@ -67,6 +67,7 @@ wheel_positions = {wheels}
 """
 _MAX_STEER = 0.5
 """Where no angle says what it is [rad]."""
+_NED = re.compile(r"(?<![a-z])ned(?![a-z])", re.IGNORECASE)
 _COVARIANCE = re.compile(r"covariance")
 _LISTED = 60
 """How many fields of a topic are listed."""
@@ -185,8 +186,9 @@ def _text(log: Log, seen: _Seen) -> str:
             *entry.lines,
             "",
         ]
-    if log.topics[entries["position"].guess.topic].type.startswith(DOWN):
-        parts += ["[motion]  # GUESSED by the type of the pose's messages", 'axes = "ned"', ""]
+    pose = entries["position"].guess
+    if log.topics[pose.topic].type.startswith(DOWN) or any(_NED.search(name) for name in (pose.topic, *pose.fields)):
+        parts += ["[motion]  # GUESSED by the pose's name, or the type of its messages", 'axes = "ned"', ""]
     parts += _clock(log) + _unread(log, entries)
     return "\n".join([*parts, draft_sensors(log, entries["position"].guess.topic)])
 

@@ -9,13 +9,12 @@ from jaxtyping import Float
 
 from offpiste.inspection.findings import Finding, Severity, merged
 from offpiste.inspection.recorded_log import Recorded
-from offpiste.rig.channels import SECONDS, ChannelSource, Clock
+from offpiste.rig.channels import ChannelSource, Clock
 from offpiste.rig.edits import Edit
+from offpiste.rig.labels import unit_by_rate
 
 _LATE = 2.0
 """A topic that starts this much after the pose, or stops this much before it, is reported [s]."""
-_RATES = (0.2, 20_000.0)
-"""A vehicle's topic outside of these rates is stamped in another unit than seconds [Hz]."""
 _ZONE: Final = 900.0
 """Time zones differ by multiples of a quarter of an hour [s]."""
 _APART = 0.5
@@ -240,10 +239,7 @@ def _intervals(where: str, seen: Timing, origin: float, clock: Clock, *, used: b
     findings: list[Finding] = []
     if not np.isfinite(seen.rate) or seen.backward > _DISORDER * seen.count:
         return findings  # out of order, stamps show no rate
-    if used and seen.count > 20 and not _RATES[0] < seen.rate < _RATES[1]:
-        # Vehicles are recorded at some 50 Hz: the unit that comes nearest to that.
-        wanted = np.log10(SECONDS[clock.unit] * seen.rate / 50)
-        unit = min(SECONDS, key=lambda name: abs(np.log10(SECONDS[name]) - wanted))
+    if used and seen.count > 20 and (unit := unit_by_rate(seen.rate, clock.unit)) != clock.unit:
         message = f"{seen.rate:.3g} samples a second, {seen.end - seen.start:.3g} s long"
         edit = Edit("clock.unit", unit)
         return [Finding("fatal", where, "stamps are in another unit", message, str(edit), 1.0, ((edit,),))]

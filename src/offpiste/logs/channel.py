@@ -245,6 +245,7 @@ def convert(
             values = bicycle_angle(values, raw[:, 1:], vehicle.wheelbase) / vehicle.max_steer
         if (control := control_of(name)) is not None and control.discrete:
             values = np.clip(np.round(values), control.low, control.high)
+    values = np.abs(values) if source.absolute else values
     return values if source.clip is None else np.clip(values, *source.clip)
 
 

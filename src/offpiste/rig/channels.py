@@ -67,7 +67,7 @@ def known_channels() -> dict[str, tuple[str, tuple[int, ...]]]:
     single = (1,)
     controls = {control.name: (control.unit, single) for control in all_controls()}
     actuators = {actuator.channel: (actuator.unit, single) for actuator in all_actuators()}
-    return OTHER_CHANNELS | controls | actuators | {"steer": (controls["steer"][0], (1, 2))}
+    return OTHER_CHANNELS | controls | actuators
 
 
 class Wrap(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -91,6 +91,7 @@ class ChannelSource(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         delay: how much later than it happened a sample is stamped [s].
         valid: values outside of it (after conversion) are measurement faults and dropped.
         clip: values are limited to this interval.
+        absolute: the size of a control whose sign says a direction, as of a commanded speed; before `clip`.
         values: what recorded values stand for, of channels of one field; keys are numbers, true, false, or the single
             letter whose character code is recorded. The other entries apply to what they stand for.
         origin: latitude and longitude of x = y = 0, for a position in these [degrees], so that drives share their
@@ -112,6 +113,7 @@ class ChannelSource(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     wrap: Wrap | None = None
     valid: tuple[float, float] | None = None
     clip: tuple[float, float] | None = None
+    absolute: bool = False
     values: dict[str, float] = {}
     origin: tuple[float, float] | None = None
     interpolation: Literal["linear", "hold", "on change"] = "linear"
@@ -211,7 +213,7 @@ def check_channels(channels: Mapping[str, ChannelSource], absent: Collection[str
     for name, source in channels.items():
         if name not in known:
             raise RigError(f"unknown channel '{name}'", how=f"channels are: {', '.join(known)}")
-        widths = known[name][1]
+        widths = (1, 2) if name == "steer" else known[name][1]  # of a turn rate, with the speed
         if len(source.fields) not in widths:
             raise RigError(
                 f"channels.{name}.fields has {len(source.fields)} entries",
@@ -236,6 +238,8 @@ def check_channels(channels: Mapping[str, ChannelSource], absent: Collection[str
                 f"channels.{name}.frame is missing",
                 how='say "world", "body" or "unknown"; `offpiste inspect` shows which fits',
             )
+        if source.absolute and name in OTHER_CHANNELS:
+            raise RigError(f"channels.{name}.absolute: its sign is a part of it", how="give it to controls alone")
         if source.interpolation == "on change" and name in OTHER_CHANNELS:
             raise RigError(
                 f"channels.{name} is measured, and changes while nothing is published",

@@ -1,15 +1,19 @@
-"""Labels of columns and fields: the name and the unit in `x(m)`, `vx [m/s]`, `steer_deg`, `speedKmh`, `time_us`."""
+"""Labels of columns and fields: name and unit in `x(m)`, `vx [m/s]`, `steer_deg`, `time_us`, and the axis of a name."""
 
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
+import numpy as np
+
 from offpiste.errors import RigError
 from offpiste.rig.channels import known_channels, unit_factor
 
 SECONDS: Final = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
 """Units of time per second."""
+RATES: Final = (0.2, 20_000.0)
+"""Samples a second that recordings have."""
 
 _SPELLINGS: Final[dict[str, str]] = {
     "s": "s sec secs second seconds",
@@ -51,7 +55,8 @@ _SUFFIX: Final = re.compile(
     + r")|\s*([%‰°º]))$"
 )
 _OF_THE_TOPIC: Final = re.compile(
-    r"^(vector|point|quaternion|angle)\.[xyzw]$|^(manual_input|command|output)$"
+    r"^(vector|point|quaternion|angle)\.[xyzw]$|^(manual_input|command|output)$|^(front|rear)_(left|right)$"
+    r"|^(percent|pressure|torque)_(cmd|com+and|input|output)$"
     r"|^pedal(_(cmd|com+and|value|input|output|pos(ition)?))?$"
 )
 """Fields whose topic alone says what they are of: vectors of any kind, reports of any actuator, a pedal."""
@@ -136,6 +141,75 @@ def channel_unit(channel: str, unit: str) -> str | None:
     return "" if unit == own else unit
 
 
+def unit_by_rate(rate: float, unit: str) -> str:
+    """The unit of stamps, by the rate that they have in another one [1/s]: vehicles are recorded at some 50 Hz.
+
+    Args:
+        unit: that is kept where the rate is one of recordings.
+    """
+    if not np.isfinite(rate) or RATES[0] < rate < RATES[1]:
+        return unit
+    wanted = np.log10(SECONDS[unit] * 50 / rate)
+    return min(SECONDS, key=lambda name: abs(np.log10(SECONDS[name]) - wanted))
+
+
 def time_unit(unit: str) -> str:
     """A unit of time as a clock takes it; "" for any other."""
     return unit if unit in SECONDS else ""
+
+
+_AXIS_WORDS: Final = tuple(
+    (re.compile(rf"(?<![a-z]){pattern}(?![a-z])"), to)
+    for pattern, to in (
+        ("(easting|east)", "x"),
+        ("(northing|north)", "y"),
+        ("(up|altitude|alt|elevation|height)", "z"),
+        ("(utm|p|pos|position|enu)_?e", r"\1_x"),
+        ("(utm|p|pos|position|enu)_?n", r"\1_y"),
+        ("(utm|pos|position|enu)_?[uh]", r"\1_z"),
+        ("(v|vel|velocity|speed)_(lon|long|longitudinal|forward|fwd)", "v_x"),
+        ("(v|vel|velocity|speed)_(lat|lateral|left)", "v_y"),
+        ("([xyz])_?dot", r"v_\1"),
+        ("(v|vel|velocity)_?e", "v_x"),
+        ("(v|vel|velocity)_?n", "v_y"),
+        ("(v|vel|velocity)_?u", "v_z"),
+        ("([xyz])[_ ](v|vel|velocity)", r"v_\1"),
+    )
+)
+"""Words for the letters x, y and z of vectors."""
+_AXIS_NAME: Final = re.compile(r"(?<![a-z])p?([xyz])(?![a-z])")
+GEOGRAPHIC_NAMES: Final = tuple(
+    re.compile(rf"(?<![a-z])({words})$")
+    for words in ("lat|latitude", "lon|lng|long|longitude", "alt|altitude|height|elevation")
+)
+"""What latitude, longitude and height are called."""
+
+
+def with_letters(name: str) -> str:
+    """A name with the letters x, y and z in place of words for them."""
+    for pattern, letter in _AXIS_WORDS:
+        name = pattern.sub(letter, name)
+    return name
+
+
+def named_axis(field: str) -> str:
+    """The axis that a position's field is named by: "x" (or east), "y" (or north), "z" (or up); "" for none."""
+    return _last_letter(with_letters(parse_label(field).name))
+
+
+def named_coordinate(field: str) -> str:
+    """The coordinate that a position's field is named by: "lat" (latitude) or "lon" (longitude); "" for none."""
+    name = parse_label(field).name
+    return next(
+        (what for what, pattern in zip(("lat", "lon"), GEOGRAPHIC_NAMES, strict=False) if pattern.search(name)), ""
+    )
+
+
+def named_direction(field: str) -> bool:
+    """Whether a position's field is named by a direction, east or north, and not by a letter."""
+    return named_axis(field) in ("x", "y") and named_axis(field) != _last_letter(parse_label(field).name)
+
+
+def _last_letter(name: str) -> str:
+    found = _AXIS_NAME.findall(name)
+    return str(found[-1]) if found else ""

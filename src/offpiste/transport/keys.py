@@ -1,11 +1,13 @@
-"""Where messages of ROS 2 are found on zenoh: keys of rmw_zenoh and of zenoh-bridge-ros2dds.
+"""Where messages of ROS 2 are found on zenoh, and what goes with them: conventions of rmw_zenoh and of its bridge.
 
 `rmw_zenoh` (ros2/rmw_zenoh): `DOMAIN/TOPIC/TYPE/HASH`; who is there is said by liveliness tokens under
 `@ros2_lv`. The bridge (eclipse-zenoh/zenoh-plugin-ros2dds): `NAMESPACE/TOPIC`, types by tokens of the bridge alone.
+With each message of rmw_zenoh go its number, the time it was sent, and the identity of its publisher.
 """
 
+import struct
 from dataclasses import dataclass
-from typing import Final, Protocol, runtime_checkable
+from typing import Final, NamedTuple, Protocol, runtime_checkable
 
 NO_HASH: Final = "TypeHashNotSupported"
 """What stands for the hash where the robot's ROS has none (Humble)."""
@@ -165,3 +167,28 @@ def dds_type(msgtype: str) -> str:
 def ros_type(dds: str) -> str:
     """`nav_msgs/msg/Odometry` of `nav_msgs::msg::dds_::Odometry_`."""
     return dds.replace("::dds_::", "::").removesuffix("_").replace("::", "/")
+
+
+_LAYOUT: Final = struct.Struct("<qqB16s")
+"""A zenoh serialisation of two numbers and 16 bytes, which have their length before them: 33 bytes."""
+ATTACHMENT_SIZE: Final = _LAYOUT.size
+
+
+class Attachment(NamedTuple):
+    """Number of a message since its publisher began, time it was sent [ns since 1970], and its publisher's GID."""
+
+    sequence: int
+    sent: int
+    publisher: bytes
+
+    def packed(self) -> bytes:
+        """As 33 bytes."""
+        return _LAYOUT.pack(self.sequence, self.sent, len(self.publisher), self.publisher)
+
+
+def attachment_of(data: bytes) -> Attachment | None:
+    """The attachment in 33 bytes; None for anything else, as messages of the bridge have none."""
+    if len(data) != _LAYOUT.size:
+        return None
+    sequence, sent, length, publisher = _LAYOUT.unpack(data)
+    return Attachment(sequence, sent, publisher) if length == len(publisher) else None

@@ -14,9 +14,18 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 from offpiste.errors import extra, require
-from offpiste.transport.attachment import ATTACHMENT_SIZE, Attachment, unpacked
 from offpiste.transport.interface import Deliver, Publish, Received
-from offpiste.transport.keys import NO_HASH, Address, BridgeKeys, Endpoint, Keys, RmwZenohKeys
+from offpiste.transport.keys import (
+    ATTACHMENT_SIZE,
+    NO_HASH,
+    Address,
+    Attachment,
+    BridgeKeys,
+    Endpoint,
+    Keys,
+    RmwZenohKeys,
+    attachment_of,
+)
 from offpiste.transport.message_types import MessageTypes
 from offpiste.transport.tally import Tally
 from offpiste.transport.zenoh_session import Mode, opened_session, router_process
@@ -248,7 +257,7 @@ class ZenohTransport:
 def _publisher_of(sample: Any) -> tuple[int, bytes]:
     """Number and identity of the publisher that a message carries; -1 and nothing where it carries none."""
     attached = sample.attachment
-    about = unpacked(bytes(attached) if attached is not None and len(attached) == ATTACHMENT_SIZE else b"")
+    about = attachment_of(bytes(attached) if attached is not None and len(attached) == ATTACHMENT_SIZE else b"")
     return (about.sequence, about.publisher) if about else (-1, b"")
 
 

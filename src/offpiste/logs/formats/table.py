@@ -15,7 +15,7 @@ from jaxtyping import Float
 from offpiste.errors import LogError
 from offpiste.logs.log import LOG_FORMATS, Log, Samples, Topic
 from offpiste.rig.channels import Clock
-from offpiste.rig.labels import SECONDS, parse_label, time_unit, unit_of
+from offpiste.rig.labels import SECONDS, parse_label, time_unit, unit_by_rate, unit_of
 
 _TIME_NAME = re.compile(r"^(t|secs?|seconds?|stamp)(?![a-z])|time|(?<![a-z])(i?tow|epoch|unix)(?![a-z])")
 _EVENLY = 0.2
@@ -56,11 +56,13 @@ class TableLog(Log):
         self._units |= {name: unit for name in self._table.column_names if (unit := parse_label(name).unit)}
         self._unit = clock_unit
         self._clock = clock_column or self._guess_clock(notes)
+        listed = ", ".join(self._table.column_names[:40])
         if not self._clock:
-            how = "name it: `inspect --time COLUMN`, or clock.column in a rig"
-            raise LogError("no column looks like time", where=path, how=f"{how}; there are {self._listing()}")
+            how = f"name it: `inspect --time COLUMN`, or clock.column in a rig; there are {listed}"
+            raise LogError("no column looks like time", where=path, how=how)
         if self._clock not in self._table.column_names:
-            raise LogError(f"no column '{clock_column}' for the clock", where=path, how=f"it has: {self._listing()}")
+            raise LogError(f"no column '{clock_column}' for the clock", where=path, how=f"it has: {listed}")
+        self._unit = clock_unit or time_unit(self._units.get(self._clock, "")) or self._unit_by_rate()
         if not clock_unit and self.clock.unit != "s":
             notes.append(f"'{self._clock}' is read in {self.clock.unit}; clock.unit in the rig can say otherwise")
         self.warnings = tuple(notes)
@@ -73,8 +75,8 @@ class TableLog(Log):
     @classmethod
     def open(cls, path: Path, clock: Clock) -> Log:
         """A table whose time is the clock's column."""
-        guess_unit = not clock.column and clock.unit == Clock().unit
-        return cls(path, clock_column=clock.column, clock_unit="" if guess_unit else clock.unit)
+        unit = "" if not clock.column and clock.unit == Clock().unit else clock.unit
+        return cls(path, clock_column=clock.column, clock_unit=unit)
 
     @property
     def topics(self) -> dict[str, Topic]:
@@ -92,9 +94,6 @@ class TableLog(Log):
         for column, field in enumerate(fields):
             values[:, column] = self._numbers(field)
         return Samples(self._stamps(self._clock), values)
-
-    def _listing(self) -> str:
-        return ", ".join(self._table.column_names[:40])
 
     def _is_numeric(self, name: str) -> bool:
         """Whether most of the first cells are numbers: one bad cell does not make it a column of text."""
@@ -116,7 +115,7 @@ class TableLog(Log):
             return even[0]
         if len(names) < 2:
             return "".join(names)
-        guess: str = max(names, key=lambda name: self._share_rising(name))
+        guess: str = max(names, key=self._share_rising)
         notes.append(f"'{guess}' is taken for time, of {', '.join(names)}; clock.column in the rig can say otherwise")
         return guess
 
@@ -130,6 +129,10 @@ class TableLog(Log):
 
     def _unit_of_stamps(self, name: str) -> str:
         return self._unit or time_unit(self._units.get(name, "")) or "s"
+
+    def _unit_by_rate(self) -> str:
+        steps = np.diff(self._stamps(self._clock))
+        return unit_by_rate(1 / float(np.median(steps[steps > 0])), "s") if (steps > 0).any() else "s"
 
     def _share_rising(self, name: str) -> float:
         try:
@@ -247,13 +250,11 @@ def _read_csv(path: Path, notes: list[str], units: dict[str, str]) -> pa.Table:
             ),
         )
     except (pa.ArrowException, OSError) as error:
-        how = "fix that line; the text must be UTF-8"
-        raise LogError(str(error), where=path, how=how) from error
+        raise LogError(str(error), where=path, how="fix that line; the text must be UTF-8") from error
     if table.num_rows == 0:
         raise LogError("no row below the header", where=path, how="record or export it again")
     if comma:
-        columns = [pc.replace_substring(column, ",", ".") for column in table.columns]
-        table = pa.table(columns, names=names)
+        table = pa.table([pc.replace_substring(column, ",", ".") for column in table.columns], names=names)
     return table
 
 

@@ -1,0 +1,99 @@
+"""Pedals of a first rig: their scale by what loggers usually write, and one column for throttle and brake."""
+
+import re
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float
+
+from offpiste.inspection.channel_guesses import MOTION, Guess
+from offpiste.inspection.draft_pose import Entry, unit_line
+from offpiste.inspection.middle_ranges import FULL_PULSE, are_pulses, pulse_at_rest
+from offpiste.inspection.pedal_scale import (
+    full_scale,
+    held_range,
+    is_signed,
+    rests_high,
+    scaled_to_unit,
+    seen_range,
+    whole_range,
+)
+from offpiste.inspection.signal_faults import find_wrap
+from offpiste.rig.channels import ChannelSource
+from offpiste.rig.edits import number
+from offpiste.rig.labels import channel_unit
+
+_PULSED: Final = re.compile(r"servo|pwm|pulse|(?<![a-z])(esc|rc)(?![a-z])", re.IGNORECASE)
+_SLACK: Final = 25.0
+"""Pulses below the one at rest that are none of a brake [us]."""
+
+Scalars = dict[str, tuple[Guess, Float[np.ndarray, " n"]]]
+"""Guesses of channels of one number, and their values."""
+
+
+def rests_above_zero(values: Float[np.ndarray, " n"]) -> bool:
+    """Whether a pedal within 0 to 1 is released well above 0."""
+    low, high = seen_range(values)
+    return rests_high(values) is False and low > 0.05 and high <= 1.05
+
+
+def pedal_lines(channel: str, guess: Guess, values: Float[np.ndarray, " n"]) -> tuple[list[str], str]:
+    """Scale of a pedal's numbers to 0..1, and why: by what loggers usually write, else by what this log holds."""
+    low, high = seen_range(values)
+    # Of a pressure no number is usual.
+    measured = guess.channel == "brake_pressure" or bool(guess.unit and channel_unit(channel, guess.unit) is None)
+    span = None if measured else whole_range(values)
+    if span == (0.0, 100.0):
+        return ['unit = "percent"', "clip = [0.0, 1.0]"], f" and its numbers up to {high:.4g}: taken as percent"
+    source = ChannelSource(guess.fields, guess.topic)
+    edits = scaled_to_unit(channel, source, span or (low, high), turned=bool(span and span[0] and rests_high(values)))
+    lines = [f"{edit.key.rpartition('.')[2]} = {number(edit.value)}" for edit in edits]
+    seen = f"{low:.4g}..{high:.4g} {guess.unit if measured else ''}".rstrip()
+    fully = "is that full braking?" if guess.channel == "brake_pressure" else "is it fully pressed?"
+    comment = f"; scaled from {seen} to 0..1, the most that this log holds: {fully}"
+    if span:
+        comment = f" and its numbers: of {span[0]:g}..{span[1]:g}, {low:.4g}..{high:.4g} seen"
+    return [*lines, "clip = [0.0, 1.0]"], comment
+
+
+def signed_pedal(scalars: Scalars) -> dict[str, Entry]:
+    """Throttle and brake where one column holds both, the brake below zero; nothing where it does not."""
+    if "throttle" not in scalars or scalars["throttle"][0].rank == MOTION:
+        return {}
+    guess, values = scalars["throttle"]
+    if are_pulses(values, named=are_named_pulses(guess)):
+        return _pulsed_pedal(guess, values, alone="brake" not in scalars)
+    if find_wrap(values) is not None or not is_signed(values) or ("brake" in scalars and rests_high(values)):
+        return {}
+    low, high = held_range(values)
+    largest = max(-low, high)
+    scaled = unit_line("throttle", guess) if largest > 1.05 else ()
+    if not scaled and largest > 1.05:
+        full = full_scale(largest)
+        scaled = ('unit = "percent"',) if full == 100 else (f"scale = {number(1 / (full or largest))}",)
+    comment = f"GUESSED by its name and numbers, {low:.4g}..{high:.4g}: "
+    entries = {"throttle": Entry(guess, (*scaled, "clip = [0.0, 1.0]"), comment + "what is above zero")}
+    if "brake" not in scalars:
+        lines = (*scaled, "sign = -1", "clip = [0.0, 1.0]")
+        entries["brake"] = Entry(guess, lines, comment + "what is below zero brakes")
+    return entries
+
+
+def _pulsed_pedal(guess: Guess, values: Float[np.ndarray, " n"], *, alone: bool) -> dict[str, Entry]:
+    """Throttle, and brake where nothing else is one, of a speed controller's pulses [us]."""
+    rest = pulse_at_rest(values)
+    low, high = held_range(values)
+    whole = FULL_PULSE - rest
+    both = rest - low > _SLACK
+    lines = (f"scale = {number(1 / whole)}", f"offset = {number(-rest / whole)}")
+    words = f"GUESSED by its name and numbers: pulses, released at {rest:g}, {low:.4g}..{high:.4g} seen: "
+    words += f"is full throttle {FULL_PULSE:g}?"
+    entries = {"throttle": Entry(guess, (*lines, "clip = [0.0, 1.0]"), words)}
+    if alone and both:
+        entries["brake"] = Entry(guess, (*lines, "sign = -1", "clip = [0.0, 1.0]"), words + "; what is below it brakes")
+    return entries
+
+
+def are_named_pulses(guess: Guess) -> bool:
+    """Whether unit or name say that numbers are widths of pulses."""
+    return guess.unit == "us" or any(_PULSED.search(name) for name in (guess.topic, *guess.fields))
