@@ -272,7 +272,7 @@ _NO_SPEED: Final = re.compile(r"valid|direction|(?<![a-z])is_")
 
 
 def _wheels(topic: Topic, named: Mapping[str, Label]) -> Iterator[Guess]:
-    """Speeds of four wheels."""
+    """Speeds of four wheels; those of joints are in rad/s, and how large the wheels are is not known."""
     turned = {"lf": "fl", "rf": "fr", "lr": "rl", "lb": "rl", "rb": "rr"}
     columns: dict[str, str] = {}
     for field, label in named.items():
@@ -280,7 +280,7 @@ def _wheels(topic: Topic, named: Mapping[str, Label]) -> Iterator[Guess]:
         for words, letters in _IN_WORDS:
             name = words.sub(letters, name)
         corner = _CORNER.search(name)
-        if corner and _WHEEL_SPEED.search(name) and not _NO_SPEED.search(name):
+        if corner and field not in topic.joints and _WHEEL_SPEED.search(name) and not _NO_SPEED.search(name):
             columns.setdefault(turned.get(corner[1], corner[1]), field)
     if set(columns) == set(_CORNERS):
         fields = tuple(columns[corner] for corner in _CORNERS)
