@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from simulated import MAX_STEER, MemoryLog, drive_log
 
+from offpiste.errors import LogError
 from offpiste.inspection.channel_guesses import by_topic, guess_channels
 from offpiste.inspection.draft_rig import draft_rig
 from offpiste.inspection.inspect import inspect_log
@@ -247,6 +248,15 @@ def test_east_and_north_velocities_are_no_place() -> None:
     found = by_topic(guess_channels(log))[""]
     assert found["position"].fields == columns[3:]
     assert found["linear_velocity"].fields == columns[:3]
+
+
+def test_half_of_a_pose_is_named() -> None:
+    """A simulator's log may have the direction ahead as a vector."""
+    columns = dict.fromkeys(("pos_x", "pos_y", "dir_x", "dir_y", "throttle"), ODOM["x"])
+    with pytest.raises(LogError, match="pos_x, pos_y may be a position, and no name is that of a heading; it has: col"):
+        draft_rig(MemoryLog({"": (TIME, columns)}))
+    with pytest.raises(LogError, match=r"/imu \(yaw\) may be a heading, and no name is that of a position"):
+        draft_rig(log_of({"/imu": {"yaw": "azimuth in rad", "temperature": "1"}} | COMMANDS))
 
 
 def test_a_pose_in_the_earths_frame_comes_last() -> None:

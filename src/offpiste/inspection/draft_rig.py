@@ -12,7 +12,7 @@ from msgspec import structs
 
 from offpiste.errors import LogError, OffpisteError, RigError
 from offpiste.files import write_text
-from offpiste.inspection.channel_guesses import DOWN
+from offpiste.inspection.channel_guesses import DOWN, guess_channels
 from offpiste.inspection.commanded_motion import is_turn_rate
 from offpiste.inspection.controls_by_numbers import find_controls, is_measured
 from offpiste.inspection.course import check_course
@@ -172,7 +172,7 @@ def _text(log: Log, seen: _Seen) -> str:
         raise LogError(
             "no topic looks like a pose (position and heading)",
             where=log.path,
-            how=f"write a rig that names one; it has: {_contents(log)}",
+            how=f"write a rig that names one; {_half_of_a_pose(log)}it has: {_contents(log)}",
         )
     absent = undeclared(entries)
     parts = [_header(log, entries, absent, seen)]
@@ -252,6 +252,17 @@ def _unread(log: Log, entries: Mapping[str, Entry]) -> list[str]:
             where = f"fields of {name}" if name else "columns"
             lines += wrap(f"Not read: {where}: {', '.join(rest[:_LISTED] + more)}", 118)
     return [*(f"# {line}" for line in lines), ""] if lines else []
+
+
+def _half_of_a_pose(log: Log) -> str:
+    """Which half of a pose there is, in words; empty where there is none."""
+    found = {guess.channel: guess for guess in reversed(guess_channels(log))}
+    place, heading = found.get("position"), found.get("orientation") or found.get("yaw")
+    if (half := place or heading) is None or (place and heading):
+        return ""
+    kind, other = ("position", "heading") if place else ("heading", "position")
+    where = f"{half.topic} ({', '.join(half.fields)})" if half.topic else ", ".join(half.fields)
+    return f"{where} may be a {kind}, and no name is that of a {other}; "
 
 
 def _contents(log: Log) -> str:
