@@ -2,7 +2,7 @@
 
 import pytest
 
-from offpiste.rig.labels import Label, channel_unit, is_array_entry, parse_label, unit_of
+from offpiste.rig.labels import Label, channel_unit, is_array_entry, parse_label, unit_by_rate, unit_of
 
 
 @pytest.mark.parametrize(
@@ -40,6 +40,15 @@ def test_cells_of_a_row_of_units() -> None:
     assert [unit_of(cell) for cell in ("[m]", " deg/s ", "-", "", "°", "1", "abc", "3.5")] == [
         "m", "deg/s", "", "", "deg", "", None, None,
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("rate", "unit", "said"),
+    [(50.0, "s", "s"), (0.05, "s", "ms"), (50e-6, "s", "us"), (50e-9, "s", "ns"), (50e3, "ms", "s")],
+)
+def test_the_unit_of_stamps_by_their_rate(rate: float, unit: str, said: str) -> None:
+    assert unit_by_rate(rate, unit) == said
+    assert unit_by_rate(float("inf"), unit) == unit_by_rate(float("nan"), unit) == unit
 
 
 def test_entries_of_arrays_are_not_units() -> None:

@@ -82,13 +82,13 @@ _NEVER: Final = {
     "yaw": re.compile(r"brake|brk|press|tire|tyre|oil|boost|fuel|gyro|rate"),
     "wheel_speed": re.compile(r"engine|motor|turbine|steer|fan|shaft|wind"),
 }
-"""What a channel is not called where its name is not its own."""
+"""What a channel is not called; a throttle that has a name of its own may be."""
 _BESIDE: Final = re.compile(
-    r"torque|rate|speed|press(?!_?ed)|current|force|effort|temp|engage|light|lamp|switch|bias|park|hand_?brake|pressed|on_off"
+    r"torque|rate|speed|press|current|force|effort|temp|engage|light|lamp|switch|bias|park|hand_?brake|on_off"
 )
 """What is measured at a pedal or a steering, besides where it is; a channel only where nothing else is."""
 FALLBACK: Final = 10
-"""Rank of that."""
+"""Ranks from here on are those of such names."""
 
 
 def _scalars() -> tuple[tuple[str, int, re.Pattern[str]], ...]:
@@ -185,7 +185,7 @@ def _of_topic(topic: Topic) -> Iterator[Guess]:
             if channel == "steer" and joint:
                 channel, rank = "steer_angle", MEASURED  # joints are measured, in radians
             named_so = pattern.search(label.name) or pattern.search(label.name.replace(" ", "_"))
-            if channel in _NEVER and (rank or channel == "yaw") and _NEVER[channel].search(label.name):
+            if channel in _NEVER and (rank or channel != "throttle") and _NEVER[channel].search(label.name):
                 continue
             if channel in _CONTROLS and _BESIDE.search(label.name):
                 rank += FALLBACK
@@ -237,8 +237,6 @@ def _vectors(topic: Topic, named: Mapping[str, Label]) -> Iterator[Guess]:
 
 _HEIGHT: Final = re.compile(r"((utm|gps|gnss|pos|position)_)?(z|alt|altitude|elevation|height)")
 """What the height of a place is called whose east and north are called otherwise."""
-
-
 _LATERAL: Final = re.compile(r"acc|force|vel|speed|(^|[ ._/])[av]_")
 """What is lateral or longitudinal, and no latitude or longitude."""
 

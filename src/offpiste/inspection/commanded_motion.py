@@ -62,7 +62,11 @@ def motion_lines(channel: str, values: Float[np.ndarray, " n"], unit: str) -> tu
     """What a first rig says of a commanded motion, and why.
 
     Args:
-        values: of the first field: the speed, or the turn rate.
+        values: of the first field: the speed [m/s], or the turn rate.
+        unit: of a turn rate, as the log states it; rad/s where it states none.
+
+    Returns:
+        Lines of TOML, and a comment.
     """
     largest, backwards = float(np.abs(values).max()), bool(values.min() < 0)
     if channel == "gear":
@@ -78,7 +82,12 @@ def motion_lines(channel: str, values: Float[np.ndarray, " n"], unit: str) -> tu
 
 
 def commanded_curvature(raw: Float[np.ndarray, "n 2"], rig: Rig) -> float:
-    """Curvature that turn rates and speeds ask for at full lock, which a few turns on the spot leave out [1/m]."""
+    """Curvature that turn rates and speeds ask for at full lock, which a few turns on the spot leave out [1/m].
+
+    Args:
+        raw: turn rate and speed of each command, as recorded.
+        rig: whose steering reads them.
+    """
     source = rig.channels["steer"]
     rate, speed = raw[np.isfinite(raw).all(axis=1)].T
     rate = (rate * source.scale + source.offset) * TURN_RATES[source.unit]
@@ -88,7 +97,12 @@ def commanded_curvature(raw: Float[np.ndarray, "n 2"], rig: Rig) -> float:
 
 
 def is_turn_rate(channel: Channel, path: Path, rig: Rig) -> bool:
-    """Whether the vehicle turns as a steering command says, and not as that times the speed."""
+    """Whether the vehicle turns as a steering command says, and not as that times the speed.
+
+    Args:
+        channel: the command's own number, as recorded.
+        rig: that reads it so.
+    """
     fitted = steering_fit(channel, path, rig, measured=False)
     one = np.ones((len(path.time), 1))
     fit = fit_lags(path.yaw_rate, one, lagged(channel, path.time, rig), LAGS, moving_rows(path))

@@ -145,9 +145,7 @@ def _is_turn_rate(channel: Channel, path: Path, rig: Rig, strength: float) -> bo
 
 
 def _pressed(channel: Channel) -> Channel | None:
-    """A pedal from 0, released, upwards, or the upper half of a stick, or of pulses, that rest in their middle; None
-    where it rests nowhere.
-    """
+    """A pedal from 0, released, upwards, or what lies above the middle of a stick or of pulses; None for neither."""
     values: Float[np.ndarray, "n 1"] = channel.values
     high = rests_high(values[:, 0])
     if high is None:

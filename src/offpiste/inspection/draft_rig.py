@@ -152,9 +152,7 @@ def _heading_cure(log: Log, rig: Rig) -> Cure:
 
 
 def _is_plain(log: Log, rig: Rig) -> bool:
-    """Whether the vehicle turns as a commanded turn rate times the speed says: then it is the steering, whatever its
-    name.
-    """
+    """Whether what is called a turn rate is the steering: the vehicle turns as that times the speed says."""
     source = rig.channels.get("steer")
     if source is None or not source.turns:
         return False

@@ -27,8 +27,6 @@ _MOSTLY: Final = 0.7
 """Share of the motion with one recorded value from which it is wrong, however seldom it is engaged."""
 _MOST_GEARS: Final = 16
 """A field with more values is no gear."""
-
-
 _REVERSE: Final = re.compile(r"reverse", re.IGNORECASE)
 _SELECTOR: Final = re.compile(r"prnd", re.IGNORECASE)
 _LETTERS: Final = {"P": 0, "R": -1, "N": 0, "D": 1}

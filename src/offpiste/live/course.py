@@ -26,7 +26,8 @@ def read_course(path: Path, speed: float, rig: Rig) -> Course:
     In place of x and y it may have lat and lon [degrees], where the rig says where on earth its poses are.
 
     Args:
-        speed: where the table has none.
+        speed: where the table has none [m/s].
+        rig: of the vehicle, whose position's origin is the place of x = y = 0.
 
     Raises:
         LiveError: no such file, or no course in it.

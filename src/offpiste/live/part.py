@@ -24,6 +24,8 @@ STAMP: Final = struct.Struct("<dd")
 """A stamp, and when it was heard by the steady clock [s]."""
 RUNS_ON: Final = 1.0
 """The clock runs on for so long after the last new stamp [s]; then it stands still, and nothing is driven by it."""
+Change = Literal["", "jumped", "went back"]
+"""Why a map no longer fits: the pose jumped, or the clock went back; empty if it fits."""
 BACK: Final = 0.1
 """The clock went back where a stamp is older than the newest by more [s]; else messages came in another order."""
 GIVEN_BACK: Final = 10.0
@@ -168,9 +170,9 @@ class TrackFeed:
         self._number, self.control = self._ring.written, None
         self.came = -np.inf
 
-    def update(self, now: float) -> Literal["", "jumped", "went back"]:
-        """Take what is new; why the map no longer fits: the pose jumped, or the clock went back; empty if it fits."""
-        changed: Literal["", "jumped", "went back"] = ""
+    def update(self, now: float) -> Change:
+        """Take what is new; why the map no longer fits."""
+        changed: Change = ""
         if now < self.intake.now - BACK and self.intake.now < float("inf"):
             self.track.clear()
             changed = "went back"

@@ -221,8 +221,9 @@ def check_channels(channels: Mapping[str, ChannelSource], absent: Collection[str
             )
         unit_factor(name, source.unit, max_steer)
         if name == "steer" and (len(source.fields) == 2) != (source.unit in TURN_RATES):
+            count = "2 fields" if len(source.fields) == 2 else "1 field"
             raise RigError(
-                f"channels.steer has {len(source.fields)} field{'s'[: len(source.fields) - 1]} in '{source.unit or 1}'",
+                f"channels.steer has {count} in '{source.unit or 1}'",
                 how='a commanded turn rate takes two, that and the speed: fields = ["angular.z", "linear.x"], '
                 'unit = "rad/s"; all else takes one',
             )

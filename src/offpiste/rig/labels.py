@@ -145,6 +145,7 @@ def unit_by_rate(rate: float, unit: str) -> str:
     """The unit of stamps, by the rate that they have in another one [1/s]: vehicles are recorded at some 50 Hz.
 
     Args:
+        rate: samples in each of the seconds that the stamps would have in `unit`.
         unit: that is kept where the rate is one of recordings.
     """
     if not np.isfinite(rate) or RATES[0] < rate < RATES[1]:

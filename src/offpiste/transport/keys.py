@@ -169,9 +169,9 @@ def ros_type(dds: str) -> str:
     return dds.replace("::dds_::", "::").removesuffix("_").replace("::", "/")
 
 
-_LAYOUT: Final = struct.Struct("<qqB16s")
+_ATTACHMENT: Final = struct.Struct("<qqB16s")
 """A zenoh serialisation of two numbers and 16 bytes, which have their length before them: 33 bytes."""
-ATTACHMENT_SIZE: Final = _LAYOUT.size
+ATTACHMENT_SIZE: Final = _ATTACHMENT.size
 
 
 class Attachment(NamedTuple):
@@ -183,12 +183,12 @@ class Attachment(NamedTuple):
 
     def packed(self) -> bytes:
         """As 33 bytes."""
-        return _LAYOUT.pack(self.sequence, self.sent, len(self.publisher), self.publisher)
+        return _ATTACHMENT.pack(self.sequence, self.sent, len(self.publisher), self.publisher)
 
 
 def attachment_of(data: bytes) -> Attachment | None:
     """The attachment in 33 bytes; None for anything else, as messages of the bridge have none."""
-    if len(data) != _LAYOUT.size:
+    if len(data) != ATTACHMENT_SIZE:
         return None
-    sequence, sent, length, publisher = _LAYOUT.unpack(data)
+    sequence, sent, length, publisher = _ATTACHMENT.unpack(data)
     return Attachment(sequence, sent, publisher) if length == len(publisher) else None
