@@ -11,7 +11,7 @@ from offpiste.inspection.draft_rig import draft_rig
 from offpiste.inspection.draft_sensors import missing
 from offpiste.inspection.draft_values import check_draft_values
 from offpiste.inspection.inspect import inspect_log
-from offpiste.inspection.pedal_scale import is_signed
+from offpiste.inspection.usual_ranges import is_signed
 from offpiste.logs import open_log
 from offpiste.logs.drive import drive_from_log
 from offpiste.rig.edits import Edit, edited

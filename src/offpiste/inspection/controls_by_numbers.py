@@ -14,10 +14,9 @@ from offpiste.inspection.channel_guesses import Guess, labels
 from offpiste.inspection.commanded_motion import COMMANDED
 from offpiste.inspection.driven_path import Path, driven_path
 from offpiste.inspection.lags import LAGS, LagFit, fit_lags, lagged
-from offpiste.inspection.middle_ranges import are_pulses, pulse_at_rest
-from offpiste.inspection.pedal_scale import is_signed, rests_high
 from offpiste.inspection.pedals import pedal_fit
 from offpiste.inspection.steering_fit import moving_rows, steering_fit
+from offpiste.inspection.usual_ranges import are_pulses, is_signed, pulse_at_rest, rests_high
 from offpiste.logs.channel import Channel, read_channel
 from offpiste.logs.drive import drive_from_log
 from offpiste.logs.log import Log, Topic

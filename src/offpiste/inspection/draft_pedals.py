@@ -8,17 +8,19 @@ from jaxtyping import Float
 
 from offpiste.inspection.channel_guesses import MOTION, Guess
 from offpiste.inspection.draft_pose import Entry, unit_line
-from offpiste.inspection.middle_ranges import FULL_PULSE, are_pulses, pulse_at_rest
-from offpiste.inspection.pedal_scale import (
+from offpiste.inspection.signal_faults import find_wrap
+from offpiste.inspection.usual_ranges import (
+    FULL_PULSE,
+    are_pulses,
     full_scale,
     held_range,
     is_signed,
+    pulse_at_rest,
     rests_high,
     scaled_to_unit,
     seen_range,
     whole_range,
 )
-from offpiste.inspection.signal_faults import find_wrap
 from offpiste.rig.channels import ChannelSource
 from offpiste.rig.edits import number
 from offpiste.rig.labels import channel_unit

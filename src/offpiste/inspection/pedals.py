@@ -11,9 +11,9 @@ from offpiste.inspection.course import heading_fits
 from offpiste.inspection.driven_path import MOVING, STEP, Path
 from offpiste.inspection.findings import Finding, Severity
 from offpiste.inspection.lags import LAGS, SURE, LagFit, check_delay, fit_lags, lagged, sampled
-from offpiste.inspection.pedal_scale import held_range, rests_high, scaled_to_unit, whole_range
 from offpiste.inspection.ranges import BRAKES, is_untouched
 from offpiste.inspection.steering_fit import SteeringFit
+from offpiste.inspection.usual_ranges import held_range, rests_high, scaled_to_unit, whole_range
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
 from offpiste.rig.channels import unit_factor

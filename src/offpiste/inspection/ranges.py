@@ -9,10 +9,16 @@ from jaxtyping import Float
 from offpiste.channels import all_actuators, all_controls
 from offpiste.errors import RigError
 from offpiste.inspection.findings import Finding
-from offpiste.inspection.middle_ranges import steering_middle
-from offpiste.inspection.pedal_scale import full_scale, is_signed, rests_high, scaled_to_unit, whole_range
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.inspection.signal_faults import PERIODS
+from offpiste.inspection.usual_ranges import (
+    full_scale,
+    is_signed,
+    rests_high,
+    scaled_to_unit,
+    steering_middle,
+    whole_range,
+)
 from offpiste.logs.channel import convert, largest
 from offpiste.rig.channels import ChannelSource, unit_factor
 from offpiste.rig.edits import Edit, absent, rescaled, rounded

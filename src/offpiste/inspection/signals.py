@@ -8,10 +8,10 @@ from scipy.ndimage import median_filter
 
 from offpiste.channels import control_of
 from offpiste.inspection.findings import Finding, Severity
-from offpiste.inspection.pedal_scale import scaled_to_unit
 from offpiste.inspection.ranges import is_untouched, limits
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.inspection.signal_faults import COUNTED_DEGREES, MAX_SPIKES, counts_degrees, find_spikes, find_wrap
+from offpiste.inspection.usual_ranges import scaled_to_unit
 from offpiste.logs.channel import LARGEST, convert, largest, unwrapped
 from offpiste.logs.empty_rows import between_samples
 from offpiste.rig.channels import GEOGRAPHIC, POSE, ChannelSource, Wrap, known_channels, unit_factor
