@@ -69,6 +69,17 @@ def test_a_gear_that_goes_with_the_motion_is_right_and_one_that_does_not_is_foun
     assert check_gear(cured, driven_path(cured), recorded) == []
 
 
+def test_a_reverse_that_is_recorded_as_zero_is_found_where_the_throttle_drives_it() -> None:
+    """As of loggers that count R, N, 1, 2 from zero."""
+    log = _with_gear(_reversing(FORWARD, 20.0, 40.0), 20.0, 40.0, 2.0, 0.0)
+    drive, path, recorded = _read(log, GEAR)
+    pressed = replace(drive.channels["throttle"], values=np.full_like(drive.channels["throttle"].values, 0.4))
+    ((edit,),) = check_gear(replace(drive, channels={**drive.channels, "throttle": pressed}), path, recorded)[0].cures
+    assert edit.value == {"0": -1.0, "2": 1.0}
+    rolling = replace(pressed, values=np.zeros_like(pressed.values))
+    assert check_gear(replace(drive, channels={**drive.channels, "throttle": rolling}), path, recorded) == []
+
+
 def test_a_reverse_that_is_seldom_engaged_is_found_too_and_rolling_back_is_healthy(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -94,6 +105,9 @@ def test_the_course_of_a_vehicle_in_reverse_is_not_a_turned_heading() -> None:
         ("gear", (-1.0, 1.0, 2.0), ""),
         ("prndl", (0.0, 1.0, 3.0), "values = { 0 = 0, 1 = -1, 2 = 0, 3 = 1 }"),
         ("gear_letter", (82.0, 68.0), "values = { P = 0, R = -1, N = 0, D = 1 }"),
+        ("gear", (82.0, 78.0, 1.0, 2.0), "values = { P = 0, R = -1, N = 0, D = 1, 1 = 1, 2 = 1 }"),
+        ("gear_shift", (0.0, 1.0, 3.0), ""),
+        ("shift_rpt.output", (0.0, 1.0, 3.0), ""),
         ("reverse", (0.0, 1.0), "values = { 0 = 1, 1 = -1 }"),
     ],
 )

@@ -91,7 +91,7 @@ FAMILIES: Mapping[str, tuple[dict[str, dict[str, str]], dict[str, tuple[str, ...
         {"/ublox/navpvt": {"lon": "counted longitude", "lat": "counted latitude", "height": "counted height",
                            "vel_n": "counted north", "vel_e": "counted east", "heading": "counted azimuth"}}
         | COMMANDS,
-        {"position": ("lat", "lon", "height"), "yaw": ("heading",), "linear_velocity": ("vel_e", "vel_n")},
+        {"position": ("lat", "lon"), "yaw": ("heading",), "linear_velocity": ("vel_e", "vel_n")},
     ),
     "GPSFix": (
         {"/gps": {"latitude": "latitude", "longitude": "longitude", "altitude": "height", "track": "azimuth",

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from offpiste.inspection.signal_faults import counts_degrees, find_spikes, find_wrap
+from offpiste.inspection.signal_faults import degrees_each, find_spikes, find_wrap
 
 TIME = np.arange(0, 60, 0.02)
 SMOOTH = 150 + 100 * np.sin(TIME) + np.random.default_rng(0).standard_normal(len(TIME))
@@ -91,19 +91,25 @@ def test_what_is_no_wrap(values: np.ndarray) -> None:
 
 
 @pytest.mark.parametrize(
-    ("latitude", "longitude", "counted"),
+    ("latitude", "longitude", "each"),
     [
-        (481_500_000, 115_800_000, True),
-        (-338_600_000, 1_512_100_000, True),
-        (0, 0, False),
-        (48.15, 11.58, False),
-        (481_500_000.5, 115_800_000, False),
-        (981_500_000, 115_800_000, False),
-        (np.nan, 115_800_000, False),
+        (481_500_000, 115_800_000, 1e-7),
+        (-338_600_000, 1_512_100_000, 1e-7),
+        (0, 0, 1),
+        (48.15, 11.58, 1),
+        (1.35, 103.8, 1),
+        (0.84, 0.2, np.rad2deg(1)),
+        (-0.59, 2.6, np.rad2deg(1)),
+        (481_500_000.5, 115_800_000, 1),
+        (981_500_000, 115_800_000, 1),
+        (np.nan, 115_800_000, 1),
     ],
-    ids=["north", "south", "no fix", "degrees", "no integer", "no latitude", "unknown"],
+    ids=[
+        *("north", "south", "no fix", "degrees", "Singapore", "radians", "radians in the south"),
+        *("no integer", "no latitude", "unknown"),
+    ],
 )
-def test_degrees_that_are_counted(latitude: float, longitude: float, counted: bool) -> None:
+def test_what_one_of_a_latitude_is_in_degrees(latitude: float, longitude: float, each: float) -> None:
     before_the_fix = np.zeros(5)
-    places = (np.concatenate((before_the_fix, np.full(20, each))) for each in (latitude, longitude))
-    assert counts_degrees(*places) is counted
+    places = (np.concatenate((before_the_fix, np.full(20, value))) for value in (latitude, longitude))
+    assert degrees_each(*places) == pytest.approx(each)

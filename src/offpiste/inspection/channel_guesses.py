@@ -1,47 +1,15 @@
 """Guesses which topics and fields may feed which channel, by their names, units and types."""
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Final
 
 from offpiste.channels import ACTUATORS, CONTROLS, all_actuators, all_controls
 from offpiste.inspection.commanded_motion import motion_commands
+from offpiste.inspection.field_groups import field_groups
 from offpiste.logs.log import Log, Topic
-from offpiste.rig.channels import GEOGRAPHIC
-from offpiste.rig.labels import (
-    GEOGRAPHIC_NAMES,
-    Label,
-    channel_unit,
-    field_labels,
-    is_array_entry,
-    parse_label,
-    with_letters,
-)
-
-_AXIS = re.compile(r"(?<![a-z])([pqvwg]?)x(?![a-z])")
-_PLACES = (
-    "utm|enu|local|global|world|map|gps|gnss|ego|car|veh|vehicle|odom|rtk|slam|base|robot|center|cog|pos|gt|ground_?truth"
-    "|ekf|est|state|cg|rear_?axle|loc(ation)?|coord(inate)?s?"
-)
-_GROUPS: tuple[tuple[str, re.Pattern[str], str], ...] = (
-    ("orientation", re.compile(r"orient|quat|rot|(^|[^a-z])q$"), "yzw"),
-    ("angular_velocity", re.compile(r"angular|gyro|omega|(^|[^a-z])[wg]$"), "yz"),
-    ("linear_velocity", re.compile(r"linear_?vel|twist[._/]linear|vel|(^|[^a-z])v$"), "yz"),
-    ("position", re.compile(rf"pos|vicon|mocap|optitrack|translation|(^|[^a-z])p?$|(?<![a-z])({_PLACES})$"), "yz"),
-)
-"""Vectors, by what stands before the letter x, and the other letters."""
-_WIDTHS: Final = {"orientation": (4,), "angular_velocity": (3,), "linear_velocity": (2, 3), "position": (2, 3)}
-_NOT_GROUPS = re.compile(
-    r"acc|magn|gravity|force|effort|imu.*orient|ll[ah](?![a-z])"
-    r"|(?<![a-z])(mag|err|error|ref|des|desired|target|goal|setpoint|waypoint|cov|covariance|std|stdev|sd|sigma)(?![a-z])"
-)
-
-_TOGETHER: Final[tuple[tuple[frozenset[str], tuple[tuple[str, tuple[str, ...]], ...]], ...]] = (
-    (frozenset("uvwpqr"), (("linear_velocity", ("u", "v", "w")), ("angular_velocity", ("p", "q", "r")))),
-    (frozenset("uvr"), (("linear_velocity", ("u", "v")), ("yaw_rate", ("r",)))),
-)
-"""Names too short to mean anything alone; together they are of one notation (SNAME's, of marine vehicles)."""
+from offpiste.rig.labels import Label, channel_unit, field_labels, is_array_entry, parse_label
 
 _ANGLE = r"(angle|ang)"
 _TURN_RATE: Final = re.compile(r"ang(ular)?_?vel(ocity)?[/._]z$")
@@ -72,6 +40,10 @@ _SCALARS: tuple[tuple[str, int, str], ...] = (
     ("throttle", 1, r"(^|[ ./])motor$|(?<![a-z])(pwm|esc)$|(cmd|com+and).*(?<![a-z])duty(_?cycle)?$"),
     ("throttle", 2, r"(?<![a-z])accel(_?rpt)?[._/]?_?(cmd|com+and|manual_input|input|output|pct|pos(ition)?)$"),
     ("throttle", 1, r"(?<![a-z])(effort|torque)_?(cmd|com+and|input)$"),
+    ("gear", 1, r"(gear_?shift|(?<![a-z])shift_?(rpt|report|feedback|state|pos(ition)?))([._/](output|state|gear))?$"),
+    ("throttle", 1, r"propulsive_linear_effort_x$"),
+    ("brake", 1, r"resistive_linear_effort_x$"),
+    ("steer", 1, r"propulsive_rotational_effort_z$"),
     ("throttle", MOTION + 1, r"(?<![a-z])duty(_?cycle)?$"),
     ("wheel_speed", 1, r"wheels?[ _]?(speed|vel)|(speed|vel)_?wheels?"),
     ("wheel_speed", 2, r"(^|[ ._/])((vehicle|car|ego)_?)?speed$"),
@@ -79,6 +51,7 @@ _SCALARS: tuple[tuple[str, int, str], ...] = (
 """Channels of one number: how far the name is from the channel's own, and its pattern. Nearer ones come first."""
 _NEVER: Final = {
     "throttle": re.compile(r"steer|servo|brake|brk"),
+    "brake": re.compile(r"temp|wear|fluid"),
     "yaw": re.compile(r"brake|brk|press|tire|tyre|oil|boost|fuel|gyro|rate"),
     "wheel_speed": re.compile(r"engine|motor|turbine|steer|fan|shaft|wind"),
 }
@@ -169,10 +142,10 @@ def _of_topic(topic: Topic) -> Iterator[Guess]:
     for channel, fields, unit in motion_commands(topic, named):
         yield Guess(channel, topic.name, fields, unit, MOTION)
         taken |= set(fields)
-    for guess in (*_together(topic, named), *_vectors(topic, named), *_places(topic, named), *_wheels(topic, named)):
-        if not taken & set(guess.fields):
-            yield guess
-            taken |= set(guess.fields)
+    for channel, fields, unit, rank in field_groups(topic, named):
+        if not taken & set(fields) and channel_unit(channel, unit) is not None:
+            yield Guess(channel, topic.name, fields, unit, rank)
+            taken |= set(fields)
     scalars = _scalars()
     for field, label in sorted(named.items(), key=lambda item: not _APPLIED.search(item[0])):
         unnamed = is_array_entry(field) and field not in topic.joints
@@ -201,89 +174,6 @@ def _guess(channel: str, topic: Topic, fields: tuple[str, ...], label: Label, ra
     if channel_unit(channel, label.unit) is None and channel not in in_any:
         return None
     return Guess(channel, topic.name, fields, label.unit, rank)
-
-
-def _together(topic: Topic, named: Mapping[str, Label]) -> Iterator[Guess]:
-    columns = {label.name: field for field, label in named.items()}
-    for letters, channels in _TOGETHER:
-        if letters <= set(columns):
-            for channel, names in channels:
-                fields = tuple(columns[name] for name in names)
-                if (guess := _guess(channel, topic, fields, named[fields[0]])) is not None:
-                    yield guess
-            return
-
-
-def _vectors(topic: Topic, named: Mapping[str, Label]) -> Iterator[Guess]:
-    """Guesses at vectors: fields that differ in one letter, x, y, z or w."""
-    plain = {label.name: field for field, label in reversed(list(named.items()))}
-    columns = {with_letters(name): field for name, field in plain.items()} | plain
-    for name in dict.fromkeys(with_letters(label.name) for label in named.values()):
-        for match in _AXIS.finditer(name):
-            if _NOT_GROUPS.search(name):
-                continue
-            before, after = name[: match.end() - 1], name[match.end() :]
-            group = next((g for g in _GROUPS if g[1].search(before.rstrip("._ /"))), None)
-            if group is None:
-                continue
-            channel, _, letters = group
-            fields = (columns[name], *(columns[n] for a in letters if (n := before + a + after) in columns))
-            if channel == "position" and len(fields) == 2:
-                fields += tuple(field for field, label in named.items() if _HEIGHT.fullmatch(label.name))[:1]
-            guess = _guess(channel, topic, fields, named[fields[0]])
-            if guess is not None and len(fields) in _WIDTHS[channel]:
-                yield guess
-
-
-_HEIGHT: Final = re.compile(r"((utm|gps|gnss|pos|position)_)?(z|alt|altitude|elevation|height)")
-"""What the height of a place is called whose east and north are called otherwise."""
-_LATERAL: Final = re.compile(r"acc|force|vel|speed|(^|[ ._/])[av]_")
-"""What is lateral or longitudinal, and no latitude or longitude."""
-
-
-def _places(topic: Topic, named: Mapping[str, Label]) -> Iterator[Guess]:
-    """A guess at geographic positions, as of sensor_msgs/NavSatFix."""
-    places = {field: label for field, label in named.items() if not _LATERAL.search(label.name)}
-    degrees = {field: label for field, label in places.items() if label.unit in ("", "deg")}
-    among = (degrees, degrees, places)
-    found = [
-        next((f for f, label in fields.items() if pattern.search(label.name)), "")
-        for pattern, fields in zip(GEOGRAPHIC_NAMES, among, strict=True)
-    ]
-    if not found[0]:
-        found = [
-            next((f for f, label in named.items() if re.search(rf"ll[ah][._/].*{a}$", label.name)), "") for a in "xyz"
-        ]
-    if found[0] and found[1]:
-        yield Guess("position", topic.name, tuple(field for field in found if field), GEOGRAPHIC, rank=1)
-
-
-_CORNERS: Final = ("fl", "fr", "rl", "rr")
-_CORNER: Final = re.compile(r"(?<![a-z])(fl|fr|rl|rr|lf|rf|lr|lb|rb)(?![a-z])")
-_IN_WORDS: Final = tuple(
-    (re.compile(f"{end}[_ ]?{side}|{side}[_ ]?{end}"), end[0] + side[0])
-    for end in ("front", "rear")
-    for side in ("left", "right")
-)
-_WHEEL_SPEED: Final = re.compile(r"(wheel|speed|vel|rpm|(?<![a-z])(ws|v|omega))")
-_NO_SPEED: Final = re.compile(r"valid|direction|(?<![a-z])is_")
-
-
-def _wheels(topic: Topic, named: Mapping[str, Label]) -> Iterator[Guess]:
-    """Speeds of four wheels; those of joints are in rad/s, and how large the wheels are is not known."""
-    turned = {"lf": "fl", "rf": "fr", "lr": "rl", "lb": "rl", "rb": "rr"}
-    columns: dict[str, str] = {}
-    for field, label in named.items():
-        name = label.name
-        for words, letters in _IN_WORDS:
-            name = words.sub(letters, name)
-        corner = _CORNER.search(name)
-        if corner and field not in topic.joints and _WHEEL_SPEED.search(name) and not _NO_SPEED.search(name):
-            columns.setdefault(turned.get(corner[1], corner[1]), field)
-    if set(columns) == set(_CORNERS):
-        fields = tuple(columns[corner] for corner in _CORNERS)
-        if (guess := _guess("wheel_speed", topic, fields, named[fields[0]])) is not None:
-            yield guess
 
 
 def by_topic(result: Iterable[Guess]) -> dict[str, dict[str, Guess]]:

@@ -2,17 +2,28 @@
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 from jaxtyping import Float
 
 from offpiste.errors import OffpisteError
+from offpiste.geometry import rotation_from_quaternion
 from offpiste.inspection.channel_guesses import Guess, by_topic
 from offpiste.inspection.commanded_motion import COMMANDED
+from offpiste.inspection.course import check_course
+from offpiste.inspection.driven_path import driven_path
+from offpiste.inspection.findings import Cure, Finding
+from offpiste.inspection.pose import check_level
+from offpiste.inspection.signal_faults import degrees_each
+from offpiste.logs.channel import read_channel
+from offpiste.logs.drive import drive_from_log
 from offpiste.logs.log import Log
+from offpiste.rig.channels import GEOGRAPHIC
+from offpiste.rig.edits import edited
 from offpiste.rig.labels import channel_unit
+from offpiste.rig.rig import Rig
 
 _POSE: Final = ("position", "orientation", "yaw", "linear_velocity", "angular_velocity")
 _LAST: Final = re.compile(r"wheel|controller|ecef", re.IGNORECASE)
@@ -64,12 +75,18 @@ def draft_pose(log: Log, guesses: Sequence[Guess], frame: str) -> dict[str, Entr
             continue
         guess = best[channel]
         lines, comment = unit_line(channel, guess), f"GUESSED by its name, as of {log.topics[guess.topic].type}"
-        if channel == "linear_velocity":
+        values = field_values(log, guess)
+        if channel == "orientation" and values is not None and _w_comes_first(guess, values):
+            guess, comment = replace(guess, fields=(*guess.fields[1:], guess.fields[0])), f"{comment}; w comes first"
+        elif channel == "position" and guess.unit == GEOGRAPHIC and values is not None:
+            if (each := degrees_each(values[:, 0], values[:, 1])) != 1:
+                guess, lines = replace(guess, fields=guess.fields[:2]), (*lines, f"scale = {each:.12g}")
+        elif channel == "linear_velocity":
             lines += (f'frame = "{frame}"',)
             comment += "" if frame == "unknown" else "; frame by the pose"
         elif channel == "angular_velocity":
             lines, comment = (*lines, 'frame = "body"'), comment + "; in the body's frame, as gyroscopes measure"
-        elif channel == "yaw" and not guess.unit and (values := field_values(log, guess)) is not None:
+        elif channel == "yaw" and not guess.unit and values is not None:
             lines += degrees(values[:, 0])
         entries[channel] = Entry(guess, lines, comment)
     return entries
@@ -121,13 +138,47 @@ def unit_line(channel: str, guess: Guess) -> tuple[str, ...]:
 
 
 def degrees(values: Float[np.ndarray, " n"]) -> tuple[str, ...]:
-    """The unit of an angle that no radians would be; receivers of u-blox count hundred-thousandths of a degree."""
-    largest = np.abs(values).max()
-    if np.ptp(values) > 20 and largest <= 361:
+    """The unit of an angle that no radians would be.
+
+    Autopilots count hundredths of a degree, and receivers of u-blox hundred-thousandths.
+    """
+    largest, spanned = np.abs(values).max(), np.ptp(values)
+    if spanned > 20 and largest <= 361:
         return ('unit = "deg"',)
-    counted = np.ptp(values) > 2e6 and largest <= 361e5 and bool((values == np.round(values)).all())
-    return ("scale = 1e-5", 'unit = "deg"') if counted else ()
+    whole = bool((values == np.round(values)).all())
+    for each in (1e-2, 1e-5):
+        if whole and spanned > 20 / each and largest <= 361 / each:
+            return f"scale = {each:g}", 'unit = "deg"'
+    return ()
+
+
+def _w_comes_first(guess: Guess, values: Float[np.ndarray, "n 4"]) -> bool:
+    """Whether quaternions whose entries have no letters are stored as w x y z: the vehicle is upright then."""
+    if any(re.search(r"[xyzw]$", field, re.IGNORECASE) for field in guess.fields):
+        return False
+    turned = (rotation_from_quaternion(rows)[:, 2, 2] for rows in (values, np.roll(values, -1, axis=1)))
+    as_stored, w_first = (float(np.mean(up)) for up in turned)
+    return w_first > as_stored
 
 
 def _varies(values: Float[np.ndarray, "n k"] | None) -> bool:
     return values is not None and bool(np.ptp(values, axis=0).max() > 0)
+
+
+def pose_cure(log: Log, rig: Rig) -> Cure:
+    """Edits by which z is up and the heading follows the course, where a first rig's pose is otherwise and some help.
+
+    Games and motion capture may have y up, and a compass counts clockwise.
+    """
+    try:
+        source = rig.channels["position"]
+        tipped = check_level(read_channel(log, rig, "position", source)[0], source.fields)
+        upright = _first_cure(tipped)
+        drive = drive_from_log(log, edited(rig, upright))
+        return (*upright, *_first_cure(check_course(drive, driven_path(drive))))
+    except OffpisteError:
+        return ()
+
+
+def _first_cure(findings: Sequence[Finding]) -> Cure:
+    return next((cure for finding in findings for cure in finding.cures), ())

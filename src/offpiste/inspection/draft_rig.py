@@ -15,9 +15,8 @@ from offpiste.files import write_text
 from offpiste.inspection.channel_guesses import DOWN, guess_channels
 from offpiste.inspection.commanded_motion import is_turn_rate
 from offpiste.inspection.controls_by_numbers import find_controls, is_measured
-from offpiste.inspection.course import check_course
 from offpiste.inspection.draft_channels import Found, draft_channels
-from offpiste.inspection.draft_pose import Entry
+from offpiste.inspection.draft_pose import Entry, pose_cure
 from offpiste.inspection.draft_sensors import draft_sensors
 from offpiste.inspection.draft_values import (
     GUESSED,
@@ -30,7 +29,6 @@ from offpiste.inspection.draft_values import (
     wheels_of,
 )
 from offpiste.inspection.driven_path import driven_path
-from offpiste.inspection.findings import Cure
 from offpiste.inspection.recorded_log import is_bulk
 from offpiste.inspection.steering_scale import MAX_STEERS
 from offpiste.inspection.velocity import fit_frames
@@ -124,13 +122,13 @@ def draft_rig(log: Log) -> str:
     """
     text = _text(log, _Seen())
     rig = parse_rig(text, where="the drafted rig")
-    heading = _heading_cure(log, rig)
-    plain = _is_plain(log, edited(rig, heading))
+    posed = pose_cure(log, rig)
+    plain = _is_plain(log, edited(rig, posed))
     if plain:
         rig = parse_rig(_text(log, _Seen(plain=True)), where="the drafted rig")
-    if found := find_controls(log, edited(rig, heading)):
+    if found := find_controls(log, edited(rig, posed)):
         rig = parse_rig(_text(log, _Seen(found=found, plain=plain)), where="the drafted rig")
-    rig = edited(rig, heading)
+    rig = edited(rig, posed)
     frame = _frame(log, rig) if "linear_velocity" in rig.channels else "unknown"
     wheelbase = estimated_wheelbase(log, rig)
     max_steer, assumed = estimated_max_steer(log, rig, wheelbase or rig.vehicle.wheelbase), False
@@ -139,16 +137,6 @@ def draft_rig(log: Log) -> str:
         max_steer = _MAX_STEER
     seen = _Seen(frame, wheelbase, max_steer, assumed, found, steering_straight(log, rig), plain)
     return text if seen == _Seen() else _text(log, seen)
-
-
-def _heading_cure(log: Log, rig: Rig) -> Cure:
-    """Edits by which the heading follows the course, where it does not and some do: a compass counts clockwise."""
-    try:
-        drive = drive_from_log(log, rig)
-        cures = [cure for finding in check_course(drive, driven_path(drive)) for cure in finding.cures[:1]]
-        return cures[0] if cures else ()
-    except OffpisteError:
-        return ()
 
 
 def _is_plain(log: Log, rig: Rig) -> bool:

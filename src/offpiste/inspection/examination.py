@@ -11,7 +11,7 @@ from offpiste.inspection.driven_path import MOVING, Path, driven_path
 from offpiste.inspection.findings import Finding, is_fatal, ranked
 from offpiste.inspection.heading_drift import check_fast_drift
 from offpiste.inspection.pedals import check_control_channels
-from offpiste.inspection.pose import check_orientation, check_pose, check_position_unit, leap_of
+from offpiste.inspection.pose import check_level, check_orientation, check_pose, check_position_unit, leap_of
 from offpiste.inspection.recorded_log import Recorded, RememberedLog, read_topics
 from offpiste.inspection.stamps import check_spans
 from offpiste.logs.drive import Drive, drive_from_log
@@ -75,11 +75,12 @@ def _check_driving(log: Log, topics: Topics, rig: Rig) -> tuple[list[Finding], P
         path = driven_path(drive)
     except OffpisteError as error:
         return [*findings, Finding("fatal", "log", error.what, "on reading it", error.how, 1.0)], None
-    unfit = check_position_unit(drive, path) or _check_amount(path)
+    tipped = check_level(drive.channels["position"], rig.channels["position"].fields)
+    unfit = check_position_unit(drive, path) or _check_amount(path) or (tipped if is_fatal(tipped) else [])
     if unfit:
         return findings + unfit, path
     origin = min(float(np.nanmin(r.time)) for r in topics.recorded.values() if np.isfinite(r.time).any())
-    posed = check_pose(drive, path, origin)
+    posed = check_pose(drive, path, origin) + tipped
     if (leap := leap_of(path)) is not None:
         path = path.longer_side(leap.time)  # what is beyond is not the vehicle's motion
     posed += _check_heading(drive, path)

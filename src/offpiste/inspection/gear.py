@@ -37,8 +37,9 @@ def gear_values(guess: Guess, values: Float[np.ndarray, " n"]) -> tuple[str, ...
     """What recorded gears stand for, where they are letters, a switch for reverse, or a selector's positions."""
     there = {float(value) for value in np.unique(values)}
     named = (guess.topic, *guess.fields)
-    if there <= {float(ord(letter)) for letter in _LETTERS}:
-        meanings = _LETTERS
+    numbers = {value for value in there if abs(value) <= _MOST_GEARS}
+    if numbers != there and there - numbers <= {float(ord(letter)) for letter in _LETTERS}:
+        meanings = _LETTERS | {f"{number:g}": int(np.sign(number)) for number in sorted(numbers)}
     elif there <= {0.0, 1.0} and any(map(_REVERSE.search, named)):
         meanings = {"0": 1, "1": -1}
     elif there <= {0.0, 1.0, 2.0, 3.0} and any(map(_SELECTOR.search, named)):
@@ -55,7 +56,8 @@ def check_gear(drive: Drive, path: Path, recorded: Mapping[str, Recorded]) -> li
     moving = _moving(path)
     gear = drive.channels["gear"].hold(path.time, max_gap=drive.rig.clock.max_gap)[:, 0]
     with np.errstate(invalid="ignore"):
-        against = moving & (gear * path.forward < 0)
+        driven_back = (gear == 0) & (path.forward < 0) & _pressed(drive, path)
+        against = moving & ((gear * path.forward < 0) | driven_back)
     share = float(against.sum() / max(moving.sum(), 1))
     raw = _raw(drive, path, recorded)
     if against.sum() * STEP < _LEAST_AGAINST or (share < _SHARE and not _one_is_wrong(raw, against, moving)):
@@ -67,12 +69,11 @@ def check_gear(drive: Drive, path: Path, recorded: Mapping[str, Recorded]) -> li
 
 
 def _hidden_reverse(drive: Drive, path: Path) -> list[Finding]:
-    throttle = drive.channels.get("throttle")
-    if throttle is None or not _moving(path).any():
+    if not _moving(path).any():
         return []
     with np.errstate(invalid="ignore"):
         backwards = _moving(path) & (path.forward < 0)
-        driven = backwards & (sampled(throttle, path.time, drive.rig) > _PRESSED)
+        driven = backwards & _pressed(drive, path)
     edges = np.flatnonzero(np.diff(np.concatenate(([False], backwards, [False]))))
     stretches = [
         (first, last)
@@ -89,6 +90,15 @@ def _hidden_reverse(drive: Drive, path: Path) -> list[Finding]:
         "add [channels.gear] where the log has one (docs/rig.md); without it, models expect throttle to drive forwards"
     )
     return [Finding("note", "gear", "is not read, and the vehicle reverses", evidence, how, 0.4)]
+
+
+def _pressed(drive: Drive, path: Path) -> Bool[np.ndarray, " n"]:
+    """Where the throttle drives the vehicle; nowhere where it is not known."""
+    throttle = drive.channels.get("throttle")
+    if throttle is None:
+        return np.zeros(len(path.time), bool)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(sampled(throttle, path.time, drive.rig) > _PRESSED)
 
 
 def _moving(path: Path) -> Bool[np.ndarray, " n"]:

@@ -1,5 +1,6 @@
 """Checks of the pose: order of the quaternion, which way is up, jumps, units."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Final
@@ -10,8 +11,8 @@ from scipy.ndimage import median_filter
 
 from offpiste.geometry import rotation_from_quaternion
 from offpiste.inspection.driven_path import STEP, Path
-from offpiste.inspection.findings import Finding
-from offpiste.inspection.pose_rate import check_repeats, check_seldom
+from offpiste.inspection.findings import Finding, Severity
+from offpiste.inspection.pose_samples import check_faults, check_repeats, check_seldom
 from offpiste.logs.axes import to_z_up
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
@@ -34,6 +35,10 @@ _BETWEEN: Final = (0.2, 0.4)
 """... and of what lies between them."""
 _OTHERS: Final = 3.0
 """An instant stands out by this many times what 95 % of the others change."""
+_EARTH: Final = (6.34e6, 6.39e6)
+"""Distances of the ground from the earth's middle [m]."""
+_LARGEST_EASTING: Final = 1e6
+"""Of UTM [m]."""
 _JUMP_TIME = 0.05
 """A jump is at least as long as the path driven in this time at cruising speed [s]."""
 _NOISY: Final = 0.03
@@ -80,9 +85,15 @@ def check_orientation(quaternion: Float[np.ndarray, "n 4"], rig: Rig) -> list[Fi
 
 
 def check_position_unit(drive: Drive, path: Path) -> list[Finding]:
-    """Degrees of latitude and longitude, or a unit in which no vehicle is that fast."""
-    xy, rig = drive.channels["position"].values[:, :2], drive.rig
-    source = rig.channels["position"]
+    """Degrees of latitude and longitude, the earth's own frame, or a unit in which no vehicle is that fast."""
+    places, rig = drive.channels["position"].values, drive.rig
+    xy, source = places[:, :2], rig.channels["position"]
+    if _is_earth_centred(places):
+        x, y, z = (float(each) for each in np.median(places, axis=0))
+        how = "take a pose in a frame of the place (east, north, up), or latitude and longitude"
+        evidence = f"around ({x:.0f}, {y:.0f}, {z:.0f}), {np.linalg.norm((x, y, z)) / 1000:.0f} km from its middle"
+        what = "is in the earth's own frame (ECEF), whose z is not up"
+        return [Finding("fatal", "position", what, evidence, how, 1.0)]
     degrees = np.ptp(xy, axis=0).max() < 0.5 and np.abs(xy).min(axis=1).max() <= 90 and np.abs(xy).max() <= 360
     if degrees and 1e-8 < path.cruise < 1e-3 and np.abs(xy).max() > 1:
         return [_geographic(source, xy, path)]
@@ -99,6 +110,14 @@ def check_position_unit(drive: Drive, path: Path) -> list[Finding]:
         remedy = str(cures[0][0]) if cures else "fix channels.position.unit or scale"
         return [Finding("fatal", "position", "moves too fast", evidence, remedy, 1.0, cures)]
     return []
+
+
+def _is_earth_centred(places: Float[np.ndarray, "n k"]) -> bool:
+    """Whether places lie on the earth as seen from its middle; a northing may be as large, but no easting beside it."""
+    if places.shape[1] < 3:
+        return False
+    middle = np.abs(np.median(places, axis=0))
+    return _EARTH[0] < float(np.linalg.norm(middle)) < _EARTH[1] and float(np.sort(middle)[1]) > _LARGEST_EASTING
 
 
 def _geographic(source: ChannelSource, xy: Float[np.ndarray, "n 2"], path: Path) -> Finding:
@@ -137,35 +156,7 @@ def check_pose(drive: Drive, path: Path, origin: float) -> list[Finding]:
     place = drive.channels["position"]
     seldom = check_repeats(drive, path) + check_seldom(drive)
     noise = [] if seldom else _noise(drive, path)
-    return (
-        check_faults(drive) + seldom + _jumps(place, path, origin) + _check_leap(path, origin) + _level(place) + noise
-    )
-
-
-def check_faults(drive: Drive) -> list[Finding]:
-    """Samples of the pose that no vehicle makes, and headings that jump."""
-    findings = []
-    length = max(float(np.ptp(drive.channels["position"].time)), 1e-9)
-    for name in dict.fromkeys(run.channel for run in drive.faults.dropped):
-        runs = [run for run in drive.faults.dropped if run.channel == name]
-        count, worst = sum(run.last - run.first + 1 for run in runs), max(runs, key=lambda run: run.off)
-        unit = "m" if name == "position" else "rad"
-        evidence = (
-            f"{count} samples in {len(runs)} runs, such as {worst.first} to {worst.last} ({worst.since:.2f} s), up to "
-        )
-        evidence += f"{worst.off:.3g} {unit} off"
-        how = "nothing where the rest is enough: they are dropped on reading, and no window reaches across"
-        if max(run.until - run.after for run in runs) < drive.rig.clock.max_gap:
-            how += "; in a short log delete these rows, since gaps as short are bridged"
-        share = min(sum(run.until - run.after for run in runs if np.isfinite(run.until - run.after)) / length, 1.0)
-        findings.append(Finding("warning", name, "has samples that no vehicle makes", evidence, how, share))
-    turns = [jump for jump in drive.faults.jumps if jump.channel != "position"]
-    if turns:
-        when = ", ".join(f"{jump.since:.2f} s" for jump in turns[:5]) + (", ..." if len(turns) > 5 else "")
-        evidence = f"{len(turns)} times; at {when}"
-        how = "take a heading without corrections; no window reaches across"
-        findings.append(Finding("warning", turns[0].channel, "jumps", evidence, how, min(5 * len(turns) / length, 1.0)))
-    return findings
+    return check_faults(drive) + seldom + _jumps(place, path, origin) + _check_leap(path, origin) + noise
 
 
 def _noise(drive: Drive, path: Path) -> list[Finding]:
@@ -284,7 +275,8 @@ def _check_leap(path: Path, origin: float) -> list[Finding]:
     return [Finding("warning", "position", "changes its velocity in an instant", evidence, how, 0.7)]
 
 
-def _level(place: Channel) -> list[Finding]:
+def check_level(place: Channel, fields: Sequence[str]) -> list[Finding]:
+    """Which axis is up, by what the positions span; nothing where it is z."""
     if place.values.shape[1] < 3:
         return []
     spread = np.ptp(np.stack([median_filter(c, 11, mode="nearest") for c in place.values.T], axis=1), axis=0)
@@ -292,7 +284,14 @@ def _level(place: Channel) -> list[Finding]:
         return []
     evidence = f"x, y, z span {spread[0]:.1f}, {spread[1]:.1f}, {spread[2]:.1f} m"
     how = "reorder channels.position.fields so that z is up, or take another pose (this may be a camera's frame)"
-    return [Finding("warning", "position", "climbs as much as it drives", evidence, how, 0.9)]
+    cures: tuple[tuple[Edit, ...], ...] = ()
+    if spread[1] < 0.2 * min(spread[0], spread[2]):
+        x, y, z = fields
+        ways = ([z, x, y], [x, z, y])
+        cures = tuple((Edit("channels.position.fields", way),) for way in ways)
+        how = f"{cures[0][0]}, as y is up; or {cures[1][0]}, if that frame is left-handed, as of games"
+    severity: Severity = "fatal" if cures else "warning"
+    return [Finding(severity, "position", "climbs as much as it drives", evidence, how, 0.9, cures)]
 
 
 def _up(quaternion: Float[np.ndarray, "n 4"]) -> float:

@@ -18,6 +18,11 @@ MAX_SPIKES: Final = 0.02
 
 COUNTED_DEGREES: Final = 1e-7
 """Degrees in which GPS receivers and autopilots count latitude and longitude, as integers."""
+RADIANS: Final = 57.29577951308232
+"""Degrees in a radian."""
+_EACH: Final = (COUNTED_DEGREES, RADIANS)
+_DAY: Final = 0.02
+"""No vehicle drives as far within a log [rad]: 130 km."""
 
 
 def find_spikes(values: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
@@ -68,13 +73,20 @@ def find_wrap(raw: Float[np.ndarray, " n"]) -> Wrap | None:
     return None
 
 
-def counts_degrees(latitude: Float[np.ndarray, " n"], longitude: Float[np.ndarray, " n"]) -> bool:
-    """Whether places are integers of `COUNTED_DEGREES`; read as degrees they would not be on earth."""
-    for raw, most in ((latitude, 90.0), (longitude, 180.0)):
-        known = raw[np.isfinite(raw) & (raw != 0)]  # before the first fix
-        if not len(known) or (known % 1).any() or not 360 < np.median(np.abs(known)) <= most / COUNTED_DEGREES:
-            return False
-    return True
+def degrees_each(latitude: Float[np.ndarray, " n"], longitude: Float[np.ndarray, " n"]) -> float:
+    """What one of latitude and longitude is in degrees: `COUNTED_DEGREES`, `RADIANS`, or 1.
+
+    Read as degrees, integers of the first would not be on earth, and radians would be at sea, off Africa.
+    """
+    known = [raw[np.isfinite(raw) & (raw != 0)] for raw in (latitude, longitude)]  # since the first fix
+    if not all(map(len, known)):
+        return 1.0
+    usual = [float(np.median(np.abs(raw))) for raw in known]
+    within = [[middle <= most / each for middle, most in zip(usual, (90, 180), strict=True)] for each in _EACH]
+    counted, in_radians = map(all, within)
+    if counted and min(usual) > 360 and not any((raw % 1).any() for raw in known):
+        return COUNTED_DEGREES
+    return RADIANS if in_radians and max(map(np.ptp, known)) < _DAY else 1.0
 
 
 def _half_span(values: Float[np.ndarray, " n"]) -> float:

@@ -10,7 +10,7 @@ from offpiste.channels import control_of
 from offpiste.inspection.findings import Finding, Severity
 from offpiste.inspection.ranges import is_untouched, limits
 from offpiste.inspection.recorded_log import Recorded
-from offpiste.inspection.signal_faults import COUNTED_DEGREES, MAX_SPIKES, counts_degrees, find_spikes, find_wrap
+from offpiste.inspection.signal_faults import COUNTED_DEGREES, MAX_SPIKES, degrees_each, find_spikes, find_wrap
 from offpiste.inspection.usual_ranges import scaled_to_unit
 from offpiste.logs.channel import LARGEST, convert, largest, unwrapped
 from offpiste.logs.empty_rows import between_samples
@@ -111,19 +111,17 @@ def check_signals(signals: list[Signal], rig: Rig | None) -> list[Finding]:
 
 
 def _counted_degrees(signals: list[Signal], rig: Rig | None) -> list[Finding]:
-    """Latitude and longitude that are read as degrees, and are integers of a ten-millionth of one."""
+    """Latitude and longitude that are read as degrees, and are integers of a ten-millionth of one, or radians."""
     source = rig.channels.get("position") if rig else None
     if source is None or source.unit != GEOGRAPHIC or source.scale != 1:
         return []
     both = [signal for signal in signals if signal.key == "channels.position"][:2]
-    if len(both) < 2 or not counts_degrees(*(signal.raw for signal in both)):
+    if len(both) < 2 or (each := degrees_each(*(signal.raw for signal in both))) == 1:
         return []
-    cure = (Edit("channels.position.scale", COUNTED_DEGREES), Edit("channels.position.fields", list(source.fields[:2])))
-    what, how = (
-        "is counted in ten-millionths of a degree",
-        f"{', '.join(map(str, cure))}: a height would be scaled, too",
-    )
-    evidence = f"around ({np.nanmedian(both[0].raw):.0f}, {np.nanmedian(both[1].raw):.0f}), read in degrees"
+    cure = (Edit("channels.position.scale", each), Edit("channels.position.fields", list(source.fields[:2])))
+    what = "is counted in ten-millionths of a degree" if each == COUNTED_DEGREES else "is in radians"
+    how = f"{', '.join(map(str, cure))}: a height would be scaled, too"
+    evidence = f"around ({np.nanmedian(both[0].raw):.7g}, {np.nanmedian(both[1].raw):.7g}), read in degrees"
     return [Finding("fatal", signal.where, what, evidence, how, 1.0, (cure,)) for signal in both]
 
 

@@ -61,6 +61,12 @@ _OF_THE_TOPIC: Final = re.compile(
 )
 """Fields whose topic alone says what they are of: vectors of any kind, reports of any actuator, a pedal."""
 _NUMBER_ONLY: Final = re.compile(r"[/.](data|value)$")
+_GEARS: Final = {
+    word: letter
+    for letter, words in (("P", "park parking"), ("R", "reverse backward"), ("N", "neutral"), ("D", "drive forward"))
+    for word in words.split()
+}
+"""Letters of gears, by what logs call these."""
 _NAMES: Final = {"rpm"}
 """Units that name a quantity by themselves, and stay a part of its name."""
 
@@ -152,6 +158,11 @@ def unit_by_rate(rate: float, unit: str) -> str:
         return unit
     wanted = np.log10(SECONDS[unit] * 50 / rate)
     return min(SECONDS, key=lambda name: abs(np.log10(SECONDS[name]) - wanted))
+
+
+def gear_letter(word: str) -> str:
+    """The letter of the gear that a word names, P, R, N or D; single letters as they are, and "" for other words."""
+    return word if len(word) == 1 and word.isalpha() else _GEARS.get(word.lower(), "")
 
 
 def time_unit(unit: str) -> str:

@@ -243,3 +243,24 @@ def test_letters_are_character_codes(tmp_path):
     log = table(tmp_path, "t,gear,note\n0,P,first\n1,R,x\n2,,x\n3,D,x\n4,D,last\n")
     assert log.topics[""].fields == ("t", "gear")
     assert log.read("", ["gear"]).values[:, 0].tolist() == pytest.approx([80, 82, np.nan, 68, 68], nan_ok=True)
+
+
+@pytest.mark.parametrize(
+    ("cells", "codes"),
+    [
+        (("Park", "REVERSE", "neutral", "forward", "drive"), (80, 82, 78, 68, 68)),
+        (("R", "N", "1", "2", "1"), (82, 78, 1, 2, 1)),
+    ],
+)
+def test_words_and_numbers_of_gears(tmp_path: Path, cells: tuple[str, ...], codes: tuple[int, ...]) -> None:
+    rows = "".join(f"{row},{cell},on\n" for row, cell in enumerate((*cells, *cells)))
+    log = table(tmp_path, f"t,gear,mode\n{rows}")
+    assert log.topics[""].fields == ("t", "gear")
+    assert log.read("", ["gear"]).values[:5, 0].tolist() == list(codes)
+
+
+def test_a_letter_among_measurements_is_no_gear(tmp_path: Path) -> None:
+    rows = "".join(f"{row},{row / 7}\n" for row in range(40))
+    log = table(tmp_path, f"t,x\n{rows}40,N\n41,0.0\n")
+    with pytest.raises(LogError, match="'N' is not a number"):
+        log.read("", ["x"])

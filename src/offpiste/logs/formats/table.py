@@ -1,6 +1,5 @@
 """Tables: `.csv` and `.parquet`, one row a sample, one column a quantity."""
 
-import csv
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -8,19 +7,18 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 from jaxtyping import Float
 
 from offpiste.errors import LogError
+from offpiste.logs.formats.csv_text import are_gears, check_columns, gear_of, number_of, read_csv
 from offpiste.logs.log import LOG_FORMATS, Log, Samples, Topic
 from offpiste.rig.channels import Clock
-from offpiste.rig.labels import SECONDS, parse_label, time_unit, unit_by_rate, unit_of
+from offpiste.rig.labels import SECONDS, parse_label, time_unit, unit_by_rate
 
 _TIME_NAME = re.compile(r"^(t|secs?|seconds?|stamp)(?![a-z])|time|(?<![a-z])(i?tow|epoch|unix)(?![a-z])")
 _EVENLY = 0.2
 """Spread of a clock's steps over their median (5 to 95 %), at most, where its name does not say what it is."""
-_TEXT_BOOLEANS = {"true": 1.0, "false": 0.0}
 
 
 @LOG_FORMATS.register("table")
@@ -28,8 +26,8 @@ class TableLog(Log):
     """A table with one topic, named "", whose fields are the columns of numbers, booleans and, in Parquet, dates [s].
 
     The separator of a CSV (comma, semicolon, tab, bar) is guessed. Empty cells are NaN; a cell that is no number in a
-    column of numbers is an error once that column is read. Text is not a field, but ISO 8601 dates can be stamps, and a
-    column of single letters (gears) holds their character codes. A row of units below the header is read as such.
+    column of numbers is an error once that column is read. Text is not a field, but ISO 8601 dates can be stamps, and
+    letters or words of gears are character codes (P, R, N, D). A row of units below the header is read as such.
 
     Args:
         path: `.csv` or `.parquet`.
@@ -50,7 +48,7 @@ class TableLog(Log):
         self._is_csv = path.suffix.lower() == ".csv"
         notes: list[str] = []
         self._units: dict[str, str] = {}
-        self._table = _read_csv(path, notes, self._units) if self._is_csv else _read_parquet(path)
+        self._table = read_csv(path, notes, self._units) if self._is_csv else _read_parquet(path)
         self._columns = tuple(name for name in self._table.column_names if self._is_numeric(name))
         self._rows_of_units = int(bool(self._units))
         self._units |= {name: unit for name in self._table.column_names if (unit := parse_label(name).unit)}
@@ -100,13 +98,7 @@ class TableLog(Log):
         if not self._is_csv:
             return True  # others were not read
         cells = self._table[name].drop_null().slice(0, 100).to_pylist()
-        return 2 * sum(_number(cell) is not None for cell in cells) >= len(cells) or self._has_letters(name)
-
-    def _has_letters(self, name: str) -> bool:
-        """Whether every cell of a CSV is a single letter, and some repeat."""
-        cells = self._table[name].drop_null()
-        letters = pc.unique(pc.utf8_trim_whitespace(cells)).to_pylist() if len(cells) else []
-        return 0 < len(letters) < len(cells) and all(len(cell) == 1 and cell.isalpha() for cell in letters)
+        return 2 * sum(number_of(cell) is not None for cell in cells) >= len(cells) or are_gears(self._table[name])
 
     def _guess_clock(self, notes: list[str]) -> str:
         names = [name for name in self._table.column_names if _TIME_NAME.search(name.lower())]
@@ -165,7 +157,7 @@ class TableLog(Log):
         except pa.ArrowInvalid:
             pass
         values = np.full(len(column), np.nan)
-        number = ord if self._has_letters(name) else _number
+        number = gear_of if are_gears(self._table[name]) else number_of
         for row, cell in enumerate(column.to_pylist()):
             if cell is None:
                 continue
@@ -178,13 +170,6 @@ class TableLog(Log):
                 )
             values[row] = value
         return values
-
-
-def _number(cell: str) -> float | None:
-    try:
-        return float(cell)
-    except ValueError:
-        return _TEXT_BOOLEANS.get(cell.strip().lower())
 
 
 def _floats(column: pa.ChunkedArray) -> Float[np.ndarray, " n"]:
@@ -219,82 +204,5 @@ def _read_parquet(path: Path) -> pa.Table:
             table = file.read(columns=columns)
     except (pa.ArrowException, OSError) as error:
         raise LogError(f"not a readable Parquet file: {error}", where=path, how="export it again") from error
-    _check_columns(path, columns)
+    check_columns(path, columns)
     return table
-
-
-def _read_csv(path: Path, notes: list[str], units: dict[str, str]) -> pa.Table:
-    """All columns as text: what a column is, and which cell is wrong, is decided from the text.
-
-    Args:
-        notes, units: filled with what was guessed, and with a row of units below the header.
-    """
-    header, *rows = _first_lines(path)
-    delimiter = max(",;\t|", key=re.sub('"[^"]*"', "", header).count)
-    comma = delimiter == ";" and any(re.search(r"(^|;)\s*-?\d+,\d+\s*(;|$)", row) for row in rows)
-    if delimiter != ",":
-        decimals = ", decimals by ','" if comma else ""
-        notes.append(f"columns are separated by '{delimiter}'{decimals}".replace("\t", "tab"))
-    names = [name.strip() for name in next(csv.reader([header], delimiter=delimiter))]
-    _check_columns(path, names)
-    if all(_number(name) is not None for name in names):
-        raise LogError("no header line", where=path, how="write the names of the columns into the first line")
-    units |= _row_of_units(names, next(csv.reader(rows[:1], delimiter=delimiter), []))
-    try:
-        table = pa_csv.read_csv(
-            path,
-            read_options=pa_csv.ReadOptions(use_threads=False, column_names=names, skip_rows=2 if units else 1),
-            parse_options=pa_csv.ParseOptions(delimiter=delimiter),
-            convert_options=pa_csv.ConvertOptions(
-                column_types=dict.fromkeys(names, pa.string()), strings_can_be_null=True
-            ),
-        )
-    except (pa.ArrowException, OSError) as error:
-        raise LogError(str(error), where=path, how="fix that line; the text must be UTF-8") from error
-    if table.num_rows == 0:
-        raise LogError("no row below the header", where=path, how="record or export it again")
-    if comma:
-        table = pa.table([pc.replace_substring(column, ",", ".") for column in table.columns], names=names)
-    return table
-
-
-def _row_of_units(names: Sequence[str], cells: Sequence[str]) -> dict[str, str]:
-    """Units by column, where the row below the header holds units; empty where it holds data.
-
-    It has no number but 1 (no unit), and at least half of its cells that are not empty are units.
-    """
-    said = [cell for cell in cells if cell.strip()]
-    units = [unit_of(cell) for cell in said]
-    is_data = len(cells) != len(names) or any(_number(cell) is not None and cell.strip() != "1" for cell in said)
-    if is_data or not any(units) or 2 * sum(unit is not None for unit in units) < len(said):
-        return {}
-    return {name: unit for name, cell in zip(names, cells, strict=True) if (unit := unit_of(cell))}
-
-
-def _first_lines(path: Path) -> list[str]:
-    """The header and up to two rows."""
-    try:
-        with path.open("rb") as file:
-            lines = [file.readline(1 << 20) for _ in range(3)]
-    except OSError as error:
-        raise LogError(f"cannot be opened: {error.strerror}", where=path) from error
-    if not lines[0].strip():
-        raise LogError("the file is empty, or begins with an empty line", where=path, how="record or export it again")
-    try:
-        text = [line.decode("utf-8-sig").rstrip("\r\n") for line in lines[:2]]
-        text.append(lines[2].decode("utf-8", "replace").rstrip("\r\n"))
-    except UnicodeDecodeError as error:
-        raise LogError("the text is not UTF-8", where=path, how="save it as UTF-8") from error
-    if "\0" in text[0]:
-        raise LogError("not a text file", where=path, how="save it as UTF-8 text with a header line")
-    if not lines[1]:
-        raise LogError("no row below the header", where=path, how="record or export it again")
-    return text
-
-
-def _check_columns(path: Path, names: list[str]) -> None:
-    repeated = sorted({name for name in names if names.count(name) > 1})
-    if repeated:
-        raise LogError(f"column '{repeated[0]}' appears twice", where=path, how="give every column its own name")
-    if not names:
-        raise LogError("no column of numbers", where=path, how="export the quantities as numbers")

@@ -14,9 +14,9 @@ from jaxtyping import Float
 from offpiste.conventions import GRAVITY
 from offpiste.simulation.driver.intent import Intent, RandomIntent
 from offpiste.simulation.driver.lookahead import ArcHazards, VisibleTerrain, hazards_along_arcs
+from offpiste.simulation.driver.pedal_control import TractionControl
 from offpiste.simulation.driver.route import Route
 from offpiste.simulation.driver.stuck import StuckRecovery
-from offpiste.simulation.driver.traction_control import TractionControl
 from offpiste.simulation.sample import VehicleSample
 from offpiste.simulation.vehicle.parameters import VehicleParameters
 from offpiste.simulation.world.world import World

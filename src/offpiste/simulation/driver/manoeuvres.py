@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from offpiste.conventions import DT
 from offpiste.simulation.driver.driver import Driver, pose_and_speed
-from offpiste.simulation.driver.speed_control import SpeedControl
+from offpiste.simulation.driver.pedal_control import SpeedControl
 from offpiste.simulation.sample import VehicleSample
 from offpiste.simulation.vehicle.parameters import VehicleParameters
 

@@ -1,4 +1,4 @@
-"""Checks of how often the pose is measured: rows that repeat a slower sensor's value, samples too far apart."""
+"""Checks of the pose's samples: rows that repeat a slower sensor's value, samples too far apart, and wrong ones."""
 
 from typing import Final
 
@@ -56,3 +56,29 @@ def check_seldom(drive: Drive) -> list[Finding]:
     edit = Edit("motion.window", round(5 * steps[name], 2))
     evidence = f"{1 / steps[name]:.3g} samples a second: fewer than four in the {window:g} s that rates are fitted over"
     return [Finding("fatal", name, "comes too seldom to differentiate", evidence, str(edit), 1.0, ((edit,),))]
+
+
+def check_faults(drive: Drive) -> list[Finding]:
+    """Samples of the pose that no vehicle makes, and headings that jump."""
+    findings = []
+    length = max(float(np.ptp(drive.channels["position"].time)), 1e-9)
+    for name in dict.fromkeys(run.channel for run in drive.faults.dropped):
+        runs = [run for run in drive.faults.dropped if run.channel == name]
+        count, worst = sum(run.last - run.first + 1 for run in runs), max(runs, key=lambda run: run.off)
+        unit = "m" if name == "position" else "rad"
+        evidence = (
+            f"{count} samples in {len(runs)} runs, such as {worst.first} to {worst.last} ({worst.since:.2f} s), up to "
+        )
+        evidence += f"{worst.off:.3g} {unit} off"
+        how = "nothing where the rest is enough: they are dropped on reading, and no window reaches across"
+        if max(run.until - run.after for run in runs) < drive.rig.clock.max_gap:
+            how += "; in a short log delete these rows, since gaps as short are bridged"
+        share = min(sum(run.until - run.after for run in runs if np.isfinite(run.until - run.after)) / length, 1.0)
+        findings.append(Finding("warning", name, "has samples that no vehicle makes", evidence, how, share))
+    turns = [jump for jump in drive.faults.jumps if jump.channel != "position"]
+    if turns:
+        when = ", ".join(f"{jump.since:.2f} s" for jump in turns[:5]) + (", ..." if len(turns) > 5 else "")
+        evidence = f"{len(turns)} times; at {when}"
+        how = "take a heading without corrections; no window reaches across"
+        findings.append(Finding("warning", turns[0].channel, "jumps", evidence, how, min(5 * len(turns) / length, 1.0)))
+    return findings

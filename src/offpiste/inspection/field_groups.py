@@ -1,0 +1,157 @@
+"""Fields that belong together, by their names: vectors, geographic places, and the speeds of four wheels."""
+
+import re
+from collections.abc import Iterator, Mapping
+from typing import Final
+
+from offpiste.logs.log import Topic
+from offpiste.rig.channels import GEOGRAPHIC
+from offpiste.rig.labels import GEOGRAPHIC_NAMES, Label, parse_label, with_letters
+
+Group = tuple[str, tuple[str, ...], str, int]
+"""A channel, the fields that may hold it, their unit, and how far their names are from the channel's own."""
+
+_AXIS = re.compile(r"(?<![a-z])([pqvwg]?)x(?![a-z])")
+_PLACES = (
+    "utm|enu|local|global|world|map|gps|gnss|ego|car|veh|vehicle|odom|rtk|slam|base|robot|center|cog|pos|gt|ground_?truth"
+    "|ekf|est|state|cg|rear_?axle|loc(ation)?|coord(inate)?s?"
+)
+_GROUPS: tuple[tuple[str, re.Pattern[str], str], ...] = (
+    ("angular_velocity", re.compile(r"angular|gyro|omega|rot(ation)?_?rate|rate_of_rot|(^|[^a-z])[wg]$"), "yz"),
+    ("orientation", re.compile(r"orient|quat|rot|(^|[^a-z])q$"), "yzw"),
+    ("linear_velocity", re.compile(r"linear_?vel|twist[._/]linear|vel|(^|[^a-z])v$"), "yz"),
+    ("position", re.compile(rf"pos|vicon|mocap|optitrack|translation|(^|[^a-z])p?$|(?<![a-z])({_PLACES})$"), "yz"),
+)
+"""Vectors, by what stands before the letter x, and the other letters."""
+_WIDTHS: Final = {"orientation": (4,), "angular_velocity": (3,), "linear_velocity": (2, 3), "position": (2, 3)}
+_NOT_GROUPS = re.compile(
+    r"acc|magn|gravity|force|effort|imu.*orient|ll[ah](?![a-z])|(?<![a-z])g\("
+    r"|(?<![a-z])(mag|err|error|ref|des|desired|target|goal|setpoint|waypoint|cov|covariance|std|stdev|sd|sigma)(?![a-z])"
+)
+_NUMBERED: Final = re.compile(r"^(.+?)(?:\[(\d)\]|[._](\d))$")
+_ACTUATED: Final = re.compile(r"joint|wheel|motor|servo|actuator|output", re.IGNORECASE)
+"""What has positions and velocities that are no vehicle's."""
+
+_TOGETHER: Final[tuple[tuple[frozenset[str], tuple[tuple[str, tuple[str, ...]], ...]], ...]] = (
+    (frozenset("uvwpqr"), (("linear_velocity", ("u", "v", "w")), ("angular_velocity", ("p", "q", "r")))),
+    (frozenset("uvr"), (("linear_velocity", ("u", "v")), ("yaw_rate", ("r",)))),
+)
+"""Names too short to mean anything alone; together they are of one notation (SNAME's, of marine vehicles)."""
+
+
+def field_groups(topic: Topic, named: Mapping[str, Label]) -> Iterator[Group]:
+    """Groups of a topic's fields, the surest first; units are not checked.
+
+    Args:
+        named: name and unit of the topic's fields.
+    """
+    yield from _together(named)
+    yield from _vectors(named)
+    yield from _numbered(topic)
+    yield from _places(named)
+    yield from _wheels(topic, named)
+
+
+def _together(named: Mapping[str, Label]) -> Iterator[Group]:
+    columns = {label.name: field for field, label in named.items()}
+    for letters, channels in _TOGETHER:
+        if letters <= set(columns):
+            for channel, names in channels:
+                fields = tuple(columns[name] for name in names)
+                yield channel, fields, named[fields[0]].unit, 0
+            return
+
+
+def _vectors(named: Mapping[str, Label]) -> Iterator[Group]:
+    """Fields that differ in one letter, x, y, z or w."""
+    plain = {label.name: field for field, label in reversed(list(named.items()))}
+    columns = {with_letters(name): field for name, field in plain.items()} | plain
+    for name in dict.fromkeys(with_letters(label.name) for label in named.values()):
+        for match in _AXIS.finditer(name):
+            before, after = name[: match.end() - 1], name[match.end() :]
+            if (group := _group_of(name, before, after)) is None:
+                continue
+            channel, _, letters = group
+            fields = (columns[name], *(columns[n] for a in letters if (n := before + a + after) in columns))
+            if channel == "position" and len(fields) == 2:
+                fields += tuple(field for field, label in named.items() if _HEIGHT.fullmatch(label.name))[:1]
+            if len(fields) in _WIDTHS[channel]:
+                yield channel, fields, named[fields[0]].unit, 0
+
+
+def _group_of(name: str, before: str, after: str) -> tuple[str, re.Pattern[str], str] | None:
+    """The group of a name, by what stands before its letter or, where nothing does, behind it."""
+    if _NOT_GROUPS.search(name):
+        return None
+    words, behind = (text.strip("._ /") for text in (before, after))
+    if not words and behind:
+        *vectors, position = _GROUPS
+        return next((group for group in vectors if group[1].search(behind)), position)
+    return next((group for group in _GROUPS if group[1].search(words)), None)
+
+
+def _numbered(topic: Topic) -> Iterator[Group]:
+    """Arrays that have as many entries as a vector, counted from 0 or 1: `q[0]` to `q[3]`, `vel_1` to `vel_3`."""
+    if topic.joints or _ACTUATED.search(f"{topic.name} {topic.type}"):
+        return
+    arrays: dict[str, dict[int, str]] = {}
+    for field in topic.fields:
+        if match := _NUMBERED.match(field):
+            arrays.setdefault(match[1], {})[int(match[2] or match[3])] = field
+    for name, entries in arrays.items():
+        label = parse_label(name)
+        group = None if _ACTUATED.search(label.name) else _group_of(label.name, label.name, "")
+        numbers, fields = sorted(entries), tuple(entries[number] for number in sorted(entries))
+        counted = numbers in ([*range(len(numbers))], [*range(1, len(numbers) + 1)])
+        if group is not None and counted and len(numbers) in _WIDTHS[group[0]]:
+            yield group[0], fields, topic.units.get(fields[0], "") or label.unit, 0
+
+
+_HEIGHT: Final = re.compile(r"((utm|gps|gnss|pos|position)_)?(z|alt|altitude|elevation|height)")
+"""What the height of a place is called whose east and north are called otherwise."""
+_LATERAL: Final = re.compile(r"acc|force|vel|speed|(^|[ ._/])[av]_")
+"""What is lateral or longitudinal, and no latitude or longitude."""
+
+
+def _places(named: Mapping[str, Label]) -> Iterator[Group]:
+    """Geographic positions, as of sensor_msgs/NavSatFix."""
+    places = {field: label for field, label in named.items() if not _LATERAL.search(label.name)}
+    degrees = {field: label for field, label in places.items() if label.unit in ("", "deg")}
+    among = (degrees, degrees, places)
+    found = [
+        next((f for f, label in fields.items() if pattern.search(label.name)), "")
+        for pattern, fields in zip(GEOGRAPHIC_NAMES, among, strict=True)
+    ]
+    if not found[0]:
+        found = [
+            next((f for f, label in named.items() if re.search(rf"ll[ah][._/].*{a}$", label.name)), "") for a in "xyz"
+        ]
+    if found[0] and found[1]:
+        yield "position", tuple(field for field in found if field), GEOGRAPHIC, 1
+
+
+_CORNERS: Final = ("fl", "fr", "rl", "rr")
+_CORNER: Final = re.compile(r"(?<![a-z])(fl|fr|rl|rr|lf|rf|lr|lb|rb)(?![a-z])")
+_IN_WORDS: Final = tuple(
+    (re.compile(f"{end}[_ ]?{side}|{side}[_ ]?{end}"), end[0] + side[0])
+    for end in ("front", "rear")
+    for side in ("left", "right")
+)
+_WHEEL_SPEED: Final = re.compile(r"(wheel|speed|vel|rpm|(?<![a-z])(ws|v|omega))")
+_NO_SPEED: Final = re.compile(r"valid|direction|(?<![a-z])is_")
+
+
+def _wheels(topic: Topic, named: Mapping[str, Label]) -> Iterator[Group]:
+    """Speeds of four wheels; those of joints are in rad/s, and how large the wheels are is not known."""
+    turned = {"lf": "fl", "rf": "fr", "lr": "rl", "lb": "rl", "rb": "rr"}
+    columns: dict[str, str] = {}
+    for field, label in named.items():
+        name = label.name
+        for words, letters in _IN_WORDS:
+            name = words.sub(letters, name)
+        corner = _CORNER.search(name)
+        if corner and field not in topic.joints and _WHEEL_SPEED.search(name) and not _NO_SPEED.search(name):
+            columns.setdefault(turned.get(corner[1], corner[1]), field)
+    if set(columns) == set(_CORNERS):
+        fields = tuple(columns[corner] for corner in _CORNERS)
+        yield "wheel_speed", fields, named[fields[0]].unit, 0

@@ -1,0 +1,125 @@
+"""The text of CSV files: their header, separator, units and cells."""
+
+import csv
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.csv as pa_csv
+
+from offpiste.errors import LogError
+from offpiste.rig.labels import gear_letter, unit_of
+
+_TEXT_BOOLEANS = {"true": 1.0, "false": 0.0}
+_MOST_GEARS = 16
+
+
+def number_of(cell: str) -> float | None:
+    """The number that a cell holds, 1 and 0 for true and false; None for other text."""
+    try:
+        return float(cell)
+    except ValueError:
+        return _TEXT_BOOLEANS.get(cell.strip().lower())
+
+
+def gear_of(cell: str) -> float:
+    """The number of a gear, or the character code of its letter (`gear_letter`)."""
+    number = number_of(cell)
+    return float(ord(gear_letter(cell))) if number is None else number
+
+
+def are_gears(cells: pa.ChunkedArray) -> bool:
+    """Whether cells are letters or words of gears, among which may be a gear's numbers, and some repeat."""
+    cells = cells.drop_null()
+    there = pc.unique(pc.utf8_trim_whitespace(cells)).to_pylist() if len(cells) else []
+    letters = [gear_letter(cell) for cell in there if number_of(cell) is None]
+    numbers = len(there) - len(letters)
+    gears = not numbers or (numbers <= _MOST_GEARS and set(letters) <= set("PRND"))
+    return len(letters) > 0 and len(there) < len(cells) and all(letters) and gears
+
+
+def read_csv(path: Path, notes: list[str], units: dict[str, str]) -> pa.Table:
+    """All columns as text: what a column is, and which cell is wrong, is decided from the text.
+
+    Args:
+        notes, units: filled with what was guessed, and with a row of units below the header.
+
+    Raises:
+        LogError: it cannot be read, is empty or damaged, or has no header.
+    """
+    header, *rows = _first_lines(path)
+    delimiter = max(",;\t|", key=re.sub('"[^"]*"', "", header).count)
+    comma = delimiter == ";" and any(re.search(r"(^|;)\s*-?\d+,\d+\s*(;|$)", row) for row in rows)
+    if delimiter != ",":
+        decimals = ", decimals by ','" if comma else ""
+        notes.append(f"columns are separated by '{delimiter}'{decimals}".replace("\t", "tab"))
+    names = [name.strip() for name in next(csv.reader([header], delimiter=delimiter))]
+    check_columns(path, names)
+    if all(number_of(name) is not None for name in names):
+        raise LogError("no header line", where=path, how="write the names of the columns into the first line")
+    units |= _row_of_units(names, next(csv.reader(rows[:1], delimiter=delimiter), []))
+    try:
+        table = pa_csv.read_csv(
+            path,
+            read_options=pa_csv.ReadOptions(use_threads=False, column_names=names, skip_rows=2 if units else 1),
+            parse_options=pa_csv.ParseOptions(delimiter=delimiter),
+            convert_options=pa_csv.ConvertOptions(
+                column_types=dict.fromkeys(names, pa.string()), strings_can_be_null=True
+            ),
+        )
+    except (pa.ArrowException, OSError) as error:
+        raise LogError(str(error), where=path, how="fix that line; the text must be UTF-8") from error
+    if table.num_rows == 0:
+        raise LogError("no row below the header", where=path, how="record or export it again")
+    if comma:
+        table = pa.table([pc.replace_substring(column, ",", ".") for column in table.columns], names=names)
+    return table
+
+
+def _row_of_units(names: Sequence[str], cells: Sequence[str]) -> dict[str, str]:
+    """Units by column, where the row below the header holds units; empty where it holds data.
+
+    It has no number but 1 (no unit), and at least half of its cells that are not empty are units.
+    """
+    said = [cell for cell in cells if cell.strip()]
+    units = [unit_of(cell) for cell in said]
+    is_data = len(cells) != len(names) or any(number_of(cell) is not None and cell.strip() != "1" for cell in said)
+    if is_data or not any(units) or 2 * sum(unit is not None for unit in units) < len(said):
+        return {}
+    return {name: unit for name, cell in zip(names, cells, strict=True) if (unit := unit_of(cell))}
+
+
+def _first_lines(path: Path) -> list[str]:
+    """The header and up to two rows."""
+    try:
+        with path.open("rb") as file:
+            lines = [file.readline(1 << 20) for _ in range(3)]
+    except OSError as error:
+        raise LogError(f"cannot be opened: {error.strerror}", where=path) from error
+    if not lines[0].strip():
+        raise LogError("the file is empty, or begins with an empty line", where=path, how="record or export it again")
+    try:
+        text = [line.decode("utf-8-sig").rstrip("\r\n") for line in lines[:2]]
+        text.append(lines[2].decode("utf-8", "replace").rstrip("\r\n"))
+    except UnicodeDecodeError as error:
+        raise LogError("the text is not UTF-8", where=path, how="save it as UTF-8") from error
+    if "\0" in text[0]:
+        raise LogError("not a text file", where=path, how="save it as UTF-8 text with a header line")
+    if not lines[1]:
+        raise LogError("no row below the header", where=path, how="record or export it again")
+    return text
+
+
+def check_columns(path: Path, names: list[str]) -> None:
+    """Raise where a table has no columns, or two of one name.
+
+    Raises:
+        LogError: it has.
+    """
+    repeated = sorted({name for name in names if names.count(name) > 1})
+    if repeated:
+        raise LogError(f"column '{repeated[0]}' appears twice", where=path, how="give every column its own name")
+    if not names:
+        raise LogError("no column of numbers", where=path, how="export the quantities as numbers")

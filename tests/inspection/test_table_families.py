@@ -1,0 +1,149 @@
+"""First rigs of tables as simulators, autopilots, receivers and loggers write them."""
+
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+from simulated import MemoryLog
+from test_message_families import ODOM, QUANTITIES, TIME, cured
+
+from offpiste.inspection.channel_guesses import guess_channels
+from offpiste.inspection.draft_rig import draft_rig
+from offpiste.inspection.inspect import inspect_log
+from offpiste.rig.rig import parse_rig
+
+RNG = np.random.default_rng(0)
+MORE: Mapping[str, np.ndarray] = {
+    "latitude in rad": np.deg2rad(QUANTITIES["latitude"]),
+    "longitude in rad": np.deg2rad(QUANTITIES["longitude"]),
+    "azimuth in hundredths": np.round(100 * QUANTITIES["azimuth"]),
+    "throttle in %": 100 * QUANTITIES["throttle"],
+    "brake in %": 100 * QUANTITIES["brake"],
+    "brake in bar": 60 * QUANTITIES["brake"],
+    "brake in C": 300 + 50 * QUANTITIES["brake"],
+    "steer to the right in %": -100 * QUANTITIES["steer"],
+    "wheel in deg": np.rad2deg(QUANTITIES["wheel"]),
+    "wx in deg/s": np.rad2deg(ODOM["wx"]),
+    "wy in deg/s": np.rad2deg(ODOM["wy"]),
+    "wz in deg/s": np.rad2deg(ODOM["wz"]),
+    "g": 1 + 0.02 * RNG.standard_normal(len(TIME)),
+}
+PLACES = {"Latitude": "latitude", "Longitude": "longitude"}
+PEDALS = {"throttle": "throttle", "brake": "brake", "steer": "steer"}
+FAMILIES: Mapping[str, tuple[dict[str, str], dict[str, tuple[str, ...]]]] = {
+    "nuScenes": (
+        {"pos_0": "x", "pos_1": "y", "pos_2": "z", "orientation_0": "qw", "orientation_1": "qx", "orientation_2": "qy",
+         "orientation_3": "qz", "vel_0": "vx", "vel_1": "vy", "vel_2": "vz", "rotation_rate_0": "wx",
+         "rotation_rate_1": "wy", "rotation_rate_2": "wz"} | PEDALS,
+        {"position": ("pos_0", "pos_1", "pos_2"),
+         "orientation": ("orientation_1", "orientation_2", "orientation_3", "orientation_0"),
+         "linear_velocity": ("vel_0", "vel_1", "vel_2"),
+         "angular_velocity": ("rotation_rate_0", "rotation_rate_1", "rotation_rate_2")},
+    ),
+    "ulog2csv": (
+        {"position[0]": "x", "position[1]": "y", "position[2]": "z", "q[0]": "qw", "q[1]": "qx", "q[2]": "qy",
+         "q[3]": "qz", "velocity[0]": "east", "velocity[1]": "north", "velocity[2]": "0"} | PEDALS,
+        {"orientation": ("q[1]", "q[2]", "q[3]", "q[0]"),
+         "linear_velocity": ("velocity[0]", "velocity[1]", "velocity[2]")},
+    ),
+    "GLOBAL_POSITION_INT": (
+        {"lat": "counted latitude", "lon": "counted longitude", "alt": "counted height", "hdg": "azimuth in hundredths",
+         "servo1_raw": "steering pulse", "servo3_raw": "throttle pulse"},
+        {"position": ("lat", "lon"), "yaw": ("hdg",), "throttle": ("servo3_raw",), "steer": ("servo1_raw",)},
+    ),
+    "radians": (
+        {"latitude": "latitude in rad", "longitude": "longitude in rad", "height": "height", "heading": "azimuth"}
+        | PEDALS,
+        {"position": ("latitude", "longitude")},
+    ),
+    "JAUS": (
+        PLACES
+        | {"Yaw": "azimuth in rad", "PropulsiveLinearEffortX": "throttle in %", "ResistiveLinearEffortX": "brake in %",
+           "PropulsiveRotationalEffortZ": "steer to the right in %"},
+        {"throttle": ("PropulsiveLinearEffortX",), "brake": ("ResistiveLinearEffortX",),
+         "steer": ("PropulsiveRotationalEffortZ",)},
+    ),
+    "MoTeC": (
+        PLACES
+        | {"Heading": "azimuth", "Throttle Pos [%]": "throttle in %", "Brake Pressure Front [bar]": "brake in bar",
+           "Brake Temp FL [C]": "brake in C", "Steered Angle [deg]": "wheel in deg"},
+        {"brake": ("Brake Pressure Front [bar]",), "steer": ("Steered Angle [deg]",)},
+    ),
+    "Torque": (
+        PLACES
+        | {"Bearing": "azimuth", "G(x)": "g", "G(y)": "g", "G(z)": "g", "Brake(%)": "brake in %",
+           "Accelerator PedalPosition D(%)": "throttle in %", "Steering(deg)": "wheel in deg"},
+        {"position": ("Latitude", "Longitude"), "throttle": ("Accelerator PedalPosition D(%)",)},
+    ),
+    "RaceChrono": (
+        PLACES
+        | {"bearing": "azimuth", "x_rate_of_rotation": "wx in deg/s", "y_rate_of_rotation": "wy in deg/s",
+           "z_rate_of_rotation": "wz in deg/s", "accelerator_pos": "throttle in %", "brake_pos": "brake in %",
+           "steering_angle": "wheel in deg"},
+        {"position": ("Latitude", "Longitude"),
+         "angular_velocity": ("x_rate_of_rotation", "y_rate_of_rotation", "z_rate_of_rotation")},
+    ),
+}  # fmt: skip
+
+
+def table(columns: Mapping[str, str]) -> MemoryLog:
+    return MemoryLog({"": (TIME, {name: (MORE | QUANTITIES)[quantity] for name, quantity in columns.items()})})
+
+
+@pytest.mark.parametrize("name", FAMILIES)
+def test_channels_are_found_in_a_table_of(name: str) -> None:
+    columns, expected = FAMILIES[name]
+    log = table(columns)
+    rig = parse_rig(draft_rig(log), where="draft")
+    assert {channel: rig.channels[channel].fields for channel in expected} == expected
+    assert cured(log, rig) == []
+
+
+def test_places_in_radians_are_said_to_be() -> None:
+    columns, _ = FAMILIES["radians"]
+    text = draft_rig(table(columns)).replace("scale = 57.2957795131\n", "")
+    found = {f.what for f in inspect_log(table(columns), parse_rig(text, where="draft")).findings if "lat" in f.where}
+    assert found == {"is in radians"}
+
+
+@pytest.mark.parametrize(("heading", "fields"), [("yaw", ("a", "c", "b")), ("azimuth", ("c", "a", "b"))])
+def test_a_world_whose_y_is_up_is_turned_as_its_heading_is(heading: str, fields: tuple[str, ...]) -> None:
+    """As of games: a, b, c stand for x, y, z, and one reading of them needs no more edits."""
+    yaw = {"yaw": 2 * np.arctan2(ODOM["qz"], ODOM["qw"]), "azimuth": np.deg2rad(QUANTITIES["azimuth"])}
+    columns = {"pos_x": ODOM["x"], "pos_y": ODOM["z"], "pos_z": ODOM["y"], "yaw": yaw[heading]}
+    log = MemoryLog({"": (TIME, columns | {name: QUANTITIES[name] for name in PEDALS})})
+    rig = parse_rig(draft_rig(log), where="draft")
+    inspection = inspect_log(log, rig)
+    fatal = next(f for f in inspection.findings if f.severity == "fatal")
+    assert fatal.what == "climbs as much as it drives"
+    named = [dict(zip("abc", ("pos_x", "pos_y", "pos_z"), strict=True))[letter] for letter in fields]
+    assert inspection.cure[0].value == named
+    assert cured(log, rig) == []
+
+
+def test_metres_from_the_middle_of_the_earth_are_no_world() -> None:
+    """48 north, 11 east; a northing of 57 degrees is as far from its origin, and is none of it."""
+    up, east, north = np.array([0.657, 0.128, 0.743]), np.array([-0.191, 0.982, 0.0]), np.array([-0.73, -0.142, 0.669])
+    places = 6.37e6 * up + ODOM["x"][:, None] * east + ODOM["y"][:, None] * north
+    pedals = {name: QUANTITIES[name] for name in PEDALS}
+    yaw = {"yaw": 2 * np.arctan2(ODOM["qz"], ODOM["qw"])}
+    log = MemoryLog({"": (TIME, dict(zip(("x", "y", "z"), places.T, strict=True)) | yaw | pedals)})
+    found = inspect_log(log, parse_rig(draft_rig(log), where="draft")).findings
+    assert "is in the earth's own frame (ECEF), whose z is not up" in {f.what for f in found if f.severity == "fatal"}
+    utm = MemoryLog({"": (TIME, {"x": 5e5 + ODOM["x"], "y": 6.36e6 + ODOM["y"], "z": ODOM["z"] + 90} | yaw | pedals)})
+    rig = parse_rig(draft_rig(utm), where="draft")
+    assert [f.what for f in inspect_log(utm, rig).findings if f.severity == "fatal"] == []
+
+
+@pytest.mark.parametrize(
+    "columns",
+    [
+        "pos[0] pos[1] pos[2] pos[3]",
+        "joint_pos_0 joint_pos_1",
+        "motor_vel_0 motor_vel_1",
+        "pos_0 pos_2",
+    ],
+)
+def test_arrays_that_are_no_vector(columns: str) -> None:
+    log = MemoryLog({"": (TIME, dict.fromkeys(columns.split(), ODOM["x"]))})
+    assert list(guess_channels(log)) == []
