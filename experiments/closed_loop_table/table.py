@@ -229,12 +229,12 @@ def write_table(results: Sequence[dict[str, Any]], out: Path, limit: float) -> s
 
 
 def _compared(row: str, other: str) -> bool:
-    """With those that know less at the same latency, and with itself at 100 ms."""
+    """With those that know less at its latency, and with itself at 100 ms; with a risk or another planner, with `b`."""
     (name, latency), (base, at) = row.rsplit("-", 1), other.rsplit("-", 1)
     if name == base:
         return at == "100ms" and latency != at
-    if "+" in name:  # with a risk or by another planner: with what it is like otherwise
-        return latency == at and base == name.split("+")[0]
+    if "+" in name:  # with a risk or by another planner: also with what it is like otherwise
+        return latency == at and base in (name.split("+")[0], "b")
     if "+" in base:
         return False
     known = name in ORDER and base in ORDER
