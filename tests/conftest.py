@@ -13,7 +13,15 @@ if "PYTEST_XDIST_WORKER" in os.environ:  # each worker has a core; libraries rea
 os.environ.setdefault("NUMBA_CACHE_DIR", str(pathlib.Path(__file__).parents[1] / ".numba_cache"))
 os.environ["OFFPISTE_CACHE"] = (_shared := tempfile.TemporaryDirectory(prefix="offpiste-cache-")).name
 
+# While the hook imports a module, Python compiles whatever that imports anew, and other people's packages are large.
+import cv2  # noqa: F401
 import jaxtyping
+import numba  # noqa: F401
+import scipy.ndimage
+import scipy.signal
+import scipy.spatial
+import scipy.stats  # noqa: F401
+import torch  # noqa: F401
 
 _package = pathlib.Path(__file__).parents[1] / "src" / "offpiste"
 _shaped = [file for file in _package.rglob("*.py") if "from jaxtyping import" in file.read_text("utf-8")]

@@ -2,6 +2,7 @@
 
 import ast
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -20,23 +21,21 @@ def text_of(node: ast.expr) -> str:
     return ""
 
 
-def strings_of_the_source() -> set[str]:
+@cache  # and not while tests are collected: every worker does that, and one runs them
+def strings_of_the_source() -> frozenset[str]:
     """All strings but docstrings."""
-    found = set()
+    found: set[str] = set()
     for file in (ROOT / "src" / "offpiste").rglob("*.py"):
         tree = ast.parse(file.read_text("utf-8"))
         stated = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
         found |= {text_of(node) for node in ast.walk(tree) if isinstance(node, ast.expr) and id(node) not in stated}
-    return found
-
-
-STRINGS = strings_of_the_source()
+    return frozenset(found)
 
 
 def occurs(message: str) -> bool:
     """Whether a message, or a line that contains it, is a string of the source; `…` stands for anything filled in."""
     pattern = re.compile(r"(?:.*…)?" + re.escape(message).replace("…", "…+") + r"(?:$|…|[;,: ].*)", re.DOTALL)
-    return any(pattern.fullmatch(text) for text in STRINGS)
+    return any(pattern.fullmatch(text) for text in strings_of_the_source())
 
 
 @pytest.mark.parametrize("message", QUOTED)
