@@ -23,6 +23,9 @@ import scipy.spatial
 import scipy.stats  # noqa: F401
 import torch  # noqa: F401
 
+import sampled_checks
+
+sampled_checks.install()
 _package = pathlib.Path(__file__).parents[1] / "src" / "offpiste"
 _shaped = [file for file in _package.rglob("*.py") if "from jaxtyping import" in file.read_text("utf-8")]
 jaxtyping.install_import_hook(
@@ -57,6 +60,12 @@ def shapes_checked(request: pytest.FixtureRequest) -> Iterator[None]:
     jaxtyping.config.update("jaxtyping_disable", before or where.startswith(WHOLE_PATHS))
     yield
     jaxtyping.config.update("jaxtyping_disable", before)
+
+
+@pytest.fixture(autouse=True)
+def first_calls_checked() -> None:
+    """Check the first calls in each test, whatever ran before it in this process."""
+    sampled_checks.begin_test()
 
 
 REAL_TIME = ("live/test_all_processes.py", "live/test_live_faults.py", "live/test_play.py", "live/test_supervisor.py")

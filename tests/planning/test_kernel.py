@@ -321,6 +321,7 @@ for state in ((0.0, 0, 0, 9, 0, 0), (14.9, 14.9, 0.7, 9, 0, 0), (-15.2, 0, 3.1, 
     environment = {
         **os.environ,
         "NUMBA_BOUNDSCHECK": "1",
+        "NUMBA_OPT": "0",
         "PYTHONPATH": paths,
         "NUMBA_CACHE_DIR": "/tmp/offpiste-checked",
     }

@@ -1,0 +1,49 @@
+"""Shapes and types are checked in some calls: the first of a function in a test, and every so manieth after them.
+
+What is called for every row of a drive is called with the same shapes each time, and checking each call took half of
+the time of tests that drive.
+"""
+
+from collections import defaultdict
+from collections.abc import Callable
+from functools import partial, wraps
+from types import FunctionType
+from typing import Any
+
+import jaxtyping
+from jaxtyping import _decorator
+
+FIRST, EVERY = 32, 32
+
+_calls: defaultdict[int, int] = defaultdict(int)
+_all_calls = _decorator.jaxtyped
+
+
+def begin_test() -> None:
+    """Check the first calls again."""
+    _calls.clear()
+
+
+def sampled(function: Any = None, *, typechecker: Any) -> Any:
+    """As `jaxtyping.jaxtyped`, of some calls."""
+    if function is None:
+        return partial(sampled, typechecker=typechecker)
+    checked = _all_calls(function, typechecker=typechecker)
+    return _some_calls(function, checked) if isinstance(function, FunctionType) else checked
+
+
+def _some_calls(function: Callable[..., Any], checked: Callable[..., Any]) -> Callable[..., Any]:
+    @wraps(checked)
+    def called(*args: Any, **kwargs: Any) -> Any:
+        __tracebackhide__ = True
+        before = _calls[number]
+        _calls[number] = before + 1
+        return (checked if before < FIRST or before % EVERY == 0 else function)(*args, **kwargs)
+
+    number = id(checked)  # which lives as long as this
+    return called
+
+
+def install() -> None:
+    """Let the import hook decorate with this."""
+    jaxtyping.jaxtyped = _decorator.jaxtyped = sampled

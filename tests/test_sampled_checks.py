@@ -1,0 +1,46 @@
+"""Shapes are checked in the first calls of a test, and now and then after them."""
+
+import jaxtyping
+import numpy as np
+import pytest
+from beartype import beartype
+from jaxtyping import Float
+
+from offpiste.simulation.simulate import Replay
+from sampled_checks import EVERY, FIRST, begin_test, sampled
+
+
+def total(values: Float[np.ndarray, "2"]) -> float:
+    return float(values.sum())
+
+
+CHECKED = sampled(total, typechecker=beartype)
+
+
+def is_refused() -> bool:
+    try:
+        CHECKED(np.zeros(3))
+    except jaxtyping.TypeCheckError:
+        return True
+    return False
+
+
+def test_first_calls_are_checked_and_every_so_manieth_later():
+    refused = [is_refused() for _ in range(FIRST + 2 * EVERY)]
+    assert all(refused[:FIRST])
+    assert sum(refused[FIRST:]) == 2
+    begin_test()
+    assert is_refused()
+
+
+@pytest.mark.parametrize("run", range(2))
+def test_each_test_begins_anew(run):
+    assert all(is_refused() for _ in range(FIRST))
+
+
+def test_the_package_is_checked():
+    replay = Replay(np.zeros((2, 3)))
+    with pytest.raises(jaxtyping.TypeCheckError):
+        replay.command("no sample")
+    with pytest.raises(jaxtyping.TypeCheckError):
+        Replay(np.zeros(2))
