@@ -28,17 +28,20 @@ def sampled(function: Any = None, *, typechecker: Any) -> Any:
     """As `jaxtyping.jaxtyped`, of some calls."""
     if function is None:
         return partial(sampled, typechecker=typechecker)
-    checked = _all_calls(function, typechecker=typechecker)
-    return _some_calls(function, checked) if isinstance(function, FunctionType) else checked
+    if not isinstance(function, FunctionType):
+        return _all_calls(function, typechecker=typechecker)
+    checked: list[Callable[..., Any]] = []
 
-
-def _some_calls(function: Callable[..., Any], checked: Callable[..., Any]) -> Callable[..., Any]:
-    @wraps(checked)
+    @wraps(function)
     def called(*args: Any, **kwargs: Any) -> Any:
         __tracebackhide__ = True
         before = _calls[number]
         _calls[number] = before + 1
-        return (checked if before < FIRST or before % EVERY == 0 else function)(*args, **kwargs)
+        if jaxtyping.config.jaxtyping_disable or (before >= FIRST and before % EVERY):
+            return function(*args, **kwargs)
+        if not checked:  # not earlier: that takes a millisecond, and most functions are never called in this process
+            checked.append(_all_calls(function, typechecker=typechecker))
+        return checked[0](*args, **kwargs)
 
     number = id(checked)  # which lives as long as this
     return called
