@@ -12,7 +12,6 @@ import torch
 from torch import Tensor
 from torch.overrides import TorchFunctionMode
 from torch.utils._python_dispatch import TorchDispatchMode
-from torch.utils._pytree import tree_flatten, tree_map
 
 from offpiste.dynamics.header.gpu import prepared
 from offpiste.dynamics.kernels.autograd import has_kernels
@@ -75,7 +74,7 @@ class FromNumbers(TorchFunctionMode):
 
 def run(function: Any, args: Any, kwargs: dict[str, Any]) -> Any:
     """An operation on the CPU, whose result lies where it would."""
-    tensors = [each for each in tree_flatten((args, kwargs))[0] if isinstance(each, Tensor)]
+    tensors = list(tensors_in((args, kwargs)))
     there = any(isinstance(each, OnGpu) for each in tensors)
     if any(each.device == GPU and not isinstance(each, OnGpu) for each in tensors):
         raise RuntimeError(f"{function}: a tensor was made on the GPU unseen")
@@ -88,7 +87,7 @@ def run(function: Any, args: Any, kwargs: dict[str, Any]) -> Any:
     if device is not None:
         kwargs = kwargs | {"device": torch.device("cpu"), "pin_memory": False}
         kwargs = {name: value for name, value in kwargs.items() if name in _known(function)}
-    result = function(*tree_map(inside, args), **tree_map(inside, kwargs))
+    result = function(*mapped(inside, args), **mapped(inside, kwargs))
     if function is torch.ops.aten.copy_.default:
         return args[0]
     given = {id(inside(each)): each for each in tensors}
@@ -98,7 +97,25 @@ def run(function: Any, args: Any, kwargs: dict[str, Any]) -> Any:
             return value
         return given.get(id(value)) if id(value) in given else (OnGpu(value) if goes else value)
 
-    return tree_map(placed, result)
+    return mapped(placed, result)
+
+
+def tensors_in(value: Any) -> Iterator[Tensor]:
+    """All tensors of what an operation is given; torch's own trees took a third of the time of a training."""
+    if isinstance(value, Tensor):
+        yield value
+    elif isinstance(value, list | tuple | dict):
+        for each in value.values() if isinstance(value, dict) else value:
+            yield from tensors_in(each)
+
+
+def mapped(change: Callable[[Any], Any], value: Any) -> Any:
+    """What an operation is given or gives, with each of its values changed."""
+    if isinstance(value, dict):
+        return {name: mapped(change, each) for name, each in value.items()}
+    if isinstance(value, list | tuple):
+        return type(value)(mapped(change, each) for each in value)
+    return change(value)
 
 
 def _known(function: Any) -> set[str]:
