@@ -159,7 +159,8 @@ def _timeless(file: Path) -> bytes:
 def start(name: str, inputs: Path, out: Path) -> subprocess.Popen[str]:
     """Begin some work in a new process; it has imported what it needs and begins when this returns."""
     out.mkdir(parents=True, exist_ok=True)
-    path = os.pathsep.join(map(str, (ROOT / "src", ROOT, ROOT / "tests", os.environ.get("PYTHONPATH", ""))))
+    # Where this process finds offpiste: Numba keeps what it compiles by the place of the source.
+    path = os.pathsep.join((str(ROOT), str(ROOT / "tests"), *filter(None, sys.path)))
     process = subprocess.Popen(
         [sys.executable, "-m", "tests.kill", "--work", name, str(inputs), str(out)],
         cwd=ROOT,
