@@ -16,9 +16,10 @@ from offpiste.training.config import TrainConfig
 
 TINY = Size(
     "tiny",
-    (26.0, 13.0, 13.0),
-    longest=13.0,
-    images=20,
+    (16.0, 8.0, 8.0),
+    longest=8.0,
+    shortest=8.0,
+    images=10,
     snapshot_seconds=2.0,
     train=TrainConfig(min_speed=0.0),
     world_size=160.0,
