@@ -18,6 +18,8 @@ from offpiste.simulation.world.world import World
 
 MARGIN = 12.0
 """Margin around the ways and the driven paths [m]."""
+WIDE = 6.0
+"""Width from which a picture's legend has two columns [inches]."""
 
 
 def draw_choices(results: Sequence[dict[str, Any]], places: Sequence[Place], out: Path) -> None:
@@ -66,5 +68,6 @@ def choice_picture(world: World, chosen: ChosenCourse, drives: Sequence[dict[str
     axes.plot(*paths[0][0], color="white", marker="o", markeredgecolor="black")
     axes.set(xlim=(left, right), ylim=(bottom, top), xlabel="x [m]", ylabel="y [m]")
     axes.set_title(f"{world.settings.name}, seed {world.settings.seed}", fontsize=10, loc="left")
-    figure.legend(loc="outside lower center", ncols=2, fontsize=8, facecolor="#b8a88a")
+    columns = 2 if figure.get_figwidth() > WIDE else 1
+    figure.legend(loc="outside lower center", ncols=columns, fontsize=8, facecolor="#b8a88a")
     return figure
