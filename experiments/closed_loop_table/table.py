@@ -229,16 +229,19 @@ def write_table(results: Sequence[dict[str, Any]], out: Path, limit: float) -> s
 
 
 def _compared(row: str, other: str) -> bool:
-    """With those that know less at its latency, and with itself at 100 ms; with a risk or another planner, with `b`."""
+    """With those that know less at its latency, and with itself at 100 ms.
+
+    A row with a risk or another planner is compared with the same model without, with `b`, and with those that know
+    less and have the same.
+    """
     (name, latency), (base, at) = row.rsplit("-", 1), other.rsplit("-", 1)
     if name == base:
         return at == "100ms" and latency != at
-    if "+" in name:  # with a risk or by another planner: also with what it is like otherwise
-        return latency == at and base in (name.split("+")[0], "b")
-    if "+" in base:
-        return False
-    known = name in ORDER and base in ORDER
-    return latency == at and (ORDER.index(base) < ORDER.index(name) if known else base == "b")
+    (model, _, more), (other_model, _, others_more) = name.partition("+"), base.partition("+")
+    if more != others_more:
+        return latency == at and not others_more and base in (model, "b")
+    known = model in ORDER and other_model in ORDER
+    return latency == at and (ORDER.index(other_model) < ORDER.index(model) if known else other_model == "b")
 
 
 def _values(runs: Runs, key: str, limit: float) -> Float[np.ndarray, "S n"]:

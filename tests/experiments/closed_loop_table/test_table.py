@@ -148,14 +148,16 @@ def test_how_often_the_firm_way_is_taken():
     assert 0 <= low < 33 < high <= 100
 
 
-def test_another_planner_and_a_risk_are_compared_with_the_same_model_without_and_with_b():
-    names = ("b-100ms", "dc-100ms", "dc+pytorch-mppi-100ms", "dc+spread-1-100ms")
+def test_another_planner_and_a_risk_are_compared_with_who_has_none_and_who_knows_less():
+    names = ("b-100ms", "dc-100ms", "dc+pytorch-mppi-100ms", "b+spread-1-100ms", "dc+spread-1-100ms")
     text = table([result(row, seed, 20.0) for row in names for seed in range(3)], limit=40.0)
     pairs = [line.split("|")[1].strip() for line in text.splitlines() if "−" in line and line.startswith("|")]
     assert pairs == [
         "dc-100ms − b-100ms",
         "dc+pytorch-mppi-100ms − b-100ms",
         "dc+pytorch-mppi-100ms − dc-100ms",
+        "b+spread-1-100ms − b-100ms",
         "dc+spread-1-100ms − b-100ms",
         "dc+spread-1-100ms − dc-100ms",
+        "dc+spread-1-100ms − b+spread-1-100ms",
     ]
