@@ -1,4 +1,4 @@
-"""Shapes and types are checked in some calls: the first of a function in a test, and every so manieth after them.
+"""Shapes and types are checked in some calls: the first of a function in a test, and now and then after them.
 
 What is called for every row of a drive is called with the same shapes each time, and checking each call took half of
 the time of tests that drive.

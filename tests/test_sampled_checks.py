@@ -25,7 +25,7 @@ def is_refused() -> bool:
     return False
 
 
-def test_first_calls_are_checked_and_every_so_manieth_later():
+def test_first_calls_are_checked_and_some_later_ones():
     refused = [is_refused() for _ in range(FIRST + 2 * EVERY)]
     assert all(refused[:FIRST])
     assert sum(refused[FIRST:]) == 2

@@ -21,10 +21,7 @@ from offpiste.inspection.draft_pedals import (
 from offpiste.inspection.draft_pose import Entry, degrees, draft_pose, field_values, unit_line
 from offpiste.inspection.gear import gear_values
 from offpiste.inspection.signal_faults import find_spikes, find_wrap
-from offpiste.inspection.usual_ranges import (
-    held_range,
-    steering_middle,
-)
+from offpiste.inspection.usual_ranges import held_range, steering_middle
 from offpiste.logs.channel import unwrapped
 from offpiste.logs.log import Log
 from offpiste.rig.channels import unit_factor

@@ -18,10 +18,11 @@ MAX_SPIKES: Final = 0.02
 
 COUNTED_DEGREES: Final = 1e-7
 """Degrees in which GPS receivers and autopilots count latitude and longitude, as integers."""
-RADIANS: Final = 57.29577951308232
-"""Degrees in a radian."""
-_EACH: Final = (COUNTED_DEGREES, RADIANS)
-_DAY: Final = 0.02
+_RADIAN: Final = float(np.rad2deg(1.0))
+"""In degrees."""
+_EACH: Final = (COUNTED_DEGREES, _RADIAN)
+"""What one of a latitude may be, besides a degree [deg]."""
+_FARTHEST: Final = 0.02
 """No vehicle drives as far within a log [rad]: 130 km."""
 
 
@@ -74,7 +75,7 @@ def find_wrap(raw: Float[np.ndarray, " n"]) -> Wrap | None:
 
 
 def degrees_each(latitude: Float[np.ndarray, " n"], longitude: Float[np.ndarray, " n"]) -> float:
-    """What one of latitude and longitude is in degrees: `COUNTED_DEGREES`, `RADIANS`, or 1.
+    """What one of latitude and longitude is in degrees: `COUNTED_DEGREES`, a radian, or 1.
 
     Read as degrees, integers of the first would not be on earth, and radians would be at sea, off Africa.
     """
@@ -86,7 +87,7 @@ def degrees_each(latitude: Float[np.ndarray, " n"], longitude: Float[np.ndarray,
     counted, in_radians = map(all, within)
     if counted and min(usual) > 360 and not any((raw % 1).any() for raw in known):
         return COUNTED_DEGREES
-    return RADIANS if in_radians and max(map(np.ptp, known)) < _DAY else 1.0
+    return _RADIAN if in_radians and max(map(np.ptp, known)) < _FARTHEST else 1.0
 
 
 def _half_span(values: Float[np.ndarray, " n"]) -> float:

@@ -89,7 +89,7 @@ def check_signals(signals: list[Signal], rig: Rig | None) -> list[Finding]:
     Args:
         rig: whose channels read them.
     """
-    findings, dead = _counted_degrees(signals, rig), list[Signal]()
+    findings, dead = _other_than_degrees(signals, rig), list[Signal]()
     counted = {finding.where for finding in findings}
     for signal in signals:
         findings += [] if signal.where in counted else _not_finite(signal)
@@ -110,7 +110,7 @@ def check_signals(signals: list[Signal], rig: Rig | None) -> list[Finding]:
     return findings + _dead(dead, rig)
 
 
-def _counted_degrees(signals: list[Signal], rig: Rig | None) -> list[Finding]:
+def _other_than_degrees(signals: list[Signal], rig: Rig | None) -> list[Finding]:
     """Latitude and longitude that are read as degrees, and are integers of a ten-millionth of one, or radians."""
     source = rig.channels.get("position") if rig else None
     if source is None or source.unit != GEOGRAPHIC or source.scale != 1:

@@ -14,6 +14,7 @@ from offpiste.rig.labels import gear_letter, unit_of
 
 _TEXT_BOOLEANS = {"true": 1.0, "false": 0.0}
 _MOST_GEARS = 16
+"""Numbers among letters that are gears; more are measurements, and a letter among them is a mistake."""
 
 
 def number_of(cell: str) -> float | None:
