@@ -30,8 +30,14 @@ def write_whole(path: Path, write: Callable[[Path], None]) -> None:
 
 
 def write_folder(path: Path, write: Callable[[Path], None]) -> None:
-    """Write a folder beside its place and move it there when it is complete."""
+    """Write a folder beside its place and move it there when it is complete.
+
+    Raises:
+        OffpisteError: it is the current folder, which cannot be replaced, or in an object store.
+    """
     refuse_url(path)
+    if path.resolve() == Path.cwd():
+        raise OffpisteError("is the current folder", where=path, how="give a folder that is not yet there")
     partial = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=PARTIAL, dir=path.parent))
     try:
         write(partial)

@@ -180,7 +180,7 @@ def test_drives_go_where_their_file_says(tmp_path):
 
 
 def test_a_split_by_drives_comes_back_as_it_was_written(tmp_path):
-    parts = (("monday", "train"), ("friday", "test"))
+    parts = (("monday", "train"), ("my drive.mcap", "test"))
     assert parse_split(write_drives(tmp_path / "new" / "split.txt", parts)).drives == parts
 
 
@@ -193,6 +193,13 @@ def test_a_split_by_drives_comes_back_as_it_was_written(tmp_path):
 def test_what_is_no_split_is_an_error_that_shows_one(text):
     with pytest.raises(DatasetError, match=r"not a split.*blocks:0\.7,0\.1,0\.2"):
         parse_split(text)
+
+
+def test_a_drive_that_is_in_two_parts_is_an_error(tmp_path):
+    path = tmp_path / "split.txt"
+    path.write_text("monday train\nmonday train\nmonday test\n")
+    with pytest.raises(DatasetError, match="line 3 puts drive 'monday' into test, an earlier one into train"):
+        parse_split(f"drives:{path}")
 
 
 @pytest.mark.parametrize("content", ["monday\n", "monday train extra\n", "monday exam\n"])

@@ -36,7 +36,9 @@ def test_a_risk_is_read_from_its_text(text, risk):
     assert risk_of(text) == risk
 
 
-@pytest.mark.parametrize("text", ["", "none:1", "spread:much", "spread:-1", "spread:nan", "cvar:0", "cvar:2", "mean"])
+@pytest.mark.parametrize(
+    "text", ["", "none:1", "spread:much", "spread:-1", "spread:nan", "spread:inf", "cvar:0", "cvar:2", "mean"]
+)
 def test_what_is_no_risk_is_refused_in_a_line(text):
     with pytest.raises(PlanningError) as refused:
         risk_of(text)

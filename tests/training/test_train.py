@@ -315,6 +315,13 @@ def test_a_run_is_not_evaluated_on_what_it_was_trained_on(dataset: Dataset, run:
         refuse_seen(loaded, dataset.relabelled(parse_split("blocks:0.2,0.2,0.6")), "test")
 
 
+def test_a_stride_beyond_all_windows_takes_every_one(dataset: Dataset, tmp_path: Path) -> None:
+    config = replace(QUICK, model="parametric", epochs=1, stride=100_000)
+    assert not len(Windows(dataset, "train").every(config.stride, phase=1))
+    train(dataset, config, tmp_path / "run")
+    assert load_run(tmp_path / "run").dynamics.vehicle is not None
+
+
 def test_folds_refit_everything_on_their_own_parts(
     dataset: Dataset, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -99,6 +99,18 @@ def test_runs_whose_folders_have_one_name_are_told_apart(dataset: Dataset, run: 
     assert widths[1] == pytest.approx(2 * widths[0], rel=0.01), "a panel for each"
 
 
+def test_a_spread_is_not_evaluated_on_what_it_was_fitted_to(dataset: Dataset, run: Run, tmp_path: Path) -> None:
+    """Also where the run itself was trained elsewhere."""
+    about = load_json(run.folder / "model.json")
+    save_json(run.folder / "model.json", about | {"seen": []})
+    stranger = load_run(run.folder)
+    kept_or_fitted(stranger, dataset, QUICK)
+    assert coverage_of_kept([run.folder], dataset.path, tmp_path / "apart") is not None
+    again = dataset_with_features(tmp_path / "again.zarr", ("test", "train", "validation", "train"))
+    with pytest.raises(RunError, match=r"spread\.safetensors: was fitted to .* of the test part of drive"):
+        coverage_of_kept([run.folder], again.path, tmp_path / "out")
+
+
 def test_maps_as_they_were_are_read(dataset: Dataset, run: Run, tmp_path: Path) -> None:
     snapped = with_snapshots(dataset, tmp_path / "snapshots", [200, 300])
     windows = Windows(replace(snapped, min_speed=0.0), "test")

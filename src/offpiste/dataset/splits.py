@@ -198,14 +198,19 @@ def _place_labels(position: Float[np.ndarray, "N 2"], cell: float) -> Int[np.nda
 
 def _read_drives(path: Path) -> tuple[tuple[str, str], ...]:
     try:
-        lines = [line.split() for line in path.read_text("utf-8").splitlines() if line.strip()]
+        # The part is the last word: names of drives may hold spaces.
+        lines = [line.strip().rsplit(maxsplit=1) for line in path.read_text("utf-8").splitlines() if line.strip()]
     except (OSError, UnicodeDecodeError) as error:
         raise DatasetError("cannot read the split", where=path, how="a line 'NAME PART' a drive") from error
+    parts = dict[str, str]()
     for number, line in enumerate(lines, start=1):
         if len(line) != 2 or line[1] not in PARTS:
             raise DatasetError(
                 f"line {number} is not 'NAME PART'", where=path, how=f"PART is one of {', '.join(PARTS)}"
             )
+        if parts.setdefault(line[0], line[1]) != line[1]:
+            what = f"line {number} puts drive '{line[0]}' into {line[1]}, an earlier one into {parts[line[0]]}"
+            raise DatasetError(what, where=path, how="keep one of them")
     return tuple((name, part) for name, part in lines)
 
 

@@ -146,6 +146,11 @@ class Windows:
         """Indices of the windows whose row in their drive is `phase` modulo `stride`."""
         return np.flatnonzero((self.rows - self._offset[self.drive]) % stride == phase % stride)
 
+    def strided(self, stride: int, *, phase: int = 0) -> Int[np.ndarray, " n"]:
+        """As `every`, or all windows where they are so few that none is left."""
+        index = self.every(stride, phase=phase)
+        return index if len(index) else np.arange(len(self))
+
     def with_feature_set(self, feature_set: str) -> "Windows":
         """The same windows with another feature set."""
         other = copy(self)
@@ -181,7 +186,7 @@ class Windows:
 
     def evaluation_indices(self, stride: int) -> Int[np.ndarray, " n"]:
         """Indices of the windows that models are evaluated on: those with a snapshot of the map, if there are any."""
-        return np.flatnonzero(self.maps.snapped) if self.maps.snapped.any() else self.every(stride)
+        return np.flatnonzero(self.maps.snapped) if self.maps.snapped.any() else self.strided(stride)
 
     def row_in_drive(self, index: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
         """Row t of windows, counted in their own drive."""

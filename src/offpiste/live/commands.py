@@ -24,6 +24,7 @@ from offpiste.planning.caution import caution_of
 from offpiste.planning.gpu import require_device
 from offpiste.progress import track
 from offpiste.rig.rig import Rig, load_rig
+from offpiste.runtime.settings import keeping_to
 from offpiste.training.fitness import differing_vehicle
 from offpiste.transport.message_types import MessageTypes
 from offpiste.transport.zenoh_transport import ZenohSettings, ZenohTransport
@@ -42,7 +43,8 @@ def run_live(settings: LiveSettings, *, lockstep: bool, replay: Path | None, com
     device, alone = settings.runtime.device, lockstep or replay is not None
     rig, planner = load_rig(settings.rig), settings.load_planner(device if alone else "cpu")
     require_device(device, planner.dynamics)
-    settings = replace(settings, runtime=replace(settings.runtime, timeouts=rig.live.timeouts))
+    runtime = keeping_to(replace(settings.runtime, timeouts=rig.live.timeouts), rig.live.limits)
+    settings = replace(settings, runtime=runtime)
     _refuse_driving(settings, rig)
     types = MessageTypes([Path(name) for name in rig.live.definitions])
     check_types(rig, types)

@@ -1,5 +1,6 @@
 """How far a plan may stray from its prediction, and how much that counts in its cost: a declared setting."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, Literal
@@ -26,15 +27,16 @@ class AddSpread:
     """The predicted scale of the position's error, so many times, adds to the distance from the course.
 
     Raises:
-        PlanningError: the factor is negative.
+        PlanningError: the factor is negative, or not finite.
     """
 
     times: float = 1.0
     kind: Literal["spread"] = "spread"
 
     def __post_init__(self) -> None:
-        if not self.times >= 0:
-            raise PlanningError(f"a risk of {self.times:g} times the spread", how="give a factor of 0 or more")
+        if not 0 <= self.times < math.inf:
+            how = "give a finite factor of 0 or more"
+            raise PlanningError(f"a risk of {self.times:g} times the spread", how=how)
 
 
 @dataclass(frozen=True)

@@ -70,10 +70,7 @@ def errors_path(run: Path, reading: Reading) -> Path:
 
 def evaluation_windows(windows: Windows, reading: Reading, stride: int) -> np.ndarray:
     """Indices of the windows to evaluate: a stride apart, or those with a snapshot of the map."""
-    if reading[0] == "map":
-        return windows.evaluation_indices(stride)
-    every = windows.every(stride)
-    return every if len(every) else np.arange(len(windows))
+    return windows.evaluation_indices(stride) if reading[0] == "map" else windows.strided(stride)
 
 
 def run_errors(

@@ -1,16 +1,19 @@
 """Settings of the run time: rate and latency of plans, how they are sampled, and what counts as stopped or arrived."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+
+import numpy as np
 
 from offpiste.conventions import DT, PERCEPTION_LATENCY
 from offpiste.errors import PlanningError
 from offpiste.mapping.replay import MapperSettings
 from offpiste.planning import mppi
 from offpiste.planning.caution import AsPredicted, Risk
+from offpiste.planning.constraints import Limits
 from offpiste.planning.costs.layers import Hazards
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.pedal import PEDAL_AND_WHEEL
-from offpiste.rig.outputs import Timeouts
+from offpiste.rig.outputs import CommandLimits, Timeouts
 from offpiste.runtime.backing_out import BackingOutSettings
 
 
@@ -27,7 +30,8 @@ class RuntimeSettings:
         replay: how images and scans enter the map, as in the model's dataset.
         timeouts: how old inputs may be before the mode changes.
         backing_out: of a vehicle that does not move although it is driven, for models that know a gear.
-        slow: speed limit while scans are late [m/s].
+        speed: no plan aims at a higher one [m/s].
+        slow: the same while scans are late [m/s].
         stop: brake of a controlled stop [0..1].
         forget: plans that began to act longer ago than this are not continued [s].
         gear: that is engaged at the start; 1 forward, -1 reverse.
@@ -63,6 +67,7 @@ class RuntimeSettings:
     replay: MapperSettings = field(default_factory=MapperSettings)
     timeouts: Timeouts = field(default_factory=Timeouts)
     backing_out: BackingOutSettings = field(default_factory=BackingOutSettings)
+    speed: float = np.inf
     slow: float = 3.0
     stop: float = 0.5
     forget: float = 1.0
@@ -80,6 +85,24 @@ class RuntimeSettings:
         if not self.plan_rate > 0 or not _is_steps(1 / self.plan_rate) or 1 / self.plan_rate > longest:
             how = f"let 1 / plan_rate be a multiple of {DT} s, of {longest:g} s at most (timeouts.plan)"
             raise PlanningError(f"{self.plan_rate:g} plans a second", how=how)
+
+
+def keeping_to(settings: RuntimeSettings, limits: CommandLimits) -> RuntimeSettings:
+    """Settings whose plans keep to the limits of what is sent, so that what is planned is what will be driven.
+
+    The pedal's rate is held to that of the brake: a throttle that rises more slowly than planned makes the vehicle
+    later, a brake that does would not stop it in time.
+    """
+    planned = settings.sampling.limits
+    pedal, steer = planned.rate or (np.inf, np.inf)
+    within = Limits(
+        low=(max(planned.low[0], -limits.brake), max(planned.low[1], -limits.steer)),
+        high=(min(planned.high[0], limits.throttle), min(planned.high[1], limits.steer)),
+        rate=(min(pedal, limits.brake_rate), min(steer, limits.steer_rate)),
+    )
+    return replace(
+        settings, sampling=replace(settings.sampling, limits=within), speed=min(settings.speed, limits.speed)
+    )
 
 
 def _is_steps(seconds: float) -> bool:

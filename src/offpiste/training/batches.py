@@ -20,12 +20,6 @@ Item = TypeVar("Item")
 Made = TypeVar("Made")
 
 
-def strided(windows: Windows, stride: int, *, phase: int = 0) -> Int[np.ndarray, " n"]:
-    """Windows a stride apart, or all of them where they are so few that none is left."""
-    index = windows.every(stride, phase=phase)
-    return index if len(index) else np.arange(len(windows))
-
-
 def draw_sets(
     draw: Draw | None, windows: Windows, index: Int[np.ndarray, " B"], rng: np.random.Generator
 ) -> FeatureSetChoice | None:

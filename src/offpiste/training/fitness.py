@@ -55,16 +55,24 @@ def refuse_seen(run: TrainedRun, dataset: Dataset, part: str) -> None:
     Raises:
         RunError: names the drive and the overlap.
     """
+    if (overlap := overlap_with(run.seen, dataset, part)) is not None:
+        how = "evaluate it on the dataset and split it was trained with, or on another drive"
+        raise RunError(f"was trained on {overlap}", where=run.folder, how=how)
+
+
+def overlap_with(seen: Sequence[tuple[str, float, float]], dataset: Dataset, part: str) -> str | None:
+    """Which of the moments that something was fitted to a part of a dataset holds, in words; None for none of them.
+
+    Args:
+        seen: drives and their stretches [s].
+    """
     number = PARTS.index(part)
     for drive in dataset.drives:
         evaluated = drive.rows.time[drive.part == number]
-        for name, first, last in run.seen:
+        for name, first, last in seen:
             if name == drive.name and np.any((evaluated >= first) & (evaluated <= last)):
-                raise RunError(
-                    f"was trained on {last - first:.0f} s of the {part} part of drive '{name}'",
-                    where=run.folder,
-                    how="evaluate it on the dataset and split it was trained with, or on another drive",
-                )
+                return f"{last - first:.0f} s of the {part} part of drive '{name}'"
+    return None
 
 
 def _extracted_with(run: TrainedRun) -> str:

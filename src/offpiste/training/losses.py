@@ -52,7 +52,7 @@ def loss_scale(reference: Dynamics, windows: Windows, config: TrainConfig) -> Fl
     errors = []
     stride, size = max(config.stride, -(-len(windows) // SCALED)), max(2048, config.batch)
     with torch.no_grad():
-        for part in in_parts(windows.every(stride), windows, None, size=size):
+        for part in in_parts(windows.strided(stride), windows, None, size=size):
             batch = windows.gather(part)
             errors.append(squared_errors(predict(reference, batch).state, batch.target))
     return torch.cat(errors).mean(dim=(0, 1)).clamp(min=1e-8)

@@ -20,7 +20,7 @@ from offpiste.dataset.windows import Batch, Windows
 from offpiste.errors import TrainingError, extra
 from offpiste.files import write_text
 from offpiste.progress import track
-from offpiste.training.batches import batches_of, draw_sets, strided
+from offpiste.training.batches import batches_of, draw_sets
 from offpiste.training.checkpoint import load_checkpoint, load_tensors, load_weights, save_checkpoint, save_tensors
 from offpiste.training.config import TrainConfig
 from offpiste.training.distributed import ALONE, Group
@@ -190,7 +190,7 @@ def _score(stage: Stage, validation: Windows, config: TrainConfig, group: Group)
 
 def mean_loss(stage: Stage, windows: Windows, config: TrainConfig, group: Group = ALONE) -> float:
     """Mean loss over the evaluation windows of a part, without gradients."""
-    index, rng = strided(windows, config.stride), np.random.default_rng(config.seed)
+    index, rng = windows.strided(config.stride), np.random.default_rng(config.seed)
     parts = np.array_split(index, math.ceil(len(index) / max(EVALUATED_AT_ONCE, config.batch)))
     feature_set_choice = [draw_sets(stage.draw, windows, part, rng) for part in parts]
     total = torch.zeros((), dtype=torch.float64, device=windows.device)
@@ -238,7 +238,7 @@ class _State:
 def _train_epoch(stage: Stage, state: _State, train: Windows, config: TrainConfig, epoch: int, group: Group) -> float:
     # The order follows from seed and epoch alone, so that a resumed run sees what an uninterrupted one would.
     rng = np.random.default_rng((config.seed, epoch))
-    order = rng.permutation(strided(train, config.stride, phase=int(rng.integers(config.stride))))
+    order = rng.permutation(train.strided(config.stride, phase=int(rng.integers(config.stride))))
     parts = np.array_split(order, math.ceil(len(order) / config.batch))
     batches, total = batches_of(train, parts, stage.draw, rng, group, stage.mirror), 0.0
     for number, index in enumerate(track(parts, f"{stage.name} {epoch + 1}/{stage.epochs}")):

@@ -194,7 +194,7 @@ def _draw(model: str, windows: Windows) -> Draw:
 
 def standardise(dynamics: Dynamics, windows: Windows) -> None:
     """Give the networks mean and scale of their inputs on training rows."""
-    index = windows.every(25) if len(windows.every(25)) else np.arange(len(windows))
+    index = windows.strided(25)
     index = index[np.unique(np.linspace(0, len(index) - 1, min(len(index), STANDARDISED)).astype(int))]
     with torch.no_grad():
         if dynamics.encoder is not None:

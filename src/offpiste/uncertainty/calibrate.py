@@ -11,6 +11,7 @@ import numpy as np
 
 from offpiste.dataset.store import Dataset, open_dataset
 from offpiste.dataset.windows import Windows
+from offpiste.errors import RunError
 from offpiste.evaluation.evaluated_windows import EvaluatedWindows
 from offpiste.evaluation.intervals import Sampling
 from offpiste.evaluation.speed_bands import members
@@ -18,8 +19,8 @@ from offpiste.files import write_text
 from offpiste.report.figure import write_png
 from offpiste.shipped import names_apart, run_folder
 from offpiste.training.checkpoint import load_json, save_tensors
-from offpiste.training.fitness import refuse_seen, refuse_unfit
-from offpiste.training.run import Run, load_run
+from offpiste.training.fitness import overlap_with, refuse_seen, refuse_unfit
+from offpiste.training.run import Run, load_run, seen_stretches
 from offpiste.uncertainty.calibration import (
     CalibrationRow,
     calibration_rows,
@@ -29,7 +30,7 @@ from offpiste.uncertainty.calibration import (
 )
 from offpiste.uncertainty.fit import SpreadSettings, fit_spread, strayed_on_maps
 from offpiste.uncertainty.novelty import keep_familiar
-from offpiste.uncertainty.prediction import FILE, load_spread
+from offpiste.uncertainty.prediction import FILE, load_spread, spread_seen
 from offpiste.uncertainty.spread import Spread
 
 logger = logging.getLogger(__name__)
@@ -47,8 +48,8 @@ def calibrate(folders: Sequence[Path], path: Path, out: Path, settings: SpreadSe
         Path of the table, `calibration.md`; `calibration.json` and `calibration.png` stand beside it.
 
     Raises:
-        RunError: a run does not fit the dataset, has seen what it would be tested on, or its spread belongs to other
-            weights.
+        RunError: a run does not fit the dataset, it or its spread has seen what would be tested, or the spread belongs
+            to other weights.
         DatasetError: a part has no window.
     """
     dataset, report = open_dataset(path), _Report()
@@ -116,6 +117,10 @@ def _fitting_run(folder: Path, dataset: Dataset) -> Run:
     run = load_run(folder)
     refuse_unfit(run, dataset)
     refuse_seen(run, dataset, PART)
+    kept = run.folder / FILE
+    if kept.exists() and (overlap := overlap_with(spread_seen(run), dataset, PART)) is not None:
+        how = "delete it and run `offpiste calibrate` again, or evaluate it on other drives"
+        raise RunError(f"was fitted to {overlap}", where=kept, how=how)
     return run
 
 
@@ -126,7 +131,8 @@ def kept_or_fitted(run: Run, dataset: Dataset, settings: SpreadSettings | None =
     train, validation = Windows(dataset, "train"), Windows(dataset, "validation")
     spread = fit_spread(run, train, validation, settings)
     weights = load_json(run.folder / "model.json")["weights_sha256"]
-    save_tensors(run.folder / FILE, spread.state_dict(), weights_sha256=weights)
+    seen = seen_stretches(dataset)
+    save_tensors(run.folder / FILE, spread.state_dict(), weights_sha256=weights, seen=seen)
     return spread
 
 

@@ -78,3 +78,12 @@ def load_spread(run: Run) -> Spread:
     spread = Spread(inputs_of(run.dynamics.vehicle, run.dynamics.codes))
     load_weights(spread, tensors, path)
     return spread.requires_grad_(False)
+
+
+def spread_seen(run: Run) -> list[tuple[str, float, float]]:
+    """Drives and their stretches that the spread in a run's folder was fitted to [s].
+
+    Those that the run was trained and chosen on, where an older offpiste, which did not write it, fitted it.
+    """
+    _, about = load_tensors(run.folder / FILE)
+    return [(str(name), float(first), float(last)) for name, first, last in about.get("seen", run.seen)]

@@ -1,0 +1,37 @@
+"""Plans that keep to the limits of what is sent."""
+
+import numpy as np
+
+from offpiste.rig.outputs import CommandLimits
+from offpiste.runtime.settings import RuntimeSettings, keeping_to
+from runtime.stream import settings, straight_drive
+
+
+def test_what_is_sent_by_default_does_not_narrow_plans():
+    assert keeping_to(RuntimeSettings(), CommandLimits()) == RuntimeSettings()
+
+
+def test_limits_of_what_is_sent_bound_pedal_wheel_and_speed():
+    limits = CommandLimits(throttle=0.4, brake=0.7, steer=0.6, brake_rate=2.0, steer_rate=1.0, speed=4.0)
+    narrowed = keeping_to(RuntimeSettings(), limits)
+    within = narrowed.sampling.limits
+    assert (within.low, within.high, within.rate) == ((-0.7, -0.6), (0.4, 0.6), (2.0, 1.0))
+    assert narrowed.speed == 4.0
+    assert keeping_to(narrowed, CommandLimits(speed=9.0)) == narrowed, "never wider than before"
+
+
+def test_plans_are_made_of_what_may_be_sent():
+    fast, steering = [], []
+    for limits in (CommandLimits(), CommandLimits(throttle=0.3, steer=0.05, speed=2.0)):
+        stream = straight_drive(**vars_of(keeping_to(settings(), limits)))
+        controls = np.array([each.command for each in stream.run(3.0)])
+        assert controls[:, 0].max() <= limits.throttle + 1e-6
+        assert abs(controls[:, 2]).max() <= limits.steer + 1e-6
+        fast.append(np.mean([each.state[-1, 3] for each in stream.runtime.predictions[-4:]]))
+        steering.append(abs(controls[:, 2]).max())
+    assert fast[1] < 2.5 < fast[0], "the course wants 5 m/s"
+    assert steering[0] > 0.05
+
+
+def vars_of(narrowed):
+    return {"sampling": narrowed.sampling, "speed": narrowed.speed}
