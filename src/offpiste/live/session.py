@@ -65,7 +65,7 @@ class ViewSettings:
 
 @dataclass(frozen=True)
 class LiveSettings:
-    """Settings of a drive on a vehicle (options as in `cli.live.Live`); the run time's timeouts and limits are the rig's."""
+    """Settings of a drive on a vehicle (options as in `cli.live.Live`); timeouts and limits are those of the rig."""
 
     rig: str
     run: str
