@@ -93,6 +93,21 @@ def test_a_message_of_another_shape_is_counted():
     assert sum(vehicle.dropped.values()) == 4
 
 
+def test_what_has_no_stamp_of_its_own_waits_for_the_robots_clock():
+    text = RIG.replace('"steer_angle", ', "").replace(
+        "[lidars", '[channels.steer_angle]\ntopic = "/steer"\nfields = ["data"]\n[lidars'
+    )
+    vehicle = VehicleMessages(parse_rig(text, where="test"))
+    steering = make("std_msgs/Float64", data=0.1)
+    assert vehicle.take("/steer", steering, -np.inf) is None
+    assert vehicle.dropped == {"/steer: without a stamp of its own, and the robot's clock is not known yet": 1}
+    reading = vehicle.take("/odom", odometry(0.0), -np.inf)
+    assert reading.time == NOW, "it has a stamp"
+    assert np.isnan(reading.actuators[ACTUATORS.index("steer")])
+    vehicle.take("/steer", steering, NOW + 0.02)
+    assert vehicle.take("/odom", odometry(0.02), -np.inf).actuators[ACTUATORS.index("steer")] == 0.1
+
+
 def test_a_clock_that_goes_back_forgets_what_was_before():
     vehicle = VehicleMessages(rig())
     vehicle.take("/odom", odometry(5.0, 10.0), NOW)

@@ -23,7 +23,7 @@ from offpiste.live.reception import check_types, is_pressed
 from offpiste.live.sensor_messages import SensorMessages
 from offpiste.live.session import Source
 from offpiste.live.vehicle_messages import VehicleMessages
-from offpiste.logs.ros.bag_files import field_getter, stamp_of
+from offpiste.logs.ros.bag_files import field_getter, heard_at
 from offpiste.parallel import usable_cores
 from offpiste.rig.rig import Rig, load_rig
 from offpiste.training.fitness import differing_vehicle
@@ -231,7 +231,7 @@ class _Listener:
         if message is None:
             return
         heard.types.add(received.type)
-        stamp = stamp_of(round(received.received * 1e9), message, self._rig.clock.stamps)
+        stamp = heard_at(received.received, message, self._rig.clock.stamps)
         heard.ages.append(received.received - stamp)
         enable = self._rig.live.enable
         is_switch = enable is not None and received.topic == enable.topic

@@ -18,7 +18,7 @@ from offpiste.live.gate import Gate, Passed
 from offpiste.live.reception import Pressed, Reception, Taken
 from offpiste.live.sensor_messages import Sensors
 from offpiste.logs.measurements import Cloud, Image
-from offpiste.logs.ros.bag_files import stamp_of
+from offpiste.logs.ros.bag_files import heard_at
 from offpiste.perception.camera import make_pinhole_camera
 from offpiste.planning.course import Course
 from offpiste.rig.outputs import can_reverse
@@ -135,7 +135,7 @@ class StepDriver:
         def order(one: Heard) -> tuple[bool, float, bool]:
             if one.topic not in vehicle.topics:
                 return True, 0.0, False
-            stamp = stamp_of(round(one.received * 1e9), one.message, self._rig.clock.stamps)
+            stamp = heard_at(one.received, one.message, self._rig.clock.stamps)
             return False, stamp, one.topic == vehicle.position_topic
 
         return sorted(heard, key=order)

@@ -14,12 +14,14 @@ from offpiste.errors import RigError
 from offpiste.geometry import local_polynomial, rotation_of_one, yaw_rate_from_body_rates
 from offpiste.logs.axes import to_z_up
 from offpiste.logs.channel import KEPT_UP, convert, largest
-from offpiste.logs.ros.bag_files import field_getter, stamp_of
+from offpiste.logs.ros.bag_files import field_getter, heard_at
 from offpiste.rig.channels import GEOGRAPHIC, ChannelSource
 from offpiste.rig.rig import Rig
 from offpiste.runtime.estimator import VehicleReading
 from offpiste.transport.tally import Tally
 
+NO_STAMP: Final = "without a stamp of its own, and the robot's clock is not known yet"
+"""Why a message is dropped that could only be stamped with its arrival."""
 _KEPT: Final = 64
 """Samples of a channel that are kept, to differentiate those whose rates are not measured."""
 _USED: Final = ("position", "orientation", "yaw", "linear_velocity", "angular_velocity", "yaw_rate")
@@ -71,12 +73,15 @@ class VehicleMessages:
         """Add a message; a reading if it has the position, and enough else is known.
 
         Args:
-            received: when it came [s].
+            received: when it came by the robot's clock [s]; not finite before that is known.
         """
         try:
-            stamp = stamp_of(round(received * 1e9), message, self._rig.clock.stamps)
+            stamp = heard_at(received, message, self._rig.clock.stamps)
         except (AttributeError, TypeError, ValueError):
             self.dropped[f"{topic}: its header has no stamp"] += 1
+            return None
+        if not np.isfinite(stamp):
+            self.dropped[f"{topic}: {NO_STAMP}"] += 1
             return None
         if topic == self.position_topic:
             named = "" if self._geographic else getattr(getattr(message, "header", None), "frame_id", "")

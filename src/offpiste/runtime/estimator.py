@@ -1,13 +1,13 @@
 """State of the vehicle over the last seconds, from its readings: rows at 50 Hz for planning, poses for mapping."""
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.conventions import DT, HISTORY_STEPS
+from offpiste.conventions import ACTUATORS, DT, HISTORY_STEPS
 from offpiste.dataset.columns import COLUMNS
 from offpiste.dataset.resample import OWN_COLUMNS
 from offpiste.logs.channel import Channel
@@ -42,6 +42,11 @@ class VehicleReading:
     yaw_rate: float
     actuators: Float[np.ndarray, " A"]
     extra: Mapping[str, float] = field(default_factory=dict)
+
+    def measured(self, actuators: Sequence[str]) -> Float[np.ndarray, " A"]:
+        """Values of actuators by their names; NaN where the vehicle does not measure them."""
+        known = dict(zip(ACTUATORS, self.actuators, strict=True))
+        return np.array([known.get(name, np.nan) for name in actuators], np.float64)
 
     @property
     def finite(self) -> bool:
