@@ -12,6 +12,7 @@ from offpiste.errors import PlanningError
 from offpiste.planning.costs.layers import Hazards
 from offpiste.planning.course import Course
 from offpiste.runtime.backing_out import BackingOut, BackingOutSettings
+from offpiste.runtime.estimator import Given
 from offpiste.runtime.prediction import reachable
 from runtime.stream import Held, straight_drive
 
@@ -362,3 +363,19 @@ def test_committed_controls_brake_until_the_gear_is_engaged():
     rows = stream.runtime._track.rows(now - DT)
     committed = follower.committed(now, now + 0.2, rows)
     np.testing.assert_allclose(committed[:, :2], np.tile((0.0, 0.5), (len(committed), 1)))
+
+
+def test_plans_begin_from_what_another_driver_gives_and_in_their_gear():
+    stream = straight_drive(dynamics=geared(), wanted=3.0, stream={"truth": geared()})
+    stream.run(1.0)
+    follower, given = stream.runtime.follower, np.array((0.0, 0.6, -0.5))
+    assert follower.engaged == 1.0
+    follower.driver = Given(given, -1.0)
+    commanded = stream.runtime.command(1.0)
+    follower.stopping = True  # ours, which they do not make
+    rows = stream.runtime._track.rows(1.0)
+    np.testing.assert_array_equal(follower.committed(1.0, 1.1, rows), np.tile(given, (5, 1)))
+    assert (rows.gear[-1], follower.engaged) == (-1.0, -1.0)
+    assert commanded.gear == follower.gear == 1.0
+    follower.driver = Given()
+    assert follower.committed(1.0, 1.1, rows)[0].tolist() != given.tolist()

@@ -15,6 +15,7 @@ from typing import Final, Literal, NamedTuple
 
 import numpy as np
 
+from offpiste.channels import OPTIONAL_CONTROLS
 from offpiste.closed_loop.planner import load_planner
 from offpiste.errors import LiveError, OffpisteError, did_you_mean, require
 from offpiste.live.command_messages import CommandMessages
@@ -179,6 +180,9 @@ class _Listener:
         self._optional = {one.topic for one in rig.cameras.values() if one.optional}
         self._optional |= {one.topic for one in rig.lidars.values() if one.optional}
         self._optional |= {c.info for c in rig.cameras.values() if c.optional}
+        optional = {control.name for control in OPTIONAL_CONTROLS}
+        needed = {source.topic for name, source in rig.channels.items() if name not in optional}
+        self._optional |= {source.topic for source in rig.channels.values()} - needed
         self._commands = {output.topic for output in rig.outputs.values()}
         self._needed = dict.fromkeys([*self._vehicle.topics, *self._sensors.topics, *enable])
         self._all = {topic: Heard() for topic in (*self._needed, *self._commands)}

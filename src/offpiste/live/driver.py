@@ -104,11 +104,11 @@ class StepDriver:
 
         def applied(controls: Controls) -> np.ndarray:
             passed.append(self._passed(controls, now))
-            driven = self._reception.vehicle.control(now) if self._shadow else None
-            return passed[-1].control if driven is None else driven
+            return passed[-1].control
 
         if self._shadow:  # who drives need not complete our stops
             self.runtime.follower.stopping = False
+            self.runtime.follower.driver = self._reception.vehicle.given(now)
         held = "" if self._shadow else self._gate.blocked(now)
         controls = self.runtime.command(now, applied, held)
         followed = self.runtime.prediction_at(now) if controls.mode in ("driving", "degraded") else None

@@ -14,7 +14,7 @@ import numpy as np
 from offpiste.live.packing import packed, reading_from, unpacked
 from offpiste.live.ring import Ring
 from offpiste.live.session import Session
-from offpiste.runtime.estimator import VehicleTrack
+from offpiste.runtime.estimator import Given, VehicleTrack
 from offpiste.runtime.intake import Intake
 from offpiste.transport.tally import Tally
 
@@ -158,7 +158,7 @@ class TrackFeed:
 
     Attributes:
         track: readings.
-        control: throttle, brake, steer that the vehicle was last given by whomever, as it says itself; None if not.
+        given: what the vehicle was last given by whomever, as it says itself.
         came: when the last reading that was taken came, by the steady clock [s].
     """
 
@@ -167,7 +167,7 @@ class TrackFeed:
         self._part, self.track = part, VehicleTrack(slowest=timeouts.state)
         self.intake = Intake(self.track, actuators, timeouts, part.dropped)
         self._ring = part.ring("readings")
-        self._number, self.control = self._ring.written, None
+        self._number, self.given = self._ring.written, Given()
         self.came = -np.inf
 
     def update(self, now: float) -> Change:
@@ -179,7 +179,7 @@ class TrackFeed:
         self.intake.now = now
         for entry in self._ring.since(self._number):
             self._number, values = entry.number, unpacked(entry.data)
-            self.control = values["control"]
+            self.given = Given(values["control"], values.get("gear"))
             taken = self.intake.vehicle(reading_from(values))
             if taken != "dropped":
                 self.came = values["came"]

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from offpiste.channels import ACTUATORS as ACTUATOR_TABLE
-from offpiste.channels import CONTROLS
+from offpiste.channels import CONTROLS, KERNEL_CONTROLS
 from offpiste.errors import RigError
 from offpiste.geometry import local_polynomial, rotation_of_one, yaw_rate_from_body_rates
 from offpiste.logs.axes import to_z_up
@@ -17,7 +17,7 @@ from offpiste.logs.channel import KEPT_UP, convert, largest
 from offpiste.logs.ros.bag_files import field_getter, heard_at
 from offpiste.rig.channels import GEOGRAPHIC, ChannelSource
 from offpiste.rig.rig import Rig
-from offpiste.runtime.estimator import VehicleReading
+from offpiste.runtime.estimator import Given, VehicleReading
 from offpiste.transport.tally import Tally
 
 NO_STAMP: Final = "without a stamp of its own, and the robot's clock is not known yet"
@@ -58,7 +58,7 @@ class VehicleMessages:
         self._rig, self._kept = rig, dict[str, deque[tuple[float, np.ndarray]]]()
         self._geographic = rig.channels["position"].unit == GEOGRAPHIC
         self.dropped = Tally()
-        names = (*_USED, *(a.channel for a in ACTUATOR_TABLE), *(c.name for c in CONTROLS))
+        names = (*_USED, *(a.channel for a in ACTUATOR_TABLE), *(c.name for c in KERNEL_CONTROLS))
         self._sources: dict[str, list[_Source]] = {}
         for name in names:
             if name in rig.channels:
@@ -90,13 +90,15 @@ class VehicleMessages:
             self._add(source, message, stamp)
         return self._reading() if topic == self.position_topic and self._fresh("position", np.inf) else None
 
-    def control(self, now: float) -> Float[np.ndarray, " 3"] | None:
-        """Throttle, brake and steering that the vehicle was last given by whomever; None where they are not heard."""
+    def given(self, now: float) -> Given:
+        """What the vehicle was last given by whomever; no control where one that the rig has is not heard."""
+        engaged = self._latest("gear", now)
+        gear = None if engaged is None else float(engaged[0])
         values = [self._latest(control.name, now) for control in CONTROLS]
         given = [control.name for control in CONTROLS if control.name in self._rig.channels]
         if not given or any(self._latest(name, now) is None for name in given):
-            return None
-        return np.array([0.0 if value is None else float(value[0]) for value in values])
+            return Given(None, gear)
+        return Given(np.array([0.0 if value is None else float(value[0]) for value in values]), gear)
 
     def _add(self, source: _Source, message: Any, stamp: float) -> None:
         name, entry = source.name, source.entry

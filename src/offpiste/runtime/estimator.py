@@ -3,6 +3,7 @@
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -53,6 +54,17 @@ class VehicleReading:
         """Whether time, pose and velocities are finite, and the orientation is not zero."""
         known = np.concatenate(([self.time, self.yaw_rate], self.position, self.orientation, self.velocity))
         return bool(np.isfinite(known).all() and np.abs(self.orientation).max() > 0)
+
+
+class Given(NamedTuple):
+    """What another driver gives the vehicle, as far as it is heard: throttle, brake, steer; and the gear."""
+
+    control: Float[np.ndarray, " 3"] | None = None
+    gear: float | None = None
+
+    def instead_of(self, control: Float[np.ndarray, " 3"], gear: float) -> tuple[Float[np.ndarray, " 3"], float]:
+        """Control and gear that the vehicle has: these where no others are heard."""
+        return control if self.control is None else self.control, gear if self.gear is None else self.gear
 
 
 @dataclass(frozen=True)
@@ -156,10 +168,10 @@ class VehicleTrack:
         place = extrapolated(np.stack([r.position[:2] for r in chosen]), velocity, age)
         state = planar_state(place, yaw, velocity, rate)
         extra = {name: np.array([r.extra.get(name, np.nan) for r in chosen]) for name in _past_columns()}
-        return TrackRows(state, np.stack([r.actuators for r in chosen]), *self._controls(at), extra)
+        return TrackRows(state, np.stack([r.actuators for r in chosen]), *self.controls(at), extra)
 
-    def _controls(self, at: Float[np.ndarray, " H"]) -> tuple[Float[np.ndarray, "H 3"], Float[np.ndarray, " H"]]:
-        """Controls, 0 before the first, and gears."""
+    def controls(self, at: Float[np.ndarray, " N"]) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, " N"]]:
+        """Controls at some moments [s], 0 before the first, and gears, NaN there; the last ones are held."""
         if not self._commands:
             return np.zeros((len(at), 3)), np.full(len(at), np.nan)
         time, control, gear = (np.stack(column) for column in zip(*self._commands, strict=True))

@@ -101,8 +101,8 @@ class Receiver:
             if isinstance(taken, VehicleReading):
                 if self.part.settings.clock == "stamps":
                     self._clock(taken.time, received.steady)
-                control = self.reception.vehicle.control(taken.time)
-                self.part.hand_on("readings", pack_measured(taken, control=control, came=received.steady))
+                given = self.reception.vehicle.given(taken.time)
+                self.part.hand_on("readings", pack_measured(taken, **given._asdict(), came=received.steady))
             elif isinstance(taken, Course):
                 self._course(taken)
 
