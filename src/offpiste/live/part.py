@@ -6,7 +6,9 @@ import os
 import struct
 import time
 from collections.abc import Callable, Collection, Mapping
+from itertools import chain, count
 from multiprocessing import parent_process
+from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -39,6 +41,12 @@ def keep_loaded() -> None:
     gc.collect()
     gc.freeze()
     gc.collect()  # Python waits with the next until there is a quarter as much as the last one looked through
+
+
+def free_file(path: Path) -> Path:
+    """A file that is not there: where a process was killed, what it wrote is kept, and the next one has a number."""
+    numbered = (path.with_stem(f"{path.stem}-{number}") for number in count(2))
+    return next(one for one in chain((path,), numbered) if not one.exists())
 
 
 class FreedMemory:
