@@ -172,7 +172,7 @@ class TrackFeed:
 
     def __init__(self, part: Part, actuators: Collection[str]) -> None:
         timeouts = part.settings.runtime.timeouts
-        self._part, self.track = part, VehicleTrack(slowest=timeouts.state)
+        self._part, self.track = part, VehicleTrack(slowest=timeouts.state, actuators=actuators)
         self.intake = Intake(self.track, actuators, timeouts, part.dropped)
         self._ring = part.ring("readings")
         self._number, self.given = self._ring.written, Given()

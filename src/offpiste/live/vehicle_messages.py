@@ -8,8 +8,15 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.channels import ACTUATORS as ACTUATOR_TABLE
-from offpiste.channels import CONTROLS, KERNEL_CONTROLS
+from offpiste.channels import (
+    ACTUATORS,
+    CONTROLS,
+    KERNEL_CONTROLS,
+    Actuator,
+    all_actuators,
+    channel_of_rate,
+    registered_actuators,
+)
 from offpiste.errors import RigError
 from offpiste.geometry import local_polynomial, rotation_of_one, yaw_rate_from_body_rates
 from offpiste.logs.axes import to_z_up
@@ -58,7 +65,7 @@ class VehicleMessages:
         self._rig, self._kept = rig, dict[str, deque[tuple[float, np.ndarray]]]()
         self._geographic = rig.channels["position"].unit == GEOGRAPHIC
         self.dropped = Tally()
-        names = (*_USED, *(a.channel for a in ACTUATOR_TABLE), *(c.name for c in KERNEL_CONTROLS))
+        names = (*_USED, *(a.channel for a in all_actuators()), *(c.name for c in KERNEL_CONTROLS))
         self._sources: dict[str, list[_Source]] = {}
         for name in names:
             if name in rig.channels:
@@ -134,9 +141,10 @@ class VehicleMessages:
         velocity, rate = self._velocity(time, orientation), self._yaw_rate(time, orientation)
         if velocity is None or rate is None:
             return None
-        actuators = np.array([self._actuator(a.name, a.channel, time) for a in ACTUATOR_TABLE])
+        actuators = np.array([self._actuator(one, time) for one in ACTUATORS])
+        extra = {one.name: self._actuator(one, time) for one in registered_actuators()}
         place = np.append(position, 0.0) if len(position) == 2 else position
-        return VehicleReading(time, place, orientation, velocity, rate, actuators)
+        return VehicleReading(time, place, orientation, velocity, rate, actuators, extra)
 
     def _orientation(self, time: float) -> Float[np.ndarray, " 4"] | None:
         if (given := self._latest("orientation", time)) is not None:
@@ -170,14 +178,13 @@ class VehicleMessages:
         rate = self._derivative(np.array([t for t, _ in samples]), np.unwrap(turn)[:, None], time)
         return None if rate is None else float(rate[0])
 
-    def _actuator(self, name: str, channel: str, time: float) -> float:
+    def _actuator(self, actuator: Actuator, time: float) -> float:
         """Its last value; its derivative from what it is the rate of; NaN where neither is heard."""
-        given = self._latest(channel, time)
+        given = self._latest(actuator.channel, time)
         if given is not None:
             return float(given[0])
-        of = next((a.rate_of for a in ACTUATOR_TABLE if a.name == name), "")
-        measured = next((a.channel for a in ACTUATOR_TABLE if a.name == of), "")
-        if channel in self._rig.channels or measured not in self._rig.channels:
+        measured = channel_of_rate(actuator.channel)
+        if actuator.channel in self._rig.channels or measured not in self._rig.channels:
             return float("nan")
         rate = self._rate(measured, time)
         return float("nan") if rate is None else float(rate[0])

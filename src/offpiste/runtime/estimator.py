@@ -1,13 +1,14 @@
 """State of the vehicle over the last seconds, from its readings: rows at 50 Hz for planning, poses for mapping."""
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
+from offpiste.channels import actuator_columns
 from offpiste.conventions import ACTUATORS, DT, HISTORY_STEPS
 from offpiste.dataset.columns import COLUMNS
 from offpiste.dataset.resample import OWN_COLUMNS
@@ -33,7 +34,8 @@ class VehicleReading:
         velocity: of the pose point in the world frame [m/s].
         yaw_rate: d(yaw)/dt [rad/s].
         actuators: of `conventions.ACTUATORS`; NaN where the vehicle does not measure them.
-        extra: values of columns that extensions declare (`dataset.columns.COLUMNS`), by name.
+        extra: values of actuators and columns that extensions declare (`channels.register_actuator`,
+            `dataset.columns.COLUMNS`), by name.
     """
 
     time: float
@@ -46,7 +48,7 @@ class VehicleReading:
 
     def measured(self, actuators: Sequence[str]) -> Float[np.ndarray, " A"]:
         """Values of actuators by their names; NaN where the vehicle does not measure them."""
-        known = dict(zip(ACTUATORS, self.actuators, strict=True))
+        known = {**dict(zip(ACTUATORS, self.actuators, strict=True)), **self.extra}
         return np.array([known.get(name, np.nan) for name in actuators], np.float64)
 
     @property
@@ -73,7 +75,8 @@ class TrackRows:
 
     Attributes:
         state: `conventions.STATE`, in the world frame, yaw unwrapped.
-        actuators, control: `conventions.ACTUATORS` and `conventions.CONTROL`; control of row t is not known yet.
+        actuators: `conventions.ACTUATORS`, and registered ones that the track is asked for.
+        control: `conventions.CONTROL`; that of row t is not known yet.
         gear: that each row was driven in: 1 forward, -1 reverse; NaN before the first command.
         extra: columns that extensions declare for the past of windows; NaN where a reading lacks them.
     """
@@ -92,9 +95,11 @@ class VehicleTrack:
         seconds: how long they are kept [s].
         slowest: readings may be so far apart [s]; poses are interpolated between those that are no further apart, or
             than `GAP`.
+        actuators: that the model reads; rows have columns of registered ones among them, too.
     """
 
-    def __init__(self, *, seconds: float = 3.0, slowest: float = 0.0) -> None:
+    def __init__(self, *, seconds: float = 3.0, slowest: float = 0.0, actuators: Collection[str] = ()) -> None:
+        self._columns = tuple(actuator.name for actuator in actuator_columns(actuators))
         self._seconds, self._max_gap = seconds, max(slowest, GAP)
         self._readings: deque[VehicleReading] = deque()
         self._commands: deque[tuple[float, np.ndarray, float]] = deque()
@@ -168,7 +173,7 @@ class VehicleTrack:
         place = extrapolated(np.stack([r.position[:2] for r in chosen]), velocity, age)
         state = planar_state(place, yaw, velocity, rate)
         extra = {name: np.array([r.extra.get(name, np.nan) for r in chosen]) for name in _past_columns()}
-        return TrackRows(state, np.stack([r.actuators for r in chosen]), *self.controls(at), extra)
+        return TrackRows(state, np.stack([r.measured(self._columns) for r in chosen]), *self.controls(at), extra)
 
     def controls(self, at: Float[np.ndarray, " N"]) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, " N"]]:
         """Controls at some moments [s], 0 before the first, and gears, NaN there; the last ones are held."""
