@@ -152,9 +152,14 @@ def all_controls() -> tuple[Control, ...]:
     return (*KERNEL_CONTROLS, *(control for _, control in MORE_CONTROLS.items()))
 
 
+def registered_actuators() -> tuple[Actuator, ...]:
+    """The actuators that others add to `ACTUATORS`."""
+    return tuple(actuator for _, actuator in MORE_ACTUATORS.items())
+
+
 def all_actuators() -> tuple[Actuator, ...]:
     """Every actuator that a rig can give."""
-    return (*ACTUATORS, *(actuator for _, actuator in MORE_ACTUATORS.items()))
+    return (*ACTUATORS, *registered_actuators())
 
 
 def control_columns(given: Collection[str]) -> tuple[Control, ...]:

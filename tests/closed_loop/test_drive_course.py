@@ -9,10 +9,12 @@ import pytest
 
 from experiments.closed_loop_table.drives import NEEDED
 from offpiste._version import commit, today
+from offpiste.channels import MORE_ACTUATORS, Actuator
 from offpiste.closed_loop.courses import CourseSettings, choose_course
 from offpiste.closed_loop.drive_course import CourseDriveSettings, drive_course
 from offpiste.closed_loop.planner import Planner, load_planner
 from offpiste.closed_loop.stretches import surprise_along, traction_along
+from offpiste.dynamics import Parametric
 from offpiste.errors import OffpisteError, PlanningError, RunError
 from offpiste.logs.drive import read_drive
 from offpiste.logs.ground_truth import GROUND_PROPERTIES
@@ -138,6 +140,13 @@ def test_a_risk_without_a_spread_is_refused_before_a_world_is_built(tmp_path, mo
     wary = replace(SETTINGS, runtime=replace(SETTINGS.runtime, risk=AddSpread(1.0)))
     with pytest.raises(PlanningError, match="the risk 'spread' needs a spread"):
         drive_course(PLANNER, wary, tmp_path)
+
+
+def test_a_model_that_reads_what_the_simulator_does_not_measure_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setitem(MORE_ACTUATORS._entries, "flap", Actuator("flap", channel="flap"))
+    model = Parametric(replace(PLANNER.dynamics.vehicle, actuators=("flap",)))
+    with pytest.raises(OffpisteError, match="nowhere: the model reads flap, which the simulated vehicle does not"):
+        drive_course(replace(PLANNER, dynamics=model), SETTINGS, tmp_path)
 
 
 def test_a_file_instead_of_a_folder_is_refused(tmp_path):

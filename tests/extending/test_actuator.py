@@ -36,6 +36,51 @@ print(len(batch.state))
 """
 
 
+DRIVE = """
+from pathlib import Path
+import numpy as np
+from live.made_up_robot import RIG, START, odometry
+from offpiste.closed_loop.planner import Planner
+from offpiste.conventions import CONTROL
+from offpiste.dynamics import Parametric, Vehicle
+from offpiste.live.driver import refuse_unfit
+from offpiste.live.packing import pack_measured, reading_from, unpacked
+from offpiste.live.vehicle_messages import VehicleMessages
+from offpiste.logs.ros.writer import make
+from offpiste.rig.outputs import Timeouts
+from offpiste.rig.rig import parse_rig
+from offpiste.runtime.estimator import VehicleTrack
+from offpiste.runtime.intake import Intake
+from offpiste.runtime.runtime import Runtime
+from offpiste.runtime.warm_up import warm_up
+from offpiste.transport.tally import Tally
+from runtime.stream import WHEELS, sensor_setup, settings
+
+channel = '[channels.throttle_position]\\ntopic = "/flap"\\nfields = ["data"]\\n[lidars'
+rig, now = parse_rig(RIG.replace("[lidars", channel), where="test"), START / 1e9
+model = Parametric(Vehicle(1150.0, 2.06, 0.5, CONTROL, rig.present_actuators))
+refuse_unfit(Planner("parametric", Path("run"), model), rig)
+messages, track = VehicleMessages(rig), VehicleTrack(actuators=model.vehicle.actuators)
+intake = Intake(track, model.vehicle.actuators, Timeouts(), Tally())
+assert intake.vehicle(messages.take("/odom", odometry(0.0), now)) == "dropped"
+assert dict(intake.dropped) == {"readings of the vehicle without throttle_position, which the model reads": 1}
+messages.take("/flap", make("std_msgs/Float64", data=0.3), now + 0.02)
+reading = messages.take("/odom", odometry(0.02), now + 0.02)
+assert intake.vehicle(reading_from(unpacked(pack_measured(reading)))) == "taken"
+assert track.rows(now + 0.02).actuators[-1].tolist()[4:] == [0.3]
+made, plan = [], Runtime._plan
+Runtime._plan = lambda runtime, *given: made.append(runtime) or plan(runtime, *given)
+warm_up(model, sensor_setup(), WHEELS, settings())
+assert made[-1].predictions and not made[-1].failures, made[-1].failures
+print("driven")
+"""
+
+
+def test_the_run_time_reads_an_added_actuator_and_plans_with_it():
+    driven = python("-c", DRIVE, extension="throttle_lag")
+    assert driven.stdout == "driven\n", driven.stderr
+
+
 def test_an_added_actuator_lags_behind_its_command(tmp_path):
     time = np.arange(0, 30, DT)
     throttle = 0.5 + 0.4 * np.sign(np.sin(0.8 * time))

@@ -69,6 +69,12 @@ def test_a_robot_that_is_right(tmp_path):
     assert "/drive: ackermann_msgs/msg/AckermannDriveStamped can be sent" in said
 
 
+def test_a_gear_that_is_not_heard_is_no_error(tmp_path):
+    findings = found(tmp_path, more='[channels.gear]\ntopic = "/gear"\nfields = ["data"]\n')
+    assert errors(findings) == []
+    assert ("warning", "/gear: nothing heard") in findings
+
+
 @pytest.mark.parametrize(
     ("timeouts", "late", "named"),
     [

@@ -28,7 +28,7 @@ from offpiste.runtime.schedule import TimedPlan
 from offpiste.transport.zenoh_transport import ZenohSettings
 from transport.routers import Network
 
-COMMANDED = {"applied": np.zeros(3), "given": np.zeros(3), "stopping": False, "gear": 1.0, "mode": "driving"}
+COMMANDED = {"applied": np.zeros(3), "driver": {}, "stopping": False, "gear": 1.0, "mode": "driving"}
 COMMANDED |= {"course": 1, "progress": 30.0}
 FLAT = np.zeros((3, 4))
 LAYERS = TerrainLayers(
@@ -115,6 +115,7 @@ def test_in_shadow_mode_plans_begin_from_the_drivers_commands_in_real_time_as_in
     more, commanded = "", {"throttle": 0.7, "brake": 0.1, "steer": -0.3}
     for k, name in enumerate(commanded):
         more += f'[channels.{name}]\ntopic = "/odom"\nfields = ["pose.covariance[{10 + k}]"]\n'
+    more += '[channels.gear]\ntopic = "/odom"\nfields = ["pose.covariance[13]"]\n'
     file = Path(write_rig(tmp_path, actuators=True))
     file.write_text(file.read_text().replace('"throttle", "brake", "steer"', "") + more)
     vehicle, request = load_rig(file), CourseRequest(write_course(tmp_path))
@@ -124,14 +125,14 @@ def test_in_shadow_mode_plans_begin_from_the_drivers_commands_in_real_time_as_in
     def messages():
         for row in range(10):
             message = odometry(row / 50, row / 25, 2.0)
-            message.pose.covariance[10:13] = list(commanded.values())
+            message.pose.covariance[10:14] = [*commanded.values(), -1.0]  # in reverse
             yield START / 1e9 + row / 50, message
 
     driver.step([Heard("/tf_static", tree(), START / 1e9), Heard("/points", cloud(0.0), START / 1e9)], START / 1e9)
     for now, message in messages():
         step = driver.step([Heard("/odom", message, now)], now)
     assert step.command.control.tolist() != list(commanded.values())
-    lockstep = driver.runtime._track.rows(now + 0.02).control
+    lockstep = from_driver(driver.runtime.follower, driver.runtime._track, now)
 
     with closing(Network()) as network:
         robot = ZenohSettings(endpoint=network.endpoint)
@@ -145,14 +146,24 @@ def test_in_shadow_mode_plans_begin_from_the_drivers_commands_in_real_time_as_in
                 for part in parts.values():
                     part.now = lambda: now  # noqa: B023
                 reading = vehicle_messages.take("/odom", message, now)
-                control = vehicle_messages.control(now)
-                session.ring("readings").write(pack_measured(reading, control=control, came=time.monotonic()))
+                given = vehicle_messages.given(now)._asdict()
+                session.ring("readings").write(pack_measured(reading, **given, came=time.monotonic()))
                 controller.tick()
             plans.plan()
             controller.transport.close()
-    real = plans._feed.track.rows(now + 0.02).control
-    np.testing.assert_allclose(real[-3:], lockstep[-3:])
-    np.testing.assert_allclose(real[-1], list(commanded.values()), rtol=1e-6)
+    real = from_driver(plans._follower, plans._feed.track, now)
+    np.testing.assert_allclose(real, lockstep)
+    np.testing.assert_allclose(real, np.tile([*commanded.values(), -1.0], (len(real), 1)), rtol=1e-6)
+    for follower in (driver.runtime.follower, plans._follower):
+        assert (follower.engaged, follower.gear) == (-1.0, 1.0), "its own commands stay as they were"
+
+
+def from_driver(follower, track, now):
+    """Controls and gears of the last rows, and what is committed until a plan acts."""
+    rows = track.rows(now + 0.02)
+    committed = follower.committed(now, now + 0.1, rows)
+    before = np.column_stack((rows.control[-3:], rows.gear[-3:]))
+    return np.concatenate((before, np.column_stack((committed, np.full(len(committed), rows.gear[-1])))))
 
 
 def test_after_a_jump_a_map_of_before_is_not_taken(tmp_path):

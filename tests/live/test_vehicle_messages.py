@@ -30,7 +30,7 @@ def test_readings_are_those_of_the_simulator():
             np.testing.assert_allclose(getattr(reading, name), getattr(expected, name), atol=1e-6, err_msg=name)
         assert reading.yaw_rate == pytest.approx(expected.yaw_rate)
         assert reading.time == pytest.approx(expected.time, abs=1e-6)
-        np.testing.assert_allclose(vehicle.control(reading.time), sample.command[:3], atol=1e-6)
+        np.testing.assert_allclose(vehicle.given(reading.time).control, sample.command[:3], atol=1e-6)
     assert not vehicle.dropped
 
 
@@ -53,7 +53,7 @@ def test_what_is_not_finite_is_dropped_and_what_is_old_does_not_count():
     still = odometry(1.0, 2.0)
     still.pose.pose.orientation.w = np.nan
     assert vehicle.take("/odom", still, NOW) is None, "the heading is a second old"
-    assert vehicle.control(NOW + 1) is None, "the rig has no channels of commands"
+    assert vehicle.given(NOW + 1) == (None, None), "the rig has no channels of commands"
 
 
 def test_a_command_that_is_published_on_change_does_not_grow_old():
@@ -67,8 +67,8 @@ def test_a_command_that_is_published_on_change_does_not_grow_old():
         for topic, message in vehicle_messages(sample, stamp_ns(sample.time), wheel_radius=0.359).items():
             vehicle.take(topic, message, 0.0)
     later = sample.time + 30.0
-    assert steady.control(later) is None
-    np.testing.assert_allclose(changing.control(later), sample.command[:3], atol=1e-6)
+    assert steady.given(later).control is None
+    np.testing.assert_allclose(changing.given(later).control, sample.command[:3], atol=1e-6)
 
 
 @pytest.mark.parametrize(("silent", "rate"), [("on change", 0.0), ("linear", np.nan)])
@@ -93,6 +93,21 @@ def test_a_message_of_another_shape_is_counted():
     assert sum(vehicle.dropped.values()) == 4
 
 
+def test_what_has_no_stamp_of_its_own_waits_for_the_robots_clock():
+    text = RIG.replace('"steer_angle", ', "").replace(
+        "[lidars", '[channels.steer_angle]\ntopic = "/steer"\nfields = ["data"]\n[lidars'
+    )
+    vehicle = VehicleMessages(parse_rig(text, where="test"))
+    steering = make("std_msgs/Float64", data=0.1)
+    assert vehicle.take("/steer", steering, -np.inf) is None
+    assert vehicle.dropped == {"/steer: without a stamp of its own, and the robot's clock is not known yet": 1}
+    reading = vehicle.take("/odom", odometry(0.0), -np.inf)
+    assert reading.time == NOW, "it has a stamp"
+    assert np.isnan(reading.actuators[ACTUATORS.index("steer")])
+    vehicle.take("/steer", steering, NOW + 0.02)
+    assert vehicle.take("/odom", odometry(0.02), -np.inf).actuators[ACTUATORS.index("steer")] == 0.1
+
+
 def test_a_clock_that_goes_back_forgets_what_was_before():
     vehicle = VehicleMessages(rig())
     vehicle.take("/odom", odometry(5.0, 10.0), NOW)
@@ -108,9 +123,17 @@ def test_a_turn_rate_that_is_commanded_is_a_steering():
     vehicle = VehicleMessages(parse_rig(text, where="test"))
     twist = make("geometry_msgs/Twist", linear=vector((2.0, 0.0, 0.0)), angular=vector((0.0, 0.0, 0.3)))
     assert vehicle.take("/cmd_vel", twist, NOW) is None
-    throttle, brake, steer = vehicle.control(NOW)
+    throttle, brake, steer = vehicle.given(NOW).control
     assert (throttle, brake) == (0.5, 0.0)
     assert steer == pytest.approx(np.arctan(0.3 * 2.06 / 2.0) / 0.5)
+
+
+def test_the_gear_is_heard_where_the_rig_has_one():
+    vehicle = VehicleMessages(load_rig("proving_ground_gear"))
+    assert "/gear" in vehicle.topics
+    assert vehicle.given(NOW).gear is None, "nothing was heard of it yet"
+    vehicle.take("/gear", make("std_msgs/Int8", data=-1), NOW)
+    assert vehicle.given(NOW) == (None, -1.0)
 
 
 def test_latitude_and_longitude_are_metres_from_the_origin_of_the_rig():

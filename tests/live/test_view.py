@@ -18,10 +18,10 @@ from offpiste.closed_loop.recording import LIFT
 from offpiste.errors import LiveError
 from offpiste.live.packing import pack_course, pack_layers, pack_measured, pack_plan, packed
 from offpiste.live.part import Part
-from offpiste.live.parts.view import Showing, shown_ground
+from offpiste.live.parts.view import Showing, shown_ground, view
 from offpiste.live.plan_regions import PlanRegions
 from offpiste.live.reception import CourseRequest
-from offpiste.live.session import LiveSettings, new_session
+from offpiste.live.session import LiveSettings, ViewSettings, new_session
 from offpiste.live.viewers.viewer import VIEWERS, listening_at
 from offpiste.logs.measurements import Image
 from offpiste.planning.course import Course
@@ -205,6 +205,28 @@ def test_what_cannot_be_shown_is_refused_in_a_line(tmp_path, capsys):
     with listening_socket() as port, pytest.raises(LiveError, match="cannot listen there"):
         listening_at(f"127.0.0.1:{port}")
     assert {"foxglove", "rerun"} <= set(VIEWERS)
+
+
+def test_where_it_was_killed_the_next_one_writes_another_file(tmp_path, monkeypatch):
+    places = []
+
+    class Writer(Notes):
+        def __init__(self, place, *_):
+            super().__init__()
+            places.append(place)
+            self.where = place
+
+    monkeypatch.setitem(VIEWERS._entries, "writer", Writer)
+    begun = tmp_path / "drive.rrd"
+    course = CourseRequest(write_course(tmp_path))
+    for place in (str(begun), "", "127.0.0.1:9876"):
+        begun.write_bytes(b"what the killed one wrote")
+        settings = LiveSettings(write_rig(tmp_path), RUN, None, course, view=ViewSettings("writer", place))
+        with new_session(settings) as session:
+            session.ring("end").write(b"end")
+            view(session, cameras=False)
+    assert places == [str(tmp_path / "drive-2.rrd"), "", "127.0.0.1:9876"]
+    assert begun.read_bytes() == b"what the killed one wrote"
 
 
 @contextmanager

@@ -12,7 +12,8 @@ from offpiste.errors import PlanningError
 from offpiste.planning.costs.layers import Hazards
 from offpiste.planning.course import Course
 from offpiste.runtime.backing_out import BackingOut, BackingOutSettings
-from offpiste.runtime.prediction import reachable
+from offpiste.runtime.estimator import Given
+from offpiste.runtime.prediction import model_state_after, reachable
 from runtime.stream import Held, straight_drive
 
 SETTINGS = BackingOutSettings(after=3.0, distance=4.0, longest=6.0, attempts=2)
@@ -362,3 +363,27 @@ def test_committed_controls_brake_until_the_gear_is_engaged():
     rows = stream.runtime._track.rows(now - DT)
     committed = follower.committed(now, now + 0.2, rows)
     np.testing.assert_allclose(committed[:, :2], np.tile((0.0, 0.5), (len(committed), 1)))
+
+
+def test_plans_begin_from_what_another_driver_gives_and_in_their_gear(monkeypatch):
+    gears = []
+
+    def noticed(*given):
+        gears.append(given[-1].gear)
+        return model_state_after(*given)
+
+    monkeypatch.setattr("offpiste.runtime.plan_maker.model_state_after", noticed)
+    stream = straight_drive(dynamics=geared(), wanted=3.0, stream={"truth": geared()})
+    stream.run(1.0)
+    follower, given = stream.runtime.follower, np.array((0.0, 0.6, -0.5))
+    assert follower.engaged == 1.0
+    follower.driver = Given(given, -1.0)
+    commanded = stream.runtime.command(1.0)
+    assert (gears[-2], gears[-1]) == (1.0, -1.0)
+    follower.stopping = True  # ours, which they do not make
+    rows = stream.runtime._track.rows(1.0)
+    np.testing.assert_array_equal(follower.committed(1.0, 1.1, rows), np.tile(given, (5, 1)))
+    assert (rows.gear[-1], follower.engaged) == (-1.0, -1.0)
+    assert commanded.gear == follower.gear == 1.0
+    follower.driver = Given()
+    assert follower.committed(1.0, 1.1, rows)[0].tolist() != given.tolist()

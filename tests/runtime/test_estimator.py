@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from factories import RIG
+from offpiste.channels import MORE_ACTUATORS, Actuator
 from offpiste.conventions import DT, HISTORY_STEPS
 from offpiste.dataset.resample import extract_rows
 from offpiste.logs.channel import Channel
@@ -106,6 +107,15 @@ def test_rows_have_the_control_commanded_from_their_time_on():
     rows = track.rows(19 * DT)
     assert rows.control[:, 0].tolist() == [0, *range(10, 19), 18]
     np.testing.assert_array_equal(rows.gear, [np.nan, *5 * [-1.0], *5 * [1.0]])
+
+
+def test_rows_have_columns_of_registered_actuators_that_a_model_reads(monkeypatch):
+    for name in ("flap", "valve"):
+        monkeypatch.setitem(MORE_ACTUATORS._entries, name, Actuator(name, channel=name))
+    track, measured = VehicleTrack(actuators=("steer", "valve")), {"flap": 0.1, "valve": 0.2}
+    track.add(replace(circle(0.0), actuators=np.arange(4.0), extra=measured))
+    track.add(replace(circle(DT), actuators=np.arange(4.0)))
+    np.testing.assert_array_equal(track.rows(DT).actuators[-2:], [[0, 1, 2, 3, 0.2], [0, 1, 2, 3, np.nan]])
 
 
 def test_a_jump_of_the_pose_forgets_earlier_readings():

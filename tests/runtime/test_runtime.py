@@ -134,7 +134,7 @@ def test_readings_without_the_actuators_that_a_model_reads_count_as_none():
     stream = straight_drive(dynamics=Parametric(Vehicle(1150.0, 2.06, 0.5, CONTROL, ("engine_rpm",))))
     stream.run(0.5)
     assert stream.modes() == [("stopping", "no state of the vehicle")]
-    assert stream.runtime.dropped["readings of the vehicle that are not finite"] == 25
+    assert stream.runtime.dropped["readings of the vehicle without engine_rpm, which the model reads"] == 25
 
 
 def test_settings_that_do_not_fit_the_steps_are_refused():

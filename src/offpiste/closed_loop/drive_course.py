@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from offpiste._version import commit, today
+from offpiste.channels import registered_actuators
 from offpiste.closed_loop.courses import KINDS as COURSE_KINDS
 from offpiste.closed_loop.courses import ChosenCourse, CourseSettings, choose_course, course_world
 from offpiste.closed_loop.faults import KINDS, Fault, Kind
@@ -113,10 +114,11 @@ def drive_course(
         improver: makes what improves the plans, MPPI unless another planner is tried.
 
     Raises:
-        OffpisteError: a setting is out of range, the risk needs a spread that the run lacks, or there is a drive in the
-            folder already.
+        OffpisteError: a setting is out of range, the risk needs a spread that the run lacks, the model reads actuators
+            that others have added, or there is a drive in the folder already.
     """
     check_settings(settings)
+    _refuse_unmeasured(planner)
     caution_of(settings.runtime.risk, planner.spread)  # complains itself, before a world is built
     out = Path(out)
     check_folder(out)
@@ -197,6 +199,14 @@ def check_settings(settings: CourseDriveSettings) -> None:
         how = f"give --fault-start of 0 or more, before the drive's end at {settings.seconds:g} s"
         raise OffpisteError(f"a fault from {settings.fault_start:g} s on", how=how)
     COURSE_KINDS[settings.course.kind], sensor_suite(settings.sensors)  # complain themselves
+
+
+def _refuse_unmeasured(planner: Planner) -> None:
+    """Refuse a model that would wait for readings without an end."""
+    lacks = [one.name for one in registered_actuators() if one.name in planner.dynamics.vehicle.actuators]
+    if lacks:
+        what = f"the model reads {', '.join(lacks)}, which the simulated vehicle does not measure"
+        raise OffpisteError(what, where=planner.folder, how="give a run trained without it")
 
 
 def sensor_setup(planner: Planner, suite: SensorSuite, rig: Rig, fault: Fault | None = None) -> SensorSetup:

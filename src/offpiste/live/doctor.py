@@ -15,6 +15,7 @@ from typing import Final, Literal, NamedTuple
 
 import numpy as np
 
+from offpiste.channels import OPTIONAL_CONTROLS
 from offpiste.closed_loop.planner import load_planner
 from offpiste.errors import LiveError, OffpisteError, did_you_mean, require
 from offpiste.live.command_messages import CommandMessages
@@ -23,7 +24,7 @@ from offpiste.live.reception import check_types, is_pressed
 from offpiste.live.sensor_messages import SensorMessages
 from offpiste.live.session import Source
 from offpiste.live.vehicle_messages import VehicleMessages
-from offpiste.logs.ros.bag_files import field_getter, stamp_of
+from offpiste.logs.ros.bag_files import field_getter, heard_at
 from offpiste.parallel import usable_cores
 from offpiste.rig.rig import Rig, load_rig
 from offpiste.training.fitness import differing_vehicle
@@ -179,6 +180,9 @@ class _Listener:
         self._optional = {one.topic for one in rig.cameras.values() if one.optional}
         self._optional |= {one.topic for one in rig.lidars.values() if one.optional}
         self._optional |= {c.info for c in rig.cameras.values() if c.optional}
+        optional = {control.name for control in OPTIONAL_CONTROLS}
+        needed = {source.topic for name, source in rig.channels.items() if name not in optional}
+        self._optional |= {source.topic for source in rig.channels.values()} - needed
         self._commands = {output.topic for output in rig.outputs.values()}
         self._needed = dict.fromkeys([*self._vehicle.topics, *self._sensors.topics, *enable])
         self._all = {topic: Heard() for topic in (*self._needed, *self._commands)}
@@ -231,7 +235,7 @@ class _Listener:
         if message is None:
             return
         heard.types.add(received.type)
-        stamp = stamp_of(round(received.received * 1e9), message, self._rig.clock.stamps)
+        stamp = heard_at(received.received, message, self._rig.clock.stamps)
         heard.ages.append(received.received - stamp)
         enable = self._rig.live.enable
         is_switch = enable is not None and received.topic == enable.topic

@@ -18,7 +18,7 @@ from offpiste.live.gate import Gate, Passed
 from offpiste.live.reception import Pressed, Reception, Taken
 from offpiste.live.sensor_messages import Sensors
 from offpiste.logs.measurements import Cloud, Image
-from offpiste.logs.ros.bag_files import stamp_of
+from offpiste.logs.ros.bag_files import heard_at
 from offpiste.perception.camera import make_pinhole_camera
 from offpiste.planning.course import Course
 from offpiste.rig.outputs import can_reverse
@@ -104,11 +104,11 @@ class StepDriver:
 
         def applied(controls: Controls) -> np.ndarray:
             passed.append(self._passed(controls, now))
-            driven = self._reception.vehicle.control(now) if self._shadow else None
-            return passed[-1].control if driven is None else driven
+            return passed[-1].control
 
         if self._shadow:  # who drives need not complete our stops
             self.runtime.follower.stopping = False
+            self.runtime.follower.driver = self._reception.vehicle.given(now)
         held = "" if self._shadow else self._gate.blocked(now)
         controls = self.runtime.command(now, applied, held)
         followed = self.runtime.prediction_at(now) if controls.mode in ("driving", "degraded") else None
@@ -135,7 +135,7 @@ class StepDriver:
         def order(one: Heard) -> tuple[bool, float, bool]:
             if one.topic not in vehicle.topics:
                 return True, 0.0, False
-            stamp = stamp_of(round(one.received * 1e9), one.message, self._rig.clock.stamps)
+            stamp = heard_at(one.received, one.message, self._rig.clock.stamps)
             return False, stamp, one.topic == vehicle.position_topic
 
         return sorted(heard, key=order)

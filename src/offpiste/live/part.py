@@ -6,7 +6,9 @@ import os
 import struct
 import time
 from collections.abc import Callable, Collection, Mapping
+from itertools import chain, count
 from multiprocessing import parent_process
+from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -14,7 +16,7 @@ import numpy as np
 from offpiste.live.packing import packed, reading_from, unpacked
 from offpiste.live.ring import Ring
 from offpiste.live.session import Session
-from offpiste.runtime.estimator import VehicleTrack
+from offpiste.runtime.estimator import Given, VehicleTrack
 from offpiste.runtime.intake import Intake
 from offpiste.transport.tally import Tally
 
@@ -39,6 +41,12 @@ def keep_loaded() -> None:
     gc.collect()
     gc.freeze()
     gc.collect()  # Python waits with the next until there is a quarter as much as the last one looked through
+
+
+def free_file(path: Path) -> Path:
+    """A file that is not there: where a process was killed, what it wrote is kept, and the next one has a number."""
+    numbered = (path.with_stem(f"{path.stem}-{number}") for number in count(2))
+    return next(one for one in chain((path,), numbered) if not one.exists())
 
 
 class FreedMemory:
@@ -158,16 +166,16 @@ class TrackFeed:
 
     Attributes:
         track: readings.
-        control: throttle, brake, steer that the vehicle was last given by whomever, as it says itself; None if not.
+        given: what the vehicle was last given by whomever, as it says itself.
         came: when the last reading that was taken came, by the steady clock [s].
     """
 
     def __init__(self, part: Part, actuators: Collection[str]) -> None:
         timeouts = part.settings.runtime.timeouts
-        self._part, self.track = part, VehicleTrack(slowest=timeouts.state)
+        self._part, self.track = part, VehicleTrack(slowest=timeouts.state, actuators=actuators)
         self.intake = Intake(self.track, actuators, timeouts, part.dropped)
         self._ring = part.ring("readings")
-        self._number, self.control = self._ring.written, None
+        self._number, self.given = self._ring.written, Given()
         self.came = -np.inf
 
     def update(self, now: float) -> Change:
@@ -179,7 +187,7 @@ class TrackFeed:
         self.intake.now = now
         for entry in self._ring.since(self._number):
             self._number, values = entry.number, unpacked(entry.data)
-            self.control = values["control"]
+            self.given = Given(values["control"], values.get("gear"))
             taken = self.intake.vehicle(reading_from(values))
             if taken != "dropped":
                 self.came = values["came"]

@@ -128,7 +128,7 @@ class Reception:
         """What a message is.
 
         Args:
-            received: when it came [s].
+            received: when it came by the robot's clock [s]; not finite before that is known.
         """
         taken: list[Taken] = []
         if self._enable is not None and topic == self._enable[0]:

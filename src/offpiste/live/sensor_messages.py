@@ -9,11 +9,12 @@ import numpy as np
 from jaxtyping import Float
 
 from offpiste.errors import LogError, PerceptionError
+from offpiste.live.vehicle_messages import NO_STAMP
 from offpiste.logs.formats.bag import transform_of
 from offpiste.logs.log import Log, RawCloud, Samples, Topic
 from offpiste.logs.measurements import Camera, Cloud, Image, Lidar, cloud_from_records
 from offpiste.logs.mountings import camera_of, lidar_of, refuse_rough
-from offpiste.logs.ros.bag_files import stamp_of
+from offpiste.logs.ros.bag_files import heard_at
 from offpiste.logs.ros.sensor_messages import decompressed, points_from_message, raw_pixels
 from offpiste.logs.transforms import Transform
 from offpiste.rig.camera import CameraModel, model_from_message
@@ -122,7 +123,10 @@ class SensorMessages:
         if name is None or self.sensors is None:
             return None
         cameras, lidars = self.sensors
-        time = stamp_of(round(received * 1e9), message, self._rig.clock.stamps)
+        time = heard_at(received, message, self._rig.clock.stamps)
+        if not np.isfinite(time):
+            self.dropped.add(f"{name}: {NO_STAMP}")
+            return None
         if name in cameras:
             return self._image(cameras[name], topic, message, time)
         if name in lidars:

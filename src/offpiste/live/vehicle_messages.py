@@ -8,18 +8,27 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.channels import ACTUATORS as ACTUATOR_TABLE
-from offpiste.channels import CONTROLS
+from offpiste.channels import (
+    ACTUATORS,
+    CONTROLS,
+    KERNEL_CONTROLS,
+    Actuator,
+    all_actuators,
+    channel_of_rate,
+    registered_actuators,
+)
 from offpiste.errors import RigError
 from offpiste.geometry import local_polynomial, rotation_of_one, yaw_rate_from_body_rates
 from offpiste.logs.axes import to_z_up
 from offpiste.logs.channel import KEPT_UP, convert, largest
-from offpiste.logs.ros.bag_files import field_getter, stamp_of
+from offpiste.logs.ros.bag_files import field_getter, heard_at
 from offpiste.rig.channels import GEOGRAPHIC, ChannelSource
 from offpiste.rig.rig import Rig
-from offpiste.runtime.estimator import VehicleReading
+from offpiste.runtime.estimator import Given, VehicleReading
 from offpiste.transport.tally import Tally
 
+NO_STAMP: Final = "without a stamp of its own, and the robot's clock is not known yet"
+"""Why a message is dropped that could only be stamped with its arrival."""
 _KEPT: Final = 64
 """Samples of a channel that are kept, to differentiate those whose rates are not measured."""
 _USED: Final = ("position", "orientation", "yaw", "linear_velocity", "angular_velocity", "yaw_rate")
@@ -56,7 +65,7 @@ class VehicleMessages:
         self._rig, self._kept = rig, dict[str, deque[tuple[float, np.ndarray]]]()
         self._geographic = rig.channels["position"].unit == GEOGRAPHIC
         self.dropped = Tally()
-        names = (*_USED, *(a.channel for a in ACTUATOR_TABLE), *(c.name for c in CONTROLS))
+        names = (*_USED, *(a.channel for a in all_actuators()), *(c.name for c in KERNEL_CONTROLS))
         self._sources: dict[str, list[_Source]] = {}
         for name in names:
             if name in rig.channels:
@@ -71,12 +80,15 @@ class VehicleMessages:
         """Add a message; a reading if it has the position, and enough else is known.
 
         Args:
-            received: when it came [s].
+            received: when it came by the robot's clock [s]; not finite before that is known.
         """
         try:
-            stamp = stamp_of(round(received * 1e9), message, self._rig.clock.stamps)
+            stamp = heard_at(received, message, self._rig.clock.stamps)
         except (AttributeError, TypeError, ValueError):
             self.dropped[f"{topic}: its header has no stamp"] += 1
+            return None
+        if not np.isfinite(stamp):
+            self.dropped[f"{topic}: {NO_STAMP}"] += 1
             return None
         if topic == self.position_topic:
             named = "" if self._geographic else getattr(getattr(message, "header", None), "frame_id", "")
@@ -85,13 +97,15 @@ class VehicleMessages:
             self._add(source, message, stamp)
         return self._reading() if topic == self.position_topic and self._fresh("position", np.inf) else None
 
-    def control(self, now: float) -> Float[np.ndarray, " 3"] | None:
-        """Throttle, brake and steering that the vehicle was last given by whomever; None where they are not heard."""
+    def given(self, now: float) -> Given:
+        """What the vehicle was last given by whomever; no control where one that the rig has is not heard."""
+        engaged = self._latest("gear", now)
+        gear = None if engaged is None else float(engaged[0])
         values = [self._latest(control.name, now) for control in CONTROLS]
         given = [control.name for control in CONTROLS if control.name in self._rig.channels]
         if not given or any(self._latest(name, now) is None for name in given):
-            return None
-        return np.array([0.0 if value is None else float(value[0]) for value in values])
+            return Given(None, gear)
+        return Given(np.array([0.0 if value is None else float(value[0]) for value in values]), gear)
 
     def _add(self, source: _Source, message: Any, stamp: float) -> None:
         name, entry = source.name, source.entry
@@ -127,9 +141,10 @@ class VehicleMessages:
         velocity, rate = self._velocity(time, orientation), self._yaw_rate(time, orientation)
         if velocity is None or rate is None:
             return None
-        actuators = np.array([self._actuator(a.name, a.channel, time) for a in ACTUATOR_TABLE])
+        actuators = np.array([self._actuator(one, time) for one in ACTUATORS])
+        extra = {one.name: self._actuator(one, time) for one in registered_actuators()}
         place = np.append(position, 0.0) if len(position) == 2 else position
-        return VehicleReading(time, place, orientation, velocity, rate, actuators)
+        return VehicleReading(time, place, orientation, velocity, rate, actuators, extra)
 
     def _orientation(self, time: float) -> Float[np.ndarray, " 4"] | None:
         if (given := self._latest("orientation", time)) is not None:
@@ -163,14 +178,13 @@ class VehicleMessages:
         rate = self._derivative(np.array([t for t, _ in samples]), np.unwrap(turn)[:, None], time)
         return None if rate is None else float(rate[0])
 
-    def _actuator(self, name: str, channel: str, time: float) -> float:
+    def _actuator(self, actuator: Actuator, time: float) -> float:
         """Its last value; its derivative from what it is the rate of; NaN where neither is heard."""
-        given = self._latest(channel, time)
+        given = self._latest(actuator.channel, time)
         if given is not None:
             return float(given[0])
-        of = next((a.rate_of for a in ACTUATOR_TABLE if a.name == name), "")
-        measured = next((a.channel for a in ACTUATOR_TABLE if a.name == of), "")
-        if channel in self._rig.channels or measured not in self._rig.channels:
+        measured = channel_of_rate(actuator.channel)
+        if actuator.channel in self._rig.channels or measured not in self._rig.channels:
             return float("nan")
         rate = self._rate(measured, time)
         return float("nan") if rate is None else float(rate[0])

@@ -1,13 +1,15 @@
 """State of the vehicle over the last seconds, from its readings: rows at 50 Hz for planning, poses for mapping."""
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.conventions import DT, HISTORY_STEPS
+from offpiste.channels import actuator_columns
+from offpiste.conventions import ACTUATORS, DT, HISTORY_STEPS
 from offpiste.dataset.columns import COLUMNS
 from offpiste.dataset.resample import OWN_COLUMNS
 from offpiste.logs.channel import Channel
@@ -32,7 +34,8 @@ class VehicleReading:
         velocity: of the pose point in the world frame [m/s].
         yaw_rate: d(yaw)/dt [rad/s].
         actuators: of `conventions.ACTUATORS`; NaN where the vehicle does not measure them.
-        extra: values of columns that extensions declare (`dataset.columns.COLUMNS`), by name.
+        extra: values of actuators and columns that extensions declare (`channels.register_actuator`,
+            `dataset.columns.COLUMNS`), by name.
     """
 
     time: float
@@ -43,11 +46,27 @@ class VehicleReading:
     actuators: Float[np.ndarray, " A"]
     extra: Mapping[str, float] = field(default_factory=dict)
 
+    def measured(self, actuators: Sequence[str]) -> Float[np.ndarray, " A"]:
+        """Values of actuators by their names; NaN where the vehicle does not measure them."""
+        known = {**dict(zip(ACTUATORS, self.actuators, strict=True)), **self.extra}
+        return np.array([known.get(name, np.nan) for name in actuators], np.float64)
+
     @property
     def finite(self) -> bool:
         """Whether time, pose and velocities are finite, and the orientation is not zero."""
         known = np.concatenate(([self.time, self.yaw_rate], self.position, self.orientation, self.velocity))
         return bool(np.isfinite(known).all() and np.abs(self.orientation).max() > 0)
+
+
+class Given(NamedTuple):
+    """What another driver gives the vehicle, as far as it is heard: throttle, brake, steer; and the gear."""
+
+    control: Float[np.ndarray, " 3"] | None = None
+    gear: float | None = None
+
+    def instead_of(self, control: Float[np.ndarray, " 3"], gear: float) -> tuple[Float[np.ndarray, " 3"], float]:
+        """Control and gear that the vehicle has: these where no others are heard."""
+        return control if self.control is None else self.control, gear if self.gear is None else self.gear
 
 
 @dataclass(frozen=True)
@@ -56,7 +75,8 @@ class TrackRows:
 
     Attributes:
         state: `conventions.STATE`, in the world frame, yaw unwrapped.
-        actuators, control: `conventions.ACTUATORS` and `conventions.CONTROL`; control of row t is not known yet.
+        actuators: `conventions.ACTUATORS`, and registered ones that the track is asked for.
+        control: `conventions.CONTROL`; that of row t is not known yet.
         gear: that each row was driven in: 1 forward, -1 reverse; NaN before the first command.
         extra: columns that extensions declare for the past of windows; NaN where a reading lacks them.
     """
@@ -75,9 +95,11 @@ class VehicleTrack:
         seconds: how long they are kept [s].
         slowest: readings may be so far apart [s]; poses are interpolated between those that are no further apart, or
             than `GAP`.
+        actuators: that the model reads; rows have columns of registered ones among them, too.
     """
 
-    def __init__(self, *, seconds: float = 3.0, slowest: float = 0.0) -> None:
+    def __init__(self, *, seconds: float = 3.0, slowest: float = 0.0, actuators: Collection[str] = ()) -> None:
+        self._columns = tuple(actuator.name for actuator in actuator_columns(actuators))
         self._seconds, self._max_gap = seconds, max(slowest, GAP)
         self._readings: deque[VehicleReading] = deque()
         self._commands: deque[tuple[float, np.ndarray, float]] = deque()
@@ -151,10 +173,10 @@ class VehicleTrack:
         place = extrapolated(np.stack([r.position[:2] for r in chosen]), velocity, age)
         state = planar_state(place, yaw, velocity, rate)
         extra = {name: np.array([r.extra.get(name, np.nan) for r in chosen]) for name in _past_columns()}
-        return TrackRows(state, np.stack([r.actuators for r in chosen]), *self._controls(at), extra)
+        return TrackRows(state, np.stack([r.measured(self._columns) for r in chosen]), *self.controls(at), extra)
 
-    def _controls(self, at: Float[np.ndarray, " H"]) -> tuple[Float[np.ndarray, "H 3"], Float[np.ndarray, " H"]]:
-        """Controls, 0 before the first, and gears."""
+    def controls(self, at: Float[np.ndarray, " N"]) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, " N"]]:
+        """Controls at some moments [s], 0 before the first, and gears, NaN there; the last ones are held."""
         if not self._commands:
             return np.zeros((len(at), 3)), np.full(len(at), np.nan)
         time, control, gear = (np.stack(column) for column in zip(*self._commands, strict=True))

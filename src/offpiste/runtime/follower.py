@@ -11,13 +11,13 @@ from jaxtyping import Float
 
 from offpiste.conventions import DT
 from offpiste.runtime.course_tracker import CourseTracker
-from offpiste.runtime.estimator import TrackRows, VehicleTrack
+from offpiste.runtime.estimator import Given, TrackRows, VehicleTrack
 from offpiste.runtime.modes import NO_AGES, Ages, Controls, Event, ModeDecision, decide_mode
 from offpiste.runtime.schedule import Schedule
 from offpiste.runtime.settings import RuntimeSettings
 
 Applied = Callable[[Controls], Float[np.ndarray, " 3"]]
-"""From a command to the control that the vehicle is given, which limits or another driver may make another one."""
+"""From a command to the control that the vehicle is given, which limits may make another one."""
 
 
 @dataclass(frozen=True)
@@ -47,13 +47,14 @@ class Follower:
         schedule: plans that were made.
         gear: that is commanded: 1 forward, -1 reverse.
         stopping: whether a stop has begun and is not completed.
+        driver: what another driver gives the vehicle; plans begin from it as far as it is heard.
         events: changes of mode, oldest first.
     """
 
     def __init__(self, settings: RuntimeSettings, track: VehicleTrack, tracker: CourseTracker) -> None:
         self._settings, self._track = settings, track
         self.tracker, self.schedule, self.gear = tracker, Schedule(), settings.gear
-        self.stopping = False
+        self.stopping, self.driver = False, Given()
         self.events: list[Event] = []
 
     def mode(self, now: float, state: MapState, least: Ages = NO_AGES) -> ModeDecision:
@@ -79,10 +80,12 @@ class Follower:
         A stop that has begun is completed before the vehicle drives away again.
 
         Args:
-            applied: gives the control that the vehicle is then given; None where it is the one that is commanded.
+            applied: gives the control that the vehicle is then given, unless another drives; None where it is the one
+                that is commanded.
         """
         controls = self._due(now, decision)
-        self._track.commanded(now, controls.command if applied is None else applied(controls), controls.gear)
+        control = controls.command if applied is None else applied(controls)
+        self._track.commanded(now, *self.driver.instead_of(control, controls.gear))
         if not self.events or (controls.mode, controls.why) != (self.events[-1].mode, self.events[-1].why):
             self.events.append(Event(now, controls.mode, controls.why))
         return controls
@@ -117,7 +120,7 @@ class Follower:
         return plan is not None and plan.gear != self.gear
 
     def committed(self, first: float, start: float, rows: TrackRows) -> Float[np.ndarray, "L 3"]:
-        """Controls committed from the last reading until a new plan acts.
+        """Controls committed from the last reading until a new plan acts; another driver's last one is held.
 
         Args:
             first, start: times of the two [s].
@@ -128,12 +131,19 @@ class Follower:
             self.schedule.clear()
         stop = np.array((0.0, self._settings.stop, 0.0))
         steps = max(round((start - first) / DT), 0)
+        if self.driver.control is not None:
+            return self._track.controls(first + DT * np.arange(steps))[0]
         committed = self.schedule.committed(first, steps, stop if self.stopping else rows.control[-2])
         # Steering follows the plan, the pedals do not.
         halts = self.stopping and not self.at_standstill()
         braked = [halts or self._shifts(first + DT * step) for step in range(steps)]
         committed[braked, :2] = stop[:2]
         return committed
+
+    @property
+    def engaged(self) -> float:
+        """Gear until a new plan acts: the one that is commanded, or another driver's."""
+        return self.gear if self.driver.gear is None else self.driver.gear
 
     @property
     def speed(self) -> float:

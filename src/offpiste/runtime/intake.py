@@ -6,7 +6,6 @@ from typing import Literal
 
 import numpy as np
 
-from offpiste.conventions import ACTUATORS
 from offpiste.rig.outputs import Timeouts
 from offpiste.runtime.estimator import VehicleReading, VehicleTrack
 
@@ -26,7 +25,7 @@ class Intake:
         self, track: VehicleTrack, actuators: Collection[str], timeouts: Timeouts, dropped: Counter[str]
     ) -> None:
         self._track, self._timeouts, self.dropped = track, timeouts, dropped
-        self._needed = np.isin(ACTUATORS, list(actuators))
+        self._needed = tuple(actuators)
         self.now = np.inf
 
     def vehicle(self, reading: VehicleReading) -> Literal["dropped", "taken", "jumped"]:
@@ -34,8 +33,12 @@ class Intake:
         latest = self._track.latest
         if self.ahead("readings of the vehicle", reading.time):
             return "dropped"
-        if not reading.finite or not np.isfinite(reading.actuators[self._needed]).all():
+        if not reading.finite:
             self.dropped["readings of the vehicle that are not finite"] += 1
+            return "dropped"
+        known = np.isfinite(reading.measured(self._needed))
+        if lacks := [name for name, is_known in zip(self._needed, known, strict=True) if not is_known]:
+            self.dropped[f"readings of the vehicle without {', '.join(lacks)}, which the model reads"] += 1
             return "dropped"
         if latest is not None and reading.time <= latest.time:
             self.dropped["readings of the vehicle whose stamps repeat or go back"] += 1

@@ -143,8 +143,8 @@ class PlanMaker:
             given = follower.committed(read, now + settings.latency, rows)
             committed = torch.as_tensor(given, dtype=torch.float32)
             last = committed[-1] if len(committed) else torch.as_tensor(rows.control[-2], dtype=torch.float32)
-            model_state = model_state_of(self._dynamics, rows, area, self._wheels, offset, follower.gear)
-            begin, engaged = model_state.state[0], follower.gear  # until the plan acts
+            model_state = model_state_of(self._dynamics, rows, area, self._wheels, offset, follower.engaged)
+            begin, engaged = model_state.state[0], follower.engaged  # until the plan acts
             at = Situation(area.stack, costs[0], self._wheels, offset, begin, last, engaged, self._caution)
             model_state = model_state_after(self._dynamics, model_state, committed, area, at)
             at = replace(at, state=model_state.state[0], gear=self._backing_out.gear)

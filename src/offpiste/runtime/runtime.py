@@ -71,7 +71,8 @@ class Runtime:
             raise PlanningError(
                 "the model reads features, and nothing extracts them", how="give SensorSetup(…, extract=…)"
             )
-        self.watch, self._track = Stopwatch(), VehicleTrack(slowest=self._settings.timeouts.state)
+        timeouts, actuators = self._settings.timeouts, dynamics.vehicle.actuators
+        self.watch, self._track = Stopwatch(), VehicleTrack(slowest=timeouts.state, actuators=actuators)
         self.follower = Follower(self._settings, self._track, CourseTracker(course))
         self._maker = PlanMaker(
             dynamics, wheels, self._settings,
@@ -79,8 +80,7 @@ class Runtime:
         )  # fmt: skip
         encoder = None if ground is not None else encoder_on(self._settings.device, dynamics.encoder)
         self._mapper = OnlineMapper(sensors, encoder, self._track, self._settings.replay, self.watch)
-        timeouts, dropped = self._settings.timeouts, self._mapper.dropped
-        self._intake = Intake(self._track, dynamics.vehicle.actuators, timeouts, dropped)
+        self._intake = Intake(self._track, actuators, timeouts, self._mapper.dropped)
         self._plan_due = -np.inf
         self._predictions: deque[Prediction] = deque(maxlen=round(self._settings.remember * self._settings.plan_rate))
 

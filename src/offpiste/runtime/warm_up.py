@@ -5,6 +5,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
+from offpiste.channels import registered_actuators
 from offpiste.conventions import ACTUATORS, DT
 from offpiste.dynamics.base import Dynamics
 from offpiste.errors import PlanningError
@@ -44,10 +45,11 @@ def warm_up(
     x = np.arange(0.0, 60.0)
     course = Course(np.stack((x, np.zeros_like(x)), axis=1), np.full(len(x), SPEED))
     runtime = Runtime(dynamics, sensors, wheels, course, settings, spread=spread)
+    level, registered = np.array((0, 0, 0, 1.0)), {actuator.name: 0.0 for actuator in registered_actuators()}
     for row in range(round(SECONDS / DT)):
         time = row * DT
         place, velocity = np.array((SPEED * time, 0.0, 0.0)), np.array((SPEED, 0.0, 0.0))
-        runtime.vehicle(VehicleReading(time, place, np.array((0, 0, 0, 1.0)), velocity, 0.0, np.zeros(len(ACTUATORS))))
+        runtime.vehicle(VehicleReading(time, place, level, velocity, 0.0, np.zeros(len(ACTUATORS)), registered))
         if row % EVERY == 1:  # of the first moment there is no pose before
             _see(runtime, sensors, time)
         runtime.command(time)

@@ -23,6 +23,7 @@ from offpiste.logs.ros.bag_files import field_getter
 from offpiste.logs.ros.writer import header, make
 from offpiste.rig.rig import load_rig
 from offpiste.runtime.course_tracker import CourseTracker
+from offpiste.runtime.estimator import Given
 from offpiste.runtime.follower import Follower, MapState
 from offpiste.runtime.modes import Controls, ModeDecision
 from offpiste.runtime.prediction import Prediction
@@ -117,8 +118,8 @@ class Controller:
             decision = ModeDecision("stopping", held)
         if not drive:  # who drives need not complete our stops
             follower.stopping = False
+        follower.driver = Given() if drive else self._feed.given
         passed: list[Passed] = []
-        driven = None if drive else self._feed.control
 
         def applied(controls: Controls) -> np.ndarray:
             stopping = controls.mode in ("stopping", "stopped")
@@ -126,7 +127,7 @@ class Controller:
             if stopping and acting is None:  # no plan says where to: straight ahead would lead out of a bend
                 command[2] = self._gate.steer
             passed.append(self._gate.passed(command, follower.speed, time.monotonic(), stopping=stopping))
-            return passed[-1].control if driven is None else np.asarray(driven)
+            return passed[-1].control
 
         controls = follower.follow(now, decision, applied)
         del follower.events[:-1]
@@ -134,7 +135,7 @@ class Controller:
         self.ages.append((now - state.scan_time, np.inf if acting is None else now - acting.made))
         about = {"time": now, "applied": passed[-1].control, "stopping": follower.stopping, "mode": controls.mode}
         about |= {"gear": controls.gear, "course": self._course.number, "progress": follower.tracker.progress}
-        about["given"] = about["applied"] if driven is None else driven  # plans begin from what the vehicle does
+        about["driver"] = follower.driver._asdict()  # plans begin from what the vehicle does
         self.part.hand_on("commands", packed(about))
         self._sent_at = time.monotonic()
         return controls

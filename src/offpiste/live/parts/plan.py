@@ -13,6 +13,7 @@ from offpiste.live.session import Session
 from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.rig.outputs import can_reverse
 from offpiste.rig.rig import load_rig
+from offpiste.runtime.estimator import Given
 from offpiste.runtime.follower import Follower
 from offpiste.runtime.perception import Stopwatch
 from offpiste.runtime.plan_maker import PlanMaker
@@ -91,9 +92,11 @@ class Plans:
             self._layers, self._scan_time = layers_from(values), values.get("scan_time", -np.inf)
         for entry in self._part.ring("commands").since(self._commands):
             self._commands, values = entry.number, unpacked(entry.data)
-            self._feed.track.commanded(values["time"], values["given"], values["gear"])
+            driver = Given(**values["driver"])
+            self._feed.track.commanded(values["time"], *driver.instead_of(values["applied"], values["gear"]))
             if self._follower is not None:
                 self._follower.stopping, self._follower.gear = values["stopping"], values["gear"]
+                self._follower.driver = driver
 
 
 def plan(session: Session) -> None:

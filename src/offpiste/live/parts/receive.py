@@ -3,6 +3,7 @@
 import threading
 import time
 from collections import deque
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -39,6 +40,10 @@ class Receiver:
         self._newest: dict[str, Received] = {}
         self._calibrations: deque[Received] = deque(maxlen=_WAITING)
         self._stamp, self._heard_at = -1.0, np.inf
+        clock = part.settings.clock  # what has no header is stamped with its arrival, by the clock of all that has one
+        self._by_robot, self._sets_clock = clock != "system", ""
+        if clock == "stamps":
+            self._sets_clock = self.reception.vehicle.position_topic
         self._lock, self._any, self._handed_over = threading.Lock(), threading.Event(), False
         self._measured = self.reception.sensors.measured
         for topic, history in self.reception.topics.items():
@@ -62,6 +67,9 @@ class Receiver:
     def _deliver(self, received: Received) -> None:
         """Called in zenoh's thread."""
         self._heard_at = received.steady
+        if self._by_robot and received.topic != self._sets_clock:
+            with self._lock:
+                received = replace(received, received=self.part.now())
         if received.topic in self._measured:
             with self._lock:
                 if received.topic in self._newest:
@@ -75,10 +83,16 @@ class Receiver:
             self._small.put(received)
 
     def read(self) -> None:
-        """Decode and hand on readings, courses and the clock, for as long as there are any, or a moment."""
-        received = self._small.get(0.05)
-        message = None if received is None else self.transport.decode(received)
-        if received is None or message is None:
+        """Decode and hand on readings, courses and the clock, as many as may wait; wait a moment for the first."""
+        received, most = self._small.get(0.05), _WAITING  # more may come meanwhile, and signs of life are due
+        while received is not None:
+            self._take(received)
+            most -= 1
+            received = self._small.get(0.0) if most else None
+
+    def _take(self, received: Received) -> None:
+        message = self.transport.decode(received)
+        if message is None:
             return
         if received.topic == CLOCK:
             self._clock(message.clock.sec + message.clock.nanosec / 1e9, received.steady)
@@ -87,8 +101,8 @@ class Receiver:
             if isinstance(taken, VehicleReading):
                 if self.part.settings.clock == "stamps":
                     self._clock(taken.time, received.steady)
-                control = self.reception.vehicle.control(taken.time)
-                self.part.hand_on("readings", pack_measured(taken, control=control, came=received.steady))
+                given = self.reception.vehicle.given(taken.time)
+                self.part.hand_on("readings", pack_measured(taken, **given._asdict(), came=received.steady))
             elif isinstance(taken, Course):
                 self._course(taken)
 

@@ -1,7 +1,6 @@
 """Records what is received and what is sent, as a log that `inspect`, `extract` and `live --replay` read."""
 
 from dataclasses import replace
-from itertools import chain, count
 from pathlib import Path
 from typing import Final
 
@@ -10,7 +9,7 @@ import numpy as np
 from offpiste.errors import LogError
 from offpiste.live.backlog import Backlog
 from offpiste.live.lockstep import CLOCK, COMMAND
-from offpiste.live.part import Part
+from offpiste.live.part import Part, free_file
 from offpiste.live.parts.control import MODE
 from offpiste.live.reception import Reception
 from offpiste.live.reports import DIAGNOSTICS, PLAN
@@ -38,7 +37,7 @@ def record(session: Session, *, cameras: bool) -> None:
     part = Part("record", session)
     given, rig = session.settings.record, load_rig(session.settings.rig)
     assert given is not None
-    path = _free(given)
+    path = free_file(given)
     transport = session.settings.robot.connect([Path(name) for name in rig.live.definitions])
     reception = Reception(rig, session.settings.course, cameras=cameras)
     topics = dict(reception.topics)
@@ -79,9 +78,3 @@ def record(session: Session, *, cameras: bool) -> None:
     except LogError as error:
         part.end_with(str(error))
     transport.close()
-
-
-def _free(path: Path) -> Path:
-    """A file that is not there: where a recorder was killed, what it wrote is kept, and the next one has a number."""
-    numbered = (path.with_stem(f"{path.stem}-{number}") for number in count(2))
-    return next(one for one in chain((path,), numbered) if not one.exists())

@@ -1,6 +1,7 @@
 """Shows the drive: what is newest in the rings, at the viewer's pace; what it is too slow for is left out."""
 
 import time
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -9,7 +10,7 @@ from matplotlib import colormaps
 
 from offpiste.closed_loop.recording import LIFT
 from offpiste.live.packing import course_from, image_from, layers_from, plan_from, reading_from, unpacked
-from offpiste.live.part import Part
+from offpiste.live.part import Part, free_file
 from offpiste.live.plan_regions import PlanRegions
 from offpiste.live.reports import ground_height
 from offpiste.live.session import PARTS, Session
@@ -161,7 +162,10 @@ def view(session: Session, *, cameras: bool) -> None:
     assert settings.view is not None
     rig, planner = load_rig(settings.rig), settings.load_planner()
     names = tuple(rig.cameras) if cameras else ()
-    viewer = VIEWERS[settings.view.name](settings.view.place, rig.wheel_positions(), names)
+    place = settings.view.place
+    if place:  # where it is a file, a process that is started again must not find it
+        place = str(free_file(Path(place)))
+    viewer = VIEWERS[settings.view.name](place, rig.wheel_positions(), names)
     regions = None
     if planner.spread is not None:
         regions = PlanRegions(planner.dynamics, planner.spread, rig.wheel_positions())

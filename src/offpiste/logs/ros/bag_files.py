@@ -36,6 +36,17 @@ def stamp_of(received: int, message: object, stamps: str) -> float:
     return ((stamps == "header" and _header_stamp(message)) or received) / 10**9  # exact, unlike 1e9
 
 
+def heard_at(received: float, message: object, stamps: str) -> float:
+    """Time of a message that was heard [s], as `stamp_of`; not finite where that is its arrival, which is not.
+
+    Args:
+        received: when it came [s].
+    """
+    if math.isfinite(received):
+        return stamp_of(round(received * 1e9), message, stamps)
+    return stamp_of(0, message, stamps) or -math.inf
+
+
 def _header_stamp(message: Any) -> int:
     """Stamp in a message's header [ns]; 0 where it has none."""
     stamp = getattr(getattr(message, "header", None), "stamp", None)
