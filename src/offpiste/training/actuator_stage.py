@@ -16,7 +16,7 @@ import torch
 
 from offpiste.cache import cache_folder
 from offpiste.checksums import sha256_of_arrays
-from offpiste.compilation import single_threaded_torch, sources_digest, target_machine
+from offpiste.compilation import sources_digest, target_machine
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics import Vehicle
 from offpiste.dynamics.actuator_lags import lagging_of
@@ -90,9 +90,8 @@ def fit_actuators(
         done = take_stage(key, folder)
     group.together(None)
     loss = actuator_loss(actuators, windows.without_terrain(device=device))
-    with single_threaded_torch():
-        stage = Stage(NAME, actuators, loss, config.actuator_epochs)
-        kept = run_stage(stage, fitted, validated, config, folder, record, group)
+    stage = Stage(NAME, actuators, loss, config.actuator_epochs)
+    kept = run_stage(stage, fitted, validated, config, folder, record, group)
     if group.writes and not done:
         store_stage(key, folder)
     return kept

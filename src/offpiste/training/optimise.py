@@ -15,6 +15,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from offpiste.compilation import single_threaded_torch
 from offpiste.dataset.feature_sets import Draw
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.errors import TrainingError, extra
@@ -146,8 +147,9 @@ def run_stage(
         state.keep_if_best(_score(stage, validation, config, group))
     for epoch in range(state.epoch, stage.epochs):
         began = time.perf_counter()
-        loss = _train_epoch(stage, state, train, config, epoch, group)
-        score = _score(stage, validation, config, group)
+        with single_threaded_torch():
+            loss = _train_epoch(stage, state, train, config, epoch, group)
+            score = _score(stage, validation, config, group)
         state.epoch = epoch + 1
         state.keep_if_best(score)
         state.losses.append(score)
