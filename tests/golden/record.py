@@ -273,7 +273,7 @@ def standardised(dynamics: Dynamics, batch: Batch) -> None:
     class Fake(Windows):
         def __init__(self) -> None: ...
 
-        def every(self, stride: int, *rest: object) -> np.ndarray:
+        def every(self, stride: int, *, phase: int = 0) -> np.ndarray:
             return np.arange(WINDOWS)
 
         def __len__(self) -> int:

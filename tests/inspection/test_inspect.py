@@ -306,6 +306,15 @@ def test_what_cannot_be_trained_on_is_not_usable(log: MemoryLog, what: str) -> N
     assert what in [f.what for f in found.findings] or not what
 
 
+def test_no_control_is_not_forgotten_where_the_heading_does_not_follow_the_course() -> None:
+    names = ("throttle", "brake", "steer", "steer_angle")
+    without = [Edit(f"channels.{name}", None) for name in names] + [Edit("absent", [*rig().absent, *names])]
+    log = MemoryLog({"odom": CLEAN.data["odom"]}).change("odom", "qz", np.negative)
+    found = inspect_log(log, edited(rig(), without))
+    assert any(f.what.startswith("the heading does not follow") for f in found.findings)
+    assert "there is no control channel" in [f.what for f in found.findings if f.severity == "fatal"]
+
+
 def test_no_control_at_all() -> None:
     found = inspect_log(MemoryLog({"odom": CLEAN.data["odom"]}))
     assert [f.what for f in found.findings if f.severity == "fatal"] == ["there is no control channel"]

@@ -44,6 +44,22 @@ def test_rows_that_hold_the_last_value_are_left_out_by_the_cure() -> None:
     assert np.nanstd(left - true) < 0.6 * np.nanstd(held - true)
 
 
+@pytest.mark.parametrize("held", [[2], [2, 3]])
+def test_rows_that_hold_a_value_for_two_or_three_are_found(held: list[int]) -> None:
+    """20 or 25 places a second in 50 rows: less than six in ten repeat."""
+    first = np.cumsum(np.resize(held, len(TIME)))
+    log = _posed(TIME, np.minimum(first[np.searchsorted(first, np.arange(len(TIME)), "right")] - 1, len(TIME) - 1))
+    (finding,) = (f for f in inspect_log(log, PLACE_ONLY).findings if f.what == "repeats its last value")
+    assert edited(PLACE_ONLY, finding.cures[0]).channels["position"].repeats == "drop"
+
+
+@pytest.mark.parametrize("resolution", [0.02, 0.1])
+def test_places_that_are_rounded_hold_nothing(resolution: float) -> None:
+    rounded = {name: np.round(ODOM[name] / resolution) * resolution for name in ("x", "y")}
+    log = MemoryLog(CLEAN.data | {"odom": (TIME, ODOM | rounded)})
+    assert not any(f.what == "repeats its last value" for f in inspect_log(log, PLACE_ONLY).findings)
+
+
 def _speed(log: MemoryLog, now: Rig) -> np.ndarray:
     """Forward speed as known at the time, every 20 ms of the log's middle."""
     rows = extract_rows(drive_from_log(log, now))

@@ -89,6 +89,39 @@ class _Received(MemoryLog):
         return time if stamps == "header" else time + 0.3 + 0.3 * np.sin(time) + 1e-4 * np.arange(len(time))
 
 
+def test_samples_that_came_late_ask_for_no_other_clock() -> None:
+    """Arrival is late by up to 0.6 s: it would spoil all stamps for the sake of three."""
+    time, columns = CLEAN.data["steering"]
+    order = np.arange(len(time))
+    for at in (200, 700, 1100):
+        order[at : at + 2] = order[[at + 1, at]]
+    log = _Received({**CLEAN.data, "steering": (time[order], {name: each[order] for name, each in columns.items()})})
+    (finding,) = (f for f in inspect_log(log, rig()).findings if f.what == "stamps go back")
+    assert (finding.severity, finding.cures) == ("note", ())
+    assert finding.evidence.startswith("3 of 1500")
+
+
+def test_a_clock_that_was_set_back_is_not_believed() -> None:
+    class Received(MemoryLog):
+        def stamps(self, topic: str, *, stamps: str = "header") -> np.ndarray:
+            return super().stamps(topic) if stamps == "header" else CLEAN.data[topic][0] + 0.3
+
+    log = Received(CLEAN.restamp("odom", lambda time: time - 5.0 * (time > np.median(time))).data)
+    (finding,) = (f for f in inspect_log(log, rig()).findings if f.where == "odom" and "back" in f.what)
+    assert finding.severity == "warning"
+    assert finding.cures[0] == (Edit("clock.stamps", "receive"),)
+
+
+def test_the_order_of_many_samples_is_that_of_their_stamps() -> None:
+    time, columns = CLEAN.data["steering"]
+    order = np.arange(len(time))
+    order[::50], order[1::50] = order[1::50].copy(), order[::50].copy()
+    log = _Received({**CLEAN.data, "steering": (time[order], {name: each[order] for name, each in columns.items()})})
+    (finding,) = (f for f in inspect_log(log, rig()).findings if f.what == "stamps go back")
+    assert finding.severity == "warning"
+    assert finding.cures[0] == (Edit("clock.sort", True),)
+
+
 @pytest.mark.parametrize("copies", [True, False])
 def test_samples_that_are_recorded_twice_ask_for_no_other_clock(copies: bool) -> None:
     time, columns = CLEAN.data["steering"]

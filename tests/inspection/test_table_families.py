@@ -10,6 +10,7 @@ from test_message_families import ODOM, QUANTITIES, TIME, cured
 from offpiste.inspection.channel_guesses import guess_channels
 from offpiste.inspection.draft_rig import draft_rig
 from offpiste.inspection.inspect import inspect_log
+from offpiste.rig.edits import Edit, edited
 from offpiste.rig.rig import parse_rig
 
 RNG = np.random.default_rng(0)
@@ -75,6 +76,15 @@ FAMILIES: Mapping[str, tuple[dict[str, str], dict[str, tuple[str, ...]]]] = {
            "Accelerator PedalPosition D(%)": "throttle in %", "Steering(deg)": "wheel in deg"},
         {"position": ("Latitude", "Longitude"), "throttle": ("Accelerator PedalPosition D(%)",)},
     ),
+    "north, east, down": (
+        {"pos_n": "y", "pos_e": "x", "pos_d": "down", "heading": "azimuth in rad"} | PEDALS,
+        {"position": ("pos_n", "pos_e", "pos_d"), "yaw": ("heading",)},
+    ),
+    "q0": (
+        {"x": "x", "y": "y", "z": "z", "att.q0": "qw", "att.q1": "qx", "att.q2": "qy", "att.q3": "qz",
+         "Gyro Yaw Velocity [deg/s]": "wz in deg/s", "GPS Speed": "vx", "brk_bar": "brake in bar"} | PEDALS,
+        {"orientation": ("att.q1", "att.q2", "att.q3", "att.q0"), "yaw_rate": ("Gyro Yaw Velocity [deg/s]",)},
+    ),
     "RaceChrono": (
         PLACES
         | {"bearing": "azimuth", "x_rate_of_rotation": "wx in deg/s", "y_rate_of_rotation": "wy in deg/s",
@@ -97,6 +107,45 @@ def test_channels_are_found_in_a_table_of(name: str) -> None:
     rig = parse_rig(draft_rig(log), where="draft")
     assert {channel: rig.channels[channel].fields for channel in expected} == expected
     assert cured(log, rig) == []
+
+
+def test_what_a_receiver_measures_is_no_wheels_speed() -> None:
+    guesses = {guess.channel: guess for guess in guess_channels(table(FAMILIES["q0"][0]))}
+    assert "wheel_speed" not in guesses
+
+
+def test_a_pressure_is_not_read_as_a_percentage() -> None:
+    """A pedal that was never fully pressed: 60 bar are no 60 %."""
+    columns = {
+        "x": "x",
+        "y": "y",
+        "yaw": "azimuth in rad",
+        "gas": "throttle",
+        "brk_bar": "brake in bar",
+        "steer": "steer",
+    }
+    source = parse_rig(draft_rig(table(columns)), where="draft").channels["brake"]
+    assert source.unit != "percent"
+    assert source.scale * 60 * QUANTITIES["brake"].max() == pytest.approx(1, rel=0.01)
+
+
+def test_a_world_of_north_east_down_that_is_read_as_up_is_said_to_be() -> None:
+    columns, _ = FAMILIES["north, east, down"]
+    log = table(columns)
+    rig = parse_rig(draft_rig(log), where="draft")
+    assert rig.motion.axes == "ned"
+    up = edited(rig, [Edit("motion.axes", None)])
+    (finding,) = (f for f in inspect_log(log, up).findings if f.where == "position" and f.severity == "warning")
+    assert finding.what == "its third field is named down, and is read as up"
+    assert edited(up, finding.cures[0]) == rig
+
+
+def test_a_course_over_ground_is_said_to_be_no_heading() -> None:
+    columns = {"x": "x", "y": "y", "cog": "azimuth in rad"} | PEDALS
+    log = table(columns)
+    found = inspect_log(log, parse_rig(draft_rig(log), where="draft")).findings
+    (note,) = (f for f in found if f.what.startswith("is a course over ground"))
+    assert (note.severity, note.where) == ("note", "yaw")
 
 
 def test_places_in_radians_are_said_to_be() -> None:

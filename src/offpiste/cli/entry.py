@@ -55,8 +55,8 @@ LIBRARIES: Final = {
     "OMP_WAIT_POLICY": "PASSIVE",
 }
 """What libraries read of the environment when they are imported: our errors say what is wrong with a picture, a small
-file cannot claim to hold gigabytes, and NumPy's products are too small for threads, which would spin beside ours. Threads
-of torch sleep where they wait: beside another busy process each of their barriers would cost a slice of its time."""
+file cannot claim to hold gigabytes, and NumPy's products are too small for threads, which would spin beside ours.
+Threads of torch sleep where they wait: beside another busy process each barrier would cost a slice of its time."""
 
 
 _NO_ROOM: Final = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}

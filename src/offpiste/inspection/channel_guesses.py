@@ -12,7 +12,7 @@ from offpiste.logs.log import Log, Topic
 from offpiste.rig.labels import Label, channel_unit, field_labels, is_array_entry, parse_label
 
 _ANGLE = r"(angle|ang)"
-_TURN_RATE: Final = re.compile(r"ang(ular)?_?vel(ocity)?[/._]z$")
+_TURN_RATE: Final = re.compile(r"ang(ular)?_?vel(ocity)?[/._]z$|yaw[_ ]?vel(ocity)?$")
 """The z component alone of an angular velocity."""
 _COMMANDED_JOINTS: Final = re.compile(r"cmd|com+and|desired|target|setpoint", re.IGNORECASE)
 """Topics of joint states that are commanded, not measured."""
@@ -53,7 +53,7 @@ _NEVER: Final = {
     "throttle": re.compile(r"steer|servo|brake|brk"),
     "brake": re.compile(r"temp|wear|fluid"),
     "yaw": re.compile(r"brake|brk|press|tire|tyre|oil|boost|fuel|gyro|rate"),
-    "wheel_speed": re.compile(r"engine|motor|turbine|steer|fan|shaft|wind"),
+    "wheel_speed": re.compile(r"engine|motor|turbine|steer|fan|shaft|wind|gps|gnss"),
 }
 """What a channel is not called; a throttle that has a name of its own may be."""
 _BESIDE: Final = re.compile(

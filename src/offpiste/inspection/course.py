@@ -1,5 +1,6 @@
 """Checks of the heading against the course: mirrored, in another unit, turned; or places with swapped axes."""
 
+import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import product
@@ -17,7 +18,7 @@ from offpiste.logs.drive import Drive
 from offpiste.logs.motion import heading
 from offpiste.rig.channels import unit_factor
 from offpiste.rig.edits import Edit, rounded
-from offpiste.rig.labels import named_axis, named_coordinate, named_direction
+from offpiste.rig.labels import named_axis, named_coordinate, named_direction, named_down
 from offpiste.rig.rig import Rig
 
 _TOGETHER: Final = 0.8
@@ -32,6 +33,8 @@ _NEARLY: Final = np.deg2rad(2.0)
 """Conventions differ by quarters of a turn: what is this near to one is one [rad]."""
 _STRAIGHT: Final = 0.3
 """Share of the moving rows, those that turn least, at which a vehicle goes where it heads."""
+_KNOWN_DOWN: Final = ("ned", "world down")
+_GROUND_TRACK: Final = re.compile(r"course|(?<![a-z])(cog|trk|track)(?![a-z])", re.IGNORECASE)
 _ONE_WAY: Final = 0.7
 """Resultant of headings above which a vehicle drives to and fro in one direction."""
 
@@ -57,6 +60,23 @@ def heading_fits(path: Path) -> bool:
     if not moving.any():
         return True
     return _agreement(_course(path) - path.yaw, path.yaw, moving, _straight(path, moving)) > _TOGETHER
+
+
+def check_pose_names(rig: Rig) -> list[Finding]:
+    """What names of the pose's fields say against how the rig reads them."""
+    findings = []
+    down = [field for field in rig.channels["position"].fields[2:] if named_down(field)]
+    if down and rig.motion.axes not in _KNOWN_DOWN:
+        edit, what = Edit("motion.axes", "ned"), "its third field is named down, and is read as up"
+        evidence = f"'{down[0]}'; hills would be valleys"
+        findings.append(Finding("warning", "position", what, evidence, str(edit), 0.9, ((edit,),)))
+    named = rig.channels["yaw"].fields if "yaw" in rig.channels else ()
+    course = [field for field in named if _GROUND_TRACK.search(field)]
+    if course:
+        what = "is a course over ground, by its name, and no heading"
+        evidence = f"'{course[0]}'; how the vehicle slides cannot be seen in it, and at rest it is noise"
+        findings.append(Finding("note", "yaw", what, evidence, "take a heading where one is recorded", 0.3))
+    return findings
 
 
 def check_course(drive: Drive, path: Path) -> list[Finding]:

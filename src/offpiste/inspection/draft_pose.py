@@ -15,7 +15,7 @@ from offpiste.inspection.commanded_motion import COMMANDED
 from offpiste.inspection.course import check_course
 from offpiste.inspection.driven_path import driven_path
 from offpiste.inspection.findings import Cure, Finding
-from offpiste.inspection.pose import check_level
+from offpiste.inspection.pose import check_level, check_orientation
 from offpiste.inspection.signal_faults import degrees_each
 from offpiste.logs.channel import read_channel
 from offpiste.logs.drive import drive_from_log
@@ -166,18 +166,23 @@ def _varies(values: Float[np.ndarray, "n k"] | None) -> bool:
 
 
 def pose_cure(log: Log, rig: Rig) -> Cure:
-    """Edits by which z is up and the heading follows the course, where a first rig's pose is otherwise and some help.
+    """Edits of a first rig by which quaternions begin with x, z is up, and the heading follows the course.
 
     Games and motion capture may have y up, and a compass counts clockwise.
     """
     try:
         source = rig.channels["position"]
         tipped = check_level(read_channel(log, rig, "position", source)[0], source.fields)
-        upright = _first_cure(tipped)
+        upright = (*_first_cure(_stored_orientation(log, rig)), *_first_cure(tipped))
         drive = drive_from_log(log, edited(rig, upright))
         return (*upright, *_first_cure(check_course(drive, driven_path(drive))))
     except OffpisteError:
         return ()
+
+
+def _stored_orientation(log: Log, rig: Rig) -> list[Finding]:
+    source = rig.channels.get("orientation")
+    return [] if source is None else check_orientation(log.read(source.topic, source.fields).values, rig)
 
 
 def _first_cure(findings: Sequence[Finding]) -> Cure:

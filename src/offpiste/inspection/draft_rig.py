@@ -37,7 +37,7 @@ from offpiste.logs.drive import drive_from_log
 from offpiste.logs.log import Log
 from offpiste.rig.channels import ChannelSource, Clock, undeclared
 from offpiste.rig.edits import edited
-from offpiste.rig.labels import is_array_entry
+from offpiste.rig.labels import is_array_entry, named_down
 from offpiste.rig.rig import Rig, parse_rig
 
 _NO_STEERING = (
@@ -173,7 +173,8 @@ def _text(log: Log, seen: _Seen) -> str:
             "",
         ]
     pose = entries["position"].guess
-    if log.topics[pose.topic].type.startswith(DOWN) or any(_NED.search(name) for name in (pose.topic, *pose.fields)):
+    says_so = any(_NED.search(name) for name in (pose.topic, *pose.fields)) or any(map(named_down, pose.fields))
+    if log.topics[pose.topic].type.startswith(DOWN) or says_so:
         parts += ["[motion]  # GUESSED by the pose's name, or the type of its messages", 'axes = "ned"', ""]
     parts += _clock(log) + _unread(log, entries)
     return "\n".join([*parts, draft_sensors(log, entries["position"].guess.topic)])

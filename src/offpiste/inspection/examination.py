@@ -6,7 +6,7 @@ import numpy as np
 
 from offpiste.errors import OffpisteError
 from offpiste.inspection.checks import MOTION_CHECKS, TOPIC_CHECKS, Topics, motion_of
-from offpiste.inspection.course import check_course
+from offpiste.inspection.course import check_course, check_pose_names
 from offpiste.inspection.driven_path import MOVING, Path, driven_path
 from offpiste.inspection.findings import Finding, is_fatal, ranked
 from offpiste.inspection.heading_drift import check_fast_drift
@@ -83,7 +83,7 @@ def _check_driving(log: Log, topics: Topics, rig: Rig) -> tuple[list[Finding], P
     posed = check_pose(drive, path, origin) + tipped
     if (leap := leap_of(path)) is not None:
         path = path.longer_side(leap.time)  # what is beyond is not the vehicle's motion
-    posed += _check_heading(drive, path)
+    posed += _check_heading(drive, path) + check_pose_names(rig)
     findings += posed
     if is_fatal(tilted + posed):
         findings += check_control_channels(drive, path)

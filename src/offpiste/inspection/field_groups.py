@@ -28,7 +28,9 @@ _NOT_GROUPS = re.compile(
     r"acc|magn|gravity|force|effort|imu.*orient|ll[ah](?![a-z])|(?<![a-z])g\("
     r"|(?<![a-z])(mag|err|error|ref|des|desired|target|goal|setpoint|waypoint|cov|covariance|std|stdev|sd|sigma)(?![a-z])"
 )
-_NUMBERED: Final = re.compile(r"^(.+?)(?:\[(\d)\]|[._](\d))$")
+_NUMBERED: Final = re.compile(r"^(.+?)(?:\[(\d)\]|[._](\d)|(?:(?<=q)|(?<=quat))(\d))$")
+_EAST: Final = re.compile(r"(?<![a-z])(e|east)(?![a-z])")
+"""The second of north, east, down."""
 _ACTUATED: Final = re.compile(r"joint|wheel|motor|servo|actuator|output", re.IGNORECASE)
 """What has positions and velocities that are no vehicle's."""
 
@@ -75,8 +77,15 @@ def _vectors(named: Mapping[str, Label]) -> Iterator[Group]:
             fields = (columns[name], *(columns[n] for a in letters if (n := before + a + after) in columns))
             if channel == "position" and len(fields) == 2:
                 fields += tuple(field for field, label in named.items() if _HEIGHT.fullmatch(label.name))[:1]
+            east = named[fields[0]].name
+            if len(fields) == 2 and _EAST.search(east) and (down := plain.get(_EAST.sub(_down_of, east))):
+                fields = (fields[1], fields[0], down)
             if len(fields) in _WIDTHS[channel]:
                 yield channel, fields, named[fields[0]].unit, 0
+
+
+def _down_of(east: re.Match[str]) -> str:
+    return "down" if east[0] == "east" else "d"
 
 
 def _group_of(name: str, before: str, after: str) -> tuple[str, re.Pattern[str], str] | None:
@@ -97,7 +106,7 @@ def _numbered(topic: Topic) -> Iterator[Group]:
     arrays: dict[str, dict[int, str]] = {}
     for field in topic.fields:
         if match := _NUMBERED.match(field):
-            arrays.setdefault(match[1], {})[int(match[2] or match[3])] = field
+            arrays.setdefault(match[1], {})[int(match[2] or match[3] or match[4])] = field
     for name, entries in arrays.items():
         label = parse_label(name)
         group = None if _ACTUATED.search(label.name) else _group_of(label.name, label.name, "")

@@ -33,6 +33,8 @@ def check_controls(
         steering, pedals: of `steering_fits` and `pedal_fits`.
         given: whether the rig was given, not guessed.
     """
+    if not _present(drive):
+        return check_control_channels(drive, path)
     findings: list[Finding] = []
     # Where the heading does not follow the course, turning tells nothing.
     steers = any(fit.has_effect for fit in steering.values()) if heading_fits(path) else True

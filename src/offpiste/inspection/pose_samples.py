@@ -3,6 +3,7 @@
 from typing import Final
 
 import numpy as np
+from jaxtyping import Bool, Float
 
 from offpiste.inspection.driven_path import MOVING, Path
 from offpiste.inspection.findings import Finding
@@ -12,13 +13,18 @@ from offpiste.rig.edits import Edit
 
 _ENOUGH: Final = 3.9
 """Times between samples that `motion.window` must hold: four are fitted (`geometry.local_polynomial`)."""
-_HELD, _FEW = 0.6, 200
-"""Share of samples that repeat the one before from which a channel is held, of this many that move or more."""
+_HELD, _EVENLY_HELD, _FEW = 0.6, 0.25, 200
+"""Share of samples that repeat the one before from which a channel is held, of this many that move or more; and where
+each value is held equally long."""
+_EVEN: Final = 0.9
+"""Share of values that are held as long as most, or one sample more or less."""
+_QUANTA: Final = 3.0
+"""Steps of a held channel are larger than this many of its resolution; smaller ones repeat by rounding."""
 
 
 def check_repeats(drive: Drive, path: Path) -> list[Finding]:
-    """A finding if most places repeat the one before while the vehicle moves: rows hold a slower sensor's value."""
-    old = {name: share for name in (*POSE, "linear_velocity") if (share := _repeats(drive, path, name)) > _HELD}
+    """A finding if places repeat the one before while the vehicle moves: rows hold a slower sensor's value."""
+    old = {name: share for name in (*POSE, "linear_velocity") if (share := _repeats(drive, path, name)) > 0}
     if "position" not in old:
         return []
     place, window = drive.channels["position"], drive.rig.motion.window
@@ -33,13 +39,34 @@ def check_repeats(drive: Drive, path: Path) -> list[Finding]:
 
 
 def _repeats(drive: Drive, path: Path, name: str) -> float:
-    """Share of a channel's samples that are equal to the one before while the vehicle moves."""
+    """Share of a channel's samples that hold the one before while the vehicle moves; 0 where it is none that holds."""
     if name not in drive.channels:
         return 0.0
     channel = drive.channels[name]
     moving = np.interp(channel.time[1:], path.time, np.nan_to_num(path.speed)) > max(MOVING, 0.3 * path.cruise)
-    same = (np.diff(channel.values, axis=0) == 0).all(axis=1)
-    return float(same[moving].mean()) if moving.sum() > _FEW else 0.0
+    steps = np.diff(channel.values, axis=0)
+    same = (steps == 0).all(axis=1)
+    share = float(same[moving].mean()) if moving.sum() > _FEW else 0.0
+    held = share > _HELD or (share > _EVENLY_HELD and _are_held_evenly(steps[moving & ~same], same, moving))
+    return share if held else 0.0
+
+
+def _are_held_evenly(
+    steps: Float[np.ndarray, "m k"], same: Bool[np.ndarray, " n"], moving: Bool[np.ndarray, " n"]
+) -> bool:
+    """Whether values change as often as a slower sensor measures them, by more than rounding.
+
+    Args:
+        steps: from value to value while the vehicle moves.
+        same: of samples that repeat the one before.
+    """
+    changes = np.flatnonzero(~same)
+    lengths = np.diff(changes)[moving[changes[:-1]]]
+    usual = np.median(lengths)
+    sizes = np.abs(steps)
+    quantum = np.array([column[column > 0].min(initial=np.inf) for column in sizes.T])
+    coarse = (np.median(sizes, axis=0) < _QUANTA * quantum).all()
+    return bool(np.mean(np.abs(lengths - usual) <= 1) > _EVEN and (lengths > 1).mean() > 0.5 and not coarse)
 
 
 def check_seldom(drive: Drive) -> list[Finding]:

@@ -205,12 +205,16 @@ def _order(where: str, topic: Recorded, seen: Timing, origin: float, clock: Cloc
         worst = int(np.nanargmin(step))
         share = seen.backward / total
         evidence = f"{seen.backward} of {total}; by {-step[worst]:.3f} s at {topic.time[worst] - origin:.2f} s"
-        what = "stamps go back"
-        if share > _SHUFFLED and not clock.sort:
-            cures, remedy = (*cures, (_SORT,)), remedy if cures else str(_SORT)
-            what = "samples are not in the order of their stamps" if share > _DISORDER else what
+        late = receives and not _clock_was_set_back(topic.time, arrives)
         severity: Severity = "fatal" if share > _DISORDER else "warning"
-        findings.append(Finding(severity, where, what, evidence, remedy, share, cures))
+        what, back = "stamps go back", cures
+        if share > _SHUFFLED and not clock.sort:
+            back = ((_SORT,), *cures) if late else (*cures, (_SORT,))
+            what = "samples are not in the order of their stamps" if share > _DISORDER else what
+        elif late:  # arrival would add its delays to all samples, for a few that came late
+            back, severity = (), "note"
+        how = str(back[0][0]) if back else "nothing: those samples are dropped on reading"
+        findings.append(Finding(severity, where, what, evidence, how, share, back))
     if seen.repeated:
         share = seen.repeated / total
         evidence = f"{seen.repeated} of {total} ({share:.1%})"
@@ -222,6 +226,16 @@ def _order(where: str, topic: Recorded, seen: Timing, origin: float, clock: Cloc
         repeats = ((_RECEIVE,),) if receives else ()
         findings.append(Finding(severity, where, "stamps repeat", evidence, bunches, share, repeats))
     return findings
+
+
+def _clock_was_set_back(time: Float[np.ndarray, " n"], arrives: Float[np.ndarray, " n"]) -> bool:
+    """Whether stamps lag behind arrivals by more once they went back; single samples that came late change nothing."""
+    late, back = arrives - time, np.flatnonzero(np.diff(time) < 0)
+    return any(
+        np.nanmedian(late[at + 1 : at + 21]) - np.nanmedian(late[max(at - 19, 0) : at + 1])
+        > (time[at] - time[at + 1]) / 2
+        for at in back[:100]
+    )
 
 
 def _are_copies(topic: Recorded) -> bool:
@@ -252,27 +266,17 @@ def _intervals(where: str, seen: Timing, origin: float, clock: Clock, *, used: b
     elif seen.gaps and (used or seen.jitter < 0.5):
         at, longest = max(seen.gaps, key=lambda gap: gap[1])
         share = sum(length for _, length in seen.gaps) / (seen.end - seen.start)
-        findings.append(
-            Finding(
-                "warning" if share > _GAPS else "note",
-                where,
-                "has gaps" if len(seen.gaps) > 1 else "has a gap",
-                f"{len(seen.gaps)}, the longest {longest:.2f} s at {at - origin:.2f} s; {share:.1%} of the time",
-                "nothing where the rest is enough: the drive is cut there (clock.max_gap)",
-                share,
-            )
-        )
+        what, how = "has gaps" if len(seen.gaps) > 1 else "has a gap", "the drive is cut there (clock.max_gap)"
+        evidence = f"{len(seen.gaps)}, the longest {longest:.2f} s at {at - origin:.2f} s; {share:.1%} of the time"
+        severity: Severity = "warning" if share > _GAPS else "note"
+        findings.append(Finding(severity, where, what, evidence, f"nothing where the rest is enough: {how}", share))
     if seen.lost > 0.02:
-        findings.append(
-            Finding(
-                "warning" if seen.lost > 0.1 else "note",
-                where,
-                "samples are missing",
-                f"{seen.lost:.1%} at a rate of {seen.rate:.1f} Hz",
-                "record with a larger queue; short holes are interpolated",
-                seen.lost,
-            )
+        severity, evidence = (
+            "warning" if seen.lost > 0.1 else "note",
+            f"{seen.lost:.1%} at a rate of {seen.rate:.1f} Hz",
         )
+        how = "record with a larger queue; short holes are interpolated"
+        findings.append(Finding(severity, where, "samples are missing", evidence, how, seen.lost))
     return findings
 
 

@@ -46,7 +46,9 @@ _OTHERS: Final = (
 
 _UNITS: Final = {spelling: unit for unit, all_of in _SPELLINGS.items() for spelling in all_of.split()}
 _BRACKETED: Final = {**_UNITS, **{unit: unit for unit in _OTHERS.split()}}
-_AFTER: Final = {s: unit for s, unit in _UNITS.items() if unit != "1"} | {"m_s2": "m/s2", "mps2": "m/s2"}
+_AFTER: Final = {s: unit for s, unit in _UNITS.items() if unit != "1"} | {
+    "m_s2": "m/s2", "mps2": "m/s2", "bar": "bar", "psi": "psi", "kpa": "kpa", "mpa": "mpa",
+}  # fmt: skip
 _BRACKET: Final = re.compile(r"^(.*?)[\s_]*(?:\[([^\[\]]*)\]|\(([^()]*)\)|\{([^{}]*)\}|<([^<>]*)>)$")
 _WORDED: Final = re.compile(r"^(.*\S)(?:\s+/\s*|,\s*|\s+in\s+)\(?([^\s()]+)\)?$")
 _SUFFIX: Final = re.compile(
@@ -189,6 +191,7 @@ _AXIS_WORDS: Final = tuple(
     )
 )
 """Words for the letters x, y and z of vectors."""
+_DOWN_NAME: Final = re.compile(r"(?<![a-z])(d|down)$")
 _AXIS_NAME: Final = re.compile(r"(?<![a-z])p?([xyz])(?![a-z])")
 GEOGRAPHIC_NAMES: Final = tuple(
     re.compile(rf"(?<![a-z])({words})$")
@@ -215,6 +218,11 @@ def named_coordinate(field: str) -> str:
     return next(
         (what for what, pattern in zip(("lat", "lon"), GEOGRAPHIC_NAMES, strict=False) if pattern.search(name)), ""
     )
+
+
+def named_down(field: str) -> bool:
+    """Whether a position's field is named by the way down, as the third of north, east, down."""
+    return _DOWN_NAME.search(parse_label(field).name) is not None
 
 
 def named_direction(field: str) -> bool:

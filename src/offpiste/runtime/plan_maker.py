@@ -116,9 +116,7 @@ class PlanMaker:
         settings, state = self._settings, rows.state[-1]
         driven = not follower.stopping and follower.tracker.target > settings.standstill
         behind = self._backing_out.away or follower.tracker.progress <= self._stuck_at
-        stretch = follower.tracker.stretch(
-            at_most=min(settings.speed, settings.slow if slow else np.inf), backed_out=behind
-        )
+        stretch = follower.tracker.stretch(at_most=settings.highest_speed(slow=slow), backed_out=behind)
         if self._backing_out.update(now, state[:3], stretch, driven=driven):
             self._stuck_at, self._found_stuck = follower.tracker.progress, (state[:2].copy(), stretch)
         if self.stuck:

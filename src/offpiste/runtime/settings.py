@@ -30,7 +30,7 @@ class RuntimeSettings:
         replay: how images and scans enter the map, as in the model's dataset.
         timeouts: how old inputs may be before the mode changes.
         backing_out: of a vehicle that does not move although it is driven, for models that know a gear.
-        speed: no plan aims at a higher one [m/s].
+        speed: no plan aims at a higher one [m/s]; None for no limit.
         slow: the same while scans are late [m/s].
         stop: brake of a controlled stop [0..1].
         forget: plans that began to act longer ago than this are not continued [s].
@@ -67,7 +67,7 @@ class RuntimeSettings:
     replay: MapperSettings = field(default_factory=MapperSettings)
     timeouts: Timeouts = field(default_factory=Timeouts)
     backing_out: BackingOutSettings = field(default_factory=BackingOutSettings)
-    speed: float = np.inf
+    speed: float | None = None
     slow: float = 3.0
     stop: float = 0.5
     forget: float = 1.0
@@ -86,6 +86,11 @@ class RuntimeSettings:
             how = f"let 1 / plan_rate be a multiple of {DT} s, of {longest:g} s at most (timeouts.plan)"
             raise PlanningError(f"{self.plan_rate:g} plans a second", how=how)
 
+    def highest_speed(self, *, slow: bool) -> float:
+        """Speed that plans aim at, at most [m/s]."""
+        limit = np.inf if self.speed is None else self.speed
+        return min(limit, self.slow) if slow else limit
+
 
 def keeping_to(settings: RuntimeSettings, limits: CommandLimits) -> RuntimeSettings:
     """Settings whose plans keep to the limits of what is sent, so that what is planned is what will be driven.
@@ -100,9 +105,9 @@ def keeping_to(settings: RuntimeSettings, limits: CommandLimits) -> RuntimeSetti
         high=(min(planned.high[0], limits.throttle), min(planned.high[1], limits.steer)),
         rate=(min(pedal, limits.brake_rate), min(steer, limits.steer_rate)),
     )
-    return replace(
-        settings, sampling=replace(settings.sampling, limits=within), speed=min(settings.speed, limits.speed)
-    )
+    speed = min(settings.highest_speed(slow=False), limits.speed)
+    sampling = replace(settings.sampling, limits=within)
+    return replace(settings, sampling=sampling, speed=speed if np.isfinite(speed) else None)
 
 
 def _is_steps(seconds: float) -> bool:

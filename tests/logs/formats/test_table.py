@@ -180,7 +180,7 @@ def test_tabs_and_quotes(tmp_path: Path) -> None:
         ("t,x\n", "no row below the header; record or export it again"),
         ("t,x\n\n\n", "no row below the header; record or export it again"),
         ("t,x\n0,1\n1,2,3\n", "Row #3: Expected 2 columns, got 3: 1,2,3; fix that line"),
-        ("t,x\n0,1\n1", "Row #3: Expected 2 columns, got 1: 1; fix that line"),
+        ("t,x\n0,1\n1\n2,3\n", "Row #3: Expected 2 columns, got 1: 1; fix that line"),
         ("1,2\n3,4\n", "no header line; write the names of the columns into the first line"),
         ("t,x,x\n1,2,3\n", "column 'x' appears twice; give every column its own name"),
         ("t,yaw °\n0,1\n".encode("latin-1"), "the text is not UTF-8; save it as UTF-8"),
@@ -264,3 +264,46 @@ def test_a_letter_among_measurements_is_no_gear(tmp_path: Path) -> None:
     log = table(tmp_path, f"t,x\n{rows}40,N\n41,0.0\n")
     with pytest.raises(LogError, match="'N' is not a number"):
         log.read("", ["x"])
+
+
+MOTEC = (
+    '"Format","MoTeC CSV File",,,"Workbook","Test"\n"Venue","Quarry",,,"Worksheet",""\n"Vehicle","Buggy"\n'
+    '"Sample Rate","50.000","Hz"\n\n"Time","Throttle Pos","Gear"\n"s","%",""\n'
+    '\n"0.000","12.5","1"\n"0.020","13.0","1"\n'
+)
+
+
+def test_lines_of_a_logger_before_the_header_are_left_out(tmp_path: Path) -> None:
+    log = table(tmp_path, MOTEC)
+    assert log.warnings == ("5 lines before the header are left out",)
+    assert log.topics[""].fields == ("Time", "Throttle Pos", "Gear")
+    assert log.topics[""].units["Throttle Pos"] == "percent"
+    assert column(log, "Throttle Pos") == [12.5, 13.0]
+
+
+def test_a_last_row_that_is_cut_off_is_left_out(tmp_path: Path) -> None:
+    log = table(tmp_path, "t,x,y\n0,1,2\n1,2,3\n2,3")
+    assert log.warnings == ("the last row is cut off after 2 cells, and left out",)
+    assert column(log, "x") == [1, 2]
+    with pytest.raises(LogError, match="Expected 3 columns, got 2"):
+        table(tmp_path, "t,x,y\n0,1,2\n1,2\n2,3,4\n")
+
+
+def test_stamps_as_a_clock_shows_them_are_seconds(tmp_path: Path) -> None:
+    shown = ["115958.0", "115959.0", "120000.0", "120001.0"]
+    rows = "".join(f"{stamp},{row}\n" for row, stamp in enumerate(shown))
+    assert table(tmp_path, "time,x\n" + rows).read("", ["x"]).time.tolist() == [43198, 43199, 43200, 43201]
+
+
+@pytest.mark.parametrize("seconds", [(95, 96, 97, 98), (98, 99, 100, 101), (10, 11, 100, 101), (110, 111, 112, 113)])
+def test_other_stamps_are_not_taken_for_a_clocks_face(tmp_path: Path, seconds: tuple[int, ...]) -> None:
+    rows = "".join(f"{stamp},0\n" for stamp in seconds)
+    assert table(tmp_path, "time,x\n" + rows).read("", ["x"]).time.tolist() == list(seconds)
+
+
+def test_columns_of_structs_are_their_fields(tmp_path: Path) -> None:
+    pose = pa.array([{"p": {"x": 1.0, "y": 2.0}, "name": "a"}, {"p": {"x": 3.0, "y": 4.0}, "name": "b"}])
+    pq.write_table(pa.table({"t": [0.0, 0.1], "pose": pose}), tmp_path / "drive.parquet")
+    log = TableLog(tmp_path / "drive.parquet")
+    assert log.topics[""].fields == ("t", "pose.p.x", "pose.p.y")
+    assert column(log, "pose.p.y") == [2, 4]

@@ -2,7 +2,7 @@
 
 import csv
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pyarrow as pa
@@ -13,6 +13,8 @@ from offpiste.errors import LogError
 from offpiste.rig.labels import gear_letter, unit_of
 
 _TEXT_BOOLEANS = {"true": 1.0, "false": 0.0}
+_MOST_PREAMBLE = 64
+"""Lines before the header, at most."""
 _MOST_GEARS = 16
 """Numbers among letters that are gears; more are measurements, and a letter among them is a mistake."""
 
@@ -50,7 +52,11 @@ def read_csv(path: Path, notes: list[str], units: dict[str, str]) -> pa.Table:
     Raises:
         LogError: it cannot be read, is empty or damaged, or has no header.
     """
-    header, *rows = _first_lines(path)
+    lines = _first_lines(path)
+    above = _lines_above_header(lines)
+    if above:
+        notes.append(f"{above} lines before the header are left out")
+    header, *rows = lines[above:]
     delimiter = max(",;\t|", key=re.sub('"[^"]*"', "", header).count)
     comma = delimiter == ";" and any(re.search(r"(^|;)\s*-?\d+,\d+\s*(;|$)", row) for row in rows)
     if delimiter != ",":
@@ -61,11 +67,14 @@ def read_csv(path: Path, notes: list[str], units: dict[str, str]) -> pa.Table:
     if all(number_of(name) is not None for name in names):
         raise LogError("no header line", where=path, how="write the names of the columns into the first line")
     units |= _row_of_units(names, next(csv.reader(rows[:1], delimiter=delimiter), []))
+    skipped = above + (2 if units else 1)
     try:
         table = pa_csv.read_csv(
             path,
-            read_options=pa_csv.ReadOptions(use_threads=False, column_names=names, skip_rows=2 if units else 1),
-            parse_options=pa_csv.ParseOptions(delimiter=delimiter),
+            read_options=pa_csv.ReadOptions(use_threads=False, column_names=names, skip_rows=skipped),
+            parse_options=pa_csv.ParseOptions(
+                delimiter=delimiter, invalid_row_handler=_last_row_may_be_cut(path, notes)
+            ),
             convert_options=pa_csv.ConvertOptions(
                 column_types=dict.fromkeys(names, pa.string()), strings_can_be_null=True
             ),
@@ -92,23 +101,58 @@ def _row_of_units(names: Sequence[str], cells: Sequence[str]) -> dict[str, str]:
     return {name: unit for name, cell in zip(names, cells, strict=True) if (unit := unit_of(cell))}
 
 
+def _lines_above_header(lines: Sequence[str]) -> int:
+    """How many lines stand before the header, as loggers of cars write them; 0 where none does.
+
+    All cells of a header are different texts, and all rows below it, but for one of units, have a number and as many
+    cells.
+    """
+    delimiter = max(",;\t|", key=lines[-1].count)
+    rows = [[cell.strip() for cell in cells] for cells in csv.reader(lines, delimiter=delimiter)]
+    for above, names in enumerate(rows):
+        below = [cells for cells in rows[above + 1 :] if any(cells)]
+        numbers = [any(number_of(cell) is not None for cell in cells) for cells in below]
+        is_header = len(names) > 1 and all(names) and len(set(names)) == len(names)
+        if not is_header or any(number_of(name) is not None for name in names) or not all(numbers[1:]):
+            continue
+        if any(numbers) and all(len(cells) == len(names) for cells in below[:-1]):  # the last one may be cut
+            return above
+    return 0
+
+
+def _last_row_may_be_cut(path: Path, notes: list[str]) -> Callable[[pa_csv.InvalidRow], str]:
+    """What to do with rows of too few or too many cells: the last one is left out, as loggers are switched off."""
+
+    def handle(row: pa_csv.InvalidRow) -> str:
+        if row.actual_columns > row.expected_columns:
+            return "error"
+        with path.open("rb") as file:
+            file.seek(-min(path.stat().st_size, len(row.text.encode()) + 8), 2)
+            if file.read().strip(b"\r\n").endswith(b"\n" + row.text.strip("\r\n").encode()):
+                notes.append(f"the last row is cut off after {row.actual_columns} cells, and left out")
+                return "skip"
+        return "error"
+
+    return handle
+
+
 def _first_lines(path: Path) -> list[str]:
-    """The header and up to two rows."""
+    """The first lines, of which the last one may be cut."""
     try:
         with path.open("rb") as file:
-            lines = [file.readline(1 << 20) for _ in range(3)]
+            lines = [line for _ in range(_MOST_PREAMBLE + 8) if (line := file.readline(1 << 20))] or [b""]
     except OSError as error:
         raise LogError(f"cannot be opened: {error.strerror}", where=path) from error
     if not lines[0].strip():
         raise LogError("the file is empty, or begins with an empty line", where=path, how="record or export it again")
     try:
         text = [line.decode("utf-8-sig").rstrip("\r\n") for line in lines[:2]]
-        text.append(lines[2].decode("utf-8", "replace").rstrip("\r\n"))
+        text += [line.decode("utf-8", "replace").rstrip("\r\n") for line in lines[2:]]
     except UnicodeDecodeError as error:
         raise LogError("the text is not UTF-8", where=path, how="save it as UTF-8") from error
     if "\0" in text[0]:
         raise LogError("not a text file", where=path, how="save it as UTF-8 text with a header line")
-    if not lines[1]:
+    if len(lines) < 2:
         raise LogError("no row below the header", where=path, how="record or export it again")
     return text
 

@@ -139,7 +139,8 @@ class TableLog(Log):
             dates = _dates(column)
             if dates is not None:
                 return dates
-        return self._numbers(name) / (1.0 if _has_time_unit(column.type) else SECONDS[self._unit_of_stamps(name)])
+        numbers = self._numbers(name) / (1.0 if _has_time_unit(column.type) else SECONDS[self._unit_of_stamps(name)])
+        return _seconds_of_the_day(numbers) if _shows_clock_face(numbers) else numbers
 
     def _numbers(self, name: str) -> Float[np.ndarray, " n"]:
         column = self._table[name]
@@ -172,6 +173,24 @@ class TableLog(Log):
         return values
 
 
+def _shows_clock_face(stamps: Float[np.ndarray, " n"]) -> bool:
+    """Whether stamps are digits of hours, minutes and seconds, HHMMSS.sss: each minute leaves out 60 to 99."""
+    known = stamps[np.isfinite(stamps)]
+    if not len(known) or known.min() < 0 or known.max() >= 240_000:
+        return False
+    if (known % 100).max() >= 60 or (known // 100 % 100).max() >= 60:
+        return False
+    steps = np.diff(known)
+    minutes = np.diff(known // 100) != 0
+    usual = float(np.median(steps)) if len(steps) else 0.0
+    return bool(minutes.any() and usual > 0 and abs(float(np.median(steps[minutes] % 100)) - 40 - usual) < 2 * usual)
+
+
+def _seconds_of_the_day(stamps: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    hours, minutes = stamps // 10_000, stamps // 100 % 100
+    return np.asarray(3600 * hours + 60 * minutes + stamps % 100)
+
+
 def _floats(column: pa.ChunkedArray) -> Float[np.ndarray, " n"]:
     values: np.ndarray = column.cast(pa.float64(), safe=False).to_numpy()
     return values
@@ -197,11 +216,18 @@ def _is_readable(kind: pa.DataType) -> bool:
     return any(is_one(kind) for is_one in kinds)
 
 
+def _is_struct(kind: pa.DataType) -> bool:
+    return bool(pa.types.is_struct(kind))
+
+
 def _read_parquet(path: Path) -> pa.Table:
     try:
         with pq.ParquetFile(path) as file:
-            columns = [field.name for field in file.schema_arrow if _is_readable(field.type)]
-            table = file.read(columns=columns)
+            table = file.read(columns=[f.name for f in file.schema_arrow if _is_readable(f.type) or _is_struct(f.type)])
+            while any(_is_struct(field.type) for field in table.schema):
+                table = table.flatten()  # pose: {x, y} becomes pose.x and pose.y
+            columns = [field.name for field in table.schema if _is_readable(field.type)]
+            table = table.select(columns)
     except (pa.ArrowException, OSError) as error:
         raise LogError(f"not a readable Parquet file: {error}", where=path, how="export it again") from error
     check_columns(path, columns)
