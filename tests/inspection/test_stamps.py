@@ -107,9 +107,9 @@ def test_a_clock_that_was_set_back_is_not_believed() -> None:
             return super().stamps(topic) if stamps == "header" else CLEAN.data[topic][0] + 0.3
 
     log = Received(CLEAN.restamp("odom", lambda time: time - 5.0 * (time > np.median(time))).data)
-    (finding,) = (f for f in inspect_log(log, rig()).findings if f.where == "odom" and "back" in f.what)
-    assert finding.severity == "warning"
-    assert finding.cures[0] == (Edit("clock.stamps", "receive"),)
+    found = inspect_log(log, rig())
+    assert [f.severity for f in found.findings if f.where == "odom" and "back" in f.what] == ["warning"]
+    assert Edit("clock.stamps", "receive") in found.cure
 
 
 def test_the_order_of_many_samples_is_that_of_their_stamps() -> None:
