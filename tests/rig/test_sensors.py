@@ -13,7 +13,7 @@ LIDAR = '[lidars.top]\ntopic = "/points"\n'
 INTRINSICS = "[cameras.front.intrinsics]\nwidth = 8\nheight = 6\nfocal_length = [5.0, 5.0]\ncentre = [3.5, 2.5]\n"
 
 WRONG = {
-    "unknown key": (CAMERA + "exposure = 1\n", r"`exposure`.*cameras"),
+    "unknown key": (CAMERA + "exposure = 1\n", r"cameras\.front: .*`exposure`"),
     "no topic": ("[lidars.top]\n", r"`topic`"),
     "no calibration": ('[cameras.front]\ntopic = "/front"\n', r"cameras\.front has no calibration"),
     "two calibrations": (CAMERA + INTRINSICS, r"cameras\.front has two calibrations"),

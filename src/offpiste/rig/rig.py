@@ -3,7 +3,7 @@
 import tomllib
 from importlib import resources
 from pathlib import Path
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import msgspec
 import numpy as np
@@ -182,10 +182,28 @@ def parse_rig(text: str, *, where: str) -> Rig:
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise RigError(f"not valid TOML: {error}", where=where, how="fix the line that is named") from error
     except msgspec.ValidationError as error:
-        raise RigError(str(error), where=where, how="see docs/rig.md for the keys of a rig") from error
+        what = _with_names(str(error), given)
+        raise RigError(what, where=where, how="see docs/rig.md for the keys of a rig") from error
     except RigError as error:
         raise RigError(error.what, where=where, how=error.how) from None
     return rig
+
+
+def _with_names(what: str, given: dict[str, Any]) -> str:
+    """What is wrong with a rig, with the channel, camera, LiDAR or output that msgspec writes as `[...]`."""
+    if "[...]" not in what:
+        return what
+    kinds = {"channels": ChannelSource, "cameras": CameraSource, "lidars": LidarSource, "outputs": Output}
+    for table, kind in kinds.items():
+        entries = given.get(table)
+        for name, entry in entries.items() if isinstance(entries, dict) else ():
+            try:
+                msgspec.convert(entry, type=kind)
+            except msgspec.ValidationError as error:
+                return (
+                    str(error).replace("`$", f"`{table}.{name}") if "`$" in str(error) else f"{table}.{name}: {error}"
+                )
+    return what
 
 
 def preset_names() -> list[str]:
