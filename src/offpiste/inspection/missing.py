@@ -56,7 +56,8 @@ def _nothing(recorded: dict[str, Recorded], rig: Rig) -> Finding | None:
     if any(get_close_matches(topic, recorded, 1) for topic in topics):
         return None
     how = "give the rig of this log's vehicle, or let `inspect --write-rig` write a first one"
-    return Finding("fatal", "log", "has none of the topics that the rig reads", _listed(list(recorded)), how, 1.0)
+    names = list(recorded) if any(recorded) else [field for r in recorded.values() for field in r.fields]
+    return Finding("fatal", "log", "has none of the topics that the rig reads", _listed(names), how, 1.0)
 
 
 def _listed(there: Sequence[str]) -> str:
