@@ -46,6 +46,12 @@ def test_a_log_of_another_vehicle_is_said_in_one_finding() -> None:
     assert "/0/ODOM" in finding.evidence
 
 
+def test_of_a_table_its_columns_are_named() -> None:
+    (finding,) = inspect_log(MemoryLog({"": CLEAN.data["pedals"]}), rig()).findings
+    assert "none of the topics" in finding.what
+    assert finding.evidence == "there is: throttle, brake"
+
+
 def test_a_log_without_samples_is_said_in_one_finding() -> None:
     log = MemoryLog(
         {topic: (time[:0], {f: v[:0] for f, v in fields.items()}) for topic, (time, fields) in CLEAN.data.items()}
