@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.control_experiments.data import RIG
+from experiments.control_experiments.data import RIG, claim_settings
 from experiments.control_experiments.models import trained_seeds
 from experiments.control_experiments.reproduced import Reproduced
 from experiments.control_experiments.tables import write_control
@@ -43,6 +43,7 @@ def snapshots_control(of: Reproduced, out: Path, *, drives: int, seconds: float,
         seeds: runs of each model.
     """
     folder = out / "snapshots"
+    claim_settings(folder, {"drives": drives, "seconds": seconds})
     logs = {log.stem: log for log in of.logs()}
     parts = {drive.name: PARTS[int(drive.part.max())] for drive in of.dataset.drives}
     training = [name for name, part in parts.items() if part == "train"]
