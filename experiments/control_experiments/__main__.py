@@ -79,7 +79,7 @@ class ControlExperiment:
         """Run the experiment, and show its tables."""
         of = open_reproduction(self.reproduction)
         # Evaluations in the folder are reused: they must belong to the same runs.
-        size = {"size": asdict(of.size)}
+        size = {"size": {key: value for key, value in asdict(of.size).items() if key != "seeds"}}  # they may grow
         claim_folder(self.out, {"reproduction": str(self.reproduction.resolve()), **size}, defaults=size)
         experiments: dict[What, Callable[[], Path]] = {
             "models": lambda: models_control(of, self.out, list(self.models), self.seeds),

@@ -131,6 +131,9 @@ def test_experiments_refuse_a_reproduction_that_was_made_anew_with_another_size(
     shutil.copytree(reproduction, folder)
     ControlExperiment("selection", folder, out).run()
     older = load_json(out / "settings.json")
+    more_seeds = {"size": asdict(replace(TINY, seeds=5)), "dataset": "simulated"}
+    (folder / "settings.json").write_text(json.dumps(more_seeds))
+    ControlExperiment("selection", folder, out).run()
     del older["size"]
     save_json(out / "settings.json", older)
     ControlExperiment("selection", folder, out).run()
