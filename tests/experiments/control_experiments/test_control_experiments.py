@@ -134,9 +134,9 @@ def test_experiments_refuse_a_reproduction_that_was_made_anew_with_another_size(
     more_seeds = {"size": asdict(replace(TINY, seeds=5)), "dataset": "simulated"}
     (folder / "settings.json").write_text(json.dumps(more_seeds))
     ControlExperiment("selection", folder, out).run()
-    del older["size"]
+    size = older.pop("size")
     save_json(out / "settings.json", older)
     ControlExperiment("selection", folder, out).run()
-    save_json(out / "settings.json", older | {"size": asdict(replace(TINY, stride=7))})
+    save_json(out / "settings.json", older | {"size": size | {"stride": 7}})
     with pytest.raises(RunError, match=r"was begun with other settings \(size.stride\)"):
         ControlExperiment("selection", folder, out).run()
