@@ -28,7 +28,7 @@ from offpiste.export.onnx_precision import codes_of, loss_of
 from offpiste.export.parity import parity_case, past_of
 from offpiste.logs.opening import open_log
 from offpiste.logs.sensor_log import open_sensors
-from offpiste.mapping.terrain_sampler import MapStack, MapTerrain, as_codes
+from offpiste.mapping.terrain_sampler import MapStack, MapTerrain, as_codes, last_cells
 from offpiste.perception.camera import make_pinhole_camera
 from offpiste.rig.rig import load_rig
 from offpiste.training.run import Run, pretrained
@@ -52,7 +52,7 @@ def positions(dynamics: Dynamics, codes: Tensor) -> Tensor:
     tiled = codes.repeat(1, 4, 3, 1)
     ny, nx = tiled.shape[1:3]
     origin = torch.tensor([[-nx / 2, -ny / 2]], dtype=torch.float64).expand(len(tiled), 2)
-    ground = MapStack(1.0, origin, torch.zeros(len(tiled), ny, nx, 2), tiled)
+    ground = MapStack(1.0, origin, last_cells([(ny, nx)] * len(tiled)), torch.zeros(len(tiled), ny, nx, 2), tiled)
     drives = len(case.start)
     encode = as_codes(dynamics.encoder.missing())
     numbers = torch.arange(drives) % len(tiled)

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 import torch
 
+from compiled_from import PACKAGE, compiled_from
+from offpiste import compilation
 from offpiste.compilation import (
     KERNELS,
     MAPPING,
@@ -50,6 +52,23 @@ def test_the_name_of_an_entry_depends_on_the_sources(tmp_path):
 def test_sources_exist(compiler, tmp_path):
     empty = Compiler((str(tmp_path / "nothing"),))
     assert compiler._digest != empty._digest
+
+
+COMPILERS = [name for name, value in vars(compilation).items() if isinstance(value, Compiler)]
+
+
+@pytest.mark.parametrize("name", COMPILERS)
+def test_sources_have_every_constant_that_is_compiled_in(name):
+    sources = [PACKAGE / source for source in getattr(compilation, name).sources]
+    files = compiled_from(name)
+    assert files
+    missing = [file for file in files if not any(file == one or one in file.parents for one in sources)]
+    assert not missing, f"add to the sources of compilation.{name}: they can change without a new digest"
+
+
+def test_constants_are_found_where_they_are_defined():
+    files = {file.relative_to(PACKAGE).as_posix() for file in compiled_from("PLANNING")}
+    assert {"dynamics/lstm.py", "channels.py", "conventions.py", "planning/kernel_rollout.py"} <= files
 
 
 def linkages(caller):

@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -79,7 +79,8 @@ class ControlExperiment:
         """Run the experiment, and show its tables."""
         of = open_reproduction(self.reproduction)
         # Evaluations in the folder are reused: they must belong to the same runs.
-        claim_folder(self.out, {"reproduction": str(self.reproduction.resolve())})
+        size = {"size": {key: value for key, value in asdict(of.size).items() if key != "seeds"}}  # they may grow
+        claim_folder(self.out, {"reproduction": str(self.reproduction.resolve()), **size}, defaults=size)
         experiments: dict[What, Callable[[], Path]] = {
             "models": lambda: models_control(of, self.out, list(self.models), self.seeds),
             "snapshots": lambda: snapshots_control(

@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 from matplotlib.figure import Figure
 
-from experiments.control_experiments.data import true_ground
+from experiments.control_experiments.data import claim_settings, true_ground
 from experiments.control_experiments.models import trained_seeds
 from experiments.control_experiments.reproduced import Reproduced
 from experiments.control_experiments.tables import percent, write_control
@@ -85,6 +85,7 @@ def curve_control(of: Reproduced, out: Path, curve: Curve, seeds: int) -> Path:
     Raises:
         DatasetError: there is less driving than the smallest amount.
     """
+    claim_settings(out / "curve", {"seed": curve.seed})
     truth = true_ground(of, out / "oracle")
     windows, true_windows = Windows(of.dataset, "test"), Windows(truth, "test")
     index = evaluation_index(windows, MAP, of.size.stride)

@@ -1,23 +1,27 @@
 """Ablated models beside `b` and `dc`: looking ahead, physics, parameters, history and drawn feature sets.
 
-A finished run is reused, an interrupted one resumed.
+A finished run of the same settings and data is reused, an interrupted one resumed.
 """
 
+import json
 import logging
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
+from experiments.control_experiments.data import ELSEWHERE
 from experiments.control_experiments.reproduced import Reproduced
 from experiments.control_experiments.tables import write_control
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
+from offpiste.errors import RunError
 from offpiste.evaluation.errors import Errors
 from offpiste.evaluation.evaluated_models import Reading
 from offpiste.reproduction.gains import HINDSIGHT, MAP, errors_of, evaluation_index, gain, gain_table
 from offpiste.reproduction.runs import reuse_stages
-from offpiste.training.config import TrainConfig
+from offpiste.training.checkpoint import load_json
+from offpiste.training.config import TrainConfig, other_settings
 from offpiste.training.run import Run, load_run
-from offpiste.training.train import train
+from offpiste.training.train import digest_of, train
 
 logger = logging.getLogger("experiments")
 
@@ -89,10 +93,30 @@ def trained(dataset: Dataset, config: TrainConfig, runs: Path, *, stages: Path |
 
     Args:
         stages: runs of the same dataset whose actuators and bicycle serve here too; else those in `runs`.
+
+    Raises:
+        RunError: the run that is there has other settings, or another dataset.
     """
     folder = runs / f"{config.model}-{config.seed}"
-    if not (folder / "model.json").exists():
+    if (folder / "model.json").exists():
+        _refuse_other(folder, dataset, config)
+    else:
         reuse_stages(stages or runs, folder, config.seed)
         logger.info(f"training {folder.name}")
         train(dataset, config, folder, resume=(folder / "config.json").exists())
     return load_run(folder)
+
+
+def _refuse_other(folder: Path, dataset: Dataset, config: TrainConfig) -> None:
+    """Raise unless a finished run is of these settings and this dataset, wherever that lay then."""
+    path = folder / "config.json"
+    before = load_json(path) if path.exists() else {}
+    wanted = json.loads(json.dumps({"train": asdict(config), "split": dataset.split.text}))
+    if dataset.split.kind == "drives":  # its text is a path; the parts of drives are in the digest
+        del wanted["split"]
+    if other := other_settings(before, {key: value for key, value in wanted.items() if key in before}):
+        raise RunError(f"holds a run of other settings ({other})", where=folder, how=ELSEWHERE)
+    if "dataset_sha256" not in before:
+        logger.warning(f"{folder}: does not say what data it is of, since an older offpiste trained it: it is reused")
+    elif before["dataset_sha256"] != digest_of(dataset):
+        raise RunError("holds a run of another dataset, or of this one before it changed", where=folder, how=ELSEWHERE)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.control_experiments.data import RIG
+from experiments.control_experiments.data import claim_settings
 from experiments.control_experiments.models import trained_seeds
 from experiments.control_experiments.reproduced import Reproduced
 from experiments.control_experiments.tables import write_control
@@ -25,7 +25,6 @@ from offpiste.dataset.store import Dataset, StoredDrive
 from offpiste.dataset.windows import Windows
 from offpiste.errors import RunError
 from offpiste.reproduction.gains import MAP, errors_of, evaluation_index, gain, gain_table
-from offpiste.rig.rig import load_rig
 
 ABOUT = (
     "Trained on windows that have a snapshot of the map at their start: on the snapshot at recorded places, or on the "
@@ -43,6 +42,7 @@ def snapshots_control(of: Reproduced, out: Path, *, drives: int, seconds: float,
         seeds: runs of each model.
     """
     folder = out / "snapshots"
+    claim_settings(folder, {"drives": drives, "seconds": seconds})
     logs = {log.stem: log for log in of.logs()}
     parts = {drive.name: PARTS[int(drive.part.max())] for drive in of.dataset.drives}
     training = [name for name, part in parts.items() if part == "train"]
@@ -53,7 +53,7 @@ def snapshots_control(of: Reproduced, out: Path, *, drives: int, seconds: float,
     kept = SnapshotSettings(seconds, parts=("train", "validation"))
     dataset = make_dataset(
         [logs[name] for name in chosen],
-        load_rig(RIG),
+        of.dataset.rig,
         folder / "dataset.zarr",
         split=of.split_for(folder),
         pca=of.pca,

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from experiments.control_experiments.branches import branches_of, load_branches, record_on, save_branches, twin_worlds
-from experiments.control_experiments.data import driven_dataset, oracle_dataset
+from experiments.control_experiments.data import claim_drives, driven_dataset, oracle_dataset
 from experiments.control_experiments.reproduced import Reproduced
 from experiments.control_experiments.sensitivity import Differences, draw_sensitivity, sensitivity, sensitivity_table
 from experiments.control_experiments.tables import write_control
@@ -21,10 +21,9 @@ from offpiste.dataset.store import Dataset, open_dataset
 from offpiste.dataset.windows import Windows
 from offpiste.errors import RunError
 from offpiste.evaluation.errors import trajectories
-from offpiste.reproduction.data import PlannedDrive
+from offpiste.reproduction.data import PlannedDrive, drive_settings
 from offpiste.reproduction.gains import same_windows
 from offpiste.simulation.simulate import DriveSettings
-from offpiste.simulation.world.world import WorldSettings
 from offpiste.training.run import Run, load_run
 
 logger = logging.getLogger("experiments")
@@ -40,6 +39,7 @@ def twins_control(of: Reproduced, out: Path, *, drives: int, seconds: float, ora
     """
     folder = out / "twins"
     chosen = [PlannedDrive(settings_of(of, name, seconds), "test") for name in _spread_out(of.dataset, drives)]
+    claim_drives(folder, chosen)
     for drive in chosen:
         log, kept = folder / "logs" / f"{drive.name}.mcap", folder / "branches" / f"{drive.name}.safetensors"
         if not (log.exists() and kept.exists()):
@@ -48,14 +48,15 @@ def twins_control(of: Reproduced, out: Path, *, drives: int, seconds: float, ora
             if not kept.exists():
                 save_branches(kept, branches_of(drive.settings, world, ground, _snapshot_rows(of.dataset, drive.name)))
             record_on(drive.settings, world, ground, log)
-    other = driven_dataset(chosen, folder, pca=of.pca, snapshot_seconds=of.size.snapshot_seconds, min_hindsight=0.0)
+    rig, snapshot_seconds = of.dataset.rig, of.size.snapshot_seconds
+    other = driven_dataset(chosen, folder, pca=of.pca, snapshot_seconds=snapshot_seconds, min_hindsight=0.0, rig=rig)
     result: dict[str, Differences] = {}
     for model in ("b", *of.present(("cf", "dc"))):
         runs = of.runs(model)
         result[model] = _mean([_compared(run, of.dataset, other, folder / "branches") for run in runs])
     if oracle is not None and (oracle / "runs" / "df-0" / "model.json").exists():
         logs = [folder / "logs" / f"{drive.name}.mcap" for drive in chosen]
-        truth = oracle_dataset(logs, f"drives:{folder / 'parts.txt'}", folder / "truth.zarr")
+        truth = oracle_dataset(logs, f"drives:{folder / 'parts.txt'}", folder / "truth.zarr", rig)
         run, own = load_run(oracle / "runs" / "df-0"), open_dataset(oracle / "dataset.zarr")
         result["oracle"] = _compared(run, own, truth, folder / "branches", like=result["b"], names=of.dataset)
     measured = [sensitivity(model, differences) for model, differences in result.items()]
@@ -70,10 +71,8 @@ def twins_control(of: Reproduced, out: Path, *, drives: int, seconds: float, ora
 def settings_of(of: Reproduced, name: str, seconds: float) -> DriveSettings:
     """The settings of a reproduction's drive, from its name PRESET-SEED."""
     preset, _, seed = name.rpartition("-")
-    size, recorded = of.size, next(drive for drive in of.dataset.drives if drive.name == name)
-    seconds = min(seconds, DT * len(recorded.rows.time))
-    where = WorldSettings(preset, int(seed), of.contrast, size=size.world_size, resolution=size.world_resolution)
-    return DriveSettings(where, seconds, int(seed), sensors="light")
+    recorded = next(drive for drive in of.dataset.drives if drive.name == name)
+    return drive_settings(of.size, preset, int(seed), min(seconds, DT * len(recorded.rows.time)), of.contrast)
 
 
 def _snapshot_rows(dataset: Dataset, name: str) -> Int[np.ndarray, " n"]:
@@ -163,7 +162,7 @@ def _simulated(
             raise RunError(
                 f"drive '{windows.drive_names[number]}' takes another path now ({np.median(off):.1f} m apart)",
                 where=dataset.path,
-                how="simulate and extract the reproduction again with this version",
+                how=f"delete {folder.parent}, or else simulate and extract the reproduction again with this version",
             )
         place = np.searchsorted(branches.step, row[mine]).clip(max=len(branches.step) - 1)
         exact = branches.step[place] == row[mine]

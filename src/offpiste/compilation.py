@@ -35,7 +35,7 @@ class Compiler:
     """Compiler options of one part of offpiste.
 
     Attributes:
-        sources: folders and files, relative to the package, whose code an entry may call.
+        sources: folders and files, relative to the package, whose code an entry may call, or whose constants it reads.
         fastmath: fast-math flags of LLVM; none assumes finite numbers, since diverged rollouts must be detected.
         loops_make_arrays, entries_make_arrays: whether such functions create or keep arrays. Those that do not are
             compiled without reference counting, and run up to three times as fast; they cannot assign slices, which
@@ -199,8 +199,16 @@ FILTERS: Final = Compiler(_RESPONSES, FUSED, loops_make_arrays=False, entries_ma
 FILTER_SUMS: Final = Compiler(_RESPONSES, loops_make_arrays=False, entries_make_arrays=False)
 """Compilers of the backbone `filterbank`: products fused with the sums that they go into, and not."""
 FEATURE_SETS_KEPT: Final = Compiler(("dataset/feature_sets.py",), loops_make_arrays=False, entries_make_arrays=False)
+_STEP: Final = (
+    "dynamics/kernels",
+    *(f"dynamics/{name}.py" for name in ("actuator_lags", "bicycle", "inputs", "lstm")),
+    "channels.py",
+    "conventions.py",
+    "mapping/terrain_map.py",
+)
+"""What a step is compiled from, modules with its constants included."""
 KERNELS: Final = Compiler(
-    ("dynamics/kernels", "mapping/terrain_map.py"),
+    _STEP,
     FUSED,
     loops_make_arrays=False,
     wide=True,
@@ -208,14 +216,14 @@ KERNELS: Final = Compiler(
     seconds=20,
 )
 PLANNING: Final = Compiler(
-    ("dynamics/kernels", "planning", "mapping/terrain_map.py", "uncertainty/spread.py"),
+    (*_STEP, "planning", "uncertainty/spread.py"),
     FUSED,
     loops_make_arrays=False,
     wide=True,
     part="the planner's kernels",
     seconds=20,
 )
-PHYSICS: Final = Compiler(("simulation",), part="the simulated vehicle", seconds=10)
+PHYSICS: Final = Compiler(("simulation", "conventions.py"), part="the simulated vehicle", seconds=10)
 """Compiler of the simulated vehicle: functions of scalars for Python and for each other, without fast math."""
 RAYS: Final = Compiler(
     ("simulation",),

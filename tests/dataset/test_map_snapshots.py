@@ -128,7 +128,7 @@ def test_lists_of_cells_are_read_as_the_maps_they_are_lists_of():
     rng = np.random.default_rng(0)
     maps, cells = zip(*(holed(rng, shape) for shape in ((30, 50), (60, 20), (5, 7))), strict=True)
     dense, listed = stack_maps(maps), stack_cells(cells, 0.25)
-    assert dense.shape == listed.shape == (60, 50)
+    assert dense.shape == listed.place.shape[1:] == (60, 50)
     number = torch.as_tensor(rng.integers(3, size=4000))
     place = torch.as_tensor(np.stack([m.origin for m in maps])[number] + rng.uniform(-2, 16, (4000, 2)))
     one, other = (sample_maps(stack, number, place, torch.zeros_like(place)) for stack in (dense, listed))

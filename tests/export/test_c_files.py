@@ -12,13 +12,15 @@ import torch
 from dynamics.kernels.test_rollout import CHANNELS, example
 from factories import VEHICLE, unsettled
 from host_kernels import needs_gcc, needs_nvcc
+from offpiste import channels
 from offpiste.cli.entry import main
 from offpiste.dynamics import ConstantMotion, Hybrid
-from offpiste.dynamics.feature_encoder import Compressor, Identity
+from offpiste.dynamics.feature_encoder import Compressor, FeatureEncoder, Identity
 from offpiste.errors import OffpisteError, RunError
 from offpiste.export.c_files import model_header
 from offpiste.export.formats import export_run, refuse_without_kernels
 from offpiste.export.parity import parity_bytes, parity_case
+from offpiste.registry import Registry
 from offpiste.training.run import pretrained
 
 
@@ -114,3 +116,40 @@ def test_what_cannot_be_exported_is_refused(tmp_path):
     with pytest.raises(RunError, match="'ctrv' has no kernels"):
         refuse_without_kernels(run)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["mine.txt"]
+
+
+def test_a_control_that_kernels_do_not_know_is_refused(monkeypatch):
+    monkeypatch.setattr(channels, "MORE_CONTROLS", Registry("control"))
+    channels.register_control(channels.Control("diff_lock", low=0.0, high=1.0))
+    dynamics = Hybrid(replace(VEHICLE, control=(*VEHICLE.control, "diff_lock")))
+    run = replace(pretrained("proving-ground/b"), dynamics=dynamics)
+    with pytest.raises(RunError, match="kernels do not know diff_lock, which 'b' reads; train it on a dataset without"):
+        refuse_without_kernels(run)
+
+
+class Scaled(FeatureEncoder):
+    """An encoder of somebody else."""
+
+    def __init__(self, features):
+        super().__init__()
+        self.size = features
+        self.register_buffer("mean", torch.zeros(features))
+
+    def forward(self, features, valid):
+        """Codes."""
+        return torch.tanh(3 * features)
+
+
+def test_an_encoder_that_the_text_does_not_know_is_refused():
+    dynamics = Hybrid(replace(VEHICLE, features=3), encoder=Scaled(3))
+    run = replace(pretrained("proving-ground/b"), dynamics=dynamics)
+    with pytest.raises(RunError, match="an encoder of type Scaled cannot be printed; export a model whose"):
+        refuse_without_kernels(run)
+    with pytest.raises(ValueError, match="no C code of an encoder of type Scaled"):
+        model_header(dynamics, "Made up.")
+
+
+def test_a_model_that_still_learns_its_actuators_is_not_refused():
+    run = pretrained("proving-ground/b")
+    run.dynamics.requires_grad_(True)
+    refuse_without_kernels(run)

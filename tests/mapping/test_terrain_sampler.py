@@ -1,5 +1,7 @@
 """Maps are read where they are, in the world's frame: uneven planes, borders, holes, several maps."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -86,6 +88,27 @@ def test_maps_of_different_sizes_stand_side_by_side():
     assert not found_at(maps, [[10.0, 1.0]], 0).valid.any()
     with pytest.raises(ValueError, match="one resolution"):
         stack_maps([small, plane(0, 0, resolution=1.0)])
+
+
+def test_a_map_in_a_stack_is_read_as_alone():
+    rng = np.random.default_rng(0)
+    shapes = ((30, 50), (60, 20), (5, 7), (1, 9), (6, 1))
+    maps = []
+    for shape in shapes:
+        terrain = plane(0, 0, shape=shape, origin=tuple(rng.uniform(-5, 5, 2)))
+        rise = np.where(rng.random((*shape, 1)) < 0.9, rng.normal(size=(*shape, 2)), np.nan)
+        maps.append(replace(terrain, rise=rise.astype(np.float32)))
+    for number, terrain in enumerate(maps):
+        cells = np.array(shapes[number])[::-1]
+        places = terrain.origin + 0.5 * rng.uniform(-1.5, cells + 0.5, (500, 2))  # also just outside
+        places[::5, 0] = terrain.origin[0] + 0.5 * (cells[0] - 1)  # on the last column
+        alone, stacked = found_at([terrain], places), found_at(maps, places, number)
+        assert 0 < alone.known.sum() < len(places)
+        for name in ("normal", "known", "features", "valid"):
+            one, other = getattr(alone, name), getattr(stacked, name)
+            if name == "features":  # off the map they are of any cell
+                one, other = one[alone.valid], other[stacked.valid]
+            torch.testing.assert_close(other, one, rtol=0, atol=0, equal_nan=True)
 
 
 def test_a_crop_says_the_same_as_the_whole():

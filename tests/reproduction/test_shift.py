@@ -1,5 +1,6 @@
 """Features from elsewhere: hand-worked rows, and maps read where another window starts."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from offpiste.conventions import FEATURE_SETS
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics import MODELS
+from offpiste.errors import RunError
 from offpiste.reproduction.gains import HINDSIGHT, MAP, errors_of, evaluation_index, same_windows
 from offpiste.reproduction.shift import ShiftedMap, other_ground, shift_gains, shifted
 from offpiste.training.build import vehicle_of
@@ -117,6 +119,16 @@ def test_errors_of_other_windows_are_not_taken_for_these(tmp_path: Path, dataset
     )
     assert (len(first.row), len(other.row)) == (2, 3)
     assert other.loss[1] == first.loss[1]
+
+
+def test_errors_on_windows_that_a_run_was_trained_on_are_refused(tmp_path: Path, dataset: Dataset) -> None:
+    run, windows, index = untrained(dataset, "b", tmp_path / "b-0"), Windows(dataset, "test"), np.array([0, 50])
+    options = {"scale": torch.ones(5), "kept": tmp_path / "kept"}
+    assert len(errors_of(run, windows, index, HINDSIGHT, **options).row) == 2
+    informed = replace(run, seen=((windows.drive_names[windows.drive[0]], 0.0, 60.0),))
+    with pytest.raises(RunError, match=r"b-0: was trained on 60 s of the test part of drive"):
+        errors_of(informed, windows, index, HINDSIGHT, **options)
+    assert len(errors_of(run, Windows(dataset, "validation"), index, HINDSIGHT, **options).row) == 2
 
 
 def test_the_same_windows_are_found_where_more_are_kept(dataset: Dataset) -> None:

@@ -21,7 +21,7 @@ class Reproduce:
     seconds: tuple[float, float, float] | None = None
     """Driving to train, validate and test on [s], instead of the size's."""
     seeds: int | None = None
-    """Runs of `b`, `cf` and `dc`, instead of the size's."""
+    """Runs of each model of the figure, instead of the size's."""
     out: Path = Path("results")
     """Folder for everything; both figures share it."""
     dataset: Path | None = None

@@ -19,7 +19,7 @@ from zarr.codecs import Crc32cCodec, ZstdCodec
 from offpiste.conventions import DT, HORIZON_STEPS, PERCEPTION_LATENCY
 from offpiste.errors import DatasetError
 from offpiste.mapping.terrain_map import TerrainMap
-from offpiste.mapping.terrain_sampler import CellStack
+from offpiste.mapping.terrain_sampler import CellStack, last_cells
 
 CELL_ARRAYS = ("place", "elevation", "rise", "features")
 """Arrays of a `CellList`; on disk those of all snapshots lie one after the other."""
@@ -115,8 +115,7 @@ def stack_cells(cells: Sequence[CellList], resolution: float, *, device: torch.d
     place = np.full((len(cells), ny, nx), -1, np.int32)
     first = np.cumsum([0] + [len(c.place) for c in cells])
     for number, known in enumerate(cells):
-        row, column = np.divmod(known.place, known.shape[1])
-        place[number, row, column] = first[number] + np.arange(len(known.place))
+        place[number, *np.divmod(known.place, known.shape[1])] = first[number] + np.arange(len(known.place))
 
     def listed(parts: Sequence[np.ndarray]) -> Tensor:
         nothing = np.full((1, parts[0].shape[1]), np.nan, parts[0].dtype)
@@ -125,6 +124,7 @@ def stack_cells(cells: Sequence[CellList], resolution: float, *, device: torch.d
     return CellStack(
         resolution,
         torch.as_tensor(np.stack([c.origin for c in cells]), dtype=torch.float64).to(device),
+        last_cells([c.shape for c in cells]).to(device),
         torch.from_numpy(place).to(device),
         listed([c.rise for c in cells]),
         listed([c.features for c in cells]),

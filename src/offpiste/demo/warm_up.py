@@ -70,6 +70,7 @@ def compile_training() -> None:
     maps = CellStack(
         0.2,
         torch.zeros(1, 2, dtype=torch.float64),
+        torch.zeros(1, 2, dtype=torch.int64),
         torch.zeros(1, 1, 1, dtype=torch.int32),
         torch.zeros(1, 2, dtype=torch.float16),
         torch.zeros(1, vehicle.features, dtype=torch.float16),

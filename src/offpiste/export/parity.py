@@ -12,7 +12,7 @@ from offpiste.channels import control_columns
 from offpiste.conventions import ACTUATORS, DT, HISTORY_STEPS, HORIZON_STEPS
 from offpiste.dynamics.base import Dynamics, rollout
 from offpiste.dynamics.vehicle import Vehicle
-from offpiste.mapping.terrain_sampler import HeldCodes, MapStack, MapTerrain
+from offpiste.mapping.terrain_sampler import HeldCodes, MapStack, MapTerrain, last_cells
 from offpiste.state import History, Terrain
 from offpiste.training.checkpoint import sha256_of_tensors
 
@@ -137,7 +137,9 @@ def _ground(dynamics: Dynamics, draw: torch.Generator) -> MapStack:
         features = mean + features * getattr(dynamics.encoder, "scale", torch.ones_like(mean))
     features[(y > 6) & (y < 9)] = torch.nan
     origin = torch.tensor([[-half, -half]], dtype=torch.float64)
-    return MapStack(RESOLUTION, origin, slope[None].contiguous(), features[None].contiguous())
+    return MapStack(
+        RESOLUTION, origin, last_cells([(CELLS, CELLS)]), slope[None].contiguous(), features[None].contiguous()
+    )
 
 
 def _drives(vehicle: Vehicle, drives: int, draw: torch.Generator) -> tuple[Tensor, Tensor]:

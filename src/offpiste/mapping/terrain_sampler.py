@@ -25,12 +25,14 @@ class MapStack:
 
     Attributes:
         origin: x, y of the centre of cell [0, 0] of each [m].
+        last: column and row of the last cell of each; what lies behind is padding, and off the map.
         slope: rise towards +x and towards +y at cell centres; NaN where unknown.
         features: NaN where missing.
     """
 
     resolution: float
     origin: Float[Tensor, "S 2"]
+    last: Int[Tensor, "S 2"]
     slope: Float[Tensor, "S ny nx 2"]
     features: Float[Tensor, "S ny nx F"]
 
@@ -54,6 +56,7 @@ class CellStack:
 
     Attributes:
         origin: x, y of the centre of cell [0, 0] of each [m].
+        last: as of a `MapStack`.
         place: number of each cell in the lists; -1, their last entry, where nothing is known.
         slope: rise towards +x and towards +y at cell centres; NaN where unknown, and in the last entry.
         features: NaN where missing, and in the last entry.
@@ -61,14 +64,10 @@ class CellStack:
 
     resolution: float
     origin: Float[Tensor, "S 2"]
+    last: Int[Tensor, "S 2"]
     place: Int32[Tensor, "S ny nx"]
     slope: Float[Tensor, "C 2"]
     features: Float[Tensor, "C F"]
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Rows and columns of each map, padding included."""
-        return self.place.shape[1], self.place.shape[2]
 
     def slope_at(self, number: Tensor, row: Tensor, column: Tensor) -> Float[Tensor, "*P 2"]:
         """Slopes of cells."""
@@ -116,9 +115,15 @@ def stack_maps(maps: Sequence[TerrainMap], *, device: torch.device | str = "cpu"
     return MapStack(
         maps[0].resolution,
         origin.to(place),
+        last_cells([m.elevation.shape for m in maps]).to(place),
         torch.from_numpy(slope).to(place),
         torch.from_numpy(features).to(place),
     )
+
+
+def last_cells(shapes: Sequence[tuple[int, ...]]) -> Int[Tensor, "S 2"]:
+    """Column and row of the last cell of maps of so many rows and columns."""
+    return torch.tensor([[columns - 1, rows - 1] for rows, columns in shapes])
 
 
 def _rise(terrain: TerrainMap) -> Float[np.ndarray, "ny nx 2"]:
@@ -138,11 +143,11 @@ def sample_maps(
         place: x, y [m].
         offset: of the frame of `place` in the world frame (float64), so that places can be float32 [m].
     """
-    ny, nx = maps.shape
     cell = (place + (offset - maps.origin[number]).to(place.dtype)) / maps.resolution
-    limit = cell.new_tensor([nx - 1, ny - 1])
+    last = maps.last[number]
+    limit = last.to(cell.dtype)
     # A place belongs to the map while it is nearest to one of its cells.
-    inside = on_map(cell[..., 0], cell[..., 1], nx - 1, ny - 1, 0.5)
+    inside = on_map(cell[..., 0], cell[..., 1], limit[..., 0], limit[..., 1], 0.5)
     cell = torch.where(inside[..., None], cell, torch.zeros_like(cell)).clamp(min=0)
     cell = torch.minimum(cell, limit)
 
@@ -153,7 +158,7 @@ def sample_maps(
     corner = torch.minimum(cell.floor(), (limit - 1).clamp(min=0)).long()
     u, v = (cell - corner).unbind(dim=-1)
     x0, y0 = corner.unbind(dim=-1)
-    x1, y1 = (x0 + 1).clamp(max=nx - 1), (y0 + 1).clamp(max=ny - 1)
+    x1, y1 = torch.minimum(corner + 1, last).unbind(dim=-1)
 
     def at(y: Tensor, x: Tensor) -> Tensor:
         return maps.slope_at(number, y, x).to(place.dtype)

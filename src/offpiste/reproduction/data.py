@@ -65,7 +65,7 @@ def planned_drives(size: Size, *, same_logs: bool = False, contrast: float = 1.0
     parts = {"": sum(size.seconds)} if same_logs else dict(zip(PARTS, size.seconds, strict=True))
     shortest = max(size.shortest, SHORTEST_CUT) if same_logs else size.shortest
     return [
-        PlannedDrive(_settings(size, world, next(seeds), seconds, contrast), part)
+        PlannedDrive(drive_settings(size, world, next(seeds), seconds, contrast), part)
         for part, total in parts.items()
         for world, seconds in _shared(total, shortest, max(size.longest, shortest))
     ]
@@ -85,7 +85,13 @@ def _shared(total: float, shortest: float, longest: float) -> Iterator[tuple[str
             yield world, round(mine / number, 2)
 
 
-def _settings(size: Size, world: str, seed: int, seconds: float, contrast: float) -> DriveSettings:
+def drive_settings(size: Size, world: str, seed: int, seconds: float, contrast: float) -> DriveSettings:
+    """Settings of a drive of a reproduction of some size.
+
+    Args:
+        world: preset.
+        contrast: grip contrast of the world.
+    """
     where = WorldSettings(world, seed, contrast, size=size.world_size, resolution=size.world_resolution)
     driver = WITH_MANOEUVRES if size.manoeuvres else DriverSettings()
     return DriveSettings(where, seconds, seed, sensors=size.sensors, driver=driver)

@@ -14,8 +14,9 @@ from offpiste.evaluation.errors import Errors, SeededErrors, by_seed, pool, save
 from offpiste.evaluation.evaluated_models import Reading
 from offpiste.evaluation.intervals import Levels, PairedDifference, Resampling, Sampling, relative
 from offpiste.report.text_table import TextTable, interval, number
-from offpiste.reproduction.runs import evaluation_windows, run_errors
+from offpiste.reproduction.runs import PART, evaluation_windows, run_errors
 from offpiste.training.checkpoint import sha256_of_tensors
+from offpiste.training.fitness import refuse_seen
 from offpiste.training.prediction import MapSource
 from offpiste.training.run import Run
 from offpiste.training.terrain_sources import on_map
@@ -91,7 +92,12 @@ def errors_of(
     Args:
         scale: of the loss, the same for all that is compared.
         map_source: the map that is read, where it is not the windows' own.
+
+    Raises:
+        RunError: the windows test, and the run was trained or chosen on some of them.
     """
+    if windows.part == PART:  # ideas are chosen on windows that validate, as epochs are
+        refuse_seen(run, windows.dataset, PART)
     weights = sha256_of_tensors(run.dynamics.state_dict(), {})[:12]  # a run may be trained again in its folder
     path = kept / run.folder.name / f"{'-'.join((*filter(None, reading), weights))}.safetensors"
 

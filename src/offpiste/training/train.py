@@ -205,7 +205,7 @@ def standardise(dynamics: Dynamics, windows: Windows) -> None:
 def _claim(folder: Path, dataset: Dataset, config: TrainConfig, resume: bool) -> None:
     """Make the run folder, or check that the run in it is this one."""
     described = {"train": asdict(config), "dataset": str(dataset.path.resolve()), "split": dataset.split.text}
-    described, data = json.loads(json.dumps(described)), _digest_of(dataset)
+    described, data = json.loads(json.dumps(described)), digest_of(dataset)
     remove_partials(folder)
     path = folder / "config.json"
     if not path.exists():
@@ -224,7 +224,7 @@ def _claim(folder: Path, dataset: Dataset, config: TrainConfig, resume: bool) ->
         logger.warning(f"{path}: has no digest of the dataset, since an older offpiste wrote it: changes go unnoticed")
 
 
-def _digest_of(dataset: Dataset) -> str:
+def digest_of(dataset: Dataset) -> str:
     """SHA-256 of the checksums of the dataset's settings and drives, which other rows, parts or features change."""
     drives = [dataset.path / drive.name for drive in dataset.drives]
     files = [[file.parent.name, sha256_of(file)] for each in (dataset.path, *drives) for file in each.glob(CHECKSUMS)]

@@ -11,7 +11,7 @@ from offpiste.dynamics import Hybrid, Parametric, Vehicle, rollout
 from offpiste.dynamics.feature_encoder import Compressor, Identity
 from offpiste.dynamics.kernels import map_rollout
 from offpiste.dynamics.kernels.map_rollout import predict_on, rollout_on_maps
-from offpiste.mapping.terrain_sampler import CellStack, HeldCodes, MapTerrain
+from offpiste.mapping.terrain_sampler import CellStack, HeldCodes, MapTerrain, last_cells
 from offpiste.state import ModelState, TerrainSource, Trajectory
 
 FEATURES, MAPS, SIDE = 5, 3, (60, 45)
@@ -22,7 +22,10 @@ CELLS = MAPS * SIDE[0] * SIDE[1]
 
 
 def stack() -> CellStack:
-    """Maps with holes of all kinds: no cell, no slope, features of which one is missing; tiny and negative numbers."""
+    """Maps of several sizes, padded by cells that look known.
+
+    Holes are of all kinds: no cell, no slope, features of which one is missing. Some numbers are tiny or negative.
+    """
     draw = torch.Generator().manual_seed(0)
     place = torch.arange(CELLS, dtype=torch.int32).reshape(MAPS, *SIDE)
     place[torch.rand(place.shape, generator=draw) < 0.1] = -1
@@ -32,7 +35,9 @@ def stack() -> CellStack:
     slope[torch.rand(CELLS + 1, generator=draw) < 0.05, 1] = torch.nan
     features[torch.rand(CELLS + 1, generator=draw) < 0.2, FEATURES - 1] = torch.nan
     slope[-1], features[-1] = torch.nan, torch.nan
-    return CellStack(0.5, torch.rand(MAPS, 2, generator=draw).double(), place, slope.half(), features.half())
+    last = last_cells([SIDE, (SIDE[0] - 20, SIDE[1]), (SIDE[0] - 5, SIDE[1] - 13)])
+    origin = torch.rand(MAPS, 2, generator=draw).double()
+    return CellStack(0.5, origin, last, place, slope.half(), features.half())
 
 
 def model_of(kind: str, vehicle: Vehicle) -> Hybrid | Parametric:

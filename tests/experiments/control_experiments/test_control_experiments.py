@@ -1,12 +1,14 @@
 """Controls from end to end on a made-up reproduction: tables, files, and what is used again."""
 
 import json
+import shutil
 from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
 import torch
 
+from experiments.control_experiments.__main__ import ControlExperiment
 from experiments.control_experiments.models import models_control, trained
 from experiments.control_experiments.reproduced import open_reproduction
 from experiments.control_experiments.selection import selection_control
@@ -15,6 +17,7 @@ from feature_datasets import dataset_with_features
 from offpiste.errors import RunError
 from offpiste.reproduction.settings import Size
 from offpiste.reproduction.shift import OWN_GROUND, SHIFTED
+from offpiste.training.checkpoint import load_json, save_json
 from offpiste.training.config import TrainConfig
 from offpiste.training.run import save_run
 
@@ -101,3 +104,39 @@ def test_what_is_no_reproduction_is_said_in_a_line(tmp_path: Path, reproduction:
     (tmp_path / "settings.json").write_text('{"size": {}}')
     with pytest.raises(RunError, match="lacks or misstates"):
         open_reproduction(tmp_path)
+
+
+def test_a_finished_run_of_other_settings_or_data_is_not_reused(reproduction: Path, tmp_path: Path, caplog) -> None:
+    of = open_reproduction(reproduction)
+    config, runs = of.member("b").config(of.size, 0, "cpu"), tmp_path / "runs"
+    shutil.copytree(reproduction / "runs" / "b-0", runs / "b-0")
+    assert trained(of.dataset, config, runs).folder == runs / "b-0"
+    with pytest.raises(RunError, match=r"b-0: holds a run of other settings \(epochs 1 then, 9 now\); give the same"):
+        trained(of.dataset, replace(config, epochs=9), runs)
+    fewer = replace(of.dataset, drives=of.dataset.drives[1:])
+    with pytest.raises(RunError, match="b-0: holds a run of another dataset, or of this one before it changed"):
+        trained(fewer, config, runs)
+    path = runs / "b-0" / "config.json"
+    before = load_json(path)
+    del before["dataset_sha256"]
+    save_json(path, before)
+    doubt = "does not say what data it is of"
+    assert doubt not in caplog.text
+    trained(fewer, config, runs)
+    assert doubt in caplog.text
+
+
+def test_experiments_refuse_a_reproduction_that_was_made_anew_with_another_size(reproduction: Path, tmp_path) -> None:
+    folder, out = tmp_path / "reproduced", tmp_path / "controls"
+    shutil.copytree(reproduction, folder)
+    ControlExperiment("selection", folder, out).run()
+    older = load_json(out / "settings.json")
+    more_seeds = {"size": asdict(replace(TINY, seeds=5)), "dataset": "simulated"}
+    (folder / "settings.json").write_text(json.dumps(more_seeds))
+    ControlExperiment("selection", folder, out).run()
+    size = older.pop("size")
+    save_json(out / "settings.json", older)
+    ControlExperiment("selection", folder, out).run()
+    save_json(out / "settings.json", older | {"size": size | {"stride": 7}})
+    with pytest.raises(RunError, match=r"was begun with other settings \(size.stride\)"):
+        ControlExperiment("selection", folder, out).run()

@@ -22,7 +22,7 @@ from experiments.control_experiments.reproduced import open_reproduction
 from feature_datasets import dataset_with_features
 from offpiste.conventions import DT
 from offpiste.dataset.store import Dataset
-from offpiste.errors import DatasetError
+from offpiste.errors import DatasetError, RunError
 from offpiste.reproduction.settings import Size
 from offpiste.training.config import TrainConfig
 
@@ -97,6 +97,8 @@ def test_a_curve_from_end_to_end_is_resumed(tmp_path: Path) -> None:
     kept = {path: path.stat().st_mtime_ns for path in out.rglob("*.safetensors")}
     curve_control(of, out, curve, 1)
     assert {path: path.stat().st_mtime_ns for path in out.rglob("*.safetensors")} == kept
+    with pytest.raises(RunError, match=r"was begun with other settings \(seed\)"):
+        curve_control(of, out, replace(curve, seed=1), 1)
 
 
 def test_every_model_is_drawn_with_its_interval() -> None:

@@ -1,13 +1,20 @@
 """Differences between twins: made-up ones with a known answer, and a vehicle that parts from its drive."""
 
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from experiments.control_experiments import twins
 from experiments.control_experiments.branches import branches_of, load_branches, save_branches, twin_worlds
 from experiments.control_experiments.sensitivity import Differences, draw_sensitivity, sensitivity, sensitivity_table
-from experiments.control_experiments.twins import _turned
+from experiments.control_experiments.twins import _turned, settings_of
+from offpiste.conventions import DT
+from offpiste.reproduction.data import planned_drives
+from offpiste.reproduction.settings import SIZES
+from offpiste.rig.rig import load_rig
 from offpiste.simulation.simulate import DriveSettings
 from offpiste.simulation.world.world import WorldSettings
 
@@ -47,6 +54,31 @@ def test_a_model_that_tells_nothing_apart() -> None:
 def test_ahead_and_left_of_a_heading() -> None:
     # Heading north: north is ahead, west is left.
     np.testing.assert_allclose(_turned(np.array([[-1.0, 3.0]]), np.array([np.pi / 2])), [[3.0, 1.0]], atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["laptop", "evening", "full"])
+def test_twins_are_driven_as_the_reproduction_drove(name: str) -> None:
+    size = SIZES[name]
+    drive = next(one for one in planned_drives(size, contrast=0.5) if one.part == "test")
+    recorded = SimpleNamespace(name=drive.name, rows=SimpleNamespace(time=np.zeros(round(drive.settings.seconds / DT))))
+    of = SimpleNamespace(size=size, contrast=0.5, dataset=SimpleNamespace(drives=[recorded]))
+    assert replace(settings_of(of, drive.name, 1e9), seconds=drive.settings.seconds) == drive.settings
+    assert settings_of(of, drive.name, 7.0).seconds == 7.0
+
+
+def test_twins_are_extracted_with_the_rig_of_the_dataset(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rig, given = load_rig("proving_ground_gear"), []
+    dataset = SimpleNamespace(rig=rig, drives=[])
+    of = SimpleNamespace(size=SIZES["evening"], contrast=1.0, dataset=dataset, pca=tmp_path / "pca.safetensors")
+
+    def extracted(*_args, rig, **_options):
+        given.append(rig)
+        raise InterruptedError
+
+    monkeypatch.setattr(twins, "driven_dataset", extracted)
+    with pytest.raises(InterruptedError):
+        twins.twins_control(of, tmp_path, drives=2, seconds=7.0, oracle=None)
+    assert given == [rig]
 
 
 @pytest.fixture(scope="module")

@@ -1,10 +1,14 @@
 """Noise in the place of imperfect sight: its size, and that wheels and maps see the same."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from experiments.control_experiments.data import planned
+from experiments.control_experiments.data import claim_drives, claim_settings, planned
 from experiments.control_experiments.sweep import _named, draw_gains, noisy
+from offpiste.dataset.splits import write_drives
+from offpiste.errors import RunError
 from offpiste.mapping.terrain_map import TerrainMap
 from offpiste.reproduction.gains import MAP, gain
 from window_errors import BASE, errors
@@ -48,3 +52,33 @@ def test_gains_are_drawn_with_their_intervals() -> None:
     assert axes.get_xlabel() == "grip contrast"
     (bars,) = axes.containers
     assert list(bars.lines[0].get_ydata()) == pytest.approx([100 * one.distance.mean] * 2)
+
+
+def test_drives_that_are_there_are_not_reused_with_other_settings(tmp_path: Path, caplog) -> None:
+    mine = planned("mojave", ((10.0, 20.0), (), (30.0,)), seed=7, sensors="none")
+    claim_drives(tmp_path / "new", mine[:2])
+    claim_drives(tmp_path / "new", mine)
+    claim_drives(tmp_path / "new", mine[1:])
+    with pytest.raises(RunError, match=r"new: drive 'mojave-8' was made with other settings \(part, seconds\); give"):
+        claim_drives(tmp_path / "new", planned("mojave", ((10.0,), (30.0,), ()), seed=7, sensors="none"))
+    with pytest.raises(RunError, match=r"'mojave-7' was made with other settings \(world.grip_contrast\)"):
+        claim_drives(tmp_path / "new", planned("mojave", ((10.0,), (), ()), seed=7, sensors="none", contrast=0.5))
+    assert not caplog.messages
+    old = tmp_path / "old"
+    write_drives(old / "parts.txt", ((drive.name, drive.part) for drive in mine))
+    with pytest.raises(RunError, match=r"'mojave-8' was made with other settings \(part\)"):
+        claim_drives(old, planned("mojave", ((10.0,), (30.0,), ()), seed=7, sensors="none"))
+    caplog.clear()
+    claim_drives(old, mine)
+    assert "does not say how its drives were made" in caplog.text
+    caplog.clear()
+    claim_drives(old, mine)
+    assert not caplog.messages
+
+
+def test_settings_of_an_experiment_are_kept_with_it(tmp_path: Path, caplog) -> None:
+    (tmp_path / "control.json").write_text("{}")
+    claim_settings(tmp_path, {"seed": 0})
+    assert "does not say what it was made with" in caplog.text
+    with pytest.raises(RunError, match=r"was begun with other settings \(seed\)"):
+        claim_settings(tmp_path, {"seed": 1})

@@ -58,7 +58,7 @@ class Ground(NamedTuple):
         number: of the map of each window [B].
         resolution: [m].
         wheels: in the body frame [4, 2] [m].
-        place: see `CellStack` [S, ny, nx].
+        last, place: see `CellStack` [S, 2], [S, ny, nx].
         slope: of the cells, float16 as bits [C, 2].
         features: alike [C, F].
         held: codes that stay for the whole rollout [B, 4 E]; of no window where codes are read.
@@ -68,6 +68,7 @@ class Ground(NamedTuple):
     number: np.ndarray
     resolution: Lane
     wheels: np.ndarray
+    last: np.ndarray
     place: np.ndarray
     slope: np.ndarray
     features: np.ndarray
@@ -126,15 +127,10 @@ def rollout_on_maps(
     assert isinstance(maps, CellStack)
     shift = (terrain.offset - maps.origin[terrain.number]).float()
     ground = Ground(
-        shift.numpy(),
-        terrain.number.numpy(),
-        np.float32(maps.resolution),
-        terrain.wheels.contiguous().numpy(),
-        maps.place.numpy(),
-        maps.slope.numpy().view(np.uint16),
-        maps.features.numpy().view(np.uint16),
-        held.contiguous().numpy(),
-    )
+        shift.numpy(), terrain.number.numpy(), np.float32(maps.resolution), terrain.wheels.contiguous().numpy(),
+        maps.last.numpy(), maps.place.numpy(), maps.slope.numpy().view(np.uint16),
+        maps.features.numpy().view(np.uint16), held.contiguous().numpy(),
+    )  # fmt: skip
     (batch, steps), matrices = controls.shape[:2], compensator_weights(dynamics)
     states, actuators = (torch.empty(batch, steps, n, dtype=torch.float32) for n in (len(STATE), len(ACTUATORS)))
     given = (
@@ -176,9 +172,9 @@ SCALE = f4(2.0**112)
 @KERNELS.loop
 def _read_slope(ground: Ground, s: Samples, number: int, x: Lane, y: Lane) -> tuple[Lane, Lane]:
     """Slope between the four cells around a place on the map, in cells; NaN where it is unknown."""
-    _, rows, columns = ground.place.shape
-    x0, y0 = min(int(x), max(columns - 2, 0)), min(int(y), max(rows - 2, 0))
-    x1, y1 = min(x0 + 1, columns - 1), min(y0 + 1, rows - 1)
+    column, row = ground.last[number, 0], ground.last[number, 1]
+    x0, y0 = min(int(x), max(column - 1, 0)), min(int(y), max(row - 1, 0))
+    x1, y1 = min(x0 + 1, column), min(y0 + 1, row)
     for n in range(4):
         cell = ground.place[number, y1 if n >= 2 else y0, x1 if n % 2 else x0]
         cell = cell if cell >= 0 else len(ground.slope) - 1
@@ -207,14 +203,14 @@ def _read_features(ground: Ground, s: Samples, row: int, cell: int) -> None:
 @KERNELS.loop
 def _sample(w: np.ndarray, before: np.ndarray, ground: Ground, s: Samples, block: int, reads: bool) -> None:
     """Mean normals and unknown ones under a block into the workspace, features into the samples, as `sample_maps`."""
-    _, rows, columns = ground.place.shape
     w[NORMAL_ROW * LANES : (NORMAL_ROW + 3) * LANES] = f4(0)
     w[UNKNOWN_ROW * LANES : (UNKNOWN_ROW + 1) * LANES] = f4(0)
-    last_x, last_y, zero, quarter = f4(columns - 1), f4(rows - 1), f4(0), f4(0.25)
+    zero, quarter = f4(0), f4(0.25)
     for i in range(LANES):
         window = min(block * LANES + i, len(ground.number) - 1)
         yaw, number = before[YAW * LANES + i], ground.number[window]
         c, s_ = cos(yaw), sin(yaw)
+        last_x, last_y = f4(ground.last[number, 0]), f4(ground.last[number, 1])
         for k in range(WHEELS):
             px, py = wheel_position(before[i], before[LANES + i], c, s_, ground.wheels[k, 0], ground.wheels[k, 1])
             x = (px + ground.shift[window, 0]) / ground.resolution
@@ -245,8 +241,7 @@ def _encode(w: np.ndarray, s: Samples, a: Activations, layers: Layers, size: int
             for i in range(LANES):
                 valid = s.valid[k * LANES + i]
                 for e in range(channels):
-                    value = s.features[k * LANES + i, e] if valid else layers.mean[e]
-                    w[(CODES + k * size + e) * LANES + i] = value
+                    w[(CODES + k * size + e) * LANES + i] = s.features[k * LANES + i, e] if valid else layers.mean[e]
                 w[(CODES + k * size + channels) * LANES + i] = f4(-1) if valid else f4(1)
         return
     for block in range(-(-WHEELS * LANES // CELLS)):
