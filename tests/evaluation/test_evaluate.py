@@ -342,6 +342,12 @@ def test_a_model_that_diverges_is_reported_as_failed_not_dropped(dataset: Datase
     assert f"({broken.n} failed)" in (tmp_path / "report.html").read_text("utf-8")
 
 
+def test_the_report_counts_each_failed_prediction_once(dataset: Dataset) -> None:
+    runs = [EvaluatedModel("b", Broken(COMMANDED), seed=seed) for seed in (0, 1)]
+    found = evaluate_models(runs, dataset, **QUICK, starts=("causal",), lookups=("map",)).metrics
+    assert report_page(found, {}).facts["failed"].startswith(f"predictions that are not finite: {2 * found.windows.n};")
+
+
 def test_folds_cover_every_window_once_and_all_together(dataset: Dataset) -> None:
     def fold(number: int, share: float, seed: int) -> EvaluatedModel:
         return EvaluatedModel("b", Slipping(share), seed=seed, fold=number, split=parse_split(f"fold:{number}/3"))
