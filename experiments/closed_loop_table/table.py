@@ -122,7 +122,8 @@ def _firm_ways(drives: Drives) -> list[str]:
         for other in (o for o in drives if o != row and _compared(row, o)):
             mine, its = _paired_runs(runs, drives[other])
             if mine and (found := paired(_firm(mine), _firm(its))) is not None:
-                mean, low, high = (100 * value for value in (found.mean, found.low, found.high))
+                # Of few courses Student's interval can reach beyond what a difference of shares can be.
+                mean, low, high = 100 * np.clip((found.mean, found.low, found.high), -1.0, 1.0)
                 against.append(f"− {other}: {mean:+.0f} [{low:+.0f}, {high:+.0f}]")
         counted = f"{int(np.nansum(taken))} of {known.sum()}"
         lines.append(_line([row, counted, share, "; ".join(against) or "–"]))
