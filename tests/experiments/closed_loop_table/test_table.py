@@ -48,10 +48,20 @@ def result(row, seed, time, finished=True, run_seed=0, kind="bends", firm=None):
         "energy_kj": 100.0 + 10 * seed,
         "interventions": 1,
         "firm_way": firm,
+        "commit": "0123abc",
         "course": {"kind": kind},
         **dict.fromkeys(COUNTED, False),
         "finished": finished,
     }
+
+
+def test_rows_of_other_code_are_named():
+    rows = [result(row, seed, 10.0) for row in ("b-100ms", "dc-100ms") for seed in range(3)]
+    assert "commit" not in table(rows, limit=40.0)
+    mixed = [one | {"commit": "456def0"} if one["row"] == "dc-100ms" and one["seed"] else one for one in rows]
+    said = table(mixed, limit=40.0).splitlines()[0]
+    assert said.startswith("**Drives of several commits**")
+    assert said.endswith("b-100ms: 0123abc; dc-100ms: 0123abc, 456def0.")
 
 
 def test_what_backed_out_and_finished_is_counted():
