@@ -95,8 +95,18 @@ def table(results: Sequence[dict[str, Any]], limit: float) -> str:
     kinds = list(dict.fromkeys(r["course"]["kind"] for r in results))
     parts = [("All courses", list(results))] if len(kinds) > 1 else []
     parts += [(kind.capitalize(), [r for r in results if r["course"]["kind"] == kind]) for kind in kinds]
-    lines = [line for title, of_kind in parts for line in (f"## {title}", "", *_part(of_kind, limit), "")]
+    lines = _commits(results)
+    lines += [line for title, of_kind in parts for line in (f"## {title}", "", *_part(of_kind, limit), "")]
     return "\n".join(lines[:-1]) + "\n"
+
+
+def _commits(results: Sequence[dict[str, Any]]) -> list[str]:
+    """A warning where drives that are compared are of different code."""
+    if len({r["commit"] for r in results}) < 2:
+        return []
+    by = {r["row"]: sorted({o["commit"] or "unknown" for o in results if o["row"] == r["row"]}) for r in results}
+    rows = "; ".join(f"{row}: {', '.join(commits)}" for row, commits in by.items())
+    return [f"**Drives of several commits**, so that differences are of the code as well: {rows}.", ""]
 
 
 def _part(results: Sequence[dict[str, Any]], limit: float) -> list[str]:
@@ -122,7 +132,8 @@ def _firm_ways(drives: Drives) -> list[str]:
         for other in (o for o in drives if o != row and _compared(row, o)):
             mine, its = _paired_runs(runs, drives[other])
             if mine and (found := paired(_firm(mine), _firm(its))) is not None:
-                mean, low, high = (100 * value for value in (found.mean, found.low, found.high))
+                # Of few courses Student's interval can reach beyond what a difference of shares can be.
+                mean, low, high = 100 * np.clip((found.mean, found.low, found.high), -1.0, 1.0)
                 against.append(f"− {other}: {mean:+.0f} [{low:+.0f}, {high:+.0f}]")
         counted = f"{int(np.nansum(taken))} of {known.sum()}"
         lines.append(_line([row, counted, share, "; ".join(against) or "–"]))

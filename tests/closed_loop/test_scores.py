@@ -133,6 +133,20 @@ def test_the_summary_counts_until_the_course_is_driven():
     assert not any(found[name] for name in ("rollover", "stuck", "left_world"))
 
 
+@pytest.mark.parametrize(("row", "counts"), [(7, True), (8, False)])
+def test_what_happens_behind_the_finish_does_not_count(row, counts):
+    driving = hand_made()
+    happens = [
+        replace(one, events=("rollover", "collision with a tree", "left the world") if number == row else ())
+        for number, one in enumerate(driving.samples)
+    ]
+    found = summary(Driving(happens, driving.controls), trace_of(driving, COURSE), 10.0, 2.0, WEIGHTS, VEHICLE)
+    assert found["finished"]
+    assert {found[name] for name in ("rollover", "collision", "damage", "left_world")} == {counts}
+    assert found["interventions"] == 3 * counts
+    assert len(found["vehicle_events"]) == 3, "they are named all the same"
+
+
 def test_a_drive_that_does_not_finish_counts_as_standstill_in_its_cost_alone():
     driving = hand_made(rows=3)
     found = summary(driving, trace_of(driving, COURSE), 10.0, 2.0, WEIGHTS, VEHICLE)

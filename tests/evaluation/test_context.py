@@ -114,3 +114,20 @@ def test_runs_without_noise_are_refused_in_a_line(dataset: Dataset, tmp_path: Pa
     )
     with pytest.raises(RunError, match="noise is impossible"):
         load_run(tmp_path / "bad")
+
+
+def test_two_runs_of_one_seed_are_evaluated_side_by_side(dataset: Dataset, tmp_path: Path) -> None:
+    runs = [tmp_path / name for name in ("parametric", "parametric-longer")]
+    for epochs, run in enumerate(runs, start=1):
+        train(dataset, TrainConfig(model="parametric", bicycle_epochs=epochs, batch=64, stride=40), run)
+    evaluation = evaluate_runs(runs, dataset.path, tmp_path / "report", starts=("causal",), context=True)
+    labels = {row.label for row in evaluation.metrics.results if row.model == "parametric"}
+    longer = "parametric-longer"
+    assert labels == {
+        "parametric",
+        "parametric (context)",
+        f"parametric ({longer})",
+        f"parametric ({longer}, context)",
+    }
+    with pytest.raises(RunError, match=r"same seed and fold.*give each run once"):
+        evaluate_runs([runs[0], runs[0]], dataset.path, tmp_path / "report", starts=("causal",))

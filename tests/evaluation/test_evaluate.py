@@ -16,6 +16,7 @@ from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import Dataset, add_drive, create, open_dataset
 from offpiste.dynamics import ConstantMotion, Kinematic, Parametric
 from offpiste.errors import RunError
+from offpiste.evaluation.errors import Errors
 from offpiste.evaluation.evaluate import Evaluation, evaluate_models
 from offpiste.evaluation.evaluated_models import EvaluatedModel
 from offpiste.evaluation.intervals import Levels, Sampling
@@ -208,6 +209,23 @@ def test_typical_windows_lie_at_the_quartiles_and_show_where_the_drive_went(eval
     assert len(typical_windows(failed, (0.5,), each=2)[0].row) == 0
 
 
+def test_on_a_short_part_no_window_stands_for_what_it_is_not() -> None:
+    """Twelve seconds: three windows that do not overlap at most, and errors that grow along them."""
+    distance = np.linspace(0.5, 6.5, 61)
+    values = np.repeat(distance[:, None, None], 5, axis=1).repeat(5, axis=2)
+    errors = Errors(np.zeros(61, np.int64), np.arange(61) * 10 + 20, values, distance)
+    chosen, shares = typical_windows(errors, (0.25, 0.5, 0.75), each=2)
+    ranks = (chosen.distance() - 0.5) / 6
+    np.testing.assert_allclose(ranks, shares, atol=0.11)
+    assert 0.5 in shares
+    some = np.where(np.arange(61) % 2, np.inf, distance)
+    some = replace(errors, values=np.broadcast_to(some[:, None, None], values.shape))
+    assert np.isfinite(typical_windows(some, (0.25, 0.45), each=2)[0].distance()).all()
+    worst = worst_windows(errors, count=10).distance()
+    assert worst.max() == 6.5
+    assert worst.min() >= np.quantile(distance, 0.75)
+
+
 class Page(HTMLParser):
     """Tags and text of a page."""
 
@@ -340,6 +358,12 @@ def test_a_model_that_diverges_is_reported_as_failed_not_dropped(dataset: Datase
     again = row(read_metrics(tmp_path / "metrics.json").results, "b", "causal", "map")
     assert np.isnan(again.distance_error_m.mean)
     assert f"({broken.n} failed)" in (tmp_path / "report.html").read_text("utf-8")
+
+
+def test_the_report_counts_each_failed_prediction_once(dataset: Dataset) -> None:
+    runs = [EvaluatedModel("b", Broken(COMMANDED), seed=seed) for seed in (0, 1)]
+    found = evaluate_models(runs, dataset, **QUICK, starts=("causal",), lookups=("map",)).metrics
+    assert report_page(found, {}).facts["failed"].startswith(f"predictions that are not finite: {2 * found.windows.n};")
 
 
 def test_folds_cover_every_window_once_and_all_together(dataset: Dataset) -> None:

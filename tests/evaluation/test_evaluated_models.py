@@ -2,16 +2,18 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import torch
 
+from factories import COMMANDED
 from feature_datasets import dataset_with_features, with_snapshots
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import Dataset
 from offpiste.dynamics import MODELS
 from offpiste.evaluation.evaluate import evaluate_models
-from offpiste.evaluation.evaluated_models import EvaluatedModel, by_split, readings_of
+from offpiste.evaluation.evaluated_models import EvaluatedModel, by_split, named_apart, readings_of
 from offpiste.training.build import vehicle_of
 
 FOLDS = [parse_split(f"fold:{number}/3") for number in range(3)]
@@ -50,3 +52,32 @@ def test_folds_of_a_dataset_with_snapshots_are_evaluated_at_recorded_places(
     assert found.windows.usual_step(0) == 50, "none is evaluated on its few windows with a snapshot instead"
     datasets = [each for each, _ in by_split(models(dataset, folds=True), dataset)]
     assert readings_of(datasets, "test", ("map",), ("10",)) == [("recorded", "10")]
+
+
+@pytest.mark.parametrize(
+    ("runs", "labels"),
+    [
+        ({"runs/b": 0, "runs/b-longer": 0}, ["b", "b (b-longer)"]),
+        ({"runs/b-0": 0, "runs/b-1": 1}, ["b", "b"]),
+        ({"any": 0, "other": 1}, ["b", "b"]),
+        ({"b-0": 0, "b-1": 1, "long-0": 0, "long-1": 1}, ["b", "b", "b (long)", "b (long)"]),
+        ({"s/b": 0, "t/b": 0}, ["b (s/b)", "b (t/b)"]),
+        ({"b": 0, "b-0": 0}, ["b", "b (b-0)"]),
+    ],
+)
+def test_runs_of_one_seed_are_named_by_their_folders(runs: dict[str, int], labels: list[str]) -> None:
+    dynamics = MODELS["b"](COMMANDED, seed=0)
+    models = [EvaluatedModel("b", dynamics, seed=seed) for seed in runs.values()]
+    beside = EvaluatedModel("parametric", dynamics, seed=0)
+    found = named_apart([*models, beside], [*map(Path, runs), Path("b")])
+    assert [model.label for model in found] == [*labels, "parametric"]
+    assert [model.seed for model in found] == [*runs.values(), 0]
+
+
+def test_a_run_that_is_given_twice_stays_one_and_folds_stay_together() -> None:
+    dynamics = MODELS["b"](COMMANDED, seed=0)
+    twice = [EvaluatedModel("b", dynamics, seed=0)] * 2
+    assert [model.label for model in named_apart(twice, [Path("b")] * 2)] == ["b", "b"], "refused later"
+    folds = [EvaluatedModel("b", dynamics, seed=0, fold=n, split=split) for n, split in enumerate(FOLDS)]
+    labels = [model.label for model in named_apart([*folds, *folds], [Path("cv")] * 3 + [Path("cv2")] * 3)]
+    assert labels == 3 * ["b (cv)"] + 3 * ["b (cv2)"]

@@ -2,6 +2,7 @@ import time
 
 import numpy as np
 import pytest
+from scipy.special import ndtr, stdtrit
 
 from offpiste.conventions import HISTORY_STEPS, HORIZON_STEPS
 from offpiste.evaluation.errors import Errors
@@ -65,6 +66,26 @@ def test_intervals_hold_the_truth_about_95_times_in_100(groups: int) -> None:
         naive += abs(values.mean() - 5.0) <= half
     assert 0.90 <= blocked / 300 <= 0.985
     assert naive / 300 < 0.5
+
+
+@pytest.mark.parametrize(("drives", "per_drive"), [(1, 3), (1, 4), (1, 5), (2, 2), (3, 10), (5, 10)])
+def test_intervals_of_few_units_hold_the_truth_as_often(drives: int, per_drive: int) -> None:
+    """Percentiles end at the farthest unit: those of three blocks held the truth 75 times in 100."""
+    rng, sample = np.random.default_rng(7), nested(drives, per_drive, 1)
+    held = 0
+    for _ in range(500):
+        world = np.repeat(rng.normal(5.0, float(drives > 2), drives), per_drive)
+        low, high = summary(rng.normal(world, 0.2 if drives > 2 else 1.0), sample).ci95
+        held += low <= 5.0 <= high
+    assert 0.92 <= held / 500 <= 0.98
+
+
+@pytest.mark.parametrize("groups", [6, 20, 60])
+def test_intervals_of_more_units_are_expanded_percentiles_to_the_bit(groups: int) -> None:
+    sample, values = drawn(np.arange(groups)), np.random.default_rng(8).gamma(4.0, 0.5, groups)
+    tail = ndtr(-np.sqrt(groups / (groups - 1)) * stdtrit(groups - 1, 0.975))
+    low, high = np.quantile(sample.means(values), [tail, 1 - tail])
+    assert summary(values, sample).ci95 == (low, high)
 
 
 def test_blocks_of_unequal_size_count_by_their_windows() -> None:

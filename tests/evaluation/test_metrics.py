@@ -18,6 +18,7 @@ from offpiste.evaluation.metrics import (
     pooled_rows,
     read_metrics,
     run_rows,
+    single_rows,
     write_metrics,
 )
 
@@ -164,6 +165,7 @@ def test_rows_over_all_runs_are_told_from_single_runs() -> None:
     rows = [over_all, first, second, alone, baseline]
     assert pooled_rows(rows) == [over_all, alone, baseline]
     assert run_rows(rows) == [first, second]
+    assert single_rows(rows) == [first, second, alone, baseline]
 
 
 def test_rows_can_be_read_by_others() -> None:

@@ -74,6 +74,7 @@ def test_only_seen_windows_count_where_they_are_given():
         (-0.05, (-0.06, -0.04), "no"),
         (-0.12, (np.nan, np.nan), "yes, not certain"),
         (np.nan, (np.nan, np.nan), "–"),
+        (0.0, (0.0, 0.0), "no"),
     ],
 )
 def test_verdicts_follow_mean_and_interval(mean, interval, expected):
@@ -108,6 +109,47 @@ def test_claims_and_tables_of_figure_4():
     assert line["df"] == ["2.500"] * 8
     assert line["b"] == ["2.000"] * 8
     assert len(error_table(results.rows()).lines) == 5 * 8
+
+
+def noisy(seed: int, mean: float) -> Errors:
+    """Means of 2 m and more, far noisier than models differ."""
+    return errors(mean + 0.5 * np.random.default_rng(seed).standard_normal(N))
+
+
+def test_noise_makes_no_claim_certain():
+    sets = ("hindsight", "-20", "-10", "0", "10", "20", "30", "40")
+    given = {label: [noisy(seed, 2.0)] for seed, label in enumerate(("b", "cf", "df", "dc"))}
+    results = figure_results("fig4", given, [("recorded", name) for name in sets])
+    for claim, *_, said in fig4_claims(results).lines:
+        assert said.endswith(", not certain"), claim
+    three = figure_results("fig3", given, [("recorded", "hindsight")])
+    for claim, *_, said in fig3_claims(three, STORED).lines:
+        if "robust" in claim or "slightly below" in claim:
+            assert said.endswith(", not certain"), claim
+
+
+def test_a_claim_of_several_numbers_is_as_certain_as_the_one_that_decides():
+    sets = ("hindsight", "-20", "-10", "0", "10", "20", "30", "40")
+    results = figure_results("fig4", {"b": [noisy(0, 2.0)], "cf": [noisy(1, 2.0)]}, [("recorded", s) for s in sets])
+    runs = dict(results.runs)
+    for model, reading in results.runs:
+        if model.label == "df" and reading[1] == "40":
+            runs[model, reading] = [RunErrors(0, None, noisy(2, 4.0))]
+    same = {claim: said for claim, *_, said in fig4_claims(FigureResults(runs, Sampling())).lines}
+    assert same["df falls behind b far away"] == "yes"
+    assert same["df is more sensitive than cf"] == "yes"
+    assert same["cf falls behind b far away"].endswith("not certain")
+
+
+def test_models_are_apart_by_the_mean_over_lookups_of_their_difference_relative_to_b():
+    given = {"b": [errors(2.0)], "cf": [errors(1.9)], "df": [errors(2.5)]}
+    results = figure_results("fig4", given, [("recorded", "20"), ("recorded", "30")])
+    df, cf = (next(m for m in results.models if m.label == label) for label in ("df", "cf"))
+    found = results.apart(df, cf, results.readings)
+    assert found.mean == pytest.approx(0.3)
+    assert found.ci95 == pytest.approx((0.3, 0.3))
+    failed = figure_results("fig4", given | {"df": [errors(np.inf)]}, [("recorded", "20")])
+    assert np.isnan(failed.apart(df, cf, failed.readings).mean)
 
 
 def test_rows_over_all_seeds_stand_for_models_with_several():

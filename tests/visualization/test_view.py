@@ -18,7 +18,7 @@ from offpiste.dataset.splits import parse_split
 from offpiste.dataset.wheel_passes import find_passes
 from offpiste.mapping.terrain_map import wheel_positions
 from offpiste.visualization.coverage_tables import measure_coverage, passes_of
-from offpiste.visualization.view import DRIVES_A_PAGE, pages
+from offpiste.visualization.view import DRIVES_A_PAGE, draw_paths, pages
 
 SPLIT = parse_split("blocks:0.5,0.25,0.25")
 SETS = len(FEATURE_SETS)
@@ -51,6 +51,22 @@ def written(folder: Path, rows: list[Rows], features: tuple[str, ...] = ("pca_0"
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     rows = [with_features(circle_rows(1500, seed=seed)) for seed in (0, 1)]
     return written(tmp_path_factory.mktemp("dataset"), rows)
+
+
+def test_a_few_wrong_speeds_do_not_stretch_the_colours(tmp_path: Path) -> None:
+    rows = circle_rows(1500, speed=5.0)
+    state, valid = rows.state.copy(), rows.valid.copy()
+    state[700:705, 3] = 20.0  # beside a gap
+    state[900:950, 3], valid[900:950] = 30.0, False  # in one
+    (drive,) = store.open_dataset(written(tmp_path, [replace(rows, state=state, valid=valid)], ())).drives
+    _, right, bar = draw_paths([drive]).axes
+    assert right.collections[0].get_clim() == pytest.approx((5.0, 5.0), abs=0.5)
+    assert "speed" in bar.get_ylabel()
+    state[:] = np.nan
+    (drive,) = store.open_dataset(
+        written(tmp_path / "b", [replace(rows, state=state, valid=np.zeros_like(valid))], ())
+    ).drives
+    assert len(draw_paths([drive]).axes) == 3
 
 
 def test_the_numbers_are_those_of_the_features(dataset: Path) -> None:

@@ -24,7 +24,8 @@ class Evaluate:
     """
 
     runs: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="RUN...")]
-    """Run folders, or `pretrained:NAME`; a folder of folds counts as its folds. The report is about the first."""
+    """Run folders, or `pretrained:NAME`; a folder of folds counts as its folds. The report is about the first. Runs of
+    one model are its seeds; where these repeat, the folders' names tell them apart: b and "b (b-longer)"."""
     dataset: Path
     """The dataset that they were trained on, or another one."""
     out: Path = Path("report")

@@ -42,7 +42,7 @@ def course_picture(
     shown = np.concatenate((*(way[course.before_end] for way in course.ways), trace.place))
     (left, bottom), (right, top) = shown.min(axis=0) - MARGIN, shown.max(axis=0) + MARGIN
     wide = 6.6 * (right - left) / (top - bottom)
-    figure = Figure(figsize=(min(max(wide, 3.5), 13.0) + 2.0, 8), dpi=130, layout="constrained")
+    figure = Figure(figsize=(min(max(wide, 3.5), 13.0) + 2.5, 8), dpi=130, layout="constrained")
     axes = figure.subplots()
     draw_top_view(world, axes)
     outlined = [Stroke(linewidth=3.0, foreground="#00000090"), Normal()]

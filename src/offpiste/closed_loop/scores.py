@@ -87,7 +87,7 @@ def summary(
     weights: CostWeights,
     parameters: VehicleParameters,
 ) -> dict[str, Any]:
-    """Scores, with units in their names; means are over the time until the course was driven, or the drive ended.
+    """Scores, with units in their names; all but `vehicle_events` and the final speed are until the course was driven.
 
     Args:
         length: length of the course [m].
@@ -96,15 +96,13 @@ def summary(
         parameters: of the vehicle.
     """
     events = [(round(s.time, 2), event) for s in driving.samples for event in s.events]
-    happened = {event for _, event in events}
     there = np.flatnonzero(trace.progress >= length - FINISH)
     finished = bool(len(there))
     rows = slice(0, int(there[0]) + 1 if finished else len(trace.off))
     commanded = driving.controls[rows]
     modes = [c.mode for c in commanded]
-    if finished:
-        happened.discard(STUCK)  # behind its end
-    elif is_stuck(trace, commanded, happened):
+    happened = {event for sample in driving.samples[rows] for event in sample.events}
+    if not finished and is_stuck(trace, commanded, happened):
         happened.add(STUCK)
     return {
         "finished": finished,

@@ -17,7 +17,7 @@ from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import Dataset, open_dataset
 from offpiste.errors import OffpisteError, RunError
 from offpiste.evaluation.evaluate import Evaluation, evaluate_models
-from offpiste.evaluation.evaluated_models import EvaluatedModel
+from offpiste.evaluation.evaluated_models import EvaluatedModel, named_apart
 from offpiste.evaluation.intervals import MIN_UNITS
 from offpiste.evaluation.metrics import Metrics, read_metrics
 from offpiste.evaluation.report import write_report
@@ -73,6 +73,7 @@ def evaluate_runs(
     dataset = open_dataset(dataset_path).starting_above(min_speed)
     runs: list[Run] = []
     models: list[EvaluatedModel] = []
+    given: list[Path] = []
     for folder in folders:
         folds = fold_folders(run_folder(folder))
         for number, member in enumerate(folds or [folder]):
@@ -83,8 +84,10 @@ def evaluate_runs(
             runs.append(run)
             fold = number if folds else None
             models.append(EvaluatedModel(run.model, run.dynamics, seed=run.seed, fold=fold, split=split))
-            if context:
-                models.append(replace(models[-1], variant=CONTEXT, noise=_noise(run)))
+            given.append(folder)
+    models = named_apart(models, given)
+    if context:
+        models = [each for model, run in zip(models, runs, strict=True) for each in (model, _with_context(model, run))]
     _refuse_unseen(runs, dataset)
     _warn_of_slow(dataset, min_speed)
     warnings = _doubts(runs, models, dataset)
@@ -112,6 +115,10 @@ def evaluate_runs(
         logger.info(line + _folds(folders[0], runs[0].model, dataset, dataset_path))
     logger.info(f"report: {out / 'report.html'}")
     return evaluation
+
+
+def _with_context(model: EvaluatedModel, run: Run) -> EvaluatedModel:
+    return replace(model, variant=", ".join(filter(None, (model.variant, CONTEXT))), noise=_noise(run))
 
 
 def _noise(run: Run) -> tuple[float, float, float]:

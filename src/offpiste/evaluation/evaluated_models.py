@@ -2,7 +2,8 @@
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -14,6 +15,7 @@ from offpiste.dataset.windows import Windows
 from offpiste.dynamics import MODELS, Dynamics, Vehicle
 from offpiste.errors import RunError
 from offpiste.evaluation.metrics import label
+from offpiste.shipped import names_apart
 from offpiste.training.build import vehicle_of
 from offpiste.training.prediction import Lookup
 
@@ -84,6 +86,32 @@ class EvaluatedModel:
         return label(self.name, self.variant)
 
 
+def named_apart(models: Sequence[EvaluatedModel], folders: Sequence[Path]) -> list[EvaluatedModel]:
+    """Models whose runs would have the same seed and fold, with the names of their folders as variants.
+
+    A folder that is called as its model, and perhaps "-SEED", holds the one without a variant.
+
+    Args:
+        folders: of each run, as given; a folder of folds for each of its folds.
+    """
+    result = list(models)
+    for name in dict.fromkeys(model.name for model in models):
+        mine = [i for i, model in enumerate(models) if model.name == name]
+        own = list(dict.fromkeys(folders[i] for i in mine))
+        called = dict(zip(own, names_apart(own), strict=True))
+        for by_seed in (True, False):
+            if len({_identity(result[i]) for i in mine}) == len(mine):
+                break
+            for i in mine:
+                of_seed = called[folders[i]].removesuffix(f"-{models[i].seed}" if by_seed else "")
+                result[i] = replace(models[i], variant="" if of_seed == name else of_seed)
+    return result
+
+
+def _identity(model: EvaluatedModel) -> tuple[str, int | None, int | None, Split | None]:
+    return model.label, model.seed, model.fold, model.split
+
+
 def with_baselines(
     models: Sequence[EvaluatedModel], dataset: Dataset, device: torch.device | str
 ) -> list[EvaluatedModel]:
@@ -132,12 +160,11 @@ def _refuse_unlike(models: Sequence[EvaluatedModel], dataset: Dataset) -> None:
                 where=dataset.path,
                 how="models compare on the same windows only: give the same folds of each, or evaluate them one by one",
             )
-        identities = [(run.seed, run.fold, run.split) for run in runs]
-        if len(set(identities)) < len(identities):
+        if len({_identity(run) for run in runs}) < len(runs):
             raise RunError(
                 f"two runs of model '{name}' have the same seed and fold",
                 where=dataset.path,
-                how="give each run once, or tell them apart by a variant",
+                how="give each run once",
             )
 
 

@@ -23,6 +23,9 @@ RESAMPLES = 2000
 MIN_UNITS = 3
 """With fewer drives, blocks alone are drawn, and intervals hold for these drives; with fewer blocks there are none."""
 
+FEW_UNITS = 6
+"""With fewer units, percentiles of their means end too early: no mean lies beyond the farthest unit."""
+
 
 class Levels(msgspec.Struct, frozen=True):
     """Numbers of what an interval is drawn from: drives (worlds or recordings), blocks in all of them, seeds."""
@@ -116,11 +119,14 @@ class Resampling:
 
         Plain percentiles are too narrow by sqrt((N-1)/N) and take the normal distribution for Student's; the
         percentiles are moved out to make up for it (Hesterberg, The American Statistician 69, 2015, "expanded
-        percentile interval").
+        percentile interval"). Of fewer than `FEW_UNITS` units it is Student's interval with the deviation of the means.
         """
         if self.units < MIN_UNITS or not np.isfinite(means).all():
             return (np.nan, np.nan)
         reach = np.sqrt(self.units / (self.units - 1)) * stdtrit(self.units - 1, 0.975)
+        if self.units < FEW_UNITS:
+            middle, half = float(means.mean()), float(reach * means.std())
+            return (middle - half, middle + half)
         tail = ndtr(-reach)
         low, high = np.quantile(means, [tail, 1 - tail])
         return (float(low), float(high))

@@ -192,6 +192,12 @@ def run_rows(rows: list[ResultRow]) -> list[ResultRow]:
     return [row for row in rows if id(row) not in pooled]
 
 
+def single_rows(rows: list[ResultRow]) -> list[ResultRow]:
+    """One row per run: each prediction counts in one of them, and not once more over all runs."""
+    several = {_case(row) for row in run_rows(rows)}
+    return [row for row in rows if row.seed is not None or row.fold is not None or _case(row) not in several]
+
+
 def write_metrics(path: Path, metrics: Metrics) -> None:
     """Write metrics.json, whole or not at all: strict JSON, null for what is not finite."""
     write_text(path, msgspec.json.format(msgspec.json.encode(metrics), indent=2).decode() + "\n")

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from offpiste.dynamics import MODELS
 from offpiste.evaluation.errors import HORIZONS
 from offpiste.evaluation.evaluate import Evaluation
-from offpiste.evaluation.metrics import Metrics, pooled_rows, run_rows, write_metrics
+from offpiste.evaluation.metrics import Metrics, pooled_rows, run_rows, single_rows, write_metrics
 from offpiste.evaluation.report_figures import REPORT_FIGURES
 from offpiste.evaluation.report_headlines import headline_texts, result_cards
 from offpiste.evaluation.report_tables import (
@@ -87,7 +87,7 @@ def _sections(metrics: Metrics, pictures: Pictures) -> list[Section]:
 
 def _facts(metrics: Metrics) -> dict[str, str]:
     windows, made = metrics.windows, metrics.made
-    failed = sum(row.n_failed for row in metrics.results if row.horizon_s == HORIZONS[-1])
+    failed = sum(row.n_failed for row in single_rows(metrics.results) if row.horizon_s == HORIZONS[-1])
     facts = {
         "dataset": metrics.dataset,
         "split": f"{metrics.split}; evaluated on the {metrics.part} part",
@@ -104,7 +104,7 @@ def _facts(metrics: Metrics) -> dict[str, str]:
     if metrics.warnings:
         facts["warnings"] = "; ".join(metrics.warnings)
     if failed:
-        facts["failed"] = f"{failed} predictions are not finite; means over them are not either"
+        facts["failed"] = f"predictions that are not finite: {failed}; means over them are not either"
     return facts
 
 

@@ -96,6 +96,8 @@ def _differences(metrics: Metrics, headline: Headline) -> list[str]:
 
 def _difference(model: str, other: str, difference: PairedDifference) -> str:
     (low, high), mean = difference.ci95, difference.mean
+    if not np.isfinite(mean):
+        return f"{model} and {other} are not compared: predictions failed, see below."
     if not np.isfinite(low):
         return f"{model} minus {other}: {number(mean)} m; there are too few blocks for an interval."
     if low <= 0 <= high:

@@ -115,8 +115,10 @@ def drawn_from(rows: Sequence[ResultRow]) -> str:
         return ""
     each = [f"{text} ({', '.join(dict.fromkeys(labels))})" for text, labels in models.items()]
     text = "; ".join(each) if len(each) > 1 else next(iter(models))
-    missing = "" if np.isfinite([row.distance_error_m.ci95 for row in rows]).all() else "–: too few blocks for one."
-    return " ".join(filter(None, (f"Intervals are over {text}.", missing, rows[0].levels.caveat)))
+    bare = [row.distance_error_m.mean for row in rows if not np.isfinite(row.distance_error_m.ci95).all()]
+    few = "–: too few blocks for one." if np.isfinite(bare).any() else ""
+    failed = "" if np.isfinite(bare).all() else "–: no mean or interval, since predictions failed."
+    return " ".join(filter(None, (f"Intervals are over {text}.", few, failed, rows[0].levels.caveat)))
 
 
 def band_table(rows: Sequence[BandRow]) -> TextTable:

@@ -19,6 +19,12 @@ from offpiste.evaluation.result_rows import Case
 APART: Final = HISTORY_STEPS + HORIZON_STEPS
 """Rows between windows that share none."""
 
+NEAR = 0.1
+"""Share of the windows by which one may be off the quantile that it stands for."""
+
+NOT_WORST = 0.75
+"""Share of the windows that are not called the worst."""
+
 MARGIN = 4.0
 """Ground that is drawn around the paths [m]."""
 
@@ -59,12 +65,20 @@ class WindowPaths:
 
 
 def worst_windows(errors: Errors, *, count: int) -> Errors:
-    """Errors of the windows of largest distance error after 5 s, no two of which share a row; at most `count`."""
-    return errors.take(_apart(errors, np.argsort(-errors.distance(), kind="stable"), count))
+    """Errors of the windows of largest distance error after 5 s, no two of which share a row; at most `count`.
+
+    None is among the better `NOT_WORST`: on a short part there are not as many.
+    """
+    distance = errors.distance()
+    order = np.argsort(-distance, kind="stable")
+    bad = distance >= np.quantile(distance, NOT_WORST, method="nearest")
+    return errors.take(_apart(errors, order[bad[order]], count))
 
 
 def typical_windows(errors: Errors, shares: Sequence[float], *, each: int) -> tuple[Errors, list[float]]:
     """Errors of the windows closest to quantiles of the distance error after 5 s, no two of which share a row.
+
+    Those that are farther than `NEAR` from them are left out: on a short part others take the rows of the closest.
 
     Args:
         shares: the quantiles, 0 to 1; those that fall on failed predictions are left out.
@@ -75,14 +89,16 @@ def typical_windows(errors: Errors, shares: Sequence[float], *, each: int) -> tu
     """
     distance, chosen = errors.distance(), np.empty(0, np.int64)
     of: list[float] = []
-    for share in shares:
-        wanted = np.quantile(distance, share, method="nearest")
+    for share in each * sorted(shares, key=lambda share: abs(share - 0.5)):  # the median first, where rows are few
+        low, wanted, high = np.quantile(distance, np.clip((share - NEAR, share, share + NEAR), 0, 1), method="nearest")
         if np.isfinite(wanted):
             near = np.argsort(np.abs(distance - wanted), kind="stable")
-            added = _apart(errors, near, each, chosen)
+            near = near[(distance[near] >= low) & (distance[near] <= high) & np.isfinite(distance[near])]
+            added = _apart(errors, near, 1, chosen)
             chosen = np.concatenate((chosen, added))
             of += [share] * len(added)
-    return errors.take(chosen), of
+    order = np.argsort(of, kind="stable")
+    return errors.take(chosen[order]), [of[i] for i in order]
 
 
 def _apart(

@@ -119,6 +119,20 @@ class FigureResults:
         mine, others = self.by_seed(model, reading), self.by_seed(self.baseline, reading)
         return self._compared(model, reading, mine, others, None, seen)
 
+    def apart(self, first: FigureModel, second: FigureModel, readings: Sequence[Reading]) -> PairedDifference:
+        """Mean distance error of one model minus another's, relative to `b`'s; over lookups of the same windows."""
+        drawn = self.sampling.on(self.by_seed(self.baseline, readings[0]))
+        mean, resampled = 0.0, np.zeros(len(drawn.draws))
+        for reading in readings:
+            one, other, b = (
+                self.by_seed(model, reading).component("distance_error_m") for model in (first, second, self.baseline)
+            )
+            if not all(np.isfinite(errors).all() for errors in (one, other, b)):
+                return PairedDifference(np.nan, (np.nan, np.nan))
+            mean += float((one.mean() - other.mean()) / b.mean()) / len(readings)
+            resampled += (drawn.means(one) - drawn.means(other)) / drawn.means(b) / len(readings)
+        return PairedDifference(mean, drawn.interval(resampled))
+
     def compare_seeds(self, model: FigureModel, reading: Reading) -> list[Comparison]:
         """Comparison of each run of a model with the `b` of its seed."""
         mine, others = self.by_seed(model, reading), self.by_seed(self.baseline, reading)

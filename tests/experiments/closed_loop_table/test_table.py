@@ -48,10 +48,20 @@ def result(row, seed, time, finished=True, run_seed=0, kind="bends", firm=None):
         "energy_kj": 100.0 + 10 * seed,
         "interventions": 1,
         "firm_way": firm,
+        "commit": "0123abc",
         "course": {"kind": kind},
         **dict.fromkeys(COUNTED, False),
         "finished": finished,
     }
+
+
+def test_rows_of_other_code_are_named():
+    rows = [result(row, seed, 10.0) for row in ("b-100ms", "dc-100ms") for seed in range(3)]
+    assert "commit" not in table(rows, limit=40.0)
+    mixed = [one | {"commit": "456def0"} if one["row"] == "dc-100ms" and one["seed"] else one for one in rows]
+    said = table(mixed, limit=40.0).splitlines()[0]
+    assert said.startswith("**Drives of several commits**")
+    assert said.endswith("b-100ms: 0123abc; dc-100ms: 0123abc, 456def0.")
 
 
 def test_what_backed_out_and_finished_is_counted():
@@ -145,7 +155,7 @@ def test_how_often_the_firm_way_is_taken():
     assert "| b-100ms | 1 of 3 | 33 % | – |" in text
     line = next(line for line in text.splitlines() if line.startswith("| dc-100ms | 3 of 4 | 75 % | − b-100ms: +33 ["))
     low, high = (float(part) for part in line.split("[")[1].split("]")[0].split(", "))
-    assert 0 <= low < 33 < high <= 100
+    assert -100 <= low < 0 < 33 < high <= 100, "three courses show nothing, and no share differs by more than 100"
 
 
 def test_another_planner_and_a_risk_are_compared_with_who_has_none_and_who_knows_less():

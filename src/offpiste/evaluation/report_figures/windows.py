@@ -22,7 +22,11 @@ PANELS = (
 )
 
 
-@report_figure("typical", section="Typical windows", caption=f"Windows at the quartiles of the error. {PANELS}")
+@report_figure(
+    "typical",
+    section="Typical windows",
+    caption=f"Windows at the quartiles of the error, as far as there are some that do not overlap. {PANELS}",
+)
 def draw_typical(evaluation: Evaluation) -> WindowChart | None:
     """Paths in windows at the quartiles of the error of the model that was named first."""
     return _chart(predict_typical(evaluation), f"Windows at the quartiles of {_shown(evaluation)}")
@@ -31,7 +35,7 @@ def draw_typical(evaluation: Evaluation) -> WindowChart | None:
 @report_figure(
     "worst",
     section="Worst windows",
-    caption=f"The windows of largest distance error after 5 s, no two of which overlap. {PANELS}",
+    caption=f"The windows of largest distance error after 5 s, no two of which overlap, of the worst quarter. {PANELS}",
 )
 def draw_worst(evaluation: Evaluation) -> WindowChart | None:
     """Paths in the worst windows of the model that was named first."""

@@ -1,0 +1,55 @@
+"""What reports say where there is no interval: too few blocks, or predictions that failed."""
+
+import numpy as np
+
+from offpiste.evaluation.errors import Errors
+from offpiste.evaluation.intervals import Sampling
+from offpiste.evaluation.metrics import ResultRow, pooled_rows, single_rows
+from offpiste.evaluation.report_headlines import _difference
+from offpiste.evaluation.report_tables import drawn_from
+from offpiste.evaluation.result_rows import Case, RunErrors, result_rows
+
+NAMES = ("b", "dc")
+
+
+def errors(failed: tuple[int, ...] = (), *, windows: int = 10) -> Errors:
+    """Of four drives, one window a block; some predictions are not finite."""
+    values, loss = np.ones((4 * windows, 5, 5)), np.ones(4 * windows)
+    values[list(failed), -1], loss[list(failed)] = np.inf, np.inf
+    return Errors(np.repeat(np.arange(4), windows), np.tile(np.arange(windows) * 600 + 20, 4), values, loss)
+
+
+def rows(*runs: list[Errors]) -> list[ResultRow]:
+    """At 5 s, of models with these runs."""
+    cases = {
+        Case(name, "", "causal", None): [RunErrors(seed, None, one) for seed, one in enumerate(each)]
+        for name, each in zip(NAMES, runs, strict=False)
+    }
+    return [row for row in result_rows(cases, "test", Sampling()) if row.horizon_s == 5.0]
+
+
+def test_failed_predictions_are_not_called_few_blocks() -> None:
+    found = rows([errors((3,))], [errors()])
+    assert "4 drives, 40 blocks" in drawn_from(found)
+    assert "predictions failed" in drawn_from(found)
+    assert "few blocks" not in drawn_from(found)
+    said = _difference("b", "dc", found[0].minus["dc"].distance_error_m)
+    assert said == "b and dc are not compared: predictions failed, see below."
+    both = rows([errors((3,))], [errors((3,))])
+    assert "not compared" in _difference("b", "dc", both[0].minus["dc"].distance_error_m)
+
+
+def test_few_blocks_are_not_called_failed() -> None:
+    one = errors().take(np.array([0, 1]))
+    (found, _) = rows([one], [one])
+    assert "–: too few blocks for one." in drawn_from([found])
+    assert "failed" not in drawn_from([found])
+    assert "too few blocks" in _difference("b", "dc", found.minus["dc"].distance_error_m)
+    assert "–" not in drawn_from(rows([errors()]))
+
+
+def test_each_failed_prediction_counts_once() -> None:
+    found = rows([errors((3,)), errors((7,))], [errors((1,))])
+    assert [row.n_failed for row in pooled_rows(found)] == [2, 1]
+    assert sum(row.n_failed for row in single_rows(found)) == 3
+    assert [(row.model, row.seed) for row in single_rows(found)] == [("b", 0), ("b", 1), ("dc", 0)]
