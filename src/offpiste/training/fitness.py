@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final, Protocol, runtime_checkable
+from typing import Final, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -56,12 +56,20 @@ def refuse_seen(run: TrainedRun, dataset: Dataset, part: str) -> None:
         RunError: names the drive and the overlap.
     """
     if (overlap := overlap_with(run.seen, dataset, part)) is not None:
+        what = f"was trained on {overlap.seconds:.0f} s of the {part} part of drive '{overlap.drive}'"
         how = "evaluate it on the dataset and split it was trained with, or on another drive"
-        raise RunError(f"was trained on {overlap}", where=run.folder, how=how)
+        raise RunError(what, where=run.folder, how=how)
 
 
-def overlap_with(seen: Sequence[tuple[str, float, float]], dataset: Dataset, part: str) -> str | None:
-    """Which of the moments that something was fitted to a part of a dataset holds, in words; None for none of them.
+class Overlap(NamedTuple):
+    """A drive of which something was fitted to a stretch, and how long that is."""
+
+    drive: str
+    seconds: float
+
+
+def overlap_with(seen: Sequence[tuple[str, float, float]], dataset: Dataset, part: str) -> Overlap | None:
+    """The first stretch that something was fitted to and that a part of a dataset holds moments of; None for none.
 
     Args:
         seen: drives and their stretches [s].
@@ -71,7 +79,7 @@ def overlap_with(seen: Sequence[tuple[str, float, float]], dataset: Dataset, par
         evaluated = drive.rows.time[drive.part == number]
         for name, first, last in seen:
             if name == drive.name and np.any((evaluated >= first) & (evaluated <= last)):
-                return f"{last - first:.0f} s of the {part} part of drive '{name}'"
+                return Overlap(name, last - first)
     return None
 
 

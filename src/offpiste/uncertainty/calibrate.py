@@ -119,8 +119,9 @@ def _fitting_run(folder: Path, dataset: Dataset) -> Run:
     refuse_seen(run, dataset, PART)
     kept = run.folder / FILE
     if kept.exists() and (overlap := overlap_with(spread_seen(run), dataset, PART)) is not None:
+        what = f"was fitted to {overlap.seconds:.0f} s of the {PART} part of drive '{overlap.drive}'"
         how = "delete it and run `offpiste calibrate` again, or evaluate it on other drives"
-        raise RunError(f"was fitted to {overlap}", where=kept, how=how)
+        raise RunError(what, where=kept, how=how)
     return run
 
 
