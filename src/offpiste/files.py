@@ -6,19 +6,34 @@ import tempfile
 from collections.abc import Callable
 from glob import escape
 from pathlib import Path
+from typing import TypeVar
 
 from offpiste.errors import OffpisteError
 from offpiste.object_store import refuse_url
+
+Made = TypeVar("Made")
 
 PARTIAL = ".partial"
 """Ending of files and folders that are being written, under a hidden name beside their place."""
 
 
+def _beside(path: Path, make: Callable[..., Made]) -> Made:
+    """What `tempfile` makes under a hidden name beside a path, in a folder that is made where there is none.
+
+    Raises:
+        OffpisteError: nothing can be made there, as in /proc.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return make(prefix=f".{path.name}.", suffix=PARTIAL, dir=path.parent)
+    except FileNotFoundError as error:
+        raise OffpisteError("nothing can be written there", where=path.parent, how="give another folder") from error
+
+
 def write_whole(path: Path, write: Callable[[Path], None]) -> None:
     """Have `write` fill a file beside `path`, then move it there; an interruption leaves the old file."""
     refuse_url(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=PARTIAL, dir=path.parent)
+    handle, name = _beside(path, tempfile.mkstemp)
     os.close(handle)
     partial = Path(name)
     try:
@@ -38,7 +53,7 @@ def write_folder(path: Path, write: Callable[[Path], None]) -> None:
     refuse_url(path)
     if path.resolve() == Path.cwd():
         raise OffpisteError("is the current folder", where=path, how="give a folder that is not yet there")
-    partial = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=PARTIAL, dir=path.parent))
+    partial = Path(_beside(path, tempfile.mkdtemp))
     try:
         write(partial)
         partial.chmod(0o755)

@@ -195,6 +195,11 @@ def test_what_is_no_split_is_an_error_that_shows_one(text):
         parse_split(text)
 
 
+def test_shares_that_do_not_sum_to_one_are_named():
+    with pytest.raises(DatasetError, match=r"'blocks:0\.7,0\.1,0\.3' sum to 1\.1.*shares that sum to 1"):
+        parse_split("blocks:0.7,0.1,0.3")
+
+
 def test_a_drive_that_is_in_two_parts_is_an_error(tmp_path):
     path = tmp_path / "split.txt"
     path.write_text("monday train\nmonday train\nmonday test\n")

@@ -15,7 +15,7 @@ from offpiste.dataset import store
 from offpiste.dataset.resample import Rows
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.stored_arrays import write_arrays
-from offpiste.errors import DatasetError
+from offpiste.errors import DatasetError, OffpisteError
 
 SPLIT = parse_split("blocks:0.5,0.25,0.25")
 
@@ -206,6 +206,22 @@ def test_what_is_no_dataset_is_an_error(tmp_path):
     store.create(tmp_path / "empty.zarr", small_rig(), SPLIT)
     with pytest.raises(DatasetError, match="holds no drive"):
         store.open_dataset(tmp_path / "empty.zarr")
+
+
+def test_a_folder_of_something_else_is_not_taken_for_a_new_dataset(tmp_path):
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(DatasetError, match="is a folder of something else than a dataset; give another one as --out"):
+        store.create(tmp_path, small_rig(), SPLIT)
+    assert [file.name for file in tmp_path.iterdir()] == ["notes.txt"]
+    (tmp_path / "empty").mkdir()
+    store.create(tmp_path / "empty", small_rig(), SPLIT)
+    assert (tmp_path / "empty" / "zarr.json").exists()
+
+
+@pytest.mark.parametrize("out", ["/proc/x.zarr", "/proc/x/y.zarr"])
+def test_a_place_where_no_folder_can_be_made_is_an_error(out):
+    with pytest.raises(OffpisteError, match=r"/proc(/x)?: nothing can be written there; give another folder"):
+        store.create(Path(out), small_rig(), SPLIT)
 
 
 @pytest.mark.parametrize("schema", [1, 99])

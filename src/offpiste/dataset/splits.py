@@ -96,6 +96,9 @@ def parse_split(text: str) -> Split:
             shares, at, every = rest.partition("@")
             fractions, period = tuple(float(f) for f in shares.split(",")), float(every) if at else 0.0
             good = len(fractions) == 3 and abs(sum(fractions) - 1) < 1e-6 and min(fractions) >= 0 and fractions[0] > 0
+            if len(fractions) == 3 and abs(sum(fractions) - 1) >= 1e-6:
+                what = f"not a split: the shares of '{text}' sum to {sum(fractions):g}"
+                raise DatasetError(what, how="give shares that sum to 1, as in blocks:0.7,0.1,0.2")
             if good and (not at or 0 < period < np.inf):
                 return _long_enough(Split(text, kind, fractions=fractions, period=period))
         elif kind == "fold":

@@ -15,7 +15,7 @@ import numpy as np
 import zarr
 from jaxtyping import Int
 
-from offpiste.checksums import check_files, write_checksums
+from offpiste.checksums import CHECKSUMS, check_files, write_checksums
 from offpiste.conventions import DT, MIN_EVALUATION_SPEED, min_evaluation_speed
 from offpiste.dataset.columns import COLUMNS
 from offpiste.dataset.features_under_wheels import Cells
@@ -143,15 +143,18 @@ def create(
         "snapshot_speed": snapshots and (slowest if snapshots.min_speed is None else snapshots.min_speed),
     }
     check_folder(path)
+    begun = path.exists() and any(path.iterdir())
+    if begun and not any((path / file).exists() for file in ("zarr.json", CHECKSUMS)):
+        raise DatasetError("is a folder of something else than a dataset", where=path, how="give another one as --out")
     remove_partials(path.parent, path.name)
-    if path.exists() and attributes_of(path).get("schema") and not drive_names(path):
-        shutil.rmtree(path)  # begun by a run whose logs all failed
-    if path.exists():
+    if begun and attributes_of(path).get("schema") and not drive_names(path):
+        shutil.rmtree(path)  # by a run whose logs all failed
+        begun = False
+    if begun:
         result = {"features": [], "pca": None, "min_hindsight": 0.0, **attributes_of(path)}
         refuse_unlike(path, result, json.loads(json.dumps(meta)))
         remove_partials(path)
         return
-    path.parent.mkdir(parents=True, exist_ok=True)
 
     def write(partial: Path) -> None:
         zarr.open_group(partial, mode="w", attributes=meta, zarr_format=3)
