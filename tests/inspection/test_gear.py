@@ -105,6 +105,7 @@ def test_the_course_of_a_vehicle_in_reverse_is_not_a_turned_heading() -> None:
         ("gear", (-1.0, 1.0, 2.0), ""),
         ("prndl", (0.0, 1.0, 3.0), "values = { 0 = 0, 1 = -1, 2 = 0, 3 = 1 }"),
         ("gear_letter", (82.0, 68.0), "values = { P = 0, R = -1, N = 0, D = 1 }"),
+        ("gear_letter", (82.0, 68.0, 83.0), "values = { P = 0, R = -1, N = 0, D = 1, S = 1 }"),
         ("gear", (82.0, 78.0, 1.0, 2.0), "values = { P = 0, R = -1, N = 0, D = 1, 1 = 1, 2 = 1 }"),
         ("gear_shift", (0.0, 1.0, 3.0), ""),
         ("shift_rpt.output", (0.0, 1.0, 3.0), ""),

@@ -389,3 +389,11 @@ def test_velocities_that_stay_zero_are_to_be_removed_from_the_rig() -> None:
     remedies = {f.remedy for f in complaints(log) if f.what == "is zero while the vehicle moves"}
     names = ("linear_velocity", "angular_velocity")
     assert remedies == {f"remove channels.{name}; the pose is differentiated instead" for name in names}
+
+
+@pytest.mark.parametrize("rows", [5, 7])
+def test_a_log_of_a_moment_hardly_moves(rows: int) -> None:
+    log = MemoryLog(
+        {topic: (time[:rows], {f: c[:rows] for f, c in of.items()}) for topic, (time, of) in CLEAN.data.items()}
+    )
+    assert "hardly moves" in [f.what for f in inspect_log(log, rig()).findings if f.severity == "fatal"]

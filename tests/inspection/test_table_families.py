@@ -197,3 +197,14 @@ def test_metres_from_the_middle_of_the_earth_are_no_world() -> None:
 def test_arrays_that_are_no_vector(columns: str) -> None:
     log = MemoryLog({"": (TIME, dict.fromkeys(columns.split(), ODOM["x"]))})
     assert list(guess_channels(log)) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "idle", "other"), [("throttle", 30.0, 0.0), ("brake_pressure", 2.0, 0.0), ("steering_pwm", 1500.0, 7500.0)]
+)
+def test_a_control_that_is_still_but_for_a_sample_ends_in_findings(name: str, idle: float, other: float) -> None:
+    columns = {"x": ODOM["x"], "y": ODOM["y"], "yaw": QUANTITIES["azimuth in rad"]}
+    columns |= {pedal: QUANTITIES[pedal] for pedal in PEDALS if pedal not in name and name != "steering_pwm"}
+    columns[name] = np.where(np.arange(len(TIME)) == 0, other, idle)
+    log = MemoryLog({"": (TIME, columns)})
+    assert inspect_log(log, parse_rig(draft_rig(log), where="draft")).findings

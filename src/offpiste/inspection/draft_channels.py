@@ -142,6 +142,7 @@ def _scalar(channel: str, guess: Guess, values: Float[np.ndarray, " n"], straigh
         channel == "steer"
         and largest > 1.05
         and (around := steering_middle(values, named=are_named_pulses(guess), straight=straight))
+        and around[1] > 0
     ):
         middle, reach, words = around
         lines += [f"scale = {number(1 / reach)}", f"offset = {number(-middle / reach)}", "clip = [-1.0, 1.0]"]

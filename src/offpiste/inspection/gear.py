@@ -31,6 +31,8 @@ _REVERSE: Final = re.compile(r"reverse", re.IGNORECASE)
 _SELECTOR: Final = re.compile(r"prnd", re.IGNORECASE)
 _LETTERS: Final = {"P": 0, "R": -1, "N": 0, "D": 1}
 """Positions of a selector, in its order, and the gear of each."""
+_CODES: Final = frozenset(map(float, range(ord("A"), ord("Z") + 1)))
+"""Character codes of letters."""
 
 
 def gear_values(guess: Guess, values: Float[np.ndarray, " n"]) -> tuple[str, ...]:
@@ -38,8 +40,10 @@ def gear_values(guess: Guess, values: Float[np.ndarray, " n"]) -> tuple[str, ...
     there = {float(value) for value in np.unique(values)}
     named = (guess.topic, *guess.fields)
     numbers = {value for value in there if abs(value) <= _MOST_GEARS}
-    if numbers != there and there - numbers <= {float(ord(letter)) for letter in _LETTERS}:
-        meanings = _LETTERS | {f"{number:g}": int(np.sign(number)) for number in sorted(numbers)}
+    letters = {chr(int(value)) for value in there - numbers if value in _CODES}
+    if letters & set(_LETTERS) and len(letters) == len(there - numbers):
+        forward = dict.fromkeys(sorted(letters - set(_LETTERS)), 1)  # S, L, M: ways to drive forwards
+        meanings = _LETTERS | forward | {f"{number:g}": int(np.sign(number)) for number in sorted(numbers)}
     elif there <= {0.0, 1.0} and any(map(_REVERSE.search, named)):
         meanings = {"0": 1, "1": -1}
     elif there <= {0.0, 1.0, 2.0, 3.0} and any(map(_SELECTOR.search, named)):

@@ -11,7 +11,7 @@ from offpiste.inspection.findings import Finding, Severity, merged
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.rig.channels import ChannelSource, Clock
 from offpiste.rig.edits import Edit
-from offpiste.rig.labels import unit_by_rate
+from offpiste.rig.labels import SECONDS, unit_by_rate
 
 _LATE = 2.0
 """A topic that starts this much after the pose, or stops this much before it, is reported [s]."""
@@ -253,9 +253,12 @@ def _intervals(where: str, seen: Timing, origin: float, clock: Clock, *, used: b
     findings: list[Finding] = []
     if not np.isfinite(seen.rate) or seen.backward > _DISORDER * seen.count:
         return findings  # out of order, stamps show no rate
-    if used and seen.count > 20 and (unit := unit_by_rate(seen.rate, clock.unit)) != clock.unit:
-        message = f"{seen.rate:.3g} samples a second, {seen.end - seen.start:.3g} s long"
-        edit = Edit("clock.unit", unit)
+    unit = unit_by_rate(seen.rate, clock.unit, seen.start * SECONDS[clock.unit])
+    if used and seen.count > 20 and unit != clock.unit:
+        edit, message = (
+            Edit("clock.unit", unit),
+            f"{seen.rate:.3g} samples a second, {seen.end - seen.start:.3g} s long",
+        )
         return [Finding("fatal", where, "stamps are in another unit", message, str(edit), 1.0, ((edit,),))]
     if 1 / seen.rate > clock.max_gap and used:
         edit = Edit("clock.max_gap", float(np.ceil(20 / seen.rate) / 10))

@@ -168,7 +168,7 @@ def curvature_per_unit(name: str, rig: Rig) -> float:
 def _shifted(values: Float[np.ndarray, "... n"], rows: int) -> Float[np.ndarray, "... n"]:
     """The values some rows later; NaN at the end."""
     end = np.full((*values.shape[:-1], rows), np.nan)
-    return np.concatenate((values[..., rows:], end), axis=-1)
+    return np.concatenate((values[..., rows:], end), axis=-1)[..., : values.shape[-1]]
 
 
 def steering_fits(drive: Drive, path: Path, *, measured: bool) -> dict[str, SteeringFit]:

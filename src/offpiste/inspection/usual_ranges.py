@@ -106,6 +106,8 @@ def scaled_to_unit(
         turned: the least becomes 1 and the largest 0.
     """
     low, high = span
+    if not high > low:
+        return ()  # it never changes, but for a few samples
     per_unit = source.sign * unit_factor(name, source.unit)
     # value = sign * (raw * scale + offset) * unit, so (value - low) / (high - low) is again of this form.
     factor, start = (-1 / (high - low), high) if turned else (1 / (high - low), low)

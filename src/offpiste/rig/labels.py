@@ -12,6 +12,8 @@ from offpiste.rig.channels import known_channels, unit_factor
 
 SECONDS: Final = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
 """Units of time per second."""
+_SINCE_1970: Final = (1.0e9, 4.1e9)
+"""Seconds from 1970 to 2001 and to 2100."""
 RATES: Final = (0.2, 20_000.0)
 """Samples a second that recordings have."""
 
@@ -149,13 +151,18 @@ def channel_unit(channel: str, unit: str) -> str | None:
     return "" if unit == own else unit
 
 
-def unit_by_rate(rate: float, unit: str) -> str:
-    """The unit of stamps, by the rate that they have in another one [1/s]: vehicles are recorded at some 50 Hz.
+def unit_by_rate(rate: float, unit: str, stamp: float = 0.0) -> str:
+    """The unit of stamps, by their size, or by the rate that they have in another one [1/s].
 
     Args:
-        rate: samples in each of the seconds that the stamps would have in `unit`.
+        rate: samples in each of the seconds that the stamps would have in `unit`; vehicles are recorded at some 50 Hz.
         unit: that is kept where the rate is one of recordings.
+        stamp: one of them, as recorded: its size tells seconds since 1970 where the rate is one of recordings, too.
     """
+    for name, per_second in SECONDS.items():
+        since, samples = stamp / per_second, rate * per_second / SECONDS[unit]
+        if _SINCE_1970[0] < since < _SINCE_1970[1] and RATES[0] < samples < RATES[1]:
+            return name
     if not np.isfinite(rate) or RATES[0] < rate < RATES[1]:
         return unit
     wanted = np.log10(SECONDS[unit] * 50 / rate)

@@ -307,3 +307,35 @@ def test_columns_of_structs_are_their_fields(tmp_path: Path) -> None:
     log = TableLog(tmp_path / "drive.parquet")
     assert log.topics[""].fields == ("t", "pose.p.x", "pose.p.y")
     assert column(log, "pose.p.y") == [2, 4]
+
+
+@pytest.mark.parametrize(
+    ("first", "step", "unit"),
+    [(1.75e12, 1000, "ms"), (1.75e15, 500, "us"), (1.75e9, 0.5, "s"), (1.75e18, 2e7, "ns"), (1.2e9, 2e4, "us")],
+)
+def test_seconds_since_1970_tell_their_unit_by_their_size(tmp_path: Path, first: float, step: float, unit: str) -> None:
+    """At rates that seem another unit's, too; microseconds since a computer was started are none of them."""
+    rows = "".join(f"{first + step * row!r},{row}\n" for row in range(5))
+    assert table(tmp_path, "timestamp,x\n" + rows).clock.unit == unit
+
+
+def test_seconds_and_nanoseconds_beside_them_are_one_stamp(tmp_path: Path) -> None:
+    text = "stamp_secs,stamp_nsecs,x\n100,980000000,0\n101,0,1\n101,20000000,2\n"
+    for log in (table(tmp_path, text), table(tmp_path, text, clock_column="stamp_secs")):
+        np.testing.assert_allclose(log.read("", ["x"]).time, [100.98, 101, 101.02])
+
+
+def test_text_in_parquet_is_read_as_in_csv(tmp_path: Path) -> None:
+    times = ["2026-11-27T12:00:00", "2026-11-27T12:00:01", "2026-11-27T12:00:02"]
+    gears = pa.array(["D", "R", "D"]).dictionary_encode()
+    pq.write_table(pa.table({"time": times, "gear": gears, "x": [1, 2, 3]}), tmp_path / "drive.parquet")
+    log = TableLog(tmp_path / "drive.parquet")
+    assert np.diff(log.read("", ["x"]).time).tolist() == [1, 1]
+    assert column(log, "gear") == [ord("D"), ord("R"), ord("D")]
+
+
+def test_a_struct_that_makes_a_column_twice_is_refused(tmp_path: Path) -> None:
+    pose = pa.array([{"x": 1.0}, {"x": 2.0}])
+    pq.write_table(pa.table({"t": [0.0, 0.1], "pose": pose, "pose.x": [1.0, 2.0]}), tmp_path / "drive.parquet")
+    with pytest.raises(LogError, match=r"column 'pose\.x' appears twice"):
+        TableLog(tmp_path / "drive.parquet")

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 import pyarrow as pa
@@ -17,6 +18,7 @@ from offpiste.rig.channels import Clock
 from offpiste.rig.labels import SECONDS, parse_label, time_unit, unit_by_rate
 
 _TIME_NAME = re.compile(r"^(t|secs?|seconds?|stamp)(?![a-z])|time|(?<![a-z])(i?tow|epoch|unix)(?![a-z])")
+_WHOLE_SECONDS: Final = re.compile(r"^(|.*[^a-z])secs?$", re.IGNORECASE)
 _EVENLY = 0.2
 """Spread of a clock's steps over their median (5 to 95 %), at most, where its name does not say what it is."""
 
@@ -50,6 +52,8 @@ class TableLog(Log):
         self._units: dict[str, str] = {}
         self._table = read_csv(path, notes, self._units) if self._is_csv else _read_parquet(path)
         self._columns = tuple(name for name in self._table.column_names if self._is_numeric(name))
+        if not self._is_csv:
+            check_columns(path, list(self._columns))
         self._rows_of_units = int(bool(self._units))
         self._units |= {name: unit for name in self._table.column_names if (unit := parse_label(name).unit)}
         self._unit = clock_unit
@@ -95,13 +99,15 @@ class TableLog(Log):
 
     def _is_numeric(self, name: str) -> bool:
         """Whether most of the first cells are numbers: one bad cell does not make it a column of text."""
-        if not self._is_csv:
+        if not pa.types.is_string(self._table[name].type):
             return True  # others were not read
         cells = self._table[name].drop_null().slice(0, 100).to_pylist()
         return 2 * sum(number_of(cell) is not None for cell in cells) >= len(cells) or are_gears(self._table[name])
 
     def _guess_clock(self, notes: list[str]) -> str:
         names = [name for name in self._table.column_names if _TIME_NAME.search(name.lower())]
+        if seconds := [name for name in names if self._beside(name)]:
+            names = seconds[:1]
         if not names and (even := [name for name in self._columns if self._rises_evenly(name)]):
             notes.append(f"'{even[0]}' is taken for time, by its even steps")
             return even[0]
@@ -110,6 +116,12 @@ class TableLog(Log):
         guess: str = max(names, key=self._share_rising)
         notes.append(f"'{guess}' is taken for time, of {', '.join(names)}; clock.column in the rig can say otherwise")
         return guess
+
+    def _beside(self, clock: str) -> str:
+        """The column of nanoseconds beside one of whole seconds; "" for none."""
+        whole = _WHOLE_SECONDS.match(clock)
+        names = [] if whole is None else [whole[1] + after for after in ("nsec", "nsecs", "nanosec", "nanosecs")]
+        return next((name for name in names if name in self._columns), "")
 
     def _rises_evenly(self, name: str) -> bool:
         """Whether numbers rise like a clock, and not like a count of rows."""
@@ -123,8 +135,10 @@ class TableLog(Log):
         return self._unit or time_unit(self._units.get(name, "")) or "s"
 
     def _unit_by_rate(self) -> str:
-        steps = np.diff(self._stamps(self._clock))
-        return unit_by_rate(1 / float(np.median(steps[steps > 0])), "s") if (steps > 0).any() else "s"
+        stamps = self._stamps(self._clock)
+        steps = np.diff(stamps)
+        rate = 1 / float(np.median(steps[steps > 0])) if (steps > 0).any() else np.nan
+        return unit_by_rate(rate, "s", float(np.nanmedian(stamps))) if np.isfinite(stamps).any() else "s"
 
     def _share_rising(self, name: str) -> float:
         try:
@@ -139,6 +153,8 @@ class TableLog(Log):
             dates = _dates(column)
             if dates is not None:
                 return dates
+        if nanoseconds := self._beside(name):
+            return self._numbers(name) + self._numbers(nanoseconds) / 1e9
         numbers = self._numbers(name) / (1.0 if _has_time_unit(column.type) else SECONDS[self._unit_of_stamps(name)])
         return _seconds_of_the_day(numbers) if _shows_clock_face(numbers) else numbers
 
@@ -212,8 +228,13 @@ def _has_time_unit(kind: pa.DataType) -> bool:
 
 def _is_readable(kind: pa.DataType) -> bool:
     types = pa.types
-    kinds = (types.is_integer, types.is_floating, types.is_boolean, types.is_decimal, _has_time_unit)
+    kinds = (types.is_integer, types.is_floating, types.is_boolean, types.is_decimal, _has_time_unit, _is_text)
     return any(is_one(kind) for is_one in kinds)
+
+
+def _is_text(kind: pa.DataType) -> bool:
+    words = kind.value_type if pa.types.is_dictionary(kind) else kind
+    return bool(pa.types.is_string(words) or pa.types.is_large_string(words))
 
 
 def _is_struct(kind: pa.DataType) -> bool:
@@ -226,9 +247,13 @@ def _read_parquet(path: Path) -> pa.Table:
             table = file.read(columns=[f.name for f in file.schema_arrow if _is_readable(f.type) or _is_struct(f.type)])
             while any(_is_struct(field.type) for field in table.schema):
                 table = table.flatten()  # pose: {x, y} becomes pose.x and pose.y
-            columns = [field.name for field in table.schema if _is_readable(field.type)]
-            table = table.select(columns)
+            kept = [number for number, field in enumerate(table.schema) if _is_readable(field.type)]
+            table = table.select(kept)
+            columns = table.column_names
     except (pa.ArrowException, OSError) as error:
         raise LogError(f"not a readable Parquet file: {error}", where=path, how="export it again") from error
     check_columns(path, columns)
-    return table
+    texts = {
+        n: column.cast(pa.string()) for n, column in zip(columns, table.columns, strict=True) if _is_text(column.type)
+    }
+    return pa.table({name: texts.get(name, table[name]) for name in columns})
