@@ -223,8 +223,7 @@ def _order(where: str, topic: Recorded, seen: Timing, origin: float, clock: Cloc
             return [*findings, Finding("note", where, "stamps repeat", evidence, how, share)]
         bunches = remedy if share <= 0.02 or receives else "nothing: one sample a stamp is kept"
         severity = "warning" if share > _REPEATED else "note"
-        repeats = ((_RECEIVE,),) if receives else ()
-        findings.append(Finding(severity, where, "stamps repeat", evidence, bunches, share, repeats))
+        findings.append(Finding(severity, where, "stamps repeat", evidence, bunches, share, cures))
     return findings
 
 
@@ -255,10 +254,8 @@ def _intervals(where: str, seen: Timing, origin: float, clock: Clock, *, used: b
         return findings  # out of order, stamps show no rate
     unit = unit_by_rate(seen.rate, clock.unit, seen.start * SECONDS[clock.unit])
     if used and seen.count > 20 and unit != clock.unit:
-        edit, message = (
-            Edit("clock.unit", unit),
-            f"{seen.rate:.3g} samples a second, {seen.end - seen.start:.3g} s long",
-        )
+        message = f"{seen.rate:.3g} samples a second, {seen.end - seen.start:.3g} s long"
+        edit = Edit("clock.unit", unit)
         return [Finding("fatal", where, "stamps are in another unit", message, str(edit), 1.0, ((edit,),))]
     if 1 / seen.rate > clock.max_gap and used:
         edit = Edit("clock.max_gap", float(np.ceil(20 / seen.rate) / 10))
