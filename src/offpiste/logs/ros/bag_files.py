@@ -253,7 +253,17 @@ def _opened(kind: Callable[[Path], _Indexed], path: Path) -> _Indexed:
         if not all(type(connection.msgcount) is int for connection in reader.connections):
             reader.close()
             raise LogError("its counts of messages are no numbers", where=path, how=_repair(path))
+        if isinstance(reader, rosbag2.Reader) and not _is_indexed(reader):
+            reader.close()
+            raise LogError("its chunks have no index of their messages", where=path, how=_repair(path))
         return reader
+
+
+def _is_indexed(reader: rosbag2.Reader) -> bool:
+    """Whether rosbags finds the messages of an MCAP's chunks: it passes over those that have no index of their own."""
+    files = getattr(reader.storage, "storages", (reader.storage,))  # of a folder
+    chunks = [chunk for file in files for chunk in getattr(file, "chunks", ())]
+    return all(chunk.message_index_length or not chunk.message_end_time for chunk in chunks)
 
 
 def _check_beginning(path: Path) -> None:
