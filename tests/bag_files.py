@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from mcap.writer import CompressionType
+from mcap.writer import CompressionType, IndexType
 from mcap.writer import Writer as McapWriter
 from rosbags import rosbag1, rosbag2
 from rosbags.rosbag2.enums import CompressionFormat, StoragePlugin
@@ -67,10 +67,11 @@ def mcap_file(
     compression: CompressionType = CompressionType.NONE,
     chunking: bool = True,
     finish: bool = True,
+    index: IndexType = IndexType.ALL,
 ) -> Path:
     definition = store.generate_msgdef(msgtype, ros_version=2)[0] if schema else ""
     with path.open("wb") as file:
-        writer = McapWriter(file, chunk_size=400, compression=compression, use_chunking=chunking)
+        writer = McapWriter(file, chunk_size=400, compression=compression, use_chunking=chunking, index_types=index)
         writer.start(profile=profile)
         schema_id = writer.register_schema(msgtype, schema, definition.encode())
         channel = writer.register_channel("/odom", encoding, schema_id)

@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
+from bag_files import ROS2, START, custom, mcap_file
 from offpiste.errors import LogError
 from offpiste.logs import open_log
+from offpiste.logs.ros.bag_files import heard_at
 from offpiste.logs.ros.mcap_columns import layout
 from offpiste.logs.ros.writer import McapWriter, floats, header, make, message_types
 from sensor_bags import IMAGE, SECOND, cloud, compressed, odometry, record, stamp
@@ -114,3 +116,27 @@ def test_picked_clouds_and_images_are_those_of_the_stream(tmp_path):
     all_images = {image.time: image.pixels for image in log.images("/image")}
     (image,) = log.images_at("/image", log.stamps("/image")[[5]])
     np.testing.assert_array_equal(image.pixels, all_images[image.time])
+
+
+@pytest.mark.parametrize("fields", [["stamp", "angle"], ["angle", "stamp"], ["stamp", "angle", "header"]])
+def test_a_stamp_beside_the_numbers_counts_where_there_is_no_header(tmp_path, fields):
+    kinds = {"stamp": "builtin_interfaces/Time", "angle": "float32", "header": "std_msgs/Header"}
+    time = ROS2.types["builtin_interfaces/msg/Time"]
+    rows = [{"stamp": time(START + k - 5, 0), "angle": float(k)} for k in range(20)]
+    rows[7]["stamp"] = time(0, 0)
+    if headed := "header" in fields:
+        rows = [row | {"header": header((START + 60 + k) * SECOND, "base")} for k, row in enumerate(rows)]
+    store, name, messages = custom("".join(f"{kinds[one]} {one}\n" for one in fields), rows)
+    quick, plain = both(mcap_file(tmp_path / "log.mcap", messages, msgtype=name, store=store))
+    same(quick, plain, "/odom")
+    expected = [START + k + (60 if headed else -5 if k != 7 else 0) for k in range(20)]
+    np.testing.assert_array_equal(plain.stamps("/odom"), expected)
+    assert heard_at(5.0, messages[3], "header") == expected[3]
+    assert heard_at(5.0, messages[3], "receive") == 5.0
+
+
+def test_a_number_that_is_called_stamp_is_no_time(tmp_path):
+    store, name, messages = custom("uint64 stamp\nfloat32 angle\n", [{"stamp": k, "angle": 0.5} for k in range(20)])
+    quick, plain = both(mcap_file(tmp_path / "log.mcap", messages, msgtype=name, store=store))
+    same(quick, plain, "/odom")
+    np.testing.assert_array_equal(plain.stamps("/odom"), START + np.arange(20))

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from camera_models import MODELS
-from offpiste.errors import PerceptionError
-from offpiste.rig.camera import CameraModel
+from offpiste.errors import LogError, PerceptionError
+from offpiste.logs.ros.writer import make
+from offpiste.rig.camera import CameraModel, model_from_message
+from sensor_bags import info
 
 
 @pytest.fixture(params=MODELS)
@@ -44,3 +46,21 @@ def test_many_points_are_projected_as_each_alone(model: CameraModel):
 def test_bad_calibrations_are_named(change: dict, message: str):
     with pytest.raises(PerceptionError, match=message):
         dataclasses.replace(MODELS["plumb_bob"], **change).validate("camera")
+
+
+def _region(binning: int = 0, **given: int) -> object:
+    region = {"x_offset": 0, "y_offset": 0, "height": 0, "width": 0} | given
+    roi = make("sensor_msgs/RegionOfInterest", do_rectify=False, **region)
+    return info(binning_x=binning, binning_y=binning, roi=roi)
+
+
+@pytest.mark.parametrize("given", [{}, {"width": 8, "height": 6}, {"binning": 1}])
+def test_a_region_that_is_the_full_image_is_none(given: dict):
+    model, _ = model_from_message(_region(**given), "/info", rectified=False)
+    assert (model.width, model.height) == (8, 6)
+
+
+@pytest.mark.parametrize("given", [{"width": 4, "height": 6}, {"width": 8}, {"y_offset": 1}, {"binning": 2}])
+def test_part_of_an_image_is_refused(given: dict):
+    with pytest.raises(LogError, match="binning or a region of interest"):
+        model_from_message(_region(**given), "/info", rectified=False)

@@ -137,7 +137,9 @@ def model_from_message(message: Any, topic: str, *, rectified: bool) -> tuple[Ca
     if not (np.isfinite(used).all() and used[0, 0] > 0 and used[1, 1] > 0 and message.width and message.height):
         how = "calibrate it, or give intrinsics in the rig"
         raise LogError("the camera is not calibrated: its CameraInfo is empty", where=where, how=how)
-    if max(message.binning_x, message.binning_y) > 1 or message.roi.width or message.roi.height:
+    roi, size = message.roi, (message.width, message.height)
+    part = (roi.width, roi.height) not in ((0, 0), size) or roi.x_offset or roi.y_offset  # zeros mean the full image
+    if max(message.binning_x, message.binning_y) > 1 or part:
         how = "give intrinsics in the rig as they hold for the recorded image"
         raise LogError("CameraInfo with binning or a region of interest is not supported", where=where, how=how)
     if not rectified:

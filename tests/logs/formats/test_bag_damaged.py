@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mcap.writer import CompressionType
+from mcap.writer import CompressionType, IndexType
 from rosbags.rosbag2.enums import StoragePlugin
 
 from bag_files import mcap_file, ros1_bag, ros2_folder, speeds, twists
@@ -40,6 +40,17 @@ def test_mcap_cut_in_a_chunk_keeps_its_whole_messages(tmp_path: Path, compressio
         counts.append(log.topics["/odom"].count)
     assert counts == sorted(counts)
     assert counts[0] < counts[-1] < 30
+
+
+@pytest.mark.parametrize("index", [IndexType.NONE, IndexType.CHUNK, IndexType.MESSAGE])
+def test_an_mcap_without_an_index_is_whole(tmp_path: Path, index: IndexType) -> None:
+    folder = ros2_folder(tmp_path / "drive", StoragePlugin.MCAP, twists(30))
+    path = mcap_file(folder / "drive.mcap", twists(30), index=index)
+    log = BagLog(path)
+    assert log.warnings == ()
+    assert speeds(log) == list(range(30))
+    assert len(log.stamps("/odom")) == len(list(log.messages("/odom"))) == 30
+    assert speeds(BagLog(folder)) == list(range(30))
 
 
 def test_mcap_that_ends_in_zeros(tmp_path: Path) -> None:

@@ -32,8 +32,8 @@ _MAX_ENTRIES = 36
 
 
 def stamp_of(received: int, message: object, stamps: str) -> float:
-    """Time of a message [s] by its header or by its arrival."""
-    return ((stamps == "header" and _header_stamp(message)) or received) / 10**9  # exact, unlike 1e9
+    """Time of a message [s] by its header (or a stamp of its own in its place) or by its arrival."""
+    return ((stamps == "header" and _own_stamp(message)) or received) / 10**9  # exact, unlike 1e9
 
 
 def heard_at(received: float, message: object, stamps: str) -> float:
@@ -47,9 +47,12 @@ def heard_at(received: float, message: object, stamps: str) -> float:
     return stamp_of(0, message, stamps) or -math.inf
 
 
-def _header_stamp(message: Any) -> int:
-    """Stamp in a message's header [ns]; 0 where it has none."""
-    stamp = getattr(getattr(message, "header", None), "stamp", None)
+def _own_stamp(message: Any) -> int:
+    """Stamp in a message's header, or beside its numbers where it has no header (Autoware's) [ns]; 0 without any."""
+    header = getattr(message, "header", None)
+    stamp = getattr(message if header is None else header, "stamp", None)
+    if header is None and not (hasattr(stamp, "sec") and hasattr(stamp, "nanosec")):
+        return 0  # what is called so may be a number
     return 0 if stamp is None else stamp.sec * 10**9 + stamp.nanosec
 
 
@@ -250,7 +253,17 @@ def _opened(kind: Callable[[Path], _Indexed], path: Path) -> _Indexed:
         if not all(type(connection.msgcount) is int for connection in reader.connections):
             reader.close()
             raise LogError("its counts of messages are no numbers", where=path, how=_repair(path))
+        if isinstance(reader, rosbag2.Reader) and not _is_indexed(reader):
+            reader.close()
+            raise LogError("its chunks have no index of their messages", where=path, how=_repair(path))
         return reader
+
+
+def _is_indexed(reader: rosbag2.Reader) -> bool:
+    """Whether rosbags finds the messages of an MCAP's chunks: it passes over those that have no index of their own."""
+    files = getattr(reader.storage, "storages", (reader.storage,))  # of a folder
+    chunks = [chunk for file in files for chunk in getattr(file, "chunks", ())]
+    return all(chunk.message_index_length or not chunk.message_end_time for chunk in chunks)
 
 
 def _check_beginning(path: Path) -> None:

@@ -31,6 +31,7 @@ _AHEAD: Final = 4
 """Chunks that are decompressed at the same time."""
 _HEAD: Final = 31
 """Bytes of a message record before its data: opcode, length, channel, sequence, two times."""
+_HEADS: Final = {"header": "std_msgs/msg/Header", "stamp": "builtin_interfaces/msg/Time"}
 _TYPES: Final = {
     "bool": "u1", "byte": "u1", "char": "u1", "uint8": "u1", "int8": "i1", "uint16": "u2", "int16": "i2",
     "uint32": "u4", "int32": "i4", "uint64": "u8", "int64": "i8", "float32": "f4", "float64": "f8",
@@ -57,7 +58,7 @@ class Columns:
     """Numbers of a topic in the order of arrival.
 
     Attributes:
-        arrival, stamp: by the recorder's clock, and by the header, 0 where it has none [ns].
+        arrival, stamp: by the recorder's clock, and by the message, 0 where it has none [ns].
         fields, values: one column each; none for messages that are long or change their layout.
     """
 
@@ -127,9 +128,8 @@ def _topic(connection: Connection, store_of: Callable[[Connection], Typestore]) 
         fields = store.get_msgdef(connection.msgtype).fields
     except LogError:  # the plain reader says what is wrong with a definition
         return None
-    names = [name for name, _ in fields]
-    headed = bool(fields) and fields[0][1] == (Nodetype.NAME, "std_msgs/msg/Header")
-    if "header" in names and not (headed and names[0] == "header"):
+    headed = bool(fields) and fields[0][1] == (Nodetype.NAME, _HEADS.get(fields[0][0]))
+    if set(_HEADS) & {name for name, _ in fields[headed:]}:
         return None
     return _Topic(store, connection.msgtype, headed)
 
