@@ -145,7 +145,7 @@ class Joints:
     """Entries of sensor_msgs/JointState by their names, in whatever order and company a message has them.
 
     Entry `position[i]` is the joint that `names` has i-th, also where several publishers share a topic; entries
-    without a name are told apart by their order.
+    without a name are known by their order.
 
     Attributes:
         fields: paths of the entries that there are.
