@@ -6,11 +6,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from bag_files import custom, mcap_file
 from offpiste.inspection.channel_guesses import guess_channels
 from offpiste.inspection.draft_rig import draft_rig
 from offpiste.inspection.inspect import inspect_log
+from offpiste.logs.formats.bag import BagLog
 from offpiste.logs.opening import open_log
-from offpiste.logs.ros.bag_files import joints_of
+from offpiste.logs.ros.sensor_messages import Joints
 from offpiste.logs.ros.writer import McapWriter, floats, header, make
 from offpiste.rig.rig import parse_rig
 
@@ -67,11 +69,63 @@ def test_a_rig_with_the_names_is_led_to_the_entries(log: Path) -> None:
 
 
 def test_kinds_follow_the_names_and_what_has_no_name_keeps_none() -> None:
-    message = SimpleNamespace(name=["left", ""])
-    fields = ["position[0]", "velocity[0]", "effort[0]", "position[1]", "position[2]", "other[0]"]
-    assert joints_of(message, fields) == {
-        "position[0]": "left", "velocity[0]": "left_vel", "effort[0]": "left_effort"
-    }  # fmt: skip
-    assert joints_of(SimpleNamespace(name="left"), fields) == {}
-    assert joints_of(SimpleNamespace(), fields) == {}
-    assert joints_of(None, fields) == {}
+    message = SimpleNamespace(name=["left", ""], position=[1.0, 2.0, 3.0], velocity=[4.0], effort=[5.0])
+    joints = Joints([message])
+    assert joints.fields == ("position[0]", "position[1]", "position[2]", "velocity[0]", "effort[0]")
+    assert joints.names == {"position[0]": "left", "velocity[0]": "left_vel", "effort[0]": "left_effort"}
+    assert joints.reader(joints.fields)(message) == [1.0, 2.0, 3.0, 4.0, 5.0]
+    assert Joints([]).fields == ()
+
+
+def test_names_that_are_given_twice_are_told_apart_by_their_order() -> None:
+    message = SimpleNamespace(name=["a", "a"], position=[1.0, 2.0], velocity=[], effort=[])
+    joints = Joints([message])
+    assert joints.names == {"position[0]": "a", "position[1]": "a"}
+    assert joints.reader(["position[1]", "position[0]"])(message) == [2.0, 1.0]
+
+
+def _record(path: Path, messages: list[object]) -> BagLog:
+    with McapWriter(path) as writer:
+        for k, message in enumerate(messages):
+            writer.write("joints", message, int((100 + k / 10) * 1e9))
+    return BagLog(path)
+
+
+@pytest.mark.parametrize("names", [("steer", "boom"), ("boom1", "steer")])
+def test_an_order_that_changes_on_the_way_is_followed(tmp_path: Path, names: tuple[str, str]) -> None:
+    messages = []
+    for k in range(3000):
+        order = 1 if k < 1500 else -1
+        messages.append(_joints((100 + k) * 10**9, names[::order], [float(k), -1.0][::order]))
+    log = _record(tmp_path / "log.mcap", messages)
+    assert log.topics["joints"].joints == {"position[0]": names[0], "position[1]": names[1]}
+    values = log.read("joints", ["position[0]", "position[1]"]).values
+    np.testing.assert_array_equal(values, np.column_stack((np.arange(3000), np.full(3000, -1))))
+
+
+def test_publishers_that_share_a_topic_are_told_apart(tmp_path: Path) -> None:
+    messages = [_joints(10**11, (), [])]
+    for k in range(1, 40):
+        messages.append(_joints((100 + k) * 10**9, ("steer",), [float(k)]))
+        messages.append(_joints((100 + k) * 10**9, ("left", "right"), [float(-k), 0.5]))
+    log = _record(tmp_path / "log.mcap", messages)
+    assert log.topics["joints"].joints == {"position[0]": "steer", "position[1]": "left", "position[2]": "right"}
+    values = log.read("joints", ["position[0]", "position[2]", "position[1]"]).values
+    assert np.isnan(values[0]).all()
+    np.testing.assert_array_equal(values[1::2], [[k, np.nan, np.nan] for k in range(1, 40)])
+    np.testing.assert_array_equal(values[2::2], [[np.nan, 0.5, -k] for k in range(1, 40)])
+
+
+def test_orders_that_differ_from_file_to_file_are_followed(tmp_path: Path) -> None:
+    for number, order in ((0, 1), (1, -1)):
+        messages = [_joints((100 + k) * 10**9, ("left", "boom")[::order], [1.0, 2.0][::order]) for k in range(30)]
+        _record(tmp_path / f"drive_{number}.mcap", messages)
+    values = BagLog(tmp_path).read("joints", ["position[0]", "position[1]"]).values
+    np.testing.assert_array_equal(values, np.tile([1.0, 2.0], (60, 1)))
+
+
+def test_other_sequences_are_as_long_as_the_first_that_is_not_empty(tmp_path: Path) -> None:
+    store, name, messages = custom("float64[] data\n", [{"data": floats(data)} for data in ([], [], [1, 2], [3])])
+    log = BagLog(mcap_file(tmp_path / "log.mcap", messages, msgtype=name, store=store))
+    assert log.topics["/odom"].fields == ("data[0]", "data[1]")
+    np.testing.assert_array_equal(log.read("/odom", ["data[1]"]).values[:, 0], [np.nan, np.nan, 2, np.nan])

@@ -1,6 +1,5 @@
 """ROS 1 and ROS 2 bags, without ROS: numbers, images, point clouds, calibrations and transforms."""
 
-import functools
 import weakref
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
@@ -16,12 +15,11 @@ from offpiste.logs.log import LOG_FORMATS, Log, RawCloud, RawImage, Samples, Top
 from offpiste.logs.ros.bag_files import (
     MAGIC,
     MakeDecoder,
-    field_getter,
     fields_of,
     headers_only,
-    joints_of,
     open_readers,
     reported,
+    row_reader,
     stamp_of,
     storage_files,
     typestore_of,
@@ -29,7 +27,7 @@ from offpiste.logs.ros.bag_files import (
 )
 from offpiste.logs.ros.mcap_columns import Columns, columns_of
 from offpiste.logs.ros.mcap_recovery import StreamedMcap
-from offpiste.logs.ros.sensor_messages import decompressed, points_from_message, raw_pixels
+from offpiste.logs.ros.sensor_messages import Joints, decompressed, has_joints, points_from_message, raw_pixels
 from offpiste.logs.transforms import Transform
 from offpiste.rig.camera import CameraModel, model_from_message
 
@@ -37,6 +35,8 @@ _IMAGE_TYPES: Final = ("sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image
 _CLOUD_TYPES: Final = ("sensor_msgs/msg/PointCloud2",)
 _CALIBRATIONS: Final = ("sensor_msgs/msg/CameraInfo",)
 _JOINTS: Final = "sensor_msgs/msg/JointState"
+_FIRST: Final = 100
+"""Messages of a topic that are asked for the names of its joints, or the lengths of its sequences."""
 _TRANSFORMS: Final = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 
 
@@ -45,8 +45,9 @@ class BagLog(Log):
     """A ROS 1 `.bag`, a ROS 2 `.mcap` or `.db3`, or the folder of one; message definitions come from the bag.
 
     Fields are dotted paths to numbers and booleans, e.g. `pose.pose.position.x` or `pose.covariance[0]`: entries of
-    fixed-size arrays of at most 36, and the first 36 that a sequence has in the topic's first message (where a later
-    message has fewer, they are NaN). Headers, text, raw bytes and sequences of messages are no fields.
+    fixed-size arrays of at most 36, and the first 36 that a sequence has in the topic's first message where it is not
+    empty (where a later message has fewer, they are NaN). Entries of sensor_msgs/JointState go by their names, which
+    are those of the first hundred messages. Headers, text, raw bytes and sequences of messages are no fields.
     Samples come in the order of arrival. An MCAP file without its end is read as far as it goes.
 
     Raises:
@@ -59,6 +60,7 @@ class BagLog(Log):
     def __init__(self, path: Path) -> None:
         self.path = path
         self._kept: dict[int, dict[int, Columns]] = {}
+        self._joints: dict[str, Joints] = {}
         notes: list[str] = []
         with ExitStack() as stack:
             self._readers = open_readers(path, notes)
@@ -104,21 +106,30 @@ class BagLog(Log):
         if others := {c.msgtype for c in connections} - {main.msgtype}:
             notes.append(f"{self.path}: topic '{name}' also carries {', '.join(sorted(others))}, which are not read")
 
-        @functools.cache
-        def first() -> object:
-            try:
-                return next((message for _, message in self._messages(name, main.msgtype)), None)
-            except LogError as error:
-                notes.append(str(error))
-                return None
+        decoded = (message for _, message in self._messages(name, main.msgtype))
+        kept: list[object] = []
+
+        def first() -> Iterator[object]:
+            for k in range(_FIRST):
+                if k == len(kept):
+                    try:
+                        kept.append(next(decoded))
+                    except StopIteration:
+                        return
+                    except LogError as error:
+                        notes.append(str(error))
+                        return
+                yield kept[k]
 
         try:
-            fields = tuple(fields_of(typestore_of(main, self.path), main.msgtype, first))
+            store = typestore_of(main, self.path)
+            if main.msgtype == _JOINTS and has_joints(store.get_msgdef(_JOINTS).fields):
+                joints = self._joints[name] = Joints(first())
+                return Topic(name, main.msgtype, count, joints.fields, joints=joints.names)
+            return Topic(name, main.msgtype, count, tuple(fields_of(store, main.msgtype, first)))
         except LogError as error:
             notes.append(f"topic '{name}': {error}")
             return Topic(name, error.what, count, ())
-        joints = joints_of(first(), fields) if main.msgtype == _JOINTS else {}
-        return Topic(name, main.msgtype, count, fields, joints=joints)
 
     def _messages(self, name: str, msgtype: str, decoder: MakeDecoder | None = None) -> Iterator[tuple[int, object]]:
         """Time of arrival [ns] and decoded message."""
@@ -151,22 +162,24 @@ class BagLog(Log):
         return result or None
 
     def _read(self, topic: Topic, fields: Sequence[str], stamps: str) -> Samples:
-        columns = self._columns(topic)
+        columns, joints = self._columns(topic), self._joints.get(topic.name)
+        if joints is not None and len(self._readers) > 1:
+            columns = None  # names are the same within each file only
         if columns is not None and all(set(fields) <= set(one.fields) for one in columns):
             parts = [one.values[:, [one.fields.index(f) for f in fields]] for one in columns]
             return Samples(np.concatenate([one.seconds(stamps) for one in columns]), np.concatenate(parts))
-        getters = [field_getter(field) for field in fields]
+        read = row_reader(fields) if joints is None else joints.reader(fields)
         time, rows = [], []
         for received, message in self._messages(topic.name, topic.type):
             time.append(stamp_of(received, message, stamps))
-            rows.append([get(message) for get in getters])
+            rows.append(read(message))
         if len(time) < topic.count:
             raise LogError(
                 f"topic '{topic.name}' has {len(time)} messages where the index promises {topic.count}",
                 where=self.path,
                 how="the bag was cut short or mixed; record or copy it again",
             )
-        return Samples(np.array(time), np.array(rows, dtype=np.float64).reshape(len(time), len(getters)))
+        return Samples(np.array(time), np.array(rows, dtype=np.float64).reshape(len(time), len(fields)))
 
     def transforms(self, topics: Sequence[str]) -> list[Transform]:
         """Transforms of tf2_msgs/TFMessage: the first of each pair of frames."""

@@ -3,7 +3,7 @@
 import functools
 import math
 import struct
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from operator import attrgetter
 from pathlib import Path
@@ -25,9 +25,7 @@ MakeDecoder = Callable[[Connection, Path], Callable[[bytes], object]]
 
 _NO_NUMBERS = {"std_msgs/msg/Header", "std_msgs/msg/MultiArrayLayout"}
 """Parts of messages that hold no measurement: stamps are read on their own, and a layout says how arrays are cut."""
-_JOINT_ARRAYS = {"position": "", "velocity": "_vel", "effort": "_effort"}
-"""Arrays of sensor_msgs/JointState, with what is put behind the names of their entries."""
-_MAX_ENTRIES = 36
+MAX_ENTRIES = 36
 """Longest array that is listed entry by entry: a 6 x 6 covariance; longer ones are bulk data."""
 
 
@@ -66,8 +64,14 @@ def field_getter(field: str) -> Callable[[object], float]:
     return lambda message: values[entry] if entry < len(values := get(message)) else math.nan
 
 
-def fields_of(store: Typestore, msgtype: str, first: Callable[[], object], prefix: str = "") -> Iterator[str]:
-    """Paths of the numbers in a message type; `first` gives the topic's first message, if any."""
+def row_reader(fields: Sequence[str]) -> Callable[[object], list[float]]:
+    """Function that reads fields from a decoded message."""
+    getters = [field_getter(field) for field in fields]
+    return lambda message: [get(message) for get in getters]
+
+
+def fields_of(store: Typestore, msgtype: str, first: Callable[[], Iterable[object]], prefix: str = "") -> Iterator[str]:
+    """Paths of the numbers in a message type; `first` gives the topic's first messages, if any."""
     entries: Sequence[tuple[str, Any]] = store.get_msgdef(msgtype).fields
     for name, (kind, detail) in entries:
         path = prefix + name
@@ -82,28 +86,12 @@ def fields_of(store: Typestore, msgtype: str, first: Callable[[], object], prefi
             if inner != Nodetype.BASE or element[0] not in _NUMBERS:
                 continue
             if kind == Nodetype.ARRAY:
-                size = size if size <= _MAX_ENTRIES else 0
-            elif element[0] in _OCTETS or (message := first()) is None:
+                size = size if size <= MAX_ENTRIES else 0
+            elif element[0] in _OCTETS:
                 size = 0
-            else:
-                size = min(len(attrgetter(path)(message)), _MAX_ENTRIES)
+            else:  # the first that is not empty
+                size = next((min(n, MAX_ENTRIES) for one in first() if (n := len(attrgetter(path)(one)))), 0)
             yield from (f"{path}[{i}]" for i in range(size))
-
-
-def joints_of(message: object, fields: Sequence[str]) -> dict[str, str]:
-    """What a message with names of joints (sensor_msgs/JointState) calls entries of its arrays, by field.
-
-    A velocity or an effort has its kind behind the joint's name: a position is what the joint is.
-    """
-    names = getattr(message, "name", None)
-    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        return {}
-    result = {}
-    for field in fields:
-        array, _, index = field.removesuffix("]").partition("[")
-        if array in _JOINT_ARRAYS and int(index) < len(names) and names[int(index)]:
-            result[field] = names[int(index)] + _JOINT_ARRAYS[array]
-    return result
 
 
 def _encoding(connection: Connection) -> str:

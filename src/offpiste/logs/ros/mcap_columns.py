@@ -1,8 +1,8 @@
 """Numbers and stamps of all topics of an indexed MCAP file in one pass, without decoding message by message.
 
 Each chunk is decompressed once. Its message index says where messages begin; those of a topic whose layout stays the
-same (no text or sequence changes its length) are read as columns of a byte matrix. Of images and clouds nothing is
-read but the stamp. Whatever does not fit is left to the plain reader, `BagLog._messages`, which is the reference.
+same (each text and sequence its length, each joint its place) are read as columns of a byte matrix. Of images and
+clouds nothing is read but the stamp. What does not fit is left to the plain reader, `BagLog._messages`, the reference.
 """
 
 import struct
@@ -44,7 +44,7 @@ class Layout:
 
     Attributes:
         size: of the message [bytes].
-        lengths: place and value of every length of a text or sequence.
+        lengths: place and value of every length of a text or sequence, and of all words of a sequence of texts.
         fields: place and type of every number that is kept, by its path.
     """
 
@@ -144,8 +144,7 @@ def _chunks(path: Any, chunks: Sequence[ChunkInfo]) -> Iterator[tuple[_Index, UI
         def load(chunk: ChunkInfo) -> tuple[_Index, Any]:
             file.seek(chunk.chunk_start_offset)
             record = file.read(chunk.chunk_length + chunk.message_index_length)
-            index = _message_index(memoryview(record)[chunk.chunk_length :])
-            return index, pool.submit(_content, record, chunk)
+            return _message_index(memoryview(record)[chunk.chunk_length :]), pool.submit(_content, record, chunk)
 
         waiting = iter(chunks)
         ahead = [load(chunk) for chunk in islice(waiting, _AHEAD)]
@@ -219,8 +218,7 @@ def _rows(data: UInt8[np.ndarray, " n"], begin: Int[np.ndarray, " m"], size: int
 
 
 def _numbers(rows: UInt8[np.ndarray, "m k"], at: int, kind: str) -> np.ndarray:
-    width = int(kind[1])
-    return np.ascontiguousarray(rows[:, at : at + width]).view(f"<{kind}")[:, 0]
+    return np.ascontiguousarray(rows[:, at : at + int(kind[1])]).view(f"<{kind}")[:, 0]
 
 
 def _stamps(head: UInt8[np.ndarray, "m k"]) -> Int[np.ndarray, " m"]:
@@ -237,14 +235,13 @@ def layout(store: Typestore, msgtype: str, raw: bytes) -> Layout | None:
         with reported(Path(), "no layout"):
             _walk(store, msgtype, walk, "")
             message = store.deserialize_cdr(raw, msgtype)
-        fields = {path: place for path, place in walk.fields.items() if place is not None}
         row = np.frombuffer(raw, np.uint8)[None]
-        for path, (at, kind) in fields.items():
+        for path, (at, kind) in walk.fields.items():
             if not np.array_equal(_numbers(row, at, kind)[0], field_getter(path)(message), equal_nan=True):
                 return None
     except LogError:  # whatever is damaged or unusual is the plain decoder's
         return None
-    return Layout(len(raw), tuple(walk.lengths), fields)
+    return Layout(len(raw), tuple(walk.lengths), walk.fields)
 
 
 @dataclass
@@ -281,12 +278,15 @@ def _walk(store: Typestore, msgtype: str, walk: _Walk, prefix: str | None) -> No
             _one(store, kind, detail, walk, path)
             continue
         (inner, element), size = detail
-        count = size if kind == Nodetype.ARRAY else walk.length()
+        count, begin = size if kind == Nodetype.ARRAY else walk.length(), walk.at
         if count > _LARGEST:
             raise ValueError("too long")
         for k in range(count):
             kept = inner == Nodetype.BASE and path is not None and count <= _ENTRIES
             _one(store, inner, element, walk, f"{path}[{k}]" if kept else None)
+        if count and inner == Nodetype.BASE and element[0] == "string":  # names of entries have to stay the same
+            places = (*range(begin, walk.at - 4, 4), walk.at - 4)
+            walk.lengths += [(at, int.from_bytes(walk.raw[at : at + 4], "little")) for at in places]
 
 
 def _one(store: Typestore, kind: Nodetype, detail: Any, walk: _Walk, path: str | None) -> None:

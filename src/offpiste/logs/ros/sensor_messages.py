@@ -1,9 +1,11 @@
-"""Image and point cloud messages of ROS, to and from NumPy arrays.
+"""Image and point cloud messages of ROS, to and from NumPy arrays, and what messages of joints call their entries.
 
 rosbags-image 0.10 does not serve: it ignores `step`, so padded rows come out skewed or not at all, takes 8UC1 and 8UC3
 for no colours, and stops at a broken image with an AssertionError.
 """
 
+import math
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Final
 
 import cv2
@@ -12,7 +14,11 @@ from jaxtyping import UInt8
 
 from offpiste.errors import LogError
 from offpiste.logs.measurements import decoded_picture
-from offpiste.logs.ros.writer import header, make
+from offpiste.logs.ros.bag_files import MAX_ENTRIES
+from offpiste.logs.ros.writer import header, make, message_types
+
+_ARRAYS: Final = {"position": "", "velocity": "_vel", "effort": "_effort"}
+"""Arrays of sensor_msgs/JointState, with what is put behind the names of their entries."""
 
 _CHANNELS: Final = {"rgb8": 3, "bgr8": 3, "rgba8": 4, "bgra8": 4, "mono8": 1, "8UC1": 1, "8UC3": 3} | {
     f"bayer_{pattern}8": 1 for pattern in ("rggb", "bggr", "gbrg", "grbg")
@@ -133,3 +139,60 @@ def _kind(order: str, field: Any) -> Any:
     # Old drivers leave the count at 0 and mean 1.
     kind = order + _TYPES[field.datatype]
     return (kind, (field.count,)) if field.count > 1 else kind
+
+
+class Joints:
+    """Entries of sensor_msgs/JointState by their names, in whatever order and company a message has them.
+
+    Entry `position[i]` is the joint that `names` has i-th, also where several publishers share a topic; entries
+    without a name are known by their order.
+
+    Attributes:
+        fields: paths of the entries that there are.
+        names: what messages call them, by field. A velocity or an effort has its kind behind the joint's name: a
+            position is what the joint is.
+    """
+
+    def __init__(self, messages: Iterable[Any]) -> None:
+        places: dict[tuple[str, int], int] = {}
+        found: set[tuple[str, int]] = set()
+        for message in messages:
+            for entry, at in _places(message).items():
+                place = places.setdefault(entry, len(places))
+                found |= {(array, place) for array in _ARRAYS if at < len(getattr(message, array))}
+        self._entries = list(places)[:MAX_ENTRIES]
+        self.fields = tuple(f"{a}[{i}]" for a in _ARRAYS for i in range(len(self._entries)) if (a, i) in found)
+        named = {field: (self._entry(field)[0], _ARRAYS[field.partition("[")[0]]) for field in self.fields}
+        self.names = {field: name + kind for field, (name, kind) in named.items() if name}
+
+    def _entry(self, field: str) -> tuple[str, int]:
+        return self._entries[int(field.partition("[")[2].removesuffix("]"))]
+
+    def reader(self, fields: Sequence[str]) -> Callable[[Any], list[float]]:
+        """Function that reads entries of a message; NaN where it has no joint of that name."""
+        wanted = [(field.partition("[")[0], self._entry(field)) for field in fields]
+
+        def read(message: Any) -> list[float]:
+            places = _places(message)
+            arrays = {array: getattr(message, array) for array in _ARRAYS}
+            at = [(arrays[array], places.get(entry, math.inf)) for array, entry in wanted]
+            return [float(values[int(place)]) if place < len(values) else math.nan for values, place in at]
+
+        return read
+
+
+def has_joints(fields: Sequence[Any]) -> bool:
+    """Whether a definition is that of sensor_msgs/JointState, behind its header."""
+    known = message_types().get_msgdef("sensor_msgs/msg/JointState").fields
+    return list(fields[1:]) == list(known[1:])
+
+
+def _places(message: Any) -> dict[tuple[str, int], int]:
+    """Place of each entry in a message, by its name and how many of that name come before."""
+    size = max(len(getattr(message, array)) for array in _ARRAYS)
+    result: dict[tuple[str, int], int] = {}
+    counts: dict[str, int] = {}
+    for place, name in enumerate([*message.name, *[""] * (size - len(message.name))]):
+        counts[name] = counts.get(name, -1) + 1
+        result[name, counts[name]] = place
+    return result
