@@ -1,5 +1,7 @@
 """Angles, quaternions and local polynomials against scipy, closed forms and derivatives."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -134,6 +136,31 @@ def test_the_edge_of_a_gap_is_not_extrapolated():
     values = np.random.default_rng(0).normal(0, 0.01, (len(time), 1))
     found, _ = local_polynomial(time, values, np.array([0.99, 1.2, 4.9, 5.5]), window=0.3, causal=True)
     assert np.isfinite(found[:, 0]).tolist() == [True, False, False, True]
+
+
+def _burst() -> np.ndarray:
+    """100 s at 50 Hz, of which 2000 more stamps within a tenth of a second."""
+    return np.sort(np.append(np.arange(0, 100, 0.02), 50.001 + np.arange(2000) / 20_000))
+
+
+@pytest.mark.parametrize("time", [_burst(), np.arange(0, 10, 1e-3)], ids=["a burst", "1 kHz"])
+def test_memory_does_not_grow_with_rows_times_the_widest_window(time):
+    at = np.linspace(0, time[-1], 5000)
+    tracemalloc.start()
+    local_polynomial(time, np.sin(time)[:, None], at, window=0.4, causal=False)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 30e6
+
+
+@pytest.mark.parametrize("causal", [False, True])
+def test_a_row_does_not_depend_on_the_others(causal):
+    time = _burst()
+    values, at = np.random.default_rng(0).normal(size=(len(time), 2)), np.linspace(-1, 101, 3001)
+    together = local_polynomial(time, values, at, window=0.4, causal=causal)
+    for row in (0, 10, 700, 1490, 1500, 1502, 3000):
+        alone = local_polynomial(time, values, at[row : row + 1], window=0.4, causal=causal)
+        np.testing.assert_array_equal([both[row] for both in together], [one[0] for one in alone])
 
 
 def _ellipsoid(place):

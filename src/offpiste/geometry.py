@@ -4,7 +4,10 @@ import math
 from typing import Final
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
+
+_BLOCK: Final = 2**17
+"""Samples of windows that are fitted at once, about 60 bytes each."""
 
 
 def planar_body_from_world(vectors: Float[np.ndarray, "N 2"], yaw: Float[np.ndarray, " N"]) -> Float[np.ndarray, "N 2"]:
@@ -93,8 +96,30 @@ def local_polynomial(
     first, last = (at - window, at) if causal else (at - window / 2, at + window / 2)
     begin = np.searchsorted(time, first - 1e-9, side="left")
     end = np.searchsorted(time, last + 1e-9, side="right")
-    width = max(int((end - begin).max(initial=0)), 1)
-    index = begin[:, None] + np.arange(width)
+    found, rate = np.empty((2, len(at), values.shape[1]))
+    widths = np.maximum(end - begin, 1)
+    # Rows of like widths together: one dense place (a burst of stamps) would widen the windows of all others.
+    rows = np.argsort(widths, kind="stable")
+    while len(rows):
+        block = widths[rows[: max(_BLOCK // int(widths[rows[0]]), 1)]]
+        count = max(int(np.searchsorted(block * np.arange(1, len(block) + 1), _BLOCK, side="right")), 1)
+        block, rows = rows[:count], rows[count:]
+        fits = _fits(time, values, at[block], begin[block], end[block], window, degree)
+        found[block], rate[block] = fits[:, 0], fits[:, 1] / window
+    return found, rate
+
+
+def _fits(
+    time: Float[np.ndarray, " n"],
+    values: Float[np.ndarray, "n k"],
+    at: Float[np.ndarray, " N"],
+    begin: Int[np.ndarray, " N"],
+    end: Int[np.ndarray, " N"],
+    window: float,
+    degree: int,
+) -> Float[np.ndarray, "N c k"]:
+    """Coefficients of the polynomials through the samples from `begin` to before `end`, in time / window from `at`."""
+    index = begin[:, None] + np.arange(max(int((end - begin).max()), 1))
     inside = index < end[:, None]
     index = np.minimum(index, len(time) - 1)
 
@@ -111,7 +136,7 @@ def local_polynomial(
     moments = np.einsum("Nwi,Nwk->Nik", powers, values[index])
     coefficients = np.linalg.solve(normal, moments)
     coefficients[~enough] = np.nan
-    return coefficients[:, 0], coefficients[:, 1] / window
+    return coefficients
 
 
 _EQUATOR: Final = 6_378_137.0

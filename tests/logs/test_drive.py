@@ -58,3 +58,26 @@ def test_the_common_span_is_what_all_channels_cover():
 def test_clocks_that_do_not_meet_are_an_error_that_names_both():
     with pytest.raises(LogError, match=r"'a' ends at 5\.000 s, before 'b' begins at 1700000000\.000 s"):
         common_span([named("a", 0, 5), named("b", 1.7e9, 1.7e9 + 5)], "log")
+
+
+def stepped(step: float) -> list[Channel]:
+    """150 s at 10 Hz, whose clock was set forward after the first minute."""
+    time = np.arange(0, 150, 0.1)
+    time[600:] += step
+    return [Channel(name, "1", time, np.zeros((len(time), 1))) for name in "ab"]
+
+
+def test_a_clock_that_was_set_by_hours_is_an_error_that_says_where_to_cut():
+    said = r"log: nothing is recorded for 20\.0 hours from 59\.900 s on, of a log of 150 s; .*cut the log there"
+    with pytest.raises(LogError, match=said):
+        common_span(stepped(72_000), "log")
+
+
+def test_a_pause_is_no_clock_that_was_set():
+    assert common_span(stepped(1800), "log")[1] > 1900
+    drives = np.append(np.arange(0, 1200, 0.1), np.arange(15_000, 16_200, 0.1))
+    both = Channel("a", "1", drives, np.zeros((len(drives), 1)))
+    assert common_span([both], "log") == (0, drives[-1])
+    # One channel that is silent for long says nothing: the others are recorded.
+    other = Channel("b", "1", np.arange(0, 16_200, 1.0), np.zeros((16_200, 1)))
+    assert common_span([named("c", 0, 16_000), other], "log") == (0, 16_000)

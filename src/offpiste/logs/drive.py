@@ -3,6 +3,9 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Final
+
+import numpy as np
 
 from offpiste.errors import LogError
 from offpiste.geometry import same_sign
@@ -12,6 +15,11 @@ from offpiste.logs.log import Log
 from offpiste.logs.opening import open_log
 from offpiste.logs.pose_faults import PoseFaults, without_faults
 from offpiste.rig.rig import Rig
+
+_PAUSE: Final = 3600.0
+"""Shortest time without a sample that may be refused [s]."""
+_EMPTY: Final = 20.0
+"""Times that such a gap is longer than all that was recorded."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +90,7 @@ def common_span(channels: Sequence[Channel], path: str | Path) -> tuple[float, f
     """First and last moment [s] that all of these channels cover.
 
     Raises:
-        LogError: there is no such moment, or more than a day of them.
+        LogError: there is no such moment, or more than a day of them, or next to none of that time is recorded.
     """
     start = max(channel.time[0] for channel in channels)
     end = min(channel.time[-1] for channel in channels)
@@ -95,4 +103,23 @@ def common_span(channels: Sequence[Channel], path: str | Path) -> tuple[float, f
             how='their clocks differ: use clock.stamps = "receive", fix a delay, or drop the channel',
         )
     refuse_long(start, end, path)
+    _refuse_empty(start, end, channels, path)
     return start, end
+
+
+def _refuse_empty(start: float, end: float, channels: Sequence[Channel], path: str | Path) -> None:
+    """Raise if a grid of time would be empty but for its ends: all channels have one gap, as where a clock was set."""
+    if end - start < _PAUSE:
+        return
+    time = np.sort(np.concatenate([channel.time for channel in channels]))
+    time = time[(time >= start) & (time <= end)]
+    gaps = np.diff(time, append=time[-1:])
+    longest = int(gaps.argmax())
+    recorded = end - start - gaps[longest]
+    if gaps[longest] > max(_PAUSE, _EMPTY * recorded):
+        raise LogError(
+            f"nothing is recorded for {gaps[longest] / 3600:.1f} hours from {time[longest]:.3f} s on, of a log of "
+            f"{recorded:.0f} s",
+            where=path,
+            how="the clock was set there, or two recordings were joined: cut the log there",
+        )
