@@ -23,7 +23,8 @@ def test_limits_of_what_is_sent_bound_pedal_wheel_and_speed():
 def test_plans_are_made_of_what_may_be_sent():
     fast, steering = [], []
     for limits in (CommandLimits(), CommandLimits(throttle=0.3, steer=0.05, speed=2.0)):
-        stream = straight_drive(**vars_of(keeping_to(settings(), limits)))
+        narrowed = keeping_to(settings(), limits)
+        stream = straight_drive(sampling=narrowed.sampling, speed=narrowed.speed)
         controls = np.array([each.command for each in stream.run(3.0)])
         assert controls[:, 0].max() <= limits.throttle + 1e-6
         assert abs(controls[:, 2]).max() <= limits.steer + 1e-6
@@ -31,7 +32,3 @@ def test_plans_are_made_of_what_may_be_sent():
         steering.append(abs(controls[:, 2]).max())
     assert fast[1] < 2.5 < fast[0], "the course wants 5 m/s"
     assert steering[0] > 0.05
-
-
-def vars_of(narrowed):
-    return {"sampling": narrowed.sampling, "speed": narrowed.speed}

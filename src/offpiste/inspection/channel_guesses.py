@@ -13,7 +13,7 @@ from offpiste.rig.labels import Label, channel_unit, field_labels, is_array_entr
 
 _ANGLE = r"(angle|ang)"
 _TURN_RATE: Final = re.compile(r"ang(ular)?_?vel(ocity)?[/._]z$|yaw[_ ]?vel(ocity)?$")
-"""The z component alone of an angular velocity."""
+"""The z component alone of an angular velocity, or the velocity of the yaw."""
 _COMMANDED_JOINTS: Final = re.compile(r"cmd|com+and|desired|target|setpoint", re.IGNORECASE)
 """Topics of joint states that are commanded, not measured."""
 MOTION: Final = 3

@@ -13,7 +13,7 @@ from offpiste.geometry import rotation_from_quaternion
 from offpiste.inspection.driven_path import STEP, Path
 from offpiste.inspection.findings import Finding, Severity
 from offpiste.inspection.lags import SURE, fit_lags, jackknife
-from offpiste.logs.axes import turning_sign
+from offpiste.logs.axes import WORLD_DOWN, turning_sign
 from offpiste.logs.drive import Drive
 from offpiste.logs.motion import heading
 from offpiste.rig.channels import unit_factor
@@ -33,10 +33,10 @@ _NEARLY: Final = np.deg2rad(2.0)
 """Conventions differ by quarters of a turn: what is this near to one is one [rad]."""
 _STRAIGHT: Final = 0.3
 """Share of the moving rows, those that turn least, at which a vehicle goes where it heads."""
-_KNOWN_DOWN: Final = ("ned", "world down")
-_GROUND_TRACK: Final = re.compile(r"course|(?<![a-z])(cog|trk|track)(?![a-z])", re.IGNORECASE)
 _ONE_WAY: Final = 0.7
 """Resultant of headings above which a vehicle drives to and fro in one direction."""
+_GROUND_TRACK: Final = re.compile(r"course|(?<![a-z])(cog|trk|track)(?![a-z])", re.IGNORECASE)
+"""What a course over ground is called."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ def check_pose_names(rig: Rig) -> list[Finding]:
     """What names of the pose's fields say against how the rig reads them."""
     findings = []
     down = [field for field in rig.channels["position"].fields[2:] if named_down(field)]
-    if down and rig.motion.axes not in _KNOWN_DOWN:
+    if down and rig.motion.axes not in WORLD_DOWN:
         edit, what = Edit("motion.axes", "ned"), "its third field is named down, and is read as up"
         evidence = f"'{down[0]}'; hills would be valleys"
         findings.append(Finding("warning", "position", what, evidence, str(edit), 0.9, ((edit,),)))

@@ -19,7 +19,7 @@ each value is held equally long."""
 _EVEN: Final = 0.9
 """Share of values that are held as long as most, or one sample more or less."""
 _QUANTA: Final = 3.0
-"""Steps of a held channel are larger than this many of its resolution; smaller ones repeat by rounding."""
+"""Median step of a held channel over its smallest, at least: values that only step by their resolution are rounded."""
 
 
 def check_repeats(drive: Drive, path: Path) -> list[Finding]:
@@ -58,7 +58,7 @@ def _are_held_evenly(
 
     Args:
         steps: from value to value while the vehicle moves.
-        same: of samples that repeat the one before.
+        same, moving: which samples repeat the one before, and which are of a moving vehicle.
     """
     changes = np.flatnonzero(~same)
     lengths = np.diff(changes)[moving[changes[:-1]]]

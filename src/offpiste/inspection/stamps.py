@@ -207,14 +207,14 @@ def _order(where: str, topic: Recorded, seen: Timing, origin: float, clock: Cloc
         evidence = f"{seen.backward} of {total}; by {-step[worst]:.3f} s at {topic.time[worst] - origin:.2f} s"
         late = receives and not _clock_was_set_back(topic.time, arrives)
         severity: Severity = "fatal" if share > _DISORDER else "warning"
-        what, back = "stamps go back", cures
+        what, ways = "stamps go back", cures
         if share > _SHUFFLED and not clock.sort:
-            back = ((_SORT,), *cures) if late else (*cures, (_SORT,))
+            ways = ((_SORT,), *cures) if late else (*cures, (_SORT,))
             what = "samples are not in the order of their stamps" if share > _DISORDER else what
         elif late:  # arrival would add its delays to all samples, for a few that came late
-            back, severity = (), "note"
-        how = str(back[0][0]) if back else "nothing: those samples are dropped on reading"
-        findings.append(Finding(severity, where, what, evidence, how, share, back))
+            ways, severity = (), "note"
+        how = str(ways[0][0]) if ways else "nothing: those samples are dropped on reading"
+        findings.append(Finding(severity, where, what, evidence, how, share, ways))
     if seen.repeated:
         share = seen.repeated / total
         evidence = f"{seen.repeated} of {total} ({share:.1%})"

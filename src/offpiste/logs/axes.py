@@ -8,8 +8,10 @@ from jaxtyping import Float
 from offpiste.rig.channels import GEOGRAPHIC, ChannelSource
 
 _HALF_TURN = np.array([1.0, -1.0, -1.0])
-_WORLD_DOWN: Final = ("world down", "ned")
+WORLD_DOWN: Final = ("world down", "ned")
+"""Values of `motion.axes` by which the world's third axis points down."""
 _BODY_DOWN: Final = ("body down", "ned")
+"""The same of the body's."""
 
 
 def turning_sign(name: str, axes: str) -> int:
@@ -17,7 +19,7 @@ def turning_sign(name: str, axes: str) -> int:
 
     An orientation is turned about the body's axis, all else about the world's.
     """
-    return -1 if axes in (_BODY_DOWN if name == "orientation" else _WORLD_DOWN) else 1
+    return -1 if axes in (_BODY_DOWN if name == "orientation" else WORLD_DOWN) else 1
 
 
 def to_z_up(name: str, source: ChannelSource, values: Float[np.ndarray, "n k"], axes: str) -> Float[np.ndarray, "n k"]:
@@ -29,7 +31,7 @@ def to_z_up(name: str, source: ChannelSource, values: Float[np.ndarray, "n k"], 
     Args:
         axes: as the rig's `motion.axes` says them: "body down", "world down" or "ned"; "z up" changes nothing.
     """
-    world, body = axes in _WORLD_DOWN, axes in _BODY_DOWN
+    world, body = axes in WORLD_DOWN, axes in _BODY_DOWN
     if name == "orientation":
         return _turned(values, world=world, body=body)
     if name in ("yaw", "yaw_rate"):

@@ -13,8 +13,8 @@ from offpiste.errors import LogError
 from offpiste.rig.labels import gear_letter, unit_of
 
 _TEXT_BOOLEANS = {"true": 1.0, "false": 0.0}
-_MOST_PREAMBLE = 64
-"""Lines before the header, at most."""
+_MOST_PREAMBLE, _ROWS_BELOW = 64, 8
+"""Lines before the header, at most; and rows below it by which it is known."""
 _MOST_GEARS = 16
 """Numbers among letters that are gears; more are measurements, and a letter among them is a mistake."""
 
@@ -140,7 +140,7 @@ def _first_lines(path: Path) -> list[str]:
     """The first lines, of which the last one may be cut."""
     try:
         with path.open("rb") as file:
-            lines = [line for _ in range(_MOST_PREAMBLE + 8) if (line := file.readline(1 << 20))] or [b""]
+            lines = [line for _ in range(_MOST_PREAMBLE + _ROWS_BELOW) if (line := file.readline(1 << 20))] or [b""]
     except OSError as error:
         raise LogError(f"cannot be opened: {error.strerror}", where=path) from error
     if not lines[0].strip():
