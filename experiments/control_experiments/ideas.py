@@ -32,6 +32,9 @@ ABOUT: Final = (
 )
 READINGS: Final[tuple[Reading, ...]] = (MAP, *(("recorded", name) for name in ("10", "20", "30")))
 
+NETWORK_ALONE: Final = ("model", "codes", "pca", "epochs")
+"""Settings that the bicycle's constants do not depend on: where others differ, they are fitted anew."""
+
 BESIDE_HINDSIGHT: Final = FEATURE_SETS.index("10")
 """Feature set that is read beside hindsight's own, which has no distance."""
 
@@ -91,8 +94,10 @@ def ideas_control(of: Reproduced, out: Path, chosen: list[str], seeds: int) -> P
 def _run(of: Reproduced, idea: Idea, dataset: Dataset, runs: Path, seed: int) -> Run:
     if idea.made is not None:
         return idea.made(of, runs, seed)
-    config = idea.config(replace(of.member(idea.baseline).config(of.size, seed, "cpu"), model=idea.model))
-    return trained(dataset, config, runs, stages=of.folder / "runs")
+    usual = of.member(idea.baseline).config(of.size, seed, "cpu")
+    config = idea.config(replace(usual, model=idea.model))
+    same_bicycle = replace(config, **{name: getattr(usual, name) for name in NETWORK_ALONE}) == usual
+    return trained(dataset, config, runs, stages=of.folder / "runs" if same_bicycle else None)
 
 
 def with_distance(dataset: Dataset) -> Dataset:
@@ -160,6 +165,11 @@ def longer(config: TrainConfig) -> TrainConfig:
     return replace(config, epochs=2 * config.epochs)
 
 
+def robust(config: TrainConfig) -> TrainConfig:
+    """The root of the loss, where that is well above a quarter."""
+    return replace(config, robust=0.5)
+
+
 def mirrored(config: TrainConfig) -> TrainConfig:
     """Half of the windows that train are mirrored."""
     return replace(config, mirror=True)
@@ -191,6 +201,8 @@ IDEAS: Final[Mapping[str, Idea]] = {
         baseline="b",
         config=lambda config: longer(mirrored(config)),
     ),
+    "robust": Idea("the root of the loss, where it is large", config=robust),
+    "b robust": Idea("the root of the loss, where it is large", model="b", baseline="b", config=robust),
     "few features": Idea("the first 12 of 40 features", config=lambda config: replace(config, pca=12)),
     "slow windows": Idea(
         "errors count relative to the driven distance", config=lambda config: replace(config, relative=1.0)

@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from offpiste.training.losses import COMPONENTS, squared_errors, summed_loss
+from offpiste.training.losses import COMPONENTS, robust, squared_errors, summed_loss
 
 ONES = torch.ones(5)
 
@@ -61,6 +61,31 @@ def test_windows_do_not_mix():
     predicted[1] += 1
     loss = summed_loss(predicted, target, ONES, ONES)
     assert loss[0] == 0 < loss[1]
+
+
+def test_a_robust_loss_is_the_loss_while_small_and_a_distance_where_large():
+    loss = torch.tensor([0.0, 1e-4, 0.75, 1e6, 4e6]).double()
+    bent = robust(loss, 0.5)
+    assert bent[:3].tolist() == pytest.approx([0, 1e-4, 0.5], rel=1e-3)  # of 3/4: 1 * (sqrt(3/4 + 1/4) - 1/2)
+    assert (bent[4] / bent[3]).item() == pytest.approx(2, rel=1e-3)
+    assert robust(loss, 0.0) is loss
+
+
+def test_a_robust_loss_is_least_near_the_median_and_a_squared_one_at_the_mean():
+    places = torch.tensor([0.0, 0.0, 0.0, 10.0])
+    target = torch.zeros(4, 3, 6)
+    target[..., 0] = places[:, None]
+    guesses = torch.linspace(0, 10, 1001)
+
+    def best(bend: float) -> float:
+        losses = [robust(summed_loss(target * 0 + _at(x), target, ONES, ONES), bend).mean() for x in guesses]
+        return guesses[torch.stack(losses).argmin()].item()
+
+    def _at(x: torch.Tensor) -> torch.Tensor:
+        return torch.cat((x.expand(1), torch.zeros(5)))
+
+    assert best(0.0) == pytest.approx(2.5, abs=0.02)
+    assert best(0.5) < 0.25
 
 
 def test_gradients_equal_finite_differences():

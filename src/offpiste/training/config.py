@@ -48,6 +48,8 @@ class TrainConfig:
         min_speed: windows start above it [m/s], 0: from standstills as well; None: as the dataset says.
         relative: 0: errors in metres count alike at any speed, as in the paper; 1: relative to the distance that is
             driven, so that slow windows matter.
+        robust: 0: squared errors count, as in the paper; above: their root does in windows whose loss is well above the
+            square of this (`offpiste.training.losses.robust`), so that the few worst windows do not rule.
         mirror: train on the mirror image of every second window, drawn anew each time; not the actuators.
         weights: weights of the loss's components.
         seed: seed of the initial weights and the order of the windows.
@@ -69,6 +71,7 @@ class TrainConfig:
     start: Literal["causal", "smoothed"] = "causal"
     min_speed: float | None = None
     relative: float = 0.0
+    robust: float = 0.0
     mirror: bool = False
     weights: Weights = field(default_factory=Weights)
     seed: int = 0
@@ -94,6 +97,8 @@ def refuse_impossible(config: TrainConfig) -> None:
         _refuse("min_speed", config.min_speed, "a speed of 0 or more [m/s]")
     if not 0 <= config.relative <= 1:
         _refuse("relative", config.relative, "a number from 0 to 1")
+    if not 0 <= config.robust < math.inf:
+        _refuse("robust", config.robust, "a number of 0 or more; 0.5 is tried")
     weights = config.weights.in_order()
     if not (all(0 <= weight < math.inf for weight in weights) and any(weights)):
         raise RunError(f"weights of the loss are {weights}", how="give numbers of 0 or more, and one above 0")

@@ -45,6 +45,15 @@ def summed_loss(
     return (squared_errors(predicted, target).mean(dim=1) * (weights / scale).to(target.device)).sum(dim=-1)
 
 
+def robust(loss: Float[Tensor, " B"], bend: float) -> Float[Tensor, " B"]:
+    """Losses of windows as Charbonnier et al. (1994) take them: 2 d (sqrt(x + d²) - d), with the loss x and d `bend`.
+
+    Far below d² it is x, far above it grows as the root of x does, thus as a distance and not as its square: what may
+    happen one way or the other is predicted nearer to its median than to its mean. With d = 0 it is x everywhere.
+    """
+    return 2 * bend * (torch.sqrt(loss + bend**2) - bend) if bend else loss
+
+
 def loss_scale(reference: Dynamics, windows: Windows, config: TrainConfig) -> Float[Tensor, " 5"]:
     """Mean square error of the reference on the training windows by component: the units of the loss."""
     if not reference.reads_terrain:

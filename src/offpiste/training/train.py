@@ -2,6 +2,7 @@
 
 import json
 import logging
+from collections.abc import Callable
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -32,7 +33,7 @@ from offpiste.training.checkpoint import load_json, save_json
 from offpiste.training.config import TrainConfig, other_settings, refuse_impossible
 from offpiste.training.distributed import ALONE, Group
 from offpiste.training.kept_epoch import FEW_WINDOWS, KeptEpoch
-from offpiste.training.losses import loss_scale, summed_loss
+from offpiste.training.losses import loss_scale, robust, summed_loss
 from offpiste.training.map_loss import MapLoss, map_loss
 from offpiste.training.mirror import mirror_of
 from offpiste.training.optimise import REMEDY, Record, Stage, also_tensorboard, metrics_writer, run_stage
@@ -100,12 +101,7 @@ def train(
         keep("actuators", fit_actuators(lags, config, windows, validation, folder, record, group))
         _freeze(lags, reference, dynamics)
     scale = loss_scale(reference, windows, config)
-    weights = torch.tensor(config.weights.in_order(), device=device)
-    weigh = speed_weights(windows, config.relative)
-
-    def window_loss(predicted: Trajectory, batch: Batch) -> Tensor:
-        return weigh(batch) * summed_loss(_checked(predicted, batch).state, batch.target, scale, weights)
-
+    window_loss = _window_loss(windows, config, scale)
     maps, mirror = maps or map_loss(validation, group), mirror_of(windows) if config.mirror else None
 
     def rolled_out(name: str, model: Dynamics, epochs: int, draw: Draw) -> Stage:
@@ -123,6 +119,18 @@ def train(
     if group.writes:
         save_run(folder, dynamics, config, dataset, scale, kept, noise_of(dynamics, windows))
     return dynamics
+
+
+def _window_loss(windows: Windows, config: TrainConfig, scale: Tensor) -> Callable[[Trajectory, Batch], Tensor]:
+    """The loss of each window of a batch, weighted by its speed."""
+    weights = torch.tensor(config.weights.in_order(), device=scale.device)
+    weigh = speed_weights(windows, config.relative)
+
+    def loss(predicted: Trajectory, batch: Batch) -> Tensor:
+        squared = summed_loss(_checked(predicted, batch).state, batch.target, scale, weights)
+        return weigh(batch) * robust(squared, config.robust)
+
+    return loss
 
 
 def _log_kept(stage: str, kept: KeptEpoch, group: Group) -> None:
