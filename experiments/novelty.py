@@ -35,6 +35,9 @@ PURE: Final = 0.05
 """Largest distance of a cell's properties from those of its kind, in standard deviations between kinds; cells further
 away are mixtures, and belong to none."""
 
+AT_ONCE: Final = 10_000
+"""Cells that are compared with all kinds at once."""
+
 FEWEST: Final = 100
 """Cells of a kind in the test part, for a row of the table."""
 
@@ -145,10 +148,20 @@ def _of_kinds() -> Float[np.ndarray, "W K 4"]:
 
 def kinds_of(properties: Float[np.ndarray, "N 4"]) -> Int[np.ndarray, " N"]:
     """Number of the kind with these properties, however wet; -1 where none has them."""
+    apart = _distances(properties)
+    return np.where(apart.min(axis=1) < PURE, apart.argmin(axis=1), -1)
+
+
+def nearest_kinds(properties: Float[np.ndarray, "N 4"]) -> Int[np.ndarray, " N"]:
+    """Number of the kind whose properties are nearest, however wet: of a mixture, about that of the larger part."""
+    parts = np.array_split(properties, len(properties) // AT_ONCE + 1)
+    return np.concatenate([_distances(part).argmin(axis=1) for part in parts])
+
+
+def _distances(properties: Float[np.ndarray, "N 4"]) -> Float[np.ndarray, "N K"]:
     kinds = _of_kinds()
     apart = (properties[:, None, None] - kinds) / kinds.std(axis=(0, 1))
-    nearest = np.linalg.norm(apart, axis=-1).min(axis=1)
-    return np.where(nearest.min(axis=1) < PURE, nearest.argmin(axis=1), -1)
+    return np.asarray(np.linalg.norm(apart, axis=-1).min(axis=1))
 
 
 def held_out_rows(looks: dict[str, Looks], settings: NoveltySettings) -> list[dict[str, Any]]:

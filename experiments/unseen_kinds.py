@@ -1,0 +1,168 @@
+"""How sure are models of ground that training never had? Each kind of ground is held out in turn.
+
+Of a reproduction's training and validation drives all windows are left out whose wheels ever touch that kind. A model
+and its spread are trained on the rest, and evaluated on test windows that are mostly on it, beside the reproduction's
+own model, which knows it. The PCA has seen the kind.
+"""
+
+import json
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import msgspec
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from experiments.command import run
+from experiments.control_experiments.data import true_ground
+from experiments.control_experiments.models import trained
+from experiments.control_experiments.reproduced import open_reproduction
+from experiments.novelty import nearest_kinds, refuse_unlike
+from offpiste.conventions import HORIZON_STEPS
+from offpiste.dataset.splits import PARTS
+from offpiste.dataset.store import Dataset, StoredDrive
+from offpiste.dataset.windows import Windows
+from offpiste.errors import DatasetError
+from offpiste.evaluation.evaluated_windows import EvaluatedWindows
+from offpiste.evaluation.intervals import Sampling
+from offpiste.files import write_text
+from offpiste.logs.ground_truth import GROUND_KINDS
+from offpiste.reproduction.gains import MAP, evaluation_index
+from offpiste.reproduction.steps import claim_folder
+from offpiste.training.run import Run
+from offpiste.uncertainty.calibrate import kept_or_fitted
+from offpiste.uncertainty.calibration import CalibrationRow, calibration_rows, calibration_table, foretold_by
+from offpiste.uncertainty.fit import strayed_on_maps
+
+logger = logging.getLogger("experiments")
+
+MOSTLY: Final = 0.5
+"""Share of a window's steps and wheels on a kind, from which it counts as one on it."""
+
+FEWEST: Final = 50
+"""Windows on a kind, for it to be held out."""
+
+OUTSIDE: Final = -1
+"""The part of rows that belong to none."""
+
+
+@dataclass(frozen=True)
+class UnseenKinds:
+    """Hold each kind of ground out of training, and check how far predictions on it stray."""
+
+    reproduction: Path = Path("results")
+    """Folder of a finished `offpiste reproduce fig4`."""
+    out: Path = Path("unseen-kinds")
+    """Folder of all outputs; runs in it are used again."""
+    model: str = "dc"
+    """Model of the reproduction that is trained anew."""
+    kinds: tuple[str, ...] = ()
+    """To hold out; default: all that enough test windows are on."""
+    seed: int = 0
+    """Of the runs."""
+
+    def run(self) -> str:
+        """Train without each kind, evaluate, and show the table.
+
+        Raises:
+            DatasetError: no kind has enough windows, or an unknown one is named.
+        """
+        of = open_reproduction(self.reproduction)
+        claim_folder(self.out, {"reproduction": str(self.reproduction.resolve())})
+        truth = true_ground(of, self.out / "truth")
+        refuse_unlike(of.dataset, truth)
+        kinds = [kinds_under_wheels(drive) for drive in truth.drives]
+        windows = Windows(of.dataset, "test")
+        index = evaluation_index(windows, MAP, of.size.stride)
+        mostly = share_on_kinds(windows, index, kinds) >= MOSTLY
+        knowing = of.runs(self.model)[self.seed]
+        rows = list[CalibrationRow]()
+        for kind in chosen_kinds(self.kinds, mostly):
+            on_it = index[mostly[:, kind]]
+            without = without_kind(of.dataset, kinds, kind)
+            folder = self.out / GROUND_KINDS[kind] / "runs"
+            held = trained(without, of.member(self.model).config(of.size, self.seed, "cpu"), folder)
+            rows += rows_of(f"{GROUND_KINDS[kind]} held out", held, without, of.dataset, on_it)
+            rows += rows_of(f"{GROUND_KINDS[kind]} known", knowing, of.dataset, of.dataset, on_it)
+        table = calibration_table(rows)
+        content = {"schema": 1, "about": __doc__, "rows": msgspec.to_builtins(rows)}
+        write_text(self.out / "unseen_kinds.json", json.dumps(content, indent=1))
+        write_text(self.out / "unseen_kinds.md", table.markdown())
+        return f"{table.text(width=150)}\nwritten: {self.out / 'unseen_kinds.md'}"
+
+
+def kinds_under_wheels(truth: StoredDrive) -> Int[np.ndarray, "N 4"]:
+    """Number of the kind nearest to the ground under each wheel; -1 where no ground is known.
+
+    Raises:
+        DatasetError: the drive has no true ground.
+    """
+    cells = truth.rows.cells
+    if cells is None:
+        raise DatasetError(f"drive '{truth.name}' has no true ground", how="extract it with ground-truth features")
+    of_cell = nearest_kinds(np.asarray(cells.features[0], np.float64))
+    return np.where(cells.index >= 0, of_cell[cells.index], -1)
+
+
+def without_kind(dataset: Dataset, kinds: Sequence[Int[np.ndarray, "N 4"]], kind: int) -> Dataset:
+    """The same rows, but those of training and validation with a wheel on a kind of ground belong to no part."""
+
+    def held_out(drive: StoredDrive, on: Int[np.ndarray, "N 4"]) -> StoredDrive:
+        touched = (on == kind).any(axis=1) & (drive.part != PARTS.index("test"))
+        return replace(drive, part=np.where(touched, OUTSIDE, drive.part))
+
+    return replace(dataset, drives=tuple(map(held_out, dataset.drives, kinds)))
+
+
+def share_on_kinds(
+    windows: Windows, index: Int[np.ndarray, " n"], kinds: Sequence[Int[np.ndarray, "N 4"]]
+) -> Float[np.ndarray, "n K"]:
+    """Share of the steps and wheels of windows on each kind of ground.
+
+    Args:
+        kinds: of each drive, in the order of the dataset.
+    """
+    every, start = np.arange(len(GROUND_KINDS)), windows.row_in_drive(index) + 1
+    before = [np.pad((on[:, :, None] == every).sum(axis=1).cumsum(axis=0), ((1, 0), (0, 0))) for on in kinds]
+    counted = [before[d][s + HORIZON_STEPS] - before[d][s] for d, s in zip(windows.drive[index], start, strict=True)]
+    return np.asarray(counted) / (4 * HORIZON_STEPS)
+
+
+def chosen_kinds(names: Sequence[str], mostly: Bool[np.ndarray, "n K"]) -> list[int]:
+    """Numbers of the kinds to hold out: those of some names, or all that enough windows are on.
+
+    Raises:
+        DatasetError: a name is unknown, or too few windows are on what is to be held out.
+    """
+    if unknown := [name for name in names if name not in GROUND_KINDS]:
+        raise DatasetError(f"no kind of ground is called '{unknown[0]}'", how=f"give of {', '.join(GROUND_KINDS)}")
+    found = mostly.sum(axis=0)
+    for name, count in zip(GROUND_KINDS, found, strict=True):
+        logger.info(f"{name}: {count} test windows are mostly on it")
+    chosen = [k for k, name in enumerate(GROUND_KINDS) if found[k] >= FEWEST and (not names or name in names)]
+    if not chosen:
+        raise DatasetError(f"fewer than {FEWEST} test windows are on each of these kinds", how="name others as --kinds")
+    return chosen
+
+
+def rows_of(
+    name: str, run: Run, fitted_on: Dataset, dataset: Dataset, index: Int[np.ndarray, " n"]
+) -> list[CalibrationRow]:
+    """How far a run's predictions of some test windows stray, and whether its spread says so.
+
+    Args:
+        fitted_on: the dataset of the run and of its spread.
+        dataset: that has the test windows.
+        index: of these windows.
+    """
+    spread, windows = kept_or_fitted(run, fitted_on), Windows(dataset, "test")
+    foretold = foretold_by(spread, strayed_on_maps(run, windows, index))
+    located = EvaluatedWindows(dataset, windows.drive[index], windows.row_in_drive(index))
+    return calibration_rows(name, foretold, {}, Sampling().on(located))
+
+
+if __name__ == "__main__":
+    run(UnseenKinds)

@@ -1,0 +1,106 @@
+"""Kinds of ground that are held out of training: which rows and windows that leaves, and how they are evaluated."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from experiments import unseen_kinds
+from experiments.unseen_kinds import chosen_kinds, kinds_under_wheels, rows_of, share_on_kinds, without_kind
+from feature_datasets import dataset_with_features, with_snapshots
+from offpiste.conventions import HORIZON_STEPS
+from offpiste.dataset.splits import PARTS
+from offpiste.dataset.store import Dataset, StoredDrive
+from offpiste.dataset.windows import Windows
+from offpiste.errors import DatasetError
+from offpiste.logs.ground_truth import GROUND_KINDS
+from offpiste.simulation.world.ground import property_table
+from offpiste.training.config import TrainConfig
+from offpiste.training.run import load_run
+from offpiste.training.train import train
+from offpiste.uncertainty.fit import SpreadSettings
+
+GRAVEL, MUD = GROUND_KINDS.index("gravel"), GROUND_KINDS.index("mud")
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    folder = tmp_path_factory.mktemp("kinds")
+    return with_snapshots(dataset_with_features(folder / "dataset.zarr"), folder / "snapshots", [200])
+
+
+def on_ground(drive: StoredDrive, kind_of_cell: np.ndarray) -> StoredDrive:
+    """The same drive, whose cells are of some kinds, a little mixed with the next one."""
+    dry, wet = property_table()
+    mine, other = dry[kind_of_cell], wet[(kind_of_cell + 1) % len(dry)]
+    properties = (0.95 * mine + 0.05 * other).astype(np.float16)
+    shape = (len(drive.rows.cells.features), *properties.shape)
+    cells = replace(drive.rows.cells, features=np.broadcast_to(properties, shape))
+    return replace(drive, rows=replace(drive.rows, cells=cells))
+
+
+def test_mixtures_are_of_the_kind_that_they_are_mostly_of(dataset: Dataset) -> None:
+    drive = dataset.drives[0]
+    of_cell = np.random.default_rng(0).choice([GRAVEL, MUD], drive.rows.cells.features.shape[1])
+    index = drive.rows.cells.index.copy()
+    index[7, 2] = -1
+    drive = replace(drive, rows=replace(drive.rows, cells=replace(drive.rows.cells, index=index)))
+    found = kinds_under_wheels(on_ground(drive, of_cell))
+    assert found[7, 2] == -1
+    np.testing.assert_array_equal(found[index >= 0], of_cell[index[index >= 0]])
+
+
+def test_windows_that_touch_the_kind_train_nothing_and_test_everything(dataset: Dataset) -> None:
+    kinds = [np.full((len(drive.rows.time), 4), MUD) for drive in dataset.drives]
+    touched = [np.random.default_rng(1).integers(len(on), size=3) for on in kinds]
+    for on, rows in zip(kinds, touched, strict=True):
+        on[rows, 1] = GRAVEL
+    without = without_kind(dataset, kinds, GRAVEL)
+    for part in PARTS:
+        before, after = Windows(dataset, part), Windows(without, part)
+        kept = set(zip(after.drive.tolist(), after.rows.tolist(), strict=True))
+        for number, row in zip(before.drive, before.rows, strict=True):
+            start = row - before._offset[number]
+            own = range(start - 10, start + HORIZON_STEPS + 1)
+            clear = part == "test" or not any(r in own for r in touched[number])
+            assert ((number, row) in kept) == clear
+    assert len(Windows(without, "train")) < len(Windows(dataset, "train"))
+
+
+def test_shares_are_counted_as_by_hand(dataset: Dataset) -> None:
+    rng, windows = np.random.default_rng(2), Windows(dataset, "test")
+    kinds = [rng.integers(-1, len(GROUND_KINDS), (len(drive.rows.time), 4)) for drive in dataset.drives]
+    index = np.array([0, len(windows) - 1, len(windows) // 2])
+    found = share_on_kinds(windows, index, kinds)
+    for shares, number, start in zip(found, windows.drive[index], windows.row_in_drive(index), strict=True):
+        on = kinds[number][start + 1 : start + 1 + HORIZON_STEPS]
+        assert shares.tolist() == pytest.approx([(on == k).mean() for k in range(len(GROUND_KINDS))])
+
+
+def test_kinds_with_too_few_windows_and_unknown_ones_are_refused() -> None:
+    mostly = np.zeros((60, len(GROUND_KINDS)), bool)
+    mostly[:, MUD] = True
+    mostly[:20, GRAVEL] = True
+    assert chosen_kinds((), mostly) == chosen_kinds(("mud", "gravel"), mostly) == [MUD]
+    with pytest.raises(DatasetError, match="fewer than 50 test windows"):
+        chosen_kinds(("gravel",), mostly)
+    with pytest.raises(DatasetError, match="no kind of ground is called 'snow'"):
+        chosen_kinds(("snow",), mostly)
+
+
+def test_a_run_without_the_kind_is_evaluated_where_it_is(dataset: Dataset, tmp_path: Path, monkeypatch) -> None:
+    kinds = [np.full((len(drive.rows.time), 4), MUD) for drive in dataset.drives]
+    for on in kinds:
+        on[: len(on) // 8] = GRAVEL
+    without = without_kind(dataset, kinds, GRAVEL)
+    config = TrainConfig("dc", epochs=1, bicycle_epochs=1, actuator_epochs=1, batch=32, stride=80, learning_rate=1e-3)
+    train(without, config, tmp_path / "dc-0")
+    quick = SpreadSettings(windows=40, steps=3, batch=16)
+    fitted = unseen_kinds.kept_or_fitted
+    monkeypatch.setattr(unseen_kinds, "kept_or_fitted", lambda run, data: fitted(run, data, quick))
+    windows = Windows(dataset, "test")
+    index = windows.evaluation_indices(5)
+    rows = rows_of("gravel held out", load_run(tmp_path / "dc-0"), without, dataset, index)
+    assert [row.horizon for row in rows] == [1, 3, 5]
+    assert all(row.n == len(index) and row.run == "gravel held out" and row.error_m > 0 for row in rows)
