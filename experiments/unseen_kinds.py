@@ -110,7 +110,7 @@ def kinds_under_wheels(truth: StoredDrive) -> Int[np.ndarray, "N 4"]:
 def without_kind(dataset: Dataset, kinds: Sequence[Int[np.ndarray, "N 4"]], kind: int) -> Dataset:
     """The same rows, but those of training and validation with a wheel on a kind of ground belong to no part."""
 
-    def held_out(drive: StoredDrive, on: Int[np.ndarray, "N 4"]) -> StoredDrive:
+    def held_out(drive: StoredDrive, on: np.ndarray) -> StoredDrive:
         touched = (on == kind).any(axis=1) & (drive.part != PARTS.index("test"))
         return replace(drive, part=np.where(touched, OUTSIDE, drive.part))
 

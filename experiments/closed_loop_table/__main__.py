@@ -1,8 +1,7 @@
 """Closed loop: planners compared on many courses, or under faults of their sensors."""
 
 import logging
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -10,6 +9,7 @@ import tyro
 
 from experiments.closed_loop_table.cards import write_driving
 from experiments.closed_loop_table.drives import DEVELOPMENT, PYTORCH_MPPI, TEST, drive_all, entries, places
+from experiments.closed_loop_table.faults import drive_faults
 from experiments.closed_loop_table.pictures import draw_choices
 from experiments.closed_loop_table.pytorch_mppi_planner import check_installed
 from experiments.closed_loop_table.table import write_table
@@ -17,7 +17,6 @@ from experiments.command import run
 from offpiste.closed_loop.courses import KINDS as KINDS_OF_COURSE
 from offpiste.closed_loop.courses import CourseSettings
 from offpiste.closed_loop.drive_course import CourseDriveSettings
-from offpiste.closed_loop.faults import KINDS, Kind
 from offpiste.closed_loop.planner import load_planner
 from offpiste.errors import OffpisteError
 from offpiste.parallel import usable_cores
@@ -57,8 +56,8 @@ class ClosedLoop:
     cards: bool = False
     """Write the driven cost against that of `b` into the cards of the runs that have one: models that ship."""
     faults: bool = False
-    """Instead, drive each sensor fault once with every given run, into OUT/faults."""
-
+    """Instead, drive each sensor fault once with every given run, while driving, standing and in reverse, into
+    OUT/faults."""
     processes: int = 0
     """Number of courses at a time; 0: one per core."""
 
@@ -86,20 +85,15 @@ class ClosedLoop:
         )
         rows = entries(planners, self.latencies, self.risks, self.planners)
         worlds = places(TEST if self.test else DEVELOPMENT, self.courses, self.kinds)
-        drive = partial(drive_all, worlds=worlds, processes=self.processes or usable_cores())
-        if not self.faults:
-            results = drive(rows, out=self.out, settings=settings)
-            draw_choices(results, worlds, self.out)
-            logger.info(write_table(results, self.out, self.seconds))
-            if self.cards:
-                write_driving(planners, results, self.seconds)
+        processes = self.processes or usable_cores()
+        if self.faults:
+            logger.info(drive_faults(planners, worlds, self.out, settings, processes=processes))
             return
-        kinds: tuple[Kind, ...] = tuple(kind for kind in KINDS if kind != "none")
-        for kind in kinds:
-            faulty = replace(settings, fault=kind)
-            for result in drive(entries(planners, ()), out=self.out / "faults" / kind, settings=faulty):
-                ending = ", ".join(f"{t} s {mode}: {why}" for t, mode, why in result["modes"])
-                logger.info(f"  {kind}: {ending}; at the end {result['final_speed_mps']:.1f} m/s")
+        results = drive_all(rows, worlds, self.out, settings, processes=processes)
+        draw_choices(results, worlds, self.out)
+        logger.info(write_table(results, self.out, self.seconds))
+        if self.cards:
+            write_driving(planners, results, self.seconds)
 
 
 if __name__ == "__main__":

@@ -55,7 +55,7 @@ NEEDED: Final = (
 )
 """What is read from results."""
 
-NEWER: Final = ("fault_start", "sensors", "weights_sha256", "novelty")
+NEWER: Final = ("fault_start", "fault_when", "against", "sensors", "weights_sha256", "novelty")
 """Older results lack these; they are compared where they are known, so that no drive is lost."""
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from experiments.closed_loop_table.drives import NEEDED
 from offpiste._version import commit, today
@@ -48,6 +49,19 @@ def test_it_drives_along_the_course(driven):
     assert result["modes"][-1][1:] == ("driving", "")
     assert result["failed_plans"] == 0
     assert result["plan_error_5s_m"]["n"] > 0
+
+
+def test_a_vehicle_against_its_course_turns_round_and_stops_where_the_lidar_is_lost_in_reverse(tmp_path):
+    turned = replace(SETTINGS, seconds=9.0, against=True, keep_log=False)
+    lost = replace(turned, fault="lidar-dropped", fault_start=0.0, fault_when="reversing")
+    driven = drive_course(load_planner("pretrained:proving-ground/b"), lost, tmp_path / "drive")
+    start, end = driven.driving.samples[0], driven.driving.samples[-1]
+    forwards = Rotation.from_quat(start.orientation).apply((1.0, 0.0, 0.0))[:2]
+    assert forwards @ (driven.chosen.course.path[1] - driven.chosen.course.path[0]) < 0
+    backwards = next(s.time for s in driven.driving.samples if s.gear < 0 and s.wheel_speed.mean() < -0.5)
+    stopped = [time for time, mode, why in driven.result["modes"] if mode != "driving" and "scan" in why]
+    assert backwards < stopped[-1] < backwards + 2
+    assert np.linalg.norm(end.velocity) < 0.1
 
 
 def test_what_is_written_can_be_read(driven):

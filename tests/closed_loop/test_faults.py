@@ -25,6 +25,7 @@ def arriving(kind, *, late=0.8):
     fault, images, clouds = Fault(kind, 1.0, late), [], []
     for row in range(30):
         t = row / 10
+        fault.notice(t, 3.0)
         for measured in [*fault.passed(image(t), t), *fault.passed(cloud(t), t)]:
             (images if isinstance(measured, Image) else clouds).append((t, measured.time))
     return images, clouds
@@ -54,14 +55,15 @@ def test_late_images_come_with_their_own_stamps():
 def test_features_break_from_then_on():
     fault = Fault("nan-features", 1.0)
     extract = fault.extractor(lambda pixels: np.ones((2, 2, 3), np.float32))
-    fault.passed(None, 0.9)
+    fault.notice(0.9, 3.0)
     assert np.isfinite(extract(PIXELS)).all()
-    fault.passed(None, 1.0)
+    fault.notice(1.0, 3.0)
     assert np.isnan(extract(PIXELS)).all()
 
 
 def test_the_empty_map_fault_moves_echoes_far_above():
     fault = Fault("map-empty", 1.0)
+    fault.notice(1.5, 3.0)
     (found,) = fault.passed(cloud(1.5), 1.5)
     assert (found.points[:, 2] == 1000).all()
 
@@ -69,8 +71,17 @@ def test_the_empty_map_fault_moves_echoes_far_above():
 @pytest.mark.parametrize("kind", KINDS)
 def test_only_the_empty_map_fault_empties_the_map_and_once(kind):
     runtime, fault = Mock(spec=Runtime), Fault(kind, 1.0)
-    fault.strike(runtime, 0.98)
+    fault.notice(0.98, 3.0)
+    fault.strike(runtime)
     runtime.forget_map.assert_not_called()
     for time in (1.0, 1.02, 5.0):
-        fault.strike(runtime, time)
+        fault.notice(time, 3.0)
+        fault.strike(runtime)
     assert runtime.forget_map.call_count == (1 if kind == "map-empty" else 0)
+
+
+def test_a_fault_in_reverse_waits_for_its_time_and_the_gear_and_then_stays():
+    fault = Fault("lidar-dropped", 1.0, when="reversing")
+    for time, rolling, passes in ((0.5, -2.0, 1), (1.0, 3.0, 1), (1.5, -0.2, 1), (2.0, -0.6, 0), (2.5, 3.0, 0)):
+        fault.notice(time, rolling)
+        assert len(fault.passed(cloud(time), time)) == passes, time

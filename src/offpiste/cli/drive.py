@@ -42,10 +42,14 @@ class Drive:
     models that see the ground, for others by `offpiste calibrate`)."""
     device: str = "cpu"
     """That images are encoded and plans are made on: cpu, or cuda (needs the extra `cuda`)."""
+    against: bool = False
+    """Start the vehicle against its course: it turns round first, backwards and forwards."""
     fault: Literal["none", "camera-dropped", "lidar-dropped", "late-image", "nan-features", "map-empty"] = "none"
     """Fault of the sensors."""
     fault_start: float = 10.0
     """When the fault begins [s]."""
+    fault_when: Literal["time", "reversing"] = "time"
+    """reversing: it begins when the vehicle first drives backwards after that."""
     recording: bool = False
     """Also write drive.rrd for the Rerun viewer (needs the extra `view`)."""
 
@@ -66,8 +70,10 @@ class Drive:
             risk=self.risk,
             novelty=self.novelty,
             device=self.device,
+            against=self.against,
             fault=self.fault,
             fault_start=self.fault_start,
+            fault_when=self.fault_when,
             recording=self.recording,
         )
         return 0

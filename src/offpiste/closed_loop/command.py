@@ -8,7 +8,7 @@ from rich.table import Table
 
 from offpiste.closed_loop.courses import CourseSettings
 from offpiste.closed_loop.drive_course import CourseDriveSettings, Driven, drive_course
-from offpiste.closed_loop.faults import Kind
+from offpiste.closed_loop.faults import Kind, When
 from offpiste.closed_loop.planner import load_planner
 from offpiste.errors import require
 from offpiste.planning.caution import risk_of
@@ -34,8 +34,10 @@ def run_drive(
     risk: str,
     novelty: Novelty,
     device: str,
+    against: bool,
     fault: Kind,
     fault_start: float,
+    fault_when: When,
     recording: bool,
 ) -> Driven:
     """Drive a course with a trained run (options as in `cli.drive.Drive`), and log the outcome.
@@ -52,8 +54,10 @@ def run_drive(
         seconds,
         course=CourseSettings(course, speed),
         runtime=RuntimeSettings(latency=latency, risk=caution, device=device),
+        against=against,
         fault=fault,
         fault_start=fault_start,
+        fault_when=fault_when,
     )
     driven = drive_course(planner, settings, out)
     logger.info(modes_table(driven.result))

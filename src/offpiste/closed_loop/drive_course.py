@@ -13,7 +13,7 @@ from offpiste._version import commit, today
 from offpiste.channels import registered_actuators
 from offpiste.closed_loop.courses import KINDS as COURSE_KINDS
 from offpiste.closed_loop.courses import ChosenCourse, CourseSettings, choose_course, course_world
-from offpiste.closed_loop.faults import KINDS, Fault, Kind
+from offpiste.closed_loop.faults import KINDS, Fault, Kind, When
 from offpiste.closed_loop.lockstep import Driving, cameras_of, drive_planned, lidars_of
 from offpiste.closed_loop.pictures import course_picture
 from offpiste.closed_loop.planner import Planner
@@ -53,7 +53,8 @@ class CourseDriveSettings:
         world: its seed also chooses the course.
         seconds: longest drive [s].
         sensors: profile of `simulation.sensors`.
-        fault: fault of the sensors, from `fault_start` on [s].
+        against: whether the vehicle starts against its course, and so turns round, backwards and forwards.
+        fault: fault of the sensors, from `fault_start` on [s], or from when the vehicle next drives backwards.
         keep_log: whether drive.mcap is kept, 4 MB a second; without it, cameras are simulated only for planners that
             read visual features.
     """
@@ -63,8 +64,10 @@ class CourseDriveSettings:
     sensors: str = "light"
     course: CourseSettings = field(default_factory=CourseSettings)
     runtime: RuntimeSettings = field(default_factory=RuntimeSettings)
+    against: bool = False
     fault: Kind = "none"
     fault_start: float = 10.0
+    fault_when: When = "time"
     keep_log: bool = True
 
 
@@ -133,7 +136,7 @@ def drive_course(
         suite = SensorSuite((), suite.lidars)
     if (apart := differing_vehicle(planner.dynamics.vehicle, rig.vehicle)) is not None:
         logger.warning(f"{planner.folder} was trained on another vehicle than the proving ground's: {apart}")
-    fault = Fault(settings.fault, settings.fault_start)
+    fault = Fault(settings.fault, settings.fault_start, when=settings.fault_when)
     runtime = Runtime(
         planner.dynamics,
         sensor_setup(planner, suite, rig, fault),
@@ -145,10 +148,11 @@ def drive_course(
         spread=planner.spread,
         improver=improver,
     )
+    start = replace(chosen.start, yaw=chosen.start.yaw + math.pi) if settings.against else chosen.start
     out.mkdir(parents=True, exist_ok=True)
     remove_partials(out)
     driving = drive_planned(
-        runtime, world, parameters, chosen.start, suite, rig, out / "drive.mcap",
+        runtime, world, parameters, start, suite, rig, out / "drive.mcap",
         seconds=settings.seconds, seed=settings.world.seed, fault=fault, scene=scene, track=track,
     )  # fmt: skip
     trace = trace_of(driving, chosen.course)
@@ -278,6 +282,8 @@ def settings_of(planner: Planner, settings: CourseDriveSettings) -> dict[str, An
         "limit_s": settings.seconds,
         "fault": settings.fault,
         "fault_start": settings.fault_start,
+        "fault_when": settings.fault_when,
+        "against": settings.against,
         "sensors": settings.sensors,
         "weights_sha256": planner.weights,
         "novelty": planner.novelty,

@@ -130,6 +130,7 @@ def drive_planned(
         for _, sample in zip(track(range(round(seconds / DT)), f"drive {out.name}"), drives, strict=False):
             samples.append(sample)
             recorder.vehicle(sample)
+            fault.notice(sample.time, float(sample.wheel_speed.mean()))
             for event in runtime.events[written:]:
                 stamp = stamp_ns(sample.time)
                 writer.write(PLANNER_EVENTS, events_message((f"{event.mode}: {event.why}",), stamp), stamp)
@@ -140,7 +141,7 @@ def drive_planned(
                 recorder.sensor(topic, message)
                 for measured in fault.passed(measurement_of(message, lidars), sample.time):
                     runtime.image(measured) if isinstance(measured, Image) else runtime.scan(measured)
-            fault.strike(runtime, sample.time)
+            fault.strike(runtime)
             if controller.arrived:
                 break
     return Driving(samples, controller.controls)
