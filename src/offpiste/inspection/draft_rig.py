@@ -17,7 +17,7 @@ from offpiste.inspection.commanded_motion import is_turn_rate
 from offpiste.inspection.controls_by_numbers import find_controls, is_measured
 from offpiste.inspection.draft_channels import Found, draft_channels
 from offpiste.inspection.draft_pose import Entry, pose_cure
-from offpiste.inspection.draft_sensors import draft_sensors
+from offpiste.inspection.draft_sensors import draft_sensors, pose_by_transforms
 from offpiste.inspection.draft_values import (
     GUESSED,
     MASS,
@@ -155,10 +155,11 @@ def _is_plain(log: Log, rig: Rig) -> bool:
 def _text(log: Log, seen: _Seen) -> str:
     entries = draft_channels(log, seen.frame, seen.found, seen.straight, plain=seen.plain)
     if not {"position"} <= set(entries) or not {"orientation", "yaw"} & set(entries):
+        how = pose_by_transforms(log) or "write a rig that names one; "
         raise LogError(
             "no topic looks like a pose (position and heading)",
             where=log.path,
-            how=f"write a rig that names one; {_half_of_a_pose(log)}it has: {_contents(log)}",
+            how=f"{how}{_half_of_a_pose(log)}it has: {_contents(log)}",
         )
     absent = undeclared(entries)
     parts = [_header(log, entries, absent, seen)]
