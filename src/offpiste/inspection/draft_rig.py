@@ -3,7 +3,7 @@
 import json
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from textwrap import wrap
 
@@ -83,6 +83,7 @@ class _Seen:
         found: controls that only the motion shows, with its correlation.
         straight: recorded steering at which the vehicle goes straight; None where its middle is no guess.
         plain: whether what is named a speed and a turn rate is the throttle and the steering itself.
+        heading: unit of a yaw, where the course shows another than its size, as of one that is never wrapped.
     """
 
     frame: str = "unknown"
@@ -92,6 +93,7 @@ class _Seen:
     found: Found = field(default_factory=dict)
     straight: float | None = None
     plain: bool = False
+    heading: str = ""
 
 
 def write_rig(text: str, path: Path) -> None:
@@ -135,7 +137,8 @@ def draft_rig(log: Log) -> str:
     if max_steer > MAX_STEERS[1] and not wheelbase:  # a smaller vehicle than the made-up one
         wheelbase, assumed = rig.vehicle.wheelbase * float(np.tan(_MAX_STEER) / np.tan(max_steer)), True
         max_steer = _MAX_STEER
-    seen = _Seen(frame, wheelbase, max_steer, assumed, found, steering_straight(log, rig), plain)
+    heading = next((str(edit.value) for edit in posed if edit.key == "channels.yaw.unit"), "")
+    seen = _Seen(frame, wheelbase, max_steer, assumed, found, steering_straight(log, rig), plain, heading)
     return text if seen == _Seen() else _text(log, seen)
 
 
@@ -161,6 +164,10 @@ def _text(log: Log, seen: _Seen) -> str:
             where=log.path,
             how=f"{how}{_half_of_a_pose(log)}it has: {_contents(log)}",
         )
+    if seen.heading and not entries["yaw"].guess.unit and "scale" not in str(entries["yaw"].lines):
+        unit = () if seen.heading == "rad" else (f'unit = "{seen.heading}"',)
+        comment = f"{entries['yaw'].comment}; in {seen.heading} by the course"
+        entries["yaw"] = replace(entries["yaw"], lines=unit, comment=comment)
     absent = undeclared(entries)
     parts = [_header(log, entries, absent, seen)]
     parts += [_NO_STEERING.format(candidates=_candidates(log))] if "steer" in absent else []
