@@ -15,7 +15,7 @@ from offpiste.files import write_text
 from offpiste.inspection.channel_guesses import DOWN, guess_channels
 from offpiste.inspection.commanded_motion import is_turn_rate
 from offpiste.inspection.controls_by_numbers import find_controls, is_measured
-from offpiste.inspection.draft_channels import Found, draft_channels
+from offpiste.inspection.draft_channels import Found, draft_channels, of_other_vehicles
 from offpiste.inspection.draft_pose import Entry, pose_cure
 from offpiste.inspection.draft_sensors import draft_sensors, pose_by_transforms
 from offpiste.inspection.draft_values import (
@@ -172,6 +172,7 @@ def _text(log: Log, seen: _Seen) -> str:
     parts = [_header(log, entries, absent, seen)]
     parts += [_NO_STEERING.format(candidates=_candidates(log))] if "steer" in absent else []
     parts += [_NO_THROTTLE] if "throttle" in absent else []
+    parts += of_other_vehicles(entries)
     for channel, entry in entries.items():
         parts += [
             f"[channels.{channel}]  # {entry.comment}{_joints(log, entry)}",
