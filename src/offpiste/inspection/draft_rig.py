@@ -179,6 +179,7 @@ def _text(log: Log, seen: _Seen) -> str:
             f"topic = {_toml(entry.guess.topic)}",
             f"fields = {_toml(entry.guess.fields)}",
             *entry.lines,
+            *_named_joints(log, entry),
             "",
         ]
     pose = entries["position"].guess
@@ -194,6 +195,12 @@ def _joints(log: Log, entry: Entry) -> str:
     joints = log.topics[entry.guess.topic].joints
     named = [f"{joints[field]} is {field}" for field in entry.guess.fields if field in joints]
     return f"; {', '.join(named)}" if named else ""
+
+
+def _named_joints(log: Log, entry: Entry) -> list[str]:
+    """The names by which entries of arrays are found wherever a message has them."""
+    names = [log.topics[entry.guess.topic].joint_of(field) for field in entry.guess.fields]
+    return [f"joints = {_toml(names)}"] if all(names) else []
 
 
 def _header(log: Log, entries: Mapping[str, Entry], absent: list[str], seen: _Seen) -> str:

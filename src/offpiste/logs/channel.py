@@ -129,7 +129,9 @@ def read_numbered_channel(
     log: Log, rig: Rig, name: str, source: ChannelSource
 ) -> tuple[Channel, Int[np.ndarray, " n"], list[str]]:
     """The same as `read_channel`, with the number of each sample in the log, from 0."""
-    samples = log.read(source.topic, source.fields, stamps=rig.clock.stamps)
+    topic = log.topics.get(source.topic)
+    fields = source.fields if topic is None else topic.by_joints(source.fields, source.joints)
+    samples = log.read(source.topic, fields, stamps=rig.clock.stamps)
     order = np.argsort(samples.time, kind="stable") if rig.clock.sort else np.arange(len(samples.time))
     in_order = Samples(samples.time[order], samples.values[order])
     channel, numbers, notes = _clean(name, source, in_order, log.path, rig.vehicle)
