@@ -153,7 +153,5 @@ def test_a_rig_that_names_joints_reads_them_wherever_another_log_has_them(log: P
 
 def test_a_rig_names_all_joints_of_a_channel_or_none(log: Path) -> None:
     text = draft_rig(open_log(log)).replace('joints = ["steer"]', 'joints = ["steer", "throttle"]')
-    with pytest.raises(
-        RigError, match=r"steer\.joints has to name each of its fields; name each, or remove it"
-    ):
+    with pytest.raises(RigError, match=r"steer\.joints has to name each of its fields; name each, or remove it"):
         parse_rig(text, where="test")
