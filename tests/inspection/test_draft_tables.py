@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from simulated import MemoryLog
 
 from offpiste.errors import LogError
 from offpiste.inspection.draft_rig import draft_rig
@@ -398,3 +399,21 @@ def test_slip_does_not_make_the_drafted_wheelbase_longer(tmp_path: Path) -> None
     columns = np.column_stack([DRIVEN["t"], x, y, yaw, DRIVEN["angle"]])
     np.savetxt(path, columns, delimiter=",", header="t,x,y,yaw,steering_angle_rad", comments="")
     assert drafted(path).vehicle.wheelbase == pytest.approx(WHEELBASE, rel=0.05)
+
+
+@pytest.mark.parametrize("unit", ["rad", "deg"])
+def test_a_heading_that_is_never_wrapped_has_the_unit_that_the_course_shows(unit: str) -> None:
+    time = np.arange(0, 60, 0.02)
+    speed, steer = 4 * (1 + 0.2 * np.sin(time / 5)), 0.5 + 0.1 * np.sin(time / 3)
+    yaw = np.cumsum(speed * np.tan(0.5 * steer) / 1.6) * 0.02
+    columns = {
+        "x": np.cumsum(speed * np.cos(yaw)) * 0.02,
+        "y": np.cumsum(speed * np.sin(yaw)) * 0.02,
+        "yaw": yaw if unit == "rad" else np.rad2deg(yaw),
+        "throttle": 0.3 + 0.1 * np.cos(time / 5),
+        "steer": steer,
+    }
+    assert np.ptp(yaw) > 25
+    text = draft_rig(MemoryLog({"car": (time, columns)}))
+    assert parse_rig(text, where="test").channels["yaw"].unit == ("" if unit == "rad" else "deg")
+    assert f"in {unit} by the course" in text

@@ -9,6 +9,7 @@ from simulated import MemoryLog, drive_log
 
 from offpiste.inspection.channel_guesses import guess_channels
 from offpiste.inspection.draft_rig import draft_rig
+from offpiste.inspection.draft_sensors import missing
 from offpiste.inspection.inspect import inspect_log
 from offpiste.logs.log import Topic
 from offpiste.rig.channels import ChannelSource
@@ -306,3 +307,32 @@ def test_a_pedal_without_a_name_may_have_a_topic_of_its_own_that_is_called_a_com
     topics["b_cmd"] = (steer_time, {"data": steering["command"]})
     channels = _drafted(Typed(topics)).channels
     assert (channels["steer"].topic, channels["throttle"].topic) == ("b_cmd", "a_cmd")
+
+
+def two_robots(*, poses: tuple[int, ...], controls: tuple[int, ...]) -> MemoryLog:
+    """A log of /robot1 and /robot2, the first one's topics first."""
+    topics = {}
+    for number in (1, 2):
+        one = drive_log(seconds=20, seed=number).data
+        topics |= {f"/robot{number}/odom": one["odom"]} if number in poses else {}
+        if number in controls:
+            steering, columns = one["steering"]
+            topics |= {f"/robot{number}/pedals": one["pedals"]}
+            topics |= {f"/robot{number}/steering": (steering, {"steer": columns["command"]})}
+    return MemoryLog(topics)
+
+
+@pytest.mark.parametrize(("poses", "controls", "read"), [((2,), (1, 2), 2), ((1, 2), (1, 2), 1), ((2,), (1,), 1)])
+def test_controls_are_those_of_the_vehicle_whose_pose_is_read(poses, controls, read) -> None:
+    text = draft_rig(two_robots(poses=poses, controls=controls))
+    channels = parse_rig(text, where="test").channels
+    assert {channels[name].topic.split("/")[1] for name in ("throttle", "brake", "steer")} == {f"robot{read}"}
+    said = [line for line in missing(text) if "another vehicle" in line]
+    assert said == (
+        []
+        if read in poses
+        else [
+            "throttle, brake, steer of /robot2: those of /robot1 are read, another vehicle by its name. Give its own, "
+            "or declare them absent."
+        ]
+    )

@@ -207,3 +207,27 @@ def test_stamps_that_are_not_finite() -> None:
         return time
 
     assert findings(CLEAN.restamp("pedals", broken), "pedals")["stamps are not finite"][1] == "1 of 3000"
+
+
+@pytest.mark.parametrize("topic", ["odom", "steering"])
+def test_stamps_that_are_far_off_cost_their_own_samples_and_nothing_else_is_found(topic: str) -> None:
+    def spikes(time: np.ndarray) -> np.ndarray:
+        time[500] += 500
+        time[1000] -= 300
+        return time
+
+    log = CLEAN.restamp(topic, spikes)
+    inspection = inspect_log(log, rig())
+    (finding,) = (f for f in inspection.findings if f.severity != "note")
+    assert (finding.where, finding.what, finding.severity) == (topic, "stamps go back", "warning")
+    count = len(CLEAN.data[topic][0])
+    assert finding.evidence.startswith(f"2 of {count}; by ")
+    assert finding.evidence.endswith(f"; reading drops 2 of {count} samples")
+    assert inspection.summary.duration == pytest.approx(60, abs=0.1)
+
+
+def test_a_clock_that_was_set_back_names_all_samples_that_it_costs() -> None:
+    log = CLEAN.restamp("odom", lambda time: time - 5.0 * (time > np.median(time)))
+    evidence = findings(log, "odom")["stamps go back"][1]
+    assert evidence.startswith("1 of 3000; by 4.980 s")
+    assert evidence.endswith("; reading drops 250 of 3000 samples")

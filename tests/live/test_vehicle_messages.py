@@ -9,7 +9,7 @@ from offpiste.conventions import ACTUATORS
 from offpiste.errors import RigError
 from offpiste.geometry import local_from_geographic
 from offpiste.live.vehicle_messages import VehicleMessages
-from offpiste.logs.ros.writer import make, vector
+from offpiste.logs.ros.writer import floats, header, make, vector
 from offpiste.rig.rig import load_rig, parse_rig, rig_text
 from offpiste.simulation.recorder import stamp_ns, vehicle_messages
 from synthetic_drive import samples
@@ -166,3 +166,28 @@ ALIGNMENT = '[alignment]\ntopics = ["/odom"]\nspeed = { fields = ["x"] }\n'
 def test_what_only_whole_logs_allow_is_refused(old, new, what):
     with pytest.raises(RigError, match=what):
         VehicleMessages(parse_rig(RIG.replace(old, new), where="test"))
+
+
+def joints(seconds: float, **values: float):
+    """Joint states in this order, stamped as `odometry` is."""
+    empty, at = floats([]), round((NOW + seconds) * 1e9)
+    return make(
+        "sensor_msgs/JointState", header=header(at, ""), name=list(values), position=floats(list(values.values())),
+        velocity=empty, effort=empty,
+    )  # fmt: skip
+
+
+def test_joints_are_found_by_their_names():
+    text = RIG.replace('"steer_angle", ', "").replace(
+        "[lidars",
+        '[channels.steer_angle]\ntopic = "/joints"\nfields = ["position[1]"]\njoints = ["steer"]\n[lidars',
+    )
+    vehicle = VehicleMessages(parse_rig(text, where="test"))
+    steer = []
+    for k, message in enumerate(
+        ({"wheel": 7.0, "steer": 0.1}, {"steer": 0.2, "wheel": 8.0}, {"mast": 5.0, "arm": 6.0})
+    ):
+        vehicle.take("/joints", joints(0.02 * k, **message), NOW)
+        steer.append(vehicle.take("/odom", odometry(0.02 * k), NOW).actuators[ACTUATORS.index("steer")])
+    assert steer == [0.1, 0.2, 0.2], "the last message is another publisher's"
+    assert not vehicle.dropped

@@ -182,3 +182,31 @@ def by_topic(result: Iterable[Guess]) -> dict[str, dict[str, Guess]]:
     for guess in result:
         sorted_out.setdefault(guess.topic, {}).setdefault(guess.channel, guess)
     return sorted_out
+
+
+def of_one_vehicle(log: Log, guesses: Iterable[Guess], pose: str) -> list[Guess]:
+    """The guesses without those of another vehicle whose topic the pose's own has, too.
+
+    Args:
+        pose: topic of the pose: `/robot2/odom` leaves out `/robot1/pedals` where there is `/robot2/pedals`.
+    """
+    here = {name for name, topic in log.topics.items() if topic.count > 1}
+    return [guess for guess in guesses if (names := _namespaces(guess.topic, pose)) is None or names[2] not in here]
+
+
+def other_vehicle(topic: str, pose: str) -> tuple[str, str] | None:
+    """Namespaces of a topic and of the pose, where they are those of two vehicles: they differ in a number."""
+    names = _namespaces(topic, pose)
+    if names is None or re.sub(r"\d+", "", names[0]) != re.sub(r"\d+", "", names[1]):
+        return None
+    return names[:2]
+
+
+def _namespaces(topic: str, pose: str) -> tuple[str, str, str] | None:
+    """Namespaces of two topics up to where they differ, and the first topic by the second one's; None for none."""
+    parts, others = topic.split("/"), pose.split("/")
+    differ = next((k for k, (a, b) in enumerate(zip(parts[:-1], others[:-1], strict=False)) if a != b), None)
+    if differ is None:
+        return None
+    own, other = "/".join(parts[: differ + 1]), "/".join(others[: differ + 1])
+    return own, other, "/".join((other, *parts[differ + 1 :]))

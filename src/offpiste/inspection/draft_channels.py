@@ -9,7 +9,15 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.inspection.channel_guesses import FALLBACK, MEASURED, MOTION, Guess, guess_channels
+from offpiste.inspection.channel_guesses import (
+    FALLBACK,
+    MEASURED,
+    MOTION,
+    Guess,
+    guess_channels,
+    of_one_vehicle,
+    other_vehicle,
+)
 from offpiste.inspection.commanded_motion import COMMANDED, motion_lines
 from offpiste.inspection.draft_pedals import (
     Scalars,
@@ -64,7 +72,7 @@ def draft_channels(
     entries = draft_pose(log, guesses, frame)
     pose_topic = entries["position"].guess.topic if "position" in entries else ""
     scalars: Scalars = {}
-    for guess in guesses:
+    for guess in of_one_vehicle(log, guesses, pose_topic):
         commanded = guess.channel == "steer_angle" and guess.rank < MEASURED and _is_command(guess)
         channel = "steer" if commanded else guess.channel
         if channel in scalars or channel in (*entries, *_VECTORS):
@@ -102,6 +110,20 @@ def draft_channels(
             comment = comment.strip("; ")
             entries[channel] = replace(entries[channel], comment=f"GUESSED {follows}{comment and '; '}{comment}")
     return entries
+
+
+def of_other_vehicles(entries: Mapping[str, Entry]) -> list[str]:
+    """Comments that name the controls and actuators that another vehicle's topics hold, by its name."""
+    others: dict[tuple[str, str], list[str]] = {}
+    for channel, entry in entries.items():
+        names = other_vehicle(entry.guess.topic, entries["position"].guess.topic)
+        if names is not None and channel not in (*_VECTORS, "yaw", "yaw_rate"):
+            others.setdefault(names, []).append(channel)
+    return [
+        f"# MISSING: {', '.join(channels)} of {pose}: those of {taken} are read, another vehicle by its name. "
+        "Give its own, or declare them absent.\n"
+        for (taken, pose), channels in others.items()
+    ]
 
 
 def _only_forward(guess: Guess, values: Float[np.ndarray, "n k"]) -> bool:

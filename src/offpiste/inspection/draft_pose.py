@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from offpiste.errors import OffpisteError
 from offpiste.geometry import rotation_from_quaternion
-from offpiste.inspection.channel_guesses import Guess, by_topic
+from offpiste.inspection.channel_guesses import Guess, by_topic, of_one_vehicle
 from offpiste.inspection.commanded_motion import COMMANDED
 from offpiste.inspection.course import check_course
 from offpiste.inspection.driven_path import driven_path
@@ -65,6 +65,8 @@ def draft_pose(log: Log, guesses: Sequence[Guess], frame: str) -> dict[str, Entr
         if "position" in moving and score > best_score:
             best, best_score = moving, score
     best = best or _places_and_headings(log, channels_of)
+    if best:
+        channels_of = by_topic(of_one_vehicle(log, guesses, best["position"].topic))
     if best and not _RATES & set(best):
         best |= _from_imu(log, channels_of)
     if best and "linear_velocity" not in best:

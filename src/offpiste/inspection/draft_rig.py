@@ -3,7 +3,7 @@
 import json
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from textwrap import wrap
 
@@ -15,9 +15,9 @@ from offpiste.files import write_text
 from offpiste.inspection.channel_guesses import DOWN, guess_channels
 from offpiste.inspection.commanded_motion import is_turn_rate
 from offpiste.inspection.controls_by_numbers import find_controls, is_measured
-from offpiste.inspection.draft_channels import Found, draft_channels
+from offpiste.inspection.draft_channels import Found, draft_channels, of_other_vehicles
 from offpiste.inspection.draft_pose import Entry, pose_cure
-from offpiste.inspection.draft_sensors import draft_sensors
+from offpiste.inspection.draft_sensors import draft_sensors, pose_by_transforms
 from offpiste.inspection.draft_values import (
     GUESSED,
     MASS,
@@ -83,6 +83,7 @@ class _Seen:
         found: controls that only the motion shows, with its correlation.
         straight: recorded steering at which the vehicle goes straight; None where its middle is no guess.
         plain: whether what is named a speed and a turn rate is the throttle and the steering itself.
+        heading: unit of a yaw, where the course shows another than its size, as of one that is never wrapped.
     """
 
     frame: str = "unknown"
@@ -92,6 +93,7 @@ class _Seen:
     found: Found = field(default_factory=dict)
     straight: float | None = None
     plain: bool = False
+    heading: str = ""
 
 
 def write_rig(text: str, path: Path) -> None:
@@ -135,7 +137,8 @@ def draft_rig(log: Log) -> str:
     if max_steer > MAX_STEERS[1] and not wheelbase:  # a smaller vehicle than the made-up one
         wheelbase, assumed = rig.vehicle.wheelbase * float(np.tan(_MAX_STEER) / np.tan(max_steer)), True
         max_steer = _MAX_STEER
-    seen = _Seen(frame, wheelbase, max_steer, assumed, found, steering_straight(log, rig), plain)
+    heading = next((str(edit.value) for edit in posed if edit.key == "channels.yaw.unit"), "")
+    seen = _Seen(frame, wheelbase, max_steer, assumed, found, steering_straight(log, rig), plain, heading)
     return text if seen == _Seen() else _text(log, seen)
 
 
@@ -155,21 +158,28 @@ def _is_plain(log: Log, rig: Rig) -> bool:
 def _text(log: Log, seen: _Seen) -> str:
     entries = draft_channels(log, seen.frame, seen.found, seen.straight, plain=seen.plain)
     if not {"position"} <= set(entries) or not {"orientation", "yaw"} & set(entries):
+        how = pose_by_transforms(log) or "write a rig that names one; "
         raise LogError(
             "no topic looks like a pose (position and heading)",
             where=log.path,
-            how=f"write a rig that names one; {_half_of_a_pose(log)}it has: {_contents(log)}",
+            how=f"{how}{_half_of_a_pose(log)}it has: {_contents(log)}",
         )
+    if seen.heading and not entries["yaw"].guess.unit and "scale" not in str(entries["yaw"].lines):
+        unit = () if seen.heading == "rad" else (f'unit = "{seen.heading}"',)
+        comment = f"{entries['yaw'].comment}; in {seen.heading} by the course"
+        entries["yaw"] = replace(entries["yaw"], lines=unit, comment=comment)
     absent = undeclared(entries)
     parts = [_header(log, entries, absent, seen)]
     parts += [_NO_STEERING.format(candidates=_candidates(log))] if "steer" in absent else []
     parts += [_NO_THROTTLE] if "throttle" in absent else []
+    parts += of_other_vehicles(entries)
     for channel, entry in entries.items():
         parts += [
             f"[channels.{channel}]  # {entry.comment}{_joints(log, entry)}",
             f"topic = {_toml(entry.guess.topic)}",
             f"fields = {_toml(entry.guess.fields)}",
             *entry.lines,
+            *_named_joints(log, entry),
             "",
         ]
     pose = entries["position"].guess
@@ -185,6 +195,12 @@ def _joints(log: Log, entry: Entry) -> str:
     joints = log.topics[entry.guess.topic].joints
     named = [f"{joints[field]} is {field}" for field in entry.guess.fields if field in joints]
     return f"; {', '.join(named)}" if named else ""
+
+
+def _named_joints(log: Log, entry: Entry) -> list[str]:
+    """The names by which entries of arrays are found wherever a message has them."""
+    names = [log.topics[entry.guess.topic].joint_of(field) for field in entry.guess.fields]
+    return [f"joints = {_toml(names)}"] if all(names) else []
 
 
 def _header(log: Log, entries: Mapping[str, Entry], absent: list[str], seen: _Seen) -> str:

@@ -2,8 +2,6 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from offpiste.errors import OffpisteError
 from offpiste.inspection.checks import MOTION_CHECKS, TOPIC_CHECKS, Topics, motion_of
 from offpiste.inspection.course import check_course, check_pose_names
@@ -12,7 +10,7 @@ from offpiste.inspection.findings import Finding, is_fatal, ranked
 from offpiste.inspection.heading_drift import check_fast_drift
 from offpiste.inspection.pedals import check_control_channels
 from offpiste.inspection.pose import check_level, check_orientation, check_pose, check_position_unit, leap_of
-from offpiste.inspection.recorded_log import Recorded, RememberedLog, read_topics
+from offpiste.inspection.recorded_log import Recorded, RememberedLog, beginning, read_topics
 from offpiste.inspection.stamps import check_spans
 from offpiste.logs.drive import Drive, drive_from_log
 from offpiste.logs.log import Log
@@ -79,8 +77,7 @@ def _check_driving(log: Log, topics: Topics, rig: Rig) -> tuple[list[Finding], P
     unfit = check_position_unit(drive, path) or _check_amount(path) or (tipped if is_fatal(tipped) else [])
     if unfit:
         return findings + unfit, path
-    origin = min(float(np.nanmin(r.time)) for r in topics.recorded.values() if np.isfinite(r.time).any())
-    posed = check_pose(drive, path, origin) + tipped
+    posed = check_pose(drive, path, beginning(topics.recorded)) + tipped
     if (leap := leap_of(path)) is not None:
         path = path.longer_side(leap.time)  # what is beyond is not the vehicle's motion
     posed += _check_heading(drive, path) + check_pose_names(rig)

@@ -11,7 +11,7 @@ from offpiste.rig.labels import GEOGRAPHIC_NAMES, Label, parse_label, with_lette
 Group = tuple[str, tuple[str, ...], str, int]
 """A channel, the fields that may hold it, their unit, and how far their names are from the channel's own."""
 
-_AXIS = re.compile(r"(?<![a-z])([pqvwg]?)x(?![a-z])")
+_AXIS = re.compile(r"(?<![a-z])([pqtvwg]?)x(?![a-z])")
 _PLACES = (
     "utm|enu|local|global|world|map|gps|gnss|ego|car|veh|vehicle|odom|rtk|slam|base|robot|center|cog|pos|gt|ground_?truth"
     "|ekf|est|state|cg|rear_?axle|loc(ation)?|coord(inate)?s?"
@@ -20,7 +20,7 @@ _GROUPS: tuple[tuple[str, re.Pattern[str], str], ...] = (
     ("angular_velocity", re.compile(r"angular|gyro|omega|rot(ation)?_?rate|rate_of_rot|(^|[^a-z])[wg]$"), "yz"),
     ("orientation", re.compile(r"orient|quat|rot|(^|[^a-z])q$"), "yzw"),
     ("linear_velocity", re.compile(r"linear_?vel|twist[._/]linear|vel|(^|[^a-z])v$"), "yz"),
-    ("position", re.compile(rf"pos|vicon|mocap|optitrack|translation|(^|[^a-z])p?$|(?<![a-z])({_PLACES})$"), "yz"),
+    ("position", re.compile(rf"pos|vicon|mocap|optitrack|translation|(^|[^a-z])[pt]?$|(?<![a-z])({_PLACES})$"), "yz"),
 )
 """Vectors, by what stands before the letter x, and the other letters."""
 _WIDTHS: Final = {"orientation": (4,), "angular_velocity": (3,), "linear_velocity": (2, 3), "position": (2, 3)}

@@ -89,9 +89,8 @@ class Inspection:
 
 def summarise(recorded: dict[str, Recorded], path: Path | None) -> Summary:
     """Length of the log, and of the driven path its length and speeds."""
-    stamps = [r.time[np.isfinite(r.time)] for r in recorded.values()]
-    stamps = [s for s in stamps if len(s)]
-    duration = float(max(s.max() for s in stamps) - min(s.min() for s in stamps)) if stamps else 0.0
+    stamps = [r.rising for r in recorded.values() if len(r.rising)]
+    duration = float(max(s[-1] for s in stamps) - min(s[0] for s in stamps)) if stamps else 0.0
     if path is None or not np.isfinite(path.speed).any():
         return Summary(duration)
     speed = path.speed[np.isfinite(path.speed)]

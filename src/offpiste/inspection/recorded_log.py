@@ -1,15 +1,17 @@
 """Topics of a log, read once for all checks."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
 
 from offpiste.errors import LogError
 from offpiste.inspection.findings import Finding
+from offpiste.logs.kept_rows import increasing
 from offpiste.logs.log import Log, Samples, Topic
 from offpiste.progress import track
 from offpiste.rig.channels import SECONDS, Clock
@@ -43,6 +45,21 @@ class Recorded:
     other: Float[np.ndarray, " n"] | None
     fields: tuple[str, ...]
     values: Float[np.ndarray, "n k"]
+
+    @cached_property
+    def rising(self) -> Float[np.ndarray, " m"]:
+        """The finite stamps that reading keeps, each later than the one before [s]."""
+        return rising(self.time)
+
+    @property
+    def copies(self) -> bool:
+        """Whether samples with equal stamps hold equal values: another clock would only tear them apart.
+
+        Images and clouds are not compared: they are taken for different ones.
+        """
+        again = np.flatnonzero(np.diff(self.time) == 0)
+        one, other = self.values[again], self.values[again + 1]
+        return bool(self.values.shape[1]) and np.array_equal(one, other, equal_nan=True)
 
 
 class RememberedLog(Log):
@@ -119,6 +136,17 @@ class RememberedLog(Log):
 
     def _in_unit(self, samples: Samples) -> Samples:
         return Samples(samples.time * self._per_stamp, samples.values)
+
+
+def rising(time: Float[np.ndarray, " n"]) -> Float[np.ndarray, " m"]:
+    """The finite stamps that reading keeps, each later than the one before [s]."""
+    time = time[np.isfinite(time)]
+    return np.asarray(time[increasing(time)])
+
+
+def beginning(recorded: Mapping[str, Recorded]) -> float:
+    """The first stamp of a log that reading keeps [s]."""
+    return min((float(topic.rising[0]) for topic in recorded.values() if len(topic.rising)), default=0.0)
 
 
 def _of_usable_size(samples: Samples) -> Samples:

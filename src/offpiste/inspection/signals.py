@@ -13,7 +13,7 @@ from offpiste.inspection.recorded_log import Recorded
 from offpiste.inspection.signal_faults import COUNTED_DEGREES, MAX_SPIKES, degrees_each, find_spikes, find_wrap
 from offpiste.inspection.usual_ranges import scaled_to_unit
 from offpiste.logs.channel import LARGEST, convert, largest, unwrapped
-from offpiste.logs.empty_rows import between_samples
+from offpiste.logs.kept_rows import between_samples
 from offpiste.rig.channels import GEOGRAPHIC, POSE, ChannelSource, Wrap, known_channels, unit_factor
 from offpiste.rig.edits import Edit, absent, rounded, toml_value
 from offpiste.rig.rig import Rig

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from offpiste.inspection.findings import Finding, Severity, merged
-from offpiste.inspection.recorded_log import Recorded
+from offpiste.inspection.recorded_log import Recorded, beginning, rising
 from offpiste.rig.channels import ChannelSource, Clock
 from offpiste.rig.edits import Edit
 from offpiste.rig.labels import SECONDS, unit_by_rate
@@ -42,7 +42,9 @@ class Timing:
         jitter: half the spread from the 5th to the 95th percentile of the intervals, over the median interval.
         lost: share of samples missing by that rate, gaps left aside.
         repeated, backward: counts of stamps equal to, or before, the one before.
-        gaps: intervals longer than the clock's `max_gap` and ten times the median one [s], and where they begin.
+        start, end, gaps: of the stamps that reading keeps; gaps are intervals longer than the clock's `max_gap` and ten
+            times the median one [s], and where they begin.
+        dropped: stamps that reading drops since they repeat or go back.
     """
 
     start: float
@@ -54,6 +56,7 @@ class Timing:
     repeated: int
     backward: int
     gaps: tuple[tuple[float, float], ...]
+    dropped: int
 
 
 def timing(time: Float[np.ndarray, " n"], *, max_gap: float) -> Timing:
@@ -61,10 +64,11 @@ def timing(time: Float[np.ndarray, " n"], *, max_gap: float) -> Timing:
     time = time[np.isfinite(time)]
     step = np.diff(time)
     forward = step[step > 0]
-    start, end = (float(time.min()), float(time.max())) if len(time) else (np.nan, np.nan)
-    repeated, backward = int((step == 0).sum()), int((step < 0).sum())
+    kept = rising(time)
+    start, end = (float(kept[0]), float(kept[-1])) if len(kept) else (np.nan, np.nan)
+    repeated, backward, dropped = int((step == 0).sum()), int((step < 0).sum()), len(time) - len(kept)
     if len(forward) < 2:
-        return Timing(start, end, len(time), np.nan, 0.0, 0.0, repeated, backward, ())
+        return Timing(start, end, len(time), np.nan, 0.0, 0.0, repeated, backward, (), dropped)
     low, typical, high = np.percentile(forward, (5, 50, 95))
     # Where samples arrive in bunches or at odd times only the mean gives the rate; elsewhere losses would bias it.
     short = forward[forward <= max(max_gap, 10 * typical)]
@@ -73,11 +77,10 @@ def timing(time: Float[np.ndarray, " n"], *, max_gap: float) -> Timing:
         typical, lost = more
     single = forward[np.round(forward / typical) == 1]
     interval = float(np.mean(single if lost is not None else step[(step >= 0) & (step <= max(max_gap, 10 * typical))]))
-    is_gap = step > max(max_gap, 10 * interval)
-    gaps = tuple((float(time[i]), float(step[i])) for i in np.flatnonzero(is_gap))
-    return Timing(
-        start, end, len(time), 1 / interval, (high - low) / 2 / interval, lost or 0.0, repeated, backward, gaps
-    )
+    step = np.diff(kept)
+    gaps = tuple((float(kept[i]), float(step[i])) for i in np.flatnonzero(step > max(max_gap, 10 * interval)))
+    jitter = (high - low) / 2 / interval
+    return Timing(start, end, len(time), 1 / interval, jitter, lost or 0.0, repeated, backward, gaps, dropped)
 
 
 def _lost(periods: Float[np.ndarray, " n"]) -> float | None:
@@ -109,7 +112,7 @@ def check_stamps(
         silent: topics that are silent while nothing changes, which is neither a gap nor a loss.
     """
     findings: list[Finding] = []
-    origin = min((float(np.nanmin(r.time)) for r in recorded.values() if np.isfinite(r.time).any()), default=0.0)
+    origin = beginning(recorded)
     for name, topic in recorded.items():
         where = name or "table"
         seen = timing(topic.time, max_gap=clock.max_gap)
@@ -186,7 +189,8 @@ def _part_of(
 
 
 def _span(topic: Recorded, delay: float) -> tuple[float, float]:
-    return (float(np.nanmin(topic.time)) - delay, float(np.nanmax(topic.time)) - delay)
+    time = topic.rising - delay
+    return (float(time[0]), float(time[-1])) if len(time) else (np.nan, np.nan)
 
 
 def _order(where: str, topic: Recorded, seen: Timing, origin: float, clock: Clock) -> list[Finding]:
@@ -204,7 +208,8 @@ def _order(where: str, topic: Recorded, seen: Timing, origin: float, clock: Cloc
     if seen.backward:
         worst = int(np.nanargmin(step))
         share = seen.backward / total
-        evidence = f"{seen.backward} of {total}; by {-step[worst]:.3f} s at {topic.time[worst] - origin:.2f} s"
+        evidence = f"{seen.backward} of {total}; by {-step[worst]:.3f} s at {topic.time[worst] - origin:.2f} s; "
+        evidence += f"reading drops {seen.dropped} of {total} samples"
         late = receives and not _clock_was_set_back(topic.time, arrives)
         severity: Severity = "fatal" if share > _DISORDER else "warning"
         what, ways = "stamps go back", cures
@@ -214,11 +219,11 @@ def _order(where: str, topic: Recorded, seen: Timing, origin: float, clock: Cloc
         elif late:  # arrival would add its delays to all samples, for a few that came late
             ways, severity = (), "note"
         how = str(ways[0][0]) if ways else "nothing: those samples are dropped on reading"
-        findings.append(Finding(severity, where, what, evidence, how, share, ways))
+        findings.append(Finding(severity, where, what, evidence, how, seen.dropped / total, ways))
     if seen.repeated:
         share = seen.repeated / total
         evidence = f"{seen.repeated} of {total} ({share:.1%})"
-        if _are_copies(topic):
+        if topic.copies:
             how = "nothing: they are copies of the sample before, and one of each is kept"
             return [*findings, Finding("note", where, "stamps repeat", evidence, how, share)]
         bunches = remedy if share <= 0.02 or receives else "nothing: one sample a stamp is kept"
@@ -235,17 +240,6 @@ def _clock_was_set_back(time: Float[np.ndarray, " n"], arrives: Float[np.ndarray
         > (time[at] - time[at + 1]) / 2
         for at in back[:100]
     )
-
-
-def _are_copies(topic: Recorded) -> bool:
-    """Whether samples with equal stamps hold equal values: another clock would only tear them apart.
-
-    Images and clouds are not compared: they are taken for different ones.
-    """
-    if not topic.values.shape[1]:
-        return False
-    again = np.flatnonzero(np.diff(topic.time) == 0)
-    return np.array_equal(topic.values[again], topic.values[again + 1], equal_nan=True)
 
 
 def _intervals(where: str, seen: Timing, origin: float, clock: Clock, *, used: bool) -> list[Finding]:

@@ -22,6 +22,7 @@ from offpiste.geometry import local_polynomial, rotation_of_one, yaw_rate_from_b
 from offpiste.logs.axes import to_z_up
 from offpiste.logs.channel import KEPT_UP, convert, largest
 from offpiste.logs.ros.bag_files import field_getter, heard_at
+from offpiste.logs.ros.sensor_messages import joint_getter
 from offpiste.rig.channels import GEOGRAPHIC, ChannelSource
 from offpiste.rig.rig import Rig
 from offpiste.runtime.estimator import Given, VehicleReading
@@ -70,7 +71,9 @@ class VehicleMessages:
         for name in names:
             if name in rig.channels:
                 entry = rig.channels[name]
-                source = _Source(name, entry, tuple(field_getter(field) for field in entry.fields))
+                named = zip(entry.fields, entry.joints, strict=True) if entry.joints else ()
+                getters = tuple(joint_getter(*each) for each in named) or tuple(map(field_getter, entry.fields))
+                source = _Source(name, entry, getters)
                 self._sources.setdefault(entry.topic, []).append(source)
         self.position_topic = rig.channels["position"].topic
         self.topics = tuple(self._sources)
@@ -109,6 +112,8 @@ class VehicleMessages:
 
     def _add(self, source: _Source, message: Any, stamp: float) -> None:
         name, entry = source.name, source.entry
+        if entry.joints and not {*entry.joints} & {*getattr(message, "name", entry.joints)}:
+            return  # of another publisher of this topic
         try:
             raw = np.array([[float(get(message)) for get in source.getters]])
             values = convert(name, entry, raw, self._rig.vehicle)

@@ -13,7 +13,7 @@ from offpiste.channels import control_of
 from offpiste.errors import LogError, RigError
 from offpiste.geometry import bicycle_angle, local_from_geographic
 from offpiste.logs.axes import to_z_up
-from offpiste.logs.empty_rows import between_samples
+from offpiste.logs.kept_rows import between_samples, increasing
 from offpiste.logs.log import Log, Samples
 from offpiste.rig.channels import (
     GEOGRAPHIC,
@@ -129,7 +129,9 @@ def read_numbered_channel(
     log: Log, rig: Rig, name: str, source: ChannelSource
 ) -> tuple[Channel, Int[np.ndarray, " n"], list[str]]:
     """The same as `read_channel`, with the number of each sample in the log, from 0."""
-    samples = log.read(source.topic, source.fields, stamps=rig.clock.stamps)
+    topic = log.topics.get(source.topic)
+    fields = source.fields if topic is None else topic.by_joints(source.fields, source.joints)
+    samples = log.read(source.topic, fields, stamps=rig.clock.stamps)
     order = np.argsort(samples.time, kind="stable") if rig.clock.sort else np.arange(len(samples.time))
     in_order = Samples(samples.time[order], samples.values[order])
     channel, numbers, notes = _clean(name, source, in_order, log.path, rig.vehicle)
@@ -282,15 +284,3 @@ def _turned(quaternion: Float[np.ndarray, "n 4"], angle: float) -> Float[np.ndar
     x, y, z, w = quaternion.T
     sin, cos = np.sin(angle / 2), np.cos(angle / 2)
     return np.stack((x * cos + y * sin, y * cos - x * sin, z * cos + w * sin, w * cos - z * sin), axis=1)
-
-
-def increasing(time: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-    """Rows to keep so that stamps increase: those later than all before, or earlier than all after if that keeps more.
-
-    A single stamp far in the future would drop every row after it by the first rule, only itself by the second.
-    """
-    if not len(time):
-        return np.zeros(0, dtype=bool)
-    later = np.append(True, time[1:] > np.maximum.accumulate(time)[:-1])
-    earlier = np.append(time[:-1] < np.minimum.accumulate(time[::-1])[::-1][1:], True)
-    return later if later.sum() >= earlier.sum() else earlier

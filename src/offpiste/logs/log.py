@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, Final, TypeVar
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -21,6 +21,10 @@ from offpiste.rig.channels import Clock, topic_in_words
 
 LOG_FORMATS: "Registry[type[Log]]" = Registry("log format", package="offpiste.logs.formats", error=LogError)
 """Log formats by name; `offpiste.logs.open_log` chooses the one that recognises a path."""
+
+
+JOINT_ARRAYS: Final = {"position": "", "velocity": "_vel", "effort": "_effort"}
+"""Arrays of sensor_msgs/JointState, and what is added to a joint's name in `Topic.joints`: a position is the joint."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +49,28 @@ class Topic:
     def in_words(self, name: str) -> str:
         """A field with the name of its joint: `position[1] (steering)`."""
         return f"{name} ({self.joints[name]})" if name in self.joints else name
+
+    def joint_of(self, name: str) -> str:
+        """What messages call the joint of a field, without what tells velocities and efforts apart."""
+        return self.joints[name].removesuffix(JOINT_ARRAYS[name.partition("[")[0]]) if name in self.joints else ""
+
+    def by_joints(self, fields: Sequence[str], joints: Sequence[str]) -> tuple[str, ...]:
+        """Fields of the same arrays that hold these joints here, wherever another log has them.
+
+        Raises:
+            LogError: the topic has no joint of such a name.
+        """
+        if not joints or not self.joints:
+            return tuple(fields)
+        own = {(one.partition("[")[0], self.joint_of(one)): one for one in reversed(list(self.joints))}
+        wanted = [(one.partition("[")[0], joint) for one, joint in zip(fields, joints, strict=True)]
+        if missing := [pair for pair in wanted if pair not in own]:
+            known = ", ".join(dict.fromkeys(joint for array, joint in reversed(own) if array == missing[0][0]))
+            raise LogError(
+                f"topic '{self.name}' has no joint '{missing[0][1]}' in {missing[0][0]}",
+                how=f"fix joints in the rig; it has: {known or 'none'}",
+            )
+        return tuple(own[pair] for pair in wanted)
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from offpiste.errors import LogError
-from offpiste.logs.channel import increasing
 from offpiste.logs.clock_drift import DRIFT_LIMIT, clock_difference, clock_note
 from offpiste.logs.drive import drive_from_log
+from offpiste.logs.kept_rows import increasing
 from offpiste.logs.log import Log, RawCloud, RawImage
 from offpiste.logs.measurements import Camera, Cloud, Image, Lidar, cloud_from_records
 from offpiste.logs.mountings import camera_of, lidar_of, refuse_rough

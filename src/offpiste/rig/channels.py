@@ -94,6 +94,8 @@ class ChannelSource(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         absolute: the size of a control whose sign says a direction, as of a commanded speed; before `clip`.
         values: what recorded values stand for, of channels of one field; keys are numbers, true, false, or the single
             letter whose character code is recorded. The other entries apply to what they stand for.
+        joints: names of the joints of sensor_msgs/JointState whose entries `fields` are: they are found by these names,
+            wherever a message, or another log, has them.
         origin: latitude and longitude of x = y = 0, for a position in these [degrees], so that drives share their
             coordinates; by default a place near the first one of each log.
         interpolation: between samples: a measurement is interpolated, a command holds; one that is published only when
@@ -115,6 +117,7 @@ class ChannelSource(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     clip: tuple[float, float] | None = None
     absolute: bool = False
     values: dict[str, float] = {}
+    joints: tuple[str, ...] = ()
     origin: tuple[float, float] | None = None
     interpolation: Literal["linear", "hold", "on change"] = "linear"
     repeats: Literal["keep", "drop"] = "keep"
@@ -184,11 +187,6 @@ def unit_factor(channel: str, unit: str, max_steer: float = 0.0) -> float:
     return known[unit or own]
 
 
-def _on_earth(place: tuple[float, float]) -> bool:
-    """Whether latitude and longitude are some [degrees]."""
-    return abs(place[0]) <= 90 and abs(place[1]) <= 360
-
-
 def undeclared(given: Collection[str]) -> list[str]:
     """Channels of controls and actuators that a rig must declare absent, or give, besides those that it gives."""
     names = [control.name for control in all_controls() if control.declared]
@@ -229,7 +227,9 @@ def check_channels(channels: Mapping[str, ChannelSource], absent: Collection[str
             )
         if source.meanings() and len(source.fields) != 1:
             raise RigError(f"channels.{name}.values needs a single field", how="remove it")
-        if source.origin is not None and (source.unit != GEOGRAPHIC or not _on_earth(source.origin)):
+        if source.joints and len(source.joints) != len(source.fields):
+            raise RigError(f"channels.{name}.joints has to name each of its fields", how="name each, or remove it")
+        if (at := source.origin) is not None and (source.unit != GEOGRAPHIC or abs(at[0]) > 90 or abs(at[1]) > 360):
             raise RigError(
                 f"channels.{name}.origin is no place of positions in '{GEOGRAPHIC}'",
                 how="give latitude and longitude in degrees, such as origin = [48.15, 11.58], or remove it",

@@ -9,6 +9,7 @@ import pytest
 
 from offpiste.errors import LogError
 from offpiste.logs.formats.table import TableLog
+from offpiste.logs.opening import open_log
 
 DART = {
     "81_circles_tape_and_tiles/car_1_Datarecording_09_09_2024_17_58_23steer_neg03_ramp.csv": 6998,
@@ -172,16 +173,64 @@ def test_tabs_and_quotes(tmp_path: Path) -> None:
     assert column(log, "x, raw") == [1.5]
 
 
+@pytest.mark.parametrize("comment", ["", "# "])
+@pytest.mark.parametrize("separator", [" ", "\t", ";", ","])
+def test_tables_of_numpy_savetxt(tmp_path: Path, separator: str, comment: str) -> None:
+    rows = np.column_stack((0.02 * np.arange(20), np.random.default_rng(0).normal(size=(20, 2))))
+    np.savetxt(tmp_path / "drive.csv", rows, delimiter=separator, header=separator.join("txy"), comments=comment)
+    log = TableLog(tmp_path / "drive.csv")
+    assert log.topics[""].fields == ("t", "x", "y")
+    np.testing.assert_array_equal(log.read("", ["x", "y"]).values, rows[:, 1:])
+
+
+def test_columns_that_are_aligned_by_spaces(tmp_path: Path) -> None:
+    log = table(
+        tmp_path, "     t     x  gear\n" + "".join(f"  {0.1 * k:6.2f} {k:5d}   D\n" for k in range(12)) + "  1.20  1"
+    )
+    assert log.topics[""].fields == ("t", "x", "gear")
+    assert log.warnings == ("columns are separated by spaces", "the last row is cut off after 2 cells, and left out")
+    assert column(log, "x") == list(range(12))
+
+
+@pytest.mark.parametrize("name", ["drive.txt", "drive.csv", "drive.tsv"])
+def test_a_trajectory_in_the_format_of_tum(tmp_path: Path, name: str) -> None:
+    header = "# ground truth trajectory\n# file: 'drive.bag'\n# timestamp tx ty tz qx qy qz qw\n"
+    (tmp_path / name).write_text(header + "".join(f"{0.1 * k:.2f} {k} 0 0 0 0 0 1\n" for k in range(12)))
+    log = open_log(tmp_path / name)
+    assert log.topics[""].fields == ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
+    assert column(log, "tx") == list(range(12))
+
+
+def test_a_text_without_numbers_is_no_table(tmp_path: Path) -> None:
+    (tmp_path / "README.txt").write_text("Three drives\nof 2026, all in the rain\n")
+    with pytest.raises(LogError, match="no known log format"):
+        open_log(tmp_path / "README.txt")
+
+
+def test_names_above_columns_separated_by_spaces_may_be_separated_otherwise(tmp_path: Path) -> None:
+    log = table(tmp_path, "# t, x, y\n0.0 1 2\n0.1 3 4\n")
+    assert log.topics[""].fields == ("t", "x", "y")
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
+        (
+            "0.1 1 2 3 0 0 0 1\n0.2 1 2 3 0 0 0 1\n",
+            "no header line above 8 columns of numbers; write the names of the columns into the first line, such as "
+            "timestamp tx ty tz qx qy qz qw",
+        ),
+        (
+            "t pos x pos y\n0.1 1 2\n0.2 1 2\n",
+            "5 names above 3 columns separated by spaces; give each column one name without spaces in it",
+        ),
         ("", "the file is empty, or begins with an empty line; record or export it again"),
         ("t,x", "no row below the header; record or export it again"),
         ("t,x\n", "no row below the header; record or export it again"),
         ("t,x\n\n\n", "no row below the header; record or export it again"),
         ("t,x\n0,1\n1,2,3\n", "Row #3: Expected 2 columns, got 3: 1,2,3; fix that line"),
         ("t,x\n0,1\n1\n2,3\n", "Row #3: Expected 2 columns, got 1: 1; fix that line"),
-        ("1,2\n3,4\n", "no header line; write the names of the columns into the first line"),
+        ("1,2\n3,4\n", "no header line above 2 columns of numbers; write the names of the columns into the first line"),
         ("t,x,x\n1,2,3\n", "column 'x' appears twice; give every column its own name"),
         ("t,yaw °\n0,1\n".encode("latin-1"), "the text is not UTF-8; save it as UTF-8"),
         ("t,unit\n0,m\n1,m\n2,°\n".encode("latin-1"), "invalid UTF8 data; fix that line; the text must be UTF-8"),

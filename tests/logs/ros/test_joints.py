@@ -3,13 +3,16 @@
 from pathlib import Path
 from types import SimpleNamespace
 
+import msgspec
 import numpy as np
 import pytest
 
 from bag_files import custom, mcap_file
+from offpiste.errors import LogError, RigError
 from offpiste.inspection.channel_guesses import guess_channels
 from offpiste.inspection.draft_rig import draft_rig
 from offpiste.inspection.inspect import inspect_log
+from offpiste.logs.channel import read_channel
 from offpiste.logs.formats.bag import BagLog
 from offpiste.logs.opening import open_log
 from offpiste.logs.ros.sensor_messages import Joints
@@ -129,3 +132,26 @@ def test_other_sequences_are_as_long_as_the_first_that_is_not_empty(tmp_path: Pa
     log = BagLog(mcap_file(tmp_path / "log.mcap", messages, msgtype=name, store=store))
     assert log.topics["/odom"].fields == ("data[0]", "data[1]")
     np.testing.assert_array_equal(log.read("/odom", ["data[1]"]).values[:, 0], [np.nan, np.nan, 2, np.nan])
+
+
+def test_a_rig_that_names_joints_reads_them_wherever_another_log_has_them(log: Path, tmp_path: Path) -> None:
+    text = draft_rig(open_log(log))
+    assert 'joints = ["steer"]' in text
+    rig = parse_rig(text, where="test")
+    with McapWriter(tmp_path / "other.mcap") as writer:
+        for k in range(20):
+            at = int((100 + 0.05 * k) * 1e9)
+            writer.write("command", _joints(at, ("steer", "brake", "throttle"), [0.5, 0.0, 0.2]), at)
+    other = open_log(tmp_path / "other.mcap")
+    assert (read_channel(other, rig, "steer", rig.channels["steer"])[0].values == 0.5 / 1.0).all()
+    assert (read_channel(other, rig, "throttle", rig.channels["throttle"])[0].values == 0.2).all()
+    wrong = msgspec.structs.replace(rig.channels["steer"], joints=("wheel",))
+    message = r"'command' has no joint 'wheel' in position; fix joints in the rig; it has: steer, brake, throttle"
+    with pytest.raises(LogError, match=message):
+        read_channel(other, rig, "steer", wrong)
+
+
+def test_a_rig_names_all_joints_of_a_channel_or_none(log: Path) -> None:
+    text = draft_rig(open_log(log)).replace('joints = ["steer"]', 'joints = ["steer", "throttle"]')
+    with pytest.raises(RigError, match=r"steer\.joints has to name each of its fields; name each, or remove it"):
+        parse_rig(text, where="test")

@@ -1,6 +1,7 @@
 """The text of CSV files: their header, separator, units and cells."""
 
 import csv
+import io
 import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -15,6 +16,14 @@ from offpiste.rig.labels import gear_letter, unit_of
 _TEXT_BOOLEANS = {"true": 1.0, "false": 0.0}
 _MOST_PREAMBLE, _ROWS_BELOW = 64, 8
 """Lines before the header, at most; and rows below it by which it is known."""
+_SEPARATORS = ",;\t|"
+_COMMENT = re.compile(r"^ *#+ *(?=[^\s,;|])")
+"""What makes a header a comment, as numpy.savetxt writes it."""
+_EXAMPLES = {
+    5: ("t", "x", "y", "yaw", "steer"),
+    8: ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw"),
+}
+"""Names for a table without any, by the number of its columns; eight are those of a trajectory in TUM's format."""
 _MOST_GEARS = 16
 """Numbers among letters that are gears; more are measurements, and a letter among them is a mistake."""
 
@@ -53,27 +62,36 @@ def read_csv(path: Path, notes: list[str], units: dict[str, str]) -> pa.Table:
         LogError: it cannot be read, is empty or damaged, or has no header.
     """
     lines = _first_lines(path)
-    above = _lines_above_header(lines)
+    there = [line for line in lines if line.strip()]
+    spaces = _are_numbers(there[-1 if len(there) < 3 else -2], " ")
+    lines = [_COMMENT.sub("", " ".join(line.split()) if spaces else line) for line in lines]
+    above = _lines_above_header(lines, " " if spaces else max(_SEPARATORS, key=lines[-1].count))
     if above:
         notes.append(f"{above} lines before the header are left out")
     header, *rows = lines[above:]
-    delimiter = max(",;\t|", key=re.sub('"[^"]*"', "", header).count)
+    delimiter = " " if spaces else max(_SEPARATORS, key=re.sub('"[^"]*"', "", header).count)
     comma = delimiter == ";" and any(re.search(r"(^|;)\s*-?\d+,\d+\s*(;|$)", row) for row in rows)
     if delimiter != ",":
         decimals = ", decimals by ','" if comma else ""
-        notes.append(f"columns are separated by '{delimiter}'{decimals}".replace("\t", "tab"))
+        notes.append(f"columns are separated by '{delimiter}'{decimals}".replace("\t", "tab").replace("' '", "spaces"))
     names = [name.strip() for name in next(csv.reader([header], delimiter=delimiter))]
-    check_columns(path, names)
     if all(number_of(name) is not None for name in names):
-        raise LogError("no header line", where=path, how="write the names of the columns into the first line")
+        example = _EXAMPLES.get(len(names), _EXAMPLES[5])
+        how = f"write the names of the columns into the first line, such as {delimiter.join(example)}"
+        raise LogError(f"no header line above {len(names)} columns of numbers", where=path, how=how)
+    if spaces:
+        names = _as_many_as_cells(names, header, rows[0].split(), path)
+    check_columns(path, names)
     units |= _row_of_units(names, next(csv.reader(rows[:1], delimiter=delimiter), []))
     skipped = above + (2 if units else 1)
     try:
+        text = path.read_bytes() if spaces else b""
+        text = b"\n".join(b" ".join(line.split()) for line in text.splitlines())
         table = pa_csv.read_csv(
-            path,
+            io.BytesIO(text) if spaces else path,
             read_options=pa_csv.ReadOptions(use_threads=False, column_names=names, skip_rows=skipped),
             parse_options=pa_csv.ParseOptions(
-                delimiter=delimiter, invalid_row_handler=_last_row_may_be_cut(path, notes)
+                delimiter=delimiter, invalid_row_handler=_last_row_may_be_cut(path, text, notes)
             ),
             convert_options=pa_csv.ConvertOptions(
                 column_types=dict.fromkeys(names, pa.string()), strings_can_be_null=True
@@ -101,13 +119,46 @@ def _row_of_units(names: Sequence[str], cells: Sequence[str]) -> dict[str, str]:
     return {name: unit for name, cell in zip(names, cells, strict=True) if (unit := unit_of(cell))}
 
 
-def _lines_above_header(lines: Sequence[str]) -> int:
+def _are_numbers(line: str, separators: str) -> bool:
+    """Whether a line holds several cells between any of these separators, most of them numbers."""
+    if any(other in line for other in _SEPARATORS if other not in separators):
+        return False
+    cells = re.split(f"[{re.escape(separators)}]+", line.strip())
+    return len(cells) > 1 and 2 * sum(number_of(cell) is not None for cell in cells) > len(cells)
+
+
+def has_numbers(path: Path) -> bool:
+    """Whether one of the first lines of a text holds several numbers and nothing else."""
+    try:
+        return any(_are_numbers(line, f" {_SEPARATORS}") for line in _first_lines(path))
+    except LogError:
+        return False
+
+
+def _as_many_as_cells(names: list[str], header: str, cells: Sequence[str], path: Path) -> list[str]:
+    """Names above a table separated by spaces, which may themselves be separated by something else.
+
+    Raises:
+        LogError: there are more or fewer than cells below.
+    """
+    others = [name.strip() for name in re.split(f"[{_SEPARATORS}]", header)]
+    if len(others) == len(cells):
+        return others
+    if len(names) != len(cells):
+        raise LogError(
+            f"{len(names)} names above {len(cells)} columns separated by spaces",
+            where=path,
+            how="give each column one name without spaces in it",
+        )
+    return names
+
+
+def _lines_above_header(lines: Sequence[str], delimiter: str) -> int:
     """How many lines stand before the header, as loggers of cars write them; 0 where none does.
 
     All cells of a header are different texts, and all rows below it, but for one of units, have a number and as many
     cells.
     """
-    delimiter = max(",;\t|", key=lines[-1].count)
     rows = [[cell.strip() for cell in cells] for cells in csv.reader(lines, delimiter=delimiter)]
     for above, names in enumerate(rows):
         below = [cells for cells in rows[above + 1 :] if any(cells)]
@@ -120,14 +171,18 @@ def _lines_above_header(lines: Sequence[str]) -> int:
     return 0
 
 
-def _last_row_may_be_cut(path: Path, notes: list[str]) -> Callable[[pa_csv.InvalidRow], str]:
-    """What to do with rows of too few or too many cells: the last one is left out, as loggers are switched off."""
+def _last_row_may_be_cut(path: Path, text: bytes, notes: list[str]) -> Callable[[pa_csv.InvalidRow], str]:
+    """What to do with rows of too few or too many cells: the last one is left out, as loggers are switched off.
+
+    Args:
+        text: what was read, where it is not the file's own text.
+    """
 
     def handle(row: pa_csv.InvalidRow) -> str:
         if row.actual_columns > row.expected_columns:
             return "error"
-        with path.open("rb") as file:
-            file.seek(-min(path.stat().st_size, len(row.text.encode()) + 8), 2)
+        with io.BytesIO(text) if text else path.open("rb") as file:
+            file.seek(-min(len(text) or path.stat().st_size, len(row.text.encode()) + 8), 2)
             if file.read().strip(b"\r\n").endswith(b"\n" + row.text.strip("\r\n").encode()):
                 notes.append(f"the last row is cut off after {row.actual_columns} cells, and left out")
                 return "skip"

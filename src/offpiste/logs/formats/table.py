@@ -1,4 +1,4 @@
-"""Tables: `.csv` and `.parquet`, one row a sample, one column a quantity."""
+"""Tables: `.csv`, `.tsv`, `.txt` and `.parquet`, one row a sample, one column a quantity."""
 
 import re
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 from jaxtyping import Float
 
 from offpiste.errors import LogError
-from offpiste.logs.formats.csv_text import are_gears, check_columns, gear_of, number_of, read_csv
+from offpiste.logs.formats.csv_text import are_gears, check_columns, gear_of, has_numbers, number_of, read_csv
 from offpiste.logs.log import LOG_FORMATS, Log, Samples, Topic
 from offpiste.rig.channels import Clock
 from offpiste.rig.labels import SECONDS, parse_label, time_unit, unit_by_rate
@@ -27,12 +27,13 @@ _EVENLY = 0.2
 class TableLog(Log):
     """A table with one topic, named "", whose fields are the columns of numbers, booleans and, in Parquet, dates [s].
 
-    The separator of a CSV (comma, semicolon, tab, bar) is guessed. Empty cells are NaN; a cell that is no number in a
-    column of numbers is an error once that column is read. Text is not a field, but ISO 8601 dates can be stamps, and
-    letters or words of gears are character codes (P, R, N, D). A row of units below the header is read as such.
+    The separator of a CSV (comma, semicolon, tab, bar, spaces) is guessed, and its header may be a comment (`# t x y`).
+    Empty cells are NaN; a cell that is no number in a column of numbers is an error once that column is read. Text is
+    not a field, but ISO 8601 dates can be stamps, and letters or words of gears are character codes (P, R, N, D). A
+    row of units below the header is read as such.
 
     Args:
-        path: `.csv` or `.parquet`.
+        path: text, or `.parquet`.
         clock_column: the column of stamps; "" to guess it from the names, of several the most steadily rising one.
         clock_unit: its unit: s, ms, us or ns; "" as the header says, else s. A column of dates needs none.
 
@@ -40,14 +41,14 @@ class TableLog(Log):
         LogError: the file is empty, damaged, or has no such clock column or unit.
     """
 
-    description = "a table (.csv, .parquet)"
+    description = "a table (.csv, .tsv, .txt, .parquet)"
     has_clock_unit = True
 
     def __init__(self, path: Path, *, clock_column: str = "", clock_unit: str = "") -> None:
         if clock_unit and clock_unit not in SECONDS:
             raise LogError(f"unknown clock unit '{clock_unit}'", where=path, how=f"use one of: {', '.join(SECONDS)}")
         self.path = path
-        self._is_csv = path.suffix.lower() == ".csv"
+        self._is_csv = path.suffix.lower() != ".parquet"
         notes: list[str] = []
         self._units: dict[str, str] = {}
         self._table = read_csv(path, notes, self._units) if self._is_csv else _read_parquet(path)
@@ -71,8 +72,9 @@ class TableLog(Log):
 
     @staticmethod
     def recognises(path: Path) -> bool:
-        """Whether a file has a table's ending."""
-        return path.is_file() and path.suffix.lower() in (".csv", ".parquet")
+        """Whether a file has a table's ending; of `.txt`, whether it also has rows of numbers."""
+        ending = path.suffix.lower() if path.is_file() else ""
+        return ending in (".csv", ".tsv", ".parquet") or (ending == ".txt" and has_numbers(path))
 
     @classmethod
     def open(cls, path: Path, clock: Clock) -> Log:

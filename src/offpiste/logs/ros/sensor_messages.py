@@ -13,12 +13,10 @@ import numpy as np
 from jaxtyping import UInt8
 
 from offpiste.errors import LogError
+from offpiste.logs.log import JOINT_ARRAYS
 from offpiste.logs.measurements import decoded_picture
 from offpiste.logs.ros.bag_files import MAX_ENTRIES
 from offpiste.logs.ros.writer import header, make, message_types
-
-_ARRAYS: Final = {"position": "", "velocity": "_vel", "effort": "_effort"}
-"""Arrays of sensor_msgs/JointState, with what is put behind the names of their entries."""
 
 _CHANNELS: Final = {"rgb8": 3, "bgr8": 3, "rgba8": 4, "bgra8": 4, "mono8": 1, "8UC1": 1, "8UC3": 3} | {
     f"bayer_{pattern}8": 1 for pattern in ("rggb", "bggr", "gbrg", "grbg")
@@ -159,10 +157,10 @@ class Joints:
         for message in messages:
             for entry, at in _places(message).items():
                 place = places.setdefault(entry, len(places))
-                found |= {(array, place) for array in _ARRAYS if at < len(getattr(message, array))}
+                found |= {(array, place) for array in JOINT_ARRAYS if at < len(getattr(message, array))}
         self._entries = list(places)[:MAX_ENTRIES]
-        self.fields = tuple(f"{a}[{i}]" for a in _ARRAYS for i in range(len(self._entries)) if (a, i) in found)
-        named = {field: (self._entry(field)[0], _ARRAYS[field.partition("[")[0]]) for field in self.fields}
+        self.fields = tuple(f"{a}[{i}]" for a in JOINT_ARRAYS for i in range(len(self._entries)) if (a, i) in found)
+        named = {field: (self._entry(field)[0], JOINT_ARRAYS[field.partition("[")[0]]) for field in self.fields}
         self.names = {field: name + kind for field, (name, kind) in named.items() if name}
 
     def _entry(self, field: str) -> tuple[str, int]:
@@ -174,11 +172,22 @@ class Joints:
 
         def read(message: Any) -> list[float]:
             places = _places(message)
-            arrays = {array: getattr(message, array) for array in _ARRAYS}
+            arrays = {array: getattr(message, array) for array in JOINT_ARRAYS}
             at = [(arrays[array], places.get(entry, math.inf)) for array, entry in wanted]
             return [float(values[int(place)]) if place < len(values) else math.nan for values, place in at]
 
         return read
+
+
+def joint_getter(field: str, joint: str) -> Callable[[Any], float]:
+    """Function that reads a joint's entry of a message, by its name alone; NaN where the message has no such joint."""
+    array = field.partition("[")[0]
+
+    def get(message: Any) -> float:
+        place, values = _places(message).get((joint, 0), math.inf), getattr(message, array)
+        return float(values[int(place)]) if place < len(values) else math.nan
+
+    return get
 
 
 def has_joints(fields: Sequence[Any]) -> bool:
@@ -189,7 +198,7 @@ def has_joints(fields: Sequence[Any]) -> bool:
 
 def _places(message: Any) -> dict[tuple[str, int], int]:
     """Place of each entry in a message, by its name and how many of that name come before."""
-    size = max(len(getattr(message, array)) for array in _ARRAYS)
+    size = max(len(getattr(message, array)) for array in JOINT_ARRAYS)
     result: dict[tuple[str, int], int] = {}
     counts: dict[str, int] = {}
     for place, name in enumerate([*message.name, *[""] * (size - len(message.name))]):

@@ -1,11 +1,14 @@
-"""Rows between a slower sensor's samples are parted from lost ones."""
+"""Rows between a slower sensor's samples are parted from lost ones; stamps increase, and cost the fewest rows."""
+
+from itertools import combinations
+from time import process_time
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from offpiste.logs.empty_rows import between_samples
+from offpiste.logs.kept_rows import between_samples, increasing
 
 
 def _rows_of(rate: float, seconds: float = 30.0, table: float = 100.0) -> np.ndarray:
@@ -57,3 +60,32 @@ def _run_around(mask: np.ndarray, at: int) -> np.ndarray:
     run = np.zeros(len(mask), bool)
     run[begin : end + 1] = True
     return run
+
+
+def test_one_stamp_in_the_future_and_one_in_the_past_cost_a_row_each():
+    time = np.arange(100.0)
+    time[30] += 1e6
+    time[60] -= 1e6
+    assert np.flatnonzero(~increasing(time)).tolist() == [30, 60]
+
+
+def test_of_a_clock_that_was_set_back_the_rows_before_are_kept():
+    time = np.append(np.arange(60.0), np.arange(50.0, 100.0))
+    assert np.flatnonzero(~increasing(time)).tolist() == list(range(60, 70))
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_as_many_rows_are_kept_as_can_be(seed):
+    time = np.random.default_rng(seed).integers(0, 12, size=12).astype(float)
+    kept = increasing(time)
+    assert (np.diff(time[kept]) > 0).all()
+    rows = range(len(time))
+    most = max(n for n in rows if any((np.diff(time[list(some)]) > 0).all() for some in combinations(rows, n)))
+    assert kept.sum() == most
+
+
+def test_rows_in_disorder_take_no_square_of_their_number():
+    time = np.arange(2e5) + np.random.default_rng(0).normal(0, 3, size=200_000)
+    began = process_time()
+    assert increasing(time).any()
+    assert process_time() - began < 10
