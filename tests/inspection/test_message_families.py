@@ -46,6 +46,7 @@ def _quantities() -> dict[str, np.ndarray]:
         "counted north": np.round(1e3 * (np.sin(yaw) * ODOM["vx"] + np.cos(yaw) * ODOM["vy"])),
         "counted east": np.round(1e3 * (np.cos(yaw) * ODOM["vx"] - np.sin(yaw) * ODOM["vy"])),
         "down": -ODOM["z"],
+        "sinking": -ODOM["vz"],
         "right": -ODOM["wy"],
         "clockwise": -ODOM["wz"],
         "half azimuth cos": np.cos((np.pi / 2 - yaw) / 2),
@@ -102,7 +103,8 @@ FAMILIES: Mapping[str, tuple[dict[str, dict[str, str]], dict[str, tuple[str, ...
     "PX4": (
         {"/fmu/out/vehicle_odometry": {
             "position[0]": "y", "position[1]": "x", "position[2]": "down", "q[0]": "half azimuth cos", "q[1]": "0",
-            "q[2]": "0", "q[3]": "half azimuth sin", "angular_velocity[0]": "wx", "angular_velocity[1]": "right",
+            "q[2]": "0", "q[3]": "half azimuth sin", "velocity[0]": "north", "velocity[1]": "east",
+            "velocity[2]": "sinking", "angular_velocity[0]": "wx", "angular_velocity[1]": "right",
             "angular_velocity[2]": "clockwise"}}
         | COMMANDS,
         {"position": ("position[0]", "position[1]", "position[2]"), "orientation": ("q[1]", "q[2]", "q[3]", "q[0]"),
@@ -240,6 +242,12 @@ def test_channels_are_found_in_messages_of(name: str) -> None:
 def test_of_several_columns_the_one_that_says_most_comes_first(columns: str, channel: str, first: str) -> None:
     log = MemoryLog({"": (TIME, dict.fromkeys(columns.split(), ODOM["x"]))})
     assert next(guess.fields[0] for guess in guess_channels(log) if guess.channel == channel) == first
+
+
+def test_the_velocity_of_a_world_of_north_east_down_has_its_frame() -> None:
+    topics, _ = FAMILIES["PX4"]
+    velocity = parse_rig(draft_rig(log_of(topics)), where="draft").channels["linear_velocity"]
+    assert (velocity.fields[0], velocity.frame) == ("velocity[0]", "world")
 
 
 def test_east_and_north_velocities_are_no_place() -> None:

@@ -15,7 +15,7 @@ from offpiste.inspection.commanded_motion import COMMANDED
 from offpiste.inspection.course import check_course
 from offpiste.inspection.driven_path import driven_path
 from offpiste.inspection.findings import Cure, Finding
-from offpiste.inspection.pose import check_level, check_orientation
+from offpiste.inspection.pose import check_level, check_orientation, check_position_unit
 from offpiste.inspection.signal_faults import degrees_each
 from offpiste.logs.channel import read_channel
 from offpiste.logs.drive import drive_from_log
@@ -166,7 +166,7 @@ def _varies(values: Float[np.ndarray, "n k"] | None) -> bool:
 
 
 def pose_cure(log: Log, rig: Rig) -> Cure:
-    """Edits of a first rig by which quaternions begin with x, z is up, and the heading follows the course.
+    """Edits of a first rig by which quaternions begin with x, z is up, places are in m, and headings follow the course.
 
     Games and motion capture may have y up, and a compass counts clockwise.
     """
@@ -175,7 +175,11 @@ def pose_cure(log: Log, rig: Rig) -> Cure:
         tipped = check_level(read_channel(log, rig, "position", source)[0], source.fields)
         upright = (*_first_cure(_stored_orientation(log, rig)), *_first_cure(tipped))
         drive = drive_from_log(log, edited(rig, upright))
-        return (*upright, *_first_cure(check_course(drive, driven_path(drive))))
+        path = driven_path(drive)
+        if in_metres := _first_cure(check_position_unit(drive, path)):
+            drive = drive_from_log(log, edited(rig, (*upright, *in_metres)))
+            path = driven_path(drive)
+        return (*upright, *in_metres, *_first_cure(check_course(drive, path)))
     except OffpisteError:
         return ()
 
