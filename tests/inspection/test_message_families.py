@@ -47,6 +47,7 @@ def _quantities() -> dict[str, np.ndarray]:
         "counted east": np.round(1e3 * (np.cos(yaw) * ODOM["vx"] - np.sin(yaw) * ODOM["vy"])),
         "down": -ODOM["z"],
         "sinking": -ODOM["vz"],
+        "pedal": at["throttle"] - at["brake"],
         "right": -ODOM["wy"],
         "clockwise": -ODOM["wz"],
         "half azimuth cos": np.cos((np.pi / 2 - yaw) / 2),
@@ -237,11 +238,36 @@ def test_channels_are_found_in_messages_of(name: str) -> None:
         ("gt_x gt_y gt_yaw", "position", "gt_x"),
         ("ekf_x ekf_y", "position", "ekf_x"),
         ("PN PE PD", "position", "PE"),
+        ("timestamp tx ty tz qx qy qz qw", "position", "tx"),
+        ("Car.tx Car.ty Car.tz Car.Yaw", "position", "Car.tx"),
+        ("Angle_Yaw_Vehicle_CoorSys_E[deg] YawRate_Vehicle[deg|s]", "yaw", "Angle_Yaw_Vehicle_CoorSys_E[deg]"),
+        ("estimated_curvature commanded_curvature", "steer", "commanded_curvature"),
+        ("normalized_steering_angle throttle_body_x", "steer", "normalized_steering_angle"),
+        ("APPS1 APPS2", "throttle", "APPS1"),
+        ("MotorTorqueReq", "throttle", "MotorTorqueReq"),
     ],
 )  # fmt: skip
 def test_of_several_columns_the_one_that_says_most_comes_first(columns: str, channel: str, first: str) -> None:
     log = MemoryLog({"": (TIME, dict.fromkeys(columns.split(), ODOM["x"]))})
     assert next(guess.fields[0] for guess in guess_channels(log) if guess.channel == channel) == first
+
+
+@pytest.mark.parametrize("columns", ["latitude longitude altitude(ft)", "easting(m) northing(m) altitude(ft)"])
+def test_a_height_in_feet_is_no_height_of_places_in_other_units(columns: str) -> None:
+    """A channel has one unit: hills would be three times as high."""
+    log = MemoryLog({"": (TIME, dict.fromkeys(columns.split(), ODOM["x"]))})
+    place = next(guess for guess in guess_channels(log) if guess.channel == "position")
+    assert place.fields == tuple(columns.split()[:2])
+
+
+def test_a_pedal_of_an_actuators_message_is_found() -> None:
+    """Of PX4's rovers: motors and servos are topics of their own, whose entries have no names."""
+    topics = {"/odom": POSE, "/fmu/out/actuator_motors": {"control[0]": "pedal", "control[1]": "0"}}
+    topics["/fmu/out/actuator_servos"] = {"control[0]": "steer", "control[1]": "0"}
+    channels = parse_rig(draft_rig(log_of(topics)), where="draft").channels
+    assert channels["steer"].topic == "/fmu/out/actuator_servos"
+    for pedal, sign in (("throttle", 1), ("brake", -1)):
+        assert (channels[pedal].topic, channels[pedal].sign) == ("/fmu/out/actuator_motors", sign)
 
 
 def test_the_velocity_of_a_world_of_north_east_down_has_its_frame() -> None:

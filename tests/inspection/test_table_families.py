@@ -189,7 +189,11 @@ def test_metres_from_the_middle_of_the_earth_are_no_world() -> None:
 def test_a_world_of_unreal_is_turned_so_that_left_is_left(unit: str, scale: float) -> None:
     """Its y is to the right, its yaw counts clockwise, and all else is seen in the same mirror."""
     yaw = 2 * np.arctan2(ODOM["qz"], ODOM["qw"])
-    world = {"x": (ODOM["x"], QUANTITIES["east"]), "y": (-ODOM["y"], -QUANTITIES["north"]), "z": (ODOM["z"], ODOM["vz"])}
+    world = {
+        "x": (ODOM["x"], QUANTITIES["east"]),
+        "y": (-ODOM["y"], -QUANTITIES["north"]),
+        "z": (ODOM["z"], ODOM["vz"]),
+    }
     columns = {f"location.{axis}": place / scale for axis, (place, _) in world.items()}
     columns |= {f"velocity.{axis}": velocity / scale for axis, (_, velocity) in world.items()}
     columns |= {"rotation.yaw": np.degrees(-yaw), "throttle": QUANTITIES["throttle"], "brake": QUANTITIES["brake"]}

@@ -26,6 +26,7 @@ _SCALARS: tuple[tuple[str, int, str], ...] = (
     ("yaw_rate", 0, _TURN_RATE.pattern),
     ("yaw", 0, r"(?<![a-z])(yaw|heading|psi|hdg)$"),
     ("yaw", 1, r"(?<![a-z])(theta|azimuth|bearing)$|(yaw|heading)_?(angle|true)$|compass_?bearing$"),
+    ("yaw", 1, r"(?<![a-z])angle_yaw(?![a-z])"),
     ("yaw", 1, r"(euler|rpy|attitude).*[._/]z$|(yaw_?pitch_?roll|ypr).*[._/]x$"),
     ("yaw", 2, r"(?<![a-z])(phi|track|trk_gnd|course(_over_ground)?|cog)$"),
     ("brake_pressure", 0, r"(brake|brk).*press(ure)?(?!ed)|press(ure)?(?!ed).*(brake|brk)|(?<![a-z])p_?(brake|brk)"),
@@ -39,7 +40,8 @@ _SCALARS: tuple[tuple[str, int, str], ...] = (
     ("throttle", 1, r"(?<![a-z])(motor|duty(_?cycle)?|pwm|esc)_?(cmd|com+and|input|value)$"),
     ("throttle", 1, r"(^|[ ./])motor$|(?<![a-z])(pwm|esc)$|(cmd|com+and).*(?<![a-z])duty(_?cycle)?$"),
     ("throttle", 2, r"(?<![a-z])accel(_?rpt)?[._/]?_?(cmd|com+and|manual_input|input|output|pct|pos(ition)?)$"),
-    ("throttle", 1, r"(?<![a-z])(effort|torque)_?(cmd|com+and|input)$"),
+    ("throttle", 1, r"(?<![a-z])(effort|torque)_?(cmd|com+and|input|req(uest)?)$|(?<![a-z])apps_?1?$"),
+    ("steer", 1, r"(cmd|com+and(ed)?|desired|target|setpoint).*curvature|curvature.*(cmd|com+and|setpoint|target)"),
     ("gear", 1, r"(gear_?shift|(?<![a-z])shift_?(rpt|report|feedback|state|pos(ition)?))([._/](output|state|gear))?$"),
     ("throttle", 1, r"propulsive_linear_effort_x$"),
     ("brake", 1, r"resistive_linear_effort_x$"),
@@ -52,6 +54,7 @@ _SCALARS: tuple[tuple[str, int, str], ...] = (
 _NEVER: Final = {
     "throttle": re.compile(r"steer|servo|brake|brk"),
     "brake": re.compile(r"temp|wear|fluid"),
+    "steer_angle": re.compile(r"normali[sz]ed|(?<![a-z])norm(?![a-z])"),
     "yaw": re.compile(r"brake|brk|press|tire|tyre|oil|boost|fuel|gyro|rate"),
     "wheel_speed": re.compile(r"engine|motor|turbine|steer|fan|shaft|wind|gps|gnss"),
 }

@@ -76,7 +76,7 @@ def check_pose_names(rig: Rig) -> list[Finding]:
     course = [field for field in named if _GROUND_TRACK.search(field)]
     if course:
         what = "is a course over ground, by its name, and no heading"
-        evidence = f"'{course[0]}'; how the vehicle slides cannot be seen in it, and at rest it is noise"
+        evidence = f"'{course[0]}'; sliding cannot be seen in it, backwards looks like forwards, at rest it is noise"
         findings.append(Finding("note", "yaw", what, evidence, "take a heading where one is recorded", 0.3))
     return findings
 

@@ -22,6 +22,7 @@ from offpiste.inspection.draft_values import (
     GUESSED,
     MASS,
     SMALL_CAR,
+    WHEELBASES,
     WHEELS,
     estimated_max_steer,
     estimated_wheelbase,
@@ -132,6 +133,9 @@ def draft_rig(log: Log) -> str:
     frame = _frame(log, rig) if "linear_velocity" in rig.channels else "unknown"
     wheelbase = estimated_wheelbase(log, rig)
     max_steer, assumed = estimated_max_steer(log, rig, wheelbase or rig.vehicle.wheelbase), False
+    if not wheelbase and max_steer and rig.channels["steer"].unit in ("rad", "deg"):  # an angle that is commanded
+        shown = rig.vehicle.wheelbase * float(np.tan(rig.vehicle.max_steer) / np.tan(max_steer))
+        wheelbase = shown if WHEELBASES[0] < shown < WHEELBASES[1] else 0.0
     if max_steer > MAX_STEERS[1] and not wheelbase:  # a smaller vehicle than the made-up one
         wheelbase, assumed = rig.vehicle.wheelbase * float(np.tan(_MAX_STEER) / np.tan(max_steer)), True
         max_steer = _MAX_STEER
@@ -158,7 +162,7 @@ def _text(log: Log, seen: _Seen) -> str:
         raise LogError(
             "no topic looks like a pose (position and heading)",
             where=log.path,
-            how=f"write a rig that names one; {_half_of_a_pose(log)}it has: {_contents(log)}",
+            how=f"{_not_read(log) or 'write a rig that names one'}; {_half_of_a_pose(log)}it has: {_contents(log)}",
         )
     absent = undeclared(entries)
     parts = [_header(log, entries, absent, seen)]
@@ -250,6 +254,12 @@ def _half_of_a_pose(log: Log) -> str:
     kind, other = ("position", "heading") if place else ("heading", "position")
     where = f"{half.topic} ({', '.join(half.fields)})" if half.topic else ", ".join(half.fields)
     return f"{where} may be a {kind}, and no name is that of a {other}; "
+
+
+def _not_read(log: Log) -> str:
+    """Why topics cannot be read, and what to do; empty where they can."""
+    reasons = [f"{topic.name}: {topic.type}" for topic in log.topics.values() if not topic.fields and " " in topic.type]
+    return f"record it as ROS messages, or write its numbers to a .csv ({'; '.join(reasons[:4])})" if reasons else ""
 
 
 def _contents(log: Log) -> str:

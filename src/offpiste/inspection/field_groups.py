@@ -11,7 +11,7 @@ from offpiste.rig.labels import GEOGRAPHIC_NAMES, Label, parse_label, with_lette
 Group = tuple[str, tuple[str, ...], str, int]
 """A channel, the fields that may hold it, their unit, and how far their names are from the channel's own."""
 
-_AXIS = re.compile(r"(?<![a-z])([pqvwg]?)x(?![a-z])")
+_AXIS = re.compile(r"(?<![a-z])([pqvwgt]?)x(?![a-z])")
 _PLACES = (
     "utm|enu|local|global|world|map|gps|gnss|ego|car|veh|vehicle|odom|rtk|slam|base|robot|center|cog|pos|gt|ground_?truth"
     "|ekf|est|state|cg|rear_?axle|loc(ation)?|coord(inate)?s?"
@@ -20,7 +20,7 @@ _GROUPS: tuple[tuple[str, re.Pattern[str], str], ...] = (
     ("angular_velocity", re.compile(r"angular|gyro|omega|rot(ation)?_?rate|rate_of_rot|(^|[^a-z])[wg]$"), "yz"),
     ("orientation", re.compile(r"orient|quat|rot|(^|[^a-z])q$"), "yzw"),
     ("linear_velocity", re.compile(r"linear_?vel|twist[._/]linear|vel|(^|[^a-z])v$"), "yz"),
-    ("position", re.compile(rf"pos|vicon|mocap|optitrack|translation|(^|[^a-z])p?$|(?<![a-z])({_PLACES})$"), "yz"),
+    ("position", re.compile(rf"pos|vicon|mocap|optitrack|translation|(^|[^a-z])[pt]?$|(?<![a-z])({_PLACES})$"), "yz"),
 )
 """Vectors, by what stands before the letter x, and the other letters."""
 _WIDTHS: Final = {"orientation": (4,), "angular_velocity": (3,), "linear_velocity": (2, 3), "position": (2, 3)}
@@ -77,6 +77,8 @@ def _vectors(named: Mapping[str, Label]) -> Iterator[Group]:
             fields = (columns[name], *(columns[n] for a in letters if (n := before + a + after) in columns))
             if channel == "position" and len(fields) == 2:
                 fields += tuple(field for field, label in named.items() if _HEIGHT.fullmatch(label.name))[:1]
+            if len(fields) == 3 and (named[fields[2]].unit or "m") != (named[fields[0]].unit or "m"):
+                fields = fields[:2]  # a channel has one unit: east and north in m, and a height in ft
             east = named[fields[0]].name
             if len(fields) == 2 and _EAST.search(east) and (down := plain.get(_EAST.sub(_down_of, east))):
                 fields = (fields[1], fields[0], down)
@@ -126,7 +128,8 @@ def _places(named: Mapping[str, Label]) -> Iterator[Group]:
     """Geographic positions, as of sensor_msgs/NavSatFix."""
     places = {field: label for field, label in named.items() if not _LATERAL.search(label.name)}
     degrees = {field: label for field, label in places.items() if label.unit in ("", "deg")}
-    among = (degrees, degrees, places)
+    metres = {field: label for field, label in places.items() if label.unit in ("", "m")}
+    among = (degrees, degrees, metres)
     found = [
         next((f for f, label in fields.items() if pattern.search(label.name)), "")
         for pattern, fields in zip(GEOGRAPHIC_NAMES, among, strict=True)
