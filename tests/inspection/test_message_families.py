@@ -124,6 +124,26 @@ FAMILIES: Mapping[str, tuple[dict[str, dict[str, str]], dict[str, tuple[str, ...
          "/pacmod/brake_rpt": report("brake", "brake"), "/pacmod/steering_rpt": report("steer", "wheel")},
         {"throttle": ("output",), "brake": ("output",), "steer": ("output",)},
     ),
+    "commands of pacmod3": (
+        {"/odom": POSE}
+        | {f"/pacmod/{name}_cmd": {"enable": "1", "ignore_overrides": "0", "command": quantity}
+           for name, quantity in (("accel", "throttle"), ("brake", "brake"), ("steering", "wheel"))},
+        {"throttle": ("command",), "brake": ("command",), "steer": ("command",)},
+    ),
+    "Dataspeed ULC": (
+        {"/odom": POSE,
+         "/vehicle/ulc_cmd": {"enable_pedals": "1", "linear_velocity": "speed command", "steering_mode": "1",
+                              "yaw_command": "tire command", "linear_accel": "1"}},
+        {"throttle": ("linear_velocity",), "steer": ("yaw_command",)},
+    ),
+    "Applanix": (
+        {"/ins_solution": {"lla.latitude": "latitude", "lla.longitude": "longitude", "lla.altitude": "height",
+                           "velocity.north": "north", "velocity.east": "east", "velocity.down": "sinking",
+                           "heading": "azimuth", "track_angle": "azimuth"}}
+        | COMMANDS,
+        {"position": ("lla.latitude", "lla.longitude", "lla.altitude"), "yaw": ("heading",),
+         "linear_velocity": ("velocity.east", "velocity.north")},
+    ),
     "Autoware": (
         {"/localization/kinematic_state": POSE,
          "/control/command/control_cmd": {
@@ -244,6 +264,9 @@ def test_channels_are_found_in_messages_of(name: str) -> None:
         ("estimated_curvature commanded_curvature", "steer", "commanded_curvature"),
         ("normalized_steering_angle throttle_body_x", "steer", "normalized_steering_angle"),
         ("APPS1 APPS2", "throttle", "APPS1"),
+        ("Model_Root/Angle_SteeringWheel Model_Root/Pos_AccPedal", "steer", "Model_Root/Angle_SteeringWheel"),
+        ("DM.Steer.AngVel DM.Steer.Ang", "steer_angle", "DM.Steer.Ang"),
+        ("shift_cmd", "gear", "shift_cmd"),
         ("MotorTorqueReq", "throttle", "MotorTorqueReq"),
     ],
 )  # fmt: skip

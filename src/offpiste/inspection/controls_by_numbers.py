@@ -175,11 +175,9 @@ def _candidates(log: Log, rig: Rig) -> Iterator[Guess]:
         if topic.count < 100 or is_measured(topic):
             continue
         for field, label in labels(topic).items():
-            if (
-                (topic.name, field) in read
-                or field == log.clock.column
-                or _MOTION.search(label.name.rpartition("/")[2])
-            ):
+            last = label.name.rpartition("/")[2]
+            moved = _MOTION.search(last) and not COMMANDED.search(last)
+            if (topic.name, field) in read or field == log.clock.column or moved:
                 continue
             try:
                 values = log.read(topic.name, (field,)).values[:, 0]

@@ -22,7 +22,7 @@ from offpiste.logs.drive import drive_from_log
 from offpiste.logs.log import Log
 from offpiste.rig.channels import GEOGRAPHIC
 from offpiste.rig.edits import edited
-from offpiste.rig.labels import channel_unit
+from offpiste.rig.labels import channel_unit, named_down
 from offpiste.rig.rig import Rig
 
 _POSE: Final = ("position", "orientation", "yaw", "linear_velocity", "angular_velocity")
@@ -82,6 +82,9 @@ def draft_pose(log: Log, guesses: Sequence[Guess], frame: str) -> dict[str, Entr
             if (each := degrees_each(values[:, 0], values[:, 1])) != 1:
                 guess, lines = replace(guess, fields=guess.fields[:2]), (*lines, f"scale = {each:.12g}")
         elif channel == "linear_velocity":
+            down = len(guess.fields) == 3 and named_down(guess.fields[2])
+            if down and not any(map(named_down, entries["position"].guess.fields)):
+                guess = replace(guess, fields=(guess.fields[1], guess.fields[0]))  # north, east, down of places z up
             lines += (f'frame = "{frame}"',)
             comment += "" if frame == "unknown" else "; frame by the pose"
         elif channel == "angular_velocity":
