@@ -293,6 +293,12 @@ def test_a_pedal_of_an_actuators_message_is_found() -> None:
         assert (channels[pedal].topic, channels[pedal].sign) == ("/fmu/out/actuator_motors", sign)
 
 
+def test_a_vector_that_commands_is_found_by_its_numbers() -> None:
+    columns = dict(zip(VECTOR, ("throttle", "brake", "steer"), strict=True))
+    channels = parse_rig(draft_rig(log_of({"/odom": POSE, "/vehicle/cmd": columns})), where="draft").channels
+    assert [channels[name].fields[0] for name in ("throttle", "brake", "steer")] == list(VECTOR)
+
+
 def test_the_velocity_of_a_world_of_north_east_down_has_its_frame() -> None:
     topics, _ = FAMILIES["PX4"]
     velocity = parse_rig(draft_rig(log_of(topics)), where="draft").channels["linear_velocity"]

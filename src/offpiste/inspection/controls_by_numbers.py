@@ -175,8 +175,8 @@ def _candidates(log: Log, rig: Rig) -> Iterator[Guess]:
         if topic.count < 100 or is_measured(topic):
             continue
         for field, label in labels(topic).items():
-            last = label.name.rpartition("/")[2]
-            moved = _MOTION.search(last) and not COMMANDED.search(last)
+            asked = COMMANDED.search(topic.name) or COMMANDED.search(label.name)
+            moved = not asked and _MOTION.search(label.name.rpartition("/")[2])
             if (topic.name, field) in read or field == log.clock.column or moved:
                 continue
             try:
