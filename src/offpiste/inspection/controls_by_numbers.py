@@ -44,7 +44,7 @@ _MEASURED: Final = re.compile(
 )
 """Topics and types of what is measured."""
 _COMMANDING: Final = re.compile(rf"{COMMANDED.pattern}|actuator|motors", re.IGNORECASE)
-"""Topics of what a vehicle is told to do."""
+"""Topics of commands to a vehicle, or to its actuators."""
 _MOTION: Final = re.compile(
     r"acc|gyro|omega|rate|vel|speed|pos|orient|quat|cov|curv|slip|wheel|rpm|yaw|pitch|roll|(?<![a-z])[xyz](?![a-z])"
 )

@@ -154,7 +154,7 @@ def _mirrored(name: str, drive: Drive) -> list[Finding]:
     if yaw is None or drive.rig.motion.axes != "z up" or named != (["x", "y"] if game else ["y", "x"]):
         return []
     quarter = np.pi / 2 / (yaw.sign * unit_factor("yaw", yaw.unit))
-    pose = (
+    pose: tuple[Edit, ...] = (
         Edit("channels.position.fields", _swapped(drive.rig)),
         Edit("channels.yaw.sign", -yaw.sign),
         Edit("channels.yaw.offset", rounded(yaw.offset - quarter)),
