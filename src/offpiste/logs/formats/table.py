@@ -159,7 +159,9 @@ class TableLog(Log):
             if not self._is_numeric(name):
                 cells = enumerate(column.to_pylist())
                 row, cell = next((r, c) for r, c in cells if c and clock_times(pa.chunked_array([[c]])) is None)
-                raise self._no_number(row, name, cell, "is no time; write seconds, or 2024-05-03T10:11:12.345")
+                line, how = row + 1 + self._rows_of_units, "write seconds, or 2024-05-03T10:11:12.345"
+                what = f"row {line} below the header, column '{name}': '{cell[:40]}' is no time"
+                raise LogError(what, where=self.path, how=how)
         if nanoseconds := self._beside(name):
             return self._numbers(name) + self._numbers(nanoseconds) / 1e9
         numbers = self._numbers(name) / (1.0 if _has_time_unit(column.type) else SECONDS[self._unit_of_stamps(name)])
@@ -186,14 +188,14 @@ class TableLog(Log):
             if cell is None:
                 continue
             if (value := number(cell)) is None:
-                raise self._no_number(row, name, cell, "is not a number; fix or empty that cell")
+                line = row + 1 + self._rows_of_units
+                raise LogError(
+                    f"row {line} below the header, column '{name}': '{cell[:40]}' is not a number",
+                    where=self.path,
+                    how="fix or empty that cell",
+                )
             values[row] = value
         return values
-
-    def _no_number(self, row: int, name: str, cell: str, why: str) -> LogError:
-        what, _, how = why.partition("; ")
-        line = row + 1 + self._rows_of_units
-        return LogError(f"row {line} below the header, column '{name}': '{cell[:40]}' {what}", where=self.path, how=how)
 
 
 def _shows_clock_face(stamps: Float[np.ndarray, " n"]) -> bool:
