@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from simulated import MemoryLog, drive_log, pointing, rig
 
-from offpiste.inspection.course import check_course, heading_fits, leans_inward
+from offpiste.inspection.course import check_course, heading_fits
 from offpiste.inspection.driven_path import driven_path
+from offpiste.inspection.steering import leans_inward
 from offpiste.logs.drive import drive_from_log
 from offpiste.rig.edits import Edit, edited
 

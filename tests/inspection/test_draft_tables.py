@@ -150,6 +150,13 @@ def test_an_angle_gives_steering_and_wheelbase(tmp_path: Path, header: str) -> N
     assert rig.vehicle.wheelbase == pytest.approx(WHEELBASE, rel=0.1)
 
 
+def test_an_angle_that_is_commanded_gives_the_wheelbase(tmp_path: Path) -> None:
+    """Of which `max_steer` is the largest, too: with another wheelbase, the two would contradict the turning."""
+    vehicle = drafted(written(tmp_path / "drive.csv", {**POSE, "steering_angle_cmd": ("angle", 1)})).vehicle
+    assert vehicle.max_steer == pytest.approx(WIDEST, rel=1e-3)
+    assert vehicle.wheelbase == pytest.approx(WHEELBASE, rel=0.1)
+
+
 def test_an_angle_of_the_steering_wheel_is_scaled(tmp_path: Path) -> None:
     rig = drafted(written(tmp_path / "drive.csv", {**POSE, "steering_angle": ("angle", 400 / WIDEST)}))
     assert "steer_angle" in rig.absent

@@ -46,6 +46,8 @@ def _quantities() -> dict[str, np.ndarray]:
         "counted north": np.round(1e3 * (np.sin(yaw) * ODOM["vx"] + np.cos(yaw) * ODOM["vy"])),
         "counted east": np.round(1e3 * (np.cos(yaw) * ODOM["vx"] - np.sin(yaw) * ODOM["vy"])),
         "down": -ODOM["z"],
+        "sinking": -ODOM["vz"],
+        "pedal": at["throttle"] - at["brake"],
         "right": -ODOM["wy"],
         "clockwise": -ODOM["wz"],
         "half azimuth cos": np.cos((np.pi / 2 - yaw) / 2),
@@ -102,7 +104,8 @@ FAMILIES: Mapping[str, tuple[dict[str, dict[str, str]], dict[str, tuple[str, ...
     "PX4": (
         {"/fmu/out/vehicle_odometry": {
             "position[0]": "y", "position[1]": "x", "position[2]": "down", "q[0]": "half azimuth cos", "q[1]": "0",
-            "q[2]": "0", "q[3]": "half azimuth sin", "angular_velocity[0]": "wx", "angular_velocity[1]": "right",
+            "q[2]": "0", "q[3]": "half azimuth sin", "velocity[0]": "north", "velocity[1]": "east",
+            "velocity[2]": "sinking", "angular_velocity[0]": "wx", "angular_velocity[1]": "right",
             "angular_velocity[2]": "clockwise"}}
         | COMMANDS,
         {"position": ("position[0]", "position[1]", "position[2]"), "orientation": ("q[1]", "q[2]", "q[3]", "q[0]"),
@@ -120,6 +123,26 @@ FAMILIES: Mapping[str, tuple[dict[str, dict[str, str]], dict[str, tuple[str, ...
         {"/odom": POSE, "/pacmod/accel_rpt": report("throttle", "throttle"),
          "/pacmod/brake_rpt": report("brake", "brake"), "/pacmod/steering_rpt": report("steer", "wheel")},
         {"throttle": ("output",), "brake": ("output",), "steer": ("output",)},
+    ),
+    "commands of pacmod3": (
+        {"/odom": POSE}
+        | {f"/pacmod/{name}_cmd": {"enable": "1", "ignore_overrides": "0", "command": quantity}
+           for name, quantity in (("accel", "throttle"), ("brake", "brake"), ("steering", "wheel"))},
+        {"throttle": ("command",), "brake": ("command",), "steer": ("command",)},
+    ),
+    "Dataspeed ULC": (
+        {"/odom": POSE,
+         "/vehicle/ulc_cmd": {"enable_pedals": "1", "linear_velocity": "speed command", "steering_mode": "1",
+                              "yaw_command": "tire command", "linear_accel": "1"}},
+        {"throttle": ("linear_velocity",), "steer": ("yaw_command",)},
+    ),
+    "Applanix": (
+        {"/ins_solution": {"lla.latitude": "latitude", "lla.longitude": "longitude", "lla.altitude": "height",
+                           "velocity.north": "north", "velocity.east": "east", "velocity.down": "sinking",
+                           "heading": "azimuth", "track_angle": "azimuth"}}
+        | COMMANDS,
+        {"position": ("lla.latitude", "lla.longitude", "lla.altitude"), "yaw": ("heading",),
+         "linear_velocity": ("velocity.east", "velocity.north")},
     ),
     "Autoware": (
         {"/localization/kinematic_state": POSE,
@@ -235,11 +258,51 @@ def test_channels_are_found_in_messages_of(name: str) -> None:
         ("gt_x gt_y gt_yaw", "position", "gt_x"),
         ("ekf_x ekf_y", "position", "ekf_x"),
         ("PN PE PD", "position", "PE"),
+        ("timestamp tx ty tz qx qy qz qw", "position", "tx"),
+        ("Car.tx Car.ty Car.tz Car.Yaw", "position", "Car.tx"),
+        ("Angle_Yaw_Vehicle_CoorSys_E[deg] YawRate_Vehicle[deg|s]", "yaw", "Angle_Yaw_Vehicle_CoorSys_E[deg]"),
+        ("estimated_curvature commanded_curvature", "steer", "commanded_curvature"),
+        ("normalized_steering_angle throttle_body_x", "steer", "normalized_steering_angle"),
+        ("APPS1 APPS2", "throttle", "APPS1"),
+        ("Model_Root/Angle_SteeringWheel Model_Root/Pos_AccPedal", "steer", "Model_Root/Angle_SteeringWheel"),
+        ("DM.Steer.AngVel DM.Steer.Ang", "steer_angle", "DM.Steer.Ang"),
+        ("shift_cmd", "gear", "shift_cmd"),
+        ("MotorTorqueReq", "throttle", "MotorTorqueReq"),
     ],
 )  # fmt: skip
 def test_of_several_columns_the_one_that_says_most_comes_first(columns: str, channel: str, first: str) -> None:
     log = MemoryLog({"": (TIME, dict.fromkeys(columns.split(), ODOM["x"]))})
     assert next(guess.fields[0] for guess in guess_channels(log) if guess.channel == channel) == first
+
+
+@pytest.mark.parametrize("columns", ["latitude longitude altitude(ft)", "easting(m) northing(m) altitude(ft)"])
+def test_a_height_in_feet_is_no_height_of_places_in_other_units(columns: str) -> None:
+    """A channel has one unit: hills would be three times as high."""
+    log = MemoryLog({"": (TIME, dict.fromkeys(columns.split(), ODOM["x"]))})
+    place = next(guess for guess in guess_channels(log) if guess.channel == "position")
+    assert place.fields == tuple(columns.split()[:2])
+
+
+def test_a_pedal_of_an_actuators_message_is_found() -> None:
+    """Of PX4's rovers: motors and servos are topics of their own, whose entries have no names."""
+    topics = {"/odom": POSE, "/fmu/out/actuator_motors": {"control[0]": "pedal", "control[1]": "0"}}
+    topics["/fmu/out/actuator_servos"] = {"control[0]": "steer", "control[1]": "0"}
+    channels = parse_rig(draft_rig(log_of(topics)), where="draft").channels
+    assert channels["steer"].topic == "/fmu/out/actuator_servos"
+    for pedal, sign in (("throttle", 1), ("brake", -1)):
+        assert (channels[pedal].topic, channels[pedal].sign) == ("/fmu/out/actuator_motors", sign)
+
+
+def test_a_vector_that_commands_is_found_by_its_numbers() -> None:
+    columns = dict(zip(VECTOR, ("throttle", "brake", "steer"), strict=True))
+    channels = parse_rig(draft_rig(log_of({"/odom": POSE, "/vehicle/cmd": columns})), where="draft").channels
+    assert [channels[name].fields[0] for name in ("throttle", "brake", "steer")] == list(VECTOR)
+
+
+def test_the_velocity_of_a_world_of_north_east_down_has_its_frame() -> None:
+    topics, _ = FAMILIES["PX4"]
+    velocity = parse_rig(draft_rig(log_of(topics)), where="draft").channels["linear_velocity"]
+    assert (velocity.fields[0], velocity.frame) == ("velocity[0]", "world")
 
 
 def test_east_and_north_velocities_are_no_place() -> None:

@@ -11,7 +11,7 @@ from offpiste.inspection.field_groups import field_groups
 from offpiste.logs.log import Log, Topic
 from offpiste.rig.labels import Label, channel_unit, field_labels, is_array_entry, parse_label
 
-_ANGLE = r"(angle|ang)"
+_ANGLE = r"(angle|ang)(?![ _]?(vel|rate|speed|acc|jerk))"
 _TURN_RATE: Final = re.compile(r"ang(ular)?_?vel(ocity)?[/._]z$|yaw[_ ]?vel(ocity)?$")
 """The z component alone of an angular velocity, or the velocity of the yaw."""
 _COMMANDED_JOINTS: Final = re.compile(r"cmd|com+and|desired|target|setpoint", re.IGNORECASE)
@@ -26,6 +26,7 @@ _SCALARS: tuple[tuple[str, int, str], ...] = (
     ("yaw_rate", 0, _TURN_RATE.pattern),
     ("yaw", 0, r"(?<![a-z])(yaw|heading|psi|hdg)$"),
     ("yaw", 1, r"(?<![a-z])(theta|azimuth|bearing)$|(yaw|heading)_?(angle|true)$|compass_?bearing$"),
+    ("yaw", 1, r"(?<![a-z])angle_yaw(?![a-z])"),
     ("yaw", 1, r"(euler|rpy|attitude).*[._/]z$|(yaw_?pitch_?roll|ypr).*[._/]x$"),
     ("yaw", 2, r"(?<![a-z])(phi|track|trk_gnd|course(_over_ground)?|cog)$"),
     ("brake_pressure", 0, r"(brake|brk).*press(ure)?(?!ed)|press(ure)?(?!ed).*(brake|brk)|(?<![a-z])p_?(brake|brk)"),
@@ -38,9 +39,14 @@ _SCALARS: tuple[tuple[str, int, str], ...] = (
     ("steer", 1, r"(?<![a-z])servo([_/. ]?(cmd|com+and|input|value|pos(ition)?))?$"),
     ("throttle", 1, r"(?<![a-z])(motor|duty(_?cycle)?|pwm|esc)_?(cmd|com+and|input|value)$"),
     ("throttle", 1, r"(^|[ ./])motor$|(?<![a-z])(pwm|esc)$|(cmd|com+and).*(?<![a-z])duty(_?cycle)?$"),
-    ("throttle", 2, r"(?<![a-z])accel(_?rpt)?[._/]?_?(cmd|com+and|manual_input|input|output|pct|pos(ition)?)$"),
-    ("throttle", 1, r"(?<![a-z])(effort|torque)_?(cmd|com+and|input)$"),
-    ("gear", 1, r"(gear_?shift|(?<![a-z])shift_?(rpt|report|feedback|state|pos(ition)?))([._/](output|state|gear))?$"),
+    ("throttle", 2, r"(?<![a-z])accel(_?(rpt|cmd))?[._/]?_?(cmd|com+and|manual_input|input|output|pct|pos(ition)?)$"),
+    ("throttle", 1, r"(?<![a-z])(effort|torque)_?(cmd|com+and|input|req(uest)?)$|(?<![a-z])apps_?1?$"),
+    ("steer", 1, r"(cmd|com+and(ed)?|desired|target|setpoint).*curvature|curvature.*(cmd|com+and|setpoint|target)"),
+    (
+        "gear",
+        1,
+        r"(gear_?shift|(?<![a-z])shift_?(rpt|cmd|report|feedback|state|pos(ition)?))([._/](output|command|state|gear))?$",
+    ),
     ("throttle", 1, r"propulsive_linear_effort_x$"),
     ("brake", 1, r"resistive_linear_effort_x$"),
     ("steer", 1, r"propulsive_rotational_effort_z$"),
@@ -52,12 +58,13 @@ _SCALARS: tuple[tuple[str, int, str], ...] = (
 _NEVER: Final = {
     "throttle": re.compile(r"steer|servo|brake|brk"),
     "brake": re.compile(r"temp|wear|fluid"),
+    "steer_angle": re.compile(r"normali[sz]ed|(?<![a-z])norm(?![a-z])"),
     "yaw": re.compile(r"brake|brk|press|tire|tyre|oil|boost|fuel|gyro|rate"),
     "wheel_speed": re.compile(r"engine|motor|turbine|steer|fan|shaft|wind|gps|gnss"),
 }
 """What a channel is not called; a throttle that has a name of its own may be."""
 _BESIDE: Final = re.compile(
-    r"torque|rate|speed|press|current|force|effort|temp|engage|light|lamp|switch|bias|park|hand_?brake|on_off"
+    r"torque|rate|speed|(?<![a-z])vel(?![a-z])|press|current|force|effort|temp|engage|light|lamp|switch|bias|park|hand_?brake|on_off"
 )
 """What is measured at a pedal or a steering, besides where it is; a channel only where nothing else is."""
 FALLBACK: Final = 10
@@ -76,7 +83,7 @@ def _scalars() -> tuple[tuple[str, int, re.Pattern[str]], ...]:
 
 
 _CONTROLS: Final = tuple(control.name for control in CONTROLS)
-_NOT_SCALARS = re.compile(r"velocity|rate_of|status|enable|mode|valid|stamp|count|jerk")
+_NOT_SCALARS = re.compile(r"velocity|rate_of|status|enable|mode(?!l)|valid|stamp|count|jerk")
 _NUMBER: Final = re.compile(r"(^|\.)(data|value)$")
 """Fields that are called as any number is."""
 _APPLIED: Final = re.compile(r"^output$")
@@ -160,7 +167,8 @@ def _of_topic(topic: Topic) -> Iterator[Guess]:
             named_so = pattern.search(label.name) or pattern.search(label.name.replace(" ", "_"))
             if channel in _NEVER and (rank or channel != "throttle") and _NEVER[channel].search(label.name):
                 continue
-            if channel in _CONTROLS and _BESIDE.search(label.name):
+            turning = channel == "steer" and label.unit and channel_unit("steer_rate", label.unit) is not None
+            if channel in _CONTROLS and (turning or _BESIDE.search(label.name)):
                 rank += FALLBACK
             scalar = _guess(channel, topic, (field,), label, rank) if named_so else None
             if scalar is not None:

@@ -43,6 +43,8 @@ _MEASURED: Final = re.compile(
     r"odom|gps|gnss|navsat|twist|accel|magn|image|scan|(?<![a-z])(?:imu|pose|point|tf(?![a-z]))", re.IGNORECASE
 )
 """Topics and types of what is measured."""
+_COMMANDING: Final = re.compile(rf"{COMMANDED.pattern}|actuator|motors", re.IGNORECASE)
+"""Topics of commands to a vehicle, or to its actuators."""
 _MOTION: Final = re.compile(
     r"acc|gyro|omega|rate|vel|speed|pos|orient|quat|cov|curv|slip|wheel|rpm|yaw|pitch|roll|(?<![a-z])[xyz](?![a-z])"
 )
@@ -70,7 +72,7 @@ def find_controls(log: Log, rig: Rig) -> dict[str, tuple[Guess, float]]:
         # Pedals lie where the steering does, or are called a command: too much else goes up and down with the speed.
         if name != "steer":
             topics = {found["steer"][0].topic} if "steer" in found else set()
-            left = [guess for guess in left if guess.topic in topics or COMMANDED.search(guess.topic)]
+            left = [guess for guess in left if guess.topic in topics or _COMMANDING.search(guess.topic)]
         scores = sorted(((_follows(name, guess, log, rig, path), guess) for guess in left), key=lambda pair: -pair[0])
         if not scores or scores[0][0] < _FOLLOWS[name]:
             continue
@@ -173,11 +175,9 @@ def _candidates(log: Log, rig: Rig) -> Iterator[Guess]:
         if topic.count < 100 or is_measured(topic):
             continue
         for field, label in labels(topic).items():
-            if (
-                (topic.name, field) in read
-                or field == log.clock.column
-                or _MOTION.search(label.name.rpartition("/")[2])
-            ):
+            asked = COMMANDED.search(topic.name) or COMMANDED.search(label.name)
+            moved = not asked and _MOTION.search(label.name.rpartition("/")[2])
+            if (topic.name, field) in read or field == log.clock.column or moved:
                 continue
             try:
                 values = log.read(topic.name, (field,)).values[:, 0]

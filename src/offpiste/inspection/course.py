@@ -9,10 +9,9 @@ from typing import Final
 import numpy as np
 from jaxtyping import Bool, Float
 
-from offpiste.geometry import rotation_from_quaternion
 from offpiste.inspection.driven_path import STEP, Path
 from offpiste.inspection.findings import Finding, Severity
-from offpiste.inspection.lags import SURE, fit_lags, jackknife
+from offpiste.inspection.lags import SURE, jackknife
 from offpiste.logs.axes import WORLD_DOWN, turning_sign
 from offpiste.logs.drive import Drive
 from offpiste.logs.motion import heading
@@ -35,6 +34,9 @@ _STRAIGHT: Final = 0.3
 """Share of the moving rows, those that turn least, at which a vehicle goes where it heads."""
 _ONE_WAY: Final = 0.7
 """Resultant of headings above which a vehicle drives to and fro in one direction."""
+_LOCATION: Final = re.compile(r"(?<![a-z])location[._ ]?[xy]$", re.IGNORECASE)
+_ROTATION: Final = re.compile(r"(?<![a-z])rotat(ion|or)[._ ]?yaw$", re.IGNORECASE)
+"""What Unreal and CARLA call a pose: their y is to the right, and their yaw counts clockwise."""
 _GROUND_TRACK: Final = re.compile(r"course|(?<![a-z])(cog|trk|track)(?![a-z])", re.IGNORECASE)
 """What a course over ground is called."""
 
@@ -56,7 +58,7 @@ class Reading:
 
 def heading_fits(path: Path) -> bool:
     """Whether the heading follows the course, so that turning and steering can be checked by it."""
-    moving = _moving(path)
+    moving = under_way(path)
     if not moving.any():
         return True
     return _agreement(_course(path) - path.yaw, path.yaw, moving, _straight(path, moving)) > _TOGETHER
@@ -74,14 +76,14 @@ def check_pose_names(rig: Rig) -> list[Finding]:
     course = [field for field in named if _GROUND_TRACK.search(field)]
     if course:
         what = "is a course over ground, by its name, and no heading"
-        evidence = f"'{course[0]}'; how the vehicle slides cannot be seen in it, and at rest it is noise"
+        evidence = f"'{course[0]}'; sliding cannot be seen in it, backwards looks like forwards, at rest it is noise"
         findings.append(Finding("note", "yaw", what, evidence, "take a heading where one is recorded", 0.3))
     return findings
 
 
 def check_course(drive: Drive, path: Path) -> list[Finding]:
     """Heading against the direction of travel."""
-    if _moving(path).sum() < 40:
+    if under_way(path).sum() < 40:
         return []
     name = "yaw" if "yaw" in drive.channels else "orientation"
     plain, *others = readings(drive, path)
@@ -107,7 +109,7 @@ def check_course(drive: Drive, path: Path) -> list[Finding]:
 
 def readings(drive: Drive, path: Path) -> Iterator[Reading]:
     """All ways to read the pose that a rig can state, the present one first."""
-    moving = _moving(path)
+    moving = under_way(path)
     straight = _straight(path, moving)
     course = _course(path)
     yaw = drive.rig.channels.get("yaw")
@@ -142,23 +144,44 @@ def against_names(edits: Iterable[Edit], rig: Rig) -> float:
 
 
 def _mirrored(name: str, drive: Drive) -> list[Finding]:
-    """A finding where y is read before x, by their names, and the heading follows: a compass, seen in a mirror."""
+    """A finding where left and right are exchanged by the names of the pose, and the heading follows all the same.
+
+    Either y is read before x (a compass), or x before y of a game's world, whose y is to the right.
+    """
     fields, yaw = drive.rig.channels["position"].fields, drive.rig.channels.get("yaw")
-    if yaw is None or drive.rig.motion.axes != "z up" or [named_axis(field) for field in fields[:2]] != ["y", "x"]:
+    named = [named_axis(field) for field in fields[:2]]
+    game = yaw is not None and _ROTATION.search(yaw.fields[0]) is not None and _LOCATION.search(fields[0]) is not None
+    if yaw is None or drive.rig.motion.axes != "z up" or named != (["x", "y"] if game else ["y", "x"]):
         return []
     quarter = np.pi / 2 / (yaw.sign * unit_factor("yaw", yaw.unit))
-    pose = (
+    pose: tuple[Edit, ...] = (
         Edit("channels.position.fields", _swapped(drive.rig)),
         Edit("channels.yaw.sign", -yaw.sign),
         Edit("channels.yaw.offset", rounded(yaw.offset - quarter)),
     )
     steering = (name for name in ("steer", "steer_angle") if name in drive.rig.channels)
     signs = tuple(Edit(f"channels.{name}.sign", -drive.rig.channels[name].sign) for name in steering)
+    if game:
+        pose += tuple(_velocities_mirrored(drive.rig))
     cure = (*pose, *signs)  # a steering that is right in a mirror is wrong without it
     evidence = f"position reads {fields[0]} before {fields[1]}, and the heading, clockwise then, follows the course"
     how = ", ".join(map(str, cure)) + "; left and right are exchanged until then"
+    if game:
+        evidence = f"'{fields[0]}' and '{yaw.fields[0]}' are names of Unreal and CARLA, whose y is to the right"
+        how += "; none, if the log was turned to y left before"
     cures = (cure, pose) if signs else (pose,)
     return [Finding("warning", name, "the world is seen in a mirror", evidence, how, 1.0, cures)]
+
+
+def _velocities_mirrored(rig: Rig) -> Iterator[Edit]:
+    """Edits of the velocities of a world that is seen in a mirror."""
+    for name in ("linear_velocity", "angular_velocity", "yaw_rate"):
+        source = rig.channels.get(name)
+        if source is not None and name == "linear_velocity" and source.frame != "body":
+            x, y, *z = source.fields
+            yield Edit(f"channels.{name}.fields", [y, x, *z])
+        elif source is not None and name != "linear_velocity":
+            yield Edit(f"channels.{name}.sign", -source.sign)  # of its three rates the yaw's alone counts
 
 
 def _swapped(rig: Rig) -> list[str]:
@@ -197,21 +220,9 @@ def _turned(name: str, reading: Reading, rig: Rig) -> Finding:
     return Finding(severity, name, what, evidence, how, 0.8, (cure,), sure=not backwards)
 
 
-def leans_inward(drive: Drive, path: Path) -> bool:
-    """Whether the body surely leans into its curves, as no four-wheeled vehicle does: the axes may point down."""
-    if "orientation" not in drive.channels:
-        return False
-    orientation = drive.channels["orientation"].linear(path.time, max_gap=np.inf)
-    rotation = rotation_from_quaternion(np.nan_to_num(orientation, nan=0.5))
-    roll = np.arctan2(rotation[:, 2, 1], rotation[:, 2, 2])
-    aside = (path.forward * path.yaw_rate)[None]
-    fit = fit_lags(roll, np.ones((len(roll), 1)), aside, np.zeros(1), _moving(path))
-    return fit is not None and float(fit.r[0]) < -max(0.2, SURE * fit.r_sigma(0))
-
-
 def straight_rows(path: Path) -> Bool[np.ndarray, " n"]:
     """Rows in which the vehicle moves and its course turns least."""
-    moving = _moving(path)
+    moving = under_way(path)
     return _straight(path, moving) if moving.any() else moving
 
 
@@ -220,7 +231,8 @@ def course_minus_heading(path: Path) -> Float[np.ndarray, " n"]:
     return np.asarray(np.angle(np.exp(2j * (_course(path) - path.yaw))) / 2)
 
 
-def _moving(path: Path) -> Bool[np.ndarray, " n"]:
+def under_way(path: Path) -> Bool[np.ndarray, " n"]:
+    """Rows in which the vehicle moves, not slowly for this drive."""
     moving: np.ndarray = np.isfinite(path.yaw) & (path.speed > max(0.3, 0.3 * path.cruise))
     return moving
 

@@ -8,21 +8,22 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.errors import OffpisteError
+from offpiste.errors import LogError, OffpisteError
 from offpiste.geometry import rotation_from_quaternion
-from offpiste.inspection.channel_guesses import Guess, by_topic, of_one_vehicle
+from offpiste.inspection.channel_guesses import Guess, by_topic, guess_channels, of_one_vehicle
 from offpiste.inspection.commanded_motion import COMMANDED
 from offpiste.inspection.course import check_course
+from offpiste.inspection.draft_sensors import pose_by_transforms
 from offpiste.inspection.driven_path import driven_path
 from offpiste.inspection.findings import Cure, Finding
-from offpiste.inspection.pose import check_level, check_orientation
+from offpiste.inspection.pose import check_level, check_orientation, check_position_unit
 from offpiste.inspection.signal_faults import degrees_each
 from offpiste.logs.channel import read_channel
 from offpiste.logs.drive import drive_from_log
 from offpiste.logs.log import Log
 from offpiste.rig.channels import GEOGRAPHIC
 from offpiste.rig.edits import edited
-from offpiste.rig.labels import channel_unit
+from offpiste.rig.labels import channel_unit, named_down
 from offpiste.rig.rig import Rig
 
 _POSE: Final = ("position", "orientation", "yaw", "linear_velocity", "angular_velocity")
@@ -84,6 +85,9 @@ def draft_pose(log: Log, guesses: Sequence[Guess], frame: str) -> dict[str, Entr
             if (each := degrees_each(values[:, 0], values[:, 1])) != 1:
                 guess, lines = replace(guess, fields=guess.fields[:2]), (*lines, f"scale = {each:.12g}")
         elif channel == "linear_velocity":
+            down = len(guess.fields) == 3 and named_down(guess.fields[2])
+            if down and not any(map(named_down, entries["position"].guess.fields)):
+                guess = replace(guess, fields=(guess.fields[1], guess.fields[0]))  # north, east, down of places z up
             lines += (f'frame = "{frame}"',)
             comment += "" if frame == "unknown" else "; frame by the pose"
         elif channel == "angular_velocity":
@@ -168,7 +172,7 @@ def _varies(values: Float[np.ndarray, "n k"] | None) -> bool:
 
 
 def pose_cure(log: Log, rig: Rig) -> Cure:
-    """Edits of a first rig by which quaternions begin with x, z is up, and the heading follows the course.
+    """Edits of a first rig by which quaternions begin with x, z is up, places are in m, and headings follow the course.
 
     Games and motion capture may have y up, and a compass counts clockwise.
     """
@@ -177,7 +181,11 @@ def pose_cure(log: Log, rig: Rig) -> Cure:
         tipped = check_level(read_channel(log, rig, "position", source)[0], source.fields)
         upright = (*_first_cure(_stored_orientation(log, rig)), *_first_cure(tipped))
         drive = drive_from_log(log, edited(rig, upright))
-        return (*upright, *_first_cure(check_course(drive, driven_path(drive))))
+        path = driven_path(drive)
+        if in_metres := _first_cure(check_position_unit(drive, path)):
+            drive = drive_from_log(log, edited(rig, (*upright, *in_metres)))
+            path = driven_path(drive)
+        return (*upright, *in_metres, *_first_cure(check_course(drive, path)))
     except OffpisteError:
         return ()
 
@@ -189,3 +197,37 @@ def _stored_orientation(log: Log, rig: Rig) -> list[Finding]:
 
 def _first_cure(findings: Sequence[Finding]) -> Cure:
     return next((cure for finding in findings for cure in finding.cures), ())
+
+
+def no_pose(log: Log) -> LogError:
+    """The error where no topic looks like a pose: what there is instead, and what to do."""
+    how = _not_read(log) or pose_by_transforms(log) or "write a rig that names one"
+    return LogError(
+        "no topic looks like a pose (position and heading)",
+        where=log.path,
+        how=f"{how}; {_half_of_a_pose(log)}it has: {_contents(log)}",
+    )
+
+
+def _half_of_a_pose(log: Log) -> str:
+    """Which half of a pose there is, in words; empty where there is none."""
+    found = {guess.channel: guess for guess in reversed(guess_channels(log))}
+    place, heading = found.get("position"), found.get("orientation") or found.get("yaw")
+    if (half := place or heading) is None or (place and heading):
+        return ""
+    kind, other = ("position", "heading") if place else ("heading", "position")
+    where = f"{half.topic} ({', '.join(half.fields)})" if half.topic else ", ".join(half.fields)
+    return f"{where} may be a {kind}, and no name is that of a {other}; "
+
+
+def _not_read(log: Log) -> str:
+    """Why topics cannot be read, and what to do; empty where they can."""
+    reasons = [f"{topic.name}: {topic.type}" for topic in log.topics.values() if not topic.fields and " " in topic.type]
+    return f"record it as ROS messages, or write its numbers to a .csv ({'; '.join(reasons[:4])})" if reasons else ""
+
+
+def _contents(log: Log) -> str:
+    """Topics, or the columns of a log that is one table."""
+    if list(log.topics) == [""]:
+        return f"columns {', '.join(log.topics[''].fields) or 'without numbers'}"
+    return ", ".join(log.topics) or "no topic"

@@ -10,18 +10,19 @@ from textwrap import wrap
 import numpy as np
 from msgspec import structs
 
-from offpiste.errors import LogError, OffpisteError, RigError
+from offpiste.errors import OffpisteError, RigError
 from offpiste.files import write_text
-from offpiste.inspection.channel_guesses import DOWN, guess_channels
+from offpiste.inspection.channel_guesses import DOWN
 from offpiste.inspection.commanded_motion import is_turn_rate
 from offpiste.inspection.controls_by_numbers import find_controls, is_measured
 from offpiste.inspection.draft_channels import Found, draft_channels, of_other_vehicles
-from offpiste.inspection.draft_pose import Entry, pose_cure
-from offpiste.inspection.draft_sensors import draft_sensors, pose_by_transforms
+from offpiste.inspection.draft_pose import Entry, no_pose, pose_cure
+from offpiste.inspection.draft_sensors import draft_sensors
 from offpiste.inspection.draft_values import (
     GUESSED,
     MASS,
     SMALL_CAR,
+    WHEELBASES,
     WHEELS,
     estimated_max_steer,
     estimated_wheelbase,
@@ -134,6 +135,9 @@ def draft_rig(log: Log) -> str:
     frame = _frame(log, rig) if "linear_velocity" in rig.channels else "unknown"
     wheelbase = estimated_wheelbase(log, rig)
     max_steer, assumed = estimated_max_steer(log, rig, wheelbase or rig.vehicle.wheelbase), False
+    if not wheelbase and max_steer and rig.channels["steer"].unit in ("rad", "deg"):  # an angle that is commanded
+        shown = rig.vehicle.wheelbase * float(np.tan(rig.vehicle.max_steer) / np.tan(max_steer))
+        wheelbase = shown if WHEELBASES[0] < shown < WHEELBASES[1] else 0.0
     if max_steer > MAX_STEERS[1] and not wheelbase:  # a smaller vehicle than the made-up one
         wheelbase, assumed = rig.vehicle.wheelbase * float(np.tan(_MAX_STEER) / np.tan(max_steer)), True
         max_steer = _MAX_STEER
@@ -158,12 +162,7 @@ def _is_plain(log: Log, rig: Rig) -> bool:
 def _text(log: Log, seen: _Seen) -> str:
     entries = draft_channels(log, seen.frame, seen.found, seen.straight, plain=seen.plain)
     if not {"position"} <= set(entries) or not {"orientation", "yaw"} & set(entries):
-        how = pose_by_transforms(log) or "write a rig that names one; "
-        raise LogError(
-            "no topic looks like a pose (position and heading)",
-            where=log.path,
-            how=f"{how}{_half_of_a_pose(log)}it has: {_contents(log)}",
-        )
+        raise no_pose(log)
     if seen.heading and not entries["yaw"].guess.unit and "scale" not in str(entries["yaw"].lines):
         unit = () if seen.heading == "rad" else (f'unit = "{seen.heading}"',)
         comment = f"{entries['yaw'].comment}; in {seen.heading} by the course"
@@ -255,24 +254,6 @@ def _unread(log: Log, entries: Mapping[str, Entry]) -> list[str]:
             where = f"fields of {name}" if name else "columns"
             lines += wrap(f"Not read: {where}: {', '.join(rest[:_LISTED] + more)}", 118)
     return [*(f"# {line}" for line in lines), ""] if lines else []
-
-
-def _half_of_a_pose(log: Log) -> str:
-    """Which half of a pose there is, in words; empty where there is none."""
-    found = {guess.channel: guess for guess in reversed(guess_channels(log))}
-    place, heading = found.get("position"), found.get("orientation") or found.get("yaw")
-    if (half := place or heading) is None or (place and heading):
-        return ""
-    kind, other = ("position", "heading") if place else ("heading", "position")
-    where = f"{half.topic} ({', '.join(half.fields)})" if half.topic else ", ".join(half.fields)
-    return f"{where} may be a {kind}, and no name is that of a {other}; "
-
-
-def _contents(log: Log) -> str:
-    """Topics, or the columns of a log that is one table."""
-    if list(log.topics) == [""]:
-        return f"columns {', '.join(log.topics[''].fields) or 'without numbers'}"
-    return ", ".join(log.topics) or "no topic"
 
 
 def _candidates(log: Log) -> str:

@@ -59,7 +59,7 @@ def pose_by_transforms(log: Log) -> str:
         for pair in log.transforms([topic]):
             if _WORLDS.search(pair.parent) and _BODIES.search(pair.child):
                 known = f"{topic} has it as the transform {pair.parent} -> {pair.child}, which rigs do not read"
-                return f"{known}: record it as nav_msgs/Odometry as well; "
+                return f"{known}: record it as nav_msgs/Odometry as well"
     return ""
 
 

@@ -25,7 +25,7 @@ GUESSED: Final = "GUESSED"
 """What `vehicle.source` begins with until it names a source."""
 DRAFTED: Final = "mass and wheel positions are still those of the draft"
 """The finding while `vehicle.source` still says so, or nothing."""
-_WHEELBASES: Final = (0.05, 8.0)
+WHEELBASES: Final = (0.05, 8.0)
 """Wheelbases that a vehicle can have [m]."""
 _DENSITIES: Final = (2.0, 5000.0)
 """Mass over the wheelbase's cube of vehicles [kg/m^3]: cars have some 80, trucks 200, dense small robots 1000."""
@@ -61,7 +61,7 @@ def estimated_wheelbase(log: Log, rig: Rig) -> float:
     without_slip = None if fit is None else fit.extrapolated
     if without_slip is not None and without_slip.strength > _CLEAR:  # which makes wheelbases look longer
         wheelbase = min(wheelbase, abs(float(without_slip.gain[0])))
-    return wheelbase if _WHEELBASES[0] < wheelbase < _WHEELBASES[1] else 0.0
+    return wheelbase if WHEELBASES[0] < wheelbase < WHEELBASES[1] else 0.0
 
 
 def estimated_max_steer(log: Log, rig: Rig, wheelbase: float) -> float:

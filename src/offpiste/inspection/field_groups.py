@@ -77,6 +77,8 @@ def _vectors(named: Mapping[str, Label]) -> Iterator[Group]:
             fields = (columns[name], *(columns[n] for a in letters if (n := before + a + after) in columns))
             if channel == "position" and len(fields) == 2:
                 fields += tuple(field for field, label in named.items() if _HEIGHT.fullmatch(label.name))[:1]
+            if len(fields) == 3 and (named[fields[2]].unit or "m") != (named[fields[0]].unit or "m"):
+                fields = fields[:2]  # a channel has one unit: east and north in m, and a height in ft
             east = named[fields[0]].name
             if len(fields) == 2 and _EAST.search(east) and (down := plain.get(_EAST.sub(_down_of, east))):
                 fields = (fields[1], fields[0], down)
@@ -126,7 +128,8 @@ def _places(named: Mapping[str, Label]) -> Iterator[Group]:
     """Geographic positions, as of sensor_msgs/NavSatFix."""
     places = {field: label for field, label in named.items() if not _LATERAL.search(label.name)}
     degrees = {field: label for field, label in places.items() if label.unit in ("", "deg")}
-    among = (degrees, degrees, places)
+    metres = {field: label for field, label in places.items() if label.unit in ("", "m")}
+    among = (degrees, degrees, metres)
     found = [
         next((f for f, label in fields.items() if pattern.search(label.name)), "")
         for pattern, fields in zip(GEOGRAPHIC_NAMES, among, strict=True)

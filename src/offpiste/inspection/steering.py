@@ -3,10 +3,13 @@
 from collections.abc import Collection, Mapping
 from typing import Final
 
-from offpiste.inspection.course import leans_inward
+import numpy as np
+
+from offpiste.geometry import rotation_from_quaternion
+from offpiste.inspection.course import under_way
 from offpiste.inspection.driven_path import Path
 from offpiste.inspection.findings import Cure, Finding
-from offpiste.inspection.lags import LAGS, SURE, delay_cures
+from offpiste.inspection.lags import LAGS, SURE, delay_cures, fit_lags
 from offpiste.inspection.steering_agreement import agreement
 from offpiste.inspection.steering_delays import changing_delay, uneven_delay, window_delays
 from offpiste.inspection.steering_fit import DYNAMIC_EFFECT, SteeringFit
@@ -99,6 +102,18 @@ def _sign(name: str, fit: SteeringFit, drive: Drive, path: Path) -> list[Finding
         cures.insert(0, (Edit("motion.axes", "ned" if drive.rig.motion.axes == "z up" else "z up"),))
     remedy = str(cures[0][0])
     return [Finding("warning", name, "is positive to the right", evidence, remedy, 1.0, tuple(cures))]
+
+
+def leans_inward(drive: Drive, path: Path) -> bool:
+    """Whether the body surely leans into its curves, as no four-wheeled vehicle does: the axes may point down."""
+    if "orientation" not in drive.channels:
+        return False
+    orientation = drive.channels["orientation"].linear(path.time, max_gap=np.inf)
+    rotation = rotation_from_quaternion(np.nan_to_num(orientation, nan=0.5))
+    roll = np.arctan2(rotation[:, 2, 1], rotation[:, 2, 2])
+    aside = (path.forward * path.yaw_rate)[None]
+    fit = fit_lags(roll, np.ones((len(roll), 1)), aside, np.zeros(1), under_way(path))
+    return fit is not None and float(fit.r[0]) < -max(0.2, SURE * fit.r_sigma(0))
 
 
 def _delay(name: str, fit: SteeringFit, rig: Rig) -> list[Finding]:

@@ -6,6 +6,7 @@ from typing import Final
 
 import numpy as np
 from jaxtyping import Float
+from msgspec import structs
 
 from offpiste.geometry import (
     local_polynomial,
@@ -17,7 +18,7 @@ from offpiste.inspection.driven_path import STEP, TURNING, Path
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.lags import SURE, fit_lags
 from offpiste.inspection.steering_fit import moving_rows
-from offpiste.logs.axes import turning_sign
+from offpiste.logs.axes import to_z_up, turning_sign
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
 from offpiste.rig.channels import ChannelSource, unit_factor
@@ -43,6 +44,8 @@ _OTHER_BODY: Final = {"z up": "body down", "body down": "z up", "ned": "world do
 """Axes of the same world and a body whose z axis points the other way."""
 _ROLLING: Final = (0.6, 1.8)
 """Speed of wheels over the vehicle's, slip and worn tyres included."""
+_COUNTED: Final = 0.02
+"""A gain this near to a power of ten is one, as of cm/s or mm/s."""
 _UNITS = {"km/h": 3.6, "mph": 2.23694, "kn": 1.94384}
 _RATE_UNITS = {"deg/s": 180 / np.pi, "rev/min": 60 / (2 * np.pi)}
 
@@ -70,10 +73,18 @@ def fit_frames(drive: Drive, path: Path) -> dict[str, FrameFit]:
     if path.driving < 3:
         return {}
     recorded = _on_path(path, drive.channels["linear_velocity"])
+    world, upright = (_read_in(frame, recorded, drive.rig) for frame in ("world", "body"))
     body = planar_body_from_world(path.velocity, path.yaw)
-    pairs = {"world": (recorded[:, :2], path.velocity), "body": (_levelled(drive, path, recorded), body)}
+    pairs = {"world": (world[:, :2], path.velocity), "body": (_levelled(drive, path, upright), body)}
     fits = {frame: fit_delayed(frame, *pair) for frame, pair in pairs.items()}
     return {frame: fit for frame, fit in fits.items() if fit is not None}
+
+
+def _read_in(frame: str, velocity: Float[np.ndarray, "n k"], rig: Rig) -> Float[np.ndarray, "n k"]:
+    """A velocity with z up as it were if its frame were this one, where the rig says another or none."""
+    source, name = rig.channels["linear_velocity"], "linear_velocity"
+    recorded = to_z_up(name, source, velocity, rig.motion.axes)  # half a turn undoes itself
+    return to_z_up(name, structs.replace(source, frame=frame), recorded, rig.motion.axes)
 
 
 def check_linear_velocity(drive: Drive, path: Path) -> list[Finding]:
@@ -251,6 +262,8 @@ def _gain(
         sign = Edit(f"channels.{name}.sign", -source.sign)
         findings.append(Finding("warning", name, "has the wrong sign", evidence, str(sign), 1.0, ((sign,),)))
     size = abs(fit.gain)
+    power = float(10.0 ** np.round(np.log10(size))) if size else 1.0
+    size = power if abs(size / power - 1) < _COUNTED else size
     if same[0] - SURE * fit.gain_sigma < size < same[1] + SURE * fit.gain_sigma:
         return findings
     # A unit that is stated and should not be is as likely as one that should be and is not.

@@ -133,7 +133,7 @@ def is_array_entry(field: str) -> bool:
 
 def unit_of(text: str) -> str | None:
     """The unit that a cell or a bracket names, as rigs take it; None where it is no unit, "" where it is empty."""
-    spelled = re.sub(r"\s+", "", text.strip().strip("[](){}").lower())
+    spelled = re.sub(r"\s+", "", text.strip().strip("[](){}").lower()).replace("|", "/")
     if spelled in ("", "1", "-", "none", "unitless"):
         return ""
     return _BRACKETED.get(spelled)
@@ -199,7 +199,7 @@ _AXIS_WORDS: Final = tuple(
 )
 """Words for the letters x, y and z of vectors."""
 _DOWN_NAME: Final = re.compile(r"(?<![a-z])(d|down)$")
-_AXIS_NAME: Final = re.compile(r"(?<![a-z])p?([xyz])(?![a-z])")
+_AXIS_NAME: Final = re.compile(r"(?<![a-z])[pt]?([xyz])(?![a-z])")
 GEOGRAPHIC_NAMES: Final = tuple(
     re.compile(rf"(?<![a-z])({words})$")
     for words in ("lat|latitude", "lon|lng|long|longitude", "alt|altitude|height|elevation")

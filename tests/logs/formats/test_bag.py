@@ -10,6 +10,7 @@ from rosbags.rosbag2.enums import CompressionMode, StoragePlugin
 
 from bag_files import ROS2, SPEED, START, TWIST, custom, mcap_file, ros1_bag, ros2_folder, speeds, twist, twists
 from offpiste.errors import LogError
+from offpiste.inspection.draft_rig import draft_rig
 from offpiste.logs.formats.bag import BagLog
 
 # Real bags
@@ -195,3 +196,9 @@ def test_bag_without_definition_of_a_custom_type(tmp_path: Path) -> None:
     assert "my_robot/msg/Status is not defined in the bag; record as .mcap, or run `ros2 bag convert`" in warning
     with pytest.raises(LogError, match=r"'/odom' \(my_robot/msg/Status is not defined in the bag\) has no field"):
         log.read("/odom", ["speed"])
+
+
+def test_a_bag_of_another_encoding_says_why_it_has_no_pose(tmp_path: Path) -> None:
+    log = BagLog(mcap_file(tmp_path / "b.mcap", twists(3), encoding="json", profile="", schema="jsonschema"))
+    with pytest.raises(LogError, match=r"record it as ROS messages, or write its numbers to a \.csv \(/odom: .* json"):
+        draft_rig(log)

@@ -132,6 +132,32 @@ def test_dates_with_zones(tmp_path: Path) -> None:
     assert log.read("", ["x"]).time.tolist() == [1704067200.0, 1704067201.0]
 
 
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [
+        ("05/03/2024 11:59:59.500 AM", "05/03/2024 12:00:00.500 PM"),
+        ("3.5.2024 10:11:12,5", "3.5.2024 10:11:13,5"),
+        ("2024/05/03 10:11:12.5", "2024/05/03 10:11:13.5"),
+        ("2024-05-03 10:11:12.5 UTC", "2024-05-03 10:11:13.5 UTC"),
+        ("20240503T101112.5Z", "20240503T101113.5Z"),
+        ("0 days 10:11:12.5", "0 days 10:11:13.5"),
+        ("10:11:12.5", "10:11:13.5"),
+        ("23:59:59.5", "00:00:00.5"),
+        ("05/03/2024 23:59:59.5", "05/04/2024 00:00:00.5"),
+    ],
+)
+def test_times_of_the_day_as_stamps(tmp_path: Path, first: str, second: str) -> None:
+    log = table(tmp_path, f"Datum/Zeit;x\n{first};1\n{second};2\n;3\n")
+    stamps = log.read("", ["x"]).time
+    assert stamps[0] % 86_400 != 0
+    assert (stamps[1] - stamps[0], np.isnan(stamps[2])) == (1.0, True)
+
+
+def test_text_that_is_no_time_is_named(tmp_path: Path) -> None:
+    with pytest.raises(LogError, match=r"row 2 below the header, column 'time': 'noon' is no time; write seconds"):
+        table(tmp_path, "time,x\n10:11:12,1\nnoon,2\n")
+
+
 def test_stamps_that_go_back_stay(tmp_path: Path) -> None:
     assert table(tmp_path, "t,x\n1,1\n3,2\n2,3\n2,4\n").read("", ["x"]).time.tolist() == [1.0, 3.0, 2.0, 2.0]
 

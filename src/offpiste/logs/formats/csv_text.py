@@ -5,10 +5,13 @@ import io
 import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Final
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.csv as pa_csv
+from jaxtyping import Float
 
 from offpiste.errors import LogError
 from offpiste.rig.labels import gear_letter, unit_of
@@ -26,6 +29,43 @@ _EXAMPLES = {
 """Names for a table without any, by the number of its columns; eight are those of a trajectory in TUM's format."""
 _MOST_GEARS = 16
 """Numbers among letters that are gears; more are measurements, and a letter among them is a mistake."""
+
+
+_CLOCK: Final = re.compile(
+    r"(?:(?P<date>.*?)[T ,_-]+|)(?P<hours>\d{1,2}):(?P<minutes>\d\d):(?P<seconds>\d\d(?:[.,:]\d+)?)"
+    r"\s*(?P<half>[ap])?\.?(?:m\.?)?\s*(?:z|utc|gmt|[+-]\d\d:?\d\d)?",
+    re.IGNORECASE,
+)
+_COMPACT: Final = re.compile(
+    r"(?P<date>\d{8})[T _-](?P<hours>\d\d)(?P<minutes>\d\d)(?P<seconds>\d\d(?:[.,]\d+)?)(?P<half>)Z?", re.IGNORECASE
+)
+"""Times of the day, with or without a date before them."""
+_DAY: Final = 86_400.0
+
+
+def clock_times(cells: pa.ChunkedArray) -> Float[np.ndarray, " n"] | None:
+    """Times of the day, such as `05/03/2024 1:02:03.4 PM`, as seconds from midnight; None where a cell is none.
+
+    A date in another text than before, and a step back by more than half a day, begin the next day.
+    """
+    times, days, before = np.full(len(cells), np.nan), 0.0, ""
+    for row, cell in enumerate(cells.to_pylist()):
+        if cell is None or not cell.strip():
+            continue
+        match = _CLOCK.fullmatch(cell.strip()) or _COMPACT.fullmatch(cell.strip())
+        if match is None:
+            return None
+        hours, date = int(match["hours"]), match["date"] or ""
+        if half := (match["half"] or "").lower():
+            hours = hours % 12 + (12 if half == "p" else 0)
+        seconds = float(re.sub("[,:]", ".", match["seconds"]))
+        times[row] = 3600 * hours + 60 * int(match["minutes"]) + seconds
+        last = times[row - 1] - days if row else np.nan
+        if (date != before and row) or times[row] < last - _DAY / 2:
+            days += _DAY
+        times[row] += days
+        before = date
+    return times
 
 
 def number_of(cell: str) -> float | None:

@@ -12,12 +12,20 @@ import pyarrow.parquet as pq
 from jaxtyping import Float
 
 from offpiste.errors import LogError
-from offpiste.logs.formats.csv_text import are_gears, check_columns, gear_of, has_numbers, number_of, read_csv
+from offpiste.logs.formats.csv_text import (
+    are_gears,
+    check_columns,
+    clock_times,
+    gear_of,
+    has_numbers,
+    number_of,
+    read_csv,
+)
 from offpiste.logs.log import LOG_FORMATS, Log, Samples, Topic
 from offpiste.rig.channels import Clock
 from offpiste.rig.labels import SECONDS, parse_label, time_unit, unit_by_rate
 
-_TIME_NAME = re.compile(r"^(t|secs?|seconds?|stamp)(?![a-z])|time|(?<![a-z])(i?tow|epoch|unix)(?![a-z])")
+_TIME_NAME = re.compile(r"^(t|secs?|seconds?|stamp)(?![a-z])|time|zeit|(?<![a-z])(i?tow|epoch|unix)(?![a-z])")
 _WHOLE_SECONDS: Final = re.compile(r"^(|.*[^a-z])secs?$", re.IGNORECASE)
 _EVENLY = 0.2
 """Spread of a clock's steps over their median (5 to 95 %), at most, where its name does not say what it is."""
@@ -29,8 +37,8 @@ class TableLog(Log):
 
     The separator of a CSV (comma, semicolon, tab, bar, spaces) is guessed, and its header may be a comment (`# t x y`).
     Empty cells are NaN; a cell that is no number in a column of numbers is an error once that column is read. Text is
-    not a field, but ISO 8601 dates can be stamps, and letters or words of gears are character codes (P, R, N, D). A
-    row of units below the header is read as such.
+    not a field, but dates and times of the day can be stamps, and letters or words of gears are character codes (P, R,
+    N, D). A row of units below the header is read as such.
 
     Args:
         path: text, or `.parquet`.
@@ -51,6 +59,7 @@ class TableLog(Log):
         self._is_csv = path.suffix.lower() != ".parquet"
         notes: list[str] = []
         self._units: dict[str, str] = {}
+        self._dates: dict[str, Float[np.ndarray, " n"] | None] = {}
         self._table = read_csv(path, notes, self._units) if self._is_csv else _read_parquet(path)
         self._columns = tuple(name for name in self._table.column_names if self._is_numeric(name))
         if not self._is_csv:
@@ -152,9 +161,17 @@ class TableLog(Log):
         """A column of stamps [s]."""
         column = self._table[name]
         if pa.types.is_string(column.type):
-            dates = _dates(column)
-            if dates is not None:
+            if name not in self._dates:
+                dates = _dates(column)
+                self._dates[name] = clock_times(column) if dates is None else dates
+            if (dates := self._dates[name]) is not None:
                 return dates
+            if not self._is_numeric(name):
+                cells = enumerate(column.to_pylist())
+                row, cell = next((r, c) for r, c in cells if c and clock_times(pa.chunked_array([[c]])) is None)
+                line, how = row + 1 + self._rows_of_units, "write seconds, or 2024-05-03T10:11:12.345"
+                what = f"row {line} below the header, column '{name}': '{cell[:40]}' is no time"
+                raise LogError(what, where=self.path, how=how)
         if nanoseconds := self._beside(name):
             return self._numbers(name) + self._numbers(nanoseconds) / 1e9
         numbers = self._numbers(name) / (1.0 if _has_time_unit(column.type) else SECONDS[self._unit_of_stamps(name)])

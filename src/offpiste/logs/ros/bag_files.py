@@ -136,7 +136,7 @@ def typestore_of(connection: Connection, path: Path) -> Typestore:
     encoding = _encoding(connection)
     if encoding not in ("ros1", "cdr"):
         what = f"{connection.msgtype} is encoded as {encoding}, which is not supported"
-        raise LogError(what, where=path, how="record it with `ros2 bag record`")
+        raise LogError(what, where=path, how="record it with `ros2 bag record`, or write its numbers to a .csv")
     try:
         return _typestore(connection.msgtype, connection.msgdef, encoding == "ros1")
     except KeyError as error:
