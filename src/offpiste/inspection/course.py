@@ -1,6 +1,5 @@
 """Checks of the heading against the course: mirrored, in another unit, turned; or places with swapped axes."""
 
-import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import product
@@ -18,7 +17,7 @@ from offpiste.logs.drive import Drive
 from offpiste.logs.motion import heading
 from offpiste.rig.channels import unit_factor
 from offpiste.rig.edits import Edit, rounded
-from offpiste.rig.labels import named_axis, named_coordinate, named_direction, named_down
+from offpiste.rig.labels import named_axis, named_coordinate, named_course, named_direction, named_down
 from offpiste.rig.rig import Rig
 
 _TOGETHER: Final = 0.8
@@ -35,8 +34,6 @@ _STRAIGHT: Final = 0.3
 """Share of the moving rows, those that turn least, at which a vehicle goes where it heads."""
 _ONE_WAY: Final = 0.7
 """Resultant of headings above which a vehicle drives to and fro in one direction."""
-_GROUND_TRACK: Final = re.compile(r"course|(?<![a-z])(cog|trk|track)(?![a-z])", re.IGNORECASE)
-"""What a course over ground is called."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +68,7 @@ def check_pose_names(rig: Rig) -> list[Finding]:
         evidence = f"'{down[0]}'; hills would be valleys"
         findings.append(Finding("warning", "position", what, evidence, str(edit), 0.9, ((edit,),)))
     named = rig.channels["yaw"].fields if "yaw" in rig.channels else ()
-    course = [field for field in named if _GROUND_TRACK.search(field)]
+    course = [field for field in named if named_course(field)]
     if course:
         what = "is a course over ground, by its name, and no heading"
         evidence = f"'{course[0]}'; how the vehicle slides cannot be seen in it, and at rest it is noise"
