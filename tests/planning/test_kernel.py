@@ -18,10 +18,10 @@ from offpiste.mapping.terrain_sampler import MapTerrain, as_codes
 from offpiste.planning.costs.layers import Hazards
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.driving_cost import driving_terms
-from offpiste.planning.gear import complete
 from offpiste.planning.kernel import coded_map, encode_map, fused_costs, fused_rollout, kernel_model_state
 from offpiste.planning.mppi import PEDALS_AND_WHEEL, Settings, improve
 from offpiste.planning.noise import coloured
+from offpiste.planning.pedal import complete
 from offpiste.planning.rollouts import driving_costs, situation_terrain, spread_model_state
 from offpiste.state import ModelState
 from planning_maps import layers, situation
