@@ -5,6 +5,7 @@ import os
 import pathlib
 import tempfile
 from collections.abc import Iterator
+from typing import Any
 
 if "PYTEST_XDIST_WORKER" in os.environ:  # each worker has a core; libraries read this when they are first imported
     os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -68,6 +69,13 @@ def first_calls_checked() -> None:
     sampled_checks.begin_test()
 
 
+@pytest.fixture(scope="session")
+def bounds_checked() -> dict[str, str]:
+    """Environment of a process that compiles kernels with bounds checks, and keeps them apart from those without."""
+    folder = Path(os.environ["NUMBA_CACHE_DIR"]) / "bounds-checked"
+    return os.environ | {"NUMBA_BOUNDSCHECK": "1", "NUMBA_OPT": "0", "NUMBA_CACHE_DIR": str(folder)}
+
+
 REAL_TIME = ("live/test_all_processes.py", "live/test_live_faults.py", "live/test_play.py", "live/test_supervisor.py")
 """Tests with deadlines of a tenth of a second: two of them at once would miss them on two cores."""
 
@@ -86,6 +94,21 @@ def in_turn(request: pytest.FixtureRequest) -> Iterator[None]:
 def pytest_configure(config: pytest.Config) -> None:
     """Files go to workers in their order: those with few tests are long ones, and would come last."""
     config.option.loadscopereorder = False
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> object | None:
+    """Files to workers, those in real time to one: two workers that take turns wait for each other."""
+    if config.getvalue("dist") != "loadfile":
+        return None
+    from xdist.scheduler import LoadFileScheduling
+
+    class InRealTimeTogether(LoadFileScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            file = super()._split_scope(nodeid)
+            return "in real time" if file.endswith(REAL_TIME) else file
+
+    return InRealTimeTogether(config, log)
 
 
 def pytest_xdist_auto_num_workers() -> int:

@@ -16,7 +16,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -94,8 +94,16 @@ WORK: dict[str, Callable[[Path, Path], None]] = {
 }
 
 
-def make_inputs(inputs: Path) -> None:
-    """Logs and a PCA to extract from, and a dataset of a vehicle with recorded actuators to train on."""
+def make_inputs(inputs: Path, names: Iterable[str]) -> None:
+    """What works read: logs and a PCA to extract from, a dataset of a vehicle with recorded actuators to train on."""
+    if "extract" in names:
+        logs_and_pca(inputs)
+    if "train" in names:
+        recorded_steering(inputs)
+
+
+def logs_and_pca(inputs: Path) -> None:
+    """Two logs of one drive, and a PCA."""
     from offpiste.perception.backbones import open_backbone
     from offpiste.perception.pca import PrincipalComponents, save_pca
 
@@ -110,10 +118,9 @@ def make_inputs(inputs: Path) -> None:
         inputs / "pca.safetensors",
         PrincipalComponents(mean, basis, variance, 8.0, backbone.name, backbone.fingerprint, {}),
     )
-    recorded_steering(inputs, rng)
 
 
-def recorded_steering(inputs: Path, rng: np.random.Generator) -> None:
+def recorded_steering(inputs: Path) -> None:
     """A dataset of random features and of a steering angle, so that there are actuators to fit."""
     from factories import RIG
     from feature_datasets import FEATURES, rows_with_features
@@ -122,6 +129,7 @@ def recorded_steering(inputs: Path, rng: np.random.Generator) -> None:
     from offpiste.dataset.store import add_drive, create
     from offpiste.rig.rig import parse_rig
 
+    rng = np.random.default_rng(0)
     channel = '[channels.steer_angle]\ntopic = "steering"\nfields = ["angle"]\n'
     rig = parse_rig(RIG.replace('"steer_angle", ', "") + channel, where="small.toml")
     parts = {"one": "train", "two": "validation", "three": "test"}
@@ -244,7 +252,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory(prefix="offpiste-kill-") as folder:
         inputs = Path(folder) / "inputs"
         inputs.mkdir()
-        make_inputs(inputs)
+        make_inputs(inputs, given.only)
         wrong = [
             line
             for name in given.only

@@ -7,8 +7,9 @@ import kill
 
 def test_a_killed_training_and_simulation_end_as_others_do(tmp_path: Path) -> None:
     (tmp_path / "inputs").mkdir()
-    kill.make_inputs(tmp_path / "inputs")
-    for name, moments in (("train", 2), ("simulate", 1)):
+    works = {"train": 2, "simulate": 1}
+    kill.make_inputs(tmp_path / "inputs", works)
+    for name, moments in works.items():
         assert kill.kill_often(name, tmp_path / "inputs", tmp_path / name, moments, seed=0) == []
 
 

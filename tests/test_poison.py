@@ -63,7 +63,7 @@ def test_a_draw_is_noticed(draw: Callable[[], object]) -> None:
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("poison")
     with undrawn():
-        kill.make_inputs(folder)
+        kill.make_inputs(folder, kill.WORK)
     return folder
 
 

@@ -14,8 +14,7 @@ from offpiste.dynamics.base import Dynamics, as_callable
 from offpiste.errors import NoPlan, OffpisteError, is_installed
 from offpiste.planning import mppi
 from offpiste.planning.driving_cost import Situation, terms_after
-from offpiste.planning.gear import complete
-from offpiste.planning.pedal import controls_of, pedals_of
+from offpiste.planning.pedal import complete, controls_of, pedals_of
 from offpiste.planning.rollouts import situation_terrain
 from offpiste.runtime.prediction import Area
 from offpiste.runtime.settings import RuntimeSettings

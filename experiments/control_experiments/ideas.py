@@ -15,7 +15,8 @@ from experiments.control_experiments.reproduced import Reproduced
 from experiments.control_experiments.tables import write_control
 from offpiste.conventions import FEATURE_SETS
 from offpiste.dataset.features_under_wheels import Cells
-from offpiste.dataset.map_snapshots import CellList, Snapshots
+from offpiste.dataset.known_cells import CellList
+from offpiste.dataset.map_snapshots import Snapshots
 from offpiste.dataset.store import Dataset, StoredDrive
 from offpiste.dataset.windows import Windows
 from offpiste.evaluation.evaluated_models import Reading

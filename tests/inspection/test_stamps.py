@@ -5,7 +5,7 @@ import pytest
 from simulated import MemoryLog, drive_log, rig
 
 from offpiste.inspection.inspect import inspect_log
-from offpiste.inspection.stamps import timing
+from offpiste.inspection.timing import timing
 from offpiste.rig.edits import Edit, edited
 
 CLEAN = drive_log(seconds=60)
@@ -15,31 +15,12 @@ def findings(log: MemoryLog, topic: str) -> dict[str, tuple[str, str]]:
     return {f.what: (f.severity, f.evidence) for f in inspect_log(log, rig()).findings if f.where == topic}
 
 
-def test_timing_of_even_stamps() -> None:
-    seen = timing(np.arange(0, 10, 0.02), max_gap=0.5)
-    assert seen.rate == pytest.approx(50)
-    assert (seen.repeated, seen.backward, seen.gaps) == (0, 0, ())
-    assert seen.lost == 0
-    assert seen.jitter < 1e-6
-
-
-def test_timing_of_bunches_counts_all_samples() -> None:
-    seen = timing(np.repeat(np.arange(0, 10, 0.04), 2), max_gap=0.5)
-    assert seen.rate == pytest.approx(50, rel=0.02)
-    assert seen.lost == 0
-
-
 def test_messages_that_are_sent_twice_are_no_losses() -> None:
     time, _ = CLEAN.data["pedals"]
     twice = CLEAN.keep("pedals", np.repeat(np.arange(len(time)), 2))
     twice = twice.restamp("pedals", lambda stamps: stamps + np.tile([0, 0.0005], len(time)))
     assert timing(twice.data["pedals"][0], max_gap=0.5).lost == 0
     assert "samples are missing" not in findings(twice, "pedals")
-
-
-def test_timing_of_periods_that_alternate_counts_all_samples() -> None:
-    time = np.cumsum(np.tile([0.10, 0.10, 0.11], 50))
-    assert timing(time, max_gap=0.5).rate == pytest.approx(1 / 0.1033, rel=0.005)
 
 
 def test_dropped_samples() -> None:
@@ -193,12 +174,6 @@ def test_samples_lost_at_random_however_many(share: float) -> None:
     severity, evidence = findings(CLEAN.keep("pedals", kept), "pedals")["samples are missing"]
     assert severity == "warning"
     assert float(evidence.split("%")[0]) == pytest.approx(100 * share, abs=3)
-
-
-@pytest.mark.parametrize(("rate", "step"), [(30, 0.01), (40, 0.01), (70, 0.005), (15, 0.01)])
-def test_stamps_in_steps_of_a_clock_are_no_losses(rate: float, step: float) -> None:
-    time = np.round(np.arange(0, 60, 1 / rate) / step) * step
-    assert timing(time, max_gap=0.5).lost == 0
 
 
 def test_stamps_that_are_not_finite() -> None:

@@ -84,16 +84,11 @@ def test_loops_agree_with_numpy_at_utm_coordinates():
     compare(far=4.5e6)
 
 
-def test_loops_stay_inside_their_arrays(tmp_path):
+def test_loops_stay_inside_their_arrays(bounds_checked):
     """Once more, compiled with bounds checks, in a process of its own."""
     code = f"import {Path(__file__).stem} as t; t.compare(); t.compare('average', 0, 3)"
-    environment = os.environ | {
-        "NUMBA_BOUNDSCHECK": "1",
-        "NUMBA_OPT": "0",
-        "NUMBA_CACHE_DIR": str(tmp_path),
-        "PYTHONPATH": os.pathsep.join((*map(str, Path(__file__).parents[:2]), os.environ.get("PYTHONPATH", ""))),
-    }
-    subprocess.run([sys.executable, "-c", code], env=environment, check=True)
+    paths = os.pathsep.join((*map(str, Path(__file__).parents[:2]), os.environ.get("PYTHONPATH", "")))
+    subprocess.run([sys.executable, "-c", code], env=bounds_checked | {"PYTHONPATH": paths}, check=True)
 
 
 @pytest.mark.parametrize("rule", FUSION_RULES)

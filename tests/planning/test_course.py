@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,8 +11,9 @@ import torch
 from offpiste.errors import PlanningError
 from offpiste.planning.cost_map import cost_map
 from offpiste.planning.costs.layers import Hazards
-from offpiste.planning.course import BLOCK, NEAR, Course, Goal, along_path
+from offpiste.planning.course import ASTRAY, BLOCK, NEAR, Course, Goal, along_path, ways_from
 from planning_maps import layers
+from runtime.stream import course
 
 SIZE = 0.2
 """Size of the cells in tests of `along_path` [m]."""
@@ -109,3 +111,22 @@ def test_of_two_ways_the_nearer_one_counts():
     np.testing.assert_array_equal(found, np.where(nearer, one, other))
     assert 0.2 < nearer.mean() < 0.8
     np.testing.assert_allclose(course.densified(0.5).alternative, Course(lower, speed).densified(0.5).path, atol=1e-9)
+
+
+def test_one_way_until_they_part_and_once_the_other_is_far():
+    line = course()
+
+    def parted(apart):
+        away = apart * np.clip((line.path[:, 0] - 20.0) / 10.0, 0.0, 1.0)
+        return replace(line, alternative=line.path + np.stack((np.zeros_like(away), away), axis=1))
+
+    assert [way.number for way in ways_from(line, np.zeros(2))] == [0]
+    assert [way.number for way in ways_from(parted(0.5), np.zeros(2))] == [0]
+    both = ways_from(parted(8.0), np.zeros(2))
+    assert [way.number for way in both] == [0, 1]
+    for way, path in zip(both, parted(8.0).ways, strict=True):
+        np.testing.assert_array_equal(way.course.path, path)
+        assert way.course.alternative is None
+    section = Course(line.path[35:], line.speed[35:], np.inf, line.path[35:] + np.array((0.0, 8.0)))
+    for y, numbers in ((0.0, [0]), (4.0 - 0.4 * ASTRAY, [0, 1]), (4.0, [0, 1]), (8.0, [1])):
+        assert [way.number for way in ways_from(section, np.array((36.0, y)))] == numbers

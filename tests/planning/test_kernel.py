@@ -18,10 +18,10 @@ from offpiste.mapping.terrain_sampler import MapTerrain, as_codes
 from offpiste.planning.costs.layers import Hazards
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.driving_cost import driving_terms
-from offpiste.planning.gear import complete
 from offpiste.planning.kernel import coded_map, encode_map, fused_costs, fused_rollout, kernel_model_state
 from offpiste.planning.mppi import PEDALS_AND_WHEEL, Settings, improve
 from offpiste.planning.noise import coloured
+from offpiste.planning.pedal import complete
 from offpiste.planning.rollouts import driving_costs, situation_terrain, spread_model_state
 from offpiste.state import ModelState
 from planning_maps import layers, situation
@@ -302,7 +302,7 @@ def test_a_plan_with_it_is_better_than_doing_nothing():
     assert cost_of(plan.controls[None]).item() < 0.8 * cost_of(nothing[None]).item()
 
 
-def test_it_never_reads_out_of_bounds(tmp_path):
+def test_it_never_reads_out_of_bounds(bounds_checked):
     """In a process of its own: Numba reads the switch when it compiles."""
     program = (
         f"import torch, {Path(__file__).stem} as f"
@@ -318,14 +318,7 @@ for state in ((0.0, 0, 0, 9, 0, 0), (14.9, 14.9, 0.7, 9, 0, 0), (-15.2, 0, 3.1, 
     )
     here = Path(__file__).parent
     paths = os.pathsep.join((str(here), str(here.parent), os.environ.get("PYTHONPATH", "")))
-    environment = {
-        **os.environ,
-        "NUMBA_BOUNDSCHECK": "1",
-        "NUMBA_OPT": "0",
-        "PYTHONPATH": paths,
-        "NUMBA_CACHE_DIR": "/tmp/offpiste-checked",
-    }
-    subprocess.run([sys.executable, "-c", program], env=environment, check=True)
+    subprocess.run([sys.executable, "-c", program], env=bounds_checked | {"PYTHONPATH": paths}, check=True)
 
 
 def test_the_eager_cost_keeps_the_frame_of_the_situation():

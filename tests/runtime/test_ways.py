@@ -1,4 +1,4 @@
-"""Ways of a course: which can still be taken, and that the plan along the cheaper one acts."""
+"""Where a course parts in two, the plan along the cheaper way acts."""
 
 from dataclasses import replace
 
@@ -7,9 +7,7 @@ import pytest
 import torch
 
 from offpiste.planning import mppi
-from offpiste.planning.course import Course
 from offpiste.runtime.runtime import Runtime
-from offpiste.runtime.ways import ASTRAY, ways_from
 from runtime.stream import WHEELS, Stream, course, parametric, sensor_setup, settings
 
 LINE = course()
@@ -19,19 +17,6 @@ def parted(apart, begin=20.0):
     """A straight course whose alternative lies to the left, from a distance on."""
     away = apart * np.clip((LINE.path[:, 0] - begin) / 10.0, 0.0, 1.0)
     return replace(LINE, alternative=LINE.path + np.stack((np.zeros_like(away), away), axis=1))
-
-
-def test_one_way_until_they_part_and_once_the_other_is_far():
-    assert [way.number for way in ways_from(LINE, np.zeros(2))] == [0]
-    assert [way.number for way in ways_from(parted(0.5), np.zeros(2))] == [0]
-    both = ways_from(parted(8.0), np.zeros(2))
-    assert [way.number for way in both] == [0, 1]
-    for way, path in zip(both, parted(8.0).ways, strict=True):
-        np.testing.assert_array_equal(way.course.path, path)
-        assert way.course.alternative is None
-    section = Course(LINE.path[35:], LINE.speed[35:], np.inf, LINE.path[35:] + np.array((0.0, 8.0)))
-    for y, numbers in ((0.0, [0]), (4.0 - 0.4 * ASTRAY, [0, 1]), (4.0, [0, 1]), (8.0, [1])):
-        assert [way.number for way in ways_from(section, np.array((36.0, y)))] == numbers
 
 
 class Priced:

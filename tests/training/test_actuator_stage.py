@@ -28,7 +28,7 @@ QUICK = TrainConfig("b", epochs=1, bicycle_epochs=1, actuator_epochs=2, stride=6
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     folder = tmp_path_factory.mktemp("steering")
-    kill.recorded_steering(folder, np.random.default_rng(0))
+    kill.recorded_steering(folder)
     return open_dataset(folder / "features.zarr")
 
 

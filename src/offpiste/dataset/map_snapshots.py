@@ -1,6 +1,6 @@
 """The map as it was when a window starts, for windows of validation and test: what a planner would have read.
 
-A snapshot is cropped to what five seconds can reach and holds only cells of which something is known.
+A snapshot is cropped to what five seconds can reach, and holds only cells of which something is known (`known_cells`).
 """
 
 from collections.abc import Sequence
@@ -9,20 +9,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 import zarr
-from jaxtyping import Bool, Float, Float16, Float32, Int, Int32
-from scipy.spatial.distance import cdist
-from torch import Tensor
+from jaxtyping import Bool, Float, Int
 from zarr.codecs import Crc32cCodec, ZstdCodec
 
-from offpiste.conventions import DT, HORIZON_STEPS, PERCEPTION_LATENCY
+from offpiste.conventions import DT, PERCEPTION_LATENCY
+from offpiste.dataset.known_cells import CELL_ARRAYS, CellList
 from offpiste.errors import DatasetError
 from offpiste.mapping.terrain_map import TerrainMap
-from offpiste.mapping.terrain_sampler import CellStack, last_cells
-
-CELL_ARRAYS = ("place", "elevation", "rise", "features")
-"""Arrays of a `CellList`; on disk those of all snapshots lie one after the other."""
 
 CHUNK = 8192
 """Cells in a chunk of the store; a snapshot has some ten thousand."""
@@ -61,76 +55,6 @@ class SnapshotSettings:
             raise DatasetError(f"snapshots above {self.min_speed:g} m/s", how="give a speed of 0 or more")
 
 
-@dataclass(frozen=True)
-class CellList:
-    """The known cells of a map.
-
-    Attributes:
-        origin: x, y of the centre of cell [0, 0] of the map [m].
-        shape: rows and columns of the map.
-        place: row * columns + column.
-        elevation: [m].
-        rise: towards +x and +y; NaN where unknown.
-        features: NaN where missing.
-    """
-
-    origin: Float[np.ndarray, " 2"]
-    shape: tuple[int, int]
-    place: Int32[np.ndarray, " C"]
-    elevation: Float32[np.ndarray, " C"]
-    rise: Float16[np.ndarray, "C 2"]
-    features: Float16[np.ndarray, "C F"]
-
-    def terrain_map(self, resolution: float) -> TerrainMap:
-        """The map again, NaN in all other cells."""
-        ny, nx = self.shape
-
-        def spread(values: np.ndarray) -> np.ndarray:
-            full = np.full((ny * nx, *values.shape[1:]), np.nan, values.dtype)
-            full[self.place] = values
-            return full.reshape(ny, nx, *values.shape[1:])
-
-        rise = spread(self.rise)
-        return TerrainMap(self.origin, resolution, spread(self.elevation), spread(self.features), rise)
-
-    def near(self, path: Float[np.ndarray, "P 2"], margin: float, resolution: float) -> "CellList":
-        """The cells within `margin` of the points of a path, on a grid that is no larger than they need.
-
-        Args:
-            path: x, y in the world frame [m].
-            margin, resolution: [m].
-        """
-        cell = np.stack(np.divmod(self.place, self.shape[1]), axis=-1)
-        kept = cdist(self.origin + resolution * cell[:, ::-1], path).min(axis=1) <= margin
-        low = cell[kept].min(axis=0, initial=max(self.shape))
-        ny, nx = (cell[kept].max(axis=0, initial=0) - low + 1).clip(min=1).tolist()
-        place = ((cell[kept] - low) @ [nx, 1]).astype(np.int32)
-        origin = self.origin + resolution * low[::-1]
-        return CellList(origin, (ny, nx), place, self.elevation[kept], self.rise[kept], self.features[kept])
-
-
-def stack_cells(cells: Sequence[CellList], resolution: float, *, device: torch.device | str = "cpu") -> CellStack:
-    """Maps as tensors, for lookups."""
-    ny, nx = (max(c.shape[axis] for c in cells) for axis in (0, 1))
-    place = np.full((len(cells), ny, nx), -1, np.int32)
-    first = np.cumsum([0] + [len(c.place) for c in cells])
-    for number, known in enumerate(cells):
-        place[number, *np.divmod(known.place, known.shape[1])] = first[number] + np.arange(len(known.place))
-
-    def listed(parts: Sequence[np.ndarray]) -> Tensor:
-        nothing = np.full((1, parts[0].shape[1]), np.nan, parts[0].dtype)
-        return torch.from_numpy(np.concatenate([*parts, nothing])).to(device)
-
-    return CellStack(
-        resolution,
-        torch.as_tensor(np.stack([c.origin for c in cells]), dtype=torch.float64).to(device),
-        last_cells([c.shape for c in cells]).to(device),
-        torch.from_numpy(place).to(device),
-        listed([c.rise for c in cells]),
-        listed([c.features for c in cells]),
-    )
-
-
 class SnapshotSchedule:
     """Decides at which rows a snapshot is taken, as a drive is replayed.
 
@@ -152,32 +76,6 @@ class SnapshotSchedule:
         return False
 
 
-def crop(terrain: TerrainMap, state: Float[np.ndarray, " 6"], margin: float) -> CellList:
-    """The known cells of a map that a window may come to.
-
-    Args:
-        terrain: a view is enough: the values are copied.
-        state: at the window's start, px and py in the world frame.
-        margin: of `SnapshotSettings` [m].
-    """
-    half = 0.5 * HORIZON_STEPS * DT * float(np.hypot(state[3], state[4]))
-    centre = state[:2] + half * np.array([np.cos(state[2]), np.sin(state[2])])
-    near = terrain.cropped(centre - half - margin, centre + half + margin)
-    ny, nx = near.elevation.shape
-    y, x = (near.origin[1 - axis] + near.resolution * np.arange(n) for axis, n in enumerate((ny, nx)))
-    reached = np.hypot(x[None] - centre[0], y[:, None] - centre[1]) <= half + margin
-    row, column = np.nonzero(reached & np.isfinite(near.elevation))
-    assert near.rise is not None
-    return CellList(
-        near.origin,
-        (ny, nx),
-        (row * nx + column).astype(np.int32),
-        near.elevation[row, column].astype(np.float32),
-        near.rise[row, column].astype(np.float16),
-        near.features[row, column].astype(np.float16),
-    )
-
-
 class SnapshotWriter:
     """Writes snapshots of one drive into a new folder, one after the other, so that none stays in memory.
 
@@ -189,9 +87,8 @@ class SnapshotWriter:
     """
 
     def __init__(self, folder: Path, resolution: float, features: int, latency: float = PERCEPTION_LATENCY) -> None:
-        self._group = zarr.open_group(
-            folder, mode="w", attributes={"resolution": resolution, "latency": latency}, zarr_format=3
-        )
+        attributes: dict[str, Any] = {"resolution": resolution, "latency": latency}
+        self._group = zarr.open_group(folder, mode="w", attributes=attributes, zarr_format=3)
         self._row: list[int] = []
         self._first = [0]
         self._origin: list[np.ndarray] = []
@@ -292,9 +189,11 @@ def open_snapshots(folder: Path) -> Snapshots:
         if array.nchunks_initialized < array.nchunks:
             # Zarr would read a missing chunk as zeros.
             raise ValueError(f"a chunk of the snapshots' '{name}' is missing")
+
     row, first, origin, shape = (np.asarray(arrays[name][...]) for name in ("row", "first", "origin", "shape"))
     resolution, latency = group.attrs["resolution"], group.attrs["latency"]
     assert isinstance(resolution, float)
     assert isinstance(latency, float)
+
     cells = {name: arrays[name] for name in CELL_ARRAYS}
     return Snapshots(folder, resolution, latency, row, first, origin, shape, cells)

@@ -7,7 +7,8 @@ import numpy as np
 
 from offpiste.dataset.feature_sets import FeatureSetRecorder, MapCellValues
 from offpiste.dataset.features_under_wheels import Cells
-from offpiste.dataset.map_snapshots import SnapshotSchedule, SnapshotSettings, SnapshotWriter, crop
+from offpiste.dataset.known_cells import crop
+from offpiste.dataset.map_snapshots import SnapshotSchedule, SnapshotSettings, SnapshotWriter
 from offpiste.dataset.resample import Rows
 from offpiste.dataset.wheel_passes import find_passes
 from offpiste.logs.sensor_log import SensorLog

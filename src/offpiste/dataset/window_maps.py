@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 
-from offpiste.dataset.map_snapshots import CellList, stack_cells
+from offpiste.dataset.known_cells import CellList, stack_cells
 from offpiste.dataset.store import StoredDrive
 from offpiste.errors import DatasetError
 from offpiste.mapping.terrain_sampler import CellStack, MapStack, stack_maps

@@ -6,17 +6,23 @@ from pathlib import Path
 from string import Template
 from typing import Any, Final
 
+import numpy as np
+from torch import Tensor
+
 from offpiste.conventions import HISTORY_STEPS
 from offpiste.dynamics.base import Dynamics
-from offpiste.dynamics.header.start_text import encoder_text, start_text
+from offpiste.dynamics.header.networks import parameter_constants, printed_networks
+from offpiste.dynamics.header.start_text import encoder_members, encoder_text, start_members, start_text
 from offpiste.dynamics.header.step_text import shipped_text, step_text
-from offpiste.dynamics.header.weights_text import weights_text
 from offpiste.export.formats import FORMATS, ImageOptions, refuse_images, refuse_without_kernels, write_about
 from offpiste.export.parity import digest_of, features_of, parity_bytes, parity_case
 from offpiste.files import write_bytes, write_text
 from offpiste.training.run import Run
 
 HEADER: Final = "offpiste.h"
+
+WIDTH: Final = 118
+"""Longest line of numbers."""
 
 
 def model_header(dynamics: Dynamics, about: str) -> str:
@@ -28,11 +34,57 @@ def model_header(dynamics: Dynamics, about: str) -> str:
     parts = [step_text(dynamics), shipped_text("terrain.h"), shipped_text("ground.h"), start_text(dynamics)]
     if dynamics.encoder is not None:
         parts.append(encoder_text(dynamics.encoder))
-    parts.append(weights_text(dynamics))
+    parts.append(_weights_text(dynamics))
     sizes = {"DIGEST": f'"{digest_of(dynamics)}"', "FEATURES": features_of(dynamics), "PAST": HISTORY_STEPS}
     own = (f"#define OFFPISTE_{name} {value}" for name, value in sizes.items())
     top = (f"/* {about} */", "#ifndef OFFPISTE_H", "#define OFFPISTE_H", "", *own, "")
     return "\n".join((*top, *parts, "#endif /* OFFPISTE_H */", ""))
+
+
+def _weights_text(dynamics: Dynamics) -> str:
+    """C definitions of `offpiste_model`, `offpiste_starts` and, of models with an encoder, `offpiste_features`."""
+    networks = {of.name: of.members for of in printed_networks(dynamics)}
+    starts = start_members(dynamics)
+    parts = [
+        _struct("offpiste_params", "offpiste_model", {"constants": parameter_constants(dynamics), **networks}),
+        _struct("offpiste_start_params", "offpiste_starts", starts),
+    ]
+    if dynamics.encoder is not None:
+        parts.append(_struct("offpiste_encoder", "offpiste_features", encoder_members(dynamics.encoder)))
+    return "\n".join(parts)
+
+
+def _struct(kind: str, name: str, members: object) -> str:
+    # C++ compilers warn of a static constant that a program does not use; C's attribute is theirs, too.
+    return f"OFFPISTE_CONSTANT {kind} {name} = {_initialiser(members) if members else '{0.0f}'};\n"
+
+
+def _initialiser(value: object) -> str:
+    if isinstance(value, dict):
+        parts = [f"/* {name} */\n{_initialiser(inner)}" for name, inner in value.items()]
+        return "{\n" + ",\n".join(parts) + "\n}"
+    assert isinstance(value, Tensor)
+    numbers = value.detach().float().cpu().numpy()
+    if numbers.ndim == 1:
+        return _wrapped([_number(number) for number in numbers])
+    return "{\n" + ",\n".join(_wrapped([_number(number) for number in row]) for row in numbers) + "\n}"
+
+
+def _number(value: np.float32) -> str:
+    text = f"{value:.9g}"
+    return f"{text}f" if "." in text or "e" in text else f"{text}.0f"
+
+
+def _wrapped(numbers: list[str]) -> str:
+    lines, line = [], "{"
+    for place, number in enumerate(numbers):
+        part = number + ("," if place < len(numbers) - 1 else "}")
+        if len(line) + len(part) + 1 > WIDTH:
+            lines.append(line)
+            line = part
+        else:
+            line = f"{line} {part}" if line != "{" else f"{{{part}"
+    return "\n".join((*lines, line))
 
 
 @FORMATS.register("c")

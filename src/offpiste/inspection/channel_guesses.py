@@ -9,7 +9,7 @@ from offpiste.channels import ACTUATORS, CONTROLS, all_actuators, all_controls
 from offpiste.inspection.commanded_motion import motion_commands
 from offpiste.inspection.field_groups import field_groups
 from offpiste.logs.log import Log, Topic
-from offpiste.rig.labels import Label, channel_unit, field_labels, is_array_entry, parse_label
+from offpiste.rig.labels import COURSE_NAMES, Label, channel_unit, field_labels, is_array_entry, parse_label
 
 _ANGLE = r"(angle|ang)(?![ _]?(vel|rate|speed|acc|jerk))"
 _TURN_RATE: Final = re.compile(r"ang(ular)?_?vel(ocity)?[/._]z$|yaw[_ ]?vel(ocity)?$")
@@ -28,7 +28,7 @@ _SCALARS: tuple[tuple[str, int, str], ...] = (
     ("yaw", 1, r"(?<![a-z])(theta|azimuth|bearing)$|(yaw|heading)_?(angle|true)$|compass_?bearing$"),
     ("yaw", 1, r"(?<![a-z])angle_yaw(?![a-z])"),
     ("yaw", 1, r"(euler|rpy|attitude).*[._/]z$|(yaw_?pitch_?roll|ypr).*[._/]x$"),
-    ("yaw", 2, r"(?<![a-z])(phi|track|trk_gnd|course(_over_ground)?|cog)$"),
+    ("yaw", 2, rf"(?<![a-z])(phi|{COURSE_NAMES})$"),
     ("brake_pressure", 0, r"(brake|brk).*press(ure)?(?!ed)|press(ure)?(?!ed).*(brake|brk)|(?<![a-z])p_?(brake|brk)"),
     ("steer_angle", 0, rf"steer(ing)?.*{_ANGLE}|(?<![a-z])delta(_?f|_front)?(_(cmd|des|ref|target))?$"),
     ("steer_angle", 0, rf"(road_?wheel|front_?wheel|(?<![a-z])front|tyre|tire)_?{_ANGLE}"),

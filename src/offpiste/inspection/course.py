@@ -17,7 +17,7 @@ from offpiste.logs.drive import Drive
 from offpiste.logs.motion import heading
 from offpiste.rig.channels import unit_factor
 from offpiste.rig.edits import Edit, rounded
-from offpiste.rig.labels import named_axis, named_coordinate, named_direction, named_down
+from offpiste.rig.labels import named_axis, named_coordinate, named_course, named_direction, named_down
 from offpiste.rig.rig import Rig
 
 _TOGETHER: Final = 0.8
@@ -37,8 +37,6 @@ _ONE_WAY: Final = 0.7
 _LOCATION: Final = re.compile(r"(?<![a-z])location[._ ]?[xy]$", re.IGNORECASE)
 _ROTATION: Final = re.compile(r"(?<![a-z])rotat(ion|or)[._ ]?yaw$", re.IGNORECASE)
 """What Unreal and CARLA call a pose: their y is to the right, and their yaw counts clockwise."""
-_GROUND_TRACK: Final = re.compile(r"course|(?<![a-z])(cog|trk|track)(?![a-z])", re.IGNORECASE)
-"""What a course over ground is called."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +71,7 @@ def check_pose_names(rig: Rig) -> list[Finding]:
         evidence = f"'{down[0]}'; hills would be valleys"
         findings.append(Finding("warning", "position", what, evidence, str(edit), 0.9, ((edit,),)))
     named = rig.channels["yaw"].fields if "yaw" in rig.channels else ()
-    course = [field for field in named if _GROUND_TRACK.search(field)]
+    course = [field for field in named if named_course(field)]
     if course:
         what = "is a course over ground, by its name, and no heading"
         evidence = f"'{course[0]}'; sliding cannot be seen in it, backwards looks like forwards, at rest it is noise"

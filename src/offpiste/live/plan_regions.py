@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from offpiste.dynamics.base import Dynamics
 from offpiste.mapping.terrain_map import TerrainLayers
-from offpiste.planning.gear import complete
+from offpiste.planning.pedal import complete
 from offpiste.runtime.prediction import Prediction, coded_area
 from offpiste.runtime.schedule import TimedPlan
 from offpiste.state import Terrain

@@ -1,8 +1,9 @@
 """The course to follow, and the nearest point of its path for every cell of a grid."""
 
 import math
-from dataclasses import dataclass
-from typing import Final
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32
@@ -108,6 +109,12 @@ SHORTEST: Final = 0.01
 FASTEST: Final = 30.0
 """Largest wanted speed [m/s] that users may ask for."""
 
+PARTED: Final = 1.0
+"""Distance from which two ways are planned along apart [m]."""
+
+ASTRAY: Final = 4.0
+"""A way that is farther from the vehicle than the nearer one by more than this is not looked at any more [m]."""
+
 
 @dataclass(frozen=True)
 class Course:
@@ -162,6 +169,27 @@ class Course:
         dense = self.densified(spacing=ground.resolution / 2)  # the distance is right to a quarter of a cell
         along = [_layers_along(way, dense.speed, ground) for way in dense.ways]
         return along[0] if len(along) == 1 else np.where(along[1][..., :1] < along[0][..., :1], along[1], along[0])
+
+
+class Way(NamedTuple):
+    """One way of a course: 0 for its path, 1 for the alternative."""
+
+    number: int
+    course: Course
+
+
+def ways_from(course: Course, place: Float[np.ndarray, " 2"]) -> Sequence[Way]:
+    """The ways that a vehicle can still take, each as a course of its own; one where they have not parted.
+
+    Args:
+        course: the section of it around the vehicle.
+        place: x, y of the vehicle [m].
+    """
+    alone = [Way(number, replace(course, path=path, alternative=None)) for number, path in enumerate(course.ways)]
+    if len(alone) == 1 or not np.linalg.norm(course.ways[0] - course.ways[1], axis=1).max() > PARTED:
+        return alone[:1]
+    away = [float(np.linalg.norm(path - place, axis=1).min()) for path in course.ways]
+    return [way for way, distance in zip(alone, away, strict=True) if distance <= min(away) + ASTRAY]
 
 
 def _layers_along(

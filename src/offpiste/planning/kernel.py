@@ -31,11 +31,11 @@ from offpiste.dynamics.kernels.model_arrays import (
 from offpiste.mapping.terrain_sampler import MapStack
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.driving_cost import Situation
-from offpiste.planning.gear import complete
 from offpiste.planning.kernel_costs import kernel_costs
 from offpiste.planning.kernel_stray import stray_weights
 from offpiste.planning.kernel_terrain import CostCells, Grid, GroundCells
 from offpiste.planning.mppi import CostOf
+from offpiste.planning.pedal import complete
 from offpiste.state import ModelState
 
 Codes = tuple[Float[Tensor, "ny nx E"], Float[Tensor, " E"]]

@@ -12,8 +12,8 @@ from offpiste.mapping.terrain_sampler import Encode, HeldCodes, MapTerrain
 from offpiste.planning.caution import strays
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.driving_cost import Situation, driving_cost
-from offpiste.planning.gear import complete
 from offpiste.planning.mppi import CostOf
+from offpiste.planning.pedal import complete
 from offpiste.state import ModelState, TerrainSource, Trajectory
 
 

@@ -205,6 +205,10 @@ GEOGRAPHIC_NAMES: Final = tuple(
     for words in ("lat|latitude", "lon|lng|long|longitude", "alt|altitude|height|elevation")
 )
 """What latitude, longitude and height are called."""
+COURSE_NAMES: Final = r"track|trk_gnd|course(_over_ground)?|cog"
+"""What a course over ground is called, as part of a pattern."""
+_COURSE_WORD: Final = re.compile(r"course|(?<![a-z])(cog|trk|track)(?![a-z])", re.IGNORECASE)
+"""What every such name holds, and longer ones too."""
 
 
 def with_letters(name: str) -> str:
@@ -235,6 +239,11 @@ def named_down(field: str) -> bool:
 def named_direction(field: str) -> bool:
     """Whether a position's field is named by a direction, east or north, and not by a letter."""
     return named_axis(field) in ("x", "y") and named_axis(field) != _last_letter(parse_label(field).name)
+
+
+def named_course(field: str) -> bool:
+    """Whether a field is named as a course over ground, which is no heading."""
+    return _COURSE_WORD.search(field) is not None
 
 
 def _last_letter(name: str) -> str:

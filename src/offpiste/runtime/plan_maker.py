@@ -15,7 +15,7 @@ from offpiste.errors import NoPlan
 from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.planning.caution import caution_of
 from offpiste.planning.cost_map import CostMap, cost_map
-from offpiste.planning.course import Course
+from offpiste.planning.course import Course, Way, ways_from
 from offpiste.planning.driving_cost import Situation
 from offpiste.planning.pedal import controls_of
 from offpiste.runtime.backing_out import BackingOut
@@ -35,7 +35,6 @@ from offpiste.runtime.prediction import (
 )
 from offpiste.runtime.schedule import TimedPlan, continued
 from offpiste.runtime.settings import RuntimeSettings
-from offpiste.runtime.ways import Way, ways_from
 from offpiste.state import ModelState
 from offpiste.uncertainty.spread import Spread
 

@@ -158,13 +158,8 @@ def test_other_types_are_refused() -> None:
         rollout_actuators(model, **{name: value.double() for name, value in inputs(model, 2, 2).items()})
 
 
-def test_kernels_stay_inside_their_arrays(tmp_path: Path) -> None:
+def test_kernels_stay_inside_their_arrays(bounds_checked: dict[str, str]) -> None:
     """Once more, compiled with bounds checks, in a process of its own."""
-    environment = os.environ | {
-        "NUMBA_BOUNDSCHECK": "1",
-        "NUMBA_OPT": "0",
-        "NUMBA_CACHE_DIR": str(tmp_path),
-        "PYTHONPATH": os.pathsep.join((str(Path(__file__).parent), *filter(None, sys.path))),
-    }
+    paths = os.pathsep.join((str(Path(__file__).parent), *filter(None, sys.path)))
     code = "import test_actuators as t; t.compare('all', 33, 3)"
-    subprocess.run([sys.executable, "-c", code], env=environment, check=True)
+    subprocess.run([sys.executable, "-c", code], env=bounds_checked | {"PYTHONPATH": paths}, check=True)

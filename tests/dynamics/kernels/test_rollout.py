@@ -242,15 +242,8 @@ def test_what_kernels_cannot_do_is_refused() -> None:
         rollout_recorded(blind, *windows(blind, 3, 2))
 
 
-def test_kernels_stay_inside_their_arrays(tmp_path: Path) -> None:
+def test_kernels_stay_inside_their_arrays(bounds_checked: dict[str, str]) -> None:
     """Once more, compiled with bounds checks, in a process of its own."""
     code = f"import {Path(__file__).stem} as t; t.compare(t.example(*t.CHANNELS['all'], codes=4, kind=t.Hybrid), 33, 3)"
-    environment = os.environ | {
-        "NUMBA_BOUNDSCHECK": "1",
-        "NUMBA_OPT": "0",
-        "NUMBA_CACHE_DIR": str(tmp_path),
-        "PYTHONPATH": os.pathsep.join(
-            (str(Path(__file__).parent), str(Path(__file__).parents[2]), *filter(None, sys.path))
-        ),
-    }
-    subprocess.run([sys.executable, "-c", code], env=environment, check=True)
+    paths = os.pathsep.join((str(Path(__file__).parent), str(Path(__file__).parents[2]), *filter(None, sys.path)))
+    subprocess.run([sys.executable, "-c", code], env=bounds_checked | {"PYTHONPATH": paths}, check=True)

@@ -21,36 +21,14 @@ from rosbags.rosbag2.storage_mcap import ChunkInfo, McapReader, decompress
 from rosbags.typesys.store import Typestore
 
 from offpiste.errors import LogError
-from offpiste.logs.ros.bag_files import field_getter, reported, typestore_of
+from offpiste.logs.ros.bag_files import reported, typestore_of
+from offpiste.logs.ros.message_layout import LARGEST, Layout, layout, numbers_at
 
-_LARGEST: Final = 4096
-"""Messages that are longer have no numbers that are kept: images, clouds, maps [bytes]."""
-_ENTRIES: Final = 8
-"""Arrays with more entries (covariances) are not kept; they are read again where they are asked for."""
 _AHEAD: Final = 4
 """Chunks that are decompressed at the same time."""
 _HEAD: Final = 31
 """Bytes of a message record before its data: opcode, length, channel, sequence, two times."""
 _HEADS: Final = {"header": "std_msgs/msg/Header", "stamp": "builtin_interfaces/msg/Time"}
-_TYPES: Final = {
-    "bool": "u1", "byte": "u1", "char": "u1", "uint8": "u1", "int8": "i1", "uint16": "u2", "int16": "i2",
-    "uint32": "u4", "int32": "i4", "uint64": "u8", "int64": "i8", "float32": "f4", "float64": "f8",
-}  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Layout:
-    """Where the numbers of a message are, as long as texts and sequences keep their lengths.
-
-    Attributes:
-        size: of the message [bytes].
-        lengths: place and value of every length of a text or sequence, and of all words of a sequence of texts.
-        fields: place and type of every number that is kept, by its path.
-    """
-
-    size: int
-    lengths: tuple[tuple[int, int], ...]
-    fields: dict[str, tuple[int, str]]
 
 
 @dataclass(frozen=True)
@@ -103,6 +81,7 @@ def read_columns(
     reader: McapReader, connections: Sequence[Connection], store_of: Callable[[Connection], Typestore]
 ) -> dict[int, Columns]:
     """Columns by a connection's id; connections that cannot be read so are left out.
+
     On a damaged file errors of rosbags, lz4 and zstd pass through; the plain reader names the place.
     """
     topics = {c.id: topic for c in connections if (topic := _topic(c, store_of)) is not None}
@@ -179,7 +158,7 @@ def _message_index(records: memoryview) -> _Index:
 
 def _gather(topic: _Topic, data: UInt8[np.ndarray, " n"], index: Int[np.ndarray, "m 2"]) -> None:
     begin = index[:, 1] + _HEAD
-    size = _numbers(_rows(data, begin - _HEAD + 1, 8), 0, "i8") - (_HEAD - 9)
+    size = numbers_at(_rows(data, begin - _HEAD + 1, 8), 0, "i8") - (_HEAD - 9)
     topic.arrival.append(index[:, 0].copy())
     head = _rows(data, begin, 12) if topic.headed else None
     if head is not None and (size.min() < 12 or not (head[:, 1] == 1).all()):
@@ -189,18 +168,18 @@ def _gather(topic: _Topic, data: UInt8[np.ndarray, " n"], index: Int[np.ndarray,
         return
     if topic.layout is None:
         first = data[begin[0] : begin[0] + size[0]].tobytes()
-        topic.layout = None if len(first) > _LARGEST else layout(topic.store, topic.msgtype, first)
+        topic.layout = None if len(first) > LARGEST else layout(topic.store, topic.msgtype, first)
     known = topic.layout
     topic.regular = known is not None and bool((size == known.size).all())
     if known is None or not topic.regular:
         return
     rows = _rows(data, begin, known.size)
-    topic.regular = all((_numbers(rows, at, "u4") == value).all() for at, value in known.lengths)
+    topic.regular = all((numbers_at(rows, at, "u4") == value).all() for at, value in known.lengths)
     if not topic.regular:
         return
     topic.values.append(np.zeros((len(rows), len(known.fields))))
     for column, (at, kind) in zip(topic.values[-1].T, known.fields.values(), strict=True):
-        column[:] = _numbers(rows, at, kind)
+        column[:] = numbers_at(rows, at, kind)
 
 
 def _joined(topic: _Topic) -> Columns:
@@ -217,84 +196,6 @@ def _rows(data: UInt8[np.ndarray, " n"], begin: Int[np.ndarray, " m"], size: int
     return np.asarray(data[begin[:, None] + np.arange(size)])
 
 
-def _numbers(rows: UInt8[np.ndarray, "m k"], at: int, kind: str) -> np.ndarray:
-    return np.ascontiguousarray(rows[:, at : at + int(kind[1])]).view(f"<{kind}")[:, 0]
-
-
 def _stamps(head: UInt8[np.ndarray, "m k"]) -> Int[np.ndarray, " m"]:
-    seconds, rest = _numbers(head, 4, "i4").astype(np.int64), _numbers(head, 8, "u4").astype(np.int64)
+    seconds, rest = numbers_at(head, 4, "i4").astype(np.int64), numbers_at(head, 8, "u4").astype(np.int64)
     return seconds * 10**9 + rest
-
-
-def layout(store: Typestore, msgtype: str, raw: bytes) -> Layout | None:
-    """Layout of a topic by its first message in CDR; None where it is not what the plain decoder reads."""
-    if len(raw) < 4 or raw[1] != 1:
-        return None
-    walk = _Walk(raw)
-    try:
-        with reported(Path(), "no layout"):
-            _walk(store, msgtype, walk, "")
-            message = store.deserialize_cdr(raw, msgtype)
-        row = np.frombuffer(raw, np.uint8)[None]
-        for path, (at, kind) in walk.fields.items():
-            if not np.array_equal(_numbers(row, at, kind)[0], field_getter(path)(message), equal_nan=True):
-                return None
-    except LogError:  # whatever is damaged or unusual is the plain decoder's
-        return None
-    return Layout(len(raw), tuple(walk.lengths), walk.fields)
-
-
-@dataclass
-class _Walk:
-    raw: bytes
-    at: int = 4
-    lengths: list[tuple[int, int]] = field(default_factory=list)
-    fields: dict[str, tuple[int, str]] = field(default_factory=dict)
-
-    def align(self, width: int) -> None:
-        self.at += -(self.at - 4) % width
-
-    def length(self) -> int:
-        self.align(4)
-        (value,) = struct.unpack_from("<I", self.raw, self.at)
-        self.lengths.append((self.at, value))
-        self.at += 4
-        return int(value)
-
-    def number(self, kind: str, path: str) -> None:
-        width = int(kind[1])
-        self.align(width)
-        if path:
-            self.fields[path] = self.at, kind
-        self.at += width
-
-
-def _walk(store: Typestore, msgtype: str, walk: _Walk, prefix: str | None) -> None:
-    """Move along a message; a `prefix` of None keeps no field."""
-    entries: Sequence[tuple[str, Any]] = store.get_msgdef(msgtype).fields
-    for name, (kind, detail) in entries:
-        path = None if prefix is None else prefix + name
-        if kind in (Nodetype.BASE, Nodetype.NAME):
-            _one(store, kind, detail, walk, path)
-            continue
-        (inner, element), size = detail
-        count, begin = size if kind == Nodetype.ARRAY else walk.length(), walk.at
-        if count > _LARGEST:
-            raise ValueError("too long")
-        for k in range(count):
-            kept = inner == Nodetype.BASE and path is not None and count <= _ENTRIES
-            _one(store, inner, element, walk, f"{path}[{k}]" if kept else None)
-        if count and inner == Nodetype.BASE and element[0] == "string":  # names of entries have to stay the same
-            places = (*range(begin, walk.at - 4, 4), walk.at - 4)
-            walk.lengths += [(at, int.from_bytes(walk.raw[at : at + 4], "little")) for at in places]
-
-
-def _one(store: Typestore, kind: Nodetype, detail: Any, walk: _Walk, path: str | None) -> None:
-    if kind == Nodetype.NAME:
-        header = detail == "std_msgs/msg/Header"
-        _walk(store, detail, walk, None if path is None or header else f"{path}.")
-    elif detail[0] == "string":
-        length = walk.length()
-        walk.at += length
-    else:
-        walk.number(_TYPES[detail[0]], path or "")

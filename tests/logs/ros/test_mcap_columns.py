@@ -7,8 +7,7 @@ from bag_files import ROS2, START, custom, mcap_file
 from offpiste.errors import LogError
 from offpiste.logs import open_log
 from offpiste.logs.ros.bag_files import heard_at
-from offpiste.logs.ros.mcap_columns import layout
-from offpiste.logs.ros.writer import McapWriter, floats, header, make, message_types
+from offpiste.logs.ros.writer import McapWriter, floats, header, make
 from sensor_bags import IMAGE, SECOND, cloud, compressed, odometry, record, stamp
 
 
@@ -87,17 +86,6 @@ def test_damage_is_left_to_the_plain_reader(tmp_path):
         except LogError as error:
             outcomes.append(str(error))
     assert outcomes[0] == outcomes[1]
-
-
-def test_a_layout_is_checked_against_the_decoder():
-    store = message_types()
-    raw = bytes(store.serialize_cdr(joints(1.0, [1.0, 2.0]), "sensor_msgs/msg/JointState"))
-    found = layout(store, "sensor_msgs/msg/JointState", raw)
-    assert found is not None
-    assert set(found.fields) == {"position[0]", "position[1]"}
-    big_endian = bytes([0, 0]) + raw[2:]
-    assert layout(store, "sensor_msgs/msg/JointState", big_endian) is None
-    assert layout(store, "sensor_msgs/msg/JointState", raw[:20]) is None
 
 
 def test_picked_clouds_and_images_are_those_of_the_stream(tmp_path):
