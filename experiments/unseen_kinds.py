@@ -1,13 +1,15 @@
 """How sure are models of ground that training never had? Each kind of ground is held out in turn.
 
 Of a reproduction's training and validation drives all windows are left out whose wheels ever touch that kind. A model
-and its spread are trained on the rest, and evaluated on test windows that are mostly on it, beside the reproduction's
-own model, which knows it. The PCA has seen the kind.
+and its spread are trained on the rest, and evaluated on test windows that are mostly on it and on those that never
+touch it, beside the reproduction's own model, which knows it; also where ground that looks unlike training's counts as
+ground without features. The PCA has seen the kind.
 """
 
 import json
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -36,6 +38,8 @@ from offpiste.training.run import Run
 from offpiste.uncertainty.calibrate import kept_or_fitted
 from offpiste.uncertainty.calibration import CalibrationRow, calibration_rows, calibration_table, foretold_by
 from offpiste.uncertainty.fit import strayed_on_maps
+from offpiste.uncertainty.novelty import NoveltySettings, fit_familiar, looks_of, make_wary
+from offpiste.uncertainty.spread import Spread
 
 logger = logging.getLogger("experiments")
 
@@ -59,6 +63,8 @@ class UnseenKinds:
     """Folder of all outputs; runs in it are used again."""
     model: str = "dc"
     """Model of the reproduction that is trained anew."""
+    familiar: tuple[float, ...] = (0.99, 0.9)
+    """Shares of validation's looks that count as familiar, each a row: what is further away is missing."""
     kinds: tuple[str, ...] = ()
     """To hold out; default: all that enough test windows are on."""
     seed: int = 0
@@ -77,16 +83,21 @@ class UnseenKinds:
         kinds = [kinds_under_wheels(drive) for drive in truth.drives]
         windows = Windows(of.dataset, "test")
         index = evaluation_index(windows, MAP, of.size.stride)
-        mostly = share_on_kinds(windows, index, kinds) >= MOSTLY
+        share = share_on_kinds(windows, index, kinds)
         knowing = of.runs(self.model)[self.seed]
         rows = list[CalibrationRow]()
-        for kind in chosen_kinds(self.kinds, mostly):
-            on_it = index[mostly[:, kind]]
-            without = without_kind(of.dataset, kinds, kind)
-            folder = self.out / GROUND_KINDS[kind] / "runs"
-            held = trained(without, of.member(self.model).config(of.size, self.seed, "cpu"), folder)
-            rows += rows_of(f"{GROUND_KINDS[kind]} held out", held, without, of.dataset, on_it)
-            rows += rows_of(f"{GROUND_KINDS[kind]} known", knowing, of.dataset, of.dataset, on_it)
+        for kind in chosen_kinds(self.kinds, share >= MOSTLY):
+            chosen = {"on it": index[share[:, kind] >= MOSTLY], "never on it": index[share[:, kind] == 0]}
+            without, name = without_kind(of.dataset, kinds, kind), GROUND_KINDS[kind]
+            config = of.member(self.model).config(of.size, self.seed, "cpu")
+            held = trained(without, config, self.out / name / "runs")
+            spread = kept_or_fitted(held, without)
+            rows += rows_of(f"{name} held out", held, spread, windows, chosen)
+            for known in self.familiar if held.dynamics.encoder is not None else ():
+                rows += rows_of(
+                    f"{name} held out, {100 * known:g} % familiar", wary(held, without, known), spread, windows, chosen
+                )
+            rows += rows_of(f"{name} known", knowing, kept_or_fitted(knowing, of.dataset), windows, chosen)
         table = calibration_table(rows)
         content = {"schema": 1, "about": __doc__, "rows": msgspec.to_builtins(rows)}
         write_text(self.out / "unseen_kinds.json", json.dumps(content, indent=1))
@@ -148,20 +159,35 @@ def chosen_kinds(names: Sequence[str], mostly: Bool[np.ndarray, "n K"]) -> list[
     return chosen
 
 
-def rows_of(
-    name: str, run: Run, fitted_on: Dataset, dataset: Dataset, index: Int[np.ndarray, " n"]
-) -> list[CalibrationRow]:
-    """How far a run's predictions of some test windows stray, and whether its spread says so.
+def wary(run: Run, dataset: Dataset, known: float) -> Run:
+    """The same run, to which ground has no features that looks unlike the dataset's training ground.
 
     Args:
-        fitted_on: the dataset of the run and of its spread.
-        dataset: that has the test windows.
-        index: of these windows.
+        known: share of validation's looks that count as familiar.
     """
-    spread, windows = kept_or_fitted(run, fitted_on), Windows(dataset, "test")
-    foretold = foretold_by(spread, strayed_on_maps(run, windows, index))
-    located = EvaluatedWindows(dataset, windows.drive[index], windows.row_in_drive(index))
-    return calibration_rows(name, foretold, {}, Sampling().on(located))
+    settings = NoveltySettings(known=known)
+    training, validation = (looks_of(dataset, part, settings.candidates) for part in ("train", "validation"))
+    dynamics = deepcopy(run.dynamics)
+    make_wary(dynamics, fit_familiar(training, validation, settings))
+    return replace(run, dynamics=dynamics)
+
+
+def rows_of(
+    name: str, run: Run, spread: Spread, windows: Windows, chosen: Mapping[str, Int[np.ndarray, " n"]]
+) -> list[CalibrationRow]:
+    """How far a run's predictions of some test windows stray, and whether a spread says so.
+
+    Args:
+        windows: of the test part.
+        chosen: indices of some of them, by name.
+    """
+    rows = list[CalibrationRow]()
+    for which, index in ((which, index) for which, index in chosen.items() if len(index)):
+        foretold = foretold_by(spread, strayed_on_maps(run, windows, index))
+        located = EvaluatedWindows(windows.dataset, windows.drive[index], windows.row_in_drive(index))
+        found = calibration_rows(name, foretold, {}, Sampling().on(located))
+        rows += [msgspec.structs.replace(row, windows=which) for row in found]
+    return rows
 
 
 if __name__ == "__main__":

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
-from experiments import unseen_kinds
-from experiments.unseen_kinds import chosen_kinds, kinds_under_wheels, rows_of, share_on_kinds, without_kind
+from experiments.unseen_kinds import chosen_kinds, kinds_under_wheels, rows_of, share_on_kinds, wary, without_kind
 from feature_datasets import dataset_with_features, with_snapshots
 from offpiste.conventions import HORIZON_STEPS
 from offpiste.dataset.splits import PARTS
@@ -19,6 +19,7 @@ from offpiste.simulation.world.ground import property_table
 from offpiste.training.config import TrainConfig
 from offpiste.training.run import load_run
 from offpiste.training.train import train
+from offpiste.uncertainty.calibrate import kept_or_fitted
 from offpiste.uncertainty.fit import SpreadSettings
 
 GRAVEL, MUD = GROUND_KINDS.index("gravel"), GROUND_KINDS.index("mud")
@@ -89,18 +90,27 @@ def test_kinds_with_too_few_windows_and_unknown_ones_are_refused() -> None:
         chosen_kinds(("snow",), mostly)
 
 
-def test_a_run_without_the_kind_is_evaluated_where_it_is(dataset: Dataset, tmp_path: Path, monkeypatch) -> None:
+def test_a_run_without_the_kind_is_evaluated_where_it_is(dataset: Dataset, tmp_path: Path) -> None:
     kinds = [np.full((len(drive.rows.time), 4), MUD) for drive in dataset.drives]
     for on in kinds:
         on[: len(on) // 8] = GRAVEL
     without = without_kind(dataset, kinds, GRAVEL)
     config = TrainConfig("dc", epochs=1, bicycle_epochs=1, actuator_epochs=1, batch=32, stride=80, learning_rate=1e-3)
     train(without, config, tmp_path / "dc-0")
-    quick = SpreadSettings(windows=40, steps=3, batch=16)
-    fitted = unseen_kinds.kept_or_fitted
-    monkeypatch.setattr(unseen_kinds, "kept_or_fitted", lambda run, data: fitted(run, data, quick))
-    windows = Windows(dataset, "test")
+    run, windows = load_run(tmp_path / "dc-0"), Windows(dataset, "test")
+    spread = kept_or_fitted(run, without, SpreadSettings(windows=40, steps=3, batch=16))
     index = windows.evaluation_indices(5)
-    rows = rows_of("gravel held out", load_run(tmp_path / "dc-0"), without, dataset, index)
-    assert [row.horizon for row in rows] == [1, 3, 5]
+    rows = rows_of("gravel held out", run, spread, windows, {"on it": index, "never on it": index[:0]})
+    assert [(row.windows, row.horizon) for row in rows] == [("on it", h) for h in (1, 3, 5)]
     assert all(row.n == len(index) and row.run == "gravel held out" and row.error_m > 0 for row in rows)
+    features, valid = windows.features_at_starts()
+    encoder = run.dynamics.encoder
+    nothing_known, all_known = wary(run, without, 0.0).dynamics.encoder, wary(run, without, 1.0).dynamics.encoder
+    missing = torch.zeros_like(valid)
+    far = nothing_known.familiar.distance(features[valid]) > nothing_known.familiar.limit
+    torch.testing.assert_close(
+        nothing_known(features[valid], valid[valid])[far], encoder(features, missing)[valid][far]
+    )
+    assert far.float().mean() > 0.9
+    assert (all_known(features[valid], valid[valid]) == encoder(features, valid)[valid]).all(dim=1).float().mean() > 0.5
+    assert run.dynamics.encoder is encoder, "the run itself still reads all ground"
