@@ -49,6 +49,9 @@ MOSTLY: Final = 0.5
 FEWEST: Final = 50
 """Windows on a kind, for it to be held out."""
 
+ELSEWHERE: Final = 300
+"""Windows that never touch the kind, evenly spread, which are evaluated as well."""
+
 OUTSIDE: Final = -1
 """The part of rows that belong to none."""
 
@@ -87,7 +90,9 @@ class UnseenKinds:
         knowing = of.runs(self.model)[self.seed]
         rows = list[CalibrationRow]()
         for kind in chosen_kinds(self.kinds, share >= MOSTLY):
-            chosen = {"on it": index[share[:, kind] >= MOSTLY], "never on it": index[share[:, kind] == 0]}
+            away = np.flatnonzero(share[:, kind] == 0)
+            away = away[np.unique(np.linspace(0, len(away) - 1, min(len(away), ELSEWHERE)).astype(int))]
+            chosen = {"on it": index[share[:, kind] >= MOSTLY], "never on it": index[away]}
             without, name = without_kind(of.dataset, kinds, kind), GROUND_KINDS[kind]
             config = of.member(self.model).config(of.size, self.seed, "cpu")
             held = trained(without, config, self.out / name / "runs")

@@ -7,6 +7,7 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from matplotlib.legend_handler import HandlerTuple
 from matplotlib.lines import Line2D
 from matplotlib.patheffects import Normal, Stroke
 
@@ -70,13 +71,16 @@ def course_picture(
     )
     axes.set(xlim=(left, right), ylim=(bottom, top))
     axes.set(xlabel="x [m]", ylabel="y [m]")
-    figure.legend(*_legend(axes), loc="outside lower center", ncols=5, fontsize=8, facecolor="#b8a88a")
+    beside = {tuple: HandlerTuple(ndivide=None, pad=0)}
+    place: dict[str, Any] = {"loc": "outside lower center", "ncols": 5, "fontsize": 8, "facecolor": "#b8a88a"}
+    figure.legend(*_legend(axes), handler_map=beside, **place)
     axes.set_title(title, fontsize=10, loc="left")
     return figure
 
 
 def _legend(axes: Axes) -> tuple[list[Any], list[str]]:
-    """Handles and labels; the driven path, of many colours, is shown in the middle one."""
+    """Handles and labels; the driven path is shown in several of its colours."""
     handles, names = axes.get_legend_handles_labels()
-    driven = Line2D([], [], color=colormaps[SLIP_COLOURS](0.5), linewidth=2.4)
+    colours = colormaps[SLIP_COLOURS](np.linspace(0.1, 0.9, 5))
+    driven = tuple(Line2D([], [], color=colour, linewidth=2.4, solid_capstyle="butt") for colour in colours)
     return [*handles, driven], [*names, "driven"]
