@@ -169,6 +169,19 @@ def test_rows_that_are_late_empty_or_wrong_cost_no_day(tmp_path: Path, cells: tu
     np.testing.assert_allclose(stamps - stamps[np.isfinite(stamps)][0], seconds, atol=1e-6)
 
 
+def test_of_two_clocks_a_time_of_the_day_is_the_last_choice(tmp_path: Path) -> None:
+    rows = "".join(f"10:11:{k:02d},{1714731060 + k},{k}\n" for k in range(12))
+    assert table(tmp_path, f"time,timestamp,x\n{rows}").read("", ["x"]).time[0] == 1714731060.0
+
+
+def test_a_rig_may_still_name_a_clock_by_a_header_with_its_comment(tmp_path: Path) -> None:
+    text = "#timestamp [ns],x\n1000000000,1\n2000000000,2\n"
+    log = table(tmp_path, text, clock_column="#timestamp [ns]")
+    assert (log.clock.column, log.read("", ["x"]).time.tolist()) == ("timestamp [ns]", [1.0, 2.0])
+    with pytest.raises(LogError, match=r"no column '#stamp' for the clock; it has: timestamp \[ns\], x"):
+        table(tmp_path, text, clock_column="#stamp")
+
+
 def test_text_that_is_no_time_is_named(tmp_path: Path) -> None:
     with pytest.raises(LogError, match=r"row 2 below the header, column 'time': 'noon' is no time; write seconds"):
         table(tmp_path, "time,x\n10:11:12,1\nnoon,2\n")

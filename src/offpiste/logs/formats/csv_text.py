@@ -68,6 +68,11 @@ def clock_times(cells: pa.ChunkedArray) -> Float[np.ndarray, " n"] | None:
     return times
 
 
+def without_comment(header: str) -> str:
+    """A header, or the name that is its first, without what makes it a comment."""
+    return _COMMENT.sub("", header)
+
+
 def number_of(cell: str) -> float | None:
     """The number that a cell holds, 1 and 0 for true and false; None for other text."""
     try:
@@ -104,7 +109,8 @@ def read_csv(path: Path, notes: list[str], units: dict[str, str]) -> pa.Table:
     lines = _first_lines(path)
     there = [line for line in lines if line.strip()]
     spaces = _are_numbers(there[-1 if len(there) < 3 else -2], " ")
-    lines = [_COMMENT.sub("", " ".join(line.split()) if spaces else line) for line in (there if spaces else lines)]
+    lines = [" ".join(line.split()) for line in there] if spaces else lines
+    lines = [without_comment(line) for line in lines]
     above = _lines_above_header(lines, " " if spaces else max(_SEPARATORS, key=lines[-1].count))
     if above:
         notes.append(f"{above} lines before the header are left out")
