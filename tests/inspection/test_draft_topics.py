@@ -322,6 +322,22 @@ def two_robots(*, poses: tuple[int, ...], controls: tuple[int, ...]) -> MemoryLo
     return MemoryLog(topics)
 
 
+def test_a_namespace_of_the_same_vehicle_may_have_topics_of_the_same_name() -> None:
+    steering, columns = CLEAN.data["steering"]
+    time, pedals = CLEAN.data["pedals"]
+    controls = {"/control/pedals": (time, pedals), "/control/status": (steering, {"steer": columns["command"]})}
+    status = {name: (TIME, {"ok": 0 * TIME}) for name in ("/odometry/status", "/odometry/pedals")}
+    channels = _drafted(MemoryLog({"/odometry/pose": (TIME, ODOM), **status, **controls})).channels
+    assert (channels["steer"].topic, channels["throttle"].topic) == ("/control/status", "/control/pedals")
+
+
+def test_two_buses_of_one_vehicle_are_no_two_vehicles() -> None:
+    steering, columns = CLEAN.data["steering"]
+    log = {"/can0/odom": (TIME, ODOM), "/can1/pedals": CLEAN.data["pedals"]}
+    text = draft_rig(MemoryLog(log | {"/can1/steering": (steering, {"steer": columns["command"]})}))
+    assert not [line for line in missing(text) if "another vehicle" in line]
+
+
 @pytest.mark.parametrize(("poses", "controls", "read"), [((2,), (1, 2), 2), ((1, 2), (1, 2), 1), ((2,), (1,), 1)])
 def test_controls_are_those_of_the_vehicle_whose_pose_is_read(poses, controls, read) -> None:
     text = draft_rig(two_robots(poses=poses, controls=controls))

@@ -11,7 +11,7 @@ from offpiste.inspection.field_groups import field_groups
 from offpiste.logs.log import Log, Topic
 from offpiste.rig.labels import COURSE_NAMES, Label, channel_unit, field_labels, is_array_entry, parse_label
 
-_ANGLE = r"(angle|ang)(?![ _]?(vel|rate|speed|acc|jerk))"
+_ANGLE = r"(angle|ang(?!le))(?![ _]?(vel|rate|speed|acc|jerk))"
 _TURN_RATE: Final = re.compile(r"ang(ular)?_?vel(ocity)?[/._]z$|yaw[_ ]?vel(ocity)?$")
 """The z component alone of an angular velocity, or the velocity of the yaw."""
 _COMMANDED_JOINTS: Final = re.compile(r"cmd|com+and|desired|target|setpoint", re.IGNORECASE)
@@ -67,6 +67,8 @@ _BESIDE: Final = re.compile(
     r"torque|rate|speed|(?<![a-z])vel(?![a-z])|press|current|force|effort|temp|engage|light|lamp|switch|bias|park|hand_?brake|on_off"
 )
 """What is measured at a pedal or a steering, besides where it is; a channel only where nothing else is."""
+_DEVICES: Final = re.compile(r"(can|bus|ecu|plc|gps|gnss|imu)_?\d*$", re.IGNORECASE)
+"""Namespaces of what one vehicle may have several of."""
 FALLBACK: Final = 10
 """Ranks from here on are those of such names."""
 
@@ -192,20 +194,26 @@ def by_topic(result: Iterable[Guess]) -> dict[str, dict[str, Guess]]:
     return sorted_out
 
 
-def of_one_vehicle(log: Log, guesses: Iterable[Guess], pose: str) -> list[Guess]:
-    """The guesses without those of another vehicle whose topic the pose's own has, too.
+def of_one_vehicle(guesses: Iterable[Guess], pose: str) -> list[Guess]:
+    """The guesses without those of another vehicle whose channel the pose's own has in such a topic, too.
 
     Args:
-        pose: topic of the pose: `/robot2/odom` leaves out `/robot1/pedals` where there is `/robot2/pedals`.
+        pose: topic of the pose: `/robot2/odom` leaves out the throttle of `/robot1/pedals` where `/robot2/pedals` has
+            one.
     """
-    here = {name for name, topic in log.topics.items() if topic.count > 1}
-    return [guess for guess in guesses if (names := _namespaces(guess.topic, pose)) is None or names[2] not in here]
+    guesses = list(guesses)
+    here = {(guess.topic, guess.channel) for guess in guesses}
+    return [
+        guess
+        for guess in guesses
+        if (names := _namespaces(guess.topic, pose)) is None or (names[2], guess.channel) not in here
+    ]
 
 
 def other_vehicle(topic: str, pose: str) -> tuple[str, str] | None:
     """Namespaces of a topic and of the pose, where they are those of two vehicles: they differ in a number."""
     names = _namespaces(topic, pose)
-    if names is None or re.sub(r"\d+", "", names[0]) != re.sub(r"\d+", "", names[1]):
+    if names is None or re.sub(r"\d+", "", names[0]) != re.sub(r"\d+", "", names[1]) or _DEVICES.search(names[0]):
         return None
     return names[:2]
 

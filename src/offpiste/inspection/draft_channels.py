@@ -72,7 +72,7 @@ def draft_channels(
     entries = draft_pose(log, guesses, frame)
     pose_topic = entries["position"].guess.topic if "position" in entries else ""
     scalars: Scalars = {}
-    for guess in of_one_vehicle(log, guesses, pose_topic):
+    for guess in of_one_vehicle(guesses, pose_topic):
         commanded = guess.channel == "steer_angle" and guess.rank < MEASURED and _is_command(guess)
         channel = "steer" if commanded else guess.channel
         if channel in scalars or channel in (*entries, *_VECTORS):

@@ -67,7 +67,7 @@ def draft_pose(log: Log, guesses: Sequence[Guess], frame: str) -> dict[str, Entr
             best, best_score = moving, score
     best = best or _places_and_headings(log, channels_of)
     if best:
-        channels_of = by_topic(of_one_vehicle(log, guesses, best["position"].topic))
+        channels_of = by_topic(of_one_vehicle(guesses, best["position"].topic))
     if best and not _RATES & set(best):
         best |= _from_imu(log, channels_of)
     if best and "linear_velocity" not in best:

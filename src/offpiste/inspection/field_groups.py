@@ -12,6 +12,8 @@ Group = tuple[str, tuple[str, ...], str, int]
 """A channel, the fields that may hold it, their unit, and how far their names are from the channel's own."""
 
 _AXIS = re.compile(r"(?<![a-z])([pqtvwg]?)x(?![a-z])")
+_TRANSLATION: Final = re.compile(r"(?<![a-z])t[._ ]*$")
+"""What stands before the letter x of TUM's `tx`, which may be a torque as well: a place only where nothing else is."""
 _PLACES = (
     "utm|enu|local|global|world|map|gps|gnss|ego|car|veh|vehicle|odom|rtk|slam|base|robot|center|cog|pos|gt|ground_?truth"
     "|ekf|est|state|cg|rear_?axle|loc(ation)?|coord(inate)?s?"
@@ -83,7 +85,8 @@ def _vectors(named: Mapping[str, Label]) -> Iterator[Group]:
             if len(fields) == 2 and _EAST.search(east) and (down := plain.get(_EAST.sub(_down_of, east))):
                 fields = (fields[1], fields[0], down)
             if len(fields) in _WIDTHS[channel]:
-                yield channel, fields, named[fields[0]].unit, 0
+                torques = channel == "position" and _TRANSLATION.search(before)
+                yield channel, fields, named[fields[0]].unit, 2 if torques else 0
 
 
 def _down_of(east: re.Match[str]) -> str:

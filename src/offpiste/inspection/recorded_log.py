@@ -2,12 +2,14 @@
 
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
+from msgspec import structs
 
 from offpiste.errors import LogError
 from offpiste.inspection.findings import Finding
@@ -136,6 +138,17 @@ class RememberedLog(Log):
 
     def _in_unit(self, samples: Samples) -> Samples:
         return Samples(samples.time * self._per_stamp, samples.values)
+
+
+def with_joints_of(log: Log, rig: Rig) -> Rig:
+    """The rig with the fields by which this log has the joints that it names; those that it lacks are left."""
+    channels = dict(rig.channels)
+    for name, source in channels.items():
+        with suppress(LogError):
+            if source.topic in log.topics:
+                fields = log.topics[source.topic].by_joints(source.fields, source.joints)
+                channels[name] = structs.replace(source, fields=fields)
+    return structs.replace(rig, channels=channels)
 
 
 def rising(time: Float[np.ndarray, " n"]) -> Float[np.ndarray, " m"]:

@@ -153,6 +153,35 @@ def test_times_of_the_day_as_stamps(tmp_path: Path, first: str, second: str) -> 
     assert (stamps[1] - stamps[0], np.isnan(stamps[2])) == (1.0, True)
 
 
+@pytest.mark.parametrize(
+    ("cells", "seconds"),
+    [
+        (("23:59:59", "00:00:01", "23:59:59.5", "00:00:02"), (0.0, 2.0, 0.5, 3.0)),
+        (("3.5. 23:59:59", "4.5. 00:00:01", "3.5. 23:59:59.5", "4.5. 00:00:02"), (0.0, 2.0, 0.5, 3.0)),
+        (("23:59:59", "", "00:00:01", "00:00:02"), (0.0, np.nan, 2.0, 3.0)),
+        (("14:00:00", "14:00:01", "00:00:00", "14:00:02"), (0.0, 1.0, 36_000.0, 2.0)),
+        (("", "3.5. 10:00:00", "3.5. 22:30:00", "4.5. 09:00:00"), (np.nan, 0.0, 45_000.0, 82_800.0)),
+    ],
+)
+def test_rows_that_are_late_empty_or_wrong_cost_no_day(tmp_path: Path, cells: tuple[str, ...], seconds) -> None:
+    log = table(tmp_path, "time,x\n" + "".join(f"{cell},{row}\n" for row, cell in enumerate(cells)))
+    stamps = log.read("", ["x"]).time
+    np.testing.assert_allclose(stamps - stamps[np.isfinite(stamps)][0], seconds, atol=1e-6)
+
+
+def test_of_two_clocks_a_time_of_the_day_is_the_last_choice(tmp_path: Path) -> None:
+    rows = "".join(f"10:11:{k:02d},{1714731060 + k},{k}\n" for k in range(12))
+    assert table(tmp_path, f"time,timestamp,x\n{rows}").read("", ["x"]).time[0] == 1714731060.0
+
+
+def test_a_rig_may_still_name_a_clock_by_a_header_with_its_comment(tmp_path: Path) -> None:
+    text = "#timestamp [ns],x\n1000000000,1\n2000000000,2\n"
+    log = table(tmp_path, text, clock_column="#timestamp [ns]")
+    assert (log.clock.column, log.read("", ["x"]).time.tolist()) == ("timestamp [ns]", [1.0, 2.0])
+    with pytest.raises(LogError, match=r"no column '#stamp' for the clock; it has: timestamp \[ns\], x"):
+        table(tmp_path, text, clock_column="#stamp")
+
+
 def test_text_that_is_no_time_is_named(tmp_path: Path) -> None:
     with pytest.raises(LogError, match=r"row 2 below the header, column 'time': 'noon' is no time; write seconds"):
         table(tmp_path, "time,x\n10:11:12,1\nnoon,2\n")
@@ -225,6 +254,11 @@ def test_a_trajectory_in_the_format_of_tum(tmp_path: Path, name: str) -> None:
     log = open_log(tmp_path / name)
     assert log.topics[""].fields == ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
     assert column(log, "tx") == list(range(12))
+
+
+def test_empty_lines_in_a_table_separated_by_spaces_are_no_rows(tmp_path: Path) -> None:
+    log = table(tmp_path, "t x\n\n" + "".join(f"{k} {2 * k}\n\n" for k in range(90)) + "90 18")
+    assert column(log, "x") == [*range(0, 180, 2), 18.0]
 
 
 def test_a_text_without_numbers_is_no_table(tmp_path: Path) -> None:

@@ -46,9 +46,11 @@ _DAY: Final = 86_400.0
 def clock_times(cells: pa.ChunkedArray) -> Float[np.ndarray, " n"] | None:
     """Times of the day, such as `05/03/2024 1:02:03.4 PM`, as seconds from midnight; None where a cell is none.
 
-    A date in another text than before, and a step back by more than half a day, begin the next day.
+    Each further text of a date is the next day. Where there is no such text, steps beyond half a day cross midnight,
+    also those of a row that comes late.
     """
-    times, days, before = np.full(len(cells), np.nan), 0.0, ""
+    times = np.full(len(cells), np.nan)
+    days: dict[str, int] = {}
     for row, cell in enumerate(cells.to_pylist()):
         if cell is None or not cell.strip():
             continue
@@ -59,13 +61,16 @@ def clock_times(cells: pa.ChunkedArray) -> Float[np.ndarray, " n"] | None:
         if half := (match["half"] or "").lower():
             hours = hours % 12 + (12 if half == "p" else 0)
         seconds = float(re.sub("[,:]", ".", match["seconds"]))
-        times[row] = 3600 * hours + 60 * int(match["minutes"]) + seconds
-        last = times[row - 1] - days if row else np.nan
-        if (date != before and row) or times[row] < last - _DAY / 2:
-            days += _DAY
-        times[row] += days
-        before = date
+        times[row] = _DAY * days.setdefault(date, len(days)) + 3600 * hours + 60 * int(match["minutes"]) + seconds
+    if len(days) == 1:
+        known = np.isfinite(times)
+        times[known] = np.unwrap(times[known], period=_DAY)
     return times
+
+
+def without_comment(header: str) -> str:
+    """A header, or the name that is its first, without what makes it a comment."""
+    return _COMMENT.sub("", header)
 
 
 def number_of(cell: str) -> float | None:
@@ -104,7 +109,8 @@ def read_csv(path: Path, notes: list[str], units: dict[str, str]) -> pa.Table:
     lines = _first_lines(path)
     there = [line for line in lines if line.strip()]
     spaces = _are_numbers(there[-1 if len(there) < 3 else -2], " ")
-    lines = [_COMMENT.sub("", " ".join(line.split()) if spaces else line) for line in lines]
+    lines = [" ".join(line.split()) for line in there] if spaces else lines
+    lines = [without_comment(line) for line in lines]
     above = _lines_above_header(lines, " " if spaces else max(_SEPARATORS, key=lines[-1].count))
     if above:
         notes.append(f"{above} lines before the header are left out")
@@ -126,7 +132,7 @@ def read_csv(path: Path, notes: list[str], units: dict[str, str]) -> pa.Table:
     skipped = above + (2 if units else 1)
     try:
         text = path.read_bytes() if spaces else b""
-        text = b"\n".join(b" ".join(line.split()) for line in text.splitlines())
+        text = b"\n".join(b" ".join(line.split()) for line in text.splitlines() if line.strip())
         table = pa_csv.read_csv(
             io.BytesIO(text) if spaces else path,
             read_options=pa_csv.ReadOptions(use_threads=False, column_names=names, skip_rows=skipped),

@@ -20,6 +20,7 @@ from offpiste.logs.formats.csv_text import (
     has_numbers,
     number_of,
     read_csv,
+    without_comment,
 )
 from offpiste.logs.log import LOG_FORMATS, Log, Samples, Topic
 from offpiste.rig.channels import Clock
@@ -67,7 +68,8 @@ class TableLog(Log):
         self._rows_of_units = int(bool(self._units))
         self._units |= {name: unit for name in self._table.column_names if (unit := parse_label(name).unit)}
         self._unit = clock_unit
-        self._clock = clock_column or self._guess_clock(notes)
+        known = clock_column in self._table.column_names  # else maybe as it was before headers could be comments
+        self._clock = (clock_column if known else without_comment(clock_column)) or self._guess_clock(notes)
         listed = ", ".join(self._table.column_names[:40])
         if not self._clock:
             how = f"name it: `inspect --time COLUMN`, or clock.column in a rig; there are {listed}"
@@ -124,9 +126,13 @@ class TableLog(Log):
             return even[0]
         if len(names) < 2:
             return "".join(names)
-        guess: str = max(names, key=self._share_rising)
+        guess: str = max(names, key=lambda name: (self._share_rising(name), not self._is_time_of_day(name)))
         notes.append(f"'{guess}' is taken for time, of {', '.join(names)}; clock.column in the rig can say otherwise")
         return guess
+
+    def _is_time_of_day(self, name: str) -> bool:
+        """Whether stamps are text without a date that counts, which is the last choice."""
+        return name not in self._columns and _dates(self._table[name]) is None
 
     def _beside(self, clock: str) -> str:
         """The column of nanoseconds beside one of whole seconds; "" for none."""
