@@ -154,7 +154,7 @@ def chosen_kinds(names: Sequence[str], mostly: Bool[np.ndarray, "n K"]) -> list[
         DatasetError: a name is unknown, or too few windows are on what is to be held out.
     """
     if unknown := [name for name in names if name not in GROUND_KINDS]:
-        raise DatasetError(f"no kind of ground is called '{unknown[0]}'", how=f"give of {', '.join(GROUND_KINDS)}")
+        raise DatasetError(f"no kind of ground is called '{unknown[0]}'", how=f"choose from {', '.join(GROUND_KINDS)}")
     found = mostly.sum(axis=0)
     for name, count in zip(GROUND_KINDS, found, strict=True):
         logger.info(f"{name}: {count} test windows are mostly on it")
