@@ -71,9 +71,14 @@ def course_picture(
     )
     axes.set(xlim=(left, right), ylim=(bottom, top))
     axes.set(xlabel="x [m]", ylabel="y [m]")
-    beside = {tuple: HandlerTuple(ndivide=None, pad=0)}
-    place: dict[str, Any] = {"loc": "outside lower center", "ncols": 5, "fontsize": 8, "facecolor": "#b8a88a"}
-    figure.legend(*_legend(axes), handler_map=beside, **place)
+    figure.legend(
+        *_legend(axes),
+        handler_map={tuple: HandlerTuple(ndivide=None, pad=0)},
+        loc="outside lower center",
+        ncols=5,
+        fontsize=8,
+        facecolor="#b8a88a",
+    )
     axes.set_title(title, fontsize=10, loc="left")
     return figure
 

@@ -122,7 +122,7 @@ def train(
 
 
 def _window_loss(windows: Windows, config: TrainConfig, scale: Tensor) -> Callable[[Trajectory, Batch], Tensor]:
-    """The loss of each window of a batch, weighted by its speed."""
+    """Makes losses of windows, robust and weighted by speed as the settings say, in units of `scale` (`loss_scale`)."""
     weights = torch.tensor(config.weights.in_order(), device=scale.device)
     weigh = speed_weights(windows, config.relative)
 
