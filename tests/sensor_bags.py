@@ -65,14 +65,14 @@ def stamp(seconds: float) -> int:
     return 100 * SECOND + round(seconds * SECOND)
 
 
-def transforms(*joints):
+def transforms(*joints, seconds: float = 0.0):
     """(parent, child, translation, xyzw) -> tf2_msgs/TFMessage."""
     return make(
         "tf2_msgs/TFMessage",
         transforms=[
             make(
                 "geometry_msgs/TransformStamped",
-                header=header(stamp(0), parent),
+                header=header(stamp(seconds), parent),
                 child_frame_id=child,
                 transform=make("geometry_msgs/Transform", translation=vector(t), rotation=quaternion(q)),
             )

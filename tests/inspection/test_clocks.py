@@ -21,7 +21,7 @@ def findings_with_a_throttle(ahead: float, of: Rig) -> list[Finding]:
     pedals, _ = CLEAN.data["pedals"]
     speed = np.interp(pedals + ahead, time, odom["vx"]) / odom["vx"].max()
     log = CLEAN.change("pedals", "throttle", lambda _: speed)
-    recorded, _ = read_topics(RememberedLog(log), of.clock)
+    recorded, _ = read_topics(RememberedLog(log), of)
     return check_clocks(recorded, driven_path(drive_from_log(log, of)), of, besides={"odom"})
 
 
@@ -48,6 +48,6 @@ def test_wheels_that_run_ahead_slip_and_those_that_come_late_have_a_clock_that_d
     log = MemoryLog(
         {**CLEAN.data, "steering": (stamps, columns | {"wheels": np.interp(stamps - lag, time, odom["vx"])})}
     )
-    recorded, _ = read_topics(RememberedLog(log), rig().clock)
+    recorded, _ = read_topics(RememberedLog(log), rig())
     found = check_clocks(recorded, driven_path(drive_from_log(log, rig())), rig(), besides={"odom"})
     assert [finding.what for finding in found] == (["has a clock that drifts"] if drifts else [])

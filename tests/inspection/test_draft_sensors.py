@@ -7,13 +7,12 @@ import pytest
 
 from offpiste.cli import main
 from offpiste.errors import LogError
-from offpiste.inspection.draft_rig import draft_rig
 from offpiste.inspection.draft_sensors import draft_sensors, missing
 from offpiste.logs import open_log
-from offpiste.logs.ros.writer import McapWriter, quaternion
+from offpiste.logs.ros.writer import quaternion
 from offpiste.logs.sensor_log import open_sensors
 from offpiste.rig.rig import parse_rig
-from sensor_bags import IMAGE, cloud, compressed, info, odometry, record, sensor_rig, stamp, transforms, tree
+from sensor_bags import IMAGE, cloud, compressed, info, odometry, record, sensor_rig, tree
 
 SCAN = np.random.default_rng(0).uniform(1, 5, (150, 3))
 
@@ -93,25 +92,3 @@ def test_the_command_says_what_is_missing(tmp_path: Path, capsys: pytest.Capture
     assert "  missing: steering: no field looks like it" in printed
     assert "All topics are named like measurements." in printed
     parse_rig((tmp_path / "my.toml").read_text(), where="my.toml")
-
-
-def moving_frames(seconds: float):
-    """The chain of a robot that maps: map -> odom -> base_link, and a wheel that turns."""
-    still = (0, 0, 0, 1)
-    return transforms(
-        ("map", "odom", (0.1, 0, 0), still),
-        ("odom", "base_link", (2 * seconds, 0, 0), still),
-        ("base_link", "wheel", (0, 0, 0), still),
-    )
-
-
-def test_a_pose_that_is_a_transform_alone_is_named(tmp_path: Path) -> None:
-    with McapWriter(tmp_path / "log.mcap") as writer:
-        for seconds in np.arange(0, 2, 0.05).tolist():
-            writer.write("/tf", moving_frames(seconds), stamp(seconds))
-        writer.write("/tf_static", tree(), stamp(0))
-    with pytest.raises(LogError, match="no topic looks like a pose") as caught:
-        draft_rig(open_log(tmp_path / "log.mcap"))
-    assert caught.value.how.startswith(
-        "/tf has it as the transform odom -> base_link, which rigs do not read: record it as nav_msgs/Odometry as well;"
-    )

@@ -18,7 +18,7 @@ def _rig(low: float, high: float) -> Rig:
 
 
 def _found(log: MemoryLog, of: Rig) -> list[Finding]:
-    return check_dropped(read_topics(RememberedLog(log, of), of.clock)[0], of)
+    return check_dropped(read_topics(RememberedLog(log, of), of)[0], of)
 
 
 @pytest.mark.parametrize("most", [0.3, 0.6])

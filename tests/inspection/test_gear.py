@@ -14,7 +14,6 @@ from offpiste.inspection.driven_path import Path, driven_path
 from offpiste.inspection.gear import check_gear
 from offpiste.inspection.recorded_log import Recorded, RememberedLog, read_topics
 from offpiste.logs.drive import Drive, drive_from_log
-from offpiste.rig.channels import Clock
 from offpiste.rig.edits import edited
 
 FORWARD = drive_log(seconds=60)
@@ -40,7 +39,7 @@ def _with_gear(log: MemoryLog, begin: float, end: float, forward: float, reverse
 
 def _read(log: MemoryLog, *more: tuple[str, str]) -> tuple[Drive, Path, dict[str, Recorded]]:
     drive = drive_from_log(log, rig(*more))
-    return drive, driven_path(drive), read_topics(RememberedLog(log), Clock())[0]
+    return drive, driven_path(drive), read_topics(RememberedLog(log), None)[0]
 
 
 def test_forward_drives_say_nothing() -> None:

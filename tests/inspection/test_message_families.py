@@ -2,6 +2,8 @@
 
 import dataclasses
 from collections.abc import Mapping
+from pathlib import Path
+from unittest.mock import ANY
 
 import numpy as np
 import pytest
@@ -10,10 +12,14 @@ from simulated import MAX_STEER, MemoryLog, drive_log
 from offpiste.errors import LogError
 from offpiste.inspection.channel_guesses import by_topic, guess_channels
 from offpiste.inspection.draft_rig import draft_rig
-from offpiste.inspection.inspect import inspect_log
+from offpiste.inspection.inspect import TopicRow, inspect_log
+from offpiste.logs import open_log
 from offpiste.logs.log import Topic
+from offpiste.logs.ros.writer import McapWriter, make
+from offpiste.logs.transforms import STAMPED
 from offpiste.rig.edits import edited
 from offpiste.rig.rig import Rig, parse_rig
+from sensor_bags import stamp, transforms
 
 CLEAN = drive_log(seed=0)
 TIME, ODOM = CLEAN.data["odom"]
@@ -333,3 +339,21 @@ def test_a_pose_in_the_earths_frame_comes_last() -> None:
 def test_a_world_with_its_z_down_is_known_by_its_name() -> None:
     topics, _ = FAMILIES["AirSim"]
     assert parse_rig(draft_rig(log_of(topics)), where="draft").motion.axes == "ned"
+
+
+def test_a_pose_that_is_a_transform_alone(tmp_path: Path) -> None:
+    path, still = tmp_path / "log.mcap", (0, 0, 0, 1)
+    with McapWriter(path) as writer:
+        for seconds, row in zip(TIME - TIME[0], zip(*QUANTITIES.values(), strict=True), strict=True):
+            of = dict(zip(QUANTITIES, row, strict=True))
+            turn, place = [of[f"q{axis}"] for axis in "xyzw"], [of[axis] for axis in "xyz"]
+            joints = ("odom", "base_link", place, turn), ("map", "odom", (9, 0, 0), still)
+            writer.write("/tf", transforms(*joints, seconds=seconds), stamp(seconds))
+            for name in ("throttle", "brake", "steer"):
+                writer.write(f"/{name}", make("std_msgs/Float64", data=of[name]), stamp(seconds))
+    log = open_log(path)
+    rig = parse_rig(draft_rig(log), where="test")
+    assert {rig.channels[name].topic for name in ("position", "orientation")} == {"/tf odom -> base_link"}
+    for found in (inspect_log(log), inspect_log(log, rig)):
+        assert found.usable, found.findings
+        assert found.topics[-1] == TopicRow("/tf odom -> base_link", STAMPED, len(TIME), pytest.approx(50), ANY)

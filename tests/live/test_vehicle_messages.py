@@ -161,6 +161,7 @@ ALIGNMENT = '[alignment]\ntopics = ["/odom"]\nspeed = { fields = ["x"] }\n'
     [
         ("[channels.position]\n", '[channels.position]\nunit = "lat lon"\n', "need an origin"),
         ("[lidars.lidar]", f"{ALIGNMENT}[lidars.lidar]", "whole logs"),
+        ('[channels.position]\ntopic = "/odom"', '[channels.position]\ntopic = "/tf odom -> base_link"', "logs only"),
     ],
 )
 def test_what_only_whole_logs_allow_is_refused(old, new, what):

@@ -13,7 +13,6 @@ from offpiste.geometry import rotation_from_quaternion
 from offpiste.inspection.channel_guesses import Guess, by_topic, guess_channels, of_one_vehicle
 from offpiste.inspection.commanded_motion import COMMANDED
 from offpiste.inspection.course import check_course
-from offpiste.inspection.draft_sensors import pose_by_transforms
 from offpiste.inspection.driven_path import driven_path
 from offpiste.inspection.findings import Cure, Finding
 from offpiste.inspection.pose import check_level, check_orientation, check_position_unit
@@ -201,7 +200,7 @@ def _first_cure(findings: Sequence[Finding]) -> Cure:
 
 def no_pose(log: Log) -> LogError:
     """The error where no topic looks like a pose: what there is instead, and what to do."""
-    how = _not_read(log) or pose_by_transforms(log) or "write a rig that names one"
+    how = _not_read(log) or "write a rig that names one"
     return LogError(
         "no topic looks like a pose (position and heading)",
         where=log.path,

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from offpiste.errors import LogError
 from offpiste.logs.log import Log
-from offpiste.logs.transforms import Transform, between
+from offpiste.logs.transforms import TRANSFORMS, Transform, between
 from offpiste.rig.sensors import TIME_FIELDS
 
 BODY = "base_link"
@@ -16,10 +16,6 @@ BODY = "base_link"
 LEAST_POINTS = 100
 """A cloud of fewer points is no scan."""
 
-_TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
-_BODIES = re.compile(r"base|body|vehicle|chassis|ego|imu|(^|[/_])(car|robot)([/_]|$)", re.IGNORECASE)
-"""Frames that a pose may be of, among those that move in one of `_WORLDS`."""
-_WORLDS = re.compile(r"odom|map|world|earth|local|enu|utm", re.IGNORECASE)
 _IMAGES = ("sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image")
 _NO_PICTURE = re.compile(r"depth|disparity|mask|label|theora", re.IGNORECASE)
 _NO_NAME = re.compile(r"^(image.*|compressed|raw|rect.*|color|rgb|points.*|cloud.*|pointcloud.*|sensors?|data)$", re.I)
@@ -39,7 +35,7 @@ def draft_sensors(log: Log, pose_topic: str) -> str:
     cameras, lidars = _images(log), _scans(log)
     if not cameras and not lidars:
         return ""
-    topics = sorted(name for name, topic in log.topics.items() if topic.type in _TRANSFORMS and topic.count)
+    topics = sorted(name for name, topic in log.topics.items() if topic.type in TRANSFORMS and topic.count)
     fixed = [name for name in topics if name.endswith("static")] or topics
     transforms = log.transforms(fixed)
     body = _body(log, pose_topic, transforms)
@@ -50,17 +46,6 @@ def draft_sensors(log: Log, pose_topic: str) -> str:
     for scan in lidars:
         parts.append(_lidar(log, scan, _name(scan, taken, "lidar"), body, transforms))
     return "\n".join(parts)
-
-
-def pose_by_transforms(log: Log) -> str:
-    """What to do where the pose of a body stands among the transforms alone; empty where it does not."""
-    topics = sorted(name for name, topic in log.topics.items() if topic.type in _TRANSFORMS and topic.count)
-    for topic in (name for name in topics if not name.endswith("static")):
-        for pair in log.transforms([topic]):
-            if _WORLDS.search(pair.parent) and _BODIES.search(pair.child):
-                known = f"{topic} has it as the transform {pair.parent} -> {pair.child}, which rigs do not read"
-                return f"{known}: record it as nav_msgs/Odometry as well"
-    return ""
 
 
 def missing(draft: str) -> list[str]:

@@ -14,7 +14,6 @@ from offpiste.inspection.recorded_log import Recorded, RememberedLog, beginning,
 from offpiste.inspection.stamps import check_spans
 from offpiste.logs.drive import Drive, drive_from_log
 from offpiste.logs.log import Log
-from offpiste.rig.channels import Clock
 from offpiste.rig.rig import Rig
 
 _LEAST_DRIVING = 6.0
@@ -46,7 +45,7 @@ def examine(log: RememberedLog, rig: Rig | None, *, given: bool) -> Examination:
         given: whether the rig is given, not drafted.
     """
     log = log.by(rig.clock) if rig else log
-    recorded, findings = read_topics(log, rig.clock if rig else Clock())
+    recorded, findings = read_topics(log, rig)
     topics = Topics(recorded, rig, given=given)
     if given:
         findings = [f for f in findings if f.where in {name or "table" for name in topics.used}]

@@ -101,13 +101,16 @@ def summarise(recorded: dict[str, Recorded], path: Path | None) -> Summary:
 
 
 def topic_rows(log: Log, recorded: dict[str, Recorded], clock: Clock) -> tuple[TopicRow, ...]:
-    """A row for every topic of a log."""
+    """A row for every topic of a log, and for those parts of one that the rig reads."""
     rows = []
     for name, topic in log.topics.items():
         seen = timing(recorded[name].time, max_gap=clock.max_gap) if name in recorded else None
         rate = seen.rate if seen and np.isfinite(seen.rate) else None
         seconds = seen.end - seen.start if seen and np.isfinite(seen.start) else None
-        rows.append(TopicRow(name or "table", topic.type, topic.count, rate, seconds))
+        if not topic.part_of:
+            rows.append(TopicRow(name or "table", topic.type, topic.count, rate, seconds))
+        elif name in recorded:
+            rows.append(TopicRow(name, topic.type, len(recorded[name].time), rate, seconds))
     return tuple(rows)
 
 

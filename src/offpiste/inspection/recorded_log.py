@@ -177,18 +177,19 @@ def is_bulk(topic: Topic) -> bool:
     return topic.count == 0 or _BULK.search(topic.type) is not None
 
 
-def read_topics(log: RememberedLog, clock: Clock) -> tuple[dict[str, Recorded], list[Finding]]:
+def read_topics(log: RememberedLog, rig: Rig | None) -> tuple[dict[str, Recorded], list[Finding]]:
     """Topics with numbers in them, and a finding for each topic or field that cannot be read.
 
     Args:
-        clock: which stamps count, and whether samples are put in their order.
+        rig: says which stamps count, and whether samples are put in their order; parts of topics are read if it does.
     """
-    stamps = clock.stamps
+    clock = rig.clock if rig else Clock()
+    stamps, used = clock.stamps, {source.topic for source in rig.channels.values()} if rig else set()
     recorded: dict[str, Recorded] = {}
     findings: list[Finding] = []
     for name, topic in track(log.topics.items(), "topics", total=len(log.topics)):
         fields = log.quantities(topic)
-        if not fields or is_bulk(topic):
+        if not fields or is_bulk(topic) or (topic.part_of and name not in used):
             continue
         readable, errors = _readable(log, name, fields, stamps)
         findings += [Finding("warning", name or "table", e.what, "on reading it", e.how, 1.0) for e in errors]

@@ -10,13 +10,12 @@ from jaxtyping import Float
 
 from offpiste.errors import LogError, PerceptionError
 from offpiste.live.vehicle_messages import NO_STAMP
-from offpiste.logs.formats.bag import transform_of
 from offpiste.logs.log import Log, RawCloud, Samples, Topic
 from offpiste.logs.measurements import Camera, Cloud, Image, Lidar, cloud_from_records
 from offpiste.logs.mountings import camera_of, lidar_of, refuse_rough
 from offpiste.logs.ros.bag_files import heard_at
 from offpiste.logs.ros.sensor_messages import decompressed, points_from_message, raw_pixels
-from offpiste.logs.transforms import Transform
+from offpiste.logs.transforms import Transform, transform_of
 from offpiste.rig.camera import CameraModel, model_from_message
 from offpiste.rig.rig import Rig
 from offpiste.rig.sensors import CameraSource, LidarSource

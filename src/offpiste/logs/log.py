@@ -37,6 +37,7 @@ class Topic:
         fields: names of the numeric fields; empty where they are known only from a message, and there is none.
         units: of fields, by name, where the log states them beside the names (`offpiste.rig.labels`).
         joints: what messages call the entries of their arrays, by field (sensor_msgs/JointState).
+        part_of: the topic among whose messages it is found, counted in the first of them; "" for one of the log's own.
     """
 
     name: str
@@ -45,6 +46,7 @@ class Topic:
     fields: tuple[str, ...]
     units: Mapping[str, str] = field(default_factory=dict)
     joints: Mapping[str, str] = field(default_factory=dict)
+    part_of: str = ""
 
     def in_words(self, name: str) -> str:
         """A field with the name of its joint: `position[1] (steering)`."""

@@ -1,13 +1,69 @@
-"""Fixed transforms of a log, and the chain of them between two frames."""
+"""Transforms of a log: the chain of fixed ones between two frames, and those of a body that moves, as topics.
 
-from collections.abc import Sequence
+A moving one has a topic of its own, called `/tf odom -> base_link`, whose fields are those of TransformStamped.
+"""
+
+import re
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from offpiste.errors import LogError
+from offpiste.geometry import rotation_from_quaternion
+
+TRANSFORMS: Final = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+"""Types of messages that carry them."""
+STAMPED: Final = "geometry_msgs/msg/TransformStamped"
+STAMPED_FIELDS: Final = (
+    *(f"transform.translation.{axis}" for axis in "xyz"),
+    *(f"transform.rotation.{axis}" for axis in "xyzw"),
+)
+_BODIES = re.compile(r"base|body|vehicle|chassis|ego|imu|(^|[/_])(car|robot)([/_]|$)", re.IGNORECASE)
+"""Frames that a pose may be of, among those that move in one of `_WORLDS`."""
+_WORLDS = re.compile(r"odom|map|world|earth|local|enu|utm", re.IGNORECASE)
+_NAME = re.compile(r"(\S+) (\S+) -> (\S+)")
+
+
+class Moving(NamedTuple):
+    """A transform of a topic of many."""
+
+    topic: str
+    parent: str
+    child: str
+
+    @property
+    def name(self) -> str:
+        """What its own topic is called."""
+        return f"{self.topic} {self.parent} -> {self.child}"
+
+    def of(self, message: Any) -> list[Any]:
+        """Those of it among the transforms of a message."""
+        return [one for one in message.transforms if frames(one) == (self.parent, self.child)]
+
+
+def moving(name: str) -> Moving | None:
+    """The transform whose own topic is called so; None where it is the name of any other."""
+    found = _NAME.fullmatch(name)
+    return None if found is None else Moving(*found.groups())
+
+
+def moving_bodies(topic: str, messages: Iterable[Any]) -> dict[Moving, int]:
+    """Transforms of a body in a world, by the names of their frames, and how many the messages have of each."""
+    result: dict[Moving, int] = {}
+    for one in (one for message in messages for one in message.transforms):
+        key = Moving(topic, *frames(one))
+        if _WORLDS.search(key.parent) and _BODIES.search(key.child) and moving(key.name) == key:
+            result[key] = result.get(key, 0) + 1
+    return result
+
+
+def frames(message: Any) -> tuple[str, str]:
+    """Parent and child of a geometry_msgs/TransformStamped."""
+    return message.header.frame_id.lstrip("/"), message.child_frame_id.lstrip("/")
 
 
 @dataclass(frozen=True)
@@ -48,6 +104,16 @@ def between(transforms: Sequence[Transform], parent: str, child: str, *, path: P
         what = f"the transform from '{parent}' to '{child}' is not rigid"
         raise LogError(what, where=path, how="give body_from_camera or body_from_lidar in the rig")
     return known[child]
+
+
+def transform_of(message: Any) -> Transform:
+    """The transform of a geometry_msgs/TransformStamped."""
+    t, q = message.transform.translation, message.transform.rotation
+    matrix = np.eye(4)
+    matrix[:3, 3] = t.x, t.y, t.z
+    with np.errstate(invalid="ignore"):  # a quaternion of zeros is found where the transform is used
+        matrix[:3, :3] = rotation_from_quaternion(np.array([[q.x, q.y, q.z, q.w]]))[0]
+    return Transform(*frames(message), matrix)
 
 
 def _is_rigid(matrix: Float[np.ndarray, "4 4"]) -> bool:

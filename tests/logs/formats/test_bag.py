@@ -19,6 +19,8 @@ from offpiste.logs.formats.bag import BagLog
 def test_ros2_mcap_of_a_turtlebot(data_folder: Path) -> None:
     log = BagLog(data_folder / "bags" / "evo_nav2_turtlebot.mcap")
     counts = {name: topic.count for name, topic in log.topics.items()}
+    body = "/tf odom -> base_link"
+    assert counts.pop(body) == 49, "of the first hundred messages"
     assert counts == {"/amcl_pose": 135, "/odom": 2639, "/tf": 5422, "/tf_static": 1}
     assert log.warnings == ()
     odom = log.topics["/odom"]
@@ -30,6 +32,9 @@ def test_ros2_mcap_of_a_turtlebot(data_folder: Path) -> None:
     assert samples.values.shape == (2639, 2)
     np.testing.assert_allclose(samples.values[0, 0], -2.80191663, atol=1e-8)
     np.testing.assert_allclose(samples.time[:2], [928.8, 928.836], atol=1e-9)
+    as_transform = log.read(body, ["transform.translation.x"])
+    np.testing.assert_array_equal(as_transform.values[:, 0], samples.values[:, 0])
+    np.testing.assert_array_equal(as_transform.time, samples.time)
 
 
 def test_ros1_bag_with_its_own_message_types(data_folder: Path) -> None:

@@ -2,7 +2,8 @@
 
 import weakref
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
+from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
@@ -10,7 +11,6 @@ import numpy as np
 from jaxtyping import Float
 
 from offpiste.errors import LogError
-from offpiste.geometry import rotation_from_quaternion
 from offpiste.logs.log import LOG_FORMATS, Log, RawCloud, RawImage, Samples, Topic
 from offpiste.logs.ros.bag_files import (
     MAGIC,
@@ -28,7 +28,7 @@ from offpiste.logs.ros.bag_files import (
 from offpiste.logs.ros.mcap_columns import Columns, columns_of
 from offpiste.logs.ros.mcap_recovery import StreamedMcap
 from offpiste.logs.ros.sensor_messages import Joints, decompressed, has_joints, points_from_message, raw_pixels
-from offpiste.logs.transforms import Transform
+from offpiste.logs.transforms import STAMPED, STAMPED_FIELDS, TRANSFORMS, Transform, moving, moving_bodies, transform_of
 from offpiste.rig.camera import CameraModel, model_from_message
 
 _IMAGE_TYPES: Final = ("sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image")
@@ -37,7 +37,6 @@ _CALIBRATIONS: Final = ("sensor_msgs/msg/CameraInfo",)
 _JOINTS: Final = "sensor_msgs/msg/JointState"
 _FIRST: Final = 100
 """Messages of a topic that are asked for the names of its joints, or the lengths of its sequences."""
-_TRANSFORMS: Final = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 
 
 @LOG_FORMATS.register("bag")
@@ -47,7 +46,9 @@ class BagLog(Log):
     Fields are dotted paths to numbers and booleans, e.g. `pose.pose.position.x` or `pose.covariance[0]`: entries of
     fixed-size arrays of at most 36, and the first 36 that a sequence has in the topic's first message where it is not
     empty (where a later message has fewer, they are NaN). Entries of sensor_msgs/JointState go by their names, which
-    are those of the first hundred messages. Headers, text, raw bytes and sequences of messages are no fields.
+    are those of the first hundred messages. A transform of a body in a world that the first hundred messages of
+    tf2_msgs/TFMessage have is a topic of its own (`offpiste.logs.transforms`). Headers, text, raw bytes and sequences
+    of messages are no fields.
     Samples come in the order of arrival. An MCAP file without its end is read as far as it goes.
 
     Raises:
@@ -68,6 +69,7 @@ class BagLog(Log):
                 stack.callback(reader.close)
             names = {connection.topic for reader in self._readers for connection in reader.connections}
             self._topics = {name: self._describe(name, notes) for name in sorted(names)}
+            self._topics |= {topic.name: topic for topic in self._moving_bodies()}
             weakref.finalize(self, stack.pop_all().close)
         self.warnings = tuple(notes)
 
@@ -131,8 +133,23 @@ class BagLog(Log):
             notes.append(f"topic '{name}': {error}")
             return Topic(name, error.what, count, ())
 
+    def _moving_bodies(self) -> list[Topic]:
+        """Topics of transforms of a body in a world."""
+        result: list[Topic] = []
+        for topic in self._topics.values():
+            if topic.type in TRANSFORMS and not topic.name.endswith("static"):
+                first = (message for _, message in islice(self._messages(topic.name, topic.type), _FIRST))
+                with suppress(LogError):  # where it is read, damage is an error
+                    for one, count in moving_bodies(topic.name, first).items():
+                        result.append(Topic(one.name, STAMPED, count, STAMPED_FIELDS, part_of=topic.name))
+        return result
+
     def _messages(self, name: str, msgtype: str, decoder: MakeDecoder | None = None) -> Iterator[tuple[int, object]]:
         """Time of arrival [ns] and decoded message."""
+        if (one := moving(name)) is not None:
+            for received, message in self._messages(one.topic, self._topics[one.topic].type):
+                yield from ((received, stamped) for stamped in one.of(message))
+            return
         make = decoder or whole_messages
         for reader in self._readers:
             connections = [c for c in reader.connections if c.topic == name and c.msgtype == msgtype]
@@ -186,7 +203,7 @@ class BagLog(Log):
         result: dict[tuple[str, str], Transform] = {}
         for topic in topics:
             if topic in self.topics:
-                for _, message in self._typed(topic, _TRANSFORMS):
+                for _, message in self._typed(topic, TRANSFORMS):
                     for transform in map(transform_of, message.transforms):
                         result.setdefault((transform.parent, transform.child), transform)
         return list(result.values())
@@ -262,16 +279,6 @@ def _images(messages: Iterator[tuple[float, Any]], topic: str) -> Iterator[RawIm
 def _clouds(messages: Iterator[tuple[float, Any]]) -> Iterator[RawCloud]:
     for time, message in messages:
         yield RawCloud(time, _frame(message), points_from_message(message))
-
-
-def transform_of(message: Any) -> Transform:
-    """The transform of a geometry_msgs/TransformStamped."""
-    t, q = message.transform.translation, message.transform.rotation
-    matrix = np.eye(4)
-    matrix[:3, 3] = t.x, t.y, t.z
-    with np.errstate(invalid="ignore"):  # a quaternion of zeros is found where the transform is used
-        matrix[:3, :3] = rotation_from_quaternion(np.array([[q.x, q.y, q.z, q.w]]))[0]
-    return Transform(message.header.frame_id.lstrip("/"), message.child_frame_id.lstrip("/"), matrix)
 
 
 def _frame(message: Any) -> str:

@@ -1,0 +1,79 @@
+"""Bodies that move in a world as transforms: which have topics of their own, and what is read from them."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rosbags import rosbag1
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from offpiste.errors import LogError
+from offpiste.logs.formats.bag import BagLog
+from offpiste.logs.ros.writer import McapWriter
+from offpiste.logs.transforms import STAMPED_FIELDS, Moving, moving
+from sensor_bags import SECOND, stamp, transforms
+
+STILL = (0, 0, 0, 1)
+BODY = "/tf odom -> base_link"
+
+
+def robot(seconds: float):
+    """The chain of a robot that maps, and a wheel, stamped 20 ms before."""
+    chain = [("odom", "base_link", (2 * seconds, seconds, 0), STILL), ("base_link", "wheel", (0, 1, 0), STILL)]
+    return transforms(*chain, ("map", "odom", (0.1, 0, 0), STILL), seconds=seconds - 0.02)
+
+
+def recorded(path: Path, messages) -> BagLog:
+    with McapWriter(path) as writer:
+        for seconds, topic, message in messages:
+            writer.write(topic, message, stamp(seconds))
+    return BagLog(path)
+
+
+def test_a_body_has_a_topic_of_its_own(tmp_path: Path) -> None:
+    times = np.arange(0, 20, 0.1)
+    others = [(t, "/tf", transforms(("map", "odom", (0.1, 0, 0), STILL), seconds=t)) for t in times + 0.05]
+    still = [(0.0, "/tf_static", transforms(("map", "base_marker", (9, 9, 9), STILL)))]
+    log = recorded(tmp_path / "log.mcap", [*still, *((t, "/tf", robot(t)) for t in times), *others])
+    assert list(log.topics) == ["/tf", "/tf_static", BODY], "neither wheels, nor the map's drift, nor what stands"
+    assert (log.topics[BODY].fields, log.topics[BODY].part_of) == (STAMPED_FIELDS, "/tf")
+    read = log.read(BODY, ("transform.translation.y", "transform.rotation.w"))
+    np.testing.assert_allclose(read.values, np.stack([times, np.ones(200)], 1))
+    np.testing.assert_allclose(read.time, 100 + times - 0.02)
+    np.testing.assert_allclose(log.read(BODY, STAMPED_FIELDS, stamps="receive").time, 100 + times)
+    np.testing.assert_array_equal(log.stamps(BODY), read.time)
+    assert {message.child_frame_id for _, message in log.messages(BODY)} == {"base_link"}
+    with pytest.raises(LogError, match="has no field 'x'"):
+        log.read(BODY, ["x"])
+    with pytest.raises(LogError, match="no topic '/tf odom -> wheel'"):
+        log.read("/tf odom -> wheel", STAMPED_FIELDS)
+
+
+def test_frames_of_ros_1_have_a_slash(tmp_path: Path) -> None:
+    """And two robots have two bodies."""
+    store, kind = get_typestore(Stores.ROS1_NOETIC), "tf2_msgs/msg/TFMessage"
+    store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", kind))
+    types = store.types
+    with rosbag1.Writer(tmp_path / "log.bag") as writer:
+        connection = writer.add_connection("/tf", kind, typestore=store)
+        for k in range(5):
+            sent = []
+            for robot, x in (("a", 1.0), ("b", 2.0)):
+                time = types["builtin_interfaces/msg/Time"](sec=100 + k, nanosec=0)
+                head = types["std_msgs/msg/Header"](seq=k, stamp=time, frame_id=f"/{robot}/odom")
+                place = types["geometry_msgs/msg/Vector3"](x=x * k, y=0.0, z=0.0)
+                turn = types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0)
+                put = types["geometry_msgs/msg/Transform"](translation=place, rotation=turn)
+                stamped = types["geometry_msgs/msg/TransformStamped"]
+                sent.append(stamped(header=head, child_frame_id=f"/{robot}/base_link", transform=put))
+            writer.write(connection, (100 + k) * SECOND, store.serialize_ros1(types[kind](transforms=sent), kind))
+    log = BagLog(tmp_path / "log.bag")
+    assert [one for one in log.topics if "->" in one] == ["/tf a/odom -> a/base_link", "/tf b/odom -> b/base_link"]
+    read = log.read("/tf b/odom -> b/base_link", ["transform.translation.x"])
+    assert read.values[:, 0].tolist() == [0, 2, 4, 6, 8]
+
+
+def test_names_that_are_no_transforms() -> None:
+    assert moving("/tf") is moving("") is moving("/tf odom ->") is None
+    assert moving(BODY) == Moving("/tf", "odom", "base_link")
+    assert moving(BODY).name == BODY
