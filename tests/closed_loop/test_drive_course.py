@@ -135,6 +135,7 @@ def test_no_course_where_a_vehicle_would_be_stuck(driven):
             ({"course": CourseSettings(speed=speed)}, f"a wanted speed of {speed:g} m/s")
             for speed in (float("nan"), float("inf"), 0.0, -7.0, 31.0)
         ),
+        ({"fault_when": "backwards"}, "a fault cannot begin 'backwards'"),
         *(({"fault_start": start}, f"a fault from {start:g} s on") for start in (float("nan"), float("inf"), -1.0)),
         ({"sensors": "heavy"}, "no sensor profile"),
     ],

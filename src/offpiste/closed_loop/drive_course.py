@@ -13,7 +13,7 @@ from offpiste._version import commit, today
 from offpiste.channels import registered_actuators
 from offpiste.closed_loop.courses import KINDS as COURSE_KINDS
 from offpiste.closed_loop.courses import ChosenCourse, CourseSettings, choose_course, course_world
-from offpiste.closed_loop.faults import KINDS, Fault, Kind, When
+from offpiste.closed_loop.faults import KINDS, WHENS, Fault, Kind, When
 from offpiste.closed_loop.lockstep import Driving, cameras_of, drive_planned, lidars_of
 from offpiste.closed_loop.pictures import course_picture
 from offpiste.closed_loop.planner import Planner
@@ -199,6 +199,8 @@ def check_settings(settings: CourseDriveSettings) -> None:
         )
     if settings.fault not in KINDS:
         raise OffpisteError(f"no fault is called {settings.fault!r}", how=f"choose one of {', '.join(KINDS)}")
+    if settings.fault_when not in WHENS:
+        raise OffpisteError(f"a fault cannot begin {settings.fault_when!r}", how=f"choose one of {', '.join(WHENS)}")
     if not 0 <= settings.fault_start < (settings.seconds if settings.fault != "none" else math.inf):
         how = f"give --fault-start of 0 or more, before the drive's end at {settings.seconds:g} s"
         raise OffpisteError(f"a fault from {settings.fault_start:g} s on", how=how)

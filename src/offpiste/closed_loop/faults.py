@@ -11,8 +11,8 @@ from offpiste.runtime.runtime import Runtime
 
 Kind = Literal["none", "camera-dropped", "lidar-dropped", "late-image", "nan-features", "map-empty"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
-
 When = Literal["time", "reversing"]
+WHENS: tuple[When, ...] = get_args(When)
 
 BACKWARDS = 0.5
 """Rolling speed of the wheels from which the vehicle drives backwards [m/s]."""

@@ -168,26 +168,24 @@ class Joints:
 
     def reader(self, fields: Sequence[str]) -> Callable[[Any], list[float]]:
         """Function that reads entries of a message; NaN where it has no joint of that name."""
-        wanted = [(field.partition("[")[0], self._entry(field)) for field in fields]
-
-        def read(message: Any) -> list[float]:
-            places = _places(message)
-            arrays = {array: getattr(message, array) for array in JOINT_ARRAYS}
-            at = [(arrays[array], places.get(entry, math.inf)) for array, entry in wanted]
-            return [float(values[int(place)]) if place < len(values) else math.nan for values, place in at]
-
-        return read
+        return _entries_reader([(field.partition("[")[0], self._entry(field)) for field in fields])
 
 
 def joint_getter(field: str, joint: str) -> Callable[[Any], float]:
     """Function that reads a joint's entry of a message, by its name alone; NaN where the message has no such joint."""
-    array = field.partition("[")[0]
+    read = _entries_reader([(field.partition("[")[0], (joint, 0))])
+    return lambda message: read(message)[0]
 
-    def get(message: Any) -> float:
-        place, values = _places(message).get((joint, 0), math.inf), getattr(message, array)
-        return float(values[int(place)]) if place < len(values) else math.nan
 
-    return get
+def _entries_reader(wanted: Sequence[tuple[str, tuple[str, int]]]) -> Callable[[Any], list[float]]:
+    """Function that reads entries of arrays, each by its name and how many of that name come before."""
+
+    def read(message: Any) -> list[float]:
+        places = _places(message)
+        at = [(getattr(message, array), places.get(entry, math.inf)) for array, entry in wanted]
+        return [float(values[int(place)]) if place < len(values) else math.nan for values, place in at]
+
+    return read
 
 
 def has_joints(fields: Sequence[Any]) -> bool:
