@@ -352,3 +352,12 @@ def test_controls_are_those_of_the_vehicle_whose_pose_is_read(poses, controls, r
             "or declare them absent."
         ]
     )
+
+
+def test_a_control_that_never_changes_is_named() -> None:
+    still = CLEAN.change("pedals", "throttle", lambda values: 0.25 + 0 * values)
+    (line,) = [line for line in missing(draft_rig(still)) if line.startswith("throttle")]
+    assert line.startswith("throttle: pedals throttle is always 0.25; without it no model")
+    unsteered = still.change("steering", "command", np.zeros_like).change("steering", "angle", np.zeros_like)
+    (line,) = [line for line in missing(draft_rig(unsteered)) if line.startswith("steering")]
+    assert line.startswith("steering: steering command is always 0; no model")

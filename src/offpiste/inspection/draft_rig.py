@@ -12,11 +12,11 @@ from msgspec import structs
 
 from offpiste.errors import OffpisteError, RigError
 from offpiste.files import write_text
-from offpiste.inspection.channel_guesses import DOWN
+from offpiste.inspection.channel_guesses import DOWN, guess_channels
 from offpiste.inspection.commanded_motion import is_turn_rate
 from offpiste.inspection.controls_by_numbers import find_controls, is_measured
 from offpiste.inspection.draft_channels import Found, draft_channels, of_other_vehicles
-from offpiste.inspection.draft_pose import Entry, no_pose, pose_cure
+from offpiste.inspection.draft_pose import Entry, field_values, no_pose, pose_cure
 from offpiste.inspection.draft_sensors import draft_sensors
 from offpiste.inspection.draft_values import (
     GUESSED,
@@ -42,11 +42,11 @@ from offpiste.rig.labels import is_array_entry, named_down
 from offpiste.rig.rig import Rig, parse_rig
 
 _NO_STEERING = (
-    "# MISSING: steering: no field looks like it; no model can do without. Add [channels.steer] and take steer out of"
+    "# MISSING: steering: {seen}; no model can do without. Add [channels.steer] and take steer out of"
     " `absent`. {candidates}\n"
 )
 _NO_THROTTLE = (
-    "# MISSING: throttle: no field looks like it; without it no model can foresee the speed. Add [channels.throttle]"
+    "# MISSING: throttle: {seen}; without it no model can foresee the speed. Add [channels.throttle]"
     " and take throttle out of `absent`.\n"
 )
 _COMMANDS = re.compile(r"steer|joy|com+and|cmd|control", re.IGNORECASE)
@@ -169,8 +169,9 @@ def _text(log: Log, seen: _Seen) -> str:
         entries["yaw"] = replace(entries["yaw"], lines=unit, comment=comment)
     absent = undeclared(entries)
     parts = [_header(log, entries, absent, seen)]
-    parts += [_NO_STEERING.format(candidates=_candidates(log))] if "steer" in absent else []
-    parts += [_NO_THROTTLE] if "throttle" in absent else []
+    if "steer" in absent:
+        parts += [_NO_STEERING.format(seen=_seen_of(log, "steer", "steer_angle"), candidates=_candidates(log))]
+    parts += [_NO_THROTTLE.format(seen=_seen_of(log, "throttle"))] if "throttle" in absent else []
     parts += of_other_vehicles(entries)
     for channel, entry in entries.items():
         parts += [
@@ -244,7 +245,7 @@ def _unread(log: Log, entries: Mapping[str, Entry]) -> list[str]:
     for name in dict.fromkeys((*(entry.guess.topic for entry in entries.values()), *log.topics)):
         read = {field for e in entries.values() if e.guess.topic == name for field in e.guess.fields}
         topic = log.topics[name]
-        if is_bulk(topic):
+        if is_bulk(topic) or (topic.part_of and not read):
             continue
         named = [f for f in topic.fields if f in topic.joints or not read or not is_array_entry(f)]
         named = [f for f in named if not _COVARIANCE.search(f)]
@@ -254,6 +255,15 @@ def _unread(log: Log, entries: Mapping[str, Entry]) -> list[str]:
             where = f"fields of {name}" if name else "columns"
             lines += wrap(f"Not read: {where}: {', '.join(rest[:_LISTED] + more)}", 118)
     return [*(f"# {line}" for line in lines), ""] if lines else []
+
+
+def _seen_of(log: Log, *channels: str) -> str:
+    """Why a control has no field: what is called so never changes, or nothing is."""
+    for guess in guess_channels(log):
+        values = field_values(log, guess) if guess.channel in channels else None
+        if values is not None and np.ptp(values) == 0:
+            return f"{guess.topic and f'{guess.topic} '}{', '.join(guess.fields)} is always {values[0, 0]:g}"
+    return "no field looks like it"
 
 
 def _candidates(log: Log) -> str:
