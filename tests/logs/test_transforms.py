@@ -49,6 +49,15 @@ def test_a_body_has_a_topic_of_its_own(tmp_path: Path) -> None:
         log.read("/tf odom -> wheel", STAMPED_FIELDS)
 
 
+def test_a_body_that_comes_late_is_found(tmp_path: Path) -> None:
+    """And those of the hundred messages from there on are counted."""
+    wheel = ("base_link", "wheel", (0, 1, 0), STILL)
+    early = [(t, "/tf", transforms(wheel, seconds=t)) for t in np.arange(0, 10, 0.02)]
+    log = recorded(tmp_path / "log.mcap", [*early, *((t, "/tf", robot(t)) for t in np.arange(10, 20, 0.05))])
+    assert log.topics[BODY].count == 100
+    assert len(log.read(BODY, STAMPED_FIELDS).time) == 200
+
+
 def test_frames_of_ros_1_have_a_slash(tmp_path: Path) -> None:
     """And two robots have two bodies."""
     store, kind = get_typestore(Stores.ROS1_NOETIC), "tf2_msgs/msg/TFMessage"

@@ -6,6 +6,7 @@ A moving one has a topic of its own, called `/tf odom -> base_link`, whose field
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -24,7 +25,9 @@ STAMPED_FIELDS: Final = (
 )
 _BODIES = re.compile(r"base|body|vehicle|chassis|ego|imu|(^|[/_])(car|robot)([/_]|$)", re.IGNORECASE)
 """Frames that a pose may be of, among those that move in one of `_WORLDS`."""
-_WORLDS = re.compile(r"odom|map|world|earth|local|enu|utm", re.IGNORECASE)
+_WORLDS = re.compile(r"odom|map|world|earth|local|enu|utm|camera_init", re.IGNORECASE)
+_SOUGHT, _COUNTED = 10_000, 100
+"""Messages in which a first body is sought, and those from there on that are asked for others."""
 _NAME = re.compile(r"(\S+) (\S+) -> (\S+)")
 
 
@@ -52,12 +55,20 @@ def moving(name: str) -> Moving | None:
 
 
 def moving_bodies(topic: str, messages: Iterable[Any]) -> dict[Moving, int]:
-    """Transforms of a body in a world, by the names of their frames, and how many the messages have of each."""
+    """Transforms of a body in a world, by the names of their frames, and how many of each the first messages have.
+
+    A localiser that starts late is found among the first ten thousand.
+    """
     result: dict[Moving, int] = {}
-    for one in (one for message in messages for one in message.transforms):
-        key = Moving(topic, *frames(one))
-        if _WORLDS.search(key.parent) and _BODIES.search(key.child) and moving(key.name) == key:
-            result[key] = result.get(key, 0) + 1
+    left = _COUNTED
+    for message in islice(messages, _SOUGHT):
+        for one in message.transforms:
+            key = Moving(topic, *frames(one))
+            if _WORLDS.search(key.parent) and _BODIES.search(key.child) and moving(key.name) == key:
+                result[key] = result.get(key, 0) + 1
+        left -= bool(result)
+        if not left:
+            break
     return result
 
 

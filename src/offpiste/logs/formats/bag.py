@@ -3,7 +3,6 @@
 import weakref
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, suppress
-from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
@@ -46,7 +45,7 @@ class BagLog(Log):
     Fields are dotted paths to numbers and booleans, e.g. `pose.pose.position.x` or `pose.covariance[0]`: entries of
     fixed-size arrays of at most 36, and the first 36 that a sequence has in the topic's first message where it is not
     empty (where a later message has fewer, they are NaN). Entries of sensor_msgs/JointState go by their names, which
-    are those of the first hundred messages. A transform of a body in a world that the first hundred messages of
+    are those of the first hundred messages. A transform of a body in a world that the first messages of
     tf2_msgs/TFMessage have is a topic of its own (`offpiste.logs.transforms`). Headers, text, raw bytes and sequences
     of messages are no fields.
     Samples come in the order of arrival. An MCAP file without its end is read as far as it goes.
@@ -138,7 +137,7 @@ class BagLog(Log):
         result: list[Topic] = []
         for topic in self._topics.values():
             if topic.type in TRANSFORMS and not topic.name.endswith("static"):
-                first = (message for _, message in islice(self._messages(topic.name, topic.type), _FIRST))
+                first = (message for _, message in self._messages(topic.name, topic.type))
                 with suppress(LogError):  # where it is read, damage is an error
                     for one, count in moving_bodies(topic.name, first).items():
                         result.append(Topic(one.name, STAMPED, count, STAMPED_FIELDS, part_of=topic.name))
