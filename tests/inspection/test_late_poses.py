@@ -6,7 +6,8 @@ from simulated import MemoryLog, drive_log, rig
 
 from offpiste.inspection.driven_path import driven_path
 from offpiste.inspection.inspect import inspect_log
-from offpiste.inspection.late_poses import Interval, _far_behind
+from offpiste.inspection.lags import LAGS, LagFit
+from offpiste.inspection.late_poses import Interval, _far_behind, _intervals
 from offpiste.logs.drive import drive_from_log
 
 FIELDS = {
@@ -54,6 +55,16 @@ def test_no_other_heading_is_late_by_much(late: float) -> None:
 
 def test_stamps_that_agree_raise_nothing() -> None:
     assert [f for f in inspect_log(_late("position", 0.0), rig()).findings if f.severity == "warning"] == []
+
+
+@pytest.mark.parametrize(("sign", "lags"), [(1, [0.1]), (-1, [])])
+def test_a_driver_who_lets_go_before_a_bend_makes_no_pose_late(sign: int, lags: list[float]) -> None:
+    """What follows an open throttle goes faster; what comes before it and goes slower is another reason."""
+    drive = drive_from_log(_late("position", 0.0), rig())
+    r = sign * np.exp(-((LAGS - 0.1 * sign) ** 2)) * 0.6
+    fit = LagFit(LAGS, r, r, 1000, np.stack([r, r]), np.stack([r, r]))
+    behind = [one for one in _intervals(drive, driven_path(drive), {}, {"throttle": fit}) if one.other == "throttle"]
+    assert [one.time for one in behind] == pytest.approx(lags)
 
 
 @pytest.mark.parametrize("late", [(), ("orientation",), ("position", "orientation")])

@@ -15,6 +15,7 @@ from offpiste.geometry import planar_body_from_world
 from offpiste.inspection.driven_path import STEP, Path
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.lags import SURE, LagFit, fit_lags
+from offpiste.inspection.pedals import EFFECTS
 from offpiste.inspection.steering_fit import SteeringFit, moving_rows
 from offpiste.inspection.velocity import fit_delayed, fit_frames, fit_turn_rate, fit_wheel_speed, turn_rate_name
 from offpiste.logs.drive import Drive
@@ -38,7 +39,7 @@ _POSE: Final = ("position", "orientation", "yaw")
 _SENSORS: Final = {"steer": "steering", "steer_angle": "steering", "throttle": "pedals", "brake": "pedals"}
 """Channels of a topic that are late together."""
 _CLEAR: Final = 0.5
-"""Correlation above which a pedal shows a delay."""
+"""Correlation above which a pedal shows a delay, of its own effect."""
 _SLIP: Final = (-0.025, 0.012, 0.06)
 """Time by which the heading is behind the course, over the speed, its spread [s^2/m], and the spread of the rest [s]:
 a rear axle slips in proportion to its lateral acceleration, at 1 rad for some 40 m/s^2."""
@@ -140,8 +141,9 @@ def _intervals(
         if fit.has_effect:
             yield _interval(heading, name, *fit.dynamic.delay(fit.dynamic.best(sign=fit.sign)), _STEERING[name])
     for name, pedal in pedals.items():
-        if pedal.strength > _CLEAR and 0 < pedal.best() < len(pedal.lags) - 1:
-            yield _interval("position", name, *pedal.delay(pedal.best()), _PEDAL)
+        best = pedal.best(sign=EFFECTS[name])  # a driver who looks ahead lets go before it is slower
+        if EFFECTS[name] * pedal.r[best] > _CLEAR and 0 < best < len(pedal.lags) - 1:
+            yield _interval("position", name, *pedal.delay(best), _PEDAL)
     yield from _behind_the_course(heading, path)
 
 

@@ -87,7 +87,7 @@ def _others_work(drive: Drive, path: Path) -> bool:
     return False
 
 
-_EFFECTS = {"throttle": 1, "brake": -1}
+EFFECTS = {"throttle": 1, "brake": -1}
 """Signs of the pedals' effects on the acceleration."""
 OWN_DELAY = {"throttle": (-0.07, 0.8), "brake": (-0.07, 0.5)}
 """Delays of the acceleration that are the vehicle's own [s]: engines spool up, and brakes bite."""
@@ -118,9 +118,9 @@ def check_pedals(fits: Mapping[str, LagFit], drive: Drive, path: Path) -> list[F
         fits: of `pedal_fits`.
     """
     findings: list[Finding] = []
-    both = _both_flipped(drive) if {*fits} == {*_EFFECTS} else None
+    both = _both_flipped(drive) if {*fits} == {*EFFECTS} else None
     for name, fit in fits.items():
-        sign = _EFFECTS[name]
+        sign = EFFECTS[name]
         own = OWN_DELAY[name]
         right, wrong = fit.best(*own, sign=sign), fit.best(*own, sign=-sign)
         late = fit.best(sign=sign)
@@ -221,8 +221,8 @@ def _acts_alone(name: str, drive: Drive, path: Path) -> bool:
     fit = fit_lags(pushed, base, lagged(drive.channels[name], path.time, drive.rig), LAGS, rows)
     if fit is None:
         return False
-    best = fit.best(*OWN_DELAY[name], sign=_EFFECTS[name])
-    r = _EFFECTS[name] * float(fit.r[best])
+    best = fit.best(*OWN_DELAY[name], sign=EFFECTS[name])
+    r = EFFECTS[name] * float(fit.r[best])
     return r > max(_PEDAL_EFFECT, SURE * fit.r_sigma(best))
 
 
@@ -253,7 +253,7 @@ def _idle(name: str, drive: Drive, path: Path) -> list[Finding]:
 
 def pedal_fits(drive: Drive, path: Path) -> dict[str, LagFit]:
     """Fits of the pedals that move, by name."""
-    moved = [name for name in _EFFECTS if name in drive.channels and np.ptp(drive.channels[name].values) > 0]
+    moved = [name for name in EFFECTS if name in drive.channels and np.ptp(drive.channels[name].values) > 0]
     others = {"throttle": drive.channels.get("brake"), "brake": drive.channels.get("throttle")}
     fits = {name: pedal_fit(drive.channels[name], others[name], path, drive.rig) for name in moved}
     return {name: fit for name, fit in fits.items() if fit is not None}
@@ -291,7 +291,7 @@ def _both_flipped(drive: Drive) -> tuple[Edit, ...] | None:
 
     Reversed pedals are released, and exchanged ones pressed, where both rest: nobody presses both most of the time.
     """
-    pedals = {name: drive.channels[name] for name in _EFFECTS}
+    pedals = {name: drive.channels[name] for name in EFFECTS}
     resting = [rests_high(pedal.values[:, 0]) for pedal in pedals.values()]
     if not all(resting):
         return None
