@@ -14,9 +14,9 @@ from offpiste.mapping.terrain_sampler import sample_maps, stack_maps
 def test_a_snapshot_reaches_as_far_as_five_seconds_and_a_margin():
     flat = TerrainMap(np.zeros(2) - 60, 0.25, np.zeros((481, 481), np.float32), np.zeros((481, 481, 1)), None)
     flat = dataclasses.replace(flat, rise=np.zeros((481, 481, 2), np.float32))
-    for yaw in (0.0, np.pi / 2):  # at 4 m/s: a disc of 10 + 18 m, 10 m ahead
-        ahead = np.array([np.cos(yaw), np.sin(yaw)])
-        cells = crop(flat, np.array([1.0, 2.0, yaw, 4.0, 0.0, 0.0]), 18.0)
+    for yaw, speed in ((0.0, 4.0), (np.pi / 2, 4.0), (1.0, 0.0), (2.0, -0.1), (3.0, -4.0)):
+        ahead = (-1 if speed < -1 else 1) * np.array([np.cos(yaw), np.sin(yaw)])
+        cells = crop(flat, np.array([1.0, 2.0, yaw, speed, 0.0, 0.0]), 18.0)  # a disc of 10 + 18 m, 10 m ahead
         row, column = np.divmod(cells.place, cells.shape[1])
         places = cells.origin + 0.25 * np.stack((column, row), axis=-1)
         along = (places - [1.0, 2.0]) @ ahead

@@ -63,11 +63,12 @@ def snapshots(
     rows = extract_rows(drive_from_log(log, rig))
     folder, settings = log_path.with_suffix(".snapshots"), SnapshotSettings(seconds=0.0, most=10**6, latency=latency)
     writer = SnapshotWriter(folder, SETTINGS.map.voxels.size, 3)
-    kept = keeper(writer, SnapshotSchedule([np.isfinite(rows.state_causal).all(axis=1)], settings), settings)
     sensors = open_sensors(log, rig)
+    schedule = SnapshotSchedule([np.isfinite(rows.state_causal).all(axis=1)], settings)
+    kept = keeper(writer, schedule, settings, rows, sensors.poses)
     for moment in replay(sensors, pinhole_cameras(sensors, PATCH), mean_colours, 3, SETTINGS, end=104.2):
-        kept.update(moment, rows)
-    writer.close()
+        kept.update(moment)
+    kept.close()
     opened = open_snapshots(folder)
     maps = [opened.load(number) for number in range(len(opened.row))]
     arrays = [(m.origin, m.elevation, m.rise, m.features) for m in maps]
@@ -97,15 +98,15 @@ def differing(
 class AtStamp(SnapshotKeeper):
     """Keeps maps at the stamps of scans, whose points are measured later."""
 
-    def update(self, moment: Moment, rows: Rows) -> None:
-        super().update(replace(moment, measured=moment.time - self.settings.latency, placed=moment.time), rows)
+    def update(self, moment: Moment) -> None:
+        super().update(replace(moment, measured=moment.time - self.settings.latency, placed=moment.time))
 
 
 class WithoutPoses(SnapshotKeeper):
     """Does not wait for the pose after the last point, towards which poses are interpolated."""
 
-    def update(self, moment: Moment, rows: Rows) -> None:
-        super().update(replace(moment, placed=moment.time), rows)
+    def update(self, moment: Moment) -> None:
+        super().update(replace(moment, placed=moment.time))
 
 
 IN_A_SWEEP, BEFORE_A_POSE = (PERCEPTION_LATENCY, 3.21), (0.0, 3.085)

@@ -14,6 +14,7 @@ from offpiste.dataset.extract import described
 from offpiste.dataset.resample import Rows
 from offpiste.dataset.split_balance import (
     LEAST_WINDOWS,
+    PartFacts,
     apart,
     better_split,
     complaints,
@@ -106,6 +107,23 @@ def test_a_part_that_the_split_leaves_out_or_that_has_no_row_is_not_compared() -
     rows = at_speed(wandering(20000))
     assert [part.name for part in part_facts(dataset(rows, "blocks:0.8,0,0.2"))] == ["train", "test"]
     assert split_warning(dataset(at_speed(wandering(900)))) is None
+
+
+def test_squares_that_leave_a_part_out_are_said_to() -> None:
+    rows = circle_rows(12000, speed=6.0, yaw_rate=0.1)
+    lines = {metres: split_warning(dataset(rows, f"places:{metres}")) or "" for metres in (30, 75, 150)}
+    assert "no square" not in lines[30]
+    assert "no square is for validation;" in lines[75]
+    assert "no square is for validation; no square is for test;" in lines[150]
+
+
+def test_parts_are_compared_with_the_one_that_trains() -> None:
+    def facts(name: str, speed: float) -> PartFacts:
+        return PartFacts(name, 500, 1.5, 100.0, np.full(5000, speed), speed, 0.1)
+
+    (said,) = complaints((facts("train", 2.0), facts("test", 9.0)))
+    assert said == "test drives at a median of 9.0 m/s, train at 2.0 m/s"
+    assert not list(complaints((facts("validation", 2.0), facts("test", 9.0))))
 
 
 @settings(max_examples=30, deadline=None)

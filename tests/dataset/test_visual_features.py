@@ -82,12 +82,12 @@ def test_a_pca_is_fitted_on_the_same_images_again_from_its_list(folder: Path) ->
     assert exit_.value.code == 1
 
 
-def test_processes_fit_the_pca_that_one_does(folder: Path, tmp_path: Path) -> None:
+def test_processes_fit_the_pca_that_one_does_whatever_the_order_of_the_logs(folder: Path, tmp_path: Path) -> None:
     logs = [folder / "drive.mcap", shutil.copyfile(folder / "drive.mcap", tmp_path / "other.mcap")]
     rig, split = load_rig("proving_ground"), parse_split(write_drives(tmp_path / "parts.txt", PARTS_OF_DRIVES))
     alone, shared = (
-        fit_pca(logs, rig, split, open_backbone("filterbank"), images=6, components=4, processes=processes)
-        for processes in (1, 2)
+        fit_pca(given, rig, split, open_backbone("filterbank"), images=6, components=4, processes=processes)
+        for processes, given in ((1, logs), (2, logs[::-1]))
     )
     assert shared.images == alone.images
     assert {image.drive for image in alone.images} == {"drive", "other"}

@@ -15,6 +15,7 @@ import sys
 import numpy as np
 from offpiste.dataset.store import open_dataset
 from offpiste.dataset.windows import Windows
+from offpiste.evaluation.evaluated_windows import EvaluatedWindows
 from offpiste.runtime.estimator import VehicleReading, VehicleTrack
 
 dataset = open_dataset(sys.argv[1])
@@ -24,6 +25,8 @@ time, row = dataset.drives[0].rows.time, windows.rows
 np.testing.assert_allclose(batch.extra["temperature"]["start"], 20 + 0.1 * time[row], atol=1e-4)
 np.testing.assert_allclose(batch.history.extra["temperature"][:, 0], 20 + 0.1 * time[row - 10], atol=1e-4)
 assert list(batch.extra["temperature"]) == ["past", "start"]
+evaluated = EvaluatedWindows(dataset, 0 * row, row)
+np.testing.assert_allclose(evaluated.at_start("temperature"), 20 + 0.1 * time[row], atol=1e-4)
 assert dataset.drives[0].rows.cut(slice(5, 9)).column("temperature").shape == (4,)
 
 track = VehicleTrack()

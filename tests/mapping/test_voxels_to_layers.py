@@ -193,6 +193,15 @@ def test_layers_written_over_are_as_good_as_new():
             np.testing.assert_array_equal(getattr(layers, name), value)
 
 
+def test_heights_are_the_worlds_after_the_vehicle_rose():
+    held = VoxelMap(0, SMALL)
+    put(held, np.array([[0.5, 0.5, 0.0]]))
+    flattener = Flattener(held, FlattenSettings())
+    flattener.layers()
+    held.recentre(np.zeros(2), 5.0)
+    np.testing.assert_array_equal(flattener.layers().elevation, flatten(held).elevation)
+
+
 @pytest.mark.parametrize(("spread", "steep"), [(6.0, 1.0), (6.0, 0.02), (2.0, 0.1)])
 @pytest.mark.parametrize("channels", [0, 2])
 def test_single_cells_are_read_as_the_layers_have_them(spread, steep, channels):

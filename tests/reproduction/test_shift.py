@@ -126,7 +126,7 @@ def test_errors_on_windows_that_a_run_was_trained_on_are_refused(tmp_path: Path,
     options = {"scale": torch.ones(5), "kept": tmp_path / "kept"}
     assert len(errors_of(run, windows, index, HINDSIGHT, **options).row) == 2
     informed = replace(run, seen=((windows.drive_names[windows.drive[0]], 0.0, 60.0),))
-    with pytest.raises(RunError, match=r"b-0: was trained on 60 s of the test part of drive"):
+    with pytest.raises(RunError, match=r"b-0: was trained on 18 s of the test part of drive"):
         errors_of(informed, windows, index, HINDSIGHT, **options)
     assert len(errors_of(run, Windows(dataset, "validation"), index, HINDSIGHT, **options).row) == 2
 

@@ -11,15 +11,17 @@ import torch
 from safetensors.torch import load_file
 
 import kill
+from factories import circle_rows, small_rig
 from offpiste.cache import VARIABLE
-from offpiste.dataset.store import Dataset, open_dataset
+from offpiste.dataset.splits import parse_split
+from offpiste.dataset.store import Dataset, StoredDrive, open_dataset
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics.models import initial_actuators
 from offpiste.training import actuator_stage
 from offpiste.training.actuator_stage import stage_key
 from offpiste.training.build import vehicle_of
 from offpiste.training.config import TrainConfig
-from offpiste.training.losses import FITTED_STEPS, actuator_loss
+from offpiste.training.losses import FITTED_STEPS, actuator_loss, actuator_variance
 from offpiste.training.train import train
 
 QUICK = TrainConfig("b", epochs=1, bicycle_epochs=1, actuator_epochs=2, stride=60, batch=32)
@@ -114,6 +116,23 @@ def test_motion_alone_gives_the_same_loss(dataset: Dataset) -> None:
         whole = loss(windows.gather(index))
         assert torch.equal(loss(windows.without_terrain().gather(index)), whole)
         assert torch.equal(loss(windows.without_terrain(FITTED_STEPS).gather(index)), whole)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_an_actuator_is_scaled_by_all_training_rows(seed: int) -> None:
+    """Also where gaps leave stretches hardly longer than a window, and a brake is pressed now and then."""
+    rng, count = np.random.default_rng(seed), 16_000
+    rows, valid = circle_rows(count, seed=seed), np.ones(count, bool)
+    brake = 0.6 * (rng.random(count // 200) < 0.1).repeat(200)
+    actuators = np.stack((brake, np.sin(np.arange(count) / 50), *np.zeros((2, count)))).T.astype(np.float32)
+    for gap in np.cumsum(rng.integers(270, 330, 60)):
+        valid[gap : gap + 15] = False
+    rows = replace(rows, actuators=actuators, actuators_causal=actuators, valid=valid)
+    split = parse_split("blocks:1,0,0")
+    part = split.label("drive", rows.state[:, :2] + rows.origin)
+    gaps = Dataset(Path("memory"), small_rig(), split, (StoredDrive("drive", rows, part, ()),))
+    found = actuator_variance(Windows(gaps, "train"))
+    np.testing.assert_allclose(found[:2], actuators[:, :2].var(axis=0), rtol=0.35)
 
 
 def test_where_there_are_many_windows_fewer_are_taken_further_apart(

@@ -1,7 +1,7 @@
 import inspect
 import json
 import shutil
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import msgspec
@@ -21,7 +21,7 @@ from offpiste.errors import DatasetError, OffpisteError, RunError, TrainingError
 from offpiste.rig.channels import ChannelSource
 from offpiste.training import optimise, prediction
 from offpiste.training.checkpoint import load_json, load_tensors, save_json, save_tensors
-from offpiste.training.config import TrainConfig
+from offpiste.training.config import TrainConfig, other_settings
 from offpiste.training.fitness import refuse_seen
 from offpiste.training.prediction import Lookup, predict, predict_windows, roll_out
 from offpiste.training.run import load_run
@@ -313,6 +313,15 @@ def test_a_run_is_not_evaluated_on_what_it_was_trained_on(dataset: Dataset, run:
     refuse_seen(loaded, dataset, "test")
     with pytest.raises(RunError, match=r"was trained on .* of the test part of drive 'drive0'"):
         refuse_seen(loaded, dataset.relabelled(parse_split("blocks:0.2,0.2,0.6")), "test")
+
+
+def test_settings_that_an_older_run_has_more_hide_no_others() -> None:
+    now = {"train": json.loads(json.dumps(asdict(TrainConfig()))), "dataset": "/b", "split": "fold:1/5"}
+    before = {"train": {**now["train"], "of before": 1}, "dataset": "/b", "split": "fold:0/5"}
+    assert other_settings(before, now) == "split"
+    assert other_settings({**before, "split": "fold:1/5"}, now) == ""
+    before["train"]["epochs"] = 7
+    assert other_settings(before, now) == f"epochs 7 then, {TrainConfig().epochs} now"
 
 
 def test_a_stride_beyond_all_windows_takes_every_one(dataset: Dataset, tmp_path: Path) -> None:

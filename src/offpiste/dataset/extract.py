@@ -85,9 +85,9 @@ def _extract_here(job: Job, report: Report) -> str:
             settings, size = job.snapshots or SnapshotSettings(), replay.map.voxels.size
             writer = SnapshotWriter(folder / "snapshots", size, extractor.channels, settings.latency)
             schedule = SnapshotSchedule(_starts(rows, job, settings), settings)
-            keeper = SnapshotKeeper(writer, schedule, settings)
+            keeper = SnapshotKeeper(writer, schedule, settings, rows, sensors.poses)
             rows = with_visual_features(rows, sensors, job.rig, extractor, replay, snapshots=keeper, report=report)
-            writer.close()
+            keeper.close()
             stored = add_drive(
                 job.out,
                 job.name,

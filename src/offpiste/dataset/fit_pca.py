@@ -145,7 +145,7 @@ def fit_pca(
         PerceptionError: no image of the training part, no patch with ground in it, or a listed image that is not there.
     """
     refuse_places_without_origin(split, rig)
-    logs = expanded(logs)
+    logs = sorted(expanded(logs), key=drive_name)  # whatever order they are given in, the same images are chosen
     spacing = SPACING if isinstance(images, int) else 0.0  # listed images need not lie apart
     jobs = [Job(number, log, rig, split, spacing, backbone) for number, log in enumerate(logs)]
     at_a_time = processes or usable_cores()

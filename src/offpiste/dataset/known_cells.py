@@ -17,6 +17,10 @@ CELL_ARRAYS = ("place", "elevation", "rise", "features")
 """Arrays of a `CellList`; on disk those of all snapshots lie one after the other."""
 
 
+_STARTING, _BACKWARDS = 4.0, 0.5
+"""Mean speed that a vehicle which starts may reach, and speed from which it goes backwards [m/s]."""
+
+
 @dataclass(frozen=True)
 class CellList:
     """The known cells of a map.
@@ -73,8 +77,9 @@ def crop(terrain: TerrainMap, state: Float[np.ndarray, " 6"], margin: float) -> 
         state: at the window's start, px and py in the world frame.
         margin: of `map_snapshots.SnapshotSettings` [m].
     """
-    half = 0.5 * HORIZON_STEPS * DT * float(np.hypot(state[3], state[4]))
-    centre = state[:2] + half * np.array([np.cos(state[2]), np.sin(state[2])])
+    half = 0.5 * HORIZON_STEPS * DT * max(float(np.hypot(state[3], state[4])), _STARTING)
+    ahead = -half if state[3] < -_BACKWARDS else half
+    centre = state[:2] + ahead * np.array([np.cos(state[2]), np.sin(state[2])])
     near = terrain.cropped(centre - half - margin, centre + half + margin)
     ny, nx = near.elevation.shape
     y, x = (near.origin[1 - axis] + near.resolution * np.arange(n) for axis, n in enumerate((ny, nx)))

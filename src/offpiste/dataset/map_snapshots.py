@@ -30,8 +30,8 @@ class SnapshotSettings:
         seconds: least time between two snapshots of a part [s].
         parts: whose windows get one; training needs none.
         most: snapshots of one part of one drive; a longer part has them further apart.
-        margin: the map is kept within this and half the way of five seconds at the window's first speed, around the
-            place half that way straight ahead [m].
+        margin: the map is kept within this and half the way of five seconds at the window's first speed, or that of
+            starting, around the place half that way straight ahead, or behind where it goes backwards [m].
         latency: the map holds what was measured this long before the window's start, or earlier [s].
         min_speed: windows that start above it get one [m/s], 0: standstills as well; None: as the dataset's windows.
 

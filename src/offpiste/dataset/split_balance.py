@@ -113,12 +113,12 @@ def apart(one: Float[np.ndarray, " n"], other: Float[np.ndarray, " m"]) -> float
 
 
 def complaints(facts: Sequence[PartFacts]) -> Iterator[str]:
-    """What is wrong with parts, in words."""
-    train = facts[0]
+    """What is wrong with parts, in words; they are compared with that which trains, if there is one."""
     for part in facts:
         if part.windows < LEAST_WINDOWS:
             yield f"{part.name} has {part.windows} windows above {part.min_speed:.3g} m/s"
-    for part in facts[1:]:
+    train, *others = facts if facts[0].name == PARTS[0] else facts[:1]
+    for part in others:
         shifted = apart(train.speed, part.speed) > MOST_APART and _ratio(train.median, part.median, _STANDING) > MEDIANS
         if shifted or _ratio(train.start_speed, part.start_speed, train.min_speed) > MOST_RATIO:
             yield f"{part.name} drives at a median of {part.median:.1f} m/s, train at {train.median:.1f} m/s"
@@ -202,6 +202,8 @@ def split_warning(dataset: Dataset) -> str | None:
     """What is wrong with a dataset's split and which one is better, in one line; None where nothing is wrong."""
     facts = part_facts(dataset)
     wrong = list(complaints(facts)) if len(facts) > 1 else []
+    if dataset.split.kind == "places":  # a drive too short for other splits is all training
+        wrong += [f"no square is for {part}" for part in PARTS if part not in {facts.name for facts in facts}]
     if not wrong:
         return None
     line = f"the parts of the split {dataset.split.text} are too short, or unlike each other: {'; '.join(wrong)}"

@@ -7,10 +7,11 @@ import numpy as np
 
 from offpiste.dataset.feature_sets import FeatureSetRecorder, MapCellValues
 from offpiste.dataset.features_under_wheels import Cells
-from offpiste.dataset.known_cells import crop
+from offpiste.dataset.known_cells import CellList, crop
 from offpiste.dataset.map_snapshots import SnapshotSchedule, SnapshotSettings, SnapshotWriter
 from offpiste.dataset.resample import Rows
 from offpiste.dataset.wheel_passes import find_passes
+from offpiste.logs.poses import Poses
 from offpiste.logs.sensor_log import SensorLog
 from offpiste.mapping.pipeline import MapPipeline
 from offpiste.mapping.replay import MapperSettings, Moment, pinhole_cameras, replay
@@ -19,29 +20,50 @@ from offpiste.perception.feature_extractor import FeatureExtractor
 from offpiste.rig.rig import Rig
 
 
-@dataclass(frozen=True)
+@dataclass
 class SnapshotKeeper:
     """Keeps the map as it was when windows start.
 
     Attributes:
         writer, schedule: where to, and when.
         settings: how far it reaches, and how late it is.
+        rows, poses: of the drive.
     """
 
     writer: SnapshotWriter
     schedule: SnapshotSchedule
     settings: SnapshotSettings
+    rows: Rows
+    poses: Poses
+    _row: int = -1
+    _cells: CellList | None = None
 
-    def update(self, moment: Moment, rows: Rows) -> None:
+    def update(self, moment: Moment) -> None:
         """Keep the map of this moment if a window starts in the first row at which it was known.
 
         Its points and images are known a latency after they were measured, and not before the poses that place them.
+        Of the moments of one row the last counts: it holds the scans of all LiDARs. Where poses jump in between, the
+        map is of another frame than the window.
         """
-        row = int(np.searchsorted(rows.time, max(moment.measured + self.settings.latency, moment.placed)))
-        if self.schedule.at(row):
-            state = rows.state_causal[row].astype(np.float64)
-            state[:2] += rows.origin
-            self.writer.add(row, crop(moment.layers.terrain_map(), state, self.settings.margin))
+        row = int(np.searchsorted(self.rows.time, max(moment.measured + self.settings.latency, moment.placed)))
+        if row != self._row and self.schedule.at(row):
+            self._write()
+            self._row = row
+        if row != self._row or self.poses.stretch(self.rows.time[row]) != self.poses.stretch(moment.time):
+            return
+        state = self.rows.state_causal[row].astype(np.float64)
+        state[:2] += self.rows.origin
+        self._cells = crop(moment.layers.terrain_map(), state, self.settings.margin)
+
+    def close(self) -> None:
+        """Write what finds the snapshots again, once the drive is over."""
+        self._write()
+        self.writer.close()
+
+    def _write(self) -> None:
+        if self._cells is not None:
+            self.writer.add(self._row, self._cells)
+        self._cells = None
 
 
 def with_visual_features(
@@ -73,7 +95,7 @@ def with_visual_features(
     for moment in replay(log, cameras, extractor.extract, extractor.channels, settings):
         recorder.update(moment.time, moment.vehicle[:2], _reader(moment.map))
         if snapshots is not None:
-            snapshots.update(moment, rows)
+            snapshots.update(moment)
         report(float(np.clip((moment.time - rows.time[0]) / (rows.time[-1] - rows.time[0]), 0, 1)))
     under = passes.index
     unknown = np.full((len(recorder.normal), 1, 3), np.nan, np.float32)

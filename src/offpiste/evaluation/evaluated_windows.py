@@ -33,7 +33,7 @@ class EvaluatedWindows:
         Args:
             column: of the dataset's rows (`offpiste.dataset.resample.Rows`), e.g. "control".
         """
-        drives = [getattr(drive.rows, column) for drive in self.dataset.drives]
+        drives = [drive.rows.column(column) for drive in self.dataset.drives]
         return np.array([drives[d][r] for d, r in zip(self.drive, self.row, strict=True)], dtype=float)
 
     @cached_property

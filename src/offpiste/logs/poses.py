@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.ndimage import median_filter
 
 from offpiste.compilation import POSES
@@ -55,7 +55,11 @@ class Poses:
 
     def stretch(self, time: float) -> int:
         """Number of jumps until a moment [s]: positions of one stretch fit together."""
-        return int(np.searchsorted(self.jumps[:, 1], time, side="right"))
+        return int(self.stretches(np.array(time)))
+
+    def stretches(self, times: Float[np.ndarray, "*n"]) -> Int[np.ndarray, "*n"]:
+        """`stretch` of many moments."""
+        return np.asarray(np.searchsorted(self.jumps[:, 1], times, side="right"))
 
 
 def poses_from_drive(drive: Drive) -> Poses:

@@ -1,5 +1,6 @@
 """Replays the sensors of a drive into the map, as on the vehicle: images to features, scans to voxels."""
 
+import logging
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -16,6 +17,8 @@ from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.perception.camera import PinholeCamera, make_pinhole_camera
 from offpiste.perception.motion_compensation import MOMENT, points_in_world
 from offpiste.perception.projection import CameraView, Projection, ProjectionSettings, project
+
+logger = logging.getLogger(__name__)
 
 ExtractFeatures = Callable[[UInt8[np.ndarray, "h w 3"]], Float32[np.ndarray, "rows columns F"]]
 """From a rectified image to the features of its patches."""
@@ -136,6 +139,7 @@ class SensorMapper:
         self._extract, self._channels = extract, channels
         self.keyframes = Keyframes(cameras, self._settings)
         self.pipeline = MapPipeline(channels, self._settings.map)
+        self._full = False
 
     def is_keyframe(self, image: Image, pose: Float[np.ndarray, "4 4"]) -> bool:
         """Whether the vehicle has gone far enough since the camera's last keyframe.
@@ -158,13 +162,15 @@ class SensorMapper:
         """Put a scan into the map.
 
         Args:
-            poses: over the whole scan; points at unknown ones are left out.
+            poses: over the whole scan; points at unknown ones, or from the other side of a jump, are left out.
             pose: `world_from_body` at its time.
         """
         recent = self.keyframes.recent(scan.time)
         lidar = self._lidars[scan.lidar]
         points = points_in_world(scan, lidar, poses)
         known = np.isfinite(points[:, 0] + points[:, 1] + points[:, 2])
+        if len(poses.jumps):  # what was measured on the other side of a jump lies in another frame
+            known &= poses.stretches(scan.times) == poses.stretch(scan.time)
         points, measured = points if known.all() else points[known], float(scan.times[known].max(initial=scan.time))
         cloud, projection = FeatureCloud(points, (pose @ lidar.body_from_lidar)[:3, 3]), None
         if recent:
@@ -173,6 +179,9 @@ class SensorMapper:
             features = projection.gather([k.features for k in recent]).astype(np.float32, copy=False)
             cloud = replace(cloud, features=features, has_feature=projection.seen)
         ghosts = self.pipeline.add(cloud, pose[:3, 3])
+        if not self._full and self.pipeline.voxel_map.lost:
+            self._full = True
+            logger.warning("the map has no room for more, and lacks what comes ahead: raise VoxelSettings.capacity")
         return MappedScan(points, measured, ghosts, projection, recent)
 
 

@@ -153,8 +153,10 @@ class VoxelMap:
         if not (np.abs([*cell, z * self._scale]) < 1e8).all():
             raise ValueError(f"a map cannot be centred at {xy}, {z} m")
         new = cell.astype(np.int64) - self.settings.half_cells
-        if (new != self.low).any():
-            self.changes += 1
+        moved = (new != self.low).any()
+        if moved or round(z / self.settings.size) != round(self.middle / self.settings.size):
+            self.changes += 1  # layers count heights from the vehicle's level
+        if moved:
             forget_left_behind(self.low, new, self.changes, self.voxels)
         self.low, self.middle = new, float(z)
 

@@ -117,7 +117,8 @@ def other_settings(before: dict[str, Any], now: dict[str, Any]) -> str:
         then, new = before.get(key), now[key]
         if then != new and isinstance(then, dict):
             other = [name for name in new if then.get(name) != new[name]]
-            return ", ".join(f"{name} {then.get(name)} then, {new[name]} now" for name in other)
-        if then != new:
+            if other:  # else an older run has a setting more
+                return ", ".join(f"{name} {then.get(name)} then, {new[name]} now" for name in other)
+        elif then != new:
             return key
     return ""

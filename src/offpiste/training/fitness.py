@@ -7,6 +7,7 @@ from typing import Final, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 
 from offpiste.channels import without_optional
+from offpiste.conventions import DT
 from offpiste.dataset.splits import PARTS
 from offpiste.dataset.store import Dataset
 from offpiste.dynamics import Dynamics, Vehicle
@@ -62,7 +63,7 @@ def refuse_seen(run: TrainedRun, dataset: Dataset, part: str) -> None:
 
 
 class Overlap(NamedTuple):
-    """A drive of which something was fitted to a stretch, and how long that is."""
+    """A drive, and how much of what a part holds of it something was fitted to."""
 
     drive: str
     seconds: float
@@ -78,8 +79,9 @@ def overlap_with(seen: Sequence[tuple[str, float, float]], dataset: Dataset, par
     for drive in dataset.drives:
         evaluated = drive.rows.time[drive.part == number]
         for name, first, last in seen:
-            if name == drive.name and np.any((evaluated >= first) & (evaluated <= last)):
-                return Overlap(name, last - first)
+            count = np.count_nonzero((evaluated >= first) & (evaluated <= last)) if name == drive.name else 0
+            if count:
+                return Overlap(name, count * DT)
     return None
 
 

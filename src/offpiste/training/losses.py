@@ -2,11 +2,11 @@
 
 from collections.abc import Callable
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from offpiste.conventions import HORIZON_STEPS
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import Dynamics
 from offpiste.dynamics.actuators import Actuators
@@ -69,6 +69,8 @@ def loss_scale(reference: Dynamics, windows: Windows, config: TrainConfig) -> Fl
 
 FITTED_STEPS = 100
 """Steps of the actuators' loss: they settle within a second or two, so it reaches 2 s ahead, not 5."""
+_SAMPLED = 512
+"""Windows by which actuators are scaled."""
 
 
 def actuator_loss(actuators: Actuators, windows: Windows) -> Callable[[Batch], Float[Tensor, " B"]]:
@@ -78,9 +80,7 @@ def actuator_loss(actuators: Actuators, windows: Windows) -> Callable[[Batch], F
     """
     vehicle = actuators.vehicle
     present = [index for index, name in enumerate(vehicle.actuator_columns) if name in vehicle.actuators]
-    every = windows.every(HORIZON_STEPS)
-    sample = windows.gather(every if len(every) else windows.every(1)[:64]).target_actuators[..., present]
-    variance = sample.flatten(0, 1).var(dim=0).clamp(min=1e-6)
+    variance = actuator_variance(windows)[present]
 
     def loss(batch: Batch) -> Tensor:
         predicted = roll_actuators(actuators, batch)[..., present]
@@ -88,6 +88,12 @@ def actuator_loss(actuators: Actuators, windows: Windows) -> Callable[[Batch], F
         return error.mean(dim=1).sum(dim=-1)
 
     return loss
+
+
+def actuator_variance(windows: Windows) -> Float[Tensor, " A"]:
+    """Variance of each recorded actuator, over windows from all of the drives."""
+    spread = np.unique(np.linspace(0, len(windows) - 1, min(len(windows), _SAMPLED)).astype(int))
+    return windows.gather(spread).target_actuators.flatten(0, 1).var(dim=0).clamp(min=1e-6)
 
 
 def roll_actuators(actuators: Actuators, batch: Batch) -> Float[Tensor, "B S A"]:
