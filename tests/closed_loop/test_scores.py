@@ -37,10 +37,27 @@ def test_the_driven_cost_by_hand():
     n = 100
     trace = Trace(np.zeros((n, 2)), *(np.full(n, value) for value in (5.0, 0.5, 7.0, 0.0, 0.0)))
     assert driven_cost(trace, n, None, WEIGHTS) == pytest.approx(2 * (0.75 + 4.0))
-    # Not at the end after 10 s: in the other eight it counts as at a standstill on the course.
-    assert driven_cost(trace, n, 10.0, WEIGHTS) == pytest.approx(2 * (0.75 + 4.0) + 8 * 49.0)
+    # Not at the end after 10 s: in the other eight it counts as at a standstill where it is.
+    assert driven_cost(trace, n, 10.0, WEIGHTS) == pytest.approx(2 * (0.75 + 4.0) + 8 * (0.75 + 49.0))
     assert driven_cost(trace, 50, None, WEIGHTS) == pytest.approx(0.75 + 4.0)
-    assert driven_cost(trace, n, 10.0, WEIGHTS, begin=n - 50) == pytest.approx(0.75 + 4.0 + 8 * 49.0)
+    assert driven_cost(trace, n, 10.0, WEIGHTS, begin=n - 50) == pytest.approx(0.75 + 4.0 + 8 * 49.75)
+
+
+def test_a_drive_that_is_given_up_costs_what_it_costs_to_stay():
+    """And more than to come free and finish, late as it is."""
+    time = np.arange(0, 60, 0.02)
+    away, free = np.where(time < 10, 0.2, 6.0), np.where((time > 10) & (time < 30), 6.0, 0.2)
+
+    def cost(end: float, off: np.ndarray, speed: np.ndarray, limit: float | None) -> float:
+        still = np.zeros(len(time))
+        return driven_cost(
+            Trace(np.zeros((len(time), 2)), speed, off, still + 7, still, still), round(end / 0.02), limit, WEIGHTS
+        )
+
+    stays = np.where(time < 10, 7.0, 0.0)
+    given_up, stayed = cost(16, away, stays, 60.0), cost(60, away, stays, 60.0)
+    assert given_up == pytest.approx(stayed)
+    assert cost(45, free, np.where((time > 10) & (time < 30), 2.0, 7.0), None) < 0.7 * given_up
 
 
 def prediction(place, first, aside=0.0):
@@ -152,7 +169,7 @@ def test_a_drive_that_does_not_finish_counts_as_standstill_in_its_cost_alone():
     found = summary(driving, trace_of(driving, COURSE), 10.0, 2.0, WEIGHTS, VEHICLE)
     assert not found["finished"]
     assert (found["time_s"], found["progress_m"]) == (pytest.approx(0.06), 2.0)
-    assert found["driven_cost"] == pytest.approx(0.06 * (3 * 0.25 + 4) + (2.0 - 0.06) * 49)
+    assert found["driven_cost"] == pytest.approx(0.06 * (3 * 0.25 + 4) + (2.0 - 0.06) * (3 * 0.25 + 49))
     assert found["moving_cost"] == found["driven_cost"], "it did not get through the run-up"
     assert found["mean_path_error_m"] == pytest.approx(0.5)
     assert found["mean_speed_error_mps"] == pytest.approx(2.0)

@@ -55,6 +55,32 @@ def test_an_added_term_is_planned_with_by_kernel_and_eager_model_alike():
     assert done.returncode == 0, done.stderr
 
 
+READS = """
+import numpy as np
+from offpiste.planning.kernel_costs import _sources
+from own_terms import far_term
+print(hash("".join(_sources([far_term]))))
+"""
+
+
+def test_the_key_of_compiled_costs_changes_with_all_that_an_added_term_reads(tmp_path):
+    """Numbers and functions of other modules, too: they are compiled in."""
+    (tmp_path / "own_terms.py").write_text(
+        "from own_limits import FACTOR, bent\ndef far_term(distance): return FACTOR * bent(distance)\n"
+    )
+    paths, found = os.pathsep.join((str(tmp_path), os.environ.get("PYTHONPATH", ""))), []
+    for limits in ("FACTOR = 3\ndef bent(x): return x", "FACTOR = 300\ndef bent(x): return x",
+                   "FACTOR = 3\ndef bent(x): return x * x", "FACTOR = 3\ndef bent(x): return x"):  # fmt: skip
+        (tmp_path / "own_limits.py").write_text(limits)
+        done = subprocess.run(
+            (sys.executable, "-B", "-c", READS), env=os.environ | {"PYTHONPATH": paths, "PYTHONHASHSEED": "0"},
+            capture_output=True, text=True, check=True,
+        )  # fmt: skip
+        found.append(done.stdout)
+    assert len(set(found)) == 3
+    assert found[0] == found[3]
+
+
 def test_a_name_that_nothing_provides_is_refused():
     def swaying(sway, weight):
         return weight * sway

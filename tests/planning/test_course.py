@@ -66,6 +66,19 @@ def test_a_path_of_no_length_is_refused(path):
         Course(path, np.ones(len(path)))
 
 
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"speed": np.array([3.0, np.nan, 3.0])}, "3 speeds for 3 points, or one that is not finite"),
+        ({"speed": np.ones(5)}, "5 speeds for 3 points"),
+        ({"alternative": np.zeros((2, 2))}, "a second way of 2 points beside a path of 3"),
+    ],
+)
+def test_what_does_not_go_with_its_path_is_refused(change, said):
+    with pytest.raises(PlanningError, match=said):
+        Course(**{"path": np.array([[0.0, 0], [5, 0], [9, 0]]), "speed": np.ones(3), **change})
+
+
 def winding(seed):
     """A path that bends, meets itself and comes back beside itself, a point every half cell."""
     corners = np.random.default_rng(seed).uniform(-12, 12, (9, 2))

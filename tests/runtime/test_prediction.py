@@ -1,5 +1,7 @@
 """Part of the map that a plan reads, by hand."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 import torch
@@ -7,9 +9,11 @@ import torch
 from offpiste.conventions import CONTROL
 from offpiste.dynamics import Parametric, Vehicle
 from offpiste.dynamics.feature_encoder import Compressor
+from offpiste.runtime import prediction
 from offpiste.runtime.estimator import TrackRows
-from offpiste.runtime.prediction import coded_area, cropped, model_state_of
-from planning_maps import layers
+from offpiste.runtime.prediction import coded_area, cropped, model_state_after, model_state_of
+from planning.test_kernel import model, start
+from planning_maps import layers, situation
 
 ORIGIN = torch.zeros(2, dtype=torch.float64)
 
@@ -50,6 +54,22 @@ def test_known_ground_is_encoded_where_it_lies(encoder):
     area = coded_area(layers(), encoder, lambda places: places * (0.1, 0.01))
     code = encoder(torch.tensor([[0.3, -0.1]]), torch.ones(1, dtype=torch.bool))[0]
     torch.testing.assert_close(at(area, 3.0, -10.0), code)
+
+
+@pytest.mark.parametrize("kind", ["parametric", "dc", "hold"])
+def test_committed_controls_are_stepped_alike_with_and_without_the_kernel(kind, monkeypatch):
+    """A model that holds codes in plans reads those of the ground that it is on until then."""
+    dynamics = model(kind)
+    if kind != "parametric":
+        torch.nn.init.normal_(dynamics.compensator.output[-1].weight, std=1.0)
+    seen = layers(features=np.random.default_rng(0).normal(size=(81, 81, 3)).astype(np.float32))
+    area = coded_area(seen, getattr(dynamics, "encoder", None))
+    here = dataclasses.replace(situation(seen, state=(0.0, 0, 0.3, 8, 0, 0)), ground=area.stack)
+    controls = torch.tensor([[0.5, 0.0, 0.2]]).repeat(20, 1)
+    by_kernel = model_state_after(dynamics, start(dynamics, here), controls, area, here).state
+    monkeypatch.setattr(prediction, "_by_kernel", lambda *_: False)
+    stepped = model_state_after(dynamics, start(dynamics, here), controls, area, here).state
+    torch.testing.assert_close(by_kernel, stepped, atol=1e-3, rtol=1e-3)
 
 
 def test_models_without_features_read_none():

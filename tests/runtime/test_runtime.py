@@ -11,8 +11,10 @@ from offpiste.dynamics import Parametric, Vehicle
 from offpiste.errors import NoPlan, PlanningError
 from offpiste.logs.measurements import Image
 from offpiste.planning import mppi
+from offpiste.planning.course import Course
 from offpiste.rig.outputs import Timeouts
 from offpiste.runtime import plan_maker, prediction
+from offpiste.runtime.course_tracker import CourseTracker
 from runtime.stream import Stream, extract_features, feature_model, reading, scan, settings, straight_drive
 
 
@@ -128,6 +130,20 @@ def test_after_a_clock_that_goes_back_the_vehicle_may_be_anywhere_on_its_course(
     stream.runtime.command(0.5)
     stream.runtime.vehicle(reading(0.5, *stream.states[0][:3], 0.0, 0.0, 0.0))
     assert stream.runtime.course_tracker.progress < before - 1.0
+
+
+def test_after_a_pose_that_jumps_the_vehicle_may_be_anywhere_on_its_course():
+    """A pose that is put right, from one leg of a hairpin to the other, does not walk along the course between."""
+    turn = np.linspace(-np.pi / 2, np.pi / 2, 60)
+    bend = np.stack((60 + 10 * np.cos(turn), 10 + 10 * np.sin(turn)), axis=1)
+    hairpin = np.concatenate(([[0.0, 0.0]], bend, [[0.0, 20.0]]))
+    course, runtime = Course(hairpin, np.full(len(hairpin), 5.0)), straight_drive().runtime
+    runtime.follower.tracker = CourseTracker(course.densified(0.25))
+    driven = course.densified(0.1).path[:760]
+    again = np.stack((np.arange(35, 37, 0.1), np.zeros(20)), axis=1)
+    for row, (x, y) in enumerate(np.concatenate((driven, again)).tolist()):
+        runtime.vehicle(reading(0.02 * row, x, y, 0.0, 5.0, 0.0, 0.0))
+    assert runtime.course_tracker.progress == pytest.approx(36.9, abs=0.3)
 
 
 def test_readings_without_the_actuators_that_a_model_reads_count_as_none():

@@ -215,12 +215,13 @@ def driven_cost(trace: Trace, rows: int, limit: float | None, weights: CostWeigh
     Args:
         rows: end of the rows that count.
         begin: the first of them.
-        limit: where the end was not reached, the vehicle counts as at a standstill on the course from `rows` until
-            this time [s]; None where it was.
+        limit: where the end was not reached, the vehicle counts as at a standstill where it was last from `rows` until
+            this time [s], so that giving up is no better than staying; None where it was.
     """
+    left = max((limit or 0.0) - rows * DT, 0.0)
     path = weights.path * trace.off[begin:rows] ** 2
     speed = weights.speed * (trace.speed - trace.target)[begin:rows] ** 2
-    standing = weights.speed * trace.target[rows - 1] ** 2 * max((limit or 0.0) - rows * DT, 0.0)
+    standing = (weights.path * trace.off[rows - 1] ** 2 + weights.speed * trace.target[rows - 1] ** 2) * left
     return float(DT * (path + speed).sum() + standing)
 
 

@@ -128,7 +128,8 @@ class Course:
             none. Lengths are those of the path.
 
     Raises:
-        PlanningError: the path is shorter than `SHORTEST`, or not finite.
+        PlanningError: the path is shorter than `SHORTEST` or not finite, or has another number of points than what
+            goes with it; or a speed is not finite.
     """
 
     path: Float[np.ndarray, "P 2"]
@@ -140,6 +141,12 @@ class Course:
         if not np.linalg.norm(np.diff(self.path, axis=0), axis=-1).sum() > SHORTEST:
             how = "give finite points of a longer path, or a `Goal`"
             raise PlanningError(f"a path of {len(self.path)} points, not finite or shorter than {SHORTEST} m", how=how)
+        if len(self.speed) != len(self.path) or not np.isfinite(self.speed).all():
+            what = f"{len(self.speed)} speeds for {len(self.path)} points, or one that is not finite"
+            raise PlanningError(what, how="give one finite speed for each point of the path")
+        if self.alternative is not None and len(self.alternative) != len(self.path):
+            what = f"a second way of {len(self.alternative)} points beside a path of {len(self.path)}"
+            raise PlanningError(what, how="give as many points for both, those of the path where there is one way")
 
     @property
     def ways(self) -> tuple[Float[np.ndarray, "P 2"], ...]:

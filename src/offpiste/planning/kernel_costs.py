@@ -8,7 +8,6 @@ import inspect
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 from types import FunctionType
 from typing import Any, Final
 
@@ -270,13 +269,14 @@ def _function(text: str, name: str, functions: dict[str, Function]) -> Callable[
 
 
 def _sources(functions: Iterable[Function]) -> list[str]:
-    """Text that changes when a function that does not ship changes: that of its file, or else its code."""
-    texts = {}
+    """Text that changes when a function that does not ship changes, or a number or a function that it reads."""
+    texts: dict[str, None] = {}
     for function in map(inspect.unwrap, functions):
-        if not function.__module__.startswith("offpiste."):
-            file = Path(function.__code__.co_filename)
-            code = function.__code__
-            texts[str(file)] = (
-                file.read_text() if file.is_file() else f"{code.co_code!r} {code.co_consts} {code.co_names}"
-            )
-    return list(texts.values())
+        if function.__module__.startswith("offpiste."):
+            continue
+        code, read = function.__code__, inspect.getclosurevars(function)
+        texts[f"{function.__name__} {code.co_code!r} {code.co_consts} {code.co_names}"] = None
+        for name, value in sorted((*read.globals.items(), *read.nonlocals.items())):
+            called = getattr(value, "py_func", value)
+            texts |= dict.fromkeys(_sources([called]) if inspect.isfunction(called) else [f"{name} = {value!r}"])
+    return list(texts)

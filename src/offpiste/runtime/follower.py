@@ -155,12 +155,7 @@ class Follower:
         """Whether the vehicle does not move."""
         return self.speed < self._settings.standstill
 
-    def restart(self, *, lost: bool = False) -> None:
-        """Forget all plans.
-
-        Args:
-            lost: whether the vehicle may be anywhere on its course.
-        """
+    def restart(self) -> None:
+        """Forget all plans; the vehicle may be anywhere on its course."""
         self.schedule.clear()
-        if lost:
-            self.tracker.lose()
+        self.tracker.lose()

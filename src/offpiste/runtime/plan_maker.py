@@ -120,7 +120,7 @@ class PlanMaker:
             self._stuck_at, self._found_stuck = follower.tracker.progress, (state[:2].copy(), stretch)
         if self.stuck:
             return None
-        near = reachable(layers, state, follower.tracker.target, self._backing_out.gear, settings.margin)
+        near = reachable(layers, state, float(stretch.speed.max()), self._backing_out.gear, settings.margin)
         self.map_empty = not near.known.any()
         if self.map_empty:
             return None

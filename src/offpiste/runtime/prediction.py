@@ -24,7 +24,7 @@ from offpiste.planning.mppi import CostOf
 from offpiste.planning.pedal import complete
 from offpiste.planning.rollouts import driving_costs, situation_terrain
 from offpiste.runtime.estimator import TrackRows
-from offpiste.state import History, ModelState, Terrain
+from offpiste.state import History, ModelState, Terrain, TerrainSource
 
 KnownGround = Callable[[Float[np.ndarray, "M 2"]], Float[np.ndarray, "M F"]]
 """Features of the ground at places x, y [m]: a simulator's ground truth instead of features from cameras."""
@@ -77,7 +77,7 @@ def reachable(
 
     Args:
         state: x, y [m], yaw [rad], vx, vy [m/s], yaw rate [rad/s], in the world frame.
-        target: speed of the course [m/s]; a faster vehicle reaches further.
+        target: largest speed of the course ahead [m/s]; a faster vehicle reaches further.
         gear: of the plan: 1 forward, -1 reverse.
         margin: so much further on all sides [m].
     """
@@ -165,7 +165,8 @@ def model_state_after(
     """
     if len(controls) and _by_kernel(model, model_state):
         return kernel_model_state(model, model_state, controls, at, area.codes)
-    for after in _stepped(model, model_state, controls, area, at):
+    ground = area.terrain(at.offset, at.wheels, 1)  # where the vehicle is, also of models that hold codes in plans
+    for after in _stepped(model, model_state, controls, ground, at):
         model_state = after
     return model_state
 
@@ -189,19 +190,20 @@ def predicted(
     if _by_kernel(model, model_state):
         rolled = fused_rollout(model, model_state, controls[None], at, weights, area.codes)[1][0]
     else:
-        rolled = torch.cat([after.state for after in _stepped(model, model_state, controls, area, at)])
+        ground = situation_terrain(model, at, 1, area.encode)
+        rolled = torch.cat([after.state for after in _stepped(model, model_state, controls, ground, at)])
     states = rolled.double().numpy()
     states[:, :2] += at.offset.numpy()
     return states
 
 
 def _stepped(
-    model: Dynamics, model_state: ModelState, controls: Float[Tensor, "T 3"], area: Area, at: Situation
+    model: Dynamics, model_state: ModelState, controls: Float[Tensor, "T 3"], ground: TerrainSource, at: Situation
 ) -> Iterator[ModelState]:
     """Model state after each step."""
-    source, step = situation_terrain(model, at, 1, area.encode), model.stepper()
+    step = model.stepper()
     for t, given in enumerate(complete(model.vehicle, controls, at.gear)):
-        model_state = step(model_state, given[None], source.at(t, model_state.state))
+        model_state = step(model_state, given[None], ground.at(t, model_state.state))
         yield model_state
 
 

@@ -119,6 +119,7 @@ class Runtime:
         if taken == "jumped":
             self._mapper.restart()
             self._maker.forget()
+            self.course_tracker.lose()
         if taken != "dropped":
             self.course_tracker.move(reading.position[:2])
             self._mapper.catch_up()
@@ -165,7 +166,7 @@ class Runtime:
 
     def _restart(self) -> None:
         self._track.clear()
-        self.follower.restart(lost=True)
+        self.follower.restart()
         self._mapper.restart()
         self._maker.forget()
         self._plan_due = -np.inf

@@ -68,7 +68,7 @@ class Replay:
     _row: int = 0
 
     def command(self, sample: VehicleSample) -> Float[np.ndarray, " U"]:
-        """The next recorded command; gives up after the last."""
+        """The next recorded command; the last one is held."""
         command = self.commands[self._row]
         self._row = min(self._row + 1, len(self.commands) - 1)
         return command

@@ -88,10 +88,10 @@ class Controller:
             ending: the vehicle is stopped, whatever there is to follow.
         """
         now = self.part.now()
-        if changed := self._feed.update(now):
+        if self._feed.update(now):
             self._since = now
             if self.follower is not None:
-                self.follower.restart(lost=changed == "went back")
+                self.follower.restart()
         if (tracker := self._course.changed()) is not None:
             self._take_course(tracker)
         latest, commanded = self._feed.track.latest, self.part.ring("commands").written > 0

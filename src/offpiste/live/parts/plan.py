@@ -44,12 +44,12 @@ class Plans:
     def plan(self) -> str:
         """Make a plan, if all is there; the state in words."""
         part, now = self._part, self._part.now()
-        if changed := self._feed.update(now):
+        if self._feed.update(now):
             self._layers = None
             self._map_number = part.ring("map").written  # those that were not taken yet are of before, too
             self._maker.forget()
             if self._follower is not None:
-                self._follower.restart(lost=changed == "went back")
+                self._follower.restart()
         self._take_over()
         latest = self._feed.track.latest
         if self._follower is None:

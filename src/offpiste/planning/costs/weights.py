@@ -7,7 +7,7 @@ from offpiste.errors import PlanningError
 from offpiste.planning.costs.declaration import Number, Parameter, cost_terms
 
 
-@dataclass(frozen=True, init=False, repr=False)
+@dataclass(frozen=True, init=False, repr=False, eq=False)
 class CostWeights:
     """How much each cost term counts: `CostWeights(path=5.0, lateral_limit=0.6).path`.
 
@@ -37,6 +37,14 @@ class CostWeights:
         if name not in values:
             raise AttributeError(f"no cost weight '{name}'; there are: {', '.join(values)}")
         return values[name]
+
+    def __eq__(self, other: object) -> bool:
+        """Whether all numbers are the same, given or not."""
+        return isinstance(other, CostWeights) and self.values() == other.values()
+
+    def __hash__(self) -> int:
+        """Of the names alone: numbers may be lists."""
+        return hash(frozenset(self.values()))
 
     def __repr__(self) -> str:
         """Only what differs from the defaults."""
