@@ -14,10 +14,11 @@ from offpiste.inspection.channel_guesses import by_topic, guess_channels
 from offpiste.inspection.draft_rig import draft_rig
 from offpiste.inspection.inspect import TopicRow, inspect_log
 from offpiste.logs import open_log
+from offpiste.logs.drive import drive_from_log
 from offpiste.logs.log import Topic
 from offpiste.logs.ros.writer import McapWriter, make
 from offpiste.logs.transforms import STAMPED
-from offpiste.rig.edits import edited
+from offpiste.rig.edits import Edit, edited
 from offpiste.rig.rig import Rig, parse_rig
 from sensor_bags import stamp, transforms
 
@@ -357,3 +358,26 @@ def test_a_pose_that_is_a_transform_alone(tmp_path: Path) -> None:
     for found in (inspect_log(log), inspect_log(log, rig)):
         assert found.usable, found.findings
         assert found.topics[-1] == TopicRow("/tf odom -> base_link", STAMPED, len(TIME), pytest.approx(50), ANY)
+
+
+@pytest.mark.parametrize("named", [("latitude", "longitude", "altitude"), ("position.x", "position.y", "position.z")])
+@pytest.mark.parametrize("yaw", [False, True])
+def test_an_ins_of_north_east_down_is_known_beside_latitude_and_longitude(named: tuple[str, ...], yaw: bool) -> None:
+    """With places exchanged the heading fits as well, in a mirror, and all else but that is scaled to fit it."""
+    fields = dict(zip(named, ("latitude", "longitude", "height"), strict=True))
+    fields |= {"quaternion.x": "0", "quaternion.y": "0", "quaternion.z": "half azimuth sin",
+               "quaternion.w": "half azimuth cos", "velocity.x": "north", "velocity.y": "east", "velocity.z": "sinking",
+               "angularrate.x": "wx", "angularrate.y": "right", "angularrate.z": "clockwise"}  # fmt: skip
+    fields |= {"yawpitchroll.x": "azimuth"} if yaw else {}
+    log = log_of({"/ins": fields, **COMMANDS})
+    inspection = inspect_log(log)
+    assert Edit("motion.axes", "ned") in inspection.cure
+    rig = edited(parse_rig(draft_rig(log), where="test"), inspection.cure)
+    assert (rig.channels["position"].fields, rig.channels["position"].scale) == (named, 1.0)
+    assert "yaw" not in rig.channels
+    again = inspect_log(log, rig)
+    assert {finding.severity for finding in again.findings} == {"note"}, again.findings
+    drive, truth = drive_from_log(log, rig), ODOM
+    driven = drive.channels["position"].values
+    np.testing.assert_allclose(np.ptp(driven[:, 0]), np.ptp(truth["y"]), rtol=0.01)  # to the north
+    np.testing.assert_allclose(np.ptp(driven[:, 1]), np.ptp(truth["x"]), rtol=0.01)  # and the west

@@ -7,7 +7,7 @@ import pytest
 from simulated import MemoryLog, drive_log, rig
 
 from offpiste.errors import OffpisteError
-from offpiste.inspection.findings import Finding
+from offpiste.inspection.findings import TIPPED, Finding
 from offpiste.inspection.inspect import inspect_log
 from offpiste.inspection.remedies import badness, explain
 from offpiste.rig.edits import Edit, edited
@@ -182,3 +182,19 @@ def test_a_fatal_finding_is_not_exchanged_for_one_that_hides_the_others() -> Non
     found = explain(examine(rig()), rig(), examine)
     assert {finding.where for finding in found} == {"controls", "steer"}
     assert not any(finding.cures for finding in found)
+
+
+def test_a_cure_that_lays_the_world_on_its_side_is_none() -> None:
+    """Nothing follows the course any more, so that what else is wrong is not found either: fewer findings are left."""
+    upright = Edit("channels.orientation.offset", 1.571)
+    turned = Finding("fatal", "orientation", "is turned", "seen", str(upright), 1.0, ((upright,),))
+    lost = _warning("position (x)")  # for which other orders of the fields are tried
+
+    def examine(now: Rig) -> tuple[Finding, ...]:
+        if now.channels["position"].fields != ("x", "y", "z"):
+            return (Finding("warning", "position", TIPPED, "seen", "fix it", 0.9),)
+        steering = (_warning("steer"), _warning("steer_angle"))
+        return (turned, lost) if not now.channels["orientation"].offset else steering
+
+    start = rig()
+    assert explain(examine(start), start, examine)[0].cures == ((upright,),)

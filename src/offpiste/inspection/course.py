@@ -12,12 +12,12 @@ from jaxtyping import Bool, Float
 from offpiste.inspection.driven_path import STEP, Path
 from offpiste.inspection.findings import Finding, Severity
 from offpiste.inspection.lags import SURE, jackknife
-from offpiste.logs.axes import WORLD_DOWN, turning_sign
+from offpiste.logs.axes import turning_sign
 from offpiste.logs.drive import Drive
 from offpiste.logs.motion import heading
-from offpiste.rig.channels import unit_factor
+from offpiste.rig.channels import GEOGRAPHIC, unit_factor
 from offpiste.rig.edits import Edit, rounded
-from offpiste.rig.labels import named_axis, named_coordinate, named_course, named_direction, named_down
+from offpiste.rig.labels import named_axis, named_coordinate, named_direction
 from offpiste.rig.rig import Rig
 
 _TOGETHER: Final = 0.8
@@ -37,6 +37,8 @@ _ONE_WAY: Final = 0.7
 _LOCATION: Final = re.compile(r"(?<![a-z])location[._ ]?[xy]$", re.IGNORECASE)
 _ROTATION: Final = re.compile(r"(?<![a-z])rotat(ion|or)[._ ]?yaw$", re.IGNORECASE)
 """What Unreal and CARLA call a pose: their y is to the right, and their yaw counts clockwise."""
+_OF_GEOGRAPHIC: Final = {"z up": ("ned", -np.pi / 2), "ned": ("z up", np.pi / 2)}
+"""Other axes of an orientation beside latitude and longitude, and how the course turns with them [rad]."""
 
 
 @dataclass(frozen=True)
@@ -60,23 +62,6 @@ def heading_fits(path: Path) -> bool:
     if not moving.any():
         return True
     return _agreement(_course(path) - path.yaw, path.yaw, moving, _straight(path, moving)) > _TOGETHER
-
-
-def check_pose_names(rig: Rig) -> list[Finding]:
-    """What names of the pose's fields say against how the rig reads them."""
-    findings = []
-    down = [field for field in rig.channels["position"].fields[2:] if named_down(field)]
-    if down and rig.motion.axes not in WORLD_DOWN:
-        edit, what = Edit("motion.axes", "ned"), "its third field is named down, and is read as up"
-        evidence = f"'{down[0]}'; hills would be valleys"
-        findings.append(Finding("warning", "position", what, evidence, str(edit), 0.9, ((edit,),)))
-    named = rig.channels["yaw"].fields if "yaw" in rig.channels else ()
-    course = [field for field in named if named_course(field)]
-    if course:
-        what = "is a course over ground, by its name, and no heading"
-        evidence = f"'{course[0]}'; sliding cannot be seen in it, backwards looks like forwards, at rest it is noise"
-        findings.append(Finding("note", "yaw", what, evidence, "take a heading where one is recorded", 0.3))
-    return findings
 
 
 def check_course(drive: Drive, path: Path) -> list[Finding]:
@@ -116,7 +101,9 @@ def readings(drive: Drive, path: Path) -> Iterator[Reading]:
     if yaw is not None:
         now = yaw.unit or "rad"
         units |= {unit: unit_factor("yaw", unit) / unit_factor("yaw", now) for unit in ("rad", "deg") if unit != now}
-    for swap, sign, (unit, factor) in product((False, True), (1, -1) if yaw else (1,), units.items()):
+    places = drive.rig.channels["position"].unit == GEOGRAPHIC  # which have no axes to be exchanged
+    swaps = (False,) if places else (False, True)
+    for swap, sign, (unit, factor) in product(swaps, (1, -1) if yaw else (1,), units.items()):
         # Degrees read as radians were unwrapped at the wrong turn: from the samples, not from the path.
         turned = np.interp(path.time, raw.time, np.unwrap(sign * factor * raw.values[:, 0]))
         edits = [Edit("channels.position.fields", _swapped(drive.rig))] if swap else []
@@ -125,6 +112,14 @@ def readings(drive: Drive, path: Path) -> Iterator[Reading]:
         difference = (np.pi / 2 - course if swap else course) - turned
         agreement = _agreement(difference, turned, moving, straight)
         yield Reading(tuple(edits), agreement, *_offset(difference, straight, moving))
+    if (
+        places and yaw is None and drive.rig.motion.axes in _OF_GEOGRAPHIC
+    ):  # but all beside them may be north, east, down
+        other, quarter = _OF_GEOGRAPHIC[drive.rig.motion.axes]
+        turned = np.interp(path.time, raw.time, np.unwrap(raw.values[:, 0]))
+        difference = course + quarter + turned
+        agreement = _agreement(difference, turned, moving, straight)
+        yield Reading((Edit("motion.axes", other),), agreement, *_offset(difference, straight, moving))
 
 
 def against_names(edits: Iterable[Edit], rig: Rig) -> float:
@@ -193,7 +188,7 @@ def _with_offset(name: str, reading: Reading, rig: Rig) -> tuple[Edit, ...]:
         return reading.edits
     source = rig.channels[name]
     stated = {edit.key: edit.value for edit in reading.edits}
-    per_unit = float(turning_sign(name, rig.motion.axes))
+    per_unit = float(turning_sign(name, str(stated.get("motion.axes", rig.motion.axes))))
     if name == "yaw":
         sign = stated.get("channels.yaw.sign", source.sign)
         per_unit *= sign * unit_factor("yaw", stated.get("channels.yaw.unit", source.unit))
@@ -261,8 +256,9 @@ def _agreement(
     A vehicle that drifts goes elsewhere than it heads, but hardly where its course is straight.
     """
     overall = _together(difference[moving])
-    many = straight.sum() > 3 / STEP and _together(yaw[straight]) < _ONE_WAY
-    return max(overall, _together(difference[straight])) if many else overall
+    if straight.sum() > 3 / STEP and _together(yaw[straight]) < _ONE_WAY:
+        return max(overall, _together(difference[straight]))
+    return overall
 
 
 def _together(difference: Float[np.ndarray, " n"]) -> float:

@@ -73,7 +73,7 @@ def draft_pose(log: Log, guesses: Sequence[Guess], frame: str) -> dict[str, Entr
         best |= _velocity_beside(log, channels_of)
     entries: dict[str, Entry] = {}
     for channel in _POSE:
-        if channel not in best:
+        if channel not in best or (channel == "yaw" and "orientation" in best):  # which says the heading, too
             continue
         guess = best[channel]
         lines, comment = unit_line(channel, guess), f"GUESSED by its name, as of {log.topics[guess.topic].type}"

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from offpiste.errors import OffpisteError
 from offpiste.inspection.checks import MOTION_CHECKS, TOPIC_CHECKS, Topics, motion_of
-from offpiste.inspection.course import check_course, check_pose_names
+from offpiste.inspection.course import check_course
 from offpiste.inspection.driven_path import MOVING, Path, driven_path
 from offpiste.inspection.findings import Finding, is_fatal, ranked
 from offpiste.inspection.heading_drift import check_fast_drift
@@ -12,8 +12,11 @@ from offpiste.inspection.pedals import check_control_channels
 from offpiste.inspection.pose import check_level, check_orientation, check_pose, check_position_unit, leap_of
 from offpiste.inspection.recorded_log import Recorded, RememberedLog, beginning, read_topics
 from offpiste.inspection.stamps import check_spans
+from offpiste.logs.axes import WORLD_DOWN
 from offpiste.logs.drive import Drive, drive_from_log
 from offpiste.logs.log import Log
+from offpiste.rig.edits import Edit
+from offpiste.rig.labels import named_course, named_down
 from offpiste.rig.rig import Rig
 
 _LEAST_DRIVING = 6.0
@@ -79,7 +82,7 @@ def _check_driving(log: Log, topics: Topics, rig: Rig) -> tuple[list[Finding], P
     posed = check_pose(drive, path, beginning(topics.recorded)) + tipped
     if (leap := leap_of(path)) is not None:
         path = path.longer_side(leap.time)  # what is beyond is not the vehicle's motion
-    posed += _check_heading(drive, path) + check_pose_names(rig)
+    posed += _check_heading(drive, path) + _check_pose_names(rig)
     findings += posed
     if is_fatal(tilted + posed):
         findings += check_control_channels(drive, path)
@@ -95,6 +98,23 @@ def _check_heading(drive: Drive, path: Path) -> list[Finding]:
     found = check_course(drive, path)
     unexplained = any(not finding.cures for finding in found)
     return (check_fast_drift(drive, path) if unexplained else []) or found
+
+
+def _check_pose_names(rig: Rig) -> list[Finding]:
+    """What names of the pose's fields say against how the rig reads them."""
+    findings = []
+    down = [field for field in rig.channels["position"].fields[2:] if named_down(field)]
+    if down and rig.motion.axes not in WORLD_DOWN:
+        edit, what = Edit("motion.axes", "ned"), "its third field is named down, and is read as up"
+        evidence = f"'{down[0]}'; hills would be valleys"
+        findings.append(Finding("warning", "position", what, evidence, str(edit), 0.9, ((edit,),)))
+    named = rig.channels["yaw"].fields if "yaw" in rig.channels else ()
+    course = [field for field in named if named_course(field)]
+    if course:
+        what = "is a course over ground, by its name, and no heading"
+        evidence = f"'{course[0]}'; sliding cannot be seen in it, backwards looks like forwards, at rest it is noise"
+        findings.append(Finding("note", "yaw", what, evidence, "take a heading where one is recorded", 0.3))
+    return findings
 
 
 def _check_orientation(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:

@@ -7,6 +7,9 @@ from typing import Literal
 from offpiste.rig.edits import Edit
 
 Severity = Literal["fatal", "warning", "note"]
+TIPPED = "climbs as much as it drives"
+"""What is found of a position whose z is not up."""
+
 Cure = tuple[Edit, ...]
 """Rig edits that are made together."""
 _ORDER: dict[Severity, int] = {"fatal": 0, "warning": 1, "note": 2}

@@ -11,12 +11,12 @@ from scipy.ndimage import median_filter
 
 from offpiste.geometry import rotation_from_quaternion
 from offpiste.inspection.driven_path import STEP, Path
-from offpiste.inspection.findings import Finding, Severity
+from offpiste.inspection.findings import TIPPED, Finding, Severity
 from offpiste.inspection.pose_samples import check_faults, check_repeats, check_seldom
 from offpiste.logs.axes import to_z_up
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
-from offpiste.rig.channels import GEOGRAPHIC, ChannelSource, unit_factor
+from offpiste.rig.channels import GEOGRAPHIC, unit_factor
 from offpiste.rig.edits import Edit, rounded
 from offpiste.rig.rig import Rig
 
@@ -96,7 +96,7 @@ def check_position_unit(drive: Drive, path: Path) -> list[Finding]:
         return [Finding("fatal", "position", what, evidence, how, 1.0)]
     degrees = np.ptp(xy, axis=0).max() < 0.5 and np.abs(xy).min(axis=1).max() <= 90 and np.abs(xy).max() <= 360
     if degrees and 1e-8 < path.cruise < 1e-3 and np.abs(xy).max() > 1:
-        return [_geographic(source, xy, path)]
+        return [_geographic(rig, xy, path)]
     if path.cruise > _FASTEST or _acceleration(path) > _HARDEST:
         now = source.unit or "m"
         evidence = f"95 % of the speeds reach {path.cruise:.3g} m/s and of the accelerations {_acceleration(path):.3g} "
@@ -120,13 +120,15 @@ def _is_earth_centred(places: Float[np.ndarray, "n k"]) -> bool:
     return _EARTH[0] < float(np.linalg.norm(middle)) < _EARTH[1] and float(np.sort(middle)[1]) > _LARGEST_EASTING
 
 
-def _geographic(source: ChannelSource, xy: Float[np.ndarray, "n 2"], path: Path) -> Finding:
+def _geographic(rig: Rig, xy: Float[np.ndarray, "n 2"], path: Path) -> Finding:
     evidence = f"around ({xy[0, 0]:.5f}, {xy[0, 1]:.5f}), moving by {path.cruise:.1e} a second"
-    x, y, *height = source.fields
+    x, y, *height = rig.channels["position"].fields
     unit = Edit("channels.position.unit", GEOGRAPHIC)
     cures: list[tuple[Edit, ...]] = [(unit,), (unit, Edit("channels.position.fields", [y, x, *height]))]
     if "lon" in x.lower() or np.abs(xy[:, 0]).max() > 90:
         cures.reverse()
+    if "orientation" in rig.channels and rig.motion.axes == "z up":  # an INS, whose orientation has axes of its own
+        cures.insert(1, (*cures[0], Edit("motion.axes", "ned")))
     how = f"{', '.join(map(str, cures[0]))}: the latitude comes first; or take another pose"
     return Finding("fatal", "position", "looks like latitude and longitude", evidence, how, 1.0, tuple(cures))
 
@@ -291,7 +293,7 @@ def check_level(place: Channel, fields: Sequence[str]) -> list[Finding]:
         cures = tuple((Edit("channels.position.fields", way),) for way in ways)
         how = f"{cures[0][0]}, as y is up; or {cures[1][0]}, if that frame is left-handed, as of games"
     severity: Severity = "fatal" if cures else "warning"
-    return [Finding(severity, "position", "climbs as much as it drives", evidence, how, 0.9, cures)]
+    return [Finding(severity, "position", TIPPED, evidence, how, 0.9, cures)]
 
 
 def _up(quaternion: Float[np.ndarray, "n 4"]) -> float:

@@ -15,7 +15,7 @@ import numpy as np
 
 from offpiste.errors import OffpisteError
 from offpiste.inspection.course import against_names
-from offpiste.inspection.findings import Cure, Finding, ranked
+from offpiste.inspection.findings import TIPPED, Cure, Finding, ranked
 from offpiste.logs.axes import turning_sign
 from offpiste.rig.channels import GEOGRAPHIC, unit_factor
 from offpiste.rig.edits import Edit, edited, rounded
@@ -115,7 +115,8 @@ def _first_of_two(left: Sequence[Finding], rig: Rig, examine: Examine) -> tuple[
 def _hides_motion(before: Sequence[Finding], after: Sequence[Finding]) -> bool:
     """Whether a cure spoils the pose, so that nothing is compared with the motion any more: that silences much."""
     now, then = ({f.where for f in each if f.severity == "fatal"} <= {"controls"} for each in (before, after))
-    return now and not then
+    upright, on_its_side = (TIPPED not in {f.what for f in before}), (TIPPED in {f.what for f in after})
+    return (now and not then) or (upright and on_its_side)
 
 
 def _remembering(examine: Examine) -> Examine:

@@ -21,7 +21,7 @@ from offpiste.inspection.steering_fit import moving_rows
 from offpiste.logs.axes import to_z_up, turning_sign
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
-from offpiste.rig.channels import ChannelSource, unit_factor
+from offpiste.rig.channels import GEOGRAPHIC, ChannelSource, unit_factor
 from offpiste.rig.edits import Edit, rescaled, rounded
 from offpiste.rig.rig import Rig
 
@@ -274,7 +274,7 @@ def _gain(
     places = [*_other_unit_of_places(size, rig)] if unit == "m/s" else []
     cures = [edits] if named or plain else [*places, edits]
     cures += [place for place in places if place not in cures]
-    if unit == "m/s":
+    if unit == "m/s" and rig.channels["position"].unit != GEOGRAPHIC:
         cures.append((Edit("channels.position.scale", rounded(rig.channels["position"].scale * size)),))
     remedy = ", ".join(map(str, cures[0]))
     return [*findings, Finding("warning", name, f"is not in {unit}", evidence, remedy, 0.9, tuple(cures))]
