@@ -167,7 +167,17 @@ def test_folder_without_metadata_is_read_file_by_file_in_order(tmp_path: Path) -
     assert speeds(log) == [2.0, 10.0]
     left_out, how = log.warnings
     assert left_out.endswith("drive_11.mcap: the file is empty; record or copy it again")
-    assert "no metadata.yaml (was the recorder killed?); 2 files are read one by one" in how
+    assert "no metadata.yaml (was the recorder killed?); 2 files are read as one drive" in how
+
+
+def test_a_folder_of_several_drives_is_none(tmp_path: Path) -> None:
+    for name, count in (("monday", 5), ("tuesday", 9)):
+        mcap_file(tmp_path / f"{name}.mcap", twists(count))
+    with pytest.raises(
+        LogError, match=r"holds several recordings: tuesday.mcap begins before monday.mcap ends"
+    ) as caught:
+        BagLog(tmp_path)
+    assert caught.value.how == "give each file by itself"
 
 
 def test_metadata_cannot_point_outside_its_folder(tmp_path: Path) -> None:

@@ -177,4 +177,4 @@ def test_a_folder_whose_metadata_count_nonsense_is_read_file_by_file(tmp_path: P
     log = BagLog(folder)
     assert log.topics["/odom"].count == 30
     assert speeds(log) == list(range(30))
-    assert any("files are read one by one" in note for note in log.warnings)
+    assert any("files are read as one drive" in note for note in log.warnings)

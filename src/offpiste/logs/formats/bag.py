@@ -3,6 +3,7 @@
 import weakref
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, suppress
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,6 +15,7 @@ from offpiste.logs.log import LOG_FORMATS, Log, RawCloud, RawImage, Samples, Top
 from offpiste.logs.ros.bag_files import (
     MAGIC,
     MakeDecoder,
+    Reader,
     fields_of,
     headers_only,
     open_readers,
@@ -33,6 +35,8 @@ from offpiste.rig.camera import CameraModel, model_from_message
 _IMAGE_TYPES: Final = ("sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image")
 _CLOUD_TYPES: Final = ("sensor_msgs/msg/PointCloud2",)
 _CALIBRATIONS: Final = ("sensor_msgs/msg/CameraInfo",)
+_OVERLAP: Final = 10**9
+"""Time by which a piece of a recording may begin before the end of another one [ns]."""
 _JOINTS: Final = "sensor_msgs/msg/JointState"
 _FIRST: Final = 100
 """Messages of a topic that are asked for the names of its joints, or the lengths of its sequences."""
@@ -66,6 +70,7 @@ class BagLog(Log):
             self._readers = open_readers(path, notes)
             for reader in self._readers:
                 stack.callback(reader.close)
+            _refuse_several(self._readers, path)
             names = {connection.topic for reader in self._readers for connection in reader.connections}
             self._topics = {name: self._describe(name, notes) for name in sorted(names)}
             self._topics |= {topic.name: topic for topic in self._moving_bodies()}
@@ -267,6 +272,16 @@ class BagLog(Log):
             wanted = " or ".join(types)
             raise LogError(f"topic '{topic}' is {result.type}, not {wanted}", where=self.path, how="fix the rig")
         return self.messages(topic, stamps=stamps) if times is None else self._at(self._find(topic), times, stamps)
+
+
+def _refuse_several(readers: Sequence[Reader], path: Path) -> None:
+    """Raise where the files of a folder are no pieces of one recording: one begins before another ends."""
+    known = [reader for reader in readers if not isinstance(reader, StreamedMcap) and reader.message_count]
+    for before, after in pairwise(sorted(known, key=lambda reader: reader.start_time)):
+        if before.end_time - after.start_time > _OVERLAP:
+            first, second = (Path(str(reader.path)).name for reader in (before, after))
+            what = f"holds several recordings: {second} begins before {first} ends"
+            raise LogError(what, where=path, how="give each file by itself")
 
 
 def _images(messages: Iterator[tuple[float, Any]], topic: str) -> Iterator[RawImage]:

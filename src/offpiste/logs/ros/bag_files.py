@@ -215,7 +215,7 @@ def open_readers(path: Path, notes: list[str]) -> list[Reader]:
             notes.append(f"left out: {error}")
     if not readers:
         raise failed
-    notes.append(f"{path}: {failed.what} (was the recorder killed?); {len(readers)} files are read one by one")
+    notes.append(f"{path}: {failed.what} (was the recorder killed?); {len(readers)} files are read as one drive")
     return readers
 
 
