@@ -162,7 +162,6 @@ def test_loops_turn_left_and_right(mojave):
         ({"size": 0.0}, "size is 0.0; choose 60 to 2000 m"),
         ({"size": float("nan")}, "size is nan"),
         ({"resolution": -0.25}, "resolution is -0.25"),
-        ({"resolution": 0.35}, "resolution is 0.35; choose 0.05 to 2 m, by which the size divides"),
         ({"grip_contrast": 1.5}, "grip_contrast is 1.5; choose 0 to 1"),
         ({"appearance_noise": -1.0}, "appearance_noise"),
         ({"seed": -1}, "seed is -1"),

@@ -67,14 +67,10 @@ def make_world(settings: WorldSettings) -> World:
 
 def _check(settings: WorldSettings) -> None:
     """Refuse the first setting out of its range."""
-    cells = settings.size / max(settings.resolution, 0.05)
     allowed = {
         "seed": (settings.seed >= 0, "0 or more"),
         "size": (MIN_SIZE <= settings.size <= 2000, f"{MIN_SIZE:g} to 2000 m"),
-        "resolution": (
-            0.05 <= settings.resolution <= 2 and abs(cells - np.round(cells)) < 1e-6,
-            "0.05 to 2 m, by which the size divides",
-        ),
+        "resolution": (0.05 <= settings.resolution <= 2, "0.05 to 2 m"),
         "grip_contrast": (0 <= settings.grip_contrast <= 1, "0 to 1"),
         "relief": (0 <= settings.relief <= 5, "0 to 5"),
         "appearance_noise": (0 <= settings.appearance_noise <= 10, "0 to 10"),

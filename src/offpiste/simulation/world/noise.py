@@ -16,7 +16,7 @@ def smooth_noise(
     """A random field with mean 0 and variance about 1: a cubic B-spline with normal coefficients.
 
     The coefficients are smoothed, so that the lattice of knots does not show. The field depends on place,
-    not on how finely it is read: the same generator gives the same hills at every resolution.
+    not on how finely it is read: the same generator gives the same hills at every resolution that divides the size.
 
     Args:
         x, y: coordinates of the columns and rows [m].
