@@ -397,3 +397,12 @@ def test_a_log_of_a_moment_hardly_moves(rows: int) -> None:
         {topic: (time[:rows], {f: c[:rows] for f, c in of.items()}) for topic, (time, of) in CLEAN.data.items()}
     )
     assert "hardly moves" in [f.what for f in inspect_log(log, rig()).findings if f.severity == "fatal"]
+
+
+def test_without_a_rig_the_summary_is_of_the_log_as_its_draft_will_be_cured() -> None:
+    in_cm = CLEAN
+    for field in ("x", "y", "z"):
+        in_cm = in_cm.change("odom", field, lambda values: 100 * values)
+    found = inspect_log(in_cm)
+    assert [edit.value for edit in found.cure] == ["cm"]
+    assert found.summary.distance == pytest.approx(inspect_log(CLEAN).summary.distance, rel=0.01)

@@ -17,7 +17,7 @@ from offpiste.inspection.sensors import can_be_checked, check_sensors
 from offpiste.inspection.timing import timing
 from offpiste.logs.log import Log
 from offpiste.rig.channels import Clock
-from offpiste.rig.edits import Edit
+from offpiste.rig.edits import Edit, edited
 from offpiste.rig.rig import Rig, parse_rig
 
 
@@ -135,6 +135,9 @@ def inspect_log(log: Log, rig: Rig | None = None, *, sensors: bool = False) -> I
     rows = topic_rows(remembered, examined.recorded, clock)
     findings = (*ranked(unusable), *findings)
     inspection = Inspection(str(log.path), name, summary, rows, findings, tuple(remembered.warnings))
+    if used_rig is not None and not given and inspection.cure:  # a draft is read as it will be written
+        as_cured = examine(remembered, edited(used_rig, inspection.cure), given=False)
+        inspection = replace(inspection, summary=summarise(as_cured.recorded, as_cured.path))
     if sensors and rig is not None and can_be_checked(findings, rig):
         return inspection.with_findings(check_sensors(log, rig, inspection.cure))
     return inspection
