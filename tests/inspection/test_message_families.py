@@ -314,6 +314,30 @@ def test_the_velocity_of_a_world_of_north_east_down_has_its_frame() -> None:
     assert (velocity.fields[0], velocity.frame) == ("velocity[0]", "world")
 
 
+@pytest.mark.parametrize("asked", "wheel_angle_setpoint wheel_angle_cmd desired_angle setpoint target position_cmd".split())
+@pytest.mark.parametrize("others", ["enable rate_limit", "seq rate_limit timeout_ms is_valid", "enable torque current"])
+def test_limits_and_switches_do_not_hide_what_a_topic_commands(asked: str, others: str) -> None:
+    """Nor do other quantities, of a field that says that it is asked for."""
+    beside = dict.fromkeys(others.split(), "1")
+    status = {"wheel_angle": "angle", "column_torque": "wy", "driver_override": "0"}
+    log = log_of(
+        {"/odom": POSE, "/dbw/steering_status": status, "/dbw/steering_command": {asked: "tire command"} | beside}
+        | {f"/dbw/{pedal}_cmd": {"pedal_setpoint": pedal} | beside for pedal in ("throttle", "brake")}
+    )
+    channels = parse_rig(draft_rig(log), where="draft").channels
+    assert {name: (channels[name].topic, channels[name].fields) for name in ("steer", "steer_angle")} == {
+        "steer": ("/dbw/steering_command", (asked,)),
+        "steer_angle": ("/dbw/steering_status", ("wheel_angle",)),
+    }
+    for pedal in ("throttle", "brake"):
+        assert channels[pedal].topic == f"/dbw/{pedal}_cmd"
+
+
+@pytest.mark.parametrize("field", ["steering_rate_limit", "steering_angle_max", "throttle_limit", "brake_fault"])
+def test_a_limit_is_no_channel(field: str) -> None:
+    assert guess_channels(MemoryLog({"": (TIME, dict.fromkeys((field, "x", "y"), ODOM["x"]))}))[1:] == []
+
+
 def test_east_and_north_velocities_are_no_place() -> None:
     columns = ("EAST VELOCITY", "NORTH VELOCITY", "UP VELOCITY", "LATITUDE", "LONGITUDE")
     log = MemoryLog({"": (TIME, dict.fromkeys(columns, ODOM["x"]))})

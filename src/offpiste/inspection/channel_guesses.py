@@ -9,7 +9,15 @@ from offpiste.channels import ACTUATORS, CONTROLS, all_actuators, all_controls
 from offpiste.inspection.commanded_motion import motion_commands
 from offpiste.inspection.field_groups import field_groups
 from offpiste.logs.log import Log, Topic
-from offpiste.rig.labels import COURSE_NAMES, Label, channel_unit, field_labels, is_array_entry, parse_label
+from offpiste.rig.labels import (
+    COURSE_NAMES,
+    Label,
+    channel_unit,
+    field_labels,
+    is_array_entry,
+    is_beside_quantity,
+    parse_label,
+)
 
 _ANGLE = r"(angle|ang(?!le))(?![ _]?(vel|rate|speed|acc|jerk))"
 _TURN_RATE: Final = re.compile(r"ang(ular)?_?vel(ocity)?[/._]z$|yaw[_ ]?vel(ocity)?$")
@@ -160,7 +168,7 @@ def _of_topic(topic: Topic) -> Iterator[Guess]:
         unnamed = is_array_entry(field) and field not in topic.joints
         own = label.name if _NUMBER.search(field) or field in topic.joints else parse_label(field).name
         other = _NOT_SCALARS.search(own) and not _TURN_RATE.search(label.name)
-        if field in taken or unnamed or other:
+        if field in taken or unnamed or other or is_beside_quantity(own):
             continue
         for channel, rank, pattern in scalars:
             joint = field.startswith("position[") and field in topic.joints and not _COMMANDED_JOINTS.search(topic.name)
