@@ -59,7 +59,10 @@ def _quantities() -> dict[str, np.ndarray]:
         "half azimuth cos": np.cos((np.pi / 2 - yaw) / 2),
         "half azimuth sin": np.sin((np.pi / 2 - yaw) / 2),
         "wheel": 14 * at["angle"],
+        "wheel in deg": 800 * at["angle"],
         "tire command": MAX_STEER * at["steer"],
+        "wheel command": 800 * MAX_STEER * at["steer"],
+        "pressure": 7200 * at["brake"],
         "speed command": np.interp(TIME + 0.4, TIME, ODOM["vx"]),
         "duty": ODOM["vx"] / 20,
         "steering pulse": 1500 - 400 * at["steer"],
@@ -247,7 +250,11 @@ def test_channels_are_found_in_messages_of(name: str) -> None:
         ("parking_brake brake_light brake_pedal", "brake", "brake_pedal"),
         ("brake_temp_fl brakePressed brake", "brake", "brake"),
         ("brake_psi yaw_deg", "yaw", "yaw_deg"),
-        ("brake_psi yaw_deg", "brake", "brake_psi"),
+        ("brake_psi yaw_deg", "brake_pressure", "brake_psi"),
+        ("brake_line_kpa brake_pct", "brake_pressure", "brake_line_kpa"),
+        ("brake_pct brake_front_bar", "brake_pressure", "brake_front_bar"),
+        ("Brk_Circuit[MPa] brake", "brake_pressure", "Brk_Circuit[MPa]"),
+        ("park_brake_psi brake_line_psi", "brake_pressure", "brake_line_psi"),
         ("gyro_yaw yaw", "yaw", "yaw"),
         ("gyro_yaw yaw", "yaw_rate", "gyro_yaw"),
         ("Engine_Speed Vehicle_Speed", "engine_rpm", "Engine_Speed"),
@@ -314,7 +321,9 @@ def test_the_velocity_of_a_world_of_north_east_down_has_its_frame() -> None:
     assert (velocity.fields[0], velocity.frame) == ("velocity[0]", "world")
 
 
-@pytest.mark.parametrize("asked", "wheel_angle_setpoint wheel_angle_cmd desired_angle setpoint target position_cmd".split())
+@pytest.mark.parametrize(
+    "asked", ["wheel_angle_setpoint", "wheel_angle_cmd", "desired_angle", "setpoint", "target", "position_cmd"]
+)
 @pytest.mark.parametrize("others", ["enable rate_limit", "seq rate_limit timeout_ms is_valid", "enable torque current"])
 def test_limits_and_switches_do_not_hide_what_a_topic_commands(asked: str, others: str) -> None:
     """Nor do other quantities, of a field that says that it is asked for."""
@@ -331,6 +340,24 @@ def test_limits_and_switches_do_not_hide_what_a_topic_commands(asked: str, other
     }
     for pedal in ("throttle", "brake"):
         assert channels[pedal].topic == f"/dbw/{pedal}_cmd"
+
+
+def test_the_angle_of_a_steering_wheel_beside_its_command_is_that_of_the_road_wheels() -> None:
+    topics = {"/odom": POSE, "/dbw/steering_status": {"wheel_angle": "wheel in deg", "column_torque": "wy", "seq": "1"}}
+    topics["/dbw/steering_command"] = {"enable": "1", "wheel_angle_setpoint": "wheel command", "rate_limit": "1"}
+    rig = parse_rig(draft_rig(log_of(topics)), where="draft")
+    assert rig.channels["steer_angle"].topic == "/dbw/steering_status"
+    largest = np.abs(QUANTITIES["wheel command"]).max()
+    assert rig.channels["steer_angle"].scale == pytest.approx(rig.vehicle.max_steer / largest, rel=0.01)
+
+
+def test_a_pressure_beside_the_brakes_command_is_read() -> None:
+    pedals = {"accelerator_pct": "throttle", "brake_pct": "brake", "enable": "1"}
+    status = {"accelerator_pct": "throttle", "brake_line_kpa": "pressure", "engine_rpm": "height"}
+    topics = {"/odom": POSE, "/pedal_command": pedals, "/pedal_status": status, "/steer": {"steer": "steer"}}
+    channels = parse_rig(draft_rig(log_of(topics)), where="draft").channels
+    assert (channels["brake"].fields, channels["brake_pressure"].fields) == (("brake_pct",), ("brake_line_kpa",))
+    assert channels["brake_pressure"].scale * QUANTITIES["pressure"].max() == pytest.approx(1, rel=0.01)
 
 
 @pytest.mark.parametrize("field", ["steering_rate_limit", "steering_angle_max", "throttle_limit", "brake_fault"])

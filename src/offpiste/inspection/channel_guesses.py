@@ -11,6 +11,7 @@ from offpiste.inspection.field_groups import field_groups
 from offpiste.logs.log import Log, Topic
 from offpiste.rig.labels import (
     COURSE_NAMES,
+    PRESSURES,
     Label,
     channel_unit,
     field_labels,
@@ -180,6 +181,8 @@ def _of_topic(topic: Topic) -> Iterator[Guess]:
             turning = channel == "steer" and label.unit and channel_unit("steer_rate", label.unit) is not None
             if channel in _CONTROLS and (turning or _BESIDE.search(label.name)):
                 rank += FALLBACK
+            if channel == "brake" and label.unit in PRESSURES:
+                channel = "brake_pressure"
             scalar = _guess(channel, topic, (field,), label, rank) if named_so else None
             if scalar is not None:
                 yield scalar

@@ -59,6 +59,7 @@ def draft_channels(
     straight: float | None = None,
     *,
     plain: bool = False,
+    max_steer: float = 0.0,
 ) -> dict[str, Entry]:
     """Entries by channel, the pose's first.
 
@@ -67,6 +68,7 @@ def draft_channels(
         found: controls that no name shows.
         straight: recorded steering at which the vehicle goes straight, where the motion shows it.
         plain: whether what is named a speed and a turn rate is the throttle and the steering itself.
+        max_steer: of the road wheels at a steering command of 1 [rad], where the motion shows it; else 0.
     """
     guesses = [_as_it_is(guess) if plain else guess for guess in guess_channels(log)]
     entries = draft_pose(log, guesses, frame)
@@ -99,7 +101,7 @@ def draft_channels(
         # A position beside no command is the steering, of any unit; that of a joint is an angle.
         scalars["steer"] = (guess if is_array_entry(guess.fields[0]) else replace(guess, channel="steer")), numbers
     others = {name: _scalar(name, *scalar) for name, scalar in scalars.items() if name not in ("steer", "steer_angle")}
-    entries |= others | signed_pedal(scalars) | _steering(scalars, straight)
+    entries |= others | signed_pedal(scalars) | _steering(scalars, straight, max_steer)
     for channel, (guess, correlation) in found.items():
         if channel in entries and entries[channel].guess is guess:
             follows = f"by its numbers: the motion follows it ({correlation:.2f})"
@@ -190,10 +192,13 @@ def _scalar(channel: str, guess: Guess, values: Float[np.ndarray, " n"], straigh
     return Entry(guess, tuple(lines), comment)
 
 
-def _steering(scalars: Scalars, straight: float | None) -> dict[str, Entry]:
+def _steering(scalars: Scalars, straight: float | None, max_steer: float) -> dict[str, Entry]:
     """Commands and angles of the steering: an angle that is the only steering stands for its command, too."""
     steer, angle = scalars.get("steer"), scalars.get("steer_angle")
+    in_hand: dict[str, Entry] = {}
     if angle is not None and not _angle_factor(*angle):  # of the steering wheel
+        if steer is not None and max_steer and _is_command(steer[0]) and not _angle_factor(*steer):
+            in_hand = _in_hand(steer, angle, max_steer)
         steer, angle = steer if steer is not None and steer[0].rank < FALLBACK else angle, None
     if steer is not None and steer[0].rank >= FALLBACK and angle is not None:
         steer = None
@@ -203,7 +208,7 @@ def _steering(scalars: Scalars, straight: float | None) -> dict[str, Entry]:
     commanded = _angle_factor(*command) if _is_angle(command[0]) else 0.0
     if commanded and angle is None and not _is_command(command[0]):
         angle = steer
-    entries = {}
+    entries: dict[str, Entry] = {}
     if commanded:
         entries["steer"] = _from_angle(*command, commanded, measured=command is angle)
     else:
@@ -218,7 +223,20 @@ def _steering(scalars: Scalars, straight: float | None) -> dict[str, Entry]:
             entries["steer"] = replace(
                 entries["steer"], max_angle=float(f"{stated:.4g}") if stated < _STEEPEST else 0.0
             )
-    return entries
+    return entries | in_hand
+
+
+def _in_hand(
+    steer: tuple[Guess, Float[np.ndarray, " n"]], angle: tuple[Guess, Float[np.ndarray, " n"]], max_steer: float
+) -> dict[str, Entry]:
+    """The angle of the road wheels by that of the steering wheel, as far as the command in the same unit turns them."""
+    largest = _largest(steer[1])
+    if not (_is_angle(steer[0]) and steer[0].unit == angle[0].unit and 0.5 < _largest(angle[1]) / largest < 2):
+        return {}
+    comment = (
+        f"GUESSED: of a steering wheel, of which {largest:.4g} turn the road wheels by max_steer; correct it with that"
+    )
+    return {"steer_angle": Entry(angle[0], (f"scale = {number(max_steer / largest)}",), comment)}
 
 
 def _from_angle(guess: Guess, values: Float[np.ndarray, " n"], factor: float, *, measured: bool) -> Entry:

@@ -46,10 +46,13 @@ _OTHERS: Final = (
 )
 """Units of what no channel holds."""
 
+PRESSURES: Final = frozenset(("pa", "kpa", "mpa", "bar", "psi"))
+"""Those of pressures."""
+
 _UNITS: Final = {spelling: unit for unit, all_of in _SPELLINGS.items() for spelling in all_of.split()}
 _BRACKETED: Final = {**_UNITS, **{unit: unit for unit in _OTHERS.split()}}
 _AFTER: Final = {s: unit for s, unit in _UNITS.items() if unit != "1"} | {
-    "m_s2": "m/s2", "mps2": "m/s2", "bar": "bar", "kpa": "kpa", "mpa": "mpa",
+    "m_s2": "m/s2", "mps2": "m/s2", "bar": "bar", "kpa": "kpa", "mpa": "mpa", "psi": "psi",
 }  # fmt: skip
 _BRACKET: Final = re.compile(r"^(.*?)[\s_]*(?:\[([^\[\]]*)\]|\(([^()]*)\)|\{([^{}]*)\}|<([^<>]*)>)$")
 _WORDED: Final = re.compile(r"^(.*\S)(?:\s+/\s*|,\s*|\s+in\s+)\(?([^\s()]+)\)?$")
