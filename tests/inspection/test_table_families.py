@@ -109,6 +109,17 @@ def test_channels_are_found_in_a_table_of(name: str) -> None:
     assert cured(log, rig) == []
 
 
+@pytest.mark.parametrize(("quantity", "drafted"), [("letter", True), ("azimuth", False)])
+def test_a_direction_is_a_gear_where_it_has_few_values(quantity: str, drafted: bool) -> None:
+    columns = PLACES | PEDALS | {"heading": "azimuth", "MachineDirection": quantity}
+    values = MORE | QUANTITIES | {"letter": np.where(np.arange(len(TIME)) < 900, 68.0, 78.0)}
+    log = MemoryLog({"": (TIME, {name: values[of] for name, of in columns.items()})})
+    rig = parse_rig(draft_rig(log), where="draft")
+    assert ("gear" in rig.channels) == drafted
+    if drafted:
+        assert rig.channels["gear"].values == {"P": 0, "R": -1, "N": 0, "D": 1}
+
+
 def test_what_a_receiver_measures_is_no_wheels_speed() -> None:
     guesses = {guess.channel: guess for guess in guess_channels(table(FAMILIES["q0"][0]))}
     assert "wheel_speed" not in guesses

@@ -27,7 +27,7 @@ from offpiste.inspection.draft_pedals import (
     signed_pedal,
 )
 from offpiste.inspection.draft_pose import Entry, degrees, draft_pose, field_values, unit_line
-from offpiste.inspection.gear import gear_values
+from offpiste.inspection.gear import MOST_GEARS, gear_values
 from offpiste.inspection.signal_faults import find_spikes, find_wrap
 from offpiste.inspection.usual_ranges import held_range, steering_middle
 from offpiste.logs.channel import unwrapped
@@ -86,7 +86,7 @@ def draft_channels(
         if channel == "wheel_speed" and guess.rank > 1 and guess.topic != pose_topic:
             continue
         values = field_values(log, guess)
-        if values is not None and np.ptp(values) > 0 and not _only_forward(guess, values):
+        if values is not None and np.ptp(values) > 0 and not _is_no_gear(guess, values):
             scalars[channel] = guess, values[:, 0]
     for channel, (guess, _) in found.items():
         if channel not in scalars and (values := field_values(log, guess)) is not None:
@@ -128,9 +128,11 @@ def of_other_vehicles(entries: Mapping[str, Entry]) -> list[str]:
     ]
 
 
-def _only_forward(guess: Guess, values: Float[np.ndarray, "n k"]) -> bool:
-    """Whether a direction is that of a commanded speed that never leads backwards."""
-    return guess.rank == MOTION and guess.channel == "gear" and float(values.min()) >= 0
+def _is_no_gear(guess: Guess, values: Float[np.ndarray, "n k"]) -> bool:
+    """Whether a direction is that of a commanded speed that never leads backwards, or an angle by its many values."""
+    if guess.channel != "gear":
+        return False
+    return float(values.min()) >= 0 if guess.rank == MOTION else guess.rank > 0 and len(np.unique(values)) > MOST_GEARS
 
 
 def _as_it_is(guess: Guess) -> Guess:

@@ -82,12 +82,19 @@ _BESIDES: Final = re.compile(
 _NUMBER_ONLY: Final = re.compile(r"[/.](data|value)$")
 _GEARS: Final = {
     word: letter
-    for letter, words in (("P", "park parking"), ("R", "reverse backward"), ("N", "neutral"), ("D", "drive forward"))
+    for letter, words in (
+        ("P", "park parking parked"),
+        ("R", "reverse reversing backward backwards"),
+        ("N", "neutral stop stopped standstill halt halted"),
+        ("D", "drive forward forwards"),
+    )
     for word in words.split()
 }
 """Letters of gears, by what logs call these."""
 _NAMES: Final = {"rpm"}
 """Units that name a quantity by themselves, and stay a part of its name."""
+_CLOCKS: Final = re.compile("m(illi)?s(ec(ond)?s?)?|u(s(ec)?s?)|ns(ec)?s?|(milli|micro|nano)(s|seconds?)")
+"""Units of time that name a clock by themselves: `millis` of an Arduino."""
 
 
 @dataclass(frozen=True)
@@ -116,7 +123,7 @@ def parse_label(header: str) -> Label:
     if match := _SUFFIX.match(text):
         spelling = match[2] or match[3]
         return Label(text if spelling in _NAMES else match[1], _AFTER[spelling])
-    return Label(text)
+    return Label(text, _UNITS[text] if _CLOCKS.fullmatch(text) else "")
 
 
 def field_labels(
