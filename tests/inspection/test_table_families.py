@@ -120,6 +120,19 @@ def test_a_direction_is_a_gear_where_it_has_few_values(quantity: str, drafted: b
         assert rig.channels["gear"].values == {"P": 0, "R": -1, "N": 0, "D": 1}
 
 
+@pytest.mark.parametrize(("name", "scale"), [("CurvatureCommand_1pkm", 1000), ("commanded_curvature", 1)])
+def test_a_curvature_that_is_commanded_is_no_angle_of_a_steering_wheel(name: str, scale: float) -> None:
+    """It is scaled by its largest value, whose angle is `max_steer`, as small as it may be."""
+    curvature = 0.15 * scale * QUANTITIES["steer"]
+    columns = {name: (MORE | QUANTITIES)[of] for name, of in (PLACES | {"heading": "azimuth"}).items()}
+    columns |= {"throttle": QUANTITIES["throttle"], "brake": QUANTITIES["brake"], name: curvature}
+    text = draft_rig(MemoryLog({"": (TIME, columns)}))
+    (line,) = (line for line in text.splitlines() if line.startswith("[channels.steer]"))
+    assert "a curvature, max_steer is the angle of the road wheels that it asks for" in line
+    source = parse_rig(text, where="draft").channels["steer"]
+    assert source.scale * np.abs(curvature).max() == pytest.approx(1, rel=0.02)
+
+
 def test_what_a_receiver_measures_is_no_wheels_speed() -> None:
     guesses = {guess.channel: guess for guess in guess_channels(table(FAMILIES["q0"][0]))}
     assert "wheel_speed" not in guesses

@@ -167,17 +167,20 @@ def _scalar(channel: str, guess: Guess, values: Float[np.ndarray, " n"], straigh
     elif (
         channel == "steer"
         and largest > 1.05
+        and not _is_curvature(guess)
         and (around := steering_middle(values, named=are_named_pulses(guess), straight=straight))
         and around[1] > 0
     ):
         middle, reach, words = around
         lines += [f"scale = {number(1 / reach)}", f"offset = {number(-middle / reach)}", "clip = [-1.0, 1.0]"]
         comment += f" and numbers: {words}"
-    elif channel == "steer" and largest > 1.05:
+    elif channel == "steer" and (largest > 1.05 or _is_curvature(guess)):
         largest = float(np.abs(values[~find_spikes(values)]).max())
         lines += [f"scale = {number(1 / largest)}", "clip = [-1.0, 1.0]"]
         comment += f"; scaled by its largest value, {largest:.4g}"
-        if _is_angle(guess) or largest > _STEERING_WHEEL:
+        if _is_curvature(guess):
+            comment += ": a curvature, max_steer is the angle of the road wheels that it asks for"
+        elif _is_angle(guess) or largest > _STEERING_WHEEL:
             comment += ": of a steering wheel, max_steer is that over the steering's ratio"
         elif largest < _STEEPEST * 180 / np.pi:
             comment += ': is it an angle of the road wheels? Then unit = "deg" instead'
@@ -253,6 +256,10 @@ def _from_angle(guess: Guess, values: Float[np.ndarray, " n"], factor: float, *,
 
 def _is_angle(guess: Guess) -> bool:
     return guess.channel == "steer_angle" or bool(guess.unit and channel_unit("steer_angle", guess.unit) is not None)
+
+
+def _is_curvature(guess: Guess) -> bool:
+    return any(re.search("curvature", field, re.IGNORECASE) for field in guess.fields)
 
 
 def _is_in_hand(guess: Guess) -> bool:
