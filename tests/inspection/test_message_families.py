@@ -385,6 +385,22 @@ def test_half_of_a_pose_is_named() -> None:
         draft_rig(log_of({"/imu": {"yaw": "azimuth in rad", "temperature": "1"}} | COMMANDS))
 
 
+@pytest.mark.parametrize("name", ["attitude", "pose.attitude", "pose_q", "att", "heading_and_tilt", "ins_r"])
+def test_unit_quaternions_are_an_orientation_whatever_they_are_called(name: str) -> None:
+    turned = {f"{name}.{axis}": f"q{axis}" for axis in "xyzw"}
+    ins = {"lat": "latitude", "lon": "longitude", "alt": "height", "temperature": "1"} | turned
+    channels = parse_rig(draft_rig(log_of({"/ins": ins} | COMMANDS)), where="draft").channels
+    assert channels["orientation"].fields == tuple(turned)
+    assert "yaw" not in channels
+
+
+def test_a_vector_of_four_that_is_no_quaternion_is_no_orientation() -> None:
+    columns = {f"att.{axis}": axis for axis in "xyz"} | {"att.w": "height", "lat": "latitude"}
+    assert "orientation" not in {guess.channel for guess in guess_channels(log_of({"/ins": columns}))}
+    columns = {f"attitude_error.{axis}": f"q{axis}" for axis in "xyzw"} | {"lat": "latitude"}
+    assert list(guess_channels(log_of({"/ins": columns}))) == []
+
+
 def test_what_never_changes_is_no_half_of_a_pose() -> None:
     """As an IMU without a heading fills the orientation of its messages."""
     imu = {f"orientation.{axis}": "0" for axis in "xyzw"} | {f"angular_velocity.{axis}": f"w{axis}" for axis in "xyz"}

@@ -5,9 +5,12 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Final
 
+import numpy as np
+
 from offpiste.channels import ACTUATORS, CONTROLS, all_actuators, all_controls
-from offpiste.inspection.commanded_motion import motion_commands
-from offpiste.inspection.field_groups import field_groups
+from offpiste.errors import OffpisteError
+from offpiste.inspection.commanded_motion import COMMANDED, motion_commands
+from offpiste.inspection.field_groups import field_groups, fours
 from offpiste.logs.log import Log, Topic
 from offpiste.rig.labels import (
     COURSE_NAMES,
@@ -79,6 +82,8 @@ _BESIDE: Final = re.compile(
 """What is measured at a pedal or a steering, besides where it is; a channel only where nothing else is."""
 _DEVICES: Final = re.compile(r"(can|bus|ecu|plc|gps|gnss|imu)_?\d*$", re.IGNORECASE)
 """Namespaces of what one vehicle may have several of."""
+_UNIT, _MOST = 0.02, 0.95
+"""How far the length of quaternions is from 1, at most, and in how many of the rows."""
 FALLBACK: Final = 10
 """Ranks from here on are those of such names."""
 
@@ -141,7 +146,7 @@ def guess_channels(log: Log) -> list[Guess]:
 
     Of commanded motions the one that comes most often is first: others ask, and one is passed on to the vehicle.
     """
-    guesses = [guess for topic in log.topics.values() if topic.count > 1 for guess in _of_topic(topic)]
+    guesses = [guess for topic in log.topics.values() if topic.count > 1 for guess in _of_topic(log, topic)]
     return sorted(guesses, key=lambda g: (g.rank, -log.topics[g.topic].count if g.rank == MOTION else 0))
 
 
@@ -150,7 +155,7 @@ def labels(topic: Topic) -> dict[str, Label]:
     return field_labels(topic.name, topic.fields, topic.units, topic.joints)
 
 
-def _of_topic(topic: Topic) -> Iterator[Guess]:
+def _of_topic(log: Log, topic: Topic) -> Iterator[Guess]:
     if topic.type in _LAYOUTS:
         for channel, fields in _LAYOUTS[topic.type]:
             if set(fields) <= set(topic.fields):
@@ -161,6 +166,11 @@ def _of_topic(topic: Topic) -> Iterator[Guess]:
     for channel, fields, unit in motion_commands(topic, named):
         yield Guess(channel, topic.name, fields, unit, MOTION)
         taken |= set(fields)
+    for fields, own in fours(named):
+        if not taken & set(fields) and _are_quaternions(log, topic.name, fields):
+            if own and not COMMANDED.search(topic.name):
+                yield Guess("orientation", topic.name, fields)
+            taken |= set(fields)
     for channel, fields, unit, rank in field_groups(topic, named):
         if not taken & set(fields) and channel_unit(channel, unit) is not None:
             yield Guess(channel, topic.name, fields, unit, rank)
@@ -188,6 +198,16 @@ def _of_topic(topic: Topic) -> Iterator[Guess]:
             if scalar is not None:
                 yield scalar
                 break
+
+
+def _are_quaternions(log: Log, topic: str, fields: tuple[str, ...]) -> bool:
+    """Whether the rows of four fields have length 1, but for a few."""
+    try:
+        rows = log.read(topic, fields).values
+    except OffpisteError:
+        return False
+    rows = rows[np.isfinite(rows).all(axis=1)]
+    return len(rows) > 1 and bool(np.mean(np.abs(np.linalg.norm(rows, axis=1) - 1) < _UNIT) > _MOST)
 
 
 def _guess(channel: str, topic: Topic, fields: tuple[str, ...], label: Label, rank: int = 0) -> Guess | None:
