@@ -166,9 +166,9 @@ def _of_topic(log: Log, topic: Topic) -> Iterator[Guess]:
     for channel, fields, unit in motion_commands(topic, named):
         yield Guess(channel, topic.name, fields, unit, MOTION)
         taken |= set(fields)
-    for fields, own in fours(named):
+    for fields, of_the_vehicle in fours(named):
         if not taken & set(fields) and _are_quaternions(log, topic.name, fields):
-            if own and not COMMANDED.search(topic.name):
+            if of_the_vehicle and not COMMANDED.search(topic.name):
                 yield Guess("orientation", topic.name, fields)
             taken |= set(fields)
     for channel, fields, unit, rank in field_groups(topic, named):
