@@ -60,7 +60,10 @@ def _quantities() -> dict[str, np.ndarray]:
         "half azimuth cos": np.cos((np.pi / 2 - yaw) / 2),
         "half azimuth sin": np.sin((np.pi / 2 - yaw) / 2),
         "wheel": 14 * at["angle"],
+        "wheel in deg": 800 * at["angle"],
         "tire command": MAX_STEER * at["steer"],
+        "wheel command": 800 * MAX_STEER * at["steer"],
+        "pressure": 7200 * at["brake"],
         "speed command": np.interp(TIME + 0.4, TIME, ODOM["vx"]),
         "duty": ODOM["vx"] / 20,
         "steering pulse": 1500 - 400 * at["steer"],
@@ -248,7 +251,11 @@ def test_channels_are_found_in_messages_of(name: str) -> None:
         ("parking_brake brake_light brake_pedal", "brake", "brake_pedal"),
         ("brake_temp_fl brakePressed brake", "brake", "brake"),
         ("brake_psi yaw_deg", "yaw", "yaw_deg"),
-        ("brake_psi yaw_deg", "brake", "brake_psi"),
+        ("brake_psi yaw_deg", "brake_pressure", "brake_psi"),
+        ("brake_line_kpa brake_pct", "brake_pressure", "brake_line_kpa"),
+        ("brake_pct brake_front_bar", "brake_pressure", "brake_front_bar"),
+        ("Brk_Circuit[MPa] brake", "brake_pressure", "Brk_Circuit[MPa]"),
+        ("park_brake_psi brake_line_psi", "brake_pressure", "brake_line_psi"),
         ("gyro_yaw yaw", "yaw", "yaw"),
         ("gyro_yaw yaw", "yaw_rate", "gyro_yaw"),
         ("Engine_Speed Vehicle_Speed", "engine_rpm", "Engine_Speed"),
@@ -260,6 +267,9 @@ def test_channels_are_found_in_messages_of(name: str) -> None:
         ("GForceLat GForceLong latitude longitude", "position", "latitude"),
         ("v_lat v_lon a_lat lat lon", "position", "lat"),
         ("bearing lat", "yaw", "bearing"),
+        ("compass_deg cog_deg lat", "yaw", "compass_deg"),
+        ("cog hdg_rad lat", "yaw", "hdg_rad"),
+        ("azimuth_deg lat", "yaw", "azimuth_deg"),
         ("course_over_ground lat", "yaw", "course_over_ground"),
         ("location.x location.y location.z", "position", "location.x"),
         ("gt_x gt_y gt_yaw", "position", "gt_x"),
@@ -315,6 +325,50 @@ def test_the_velocity_of_a_world_of_north_east_down_has_its_frame() -> None:
     assert (velocity.fields[0], velocity.frame) == ("velocity[0]", "world")
 
 
+@pytest.mark.parametrize(
+    "asked", ["wheel_angle_setpoint", "wheel_angle_cmd", "desired_angle", "setpoint", "target", "position_cmd"]
+)
+@pytest.mark.parametrize("others", ["enable rate_limit", "seq rate_limit timeout_ms is_valid", "enable torque current"])
+def test_limits_and_switches_do_not_hide_what_a_topic_commands(asked: str, others: str) -> None:
+    """Nor do other quantities, of a field that says that it is asked for."""
+    beside = dict.fromkeys(others.split(), "1")
+    status = {"wheel_angle": "angle", "column_torque": "wy", "driver_override": "0"}
+    log = log_of(
+        {"/odom": POSE, "/dbw/steering_status": status, "/dbw/steering_command": {asked: "tire command"} | beside}
+        | {f"/dbw/{pedal}_cmd": {"pedal_setpoint": pedal} | beside for pedal in ("throttle", "brake")}
+    )
+    channels = parse_rig(draft_rig(log), where="draft").channels
+    assert {name: (channels[name].topic, channels[name].fields) for name in ("steer", "steer_angle")} == {
+        "steer": ("/dbw/steering_command", (asked,)),
+        "steer_angle": ("/dbw/steering_status", ("wheel_angle",)),
+    }
+    for pedal in ("throttle", "brake"):
+        assert channels[pedal].topic == f"/dbw/{pedal}_cmd"
+
+
+def test_the_angle_of_a_steering_wheel_beside_its_command_is_that_of_the_road_wheels() -> None:
+    topics = {"/odom": POSE, "/dbw/steering_status": {"wheel_angle": "wheel in deg", "column_torque": "wy", "seq": "1"}}
+    topics["/dbw/steering_command"] = {"enable": "1", "wheel_angle_setpoint": "wheel command", "rate_limit": "1"}
+    rig = parse_rig(draft_rig(log_of(topics)), where="draft")
+    assert rig.channels["steer_angle"].topic == "/dbw/steering_status"
+    largest = np.abs(QUANTITIES["wheel command"]).max()
+    assert rig.channels["steer_angle"].scale == pytest.approx(rig.vehicle.max_steer / largest, rel=0.01)
+
+
+def test_a_pressure_beside_the_brakes_command_is_read() -> None:
+    pedals = {"accelerator_pct": "throttle", "brake_pct": "brake", "enable": "1"}
+    status = {"accelerator_pct": "throttle", "brake_line_kpa": "pressure", "engine_rpm": "height"}
+    topics = {"/odom": POSE, "/pedal_command": pedals, "/pedal_status": status, "/steer": {"steer": "steer"}}
+    channels = parse_rig(draft_rig(log_of(topics)), where="draft").channels
+    assert (channels["brake"].fields, channels["brake_pressure"].fields) == (("brake_pct",), ("brake_line_kpa",))
+    assert channels["brake_pressure"].scale * QUANTITIES["pressure"].max() == pytest.approx(1, rel=0.01)
+
+
+@pytest.mark.parametrize("field", ["steering_rate_limit", "steering_angle_max", "throttle_limit", "brake_fault"])
+def test_a_limit_is_no_channel(field: str) -> None:
+    assert guess_channels(MemoryLog({"": (TIME, dict.fromkeys((field, "x", "y"), ODOM["x"]))}))[1:] == []
+
+
 def test_east_and_north_velocities_are_no_place() -> None:
     columns = ("EAST VELOCITY", "NORTH VELOCITY", "UP VELOCITY", "LATITUDE", "LONGITUDE")
     log = MemoryLog({"": (TIME, dict.fromkeys(columns, ODOM["x"]))})
@@ -330,6 +384,38 @@ def test_half_of_a_pose_is_named() -> None:
         draft_rig(MemoryLog({"": (TIME, columns)}))
     with pytest.raises(LogError, match=r"/imu \(yaw\) may be a heading, and no name is that of a position"):
         draft_rig(log_of({"/imu": {"yaw": "azimuth in rad", "temperature": "1"}} | COMMANDS))
+
+
+@pytest.mark.parametrize("name", ["attitude", "pose.attitude", "pose_q", "att", "heading_and_tilt", "ins_r"])
+def test_unit_quaternions_are_an_orientation_whatever_they_are_called(name: str) -> None:
+    turned = {f"{name}.{axis}": f"q{axis}" for axis in "xyzw"}
+    ins = {"lat": "latitude", "lon": "longitude", "alt": "height", "temperature": "1"} | turned
+    channels = parse_rig(draft_rig(log_of({"/ins": ins} | COMMANDS)), where="draft").channels
+    assert channels["orientation"].fields == tuple(turned)
+    assert "yaw" not in channels
+
+
+def test_a_vector_of_four_that_is_no_quaternion_is_no_orientation() -> None:
+    columns = {f"att.{axis}": axis for axis in "xyz"} | {"att.w": "height", "lat": "latitude"}
+    assert "orientation" not in {guess.channel for guess in guess_channels(log_of({"/ins": columns}))}
+    columns = {f"attitude_error.{axis}": f"q{axis}" for axis in "xyzw"} | {"lat": "latitude"}
+    assert list(guess_channels(log_of({"/ins": columns}))) == []
+
+
+def test_what_never_changes_is_no_half_of_a_pose() -> None:
+    """As an IMU without a heading fills the orientation of its messages."""
+    imu = {f"orientation.{axis}": "0" for axis in "xyzw"} | {f"angular_velocity.{axis}": f"w{axis}" for axis in "xyz"}
+    with pytest.raises(LogError, match=r"write a rig that names one; it has: /imu, /cmd"):
+        draft_rig(log_of({"/imu": imu} | COMMANDS))
+
+
+@pytest.mark.parametrize(("rows", "what"), [(0, "the table has no rows"), (1, "the table has one row")])
+def test_a_table_without_a_drive_is_said_to_have_none(rows: int, what: str) -> None:
+    columns = dict.fromkeys(("x", "y", "yaw", "throttle"), ODOM["x"][:rows])
+    with pytest.raises(LogError, match=f"{what}; a drive needs many"):
+        draft_rig(MemoryLog({"": (TIME[:rows], columns)}))
+    with pytest.raises(LogError, match=r"no topic has (a|more than one) message"):
+        draft_rig(MemoryLog({"/odom": (TIME[:rows], columns), "/cmd": (TIME[:rows], columns)}))
 
 
 def test_a_pose_in_the_earths_frame_comes_last() -> None:

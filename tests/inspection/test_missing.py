@@ -1,9 +1,12 @@
 """Channels that the log does not have, cured by a name that is nearly the same; controls that nothing reads."""
 
+import dataclasses
+
 import numpy as np
 from simulated import MemoryLog, drive_log, rig
 
 from offpiste.inspection.inspect import inspect_log
+from offpiste.logs.log import Topic
 
 CLEAN = drive_log(seed=0)
 STEER = 'topic = "steering"\nfields = ["command"]'
@@ -16,6 +19,17 @@ def test_a_field_with_another_name_is_renamed() -> None:
     assert (finding.severity, finding.where) == ("fatal", "steer")
     assert "has no field 'comand'" in finding.what
     assert finding.remedy == 'channels.steer.fields = ["command"]'
+
+
+def test_a_column_that_cannot_be_read_is_said_to_be() -> None:
+    class Worded(MemoryLog):
+        @property
+        def topics(self) -> dict[str, Topic]:
+            why = {"word": "column 'word' holds words of gears, among which 'crawl' is not known"}
+            return {name: dataclasses.replace(topic, unread=why) for name, topic in super().topics.items()}
+
+    finding = inspect_log(Worded(CLEAN.data), rig((STEER, STEER.replace("command", "word")))).findings[0]
+    assert finding.what == "column 'word' holds words of gears, among which 'crawl' is not known"
 
 
 def test_a_topic_with_another_name_is_renamed() -> None:

@@ -109,6 +109,30 @@ def test_channels_are_found_in_a_table_of(name: str) -> None:
     assert cured(log, rig) == []
 
 
+@pytest.mark.parametrize(("quantity", "drafted"), [("letter", True), ("azimuth", False)])
+def test_a_direction_is_a_gear_where_it_has_few_values(quantity: str, drafted: bool) -> None:
+    columns = PLACES | PEDALS | {"heading": "azimuth", "MachineDirection": quantity}
+    values = MORE | QUANTITIES | {"letter": np.where(np.arange(len(TIME)) < 900, 68.0, 78.0)}
+    log = MemoryLog({"": (TIME, {name: values[of] for name, of in columns.items()})})
+    rig = parse_rig(draft_rig(log), where="draft")
+    assert ("gear" in rig.channels) == drafted
+    if drafted:
+        assert rig.channels["gear"].values == {"P": 0, "R": -1, "N": 0, "D": 1}
+
+
+@pytest.mark.parametrize(("name", "scale"), [("CurvatureCommand_1pkm", 1000), ("commanded_curvature", 1)])
+def test_a_curvature_that_is_commanded_is_no_angle_of_a_steering_wheel(name: str, scale: float) -> None:
+    """It is scaled by its largest value, whose angle is `max_steer`, as small as it may be."""
+    curvature = 0.15 * scale * QUANTITIES["steer"]
+    columns = {name: (MORE | QUANTITIES)[of] for name, of in (PLACES | {"heading": "azimuth"}).items()}
+    columns |= {"throttle": QUANTITIES["throttle"], "brake": QUANTITIES["brake"], name: curvature}
+    text = draft_rig(MemoryLog({"": (TIME, columns)}))
+    (line,) = (line for line in text.splitlines() if line.startswith("[channels.steer]"))
+    assert "a curvature, max_steer is the angle of the road wheels that it asks for" in line
+    source = parse_rig(text, where="draft").channels["steer"]
+    assert source.scale * np.abs(curvature).max() == pytest.approx(1, rel=0.02)
+
+
 def test_what_a_receiver_measures_is_no_wheels_speed() -> None:
     guesses = {guess.channel: guess for guess in guess_channels(table(FAMILIES["q0"][0]))}
     assert "wheel_speed" not in guesses

@@ -5,11 +5,23 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Final
 
+import numpy as np
+
 from offpiste.channels import ACTUATORS, CONTROLS, all_actuators, all_controls
-from offpiste.inspection.commanded_motion import motion_commands
-from offpiste.inspection.field_groups import field_groups
+from offpiste.errors import OffpisteError
+from offpiste.inspection.commanded_motion import COMMANDED, motion_commands
+from offpiste.inspection.field_groups import field_groups, fours
 from offpiste.logs.log import Log, Topic
-from offpiste.rig.labels import COURSE_NAMES, Label, channel_unit, field_labels, is_array_entry, parse_label
+from offpiste.rig.labels import (
+    COURSE_NAMES,
+    PRESSURES,
+    Label,
+    channel_unit,
+    field_labels,
+    is_array_entry,
+    is_beside_quantity,
+    parse_label,
+)
 
 _ANGLE = r"(angle|ang(?!le))(?![ _]?(vel|rate|speed|acc|jerk))"
 _TURN_RATE: Final = re.compile(r"ang(ular)?_?vel(ocity)?[/._]z$|yaw[_ ]?vel(ocity)?$")
@@ -25,7 +37,7 @@ _SCALARS: tuple[tuple[str, int, str], ...] = (
     ("yaw_rate", 0, r"(gyro|rate)[_ ]yaw$"),
     ("yaw_rate", 0, _TURN_RATE.pattern),
     ("yaw", 0, r"(?<![a-z])(yaw|heading|psi|hdg)$"),
-    ("yaw", 1, r"(?<![a-z])(theta|azimuth|bearing)$|(yaw|heading)_?(angle|true)$|compass_?bearing$"),
+    ("yaw", 1, r"(?<![a-z])(theta|azimuth|bearing|compass)$|(yaw|heading)_?(angle|true)$|compass_?bearing$"),
     ("yaw", 1, r"(?<![a-z])angle_yaw(?![a-z])"),
     ("yaw", 1, r"(euler|rpy|attitude).*[._/]z$|(yaw_?pitch_?roll|ypr).*[._/]x$"),
     ("yaw", 2, rf"(?<![a-z])(phi|{COURSE_NAMES})$"),
@@ -47,6 +59,7 @@ _SCALARS: tuple[tuple[str, int, str], ...] = (
         1,
         r"(gear_?shift|(?<![a-z])shift_?(rpt|cmd|report|feedback|state|pos(ition)?))([._/](output|command|state|gear))?$",
     ),
+    ("gear", 1, r"(?<![a-z])(machine|vehicle|travel|driving|drive|motion)_?direction$"),
     ("throttle", 1, r"propulsive_linear_effort_x$"),
     ("brake", 1, r"resistive_linear_effort_x$"),
     ("steer", 1, r"propulsive_rotational_effort_z$"),
@@ -69,6 +82,8 @@ _BESIDE: Final = re.compile(
 """What is measured at a pedal or a steering, besides where it is; a channel only where nothing else is."""
 _DEVICES: Final = re.compile(r"(can|bus|ecu|plc|gps|gnss|imu)_?\d*$", re.IGNORECASE)
 """Namespaces of what one vehicle may have several of."""
+_UNIT, _MOST = 0.02, 0.95
+"""How far the length of quaternions is from 1, at most, and in how many of the rows."""
 FALLBACK: Final = 10
 """Ranks from here on are those of such names."""
 
@@ -131,7 +146,7 @@ def guess_channels(log: Log) -> list[Guess]:
 
     Of commanded motions the one that comes most often is first: others ask, and one is passed on to the vehicle.
     """
-    guesses = [guess for topic in log.topics.values() if topic.count > 1 for guess in _of_topic(topic)]
+    guesses = [guess for topic in log.topics.values() if topic.count > 1 for guess in _of_topic(log, topic)]
     return sorted(guesses, key=lambda g: (g.rank, -log.topics[g.topic].count if g.rank == MOTION else 0))
 
 
@@ -140,7 +155,7 @@ def labels(topic: Topic) -> dict[str, Label]:
     return field_labels(topic.name, topic.fields, topic.units, topic.joints)
 
 
-def _of_topic(topic: Topic) -> Iterator[Guess]:
+def _of_topic(log: Log, topic: Topic) -> Iterator[Guess]:
     if topic.type in _LAYOUTS:
         for channel, fields in _LAYOUTS[topic.type]:
             if set(fields) <= set(topic.fields):
@@ -151,6 +166,11 @@ def _of_topic(topic: Topic) -> Iterator[Guess]:
     for channel, fields, unit in motion_commands(topic, named):
         yield Guess(channel, topic.name, fields, unit, MOTION)
         taken |= set(fields)
+    for fields, of_the_vehicle in fours(named):
+        if not taken & set(fields) and _are_quaternions(log, topic.name, fields):
+            if of_the_vehicle and not COMMANDED.search(topic.name):
+                yield Guess("orientation", topic.name, fields)
+            taken |= set(fields)
     for channel, fields, unit, rank in field_groups(topic, named):
         if not taken & set(fields) and channel_unit(channel, unit) is not None:
             yield Guess(channel, topic.name, fields, unit, rank)
@@ -160,7 +180,7 @@ def _of_topic(topic: Topic) -> Iterator[Guess]:
         unnamed = is_array_entry(field) and field not in topic.joints
         own = label.name if _NUMBER.search(field) or field in topic.joints else parse_label(field).name
         other = _NOT_SCALARS.search(own) and not _TURN_RATE.search(label.name)
-        if field in taken or unnamed or other:
+        if field in taken or unnamed or other or is_beside_quantity(own):
             continue
         for channel, rank, pattern in scalars:
             joint = field.startswith("position[") and field in topic.joints and not _COMMANDED_JOINTS.search(topic.name)
@@ -172,10 +192,22 @@ def _of_topic(topic: Topic) -> Iterator[Guess]:
             turning = channel == "steer" and label.unit and channel_unit("steer_rate", label.unit) is not None
             if channel in _CONTROLS and (turning or _BESIDE.search(label.name)):
                 rank += FALLBACK
+            if channel == "brake" and label.unit in PRESSURES:
+                channel = "brake_pressure"
             scalar = _guess(channel, topic, (field,), label, rank) if named_so else None
             if scalar is not None:
                 yield scalar
                 break
+
+
+def _are_quaternions(log: Log, topic: str, fields: tuple[str, ...]) -> bool:
+    """Whether the rows of four fields have length 1, but for a few."""
+    try:
+        rows = log.read(topic, fields).values
+    except OffpisteError:
+        return False
+    rows = rows[np.isfinite(rows).all(axis=1)]
+    return len(rows) > 1 and bool(np.mean(np.abs(np.linalg.norm(rows, axis=1) - 1) < _UNIT) > _MOST)
 
 
 def _guess(channel: str, topic: Topic, fields: tuple[str, ...], label: Label, rank: int = 0) -> Guess | None:

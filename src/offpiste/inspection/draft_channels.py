@@ -27,7 +27,7 @@ from offpiste.inspection.draft_pedals import (
     signed_pedal,
 )
 from offpiste.inspection.draft_pose import Entry, degrees, draft_pose, field_values, unit_line
-from offpiste.inspection.gear import gear_values
+from offpiste.inspection.gear import MOST_GEARS, gear_values
 from offpiste.inspection.signal_faults import find_spikes, find_wrap
 from offpiste.inspection.usual_ranges import held_range, steering_middle
 from offpiste.logs.channel import unwrapped
@@ -59,6 +59,7 @@ def draft_channels(
     straight: float | None = None,
     *,
     plain: bool = False,
+    max_steer: float = 0.0,
 ) -> dict[str, Entry]:
     """Entries by channel, the pose's first.
 
@@ -67,6 +68,7 @@ def draft_channels(
         found: controls that no name shows.
         straight: recorded steering at which the vehicle goes straight, where the motion shows it.
         plain: whether what is named a speed and a turn rate is the throttle and the steering itself.
+        max_steer: of the road wheels at a steering command of 1 [rad], where the motion shows it; else 0.
     """
     guesses = [_as_it_is(guess) if plain else guess for guess in guess_channels(log)]
     entries = draft_pose(log, guesses, frame)
@@ -84,7 +86,7 @@ def draft_channels(
         if channel == "wheel_speed" and guess.rank > 1 and guess.topic != pose_topic:
             continue
         values = field_values(log, guess)
-        if values is not None and np.ptp(values) > 0 and not _only_forward(guess, values):
+        if values is not None and np.ptp(values) > 0 and not _is_no_gear(guess, values):
             scalars[channel] = guess, values[:, 0]
     for channel, (guess, _) in found.items():
         if channel not in scalars and (values := field_values(log, guess)) is not None:
@@ -99,7 +101,7 @@ def draft_channels(
         # A position beside no command is the steering, of any unit; that of a joint is an angle.
         scalars["steer"] = (guess if is_array_entry(guess.fields[0]) else replace(guess, channel="steer")), numbers
     others = {name: _scalar(name, *scalar) for name, scalar in scalars.items() if name not in ("steer", "steer_angle")}
-    entries |= others | signed_pedal(scalars) | _steering(scalars, straight)
+    entries |= others | signed_pedal(scalars) | _steering(scalars, straight, max_steer)
     for channel, (guess, correlation) in found.items():
         if channel in entries and entries[channel].guess is guess:
             follows = f"by its numbers: the motion follows it ({correlation:.2f})"
@@ -126,9 +128,11 @@ def of_other_vehicles(entries: Mapping[str, Entry]) -> list[str]:
     ]
 
 
-def _only_forward(guess: Guess, values: Float[np.ndarray, "n k"]) -> bool:
-    """Whether a direction is that of a commanded speed that never leads backwards."""
-    return guess.rank == MOTION and guess.channel == "gear" and float(values.min()) >= 0
+def _is_no_gear(guess: Guess, values: Float[np.ndarray, "n k"]) -> bool:
+    """Whether a direction is that of a commanded speed that never leads backwards, or an angle by its many values."""
+    if guess.channel != "gear":
+        return False
+    return float(values.min()) >= 0 if guess.rank == MOTION else guess.rank > 0 and len(np.unique(values)) > MOST_GEARS
 
 
 def _as_it_is(guess: Guess) -> Guess:
@@ -163,17 +167,20 @@ def _scalar(channel: str, guess: Guess, values: Float[np.ndarray, " n"], straigh
     elif (
         channel == "steer"
         and largest > 1.05
+        and not _is_curvature(guess)
         and (around := steering_middle(values, named=are_named_pulses(guess), straight=straight))
         and around[1] > 0
     ):
         middle, reach, words = around
         lines += [f"scale = {number(1 / reach)}", f"offset = {number(-middle / reach)}", "clip = [-1.0, 1.0]"]
         comment += f" and numbers: {words}"
-    elif channel == "steer" and largest > 1.05:
+    elif channel == "steer" and (largest > 1.05 or _is_curvature(guess)):
         largest = float(np.abs(values[~find_spikes(values)]).max())
         lines += [f"scale = {number(1 / largest)}", "clip = [-1.0, 1.0]"]
         comment += f"; scaled by its largest value, {largest:.4g}"
-        if _is_angle(guess) or largest > _STEERING_WHEEL:
+        if _is_curvature(guess):
+            comment += ": a curvature, max_steer is the angle of the road wheels that it asks for"
+        elif _is_angle(guess) or largest > _STEERING_WHEEL:
             comment += ": of a steering wheel, max_steer is that over the steering's ratio"
         elif largest < _STEEPEST * 180 / np.pi:
             comment += ': is it an angle of the road wheels? Then unit = "deg" instead'
@@ -190,10 +197,13 @@ def _scalar(channel: str, guess: Guess, values: Float[np.ndarray, " n"], straigh
     return Entry(guess, tuple(lines), comment)
 
 
-def _steering(scalars: Scalars, straight: float | None) -> dict[str, Entry]:
+def _steering(scalars: Scalars, straight: float | None, max_steer: float) -> dict[str, Entry]:
     """Commands and angles of the steering: an angle that is the only steering stands for its command, too."""
     steer, angle = scalars.get("steer"), scalars.get("steer_angle")
+    in_hand: dict[str, Entry] = {}
     if angle is not None and not _angle_factor(*angle):  # of the steering wheel
+        if steer is not None and max_steer and _is_command(steer[0]) and not _angle_factor(*steer):
+            in_hand = _in_hand(steer, angle, max_steer)
         steer, angle = steer if steer is not None and steer[0].rank < FALLBACK else angle, None
     if steer is not None and steer[0].rank >= FALLBACK and angle is not None:
         steer = None
@@ -203,7 +213,7 @@ def _steering(scalars: Scalars, straight: float | None) -> dict[str, Entry]:
     commanded = _angle_factor(*command) if _is_angle(command[0]) else 0.0
     if commanded and angle is None and not _is_command(command[0]):
         angle = steer
-    entries = {}
+    entries: dict[str, Entry] = {}
     if commanded:
         entries["steer"] = _from_angle(*command, commanded, measured=command is angle)
     else:
@@ -218,7 +228,20 @@ def _steering(scalars: Scalars, straight: float | None) -> dict[str, Entry]:
             entries["steer"] = replace(
                 entries["steer"], max_angle=float(f"{stated:.4g}") if stated < _STEEPEST else 0.0
             )
-    return entries
+    return entries | in_hand
+
+
+def _in_hand(
+    steer: tuple[Guess, Float[np.ndarray, " n"]], angle: tuple[Guess, Float[np.ndarray, " n"]], max_steer: float
+) -> dict[str, Entry]:
+    """The angle of the road wheels by that of the steering wheel, as far as the command in the same unit turns them."""
+    largest = _largest(steer[1])
+    if not (_is_angle(steer[0]) and steer[0].unit == angle[0].unit and 0.5 < _largest(angle[1]) / largest < 2):
+        return {}
+    comment = (
+        f"GUESSED: of a steering wheel, of which {largest:.4g} turn the road wheels by max_steer; correct it with that"
+    )
+    return {"steer_angle": Entry(angle[0], (f"scale = {number(max_steer / largest)}",), comment)}
 
 
 def _from_angle(guess: Guess, values: Float[np.ndarray, " n"], factor: float, *, measured: bool) -> Entry:
@@ -233,6 +256,10 @@ def _from_angle(guess: Guess, values: Float[np.ndarray, " n"], factor: float, *,
 
 def _is_angle(guess: Guess) -> bool:
     return guess.channel == "steer_angle" or bool(guess.unit and channel_unit("steer_angle", guess.unit) is not None)
+
+
+def _is_curvature(guess: Guess) -> bool:
+    return any(re.search("curvature", field, re.IGNORECASE) for field in guess.fields)
 
 
 def _is_in_hand(guess: Guess) -> bool:

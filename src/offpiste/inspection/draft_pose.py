@@ -200,6 +200,12 @@ def _first_cure(findings: Sequence[Finding]) -> Cure:
 
 def no_pose(log: Log) -> LogError:
     """The error where no topic looks like a pose: what there is instead, and what to do."""
+    most = max((topic.count for topic in log.topics.values()), default=2)
+    if most < 2 and not _not_read(log):
+        has = ("the table has no rows", "the table has one row")
+        if list(log.topics) != [""]:
+            has = ("no topic has a message", "no topic has more than one message")
+        return LogError(has[most], where=log.path, how="a drive needs many: record or export it again")
     how = _not_read(log) or "write a rig that names one"
     return LogError(
         "no topic looks like a pose (position and heading)",
@@ -209,8 +215,10 @@ def no_pose(log: Log) -> LogError:
 
 
 def _half_of_a_pose(log: Log) -> str:
-    """Which half of a pose there is, in words; empty where there is none."""
-    found = {guess.channel: guess for guess in reversed(guess_channels(log))}
+    """Which half of a pose there is, in words; empty where there is none, or none that ever changes."""
+    found = {
+        g.channel: g for g in reversed(guess_channels(log)) if g.channel in _POSE and _varies(field_values(log, g))
+    }
     place, heading = found.get("position"), found.get("orientation") or found.get("yaw")
     if (half := place or heading) is None or (place and heading):
         return ""

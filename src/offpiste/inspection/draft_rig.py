@@ -160,7 +160,7 @@ def _is_plain(log: Log, rig: Rig) -> bool:
 
 
 def _text(log: Log, seen: _Seen) -> str:
-    entries = draft_channels(log, seen.frame, seen.found, seen.straight, plain=seen.plain)
+    entries = draft_channels(log, seen.frame, seen.found, seen.straight, plain=seen.plain, max_steer=seen.max_steer)
     if not {"position"} <= set(entries) or not {"orientation", "yaw"} & set(entries):
         raise no_pose(log)
     if seen.heading and not entries["yaw"].guess.unit and "scale" not in str(entries["yaw"].lines):

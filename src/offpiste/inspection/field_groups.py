@@ -20,7 +20,7 @@ _PLACES = (
 )
 _GROUPS: tuple[tuple[str, re.Pattern[str], str], ...] = (
     ("angular_velocity", re.compile(r"angular|gyro|omega|rot(ation)?_?rate|rate_of_rot|(^|[^a-z])[wg]$"), "yz"),
-    ("orientation", re.compile(r"orient|quat|rot|(^|[^a-z])q$"), "yzw"),
+    ("orientation", re.compile(r"orient|quat|attitude|rot|(^|[^a-z])q$"), "yzw"),
     ("linear_velocity", re.compile(r"linear_?vel|twist[._/]linear|vel|(^|[^a-z])v$"), "yz"),
     ("position", re.compile(rf"pos|vicon|mocap|optitrack|translation|(^|[^a-z])[pt]?$|(?<![a-z])({_PLACES})$"), "yz"),
 )
@@ -87,6 +87,22 @@ def _vectors(named: Mapping[str, Label]) -> Iterator[Group]:
             if len(fields) in _WIDTHS[channel]:
                 torques = channel == "position" and _TRANSLATION.search(before)
                 yield channel, fields, named[fields[0]].unit, 2 if torques else 0
+
+
+def fours(named: Mapping[str, Label]) -> Iterator[tuple[tuple[str, ...], bool]]:
+    """Fields that differ in one letter, x, y, z or w, and are not named as an orientation, which they may be.
+
+    Returns:
+        The fields, and whether they may be the vehicle's: not those of a reference or an error.
+    """
+    columns = {label.name: field for field, label in reversed(list(named.items()))}
+    for name in dict.fromkeys(label.name for label in named.values()):
+        for match in _AXIS.finditer(name):
+            before, after = name[: match.end() - 1], name[match.end() :]
+            group = _group_of(name, before, after)
+            others = [before + letter + after for letter in "yzw"]
+            if set(others) <= set(columns) and (group is None or group[0] != "orientation"):
+                yield (columns[name], *(columns[other] for other in others)), not _NOT_GROUPS.search(name)
 
 
 def _down_of(east: re.Match[str]) -> str:

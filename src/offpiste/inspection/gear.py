@@ -25,7 +25,7 @@ _LEAST_AGAINST: Final = 3.0
 """The same in time [s]."""
 _MOSTLY: Final = 0.7
 """Share of the motion with one recorded value from which it is wrong, however seldom it is engaged."""
-_MOST_GEARS: Final = 16
+MOST_GEARS: Final = 16
 """A field with more values is no gear."""
 _REVERSE: Final = re.compile(r"reverse", re.IGNORECASE)
 _SELECTOR: Final = re.compile(r"prnd", re.IGNORECASE)
@@ -39,7 +39,7 @@ def gear_values(guess: Guess, values: Float[np.ndarray, " n"]) -> tuple[str, ...
     """What recorded gears stand for, where they are letters, a switch for reverse, or a selector's positions."""
     there = {float(value) for value in np.unique(values)}
     named = (guess.topic, *guess.fields)
-    numbers = {value for value in there if abs(value) <= _MOST_GEARS}
+    numbers = {value for value in there if abs(value) <= MOST_GEARS}
     letters = {chr(int(value)) for value in there - numbers if value in _CODES}
     if letters & set(_LETTERS) and len(letters) == len(there - numbers):
         forward = dict.fromkeys(sorted(letters - set(_LETTERS)), 1)  # S, L, M: ways to drive forwards
@@ -143,7 +143,7 @@ def _raw(drive: Drive, path: Path, recorded: Mapping[str, Recorded]) -> Float[np
 def _gears(raw: Float[np.ndarray, " n"]) -> Float[np.ndarray, " g"]:
     """The values there are; none where they are too many for gears."""
     there = np.unique(raw[np.isfinite(raw)])
-    return there if len(there) <= _MOST_GEARS else there[:0]
+    return there if len(there) <= MOST_GEARS else there[:0]
 
 
 def _way(forward: Float[np.ndarray, " n"]) -> float:

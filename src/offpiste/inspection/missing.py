@@ -39,7 +39,8 @@ def check_missing(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
         if r is None:
             what, there = f"{topic_in_words(source.topic)} is not in the log, or holds no numbers", list(recorded)
         else:
-            what, there = f"its topic has no field '{missing[0]}'", list(map(r.topic.in_words, r.topic.fields))
+            what = r.topic.unread.get(missing[0]) or f"its topic has no field '{missing[0]}'"
+            there = list(map(r.topic.in_words, r.topic.fields))
         cures = tuple(_cures(name, source, recorded, rig))
         evidence = _listed(there)
         remedy = ", ".join(map(str, cures[0])) if cures else f"name where it is recorded in [channels.{name}]"

@@ -37,6 +37,7 @@ class Topic:
         fields: names of the numeric fields; empty where they are known only from a message, and there is none.
         units: of fields, by name, where the log states them beside the names (`offpiste.rig.labels`).
         joints: what messages call the entries of their arrays, by field (sensor_msgs/JointState).
+        unread: why columns of the file are not among the fields, by name.
         part_of: the topic among whose messages it is found, counted in the first of them; "" for one of the log's own.
     """
 
@@ -46,6 +47,7 @@ class Topic:
     fields: tuple[str, ...]
     units: Mapping[str, str] = field(default_factory=dict)
     joints: Mapping[str, str] = field(default_factory=dict)
+    unread: Mapping[str, str] = field(default_factory=dict)
     part_of: str = ""
 
     def in_words(self, name: str) -> str:
@@ -190,13 +192,11 @@ class Log(ABC):
             raise LogError(
                 f"{topic_in_words(topic)} is empty", where=self.path, how="declare its channels absent in the rig"
             )
-        missing = [f for f in fields if f not in result.fields]
-        if missing:
-            raise LogError(
-                f"{topic_in_words(topic)} ({result.type}) has no field '{missing[0]}'",
-                where=self.path,
-                how=f"it has: {', '.join(result.fields[:40]) or 'no numeric field'}",
-            )
+        if missing := [f for f in fields if f not in result.fields]:
+            what = f"{topic_in_words(topic)} ({result.type}) has no field '{missing[0]}'"
+            what = result.unread.get(missing[0], what)
+            how = f"it has: {', '.join(result.fields[:40]) or 'no numeric field'}"
+            raise LogError(what, where=self.path, how=how)
         return self._read(result, fields, stamps)
 
     def stamps(self, topic: str, *, stamps: str = "header") -> Float[np.ndarray, " n"]:

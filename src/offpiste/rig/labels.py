@@ -46,10 +46,13 @@ _OTHERS: Final = (
 )
 """Units of what no channel holds."""
 
+PRESSURES: Final = frozenset(("pa", "kpa", "mpa", "bar", "psi"))
+"""Those of pressures."""
+
 _UNITS: Final = {spelling: unit for unit, all_of in _SPELLINGS.items() for spelling in all_of.split()}
 _BRACKETED: Final = {**_UNITS, **{unit: unit for unit in _OTHERS.split()}}
 _AFTER: Final = {s: unit for s, unit in _UNITS.items() if unit != "1"} | {
-    "m_s2": "m/s2", "mps2": "m/s2", "bar": "bar", "kpa": "kpa", "mpa": "mpa",
+    "m_s2": "m/s2", "mps2": "m/s2", "bar": "bar", "kpa": "kpa", "mpa": "mpa", "psi": "psi",
 }  # fmt: skip
 _BRACKET: Final = re.compile(r"^(.*?)[\s_]*(?:\[([^\[\]]*)\]|\(([^()]*)\)|\{([^{}]*)\}|<([^<>]*)>)$")
 _WORDED: Final = re.compile(r"^(.*\S)(?:\s+/\s*|,\s*|\s+in\s+)\(?([^\s()]+)\)?$")
@@ -64,15 +67,34 @@ _OF_THE_TOPIC: Final = re.compile(
     r"|^pedal(_(cmd|com+and|value|input|output|pos(ition)?))?$"
 )
 """Fields whose topic alone says what they are of: vectors of any kind, reports of any actuator, a pedal."""
+_COMMAND_WORDS: Final = "cmd|com+and(ed)?|setpoint|desired|target|req(uest(ed)?)?|ref(erence)?"
+_PLACE_WORDS: Final = "((road_?|front_?)?wheel_?|tyre_?|tire_?)?(angle|ang|pos(ition)?|pedal|value|percent|pct|effort)"
+_ASKED: Final = re.compile(
+    rf"^({_PLACE_WORDS}_)?({_COMMAND_WORDS})$|^({_COMMAND_WORDS})_{_PLACE_WORDS}$|^(measured|actual)_(wheel_)?angle$"
+    r"|^(wheel_)?angle_(meas(ured)?|act(ual)?|feedback|fb)$"
+)
+"""Fields that say that a place is asked for or measured, and whose topic says what it is the place of."""
+_BESIDES: Final = re.compile(
+    r"limit(?!ed)|enable|(?<![a-z])(lim|max|min|seq|crc|ok|id)(?![a-z])|counter|count$|sequence|time_?out|valid|checksum"
+    r"|watchdog|override|ignore|fault|clear|priority|(?<![a-z])status(?![a-z])|(?<![a-z])mode$"
+)
+"""What a message says of a quantity besides the quantity: bounds, whether it counts, and numbers of the messages."""
 _NUMBER_ONLY: Final = re.compile(r"[/.](data|value)$")
 _GEARS: Final = {
     word: letter
-    for letter, words in (("P", "park parking"), ("R", "reverse backward"), ("N", "neutral"), ("D", "drive forward"))
+    for letter, words in (
+        ("P", "park parking parked"),
+        ("R", "reverse reversing backward backwards"),
+        ("N", "neutral stop stopped standstill halt halted"),
+        ("D", "drive forward forwards"),
+    )
     for word in words.split()
 }
 """Letters of gears, by what logs call these."""
 _NAMES: Final = {"rpm"}
 """Units that name a quantity by themselves, and stay a part of its name."""
+_CLOCKS: Final = re.compile("m(illi)?s(ec(ond)?s?)?|u(s(ec)?s?)|ns(ec)?s?|(milli|micro|nano)(s|seconds?)")
+"""Units of time that name a clock by themselves: `millis` of an Arduino."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +123,7 @@ def parse_label(header: str) -> Label:
     if match := _SUFFIX.match(text):
         spelling = match[2] or match[3]
         return Label(text if spelling in _NAMES else match[1], _AFTER[spelling])
-    return Label(text)
+    return Label(text, _UNITS[text] if _CLOCKS.fullmatch(text) else "")
 
 
 def field_labels(
@@ -109,21 +131,30 @@ def field_labels(
 ) -> dict[str, Label]:
     """Name and unit of each field of a topic.
 
-    A message with a single number is named by its topic, and so is a field that does not say what it is of.
+    A message with one or two quantities is named by its topic, and so is a field that does not say what it is of. A
+    limit, a counter or a switch that enables is no quantity (`is_beside_quantity`).
 
     Args:
         units: of fields, where the topic has them apart.
         joints: names of entries of arrays, where the messages have them.
     """
     result = {}
+    quantities = [name for name in fields if not is_beside_quantity(name)]
     for name in fields:
-        by_topic = len(fields) <= 2 or (topic and _OF_THE_TOPIC.search(name) is not None)
+        asked = _OF_THE_TOPIC.search(name) or _ASKED.search(parse_label(name).name)
+        alone = len(quantities) <= 2 and name in quantities
+        by_topic = len(fields) <= 2 or (topic and (alone or asked))
         whole = joints.get(name) or (f"{topic}/{name}" if by_topic else name)
         label = parse_label(whole)
         if not label.unit and (number := _NUMBER_ONLY.search(label.name)):
             label = parse_label(whole[: number.start()])
         result[name] = Label(label.name, units.get(name, "") or label.unit)
     return result
+
+
+def is_beside_quantity(field: str) -> bool:
+    """Whether a field is a limit, a counter, a switch or the like, which goes with a quantity and is none itself."""
+    return _BESIDES.search(parse_label(field).name) is not None
 
 
 def is_array_entry(field: str) -> bool:

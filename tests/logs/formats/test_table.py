@@ -91,6 +91,20 @@ def test_time_is_guessed_by_name(tmp_path: Path, name: str) -> None:
     assert log.warnings == ()
 
 
+@pytest.mark.parametrize(
+    ("name", "per_second"),
+    [(name, 1000) for name in ("millis", "ms", "msec", "time_ms", "ticks_ms", "elapsed_millis", "milliseconds")]
+    + [(name, 1_000_000) for name in ("micros", "usec", "t_us", "microseconds")]
+    + [("timestamp_ns", 1_000_000_000)],
+)
+def test_a_clock_that_is_named_by_its_unit(tmp_path: Path, name: str, per_second: int) -> None:
+    """As an Arduino writes it: a slow logger, whose rate alone does not tell the unit, and a gap."""
+    seconds = (34.0, 35.01, 35.99, 37.0, 51.0)
+    rows = "".join(f"{1513 + row},{time * per_second:.0f}\n" for row, time in enumerate(seconds))
+    log = table(tmp_path, f"ch1_us,{name}\n{rows}")
+    assert log.read("", ["ch1_us"]).time.tolist() == pytest.approx(seconds)
+
+
 def test_no_time(tmp_path: Path) -> None:
     message = r"drive\.csv: no column looks like time; name it: `inspect --time COLUMN`, .*; there are throttle, steer"
     with pytest.raises(LogError, match=message):
@@ -198,7 +212,7 @@ def test_cells(tmp_path: Path) -> None:
     assert log.topics[""].fields == ("t", "x", "armed")
     np.testing.assert_array_equal(column(log, "x"), [1.0, np.nan, np.nan, np.inf, -np.inf, 70.0])
     np.testing.assert_array_equal(column(log, "armed"), [1.0, 0.0, np.nan, 1.0, 1.0, 1.0])
-    with pytest.raises(LogError, match=r"the table \(CSV table\) has no field 'name'; it has: t, x, armed"):
+    with pytest.raises(LogError, match="column 'name' holds text, such as 'a', and no numbers; it has: t, x, armed"):
         log.read("", ["name"])
 
 
@@ -359,6 +373,7 @@ def test_letters_are_character_codes(tmp_path):
     [
         (("Park", "REVERSE", "neutral", "forward", "drive"), (80, 82, 78, 68, 68)),
         (("R", "N", "1", "2", "1"), (82, 78, 1, 2, 1)),
+        (("stop", "Stopped", "standstill", "forward", "halt"), (78, 78, 78, 68, 78)),
     ],
 )
 def test_words_and_numbers_of_gears(tmp_path: Path, cells: tuple[str, ...], codes: tuple[int, ...]) -> None:
@@ -366,6 +381,25 @@ def test_words_and_numbers_of_gears(tmp_path: Path, cells: tuple[str, ...], code
     log = table(tmp_path, f"t,gear,mode\n{rows}")
     assert log.topics[""].fields == ("t", "gear")
     assert log.read("", ["gear"]).values[:5, 0].tolist() == list(codes)
+
+
+@pytest.mark.parametrize("ending", ["csv", "parquet"])
+def test_a_word_that_is_no_gear_is_named(tmp_path: Path, ending: str) -> None:
+    way, path = ["forward", "reverse", "crawl", "forward"] * 5, tmp_path / f"a.{ending}"
+    columns = {"t": np.arange(20.0), "way": way, "place": ["here"] * 20}
+    if ending == "csv":
+        rows = zip(*columns.values(), strict=True)
+        path.write_text("\n".join(["t,way,place", *(",".join(map(str, row)) for row in rows)]) + "\n", "utf-8")
+    else:
+        pq.write_table(pa.table(columns), path)
+    log = TableLog(path)
+    assert log.topics[""].fields == ("t",)
+    what = "column 'way' holds words of gears, among which 'crawl' is not known"
+    assert log.warnings == (f"{what}: it is left out",)
+    with pytest.raises(LogError, match=what):
+        log.read("", ["way"])
+    with pytest.raises(LogError, match="column 'place' holds text, such as 'here', and no numbers"):
+        log.read("", ["place"])
 
 
 def test_a_letter_among_measurements_is_no_gear(tmp_path: Path) -> None:

@@ -97,6 +97,18 @@ def are_gears(cells: pa.ChunkedArray) -> bool:
     return len(letters) > 0 and len(there) < len(cells) and all(letters) and gears
 
 
+def unknown_words(cells: pa.ChunkedArray) -> list[str]:
+    """Words that are no gears in a column of few words, of which others are; none in one of any other text."""
+    there = pc.unique(pc.utf8_trim_whitespace(cells.drop_null()))
+    words = (
+        [cell for cell in there.to_pylist() if cell and number_of(cell) is None] if len(there) <= _MOST_GEARS else []
+    )
+    letters = [gear_letter(word) for word in words]
+    if not set(letters) & set("PRND"):
+        return []
+    return [word for word, letter in zip(words, letters, strict=True) if not letter]
+
+
 def read_csv(path: Path, notes: list[str], units: dict[str, str]) -> pa.Table:
     """All columns as text: what a column is, and which cell is wrong, is decided from the text.
 

@@ -20,13 +20,17 @@ from offpiste.logs.formats.csv_text import (
     has_numbers,
     number_of,
     read_csv,
+    unknown_words,
     without_comment,
 )
 from offpiste.logs.log import LOG_FORMATS, Log, Samples, Topic
 from offpiste.rig.channels import Clock
 from offpiste.rig.labels import SECONDS, parse_label, time_unit, unit_by_rate
 
-_TIME_NAME = re.compile(r"^(t|secs?|seconds?|stamp)(?![a-z])|time|zeit|(?<![a-z])(i?tow|epoch|unix)(?![a-z])")
+_TIME_NAME = re.compile(
+    r"^(t|secs?|seconds?|stamp)(?![a-z])|time|zeit|(?<![a-z])(i?tow|epoch|unix)(?![a-z])"
+    r"|^([mun]s|ticks)$|(?<![a-z])(ticks_[mun]s|millis|micros|[mu]secs?|(milli|micro|nano)seconds?)(?![a-z])"
+)
 _WHOLE_SECONDS: Final = re.compile(r"^(|.*[^a-z])secs?$", re.IGNORECASE)
 _EVENLY = 0.2
 """Spread of a clock's steps over their median (5 to 95 %), at most, where its name does not say what it is."""
@@ -79,6 +83,8 @@ class TableLog(Log):
         self._unit = clock_unit or time_unit(self._units.get(self._clock, "")) or self._unit_by_rate()
         if not clock_unit and self.clock.unit != "s":
             notes.append(f"'{self._clock}' is read in {self.clock.unit}; clock.unit in the rig can say otherwise")
+        self._unread = {name: self._why_unread(name) for name in self._table.column_names if name not in self._columns}
+        notes.extend(f"{why}: it is left out" for name, why in self._unread.items() if unknown_words(self._table[name]))
         self.warnings = tuple(notes)
 
     @staticmethod
@@ -97,7 +103,7 @@ class TableLog(Log):
     def topics(self) -> dict[str, Topic]:
         """One topic: the table itself."""
         kind = "CSV table" if self._is_csv else "Parquet table"
-        return {"": Topic("", kind, self._table.num_rows, self._columns, self._units)}
+        return {"": Topic("", kind, self._table.num_rows, self._columns, self._units, unread=self._unread)}
 
     @property
     def clock(self) -> Clock:
@@ -116,6 +122,14 @@ class TableLog(Log):
             return True  # others were not read
         cells = self._table[name].drop_null().slice(0, 100).to_pylist()
         return 2 * sum(number_of(cell) is not None for cell in cells) >= len(cells) or are_gears(self._table[name])
+
+    def _why_unread(self, name: str) -> str:
+        """Why a column of text is no field."""
+        if words := unknown_words(self._table[name]):
+            return f"column '{name}' holds words of gears, among which '{words[0][:40]}' is not known"
+        cells = self._table[name].drop_null().slice(0, 100).to_pylist()
+        text = next((cell for cell in cells if number_of(cell) is None), "")
+        return f"column '{name}' holds text, such as '{text[:40]}', and no numbers"
 
     def _guess_clock(self, notes: list[str]) -> str:
         names = [name for name in self._table.column_names if _TIME_NAME.search(name.lower())]
