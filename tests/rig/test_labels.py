@@ -2,7 +2,15 @@
 
 import pytest
 
-from offpiste.rig.labels import Label, channel_unit, is_array_entry, parse_label, unit_by_rate, unit_of
+from offpiste.rig.labels import (
+    Label,
+    channel_unit,
+    is_array_entry,
+    is_beside_quantity,
+    parse_label,
+    unit_by_rate,
+    unit_of,
+)
 
 
 @pytest.mark.parametrize(
@@ -54,3 +62,17 @@ def test_the_unit_of_stamps_by_their_rate(rate: float, unit: str, said: str) -> 
 def test_entries_of_arrays_are_not_units() -> None:
     assert is_array_entry("axes[12]")
     assert not is_array_entry("vx [m/s]")
+
+
+@pytest.mark.parametrize(
+    "field", ["rate_limit", "enable", "steering_limit", "pacmod_fault", "Max_Steer", "SteerAngleOk"]
+)
+def test_what_goes_with_a_quantity_is_none(field):
+    assert is_beside_quantity(field)
+
+
+@pytest.mark.parametrize(
+    "field", ["status.steering_angle", "vehicle_status_throttle", "steer_count", "override.steer", "mode_throttle"]
+)
+def test_a_quantity_of_a_status_is_one(field):
+    assert not is_beside_quantity(field)

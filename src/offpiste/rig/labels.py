@@ -75,8 +75,9 @@ _ASKED: Final = re.compile(
 )
 """Fields that say that a place is asked for or measured, and whose topic says what it is the place of."""
 _BESIDES: Final = re.compile(
-    r"limit(?!ed)|enable|(?<![a-z])(lim|max|min|seq|crc|ok|id)(?![a-z])|counter|count$|sequence|time_?out|valid|checksum"
-    r"|watchdog|override|ignore|fault|clear|priority|(?<![a-z])status(?![a-z])|(?<![a-z])mode$"
+    r"(?<![a-z])(lim(it)?s?|max(imum)?|min(imum)?|seq(uence)?|crc|checksum|ok|id|valid(ity)?|status|mode|enabled?|active"
+    r"|priority|faults?|overrid(e|den)|time_?out|(alive|rolling|message|msg)_?count(er)?|counter)$"
+    r"|^(max(imum)?|min(imum)?|enable|override|ignore|clear|watchdog)_"
 )
 """What a message says of a quantity besides the quantity: bounds, whether it counts, and numbers of the messages."""
 _NUMBER_ONLY: Final = re.compile(r"[/.](data|value)$")
@@ -154,7 +155,7 @@ def field_labels(
 
 def is_beside_quantity(field: str) -> bool:
     """Whether a field is a limit, a counter, a switch or the like, which goes with a quantity and is none itself."""
-    return _BESIDES.search(parse_label(field).name) is not None
+    return _BESIDES.search(re.split("[./]", parse_label(field).name)[-1]) is not None
 
 
 def is_array_entry(field: str) -> bool:
