@@ -72,3 +72,14 @@ def test_an_interval_costs_what_it_differs_from_the_usual_if_its_ends_are_moved(
     interval = Interval("orientation", "position", time=0.3, usual=-0.1, spread=0.2)
     moved = 0.5 if late == ("orientation",) else 0.0
     assert interval.cost(frozenset(late), np.array([0.5]))[0] == pytest.approx(((0.4 - moved) / 0.2) ** 2)
+
+
+@pytest.mark.parametrize(("answer", "found"), [(0.35, []), (-0.3, ["position"])])
+def test_a_vehicle_that_answers_slowly_is_not_late(answer: float, found: list[str]) -> None:
+    """Both its pedals and its steering seem early then, as of a pose that is late; none of them answers before."""
+    log = _late("position", 0.0)
+    for topic in ("pedals", "steering"):
+        time, columns = log.data[topic]
+        log = MemoryLog({**log.data, topic: (time - answer, columns)})
+    late = [f.where for f in inspect_log(log, rig()).findings if f.what in ("is late", "is early")]
+    assert late == found

@@ -38,6 +38,8 @@ _STEERING: Final = {"steer": (0.12, 0.07), "steer_angle": (0.04, 0.07)}
 _POSE: Final = ("position", "orientation", "yaw")
 _SENSORS: Final = {"steer": "steering", "steer_angle": "steering", "throttle": "pedals", "brake": "pedals"}
 """Channels of a topic that are late together."""
+_SLOW: Final = 0.4
+"""Delay of the pose behind its controls that a slow vehicle may have [s]: a tractor, one with much load."""
 _CLEAR: Final = 0.5
 """Correlation above which a pedal shows a delay, of its own effect."""
 _SLIP: Final = (-0.025, 0.012, 0.06)
@@ -81,7 +83,7 @@ def check_late_poses(
         best = int(costs.argmin())
         if costs[best] < least and abs(_TRIED[best]) > _LATE:
             found, least, delay = late, float(costs[best]), float(_TRIED[best])
-    if found is None:
+    if found is None or (0 < delay <= _SLOW and not _beside_controls(measured, found, delay, drive)):
         return []
     channels = drive.rig.channels
     cure = tuple(Edit(f"channels.{name}.delay", round(channels[name].delay + delay, 2)) for name in found)
@@ -91,13 +93,26 @@ def check_late_poses(
     return [Finding("warning", found[0], what, evidence, ", ".join(map(str, cure)), 0.9, (cure,))]
 
 
-def _costs(measured: Sequence[Interval], late: Sequence[str], by: np.ndarray, drive: Drive) -> np.ndarray:
-    """Costs of all intervals if some channels are late; those of one sensor cost no more than that it is wrong."""
+def _beside_controls(measured: Sequence[Interval], late: Sequence[str], by: float, drive: Drive) -> bool:
+    """Whether a delay explains enough also if all that controls show may be a vehicle that answers slowly."""
+    before = _costs(measured, (), np.zeros(1), drive, slow=True)[0]
+    after = _costs(measured, late, np.full(1, by), drive, slow=True)[0]
+    return bool(after < before - _ONE_MORE - 1)
+
+
+def _costs(
+    measured: Sequence[Interval], late: Sequence[str], by: np.ndarray, drive: Drive, *, slow: bool = False
+) -> np.ndarray:
+    """Costs of all intervals if some channels are late; those of one sensor cost no more than that it is wrong.
+
+    Args:
+        slow: those of all controls cost no more than one thing, a vehicle that answers slowly.
+    """
     sensors: dict[object, np.ndarray] = {}
     for one in measured:
         name = one.other if one.other not in _POSE else one.behind
         source = drive.rig.channels[name]
-        sensor = (source.topic, _SENSORS.get(name, name))
+        sensor = ("", "controls") if slow and name in _SENSORS else (source.topic, _SENSORS.get(name, name))
         sensors[sensor] = sensors.get(sensor, np.zeros(len(by))) + one.cost(frozenset(late), by)
     return sum((np.minimum(cost, _ONE_MORE) for cost in sensors.values()), np.zeros(len(by)))
 

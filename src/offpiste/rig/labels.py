@@ -55,6 +55,8 @@ _AFTER: Final = {s: unit for s, unit in _UNITS.items() if unit != "1"} | {
     "m_s2": "m/s2", "mps2": "m/s2", "bar": "bar", "kpa": "kpa", "mpa": "mpa", "psi": "psi",
 }  # fmt: skip
 _BRACKET: Final = re.compile(r"^(.*?)[\s_]*(?:\[([^\[\]]*)\]|\(([^()]*)\)|\{([^{}]*)\}|<([^<>]*)>)$")
+_PRESSED: Final = re.compile("brake|press|line|circuit|hydr|air")
+"""Names that psi is the unit of; it is a heading, too."""
 _WORDED: Final = re.compile(r"^(.*\S)(?:\s+/\s*|,\s*|\s+in\s+)\(?([^\s()]+)\)?$")
 _SUFFIX: Final = re.compile(
     r"^(.*?[^\W_])(?:[_\s-]+("
@@ -121,7 +123,7 @@ def parse_label(header: str) -> Label:
             return Label(name.strip(" /,"), unit)
     if (match := _WORDED.match(text)) and (unit := unit_of(match[2])) is not None:
         return Label(match[1].strip(), unit)
-    if match := _SUFFIX.match(text):
+    if (match := _SUFFIX.match(text)) and (match[2] != "psi" or _PRESSED.search(match[1])):
         spelling = match[2] or match[3]
         return Label(text if spelling in _NAMES else match[1], _AFTER[spelling])
     return Label(text, _UNITS[text] if _CLOCKS.fullmatch(text) else "")
