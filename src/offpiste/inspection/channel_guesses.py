@@ -9,6 +9,7 @@ from offpiste.channels import ACTUATORS, CONTROLS, all_actuators, all_controls
 from offpiste.inspection.commanded_motion import motion_commands
 from offpiste.inspection.field_groups import field_groups
 from offpiste.logs.log import Log, Topic
+from offpiste.logs.transforms import moving
 from offpiste.rig.labels import COURSE_NAMES, Label, channel_unit, field_labels, is_array_entry, parse_label
 
 _ANGLE = r"(angle|ang(?!le))(?![ _]?(vel|rate|speed|acc|jerk))"
@@ -130,9 +131,20 @@ def guess_channels(log: Log) -> list[Guess]:
     """All guesses that names, units and types suggest, in the log's order, the nearest names first.
 
     Of commanded motions the one that comes most often is first: others ask, and one is passed on to the vehicle.
+    Transforms are guessed from where their frames are named like a body in a world.
     """
-    guesses = [guess for topic in log.topics.values() if topic.count > 1 for guess in _of_topic(topic)]
+    topics = [one for one in log.topics.values() if (pair := moving(one.name)) is None or pair.is_of_a_body]
+    guesses = [guess for topic in topics if topic.count > 1 for guess in _of_topic(topic)]
     return sorted(guesses, key=lambda g: (g.rank, -log.topics[g.topic].count if g.rank == MOTION else 0))
+
+
+def inverse_pose(log: Log) -> str:
+    """The beginning of a remedy, where a transform is of the world in a body; empty where none is."""
+    for name in log.topics:
+        if (pair := moving(name)) is not None and pair.is_inverse:
+            turned = f"{pair.topic} has it the other way round (child {pair.child} in {pair.parent}), which is not read"
+            return f"{turned}: record it as nav_msgs/Odometry, or "
+    return ""
 
 
 def labels(topic: Topic) -> dict[str, Label]:

@@ -10,9 +10,9 @@ from textwrap import wrap
 import numpy as np
 from msgspec import structs
 
-from offpiste.errors import OffpisteError, RigError
+from offpiste.errors import LogError, OffpisteError, RigError
 from offpiste.files import write_text
-from offpiste.inspection.channel_guesses import DOWN, guess_channels
+from offpiste.inspection.channel_guesses import DOWN, guess_channels, inverse_pose
 from offpiste.inspection.commanded_motion import is_turn_rate
 from offpiste.inspection.controls_by_numbers import find_controls, is_measured
 from offpiste.inspection.draft_channels import Found, draft_channels, of_other_vehicles
@@ -30,7 +30,7 @@ from offpiste.inspection.draft_values import (
     wheels_of,
 )
 from offpiste.inspection.driven_path import driven_path
-from offpiste.inspection.recorded_log import is_bulk
+from offpiste.inspection.recorded_log import RememberedLog, is_bulk
 from offpiste.inspection.steering_scale import MAX_STEERS
 from offpiste.inspection.velocity import fit_frames
 from offpiste.logs.channel import read_channel
@@ -162,7 +162,8 @@ def _is_plain(log: Log, rig: Rig) -> bool:
 def _text(log: Log, seen: _Seen) -> str:
     entries = draft_channels(log, seen.frame, seen.found, seen.straight, plain=seen.plain)
     if not {"position"} <= set(entries) or not {"orientation", "yaw"} & set(entries):
-        raise no_pose(log)
+        error = no_pose(RememberedLog(log))  # which lists a handful of transforms
+        raise LogError(error.what, where=error.where, how=inverse_pose(log) + error.how)
     if seen.heading and not entries["yaw"].guess.unit and "scale" not in str(entries["yaw"].lines):
         unit = () if seen.heading == "rad" else (f'unit = "{seen.heading}"',)
         comment = f"{entries['yaw'].comment}; in {seen.heading} by the course"
@@ -270,7 +271,7 @@ def _candidates(log: Log) -> str:
     """Numbers that may be the steering under another name, as a sentence."""
     if list(log.topics) == [""]:
         return f"The columns are: {', '.join(log.topics[''].fields[:_LISTED])}"
-    others = [topic for topic in log.topics.values() if topic.fields and not is_measured(topic)]
+    others = [topic for topic in log.topics.values() if topic.fields and not (topic.part_of or is_measured(topic))]
     topics = [topic for topic in others if _COMMANDS.search(topic.name)] or others
     named = [f"{topic.name} ({', '.join(map(topic.in_words, topic.fields[:8]))})" for topic in topics]
     return f"It may be in: {'; '.join(named)}" if named else "All topics are named like measurements."
