@@ -95,6 +95,21 @@ def _renamed(fields: Sequence[str], there: Sequence[str]) -> list[str]:
     return nearest if all(nearest) and len(set(nearest)) == len(nearest) else []
 
 
+def check_same_pedals(rig: Rig) -> list[Finding]:
+    """A warning where throttle and brake read the same numbers alike, as after a copied entry."""
+    throttle, brake = rig.channels.get("throttle"), rig.channels.get("brake")
+    if throttle is None or brake is None or _as_read(throttle) != _as_read(brake):
+        return []
+    evidence = f"both read {', '.join(throttle.fields)} of {topic_in_words(throttle.topic)}, with the same sign"
+    how = "name where each is recorded; of one pedal that drives and brakes, the brake has the other sign and clips"
+    return [Finding("warning", "throttle, brake", "read the same", evidence, how, 1.0)]
+
+
+def _as_read(source: ChannelSource) -> tuple[object, ...]:
+    """What two channels of one quantity have in common, whatever limits it."""
+    return source.topic, source.fields, source.sign, source.scale, source.offset, source.values
+
+
 def check_unread(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
     """A note if the rig lacks a control, and topics or fields that it does not read are named like one."""
     lacking = [control.name for control in CONTROLS if control.name not in rig.channels]
