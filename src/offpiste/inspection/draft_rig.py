@@ -36,7 +36,7 @@ from offpiste.inspection.velocity import fit_frames
 from offpiste.logs.channel import read_channel
 from offpiste.logs.drive import drive_from_log
 from offpiste.logs.log import Log
-from offpiste.rig.channels import ChannelSource, Clock, undeclared
+from offpiste.rig.channels import ANGLES, ChannelSource, Clock, undeclared
 from offpiste.rig.edits import edited
 from offpiste.rig.labels import is_array_entry, named_down
 from offpiste.rig.rig import Rig, parse_rig
@@ -219,15 +219,16 @@ def _header(log: Log, entries: Mapping[str, Entry], absent: list[str], seen: _Se
         source=_toml(source),
         mass=MASS if not wheelbase else float(f"{MASS * (wheelbase / SMALL_CAR) ** 3:.2g}"),
         max_steer=stated or seen.max_steer or _MAX_STEER,
-        origin=_origin(seen, stated=bool(stated)),
+        origin=_origin(seen, entries["steer"] if stated else None),
         wheels=_toml(wheels),
     )
 
 
-def _origin(seen: _Seen, *, stated: bool) -> str:
-    """Where the drafted `max_steer` is from."""
-    if stated:
-        return "; the largest of this log"
+def _origin(seen: _Seen, stated: Entry | None) -> str:
+    """Where the drafted `max_steer` is from: of a command that is a share, from the angle that is measured."""
+    if stated is not None:
+        is_angle = any(f'unit = "{unit}"' in stated.lines for unit in ANGLES)
+        return "; the largest of this log" if is_angle else "; by the steering angle of this log"
     return "; by the yaw rate, for this wheelbase" if seen.max_steer and not seen.assumed else ""
 
 
