@@ -142,6 +142,8 @@ def _fits(
 _EQUATOR: Final = 6_378_137.0
 _FLATTENING: Final = 1 / 298.257223563
 """Of WGS 84's ellipsoid: its radius at the equator [m], and how much flatter it is at the poles."""
+LARGEST_DEGREES: Final = (90.0, 360.0)
+"""Latitude and longitude that are places on the earth, by size; a longitude counts to 180 or to 360."""
 _GRID: Final = 0.01
 """Tangent planes touch the ellipsoid at multiples of this [degrees]: a log and a part of it have the same."""
 
@@ -176,7 +178,7 @@ def local_from_geographic(
         x east, y north and the height as it was [m]; NaN where a place is none.
     """
     # Receivers write 0, 0 until they know where they are.
-    known = (np.abs(place[:, :2]) <= (90.0, 360.0)).all(axis=1) & (place[:, :2] != 0).any(axis=1)
+    known = (np.abs(place[:, :2]) <= LARGEST_DEGREES).all(axis=1) & (place[:, :2] != 0).any(axis=1)
     local = np.full_like(place, np.nan, dtype=np.float64)
     local[:, 2:] = place[:, 2:]
     if not known.any():

@@ -5,7 +5,7 @@ import dataclasses
 import msgspec
 import numpy as np
 import pytest
-from simulated import MemoryLog, drive_log
+from simulated import MAX_STEER, MemoryLog, drive_log
 
 from offpiste.inspection.channel_guesses import guess_channels
 from offpiste.inspection.draft_rig import draft_rig
@@ -209,6 +209,23 @@ def test_a_trimmed_servo_goes_straight_where_the_motion_says(trim: float, sign: 
     assert -servo.offset / servo.scale == pytest.approx(1500 + trim, abs=3)
     reach = np.abs(pulses - 1500 - trim).max()
     assert 1 / servo.scale == pytest.approx(reach, abs=4)
+
+
+@pytest.mark.parametrize("each", [1.0, 180 / np.pi])
+def test_a_command_with_the_numbers_of_the_angle_is_one(each: float) -> None:
+    """As a share, 1 would be a radian."""
+    time, columns = CLEAN.data["steering"]
+    asked = {"command": each * MAX_STEER * columns["command"], "angle": each * columns["angle"]}
+    text = draft_rig(MemoryLog(CLEAN.data | {"steering": (time, asked)}))
+    rig, largest = parse_rig(text, where="draft"), MAX_STEER * np.abs(columns["command"]).max()
+    assert (rig.channels["steer"].unit, rig.channels["steer"].clip) == ("rad" if each == 1 else "deg", (-1.0, 1.0))
+    assert rig.vehicle.max_steer == pytest.approx(largest, rel=1e-3)
+    assert "at steer = 1; the largest of this log" in text
+
+    share = draft_rig(CLEAN)
+    assert parse_rig(share, where="draft").channels["steer"].unit == ""
+    assert parse_rig(share, where="draft").vehicle.max_steer == pytest.approx(MAX_STEER, rel=0.1)
+    assert "at steer = 1; by the steering angle of this log" in share
 
 
 def test_a_vehicle_that_turns_tightly_is_drafted_small() -> None:

@@ -52,6 +52,17 @@ def test_a_pose_is_never_declared_absent() -> None:
     assert "[channels.position]" in finding.remedy
 
 
+def test_pedals_that_read_the_same_are_named() -> None:
+    def said(more: str) -> list[tuple[str, str, str]]:
+        both = rig(('fields = ["brake"]\n', f'fields = ["throttle"]\n{more}'))
+        found = [finding for finding in inspect_log(CLEAN, both).findings if finding.what == "read the same"]
+        return [(finding.severity, finding.where, finding.evidence) for finding in found]
+
+    evidence = "both read throttle of topic 'pedals', with the same sign"
+    assert said("") == said("clip = [0.0, 1.0]\n") == [("warning", "throttle, brake", evidence)]
+    assert said("sign = -1\nclip = [0.0, 1.0]\n") == said("scale = -1.0\noffset = 1.0\n") == []
+
+
 def test_a_log_of_another_vehicle_is_said_in_one_finding() -> None:
     log = MemoryLog({f"/{number}/{topic.upper()}": data for number, (topic, data) in enumerate(CLEAN.data.items())})
     (finding,) = inspect_log(log, rig()).findings

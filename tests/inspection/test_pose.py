@@ -130,14 +130,19 @@ def test_a_position_that_jumps_goes_on_as_before() -> None:
     assert "changes its velocity in an instant" not in [f.what for f in complaints]
 
 
-def test_heights_of_geographic_places_are_metres() -> None:
+@pytest.mark.parametrize("longitude", [8.5, 151.2, -151.2, 208.8])
+def test_degrees_reach_around_the_earth_and_heights_are_metres(longitude: float) -> None:
     """A degree is some 111 km, so what is far for one is near for the other."""
-    log = CLEAN.change("odom", "x", lambda east: east / 84_880 + 8.5)
+    log = CLEAN.change("odom", "x", lambda east: east / 84_880 + longitude)
     log = log.change("odom", "y", lambda north: north / 111_040 + 47.4).change("odom", "z", lambda up: up + 2450)
     swiss = edited(
         rig(), [Edit("channels.position.unit", "lat lon"), Edit("channels.position.fields", ["y", "x", "z"])]
     )
     assert [f for f in inspect_log(log, swiss).findings if "beyond" in f.what] == []
+    nowhere = log.change("odom", "y", lambda north: np.where(np.arange(len(north)) == 700, 95.0, north))
+    (finding,) = (f for f in inspect_log(nowhere, swiss).findings if "beyond" in f.what)
+    assert finding.where == "position (odom y)"
+    assert finding.evidence.startswith("1 of ")
 
 
 def test_degrees_that_are_counted_get_their_scale_and_lose_a_height_in_another() -> None:

@@ -26,6 +26,14 @@ WRONG = {
     "wrong type": (edited("mass = 800.0", 'mass = "heavy"'), r"mass"),
     "a wheel nowhere": (edited(", [0.0, -0.6]]", ", [0.0, nan]]"), r"wheel_positions hold a number that is no place"),
     "a wheel on the moon": (edited(", [0.0, -0.6]]", ", [0.0, -4e8]]"), r"wheel_positions hold a number"),
+    "left wheels on the right": (
+        edited("[2.2, 0.6], [2.2, -0.6]", "[2.2, -0.6], [2.2, 0.6]"),
+        r"wheel_positions have left and right exchanged; left is \+y",
+    ),
+    "right wheels behind on the left": (
+        edited("[0.0, 0.6], [0.0, -0.6]", "[0.0, -0.6], [0.0, 0.6]"),
+        r"wheel_positions have left and right exchanged",
+    ),
     "three wheels": (edited(", [0.0, -0.6]]", "]"), r"wheel_positions"),
     "unknown channel": (edited("[channels.brake]", "[channels.break]"), r"unknown channel 'break'.*brake"),
     "wrong number of fields": (edited('["x", "y", "z"]', '["x"]'), r"channels\.position\.fields has 1 .* 2 or 3"),

@@ -20,6 +20,7 @@ from offpiste.training.config import TrainConfig
 from offpiste.training.run import Run, load_run
 from offpiste.training.train import train
 from offpiste.uncertainty.calibrate import coverage_of_kept, kept_or_fitted
+from offpiste.uncertainty.calibration import CalibrationRow, calibration_table
 from offpiste.uncertainty.fit import SpreadSettings, strayed_on_maps
 from offpiste.uncertainty.novelty import load_familiar, looks_of
 from offpiste.uncertainty.prediction import FILE, load_spread, predict_with_spread
@@ -154,3 +155,22 @@ def test_what_cannot_be_calibrated_is_refused_in_a_line(
     lines = capfd.readouterr().err.strip().splitlines()
     assert len(lines) == 1
     assert "none" in lines[0]
+
+
+def test_intervals_of_shares_are_shares() -> None:
+    """Student's interval of few units may reach beyond them."""
+    row = CalibrationRow(
+        run="b",
+        windows="all",
+        horizon=1.0,
+        n=9,
+        error_m=1.0,
+        scale_m=1.0,
+        coverage=(0.74, 0.2, 0.5),
+        ci95=((0.474, 1.02), (-0.1, 0.4), (np.nan, np.nan)),
+        crps_m=1.0,
+        foretold=0.5,
+        by_speed=0.5,
+    )
+    (line,) = calibration_table([row]).lines
+    assert line[5:8] == ("74 [47, 100]", "20 [0, 40]", "50")

@@ -18,7 +18,7 @@ from offpiste.inspection.heading_drift import check_heading_drift, check_heading
 from offpiste.inspection.lags import LagFit
 from offpiste.inspection.late_poses import check_late_poses
 from offpiste.inspection.lost_throttle import check_lost_throttle
-from offpiste.inspection.missing import check_missing, check_unread
+from offpiste.inspection.missing import check_missing, check_same_pedals, check_unread
 from offpiste.inspection.on_change import check_on_change
 from offpiste.inspection.pedals import check_controls, check_pedals, pedal_fits
 from offpiste.inspection.range_ends import check_range_ends
@@ -126,7 +126,9 @@ def _dropped(topics: Topics) -> list[Finding]:
 
 
 def _missing(topics: Topics) -> list[Finding]:
-    return check_missing(topics.recorded, topics.rig) if topics.rig is not None and topics.given else []
+    if topics.rig is None or not topics.given:
+        return []
+    return check_missing(topics.recorded, topics.rig) + check_same_pedals(topics.rig)
 
 
 def _on_change(topics: Topics) -> list[Finding]:

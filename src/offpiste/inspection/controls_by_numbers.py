@@ -172,7 +172,7 @@ def _candidates(log: Log, rig: Rig) -> Iterator[Guess]:
     """Fields that no channel reads, that change, and that no name says to be measured."""
     read = {(source.topic, field) for source in rig.channels.values() for field in source.fields}
     for topic in log.topics.values():
-        if topic.count < 100 or is_measured(topic):
+        if topic.count < 100 or topic.part_of or is_measured(topic):
             continue
         for field, label in labels(topic).items():
             asked = COMMANDED.search(topic.name) or COMMANDED.search(label.name)

@@ -47,6 +47,8 @@ _STEERING_WHEEL: Final = 130.0
 """Largest value from which a steering in degrees is surely that of the wheel in the driver's hands."""
 _STEEPEST: Final = 1.4
 """Largest `max_steer` that is drafted [rad]."""
+_ALIKE: Final = (0.9, 1.1)
+"""What a command's largest number is of that of the measured angle, where it is an angle itself."""
 
 Found = Mapping[str, tuple[Guess, float]]
 """Guesses of controls that only the motion shows, with its correlation (`controls_by_numbers`)."""
@@ -211,6 +213,8 @@ def _steering(scalars: Scalars, straight: float | None, max_steer: float) -> dic
     if command is None:
         return {}
     commanded = _angle_factor(*command) if _is_angle(command[0]) else 0.0
+    if not commanded and steer is not None and angle is not None and _are_alike(steer, angle):
+        commanded = _angle_factor(*angle)
     if commanded and angle is None and not _is_command(command[0]):
         angle = steer
     entries: dict[str, Entry] = {}
@@ -242,6 +246,11 @@ def _in_hand(
         f"GUESSED: of a steering wheel, of which {largest:.4g} turn the road wheels by max_steer; correct it with that"
     )
     return {"steer_angle": Entry(angle[0], (f"scale = {number(max_steer / largest)}",), comment)}
+
+
+def _are_alike(steer: tuple[Guess, np.ndarray], angle: tuple[Guess, np.ndarray]) -> bool:
+    """Whether a command of no unit has the numbers of the measured angle: as a share, 1 would be a radian."""
+    return not steer[0].unit and _ALIKE[0] < _largest(steer[1]) / _largest(angle[1]) < _ALIKE[1]
 
 
 def _from_angle(guess: Guess, values: Float[np.ndarray, " n"], factor: float, *, measured: bool) -> Entry:

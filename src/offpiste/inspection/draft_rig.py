@@ -10,9 +10,9 @@ from textwrap import wrap
 import numpy as np
 from msgspec import structs
 
-from offpiste.errors import OffpisteError, RigError
+from offpiste.errors import LogError, OffpisteError, RigError
 from offpiste.files import write_text
-from offpiste.inspection.channel_guesses import DOWN, guess_channels
+from offpiste.inspection.channel_guesses import DOWN, guess_channels, inverse_pose
 from offpiste.inspection.commanded_motion import is_turn_rate
 from offpiste.inspection.controls_by_numbers import find_controls, is_measured
 from offpiste.inspection.draft_channels import Found, draft_channels, of_other_vehicles
@@ -30,13 +30,13 @@ from offpiste.inspection.draft_values import (
     wheels_of,
 )
 from offpiste.inspection.driven_path import driven_path
-from offpiste.inspection.recorded_log import is_bulk
+from offpiste.inspection.recorded_log import RememberedLog, is_bulk
 from offpiste.inspection.steering_scale import MAX_STEERS
 from offpiste.inspection.velocity import fit_frames
 from offpiste.logs.channel import read_channel
 from offpiste.logs.drive import drive_from_log
 from offpiste.logs.log import Log
-from offpiste.rig.channels import ChannelSource, Clock, undeclared
+from offpiste.rig.channels import ANGLES, ChannelSource, Clock, undeclared
 from offpiste.rig.edits import edited
 from offpiste.rig.labels import is_array_entry, named_down
 from offpiste.rig.rig import Rig, parse_rig
@@ -162,7 +162,8 @@ def _is_plain(log: Log, rig: Rig) -> bool:
 def _text(log: Log, seen: _Seen) -> str:
     entries = draft_channels(log, seen.frame, seen.found, seen.straight, plain=seen.plain, max_steer=seen.max_steer)
     if not {"position"} <= set(entries) or not {"orientation", "yaw"} & set(entries):
-        raise no_pose(log)
+        error = no_pose(RememberedLog(log))  # which lists a handful of transforms
+        raise LogError(error.what, where=error.where, how=inverse_pose(log) + error.how)
     if seen.heading and not entries["yaw"].guess.unit and "scale" not in str(entries["yaw"].lines):
         unit = () if seen.heading == "rad" else (f'unit = "{seen.heading}"',)
         comment = f"{entries['yaw'].comment}; in {seen.heading} by the course"
@@ -218,15 +219,16 @@ def _header(log: Log, entries: Mapping[str, Entry], absent: list[str], seen: _Se
         source=_toml(source),
         mass=MASS if not wheelbase else float(f"{MASS * (wheelbase / SMALL_CAR) ** 3:.2g}"),
         max_steer=stated or seen.max_steer or _MAX_STEER,
-        origin=_origin(seen, stated=bool(stated)),
+        origin=_origin(seen, entries["steer"] if stated else None),
         wheels=_toml(wheels),
     )
 
 
-def _origin(seen: _Seen, *, stated: bool) -> str:
-    """Where the drafted `max_steer` is from."""
-    if stated:
-        return "; the largest of this log"
+def _origin(seen: _Seen, stated: Entry | None) -> str:
+    """Where the drafted `max_steer` is from: of a command that is a share, from the angle that is measured."""
+    if stated is not None:
+        is_angle = any(f'unit = "{unit}"' in stated.lines for unit in ANGLES)
+        return "; the largest of this log" if is_angle else "; by the steering angle of this log"
     return "; by the yaw rate, for this wheelbase" if seen.max_steer and not seen.assumed else ""
 
 
@@ -270,7 +272,7 @@ def _candidates(log: Log) -> str:
     """Numbers that may be the steering under another name, as a sentence."""
     if list(log.topics) == [""]:
         return f"The columns are: {', '.join(log.topics[''].fields[:_LISTED])}"
-    others = [topic for topic in log.topics.values() if topic.fields and not is_measured(topic)]
+    others = [topic for topic in log.topics.values() if topic.fields and not (topic.part_of or is_measured(topic))]
     topics = [topic for topic in others if _COMMANDS.search(topic.name)] or others
     named = [f"{topic.name} ({', '.join(map(topic.in_words, topic.fields[:8]))})" for topic in topics]
     return f"It may be in: {'; '.join(named)}" if named else "All topics are named like measurements."

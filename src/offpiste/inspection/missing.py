@@ -10,6 +10,7 @@ import numpy as np
 from offpiste.channels import CONTROLS
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.recorded_log import Recorded
+from offpiste.logs.transforms import Moving, moving
 from offpiste.rig.channels import POSE, ChannelSource, topic_in_words
 from offpiste.rig.edits import Edit, absent
 from offpiste.rig.rig import Rig
@@ -34,10 +35,13 @@ def check_missing(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
     for name, source in rig.channels.items():
         r = recorded.get(source.topic)
         missing = [] if r is None else [field for field in source.fields if field not in r.fields]
+        pair = moving(source.topic)
         if r is not None and not missing:
+            findings += [] if pair is None or not pair.is_inverse else [_inverse(name, pair)]
             continue
         if r is None:
-            what, there = f"{topic_in_words(source.topic)} is not in the log, or holds no numbers", list(recorded)
+            what = f"{topic_in_words(source.topic)} is not in the log, or holds no numbers"
+            there = sorted(recorded, key=lambda other: pair is not None and moving(other) is None)
         else:
             what = r.topic.unread.get(missing[0]) or f"its topic has no field '{missing[0]}'"
             there = list(map(r.topic.in_words, r.topic.fields))
@@ -46,6 +50,12 @@ def check_missing(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
         remedy = ", ".join(map(str, cures[0])) if cures else f"name where it is recorded in [channels.{name}]"
         findings.append(Finding("fatal", name, what, evidence, remedy, 1.0, cures))
     return findings
+
+
+def _inverse(name: str, pair: Moving) -> Finding:
+    how = f"name {Moving(pair.topic, pair.child, pair.parent).name} where the log has it, or record nav_msgs/Odometry"
+    evidence = f"child {pair.child} in {pair.parent}"
+    return Finding("fatal", name, "its transform has the pose the other way round", evidence, how, 1.0)
 
 
 def _nothing(recorded: dict[str, Recorded], rig: Rig) -> Finding | None:
@@ -84,6 +94,21 @@ def _renamed(fields: Sequence[str], there: Sequence[str]) -> list[str]:
     """The nearest name of each field, where all have one and no two the same; empty otherwise."""
     nearest = [f if f in there else next(iter(get_close_matches(f, there, 1)), "") for f in fields]
     return nearest if all(nearest) and len(set(nearest)) == len(nearest) else []
+
+
+def check_same_pedals(rig: Rig) -> list[Finding]:
+    """A warning where throttle and brake read the same numbers alike, as after a copied entry."""
+    throttle, brake = rig.channels.get("throttle"), rig.channels.get("brake")
+    if throttle is None or brake is None or _as_read(throttle) != _as_read(brake):
+        return []
+    evidence = f"both read {', '.join(throttle.fields)} of {topic_in_words(throttle.topic)}, with the same sign"
+    how = "name where each is recorded; of one pedal that drives and brakes, the brake has the other sign and clips"
+    return [Finding("warning", "throttle, brake", "read the same", evidence, how, 1.0)]
+
+
+def _as_read(source: ChannelSource) -> tuple[object, ...]:
+    """What two channels of one quantity have in common, whatever limits it."""
+    return source.topic, source.fields, source.sign, source.scale, source.offset, source.values
 
 
 def check_unread(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:

@@ -1,10 +1,11 @@
 """Topics of a log, read once for all checks."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass
+from difflib import get_close_matches
 from functools import cached_property
 
 import numpy as np
@@ -15,6 +16,7 @@ from offpiste.errors import LogError
 from offpiste.inspection.findings import Finding
 from offpiste.logs.kept_rows import increasing
 from offpiste.logs.log import Log, Samples, Topic
+from offpiste.logs.transforms import listed, moving
 from offpiste.progress import track
 from offpiste.rig.channels import SECONDS, Clock
 from offpiste.rig.labels import is_array_entry
@@ -69,6 +71,9 @@ class RememberedLog(Log):
 
     Args:
         rig: all fields that it reads are kept, arrays' entries as well.
+
+    Attributes:
+        near: transforms with the names that are nearest to those which the rig reads and the log lacks.
     """
 
     def __init__(self, log: Log, rig: Rig | None = None) -> None:
@@ -78,6 +83,10 @@ class RememberedLog(Log):
         self._samples: dict[tuple[str, str], Samples] = {}
         self._stamps: dict[tuple[str, str], Float[np.ndarray, " n"]] = {}
         self._opened, self._per_stamp = log.clock, 1.0
+        read = {source.topic for source in self._sources}
+        self.near = _nearest(read - set(log.topics), [name for name, topic in log.topics.items() if topic.part_of])
+        kept = {*listed(log.topics), *read, *self.near}
+        self._topics = {name: topic for name, topic in log.topics.items() if name in kept}
 
     @property
     def clock(self) -> Clock:
@@ -96,8 +105,8 @@ class RememberedLog(Log):
 
     @property
     def topics(self) -> dict[str, Topic]:
-        """The other log's topics."""
-        return self._log.topics
+        """The other log's topics, of its many transforms those that are listed, read, or nearly what is read."""
+        return self._topics
 
     def quantities(self, topic: Topic) -> tuple[str, ...]:
         """Fields that are checked: no entries of arrays (scans, covariances) but named ones and what the rig reads.
@@ -138,6 +147,12 @@ class RememberedLog(Log):
 
     def _in_unit(self, samples: Samples) -> Samples:
         return Samples(samples.time * self._per_stamp, samples.values)
+
+
+def _nearest(lacking: Collection[str], transforms: Sequence[str]) -> set[str]:
+    """Transforms whose names are nearest to those that the rig reads and the log lacks, however far they are."""
+    wanted = [name for name in lacking if moving(name) is not None]
+    return {near for name in wanted for near in get_close_matches(name, transforms, 3, cutoff=0.0)}
 
 
 def with_joints_of(log: Log, rig: Rig) -> Rig:
@@ -181,7 +196,8 @@ def read_topics(log: RememberedLog, rig: Rig | None) -> tuple[dict[str, Recorded
     """Topics with numbers in them, and a finding for each topic or field that cannot be read.
 
     Args:
-        rig: says which stamps count, and whether samples are put in their order; parts of topics are read if it does.
+        rig: says which stamps count, and whether samples are put in their order; parts of topics are read if it
+            does, and those in `log.near`.
     """
     clock = rig.clock if rig else Clock()
     stamps, used = clock.stamps, {source.topic for source in rig.channels.values()} if rig else set()
@@ -189,7 +205,7 @@ def read_topics(log: RememberedLog, rig: Rig | None) -> tuple[dict[str, Recorded
     findings: list[Finding] = []
     for name, topic in track(log.topics.items(), "topics", total=len(log.topics)):
         fields = log.quantities(topic)
-        if not fields or is_bulk(topic) or (topic.part_of and name not in used):
+        if not fields or is_bulk(topic) or (topic.part_of and name not in used | log.near):
             continue
         readable, errors = _readable(log, name, fields, stamps)
         findings += [Finding("warning", name or "table", e.what, "on reading it", e.how, 1.0) for e in errors]

@@ -12,9 +12,9 @@ from offpiste.inspection.ranges import is_untouched, limits
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.inspection.signal_faults import COUNTED_DEGREES, MAX_SPIKES, degrees_each, find_spikes, find_wrap
 from offpiste.inspection.usual_ranges import scaled_to_unit
-from offpiste.logs.channel import LARGEST, convert, largest, unwrapped
+from offpiste.logs.channel import LARGEST, convert, largest_recorded, unwrapped
 from offpiste.logs.kept_rows import between_samples
-from offpiste.rig.channels import GEOGRAPHIC, POSE, ChannelSource, Wrap, known_channels, unit_factor
+from offpiste.rig.channels import GEOGRAPHIC, POSE, ChannelSource, Wrap, known_channels
 from offpiste.rig.edits import Edit, absent, rounded, toml_value
 from offpiste.rig.rig import Rig
 
@@ -75,9 +75,7 @@ def channel_signals(recorded: dict[str, Recorded], rig: Rig) -> list[Signal]:
         raw = columns if source.wrap is None else unwrapped(columns, source.wrap)
         for i, field in enumerate(source.fields[: converted.shape[1]]):
             where = f"{name} ({place(source.topic, field)})"
-            # Of geographic places, two are degrees and the height is not.
-            unit = "m" if source.unit == GEOGRAPHIC and i > 1 else source.unit
-            most = largest(name) / abs(source.scale * unit_factor(name, unit, rig.vehicle.max_steer) or 1.0)
+            most = largest_recorded(name, source, i, rig.vehicle)
             beside = _usual(np.delete(converted, i, axis=1))
             signals.append(Signal(where, f"channels.{name}", raw[:, i], converted[:, i], limits(name), most, beside))
     return signals

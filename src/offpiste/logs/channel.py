@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 
 from offpiste.channels import control_of
 from offpiste.errors import LogError, RigError
-from offpiste.geometry import bicycle_angle, local_from_geographic
+from offpiste.geometry import LARGEST_DEGREES, bicycle_angle, local_from_geographic
 from offpiste.logs.axes import to_z_up
 from offpiste.logs.kept_rows import between_samples, increasing
 from offpiste.logs.log import Log, Samples
@@ -143,6 +143,15 @@ def read_numbered_channel(
 def largest(channel: str) -> float:
     """Largest value of a channel that is a measurement and no fault, in its unit."""
     return _FARTHEST if known_channels()[channel][0] == "m" else LARGEST
+
+
+def largest_recorded(name: str, source: ChannelSource, column: int, vehicle: Vehicle) -> float:
+    """The same of one of its columns, as recorded: of geographic places two are degrees, and the height is not."""
+    geographic = source.unit == GEOGRAPHIC
+    if geographic and column < len(LARGEST_DEGREES):
+        return LARGEST_DEGREES[column] / abs(source.scale or 1.0)
+    factor = unit_factor(name, "m" if geographic else source.unit, vehicle.max_steer)
+    return largest(name) / abs(source.scale * factor or 1.0)
 
 
 def _clean(

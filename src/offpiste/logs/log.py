@@ -13,15 +13,14 @@ from typing import Any, ClassVar, Final, TypeVar
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from offpiste.errors import LogError
-from offpiste.logs.transforms import Transform
+from offpiste.errors import LogError, did_you_mean
+from offpiste.logs.transforms import Transform, listed
 from offpiste.registry import Registry
 from offpiste.rig.camera import CameraModel
 from offpiste.rig.channels import Clock, topic_in_words
 
 LOG_FORMATS: "Registry[type[Log]]" = Registry("log format", package="offpiste.logs.formats", error=LogError)
 """Log formats by name; `offpiste.logs.open_log` chooses the one that recognises a path."""
-
 
 JOINT_ARRAYS: Final = {"position": "", "velocity": "_vel", "effort": "_effort"}
 """Arrays of sensor_msgs/JointState, and what is added to a joint's name in `Topic.joints`: a position is the joint."""
@@ -281,8 +280,9 @@ class Log(ABC):
     def _find(self, topic: str) -> Topic:
         result = self.topics.get(topic)
         if result is None:
-            known = ", ".join(sorted(self.topics)) or "none"
-            raise LogError(f"no topic '{topic}'", where=self.path, how=f"it has: {known}")
+            known = ", ".join(listed(sorted(self.topics))) or "none"
+            how = f"{did_you_mean(topic, self.topics)}it has: {known}"
+            raise LogError(f"no topic '{topic}'", where=self.path, how=how)
         return result
 
 

@@ -16,6 +16,7 @@ from offpiste.logs.log import Log, RawCloud, RawImage
 from offpiste.logs.measurements import Camera, Cloud, Image, Lidar, cloud_from_records
 from offpiste.logs.mountings import camera_of, lidar_of, refuse_rough
 from offpiste.logs.poses import Poses, jump_note, poses_from_drive
+from offpiste.logs.transforms import listed
 from offpiste.rig.rig import Rig
 from offpiste.rig.sensors import CameraSource, LidarSource
 
@@ -223,7 +224,7 @@ def open_sensors(log: Log, rig: Rig, *, poses: Poses | None = None, rough: bool 
         elif entry.optional:
             absent.append(name)
         else:
-            how = f"it has: {', '.join(sorted(log.topics)) or 'none'}; or set optional = true"
+            how = f"it has: {', '.join(listed(sorted(log.topics))) or 'none'}; or set optional = true"
             raise LogError(f"'{name}': no messages on topic '{entry.topic}'", where=log.path, how=how)
     if not present:
         raise LogError(

@@ -4,9 +4,8 @@ A moving one has a topic of its own, called `/tf odom -> base_link`, whose field
 """
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import islice
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -24,10 +23,12 @@ STAMPED_FIELDS: Final = (
     *(f"transform.rotation.{axis}" for axis in "xyzw"),
 )
 _BODIES = re.compile(r"base|body|vehicle|chassis|ego|imu|(^|[/_])(car|robot)([/_]|$)", re.IGNORECASE)
-"""Frames that a pose may be of, among those that move in one of `_WORLDS`."""
+"""Frames that a pose is of, by their names, where they move in one of `_WORLDS`."""
 _WORLDS = re.compile(r"odom|map|world|earth|local|enu|utm|camera_init", re.IGNORECASE)
-_SOUGHT, _COUNTED = 10_000, 100
-"""Messages in which a first body is sought, and those from there on that are asked for others."""
+_SOUGHT, _MOST = 10_000, 100_000
+"""The first messages of a topic, and transforms in them, that are asked for their frames: a second or so."""
+_LISTED = 5
+"""Transforms that messages list besides those of a body in a world: a robot may have one for each of its joints."""
 _NAME = re.compile(r"(\S+) (\S+) -> (\S+)")
 
 
@@ -43,6 +44,16 @@ class Moving(NamedTuple):
         """What its own topic is called."""
         return f"{self.topic} {self.parent} -> {self.child}"
 
+    @property
+    def is_of_a_body(self) -> bool:
+        """Whether it is of a body in a world, by the names of the frames: such a one may be the pose."""
+        return bool(_WORLDS.search(self.parent) and _BODIES.search(self.child))
+
+    @property
+    def is_inverse(self) -> bool:
+        """Whether it is of a world in a body: a pose the other way round."""
+        return bool(_BODIES.search(self.parent) and _WORLDS.search(self.child)) and not self.is_of_a_body
+
     def of(self, message: Any) -> list[Any]:
         """Those of it among the transforms of a message."""
         return [one for one in message.transforms if frames(one) == (self.parent, self.child)]
@@ -54,22 +65,28 @@ def moving(name: str) -> Moving | None:
     return None if found is None else Moving(*found.groups())
 
 
-def moving_bodies(topic: str, messages: Iterable[Any]) -> dict[Moving, int]:
-    """Transforms of a body in a world, by the names of their frames, and how many of each the first messages have.
+def listed(topics: Iterable[str]) -> list[str]:
+    """Names of topics for messages and guesses: of transforms those of a body in a world, and a handful of others."""
+    names = list(topics)
+    others = [name for name in names if (one := moving(name)) is not None and not one.is_of_a_body]
+    left_out = set(others[_LISTED:])
+    return [name for name in names if name not in left_out]
+
+
+def all_moving(topic: str, messages: Iterable[Any]) -> Iterator[Moving]:
+    """Each transform of the first messages of a topic, in their order.
 
     A localiser that starts late is found among the first ten thousand.
     """
-    result: dict[Moving, int] = {}
-    left = _COUNTED
-    for message in islice(messages, _SOUGHT):
+    left = _MOST
+    for number, message in enumerate(messages):
+        if number == _SOUGHT or left <= 0:
+            return
+        left -= len(message.transforms)
         for one in message.transforms:
             key = Moving(topic, *frames(one))
-            if _WORLDS.search(key.parent) and _BODIES.search(key.child) and moving(key.name) == key:
-                result[key] = result.get(key, 0) + 1
-        left -= bool(result)
-        if not left:
-            break
-    return result
+            if moving(key.name) == key:
+                yield key
 
 
 def frames(message: Any) -> tuple[str, str]:

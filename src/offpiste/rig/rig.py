@@ -69,6 +69,10 @@ def check_vehicle(vehicle: Vehicle, *, steers: bool) -> None:
         raise RigError("vehicle.wheel_positions hold a number that is no place", how="give metres from the pose point")
     if not 0 < vehicle.wheelbase < np.inf:
         raise RigError("the front wheels are not ahead of the rear wheels", how="fix vehicle.wheel_positions")
+    sides = [y for _, y in vehicle.wheel_positions]
+    if sides[0] < sides[1] or sides[2] < sides[3]:
+        how = "left is +y: give front-left, front-right, rear-left, rear-right"
+        raise RigError("vehicle.wheel_positions have left and right exchanged", how=how)
     if (steers or vehicle.max_steer != 0) and not 0 < vehicle.max_steer < np.pi / 2:
         raise RigError(f"vehicle.max_steer is {vehicle.max_steer} rad", how="give a road-wheel angle below pi/2")
 

@@ -1,6 +1,7 @@
 """ROS 1 and ROS 2 bags, without ROS: numbers, images, point clouds, calibrations and transforms."""
 
 import weakref
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, suppress
 from itertools import pairwise
@@ -28,8 +29,17 @@ from offpiste.logs.ros.bag_files import (
 )
 from offpiste.logs.ros.mcap_columns import Columns, columns_of
 from offpiste.logs.ros.mcap_recovery import StreamedMcap
-from offpiste.logs.ros.sensor_messages import Joints, decompressed, has_joints, points_from_message, raw_pixels
-from offpiste.logs.transforms import STAMPED, STAMPED_FIELDS, TRANSFORMS, Transform, moving, moving_bodies, transform_of
+from offpiste.logs.ros.sensor_messages import Joints, clouds_of, frame_of, has_joints, images_of
+from offpiste.logs.transforms import (
+    STAMPED,
+    STAMPED_FIELDS,
+    TRANSFORMS,
+    Moving,
+    Transform,
+    all_moving,
+    moving,
+    transform_of,
+)
 from offpiste.rig.camera import CameraModel, model_from_message
 
 _IMAGE_TYPES: Final = ("sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image")
@@ -49,8 +59,8 @@ class BagLog(Log):
     Fields are dotted paths to numbers and booleans, e.g. `pose.pose.position.x` or `pose.covariance[0]`: entries of
     fixed-size arrays of at most 36, and the first 36 that a sequence has in the topic's first message where it is not
     empty (where a later message has fewer, they are NaN). Entries of sensor_msgs/JointState go by their names, which
-    are those of the first hundred messages. A transform of a body in a world that the first messages of
-    tf2_msgs/TFMessage have is a topic of its own (`offpiste.logs.transforms`). Headers, text, raw bytes and sequences
+    are those of the first hundred messages. Each pair of frames that the first messages of tf2_msgs/TFMessage have is
+    a topic of its own (`offpiste.logs.transforms`). Headers, text, raw bytes and sequences
     of messages are no fields.
     Samples come in the order of arrival. An MCAP file without its end is read as far as it goes.
 
@@ -73,7 +83,7 @@ class BagLog(Log):
             _refuse_several(self._readers, path)
             names = {connection.topic for reader in self._readers for connection in reader.connections}
             self._topics = {name: self._describe(name, notes) for name in sorted(names)}
-            self._topics |= {topic.name: topic for topic in self._moving_bodies()}
+            self._topics |= {topic.name: topic for topic in self._transforms_as_topics()}
             weakref.finalize(self, stack.pop_all().close)
         self.warnings = tuple(notes)
 
@@ -137,15 +147,17 @@ class BagLog(Log):
             notes.append(f"topic '{name}': {error}")
             return Topic(name, error.what, count, ())
 
-    def _moving_bodies(self) -> list[Topic]:
-        """Topics of transforms of a body in a world."""
+    def _transforms_as_topics(self) -> list[Topic]:
+        """A topic for each pair of frames; bodies in a world, which may be the pose, come first."""
         result: list[Topic] = []
         for topic in self._topics.values():
             if topic.type in TRANSFORMS and not topic.name.endswith("static"):
-                first = (message for _, message in self._messages(topic.name, topic.type))
+                first, counts = (message for _, message in self._messages(topic.name, topic.type)), Counter[Moving]()
                 with suppress(LogError):  # where it is read, damage is an error
-                    for one, count in moving_bodies(topic.name, first).items():
-                        result.append(Topic(one.name, STAMPED, count, STAMPED_FIELDS, part_of=topic.name))
+                    for one in all_moving(topic.name, first):
+                        counts[one] += 1
+                for one in sorted(counts, key=lambda one: not one.is_of_a_body):
+                    result.append(Topic(one.name, STAMPED, counts[one], STAMPED_FIELDS, part_of=topic.name))
         return result
 
     def _messages(self, name: str, msgtype: str, decoder: MakeDecoder | None = None) -> Iterator[tuple[int, object]]:
@@ -225,27 +237,27 @@ class BagLog(Log):
         _, message = next(self.messages(topic), (0.0, None))
         if message is None:
             raise LogError(f"topic '{topic}' is empty", where=self.path, how="remove the sensor from the rig")
-        return _frame(message)
+        return frame_of(message)
 
     def images(self, topic: str, *, stamps: str = "header") -> Iterator[RawImage]:
         """Images of sensor_msgs/CompressedImage and Image."""
-        return _images(self._typed(topic, _IMAGE_TYPES, stamps), topic)
+        return images_of(self._typed(topic, _IMAGE_TYPES, stamps), topic)
 
     def clouds(self, topic: str, *, stamps: str = "header") -> Iterator[RawCloud]:
         """Point clouds of sensor_msgs/PointCloud2."""
-        return _clouds(self._typed(topic, _CLOUD_TYPES, stamps))
+        return clouds_of(self._typed(topic, _CLOUD_TYPES, stamps))
 
     def images_at(self, topic: str, times: Float[np.ndarray, " n"], *, stamps: str = "header") -> Iterator[RawImage]:
         """By the file's index: what lies between is neither read nor decoded."""
         if self._columns(self._find(topic)) is None:
             return super().images_at(topic, times, stamps=stamps)
-        return _images(self._typed(topic, _IMAGE_TYPES, stamps, times), topic)
+        return images_of(self._typed(topic, _IMAGE_TYPES, stamps, times), topic)
 
     def clouds_at(self, topic: str, times: Float[np.ndarray, " n"], *, stamps: str = "header") -> Iterator[RawCloud]:
         """By the file's index, like `images_at`."""
         if self._columns(self._find(topic)) is None:
             return super().clouds_at(topic, times, stamps=stamps)
-        return _clouds(self._typed(topic, _CLOUD_TYPES, stamps, times))
+        return clouds_of(self._typed(topic, _CLOUD_TYPES, stamps, times))
 
     def _at(self, topic: Topic, times: Float[np.ndarray, " n"], stamps: str) -> Iterator[tuple[float, Any]]:
         """Messages with these stamps, each found by the time at which it arrived."""
@@ -282,18 +294,3 @@ def _refuse_several(readers: Sequence[Reader], path: Path) -> None:
             first, second = (Path(str(reader.path)).name for reader in (before, after))
             what = f"holds several recordings: {second} begins before {first} ends"
             raise LogError(what, where=path, how="give each file by itself")
-
-
-def _images(messages: Iterator[tuple[float, Any]], topic: str) -> Iterator[RawImage]:
-    for time, message in messages:
-        decoded = decompressed(message) if hasattr(message, "format") else raw_pixels(message, topic)
-        yield RawImage(time, _frame(message), decoded)
-
-
-def _clouds(messages: Iterator[tuple[float, Any]]) -> Iterator[RawCloud]:
-    for time, message in messages:
-        yield RawCloud(time, _frame(message), points_from_message(message))
-
-
-def _frame(message: Any) -> str:
-    return str(message.header.frame_id).lstrip("/")

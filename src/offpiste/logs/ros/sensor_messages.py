@@ -5,7 +5,7 @@ for no colours, and stops at a broken image with an AssertionError.
 """
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, Final
 
 import cv2
@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from offpiste.errors import LogError
-from offpiste.logs.log import JOINT_ARRAYS
+from offpiste.logs.log import JOINT_ARRAYS, RawCloud, RawImage
 from offpiste.logs.measurements import decoded_picture
 from offpiste.logs.ros.bag_files import MAX_ENTRIES
 from offpiste.logs.ros.writer import header, make, message_types
@@ -137,6 +137,24 @@ def _kind(order: str, field: Any) -> Any:
     # Old drivers leave the count at 0 and mean 1.
     kind = order + _TYPES[field.datatype]
     return (kind, (field.count,)) if field.count > 1 else kind
+
+
+def images_of(messages: Iterator[tuple[float, Any]], topic: str) -> Iterator[RawImage]:
+    """Images of sensor_msgs/CompressedImage and Image, by their stamps [s]."""
+    for time, message in messages:
+        decoded = decompressed(message) if hasattr(message, "format") else raw_pixels(message, topic)
+        yield RawImage(time, frame_of(message), decoded)
+
+
+def clouds_of(messages: Iterator[tuple[float, Any]]) -> Iterator[RawCloud]:
+    """Point clouds of sensor_msgs/PointCloud2, by their stamps [s]."""
+    for time, message in messages:
+        yield RawCloud(time, frame_of(message), points_from_message(message))
+
+
+def frame_of(message: Any) -> str:
+    """Frame in a message's header."""
+    return str(message.header.frame_id).lstrip("/")
 
 
 class Joints:
