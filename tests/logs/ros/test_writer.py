@@ -218,7 +218,7 @@ def test_messages_come_back_one_by_one(tmp_path: Path) -> None:
         (1_700_000_000 - 0.5, 0.0), (1_700_000_000 - 0.48, 1.0), (1_700_000_000 - 0.46, 2.0),
     ]  # fmt: skip
     assert next(log.messages("/brake", stamps="receive"))[0] == 1_700_000_000
-    with pytest.raises(LogError, match="no topic '/breaks'; it has: /brake"):
+    with pytest.raises(LogError, match=r"no topic '/breaks'; did you mean '/brake'\? it has: /brake"):
         next(log.messages("/breaks"))
 
 
