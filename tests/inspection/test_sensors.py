@@ -213,7 +213,7 @@ def test_a_heading_that_is_cured_does_not_turn_the_lidar_as_well(degrees: float,
 
 
 def test_what_the_cure_of_a_late_pose_leaves_is_no_delay_of_the_lidar() -> None:
-    found = among_walls(simulated.drive_log(seconds=60).restamp("odom", lambda time: time + 0.3))
+    found = among_walls(simulated.drive_log(seconds=60).restamp("odom", lambda time: time + 0.5))
     assert {edit.key for edit in found.cure} >= {"channels.position.delay", "channels.orientation.delay"}
     (top,) = [finding for finding in found.findings if finding.where == "top"]
     assert top.cures == ()

@@ -25,8 +25,8 @@ STAMPED_FIELDS: Final = (
 _BODIES = re.compile(r"base|body|vehicle|chassis|ego|imu|(^|[/_])(car|robot)([/_]|$)", re.IGNORECASE)
 """Frames that a pose is of, by their names, where they move in one of `_WORLDS`."""
 _WORLDS = re.compile(r"odom|map|world|earth|local|enu|utm|camera_init", re.IGNORECASE)
-_SOUGHT, _MOST = 10_000, 100_000
-"""The first messages of a topic, and transforms in them, that are asked for their frames: a second or so."""
+_SOUGHT, _MORE = 10_000, 500
+"""Messages in which a first body is sought, and those from there on that are asked for other frames."""
 _LISTED = 5
 """Transforms that messages list besides those of a body in a world: a robot may have one for each of its joints."""
 _NAME = re.compile(r"(\S+) (\S+) -> (\S+)")
@@ -76,17 +76,19 @@ def listed(topics: Iterable[str]) -> list[str]:
 def all_moving(topic: str, messages: Iterable[Any]) -> Iterator[Moving]:
     """Each transform of the first messages of a topic, in their order.
 
-    A localiser that starts late is found among the first ten thousand.
+    They end soon after the first body in a world; a localiser that starts late is found among the first ten thousand.
     """
-    left = _MOST
-    for number, message in enumerate(messages):
-        if number == _SOUGHT or left <= 0:
-            return
-        left -= len(message.transforms)
+    left, found = _SOUGHT, False
+    for message in messages:
         for one in message.transforms:
             key = Moving(topic, *frames(one))
             if moving(key.name) == key:
                 yield key
+                if key.is_of_a_body and not found:
+                    left, found = min(left, _MORE), True
+        left -= 1
+        if left <= 0:
+            return
 
 
 def frames(message: Any) -> tuple[str, str]:

@@ -87,10 +87,10 @@ def test_names_that_are_given_twice_are_told_apart_by_their_order() -> None:
     assert joints.reader(["position[1]", "position[0]"])(message) == [2.0, 1.0]
 
 
-def _record(path: Path, messages: list[object]) -> BagLog:
+def _record(path: Path, messages: list[object], begin: float = 100.0) -> BagLog:
     with McapWriter(path) as writer:
         for k, message in enumerate(messages):
-            writer.write("joints", message, int((100 + k / 10) * 1e9))
+            writer.write("joints", message, int((begin + k / 10) * 1e9))
     return BagLog(path)
 
 
@@ -121,8 +121,9 @@ def test_publishers_that_share_a_topic_are_told_apart(tmp_path: Path) -> None:
 
 def test_orders_that_differ_from_file_to_file_are_followed(tmp_path: Path) -> None:
     for number, order in ((0, 1), (1, -1)):
-        messages = [_joints((100 + k) * 10**9, ("left", "boom")[::order], [1.0, 2.0][::order]) for k in range(30)]
-        _record(tmp_path / f"drive_{number}.mcap", messages)
+        begin = 100 + 30 * number
+        messages = [_joints((begin + k) * 10**9, ("left", "boom")[::order], [1.0, 2.0][::order]) for k in range(30)]
+        _record(tmp_path / f"drive_{number}.mcap", messages, begin)
     values = BagLog(tmp_path).read("joints", ["position[0]", "position[1]"]).values
     np.testing.assert_array_equal(values, np.tile([1.0, 2.0], (60, 1)))
 
