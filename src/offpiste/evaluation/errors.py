@@ -28,9 +28,6 @@ HORIZONS = (1, 2, 3, 4, 5)
 COMPONENTS = ("distance_error_m", "yaw_error_rad", "vx_error_mps", "vy_error_mps", "yaw_rate_error_radps")
 """Absolute errors that are kept: of the position as a distance, of the yaw angle wrapped."""
 
-LOOKUPS = ("recorded", "map")
-"""Where a model reads the terrain: under the wheels' recorded future places, or on a map at predicted places."""
-
 Item = TypeVar("Item")
 
 
@@ -202,7 +199,7 @@ def errors_of_models(
 
     Args:
         index: numbers of the windows.
-        lookup: "recorded" or "map" (`LOOKUPS`); None for models that do not read the terrain.
+        lookup: "recorded" or "map" (`offpiste.training.prediction.Lookup`); None for models that do not read the terrain.
         scale: of the loss (`offpiste.training.losses.summed_loss`).
         map_source: the map that "map" reads, where it is not the windows' own.
         chunk: windows rolled out side by side, when not as many as usual.

@@ -12,6 +12,7 @@ from typing import Final
 import numpy as np
 
 from offpiste.compilation import MAPPING
+from offpiste.mapping.normals import put
 from offpiste.mapping.voxel_kernels import BASE, FEATURE_DISTANCE, FEATURED, FEATURES, LEVELS, LOWEST, OCCUPIED, X, Y, Z
 
 BLOCK: Final = 32
@@ -145,13 +146,6 @@ def put_heights(level, z, reference, size, out):  # type: ignore[no-untyped-def]
     """Put heights over the floor of the reference level."""
     for i in range(len(out)):
         out[i] = (np.float32(level[i] - reference) + z[i]) * size
-
-
-@MAPPING.loop
-def put(a, out):  # type: ignore[no-untyped-def]
-    """Put a."""
-    for i in range(len(out)):
-        out[i] = a[i]
 
 
 @MAPPING.entry
