@@ -199,7 +199,7 @@ def errors_of_models(
 
     Args:
         index: numbers of the windows.
-        lookup: "recorded" or "map" (`offpiste.training.prediction.Lookup`); None for models that do not read the terrain.
+        lookup: "recorded" or "map" (`training.prediction.Lookup`); None for models that do not read the terrain.
         scale: of the loss (`offpiste.training.losses.summed_loss`).
         map_source: the map that "map" reads, where it is not the windows' own.
         chunk: windows rolled out side by side, when not as many as usual.
