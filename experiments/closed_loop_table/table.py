@@ -169,7 +169,7 @@ def _means(drives: Drives, limit: float) -> list[str]:
     """A line for every planner."""
     lines = [
         f"{_courses(drives)} courses; means over them and the runs of all seeds. A drive that does not finish counts"
-        f" with {limit:g} s, and in its driven cost as standing on its course until then; errors are of what was"
+        f" with {limit:g} s, and in its driven cost as standing where it ended until then; errors are of what was"
         " driven. Driven cost: the terms of path and speed of what planners minimise (squared errors, over time), of"
         " what was driven; geometric means, so that each course counts alike. Interventions: stops by the run time"
         " while it drove, and each rollover, collision, being stuck and leaving the world. Damaged: rolled over or"

@@ -114,7 +114,7 @@ def test_each_is_compared_with_who_knows_less_at_its_latency():
 
 def test_the_header_says_what_counts_for_a_drive_that_does_not_finish():
     head = table([result("b-100ms", 0, 20.0)], limit=40.0).splitlines()[2]
-    assert "counts with 40 s, and in its driven cost as standing on its course until then" in head
+    assert "counts with 40 s, and in its driven cost as standing where it ended until then" in head
     assert "errors are of what was driven" in head
     assert "the terms of path and speed of what planners minimise" in head
 
