@@ -10,7 +10,6 @@ import pytest
 from offpiste.errors import PlanningError
 from offpiste.planning.costs.declaration import CostTerm, Parameter, check_term, cost_term, evaluate, reading_order
 from offpiste.planning.costs.weights import CostWeights
-from offpiste.planning.kernel_costs import _sources
 
 TESTS = Path(__file__).parents[1]
 
@@ -54,28 +53,6 @@ def test_an_added_term_is_planned_with_by_kernel_and_eager_model_alike():
         (sys.executable, "-c", PLAN), env=os.environ | environment, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
-
-
-def far_term_with(factor, bent):
-    """A term that reads a number and a function of its module, as of an import."""
-    module = {"__name__": "own_terms", "FACTOR": factor, "bent": bent}
-    exec("def far_term(distance): return FACTOR * bent(distance)", module)
-    return module["far_term"]
-
-
-def test_the_key_of_compiled_costs_changes_with_all_that_an_added_term_reads():
-    """Numbers and functions of other modules, too: they are compiled in."""
-
-    def straight(x):
-        return x
-
-    def squared(x):
-        return x * x
-
-    terms = ((3, straight), (300, straight), (3, squared), (3, straight))
-    keys = ["".join(_sources([far_term_with(*term)])) for term in terms]
-    assert len(set(keys)) == 3
-    assert keys[0] == keys[3]
 
 
 def test_a_name_that_nothing_provides_is_refused():

@@ -1,28 +1,20 @@
 """Which images are looked at, and which scans they are projected onto."""
 
-from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from factories import circle_rows
-from offpiste.dataset.known_cells import CellList
-from offpiste.dataset.map_snapshots import SnapshotSchedule, SnapshotSettings, SnapshotWriter
-from offpiste.dataset.visual_features import SnapshotKeeper
-from offpiste.logs.channel import Channel
 from offpiste.logs.measurements import Cloud, Image, Lidar
-from offpiste.logs.poses import Poses, find_jumps
-from offpiste.logs.sensor_log import SensorLog
 from offpiste.mapping.pipeline import MapSettings
-from offpiste.mapping.replay import MapperSettings, SensorMapper, replay
+from offpiste.mapping.replay import SensorMapper, replay
 from offpiste.mapping.voxel_map import VoxelSettings
 from offpiste.rig.sensors import LidarSource
 from offpiste.runtime.estimator import VehicleTrack
 from runtime.stream import FEATURES, camera, extract_features, reading, scan
+from scripted_log import SETTINGS, jumping_log, mast, ring
 from sensor_bags import IMAGE, cloud, compressed, info, opened, record, tree
 
-SETTINGS = MapperSettings(0.5, map=MapSettings(VoxelSettings(reach=24.0, capacity=200_000, threads=1)))
 MEMORY = SETTINGS.memory
 
 
@@ -81,52 +73,6 @@ def test_points_at_unknown_poses_do_not_make_the_map_late(tmp_path):
     np.testing.assert_allclose(moments, [(100.52, 3), (100.995, 2)])
 
 
-class ScriptedLog(SensorLog):
-    """Scans and poses that are given."""
-
-    def __init__(self, scans: list[Cloud], lidars: dict[str, Lidar], poses: Poses) -> None:
-        self.lidars, self.cameras, self.poses, self._scans = lidars, {}, poses, scans
-
-    def stream(self, *_: object, **__: object) -> Iterator[Image | Cloud]:
-        return iter(self._scans)
-
-
-class KeptInMemory(SnapshotWriter):
-    """Snapshots by their rows."""
-
-    def __init__(self) -> None:
-        self.kept: dict[int, CellList] = {}
-
-    def add(self, row: int, cells: CellList) -> None:
-        self.kept[row] = cells
-
-    def close(self) -> None:
-        """Nothing is left to write."""
-
-
-def jumping_log(scans: list[Cloud], lidars: dict[str, Lidar], *, jump: float = np.inf) -> ScriptedLog:
-    """A log of a vehicle at 5 m/s on level ground, whose pose jumps 3 m up and 5 m aside at a time [s]."""
-    time = np.arange(0, 8.001, 0.02)
-    after = time >= jump
-    position = Channel("position", "m", time, np.column_stack((5 * time, 5.0 * after, 3.0 * after)))
-    orientation = Channel("orientation", "", time, np.tile([0, 0, 0, 1.0], (len(time), 1)))
-    poses = Poses(position, orientation, 0.2, find_jumps(position, orientation))
-    assert len(poses.jumps) == np.isfinite(jump)
-    return ScriptedLog(scans, lidars, poses)
-
-
-def ring(reach: float = 20.0, half: float = np.pi) -> np.ndarray:
-    """Points on level ground 2 m below a LiDAR."""
-    angle, radius = (grid.ravel() for grid in np.meshgrid(np.linspace(-half, half, 400), np.linspace(3, reach, 60)))
-    return np.column_stack((radius * np.cos(angle), radius * np.sin(angle), np.full(angle.size, -2.0)))
-
-
-def mast(name: str) -> Lidar:
-    mounting = np.eye(4)
-    mounting[2, 3] = 2.0
-    return Lidar(name, mounting, LidarSource(f"/{name}"))
-
-
 def test_a_scan_over_a_jump_leaves_what_is_on_its_other_side_out() -> None:
     """Its stamp is that of its end: the map that begins anew there would hold ground of the frame before."""
     points = ring()
@@ -149,42 +95,3 @@ def test_a_map_without_room_says_so_once(caplog: pytest.LogCaptureFixture) -> No
     caplog.clear()
     assert len(list(replay(log, {}, extract_features, 0, SETTINGS))) == 3
     assert not caplog.records
-
-
-def kept_snapshots(log: ScriptedLog, latency: float, starts: Callable[[np.ndarray], np.ndarray]) -> dict[int, CellList]:
-    """Snapshots of every row of a log's poses that may be the start of a window."""
-    time, place = log.poses.position.time, log.poses.position.values
-    states = np.column_stack((place[:, :2], 0 * time, 5 + 0 * time, 0 * time, 0 * time)).astype(np.float32)
-    rows = replace(circle_rows(len(time)), time=time, origin=np.zeros(2), state_causal=states)
-    settings, writer = SnapshotSettings(seconds=0.0, most=10**6, latency=latency), KeptInMemory()
-    keeper = SnapshotKeeper(writer, SnapshotSchedule([starts(time)], settings), settings, rows, log.poses)
-    for moment in replay(log, {}, extract_features, 0, SETTINGS):
-        keeper.update(moment)
-    keeper.close()
-    return writer.kept
-
-
-def test_snapshots_do_not_depend_on_the_order_of_the_lidars() -> None:
-    """Of scans with one stamp the last completes the map."""
-    front = ring(12.0, np.pi / 2)
-    of = {"front": front, "rear": front * [-1, 1, 1]}
-    kept = []
-    for names in (("rear", "front"), ("front", "rear")):
-        stamps = [(t, name) for t in np.arange(0.5, 3, 0.1).tolist() for name in names]
-        scans = [Cloud(t, name, of[name], None, np.full(len(front), np.nan)) for t, name in stamps]
-        kept.append(kept_snapshots(jumping_log(scans, {n: mast(n) for n in names}), 0.1, np.isfinite))
-    assert list(kept[0]) == list(kept[1])
-    assert len(kept[0]) == 25
-    for row, cells in kept[0].items():
-        np.testing.assert_array_equal(cells.place, kept[1][row].place)
-
-
-@pytest.mark.parametrize("latency", [0.1, 0.8])
-def test_a_snapshot_is_of_the_frame_of_its_window(latency: float) -> None:
-    scans = [Cloud(t, "lidar", ring(), None, np.full(24_000, np.nan)) for t in np.arange(0.5, 5, 0.1).tolist()]
-    log = jumping_log(scans, {"lidar": mast("lidar")}, jump=2.0)
-    kept = kept_snapshots(log, latency, lambda time: (time < 2) | (time >= 2.5))
-    for row, cells in kept.items():
-        assert np.median(cells.elevation) == pytest.approx(log.poses.position.values[row, 2], abs=0.1)
-    times = log.poses.position.time[list(kept)]
-    assert min(times[times > 2]) == pytest.approx(max(2.5, 2.0 + latency), abs=0.13)

@@ -1,7 +1,7 @@
 """Visual features for the rows of a drive: what the map held of every cell under the wheels, by feature set."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -35,8 +35,8 @@ class SnapshotKeeper:
     settings: SnapshotSettings
     rows: Rows
     poses: Poses
-    _row: int = -1
-    _cells: CellList | None = None
+    _row: int = field(default=-1, init=False)
+    _cells: CellList | None = field(default=None, init=False)
 
     def update(self, moment: Moment) -> None:
         """Keep the map of this moment if a window starts in the first row at which it was known.
@@ -56,7 +56,7 @@ class SnapshotKeeper:
         self._cells = crop(moment.layers.terrain_map(), state, self.settings.margin)
 
     def close(self) -> None:
-        """Write what finds the snapshots again, once the drive is over."""
+        """Write the last map and what finds all of them again, once the drive is over."""
         self._write()
         self.writer.close()
 

@@ -12,7 +12,7 @@ from offpiste.errors import OffpisteError
 from offpiste.inspection.commanded_motion import COMMANDED, motion_commands
 from offpiste.inspection.field_groups import field_groups, fours
 from offpiste.logs.log import Log, Topic
-from offpiste.logs.transforms import moving
+from offpiste.logs.transforms import frame_pair
 from offpiste.rig.labels import (
     COURSE_NAMES,
     PRESSURES,
@@ -148,7 +148,7 @@ def guess_channels(log: Log) -> list[Guess]:
     Of commanded motions the one that comes most often is first: others ask, and one is passed on to the vehicle.
     Transforms are guessed from where their frames are named like a body in a world.
     """
-    topics = [one for one in log.topics.values() if (pair := moving(one.name)) is None or pair.is_of_a_body]
+    topics = [one for one in log.topics.values() if (pair := frame_pair(one.name)) is None or pair.is_of_a_body]
     guesses = [guess for topic in topics if topic.count > 1 for guess in _of_topic(log, topic)]
     return sorted(guesses, key=lambda g: (g.rank, -log.topics[g.topic].count if g.rank == MOTION else 0))
 
@@ -156,7 +156,7 @@ def guess_channels(log: Log) -> list[Guess]:
 def inverse_pose(log: Log) -> str:
     """The beginning of a remedy, where a transform is of the world in a body; empty where none is."""
     for name in log.topics:
-        if (pair := moving(name)) is not None and pair.is_inverse:
+        if (pair := frame_pair(name)) is not None and pair.is_inverse:
             turned = f"{pair.topic} has it the other way round (child {pair.child} in {pair.parent}), which is not read"
             return f"{turned}: record it as nav_msgs/Odometry, or "
     return ""

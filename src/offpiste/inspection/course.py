@@ -112,9 +112,8 @@ def readings(drive: Drive, path: Path) -> Iterator[Reading]:
         difference = (np.pi / 2 - course if swap else course) - turned
         agreement = _agreement(difference, turned, moving, straight)
         yield Reading(tuple(edits), agreement, *_offset(difference, straight, moving))
-    if (
-        places and yaw is None and drive.rig.motion.axes in _OF_GEOGRAPHIC
-    ):  # but all beside them may be north, east, down
+    # All beside them may be north, east, down.
+    if places and yaw is None and drive.rig.motion.axes in _OF_GEOGRAPHIC:
         other, quarter = _OF_GEOGRAPHIC[drive.rig.motion.axes]
         turned = np.interp(path.time, raw.time, np.unwrap(raw.values[:, 0]))
         difference = course + quarter + turned

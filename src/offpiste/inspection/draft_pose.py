@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from offpiste.errors import LogError, OffpisteError
 from offpiste.geometry import rotation_from_quaternion
-from offpiste.inspection.channel_guesses import Guess, by_topic, guess_channels, of_one_vehicle
+from offpiste.inspection.channel_guesses import Guess, by_topic, guess_channels, inverse_pose, of_one_vehicle
 from offpiste.inspection.commanded_motion import COMMANDED
 from offpiste.inspection.course import check_course
 from offpiste.inspection.driven_path import driven_path
@@ -20,6 +20,7 @@ from offpiste.inspection.signal_faults import degrees_each
 from offpiste.logs.channel import read_channel
 from offpiste.logs.drive import drive_from_log
 from offpiste.logs.log import Log
+from offpiste.logs.transforms import listed
 from offpiste.rig.channels import GEOGRAPHIC
 from offpiste.rig.edits import edited
 from offpiste.rig.labels import channel_unit, named_down
@@ -206,7 +207,7 @@ def no_pose(log: Log) -> LogError:
         if list(log.topics) != [""]:
             has = ("no topic has a message", "no topic has more than one message")
         return LogError(has[most], where=log.path, how="a drive needs many: record or export it again")
-    how = _not_read(log) or "write a rig that names one"
+    how = _not_read(log) or f"{inverse_pose(log)}write a rig that names one"
     return LogError(
         "no topic looks like a pose (position and heading)",
         where=log.path,
@@ -237,4 +238,4 @@ def _contents(log: Log) -> str:
     """Topics, or the columns of a log that is one table."""
     if list(log.topics) == [""]:
         return f"columns {', '.join(log.topics[''].fields) or 'without numbers'}"
-    return ", ".join(log.topics) or "no topic"
+    return ", ".join(listed(log.topics)) or "no topic"

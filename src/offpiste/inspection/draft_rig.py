@@ -10,9 +10,9 @@ from textwrap import wrap
 import numpy as np
 from msgspec import structs
 
-from offpiste.errors import LogError, OffpisteError, RigError
+from offpiste.errors import OffpisteError, RigError
 from offpiste.files import write_text
-from offpiste.inspection.channel_guesses import DOWN, guess_channels, inverse_pose
+from offpiste.inspection.channel_guesses import DOWN, guess_channels
 from offpiste.inspection.commanded_motion import is_turn_rate
 from offpiste.inspection.controls_by_numbers import find_controls, is_measured
 from offpiste.inspection.draft_channels import Found, draft_channels, of_other_vehicles
@@ -30,7 +30,7 @@ from offpiste.inspection.draft_values import (
     wheels_of,
 )
 from offpiste.inspection.driven_path import driven_path
-from offpiste.inspection.recorded_log import RememberedLog, is_bulk
+from offpiste.inspection.recorded_log import is_bulk
 from offpiste.inspection.steering_scale import MAX_STEERS
 from offpiste.inspection.velocity import fit_frames
 from offpiste.logs.channel import read_channel
@@ -42,11 +42,11 @@ from offpiste.rig.labels import is_array_entry, named_down
 from offpiste.rig.rig import Rig, parse_rig
 
 _NO_STEERING = (
-    "# MISSING: steering: {seen}; no model can do without. Add [channels.steer] and take steer out of"
+    "# MISSING: steering: {why}; no model can do without. Add [channels.steer] and take steer out of"
     " `absent`. {candidates}\n"
 )
 _NO_THROTTLE = (
-    "# MISSING: throttle: {seen}; without it no model can foresee the speed. Add [channels.throttle]"
+    "# MISSING: throttle: {why}; without it no model can foresee the speed. Add [channels.throttle]"
     " and take throttle out of `absent`.\n"
 )
 _COMMANDS = re.compile(r"steer|joy|com+and|cmd|control", re.IGNORECASE)
@@ -162,8 +162,7 @@ def _is_plain(log: Log, rig: Rig) -> bool:
 def _text(log: Log, seen: _Seen) -> str:
     entries = draft_channels(log, seen.frame, seen.found, seen.straight, plain=seen.plain, max_steer=seen.max_steer)
     if not {"position"} <= set(entries) or not {"orientation", "yaw"} & set(entries):
-        error = no_pose(RememberedLog(log))  # which lists a handful of transforms
-        raise LogError(error.what, where=error.where, how=inverse_pose(log) + error.how)
+        raise no_pose(log)
     if seen.heading and not entries["yaw"].guess.unit and "scale" not in str(entries["yaw"].lines):
         unit = () if seen.heading == "rad" else (f'unit = "{seen.heading}"',)
         comment = f"{entries['yaw'].comment}; in {seen.heading} by the course"
@@ -171,8 +170,8 @@ def _text(log: Log, seen: _Seen) -> str:
     absent = undeclared(entries)
     parts = [_header(log, entries, absent, seen)]
     if "steer" in absent:
-        parts += [_NO_STEERING.format(seen=_seen_of(log, "steer", "steer_angle"), candidates=_candidates(log))]
-    parts += [_NO_THROTTLE.format(seen=_seen_of(log, "throttle"))] if "throttle" in absent else []
+        parts += [_NO_STEERING.format(why=_why_missing(log, "steer", "steer_angle"), candidates=_candidates(log))]
+    parts += [_NO_THROTTLE.format(why=_why_missing(log, "throttle"))] if "throttle" in absent else []
     parts += of_other_vehicles(entries)
     for channel, entry in entries.items():
         parts += [
@@ -259,7 +258,7 @@ def _unread(log: Log, entries: Mapping[str, Entry]) -> list[str]:
     return [*(f"# {line}" for line in lines), ""] if lines else []
 
 
-def _seen_of(log: Log, *channels: str) -> str:
+def _why_missing(log: Log, *channels: str) -> str:
     """Why a control has no field: what is called so never changes, or nothing is."""
     for guess in guess_channels(log):
         values = field_values(log, guess) if guess.channel in channels else None

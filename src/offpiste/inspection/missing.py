@@ -10,7 +10,7 @@ import numpy as np
 from offpiste.channels import CONTROLS
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.recorded_log import Recorded
-from offpiste.logs.transforms import Moving, moving
+from offpiste.logs.transforms import FramePair, frame_pair
 from offpiste.rig.channels import POSE, ChannelSource, topic_in_words
 from offpiste.rig.edits import Edit, absent
 from offpiste.rig.rig import Rig
@@ -35,13 +35,13 @@ def check_missing(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
     for name, source in rig.channels.items():
         r = recorded.get(source.topic)
         missing = [] if r is None else [field for field in source.fields if field not in r.fields]
-        pair = moving(source.topic)
+        pair = frame_pair(source.topic)
         if r is not None and not missing:
             findings += [] if pair is None or not pair.is_inverse else [_inverse(name, pair)]
             continue
         if r is None:
             what = f"{topic_in_words(source.topic)} is not in the log, or holds no numbers"
-            there = sorted(recorded, key=lambda other: pair is not None and moving(other) is None)
+            there = sorted(recorded, key=lambda other: pair is not None and frame_pair(other) is None)
         else:
             what = r.topic.unread.get(missing[0]) or f"its topic has no field '{missing[0]}'"
             there = list(map(r.topic.in_words, r.topic.fields))
@@ -52,8 +52,9 @@ def check_missing(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
     return findings
 
 
-def _inverse(name: str, pair: Moving) -> Finding:
-    how = f"name {Moving(pair.topic, pair.child, pair.parent).name} where the log has it, or record nav_msgs/Odometry"
+def _inverse(name: str, pair: FramePair) -> Finding:
+    right = FramePair(pair.topic, parent=pair.child, child=pair.parent)
+    how = f"name {right.name} where the log has it, or record nav_msgs/Odometry"
     evidence = f"child {pair.child} in {pair.parent}"
     return Finding("fatal", name, "its transform has the pose the other way round", evidence, how, 1.0)
 

@@ -16,7 +16,7 @@ from offpiste.errors import LogError
 from offpiste.inspection.findings import Finding
 from offpiste.logs.kept_rows import increasing
 from offpiste.logs.log import Log, Samples, Topic
-from offpiste.logs.transforms import listed, moving
+from offpiste.logs.transforms import frame_pair, listed
 from offpiste.progress import track
 from offpiste.rig.channels import SECONDS, Clock
 from offpiste.rig.labels import is_array_entry
@@ -151,7 +151,7 @@ class RememberedLog(Log):
 
 def _nearest(lacking: Collection[str], transforms: Sequence[str]) -> set[str]:
     """Transforms whose names are nearest to those that the rig reads and the log lacks, however far they are."""
-    wanted = [name for name in lacking if moving(name) is not None]
+    wanted = [name for name in lacking if frame_pair(name) is not None]
     return {near for name in wanted for near in get_close_matches(name, transforms, 3, cutoff=0.0)}
 
 

@@ -23,7 +23,7 @@ from offpiste.logs.axes import to_z_up
 from offpiste.logs.channel import KEPT_UP, convert, largest
 from offpiste.logs.ros.bag_files import field_getter, heard_at
 from offpiste.logs.ros.sensor_messages import joint_getter
-from offpiste.logs.transforms import moving
+from offpiste.logs.transforms import frame_pair
 from offpiste.rig.channels import GEOGRAPHIC, ChannelSource
 from offpiste.rig.rig import Rig
 from offpiste.runtime.estimator import Given, VehicleReading
@@ -235,7 +235,7 @@ def _refuse(rig: Rig) -> None:
         how = "give channels.position.origin = [latitude, longitude] of a place near by: there x = y = 0"
         raise RigError("positions in degrees need an origin to be driven by", where="channels.position", how=how)
     for name, source in rig.channels.items():
-        if moving(source.topic) is not None:
+        if frame_pair(source.topic) is not None:
             how = "have the robot publish it as nav_msgs/Odometry, and name that topic"
             raise RigError("transforms are read from logs only", where=f"channels.{name}.topic", how=how)
     if rig.alignment is not None:

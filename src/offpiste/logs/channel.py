@@ -146,7 +146,10 @@ def largest(channel: str) -> float:
 
 
 def largest_recorded(name: str, source: ChannelSource, column: int, vehicle: Vehicle) -> float:
-    """The same of one of its columns, as recorded: of geographic places two are degrees, and the height is not."""
+    """Largest size of a number in a column that is a measurement, in the unit and scale in which it is recorded.
+
+    Of geographic places two columns are degrees, and the height is not.
+    """
     geographic = source.unit == GEOGRAPHIC
     if geographic and column < len(LARGEST_DEGREES):
         return LARGEST_DEGREES[column] / abs(source.scale or 1.0)

@@ -1,6 +1,6 @@
-"""Transforms of a log: the chain of fixed ones between two frames, and those of a body that moves, as topics.
+"""Transforms of a log: the chain of fixed ones between two frames, and each pair of frames of `/tf` as a topic.
 
-A moving one has a topic of its own, called `/tf odom -> base_link`, whose fields are those of TransformStamped.
+Such a topic is called `/tf odom -> base_link`, and its fields are those of geometry_msgs/TransformStamped.
 """
 
 import re
@@ -32,8 +32,8 @@ _LISTED = 5
 _NAME = re.compile(r"(\S+) (\S+) -> (\S+)")
 
 
-class Moving(NamedTuple):
-    """A transform of a topic of many."""
+class FramePair(NamedTuple):
+    """Two frames whose transforms a topic has among others."""
 
     topic: str
     parent: str
@@ -59,21 +59,21 @@ class Moving(NamedTuple):
         return [one for one in message.transforms if frames(one) == (self.parent, self.child)]
 
 
-def moving(name: str) -> Moving | None:
-    """The transform whose own topic is called so; None where it is the name of any other."""
+def frame_pair(name: str) -> FramePair | None:
+    """The frames whose topic is called so; None where it is the name of any other topic."""
     found = _NAME.fullmatch(name)
-    return None if found is None else Moving(*found.groups())
+    return None if found is None else FramePair(*found.groups())
 
 
 def listed(topics: Iterable[str]) -> list[str]:
     """Names of topics for messages and guesses: of transforms those of a body in a world, and a handful of others."""
     names = list(topics)
-    others = [name for name in names if (one := moving(name)) is not None and not one.is_of_a_body]
+    others = [name for name in names if (one := frame_pair(name)) is not None and not one.is_of_a_body]
     left_out = set(others[_LISTED:])
     return [name for name in names if name not in left_out]
 
 
-def all_moving(topic: str, messages: Iterable[Any]) -> Iterator[Moving]:
+def frame_pairs(topic: str, messages: Iterable[Any]) -> Iterator[FramePair]:
     """Each transform of the first messages of a topic, in their order.
 
     They end soon after the first body in a world; a localiser that starts late is found among the first ten thousand.
@@ -81,8 +81,8 @@ def all_moving(topic: str, messages: Iterable[Any]) -> Iterator[Moving]:
     left, found = _SOUGHT, False
     for message in messages:
         for one in message.transforms:
-            key = Moving(topic, *frames(one))
-            if moving(key.name) == key:
+            key = FramePair(topic, *frames(one))
+            if frame_pair(key.name) == key:
                 yield key
                 if key.is_of_a_body and not found:
                     left, found = min(left, _MORE), True

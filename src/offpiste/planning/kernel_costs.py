@@ -8,6 +8,7 @@ import inspect
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 from types import FunctionType
 from typing import Any, Final
 
@@ -269,14 +270,23 @@ def _function(text: str, name: str, functions: dict[str, Function]) -> Callable[
 
 
 def _sources(functions: Iterable[Function]) -> list[str]:
-    """Text that changes when a function that does not ship changes, or a number or a function that it reads."""
-    texts: dict[str, None] = {}
-    for function in map(inspect.unwrap, functions):
-        if function.__module__.startswith("offpiste."):
+    """Text that changes when a function that does not ship changes, or what it reads: numbers, functions, modules."""
+    texts: dict[object, str] = {}
+    waiting = [*map(inspect.unwrap, functions)]
+    while waiting:
+        function = waiting.pop()
+        if function in texts or function.__module__.startswith("offpiste."):
             continue
         code, read = function.__code__, inspect.getclosurevars(function)
-        texts[f"{function.__name__} {code.co_code!r} {code.co_consts} {code.co_names}"] = None
+        own = (function.__name__, code.co_code, code.co_consts, code.co_names, function.__defaults__)
+        texts[function] = " ".join(map(repr, own))
         for name, value in sorted((*read.globals.items(), *read.nonlocals.items())):
             called = getattr(value, "py_func", value)
-            texts |= dict.fromkeys(_sources([called]) if inspect.isfunction(called) else [f"{name} = {value!r}"])
-    return list(texts)
+            if inspect.isfunction(called):
+                waiting.append(called)
+            elif inspect.ismodule(value):
+                file = Path(getattr(value, "__file__", ""))
+                texts[value] = file.read_text("utf-8") if file.suffix == ".py" else name
+            else:
+                texts[function] += f" {name} = {value!r}"
+    return list(texts.values())

@@ -5,6 +5,7 @@ import math
 import pytest
 
 from offpiste.planning.costs import terms
+from offpiste.planning.costs.weights import CostWeights
 
 G = 9.81
 
@@ -72,3 +73,8 @@ def test_rollover_is_a_step_and_then_a_ramp():
     assert terms.rollover_term(0.69, 0.7, 100.0, max) == 0
     assert terms.rollover_term(0.7, 0.7, 100.0, max) == 0
     assert terms.rollover_term(0.9, 0.7, 100.0, max) == pytest.approx(120)
+
+
+def test_weights_are_the_same_whether_defaults_are_given_or_not():
+    defaults = CostWeights()
+    assert CostWeights(path=defaults.path) == defaults != CostWeights(path=2 * defaults.path)

@@ -34,10 +34,10 @@ from offpiste.logs.transforms import (
     STAMPED,
     STAMPED_FIELDS,
     TRANSFORMS,
-    Moving,
+    FramePair,
     Transform,
-    all_moving,
-    moving,
+    frame_pair,
+    frame_pairs,
     transform_of,
 )
 from offpiste.rig.camera import CameraModel, model_from_message
@@ -60,8 +60,7 @@ class BagLog(Log):
     fixed-size arrays of at most 36, and the first 36 that a sequence has in the topic's first message where it is not
     empty (where a later message has fewer, they are NaN). Entries of sensor_msgs/JointState go by their names, which
     are those of the first hundred messages. Each pair of frames that the first messages of tf2_msgs/TFMessage have is
-    a topic of its own (`offpiste.logs.transforms`). Headers, text, raw bytes and sequences
-    of messages are no fields.
+    a topic of its own (`offpiste.logs.transforms`). Headers, text, raw bytes and sequences of messages are no fields.
     Samples come in the order of arrival. An MCAP file without its end is read as far as it goes.
 
     Raises:
@@ -152,9 +151,9 @@ class BagLog(Log):
         result: list[Topic] = []
         for topic in self._topics.values():
             if topic.type in TRANSFORMS and not topic.name.endswith("static"):
-                first, counts = (message for _, message in self._messages(topic.name, topic.type)), Counter[Moving]()
+                first, counts = (message for _, message in self._messages(topic.name, topic.type)), Counter[FramePair]()
                 with suppress(LogError):  # where it is read, damage is an error
-                    for one in all_moving(topic.name, first):
+                    for one in frame_pairs(topic.name, first):
                         counts[one] += 1
                 for one in sorted(counts, key=lambda one: not one.is_of_a_body):
                     result.append(Topic(one.name, STAMPED, counts[one], STAMPED_FIELDS, part_of=topic.name))
@@ -162,7 +161,7 @@ class BagLog(Log):
 
     def _messages(self, name: str, msgtype: str, decoder: MakeDecoder | None = None) -> Iterator[tuple[int, object]]:
         """Time of arrival [ns] and decoded message."""
-        if (one := moving(name)) is not None:
+        if (one := frame_pair(name)) is not None:
             for received, message in self._messages(one.topic, self._topics[one.topic].type):
                 yield from ((received, stamped) for stamped in one.of(message))
             return

@@ -42,10 +42,6 @@ class CostWeights:
         """Whether all numbers are the same, given or not."""
         return isinstance(other, CostWeights) and self.values() == other.values()
 
-    def __hash__(self) -> int:
-        """Of the names alone: numbers may be lists."""
-        return hash(frozenset(self.values()))
-
     def __repr__(self) -> str:
         """Only what differs from the defaults."""
         return f"CostWeights({', '.join(f'{name}={value}' for name, value in self.changed.items())})"
