@@ -37,7 +37,7 @@ class ClosedLoop:
     kinds: tuple[str, ...] = ("bends", "choices", "passages")
     """Kinds of courses, in turn."""
     test: bool = False
-    """Courses of the test seeds (from 641; those before are used up) instead of those for development (from 1)."""
+    """Courses of the test seeds (from 646; those before are used up) instead of those for development (from 1)."""
     out: Path = Path("closed-loop")
     """Folder of all outputs."""
     seconds: float = 60.0
