@@ -10,6 +10,7 @@ float32 lanes into float64. What is not finite makes the cost not finite, and th
 import inspect
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any, Final
 
 from offpiste.conventions import CONTROL as CONTROLS
@@ -137,6 +138,7 @@ def cost_terms() -> dict[str, CostTerm]:
     return dict(sorted(COST_TERMS.items(), key=place))
 
 
+@cache
 def arguments(function: Function) -> tuple[str, ...]:
     """What a function reads, by name."""
     return tuple(inspect.signature(function).parameters)

@@ -69,33 +69,34 @@ def packed_situation(
     dynamics: Dynamics, model_state: ModelState, situation: Situation, weights: CostWeights, codes: Codes
 ) -> Float[Tensor, " N"]:
     """The numbers of `offpiste_situation` in order, on the CPU."""
-    missing = codes[1].cpu().float()
+    missing = codes[1].cpu()
     names = tuple(places_of_numbers(cost_terms().values()))[len(CONSTANTS) :]
-    parts = [
-        torch.nn.functional.pad(missing, (0, -len(missing) % LANE)),
+    parts = (
+        missing,
+        np.zeros(-len(missing) % LANE),
         _grid(situation.ground, situation),
         _grid(situation.costs, situation),
-        situation.wheels.cpu().float().flatten(),
-        torch.tensor([situation.gear, float(dynamics.holds_codes)]),
-        situation.control.cpu().float(),
-        torch.tensor([0.0 if math.isnan(value) else value for value in situation.costs.outside]),
-        torch.from_numpy(vector_of_numbers(weights, names)),
-        model_state.pack()[0].cpu().float(),
+        situation.wheels.cpu().flatten(),
+        (situation.gear, float(dynamics.holds_codes)),
+        situation.control.cpu(),
+        [0.0 if math.isnan(value) else value for value in situation.costs.outside],
+        vector_of_numbers(weights, names),
+        model_state.pack()[0].cpu(),
         packed_stray(dynamics, situation.caution),
-    ]
-    return torch.cat(parts)
+    )
+    return torch.from_numpy(np.concatenate(parts, dtype=np.float32))
 
 
-def packed_stray(dynamics: Dynamics, caution: Caution | None) -> Float[Tensor, " N"]:
-    """The numbers of `offpiste_stray_weights` in order, on the CPU; none without caution."""
+def packed_stray(dynamics: Dynamics, caution: Caution | None) -> Float[np.ndarray, " N"]:
+    """The numbers of `offpiste_stray_weights` in order; none without caution."""
     if caution is None:
-        return torch.empty(0)
+        return np.empty(0)
     vehicle, codes = dynamics.vehicle, dynamics.codes
     of = stray_weights(caution, vehicle, codes)
     commands = (MOVING + COMMANDS.index(name) for name in vehicle.control_columns)
     read = [*range(MOVING), *commands, *range(GIVEN, GIVEN + codes)]
     parts = of.inner[:, read], of.bias, of.outer[:2], of.outer_bias, of.start, np.array([of.reach])
-    return torch.from_numpy(np.concatenate([part.ravel() for part in parts]))
+    return np.concatenate([part.ravel() for part in parts])
 
 
 def packed_maps(situation: Situation, codes: Codes, device: torch.device) -> Maps:
@@ -105,8 +106,8 @@ def packed_maps(situation: Situation, codes: Codes, device: torch.device) -> Map
     return slope, code, layers
 
 
-def _grid(cells: MapStack | CostMap, situation: Situation) -> Float[Tensor, " 5"]:
+def _grid(cells: MapStack | CostMap, situation: Situation) -> tuple[float | int, ...]:
+    """Where its first cell lies from the situation's place, cells a metre, rows, columns."""
     origin = cells.origin[0] if isinstance(cells, MapStack) else cells.origin
     rows, columns = cells.shape if isinstance(cells, MapStack) else cells.layers.shape[:2]
-    shift = (situation.offset.cpu() - origin.cpu()).float()
-    return torch.cat((shift, torch.tensor([1 / cells.resolution, rows, columns])))
+    return *(situation.offset.cpu() - origin.cpu()).tolist(), 1 / cells.resolution, rows, columns
