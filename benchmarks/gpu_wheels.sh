@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Wheels for benchmarks/gpu.sh on a computer without network that has torch for CUDA, numpy, numba, scipy and cuda-core.
+# Wheels for benchmarks/gpu.sh on a computer without network that has torch for CUDA and the other packages of `there`.
 #
 #     bash benchmarks/gpu_wheels.sh WHEELS [3.12]
 #
@@ -8,8 +8,10 @@ set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd)
 folder=${1:?usage: bash benchmarks/gpu_wheels.sh WHEELS [PYTHON VERSION]}
 platforms=(manylinux_2_28_x86_64 manylinux_2_24_x86_64 manylinux_2_17_x86_64 manylinux2014_x86_64)
-packages=(arm-pytorch-utilities beartype docstring-parser donfig google-crc32c hypothesis lz4 msgspec numcodecs
-  pytorch-mppi pytorch-seed tomlkit typeguard tyro zarr==3.1.6 zstandard)
+there=(cuda-core jaxtyping lazy-loader msgpack numba opencv-python-headless pytest pyyaml rich safetensors scipy torch tqdm)
+packages=(apsw arm-pytorch-utilities backports.zstd beartype docstring-parser donfig google-crc32c hypothesis lz4 mcap
+  msgspec numcodecs pytorch-mppi pytorch-seed rosbags ruamel.yaml tomlkit typeguard tyro zarr==3.1.6 zstandard)
+echo "${folder}: for a computer that has ${there[*]}"
 mkdir -p "$folder"
 python3 -m pip download --quiet --no-deps --only-binary=:all: --python-version "${2:-3.12}" --implementation cp \
   "${platforms[@]/#/--platform=}" --dest "$folder" "${packages[@]}"

@@ -23,10 +23,13 @@ import tyro
 from torch import Tensor, nn
 
 from offpiste.dataset.feature_sets import per_trajectory
+from offpiste.dataset.ground_tables import free_budget, ground_tables
 from offpiste.dataset.store import open_dataset
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import Hybrid, Kinematic, rollout
 from offpiste.dynamics.base import Step
+from offpiste.dynamics.header.gpu import gpu_kernels
+from offpiste.dynamics.header.recorded import rollout_by_kernels
 from offpiste.dynamics.kernels.autograd import rollout_recorded
 from offpiste.state import ModelState, RecordedTerrain, Trajectory
 from offpiste.training.batches import draw_sets
@@ -89,7 +92,14 @@ def total(parts: Iterable[Timed]) -> Timed:
 
 def by_kernel(model: Hybrid) -> Rollout:
     """What training does."""
-    return lambda model_state, batch: rollout_recorded(model, model_state, batch.control, batch.terrain)
+
+    def roll(model_state: ModelState, batch: Batch) -> Trajectory:
+        kernels = gpu_kernels(model, batch.state.device, batch.state.dtype)
+        if kernels is None:
+            return rollout_recorded(model, model_state, batch.control, batch.terrain)
+        return rollout_by_kernels(kernels, model, model_state, batch.control, batch.terrain)
+
+    return roll
 
 
 def by_eager(model: Hybrid) -> Rollout:
@@ -156,7 +166,7 @@ class Trainer:
         mark("encode")
         trajectory = roll(self.model.start(batch.history, batch.state, batch.actuators), batch)
         mark("rollout")
-        loss = summed_loss(trajectory.state, batch.target, self.scale, torch.ones(5)).mean()
+        loss = summed_loss(trajectory.state, batch.target, self.scale, torch.ones_like(self.scale)).mean()
         mark("loss")
         self.optimiser.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
@@ -185,18 +195,18 @@ def encoded_by_row(model: Hybrid, batch: Batch) -> Batch:
     return replace(batch, history=replace(batch.history, terrain=before), terrain=replace(batch.terrain, latent=ahead))
 
 
-def make_trainer(dataset_path: Path, batch: int) -> Trainer:
+def make_trainer(dataset_path: Path, batch: int, device: torch.device | None = None) -> Trainer:
     """A `dc` with weights that are not at rest, on the training windows of a dataset."""
-    dataset = open_dataset(dataset_path)
-    windows = Windows(dataset, "train")
+    dataset, device = open_dataset(dataset_path), device or torch.device("cpu")
+    windows = Windows(dataset, "train", device=device, ground=ground_tables(dataset, device, free_budget(device)))
     vehicle = vehicle_of(dataset)
-    model = build("dc", vehicle, seed=0)
+    model = build("dc", vehicle, seed=0).to(device)
     assert isinstance(model, Hybrid)
     model.actuators.requires_grad_(False)
     standardise(model, windows)
     torch.manual_seed(0)
     nn.init.normal_(model.compensator.output[-1].weight, std=0.02)
-    scale = loss_scale(Kinematic(vehicle), windows, TrainConfig(stride=max(50, len(windows) // 1000)))
+    scale = loss_scale(Kinematic(vehicle).to(device), windows, TrainConfig(stride=max(50, len(windows) // 1000)))
     optimiser = torch.optim.Adam([p for p in model.parameters() if p.requires_grad], lr=1e-4)
     return Trainer(model, windows, scale, optimiser, batch, np.random.default_rng(0))
 

@@ -2,8 +2,9 @@
 
 `python benchmarks/train_paper_size.py [FOLDER] [--drives 50]` makes a dataset of noise, 10 km a drive (500 km: about
 9 GB on disk, some minutes), then in a process of its own reads batches of 1024 random windows, each with a feature
-set of its own, and takes steps of `dc` from random places; prints windows/s and peak resident memory. Files that were
-just written may still be in the page cache; `--cold` drops each file's pages beforehand.
+set of its own, and takes steps of `dc` from random places; prints windows/s, what the parts of a step take, and peak
+resident memory. Files that were just written may still be in the page cache; `--cold` drops each file's pages
+beforehand.
 
 `--whole` trains `dc` from beginning to end instead, with all windows in every epoch (`--drives 21`: 2 million windows),
 and prints what each stage took: for a GPU, `--device cuda --batch 16384`.
@@ -95,8 +96,9 @@ def resident() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
 
 
-def read_and_train(path: Path, seconds: float, batch: int) -> None:
-    """Draw windows for some seconds, then take a few whole steps."""
+def read_and_train(path: Path, seconds: float, batch: int, device: str) -> None:
+    """Draw windows for some seconds, then take whole steps; a wait after each part tells what it takes."""
+    import torch
     from train import by_kernel, make_trainer
 
     from offpiste.dataset.feature_sets import per_trajectory
@@ -104,7 +106,7 @@ def read_and_train(path: Path, seconds: float, batch: int) -> None:
     from offpiste.training.terrain_sources import encoded
 
     began = time.perf_counter()
-    trainer = make_trainer(path, batch)
+    trainer = make_trainer(path, batch, torch.device(device))
     windows, rng = trainer.windows, trainer.rng
     print(
         f"opened {len(windows)} windows in {time.perf_counter() - began:.0f} s, peak {resident():.2f} GiB", flush=True
@@ -120,12 +122,22 @@ def read_and_train(path: Path, seconds: float, batch: int) -> None:
         f"peak {resident():.2f} GiB",
         flush=True,
     )
-    began, steps = time.perf_counter(), 0
+    steps, taken = 0, dict[str, list[float]]()
+    began = at = time.perf_counter()
+
+    def mark(part: str) -> None:
+        nonlocal at
+        if device != "cpu":
+            torch.cuda.synchronize()
+        before, at = at, time.perf_counter()
+        taken.setdefault(part, []).append(1e3 * (at - before))
+
     while time.perf_counter() - began < seconds:
-        trainer.step(lambda part: None, encoded, by_kernel(trainer.model))
+        trainer.step(mark, encoded, by_kernel(trainer.model))
         steps += 1
     wall = time.perf_counter() - began
     print(f"{steps} steps of {batch} windows: {steps * batch / wall:.0f} a second, peak {resident():.2f} GiB")
+    print("a step [ms]: " + ", ".join(f"{part} {np.median(times):.1f}" for part, times in taken.items()))
 
 
 def train_whole(path: Path, folder: Path, batch: int, epochs: int, device: str) -> None:
@@ -169,20 +181,20 @@ def main(
         made: it is there; measure in this process.
         whole: train `dc` from beginning to end.
         epochs: of bicycle and model, of a whole training.
-        device: of a whole training.
+        device: that trains.
     """
     path = folder / "dataset.zarr"
     if made and whole:
         return train_whole(path, folder / f"run-{batch}", batch, epochs, device)
     if made:
-        return read_and_train(path, seconds, batch)
+        return read_and_train(path, seconds, batch, device)
     make(path, drives)
     size = sum(f.stat().st_size for f in path.rglob("*") if f.is_file()) / 1e9
     print(f"{path}: {drives * ROWS * 5 * DT / 1000:.0f} km, {size:.1f} GB", flush=True)
     if cold:
         forget(path)
     given = [str(folder), "--seconds", str(seconds), "--batch", str(batch), "--made"]
-    given += ["--whole", "--epochs", str(epochs), "--device", device] if whole else []
+    given += ["--device", device, *(["--whole", "--epochs", str(epochs)] if whole else [])]
     subprocess.run([sys.executable, __file__, *given], check=True)
 
 

@@ -2,11 +2,13 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 import time
 import zipfile
 from argparse import Namespace
+from importlib import metadata
 from pathlib import Path
 
 import pytest
@@ -21,6 +23,41 @@ def stages(monkeypatch):
     import gpu_stages
 
     return gpu_stages
+
+
+def test_wheels_for_a_computer_without_network_are_all_that_the_script_imports():
+    script = (BENCHMARKS / "gpu_wheels.sh").read_text()
+    lists = {name: re.search(rf"^{name}=\(([^)]*)\)", script, re.MULTILINE)[1] for name in ("there", "packages")}
+    brought = {plain(re.split("=", name)[0]) for names in lists.values() for name in names.split()}
+    brought |= {plain(needed) for name in lists["there"].split() for needed in needs_of(name)}
+    text = "import sys, gpu, feature_datasets; print(*{name.partition('.')[0] for name in sys.modules})"
+    paths = {
+        "PYTHONPATH": os.pathsep.join(
+            (str(BENCHMARKS), str(BENCHMARKS.parent / "tests"), os.environ.get("PYTHONPATH", ""))
+        )
+    }
+    done = subprocess.run(
+        [sys.executable, "-c", text], capture_output=True, text=True, check=True, env=os.environ | paths
+    )
+    owners = metadata.packages_distributions()
+    imported = {plain(owner) for name in done.stdout.split() for owner in owners.get(name, [])}
+    assert {"torch", "mcap"} <= imported
+    may_be_there = {"offpiste", "setuptools", "charset-normalizer"}  # the last is read by numpy.f2py where it is there
+    assert imported - brought - may_be_there == set()
+
+
+def plain(name):
+    return re.sub("[-_.]+", "-", name).lower()
+
+
+def needs_of(name, known=()):
+    """What a package that is installed here requires, in turn."""
+    try:
+        lines = metadata.requires(name) or []
+    except metadata.PackageNotFoundError:
+        return set()
+    found = {re.match(r"[\w.-]+", line)[0] for line in lines if "extra ==" not in line} - set(known)
+    return found.union(*(needs_of(each, {*known, *found}) for each in found))
 
 
 def by_python(text):
