@@ -1,9 +1,9 @@
 """Is ground recognised that no training drive had? Each kind of ground is held out in turn.
 
 A dataset of simulated drives with visual features, and another of the same drives with the true ground properties
-(`reproduce` makes both). Cells under the wheels of its training part say what is familiar, without those of one kind,
-and validation's, without them too, set the limit; in the test part the distance from the familiar is to tell that kind
-from all others. The PCA may have seen the kind; the looks have not.
+(`reproduce` makes both). Cells under the wheels of its training part fill the memory bank, without those of one kind,
+and validation's, without them too, set the limit; in the test part the distance from the bank is to tell that kind from
+all others. The PCA may have seen the kind; the bank has not.
 """
 
 import json
@@ -28,7 +28,7 @@ from offpiste.logs.ground_truth import GROUND_KINDS, GROUND_PROPERTIES
 from offpiste.progress import track
 from offpiste.report.text_table import TextTable, number
 from offpiste.simulation.world.ground import property_table
-from offpiste.uncertainty.novelty import NoveltySettings, fit_familiar
+from offpiste.uncertainty.novelty import NoveltySettings, fit_memory_bank
 from offpiste.uncertainty.student import area_under_curve
 
 PURE: Final = 0.05
@@ -42,14 +42,14 @@ FEWEST: Final = 100
 """Cells of a kind in the test part, for a row of the table."""
 
 ABOUT: Final = (
-    "Area: probability that a cell of the kind that was held out is further from the familiar looks than a cell of a "
+    "Area: probability that a cell of the kind that was held out is further from those of training than a cell of a "
     "known kind (0.5 is chance). Novel: share of cells of that kind, and of known kinds, beyond the limit."
 )
 
 
 @dataclass(frozen=True)
-class Looks:
-    """Cells as they looked: features, number of the kind (-1 for a mixture), number of the feature set."""
+class SeenCells:
+    """Cells as they were seen: features, number of the kind (-1 for a mixture), number of the feature set."""
 
     features: torch.Tensor
     kind: Int[np.ndarray, " N"]
@@ -87,20 +87,20 @@ class HeldOut:
         """
         dataset, truth = open_dataset(self.dataset), open_dataset(self.truth)
         refuse_unlike(dataset, truth)
-        looks = {part: self.looks(dataset, truth, part) for part in PARTS}
-        rows = [row for power in self.powers for row in held_out_rows(looks, NoveltySettings(power=power))]
+        seen = {part: self.seen(dataset, truth, part) for part in PARTS}
+        rows = [row for power in self.powers for row in held_out_rows(seen, NoveltySettings(power=power))]
         write_text(self.out / "novelty.json", json.dumps({"schema": 1, "rows": rows}, indent=1))
         table = novelty_table(rows)
         write_text(self.out / "novelty.md", table.markdown())
         return f"{table.text(width=120)}\nwritten: {self.out / 'novelty.md'}"
 
-    def looks(self, dataset: Dataset, truth: Dataset, part: str) -> Looks:
+    def seen(self, dataset: Dataset, truth: Dataset, part: str) -> SeenCells:
         """Cells of the drives of a part."""
-        rng, found = np.random.default_rng(self.seed), list[Looks]()
+        rng, found = np.random.default_rng(self.seed), list[SeenCells]()
         for drive, true in track(list(zip(dataset.drives, truth.drives, strict=True)), f"reading {part}"):
             if (drive.part == PARTS.index(part)).any():
-                found += [looks_in(drive, true, FEATURE_SETS.index(name), self.cells, rng) for name in self.sets]
-        return Looks(
+                found += [seen_cells(drive, true, FEATURE_SETS.index(name), self.cells, rng) for name in self.sets]
+        return SeenCells(
             torch.cat([each.features for each in found]),
             np.concatenate([each.kind for each in found]),
             np.concatenate([each.seen_from for each in found]),
@@ -117,7 +117,7 @@ def refuse_unlike(dataset: Dataset, truth: Dataset) -> None:
         raise DatasetError(f"has other drives than {dataset.path}", where=truth.path, how="extract both of one folder")
 
 
-def looks_in(drive: StoredDrive, true: StoredDrive, seen_from: int, most: int, rng: np.random.Generator) -> Looks:
+def seen_cells(drive: StoredDrive, true: StoredDrive, seen_from: int, most: int, rng: np.random.Generator) -> SeenCells:
     """Some valid cells of a drive in one feature set, with the kind of ground that its wheels then were on."""
     cells, ground = _cells(drive), _cells(true)
     touched, first = np.unique(cells.index, return_index=True)
@@ -129,7 +129,7 @@ def looks_in(drive: StoredDrive, true: StoredDrive, seen_from: int, most: int, r
     chosen = np.sort(rng.permutation(len(touched))[:most])
     features = np.asarray(cells.features[seen_from, touched[chosen]], np.float32)
     kind = kinds_of(np.asarray(ground.features[0, there[chosen]], np.float64))
-    return Looks(torch.from_numpy(features), kind, np.full(len(chosen), seen_from))
+    return SeenCells(torch.from_numpy(features), kind, np.full(len(chosen), seen_from))
 
 
 def _cells(drive: StoredDrive) -> Cells:
@@ -164,21 +164,21 @@ def _distances(properties: Float[np.ndarray, "N 4"]) -> Float[np.ndarray, "N K"]
     return np.asarray(np.linalg.norm(apart, axis=-1).min(axis=1))
 
 
-def held_out_rows(looks: dict[str, Looks], settings: NoveltySettings) -> list[dict[str, Any]]:
+def held_out_rows(seen: dict[str, SeenCells], settings: NoveltySettings) -> list[dict[str, Any]]:
     """A row for each kind of ground that the test part has enough of and each feature set, the kind held out."""
-    rows, test = list[dict[str, Any]](), looks["test"]
+    rows, test = list[dict[str, Any]](), seen["test"]
     for held, kind in enumerate(GROUND_KINDS):
         training, validation = (
-            looks[part].where((looks[part].kind != held) & (looks[part].kind >= 0)) for part in PARTS[:2]
+            seen[part].where((seen[part].kind != held) & (seen[part].kind >= 0)) for part in PARTS[:2]
         )
-        familiar = fit_familiar(training, validation, settings)
+        bank = fit_memory_bank(training, validation, settings)
         for seen_from in np.unique(test.seen_from):
             compared = (test.kind >= 0) & (test.seen_from == seen_from)
             positive = test.kind[compared] == held
             if positive.sum() < FEWEST:
                 continue
-            distance = familiar.distance(test.where(compared)).numpy()
-            novel = distance > float(familiar.limit)
+            distance = bank.distance(test.where(compared)).numpy()
+            novel = distance > float(bank.limit)
             rows.append(
                 {
                     "kind": kind,

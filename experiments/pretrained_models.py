@@ -39,8 +39,8 @@ from offpiste.shipped import PCA
 from offpiste.training.checkpoint import load_json, save_json
 from offpiste.training.run import WEIGHTS, Run
 from offpiste.uncertainty.calibrate import kept_or_fitted
-from offpiste.uncertainty.novelty import FILE as FAMILIAR
-from offpiste.uncertainty.novelty import keep_familiar
+from offpiste.uncertainty.novelty import FILE as MEMORY_BANK
+from offpiste.uncertainty.novelty import keep_memory_bank
 from offpiste.uncertainty.prediction import FILE as SPREAD
 
 FAMILY: Final = "proving-ground"
@@ -226,17 +226,17 @@ def figures_of(
 
 
 def keep_uncertainty(run: Run, min_speed: float | None) -> None:
-    """Keep a run's spread with it and, if it sees the ground, what ground is familiar to it (`offpiste calibrate`)."""
+    """Keep a run's spread with it and, if it sees the ground, features of training's (`offpiste calibrate`)."""
     dataset = open_dataset(load_json(run.folder / "model.json")["dataset"]).starting_above(min_speed)
     kept_or_fitted(run, dataset)
     if run.pca is not None and run.dynamics.encoder is not None:
-        keep_familiar(run, dataset)
+        keep_memory_bank(run, dataset)
 
 
 def copy_run(run_folder: Path, to: Path) -> None:
     """Copy weights, uncertainty and description, without what tells of the machine that trained them."""
     to.mkdir(parents=True)
-    for name in (WEIGHTS, SPREAD, FAMILIAR):
+    for name in (WEIGHTS, SPREAD, MEMORY_BANK):
         if (run_folder / name).exists():
             shutil.copy(run_folder / name, to / name)
     about = load_json(run_folder / "model.json")

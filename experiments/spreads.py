@@ -33,7 +33,7 @@ from offpiste.training.run import Run, load_run
 from offpiste.uncertainty.calibrate import kept_or_fitted
 from offpiste.uncertainty.calibration import CalibrationRow, Foretold, calibration_rows, calibration_table
 from offpiste.uncertainty.fit import SpreadSettings, predicted
-from offpiste.uncertainty.novelty import FILE, load_familiar
+from offpiste.uncertainty.novelty import FILE, load_memory_bank
 from offpiste.uncertainty.spread import EVERY, Spread
 from offpiste.uncertainty.student import negative_log_likelihood
 
@@ -222,18 +222,18 @@ def foretold_ways(found: Members, ways: dict[str, Widening], freedom: float) -> 
 
 
 def novel_windows(first: Run, windows: Windows, index: Int[np.ndarray, " N"]) -> dict[str, Bool[np.ndarray, " N"]]:
-    """Windows whose recorded ground is novel to a run; none where it reads no features or keeps nothing familiar."""
+    """Windows whose recorded ground is novel to a run; none where it reads no features or keeps none of training's."""
     if first.dynamics.encoder is None or not (first.folder / FILE).exists():
         return {}
-    familiar, share = load_familiar(first), list[torch.Tensor]()
+    bank, share = load_memory_bank(first), list[torch.Tensor]()
     for some in _parts(windows, index):
         ground = windows.gather(some).ground
         assert ground is not None
         novel = ground.valid.clone()
-        novel[ground.valid] = familiar.novel(ground.features[ground.valid])
+        novel[ground.valid] = bank.novel(ground.features[ground.valid])
         share.append(novel[ground.ahead].float().mean(dim=(1, 2)))
     mine = (torch.cat(share) >= NOVEL).numpy()
-    return {"novel ground": mine, "familiar ground": ~mine} if mine.any() and not mine.all() else {}
+    return {"novel ground": mine, "known ground": ~mine} if mine.any() and not mine.all() else {}
 
 
 if __name__ == "__main__":

@@ -38,7 +38,7 @@ from offpiste.training.run import Run
 from offpiste.uncertainty.calibrate import kept_or_fitted
 from offpiste.uncertainty.calibration import CalibrationRow, calibration_rows, calibration_table, foretold_by
 from offpiste.uncertainty.fit import strayed_on_maps
-from offpiste.uncertainty.novelty import NoveltySettings, fit_familiar, looks_of, make_wary
+from offpiste.uncertainty.novelty import NoveltySettings, features_at_starts, fit_memory_bank, mask_novel_ground
 from offpiste.uncertainty.spread import Spread
 
 logger = logging.getLogger("experiments")
@@ -66,8 +66,8 @@ class UnseenKinds:
     """Folder of all outputs; runs in it are used again."""
     model: str = "dc"
     """Model of the reproduction that is trained anew."""
-    familiar: tuple[float, ...] = (0.99, 0.9)
-    """Shares of validation's looks that count as familiar, each a row: what is further away is missing."""
+    known: tuple[float, ...] = (0.99, 0.9)
+    """Shares of validation's cells that count as known, each a row: what is further away is missing."""
     kinds: tuple[str, ...] = ()
     """To hold out; default: all that enough test windows are on."""
     seed: int = 0
@@ -98,10 +98,9 @@ class UnseenKinds:
             held = trained(without, config, self.out / name / "runs")
             spread = kept_or_fitted(held, without)
             rows += rows_of(f"{name} held out", held, spread, windows, chosen)
-            for known in self.familiar if held.dynamics.encoder is not None else ():
-                rows += rows_of(
-                    f"{name} held out, {100 * known:g} % familiar", wary(held, without, known), spread, windows, chosen
-                )
+            for known in self.known if held.dynamics.encoder is not None else ():
+                masked = with_novelty_masked(held, without, known)
+                rows += rows_of(f"{name} held out, {100 * known:g} % known", masked, spread, windows, chosen)
             rows += rows_of(f"{name} known", knowing, kept_or_fitted(knowing, of.dataset), windows, chosen)
         table = calibration_table(rows)
         content = {"schema": 1, "about": __doc__, "rows": msgspec.to_builtins(rows)}
@@ -164,16 +163,16 @@ def chosen_kinds(names: Sequence[str], mostly: Bool[np.ndarray, "n K"]) -> list[
     return chosen
 
 
-def wary(run: Run, dataset: Dataset, known: float) -> Run:
-    """The same run, to which ground has no features that looks unlike the dataset's training ground.
+def with_novelty_masked(run: Run, dataset: Dataset, known: float) -> Run:
+    """The same run, to which ground has no features that is unlike the dataset's training ground.
 
     Args:
-        known: share of validation's looks that count as familiar.
+        known: share of validation's cells that count as known.
     """
-    settings = NoveltySettings(known=known)
-    training, validation = (looks_of(dataset, part, settings.candidates) for part in ("train", "validation"))
+    settings = NoveltySettings(quantile=known)
+    training, validation = (features_at_starts(dataset, part, settings.candidates) for part in ("train", "validation"))
     dynamics = deepcopy(run.dynamics)
-    make_wary(dynamics, fit_familiar(training, validation, settings))
+    mask_novel_ground(dynamics, fit_memory_bank(training, validation, settings))
     return replace(run, dynamics=dynamics)
 
 

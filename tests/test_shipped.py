@@ -34,9 +34,9 @@ def test_each_drives_without_further_files(name):
     assert planner.spread is not None
 
 
-def test_what_ground_is_familiar_ships_too():
+def test_features_of_known_ground_ship_too():
     load_planner(Path(f"{PREFIX}proving-ground/dc"), novelty="missing")
-    with pytest.raises(RunError, match="reads no features, so no ground looks new to it"):
+    with pytest.raises(RunError, match="reads no features, so no ground is novel to it"):
         load_planner(Path(f"{PREFIX}proving-ground/b"), novelty="missing")
 
 

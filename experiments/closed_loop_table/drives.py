@@ -112,9 +112,9 @@ def entries(
         if risk_of(risk) != AsPredicted() and not any(planner.spread for planner in planners):
             how = "`offpiste calibrate` makes one for a run"
             raise OffpisteError(f"none of the runs has a spread for {risk}", where="--risks", how=how)
-    wary = [Entry(p, risk=risk) for risk in dict.fromkeys(risks) if risk != "none" for p in planners if p.spread]
+    cautious = [Entry(p, risk=risk) for risk in dict.fromkeys(risks) if risk != "none" for p in planners if p.spread]
     by_others = [Entry(p, by=other) for other in dict.fromkeys(others) if other != OFFPISTE for p in planners]
-    return [*(Entry(p) for p in planners), *wide, *wary, *by_others]
+    return [*(Entry(p) for p in planners), *wide, *cautious, *by_others]
 
 
 class Place(NamedTuple):

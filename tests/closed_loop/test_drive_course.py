@@ -152,9 +152,9 @@ def test_a_latency_between_steps_is_refused_at_once(tmp_path):
 
 def test_a_risk_without_a_spread_is_refused_before_a_world_is_built(tmp_path, monkeypatch):
     monkeypatch.setattr("offpiste.closed_loop.drive_course.course_world", None)
-    wary = replace(SETTINGS, runtime=replace(SETTINGS.runtime, risk=AddSpread(1.0)))
+    cautious = replace(SETTINGS, runtime=replace(SETTINGS.runtime, risk=AddSpread(1.0)))
     with pytest.raises(PlanningError, match="the risk 'spread' needs a spread"):
-        drive_course(PLANNER, wary, tmp_path)
+        drive_course(PLANNER, cautious, tmp_path)
 
 
 def test_a_model_that_reads_what_the_simulator_does_not_measure_is_refused(tmp_path, monkeypatch):

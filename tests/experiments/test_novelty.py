@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from experiments.novelty import Looks, held_out_rows, kinds_of, looks_in, novelty_table, refuse_unlike
+from experiments.novelty import SeenCells, held_out_rows, kinds_of, novelty_table, refuse_unlike, seen_cells
 from feature_datasets import FEATURES, dataset_with_features
 from offpiste.conventions import FEATURE_SETS
 from offpiste.dataset.store import Dataset
@@ -24,17 +24,17 @@ def test_kinds_are_found_however_wet_and_mixtures_are_none():
     assert kinds_of((dry[:1] + dry[1:2]) / 2).tolist() == [-1]
 
 
-def looks(seed: int) -> Looks:
+def seen(seed: int) -> SeenCells:
     """Three kinds of ground, of which the third looks like the second, from two distances."""
     rng = np.random.default_rng(seed)
     kind, seen_from = rng.integers(0, 3, 3000), np.repeat([0, 5], 1500)
     features = rng.normal(size=(3000, 6))
     features[:, 0] += np.where(kind == 0, 8.0, 0.0)
-    return Looks(torch.from_numpy(features.astype(np.float32)), kind, seen_from)
+    return SeenCells(torch.from_numpy(features.astype(np.float32)), kind, seen_from)
 
 
-def test_a_kind_that_looks_apart_is_novel_and_one_that_does_not_is_familiar():
-    parts = {"train": looks(0), "validation": looks(1), "test": looks(2)}
+def test_a_kind_that_looks_apart_is_novel_and_one_that_does_not_is_known():
+    parts = {"train": seen(0), "validation": seen(1), "test": seen(2)}
     rows = {(row["kind"], row["set"]): row for row in held_out_rows(parts, NoveltySettings())}
     assert len(rows) == 6
     for name in (FEATURE_SETS[0], FEATURE_SETS[5]):
@@ -51,16 +51,16 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     return dataset_with_features(tmp_path_factory.mktemp("novelty") / "dataset.zarr")
 
 
-def test_looks_are_those_of_the_cells(dataset: Dataset) -> None:
+def test_features_are_those_of_the_cells(dataset: Dataset) -> None:
     drive = dataset.drives[0]
     cells = drive.rows.cells
     true = replace(drive, rows=replace(drive.rows, cells=replace(cells, features=cells.features[..., :4])))
-    found = looks_in(drive, true, 2, 50, np.random.default_rng(0))
+    found = seen_cells(drive, true, 2, 50, np.random.default_rng(0))
     assert found.features.shape == (50, FEATURES)
     assert found.features.isfinite().all()
     assert (found.kind == -1).all(), "random features are no properties of ground"
     stored = drive.rows.cells.features[2].astype(np.float32)
-    assert all((np.abs(stored - look).sum(axis=1) == 0).any() for look in found.features.numpy())
+    assert all((np.abs(stored - one).sum(axis=1) == 0).any() for one in found.features.numpy())
 
 
 def test_a_dataset_without_the_true_ground_is_refused(dataset: Dataset) -> None:

@@ -7,7 +7,14 @@ import numpy as np
 import pytest
 import torch
 
-from experiments.unseen_kinds import chosen_kinds, kinds_under_wheels, rows_of, share_on_kinds, wary, without_kind
+from experiments.unseen_kinds import (
+    chosen_kinds,
+    kinds_under_wheels,
+    rows_of,
+    share_on_kinds,
+    with_novelty_masked,
+    without_kind,
+)
 from feature_datasets import dataset_with_features, with_snapshots
 from offpiste.conventions import HORIZON_STEPS
 from offpiste.dataset.splits import PARTS
@@ -105,9 +112,9 @@ def test_a_run_without_the_kind_is_evaluated_where_it_is(dataset: Dataset, tmp_p
     assert all(row.n == len(index) and row.run == "gravel held out" and row.error_m > 0 for row in rows)
     features, valid = windows.features_at_starts()
     encoder = run.dynamics.encoder
-    nothing_known, all_known = wary(run, without, 0.0).dynamics.encoder, wary(run, without, 1.0).dynamics.encoder
+    nothing_known, all_known = (with_novelty_masked(run, without, share).dynamics.encoder for share in (0.0, 1.0))
     missing = torch.zeros_like(valid)
-    far = nothing_known.familiar.distance(features[valid]) > nothing_known.familiar.limit
+    far = nothing_known.bank.distance(features[valid]) > nothing_known.bank.limit
     torch.testing.assert_close(
         nothing_known(features[valid], valid[valid])[far], encoder(features, missing)[valid][far]
     )

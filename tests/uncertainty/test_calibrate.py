@@ -22,7 +22,7 @@ from offpiste.training.train import train
 from offpiste.uncertainty.calibrate import coverage_of_kept, kept_or_fitted
 from offpiste.uncertainty.calibration import CalibrationRow, calibration_table
 from offpiste.uncertainty.fit import SpreadSettings, strayed_on_maps
-from offpiste.uncertainty.novelty import load_familiar, looks_of
+from offpiste.uncertainty.novelty import features_at_starts, load_memory_bank
 from offpiste.uncertainty.prediction import FILE, load_spread, predict_with_spread
 from offpiste.visualization.predicted_regions import view_regions
 
@@ -145,7 +145,7 @@ def test_the_command_writes_table_numbers_and_picture(
     assert coverage_of_kept([run.folder], dataset.path, tmp_path / "none") is None
     with pytest.raises(RunError, match=r"has no spread.*offpiste calibrate"):
         view_regions(run.folder, dataset, out)
-    assert load_familiar(run).novel(looks_of(dataset, "validation", 100)).float().mean() < 0.1
+    assert load_memory_bank(run).novel(features_at_starts(dataset, "validation", 100)).float().mean() < 0.1
 
 
 def test_what_cannot_be_calibrated_is_refused_in_a_line(

@@ -15,8 +15,8 @@ class Calibrate:
     """Learn how far the predictions of trained runs stray, and check that on drives that neither was fitted to."""
 
     runs: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="RUN...")]
-    """Folders of `offpiste train`; each keeps its spread (spread.safetensors) and, if it reads features, which ground
-    is familiar to it (familiar.safetensors); what is kept already is used again."""
+    """Folders of `offpiste train`; each keeps its spread (spread.safetensors) and, if it reads features, some of
+    its training's (memory_bank.safetensors); what is kept already is used again."""
     dataset: Path
     """That the runs were trained on."""
     out: Path = Path("calibration")

@@ -38,7 +38,7 @@ class Drive:
     """What counts in plans beside the prediction: none, spread:TIMES or cvar:SHARE, which need a spread (models that
     ship have one, others by `offpiste calibrate`)."""
     novelty: Literal["ignored", "missing"] = "ignored"
-    """What ground is to the model that looks like none in training; missing needs what is familiar (shipped with
+    """What novel ground, unlike any in training, is to the model; missing needs features of training's (shipped with
     models that see the ground, for others by `offpiste calibrate`)."""
     device: str = "cpu"
     """That images are encoded and plans are made on: cpu, or cuda (needs the extra `cuda`)."""

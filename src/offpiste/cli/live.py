@@ -43,7 +43,7 @@ class Live:
     clock: Literal["system", "clock", "stamps"] = "system"
     """What stamps are compared with: this computer's clock, /clock, or the newest stamp of the vehicle's readings."""
     novelty: Literal["ignored", "missing"] = "ignored"
-    """What ground is to the model that looks like none in training; missing needs what is familiar (shipped with
+    """What novel ground, unlike any in training, is to the model; missing needs features of training's (shipped with
     models that see the ground, for others by `offpiste calibrate`)."""
     device: str = "cpu"
     """That images are encoded and plans are made on: cpu, or cuda (needs the extra `cuda`)."""

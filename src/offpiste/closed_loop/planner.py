@@ -13,7 +13,7 @@ from offpiste.perception.feature_extractor import FeatureExtractor, load_feature
 from offpiste.shipped import PCA, PREFIX
 from offpiste.training.checkpoint import load_json
 from offpiste.training.run import WEIGHTS, Run, load_run
-from offpiste.uncertainty.novelty import Novelty, load_familiar, make_wary
+from offpiste.uncertainty.novelty import Novelty, load_memory_bank, mask_novel_ground
 from offpiste.uncertainty.prediction import FILE, load_spread
 from offpiste.uncertainty.spread import Spread
 
@@ -60,7 +60,7 @@ def load_planner(
 
     Raises:
         RunError: no such run, or its features are not available: no PCA is given, or not the one it was trained with;
-            its spread belongs to other weights; or it does not know which ground is familiar, or reads no features.
+            its spread belongs to other weights; or it keeps no features to tell novel ground by, or reads none.
         PerceptionError: not a PCA, or its backbone is not available.
     """
     run = load_run(folder)
@@ -75,10 +75,10 @@ def load_planner(
     planner = _without_features(run)
     if run.dynamics.encoder is None:
         if novelty == "missing":
-            raise RunError("reads no features, so no ground looks new to it", where=folder, how="leave --novelty out")
+            raise RunError("reads no features, so no ground is novel to it", where=folder, how="leave --novelty out")
         return planner
     if novelty == "missing":
-        make_wary(run.dynamics, load_familiar(run))
+        mask_novel_ground(run.dynamics, load_memory_bank(run))
         planner = replace(planner, novelty=novelty)
     identity, features = (run.pca, run.features) if run.features else _of_dataset(folder)
     if identity is None:

@@ -1,4 +1,4 @@
-"""`offpiste calibrate`: spreads of runs and what is familiar to them, kept with them; spreads are evaluated."""
+"""`offpiste calibrate`: spreads of runs and memory banks of known ground, kept with them; spreads are evaluated."""
 
 import logging
 from collections.abc import Sequence
@@ -29,7 +29,7 @@ from offpiste.uncertainty.calibration import (
     foretold_by,
 )
 from offpiste.uncertainty.fit import SpreadSettings, fit_spread, strayed_on_maps
-from offpiste.uncertainty.novelty import keep_familiar
+from offpiste.uncertainty.novelty import keep_memory_bank
 from offpiste.uncertainty.prediction import FILE, load_spread, spread_seen
 from offpiste.uncertainty.spread import Spread
 
@@ -42,7 +42,7 @@ PART: Final = "test"
 def calibrate(folders: Sequence[Path], path: Path, out: Path, settings: SpreadSettings | None = None) -> Path:
     """Fit the spread of each run that has none, and evaluate all on the windows of the test part that have a map.
 
-    What ground is familiar to a run that reads features is kept as well (`novelty`).
+    Of runs that read features, some of their training's are kept as well (`novelty`).
 
     Returns:
         Path of the table, `calibration.md`; `calibration.json` and `calibration.png` stand beside it.
@@ -58,7 +58,7 @@ def calibrate(folders: Sequence[Path], path: Path, out: Path, settings: SpreadSe
         mine = dataset.starting_above(_min_speed(run))
         spread = kept_or_fitted(run, mine, settings)
         if run.dynamics.encoder is not None:
-            keep_familiar(run, mine)
+            keep_memory_bank(run, mine)
         report.add(name, run, spread, mine)
     return report.write(out)
 

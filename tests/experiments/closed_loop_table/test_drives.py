@@ -165,8 +165,8 @@ def test_kinds_and_worlds_come_in_turn(driven, tmp_path):
 
 
 def test_another_planner_and_a_risk_are_rows_of_their_own(driven, tmp_path):
-    wary = replace(DC, spread=Spread(1))
-    rows = entries([B, wary], (0.3,), ("none", "spread:1"), ("offpiste", PYTORCH_MPPI))
+    cautious = replace(DC, spread=Spread(1))
+    rows = entries([B, cautious], (0.3,), ("none", "spread:1"), ("offpiste", PYTORCH_MPPI))
     assert [row.row for row in rows] == [
         "b-100ms",
         "dc-100ms",
