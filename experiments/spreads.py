@@ -1,4 +1,4 @@
-"""How is it best foretold how far predictions stray? By several seeds, by a fitted spread, and by both.
+"""How is it best predicted how far predictions stray? By several seeds, by a fitted spread, and by both.
 
 All centre on positions: the fitted spread on its own run's prediction, the others on the mean of the runs. An ensemble
 gives the deviation of its members; as it is, that is a Gaussian's. Calibrated, it is scaled and widened by a share of
@@ -31,7 +31,7 @@ from offpiste.training.fitness import refuse_seen, refuse_unfit
 from offpiste.training.prediction import in_parts
 from offpiste.training.run import Run, load_run
 from offpiste.uncertainty.calibrate import kept_or_fitted
-from offpiste.uncertainty.calibration import CalibrationRow, Foretold, calibration_rows, calibration_table
+from offpiste.uncertainty.calibration import CalibrationRow, PredictedErrors, calibration_rows, calibration_table
 from offpiste.uncertainty.fit import SpreadSettings, predicted
 from offpiste.uncertainty.novelty import FILE, load_memory_bank
 from offpiste.uncertainty.spread import EVERY, Spread
@@ -127,8 +127,8 @@ class Spreads:
             drawn = Sampling().on(located)
             rows[path.name] = [
                 row
-                for name, foretold in foretold_ways(found, ways, float(spreads[0].freedom)).items()
-                for row in calibration_rows(name, foretold, groups, drawn)
+                for name, predicted in predicted_by_ways(found, ways, float(spreads[0].freedom)).items()
+                for row in calibration_rows(name, predicted, groups, drawn)
             ]
             tables.append((path.name, calibration_table(rows[path.name])))
         content = {name: msgspec.to_builtins(each) for name, each in rows.items()}
@@ -151,8 +151,8 @@ def members_of(
         state = torch.cat([trajectory.state[:, MOMENTS] for trajectory, _ in found]).numpy()
         place.append(state[..., :2])
         heading.append(state[..., 2])
-        scale.append(torch.cat([spread(strayed.inputs).detach() for _, strayed in found]).numpy())
-        speed = torch.cat([strayed.inputs[:, 0, 0] for _, strayed in found]).numpy()
+        scale.append(torch.cat([spread(residuals.inputs).detach() for _, residuals in found]).numpy())
+        speed = torch.cat([residuals.inputs[:, 0, 0] for _, residuals in found]).numpy()
     return Members(np.stack(place), np.stack(scale), np.stack(heading), target, speed), windows, index
 
 
@@ -176,7 +176,7 @@ def mean_of(found: Members) -> tuple[Float[np.ndarray, "N K 2"], Float[np.ndarra
 
 
 def deviations(found: Members) -> dict[str, Float[np.ndarray, "N K 2"]]:
-    """What calibrated ways foretell from: the members' deviation, and that with their own spreads [m]."""
+    """What calibrated ways predict from: the members' deviation, and that with their own spreads [m]."""
     deviation = mean_of(found)[1]
     return {"ensemble": deviation, "both": np.sqrt(np.square(deviation) + np.square(found.scale).mean(axis=0))}
 
@@ -204,21 +204,21 @@ def widened(deviation: Float[np.ndarray, "N K 2"], error: Float[np.ndarray, "N K
     return widening(minimize(loss, np.log([1.0, 0.3, 3.0]), method="Nelder-Mead").x)
 
 
-def foretold_ways(found: Members, ways: dict[str, Widening], freedom: float) -> dict[str, Foretold]:
-    """What each way foretells of the same windows.
+def predicted_by_ways(found: Members, ways: dict[str, Widening], freedom: float) -> dict[str, PredictedErrors]:
+    """What each way predicts for the same windows.
 
     Args:
         freedom: of the first run's spread.
     """
     error, deviation = mean_of(found)
     own = in_heading(found.target - found.place[0], found.heading[0])
-    foretold = {
-        "fitted": Foretold(own, found.scale[0], freedom, found.speed),
-        "ensemble as it is": Foretold(error, np.maximum(deviation, 1e-6), GAUSSIAN, found.speed),
+    predicted = {
+        "fitted": PredictedErrors(own, found.scale[0], freedom, found.speed),
+        "ensemble as it is": PredictedErrors(error, np.maximum(deviation, 1e-6), GAUSSIAN, found.speed),
     }
     for name, given in deviations(found).items():
-        foretold[name] = Foretold(error, ways[name].scale(given), ways[name].freedom, found.speed)
-    return foretold
+        predicted[name] = PredictedErrors(error, ways[name].scale(given), ways[name].freedom, found.speed)
+    return predicted
 
 
 def novel_windows(first: Run, windows: Windows, index: Int[np.ndarray, " N"]) -> dict[str, Bool[np.ndarray, " N"]]:

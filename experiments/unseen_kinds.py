@@ -36,8 +36,8 @@ from offpiste.reproduction.gains import MAP, evaluation_index
 from offpiste.reproduction.steps import claim_folder
 from offpiste.training.run import Run
 from offpiste.uncertainty.calibrate import kept_or_fitted
-from offpiste.uncertainty.calibration import CalibrationRow, calibration_rows, calibration_table, foretold_by
-from offpiste.uncertainty.fit import strayed_on_maps
+from offpiste.uncertainty.calibration import CalibrationRow, calibration_rows, calibration_table, predicted_errors
+from offpiste.uncertainty.fit import residuals_on_maps
 from offpiste.uncertainty.novelty import NoveltySettings, features_at_starts, fit_memory_bank, mask_novel_ground
 from offpiste.uncertainty.spread import Spread
 
@@ -187,9 +187,9 @@ def rows_of(
     """
     rows = list[CalibrationRow]()
     for which, index in ((which, index) for which, index in chosen.items() if len(index)):
-        foretold = foretold_by(spread, strayed_on_maps(run, windows, index))
+        predicted = predicted_errors(spread, residuals_on_maps(run, windows, index))
         located = EvaluatedWindows(windows.dataset, windows.drive[index], windows.row_in_drive(index))
-        found = calibration_rows(name, foretold, {}, Sampling().on(located))
+        found = calibration_rows(name, predicted, {}, Sampling().on(located))
         rows += [msgspec.structs.replace(row, windows=which) for row in found]
     return rows
 

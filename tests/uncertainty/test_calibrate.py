@@ -21,7 +21,7 @@ from offpiste.training.run import Run, load_run
 from offpiste.training.train import train
 from offpiste.uncertainty.calibrate import coverage_of_kept, kept_or_fitted
 from offpiste.uncertainty.calibration import CalibrationRow, calibration_table
-from offpiste.uncertainty.fit import SpreadSettings, strayed_on_maps
+from offpiste.uncertainty.fit import SpreadSettings, residuals_on_maps
 from offpiste.uncertainty.novelty import features_at_starts, load_memory_bank
 from offpiste.uncertainty.prediction import FILE, load_spread, predict_with_spread
 from offpiste.visualization.predicted_regions import view_regions
@@ -56,10 +56,10 @@ def exit_code(*arguments: object) -> object:
 def test_a_spread_is_kept_with_its_run_and_belongs_to_its_weights(dataset: Dataset, run: Run) -> None:
     spread = kept_or_fitted(run, dataset, QUICK)
     windows = Windows(dataset, "test")
-    strayed = strayed_on_maps(run, windows, np.arange(3))
+    residuals = residuals_on_maps(run, windows, np.arange(3))
     again = load_spread(run)
-    assert np.array_equal(spread(strayed.inputs), again(strayed.inputs))
-    assert strayed.inputs.isfinite().all()
+    assert np.array_equal(spread(residuals.inputs), again(residuals.inputs))
+    assert residuals.inputs.isfinite().all()
     save_json(run.folder / "model.json", load_json(run.folder / "model.json") | {"weights_sha256": "0" * 64})
     with pytest.raises(RunError, match="belongs to other weights"):
         load_spread(run)
@@ -117,7 +117,7 @@ def test_maps_as_they_were_are_read(dataset: Dataset, run: Run, tmp_path: Path) 
     windows = Windows(replace(snapped, min_speed=0.0), "test")
     index = windows.evaluation_indices(5)
     assert len(index) == 2
-    on_slope = strayed_on_maps(run, windows, index)
+    on_slope = residuals_on_maps(run, windows, index)
     assert on_slope.inputs.shape[:2] == (2, 25)
     assert on_slope.inputs[..., 3].abs().max() > 0.01, "the snapshots' ground slopes"
 
@@ -169,8 +169,8 @@ def test_intervals_of_shares_are_shares() -> None:
         coverage=(0.74, 0.2, 0.5),
         ci95=((0.474, 1.02), (-0.1, 0.4), (np.nan, np.nan)),
         crps_m=1.0,
-        foretold=0.5,
-        by_speed=0.5,
+        auroc=0.5,
+        auroc_by_speed=0.5,
     )
     (line,) = calibration_table([row]).lines
     assert line[5:8] == ("74 [47, 100]", "20 [0, 40]", "50")

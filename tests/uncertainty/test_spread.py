@@ -10,7 +10,7 @@ from torch.nn import functional
 
 from factories import VEHICLE
 from offpiste.state import Terrain, Trajectory
-from offpiste.uncertainty.fit import Strayed, fit_factor, fit_network
+from offpiste.uncertainty.fit import Residuals, fit_factor, fit_network
 from offpiste.uncertainty.spread import (
     INTERVAL,
     MOTION,
@@ -113,9 +113,9 @@ def test_what_errors_were_drawn_with_is_found_again():
     error = torch.from_numpy((true[..., None] * rng.standard_t(6, (3000, MOMENTS, 2))).astype(np.float32))
     inputs = torch.from_numpy(rough)[:, None, None].expand(-1, MOMENTS, 1).clone()
     spread = Spread(1)
-    fit_network(spread, Strayed(inputs, error), rng, steps=600, batch=256, learning_rate=1e-2)
+    fit_network(spread, Residuals(inputs, error), rng, steps=600, batch=256, learning_rate=1e-2)
     found = spread(torch.tensor([0.0, 1.0])[:, None, None].expand(2, MOMENTS, 1))[:, -1, 0]
     wanted = torch.tensor([0.1, 0.5]) * float(growth[-1])
     torch.testing.assert_close(found, wanted, rtol=0.15, atol=0)
-    fit_factor(spread, Strayed(inputs, 2 * error))
+    fit_factor(spread, Residuals(inputs, 2 * error))
     assert float(spread.factor) == pytest.approx(2, rel=0.1)

@@ -26,9 +26,9 @@ from offpiste.uncertainty.calibration import (
     calibration_rows,
     calibration_table,
     draw_calibration,
-    foretold_by,
+    predicted_errors,
 )
-from offpiste.uncertainty.fit import SpreadSettings, fit_spread, strayed_on_maps
+from offpiste.uncertainty.fit import SpreadSettings, fit_spread, residuals_on_maps
 from offpiste.uncertainty.novelty import keep_memory_bank
 from offpiste.uncertainty.prediction import FILE, load_spread, spread_seen
 from offpiste.uncertainty.spread import Spread
@@ -96,10 +96,10 @@ class _Report:
         """Evaluate a run's spread on the windows of the test part that have a map."""
         windows = Windows(dataset, PART)
         index = windows.evaluation_indices(5)
-        foretold = foretold_by(spread, strayed_on_maps(run, windows, index))
+        predicted = predicted_errors(spread, residuals_on_maps(run, windows, index))
         located = EvaluatedWindows(dataset, windows.drive[index], windows.row_in_drive(index))
-        self.rows += calibration_rows(name, foretold, members(located), Sampling().on(located))
-        self.within[name] = foretold.within
+        self.rows += calibration_rows(name, predicted, members(located), Sampling().on(located))
+        self.within[name] = predicted.within
 
     def write(self, out: Path) -> Path:
         """Write table, numbers and picture; show the table."""

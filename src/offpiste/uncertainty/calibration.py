@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from offpiste.evaluation.intervals import Resampling
 from offpiste.report.figure import plain
 from offpiste.report.text_table import TextTable, interval, number
-from offpiste.uncertainty.fit import Strayed
+from offpiste.uncertainty.fit import Residuals
 from offpiste.uncertainty.spread import INTERVAL, Spread
 from offpiste.uncertainty.student import area_under_curve, crps, probability_within
 
@@ -26,22 +26,22 @@ NOMINAL: Final = (0.5, 0.8, 0.95)
 """Share of errors that each region should hold."""
 
 WORST: Final = 0.1
-"""Share of windows that are to be foretold as the worst ones."""
+"""Share of windows, those with the largest errors, that a spread is to tell from the others."""
 
 ALL: Final = "all"
 """Name of the row of all windows."""
 
 ABOUT: Final = (
     "Share of position errors within the regions that should hold 50, 80 and 95 % of them, with 95 % intervals over "
-    "drives and blocks of 10 s. CRPS: of the errors along and across the heading, less is better. Foretold: the "
+    "drives and blocks of 10 s. CRPS: of the errors along and across the heading, less is better. AUROC: the "
     "probability that a window among the tenth with the largest errors has a larger spread than another window (0.5 is "
     "chance); beside it the same by the speed at the start alone."
 )
 
 
 @dataclass(frozen=True)
-class Foretold:
-    """Errors of position and how they were foretold, at the moments of a spread.
+class PredictedErrors:
+    """Errors of position and the scales predicted for them, at the moments of a spread.
 
     Attributes:
         error, scale: along and across the predicted heading [m].
@@ -61,14 +61,14 @@ class Foretold:
         return probability_within(squared, self.freedom)
 
 
-def foretold_by(spread: Spread, strayed: Strayed) -> Foretold:
-    """What a spread foretold of predictions."""
-    scale, speed = spread(strayed.inputs).detach().numpy(), strayed.inputs[:, 0, 0].numpy()
-    return Foretold(strayed.error.numpy(), scale, float(spread.freedom.detach()), speed)
+def predicted_errors(spread: Spread, residuals: Residuals) -> PredictedErrors:
+    """Residuals beside what a spread predicts of them."""
+    scale, speed = spread(residuals.inputs).detach().numpy(), residuals.inputs[:, 0, 0].numpy()
+    return PredictedErrors(residuals.error.numpy(), scale, float(spread.freedom.detach()), speed)
 
 
 class CalibrationRow(msgspec.Struct, frozen=True, kw_only=True):
-    """How well errors were foretold for some windows after some time.
+    """How well errors were predicted for some windows after some time.
 
     Attributes:
         windows: which ones, by name; n: how many.
@@ -77,7 +77,7 @@ class CalibrationRow(msgspec.Struct, frozen=True, kw_only=True):
         scale_m: mean of the predicted scales, along and across together [m].
         coverage, ci95: share within each region of `NOMINAL`, and its interval.
         crps_m: mean over both components [m].
-        foretold, by_speed: area under the curve for the worst windows, by spread and by speed alone.
+        auroc, auroc_by_speed: how well spread, and speed alone, tell the `WORST` windows from others (0.5: not at all).
     """
 
     run: str
@@ -89,25 +89,25 @@ class CalibrationRow(msgspec.Struct, frozen=True, kw_only=True):
     coverage: tuple[float, ...]
     ci95: tuple[tuple[float, float], ...]
     crps_m: float
-    foretold: float
-    by_speed: float
+    auroc: float
+    auroc_by_speed: float
 
 
 def calibration_rows(
-    run: str, foretold: Foretold, groups: Mapping[str, Bool[np.ndarray, " N"]], drawn: Resampling
+    run: str, predicted: PredictedErrors, groups: Mapping[str, Bool[np.ndarray, " N"]], drawn: Resampling
 ) -> list[CalibrationRow]:
     """A row for all windows, and one for each group, at each horizon.
 
     Args:
         run: name of the run.
-        foretold: of the windows.
+        predicted: of the windows.
         groups: which windows belong to each.
         drawn: of the same windows, for intervals of the row of all of them.
     """
-    scale, error, within, rows = foretold.scale, foretold.error, foretold.within, list[CalibrationRow]()
+    scale, error, within, rows = predicted.scale, predicted.error, predicted.within, list[CalibrationRow]()
     for place, (horizon, k) in enumerate(zip(HORIZONS, AT, strict=True)):
         distance, reach = np.linalg.norm(error[:, k], axis=-1), np.linalg.norm(scale[:, k], axis=-1)
-        score = crps(error[:, k], scale[:, k], foretold.freedom).mean(axis=-1)
+        score = crps(error[:, k], scale[:, k], predicted.freedom).mean(axis=-1)
         for name, mine in ({ALL: np.ones(len(error), bool)} | dict(groups)).items():
             worst = distance[mine] >= np.quantile(distance[mine], 1 - WORST)
             covered = within[mine, place, None] <= np.array(NOMINAL)
@@ -122,8 +122,8 @@ def calibration_rows(
                     coverage=tuple(covered.mean(axis=0).tolist()),
                     ci95=_intervals(covered, drawn) if name == ALL else ((np.nan, np.nan),) * len(NOMINAL),
                     crps_m=float(score[mine].mean()),
-                    foretold=area_under_curve(reach[mine], worst),
-                    by_speed=area_under_curve(foretold.speed[mine], worst),
+                    auroc=area_under_curve(reach[mine], worst),
+                    auroc_by_speed=area_under_curve(predicted.speed[mine], worst),
                 )
             )
     return rows
@@ -135,7 +135,7 @@ def _intervals(covered: Bool[np.ndarray, "N R"], drawn: Resampling) -> tuple[tup
 
 def calibration_table(rows: list[CalibrationRow]) -> TextTable:
     """A line a run, group of windows and horizon."""
-    names = ("run", "windows", "after", "n", "error [m]", "50 %", "80 %", "95 %", "CRPS [m]", "foretold", "by speed")
+    names = ("run", "windows", "after", "n", "error [m]", "50 %", "80 %", "95 %", "CRPS [m]", "AUROC", "by speed")
     lines = [
         (
             row.run,
@@ -145,8 +145,8 @@ def calibration_table(rows: list[CalibrationRow]) -> TextTable:
             number(row.error_m),
             *(_covered(share, bounds) for share, bounds in zip(row.coverage, row.ci95, strict=True)),
             number(row.crps_m),
-            number(row.foretold),
-            number(row.by_speed),
+            number(row.auroc),
+            number(row.auroc_by_speed),
         )
         for row in rows
     ]

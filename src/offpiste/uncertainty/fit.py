@@ -43,8 +43,8 @@ class SpreadSettings:
 
 
 @dataclass(frozen=True)
-class Strayed:
-    """Predicted windows: what a spread reads, and what it is to foretell.
+class Residuals:
+    """Predicted windows: what a spread reads, and the errors that it is to predict.
 
     Attributes:
         inputs: `spread_inputs`.
@@ -54,10 +54,10 @@ class Strayed:
     inputs: Float[Tensor, "N K I"]
     error: Float[Tensor, "N K 2"]
 
-    def take(self, index: np.ndarray) -> "Strayed":
+    def take(self, index: np.ndarray) -> "Residuals":
         """Some of the windows."""
         chosen = torch.from_numpy(index)
-        return Strayed(self.inputs[chosen], self.error[chosen])
+        return Residuals(self.inputs[chosen], self.error[chosen])
 
 
 def fit_spread(run: Run, train: Windows, validation: Windows, settings: SpreadSettings | None = None) -> Spread:
@@ -71,9 +71,9 @@ def fit_spread(run: Run, train: Windows, validation: Windows, settings: SpreadSe
     with seeded(settings.seed):
         spread = Spread(inputs_of(run.dynamics.vehicle, run.dynamics.codes))
     every = np.linspace(0, len(train) - 1, min(settings.windows, len(train))).astype(int)
-    learned = strayed_at_recorded(run, train, np.unique(every), rng)
+    learned = residuals_at_recorded(run, train, np.unique(every), rng)
     fit_network(spread, learned, rng, settings.steps, settings.batch, settings.learning_rate)
-    fit_factor(spread, strayed_on_maps(run, validation, validation.evaluation_indices(5)))
+    fit_factor(spread, residuals_on_maps(run, validation, validation.evaluation_indices(5)))
     logger.info(
         f"spread of {run.folder.name}: {float(spread.freedom):.1f} degrees of freedom, x {float(spread.factor):.2f}"
     )
@@ -81,18 +81,18 @@ def fit_spread(run: Run, train: Windows, validation: Windows, settings: SpreadSe
 
 
 def fit_network(
-    spread: Spread, strayed: Strayed, rng: np.random.Generator, steps: int, batch: int, learning_rate: float
+    spread: Spread, residuals: Residuals, rng: np.random.Generator, steps: int, batch: int, learning_rate: float
 ) -> None:
     """Fit a spread to errors by likelihood: batches of windows, Adam, a cosine down to zero.
 
     Args:
         rng: draws the batches.
     """
-    spread.standardise_on(strayed.inputs)
+    spread.standardise_on(residuals.inputs)
     optimiser = torch.optim.Adam(spread.parameters(), lr=learning_rate)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, steps)
     for _ in track(range(steps), "fitting the spread"):
-        part = strayed.take(rng.integers(0, len(strayed.error), batch))
+        part = residuals.take(rng.integers(0, len(residuals.error), batch))
         optimiser.zero_grad()
         _loss(spread, part).backward()  # type: ignore[no-untyped-call]
         optimiser.step()
@@ -100,33 +100,33 @@ def fit_network(
     spread.requires_grad_(False)
 
 
-def fit_factor(spread: Spread, strayed: Strayed) -> None:
+def fit_factor(spread: Spread, residuals: Residuals) -> None:
     """Set the factor of all scales to the one under which these errors are likeliest."""
     candidates = torch.logspace(-1, 1, 201)
     losses = []
     for factor in candidates:
         spread.factor.copy_(factor)
-        losses.append(_loss(spread, strayed).detach())
+        losses.append(_loss(spread, residuals).detach())
     spread.factor.copy_(candidates[int(torch.stack(losses).argmin())])
 
 
-def _loss(spread: Spread, strayed: Strayed) -> Float[Tensor, ""]:
-    return negative_log_likelihood(strayed.error, spread(strayed.inputs), spread.freedom).mean()
+def _loss(spread: Spread, residuals: Residuals) -> Float[Tensor, ""]:
+    return negative_log_likelihood(residuals.error, spread(residuals.inputs), spread.freedom).mean()
 
 
-def strayed_at_recorded(run: Run, windows: Windows, index: np.ndarray, rng: np.random.Generator) -> Strayed:
+def residuals_at_recorded(run: Run, windows: Windows, index: np.ndarray, rng: np.random.Generator) -> Residuals:
     """Predictions along the recorded path, whose ground is seen as the model's training drew it."""
     draw = MODELS[run.model].draw
 
     def choose(some: np.ndarray) -> FeatureSetChoice:
         return drawn(draw, rng, len(some), lambda: windows.ahead(some), windows.sets)
 
-    return _joined([strayed for _, strayed in predicted(run, windows, index, "recorded", choose)])
+    return _joined([residuals for _, residuals in predicted(run, windows, index, "recorded", choose)])
 
 
-def strayed_on_maps(run: Run, windows: Windows, index: np.ndarray) -> Strayed:
+def residuals_on_maps(run: Run, windows: Windows, index: np.ndarray) -> Residuals:
     """Predictions on the map as it was when each window started, read at predicted places."""
-    return _joined([strayed for _, strayed in predicted(run, windows, index, "map")])
+    return _joined([residuals for _, residuals in predicted(run, windows, index, "map")])
 
 
 def predicted(
@@ -135,7 +135,7 @@ def predicted(
     index: np.ndarray,
     lookup: Lookup,
     choose: Callable[[np.ndarray], FeatureSetChoice] | None = None,
-) -> Iterator[tuple[Trajectory, Strayed]]:
+) -> Iterator[tuple[Trajectory, Residuals]]:
     """Some windows after the other: what is predicted, and what a spread reads of it.
 
     Args:
@@ -148,7 +148,7 @@ def predicted(
 @torch.no_grad()
 def _predicted(
     dynamics: Dynamics, windows: Windows, index: np.ndarray, lookup: Lookup, choice: FeatureSetChoice | None
-) -> tuple[Trajectory, Strayed]:
+) -> tuple[Trajectory, Residuals]:
     batch = encoded(dynamics, batch_for(dynamics, windows, windows.gather(index, choice)))
     source: TerrainSource = RecordedTerrain(batch.terrain)
     if lookup == "map":
@@ -157,13 +157,13 @@ def _predicted(
         trajectory = predict_on(dynamics, start, batch.control, source)
     else:
         trajectory = predict(dynamics, batch)
-    return trajectory, _strayed(dynamics, batch, trajectory, source)
+    return trajectory, _residuals(dynamics, batch, trajectory, source)
 
 
-def _strayed(dynamics: Dynamics, batch: Batch, trajectory: Trajectory, source: TerrainSource) -> Strayed:
+def _residuals(dynamics: Dynamics, batch: Batch, trajectory: Trajectory, source: TerrainSource) -> Residuals:
     inputs = inputs_along(dynamics.vehicle, batch.state, trajectory, batch.control, source)
-    return Strayed(inputs, errors_in_heading(trajectory.state, batch.target))
+    return Residuals(inputs, errors_in_heading(trajectory.state, batch.target))
 
 
-def _joined(parts: list[Strayed]) -> Strayed:
-    return Strayed(torch.cat([part.inputs for part in parts]), torch.cat([part.error for part in parts]))
+def _joined(parts: list[Residuals]) -> Residuals:
+    return Residuals(torch.cat([part.inputs for part in parts]), torch.cat([part.error for part in parts]))

@@ -59,7 +59,7 @@ def predict_with_spread(run: Run, windows: Windows, lookup: Lookup = "map") -> S
     trajectory = Trajectory(
         torch.cat([each.state for each, _ in parts]), torch.cat([each.actuators for each, _ in parts])
     )
-    scale = torch.cat([spread(strayed.inputs) for _, strayed in parts])
+    scale = torch.cat([spread(residuals.inputs) for _, residuals in parts])
     return SpreadPrediction(trajectory, scale, float(spread.freedom))
 
 

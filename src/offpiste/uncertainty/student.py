@@ -1,4 +1,4 @@
-"""Errors of position as a bivariate Student t: its likelihood, its regions, and scores of how well it was foretold.
+"""Errors of position as a bivariate Student t: its likelihood, its regions, and scores of predictions of it.
 
 The heavy tails are needed: most windows go as predicted, and a few slip. Standard deviations are those of the scale
 matrix, along and across the predicted heading; both share their degrees of freedom.
