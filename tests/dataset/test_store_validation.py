@@ -11,8 +11,13 @@ from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import create
 from offpiste.dataset.store_validation import MADE_BY, YOUNGER, refuse_unlike
 from offpiste.errors import DatasetError
+from offpiste.mapping.pipeline import MapSettings
+from offpiste.mapping.replay import MapperSettings
+from offpiste.mapping.voxel_map import VoxelSettings
 from offpiste.rig.rig import load_rig
 from sensor_bags import SENSORS
+
+FINER = MapperSettings(map=MapSettings(VoxelSettings(size=0.1)))
 
 
 def test_another_split_or_other_features_are_named_with_both(tmp_path: Path) -> None:
@@ -48,27 +53,29 @@ def test_what_an_older_dataset_does_not_say_makes_it_no_other(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize(
-    ("snapshots", "metres", "said"),
+    ("snapshots", "mapper", "said"),
     [
-        (SnapshotSettings(0.5), 0.0, "keyframe_metres: it has 0.5, wanted is 0.0"),
-        (SnapshotSettings(2.0), 0.5, "snapshot_seconds: it has 0.5, wanted is 2.0"),
-        (SnapshotSettings(0.5, min_speed=0.0), 0.5, "snapshot_speed: it has 1.5, wanted is 0.0"),
-        (SnapshotSettings(0.5, latency=0.0), 0.5, "latency: it has 0.1, wanted is 0.0"),
+        (SnapshotSettings(0.5), MapperSettings(0.0), "keyframe_metres: it has 0.5, wanted is 0.0"),
+        (SnapshotSettings(2.0), MapperSettings(), "snapshot_seconds: it has 0.5, wanted is 2.0"),
+        (SnapshotSettings(0.5, min_speed=0.0), MapperSettings(), "snapshot_speed: it has 1.5, wanted is 0.0"),
+        (SnapshotSettings(0.5, latency=0.0), MapperSettings(), "latency: it has 0.1, wanted is 0.0"),
+        (SnapshotSettings(0.5, margin=9.0), MapperSettings(), "snapshot_settings: it has none, wanted is margin 9.0"),
+        (SnapshotSettings(0.5), FINER, "map_settings: it has none, wanted is map.voxels.size 0.1"),
     ],
 )
 def test_an_extraction_of_visual_features_is_resumed_with_the_same_settings(
-    tmp_path: Path, snapshots: SnapshotSettings, metres: float, said: str
+    tmp_path: Path, snapshots: SnapshotSettings, mapper: MapperSettings, said: str
 ) -> None:
-    def begin(snapshots: SnapshotSettings, metres: float) -> None:
+    def begin(snapshots: SnapshotSettings, mapper: MapperSettings) -> None:
         create(
-            tmp_path / "d.zarr", small_rig(), parse_split("blocks:0.7,0.1,0.2"), ("p",), "pca", 0.5, snapshots, metres
+            tmp_path / "d.zarr", small_rig(), parse_split("blocks:0.7,0.1,0.2"), ("p",), "pca", 0.5, snapshots, mapper
         )
         (tmp_path / "d.zarr" / "drive").mkdir(exist_ok=True)
 
-    begin(SnapshotSettings(0.5), 0.5)
-    begin(SnapshotSettings(0.5, min_speed=1.5), 0.5)
+    begin(SnapshotSettings(0.5), MapperSettings())
+    begin(SnapshotSettings(0.5, min_speed=1.5), MapperSettings(map=MapSettings(VoxelSettings(threads=7))))
     with pytest.raises(DatasetError, match=f"already holds a dataset with another {said}; choose another --out"):
-        begin(snapshots, metres)
+        begin(snapshots, mapper)
 
 
 def test_masks_are_the_same_where_they_show_the_same_wherever_they_lie(tmp_path: Path) -> None:

@@ -224,8 +224,8 @@ def make_dataset(
         if extractor is None:
             create(place, rig, parts, LAYERS[features])
         else:
-            kept, metres = snapshots or SnapshotSettings(), (replay or MapperSettings()).keyframe_metres
-            create(place, rig, parts, extractor.names, extractor.identity, min_hindsight, kept, metres)
+            kept, mapper = snapshots or SnapshotSettings(), replay or MapperSettings()
+            create(place, rig, parts, extractor.names, extractor.identity, min_hindsight, kept, mapper)
     done = set(drive_names(out))
     if strangers := sorted({name for name, _ in parts.drives} - {*names, *done}):
         logger.warning(f"the split {split} names {_some(strangers)}: no log and no drive of {out} is called so")

@@ -27,6 +27,7 @@ from offpiste.dataset.splits import Split, stored_split
 from offpiste.dataset.store_validation import (
     SCHEMA,
     attributes_of,
+    changed_settings,
     masks_of,
     read_settings,
     refuse_invalid,
@@ -36,6 +37,7 @@ from offpiste.dataset.store_validation import (
 from offpiste.dataset.stored_arrays import ARRAYS, digest_of_chunks, mapped_array, whole_array, write_arrays
 from offpiste.errors import DatasetError
 from offpiste.files import PARTIAL, check_folder, remove_partials, write_folder
+from offpiste.mapping.replay import MapperSettings
 from offpiste.mapping.terrain_map import TerrainMap
 from offpiste.rig.rig import Rig
 
@@ -110,13 +112,13 @@ def create(
     pca: str | None = None,
     min_hindsight: float = 0.0,
     snapshots: SnapshotSettings | None = None,
-    keyframe_metres: float | None = None,
+    mapper: MapperSettings | None = None,
 ) -> None:
     """Begin a dataset, or resume one that was begun alike; what a killed run left half done is removed.
 
     Args:
         snapshots: of the map; None without any.
-        keyframe_metres: of visual features (`mapping.replay.MapperSettings`) [m].
+        mapper: of visual features.
 
     Raises:
         DatasetError: there is something else at `path`, or it was made otherwise.
@@ -137,10 +139,12 @@ def create(
         "min_hindsight": min_hindsight,
         "min_speed": slowest,
         "masks": masks_of(rig),
-        "keyframe_metres": keyframe_metres,
+        "keyframe_metres": mapper and mapper.keyframe_metres,
         "latency": snapshots and snapshots.latency,
         "snapshot_seconds": snapshots and snapshots.seconds,
         "snapshot_speed": snapshots and (slowest if snapshots.min_speed is None else snapshots.min_speed),
+        "map_settings": changed_settings(mapper, "keyframe_metres", "threads"),
+        "snapshot_settings": changed_settings(snapshots, "latency", "seconds", "min_speed"),
     }
     check_folder(path)
     begun = path.exists() and any(path.iterdir())

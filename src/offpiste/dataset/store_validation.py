@@ -1,6 +1,7 @@
 """Validation of a dataset's files: it is resumed only as it was begun, and rows marked complete are complete."""
 
 from collections.abc import Iterator
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -20,7 +21,9 @@ from offpiste.rig.rig import Rig, check_rig
 
 SCHEMA = 2  # 1 had no checksums, no causal actuators and controls, and straight up for unknown normals
 
-YOUNGER = ("masks", "latency", "keyframe_metres", "snapshot_seconds", "snapshot_speed")
+YOUNGER = (
+    "masks", "latency", "keyframe_metres", "snapshot_seconds", "snapshot_speed", "map_settings", "snapshot_settings",
+)  # fmt: skip
 """Of `MADE_BY`, what older datasets do not say."""
 
 MADE_BY = ("schema", "rig", "split", "split_drives", "features", "pca", "min_hindsight", *YOUNGER)
@@ -37,6 +40,25 @@ class Settings(msgspec.Struct, frozen=True):
     min_hindsight: float = 0.0
     pca: str | None = None
     min_speed: Annotated[float, msgspec.Meta(ge=0.0, le=100.0)] = MIN_EVALUATION_SPEED
+
+
+def changed_settings(settings: Any, *apart: str) -> dict[str, Any]:
+    """Fields of settings, those within them included, that are not the defaults; none of None.
+
+    Args:
+        settings: a dataclass that has a default for each field.
+        apart: names of fields that are left out, at any depth.
+    """
+    if settings is None:
+        return {}
+    default, changed = type(settings)(), dict[str, Any]()
+    for name in (field.name for field in fields(settings) if field.name not in apart):
+        value, usual = getattr(settings, name), getattr(default, name)
+        if is_dataclass(value):
+            changed |= {f"{name}.{inner}": found for inner, found in changed_settings(value, *apart).items()}
+        elif value != usual:
+            changed[name] = value
+    return changed
 
 
 def read_settings(attributes: dict[str, Any], path: Path) -> Settings:
@@ -176,6 +198,8 @@ def _fits(column: Column, values: np.ndarray, about: Settings) -> bool:
 
 
 def _short(value: Any) -> str:
+    if isinstance(value, dict):
+        value = [f"{name} {one}" for name, one in value.items()]
     if not isinstance(value, list):
         return "none" if value is None else str(value)
     return ", ".join(map(str, value[:3])) + (f", … ({len(value)})" if len(value) > 3 else "") or "none"
