@@ -1,8 +1,9 @@
 """Stages of gpu.py: what the run time does on a GPU, and what other software takes for the same."""
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import plan as on_cpu
@@ -49,67 +50,82 @@ def situation() -> Situation:
     )  # fmt: skip
 
 
+class Plans:
+    """Plans of the shipped model in one situation, on a device.
+
+    Args:
+        given: options of gpu.py; `small` plans are made without a graph, since memcheck follows kernels themselves.
+        caution: how much the spread counts.
+    """
+
+    def __init__(
+        self, dynamics: Dynamics, device: torch.device, given: argparse.Namespace, caution: Caution | None = None
+    ) -> None:
+        self.dynamics, self.device, self.at = dynamics, device, replace(situation(), caution=caution)
+        self.weights, self.codes = CostWeights(path=5.0), encode_map(self.at.ground, dynamics.encoder)
+        units = torch.zeros(1, dynamics.recurrent_size)
+        self.start = ModelState(self.at.state[None], torch.tensor([[0.0, 0.0, 0.0, 1.0]]), units, units)
+        on_gpu = device.type == "cuda"
+        self.kernels = open_kernels(plan_text(dynamics, self.at.costs.table, caution, lanes=on_gpu), device)
+        self.capture = captured if on_gpu and not given.small else None
+        self.samples = [90] if given.small else [1024, 8192]
+        self.taken = (torch.zeros(HORIZON_STEPS, 2), self.start, self.at, self.weights, self.codes)
+
+    def planner(self, samples: int) -> DevicePlanner:
+        """A planner of so many samples."""
+        settings = Settings(PEDAL_AND_WHEEL, (0.15, 0.15), samples=samples, temperature=3.0, rest=(0.4, 0.0))
+        generator = torch.Generator(self.device).manual_seed(0)
+        return DevicePlanner(self.kernels, self.dynamics, settings, generator, self.capture)
+
+    def rollouts(self, samples: int) -> Callable[[], Tensor]:
+        """Rolls out so many random controls; their costs."""
+        there = ModelState(*(part.to(self.device) for part in vars(self.start).values()))
+        cost_of = costs_by_kernels(self.kernels, self.dynamics, there, self.at, self.weights, self.codes)
+        drawn = torch.rand(samples, HORIZON_STEPS, 3, generator=torch.Generator().manual_seed(1))
+        controls = (0.3 * drawn).to(self.device)
+        return lambda: cost_of(controls)
+
+
 def of_plans(dynamics: Dynamics, device: torch.device, given: argparse.Namespace) -> Iterator[Row]:
     """Rollouts with map and cost, whole plans, and what is packed and copied for them."""
-    small, turns = given.small, given.turns
-    at, weights = situation(), CostWeights(path=5.0)
-    codes = encode_map(at.ground, dynamics.encoder)
-    units = torch.zeros(1, dynamics.recurrent_size)
-    start = ModelState(at.state[None], torch.tensor([[0.0, 0.0, 0.0, 1.0]]), units, units)
-    there = ModelState(*(part.to(device) for part in vars(start).values()))
-    kernels = open_kernels(plan_text(dynamics, at.costs.table, lanes=device.type == "cuda"), device)
-    # memcheck follows the kernels themselves, not a graph of them.
-    capture = captured if device.type == "cuda" and not small else None
-    plan = torch.zeros(HORIZON_STEPS, 2)
-    for turn, samples in enumerate([90] if small else [1024, 8192]):
-        settings = Settings(PEDAL_AND_WHEEL, (0.15, 0.15), samples=samples, temperature=3.0, rest=(0.4, 0.0))
-        generator = torch.Generator(device).manual_seed(0)
-        planner = DevicePlanner(kernels, dynamics, settings, generator, capture)
-        taken, size = (plan, start, at, weights, codes), f"{samples} x {HORIZON_STEPS}"
+    plans, turns = Plans(dynamics, device, given), given.turns
+    for turn, samples in enumerate(plans.samples):
+        planner, roll, size = plans.planner(samples), plans.rollouts(samples), f"{samples} x {HORIZON_STEPS}"
         if turn == 0:
-            check_planner(planner, *taken)
+            check_planner(planner, *plans.taken)
             yield {"what": "costs and limits agree with the CPU's"}
-        cost_of = costs_by_kernels(kernels, dynamics, there, at, weights, codes)
-        controls = (0.3 * torch.rand(samples, HORIZON_STEPS, 3, generator=torch.Generator().manual_seed(1))).to(device)
-        yield timed(f"rollouts with map and cost, {size}", lambda c=cost_of, u=controls: c(u), device, turns)
+        yield timed(f"rollouts with map and cost, {size}", roll, device, turns)
         if device.type == "cuda":
-            yield by_events(f"rollouts by events of the GPU, {size}", lambda c=cost_of, u=controls: c(u), turns)
-        yield timed(f"a whole plan of one iteration, {size}", lambda p=planner, g=taken: p.improve(*g), device, turns)
-        if capture:
+            yield by_events(f"rollouts by events of the GPU, {size}", roll, turns)
+        yield timed(f"a whole plan of one iteration, {size}", partial(planner.improve, *plans.taken), device, turns)
+        if plans.capture:
             yield {"what": f"the graph of {samples} samples plans as its kernels do"}
         if turn == 0:
-            yield timed(
-                "packing and copying, the map of the last plan", lambda p=planner, g=taken: p.load(*g), device, turns
-            )
-            others = [situation() for _ in range(turns + 2)]
+            load = partial(planner.load, *plans.taken)
+            yield timed("packing and copying, the map of the last plan", load, device, turns)
+            yield timed("packing and copying, another map", loads_of_other_maps(plans, planner, turns), device, turns)
 
-            def load(planner: DevicePlanner = planner, others: list[Situation] = others) -> None:
-                at = others.pop()
-                planner.load(plan, start, at, weights, (codes[0].clone(), codes[1]))
 
-            yield timed("packing and copying, another map", load, device, turns)
+def loads_of_other_maps(plans: Plans, planner: DevicePlanner, turns: int) -> Callable[[], None]:
+    """Hands over a map that has not been there before, each time."""
+    others = [situation() for _ in range(turns + 2)]
+    plan, (codes, missing) = plans.taken[0], plans.codes
+
+    def load() -> None:
+        planner.load(plan, plans.start, others.pop(), plans.weights, (codes.clone(), missing))
+
+    return load
 
 
 def of_spread(dynamics: Dynamics, device: torch.device, given: argparse.Namespace) -> Iterator[Row]:
     """Plans of which the predictions' spread counts a part: they agree with the CPU's, and what they take."""
-    caution = Caution(load_spread(pretrained("proving-ground/dc")), 1.0)
-    at, weights = replace(situation(), caution=caution), CostWeights(path=5.0)
-    codes, units = encode_map(at.ground, dynamics.encoder), torch.zeros(1, dynamics.recurrent_size)
-    start = ModelState(at.state[None], torch.tensor([[0.0, 0.0, 0.0, 1.0]]), units, units)
-    there = ModelState(*(part.to(device) for part in vars(start).values()))
-    kernels = open_kernels(plan_text(dynamics, at.costs.table, caution, lanes=device.type == "cuda"), device)
-    plan = torch.zeros(HORIZON_STEPS, 2)
-    for samples in [90] if given.small else [1024, 8192]:
-        settings = Settings(PEDAL_AND_WHEEL, (0.15, 0.15), samples=samples, temperature=3.0, rest=(0.4, 0.0))
-        capture = captured if device.type == "cuda" and not given.small else None
-        planner = DevicePlanner(kernels, dynamics, settings, torch.Generator(device).manual_seed(0), capture)
-        taken, size = (plan, start, at, weights, codes), f"{samples} x {HORIZON_STEPS}"
-        check_planner(planner, *taken)
+    plans = Plans(dynamics, device, given, Caution(load_spread(pretrained("proving-ground/dc")), 1.0))
+    for samples in plans.samples:
+        planner, size = plans.planner(samples), f"{samples} x {HORIZON_STEPS}"
+        check_planner(planner, *plans.taken)
         yield {"what": f"costs of {samples} samples agree with the CPU's, spread included"}
-        cost_of = costs_by_kernels(kernels, dynamics, there, at, weights, codes)
-        controls = (0.3 * torch.rand(samples, HORIZON_STEPS, 3, generator=torch.Generator().manual_seed(1))).to(device)
-        yield timed(f"rollouts with spread, {size}", lambda c=cost_of, u=controls: c(u), device, given.turns)
-        yield timed(f"a plan with spread, {size}", lambda p=planner, g=taken: p.improve(*g), device, given.turns)
+        yield timed(f"rollouts with spread, {size}", plans.rollouts(samples), device, given.turns)
+        yield timed(f"a plan with spread, {size}", partial(planner.improve, *plans.taken), device, given.turns)
 
 
 def of_images(dynamics: Dynamics, device: torch.device, given: argparse.Namespace) -> Iterator[Row]:
