@@ -11,7 +11,7 @@ from offpiste.inspection.draft_rig import draft_rig
 from offpiste.inspection.driven_path import Path
 from offpiste.inspection.examination import examine
 from offpiste.inspection.findings import Finding, is_fatal, ranked
-from offpiste.inspection.recorded_log import Recorded, RememberedLog, with_joints_of
+from offpiste.inspection.recorded_log import Recorded, RememberedLog, with_fields_of
 from offpiste.inspection.remedies import explain
 from offpiste.inspection.sensors import can_be_checked, check_sensors
 from offpiste.inspection.timing import timing
@@ -122,7 +122,7 @@ def inspect_log(log: Log, rig: Rig | None = None, *, sensors: bool = False) -> I
             topics are checked as recorded, and motion through a rig drafted from names (`draft_rig`).
         sensors: also check the cameras and LiDARs that the rig names; takes up to some minutes.
     """
-    rig = None if rig is None else with_joints_of(log, rig)
+    rig = None if rig is None else with_fields_of(log, rig)
     remembered = RememberedLog(log, rig)
     used_rig, unusable = (rig, []) if rig is not None else _drafted(remembered)
     given = rig is not None

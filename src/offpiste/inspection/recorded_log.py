@@ -155,13 +155,13 @@ def _nearest(lacking: Collection[str], transforms: Sequence[str]) -> set[str]:
     return {near for name in wanted for near in get_close_matches(name, transforms, 3, cutoff=0.0)}
 
 
-def with_joints_of(log: Log, rig: Rig) -> Rig:
-    """The rig with the fields by which this log has the joints that it names; those that it lacks are left."""
+def with_fields_of(log: Log, rig: Rig) -> Rig:
+    """The rig with its fields by their names in this log (`Topic.fields_here`); those that it lacks are left."""
     channels = dict(rig.channels)
     for name, source in channels.items():
         with suppress(LogError):
             if source.topic in log.topics:
-                fields = log.topics[source.topic].by_joints(source.fields, source.joints)
+                fields = log.topics[source.topic].fields_here(source.fields, source.joints)
                 channels[name] = structs.replace(source, fields=fields)
     return structs.replace(rig, channels=channels)
 
