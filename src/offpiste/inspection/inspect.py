@@ -1,7 +1,9 @@
 """Inspects a log: runs every check, and says what causes what was found."""
 
 from collections.abc import Iterable
+from contextlib import closing
 from dataclasses import asdict, dataclass, replace
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -16,6 +18,7 @@ from offpiste.inspection.remedies import explain
 from offpiste.inspection.sensors import can_be_checked, check_sensors
 from offpiste.inspection.timing import timing
 from offpiste.logs.log import Log
+from offpiste.progress import track
 from offpiste.rig.channels import Clock
 from offpiste.rig.edits import Edit, edited
 from offpiste.rig.rig import Rig, parse_rig
@@ -129,14 +132,20 @@ def inspect_log(log: Log, rig: Rig | None = None, *, sensors: bool = False) -> I
     examined = examine(remembered, used_rig, given=given)
     findings = examined.findings
     if used_rig is not None:
-        findings = explain(findings, used_rig, lambda other: examine(remembered, other, given=given).findings)
+        with closing(track(count(), "trying remedies")) as trials:
+
+            def tried(other: Rig) -> tuple[Finding, ...]:
+                next(trials)
+                return examine(remembered, other, given=given, again=True).findings
+
+            findings = explain(findings, used_rig, tried)
     clock = rig.clock if rig else Clock()
     name, summary = rig.name if rig else "", summarise(examined.recorded, examined.path)
     rows = topic_rows(remembered, examined.recorded, clock)
     findings = (*ranked(unusable), *findings)
     inspection = Inspection(str(log.path), name, summary, rows, findings, tuple(remembered.warnings))
     if used_rig is not None and not given and inspection.cure:  # a draft is read as it will be written
-        as_cured = examine(remembered, edited(used_rig, inspection.cure), given=False)
+        as_cured = examine(remembered, edited(used_rig, inspection.cure), given=False, again=True)
         inspection = replace(inspection, summary=summarise(as_cured.recorded, as_cured.path))
     if sensors and rig is not None and can_be_checked(findings, rig):
         return inspection.with_findings(check_sensors(log, rig, inspection.cure))

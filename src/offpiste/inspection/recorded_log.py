@@ -192,18 +192,22 @@ def is_bulk(topic: Topic) -> bool:
     return topic.count == 0 or _BULK.search(topic.type) is not None
 
 
-def read_topics(log: RememberedLog, rig: Rig | None) -> tuple[dict[str, Recorded], list[Finding]]:
+def read_topics(
+    log: RememberedLog, rig: Rig | None, *, again: bool = False
+) -> tuple[dict[str, Recorded], list[Finding]]:
     """Topics with numbers in them, and a finding for each topic or field that cannot be read.
 
     Args:
         rig: says which stamps count, and whether samples are put in their order; parts of topics are read if it
             does, and those in `log.near`.
+        again: whether they were read before, which takes no time that is worth a progress bar.
     """
     clock = rig.clock if rig else Clock()
     stamps, used = clock.stamps, {source.topic for source in rig.channels.values()} if rig else set()
     recorded: dict[str, Recorded] = {}
     findings: list[Finding] = []
-    for name, topic in track(log.topics.items(), "topics", total=len(log.topics)):
+    topics = log.topics.items()
+    for name, topic in topics if again else track(topics, "topics", total=len(topics)):
         fields = log.quantities(topic)
         if not fields or is_bulk(topic) or (topic.part_of and name not in used | log.near):
             continue
