@@ -291,6 +291,8 @@ def _read_parquet(path: Path) -> pa.Table:
     except (pa.ArrowException, OSError) as error:
         raise LogError(f"not a readable Parquet file: {error}", where=path, how="export it again") from error
     check_columns(path, columns)
+    if not table.num_rows:
+        raise LogError("the table has no rows", where=path, how="record or export it again")
     texts = {
         n: column.cast(pa.string()) for n, column in zip(columns, table.columns, strict=True) if _is_text(column.type)
     }
