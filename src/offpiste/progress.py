@@ -1,7 +1,7 @@
 """What a person sees: progress bars with the time left on a terminal, log messages, results on standard output."""
 
 import logging
-from collections.abc import Callable, Iterable, Iterator, Sized
+from collections.abc import Callable, Generator, Iterable, Iterator, Sized
 from contextlib import contextmanager
 from typing import TypeVar
 
@@ -18,7 +18,7 @@ from rich.progress import (
 Item = TypeVar("Item")
 
 
-def track(items: Iterable[Item], description: str, *, total: int | None = None) -> Iterator[Item]:
+def track(items: Iterable[Item], description: str, *, total: int | None = None) -> Generator[Item, None, None]:
     """Yield the items, with a progress bar on standard error while it is a terminal."""
     console = Console(stderr=True)
     if not console.is_terminal:

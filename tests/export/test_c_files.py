@@ -32,10 +32,10 @@ def compiled_and_run(folder):
 
 
 @needs_gcc
-@pytest.mark.parametrize("name", ["dc", "parametric"])
-def test_a_c_program_drives_5_s_and_agrees_with_predictions(name, tmp_path):
+@pytest.mark.parametrize(("name", "option"), [("dc", "--to"), ("parametric", "--out")])
+def test_a_c_program_drives_5_s_and_agrees_with_predictions(name, option, tmp_path):
     with pytest.raises(SystemExit) as exit_code:
-        main(["export", f"pretrained:proving-ground/{name}", "--to", str(tmp_path / "out")])
+        main(["export", f"pretrained:proving-ground/{name}", option, str(tmp_path / "out")])
     assert exit_code.value.code == 0
     ran = compiled_and_run(tmp_path / "out")
     assert ran.returncode == 0, ran.stdout

@@ -1,11 +1,12 @@
 """One fault at a time, planted in a simulated drive: it is named, its remedy silences it, nothing else is reported."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 import pytest
 from simulated import MemoryLog, drive_log, rig
 
+from offpiste.inspection import inspect, recorded_log
 from offpiste.inspection.draft_rig import draft_rig
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.inspect import inspect_log
@@ -406,3 +407,19 @@ def test_without_a_rig_the_summary_is_of_the_log_as_its_draft_will_be_cured() ->
     found = inspect_log(in_cm)
     assert [edit.value for edit in found.cure] == ["cm"]
     assert found.summary.distance == pytest.approx(inspect_log(CLEAN).summary.distance, rel=0.01)
+
+
+def test_progress_is_shown_of_the_topics_once_and_of_all_remedies_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    shown: list[list[object]] = []
+
+    def track(items: Iterable[object], description: str, *, total: int | None = None) -> Iterator[object]:
+        shown.append([description])
+        for item in items:
+            shown[-1].append(item)
+            yield item
+
+    for module in (inspect, recorded_log):
+        monkeypatch.setattr(module, "track", track)
+    inspect_log(CLEAN.change("steering", "command", lambda x: -x), rig())
+    assert [bar[0] for bar in shown] == ["topics", "trying remedies"]
+    assert len(shown[1]) > 2

@@ -99,6 +99,19 @@ FAMILIES: Mapping[str, tuple[dict[str, dict[str, str]], dict[str, tuple[str, ...
         | COMMANDS,
         {"position": ("lat", "lon"), "yaw": ("heading",), "linear_velocity": ("vel_e", "vel_n")},
     ),
+    "Inertial Sense, angles": (
+        {"/ins1": {"theta[0]": "0", "theta[1]": "0", "theta[2]": "azimuth in rad", "uvw[0]": "vx", "uvw[1]": "0",
+                   "uvw[2]": "0", "lla[0]": "latitude", "lla[1]": "longitude", "lla[2]": "height"}}
+        | COMMANDS,
+        {"position": ("lla[0]", "lla[1]", "lla[2]"), "yaw": ("theta[2]",),
+         "linear_velocity": ("uvw[0]", "uvw[1]", "uvw[2]")},
+    ),
+    "Inertial Sense, quaternion": (
+        {"/ins2": {"qn2b[0]": "half azimuth cos", "qn2b[1]": "0", "qn2b[2]": "0", "qn2b[3]": "half azimuth sin",
+                   "lla[0]": "latitude", "lla[1]": "longitude", "lla[2]": "height"}}
+        | COMMANDS,
+        {"position": ("lla[0]", "lla[1]", "lla[2]"), "orientation": ("qn2b[1]", "qn2b[2]", "qn2b[3]", "qn2b[0]")},
+    ),
     "GPSFix": (
         {"/gps": {"latitude": "latitude", "longitude": "longitude", "altitude": "height", "track": "azimuth",
                   "speed": "vx", "climb": "vz"}}
@@ -282,6 +295,9 @@ def test_channels_are_found_in_messages_of(name: str) -> None:
         ("fx fy fz tx ty tz x y", "position", "x"),
         ("shift_cmd", "gear", "shift_cmd"),
         ("MotorTorqueReq", "throttle", "MotorTorqueReq"),
+        ("handlebar tiller", "steer", "handlebar"),
+        ("HandlebarPosition", "steer", "HandlebarPosition"),
+        ("handle_bar_rad", "steer", "handle_bar_rad"),
     ],
 )  # fmt: skip
 def test_of_several_columns_the_one_that_says_most_comes_first(columns: str, channel: str, first: str) -> None:
@@ -305,6 +321,33 @@ def test_a_pedal_of_an_actuators_message_is_found() -> None:
     assert channels["steer"].topic == "/fmu/out/actuator_servos"
     for pedal, sign in (("throttle", 1), ("brake", -1)):
         assert (channels[pedal].topic, channels[pedal].sign) == ("/fmu/out/actuator_motors", sign)
+
+
+class Joints(Log):
+    """Messages whose entries of arrays are joints."""
+
+    @property
+    def topics(self) -> dict[str, Topic]:
+        names = (
+            "front_left_wheel",
+            "front_right_wheel",
+            "rear_left_wheel",
+            "rear_right_wheel",
+            "front_left_wheel_steer",
+        )
+        joints = {f"velocity[{number}]": f"{name}_joint_vel" for number, name in enumerate(names)}
+        joints["position[0]"] = "front_left_wheel_joint"
+        return super().topics | {"/joint_states": dataclasses.replace(super().topics["/joint_states"], joints=joints)}
+
+
+def test_the_motion_shows_how_large_the_wheels_are_whose_joints_turn() -> None:
+    """As of Clearpath's robots, in rad/s; the joints of positions and of the steering are none of them."""
+    wheels = dict.fromkeys(("position[0]", *(f"velocity[{number}]" for number in range(5))), ODOM["vx"] / 0.165)
+    log = Joints(log_of({"/odom": POSE} | COMMANDS).data | {"/joint_states": (TIME, wheels)})
+    rig = parse_rig(draft_rig(log), where="draft")
+    assert rig.channels["wheel_speed"].fields == tuple(f"velocity[{number}]" for number in range(4))
+    (edit,) = (edit for edit in inspect_log(log, rig).cure if edit.key.startswith("channels.wheel_speed"))
+    assert (edit.key, edit.value) == ("channels.wheel_speed.scale", pytest.approx(0.165, rel=0.01))
 
 
 def test_a_vector_that_commands_is_found_by_its_numbers() -> None:

@@ -181,3 +181,12 @@ def test_a_small_vehicle_in_millimetres_is_no_fast_one_in_centimetres(unit: str,
     drive = drive_from_log(log, rig())
     (finding,) = check_position_unit(drive, driven_path(drive))
     assert finding.cures[0] == (Edit("channels.position.unit", unit),)
+
+
+def test_a_heading_that_is_lost_with_the_place_is_said_of_the_place() -> None:
+    odom, lost = CLEAN.data["odom"][1], np.abs(np.arange(len(CLEAN.data["odom"][0])) - 2537) < 38
+    half = np.arctan2(odom["qz"], odom["qw"]) + np.where(lost, 1.0, 0.0)
+    turned = CLEAN.change("odom", "qz", lambda x: np.sin(half)).change("odom", "qw", lambda x: np.cos(half))
+    assert [f.where for f in _inspected(turned)[1]] == ["orientation"]
+    both = turned.change("odom", "x", lambda x: np.where(lost, 0.0, x))
+    assert [f.where for f in _inspected(both)[1]] == ["position"]

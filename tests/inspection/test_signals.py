@@ -72,3 +72,25 @@ def test_a_brake_that_hangs_half_pressed_is_none() -> None:
     log = drive_log(seconds=60).change("pedals", "brake", lambda values: np.full(len(values), 0.5))
     (finding,) = (f for f in inspect_log(log, rig()).findings if f.severity != "note")
     assert finding.cures[0][0] == Edit("channels.brake", None)
+
+
+@pytest.mark.parametrize("lost", [np.nan, 0.0])
+def test_a_motion_capture_that_loses_the_vehicle_once_has_one_warning(lost: float) -> None:
+    """Its pose and the velocities that it estimates are not numbers, or zero, for 75 samples."""
+    log = drive_log()
+    for field in log.data["odom"][1]:
+        log = log.change("odom", field, lambda x: np.where(np.abs(np.arange(len(x)) - 2537) < 38, lost, x))
+    (finding,) = (f for f in inspect_log(log, rig()).findings if f.severity != "note")
+    assert "2500" in finding.evidence
+    if np.isnan(lost):
+        assert finding.where == "position, orientation, linear_velocity, angular_velocity"
+        assert "75 of 4500 samples" in finding.evidence
+        assert "odom x" in finding.evidence
+
+
+def test_channels_that_are_not_finite_in_other_samples_have_warnings_of_their_own() -> None:
+    row = np.arange(4500)
+    log = drive_log().change("odom", "vx", lambda x: np.where(abs(row - 1000) < 10, np.nan, x))
+    log = log.change("odom", "wz", lambda x: np.where(abs(row - 2000) < 10, np.nan, x))
+    found = {f.where for f in inspect_log(log, rig()).findings if f.severity != "note"}
+    assert found == {"linear_velocity (odom vx)", "angular_velocity (odom wz)"}

@@ -33,6 +33,34 @@ def test_stretches_show_the_delay(by: float) -> None:
     assert uneven_delay("steer", delays) == []
 
 
+def _measured(column: str) -> str:
+    return f'[channels.steer]\ntopic = "steering"\nfields = ["{column}"]\n'
+
+
+def test_one_column_that_is_read_as_steering_and_as_angle_gets_one_delay() -> None:
+    """A measured angle is followed sooner than a command: both are cured as of the angle."""
+    both = rig((_measured("command"), _measured("angle") + 'unit = "rad"\n'))
+    late = CLEAN.restamp("steering", lambda time: time + 0.3)
+    found = [finding for finding in inspect_log(late, both).findings if "delay" in finding.remedy]
+    (cure,) = (finding.cures[0] for finding in found)
+    assert {edit.key: edit.value for edit in cure} == dict.fromkeys(
+        ("channels.steer_angle.delay", "channels.steer.delay"), pytest.approx(0.39, abs=0.02)
+    )
+
+
+@pytest.mark.parametrize(("column", "usual"), [("command", 0.1), ("handlebar", 0.04), ("handlebar_cmd", 0.1)])
+def test_a_steering_that_is_measured_by_its_name_is_followed_sooner_than_a_command(column: str, usual: float) -> None:
+    time, columns = CLEAN.data["steering"]
+    log = MemoryLog({**CLEAN.data, "steering": (time + 0.3, {column: columns["command"]})})
+    alone = rig(
+        (_measured("command"), _measured(column)),
+        ('[channels.steer_angle]\ntopic = "steering"\nfields = ["angle"]\n', ""),
+        ('"brake_pressure",', '"brake_pressure", "steer_angle",'),
+    )
+    (edit,) = (edit for edit in inspect_log(log, alone).cure if edit.key == "channels.steer.delay")
+    assert edit.value == pytest.approx(0.35 + usual, abs=0.02)
+
+
 def _drifting(first: float, last: float) -> MemoryLog:
     """The log with its command late by `first` at its beginning and by `last` at its end [s]."""
     time, _ = CLEAN.data["steering"]

@@ -17,7 +17,7 @@ class Export:
 
     model: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="RUN")]
     """Folder that `offpiste train` wrote, or `pretrained:NAME`."""
-    to: Path
+    to: Annotated[Path, tyro.conf.arg(aliases=("--out",))]
     """Folder to write; not there yet, or empty."""
     format: str = "c"
     """What to write: c or cuda, one header with the weights; mppi-generic, dynamics for that library; onnx, graphs from

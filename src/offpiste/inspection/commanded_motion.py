@@ -19,6 +19,10 @@ from offpiste.rig.rig import Rig
 
 COMMANDED: Final = re.compile(r"cmd|com+and|desired|target|setpoint|servo|(?<![a-z])(des|ref)(?![a-z])", re.IGNORECASE)
 """Names of what is asked for, not measured."""
+_MEASURED: Final = re.compile(
+    r"status|report|rpt|feedback|measured|actual|handle_?bar|(steering|hand)_?wheel_?(angle|pos)", re.IGNORECASE
+)
+"""Names of a steering that is measured, where nothing says that it is asked for."""
 _ALWAYS: Final = "ackermann_msgs/"
 """Types of messages that are commands whatever their topic is called."""
 _WORDS: Final = re.compile(r"[ ._/]*(cmd|com+and(ed)?|desired|target|setpoint|(?<![a-z])(des|ref)(?![a-z]))[ ._/]*")
@@ -107,3 +111,17 @@ def is_turn_rate(channel: Channel, path: Path, rig: Rig) -> bool:
     one = np.ones((len(path.time), 1))
     fit = fit_lags(path.yaw_rate, one, lagged(channel, path.time, rig), LAGS, moving_rows(path))
     return fit is not None and (fitted is None or fit.strength >= fitted.steady.strength)
+
+
+def is_measured(name: str, rig: Rig) -> bool:
+    """Whether a steering channel is where the wheels are, not what is asked for: by its names, or read as both."""
+    if name == "steer_angle" or reads_as_both(rig):
+        return True
+    names = " ".join((rig.channels[name].topic, *rig.channels[name].fields))
+    return _MEASURED.search(names) is not None and COMMANDED.search(names) is None
+
+
+def reads_as_both(rig: Rig) -> bool:
+    """Whether `steer` and `steer_angle` are one column."""
+    both = [rig.channels.get(name) for name in ("steer", "steer_angle")]
+    return all(both) and len({(source.topic, source.fields) for source in both if source}) == 1

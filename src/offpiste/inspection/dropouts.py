@@ -25,7 +25,10 @@ _SHARE: Final = 0.05
 
 
 def check_dropouts(drive: Drive, path: Path) -> list[Finding]:
-    """A finding for each channel that falls to one value and comes back while the vehicle moves."""
+    """A finding for each channel that falls to one value and comes back while the vehicle moves.
+
+    Falls with the pose, as of a motion capture that measures both, are said of the pose alone.
+    """
     findings = []
     for name in _CHECKED:
         if name not in drive.channels or len(drive.channels[name].time) < 100:
@@ -36,6 +39,8 @@ def check_dropouts(drive: Drive, path: Path) -> list[Finding]:
             continue  # a wheel that was turned as far as it goes, in an emergency
         begin, end = channel.time[runs[:, 0]], channel.time[runs[:, 1]]
         moving = np.interp(begin, path.time, np.nan_to_num(path.speed)) > MOVING
+        for after, until in drive.faults.unknown():
+            moving &= (begin < after) | (end > until)
         if not moving.any():
             continue
         begin, lasts = begin[moving], (end - begin)[moving]

@@ -40,15 +40,16 @@ class Examination:
     path: Path | None
 
 
-def examine(log: RememberedLog, rig: Rig | None, *, given: bool) -> Examination:
+def examine(log: RememberedLog, rig: Rig | None, *, given: bool, again: bool = False) -> Examination:
     """Run every check of the channels.
 
     Args:
         rig: None where none could be drafted: then topics are checked only.
         given: whether the rig is given, not drafted.
+        again: whether the log was examined before, with another rig.
     """
     log = log.by(rig.clock) if rig else log
-    recorded, findings = read_topics(log, rig)
+    recorded, findings = read_topics(log, rig, again=again)
     topics = Topics(recorded, rig, given=given)
     if given:
         findings = [f for f in findings if f.where in {name or "table" for name in topics.used}]

@@ -20,8 +20,8 @@ _PLACES = (
 )
 _GROUPS: tuple[tuple[str, re.Pattern[str], str], ...] = (
     ("angular_velocity", re.compile(r"angular|gyro|omega|rot(ation)?_?rate|rate_of_rot|(^|[^a-z])[wg]$"), "yz"),
-    ("orientation", re.compile(r"orient|quat|attitude|rot|(^|[^a-z])q$"), "yzw"),
-    ("linear_velocity", re.compile(r"linear_?vel|twist[._/]linear|vel|(^|[^a-z])v$"), "yz"),
+    ("orientation", re.compile(r"orient|quat|attitude|rot|(^|[^a-z])q(n2b)?$"), "yzw"),
+    ("linear_velocity", re.compile(r"linear_?vel|twist[._/]linear|vel|(^|[^a-z])(v|uvw)$"), "yz"),
     ("position", re.compile(rf"pos|vicon|mocap|optitrack|translation|(^|[^a-z])[pt]?$|(?<![a-z])({_PLACES})$"), "yz"),
 )
 """Vectors, by what stands before the letter x, and the other letters."""
@@ -31,6 +31,8 @@ _NOT_GROUPS = re.compile(
     r"|(?<![a-z])(mag|err|error|ref|des|desired|target|goal|setpoint|waypoint|cov|covariance|std|stdev|sd|sigma)(?![a-z])"
 )
 _NUMBERED: Final = re.compile(r"^(.+?)(?:\[(\d)\]|[._](\d)|(?:(?<=q)|(?<=quat))(\d))$")
+_LLA: Final = re.compile(r"(?<![a-z])ll[ah]$")
+"""An array of latitude, longitude and height."""
 _EAST: Final = re.compile(r"(?<![a-z])(e|east)(?![a-z])")
 """The second of north, east, down."""
 _ACTUATED: Final = re.compile(r"joint|wheel|motor|servo|actuator|output", re.IGNORECASE)
@@ -135,6 +137,8 @@ def _numbered(topic: Topic) -> Iterator[Group]:
         counted = numbers in ([*range(len(numbers))], [*range(1, len(numbers) + 1)])
         if group is not None and counted and len(numbers) in _WIDTHS[group[0]]:
             yield group[0], fields, topic.units.get(fields[0], "") or label.unit, 0
+        elif counted and len(fields) == 3 and _LLA.search(label.name):
+            yield "position", fields, GEOGRAPHIC, 1
 
 
 _HEIGHT: Final = re.compile(r"((utm|gps|gnss|pos|position)_)?(z|alt|altitude|elevation|height)")
@@ -169,11 +173,12 @@ _IN_WORDS: Final = tuple(
     for side in ("left", "right")
 )
 _WHEEL_SPEED: Final = re.compile(r"(wheel|speed|vel|rpm|(?<![a-z])(ws|v|omega))")
-_NO_SPEED: Final = re.compile(r"valid|direction|(?<![a-z])is_")
+_WHEEL_JOINT: Final = re.compile(r"wheel.*_vel$")
+_NO_SPEED: Final = re.compile(r"valid|direction|steer|(?<![a-z])is_")
 
 
 def _wheels(topic: Topic, named: Mapping[str, Label]) -> Iterator[Group]:
-    """Speeds of four wheels; those of joints are in rad/s, and how large the wheels are is not known."""
+    """Speeds of four wheels; of those in rad/s, as of joints, the motion shows how large the wheels are."""
     turned = {"lf": "fl", "rf": "fr", "lr": "rl", "lb": "rl", "rb": "rr"}
     columns: dict[str, str] = {}
     for field, label in named.items():
@@ -181,7 +186,8 @@ def _wheels(topic: Topic, named: Mapping[str, Label]) -> Iterator[Group]:
         for words, letters in _IN_WORDS:
             name = words.sub(letters, name)
         corner = _CORNER.search(name)
-        if corner and field not in topic.joints and _WHEEL_SPEED.search(name) and not _NO_SPEED.search(name):
+        speed = _WHEEL_JOINT if field in topic.joints else _WHEEL_SPEED
+        if corner and speed.search(name) and not _NO_SPEED.search(name):
             columns.setdefault(turned.get(corner[1], corner[1]), field)
     if set(columns) == set(_CORNERS):
         fields = tuple(columns[corner] for corner in _CORNERS)

@@ -1,6 +1,6 @@
 """Findings: what an inspection reports about a log, and how to fix it."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -69,3 +69,18 @@ def merged(findings: list[Finding]) -> list[Finding]:
         )
         for group in together.values()
     ]
+
+
+def of_one_cause(findings: list[Finding]) -> list[Finding]:
+    """Warnings that name the same samples become one, as of a motion capture that loses the vehicle."""
+    together: dict[tuple[str, ...], list[Finding]] = {}
+    for finding in findings:
+        own = () if finding.severity == "warning" else (finding.where,)
+        together.setdefault((finding.evidence, finding.remedy, *own), []).append(finding)
+    return [_as_one(group) if len(group) > 1 else group[0] for group in together.values()]
+
+
+def _as_one(findings: Sequence[Finding]) -> Finding:
+    channels, places = zip(*(finding.where.removesuffix(")").split(" (", 1) for finding in findings), strict=True)
+    evidence = f"{findings[0].evidence}, alike in {', '.join(places)}"
+    return replace(findings[0], where=", ".join(dict.fromkeys(channels)), evidence=evidence)

@@ -1,7 +1,9 @@
 """Inspects a log: runs every check, and says what causes what was found."""
 
 from collections.abc import Iterable
+from contextlib import closing
 from dataclasses import asdict, dataclass, replace
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -11,11 +13,12 @@ from offpiste.inspection.draft_rig import draft_rig
 from offpiste.inspection.driven_path import Path
 from offpiste.inspection.examination import examine
 from offpiste.inspection.findings import Finding, is_fatal, ranked
-from offpiste.inspection.recorded_log import Recorded, RememberedLog, with_joints_of
+from offpiste.inspection.recorded_log import Recorded, RememberedLog, with_fields_of
 from offpiste.inspection.remedies import explain
 from offpiste.inspection.sensors import can_be_checked, check_sensors
 from offpiste.inspection.timing import timing
 from offpiste.logs.log import Log
+from offpiste.progress import track
 from offpiste.rig.channels import Clock
 from offpiste.rig.edits import Edit, edited
 from offpiste.rig.rig import Rig, parse_rig
@@ -122,21 +125,27 @@ def inspect_log(log: Log, rig: Rig | None = None, *, sensors: bool = False) -> I
             topics are checked as recorded, and motion through a rig drafted from names (`draft_rig`).
         sensors: also check the cameras and LiDARs that the rig names; takes up to some minutes.
     """
-    rig = None if rig is None else with_joints_of(log, rig)
+    rig = None if rig is None else with_fields_of(log, rig)
     remembered = RememberedLog(log, rig)
     used_rig, unusable = (rig, []) if rig is not None else _drafted(remembered)
     given = rig is not None
     examined = examine(remembered, used_rig, given=given)
     findings = examined.findings
     if used_rig is not None:
-        findings = explain(findings, used_rig, lambda other: examine(remembered, other, given=given).findings)
+        with closing(track(count(), "trying remedies")) as trials:
+
+            def tried(other: Rig) -> tuple[Finding, ...]:
+                next(trials)
+                return examine(remembered, other, given=given, again=True).findings
+
+            findings = explain(findings, used_rig, tried)
     clock = rig.clock if rig else Clock()
     name, summary = rig.name if rig else "", summarise(examined.recorded, examined.path)
     rows = topic_rows(remembered, examined.recorded, clock)
     findings = (*ranked(unusable), *findings)
     inspection = Inspection(str(log.path), name, summary, rows, findings, tuple(remembered.warnings))
     if used_rig is not None and not given and inspection.cure:  # a draft is read as it will be written
-        as_cured = examine(remembered, edited(used_rig, inspection.cure), given=False)
+        as_cured = examine(remembered, edited(used_rig, inspection.cure), given=False, again=True)
         inspection = replace(inspection, summary=summarise(as_cured.recorded, as_cured.path))
     if sensors and rig is not None and can_be_checked(findings, rig):
         return inspection.with_findings(check_sensors(log, rig, inspection.cure))

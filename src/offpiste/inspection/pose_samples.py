@@ -89,8 +89,11 @@ def check_faults(drive: Drive) -> list[Finding]:
     """Samples of the pose that no vehicle makes, and headings that jump."""
     findings = []
     length = max(float(np.ptp(drive.channels["position"].time)), 1e-9)
+    places = {(run.start, run.end) for run in drive.faults.dropped if run.channel == "position"}
     for name in dict.fromkeys(run.channel for run in drive.faults.dropped):
         runs = [run for run in drive.faults.dropped if run.channel == name]
+        if name != "position" and {(run.start, run.end) for run in runs} <= places:
+            continue  # the place says it
         count, worst = sum(run.last - run.first + 1 for run in runs), max(runs, key=lambda run: run.off)
         unit = "m" if name == "position" else "rad"
         evidence = (

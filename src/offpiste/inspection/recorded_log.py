@@ -155,13 +155,13 @@ def _nearest(lacking: Collection[str], transforms: Sequence[str]) -> set[str]:
     return {near for name in wanted for near in get_close_matches(name, transforms, 3, cutoff=0.0)}
 
 
-def with_joints_of(log: Log, rig: Rig) -> Rig:
-    """The rig with the fields by which this log has the joints that it names; those that it lacks are left."""
+def with_fields_of(log: Log, rig: Rig) -> Rig:
+    """The rig with its fields by their names in this log (`Topic.fields_here`); those that it lacks are left."""
     channels = dict(rig.channels)
     for name, source in channels.items():
         with suppress(LogError):
             if source.topic in log.topics:
-                fields = log.topics[source.topic].by_joints(source.fields, source.joints)
+                fields = log.topics[source.topic].fields_here(source.fields, source.joints)
                 channels[name] = structs.replace(source, fields=fields)
     return structs.replace(rig, channels=channels)
 
@@ -192,18 +192,22 @@ def is_bulk(topic: Topic) -> bool:
     return topic.count == 0 or _BULK.search(topic.type) is not None
 
 
-def read_topics(log: RememberedLog, rig: Rig | None) -> tuple[dict[str, Recorded], list[Finding]]:
+def read_topics(
+    log: RememberedLog, rig: Rig | None, *, again: bool = False
+) -> tuple[dict[str, Recorded], list[Finding]]:
     """Topics with numbers in them, and a finding for each topic or field that cannot be read.
 
     Args:
         rig: says which stamps count, and whether samples are put in their order; parts of topics are read if it
             does, and those in `log.near`.
+        again: whether they were read before, which takes no time that is worth a progress bar.
     """
     clock = rig.clock if rig else Clock()
     stamps, used = clock.stamps, {source.topic for source in rig.channels.values()} if rig else set()
     recorded: dict[str, Recorded] = {}
     findings: list[Finding] = []
-    for name, topic in track(log.topics.items(), "topics", total=len(log.topics)):
+    topics = log.topics.items()
+    for name, topic in topics if again else track(topics, "topics", total=len(topics)):
         fields = log.quantities(topic)
         if not fields or is_bulk(topic) or (topic.part_of and name not in used | log.near):
             continue

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from scipy.ndimage import median_filter
 
 from offpiste.channels import control_of
-from offpiste.inspection.findings import Finding, Severity
+from offpiste.inspection.findings import Finding, Severity, of_one_cause
 from offpiste.inspection.ranges import is_untouched, limits
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.inspection.signal_faults import COUNTED_DEGREES, MAX_SPIKES, degrees_each, find_spikes, find_wrap
@@ -89,8 +89,8 @@ def check_signals(signals: list[Signal], rig: Rig | None) -> list[Finding]:
     """
     findings, dead = _other_than_degrees(signals, rig), list[Signal]()
     counted = {finding.where for finding in findings}
+    findings += of_one_cause([f for signal in signals if signal.where not in counted for f in _not_finite(signal)])
     for signal in signals:
-        findings += [] if signal.where in counted else _not_finite(signal)
         raw = signal.raw[np.abs(np.nan_to_num(signal.raw, nan=np.inf)) <= signal.largest]
         if len(raw) < 10:
             continue

@@ -130,7 +130,7 @@ def read_numbered_channel(
 ) -> tuple[Channel, Int[np.ndarray, " n"], list[str]]:
     """The same as `read_channel`, with the number of each sample in the log, from 0."""
     topic = log.topics.get(source.topic)
-    fields = source.fields if topic is None else topic.by_joints(source.fields, source.joints)
+    fields = source.fields if topic is None else topic.fields_here(source.fields, source.joints)
     samples = log.read(source.topic, fields, stamps=rig.clock.stamps)
     order = np.argsort(samples.time, kind="stable") if rig.clock.sort else np.arange(len(samples.time))
     in_order = Samples(samples.time[order], samples.values[order])

@@ -18,6 +18,7 @@ from offpiste.logs.transforms import Transform, listed
 from offpiste.registry import Registry
 from offpiste.rig.camera import CameraModel
 from offpiste.rig.channels import Clock, topic_in_words
+from offpiste.rig.labels import without_comment
 
 LOG_FORMATS: "Registry[type[Log]]" = Registry("log format", package="offpiste.logs.formats", error=LogError)
 """Log formats by name; `offpiste.logs.open_log` chooses the one that recognises a path."""
@@ -57,14 +58,14 @@ class Topic:
         """What messages call the joint of a field, without what tells velocities and efforts apart."""
         return self.joints[name].removesuffix(JOINT_ARRAYS[name.partition("[")[0]]) if name in self.joints else ""
 
-    def by_joints(self, fields: Sequence[str], joints: Sequence[str]) -> tuple[str, ...]:
-        """Fields of the same arrays that hold these joints here, wherever another log has them.
+    def fields_here(self, fields: Sequence[str], joints: Sequence[str]) -> tuple[str, ...]:
+        """A rig's fields by their names in this log: entries of arrays by joints, columns without a comment's sign.
 
         Raises:
             LogError: the topic has no joint of such a name.
         """
         if not joints or not self.joints:
-            return tuple(fields)
+            return tuple(name if name in self.fields else without_comment(name) for name in fields)
         own = {(one.partition("[")[0], self.joint_of(one)): one for one in reversed(list(self.joints))}
         wanted = [(one.partition("[")[0], joint) for one, joint in zip(fields, joints, strict=True)]
         if missing := [pair for pair in wanted if pair not in own]:
@@ -188,9 +189,8 @@ class Log(ABC):
         """
         result = self._find(topic)
         if result.count == 0:
-            raise LogError(
-                f"{topic_in_words(topic)} is empty", where=self.path, how="declare its channels absent in the rig"
-            )
+            what, how = f"{topic_in_words(topic)} is empty", "declare its channels absent in the rig"
+            raise LogError(what, where=self.path, how=how)
         if missing := [f for f in fields if f not in result.fields]:
             what = f"{topic_in_words(topic)} ({result.type}) has no field '{missing[0]}'"
             what = result.unread.get(missing[0], what)

@@ -94,6 +94,8 @@ _GEARS: Final = {
     for word in words.split()
 }
 """Letters of gears, by what logs call these."""
+_COMMENT: Final = re.compile(r"^ *(#+|//+|%+(?!.*[,;|\t] *%)) *(?=[^\s,;|])")
+"""What makes a header a comment, as numpy.savetxt or `rostopic echo -p` writes it; signs before each name are units."""
 _NAMES: Final = {"rpm"}
 """Units that name a quantity by themselves, and stay a part of its name."""
 _CLOCKS: Final = re.compile("m(illi)?s(ec(ond)?s?)?|u(s(ec)?s?)|ns(ec)?s?|(milli|micro|nano)(s|seconds?)")
@@ -163,6 +165,11 @@ def is_beside_quantity(field: str) -> bool:
 def is_array_entry(field: str) -> bool:
     """Whether a field is an entry of an array, `data[3]`; a bracket with a unit is none."""
     return re.search(r"\[\d+\]$", field) is not None
+
+
+def without_comment(header: str) -> str:
+    """A header, or the name that is its first, without what makes it a comment."""
+    return _COMMENT.sub("", header)
 
 
 def unit_of(text: str) -> str | None:

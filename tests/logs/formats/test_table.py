@@ -7,9 +7,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from factories import small_rig
 from offpiste.errors import LogError
+from offpiste.logs.channel import read_channel
 from offpiste.logs.formats.table import TableLog
 from offpiste.logs.opening import open_log
+from offpiste.rig.channels import ChannelSource
 
 DART = {
     "81_circles_tape_and_tiles/car_1_Datarecording_09_09_2024_17_58_23steer_neg03_ramp.csv": 6998,
@@ -242,7 +245,7 @@ def test_tabs_and_quotes(tmp_path: Path) -> None:
     assert column(log, "x, raw") == [1.5]
 
 
-@pytest.mark.parametrize("comment", ["", "# "])
+@pytest.mark.parametrize("comment", ["", "# ", "% ", "%", "// "])
 @pytest.mark.parametrize("separator", [" ", "\t", ";", ","])
 def test_tables_of_numpy_savetxt(tmp_path: Path, separator: str, comment: str) -> None:
     rows = np.column_stack((0.02 * np.arange(20), np.random.default_rng(0).normal(size=(20, 2))))
@@ -268,6 +271,31 @@ def test_a_trajectory_in_the_format_of_tum(tmp_path: Path, name: str) -> None:
     log = open_log(tmp_path / name)
     assert log.topics[""].fields == ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
     assert column(log, "tx") == list(range(12))
+
+
+def test_signs_of_percent_before_several_names_are_units(tmp_path: Path) -> None:
+    assert table(tmp_path, "% throttle,% brake,t\n1,2,0\n3,4,1\n").topics[""].fields[0] == "% throttle"
+
+
+@pytest.mark.parametrize("name", ["x", "#x", "# x"])
+def test_a_rig_may_name_a_field_with_the_sign_that_made_its_header_a_comment(tmp_path: Path, name: str) -> None:
+    log = table(tmp_path, "#x,t\n5,0\n6,1\n")
+    assert read_channel(log, small_rig(), "throttle", ChannelSource(fields=(name,)))[0].values.tolist() == [[5], [6]]
+
+
+@pytest.mark.parametrize("header", ["date time x y", "# date time x y", "time x y"])
+def test_a_stamp_with_a_space_in_it_among_columns_separated_by_spaces(tmp_path: Path, header: str) -> None:
+    rows = [
+        "2024-05-03 23:59:59.5  1 2",
+        "2024-05-04 00:00:00.5 3  4",
+        "2024-05-05 00:00:00 5 6",
+        "2024-05-05 00:00:01 7",
+    ]
+    log = table(tmp_path, "\n".join((header, *rows)))
+    assert log.topics[""].fields == ("x", "y")
+    samples = log.read("", ["x", "y"])
+    assert np.diff(samples.time).tolist() == [1.0, 86_399.5]
+    np.testing.assert_array_equal(samples.values, [[1, 2], [3, 4], [5, 6]])
 
 
 def test_empty_lines_in_a_table_separated_by_spaces_are_no_rows(tmp_path: Path) -> None:
@@ -348,8 +376,8 @@ def test_parquet_without_numbers(tmp_path: Path) -> None:
 
 def test_parquet_without_rows(tmp_path: Path) -> None:
     pq.write_table(pa.table({"t": pa.array([], pa.float64())}), tmp_path / "a.parquet")
-    with pytest.raises(LogError, match="the table is empty"):
-        TableLog(tmp_path / "a.parquet").read("", ["t"])
+    with pytest.raises(LogError, match=r"a\.parquet: the table has no rows; record or export it again"):
+        TableLog(tmp_path / "a.parquet")
 
 
 def test_damaged_parquet(tmp_path: Path) -> None:

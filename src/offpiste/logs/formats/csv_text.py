@@ -14,14 +14,16 @@ import pyarrow.csv as pa_csv
 from jaxtyping import Float
 
 from offpiste.errors import LogError
-from offpiste.rig.labels import gear_letter, unit_of
+from offpiste.rig.labels import gear_letter, unit_of, without_comment
 
 _TEXT_BOOLEANS = {"true": 1.0, "false": 0.0}
 _MOST_PREAMBLE, _ROWS_BELOW = 64, 8
 """Lines before the header, at most; and rows below it by which it is known."""
 _SEPARATORS = ",;\t|"
-_COMMENT = re.compile(r"^ *#+ *(?=[^\s,;|])")
-"""What makes a header a comment, as numpy.savetxt writes it."""
+_DATE_AND_TIME: Final = re.compile(
+    r"(?<!\S)(\d{4}[-/.]\d\d?[-/.]\d\d?|\d\d?[-/.]\d\d?[-/.]\d{4}) +(\d\d?:\d\d:\d\d[.\d]*)(?!\S)"
+)
+"""A stamp that is one cell although it has a space in it."""
 _EXAMPLES = {
     5: ("t", "x", "y", "yaw", "steer"),
     8: ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw"),
@@ -66,11 +68,6 @@ def clock_times(cells: pa.ChunkedArray) -> Float[np.ndarray, " n"] | None:
         known = np.isfinite(times)
         times[known] = np.unwrap(times[known], period=_DAY)
     return times
-
-
-def without_comment(header: str) -> str:
-    """A header, or the name that is its first, without what makes it a comment."""
-    return _COMMENT.sub("", header)
 
 
 def number_of(cell: str) -> float | None:
@@ -138,13 +135,12 @@ def read_csv(path: Path, notes: list[str], units: dict[str, str]) -> pa.Table:
         how = f"write the names of the columns into the first line, such as {delimiter.join(example)}"
         raise LogError(f"no header line above {len(names)} columns of numbers", where=path, how=how)
     if spaces:
-        names = _as_many_as_cells(names, header, rows[0].split(), path)
+        names = _as_many_as_cells(names, header, rows[0], path)
     check_columns(path, names)
     units |= _row_of_units(names, next(csv.reader(rows[:1], delimiter=delimiter), []))
     skipped = above + (2 if units else 1)
     try:
-        text = path.read_bytes() if spaces else b""
-        text = b"\n".join(b" ".join(line.split()) for line in text.splitlines() if line.strip())
+        text = _in_one_space(path.read_bytes()) if spaces else b""
         table = pa_csv.read_csv(
             io.BytesIO(text) if spaces else path,
             read_options=pa_csv.ReadOptions(use_threads=False, column_names=names, skip_rows=skipped),
@@ -178,10 +174,10 @@ def _row_of_units(names: Sequence[str], cells: Sequence[str]) -> dict[str, str]:
 
 
 def _are_numbers(line: str, separators: str) -> bool:
-    """Whether a line holds several cells between any of these separators, most of them numbers."""
+    """Whether a line holds several cells between any of these separators, most but a stamp numbers."""
     if any(other in line for other in _SEPARATORS if other not in separators):
         return False
-    cells = re.split(f"[{re.escape(separators)}]+", line.strip())
+    cells = re.split(f"[{re.escape(separators)}]+", _DATE_AND_TIME.sub("0", line.strip()))
     return len(cells) > 1 and 2 * sum(number_of(cell) is not None for cell in cells) > len(cells)
 
 
@@ -193,12 +189,24 @@ def has_numbers(path: Path) -> bool:
         return False
 
 
-def _as_many_as_cells(names: list[str], header: str, cells: Sequence[str], path: Path) -> list[str]:
+def _in_one_space(text: bytes) -> bytes:
+    """A text separated by spaces, with one between cells and none within stamps."""
+    lines = (" ".join(line.split()) for line in text.decode("utf-8", "surrogateescape").split("\n"))
+    return "\n".join(_DATE_AND_TIME.sub(r"\1T\2", line) for line in lines if line).encode("utf-8", "surrogateescape")
+
+
+def _as_many_as_cells(names: list[str], header: str, row: str, path: Path) -> list[str]:
     """Names above a table separated by spaces, which may themselves be separated by something else.
+
+    Two names above the date and the time of a stamp become one.
 
     Raises:
         LogError: there are more or fewer than cells below.
     """
+    cells, parts = _DATE_AND_TIME.sub(r"\1T\2", row).split(), row.split()
+    if len(names) == len(parts) == len(cells) + 1:
+        at = next(at for at, (cell, part) in enumerate(zip(cells, parts, strict=False)) if cell != part)
+        return [*names[:at], " ".join(names[at : at + 2]), *names[at + 2 :]]
     others = [name.strip() for name in re.split(f"[{_SEPARATORS}]", header)]
     if len(others) == len(cells):
         return others

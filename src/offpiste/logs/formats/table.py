@@ -21,11 +21,10 @@ from offpiste.logs.formats.csv_text import (
     number_of,
     read_csv,
     unknown_words,
-    without_comment,
 )
 from offpiste.logs.log import LOG_FORMATS, Log, Samples, Topic
 from offpiste.rig.channels import Clock
-from offpiste.rig.labels import SECONDS, parse_label, time_unit, unit_by_rate
+from offpiste.rig.labels import SECONDS, parse_label, time_unit, unit_by_rate, without_comment
 
 _TIME_NAME = re.compile(
     r"^(t|secs?|seconds?|stamp)(?![a-z])|time|zeit|(?<![a-z])(i?tow|epoch|unix)(?![a-z])"
@@ -40,10 +39,10 @@ _EVENLY = 0.2
 class TableLog(Log):
     """A table with one topic, named "", whose fields are the columns of numbers, booleans and, in Parquet, dates [s].
 
-    The separator of a CSV (comma, semicolon, tab, bar, spaces) is guessed, and its header may be a comment (`# t x y`).
-    Empty cells are NaN; a cell that is no number in a column of numbers is an error once that column is read. Text is
-    not a field, but dates and times of the day can be stamps, and letters or words of gears are character codes (P, R,
-    N, D). A row of units below the header is read as such.
+    The separator of a CSV (comma, semicolon, tab, bar, spaces) is guessed, and its header may be a comment (`# t x`,
+    `% t x`, `// t x`). Empty cells are NaN; a cell that is no number in a column of numbers is an error once that
+    column is read. Text is not a field, but dates and times of the day can be stamps, and letters or words of gears
+    are character codes (P, R, N, D). A row of units below the header is read as such.
 
     Args:
         path: text, or `.parquet`.
@@ -292,6 +291,8 @@ def _read_parquet(path: Path) -> pa.Table:
     except (pa.ArrowException, OSError) as error:
         raise LogError(f"not a readable Parquet file: {error}", where=path, how="export it again") from error
     check_columns(path, columns)
+    if not table.num_rows:
+        raise LogError("the table has no rows", where=path, how="record or export it again")
     texts = {
         n: column.cast(pa.string()) for n, column in zip(columns, table.columns, strict=True) if _is_text(column.type)
     }
