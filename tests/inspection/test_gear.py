@@ -10,11 +10,15 @@ from factories import MemoryLog as Plain
 from offpiste.inspection import gear
 from offpiste.inspection.course import check_course
 from offpiste.inspection.draft_channels import draft_channels
+from offpiste.inspection.draft_rig import draft_rig
 from offpiste.inspection.driven_path import Path, driven_path
 from offpiste.inspection.gear import check_gear
+from offpiste.inspection.inspect import inspect_log
 from offpiste.inspection.recorded_log import Recorded, RememberedLog, read_topics
 from offpiste.logs.drive import Drive, drive_from_log
-from offpiste.rig.edits import edited
+from offpiste.logs.opening import open_log
+from offpiste.rig.edits import Edit, edited
+from offpiste.rig.rig import parse_rig
 
 FORWARD = drive_log(seconds=60)
 GEAR = ("[channels.throttle]", '[channels.gear]\ntopic = "box"\nfields = ["selected"]\n[channels.throttle]')
@@ -117,3 +121,75 @@ def test_first_rigs_have_the_gear(field: str, recorded: tuple[float, ...], line:
     entry = draft_channels(log, "body")["gear"]
     assert entry.guess.fields == (field,)
     assert entry.lines == ((line,) if line else ())
+
+
+def _one_pedal(path, *, reverses: bool, full: float = 1.0, rest: float = 0.0):
+    """A table of a vehicle with one signed pedal: below zero it drives backwards, or brakes while it rolls back."""
+    time = np.arange(0, 120, 0.02)
+    wanted = 3 * np.sin(0.25 * time) + 1.5
+    steering, slope = 0.3 * np.sin(0.37 * time), -0.12  # downhill where it goes backwards
+    x, y, yaw, speed, rows = 0.0, 0.0, 0.3, 0.0, []
+    for t, want, steer in zip(time, wanted, steering, strict=True):
+        if reverses:
+            pedal = np.clip(0.5 * (want - speed) + 0.1 * want, -0.6, 1.0)
+            force = 5 * pedal
+        else:
+            pedal = np.clip(0.8 * (want - speed), -1.0, 1.0) if want > 0 else -0.1 - 0.4 * np.clip(-speed - 0.5, 0, 1)
+            force = 5 * pedal if pedal > 0 else 9.81 * slope * (want < 0) - 6 * abs(pedal) * np.sign(speed)
+        rows.append((t, x, y, yaw, steer, rest + full * pedal))
+        speed += 0.02 * (force - 0.4 * speed)
+        yaw += 0.02 * speed * np.tan(0.5 * steer) / 2
+        x, y = x + 0.02 * speed * np.cos(yaw), y + 0.02 * speed * np.sin(yaw)
+    np.savetxt(path, rows, delimiter=",", header="t,x,y,yaw,steering,throttle", comments="", fmt="%.6f")
+    return open_log(path)
+
+
+@pytest.mark.parametrize(
+    ("full", "rest", "gear"),
+    [
+        (1.0, 0.0, ("scale = 25.0",)),
+        (100.0, 0.0, ("scale = 0.25",)),
+        (500.0, 1500.0, ("scale = 0.05", "offset = -75.0")),
+    ],
+)
+def test_first_rigs_have_a_gear_where_one_pedal_drives_both_ways(tmp_path, full, rest, gear) -> None:
+    log = _one_pedal(tmp_path / "drive.csv", reverses=True, full=full, rest=rest)
+    drafted = parse_rig(draft_rig(log), where="test")
+    assert "brake" not in drafted.channels
+    assert drafted.channels["throttle"].absolute
+    assert drafted.channels["gear"].fields == ("throttle",)
+    assert all(line in draft_rig(log) for line in gear)
+    drive = drive_from_log(log, drafted)
+    gears, speed = drive.channels["gear"].values[:, 0], driven_path(drive).forward
+    assert {*np.unique(gears)} == {-1.0, 0.0, 1.0}
+    assert speed.min() < -0.5
+    assert 0.4 < drive.channels["throttle"].values.max() <= 1
+    assert check_gear(drive, driven_path(drive), read_topics(RememberedLog(log), None)[0]) == []
+
+
+def test_a_reverse_that_a_rig_reads_as_the_brake_is_found_with_the_edits_that_make_it_the_gear(tmp_path) -> None:
+    log = _one_pedal(tmp_path / "drive.csv", reverses=True)
+    given = edited(
+        parse_rig(draft_rig(log), where="test"),
+        (
+            Edit("channels.throttle.absolute", False),
+            Edit("channels.gear", None),
+            Edit("channels.brake", {"fields": ["throttle"], "sign": -1, "clip": [0.0, 1.0]}),
+            Edit("absent", ["brake_pressure", "steer_angle", "steer_rate", "engine_rpm"]),
+        ),
+    )
+    found = {(f.where, f.what): f for f in inspect_log(log, given).findings}
+    finding = found["brake", "is reverse, and no brake"]
+    assert not any(what == "acts the wrong way" for _, what in found)
+    cured = edited(given, finding.cures[0])
+    assert cured.channels["gear"].scale == 25.0
+    assert "brake" in cured.absent
+    assert not {"brake", "gear", "throttle"} & {f.where for f in inspect_log(log, cured).findings}
+
+
+def test_a_brake_below_zero_stays_one_where_the_vehicle_rolls_back(tmp_path) -> None:
+    log = _one_pedal(tmp_path / "drive.csv", reverses=False)
+    drafted = parse_rig(draft_rig(log), where="test")
+    assert driven_path(drive_from_log(log, drafted)).forward.min() < -0.5
+    assert drafted.channels["brake"].sign == -1
+    assert "gear" not in drafted.channels

@@ -164,6 +164,17 @@ def test_a_world_of_north_east_down_that_is_read_as_up_is_said_to_be() -> None:
     assert edited(up, finding.cures[0]) == rig
 
 
+@pytest.mark.parametrize(
+    ("prefix", "down"),
+    [("vehicle_local_position.", True), ("vehicle_odometry_0/position/", True), ("vehicle_odometry/pose/pose/", False),
+     ("positionNED.", True), ("planned_position.", False)],
+)  # fmt: skip
+def test_a_pose_of_px4_or_one_that_is_named_so_points_down(prefix: str, down: bool) -> None:
+    columns = {f"{prefix}{axis}": of for axis, of in zip("xyz", ("y", "x", "z"), strict=True)}
+    text = draft_rig(table(columns | {"heading": "azimuth in rad"} | PEDALS))
+    assert (parse_rig(text, where="draft").motion.axes == "ned") == down
+
+
 def test_a_course_over_ground_is_said_to_be_no_heading() -> None:
     columns = {"x": "x", "y": "y", "cog": "azimuth in rad"} | PEDALS
     log = table(columns)

@@ -13,7 +13,7 @@ from offpiste.inspection.dropouts import check_dropouts
 from offpiste.inspection.dropped import check_dropped
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.frozen import check_frozen
-from offpiste.inspection.gear import check_gear
+from offpiste.inspection.gear import check_gear, pedal_reverses
 from offpiste.inspection.heading_drift import check_heading_drift, check_heading_noise
 from offpiste.inspection.lags import LagFit
 from offpiste.inspection.late_poses import check_late_poses
@@ -226,7 +226,9 @@ def _steering_copies(motion: Motion) -> list[Finding]:
 
 
 def _pedals(motion: Motion) -> list[Finding]:
-    return check_pedals(motion.pedals, motion.drive, motion.path)
+    reverses = pedal_reverses(motion.drive, motion.path)  # what is below zero is no brake, whose effect is sought
+    fits = {name: fit for name, fit in motion.pedals.items() if not (reverses and name == "brake")}
+    return check_pedals(fits, motion.drive, motion.path)
 
 
 def _lost_throttle(motion: Motion) -> list[Finding]:

@@ -62,6 +62,7 @@ def draft_channels(
     *,
     plain: bool = False,
     max_steer: float = 0.0,
+    backwards: bool = False,
 ) -> dict[str, Entry]:
     """Entries by channel, the pose's first.
 
@@ -71,6 +72,7 @@ def draft_channels(
         straight: recorded steering at which the vehicle goes straight, where the motion shows it.
         plain: whether what is named a speed and a turn rate is the throttle and the steering itself.
         max_steer: of the road wheels at a steering command of 1 [rad], where the motion shows it; else 0.
+        backwards: whether the side below zero of a pedal drives backwards.
     """
     guesses = [_as_it_is(guess) if plain else guess for guess in guess_channels(log)]
     entries = draft_pose(log, guesses, frame)
@@ -103,7 +105,7 @@ def draft_channels(
         # A position beside no command is the steering, of any unit; that of a joint is an angle.
         scalars["steer"] = (guess if is_array_entry(guess.fields[0]) else replace(guess, channel="steer")), numbers
     others = {name: _scalar(name, *scalar) for name, scalar in scalars.items() if name not in ("steer", "steer_angle")}
-    entries |= others | signed_pedal(scalars) | _steering(scalars, straight, max_steer)
+    entries |= others | signed_pedal(scalars, backwards=backwards) | _steering(scalars, straight, max_steer)
     for channel, (guess, correlation) in found.items():
         if channel in entries and entries[channel].guess is guess:
             follows = f"by its numbers: the motion follows it ({correlation:.2f})"

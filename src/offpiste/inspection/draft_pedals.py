@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from offpiste.inspection.channel_guesses import MOTION, Guess
 from offpiste.inspection.draft_pose import Entry, unit_line
+from offpiste.inspection.gear import DEAD_BAND
 from offpiste.inspection.signal_faults import find_wrap
 from offpiste.inspection.usual_ranges import (
     FULL_PULSE,
@@ -58,22 +59,28 @@ def pedal_lines(channel: str, guess: Guess, values: Float[np.ndarray, " n"]) -> 
     return [*lines, "clip = [0.0, 1.0]"], comment
 
 
-def signed_pedal(scalars: Scalars) -> dict[str, Entry]:
-    """Throttle and brake where one column holds both, the brake below zero; nothing where it does not."""
+def signed_pedal(scalars: Scalars, *, backwards: bool = False) -> dict[str, Entry]:
+    """Throttle and brake where one column holds both, the brake below zero; nothing where it does not.
+
+    Args:
+        backwards: what is below zero drives the vehicle backwards: throttle and gear.
+    """
     if "throttle" not in scalars or scalars["throttle"][0].rank == MOTION:
         return {}
     guess, values = scalars["throttle"]
     if are_pulses(values, named=are_named_pulses(guess)):
-        return _pulsed_pedal(guess, values, alone="brake" not in scalars)
+        return _pulsed_pedal(guess, values, alone="brake" not in scalars, backwards=backwards)
     if find_wrap(values) is not None or not is_signed(values) or ("brake" in scalars and rests_high(values)):
         return {}
     low, high = held_range(values)
     largest = max(-low, high)
-    scaled = unit_line("throttle", guess) if largest > 1.05 else ()
+    scaled, full = unit_line("throttle", guess) if largest > 1.05 else (), 1.0
     if not scaled and largest > 1.05:
-        full = full_scale(largest)
-        scaled = ('unit = "percent"',) if full == 100 else (f"scale = {number(1 / (full or largest))}",)
+        full = full_scale(largest) or largest
+        scaled = ('unit = "percent"',) if full == 100 else (f"scale = {number(1 / full)}",)
     comment = f"GUESSED by its name and numbers, {low:.4g}..{high:.4g}: "
+    if backwards and "gear" not in scalars:
+        return _both_ways(guess, scaled, comment, 100.0 if scaled == ('unit = "percent"',) else full)
     entries = {"throttle": Entry(guess, (*scaled, "clip = [0.0, 1.0]"), comment + "what is above zero")}
     if "brake" not in scalars:
         lines = (*scaled, "sign = -1", "clip = [0.0, 1.0]")
@@ -81,8 +88,23 @@ def signed_pedal(scalars: Scalars) -> dict[str, Entry]:
     return entries
 
 
-def _pulsed_pedal(guess: Guess, values: Float[np.ndarray, " n"], *, alone: bool) -> dict[str, Entry]:
-    """Throttle, and brake where nothing else is one, of a speed controller's pulses [us]."""
+def _both_ways(guess: Guess, lines: tuple[str, ...], comment: str, full: float, rest: float = 0.0) -> dict[str, Entry]:
+    """Throttle and gear of a pedal that drives the vehicle backwards below its rest.
+
+    Args:
+        lines: scale of the throttle.
+        full: size of a full throttle, as recorded.
+        rest: of the released pedal, as recorded.
+    """
+    scale = 0.5 / DEAD_BAND / full
+    offset = (f"offset = {number(-rest * scale)}",) if rest else ()
+    throttle = Entry(guess, (*lines, "absolute = true", "clip = [0.0, 1.0]"), f"{comment}its size")
+    way = Entry(guess, (f"scale = {number(scale)}", *offset), f"{comment}what is below {rest:g} drives backwards")
+    return {"throttle": throttle, "gear": way}
+
+
+def _pulsed_pedal(guess: Guess, values: Float[np.ndarray, " n"], *, alone: bool, backwards: bool) -> dict[str, Entry]:
+    """Throttle, and brake or gear where nothing else is one, of a speed controller's pulses [us]."""
     rest = pulse_at_rest(values)
     low, high = held_range(values)
     whole = FULL_PULSE - rest
@@ -90,6 +112,8 @@ def _pulsed_pedal(guess: Guess, values: Float[np.ndarray, " n"], *, alone: bool)
     lines = (f"scale = {number(1 / whole)}", f"offset = {number(-rest / whole)}")
     words = f"GUESSED by its name and numbers: pulses, released at {rest:g}, {low:.4g}..{high:.4g} seen: "
     words += f"is full throttle {FULL_PULSE:g}?"
+    if alone and both and backwards:
+        return _both_ways(guess, lines, f"{words}; ", whole, rest)
     entries = {"throttle": Entry(guess, (*lines, "clip = [0.0, 1.0]"), words)}
     if alone and both:
         entries["brake"] = Entry(guess, (*lines, "sign = -1", "clip = [0.0, 1.0]"), words + "; what is below it brakes")

@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from offpiste.errors import LogError, OffpisteError
 from offpiste.geometry import rotation_from_quaternion
-from offpiste.inspection.channel_guesses import Guess, by_topic, guess_channels, inverse_pose, of_one_vehicle
+from offpiste.inspection.channel_guesses import DOWN, Guess, by_topic, guess_channels, inverse_pose, of_one_vehicle
 from offpiste.inspection.commanded_motion import COMMANDED
 from offpiste.inspection.course import check_course
 from offpiste.inspection.driven_path import driven_path
@@ -29,6 +29,11 @@ from offpiste.rig.rig import Rig
 _POSE: Final = ("position", "orientation", "yaw", "linear_velocity", "angular_velocity")
 _LAST: Final = re.compile(r"wheel|controller|ecef", re.IGNORECASE)
 """Names of topics with the odometry of wheels, or in the earth's own frame, whose z is not up."""
+_NED: Final = re.compile(
+    r"(?<![a-zA-Z])ned(?![a-z])|NED(?![a-z])|vehicle_local_position"
+    r"|vehicle_odometry(_\d)?([./](position|q|[xyz])\b|\.csv)"
+)
+"""Names of poses of north, east, down: those that say so, and PX4's."""
 _RATES: Final = {"angular_velocity", "yaw_rate"}
 
 
@@ -169,6 +174,13 @@ def _w_comes_first(guess: Guess, values: Float[np.ndarray, "n 4"]) -> bool:
 
 def _varies(values: Float[np.ndarray, "n k"] | None) -> bool:
     return values is not None and bool(np.ptp(values, axis=0).max() > 0)
+
+
+def points_down(log: Log, pose: Guess) -> bool:
+    """Whether a position is one of north, east, down, by its names or the type of its messages."""
+    names = pose.topic or log.path.name, *pose.fields
+    named = any(map(_NED.search, names)) or any(map(named_down, pose.fields))
+    return named or log.topics[pose.topic].type.startswith(DOWN)
 
 
 def pose_cure(log: Log, rig: Rig) -> Cure:

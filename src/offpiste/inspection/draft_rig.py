@@ -4,6 +4,7 @@ import json
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from textwrap import wrap
 
@@ -12,11 +13,11 @@ from msgspec import structs
 
 from offpiste.errors import OffpisteError, RigError
 from offpiste.files import write_text
-from offpiste.inspection.channel_guesses import DOWN, guess_channels
+from offpiste.inspection.channel_guesses import guess_channels
 from offpiste.inspection.commanded_motion import is_turn_rate
 from offpiste.inspection.controls_by_numbers import find_controls, is_measured
 from offpiste.inspection.draft_channels import Found, draft_channels, of_other_vehicles
-from offpiste.inspection.draft_pose import Entry, field_values, no_pose, pose_cure
+from offpiste.inspection.draft_pose import Entry, field_values, no_pose, points_down, pose_cure
 from offpiste.inspection.draft_sensors import draft_sensors
 from offpiste.inspection.draft_values import (
     GUESSED,
@@ -30,6 +31,7 @@ from offpiste.inspection.draft_values import (
     wheels_of,
 )
 from offpiste.inspection.driven_path import driven_path
+from offpiste.inspection.gear import reverses_by_pedal
 from offpiste.inspection.recorded_log import is_bulk
 from offpiste.inspection.steering_scale import MAX_STEERS
 from offpiste.inspection.velocity import fit_frames
@@ -38,7 +40,7 @@ from offpiste.logs.drive import drive_from_log
 from offpiste.logs.log import Log
 from offpiste.rig.channels import ANGLES, ChannelSource, Clock, undeclared
 from offpiste.rig.edits import edited
-from offpiste.rig.labels import is_array_entry, named_down
+from offpiste.rig.labels import is_array_entry
 from offpiste.rig.rig import Rig, parse_rig
 
 _NO_STEERING = (
@@ -66,7 +68,6 @@ wheel_positions = {wheels}
 """
 _MAX_STEER = 0.5
 """Where no angle says what it is [rad]."""
-_NED = re.compile(r"(?<![a-z])ned(?![a-z])", re.IGNORECASE)
 _COVARIANCE = re.compile(r"covariance")
 _LISTED = 60
 """How many fields of a topic are listed."""
@@ -85,6 +86,7 @@ class _Seen:
         straight: recorded steering at which the vehicle goes straight; None where its middle is no guess.
         plain: whether what is named a speed and a turn rate is the throttle and the steering itself.
         heading: unit of a yaw, where the course shows another than its size, as of one that is never wrapped.
+        backwards: whether the side below zero of a pedal drives backwards.
     """
 
     frame: str = "unknown"
@@ -95,6 +97,7 @@ class _Seen:
     straight: float | None = None
     plain: bool = False
     heading: str = ""
+    backwards: bool = False
 
 
 def write_rig(text: str, path: Path) -> None:
@@ -142,7 +145,8 @@ def draft_rig(log: Log) -> str:
         wheelbase, assumed = rig.vehicle.wheelbase * float(np.tan(_MAX_STEER) / np.tan(max_steer)), True
         max_steer = _MAX_STEER
     heading = next((str(edit.value) for edit in posed if edit.key == "channels.yaw.unit"), "")
-    seen = _Seen(frame, wheelbase, max_steer, assumed, found, steering_straight(log, rig), plain, heading)
+    straight, backwards = steering_straight(log, rig), reverses_by_pedal(log, rig)
+    seen = _Seen(frame, wheelbase, max_steer, assumed, found, straight, plain, heading, backwards)
     return text if seen == _Seen() else _text(log, seen)
 
 
@@ -160,7 +164,8 @@ def _is_plain(log: Log, rig: Rig) -> bool:
 
 
 def _text(log: Log, seen: _Seen) -> str:
-    entries = draft_channels(log, seen.frame, seen.found, seen.straight, plain=seen.plain, max_steer=seen.max_steer)
+    drafted = partial(draft_channels, plain=seen.plain, max_steer=seen.max_steer, backwards=seen.backwards)
+    entries = drafted(log, seen.frame, seen.found, seen.straight)
     if not {"position"} <= set(entries) or not {"orientation", "yaw"} & set(entries):
         raise no_pose(log)
     if seen.heading and not entries["yaw"].guess.unit and "scale" not in str(entries["yaw"].lines):
@@ -182,9 +187,7 @@ def _text(log: Log, seen: _Seen) -> str:
             *_named_joints(log, entry),
             "",
         ]
-    pose = entries["position"].guess
-    says_so = any(_NED.search(name) for name in (pose.topic, *pose.fields)) or any(map(named_down, pose.fields))
-    if log.topics[pose.topic].type.startswith(DOWN) or says_so:
+    if points_down(log, entries["position"].guess):
         parts += ["[motion]  # GUESSED by the pose's name, or the type of its messages", 'axes = "ned"', ""]
     parts += _clock(log) + _unread(log, entries)
     return "\n".join([*parts, draft_sensors(log, entries["position"].guess.topic)])

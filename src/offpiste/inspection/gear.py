@@ -2,18 +2,22 @@
 
 import re
 from collections.abc import Mapping
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from jaxtyping import Bool, Float
 
+from offpiste.errors import OffpisteError
 from offpiste.inspection.channel_guesses import Guess
-from offpiste.inspection.driven_path import MOVING, STEP, Path
+from offpiste.inspection.driven_path import MOVING, STEP, Path, driven_path
 from offpiste.inspection.findings import Finding
-from offpiste.inspection.lags import sampled
+from offpiste.inspection.lags import LAGS, SURE, fit_lags, lagged, sampled
 from offpiste.inspection.recorded_log import Recorded
-from offpiste.logs.drive import Drive
-from offpiste.rig.edits import Edit
+from offpiste.logs.drive import Drive, drive_from_log
+from offpiste.logs.log import Log
+from offpiste.rig.channels import unit_factor
+from offpiste.rig.edits import Edit, absent, rounded
+from offpiste.rig.rig import Rig
 
 _LASTS: Final = 2.0
 """Shortest stretch of reversing that is reported [s]: rolling back before driving off is shorter."""
@@ -31,6 +35,14 @@ _REVERSE: Final = re.compile(r"reverse", re.IGNORECASE)
 _SELECTOR: Final = re.compile(r"prnd", re.IGNORECASE)
 _LETTERS: Final = {"P": 0, "R": -1, "N": 0, "D": 1}
 """Positions of a selector, in its order, and the gear of each."""
+_BACKWARDS: Final = 0.2
+"""Share of the driving backwards for which a pedal that reverses the vehicle is below zero, at least."""
+_DRIVES: Final = -0.3
+"""Correlation of acceleration and pedal, with speed and slope taken out, below which it drives backwards."""
+_OWN_DELAY: Final = (0.0, 0.8)
+"""Delays of the acceleration behind the pedal that are the vehicle's own [s]."""
+DEAD_BAND: Final = 0.02
+"""Size of a pedal whose sign is the direction, from which it counts."""
 _CODES: Final = frozenset(map(float, range(ord("A"), ord("Z") + 1)))
 """Character codes of letters."""
 
@@ -56,12 +68,14 @@ def gear_values(guess: Guess, values: Float[np.ndarray, " n"]) -> tuple[str, ...
 def check_gear(drive: Drive, path: Path, recorded: Mapping[str, Recorded]) -> list[Finding]:
     """A note if the vehicle reverses and the rig has no gear; a warning if the gear is another than the motion's."""
     if "gear" not in drive.channels:
-        return _hidden_reverse(drive, path)
+        return [_reverse_pedal(drive.rig)] if pedal_reverses(drive, path) else _hidden_reverse(drive, path)
     moving = _moving(path)
     gear = drive.channels["gear"].hold(path.time, max_gap=drive.rig.clock.max_gap)[:, 0]
     with np.errstate(invalid="ignore"):
         driven_back = (gear == 0) & (path.forward < 0) & _pressed(drive, path)
         against = moving & ((gear * path.forward < 0) | driven_back)
+        if _share_a_field(drive.rig, "throttle", "gear"):  # such a pedal against the motion brakes
+            against &= gear * path.acceleration < 0
     share = float(against.sum() / max(moving.sum(), 1))
     raw = _raw(drive, path, recorded)
     if against.sum() * STEP < _LEAST_AGAINST or (share < _SHARE and not _one_is_wrong(raw, against, moving)):
@@ -70,6 +84,55 @@ def check_gear(drive: Drive, path: Path, recorded: Mapping[str, Recorded]) -> li
     evidence = f"the vehicle moves against it for {against.sum() * STEP:.1f} s, {share:.0%} of its motion"
     how = ", ".join(map(str, cure)) or "give `values` for what is recorded, or leave the channel out"
     return [Finding("warning", "gear", "does not go with the motion", evidence, how, share, (cure,) if cure else ())]
+
+
+def pedal_reverses(drive: Drive, path: Path) -> bool:
+    """Whether the brake is the side below zero of the throttle's field, and drives the vehicle backwards."""
+    if not _share_a_field(drive.rig, "throttle", "brake") or not {"throttle", "brake"} <= set(drive.channels):
+        return False
+    moving = _moving(path)
+    with np.errstate(invalid="ignore"):
+        backwards = moving & (path.forward < 0)
+        below = backwards & (sampled(drive.channels["brake"], path.time, drive.rig) > DEAD_BAND)
+    seconds = STEP * below.sum()
+    # A vehicle that moves backwards most of the time has a heading that is turned.
+    if seconds < _LASTS or below.sum() < _BACKWARDS * backwards.sum() or backwards.sum() > 0.5 * moving.sum():
+        return False
+    base = np.stack([np.ones(len(path.time)), path.forward, path.slope], axis=1)
+    fit = fit_lags(path.acceleration, base, lagged(drive.channels["brake"], path.time, drive.rig), LAGS, backwards)
+    if fit is None:
+        return False
+    best = fit.best(*_OWN_DELAY)
+    return float(fit.r[best]) < min(_DRIVES, -SURE * fit.r_sigma(best))
+
+
+def reverses_by_pedal(log: Log, rig: Rig) -> bool:
+    """Whether the brake of a rig is reverse (`pedal_reverses`), as a log shows it."""
+    if not _share_a_field(rig, "throttle", "brake"):
+        return False
+    try:
+        return pedal_reverses(drive := drive_from_log(log, rig), driven_path(drive))
+    except OffpisteError:
+        return False
+
+
+def _share_a_field(rig: Rig, *channels: str) -> bool:
+    """Whether channels of a rig read one field."""
+    sources = [rig.channels.get(name) for name in channels]
+    return all(sources) and len({(source.topic, source.fields) for source in sources if source}) == 1
+
+
+def _reverse_pedal(rig: Rig) -> Finding:
+    """The finding that what is read as the brake is reverse, and the edits that make it throttle and gear."""
+    source = rig.channels["throttle"]
+    full = unit_factor("throttle", source.unit) / (2 * DEAD_BAND)
+    gear: dict[str, Any] = {"topic": source.topic, "fields": list(source.fields), "scale": rounded(full * source.scale)}
+    gear |= {"offset": rounded(full * source.offset)} if source.offset else {}
+    gear |= {"sign": -1} if source.sign < 0 else {}
+    cure = (Edit("channels.throttle.absolute", True), Edit("channels.gear", gear), *absent("brake", rig))
+    how = ", ".join(map(str, cure))
+    evidence = f"below zero '{source.fields[0]}' drives the vehicle backwards, and does not brake it"
+    return Finding("warning", "brake", "is reverse, and no brake", evidence, how, 1.0, (cure,))
 
 
 def _hidden_reverse(drive: Drive, path: Path) -> list[Finding]:
