@@ -270,3 +270,16 @@ def test_a_control_that_is_still_but_for_a_sample_ends_in_findings(name: str, id
     columns[name] = np.where(np.arange(len(TIME)) == 0, other, idle)
     log = MemoryLog({"": (TIME, columns)})
     assert inspect_log(log, parse_rig(draft_rig(log), where="draft")).findings
+
+
+@pytest.mark.parametrize("shown", ["minutes", "degrees and minutes"])
+def test_places_that_are_no_degrees_are_said_so_once(shown: str) -> None:
+    """Minutes of arc, as in .vbo files, and ddmm.mmmm, as in sentences of NMEA."""
+    columns, _ = FAMILIES["radians"]
+    values = {name: (MORE | QUANTITIES)[of] for name, of in columns.items()}
+    for name in ("latitude", "longitude"):
+        degrees = QUANTITIES[name]
+        values[name] = 60 * degrees if shown == "minutes" else 100 * np.floor(degrees) + 60 * (degrees % 1)
+    fatal = [f for f in inspect_log(MemoryLog({"": (TIME, values)})).findings if f.severity != "note"]
+    assert [(f.where, f.what) for f in fatal] == [("position (latitude), position (longitude)", "is not in degrees")]
+    assert "convert to degrees" in fatal[0].remedy

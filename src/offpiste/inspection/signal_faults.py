@@ -90,6 +90,21 @@ def degrees_each(latitude: Float[np.ndarray, " n"], longitude: Float[np.ndarray,
     return _RADIAN if in_radians and max(map(np.ptp, known)) < _FARTHEST else 1.0
 
 
+def are_off_the_earth(latitude: Float[np.ndarray, " n"], longitude: Float[np.ndarray, " n"]) -> bool:
+    """Whether most latitudes or longitudes are larger than degrees are, as minutes of arc."""
+    known = [np.abs(raw[np.isfinite(raw) & (raw != 0)]) for raw in (latitude, longitude)]
+    return any(len(sizes) > 0 and np.median(sizes) > most for sizes, most in zip(known, (90, 360), strict=True))
+
+
+def unrolled(values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """Angles that jump from one end of a full turn to the other, unwrapped; all else as it is."""
+    for turn in (2 * np.pi, 360.0):
+        jumps = np.abs(np.diff(values))
+        if len(values) > 1 and np.ptp(values) <= 1.001 * turn and jumps.max() > 0.9 * turn:
+            return np.unwrap(values, period=turn)
+    return values
+
+
 def _half_span(values: Float[np.ndarray, " n"]) -> float:
     """Half of what the middle 99 % of some values span; infinite for none."""
     return float(np.ptp(np.percentile(values, (0.5, 99.5)))) / 2 if len(values) else np.inf

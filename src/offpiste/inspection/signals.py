@@ -10,7 +10,15 @@ from offpiste.channels import control_of
 from offpiste.inspection.findings import Finding, Severity, of_one_cause
 from offpiste.inspection.ranges import is_untouched, limits
 from offpiste.inspection.recorded_log import Recorded
-from offpiste.inspection.signal_faults import COUNTED_DEGREES, MAX_SPIKES, degrees_each, find_spikes, find_wrap
+from offpiste.inspection.signal_faults import (
+    COUNTED_DEGREES,
+    MAX_SPIKES,
+    are_off_the_earth,
+    degrees_each,
+    find_spikes,
+    find_wrap,
+    unrolled,
+)
 from offpiste.inspection.usual_ranges import scaled_to_unit
 from offpiste.logs.channel import LARGEST, convert, largest_recorded, unwrapped
 from offpiste.logs.kept_rows import between_samples
@@ -88,7 +96,7 @@ def check_signals(signals: list[Signal], rig: Rig | None) -> list[Finding]:
         rig: whose channels read them.
     """
     findings, dead = _other_than_degrees(signals, rig), list[Signal]()
-    counted = {finding.where for finding in findings}
+    counted = {where for finding in findings for where in finding.where.split(", ")}
     findings += of_one_cause([f for signal in signals if signal.where not in counted for f in _not_finite(signal)])
     for signal in signals:
         raw = signal.raw[np.abs(np.nan_to_num(signal.raw, nan=np.inf)) <= signal.largest]
@@ -109,17 +117,22 @@ def check_signals(signals: list[Signal], rig: Rig | None) -> list[Finding]:
 
 
 def _other_than_degrees(signals: list[Signal], rig: Rig | None) -> list[Finding]:
-    """Latitude and longitude that are read as degrees, and are integers of a ten-millionth of one, or radians."""
+    """Latitude and longitude that are read as degrees, and are integers of a ten-millionth of one, radians or more."""
     source = rig.channels.get("position") if rig else None
     if source is None or source.unit != GEOGRAPHIC or source.scale != 1:
         return []
     both = [signal for signal in signals if signal.key == "channels.position"][:2]
-    if len(both) < 2 or (each := degrees_each(*(signal.raw for signal in both))) == 1:
+    if len(both) < 2:
         return []
+    evidence = f"around ({np.nanmedian(both[0].raw):.7g}, {np.nanmedian(both[1].raw):.7g}), read in degrees"
+    if (each := degrees_each(*(signal.raw for signal in both))) == 1:
+        if not are_off_the_earth(*(signal.raw for signal in both)):
+            return []
+        how = "convert to degrees: of minutes, 60 are one; 4724.36 may be 47 degrees, 24.36 minutes; in .vbo west is +"
+        return [Finding("fatal", ", ".join(s.where for s in both), "is not in degrees", evidence, how, 1.0)]
     cure = (Edit("channels.position.scale", each), Edit("channels.position.fields", list(source.fields[:2])))
     what = "is counted in ten-millionths of a degree" if each == COUNTED_DEGREES else "is in radians"
     how = f"{', '.join(map(str, cure))}: a height would be scaled, too"
-    evidence = f"around ({np.nanmedian(both[0].raw):.7g}, {np.nanmedian(both[1].raw):.7g}), read in degrees"
     return [Finding("fatal", signal.where, what, evidence, how, 1.0, (cure,)) for signal in both]
 
 
@@ -169,7 +182,7 @@ def _wrapped(signal: Signal, raw: Float[np.ndarray, " n"], wrap: Wrap) -> Findin
 
 
 def _spiked(signal: Signal) -> list[Finding]:
-    values = _unrolled(signal.values[np.isfinite(signal.values)])
+    values = unrolled(signal.values[np.isfinite(signal.values)])
     spikes = find_spikes(values)
     if not spikes.any():
         return []
@@ -210,15 +223,6 @@ def _usual(others: Float[np.ndarray, "n k"]) -> tuple[float, float]:
     ends = [np.percentile(column, (0.1, 99.9)).tolist() for column in known]
     least = min((low - (high - low) / 2 for low, high in ends), default=np.inf)
     return least, max((high + (high - low) / 2 for low, high in ends), default=-np.inf)
-
-
-def _unrolled(values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """Angles that jump from one end of a full turn to the other, unwrapped; all else as it is."""
-    for turn in (2 * np.pi, 360.0):
-        jumps = np.abs(np.diff(values))
-        if len(values) > 1 and np.ptp(values) <= 1.001 * turn and jumps.max() > 0.9 * turn:
-            return np.unwrap(values, period=turn)
-    return values
 
 
 def _around(limits: tuple[float, float]) -> tuple[float, float]:

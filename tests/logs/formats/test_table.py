@@ -466,6 +466,13 @@ def test_stamps_as_a_clock_shows_them_are_seconds(tmp_path: Path) -> None:
     assert table(tmp_path, "time,x\n" + rows).read("", ["x"]).time.tolist() == [43198, 43199, 43200, 43201]
 
 
+def test_stamps_as_a_clock_shows_them_count_on_past_midnight(tmp_path: Path) -> None:
+    shown = ["235958.0", "235959.0", "", "000000.0", "000001.0"]
+    rows = "".join(f"{stamp},{row}\n" for row, stamp in enumerate(shown))
+    stamps = table(tmp_path, "time,x\n" + rows).read("", ["x"]).time
+    np.testing.assert_array_equal(stamps, [86398, 86399, np.nan, 86400, 86401])
+
+
 @pytest.mark.parametrize("seconds", [(95, 96, 97, 98), (98, 99, 100, 101), (10, 11, 100, 101), (110, 111, 112, 113)])
 def test_other_stamps_are_not_taken_for_a_clocks_face(tmp_path: Path, seconds: tuple[int, ...]) -> None:
     rows = "".join(f"{stamp},0\n" for stamp in seconds)

@@ -64,10 +64,14 @@ def clock_times(cells: pa.ChunkedArray) -> Float[np.ndarray, " n"] | None:
             hours = hours % 12 + (12 if half == "p" else 0)
         seconds = float(re.sub("[,:]", ".", match["seconds"]))
         times[row] = _DAY * days.setdefault(date, len(days)) + 3600 * hours + 60 * int(match["minutes"]) + seconds
-    if len(days) == 1:
-        known = np.isfinite(times)
-        times[known] = np.unwrap(times[known], period=_DAY)
-    return times
+    return past_midnight(times) if len(days) == 1 else times
+
+
+def past_midnight(times: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """Seconds of the day that count on where a step beyond half a day crosses midnight."""
+    known, result = np.isfinite(times), times.copy()
+    result[known] = np.unwrap(times[known], period=_DAY)
+    return result
 
 
 def number_of(cell: str) -> float | None:

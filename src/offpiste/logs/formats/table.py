@@ -19,6 +19,7 @@ from offpiste.logs.formats.csv_text import (
     gear_of,
     has_numbers,
     number_of,
+    past_midnight,
     read_csv,
     unknown_words,
 )
@@ -242,7 +243,7 @@ def _shows_clock_face(stamps: Float[np.ndarray, " n"]) -> bool:
 
 def _seconds_of_the_day(stamps: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
     hours, minutes = stamps // 10_000, stamps // 100 % 100
-    return np.asarray(3600 * hours + 60 * minutes + stamps % 100)
+    return past_midnight(3600 * hours + 60 * minutes + stamps % 100)
 
 
 def _floats(column: pa.ChunkedArray) -> Float[np.ndarray, " n"]:
