@@ -1,12 +1,14 @@
 """Robots that are asked for a speed and a turn rate: what their first rigs read, and what is no such command."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from simulated import MemoryLog
 from test_draft_topics import Typed
 
 from offpiste.inspection.channel_guesses import labels
-from offpiste.inspection.commanded_motion import commanded_curvature, motion_commands
+from offpiste.inspection.commanded_motion import commanded_curvature, is_asked_for, motion_commands
 from offpiste.inspection.draft_rig import draft_rig
 from offpiste.inspection.inspect import inspect_log
 from offpiste.logs.drive import drive_from_log
@@ -108,6 +110,32 @@ def test_a_speed_beside_a_steering_angle_is_the_throttle_and_no_late_clock() -> 
     assert rig.channels["throttle"].fields == ("drive.speed",)
     assert rig.channels["throttle"].scale == pytest.approx(1 / asked["drive.speed"].max(), rel=1e-3)
     assert not [f for f in inspect_log(log, rig).findings if f.severity != "note"]
+
+
+class Asked(MemoryLog):
+    """Commands of the ROS package `ackermann_msgs` on a topic that does not say so."""
+
+    @property
+    def topics(self) -> dict[str, Topic]:
+        stamped = "ackermann_msgs/msg/AckermannDriveStamped"
+        return {name: replace(t, type=stamped if name == "/drive" else "") for name, t in super().topics.items()}
+
+
+def test_a_message_that_is_a_command_by_its_type_is_no_measured_angle() -> None:
+    data = robot("ackermann")[0].data
+    odom, command = data["odom/Odometry"], data["ackermann_cmd/AckermannDrive"]
+    rig = drafted(Asked({"/odom": odom, "/drive": command}))
+    assert rig.channels["steer"].fields == ("drive.steering_angle",)
+    assert "steer_angle" not in rig.channels
+    assert "steer_angle" in rig.absent
+    assert rig.vehicle.max_steer == pytest.approx(0.4, rel=0.03)
+
+
+@pytest.mark.parametrize(
+    ("topic", "asked"), [("/drive", True), ("/ackermann_cmd", True), ("/ackermann_feedback", False)]
+)
+def test_a_type_says_what_is_asked_for_unless_the_topic_is_measured(topic: str, asked: bool) -> None:
+    assert is_asked_for(Topic(topic, "ackermann_msgs/msg/AckermannDrive", 1000, ("speed",))) is asked
 
 
 @pytest.mark.parametrize("kind", ["twist", "ackermann", "angle"])

@@ -1,5 +1,7 @@
 """Poses that are late, against sensors that are early: which of them is stamped wrong."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from simulated import MemoryLog, drive_log, rig
@@ -7,8 +9,9 @@ from simulated import MemoryLog, drive_log, rig
 from offpiste.inspection.driven_path import driven_path
 from offpiste.inspection.inspect import inspect_log
 from offpiste.inspection.lags import LAGS, LagFit
-from offpiste.inspection.late_poses import Interval, _far_behind, _intervals
+from offpiste.inspection.late_poses import Interval, _behind_the_course, _far_behind, _intervals
 from offpiste.logs.drive import drive_from_log
+from offpiste.rig.edits import Edit, edited
 
 FIELDS = {
     "orientation": ("qx", "qy", "qz", "qw"),
@@ -83,3 +86,25 @@ def test_a_vehicle_that_answers_slowly_is_not_late(answer: float, found: list[st
         log = MemoryLog({**log.data, topic: (time - answer, columns)})
     late = [f.where for f in inspect_log(log, rig()).findings if f.what in ("is late", "is early")]
     assert late == found
+
+
+def test_controls_that_are_late_are_not_a_pose_that_is_early_where_the_wheels_roll_with_it() -> None:
+    log = _late("position", 0.0)
+    for topic in ("pedals", "steering"):
+        log = log.restamp(topic, lambda time: time + 0.4)
+    wheels = {"topic": "wheels", "fields": ["rear"], "scale": 0.04}
+    findings = inspect_log(log, edited(rig(), [Edit("channels.wheel_speed", wheels)])).findings
+    assert "position" not in {f.where for f in findings if f.severity == "warning"}
+    cures = {edit.key: edit.value for f in findings for cure in f.cures[:1] for edit in cure}
+    assert {"channels.throttle.delay", "channels.steer.delay"} <= set(cures)
+    assert all(0.25 < value < 0.55 for key, value in cures.items() if key.endswith(".delay"))
+
+
+def test_no_tyre_slips_against_a_heading_that_is_the_course() -> None:
+    """As a GPS says it: at 40 m/s a heading of its own would be ahead by almost a second."""
+    path = driven_path(drive_from_log(_late("position", 0.0), rig()))
+    fast = {name: 4 * getattr(path, name) for name in ("place", "velocity", "speed", "forward", "acceleration")}
+    assert 4 * path.cruise > 30
+    (behind,) = _behind_the_course("yaw", replace(path, **fast))
+    assert behind.time - behind.usual == pytest.approx(0.0, abs=0.05)
+    assert behind.spread < 0.1

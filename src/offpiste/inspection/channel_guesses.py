@@ -9,7 +9,7 @@ import numpy as np
 
 from offpiste.channels import ACTUATORS, CONTROLS, all_actuators, all_controls
 from offpiste.errors import OffpisteError
-from offpiste.inspection.commanded_motion import COMMANDED, motion_commands
+from offpiste.inspection.commanded_motion import COMMANDED, is_asked_for, motion_commands
 from offpiste.inspection.field_groups import field_groups, fours
 from offpiste.logs.log import Log, Topic
 from offpiste.logs.transforms import frame_pair
@@ -133,6 +133,7 @@ class Guess:
     Attributes:
         unit: that the log states (`offpiste.rig.labels`); "" where it states none.
         rank: how far the name is from the channel's own; 0 is nearest.
+        asked_for: whether the type or a name of its topic, or a name of its fields, says that it is a command.
     """
 
     channel: str
@@ -140,6 +141,7 @@ class Guess:
     fields: tuple[str, ...]
     unit: str = ""
     rank: int = 0
+    asked_for: bool = False
 
 
 def guess_channels(log: Log) -> list[Guess]:
@@ -227,7 +229,7 @@ def _guess(channel: str, topic: Topic, fields: tuple[str, ...], label: Label, ra
     in_any = {"brake_pressure", *(control.name for control in all_controls())}
     if channel_unit(channel, label.unit) is None and channel not in in_any:
         return None
-    return Guess(channel, topic.name, fields, label.unit, rank)
+    return Guess(channel, topic.name, fields, label.unit, rank, is_asked_for(topic, fields))
 
 
 def by_topic(result: Iterable[Guess]) -> dict[str, dict[str, Guess]]:

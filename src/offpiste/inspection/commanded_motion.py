@@ -24,7 +24,7 @@ _MEASURED: Final = re.compile(
 )
 """Names of a steering that is measured, where nothing says that it is asked for."""
 _ALWAYS: Final = "ackermann_msgs/"
-"""Types of messages that are commands whatever their topic is called."""
+"""Types of messages that are commands unless their topic is called measured."""
 _WORDS: Final = re.compile(r"[ ._/]*(cmd|com+and(ed)?|desired|target|setpoint|(?<![a-z])(des|ref)(?![a-z]))[ ._/]*")
 _OTHER: Final = re.compile(r"steer|angle|servo|joint|acc|jerk|limit|max|min|lateral|vertical")
 _SPEED: Final = re.compile(r"(^|[ ._/])((linear|velocity|vel|v|speed)[ ._/]*x?|v_x)$")
@@ -43,7 +43,7 @@ def motion_commands(topic: Topic, named: Mapping[str, Label]) -> Iterator[tuple[
     Args:
         named: name and unit of the topic's fields.
     """
-    by_topic = topic.type.startswith(_ALWAYS) or COMMANDED.search(topic.name) is not None
+    by_topic = is_asked_for(topic)
     asked = {field: label for field, label in named.items() if by_topic or COMMANDED.search(label.name)}
     plain = {field: _WORDS.sub(" ", label.name).strip(" ._/") for field, label in asked.items()}
     usable = [field for field, name in plain.items() if not _OTHER.search(name)]
@@ -56,6 +56,13 @@ def motion_commands(topic: Topic, named: Mapping[str, Label]) -> Iterator[tuple[
     turn = next((f for f in usable if _TURN.search(plain[f]) and _measures("yaw_rate", asked[f])), None)
     if turn is not None and asked[speed].unit in ("", "m/s"):
         yield "steer", (turn, speed), asked[turn].unit or "rad/s"
+
+
+def is_asked_for(topic: Topic, fields: tuple[str, ...] = ()) -> bool:
+    """Whether a topic, or any of these fields of it, is a command by its type or its name."""
+    if topic.type.startswith(_ALWAYS) and not _MEASURED.search(topic.name):
+        return True
+    return any(COMMANDED.search(name) for name in (topic.name, *fields))
 
 
 def _measures(channel: str, label: Label) -> bool:

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from offpiste.errors import OffpisteError
 from offpiste.inspection.channel_guesses import Guess, labels
-from offpiste.inspection.commanded_motion import COMMANDED
+from offpiste.inspection.commanded_motion import COMMANDED, is_asked_for
 from offpiste.inspection.driven_path import Path, driven_path
 from offpiste.inspection.lags import LAGS, LagFit, fit_lags, lagged
 from offpiste.inspection.pedals import pedal_fit
@@ -185,4 +185,4 @@ def _candidates(log: Log, rig: Rig) -> Iterator[Guess]:
                 continue
             values = values[np.isfinite(values)]
             if len(values) > 100 and len(np.unique(values)) > 4 and not (np.diff(values) >= 0).all():
-                yield Guess("", topic.name, (field,), label.unit)
+                yield Guess("", topic.name, (field,), label.unit, asked_for=is_asked_for(topic, (field,)))

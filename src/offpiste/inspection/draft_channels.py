@@ -18,7 +18,7 @@ from offpiste.inspection.channel_guesses import (
     of_one_vehicle,
     other_vehicle,
 )
-from offpiste.inspection.commanded_motion import COMMANDED, motion_lines
+from offpiste.inspection.commanded_motion import motion_lines
 from offpiste.inspection.draft_pedals import (
     Scalars,
     are_named_pulses,
@@ -79,7 +79,7 @@ def draft_channels(
     pose_topic = entries["position"].guess.topic if "position" in entries else ""
     scalars: Scalars = {}
     for guess in of_one_vehicle(guesses, pose_topic):
-        commanded = guess.channel == "steer_angle" and guess.rank < MEASURED and _is_command(guess)
+        commanded = guess.channel == "steer_angle" and guess.rank < MEASURED and guess.asked_for
         channel = "steer" if commanded else guess.channel
         if channel in scalars or channel in (*entries, *_VECTORS):
             continue
@@ -206,7 +206,7 @@ def _steering(scalars: Scalars, straight: float | None, max_steer: float) -> dic
     steer, angle = scalars.get("steer"), scalars.get("steer_angle")
     in_hand: dict[str, Entry] = {}
     if angle is not None and not _angle_factor(*angle):  # of the steering wheel
-        if steer is not None and max_steer and _is_command(steer[0]) and not _angle_factor(*steer):
+        if steer is not None and max_steer and steer[0].asked_for and not _angle_factor(*steer):
             in_hand = _in_hand(steer, angle, max_steer)
         steer, angle = steer if steer is not None and steer[0].rank < FALLBACK else angle, None
     if steer is not None and steer[0].rank >= FALLBACK and angle is not None:
@@ -217,7 +217,7 @@ def _steering(scalars: Scalars, straight: float | None, max_steer: float) -> dic
     commanded = _angle_factor(*command) if _is_angle(command[0]) else 0.0
     if not commanded and steer is not None and angle is not None and _are_alike(steer, angle):
         commanded = _angle_factor(*angle)
-    if commanded and angle is None and not _is_command(command[0]):
+    if commanded and angle is None and not command[0].asked_for:
         angle = steer
     entries: dict[str, Entry] = {}
     if commanded:
@@ -276,10 +276,6 @@ def _is_curvature(guess: Guess) -> bool:
 def _is_in_hand(guess: Guess) -> bool:
     """Whether a name says that an angle is of the steering wheel."""
     return any(_IN_HAND.search(name) for name in (guess.topic, *guess.fields))
-
-
-def _is_command(guess: Guess) -> bool:
-    return any(COMMANDED.search(name) for name in (guess.topic, *guess.fields))
 
 
 def _largest(values: Float[np.ndarray, " n"]) -> float:

@@ -32,7 +32,8 @@ _SENSOR: Final = (0.0, 0.03)
 """Time by which one sensor is behind another of the same motion, and its spread among healthy logs [s]."""
 _FOLLOWS: Final = 0.4
 """RMS difference to the pose's derivative over its RMS, below which a sensor shows the same motion."""
-_WHEEL: Final = (-0.1, 0.2)  # those that are driven spin before the vehicle moves
+_WHEEL: Final = (-0.1, 0.2, 0.06, 0.2)
+"""The same of wheels that spin before the vehicle moves, the spread of those that roll, and the misfit of all spin."""
 _PEDAL: Final = (0.1, 0.15)
 _STEERING: Final = {"steer": (0.12, 0.07), "steer_angle": (0.04, 0.07)}
 """The same of the motion behind its controls."""
@@ -46,6 +47,8 @@ _CLEAR: Final = 0.5
 _SLIP: Final = (-0.025, 0.012, 0.06)
 """Time by which the heading is behind the course, over the speed, its spread [s^2/m], and the spread of the rest [s]:
 a rear axle slips in proportion to its lateral acceleration, at 1 rad for some 40 m/s^2."""
+_COURSE: Final = 0.03
+"""Lateral velocity over speed times yaw rate, both RMS, below which the heading is the course, as a GPS says it [s]."""
 _FAR: Final = 0.4
 """Delay of the heading's turning behind the course's that no slip makes, where they follow each other [s]: of 40
 healthy drives none has more than 0.27, drifts included."""
@@ -146,10 +149,11 @@ def _intervals(
     velocity = None
     if "linear_velocity" in drive.channels:
         velocity = fit_frames(drive, path).get(drive.rig.channels["linear_velocity"].frame)
+    wheels = fit_wheel_speed(drive, path)
     for behind, other, recorded, usual in (
         (turn_rate_name(drive), heading, fit_turn_rate(drive, path), _SENSOR),
         ("linear_velocity", "position", velocity, _SENSOR),
-        ("wheel_speed", "position", fit_wheel_speed(drive, path), _WHEEL),
+        ("wheel_speed", "position", wheels, _of_wheels(wheels.misfit if wheels else 1.0)),
     ):
         if recorded is not None and recorded.misfit < _FOLLOWS:
             yield _interval(behind, other, recorded.delay, recorded.delay_sigma, usual)
@@ -162,6 +166,16 @@ def _intervals(
         if EFFECTS[name] * pedal.r[best] > _CLEAR and 0 < best < len(pedal.lags) - 1:
             yield _interval("position", name, *pedal.delay(best), _PEDAL)
     yield from _behind_the_course(heading, path)
+
+
+def _of_wheels(misfit: float) -> tuple[float, float]:
+    """Time by which wheels are behind the vehicle, and its spread [s]: the better they fit, the less they spin.
+
+    Wheels that roll show almost as surely as a velocity whether the pose is on time.
+    """
+    ahead, spinning, rolling, all_spin = _WHEEL
+    spin = min(misfit / all_spin, 1.0)
+    return spin * ahead, float(np.hypot(rolling, spin * spinning))
 
 
 def _interval(behind: str, other: str, time: float, sigma: float, usual: tuple[float, float]) -> Interval:
@@ -177,9 +191,12 @@ def _behind_the_course(heading: str, path: Path) -> Iterator[Interval]:
     forward, lateral = planar_body_from_world(path.velocity, path.yaw).T
     with np.errstate(invalid="ignore"):
         rows = moving_rows(path) & (np.abs(lateral) < _SIDEWAYS * np.abs(forward))
-    fit = fit_lags(lateral, path.yaw_rate[:, None], (forward * path.yaw_rate)[None], np.zeros(1), rows)
+    turning = forward * path.yaw_rate
+    fit = fit_lags(lateral, path.yaw_rate[:, None], turning[None], np.zeros(1), rows)
     if fit is not None:
         share, spread, rest = _SLIP
+        if np.nanmean(lateral[rows] ** 2) < _COURSE**2 * np.nanmean(turning[rows] ** 2):
+            share = spread = 0.0  # no tyre slips against a heading that is the course
         slip, scatter = share * path.cruise, float(np.hypot(spread * path.cruise, rest))
         yield _interval(heading, "position", float(fit.gain[0]), fit.gain_sigma(0), (slip, scatter))
 
