@@ -1,10 +1,13 @@
 """Controls that only the motion shows: axes of a joystick."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from simulated import MemoryLog, drive_log, rig
 
-from offpiste.inspection.controls_by_numbers import find_controls
+from offpiste.inspection.controls_by_numbers import find_controls, is_measured
+from offpiste.logs.log import Topic
 from offpiste.rig.edits import Edit, edited
 from offpiste.rig.rig import Rig
 
@@ -53,6 +56,21 @@ def test_names_that_only_contain_those_of_measurements_are_looked_at(topic: str)
         "throttle",
         "brake",
     }
+
+
+def test_a_command_is_not_measured_whatever_its_type_is() -> None:
+    """TartanDrive keeps the commands in `cmd/twist.npy`."""
+    log = joystick()
+
+    class Exported(MemoryLog):
+        @property
+        def topics(self) -> dict[str, Topic]:
+            return {name: replace(topic, type="twist.npy") for name, topic in super().topics.items()}
+
+    exported = Exported({"odom": log.data["odom"], "cmd": log.data["joy"]})
+    assert find_controls(exported, posed())["steer"][0].topic == "cmd"
+    topics = ("/vehicle/accel_cmd", "std_msgs/Float64"), ("/twist", "geometry_msgs/TwistStamped")
+    assert [is_measured(Topic(name, kind, 100, ("data",))) for name, kind in topics] == [False, True]
 
 
 def test_a_steering_whose_turning_does_not_grow_with_the_speed_is_found() -> None:

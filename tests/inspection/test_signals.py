@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from simulated import drive_log, rig
+from simulated import MemoryLog, drive_log, rig
 
 from offpiste.inspection.inspect import inspect_log
 from offpiste.rig.edits import Edit
@@ -34,6 +34,18 @@ def test_a_field_that_no_channel_reads_is_only_noted() -> None:
     log = log.change("wheels", "rear", lambda x: np.where(np.arange(len(x)) % 701 == 5, 1e6, x))
     (finding,) = (f for f in inspect_log(log).findings if f.where.startswith("wheels"))
     assert (finding.severity, finding.what) == ("note", "isolated spikes")
+
+
+@pytest.mark.parametrize("per_second", [1, 1e3, 1e9])
+def test_times_since_1970_are_no_measurement(per_second: float) -> None:
+    log = drive_log(seed=0)
+    time, columns = log.data["pedals"]
+    stamps = np.floor(1.7e9 + time) * per_second
+    stamps[:5] = 0
+    mixed = np.random.default_rng(0).permutation(stamps)
+    log = MemoryLog({**log.data, "pedals": (time, {**columns, "stamp.sec": stamps, "other": mixed})})
+    beyond = [finding.where for finding in inspect_log(log).findings if "beyond any measurement" in finding.what]
+    assert beyond == ["pedals other"]
 
 
 def test_spikes_among_usual_values_get_no_range_that_would_leave_them() -> None:

@@ -1,8 +1,10 @@
 """Stamps with known faults."""
 
+import re
+
 import numpy as np
 import pytest
-from simulated import MemoryLog, drive_log, rig
+from simulated import RIG, MemoryLog, drive_log, rig
 
 from offpiste.inspection.inspect import inspect_log
 from offpiste.inspection.timing import timing
@@ -60,6 +62,25 @@ def test_repeated_stamps() -> None:
     severity, evidence = findings(CLEAN.restamp("steering", repeat), "steering")["stamps repeat"]
     assert severity == "note"
     assert evidence.startswith("30 of 1500 (2.0%)")
+
+
+def test_stamps_that_rows_of_several_sensors_share_lose_nothing() -> None:
+    """A table of an autopilot's messages: a row each, in which the columns of all others are empty."""
+    stamps, odom = CLEAN.data["odom"]
+    time, row = np.repeat(stamps, 2), np.arange(2 * len(stamps))
+    columns = {field: np.where(row % 2, np.nan, np.repeat(values, 2)) for field, values in odom.items()}
+    for own, each in (CLEAN.data["pedals"], CLEAN.data["steering"]):
+        columns |= {field: np.where(row % 2, np.interp(time, own, values), np.nan) for field, values in each.items()}
+    text = "[channels" + RIG.partition("[channels")[2]
+    one = rig((text, re.sub('topic = "[a-z]+"', 'topic = ""', text)))
+
+    def said(stamps: np.ndarray) -> list[str]:
+        found = inspect_log(MemoryLog({"": (stamps, columns)}), one).findings
+        return [finding.evidence for finding in found if finding.what == "stamps repeat"]
+
+    assert said(time) == []
+    time[2001] = time[2003]  # two samples of one sensor
+    assert said(time) == [f"1 of {len(time)} (0.0%)"]
 
 
 class _Received(MemoryLog):

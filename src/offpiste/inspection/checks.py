@@ -148,7 +148,8 @@ def _unread(topics: Topics) -> list[Finding]:
 def _stamps(topics: Topics) -> list[Finding]:
     changing = _on_change(topics)
     silent = topics.silent | {finding.where for finding in changing}
-    alone = check_stamps(topics.inspected, topics.clock, used=topics.used, silent=silent)
+    channels = topics.rig.channels if topics.rig else {}
+    alone = check_stamps(topics.inspected, topics.clock, used=topics.used, silent=silent, channels=channels)
     return changing + alone + check_headers(topics.inspected, topics.clock)
 
 

@@ -164,8 +164,11 @@ def _later(fit: LagFit, name: str, *, sign: int) -> float:
 
 
 def is_measured(topic: Topic) -> bool:
-    """Whether name or type of a topic say that it is measured; a table's columns say more than its name."""
-    return bool(topic.name and _MEASURED.search(f"{topic.name} {topic.type}"))
+    """Whether name or type of a topic say that it is measured; a table's columns say more than its name.
+
+    The Twist of a topic named as a command is one, as TartanDrive's `cmd/twist.npy`.
+    """
+    return not COMMANDED.search(topic.name) and bool(topic.name and _MEASURED.search(f"{topic.name} {topic.type}"))
 
 
 def _candidates(log: Log, rig: Rig) -> Iterator[Guess]:

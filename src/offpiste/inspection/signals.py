@@ -24,6 +24,7 @@ from offpiste.logs.channel import LARGEST, convert, largest_recorded, unwrapped
 from offpiste.logs.kept_rows import between_samples
 from offpiste.rig.channels import GEOGRAPHIC, POSE, ChannelSource, Wrap, known_channels
 from offpiste.rig.edits import Edit, absent, rounded, toml_value
+from offpiste.rig.labels import are_since_1970
 from offpiste.rig.rig import Rig
 
 _MOST_LEFT = 0.5
@@ -288,8 +289,11 @@ def _never_pressed(signal: Signal, rig: Rig) -> Finding:
 
 
 def _is_clock(column: Float[np.ndarray, " n"]) -> bool:
-    """A column that only ever grows is a time or a sequence number."""
+    """A column that only ever grows is a time or a sequence number; whole seconds since 1970 repeat."""
     finite = column[np.isfinite(column)]
+    known = finite[finite != 0]  # a clock may not be set yet
+    if len(known) > 10 and are_since_1970(known):
+        return bool(np.mean(np.diff(known) >= 0) > 0.9)
     return len(finite) > 10 and bool((np.diff(finite) > 0).all())
 
 

@@ -1,6 +1,6 @@
 """Checks of stamps: rate, gaps, repeats, steps back, clocks that disagree."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -33,11 +33,17 @@ _SHUFFLED: Final = 0.002
 
 
 def check_stamps(
-    recorded: Mapping[str, Recorded], clock: Clock, *, used: Collection[str], silent: Collection[str] = ()
+    recorded: Mapping[str, Recorded],
+    clock: Clock,
+    *,
+    used: Collection[str],
+    silent: Collection[str] = (),
+    channels: Mapping[str, ChannelSource] | None = None,
 ) -> list[Finding]:
     """Findings on every topic's stamps by themselves.
 
     Args:
+        channels: of the rig, whose samples count where a topic's rows hold one sensor or the other.
         used: topics that a rig reads; what the others have is but a note.
         silent: topics that are silent while nothing changes, which is neither a gap nor a loss.
     """
@@ -47,6 +53,8 @@ def check_stamps(
         where = name or "table"
         seen = timing(topic.time, max_gap=clock.max_gap)
         intervals = [] if name in silent else _intervals(where, seen, origin, clock, used=name in used)
+        sources = [source for source in (channels or {}).values() if source.topic == name]
+        seen = replace(seen, repeated=_repeated(topic, seen, sources))
         message = _order(where, topic, seen, origin, clock) + intervals
         findings += message if name in used else [replace(f, severity="note") for f in message]
     return merged(findings)
@@ -125,6 +133,13 @@ def _part_of(
 def _span(topic: Recorded, delay: float) -> tuple[float, float]:
     time = topic.rising - delay
     return (float(time[0]), float(time[-1])) if len(time) else (np.nan, np.nan)
+
+
+def _repeated(topic: Recorded, seen: Timing, sources: Sequence[ChannelSource]) -> int:
+    """Stamps that repeat within one channel; of a topic that none reads, within the topic."""
+    at = [[topic.fields.index(f) for f in source.fields] for source in sources if {*source.fields} <= {*topic.fields}]
+    samples = [topic.time[np.isfinite(np.column_stack((topic.time, topic.values[:, c]))).all(axis=1)] for c in at]
+    return max((int((np.diff(time) == 0).sum()) for time in samples), default=seen.repeated)
 
 
 def _order(where: str, topic: Recorded, seen: Timing, origin: float, clock: Clock) -> list[Finding]:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from jaxtyping import Float
 
 from offpiste.errors import RigError
 from offpiste.rig.channels import known_channels, unit_factor
@@ -208,6 +209,12 @@ def unit_by_rate(rate: float, unit: str, stamp: float = 0.0) -> str:
         return unit
     wanted = np.log10(SECONDS[unit] * 50 / rate)
     return min(SECONDS, key=lambda name: abs(np.log10(SECONDS[name]) - wanted))
+
+
+def are_since_1970(stamps: Float[np.ndarray, " n"]) -> bool:
+    """Whether all of some numbers are times since 1970, in one unit, from 2001 to 2100."""
+    first, last = _SINCE_1970
+    return any(((first * each < stamps) & (stamps < last * each)).all() for each in SECONDS.values())
 
 
 def gear_letter(word: str) -> str:

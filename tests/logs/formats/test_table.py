@@ -368,6 +368,15 @@ def test_parquet(tmp_path: Path) -> None:
     np.testing.assert_array_equal(samples.values, expected)
 
 
+def test_an_index_of_timestamps_without_a_name_is_time(tmp_path: Path) -> None:
+    """Pandas writes it as the last column, `__index_level_0__`."""
+    stamps = pa.array([1_700_000_000_000_000_000, 1_700_000_000_013_000_000], pa.timestamp("ns"))
+    pq.write_table(pa.table({"x": [1.0, 2.0], "__index_level_0__": stamps}), tmp_path / "drive.parquet")
+    log = TableLog(tmp_path / "drive.parquet")
+    assert log.clock.column == "__index_level_0__"
+    assert log.read("", ["x"]).time == pytest.approx([1.7e9, 1.7e9 + 0.013], abs=1e-6)
+
+
 def test_parquet_without_numbers(tmp_path: Path) -> None:
     pq.write_table(pa.table({"name": ["a"]}), tmp_path / "a.parquet")
     with pytest.raises(LogError, match="no column of numbers; export the quantities as numbers"):

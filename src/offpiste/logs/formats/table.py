@@ -133,6 +133,7 @@ class TableLog(Log):
 
     def _guess_clock(self, notes: list[str]) -> str:
         names = [name for name in self._table.column_names if _TIME_NAME.search(name.lower())]
+        names = names or [name for name in self._table.column_names if _has_time_unit(self._table[name].type)]
         if seconds := [name for name in names if self._beside(name)]:
             names = seconds[:1]
         if not names and (even := [name for name in self._columns if self._rises_evenly(name)]):
