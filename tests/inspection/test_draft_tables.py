@@ -260,6 +260,25 @@ def test_a_steering_wheel_that_is_once_turned_far_is_not_cut_off(tmp_path: Path)
     assert "max_steer is that over the steering's ratio" in draft_rig(open_log(path))
 
 
+@pytest.mark.parametrize(("ratio", "in_hand"), [(1.0, False), (4.0, True), (7.0, True)])
+def test_an_angle_that_hardly_turns_the_vehicle_is_of_the_steering_wheel(
+    tmp_path: Path, ratio: float, in_hand: bool
+) -> None:
+    """A fast circuit's bends need no more of it than road wheels could be turned."""
+    curvature = DRIVEN["angle"] / (2.5 * ratio)
+    yaw = np.cumsum(np.gradient(DRIVEN["t"]) * DRIVEN["speed"] * np.tan(curvature))
+    step = np.gradient(DRIVEN["t"]) * DRIVEN["speed"]
+    x, y = np.cumsum(step * np.cos(yaw)), np.cumsum(step * np.sin(yaw))
+    path = tmp_path / "drive.csv"
+    columns = np.column_stack([DRIVEN["t"], x, y, yaw, DRIVEN["throttle"], np.degrees(DRIVEN["angle"])])
+    np.savetxt(path, columns, delimiter=",", header="t,x,y,yaw,throttle,Steered Angle [deg]", comments="", fmt="%.7f")
+    rig = drafted(path)
+    assert ("steer_angle" in rig.channels) != in_hand
+    assert (rig.channels["steer"].unit == "") == in_hand
+    turned = np.tan(np.abs(DRIVEN["angle"]).max() / ratio / 2.5)
+    assert np.tan(rig.vehicle.max_steer) / rig.vehicle.wheelbase == pytest.approx(turned, rel=0.25)
+
+
 def test_a_command_beside_an_angle_keeps_its_own_column(tmp_path: Path) -> None:
     columns = {**POSE, "steer_cmd": ("angle", 1 / WIDEST), "delta": ("angle", 1)}
     rig = drafted(written(tmp_path / "drive.csv", columns))

@@ -134,6 +134,7 @@ class Guess:
         unit: that the log states (`offpiste.rig.labels`); "" where it states none.
         rank: how far the name is from the channel's own; 0 is nearest.
         asked_for: whether the type or a name of its topic, or a name of its fields, says that it is a command.
+        in_hand: whether an angle is of the steering wheel, as the motion shows.
     """
 
     channel: str
@@ -142,6 +143,7 @@ class Guess:
     unit: str = ""
     rank: int = 0
     asked_for: bool = False
+    in_hand: bool = False
 
 
 def guess_channels(log: Log) -> list[Guess]:

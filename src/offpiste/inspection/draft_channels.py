@@ -27,6 +27,7 @@ from offpiste.inspection.draft_pedals import (
     signed_pedal,
 )
 from offpiste.inspection.draft_pose import Entry, degrees, draft_pose, field_values, unit_line
+from offpiste.inspection.draft_values import WIDEST
 from offpiste.inspection.gear import MOST_GEARS, gear_values
 from offpiste.inspection.signal_faults import find_spikes, find_wrap
 from offpiste.inspection.usual_ranges import held_range, steering_middle
@@ -41,8 +42,6 @@ _IN_HAND: Final = re.compile(r"steering_?wheel|hand_?wheel|(?<![a-z])swa?(?![a-z
 """Names of the steering wheel, in the driver's hands."""
 _PEDAL: Final = 1.05
 """Largest value of a pedal; of a commanded speed some value is larger [m/s]."""
-_WIDEST: Final = 1.05
-"""Largest angle of road wheels [rad]; a larger one is of the steering wheel."""
 _STEERING_WHEEL: Final = 130.0
 """Largest value from which a steering in degrees is surely that of the wheel in the driver's hands."""
 _STEEPEST: Final = 1.4
@@ -63,6 +62,7 @@ def draft_channels(
     plain: bool = False,
     max_steer: float = 0.0,
     backwards: bool = False,
+    in_hand: bool = False,
 ) -> dict[str, Entry]:
     """Entries by channel, the pose's first.
 
@@ -73,6 +73,7 @@ def draft_channels(
         plain: whether what is named a speed and a turn rate is the throttle and the steering itself.
         max_steer: of the road wheels at a steering command of 1 [rad], where the motion shows it; else 0.
         backwards: whether the side below zero of a pedal drives backwards.
+        in_hand: whether what is called a steering angle is of the steering wheel.
     """
     guesses = [_as_it_is(guess) if plain else guess for guess in guess_channels(log)]
     entries = draft_pose(log, guesses, frame)
@@ -104,6 +105,8 @@ def draft_channels(
         guess, numbers = scalars.pop("steer_angle")
         # A position beside no command is the steering, of any unit; that of a joint is an angle.
         scalars["steer"] = (guess if is_array_entry(guess.fields[0]) else replace(guess, channel="steer")), numbers
+    if in_hand and (angle := scalars.get("steer_angle")) is not None:
+        scalars["steer_angle"] = replace(angle[0], in_hand=True), angle[1]
     others = {name: _scalar(name, *scalar) for name, scalar in scalars.items() if name not in ("steer", "steer_angle")}
     entries |= others | signed_pedal(scalars, backwards=backwards) | _steering(scalars, straight, max_steer)
     for channel, (guess, correlation) in found.items():
@@ -274,8 +277,8 @@ def _is_curvature(guess: Guess) -> bool:
 
 
 def _is_in_hand(guess: Guess) -> bool:
-    """Whether a name says that an angle is of the steering wheel."""
-    return any(_IN_HAND.search(name) for name in (guess.topic, *guess.fields))
+    """Whether a name, or the motion, says that an angle is of the steering wheel."""
+    return guess.in_hand or any(_IN_HAND.search(name) for name in (guess.topic, *guess.fields))
 
 
 def _largest(values: Float[np.ndarray, " n"]) -> float:
@@ -292,4 +295,4 @@ def _angle_factor(guess: Guess, values: Float[np.ndarray, " n"]) -> float:
         factors = [unit_factor("steer_angle", channel_unit("steer_angle", guess.unit) or "")]
     else:
         factors = [1.0, unit_factor("steer_angle", "deg")]
-    return next((factor for factor in factors if 0 < _largest(values) * factor <= _WIDEST), 0.0)
+    return next((factor for factor in factors if 0 < _largest(values) * factor <= WIDEST), 0.0)

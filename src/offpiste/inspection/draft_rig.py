@@ -4,7 +4,6 @@ import json
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from textwrap import wrap
 
@@ -27,6 +26,7 @@ from offpiste.inspection.draft_values import (
     WHEELS,
     estimated_max_steer,
     estimated_wheelbase,
+    is_of_steering_wheel,
     steering_straight,
     wheels_of,
 )
@@ -87,6 +87,7 @@ class _Seen:
         plain: whether what is named a speed and a turn rate is the throttle and the steering itself.
         heading: unit of a yaw, where the course shows another than its size, as of one that is never wrapped.
         backwards: whether the side below zero of a pedal drives backwards.
+        in_hand: whether what is called a steering angle is of the steering wheel.
     """
 
     frame: str = "unknown"
@@ -98,6 +99,7 @@ class _Seen:
     plain: bool = False
     heading: str = ""
     backwards: bool = False
+    in_hand: bool = False
 
 
 def write_rig(text: str, path: Path) -> None:
@@ -134,6 +136,8 @@ def draft_rig(log: Log) -> str:
         rig = parse_rig(_text(log, _Seen(plain=True)), where="the drafted rig")
     if found := find_controls(log, edited(rig, posed)):
         rig = parse_rig(_text(log, _Seen(found=found, plain=plain)), where="the drafted rig")
+    if in_hand := is_of_steering_wheel(log, edited(rig, posed)):
+        rig = parse_rig(_text(log, _Seen(found=found, plain=plain, in_hand=True)), where="the drafted rig")
     rig = edited(rig, posed)
     frame = _frame(log, rig) if "linear_velocity" in rig.channels else "unknown"
     wheelbase = estimated_wheelbase(log, rig)
@@ -146,7 +150,7 @@ def draft_rig(log: Log) -> str:
         max_steer = _MAX_STEER
     heading = next((str(edit.value) for edit in posed if edit.key == "channels.yaw.unit"), "")
     straight, backwards = steering_straight(log, rig), reverses_by_pedal(log, rig)
-    seen = _Seen(frame, wheelbase, max_steer, assumed, found, straight, plain, heading, backwards)
+    seen = _Seen(frame, wheelbase, max_steer, assumed, found, straight, plain, heading, backwards, in_hand)
     return text if seen == _Seen() else _text(log, seen)
 
 
@@ -164,8 +168,8 @@ def _is_plain(log: Log, rig: Rig) -> bool:
 
 
 def _text(log: Log, seen: _Seen) -> str:
-    drafted = partial(draft_channels, plain=seen.plain, max_steer=seen.max_steer, backwards=seen.backwards)
-    entries = drafted(log, seen.frame, seen.found, seen.straight)
+    known = {"plain": seen.plain, "backwards": seen.backwards, "in_hand": seen.in_hand}
+    entries = draft_channels(log, seen.frame, seen.found, seen.straight, max_steer=seen.max_steer, **known)
     if not {"position"} <= set(entries) or not {"orientation", "yaw"} & set(entries):
         raise no_pose(log)
     if seen.heading and not entries["yaw"].guess.unit and "scale" not in str(entries["yaw"].lines):

@@ -25,6 +25,8 @@ GUESSED: Final = "GUESSED"
 """What `vehicle.source` begins with until it names a source."""
 DRAFTED: Final = "mass and wheel positions are still those of the draft"
 """The finding while `vehicle.source` still says so, or nothing."""
+WIDEST: Final = 1.05
+"""Largest angle of road wheels [rad]; a larger one is of the steering wheel."""
 WHEELBASES: Final = (0.05, 8.0)
 """Wheelbases that a vehicle can have [m]."""
 _DENSITIES: Final = (2.0, 5000.0)
@@ -43,6 +45,17 @@ def estimated_wheelbase(log: Log, rig: Rig) -> float:
     Returns:
         0 where the rig has no steering angle, or the vehicle does not clearly follow it.
     """
+    wheelbase = _shown_wheelbase(log, rig)
+    return wheelbase if WHEELBASES[0] < wheelbase < WHEELBASES[1] else 0.0
+
+
+def is_of_steering_wheel(log: Log, rig: Rig) -> bool:
+    """Whether what a rig reads as the road wheels' angle turns the vehicle as little as a steering wheel's does."""
+    return _shown_wheelbase(log, rig) > WHEELBASES[1]
+
+
+def _shown_wheelbase(log: Log, rig: Rig) -> float:
+    """Wheelbase at which the vehicle turns as its steering angle says, be it one that no vehicle has [m]; else 0."""
     if "steer_angle" not in rig.channels:
         return 0.0
     driven = _driven(log, rig)
@@ -52,6 +65,7 @@ def estimated_wheelbase(log: Log, rig: Rig) -> float:
     angle = drive.channels["steer_angle"].linear(path.time, max_gap=rig.clock.max_gap)[:, 0]
     turning = path.forward * np.tan(angle)
     rows = np.isfinite(turning) & np.isfinite(path.yaw_rate) & (path.speed > 0.2 * path.cruise)
+    rows &= np.abs(angle) < WIDEST  # the tangent has no bounds
     if rows.sum() < 40 or np.ptp(turning[rows]) == 0 or np.ptp(path.yaw_rate[rows]) == 0:
         return 0.0
     if abs(np.corrcoef(turning[rows], path.yaw_rate[rows])[0, 1]) < _CLEAR:
@@ -61,7 +75,7 @@ def estimated_wheelbase(log: Log, rig: Rig) -> float:
     without_slip = None if fit is None else fit.extrapolated
     if without_slip is not None and without_slip.strength > _CLEAR:  # which makes wheelbases look longer
         wheelbase = min(wheelbase, abs(float(without_slip.gain[0])))
-    return wheelbase if WHEELBASES[0] < wheelbase < WHEELBASES[1] else 0.0
+    return wheelbase
 
 
 def estimated_max_steer(log: Log, rig: Rig, wheelbase: float) -> float:
