@@ -29,7 +29,7 @@ from offpiste.inspection.saturation import check_saturation
 from offpiste.inspection.signals import channel_signals, check_signals, other_signals
 from offpiste.inspection.stamps import check_headers, check_stamps
 from offpiste.inspection.steering import check_steering
-from offpiste.inspection.steering_copies import check_copies
+from offpiste.inspection.steering_copies import check_computed_pose, check_copies
 from offpiste.inspection.steering_fit import SteeringFit, steering_fits
 from offpiste.inspection.velocity import check_linear_velocity, check_turn_rate, check_wheel_speed
 from offpiste.logs.drive import Drive
@@ -226,6 +226,10 @@ def _steering_copies(motion: Motion) -> list[Finding]:
     return [] if motion.topics.given else check_copies(motion.drive, motion.topics.recorded)
 
 
+def _computed_pose(motion: Motion) -> list[Finding]:
+    return check_computed_pose(motion.drive, motion.path, motion.topics.recorded) if motion.follows else []
+
+
 def _pedals(motion: Motion) -> list[Finding]:
     reverses = pedal_reverses(motion.drive, motion.path)  # what is below zero is no brake, whose effect is sought
     fits = {name: fit for name, fit in motion.pedals.items() if not (reverses and name == "brake")}
@@ -260,6 +264,7 @@ MOTION_CHECKS: Final[tuple[Callable[[Motion], list[Finding]], ...]] = (
     _steering,
     _cut_off,
     _steering_copies,
+    _computed_pose,
     _pedals,
     _lost_throttle,
     _controls,

@@ -1,12 +1,22 @@
-"""Fields that repeat the steering later: copies of a measurement that pass for commands."""
+"""What repeats the steering: copies that are late and pass for commands, and poses that are computed from it."""
+
+from collections.abc import Iterator, Mapping
+from typing import Final
 
 import numpy as np
 from jaxtyping import Float
 
+from offpiste.geometry import local_polynomial, planar_body_from_world
+from offpiste.inspection.channel_guesses import labels
+from offpiste.inspection.driven_path import TURNING, Path
+from offpiste.inspection.field_groups import field_groups
 from offpiste.inspection.findings import Finding
+from offpiste.inspection.lags import fit_lags, sampled
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.inspection.signals import place
+from offpiste.inspection.steering_fit import moving_rows
 from offpiste.logs.drive import Drive
+from offpiste.logs.motion import heading
 
 _LAGS = np.arange(-2.0, 2.01, 0.1)
 """Lags of a copy that are tried [s]."""
@@ -18,6 +28,12 @@ _MOST = 0.6
 """Share of the stretches that must hold one."""
 _LATE = 0.3
 """A copy that is later than this in a tenth of the stretches is reported [s]."""
+_AT_ONCE: Final = np.arange(-0.03, 0.0301, 0.005)
+"""Ages of a steering that a pose may be computed from [s]: the last one that had come."""
+_COMPUTED: Final = 0.01
+"""RMS difference to a formula over the RMS, below which the pose is computed by it."""
+_BOTH_WAYS: Final = 0.1
+"""Share of the moving time in which the vehicle turns to either side, at least."""
 
 
 def check_copies(drive: Drive, recorded: dict[str, Recorded]) -> list[Finding]:
@@ -75,3 +91,71 @@ def _copy_window_lags(
         if correlation.max() > _ALIKE:
             result.append(_LAGS[correlation.argmax()])
     return np.array(result), max(moving, 1)
+
+
+def check_computed_pose(drive: Drive, path: Path, recorded: Mapping[str, Recorded]) -> list[Finding]:
+    """A warning if the pose is the steering's: speed times its tangent, at once, and straight ahead of the heading.
+
+    No vehicle goes so exactly where it is steered: nothing measured how it turns, and a model would learn a formula.
+    """
+    moving = moving_rows(path)
+    turning = path.yaw_rate[moving]
+    if np.nanstd(turning) < TURNING or min(np.mean(turning > TURNING), np.mean(turning < -TURNING)) < _BOTH_WAYS:
+        return []
+    place_, yaw = drive.channels["position"], heading(drive)
+    facing = np.interp(place_.time, yaw.time, yaw.values[:, 0])
+    steps = np.diff(place_.values[:, :2], axis=0)
+    # A step may be made by the heading at its beginning, its end or between.
+    ways = [planar_body_from_world(steps, at) for at in (facing[:-1], facing[1:], (facing[:-1] + facing[1:]) / 2)]
+    ahead, aside = min(ways, key=lambda way: float(np.abs(way[:, 1]).sum())).T
+    if np.sqrt(np.mean(aside**2)) > _COMPUTED * np.sqrt(np.mean(ahead**2)):
+        return []
+    name, misfit = min(_misfits(drive, path, ahead), key=lambda one: one[1], default=("", 1.0))
+    if misfit > _COMPUTED:
+        return []
+    evidence = f"yaw rate = speed * tan({name}) / wheelbase, to {misfit:.1%} and without delay; it never slips aside"
+    how = "read a pose that is measured: a model would learn this formula, not the vehicle"
+    others = [
+        topic for topic in recorded if topic != drive.rig.channels["position"].topic and _is_pose(recorded[topic])
+    ]
+    how += f". Here {' and '.join(others)} may be one" if others else ""
+    return [
+        Finding(
+            "warning",
+            "yaw" if "yaw" in drive.channels else "orientation",
+            f"is computed from channel {name}",
+            evidence,
+            how,
+            0.9,
+        )
+    ]
+
+
+def _misfits(drive: Drive, path: Path, ahead: Float[np.ndarray, " n"]) -> Iterator[tuple[str, float]]:
+    """RMS difference of the turning to that of a bicycle over its RMS, by steering channel.
+
+    Args:
+        ahead: way from each place to the next [m].
+    """
+    time, rig = drive.channels["position"].time, drive.rig
+    for name in ("steer", "steer_angle"):
+        if name not in drive.channels:
+            continue
+        angles = (rig.vehicle.max_steer if name == "steer" else 1.0) * np.stack(
+            [sampled(drive.channels[name], time[1:] - lag, rig) for lag in _AT_ONCE]
+        )
+        turned = np.cumsum(np.nan_to_num(ahead * np.tan(np.clip(angles, -1.4, 1.4))), axis=1)
+        ways = np.vstack((turned, np.cumsum(ahead))).T
+        _, rates = local_polynomial(time[1:], ways, path.time, window=path.window, causal=False)
+        fit = fit_lags(path.yaw_rate, rates[:, -1:], rates[:, :-1].T, _AT_ONCE, moving_rows(path))
+        if fit is not None:
+            yield name, float(np.sqrt(max(1 - fit.strength**2, 0.0)))
+
+
+def _is_pose(recorded: Recorded) -> bool:
+    """Whether a topic holds places and orientations by its names, and places that change."""
+    named = {channel: fields for channel, fields, *_ in field_groups(recorded.topic, labels(recorded.topic))}
+    if not {"position", "orientation"} <= set(named) or not set(named["position"][:2]) <= set(recorded.fields):
+        return False
+    columns = [recorded.fields.index(field) for field in named["position"][:2]]
+    return bool((np.ptp(recorded.values[:, columns], axis=0) > 0).all())
