@@ -122,13 +122,7 @@ def is_turn_rate(channel: Channel, path: Path, rig: Rig) -> bool:
 
 def is_measured(name: str, rig: Rig) -> bool:
     """Whether a steering channel is where the wheels are, not what is asked for: by its names, or read as both."""
-    if name == "steer_angle" or reads_as_both(rig):
+    if name == "steer_angle" or rig.reads_alike("steer", "steer_angle"):
         return True
     names = " ".join((rig.channels[name].topic, *rig.channels[name].fields))
     return _MEASURED.search(names) is not None and COMMANDED.search(names) is None
-
-
-def reads_as_both(rig: Rig) -> bool:
-    """Whether `steer` and `steer_angle` are one column."""
-    both = [rig.channels.get(name) for name in ("steer", "steer_angle")]
-    return all(both) and len({(source.topic, source.fields) for source in both if source}) == 1

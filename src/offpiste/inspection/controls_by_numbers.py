@@ -39,6 +39,8 @@ _AT_ONCE: Final = 0.1
 """Wheels take longer to turn, and vehicles to follow them [s]."""
 _MOST: Final = 24
 """Most fields that are tried."""
+_OF_MOTION: Final = re.compile(r"linear|angular")
+"""Names of the fields of a commanded motion."""
 _MEASURED: Final = re.compile(
     r"odom|gps|gnss|navsat|twist|accel|magn|image|scan|(?<![a-z])(?:imu|pose|point|tf(?![a-z]))", re.IGNORECASE
 )
@@ -166,9 +168,11 @@ def _later(fit: LagFit, name: str, *, sign: int) -> float:
 def is_measured(topic: Topic) -> bool:
     """Whether name or type of a topic say that it is measured; a table's columns say more than its name.
 
-    The Twist of a topic named as a command is one, as TartanDrive's `cmd/twist.npy`.
+    A topic named as a command is none, as TartanDrive's `cmd/twist.npy`, but for one that commands a motion.
     """
-    return not COMMANDED.search(topic.name) and bool(topic.name and _MEASURED.search(f"{topic.name} {topic.type}"))
+    if COMMANDED.search(topic.name) and not any(_OF_MOTION.search(field) for field in topic.fields):
+        return False
+    return bool(topic.name and _MEASURED.search(f"{topic.name} {topic.type}"))
 
 
 def _candidates(log: Log, rig: Rig) -> Iterator[Guess]:

@@ -74,7 +74,7 @@ def check_gear(drive: Drive, path: Path, recorded: Mapping[str, Recorded]) -> li
     with np.errstate(invalid="ignore"):
         driven_back = (gear == 0) & (path.forward < 0) & _pressed(drive, path)
         against = moving & ((gear * path.forward < 0) | driven_back)
-        if _share_a_field(drive.rig, "throttle", "gear"):  # such a pedal against the motion brakes
+        if drive.rig.reads_alike("throttle", "gear"):  # such a pedal against the motion brakes
             against &= gear * path.acceleration < 0
     share = float(against.sum() / max(moving.sum(), 1))
     raw = _raw(drive, path, recorded)
@@ -88,7 +88,7 @@ def check_gear(drive: Drive, path: Path, recorded: Mapping[str, Recorded]) -> li
 
 def pedal_reverses(drive: Drive, path: Path) -> bool:
     """Whether the brake is the side below zero of the throttle's field, and drives the vehicle backwards."""
-    if not _share_a_field(drive.rig, "throttle", "brake") or not {"throttle", "brake"} <= set(drive.channels):
+    if not drive.rig.reads_alike("throttle", "brake") or not {"throttle", "brake"} <= set(drive.channels):
         return False
     moving = _moving(path)
     with np.errstate(invalid="ignore"):
@@ -108,18 +108,12 @@ def pedal_reverses(drive: Drive, path: Path) -> bool:
 
 def reverses_by_pedal(log: Log, rig: Rig) -> bool:
     """Whether the brake of a rig is reverse (`pedal_reverses`), as a log shows it."""
-    if not _share_a_field(rig, "throttle", "brake"):
+    if not rig.reads_alike("throttle", "brake"):
         return False
     try:
         return pedal_reverses(drive := drive_from_log(log, rig), driven_path(drive))
     except OffpisteError:
         return False
-
-
-def _share_a_field(rig: Rig, *channels: str) -> bool:
-    """Whether channels of a rig read one field."""
-    sources = [rig.channels.get(name) for name in channels]
-    return all(sources) and len({(source.topic, source.fields) for source in sources if source}) == 1
 
 
 def _reverse_pedal(rig: Rig) -> Finding:

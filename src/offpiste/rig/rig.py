@@ -137,6 +137,11 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         """The same rig with flat ground in place of the driven path's slope (an ablation)."""
         return msgspec.structs.replace(self, motion=msgspec.structs.replace(self.motion, normals="flat"))
 
+    def reads_alike(self, *channels: str) -> bool:
+        """Whether there are all of these channels, and they read the same fields."""
+        sources = [self.channels.get(name) for name in channels]
+        return all(sources) and len({(source.topic, source.fields) for source in sources if source}) == 1
+
     def wheel_positions(self) -> Float[np.ndarray, "4 2"]:
         """Wheels in the body frame, from the pose point [m]."""
         return np.array(self.vehicle.wheel_positions)
