@@ -6,6 +6,7 @@ from simulated import MemoryLog, drive_log, pointing, rig
 
 from offpiste.inspection.course import check_course, heading_fits
 from offpiste.inspection.driven_path import driven_path
+from offpiste.inspection.inspect import inspect_log
 from offpiste.inspection.steering import leans_inward
 from offpiste.logs.drive import drive_from_log
 from offpiste.rig.edits import Edit, edited
@@ -72,6 +73,29 @@ def test_the_heading_follows_places_of_latitude_and_longitude_whatever_the_axes(
         for finding in found:
             cured = drive_from_log(log, edited(given, finding.cures[0]))
             assert check_course(cured, driven_path(cured)) == []
+
+
+@pytest.mark.parametrize("down", [True, False])
+def test_a_heading_that_counts_clockwise_is_a_compass_or_an_ins_of_north_east_down(down: bool) -> None:
+    """Velocities and turn rates beside it say which."""
+    time, odom = CLEAN.data["odom"]
+    log, by_yaw = pointing(CLEAN, "z up")
+    yaw = np.unwrap(2 * np.arctan2(odom["qz"], odom["qw"]))
+    x, y, rate = np.cos(yaw), np.sin(yaw), odom["wz"]
+    ways = (y, x, -rate) if down else (x, y, rate)
+    columns = {"vx": ways[0] * odom["vx"], "vy": ways[1] * odom["vx"], "vz": 0.0 * x, "yaw_rate": ways[2]}
+    columns |= {"x": 50.0 + odom["y"] / 111_229, "y": 8.0 + odom["x"] / 71_696, "yaw": np.pi / 2 - yaw}
+    log = MemoryLog({**log.data, "odom": (time, log.data["odom"][1] | columns)})
+    places = [Edit("channels.position.unit", "lat lon"), Edit("channels.position.fields", ["x", "y"])]
+    given = edited(by_yaw, [*places, Edit("channels.linear_velocity.frame", "world")])
+    first = inspect_log(log, given).findings[0]
+    assert first.what == "the heading does not follow the course: it counts clockwise"
+    if down:
+        assert first.cures == ((Edit("motion.axes", "ned"),),)
+    else:
+        assert {edit.key for edit in first.cures[0]} == {"channels.yaw.sign", "channels.yaw.offset"}
+    cured = inspect_log(log, edited(given, first.cures[0]))
+    assert not [f for f in cured.findings if f.severity != "note" and f.where != "steer"]
 
 
 @pytest.mark.parametrize("degrees", [-90.0, 30.0, 60.0])

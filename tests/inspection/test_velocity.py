@@ -59,3 +59,20 @@ def test_a_biased_rate_is_cured_about_any_axis(axes: str) -> None:
     ((edit,),) = finding.cures
     assert edit.value == pytest.approx(0.1 if axes in ("world down", "ned") else -0.1, abs=0.01)
     assert not [f for f in inspect_log(log, edited(given, [edit])).findings if f.severity != "note"]
+
+
+@pytest.mark.parametrize("frame", ["world", "body"])
+def test_a_velocity_of_north_east_down_is_read_in_their_order(frame: str) -> None:
+    time, odom = CLEAN.data["odom"]
+    yaw = 2 * np.arctan2(odom["qz"], odom["qw"])
+    north_east_down = {"vx": odom["vx"] * np.sin(yaw), "vy": odom["vx"] * np.cos(yaw), "vz": -odom["vz"]}
+    log = MemoryLog({**CLEAN.data, "odom": (time, odom | north_east_down)})
+    read = edited(rig(), [Edit("channels.linear_velocity.frame", frame)])
+    (found,) = [f for f in inspect_log(log, read).findings if f.where == "linear_velocity"]
+    assert found.what == "is north, east, down, and is read as east, north, up"
+    cured = edited(read, found.cures[0])
+    assert (cured.channels["linear_velocity"].fields, cured.channels["linear_velocity"].frame) == (
+        ("vy", "vx"),
+        "world",
+    )
+    assert not [f for f in inspect_log(log, cured).findings if f.where == "linear_velocity"]

@@ -80,7 +80,7 @@ def check_course(drive: Drive, path: Path) -> list[Finding]:
     ways.sort(key=lambda way: (against_names(way[0], drive.rig), len(way[0]), -way[1]))
     cures = tuple(cure for cure, _ in ways)
     what = "the heading does not follow the course"
-    if cures and any(edit.key == "channels.yaw.sign" for edit in cures[0]):
+    if cures and name == "yaw" and {"channels.yaw.sign", "motion.axes"} & {edit.key for edit in cures[0]}:
         what += ": it counts clockwise"
     evidence = f"they agree to {plain.together:.2f} (1: always, 0: never)"
     if not cures:
@@ -112,13 +112,20 @@ def readings(drive: Drive, path: Path) -> Iterator[Reading]:
         difference = (np.pi / 2 - course if swap else course) - turned
         agreement = _agreement(difference, turned, moving, straight)
         yield Reading(tuple(edits), agreement, *_offset(difference, straight, moving))
-    # All beside them may be north, east, down.
-    if places and yaw is None and drive.rig.motion.axes in _OF_GEOGRAPHIC:
+    # All beside them may be north, east, down; a compass alone needs no other axes.
+    if places and (yaw is None or _has_axes(drive.rig)) and drive.rig.motion.axes in _OF_GEOGRAPHIC:
         other, quarter = _OF_GEOGRAPHIC[drive.rig.motion.axes]
         turned = np.interp(path.time, raw.time, np.unwrap(raw.values[:, 0]))
         difference = course + quarter + turned
         agreement = _agreement(difference, turned, moving, straight)
         yield Reading((Edit("motion.axes", other),), agreement, *_offset(difference, straight, moving))
+
+
+def _has_axes(rig: Rig) -> bool:
+    """Whether a rig reads a velocity or a turn rate whose axes show."""
+    velocity = rig.channels.get("linear_velocity")
+    turns = {"yaw_rate", "angular_velocity"} & set(rig.channels)
+    return bool(turns) or (velocity is not None and velocity.frame != "unknown")
 
 
 def against_names(edits: Iterable[Edit], rig: Rig) -> float:

@@ -5,7 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from offpiste.geometry import local_polynomial, planar_body_from_world
+from offpiste.geometry import local_polynomial, planar_body_from_world, rotation_from_quaternion
+from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive, common_span
 from offpiste.logs.motion import across_jumps, driven_slope, heading
 
@@ -128,6 +129,21 @@ def driven_path(drive: Drive) -> Path:
         window,
         _reverse(drive, time),
     )
+
+
+def on_path(path: Path, recorded: Channel) -> Float[np.ndarray, "n k"]:
+    """A channel at the path's times, smoothed as the path is; NaN outside of the record and in gaps."""
+    window = max(path.window, 4 * float(np.median(np.diff(recorded.time))))
+    return local_polynomial(recorded.time, recorded.values, path.time, window=window, causal=False)[0]
+
+
+def levelled(drive: Drive, path: Path, recorded: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n 2"]:
+    """Horizontal part of a velocity in the body frame, turned by minus yaw: pitch and roll taken out."""
+    if recorded.shape[1] == 2 or "orientation" not in drive.channels:
+        return recorded[:, :2]
+    orientation = drive.channels["orientation"].linear(path.time, max_gap=np.inf)
+    world = np.einsum("nij,nj->ni", rotation_from_quaternion(np.nan_to_num(orientation, nan=0.5)), recorded)
+    return planar_body_from_world(world[:, :2], path.yaw)
 
 
 def _reverse(drive: Drive, time: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"] | None:

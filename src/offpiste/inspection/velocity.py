@@ -8,13 +8,8 @@ import numpy as np
 from jaxtyping import Float
 from msgspec import structs
 
-from offpiste.geometry import (
-    local_polynomial,
-    planar_body_from_world,
-    rotation_from_quaternion,
-    yaw_rate_from_body_rates,
-)
-from offpiste.inspection.driven_path import STEP, TURNING, Path
+from offpiste.geometry import planar_body_from_world, yaw_rate_from_body_rates
+from offpiste.inspection.driven_path import STEP, TURNING, Path, levelled, on_path
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.lags import SURE, fit_lags
 from offpiste.inspection.steering_fit import moving_rows
@@ -72,10 +67,10 @@ def fit_frames(drive: Drive, path: Path) -> dict[str, FrameFit]:
     """Fits of channel `linear_velocity` by frame, "world" and "body"; empty where too little moves."""
     if path.driving < 3:
         return {}
-    recorded = _on_path(path, drive.channels["linear_velocity"])
+    recorded = on_path(path, drive.channels["linear_velocity"])
     world, upright = (_read_in(frame, recorded, drive.rig) for frame in ("world", "body"))
     body = planar_body_from_world(path.velocity, path.yaw)
-    pairs = {"world": (world[:, :2], path.velocity), "body": (_levelled(drive, path, upright), body)}
+    pairs = {"world": (world[:, :2], path.velocity), "body": (levelled(drive, path, upright), body)}
     fits = {frame: fit_delayed(frame, *pair) for frame, pair in pairs.items()}
     return {frame: fit for frame, fit in fits.items() if fit is not None}
 
@@ -103,6 +98,12 @@ def check_linear_velocity(drive: Drive, path: Path) -> list[Finding]:
     if best.misfit > 2 * _FITS:
         if source.frame == "unknown":
             return []
+        if _fits_north_east(drive, path):
+            cure = Edit(f"channels.{name}.fields", [source.fields[1], source.fields[0]])
+            edits = (cure,) if source.frame == "world" else (cure, Edit(f"channels.{name}.frame", "world"))
+            how = ", ".join(map(str, edits))
+            what = "is north, east, down, and is read as east, north, up"
+            return [Finding("warning", name, what, evidence, how, 1.0, (edits,))]
         return [Finding("warning", name, "fits the pose in neither frame", evidence, str(unused), 1.0, ((unused,),))]
     findings = []
     mirrored = _sideways(drive, path) if best.frame == "body" else []
@@ -121,9 +122,16 @@ def check_linear_velocity(drive: Drive, path: Path) -> list[Finding]:
     return findings or mirrored
 
 
+def _fits_north_east(drive: Drive, path: Path) -> bool:
+    """Whether the velocity fits the pose's derivative in the world with its first two fields exchanged."""
+    recorded = _read_in("world", on_path(path, drive.channels["linear_velocity"]), drive.rig)
+    fit = fit_delayed("world", recorded[:, 1::-1], path.velocity)
+    return fit is not None and fit.misfit < _FITS and fit.gain > 0
+
+
 def _sideways(drive: Drive, path: Path) -> list[Finding]:
     """A finding if a body's velocity to the side goes the other way than the pose: it is positive to the right."""
-    recorded = _levelled(drive, path, _on_path(path, drive.channels["linear_velocity"]))
+    recorded = levelled(drive, path, on_path(path, drive.channels["linear_velocity"]))
     aside = planar_body_from_world(path.velocity, path.yaw)[:, 1]
     fit = fit_lags(aside, np.ones((len(aside), 1)), recorded[None, :, 1], np.zeros(1), moving_rows(path))
     if fit is None or fit.r[0] > -max(_SIDEWAYS, SURE * fit.r_sigma(0)):
@@ -145,14 +153,14 @@ def fit_turn_rate(drive: Drive, path: Path) -> FrameFit | None:
     name = turn_rate_name(drive)
     if name not in drive.channels or np.nanstd(path.yaw_rate) < TURNING:
         return None
-    return fit_delayed("", _on_path(path, _turn_rate(drive)), path.yaw_rate[:, None])
+    return fit_delayed("", on_path(path, _turn_rate(drive)), path.yaw_rate[:, None])
 
 
 def fit_wheel_speed(drive: Drive, path: Path) -> FrameFit | None:
     """Fit of the wheels' speed by the path's; None where there is none, or too little moves."""
     if "wheel_speed" not in drive.channels or path.driving < 3:
         return None
-    recorded = _on_path(path, drive.channels["wheel_speed"]).mean(axis=1)
+    recorded = on_path(path, drive.channels["wheel_speed"]).mean(axis=1)
     return fit_delayed("", *(values[:, None] - np.nanmean(values) for values in (recorded, path.forward)))
 
 
@@ -162,7 +170,7 @@ def check_wheel_speed(drive: Drive, path: Path) -> list[Finding]:
     if fit is None or fit.misfit > _FOLLOWS or _ROLLING[0] < abs(fit.gain) < _ROLLING[1]:
         return []
     # At a nearly constant speed what varies is slip, which has a gain of its own.
-    recorded = _on_path(path, drive.channels["wheel_speed"]).mean(axis=1)
+    recorded = on_path(path, drive.channels["wheel_speed"]).mean(axis=1)
     known = np.isfinite(recorded) & np.isfinite(path.forward)
     level = float(recorded[known] @ path.forward[known]) / max(float(path.forward[known] @ path.forward[known]), 1e-9)
     if not _ROLLING[0] < level / fit.gain < _ROLLING[1]:
@@ -186,7 +194,7 @@ def check_turn_rate(drive: Drive, path: Path) -> list[Finding]:
         how = f"{removed}; the pose is differentiated instead"
         return [Finding("warning", name, "does not follow the pose's yaw rate", evidence, how, 1.0, ((removed,),))]
     wrong = _gain(name, fit, drive.rig, "rad/s", _RATE_UNITS) + _delay(name, fit, source)
-    return wrong or (_bias(_on_path(path, drive.channels[name])[:, 0], path, drive.rig) if name == "yaw_rate" else [])
+    return wrong or (_bias(on_path(path, drive.channels[name])[:, 0], path, drive.rig) if name == "yaw_rate" else [])
 
 
 def _bias(recorded: Float[np.ndarray, " n"], path: Path, rig: Rig) -> list[Finding]:
@@ -212,21 +220,6 @@ def _turn_rate(drive: Drive) -> Channel:
         orientation = drive.channels["orientation"].linear(rate.time, max_gap=np.inf)
         values = yaw_rate_from_body_rates(np.nan_to_num(orientation, nan=0.5), rate.values)
     return Channel(name, rate.unit, rate.time, values[:, None])
-
-
-def _on_path(path: Path, recorded: Channel) -> Float[np.ndarray, "n k"]:
-    """A channel at the path's times, smoothed as the path is; NaN outside of the record and in gaps."""
-    window = max(path.window, 4 * float(np.median(np.diff(recorded.time))))
-    return local_polynomial(recorded.time, recorded.values, path.time, window=window, causal=False)[0]
-
-
-def _levelled(drive: Drive, path: Path, recorded: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n 2"]:
-    """Horizontal part of a velocity in the body frame, turned by minus yaw: pitch and roll taken out."""
-    if recorded.shape[1] == 2 or "orientation" not in drive.channels:
-        return recorded[:, :2]
-    orientation = drive.channels["orientation"].linear(path.time, max_gap=np.inf)
-    world = np.einsum("nij,nj->ni", rotation_from_quaternion(np.nan_to_num(orientation, nan=0.5)), recorded)
-    return planar_body_from_world(world[:, :2], path.yaw)
 
 
 def fit_delayed(frame: str, recorded: Float[np.ndarray, "n c"], true: Float[np.ndarray, "n c"]) -> FrameFit | None:
