@@ -447,3 +447,20 @@ def test_positions_from_the_middle_of_the_earth_are_said_not_to_be_read(tmp_path
         LogError, match=r"frame \(ECEF\) are not read; write latitude and longitude \[deg\] beside ecef_x"
     ):
         draft_rig(open_log(written(tmp_path / "comma.csv", columns)))
+
+
+def test_latitude_and_longitude_in_messages_of_their_own_are_a_position(tmp_path: Path) -> None:
+    """As of a CAN bus, decoded to a row for each message."""
+    names = {"Latitude": 48.1 + DRIVEN["y"] / 111e3, "Longitude": 11.5 + DRIVEN["x"] / 74e3, "Yaw": DRIVEN["yaw"]}
+    rows = [
+        (time + 0.003 * number, *("" if other != name else f"{names[name][at]:.9f}" for other in names))
+        for at, time in enumerate(DRIVEN["t"])
+        for number, name in enumerate(names)
+    ]
+    path = tmp_path / "can.csv"
+    path.write_text("\n".join(",".join(map(str, row)) for row in [("t", *names), *rows]) + "\n", "utf-8")
+    rig = drafted(path)
+    assert rig.channels["position"].fields == ("Latitude", "Longitude")
+    drive = drive_from_log(open_log(path), rig)
+    assert len(drive.channels["position"].time) == len(DRIVEN["t"])
+    assert drive.notes == ()

@@ -19,6 +19,7 @@ from offpiste.inspection.pose import check_level, check_orientation, check_posit
 from offpiste.inspection.signal_faults import degrees_each
 from offpiste.logs.channel import read_channel
 from offpiste.logs.drive import drive_from_log
+from offpiste.logs.kept_rows import brought_together
 from offpiste.logs.log import Log
 from offpiste.logs.transforms import listed
 from offpiste.rig.channels import GEOGRAPHIC
@@ -136,9 +137,10 @@ def _velocity_beside(log: Log, channels_of: Mapping[str, Mapping[str, Guess]]) -
 def field_values(log: Log, guess: Guess) -> Float[np.ndarray, "n k"] | None:
     """Finite rows of a guess's fields, None where they cannot be read."""
     try:
-        values = log.read(guess.topic, guess.fields).values
+        samples = log.read(guess.topic, guess.fields)
     except OffpisteError:
         return None
+    values = brought_together(samples.time, samples.values)
     values = values[np.isfinite(values).all(axis=1)]
     return values if len(values) > 1 else None
 
