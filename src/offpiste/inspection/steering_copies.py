@@ -3,6 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
+from offpiste.inspection.controls_by_numbers import is_measured
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.inspection.signals import place
@@ -21,7 +22,10 @@ _LATE = 0.3
 
 
 def check_copies(drive: Drive, recorded: dict[str, Recorded]) -> list[Finding]:
-    """Notes on fields that repeat the steering late, and that no channel reads: what is measured follows it rightly."""
+    """Notes on fields that repeat the steering late, and that no channel reads: what is measured follows it rightly.
+
+    So does what is measured of the motion, as by an IMU.
+    """
     source = drive.rig.channels.get("steer")
     if source is None or source.topic not in recorded:
         return []
@@ -29,7 +33,7 @@ def check_copies(drive: Drive, recorded: dict[str, Recorded]) -> list[Finding]:
     read = {(one.topic, field) for one in drive.rig.channels.values() for field in one.fields}
     findings = []
     for topic, r in recorded.items():
-        if topic == source.topic or len(r.time) < 200:
+        if topic == source.topic or len(r.time) < 200 or is_measured(r.topic):
             continue
         keep = np.append(True, r.time[1:] > r.time[:-1]) & np.isfinite(r.time)
         for field, values in zip(r.fields, r.values[keep].T, strict=True):
