@@ -73,6 +73,22 @@ def test_a_preset_of_another_vehicle_leads_to_a_first_rig(
     assert capsys.readouterr().out.splitlines()[-1] == f"next: offpiste inspect '{log}' --write-rig my.toml"
 
 
+def test_without_a_pose_the_next_step_is_one_that_works(
+    log: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    text = Path(log).read_text("utf-8")
+    for name, header, next_step in (
+        ("nameless.csv", "t,a,b,c", "next: offpiste inspect nameless.csv --rig my.toml"),
+        ("comma.csv", "t,ecef_x,ecef_y,ecef_z", "next: offpiste inspect comma.csv"),
+    ):
+        Path(name).write_text(text.replace("t,x,y,yaw", header), "utf-8")
+        assert run("inspect", name) == 1
+        first, following = capsys.readouterr().out.splitlines()[-2:]
+        assert first.startswith("first: ")
+        assert following == next_step
+
+
 def test_a_time_that_no_name_shows_is_named(
     log: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -443,3 +443,43 @@ def test_a_heading_that_is_never_wrapped_has_the_unit_that_the_course_shows(unit
     text = draft_rig(MemoryLog({"car": (time, columns)}))
     assert parse_rig(text, where="test").channels["yaw"].unit == ("" if unit == "rad" else "deg")
     assert f"in {unit} by the course" in text
+
+
+@pytest.mark.parametrize("more", [(), ("bus",)])
+def test_a_long_table_is_said_to_be_one(tmp_path: Path, more: tuple[str, ...]) -> None:
+    signals = [name for name in POSE if name != "t"]
+    rows = [
+        ",".join([str(time), *("1" for _ in more), name, str(DRIVEN[name][row])])
+        for row, time in enumerate(DRIVEN["t"][:50])
+        for name in signals
+    ]
+    path = tmp_path / "long.csv"
+    path.write_text("\n".join([",".join(["timestamp", *more, "signal", "value"]), *rows]) + "\n", "utf-8")
+    with pytest.raises(LogError, match="the table is long: it has a line, not a column, for each signal") as caught:
+        draft_rig(open_log(path))
+    assert "pivot_table(values='value', index='timestamp', columns='signal')" in caught.value.how
+
+
+def test_positions_from_the_middle_of_the_earth_are_said_not_to_be_read(tmp_path: Path) -> None:
+    columns: Columns = {"t": ("t", 1), "ecef_x": ("x", 1), "ecef_y": ("y", 1), "ecef_z": ("zero", 1)}
+    with pytest.raises(
+        LogError, match=r"frame \(ECEF\) are not read; write latitude and longitude \[deg\] beside ecef_x"
+    ):
+        draft_rig(open_log(written(tmp_path / "comma.csv", columns)))
+
+
+def test_latitude_and_longitude_in_messages_of_their_own_are_a_position(tmp_path: Path) -> None:
+    """As of a CAN bus, decoded to a row for each message."""
+    names = {"Latitude": 48.1 + DRIVEN["y"] / 111e3, "Longitude": 11.5 + DRIVEN["x"] / 74e3, "Yaw": DRIVEN["yaw"]}
+    rows = [
+        (time + 0.003 * number, *("" if other != name else f"{names[name][at]:.9f}" for other in names))
+        for at, time in enumerate(DRIVEN["t"])
+        for number, name in enumerate(names)
+    ]
+    path = tmp_path / "can.csv"
+    path.write_text("\n".join(",".join(map(str, row)) for row in [("t", *names), *rows]) + "\n", "utf-8")
+    rig = drafted(path)
+    assert rig.channels["position"].fields == ("Latitude", "Longitude")
+    drive = drive_from_log(open_log(path), rig)
+    assert len(drive.channels["position"].time) == len(DRIVEN["t"])
+    assert drive.notes == ()

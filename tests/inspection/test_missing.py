@@ -123,6 +123,15 @@ def test_other_topics_are_no_controls():
     assert " a" not in finding.evidence
 
 
+def test_what_is_measured_is_no_control_whatever_its_topic_belongs_to():
+    time, columns = CLEAN.data["pedals"]
+    rest = {name: topic for name, topic in CLEAN.data.items() if name != "pedals"}
+    odometry = "/velocity_controller/odom", (time, {"pose.x": columns["throttle"]})
+    mode = "/control_mode", (time, {"stamp.sec": np.floor(time), "mode": columns["brake"]})
+    (finding,) = notes(MemoryLog(rest | dict([odometry, mode])), *NO_PEDALS)
+    assert finding.evidence == "nothing reads /control_mode (memory: mode)"
+
+
 def test_fields_that_are_entries_of_an_array_are_listed() -> None:
     array = drive_log(seed=0)
     time, columns = array.data["steering"]

@@ -5,6 +5,8 @@ import pytest
 from simulated import drive_log, rig
 
 from offpiste.inspection.inspect import inspect_log
+from offpiste.inspection.ranges import check_ranges
+from offpiste.inspection.recorded_log import RememberedLog, read_topics
 from offpiste.logs.channel import read_channel
 from offpiste.rig.edits import Edit, edited
 
@@ -15,6 +17,13 @@ def cures(log, **entries):
     field = 'fields = ["brake"]'
     lines = "\n".join(f"{key} = {value}" for key, value in entries.items())
     return inspect_log(log, rig((field, f"{field}\n{lines}"))).cure
+
+
+def test_an_angle_that_no_road_wheel_has_is_not_scaled_to_one():
+    log = RememberedLog(CLEAN.change("steering", "angle", lambda angle: 6 * angle), rig())
+    (finding,) = check_ranges(read_topics(log, rig())[0], rig())
+    assert (finding.where, finding.what, finding.cures) == ("steer_angle", "leaves its range", ())
+    assert "channels.steer_angle.scale is 1 over the steering's ratio" in finding.remedy
 
 
 @pytest.mark.parametrize("period", [65536.0, 6553.6])

@@ -1,10 +1,13 @@
-"""Poses that are computed from the steering, against those of vehicles that go where they are steered."""
+"""Copies of the steering: late ones that pass for its command, and poses that are computed from it."""
 
 import numpy as np
 import pytest
 from simulated import MemoryLog, drive_log, rig, steered
 
 from offpiste.inspection.inspect import inspect_log
+from offpiste.inspection.recorded_log import RememberedLog, read_topics
+from offpiste.inspection.steering_copies import check_copies
+from offpiste.logs.drive import drive_from_log
 from offpiste.rig.edits import Edit, edited
 
 CLEAN = drive_log(seed=3)
@@ -59,3 +62,17 @@ def test_a_rear_axle_that_slips_is_not_computed(slip: float) -> None:
 
 def test_a_vehicle_that_turns_one_way_alone_shows_no_formula() -> None:
     assert _found(steered(CLEAN, np.abs(COMMAND), follows=0.0)) == []
+
+
+def test_a_gyroscope_is_no_late_copy_of_the_steering() -> None:
+    log = drive_log(seed=0)
+    time, columns = log.data["steering"]
+
+    def named(topic: str) -> list[str]:
+        late = {topic: (time + 0.5, {"z": columns["command"]})}
+        both = MemoryLog({**log.data, **late})
+        recorded, _ = read_topics(RememberedLog(both, rig()), rig())
+        return [finding.where for finding in check_copies(drive_from_log(both, rig()), recorded)]
+
+    assert named("/status") == ["/status z"]
+    assert named("/imu/imu") == []

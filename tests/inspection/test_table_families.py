@@ -153,6 +153,12 @@ def test_a_pressure_is_not_read_as_a_percentage() -> None:
     assert source.scale * 60 * QUANTITIES["brake"].max() == pytest.approx(1, rel=0.01)
 
 
+def test_the_pedal_of_an_aim_logger_is_found() -> None:
+    columns = {name: quantity for name, quantity in PEDALS.items() if quantity != "throttle"}
+    text = draft_rig(table({"x": "x", "y": "y", "yaw": "azimuth in rad", "PPS": "throttle"} | columns))
+    assert parse_rig(text, where="draft").channels["throttle"].fields == ("PPS",)
+
+
 def test_a_world_of_north_east_down_that_is_read_as_up_is_said_to_be() -> None:
     columns, _ = FAMILIES["north, east, down"]
     log = table(columns)
@@ -175,8 +181,9 @@ def test_a_pose_of_px4_or_one_that_is_named_so_points_down(prefix: str, down: bo
     assert (parse_rig(text, where="draft").motion.axes == "ned") == down
 
 
-def test_a_course_over_ground_is_said_to_be_no_heading() -> None:
-    columns = {"x": "x", "y": "y", "cog": "azimuth in rad"} | PEDALS
+@pytest.mark.parametrize("name", ["cog", "GPS Heading"])
+def test_a_course_over_ground_is_said_to_be_no_heading(name: str) -> None:
+    columns = {"x": "x", "y": "y", name: "azimuth in rad"} | PEDALS
     log = table(columns)
     found = inspect_log(log, parse_rig(draft_rig(log), where="draft")).findings
     (note,) = (f for f in found if f.what.startswith("is a course over ground"))

@@ -65,6 +65,12 @@ def test_readings_beyond_the_rest_are_not_seen() -> None:
     assert seen_range(-values)[1] == pytest.approx(-11.0)
 
 
+def test_a_pressure_that_decays_to_nothing_rests_at_zero() -> None:
+    values = np.maximum(presses(0, 45, rest=0.0), 2e-189)
+    assert seen_range(values)[0] == 0.0
+    assert seen_range(-values)[1] == 0.0
+
+
 def test_where_a_pedal_rests() -> None:
     assert rests_high(presses(-1, 1, rest=1.0)) is True
     assert rests_high(presses(0, 1, rest=0.0)) is False

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from offpiste.logs.kept_rows import between_samples, increasing
+from offpiste.logs.kept_rows import between_samples, brought_together, increasing
 
 
 def _rows_of(rate: float, seconds: float = 30.0, table: float = 100.0) -> np.ndarray:
@@ -22,6 +22,28 @@ def test_a_slower_sensor_leaves_rows_empty(rate: float) -> None:
     empty = _rows_of(rate)
     assert empty.mean() == pytest.approx(1 - rate / 100, abs=0.02)
     np.testing.assert_array_equal(between_samples(empty), empty)
+
+
+@pytest.mark.parametrize("apart", [0.003, -0.003, 0.02])
+def test_parts_in_rows_of_their_own_are_brought_together(apart: float) -> None:
+    each = 0.05 * np.arange(100)
+    time, parts = np.concatenate([each, each + apart]), np.full((200, 2), np.nan)
+    parts[:100, 0], parts[100:, 1] = each, -each
+    order = np.argsort(time)
+    found = brought_together(time[order], parts[order])
+    whole = np.isfinite(found).all(axis=1)
+    if abs(apart) > 0.01:
+        assert not whole.any()
+        return
+    np.testing.assert_array_equal(found[whole], np.column_stack([each, -each]))
+    assert np.isnan(found[~whole]).all()
+    np.testing.assert_array_equal(time[order][whole], each)
+
+
+def test_rows_that_hold_all_parts_are_left_as_they_are() -> None:
+    time, values = 0.005 * np.arange(100), np.random.default_rng(0).normal(size=(100, 2))
+    values[::3, 0], values[1::3, 1] = np.nan, np.nan
+    np.testing.assert_array_equal(brought_together(time, values), values)
 
 
 @pytest.mark.parametrize("share", [0.05, 0.2, 0.5, 0.8])

@@ -93,9 +93,19 @@ class Inspect:
     def _next(self, log: str, inspection: "Inspection") -> str:
         """The command that comes next, as a line to paste, and before it what to do first."""
         from offpiste.inspection.draft_values import DRAFTED
+        from offpiste.inspection.inspect import UNDRAFTED
         from offpiste.rig.rig import rig_text
 
         rig = str(self.write_rig) if self.write_rig else self.rig
+        undrafted = [finding.remedy for finding in inspection.findings if finding.evidence == UNDRAFTED]
+        if undrafted and "write a rig" in undrafted[0]:
+            own = _another("my.toml")
+            by_hand = f"write {own} by hand, with the fields of a position and a heading (docs/rig.md)"
+            return f"first: {by_hand}\nnext: {join(['offpiste', 'inspect', log, '--rig', own])}"
+        if undrafted:
+            return (
+                f"first: make the log one that can be read, as said above\nnext: {join(['offpiste', 'inspect', log])}"
+            )
         if not rig:
             time = ["--time", self.time] if self.time else []
             return "next: " + join(["offpiste", "inspect", log, *time, "--write-rig", "my.toml"])

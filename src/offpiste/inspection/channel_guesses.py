@@ -46,6 +46,7 @@ _SCALARS: tuple[tuple[str, int, str], ...] = (
     ("steer_angle", 0, rf"steer(ing)?.*{_ANGLE}|(?<![a-z])delta(_?f|_front)?(_(cmd|des|ref|target))?$"),
     ("steer_angle", 0, rf"(road_?wheel|front_?wheel|(?<![a-z])front|tyre|tire)_?{_ANGLE}"),
     ("steer_angle", 1, rf"(^|[ ._/])wheel_?{_ANGLE}$"),
+    ("throttle", 0, r"^pps$"),
     ("throttle", 1, r"(?<![a-z])tps(?![a-z])"),
     ("steer_angle", MEASURED, r"(?<![a-z])steer(ing)?_?(pos(ition)?|feedback|fb|act(ual)?|meas(ured)?)$"),
     ("steer", 0, r"(?<![a-z])hand(_?wheel|le_?bars?)(_?(angle|ang|pos(ition)?))?$"),

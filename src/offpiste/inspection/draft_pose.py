@@ -19,6 +19,7 @@ from offpiste.inspection.pose import check_level, check_orientation, check_posit
 from offpiste.inspection.signal_faults import degrees_each
 from offpiste.logs.channel import read_channel
 from offpiste.logs.drive import drive_from_log
+from offpiste.logs.kept_rows import brought_together
 from offpiste.logs.log import Log
 from offpiste.logs.transforms import listed
 from offpiste.rig.channels import GEOGRAPHIC
@@ -26,6 +27,12 @@ from offpiste.rig.edits import edited
 from offpiste.rig.labels import channel_unit, named_down
 from offpiste.rig.rig import Rig
 
+_LONG: Final = "the table is long: it has a line, not a column, for each signal"
+_IN_EARTH: Final = "positions in the earth's own frame (ECEF) are not read"
+_ECEF: Final = re.compile(r"(?<![a-z])ecef[_. ]*(pos(ition)?)?[_. ]*[xyz](?![a-z])", re.IGNORECASE)
+_SIGNAL: Final = re.compile(r"signal|name|channel|variable|parameter|field|topic|key", re.IGNORECASE)
+_VALUE: Final = re.compile(r"(?<![a-z])(value|val|data|reading)$", re.IGNORECASE)
+"""Columns of a long table."""
 _POSE: Final = ("position", "orientation", "yaw", "linear_velocity", "angular_velocity")
 _LAST: Final = re.compile(r"wheel|controller|ecef", re.IGNORECASE)
 """Names of topics with the odometry of wheels, or in the earth's own frame, whose z is not up."""
@@ -135,9 +142,10 @@ def _velocity_beside(log: Log, channels_of: Mapping[str, Mapping[str, Guess]]) -
 def field_values(log: Log, guess: Guess) -> Float[np.ndarray, "n k"] | None:
     """Finite rows of a guess's fields, None where they cannot be read."""
     try:
-        values = log.read(guess.topic, guess.fields).values
+        samples = log.read(guess.topic, guess.fields)
     except OffpisteError:
         return None
+    values = brought_together(samples.time, samples.values)
     values = values[np.isfinite(values).all(axis=1)]
     return values if len(values) > 1 else None
 
@@ -219,12 +227,38 @@ def no_pose(log: Log) -> LogError:
         if list(log.topics) != [""]:
             has = ("no topic has a message", "no topic has more than one message")
         return LogError(has[most], where=log.path, how="a drive needs many: record or export it again")
+    for what, remedy in ((_LONG, _pivoted(log)), (_IN_EARTH, _from_the_earth(log))):
+        if remedy:
+            return LogError(what, where=log.path, how=remedy)
     how = _not_read(log) or f"{inverse_pose(log)}write a rig that names one"
     return LogError(
         "no topic looks like a pose (position and heading)",
         where=log.path,
         how=f"{how}; {_half_of_a_pose(log)}it has: {_contents(log)}",
     )
+
+
+def _pivoted(log: Log) -> str:
+    """How a table of signals' names beside their values becomes one of a column each; empty for another log."""
+    table = log.topics.get("")
+    if table is None:
+        return ""
+    numbers = [name for name in table.fields if name != log.clock.column]
+    values = numbers if len(numbers) == 1 else [name for name in numbers if _VALUE.search(name)]
+    signals = [name for name in table.unread if _SIGNAL.search(name)]
+    if not values or not signals:
+        return ""
+    columns = f"values='{values[0]}', index='{log.clock.column}', columns='{signals[0]}'"
+    return f"give each name in '{signals[0]}' a column, as pandas' pivot_table({columns}) does"
+
+
+def _from_the_earth(log: Log) -> str:
+    """What to write in place of ECEF positions; empty where no field is called one."""
+    fields = [field for topic in log.topics.values() for field in topic.fields if _ECEF.search(field)]
+    if len(fields) < 3:
+        return ""
+    geographic = f"write latitude and longitude [deg] beside {', '.join(fields[:3])} (pyproj: EPSG:4978 to EPSG:4979)"
+    return f"{geographic}, and the heading from east to north [rad]; an orientation in that frame is none"
 
 
 def _half_of_a_pose(log: Log) -> str:

@@ -23,6 +23,9 @@ from offpiste.rig.channels import Clock
 from offpiste.rig.edits import Edit, edited
 from offpiste.rig.rig import Rig, parse_rig
 
+UNDRAFTED = "by names and types of topics"
+"""Evidence of the finding that no first rig can be written."""
+
 
 @dataclass(frozen=True)
 class TopicRow:
@@ -156,4 +159,4 @@ def _drafted(log: Log) -> tuple[Rig | None, list[Finding]]:
     try:
         return parse_rig(draft_rig(log), where="the drafted rig"), []
     except OffpisteError as error:
-        return None, [Finding("fatal", "log", error.what, "by names and types of topics", error.how, 1.0)]
+        return None, [Finding("fatal", "log", error.what, UNDRAFTED, error.how, 1.0)]

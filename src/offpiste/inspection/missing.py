@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from offpiste.channels import CONTROLS
+from offpiste.inspection.controls_by_numbers import is_measured
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.logs.transforms import FramePair, frame_pair
@@ -23,6 +24,8 @@ _NAMES: Final = {
     "steer": "steer",
 }
 """What topics and fields of a control are called."""
+_BESIDES: Final = re.compile(r"(^|[._/])stamp[._]|covariance")
+"""Numbers beside a quantity that are none of a control."""
 _FIELDS: Final = 6
 """Fields of a topic that are listed."""
 
@@ -131,7 +134,8 @@ def _unread(recorded: dict[str, Recorded], rig: Rig, named: re.Pattern[str]) -> 
         read = {field for source in rig.channels.values() if source.topic == name for field in source.fields}
         still = {field for field, column in zip(r.fields, r.values.T, strict=True) if not _varies(column)}
         fields = [field for field in r.topic.fields if field not in read | still]
-        if read or not named.search(name):
+        fields = [field for field in fields if not _BESIDES.search(field)]
+        if read or is_measured(r.topic) or not named.search(name):
             fields = [field for field in fields if named.search(r.topic.in_words(field))]
         if fields:
             listed = ", ".join(map(r.topic.in_words, fields[:_FIELDS])) + (", ..." if len(fields) > _FIELDS else "")

@@ -20,7 +20,7 @@ from offpiste.inspection.usual_ranges import (
     whole_range,
 )
 from offpiste.logs.channel import convert, largest
-from offpiste.rig.channels import ChannelSource, unit_factor
+from offpiste.rig.channels import ChannelSource, known_channels, unit_factor
 from offpiste.rig.edits import Edit, absent, rescaled, rounded
 from offpiste.rig.rig import Rig
 
@@ -39,6 +39,9 @@ BRAKES: Final = ("brake", "brake_pressure")
 
 _AT_AN_END: Final = 0.15
 """Distance from an end of its range, 0 or 1, at which a brake that never moves is at rest: some rest a little above."""
+_TOO_FAR: Final = (
+    "no road wheel turns so far: if it is the steering wheel, channels.{name}.scale is 1 over the steering's ratio"
+)
 
 
 def is_untouched(name: str, values: Float[np.ndarray, " n"]) -> bool:
@@ -78,9 +81,9 @@ def check_ranges(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
                 "leaves its range" if not source.clip else "is clipped much of the time",
                 f"{outside:.0%} of the samples are outside of {low:g} to {high:g}; 99 % lie between {first:.3g} "
                 f"and {last:.3g}",
-                ", ".join(map(str, cure)),
+                ", ".join(map(str, cure)) or _TOO_FAR.format(name=name),
                 outside,
-                (cure,),
+                (cure,) if cure else (),
             )
         )
     return findings
@@ -191,8 +194,8 @@ def _cure(
         except RigError:
             continue
         return (Edit(f"channels.{name}.unit", unit),)
-    if low < 0:
-        return rescaled(name, source, high / extreme)
+    if low < 0:  # of an angle 1 is no full lock
+        return () if known_channels()[name][0] == "rad" else rescaled(name, source, high / extreme)
     if last < 0.1 * extreme and extreme <= 1.2 * high:
         return (Edit(f"channels.{name}.sign", -source.sign),)
     # 0 to 1 over what was seen: value = sign * (raw * scale + offset) * unit.

@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from offpiste.geometry import local_polynomial, planar_body_from_world
 from offpiste.inspection.channel_guesses import labels
+from offpiste.inspection.controls_by_numbers import is_measured
 from offpiste.inspection.driven_path import TURNING, Path
 from offpiste.inspection.field_groups import field_groups
 from offpiste.inspection.findings import Finding
@@ -37,7 +38,10 @@ _BOTH_WAYS: Final = 0.1
 
 
 def check_copies(drive: Drive, recorded: dict[str, Recorded]) -> list[Finding]:
-    """Notes on fields that repeat the steering late, and that no channel reads: what is measured follows it rightly."""
+    """Notes on fields that repeat the steering late, and that no channel reads: what is measured follows it rightly.
+
+    So does what is measured of the motion, as by an IMU.
+    """
     source = drive.rig.channels.get("steer")
     if source is None or source.topic not in recorded:
         return []
@@ -45,7 +49,7 @@ def check_copies(drive: Drive, recorded: dict[str, Recorded]) -> list[Finding]:
     read = {(one.topic, field) for one in drive.rig.channels.values() for field in one.fields}
     findings = []
     for topic, r in recorded.items():
-        if topic == source.topic or len(r.time) < 200:
+        if topic == source.topic or len(r.time) < 200 or is_measured(r.topic):
             continue
         keep = np.append(True, r.time[1:] > r.time[:-1]) & np.isfinite(r.time)
         for field, values in zip(r.fields, r.values[keep].T, strict=True):

@@ -18,6 +18,8 @@ _FULL: Final = (1.0, 10.0, 100.0, 127.0, 255.0, 1000.0, 1023.0, 4095.0, 32767.0,
 _PRESSED: Final = 0.45
 """Least share of one of them that drivers reach; from zero, of what rests at an end of its range any."""
 _SLACK: Final = 0.02
+_NOTHING: Final = 1e-6
+"""Share of the largest number below which one is zero, as what a filter lets decay."""
 _PULSES: Final = (900.0, 2100.0)
 """Widths of the pulses that servos and speed controllers take [us]."""
 _MIDDLE_PULSE: Final = 1500.0
@@ -46,7 +48,9 @@ def seen_range(values: Float[np.ndarray, " n"]) -> tuple[float, float]:
     Rare readings beyond its rest are none of it.
     """
     (low, high), (least, most) = held_range(values), np.percentile(values, (0.5, 99.5))
-    return (low, float(most)) if rests_high(values) else (float(least), high)
+    least, most = (low, float(most)) if rests_high(values) else (float(least), high)
+    tiny = _NOTHING * max(abs(least), abs(most))
+    return (0.0 if abs(least) < tiny else least), (0.0 if abs(most) < tiny else most)
 
 
 def full_scale(largest: float) -> float:

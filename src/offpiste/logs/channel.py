@@ -13,7 +13,7 @@ from offpiste.channels import control_of
 from offpiste.errors import LogError, RigError
 from offpiste.geometry import LARGEST_DEGREES, bicycle_angle, local_from_geographic
 from offpiste.logs.axes import to_z_up
-from offpiste.logs.kept_rows import between_samples, increasing
+from offpiste.logs.kept_rows import between_samples, brought_together, increasing
 from offpiste.logs.log import Log, Samples
 from offpiste.rig.channels import (
     GEOGRAPHIC,
@@ -133,7 +133,7 @@ def read_numbered_channel(
     fields = source.fields if topic is None else topic.fields_here(source.fields, source.joints)
     samples = log.read(source.topic, fields, stamps=rig.clock.stamps)
     order = np.argsort(samples.time, kind="stable") if rig.clock.sort else np.arange(len(samples.time))
-    in_order = Samples(samples.time[order], samples.values[order])
+    in_order = Samples(samples.time[order], brought_together(samples.time, samples.values)[order])
     channel, numbers, notes = _clean(name, source, in_order, log.path, rig.vehicle)
     if rig.motion.axes != "z up":
         channel = dataclasses.replace(channel, values=to_z_up(name, source, channel.values, rig.motion.axes))

@@ -1,4 +1,7 @@
-"""Rows of a log that are read: those whose stamps increase, and, of a table, those that a slower sensor fills."""
+"""Rows of a log that are read: those whose stamps increase, and, of a table, those that a slower sensor fills.
+
+Of a table, the parts of one quantity may stand in rows of their own, a message each, which are brought together.
+"""
 
 from bisect import bisect_left
 from typing import Final
@@ -8,6 +11,10 @@ from jaxtyping import Bool, Float
 
 _SLOWER: Final = 0.1
 """Share of the rows that a slower sensor leaves empty, at least."""
+_TOGETHER: Final = 0.01
+"""Messages by which the parts of one quantity are sent are less than this apart [s]."""
+_CHANCE: Final = 0.05
+"""Share of the samples of a quantity up to which its parts share a row by chance."""
 _RUNS: Final = 20
 """Runs of empty rows, and of others, that show how evenly they come."""
 
@@ -32,6 +39,32 @@ def between_samples(empty: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
         if np.percentile(runs, 90) > longest[-1]:
             return none
     return np.asarray(empty & np.repeat(length <= longest[-1], length))
+
+
+def brought_together(time: Float[np.ndarray, " n"], values: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
+    """The same rows, those of the first column with what the others hold at nearly the same time.
+
+    As of a CAN bus, on which latitude and longitude come in messages of their own. Rows whose numbers stand in another
+    one are empty then. Where rows hold all of them, other than by chance, nothing is changed.
+
+    Args:
+        time: stamps, in any order [s].
+    """
+    if values.shape[1] < 2:
+        return values
+    known = np.isfinite(values) & np.isfinite(time)[:, None]
+    fewest = known.sum(axis=0).min()
+    if fewest < 2 or known.all(axis=1).sum() > _CHANCE * fewest:
+        return values
+    result = np.full_like(values, np.nan)
+    at = np.flatnonzero(known[:, 0])
+    for column, there in enumerate(known.T):
+        rows = np.flatnonzero(there)[np.argsort(time[there], kind="stable")]
+        after = np.searchsorted(time[rows], time[at]).clip(1, len(rows) - 1)
+        earlier = time[at] - time[rows[after - 1]] < time[rows[after]] - time[at]
+        near = rows[after - earlier]
+        result[at, column] = np.where(np.abs(time[near] - time[at]) < _TOGETHER, values[near, column], np.nan)
+    return result
 
 
 def increasing(time: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:

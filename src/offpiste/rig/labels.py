@@ -255,8 +255,8 @@ GEOGRAPHIC_NAMES: Final = tuple(
 """What latitude, longitude and height are called."""
 COURSE_NAMES: Final = r"track|trk_gnd|course(_over_ground)?|cog"
 """What a course over ground is called, as part of a pattern."""
-_COURSE_WORD: Final = re.compile(r"course|(?<![a-z])(cog|trk|track)(?![a-z])", re.IGNORECASE)
-"""What every such name holds, and longer ones too."""
+_COURSE_WORD: Final = re.compile(r"course|(?<![a-z])(cog|trk|track)(?![a-z])|gps[ _.]?(heading|hdg)", re.IGNORECASE)
+"""What every such name holds, and longer ones too, and what loggers call it."""
 
 
 def with_letters(name: str) -> str:
