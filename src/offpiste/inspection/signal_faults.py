@@ -7,6 +7,7 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import median_filter
 
 from offpiste.rig.channels import Wrap
+from offpiste.rig.labels import are_since_1970
 
 _SPIKE: Final = 8.0
 """A spike stands out from its neighbours by this many times what 95 % of the samples do."""
@@ -113,3 +114,12 @@ def _half_span(values: Float[np.ndarray, " n"]) -> float:
 def _round(value: float) -> float:
     """Two digits: a threshold in the middle of nowhere needs no more."""
     return float(f"{value:.2g}")
+
+
+def is_clock(column: Float[np.ndarray, " n"]) -> bool:
+    """Whether a column only ever grows, as a time or a sequence number does; whole seconds since 1970 repeat."""
+    finite = column[np.isfinite(column)]
+    known = finite[finite != 0]  # a clock may not be set yet
+    if len(known) > 10 and are_since_1970(known):
+        return bool(np.mean(np.diff(known) >= 0) > 0.9)
+    return len(finite) > 10 and bool((np.diff(finite) > 0).all())

@@ -17,6 +17,7 @@ from offpiste.inspection.signal_faults import (
     degrees_each,
     find_spikes,
     find_wrap,
+    is_clock,
     unrolled,
 )
 from offpiste.inspection.usual_ranges import scaled_to_unit
@@ -24,7 +25,6 @@ from offpiste.logs.channel import LARGEST, convert, largest_recorded, unwrapped
 from offpiste.logs.kept_rows import between_samples
 from offpiste.rig.channels import GEOGRAPHIC, POSE, ChannelSource, Wrap, known_channels
 from offpiste.rig.edits import Edit, absent, rounded, toml_value
-from offpiste.rig.labels import are_since_1970
 from offpiste.rig.rig import Rig
 
 _MOST_LEFT = 0.5
@@ -68,7 +68,7 @@ def other_signals(recorded: dict[str, Recorded], rig: Rig | None) -> list[Signal
         Signal(place(topic, field), "", column, column)
         for topic, r in recorded.items()
         for field, column in zip(r.fields, r.values.T, strict=True)
-        if (topic, field) not in read and not _is_clock(column)
+        if (topic, field) not in read and not is_clock(column)
     ]
 
 
@@ -286,15 +286,6 @@ def _never_pressed(signal: Signal, rig: Rig) -> Finding:
     evidence = f"{signal.raw[np.isfinite(signal.raw)][0]:g} in all {len(signal.raw)} samples"
     what = "stays where it is fully pressed" if pressed else "is never pressed"
     return Finding("note", signal.where, what, evidence, how, 0.0)
-
-
-def _is_clock(column: Float[np.ndarray, " n"]) -> bool:
-    """A column that only ever grows is a time or a sequence number; whole seconds since 1970 repeat."""
-    finite = column[np.isfinite(column)]
-    known = finite[finite != 0]  # a clock may not be set yet
-    if len(known) > 10 and are_since_1970(known):
-        return bool(np.mean(np.diff(known) >= 0) > 0.9)
-    return len(finite) > 10 and bool((np.diff(finite) > 0).all())
 
 
 def _valid(values: Float[np.ndarray, "n k"], source: ChannelSource) -> Float[np.ndarray, "m k"]:

@@ -40,10 +40,9 @@ _EVENLY = 0.2
 class TableLog(Log):
     """A table with one topic, named "", whose fields are the columns of numbers, booleans and, in Parquet, dates [s].
 
-    The separator of a CSV (comma, semicolon, tab, bar, spaces) is guessed, and its header may be a comment (`# t x`,
-    `% t x`, `// t x`). Empty cells are NaN; a cell that is no number in a column of numbers is an error once that
-    column is read. Text is not a field, but dates and times of the day can be stamps, and letters or words of gears
-    are character codes (P, R, N, D). A row of units below the header is read as such.
+    Separators of a CSV are guessed (comma, semicolon, tab, bar, spaces). A header may be a comment (`#`, `%`, `//`),
+    with a row of units below. Empty cells are NaN; others that are no numbers are an error once their column is read.
+    Text is not a field, but dates and times can be stamps, and letters or words of gears are character codes.
 
     Args:
         path: text, or `.parquet`.
@@ -132,8 +131,8 @@ class TableLog(Log):
         return f"column '{name}' holds text, such as '{text[:40]}', and no numbers"
 
     def _guess_clock(self, notes: list[str]) -> str:
-        names = [name for name in self._table.column_names if _TIME_NAME.search(name.lower())]
-        names = names or [name for name in self._table.column_names if _has_time_unit(self._table[name].type)]
+        names = [name for name in (columns := self._table.column_names) if _TIME_NAME.search(name.lower())]
+        names = names or [name for name in columns if _has_time_unit(self._table[name].type)]
         if seconds := [name for name in names if self._beside(name)]:
             names = seconds[:1]
         if not names and (even := [name for name in self._columns if self._rises_evenly(name)]):
