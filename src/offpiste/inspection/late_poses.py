@@ -35,7 +35,7 @@ _FOLLOWS: Final = 0.4
 _WHEEL: Final = (-0.1, 0.2, 0.06, 0.2)
 """The same of wheels that spin before the vehicle moves, the spread of those that roll, and the misfit of all spin."""
 _PEDAL: Final = (0.1, 0.15)
-_STEERING: Final = {"steer": (0.12, 0.07), "steer_angle": (0.04, 0.07)}
+_STEERING: Final = {"steer": (0.12, 0.07), "steer_angle": (0.0, 0.07)}
 """The same of the motion behind its controls."""
 _POSE: Final = ("position", "orientation", "yaw")
 _SENSORS: Final = {"steer": "steering", "steer_angle": "steering", "throttle": "pedals", "brake": "pedals"}

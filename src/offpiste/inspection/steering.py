@@ -23,13 +23,13 @@ from offpiste.rig.rig import Rig
 _STEADY_OWN: Final = (-0.08, 0.5)
 _DYNAMIC_OWN: Final = (-0.12, 0.4)
 """Delays of the turning that are the vehicle's own, as either fit shows them [s]."""
-_USUAL: Final = {"steer": 0.1, "steer_angle": 0.04}
+_USUAL: Final = {"steer": 0.1, "steer_angle": 0.0}
 """Delay in the dynamic fit that healthy vehicles have in the middle, and that a remedy leaves [s]."""
 _TOGETHER: Final = 0.5
 """Difference of the times by which a topic begins and ends after the pose, below which its clock is apart by it [s]."""
 _CLEAR: Final = 0.7
 """Correlation of the steady fit above which centre and changes of the delay are clear."""
-_CENTRED: Final = {"steer": 0.05, "steer_angle": 0.02}
+_CENTRED: Final = {"steer": 0.05, "steer_angle": 0.0}
 """Steering at which a healthy vehicle may go straight: trims, and roads that slope to one side."""
 
 
