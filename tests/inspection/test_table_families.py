@@ -76,6 +76,28 @@ FAMILIES: Mapping[str, tuple[dict[str, str], dict[str, tuple[str, ...]]]] = {
            "Accelerator PedalPosition D(%)": "throttle in %", "Steering(deg)": "wheel in deg"},
         {"position": ("Latitude", "Longitude"), "throttle": ("Accelerator PedalPosition D(%)",)},
     ),
+    "openpilot": (
+        {
+            "liveLocationKalman.positionECEF.value[0]": "x", "liveLocationKalman.positionECEF.value[1]": "y",
+            "liveLocationKalman.positionECEF.value[2]": "0",
+            "liveLocationKalman.positionGeodetic.value[0]": "latitude",
+            "liveLocationKalman.positionGeodetic.value[1]": "longitude",
+            "liveLocationKalman.positionGeodetic.value[2]": "height",
+            "liveLocationKalman.velocityNED.value[0]": "north", "liveLocationKalman.velocityNED.value[1]": "east",
+            "liveLocationKalman.velocityNED.value[2]": "0", "liveLocationKalman.orientationNED.value[0]": "0",
+            "liveLocationKalman.orientationNED.value[1]": "0", "liveLocationKalman.orientationNED.value[2]": "0",
+            "liveLocationKalman.calibratedOrientationNED.value[0]": "0",
+            "liveLocationKalman.calibratedOrientationNED.value[1]": "0",
+            "liveLocationKalman.calibratedOrientationNED.value[2]": "azimuth in rad",
+            "carState.steeringAngleDeg": "wheel in deg", "carState.gas": "throttle", "carState.brake": "brake",
+        },
+        {
+            "position": tuple(f"liveLocationKalman.positionGeodetic.value[{k}]" for k in range(3)),
+            "yaw": ("liveLocationKalman.calibratedOrientationNED.value[2]",),
+            "linear_velocity": ("liveLocationKalman.velocityNED.value[1]", "liveLocationKalman.velocityNED.value[0]"),
+            "throttle": ("carState.gas",), "brake": ("carState.brake",), "steer": ("carState.steeringAngleDeg",),
+        },
+    ),
     "north, east, down": (
         {"pos_n": "y", "pos_e": "x", "pos_d": "down", "heading": "azimuth in rad"} | PEDALS,
         {"position": ("pos_n", "pos_e", "pos_d"), "yaw": ("heading",)},

@@ -67,6 +67,7 @@ _SCALARS: tuple[tuple[str, int, str], ...] = (
     ("steer", 1, r"propulsive_rotational_effort_z$"),
     ("throttle", MOTION + 1, r"(?<![a-z])duty(_?cycle)?$"),
     ("wheel_speed", 1, r"wheels?[ _]?(speed|vel)|(speed|vel)_?wheels?"),
+    ("wheel_speed", 1, r"(^|[ ._/])v_ego$"),
     ("wheel_speed", 2, r"(^|[ ._/])((vehicle|car|ego)_?)?speed$"),
 )
 """Channels of one number: how far the name is from the channel's own, and its pattern. Nearer ones come first."""

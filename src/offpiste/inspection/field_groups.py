@@ -31,8 +31,11 @@ _NOT_GROUPS = re.compile(
     r"|(?<![a-z])(mag|err|error|ref|des|desired|target|goal|setpoint|waypoint|cov|covariance|std|stdev|sd|sigma)(?![a-z])"
 )
 _NUMBERED: Final = re.compile(r"^(.+?)(?:\[(\d)\]|[._](\d)|(?:(?<=q)|(?<=quat))(\d))$")
-_LLA: Final = re.compile(r"(?<![a-z])ll[ah]$")
+_LLA: Final = re.compile(r"(?<![a-z])ll[ah]$|(?<![a-z])geodetic(\.value)?$")
 """An array of latitude, longitude and height."""
+_NED_VELOCITY: Final = re.compile(r"(?<![a-z])velocity_ned(\.value)?$")
+_NED_ANGLES: Final = re.compile(r"(?<![a-z])(calibrated_)?orientation_ned(\.value)?$")
+"""Arrays of openpilot: velocity north, east, down, and roll, pitch, yaw of the device or, calibrated, of the car."""
 _EAST: Final = re.compile(r"(?<![a-z])(e|east)(?![a-z])")
 """The second of north, east, down."""
 _ACTUATED: Final = re.compile(r"joint|wheel|motor|servo|actuator|output", re.IGNORECASE)
@@ -132,13 +135,24 @@ def _numbered(topic: Topic) -> Iterator[Group]:
             arrays.setdefault(match[1], {})[int(match[2] or match[3] or match[4])] = field
     for name, entries in arrays.items():
         label = parse_label(name)
-        group = None if _ACTUATED.search(label.name) else _group_of(label.name, label.name, "")
+        group = None if _ACTUATED.search(label.name) or "ecef" in label.name else _group_of(label.name, label.name, "")
         numbers, fields = sorted(entries), tuple(entries[number] for number in sorted(entries))
         counted = numbers in ([*range(len(numbers))], [*range(1, len(numbers) + 1)])
-        if group is not None and counted and len(numbers) in _WIDTHS[group[0]]:
+        if counted and len(fields) == 3 and (ned := _of_north_east_down(label.name, fields)):
+            yield ned
+        elif group is not None and counted and len(numbers) in _WIDTHS[group[0]]:
             yield group[0], fields, topic.units.get(fields[0], "") or label.unit, 0
-        elif counted and len(fields) == 3 and _LLA.search(label.name):
-            yield "position", fields, GEOGRAPHIC, 1
+
+
+def _of_north_east_down(name: str, fields: tuple[str, ...]) -> Group | None:
+    """An array of three that is a place on earth, or velocities or angles in a frame of north, east, down."""
+    if _LLA.search(name):
+        return "position", fields, GEOGRAPHIC, 1
+    if _NED_VELOCITY.search(name):
+        return "linear_velocity", (fields[1], fields[0]), "m/s", 0
+    if match := _NED_ANGLES.search(name):
+        return "yaw", fields[2:], "rad", 0 if match[1] else 1
+    return None
 
 
 _HEIGHT: Final = re.compile(r"((utm|gps|gnss|pos|position)_)?(z|alt|altitude|elevation|height)")

@@ -41,8 +41,8 @@ class TableLog(Log):
     """A table with one topic, named "", whose fields are the columns of numbers, booleans and, in Parquet, dates [s].
 
     Separators of a CSV are guessed (comma, semicolon, tab, bar, spaces). A header may be a comment (`#`, `%`, `//`),
-    with a row of units below. Empty cells are NaN; others that are no numbers are an error once their column is read.
-    Text is not a field, but dates and times can be stamps, and letters or words of gears are character codes.
+    with a row of units below. Empty cells are NaN, others that are no numbers an error once their column is read. Text
+    is no field, but dates and times can be stamps, and letters or words of gears are character codes.
 
     Args:
         path: text, or `.parquet`.
@@ -65,24 +65,25 @@ class TableLog(Log):
         self._units: dict[str, str] = {}
         self._dates: dict[str, Float[np.ndarray, " n"] | None] = {}
         self._table = read_csv(path, notes, self._units) if self._is_csv else _read_parquet(path)
-        self._columns = tuple(name for name in self._table.column_names if self._is_numeric(name))
+        names = self._table.column_names
+        self._columns = tuple(name for name in names if self._is_numeric(name))
         if not self._is_csv:
             check_columns(path, list(self._columns))
         self._rows_of_units = int(bool(self._units))
-        self._units |= {name: unit for name in self._table.column_names if (unit := parse_label(name).unit)}
+        self._units |= {name: unit for name in names if (unit := parse_label(name).unit)}
         self._unit = clock_unit
-        known = clock_column in self._table.column_names  # else maybe as it was before headers could be comments
-        self._clock = (clock_column if known else without_comment(clock_column)) or self._guess_clock(notes)
-        listed = ", ".join(self._table.column_names[:40])
+        # A rig may name it as it was before headers could be comments.
+        clock = clock_column if clock_column in names else without_comment(clock_column)
+        self._clock, listed = clock or self._guess_clock(notes), ", ".join(names[:40])
         if not self._clock:
             how = f"name it: `inspect --time COLUMN`, or clock.column in a rig; there are {listed}"
             raise LogError("no column looks like time", where=path, how=how)
-        if self._clock not in self._table.column_names:
+        if self._clock not in names:
             raise LogError(f"no column '{clock_column}' for the clock", where=path, how=f"it has: {listed}")
         self._unit = clock_unit or time_unit(self._units.get(self._clock, "")) or self._unit_by_rate()
         if not clock_unit and self.clock.unit != "s":
             notes.append(f"'{self._clock}' is read in {self.clock.unit}; clock.unit in the rig can say otherwise")
-        self._unread = {name: self._why_unread(name) for name in self._table.column_names if name not in self._columns}
+        self._unread = {name: self._why_unread(name) for name in names if name not in self._columns}
         notes.extend(f"{why}: it is left out" for name, why in self._unread.items() if unknown_words(self._table[name]))
         self.warnings = tuple(notes)
 
@@ -131,8 +132,8 @@ class TableLog(Log):
         return f"column '{name}' holds text, such as '{text[:40]}', and no numbers"
 
     def _guess_clock(self, notes: list[str]) -> str:
-        names = [name for name in (columns := self._table.column_names) if _TIME_NAME.search(name.lower())]
-        names = names or [name for name in columns if _has_time_unit(self._table[name].type)]
+        names = [name for name in self._table.column_names if _TIME_NAME.search(name.lower())]
+        names = names or [name for name in self._table.column_names if _has_time_unit(self._table[name].type)]
         if seconds := [name for name in names if self._beside(name)]:
             names = seconds[:1]
         if not names and (even := [name for name in self._columns if self._rises_evenly(name)]):
