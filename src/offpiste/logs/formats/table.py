@@ -72,8 +72,7 @@ class TableLog(Log):
         self._rows_of_units = int(bool(self._units))
         self._units |= {name: unit for name in names if (unit := parse_label(name).unit)}
         self._unit = clock_unit
-        # A rig may name it as it was before headers could be comments.
-        clock = clock_column if clock_column in names else without_comment(clock_column)
+        clock = clock_column if clock_column in names else without_comment(clock_column)  # as a rig may name it
         self._clock, listed = clock or self._guess_clock(notes), ", ".join(names[:40])
         if not self._clock:
             how = f"name it: `inspect --time COLUMN`, or clock.column in a rig; there are {listed}"
