@@ -32,8 +32,12 @@ _SENSOR: Final = (0.0, 0.03)
 """Time by which one sensor is behind another of the same motion, and its spread among healthy logs [s]."""
 _FOLLOWS: Final = 0.4
 """RMS difference to the pose's derivative over its RMS, below which a sensor shows the same motion."""
-_WHEEL: Final = (-0.1, 0.2, 0.06, 0.2)
-"""The same of wheels that spin before the vehicle moves, the spread of those that roll, and the misfit of all spin."""
+_SPINNING: Final = (-0.1, 0.2)
+"""The same of wheels that spin before the vehicle moves."""
+_ROLLING: Final = 0.06
+"""Spread of wheels that roll [s]."""
+_ALL_SPIN: Final = 0.2
+"""Misfit of the wheels' speed from which they count as spinning."""
 _PEDAL: Final = (0.1, 0.15)
 _STEERING: Final = {"steer": (0.12, 0.07), "steer_angle": (0.0, 0.07)}
 """The same of the motion behind its controls."""
@@ -173,9 +177,8 @@ def _of_wheels(misfit: float) -> tuple[float, float]:
 
     Wheels that roll show almost as surely as a velocity whether the pose is on time.
     """
-    ahead, spinning, rolling, all_spin = _WHEEL
-    spin = min(misfit / all_spin, 1.0)
-    return spin * ahead, float(np.hypot(rolling, spin * spinning))
+    spin, (ahead, spread) = min(misfit / _ALL_SPIN, 1.0), _SPINNING
+    return spin * ahead, float(np.hypot(_ROLLING, spin * spread))
 
 
 def _interval(behind: str, other: str, time: float, sigma: float, usual: tuple[float, float]) -> Interval:

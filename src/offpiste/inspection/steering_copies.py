@@ -106,9 +106,9 @@ def check_computed_pose(drive: Drive, path: Path, recorded: Mapping[str, Recorde
     turning = path.yaw_rate[moving]
     if np.nanstd(turning) < TURNING or min(np.mean(turning > TURNING), np.mean(turning < -TURNING)) < _BOTH_WAYS:
         return []
-    place_, yaw = drive.channels["position"], heading(drive)
-    facing = np.interp(place_.time, yaw.time, yaw.values[:, 0])
-    steps = np.diff(place_.values[:, :2], axis=0)
+    position, yaw = drive.channels["position"], heading(drive)
+    facing = np.interp(position.time, yaw.time, yaw.values[:, 0])
+    steps = np.diff(position.values[:, :2], axis=0)
     # A step may be made by the heading at its beginning, its end or between.
     ways = [planar_body_from_world(steps, at) for at in (facing[:-1], facing[1:], (facing[:-1] + facing[1:]) / 2)]
     ahead, aside = min(ways, key=lambda way: float(np.abs(way[:, 1]).sum())).T
@@ -119,20 +119,11 @@ def check_computed_pose(drive: Drive, path: Path, recorded: Mapping[str, Recorde
         return []
     evidence = f"yaw rate = speed * tan({name}) / wheelbase, to {misfit:.1%} and without delay; it never slips aside"
     how = "read a pose that is measured: a model would learn this formula, not the vehicle"
-    others = [
-        topic for topic in recorded if topic != drive.rig.channels["position"].topic and _is_pose(recorded[topic])
-    ]
+    own = drive.rig.channels["position"].topic
+    others = [topic for topic in recorded if topic != own and _is_pose(recorded[topic])]
     how += f". Here {' and '.join(others)} may be one" if others else ""
-    return [
-        Finding(
-            "warning",
-            "yaw" if "yaw" in drive.channels else "orientation",
-            f"is computed from channel {name}",
-            evidence,
-            how,
-            0.9,
-        )
-    ]
+    where = "yaw" if "yaw" in drive.channels else "orientation"
+    return [Finding("warning", where, f"is computed from channel {name}", evidence, how, 0.9)]
 
 
 def _misfits(drive: Drive, path: Path, ahead: Float[np.ndarray, " n"]) -> Iterator[tuple[str, float]]:
