@@ -58,6 +58,16 @@ def test_names_that_only_contain_those_of_measurements_are_looked_at(topic: str)
     }
 
 
+def test_a_control_that_is_written_down_twice_is_found_once() -> None:
+    """As of PX4, whose servos' pulses stand beside the commands that they are of."""
+    log = joystick()
+    time, axes = log.data["joy"]
+    pulses = {f"output[{number}]": 1500 + 400 * axes[f"axes[{number}]"] for number in (0, 5)}
+    found = find_controls(MemoryLog({**log.data, "outputs": (time, pulses)}), posed())
+    assert (found["steer"][0].topic, found["steer"][0].fields) == ("joy", ("axes[0]",))
+    assert (found["throttle"][0].topic, found["throttle"][0].fields) == ("joy", ("axes[5]",))
+
+
 def test_a_command_is_not_measured_whatever_its_type_is() -> None:
     """TartanDrive keeps the commands in `cmd/twist.npy`."""
     log = joystick()

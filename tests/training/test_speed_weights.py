@@ -10,7 +10,7 @@ from offpiste.conventions import MIN_EVALUATION_SPEED
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import add_drive, create, open_dataset
 from offpiste.dataset.windows import Windows
-from offpiste.training.speed_weights import speed_weights
+from offpiste.training.losses import speed_weights
 
 
 @pytest.fixture(scope="module")

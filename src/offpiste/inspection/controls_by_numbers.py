@@ -31,6 +31,10 @@ _LEADS: Final = {"steer": (-0.05, 0.6), "throttle": (-0.05, 0.8), "brake": (-0.0
 """How long after a command the motion comes [s]: what moves before it is measured."""
 _COPIES: Final = 0.95
 """Correlation of two fields that are one steering, commanded and measured."""
+_SAME: Final = 0.999
+"""Correlation of two fields at the same moments that are one control, written down twice."""
+_WHOLE: Final = 1.05
+"""Largest number of a control that is a share."""
 _APART: Final = np.arange(-0.6, 0.61, 0.02)
 """Lags of the one behind the other that are tried [s]."""
 _NEARLY: Final = 0.95
@@ -79,12 +83,29 @@ def find_controls(log: Log, rig: Rig) -> dict[str, tuple[Guess, float]]:
         if not scores or scores[0][0] < _FOLLOWS[name]:
             continue
         near = [(score, guess) for score, guess in scores if scores[0][0] - score < _CLEARER]
+        near = _without_copies(near, name, log, rig)
         if name == "steer" and len(near) == 2:
             found |= _commanded_and_measured(near, log, rig)
         elif len(near) == 1:
             score, guess = near[0]
             found[name] = replace(guess, channel=name), score
     return found
+
+
+def _without_copies(near: Sequence[tuple[float, Guess]], name: str, log: Log, rig: Rig) -> list[tuple[float, Guess]]:
+    """The same but for fields that are another one at the same moment in other numbers, as pulses of its command.
+
+    Of these the one whose numbers are a share, within -1 to 1, is kept.
+    """
+    kept = list[tuple[float, Guess, Channel]]()
+    read = [(score, guess, channel) for score, guess in near if (channel := _read(name, guess, log, rig)) is not None]
+    for score, guess, channel in sorted(read, key=lambda one: float(np.abs(one[2].values).max()) > _WHOLE):
+        at = channel.time[:: max(len(channel.time) // 2000, 1)]
+        others = (np.interp(at, other.time, other.values[:, 0]) for _, _, other in kept)
+        own = np.interp(at, channel.time, channel.values[:, 0])
+        if not any(abs(np.corrcoef(own, other)[0, 1]) > _SAME for other in others):
+            kept.append((score, guess, channel))
+    return [(score, guess) for score, guess, _ in kept]
 
 
 def _commanded_and_measured(pair: Sequence[tuple[float, Guess]], log: Log, rig: Rig) -> dict[str, tuple[Guess, float]]:

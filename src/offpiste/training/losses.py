@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from offpiste.conventions import min_evaluation_speed
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import Dynamics
 from offpiste.dynamics.actuators import Actuators
@@ -65,6 +66,26 @@ def loss_scale(reference: Dynamics, windows: Windows, config: TrainConfig) -> Fl
             batch = windows.gather(part)
             errors.append(squared_errors(predict(reference, batch).state, batch.target))
     return torch.cat(errors).mean(dim=(0, 1)).clamp(min=1e-8)
+
+
+def speed_weights(windows: Windows, relative: float) -> Callable[[Batch], Float[Tensor, " B"]]:
+    """Weights (speed + least)^(-2 relative) of windows, with a mean of 1 over all that train.
+
+    Errors grow with the distance, so that slow windows hardly count without.
+
+    Args:
+        windows: that train.
+        relative: 0: an error in metres counts as much at any speed, as in the paper; 1: relative to the distance that a
+            window goes, but for `least`, the speed from which windows are evaluated (`min_evaluation_speed`).
+    """
+    least = min_evaluation_speed(windows.dataset.rig.vehicle.wheelbase)
+
+    def weigh(state: Tensor) -> Tensor:
+        return (torch.linalg.vector_norm(state[:, 3:5], dim=-1) + least) ** (-2 * relative)
+
+    states = torch.as_tensor(windows.motion()["state_causal"][windows.rows])
+    mean = float(weigh(states).double().mean())
+    return lambda batch: weigh(batch.state) / mean
 
 
 FITTED_STEPS = 100

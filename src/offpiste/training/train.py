@@ -33,14 +33,13 @@ from offpiste.training.checkpoint import load_json, save_json
 from offpiste.training.config import TrainConfig, other_settings, refuse_impossible
 from offpiste.training.distributed import ALONE, Group
 from offpiste.training.kept_epoch import FEW_WINDOWS, KeptEpoch
-from offpiste.training.losses import loss_scale, robust, summed_loss
+from offpiste.training.losses import loss_scale, robust, speed_weights, summed_loss
 from offpiste.training.map_loss import MapLoss, map_loss
 from offpiste.training.mirror import mirror_of
 from offpiste.training.optimise import REMEDY, Record, Stage, also_tensorboard, metrics_writer, run_stage
 from offpiste.training.prediction import predict
 from offpiste.training.run import check_device, save_run
 from offpiste.training.short_errors import noise_of
-from offpiste.training.speed_weights import speed_weights
 from offpiste.training.terrain_sources import encoded
 
 logger = logging.getLogger(__name__)

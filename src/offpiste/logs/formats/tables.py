@@ -1,0 +1,134 @@
+"""Folders of tables that are one drive: a table a topic, as bags and the logs of autopilots are exported."""
+
+from collections.abc import Sequence
+from itertools import takewhile
+from pathlib import Path
+from typing import Final
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from offpiste.errors import LogError
+from offpiste.logs.formats.table import TableLog
+from offpiste.logs.log import LOG_FORMATS, Log, Samples, Topic
+from offpiste.rig.channels import Clock
+
+_TABLES: Final = (".csv", ".tsv", ".parquet")
+_BAGS: Final = (".bag", ".mcap", ".db3")
+"""Beside one of these, tables are but what was exported of it."""
+
+
+@LOG_FORMATS.register("tables")
+class TablesLog(Log):
+    """A drive whose topics are the tables of a folder, named after their files but for what all names begin with.
+
+    Tables with the same columns are drives of their own, whose folder is no log.
+
+    Args:
+        path: folder.
+        clock: of each table that has its column; other tables' clocks are guessed.
+
+    Raises:
+        LogError: tables are damaged, fewer than two have stamps, or two were not recorded at the same time.
+    """
+
+    description = "a folder of tables, one a topic"
+    has_clock_unit = True
+
+    def __init__(self, path: Path, *, clock: Clock | None = None) -> None:
+        self.path = path
+        files, without = _tables_in(path), dict[str, LogError]()
+        opened = dict[str, Log]()
+        for file in files:
+            try:
+                opened[file.stem] = _opened(file, clock or Clock())
+            except LogError as error:
+                if "looks like time" not in error.what:
+                    raise
+                without[file.name] = error
+        if len(opened) < 2:
+            raise next(iter(without.values()))
+        start = len(_beginning([*opened]))
+        self._tables = {name[start:]: log for name, log in opened.items()}
+        _refuse_apart(self._tables, path)
+        left_out = [f"{name} has no column of stamps: it is left out" for name in without]
+        self.warnings = (*dict.fromkeys(note for log in self._tables.values() for note in log.warnings), *left_out)
+
+    @staticmethod
+    def recognises(path: Path) -> bool:
+        """Whether a folder holds several tables, no two of the same columns, and no bag."""
+        if not path.is_dir() or any(file.suffix.lower() in _BAGS for file in path.iterdir()):
+            return False
+        columns = [_columns(file) for file in _tables_in(path)]
+        return len(columns) > 1 and all(columns) and len(set(columns)) == len(columns)
+
+    @classmethod
+    def open(cls, path: Path, clock: Clock) -> Log:
+        """A drive whose stamps are those of the clock's column, in each table that has one."""
+        return cls(path, clock=clock)
+
+    @property
+    def topics(self) -> dict[str, Topic]:
+        """One topic a table."""
+        tables = {name: log.topics[""] for name, log in self._tables.items()}
+        return {
+            name: Topic(name, of.type, of.count, of.fields, of.units, unread=of.unread) for name, of in tables.items()
+        }
+
+    @property
+    def clock(self) -> Clock:
+        """The column of stamps and its unit, where all tables have the same."""
+        clocks = {log.clock for log in self._tables.values()}
+        return clocks.pop() if len(clocks) == 1 else Clock()
+
+    def _read(self, topic: Topic, fields: Sequence[str], stamps: str) -> Samples:
+        return self._tables[topic.name].read("", fields)
+
+
+def _tables_in(folder: Path) -> list[Path]:
+    files = (file for file in folder.iterdir() if file.suffix.lower() in _TABLES and not file.name.startswith("."))
+    return sorted(file for file in files if file.is_file())
+
+
+def _opened(file: Path, clock: Clock) -> Log:
+    """A table; a clock's column that it lacks is guessed."""
+    if clock.column:
+        try:
+            return TableLog.open(file, clock)
+        except LogError as error:
+            if "for the clock" not in error.what:
+                raise
+    return TableLog.open(file, Clock())
+
+
+def _columns(file: Path) -> str:
+    """What names the columns of a table; empty where nothing does."""
+    try:
+        if file.suffix.lower() == ".parquet":
+            return ",".join(pq.read_schema(file).names)
+        with file.open(encoding="utf-8", errors="replace") as lines:
+            return next((line.strip() for line in lines if any(letter.isalpha() for letter in line)), "")
+    except (OSError, pa.ArrowException):
+        return ""
+
+
+def _beginning(names: Sequence[str]) -> str:
+    """What all names begin with, up to a mark between words."""
+    alike = zip(*names, strict=False)
+    shared = names[0][: sum(1 for _ in takewhile(lambda letters: len(set(letters)) == 1, alike))]
+    return shared[: max(shared.rfind(mark) for mark in "_-. ") + 1]
+
+
+def _refuse_apart(tables: dict[str, Log], path: Path) -> None:
+    """Raise where a table was recorded before or after that of most rows.
+
+    Raises:
+        LogError: names both.
+    """
+    spans = {name: log.stamps("") for name, log in tables.items() if log.topics[""].fields}
+    spans = {name: time[time == time] for name, time in spans.items()}
+    longest = max(spans, key=lambda name: len(spans[name]))
+    for name, time in spans.items():
+        if len(time) and (time.max() < spans[longest].min() or time.min() > spans[longest].max()):
+            how = "give one of them, or put the stamps of all on one clock"
+            raise LogError(f"tables '{name}' and '{longest}' were not recorded at the same time", where=path, how=how)
