@@ -32,7 +32,7 @@ class TablesLog(Log):
         LogError: tables are damaged, fewer than two have stamps, or two were not recorded at the same time.
     """
 
-    description = "a folder of tables, one a topic"
+    description = "a folder of tables of one drive"
     has_clock_unit = True
 
     def __init__(self, path: Path, *, clock: Clock | None = None) -> None:
