@@ -9,9 +9,9 @@ from simulated import MemoryLog
 
 from offpiste.errors import LogError
 from offpiste.inspection.draft_rig import draft_rig
-from offpiste.inspection.findings import Finding
 from offpiste.inspection.draft_sensors import missing
 from offpiste.inspection.draft_values import check_draft_values
+from offpiste.inspection.findings import Finding
 from offpiste.inspection.inspect import inspect_log
 from offpiste.inspection.usual_ranges import is_signed
 from offpiste.logs import open_log
