@@ -59,8 +59,13 @@ class TablesLog(Log):
         """Whether a folder holds several tables, no two of the same columns, and no bag."""
         if not path.is_dir() or any(file.suffix.lower() in _BAGS for file in path.iterdir()):
             return False
-        columns = [_columns(file) for file in _tables_in(path)]
-        return len(columns) > 1 and all(columns) and len(set(columns)) == len(columns)
+        seen = set[str]()
+        for file in _tables_in(path):
+            columns = _columns(file)
+            if not columns or columns in seen:  # at once: a folder may hold a table a scan
+                return False
+            seen.add(columns)
+        return len(seen) > 1
 
     @classmethod
     def open(cls, path: Path, clock: Clock) -> Log:
