@@ -49,8 +49,9 @@ class ClosedLoop:
     risks: tuple[str, ...] = ()
     """What counts in plans beside the prediction (spread:TIMES or cvar:SHARE), as rows of their own for the runs that
     have a spread."""
-    planners: tuple[Literal["offpiste", "pytorch-mppi"], ...] = ("offpiste",)
-    """What plans; pytorch-mppi (`pip install pytorch-mppi`) makes a row of its own of every run."""
+    planners: tuple[Literal["offpiste", "offpiste-10x", "pytorch-mppi"], ...] = ("offpiste",)
+    """What plans; offpiste-10x, with ten times the samples, and pytorch-mppi (`pip install pytorch-mppi`) make rows of
+    their own of every run."""
     keep_logs: bool = False
     """Keep the log of every drive: 150 MB each."""
     cards: bool = False

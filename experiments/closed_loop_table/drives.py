@@ -21,11 +21,13 @@ from offpiste.closed_loop.drive_course import (
     settings_of,
 )
 from offpiste.closed_loop.planner import Planner
+from offpiste.dynamics import Dynamics
 from offpiste.errors import CourseError, OffpisteError, RunError
 from offpiste.files import check_folder
 from offpiste.parallel import run_all
 from offpiste.planning.caution import AsPredicted, risk_of
 from offpiste.runtime.plan_improvement import MakeImprover, PlanImprover
+from offpiste.runtime.settings import RuntimeSettings
 from offpiste.simulation.rendering.scene import Scene, world_scene
 from offpiste.simulation.world.world import World, WorldSettings
 
@@ -35,9 +37,16 @@ DEVELOPMENT, TEST = 1, 646
 WORLDS: Final = ("mojave", "halter-ranch", "coastal-scrub", "dunes")
 """Course after course."""
 
-OFFPISTE, PYTORCH_MPPI = "offpiste", "pytorch-mppi"
+OFFPISTE, TEN_TIMES, PYTORCH_MPPI = "offpiste", "offpiste-10x", "pytorch-mppi"
 
-PLANNERS: Final[dict[str, MakeImprover]] = {OFFPISTE: PlanImprover, PYTORCH_MPPI: PytorchMppi}
+
+def ten_times(dynamics: Dynamics, settings: RuntimeSettings, seed: int) -> PlanImprover:
+    """What improves plans by ten times the samples: more than there is time for on a vehicle."""
+    sampling = replace(settings.sampling, samples=10 * settings.sampling.samples)
+    return PlanImprover(dynamics, replace(settings, sampling=sampling), seed)
+
+
+PLANNERS: Final[dict[str, MakeImprover]] = {OFFPISTE: PlanImprover, TEN_TIMES: ten_times, PYTORCH_MPPI: PytorchMppi}
 """What improves plans, by name."""
 
 NEEDED: Final = (
