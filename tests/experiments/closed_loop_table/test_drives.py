@@ -164,6 +164,18 @@ def test_kinds_and_worlds_come_in_turn(driven, tmp_path):
     assert driven.kinds == ["bends", "choices", "passages"]
 
 
+def test_ten_times_the_samples_are_all_that_is_other(monkeypatch):
+    made = []
+    monkeypatch.setattr(drives, "PlanImprover", lambda *given: made.append(given))
+    settings = RuntimeSettings()
+    drives.PLANNERS[drives.TEN_TIMES](B.dynamics, settings, 3)
+    ((dynamics, given, seed),) = made
+    assert (dynamics, seed) == (B.dynamics, 3)
+    assert given.sampling.samples == 10 * settings.sampling.samples
+    assert replace(given, sampling=settings.sampling) == settings
+    assert replace(given.sampling, samples=settings.sampling.samples) == settings.sampling
+
+
 def test_another_planner_and_a_risk_are_rows_of_their_own(driven, tmp_path):
     cautious = replace(DC, spread=Spread(1))
     rows = entries([B, cautious], (0.3,), ("none", "spread:1"), ("offpiste", PYTORCH_MPPI))
