@@ -127,8 +127,8 @@ class Spreads:
             drawn = Sampling().on(located)
             rows[path.name] = [
                 row
-                for name, predicted in predicted_by_ways(found, ways, float(spreads[0].freedom)).items()
-                for row in calibration_rows(name, predicted, groups, drawn)
+                for name, errors in predicted_by_ways(found, ways, float(spreads[0].freedom)).items()
+                for row in calibration_rows(name, errors, groups, drawn)
             ]
             tables.append((path.name, calibration_table(rows[path.name])))
         content = {name: msgspec.to_builtins(each) for name, each in rows.items()}
@@ -212,13 +212,13 @@ def predicted_by_ways(found: Members, ways: dict[str, Widening], freedom: float)
     """
     error, deviation = mean_of(found)
     own = in_heading(found.target - found.place[0], found.heading[0])
-    predicted = {
+    errors = {
         "fitted": PredictedErrors(own, found.scale[0], freedom, found.speed),
         "ensemble as it is": PredictedErrors(error, np.maximum(deviation, 1e-6), GAUSSIAN, found.speed),
     }
     for name, given in deviations(found).items():
-        predicted[name] = PredictedErrors(error, ways[name].scale(given), ways[name].freedom, found.speed)
-    return predicted
+        errors[name] = PredictedErrors(error, ways[name].scale(given), ways[name].freedom, found.speed)
+    return errors
 
 
 def novel_windows(first: Run, windows: Windows, index: Int[np.ndarray, " N"]) -> dict[str, Bool[np.ndarray, " N"]]:

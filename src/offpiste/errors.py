@@ -50,6 +50,10 @@ class LogError(OffpisteError):
     """A recorded log cannot be read, or lacks what is needed of it."""
 
 
+class NoClock(LogError):
+    """A table has no column of stamps, or not the one that is asked for."""
+
+
 class RigError(OffpisteError):
     """A rig file is wrong, or does not fit the log."""
 

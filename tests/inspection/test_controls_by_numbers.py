@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from simulated import MemoryLog, drive_log, rig
 
-from offpiste.inspection.controls_by_numbers import find_controls, is_measured
+from offpiste.inspection.controls_by_numbers import find_controls, is_measured_topic
 from offpiste.logs.log import Topic
 from offpiste.rig.edits import Edit, edited
 from offpiste.rig.rig import Rig
@@ -80,7 +80,7 @@ def test_a_command_is_not_measured_whatever_its_type_is() -> None:
     exported = Exported({"odom": log.data["odom"], "cmd": log.data["joy"]})
     assert find_controls(exported, posed())["steer"][0].topic == "cmd"
     topics = ("/vehicle/accel_cmd", "std_msgs/Float64"), ("/twist", "geometry_msgs/TwistStamped")
-    assert [is_measured(Topic(name, kind, 100, ("data",))) for name, kind in topics] == [False, True]
+    assert [is_measured_topic(Topic(name, kind, 100, ("data",))) for name, kind in topics] == [False, True]
 
 
 def test_a_steering_whose_turning_does_not_grow_with_the_speed_is_found() -> None:

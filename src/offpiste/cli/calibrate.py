@@ -16,7 +16,7 @@ class Calibrate:
 
     runs: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="RUN...")]
     """Folders of `offpiste train`; each keeps its spread (spread.safetensors) and, if it reads features, some of
-    its training's (memory_bank.safetensors); what is kept already is used again."""
+    its training's ground (memory_bank.safetensors); what is kept already is used again."""
     dataset: Path
     """That the runs were trained on."""
     out: Path = Path("calibration")

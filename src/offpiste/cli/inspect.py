@@ -92,13 +92,14 @@ class Inspect:
 
     def _next(self, log: str, inspection: "Inspection") -> str:
         """The command that comes next, as a line to paste, and before it what to do first."""
+        from offpiste.inspection.draft_pose import BY_HAND
         from offpiste.inspection.draft_values import DRAFTED
         from offpiste.inspection.inspect import UNDRAFTED
         from offpiste.rig.rig import rig_text
 
         rig = str(self.write_rig) if self.write_rig else self.rig
         undrafted = [finding.remedy for finding in inspection.findings if finding.evidence == UNDRAFTED]
-        if undrafted and "write a rig" in undrafted[0]:
+        if undrafted and BY_HAND in undrafted[0]:
             own = _another("my.toml")
             by_hand = f"write {own} by hand, with the fields of a position and a heading (docs/rig.md)"
             return f"first: {by_hand}\nnext: {join(['offpiste', 'inspect', log, '--rig', own])}"

@@ -40,7 +40,7 @@ _SCALARS: tuple[tuple[str, int, str], ...] = (
     ("yaw", 0, r"(?<![a-z])(yaw|heading|psi|hdg)$"),
     ("yaw", 1, r"(?<![a-z])(theta|azimuth|bearing|compass)$|(yaw|heading)_?(angle|true)$|compass_?bearing$"),
     ("yaw", 1, r"(?<![a-z])angle_yaw(?![a-z])"),
-    ("yaw", 1, r"(euler|rpy|attitude).*[._/]z$|(?<![a-z])theta\[2\]$|(yaw_?pitch_?roll|ypr).*[._/]x$"),
+    ("yaw", 1, r"(euler|rpy|attitude).*[._/]z$|(yaw_?pitch_?roll|ypr).*[._/]x$"),
     ("yaw", 2, rf"(?<![a-z])(phi|{COURSE_NAMES})$"),
     ("brake_pressure", 0, r"(brake|brk).*press(ure)?(?!ed)|press(ure)?(?!ed).*(brake|brk)|(?<![a-z])p_?(brake|brk)"),
     ("steer_angle", 0, rf"steer(ing)?.*{_ANGLE}|(?<![a-z])delta(_?f|_front)?(_(cmd|des|ref|target))?$"),
@@ -195,7 +195,7 @@ def _of_topic(log: Log, topic: Topic) -> Iterator[Guess]:
             taken |= set(fields)
     scalars = _scalars()
     for field, label in sorted(named.items(), key=lambda item: not _APPLIED.search(item[0])):
-        unnamed = is_array_entry(field) and field not in topic.joints and field != "theta[2]"
+        unnamed = is_array_entry(field) and field not in topic.joints
         own = label.name if _NUMBER.search(field) or field in topic.joints else parse_label(field).name
         other = _NOT_SCALARS.search(own) and not _TURN_RATE.search(label.name)
         if field in taken or unnamed or other or is_beside_quantity(own):

@@ -121,7 +121,7 @@ def is_turn_rate(channel: Channel, path: Path, rig: Rig) -> bool:
     return fit is not None and (fitted is None or fit.strength >= fitted.steady.strength)
 
 
-def is_measured(name: str, rig: Rig) -> bool:
+def is_measured_steering(name: str, rig: Rig) -> bool:
     """Whether a steering channel is where the wheels are, not what is asked for: by its names, or read as both."""
     if name == "steer_angle" or rig.reads_alike("steer", "steer_angle"):
         return True

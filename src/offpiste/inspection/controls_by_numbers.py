@@ -186,7 +186,7 @@ def _later(fit: LagFit, name: str, *, sign: int) -> float:
     return float(abs(fit.r[inside])) if abs(fit.r[inside]) >= _NEARLY * abs(fit.r[best]) else 0.0
 
 
-def is_measured(topic: Topic) -> bool:
+def is_measured_topic(topic: Topic) -> bool:
     """Whether name or type of a topic say that it is measured; a table's columns say more than its name.
 
     A topic named as a command is none, as TartanDrive's `cmd/twist.npy`, but for one that commands a motion.
@@ -200,7 +200,7 @@ def _candidates(log: Log, rig: Rig) -> Iterator[Guess]:
     """Fields that no channel reads, that change, and that no name says to be measured."""
     read = {(source.topic, field) for source in rig.channels.values() for field in source.fields}
     for topic in log.topics.values():
-        if topic.count < 100 or topic.part_of or is_measured(topic):
+        if topic.count < 100 or topic.part_of or is_measured_topic(topic):
             continue
         for field, label in labels(topic).items():
             asked = COMMANDED.search(topic.name) or COMMANDED.search(label.name)

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from offpiste.inspection.channel_guesses import MOTION, Guess
 from offpiste.inspection.draft_pose import Entry, unit_line
-from offpiste.inspection.gear import DEAD_BAND
+from offpiste.inspection.gear import DIRECTION
 from offpiste.inspection.signal_faults import find_wrap
 from offpiste.inspection.usual_ranges import (
     FULL_PULSE,
@@ -96,7 +96,7 @@ def _both_ways(guess: Guess, lines: tuple[str, ...], comment: str, full: float, 
         full: size of a full throttle, as recorded.
         rest: of the released pedal, as recorded.
     """
-    scale = 0.5 / DEAD_BAND / full
+    scale = DIRECTION / full
     offset = (f"offset = {number(-rest * scale)}",) if rest else ()
     throttle = Entry(guess, (*lines, "absolute = true", "clip = [0.0, 1.0]"), f"{comment}its size")
     way = Entry(guess, (f"scale = {number(scale)}", *offset), f"{comment}what is below {rest:g} drives backwards")

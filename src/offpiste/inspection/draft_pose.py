@@ -27,6 +27,8 @@ from offpiste.rig.edits import edited
 from offpiste.rig.labels import channel_unit, named_down
 from offpiste.rig.rig import Rig
 
+BY_HAND: Final = "write a rig that names one"
+"""Remedy where no name shows the pose."""
 _LONG: Final = "the table is long: it has a line, not a column, for each signal"
 _IN_EARTH: Final = "positions in the earth's own frame (ECEF) are not read"
 _ECEF: Final = re.compile(r"(?<![a-z])ecef[_. ]*(pos(ition)?)?[_. ]*[xyz](?![a-z])", re.IGNORECASE)
@@ -230,7 +232,7 @@ def no_pose(log: Log) -> LogError:
     for what, remedy in ((_LONG, _pivoted(log)), (_IN_EARTH, _from_the_earth(log))):
         if remedy:
             return LogError(what, where=log.path, how=remedy)
-    how = _not_read(log) or f"{inverse_pose(log)}write a rig that names one"
+    how = _not_read(log) or f"{inverse_pose(log)}{BY_HAND}"
     return LogError(
         "no topic looks like a pose (position and heading)",
         where=log.path,

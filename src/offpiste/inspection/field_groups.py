@@ -34,8 +34,9 @@ _NUMBERED: Final = re.compile(r"^(.+?)(?:\[(\d)\]|[._](\d)|(?:(?<=q)|(?<=quat))(
 _LLA: Final = re.compile(r"(?<![a-z])ll[ah]$|(?<![a-z])geodetic(\.value)?$")
 """An array of latitude, longitude and height."""
 _NED_VELOCITY: Final = re.compile(r"(?<![a-z])velocity_ned(\.value)?$")
-_NED_ANGLES: Final = re.compile(r"(?<![a-z])(calibrated_)?orientation_ned(\.value)?$")
-"""Arrays of openpilot: velocity north, east, down, and roll, pitch, yaw of the device or, calibrated, of the car."""
+_NED_ANGLES: Final = re.compile(r"(?<![a-z])(calibrated_)?orientation_ned(\.value)?$|(?<![a-z])theta$")
+"""Arrays in north, east, down: velocities of openpilot, and roll, pitch, yaw of its device or, calibrated, of the car,
+and of Inertial Sense."""
 _EAST: Final = re.compile(r"(?<![a-z])(e|east)(?![a-z])")
 """The second of north, east, down."""
 _ACTUATED: Final = re.compile(r"joint|wheel|motor|servo|actuator|output", re.IGNORECASE)

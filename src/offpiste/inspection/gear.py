@@ -41,8 +41,10 @@ _DRIVES: Final = -0.3
 """Correlation of acceleration and pedal, with speed and slope taken out, below which it drives backwards."""
 _OWN_DELAY: Final = (0.0, 0.8)
 """Delays of the acceleration behind the pedal that are the vehicle's own [s]."""
-DEAD_BAND: Final = 0.02
+_DEAD_BAND: Final = 0.02
 """Size of a pedal whose sign is the direction, from which it counts."""
+DIRECTION: Final = 0.5 / _DEAD_BAND
+"""Scale of such a pedal, 1 at most, by which it is a gear: rounded, it is its sign."""
 _CODES: Final = frozenset(map(float, range(ord("A"), ord("Z") + 1)))
 """Character codes of letters."""
 
@@ -93,7 +95,7 @@ def pedal_reverses(drive: Drive, path: Path) -> bool:
     moving = _moving(path)
     with np.errstate(invalid="ignore"):
         backwards = moving & (path.forward < 0)
-        below = backwards & (sampled(drive.channels["brake"], path.time, drive.rig) > DEAD_BAND)
+        below = backwards & (sampled(drive.channels["brake"], path.time, drive.rig) > _DEAD_BAND)
     seconds = STEP * below.sum()
     # A vehicle that moves backwards most of the time has a heading that is turned.
     if seconds < _LASTS or below.sum() < _BACKWARDS * backwards.sum() or backwards.sum() > 0.5 * moving.sum():
@@ -119,9 +121,9 @@ def reverses_by_pedal(log: Log, rig: Rig) -> bool:
 def _reverse_pedal(rig: Rig) -> Finding:
     """The finding that what is read as the brake is reverse, and the edits that make it throttle and gear."""
     source = rig.channels["throttle"]
-    full = unit_factor("throttle", source.unit) / (2 * DEAD_BAND)
-    gear: dict[str, Any] = {"topic": source.topic, "fields": list(source.fields), "scale": rounded(full * source.scale)}
-    gear |= {"offset": rounded(full * source.offset)} if source.offset else {}
+    each = DIRECTION * unit_factor("throttle", source.unit)
+    gear: dict[str, Any] = {"topic": source.topic, "fields": list(source.fields), "scale": rounded(each * source.scale)}
+    gear |= {"offset": rounded(each * source.offset)} if source.offset else {}
     gear |= {"sign": -1} if source.sign < 0 else {}
     cure = (Edit("channels.throttle.absolute", True), Edit("channels.gear", gear), *absent("brake", rig))
     how = ", ".join(map(str, cure))

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from offpiste.geometry import planar_body_from_world
-from offpiste.inspection.commanded_motion import is_measured
+from offpiste.inspection.commanded_motion import is_measured_steering
 from offpiste.inspection.driven_path import STEP, Path
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.lags import SURE, LagFit, fit_lags
@@ -163,7 +163,7 @@ def _intervals(
             yield _interval(behind, other, recorded.delay, recorded.delay_sigma, usual)
     for name, fit in steering.items():
         if fit.has_effect:
-            usual = _STEERING["steer_angle" if is_measured(name, drive.rig) else "steer"]
+            usual = _STEERING["steer_angle" if is_measured_steering(name, drive.rig) else "steer"]
             yield _interval(heading, name, *fit.dynamic.delay(fit.dynamic.best(sign=fit.sign)), usual)
     for name, pedal in pedals.items():
         best = pedal.best(sign=EFFECTS[name])  # a driver who looks ahead lets go before it is slower

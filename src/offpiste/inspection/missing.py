@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from offpiste.channels import CONTROLS
-from offpiste.inspection.controls_by_numbers import is_measured
+from offpiste.inspection.controls_by_numbers import is_measured_topic
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.logs.transforms import FramePair, frame_pair
@@ -135,7 +135,7 @@ def _unread(recorded: dict[str, Recorded], rig: Rig, named: re.Pattern[str]) -> 
         still = {field for field, column in zip(r.fields, r.values.T, strict=True) if not _varies(column)}
         fields = [field for field in r.topic.fields if field not in read | still]
         fields = [field for field in fields if not _BESIDES.search(field)]
-        if read or is_measured(r.topic) or not named.search(name):
+        if read or is_measured_topic(r.topic) or not named.search(name):
             fields = [field for field in fields if named.search(r.topic.in_words(field))]
         if fields:
             listed = ", ".join(map(r.topic.in_words, fields[:_FIELDS])) + (", ..." if len(fields) > _FIELDS else "")

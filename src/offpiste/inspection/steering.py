@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 
 from offpiste.geometry import rotation_from_quaternion
-from offpiste.inspection.commanded_motion import is_measured
+from offpiste.inspection.commanded_motion import is_measured_steering
 from offpiste.inspection.course import under_way
 from offpiste.inspection.driven_path import Path
 from offpiste.inspection.findings import Cure, Finding
@@ -49,9 +49,8 @@ def check_steering(
             findings.append(_without_effect(name, fit, drive))
             continue
         findings += _sign(name, fit, drive, path)
-        if (
-            name != "steer" or "steer_angle" not in fits or not drive.rig.reads_alike("steer", "steer_angle")
-        ):  # else the angle says it
+        said = "steer_angle" in fits and drive.rig.reads_alike("steer", "steer_angle")
+        if name != "steer" or not said:  # by the angle
             delays = window_delays(drive.channels[name], path, drive.rig)
             findings += changing_delay(name, delays) or _delay(name, fit, drive.rig) or uneven_delay(name, delays)
         findings += _centre(name, fit, drive.rig)
@@ -137,12 +136,12 @@ def _delay(name: str, fit: SteeringFit, rig: Rig) -> list[Finding]:
     when = "before" if dynamic < 0 else "after"
     evidence = f"the turning comes {abs(dynamic):.2f} ± {sigma:.2f} s {when} it"
     what = "is stamped after the motion that it causes" if dynamic < 0 else "comes long before the motion"
-    usual = _USUAL["steer_angle" if is_measured(name, rig) else "steer"]
+    usual = _USUAL["steer_angle" if is_measured_steering(name, rig) else "steer"]
     cures = delay_cures(name, dynamic, _DYNAMIC_OWN, rig, usual=usual)
     if name == "steer_angle" and rig.reads_alike("steer", "steer_angle"):
         cures = tuple((*cure, Edit("channels.steer.delay", cure[0].value)) for cure in cures)
     copied = "; if it is called a command, it is a copy of a measurement"
-    remedy = ", ".join(map(str, cures[0])) + (copied if dynamic < 0 and not is_measured(name, rig) else "")
+    remedy = ", ".join(map(str, cures[0])) + (copied if dynamic < 0 and not is_measured_steering(name, rig) else "")
     return [Finding("warning", name, what, evidence, remedy, min(abs(dynamic), 1.0), cures)]
 
 

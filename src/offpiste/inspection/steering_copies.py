@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from offpiste.geometry import local_polynomial, planar_body_from_world
 from offpiste.inspection.channel_guesses import labels
-from offpiste.inspection.controls_by_numbers import is_measured
+from offpiste.inspection.controls_by_numbers import is_measured_topic
 from offpiste.inspection.driven_path import TURNING, Path
 from offpiste.inspection.field_groups import field_groups
 from offpiste.inspection.findings import Finding
@@ -49,7 +49,7 @@ def check_copies(drive: Drive, recorded: dict[str, Recorded]) -> list[Finding]:
     read = {(one.topic, field) for one in drive.rig.channels.values() for field in one.fields}
     findings = []
     for topic, r in recorded.items():
-        if topic == source.topic or len(r.time) < 200 or is_measured(r.topic):
+        if topic == source.topic or len(r.time) < 200 or is_measured_topic(r.topic):
             continue
         keep = np.append(True, r.time[1:] > r.time[:-1]) & np.isfinite(r.time)
         for field, values in zip(r.fields, r.values[keep].T, strict=True):

@@ -84,3 +84,17 @@ def test_a_damaged_table_is_named(tmp_path: Path) -> None:
     (folder / "log_broken.csv").write_text("timestamp,speed\n1,2\n2,3,4,5\n3,4\n")
     with pytest.raises(LogError, match=r"log_broken.csv"):
         open_log(folder)
+
+
+def test_tables_of_the_same_stem_are_topics_of_their_own_and_the_unit_of_a_rig_holds(tmp_path: Path) -> None:
+    _table(tmp_path / "drive.csv", "t,x,y", TIME, TIME, time=1e3 * TIME)
+    pq.write_table(pa.table({"t": 1e3 * TIME, "speed": TIME}), tmp_path / "drive.parquet")
+    log = open_log(tmp_path, clock=Clock(unit="ms"))
+    assert set(log.topics) == {"drive", "drive.parquet"}
+    assert log.read("drive", ("x",)).time[-1] == pytest.approx(TIME[-1])
+
+
+def test_stamps_that_are_all_missing_are_no_traceback(tmp_path: Path) -> None:
+    for name, columns in (("one", "t,x"), ("two", "t,y")):
+        (tmp_path / f"{name}.csv").write_text(f"{columns}\n,1\n,2\n")
+    assert set(open_log(tmp_path).topics) == {"one", "two"}

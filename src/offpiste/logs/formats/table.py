@@ -11,7 +11,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from jaxtyping import Float
 
-from offpiste.errors import LogError
+from offpiste.errors import LogError, NoClock
 from offpiste.logs.formats.csv_text import (
     are_gears,
     check_columns,
@@ -76,9 +76,9 @@ class TableLog(Log):
         self._clock, listed = clock or self._guess_clock(notes), ", ".join(names[:40])
         if not self._clock:
             how = f"name it: `inspect --time COLUMN`, or clock.column in a rig; there are {listed}"
-            raise LogError("no column looks like time", where=path, how=how)
+            raise NoClock("no column looks like time", where=path, how=how)
         if self._clock not in names:
-            raise LogError(f"no column '{clock_column}' for the clock", where=path, how=f"it has: {listed}")
+            raise NoClock(f"no column '{clock_column}' for the clock", where=path, how=f"it has: {listed}")
         self._unit = clock_unit or time_unit(self._units.get(self._clock, "")) or self._unit_by_rate()
         if not clock_unit and self.clock.unit != "s":
             notes.append(f"'{self._clock}' is read in {self.clock.unit}; clock.unit in the rig can say otherwise")

@@ -5,10 +5,11 @@ from itertools import takewhile
 from pathlib import Path
 from typing import Final
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from offpiste.errors import LogError
+from offpiste.errors import LogError, NoClock
 from offpiste.logs.formats.table import TableLog
 from offpiste.logs.log import LOG_FORMATS, Log, Samples, Topic
 from offpiste.rig.channels import Clock
@@ -37,14 +38,11 @@ class TablesLog(Log):
 
     def __init__(self, path: Path, *, clock: Clock | None = None) -> None:
         self.path = path
-        files, without = _tables_in(path), dict[str, LogError]()
-        opened = dict[str, Log]()
-        for file in files:
+        opened, without = dict[str, Log](), dict[str, NoClock]()
+        for file in _tables_in(path):
             try:
-                opened[file.stem] = _opened(file, clock or Clock())
-            except LogError as error:
-                if "looks like time" not in error.what:
-                    raise
+                opened[file.stem if file.stem not in opened else file.name] = _opened(file, clock or Clock())
+            except NoClock as error:
                 without[file.name] = error
         if len(opened) < 2:
             raise next(iter(without.values()))
@@ -97,12 +95,11 @@ def _tables_in(folder: Path) -> list[Path]:
 
 def _opened(file: Path, clock: Clock) -> Log:
     """A table; a clock's column that it lacks is guessed."""
-    if clock.column:
-        try:
-            return TableLog.open(file, clock)
-        except LogError as error:
-            if "for the clock" not in error.what:
-                raise
+    try:
+        return TableLog.open(file, clock)
+    except NoClock:
+        if not clock.column:
+            raise
     return TableLog.open(file, Clock())
 
 
@@ -130,10 +127,10 @@ def _refuse_apart(tables: dict[str, Log], path: Path) -> None:
     Raises:
         LogError: names both.
     """
-    spans = {name: log.stamps("") for name, log in tables.items() if log.topics[""].fields}
-    spans = {name: time[time == time] for name, time in spans.items()}
-    longest = max(spans, key=lambda name: len(spans[name]))
-    for name, time in spans.items():
-        if len(time) and (time.max() < spans[longest].min() or time.min() > spans[longest].max()):
+    stamps = {name: log.stamps("") for name, log in tables.items() if log.topics[""].fields}
+    known = {name: time[np.isfinite(time)] for name, time in stamps.items() if np.isfinite(time).any()}
+    longest = max(known, key=lambda name: len(known[name]), default="")
+    for name, time in known.items():
+        if time.max() < known[longest].min() or time.min() > known[longest].max():
             how = "give one of them, or put the stamps of all on one clock"
             raise LogError(f"tables '{name}' and '{longest}' were not recorded at the same time", where=path, how=how)
