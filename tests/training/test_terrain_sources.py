@@ -18,7 +18,7 @@ from offpiste.rig.rig import parse_rig
 from offpiste.state import RecordedTerrain
 from offpiste.training.build import vehicle_of
 from offpiste.training.prediction import predict_windows
-from offpiste.training.terrain_sources import codes_of_cells, path_terrain
+from offpiste.training.terrain_sources import path_terrain
 
 SPEED = 5.0
 SPLIT = Split("all", "drives", drives=(("hill", "test"), ("valley", "test")))
@@ -117,28 +117,6 @@ def test_a_prediction_that_is_not_finite_still_finds_ground(uphill: Windows) -> 
         terrain = source.at(0, torch.full((1, 6), value))
         assert torch.isfinite(terrain.normal).all()
         assert terrain.latent.shape == (1, 4, 0)
-
-
-def test_gradients_of_codes_are_those_of_indexing_and_always_the_same() -> None:
-    """Indexing's own gradient adds what several threads bring in the order in which they come."""
-    generator = torch.Generator().manual_seed(0)
-    cells = torch.randint(0, 300, (64, 250, 4), generator=generator)
-    weight = torch.randn(64, 250, 4, 4, generator=generator)
-
-    def gradient(dtype: torch.dtype, read=codes_of_cells) -> torch.Tensor:
-        codes = torch.randn(300, 4, dtype=dtype, generator=torch.Generator().manual_seed(1)).requires_grad_()
-        (read(codes, cells) * weight.to(dtype)).sum().backward()
-        return codes.grad
-
-    threads = torch.get_num_threads()
-    torch.set_num_threads(4)
-    try:
-        first, *others = (gradient(torch.float32) for _ in range(6))
-        plain = gradient(torch.float64, lambda codes, index: codes[index])
-        torch.testing.assert_close(gradient(torch.float64), plain)
-    finally:
-        torch.set_num_threads(threads)
-    assert all(torch.equal(first, other) for other in others)
 
 
 @pytest.mark.parametrize("model", ["b", "dc"])

@@ -6,15 +6,15 @@ import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
-from torch.nn import functional
 
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import Dynamics
 from offpiste.dynamics.feature_encoder import Compressor
-from offpiste.dynamics.kernels.encoder import codes_under_wheels, encode_cells, supports_encoder
+from offpiste.dynamics.kernels.encoder import encode_cells, supports_encoder
 from offpiste.errors import DatasetError
 from offpiste.mapping.terrain_sampler import HeldCodes, MapTerrain
 from offpiste.state import Terrain, TerrainSource
+from offpiste.training.codes_of_cells import codes_of_cells
 
 
 @dataclass(frozen=True)
@@ -72,13 +72,6 @@ def encoded(dynamics: Dynamics, batch: Batch) -> Batch:
         history=replace(batch.history, terrain=past),
         terrain=replace(batch.terrain, latent=codes_of_cells(codes, ahead)),
     )
-
-
-def codes_of_cells(codes: Float[Tensor, "M n"], cells: Int[Tensor, "*S"]) -> Float[Tensor, "*S n"]:
-    """`codes[cells]`, whose gradient is the same in every process: indexing's adds up in the order threads come."""
-    if codes.device.type == "cpu" and codes.dtype == torch.float32:
-        return codes_under_wheels(codes, cells)
-    return functional.embedding(cells, codes)
 
 
 def on_map(
