@@ -9,6 +9,7 @@ from tempfile import TemporaryDirectory
 import torch
 from gpu_timing import Row, open_kernels, timed
 from torch import Tensor
+from torch.nn.functional import embedding
 
 from offpiste.conventions import ACTUATORS, HORIZON_STEPS
 from offpiste.dataset.store import open_dataset
@@ -19,6 +20,7 @@ from offpiste.dynamics.header.recorded import recorded_text, rollout_by_kernels
 from offpiste.state import ModelState, RecordedTerrain, Terrain
 from offpiste.training.config import TrainConfig
 from offpiste.training.run import kept_epochs
+from offpiste.training.terrain_sources import codes_of_cells
 from offpiste.training.train import train
 
 SAME = 0.02
@@ -69,6 +71,27 @@ def of_train(dynamics: Dynamics, device: torch.device, given: argparse.Namespace
                 raise SystemExit(f"validation losses differ: {losses[0]:.5f} on the CPU, {losses[-1]:.5f} on {device}")
 
 
+def of_codes(batch: int, device: torch.device, turns: int) -> Iterator[Row]:
+    """Codes under the wheels of recorded ground and their gradient by cell, by `codes_of_cells` and by torch."""
+    draw, count = torch.Generator().manual_seed(0), 300 * batch
+    codes = torch.randn(count, 4, generator=draw).to(device).requires_grad_()
+    first = torch.randint(0, count - HORIZON_STEPS - 3, (batch, 1, 1), generator=draw)
+    cells = (first + torch.arange(HORIZON_STEPS)[:, None] + torch.tensor([3, 2, 1, 0])).to(device)
+    bar = torch.randn(*cells.shape, 4, generator=draw).to(device)
+    ways = {"codes_of_cells": codes_of_cells, "torch's embedding": lambda rows, index: embedding(index, rows)}
+    gradients = []
+    for name, read in ways.items():
+        yield timed(f"codes of {batch} windows by {name}", lambda read=read: read(codes.detach(), cells), device, turns)
+        found = read(codes, cells)
+
+        def back(found: Tensor = found) -> Tensor:
+            return torch.autograd.grad(found, codes, bar, retain_graph=True)[0]
+
+        yield timed("their gradient", back, device, turns)
+        gradients.append((found.detach(), back()))
+    torch.testing.assert_close(*gradients, atol=1e-4, rtol=1e-5)
+
+
 def of_training(dynamics: Dynamics, device: torch.device, given: argparse.Namespace) -> Iterator[Row]:
     """Rollouts forward and back; the eager model on the same device for the smallest batch, unless the run is small."""
     small, turns = given.small, given.turns
@@ -89,5 +112,6 @@ def of_training(dynamics: Dynamics, device: torch.device, given: argparse.Namesp
             rollout(dynamics, start, controls, RecordedTerrain(terrain)).state.square().mean().backward()
 
         yield timed(f"forward and back, {batch} windows", by_kernels, device, turns)
+        yield from of_codes(batch, device, turns)
         if batch == sizes[0] and not small:
             yield timed(f"the same eagerly, {batch} windows", eagerly, device, min(turns, 3))

@@ -1,20 +1,21 @@
 """Where a model reads the terrain: under recorded wheels, on a map under predicted ones, or on the driven path."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import Dynamics
 from offpiste.dynamics.feature_encoder import Compressor
-from offpiste.dynamics.kernels.encoder import encode_cells, supports_encoder
+from offpiste.dynamics.kernels.encoder import codes_under_wheels, encode_cells, supports_encoder
 from offpiste.errors import DatasetError
 from offpiste.mapping.terrain_sampler import HeldCodes, MapTerrain
 from offpiste.state import Terrain, TerrainSource
-from offpiste.training.codes_of_cells import codes_of_cells
 
 
 @dataclass(frozen=True)
@@ -72,6 +73,42 @@ def encoded(dynamics: Dynamics, batch: Batch) -> Batch:
         history=replace(batch.history, terrain=past),
         terrain=replace(batch.terrain, latent=codes_of_cells(codes, ahead)),
     )
+
+
+def codes_of_cells(codes: Float[Tensor, "M E"], cells: Int[Tensor, "*S"]) -> Float[Tensor, "*S E"]:
+    """`codes[cells]`; indexing's own gradient adds up in the order in which threads come."""
+    if codes.device.type == "cpu" and codes.dtype == torch.float32:
+        return codes_under_wheels(codes, cells)
+    return _Codes.apply(codes, cells)  # type: ignore[no-untyped-call, no-any-return]
+
+
+class _Codes(torch.autograd.Function):
+    """Codes of cells, and the sum of their adjoints by cell, in the order of `cells`."""
+
+    @staticmethod
+    def forward(ctx: Any, codes: Tensor, cells: Tensor) -> Tensor:
+        """Codes [*S, E]."""
+        ctx.cells, ctx.count = cells, len(codes)
+        return _rows(codes, cells)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, bar: Tensor) -> tuple[Tensor, None]:
+        """Adjoint of the codes."""
+        if not ctx.cells.numel():
+            return bar.new_zeros(ctx.count, bar.shape[-1]), None
+        cells, order = torch.sort(ctx.cells.flatten().int(), stable=True)  # half the bits are sorted in half the time
+        first = torch.searchsorted(cells, torch.arange(ctx.count + 1, dtype=cells.dtype, device=cells.device))
+        by_cell = _rows(bar.reshape(-1, bar.shape[-1]), order)
+        return torch.segment_reduce(by_cell, "sum", offsets=first, axis=0, initial=0, unsafe=True), None
+
+
+def _rows(values: Float[Tensor, "M E"], index: Int[Tensor, "*S"]) -> Float[Tensor, "*S E"]:
+    """`values[index]`; rows of 16 bytes are read as one number each, a fiftieth of the time on a GPU (docs/gpu.md)."""
+    if values.shape[1] * values.element_size() != 16:
+        return values[index]
+    numbers = values.contiguous().view(torch.complex128)[:, 0]
+    return numbers[index][..., None].view(values.dtype)
 
 
 def on_map(
