@@ -114,14 +114,16 @@ class Spreads:
         dataset = open_dataset(self.dataset)
         quick = SpreadSettings(windows=64, steps=20, batch=32) if self.quick else None
         spreads = [kept_or_fitted(each, dataset, quick) for each in runs]
-        ways = fitted_ways(members_of(runs, spreads, dataset, "validation")[0])
+        ways = validated_ways(runs, spreads, dataset)
         tables, rows = [], dict[str, list[CalibrationRow]]()
         for path in (self.dataset, *self.held_out):
             there = open_dataset(path)
             for each in runs:
                 refuse_unfit(each, there)
                 refuse_seen(each, there, "test")
-            found, windows, index = members_of(runs, spreads, there, "test")
+            windows = Windows(there, "test")
+            index = windows.evaluation_indices(5)
+            found = members_of(runs, spreads, windows, index)
             located = EvaluatedWindows(there, windows.drive[index], windows.row_in_drive(index))
             groups = members(located) | novel_windows(runs[0], windows, index)
             drawn = Sampling().on(located)
@@ -138,12 +140,16 @@ class Spreads:
         return f"{shown}\nwritten: {self.out / 'spreads.md'}"
 
 
+def validated_ways(runs: Sequence[Run], spreads: Sequence[Spread], dataset: Dataset) -> dict[str, Widening]:
+    """How each way widens, by likelihood on the windows of a dataset's validation that have a map."""
+    windows = Windows(dataset, "validation")
+    return fitted_ways(members_of(runs, spreads, windows, windows.evaluation_indices(5)))
+
+
 def members_of(
-    runs: Sequence[Run], spreads: Sequence[Spread], dataset: Dataset, part: str
-) -> tuple[Members, Windows, Int[np.ndarray, " N"]]:
-    """Predictions of all runs for the windows of a part that have a map."""
-    windows = Windows(dataset, part)
-    index = windows.evaluation_indices(5)
+    runs: Sequence[Run], spreads: Sequence[Spread], windows: Windows, index: Int[np.ndarray, " N"]
+) -> Members:
+    """Predictions of all runs for windows that have a map."""
     target = np.concatenate([windows.gather(some).target[:, MOMENTS, :2].numpy() for some in _parts(windows, index)])
     place, scale, heading = list[np.ndarray](), list[np.ndarray](), list[np.ndarray]()
     for each, spread in zip(runs, spreads, strict=True):
@@ -153,7 +159,7 @@ def members_of(
         heading.append(state[..., 2])
         scale.append(torch.cat([spread(residuals.inputs).detach() for _, residuals in found]).numpy())
         speed = torch.cat([residuals.inputs[:, 0, 0] for _, residuals in found]).numpy()
-    return Members(np.stack(place), np.stack(scale), np.stack(heading), target, speed), windows, index
+    return Members(np.stack(place), np.stack(scale), np.stack(heading), target, speed)
 
 
 def _parts(windows: Windows, index: Int[np.ndarray, " N"]) -> list[np.ndarray]:

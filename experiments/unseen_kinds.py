@@ -3,7 +3,7 @@
 Of a reproduction's training and validation drives all windows are left out whose wheels ever touch that kind. A model
 and its spread are trained on the rest, and evaluated on test windows that are mostly on it and on those that never
 touch it, beside the reproduction's own model, which knows it; also where ground that looks unlike training's counts as
-ground without features. The PCA has seen the kind.
+ground without features, and by several models of other seeds together. The PCA has seen the kind.
 """
 
 import json
@@ -23,6 +23,7 @@ from experiments.control_experiments.data import true_ground
 from experiments.control_experiments.models import trained
 from experiments.control_experiments.reproduced import open_reproduction
 from experiments.novelty import nearest_kinds, refuse_unlike
+from experiments.spreads import members_of, predicted_by_ways, validated_ways
 from offpiste.conventions import HORIZON_STEPS
 from offpiste.dataset.splits import PARTS
 from offpiste.dataset.store import Dataset, StoredDrive
@@ -36,7 +37,13 @@ from offpiste.reproduction.gains import MAP, evaluation_index
 from offpiste.reproduction.steps import claim_folder
 from offpiste.training.run import Run
 from offpiste.uncertainty.calibrate import kept_or_fitted
-from offpiste.uncertainty.calibration import CalibrationRow, calibration_rows, calibration_table, predicted_errors
+from offpiste.uncertainty.calibration import (
+    CalibrationRow,
+    PredictedErrors,
+    calibration_rows,
+    calibration_table,
+    predicted_errors,
+)
 from offpiste.uncertainty.fit import residuals_on_maps
 from offpiste.uncertainty.novelty import NoveltySettings, features_at_starts, fit_memory_bank, mask_novel_ground
 from offpiste.uncertainty.spread import Spread
@@ -72,6 +79,8 @@ class UnseenKinds:
     """To hold out; default: all that enough test windows are on."""
     seed: int = 0
     """Of the runs."""
+    ensemble: int = 1
+    """Runs without the kind, with seeds from that one on; two or more are also evaluated together (as in `spreads`)."""
 
     def run(self) -> str:
         """Train without each kind, evaluate, and show the table.
@@ -95,12 +104,16 @@ class UnseenKinds:
             chosen = {"on it": index[share[:, kind] >= MOSTLY], "never on it": index[away]}
             without, name = without_kind(of.dataset, kinds, kind), GROUND_KINDS[kind]
             config = of.member(self.model).config(of.size, self.seed, "cpu")
-            held = trained(without, config, self.out / name / "runs")
-            spread = kept_or_fitted(held, without)
-            rows += rows_of(f"{name} held out", held, spread, windows, chosen)
+            seeds = range(self.seed, self.seed + self.ensemble)
+            runs = [trained(without, replace(config, seed=seed), self.out / name / "runs") for seed in seeds]
+            spreads = [kept_or_fitted(each, without) for each in runs]
+            held = runs[0]
+            rows += rows_of(f"{name} held out", held, spreads[0], windows, chosen)
+            if len(runs) > 1:
+                rows += rows_together(f"{name} held out", runs, spreads, without, windows, chosen)
             for known in self.known if held.dynamics.encoder is not None else ():
                 masked = with_novelty_masked(held, without, known)
-                rows += rows_of(f"{name} held out, {100 * known:g} % known", masked, spread, windows, chosen)
+                rows += rows_of(f"{name} held out, {100 * known:g} % known", masked, spreads[0], windows, chosen)
             rows += rows_of(f"{name} known", knowing, kept_or_fitted(knowing, of.dataset), windows, chosen)
         table = calibration_table(rows)
         content = {"schema": 1, "about": __doc__, "rows": msgspec.to_builtins(rows)}
@@ -186,12 +199,38 @@ def rows_of(
         chosen: indices of some of them, by name.
     """
     rows = list[CalibrationRow]()
-    for which, index in ((which, index) for which, index in chosen.items() if len(index)):
-        predicted = predicted_errors(spread, residuals_on_maps(run, windows, index))
-        located = EvaluatedWindows(windows.dataset, windows.drive[index], windows.row_in_drive(index))
-        found = calibration_rows(name, predicted, {}, Sampling().on(located))
-        rows += [msgspec.structs.replace(row, windows=which) for row in found]
+    for which, index in chosen.items():
+        if len(index):
+            predicted = predicted_errors(spread, residuals_on_maps(run, windows, index))
+            rows += _rows(name, which, predicted, windows, index)
     return rows
+
+
+def rows_together(
+    name: str,
+    runs: Sequence[Run],
+    spreads: Sequence[Spread],
+    without: Dataset,
+    windows: Windows,
+    chosen: Mapping[str, Int[np.ndarray, " n"]],
+) -> list[CalibrationRow]:
+    """The same of several runs together, by each way of `spreads`, fitted to validation without the kind."""
+    ways, rows = validated_ways(runs, spreads, without), list[CalibrationRow]()
+    for which, index in chosen.items():
+        if len(index):
+            found = members_of(runs, spreads, windows, index)
+            for way, predicted in predicted_by_ways(found, ways, float(spreads[0].freedom)).items():
+                if way in ways:
+                    rows += _rows(f"{name}, {len(runs)} runs, {way}", which, predicted, windows, index)
+    return rows
+
+
+def _rows(
+    name: str, which: str, predicted: PredictedErrors, windows: Windows, index: Int[np.ndarray, " n"]
+) -> list[CalibrationRow]:
+    located = EvaluatedWindows(windows.dataset, windows.drive[index], windows.row_in_drive(index))
+    found = calibration_rows(name, predicted, {}, Sampling().on(located))
+    return [msgspec.structs.replace(row, windows=which) for row in found]
 
 
 if __name__ == "__main__":

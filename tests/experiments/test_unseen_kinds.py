@@ -11,6 +11,7 @@ from experiments.unseen_kinds import (
     chosen_kinds,
     kinds_under_wheels,
     rows_of,
+    rows_together,
     share_on_kinds,
     with_novelty_masked,
     without_kind,
@@ -110,6 +111,18 @@ def test_a_run_without_the_kind_is_evaluated_where_it_is(dataset: Dataset, tmp_p
     rows = rows_of("gravel held out", run, spread, windows, {"on it": index, "never on it": index[:0]})
     assert [(row.windows, row.horizon) for row in rows] == [("on it", h) for h in (1, 3, 5)]
     assert all(row.n == len(index) and row.run == "gravel held out" and row.error_m > 0 for row in rows)
+    train(without, replace(config, seed=1), tmp_path / "dc-1")
+    runs = [run, load_run(tmp_path / "dc-1")]
+    both = [spread, kept_or_fitted(runs[1], without, SpreadSettings(windows=40, steps=3, batch=16))]
+    together = rows_together(
+        "gravel held out", runs, both, without, windows, {"on it": index, "never on it": index[:0]}
+    )
+    ways = ("gravel held out, 2 runs, ensemble", "gravel held out, 2 runs, both")
+    assert [(row.run, row.horizon) for row in together] == [(way, h) for way in ways for h in (1, 3, 5)]
+    alone = rows_of("", runs[1], both[1], windows, {"on it": index})
+    for row, one, other in zip(together, rows * 2, alone * 2, strict=True):
+        assert row.n == len(index)
+        assert row.error_m <= max(one.error_m, other.error_m), "the mean of two lies no further away than both"
     features, valid = windows.features_at_starts()
     encoder = run.dynamics.encoder
     nothing_known, all_known = (with_novelty_masked(run, without, share).dynamics.encoder for share in (0.0, 1.0))
