@@ -36,8 +36,8 @@ from offpiste.reproduction.reproduce import reproduce
 from offpiste.reproduction.settings import ReproductionSettings, sized
 from offpiste.reproduction.steps import claim_folder
 from offpiste.shipped import PCA
-from offpiste.training.checkpoint import load_json, save_json
-from offpiste.training.run import WEIGHTS, Run
+from offpiste.training.checkpoint import WEIGHTS, load_json, save_json
+from offpiste.training.run import Run
 from offpiste.uncertainty.calibrate import kept_or_fitted
 from offpiste.uncertainty.novelty import FILE as MEMORY_BANK
 from offpiste.uncertainty.novelty import keep_memory_bank

@@ -31,8 +31,8 @@ from offpiste.training.fitness import refuse_seen, refuse_unfit
 from offpiste.training.prediction import in_parts
 from offpiste.training.run import Run, load_run
 from offpiste.uncertainty.calibrate import kept_or_fitted
-from offpiste.uncertainty.calibration import CalibrationRow, PredictedErrors, calibration_rows, calibration_table
-from offpiste.uncertainty.fit import SpreadSettings, predicted
+from offpiste.uncertainty.calibration import CalibrationRow, ErrorsWithScales, calibration_rows, calibration_table
+from offpiste.uncertainty.fit import SpreadSettings, predictions_of
 from offpiste.uncertainty.novelty import FILE, load_memory_bank
 from offpiste.uncertainty.spread import EVERY, Spread
 from offpiste.uncertainty.student import negative_log_likelihood
@@ -129,7 +129,7 @@ class Spreads:
             drawn = Sampling().on(located)
             rows[path.name] = [
                 row
-                for name, errors in predicted_by_ways(found, ways, float(spreads[0].freedom)).items()
+                for name, errors in errors_by_ways(found, ways, float(spreads[0].freedom)).items()
                 for row in calibration_rows(name, errors, groups, drawn)
             ]
             tables.append((path.name, calibration_table(rows[path.name])))
@@ -153,7 +153,7 @@ def members_of(
     target = np.concatenate([windows.gather(some).target[:, MOMENTS, :2].numpy() for some in _parts(windows, index)])
     place, scale, heading = list[np.ndarray](), list[np.ndarray](), list[np.ndarray]()
     for each, spread in zip(runs, spreads, strict=True):
-        found = list(predicted(each, windows, index, "map"))
+        found = list(predictions_of(each, windows, index, "map"))
         state = torch.cat([trajectory.state[:, MOMENTS] for trajectory, _ in found]).numpy()
         place.append(state[..., :2])
         heading.append(state[..., 2])
@@ -210,7 +210,7 @@ def widened(deviation: Float[np.ndarray, "N K 2"], error: Float[np.ndarray, "N K
     return widening(minimize(loss, np.log([1.0, 0.3, 3.0]), method="Nelder-Mead").x)
 
 
-def predicted_by_ways(found: Members, ways: dict[str, Widening], freedom: float) -> dict[str, PredictedErrors]:
+def errors_by_ways(found: Members, ways: dict[str, Widening], freedom: float) -> dict[str, ErrorsWithScales]:
     """What each way predicts for the same windows.
 
     Args:
@@ -219,11 +219,11 @@ def predicted_by_ways(found: Members, ways: dict[str, Widening], freedom: float)
     error, deviation = mean_of(found)
     own = in_heading(found.target - found.place[0], found.heading[0])
     errors = {
-        "fitted": PredictedErrors(own, found.scale[0], freedom, found.speed),
-        "ensemble as it is": PredictedErrors(error, np.maximum(deviation, 1e-6), GAUSSIAN, found.speed),
+        "fitted": ErrorsWithScales(own, found.scale[0], freedom, found.speed),
+        "ensemble as it is": ErrorsWithScales(error, np.maximum(deviation, 1e-6), GAUSSIAN, found.speed),
     }
     for name, given in deviations(found).items():
-        errors[name] = PredictedErrors(error, ways[name].scale(given), ways[name].freedom, found.speed)
+        errors[name] = ErrorsWithScales(error, ways[name].scale(given), ways[name].freedom, found.speed)
     return errors
 
 

@@ -23,7 +23,7 @@ from experiments.control_experiments.data import true_ground
 from experiments.control_experiments.models import trained
 from experiments.control_experiments.reproduced import open_reproduction
 from experiments.novelty import nearest_kinds, refuse_unlike
-from experiments.spreads import members_of, predicted_by_ways, validated_ways
+from experiments.spreads import errors_by_ways, members_of, validated_ways
 from offpiste.conventions import HORIZON_STEPS
 from offpiste.dataset.splits import PARTS
 from offpiste.dataset.store import Dataset, StoredDrive
@@ -39,10 +39,10 @@ from offpiste.training.run import Run
 from offpiste.uncertainty.calibrate import kept_or_fitted
 from offpiste.uncertainty.calibration import (
     CalibrationRow,
-    PredictedErrors,
+    ErrorsWithScales,
     calibration_rows,
     calibration_table,
-    predicted_errors,
+    errors_with_scales,
 )
 from offpiste.uncertainty.fit import residuals_on_maps
 from offpiste.uncertainty.novelty import NoveltySettings, features_at_starts, fit_memory_bank, mask_novel_ground
@@ -201,8 +201,8 @@ def rows_of(
     rows = list[CalibrationRow]()
     for which, index in chosen.items():
         if len(index):
-            predicted = predicted_errors(spread, residuals_on_maps(run, windows, index))
-            rows += _rows(name, which, predicted, windows, index)
+            errors = errors_with_scales(spread, residuals_on_maps(run, windows, index))
+            rows += _rows(name, which, errors, windows, index)
     return rows
 
 
@@ -219,17 +219,17 @@ def rows_together(
     for which, index in chosen.items():
         if len(index):
             found = members_of(runs, spreads, windows, index)
-            for way, predicted in predicted_by_ways(found, ways, float(spreads[0].freedom)).items():
+            for way, errors in errors_by_ways(found, ways, float(spreads[0].freedom)).items():
                 if way in ways:
-                    rows += _rows(f"{name}, {len(runs)} runs, {way}", which, predicted, windows, index)
+                    rows += _rows(f"{name}, {len(runs)} runs, {way}", which, errors, windows, index)
     return rows
 
 
 def _rows(
-    name: str, which: str, predicted: PredictedErrors, windows: Windows, index: Int[np.ndarray, " n"]
+    name: str, which: str, errors: ErrorsWithScales, windows: Windows, index: Int[np.ndarray, " n"]
 ) -> list[CalibrationRow]:
     located = EvaluatedWindows(windows.dataset, windows.drive[index], windows.row_in_drive(index))
-    found = calibration_rows(name, predicted, {}, Sampling().on(located))
+    found = calibration_rows(name, errors, {}, Sampling().on(located))
     return [msgspec.structs.replace(row, windows=which) for row in found]
 
 

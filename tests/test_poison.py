@@ -19,8 +19,10 @@ from offpiste.evaluation.evaluated_models import EvaluatedModel
 from offpiste.perception.backbones import open_backbone
 from offpiste.rig.rig import load_rig
 from offpiste.training.config import TrainConfig
-from offpiste.training.run import load_run
+from offpiste.training.run import load_run, pretrained
 from offpiste.training.train import train
+from offpiste.uncertainty.novelty import load_memory_bank
+from offpiste.uncertainty.prediction import load_spread
 
 QUICK = {"epochs": 1, "bicycle_epochs": 1, "actuator_epochs": 1, "stride": 60, "batch": 32}
 
@@ -87,6 +89,14 @@ def test_models_are_trained_and_evaluated_without_an_unseeded_draw(folder: Path,
         models = [EvaluatedModel(run.model, run.dynamics, seed=run.seed) for run in runs]
         evaluate_models(models, dataset, scale=runs[0].scale, stride=100, lookups=("recorded",))
     assert (tmp_path / "b" / "actuators.safetensors").exists(), "networks of actuators are drawn, too"
+
+
+def test_what_lies_beside_weights_is_read_without_an_unseeded_draw() -> None:
+    with undrawn():
+        run = pretrained("proving-ground/dc")
+        spread, bank = load_spread(run), load_memory_bank(run)
+    assert len(spread.state_dict())
+    assert len(bank.kept)
 
 
 def test_a_course_is_planned_and_driven_without_an_unseeded_draw(folder: Path, tmp_path: Path) -> None:

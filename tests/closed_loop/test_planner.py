@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import torch
 
-from offpiste.checksums import sha256_of
 from offpiste.closed_loop.planner import load_planner
 from offpiste.conventions import CONTROL
 from offpiste.dynamics import Vehicle
@@ -17,7 +16,7 @@ from offpiste.perception.backbones import open_backbone
 from offpiste.perception.pca import PrincipalComponents, save_pca
 from offpiste.rig.rig import load_rig
 from offpiste.training.build import build
-from offpiste.training.checkpoint import load_json, save_json, save_tensors
+from offpiste.training.checkpoint import load_json, save_beside_weights, save_json, save_tensors
 from offpiste.training.config import Weights
 from offpiste.training.fitness import differing_vehicle
 from offpiste.training.losses import COMPONENTS
@@ -108,12 +107,11 @@ def test_models_without_features_need_nothing(tmp_path):
 
 
 def test_a_spread_is_loaded_with_its_model(tmp_path):
-    folder = run_folder(tmp_path / "b", "b", [], None, weights_sha256=None)
-    sha256 = sha256_of(folder / "model.safetensors")
-    save_json(folder / "model.json", load_json(folder / "model.json") | {"weights_sha256": sha256})
+    folder = run_folder(tmp_path / "b", "b", [], None)  # as older versions wrote runs: model.json names no weights
+    assert "weights_sha256" not in load_json(folder / "model.json")
     assert load_planner(folder).spread is None
     spread = Spread(inputs_of(load_planner(folder).dynamics.vehicle, 0))
-    save_tensors(folder / FILE, spread.state_dict(), weights_sha256=sha256)
+    save_beside_weights(folder / FILE, spread.state_dict())
     loaded = load_planner(folder).spread
     assert all(torch.equal(loaded.state_dict()[name], value) for name, value in spread.state_dict().items())
     save_tensors(folder / FILE, spread.state_dict(), weights_sha256="0" * 64)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from experiments.command import run as run_command
-from experiments.spreads import Members, Spreads, fitted_ways, in_heading, mean_of, predicted_by_ways
+from experiments.spreads import Members, Spreads, errors_by_ways, fitted_ways, in_heading, mean_of
 from feature_datasets import dataset_with_features
 from offpiste.errors import RunError
 from offpiste.training.config import TrainConfig
@@ -48,7 +48,7 @@ def test_the_mean_of_members_is_nearer_and_their_deviation_is_along_the_heading(
 
 
 def test_calibrated_ways_hold_what_they_should_on_windows_they_were_not_fitted_to():
-    ways = predicted_by_ways(drawn(1), fitted_ways(drawn(0)), freedom=1e6)
+    ways = errors_by_ways(drawn(1), fitted_ways(drawn(0)), freedom=1e6)
     for name, tolerance in (("ensemble", 0.03), ("both", 0.03)):
         covered = (ways[name].within[..., None] <= np.array(NOMINAL)).mean(axis=0)
         np.testing.assert_allclose(covered, np.broadcast_to(NOMINAL, covered.shape), atol=tolerance, err_msg=name)

@@ -46,6 +46,19 @@ def _read(log: MemoryLog, *more: tuple[str, str]) -> tuple[Drive, Path, dict[str
     return drive, driven_path(drive), read_topics(RememberedLog(log), None)[0]
 
 
+def test_a_gear_is_held_from_its_first_sample_on_and_stamps_that_go_back_count_nowhere() -> None:
+    drive, path, recorded = _read(_with_gear(FORWARD, 0.0, 1.0, 1.0, -1.0), GEAR)
+    start = path.time[0]
+    time = start + np.array([5.0, 6.0, 4.0, 7.0])
+    late = replace(recorded["box"], time=time, values=np.array([[2.0], [3.0], [9.0], [4.0]]))
+    raw = gear._raw(drive, path, {**recorded, "box": late})
+    assert np.isnan(raw[path.time < start + 5.0]).all()
+    for begin, end, value in ((5.0, 6.0, 2.0), (6.0, 7.0, 3.0), (7.0, np.inf, 4.0)):
+        held = raw[(path.time >= start + begin) & (path.time < start + end)]
+        assert len(held)
+        assert (held == value).all()
+
+
 def test_forward_drives_say_nothing() -> None:
     assert check_gear(*_read(FORWARD)) == []
 

@@ -1,13 +1,16 @@
 """Messages of wrong types and with wrong fields: refused and counted, and those that come after them are used."""
 
+import math
 import threading
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from live.made_up_robot import RIG, cloud, odometry, rig, tree, write_course
+from live.made_up_robot import RIG, cloud, odometry, planner, rig, small_settings, tree, write_course
 from live.test_doctor import errors, found
+from offpiste.live import doctor
+from offpiste.live.driver import Heard, StepDriver
 from offpiste.live.reception import CourseRequest, Reception
 from offpiste.live.sensor_messages import SensorMessages
 from offpiste.live.vehicle_messages import VehicleMessages
@@ -81,6 +84,21 @@ def test_a_course_of_a_wrong_kind_is_refused_and_the_last_is_kept(tmp_path):
     assert reception.course is None
     assert len(reception.refusals) == 3, "the last ones"
     assert Reception(rig(), CourseRequest(write_course(tmp_path)), cameras=False).course is not None
+
+
+def test_no_message_ends_a_step(tmp_path):
+    reception = Reception(rig(), CourseRequest(write_course(tmp_path)), cameras=False)
+    driver = StepDriver(rig(), planner(), reception, small_settings())
+    good = Heard("/odom", odometry(0.0, 1.0), 0.0)
+    driver.step([*(Heard("/odom", message, 0.0) for message in hostile("/odom")), good], 0.0)
+    assert reception.vehicle.dropped["/odom: its header has no stamp"] == 1
+    assert reception.vehicle.frame == good.message.header.frame_id, "the last one was taken"
+
+
+def test_the_doctor_says_that_headers_have_no_stamp(tmp_path, monkeypatch):
+    monkeypatch.setattr(doctor, "heard_at", lambda *given: math.nan)
+    assert any("/odom: nav_msgs/msg/Odometry, " in what and "its header has no stamp" in what
+               for what in errors(found(tmp_path)))  # fmt: skip
 
 
 @pytest.mark.parametrize("kind", ["std_msgs/msg/String", "sensor_msgs/msg/Image"])

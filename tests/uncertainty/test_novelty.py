@@ -10,7 +10,7 @@ from feature_datasets import FEATURES, dataset_with_features
 from offpiste.dynamics.feature_encoder import Compressor
 from offpiste.errors import DatasetError, RunError
 from offpiste.training.build import build
-from offpiste.training.checkpoint import load_json, save_json
+from offpiste.training.checkpoint import WEIGHTS, load_tensors, save_tensors
 from offpiste.training.config import TrainConfig
 from offpiste.training.run import load_run
 from offpiste.training.train import train
@@ -97,7 +97,8 @@ def test_features_are_kept_with_its_run_and_belong_to_its_weights(tmp_path: Path
     found = features_at_starts(dataset, "test", 50)
     assert found.isfinite().all()
     assert torch.equal(load_memory_bank(run).distance(found), bank.distance(found))
-    save_json(run.folder / "model.json", load_json(run.folder / "model.json") | {"weights_sha256": "0" * 64})
+    weights, about = load_tensors(run.folder / WEIGHTS)
+    save_tensors(run.folder / WEIGHTS, {name: value + 1 for name, value in weights.items()}, **about)
     with pytest.raises(RunError, match="belongs to other weights"):
         load_memory_bank(run)
     assert (run.folder / FILE).exists()

@@ -44,8 +44,10 @@ class Evaluate:
     def run(self) -> int:
         """Load, evaluate, report."""
         from offpiste.evaluation.evaluate_runs import evaluate_runs
-        from offpiste.uncertainty.calibrate import coverage_of_kept
+        from offpiste.uncertainty.calibrate import evaluate_kept_spreads
 
+        # First: it may refuse a run's spread, and the evaluation takes long.
+        evaluate_kept_spreads(self.runs, self.dataset, self.out, self.min_speed)
         lookups: tuple[Literal["recorded", "map"], ...] = ("recorded", "map")
         evaluate_runs(
             self.runs,
@@ -57,5 +59,4 @@ class Evaluate:
             context=self.context,
             device=self.device,
         )
-        coverage_of_kept(self.runs, self.dataset, self.out, self.min_speed)
         return 0

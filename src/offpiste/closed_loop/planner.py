@@ -11,8 +11,8 @@ from offpiste.errors import RunError
 from offpiste.logs.ground_truth import GROUND_PROPERTIES
 from offpiste.perception.feature_extractor import FeatureExtractor, load_feature_extractor
 from offpiste.shipped import PCA, PREFIX
-from offpiste.training.checkpoint import load_json
-from offpiste.training.run import WEIGHTS, Run, load_run
+from offpiste.training.checkpoint import WEIGHTS, load_json
+from offpiste.training.run import Run, load_run
 from offpiste.uncertainty.novelty import Novelty, load_memory_bank, mask_novel_ground
 from offpiste.uncertainty.prediction import FILE, load_spread
 from offpiste.uncertainty.spread import Spread

@@ -18,8 +18,8 @@ from offpiste.dynamics.kernels.autograd import has_kernels
 from offpiste.errors import OffpisteError, RunError
 from offpiste.files import check_folder, write_folder
 from offpiste.registry import Registry
-from offpiste.training.checkpoint import save_json
-from offpiste.training.run import WEIGHTS, Run, load_run
+from offpiste.training.checkpoint import WEIGHTS, save_json
+from offpiste.training.run import Run, load_run
 
 
 @dataclass(frozen=True)

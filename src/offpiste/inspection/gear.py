@@ -14,6 +14,7 @@ from offpiste.inspection.findings import Finding
 from offpiste.inspection.lags import LAGS, SURE, fit_lags, lagged, sampled
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.logs.drive import Drive, drive_from_log
+from offpiste.logs.kept_rows import increasing
 from offpiste.logs.log import Log
 from offpiste.rig.channels import unit_factor
 from offpiste.rig.edits import Edit, absent, rounded
@@ -190,13 +191,14 @@ def _meanings(
 
 
 def _raw(drive: Drive, path: Path, recorded: Mapping[str, Recorded]) -> Float[np.ndarray, " n"]:
-    """The gear as recorded, held from each sample on; NaN where the log lacks it."""
+    """The gear as recorded, held from each sample on; NaN before the first, and where the log lacks it."""
     source = drive.rig.channels["gear"]
     r = recorded.get(source.topic)
     if r is None or source.fields[0] not in r.fields:
         return np.full(len(path.time), np.nan)
-    index = np.searchsorted(r.time, path.time + source.delay, side="right") - 1
-    return np.asarray(r.values[np.clip(index, 0, len(r.time) - 1), r.fields.index(source.fields[0])])
+    kept = increasing(r.time)
+    time, value = r.time[kept], r.values[kept, r.fields.index(source.fields[0])]
+    return np.append(np.nan, value)[np.searchsorted(time, path.time + source.delay, side="right")]
 
 
 def _gears(raw: Float[np.ndarray, " n"]) -> Float[np.ndarray, " g"]:

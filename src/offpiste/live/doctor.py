@@ -62,6 +62,11 @@ class Heard:
     ages: list[float] = field(default_factory=list)
     waiting: deque[Received] = field(default_factory=lambda: deque(maxlen=_WAITING))
 
+    @property
+    def age(self) -> float:
+        """Median of the ages [s]; NaN where no header has a stamp."""
+        return float(np.median(self.ages)) if self.ages else math.nan
+
 
 def examined(
     rig_name: str, run: str, pca: Path | None, robot: ZenohSettings, seconds: float, clock: Source
@@ -236,7 +241,8 @@ class _Listener:
             return
         heard.types.add(received.type)
         stamp = heard_at(received.received, message, self._rig.clock.stamps)
-        heard.ages.append(received.received - stamp)
+        if not math.isnan(stamp):
+            heard.ages.append(received.received - stamp)
         enable = self._rig.live.enable
         is_switch = enable is not None and received.topic == enable.topic
         if enable is not None and is_switch and is_pressed(field_getter(enable.field), message) is None:
@@ -257,7 +263,9 @@ class _Listener:
             if topic not in self._heard:
                 continue
             heard = self._all[topic]
-            age = float(np.median(heard.ages)) if stamped else 0.0
+            age = heard.age if stamped else 0.0
+            if math.isnan(age):
+                continue
             oldest = math.ceil(100 * (age + 2 * seconds / heard.count + spare)) / 100
             short = [f"live.timeouts.{name}" for name in names if getattr(timeouts, name) < oldest]
             if short and -0.05 < age < 1.0:
@@ -277,8 +285,10 @@ class _Listener:
         kind = ", ".join(sorted(heard.types))
         if topic in self._static:
             return Finding("ok", f"{topic}: {kind}")
-        age, rate = float(np.median(heard.ages)), heard.count / seconds
+        age, rate = heard.age, heard.count / seconds
         what = f"{topic}: {kind}, {rate:.1f} a second"
+        if math.isnan(age):
+            return Finding("error", f"{what}: its header has no stamp")
         if clock != "system" or self._rig.clock.stamps == "receive":
             return Finding("ok", what)
         what += f", {1e3 * age:.0f} ms old"

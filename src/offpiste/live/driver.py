@@ -3,6 +3,7 @@
 Lockstep over the transport, the replay of a log, and the tests that compare them use it.
 """
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -136,7 +137,7 @@ class StepDriver:
             if one.topic not in vehicle.topics:
                 return True, 0.0, False
             stamp = heard_at(one.received, one.message, self._rig.clock.stamps)
-            return False, stamp, one.topic == vehicle.position_topic
+            return False, -math.inf if math.isnan(stamp) else stamp, one.topic == vehicle.position_topic
 
         return sorted(heard, key=order)
 

@@ -86,13 +86,9 @@ class VehicleMessages:
         Args:
             received: when it came by the robot's clock [s]; not finite before that is known.
         """
-        try:
-            stamp = heard_at(received, message, self._rig.clock.stamps)
-        except (AttributeError, TypeError, ValueError):
-            self.dropped[f"{topic}: its header has no stamp"] += 1
-            return None
+        stamp = heard_at(received, message, self._rig.clock.stamps)
         if not np.isfinite(stamp):
-            self.dropped[f"{topic}: {NO_STAMP}"] += 1
+            self.dropped[f"{topic}: {'its header has no stamp' if np.isnan(stamp) else NO_STAMP}"] += 1
             return None
         if topic == self.position_topic:
             named = "" if self._geographic else getattr(getattr(message, "header", None), "frame_id", "")

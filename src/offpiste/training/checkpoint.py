@@ -19,6 +19,9 @@ logger = logging.getLogger(__name__)
 
 REMEDY: Final = "train again, or restore the file"
 
+WEIGHTS: Final = "model.safetensors"
+"""File of a run's weights."""
+
 
 def save_tensors(path: Path, tensors: dict[str, Tensor], **about: Any) -> None:
     """Write tensors, with a few JSON values and a SHA-256 of it all in the file's own header."""
@@ -42,6 +45,23 @@ def load_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
     except (OSError, SafetensorError, json.JSONDecodeError, AttributeError) as error:
         raise RunError(f"cannot be read: {error}", where=path, how=REMEDY) from error
     _refuse_changed(path, written, sha256_of_tensors(tensors, about))
+    return tensors, about
+
+
+def save_beside_weights(path: Path, tensors: dict[str, Tensor], **about: Any) -> None:
+    """Write tensors that belong to the weights of a run, into its folder, with the SHA-256 of these."""
+    save_tensors(path, tensors, weights_sha256=sha256_of(path.parent / WEIGHTS), **about)
+
+
+def load_beside_weights(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    """Read what `save_beside_weights` wrote.
+
+    Raises:
+        RunError: as `load_tensors`, or the weights are others now.
+    """
+    tensors, about = load_tensors(path)
+    if about.pop("weights_sha256", None) != sha256_of(path.parent / WEIGHTS):
+        raise RunError("belongs to other weights", where=path, how="delete it and run `offpiste calibrate` again")
     return tensors, about
 
 

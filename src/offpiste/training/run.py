@@ -22,6 +22,7 @@ from offpiste.shipped import PREFIX, alike, run_folder
 from offpiste.state import Trajectory
 from offpiste.training.build import build
 from offpiste.training.checkpoint import (
+    WEIGHTS,
     load_json,
     load_tensors,
     load_weights,
@@ -34,8 +35,6 @@ from offpiste.training.fitness import refuse_unfit
 from offpiste.training.kept_epoch import KeptEpoch
 from offpiste.training.losses import COMPONENTS
 from offpiste.training.prediction import Lookup, predict_windows
-
-WEIGHTS = "model.safetensors"
 
 SCHEMA = 2
 """Version of a run: of what its files say, and of the physics that its weights belong to."""

@@ -18,7 +18,7 @@ from offpiste.evaluation.speed_bands import members
 from offpiste.files import write_text
 from offpiste.report.figure import write_png
 from offpiste.shipped import names_apart, run_folder
-from offpiste.training.checkpoint import load_json, save_tensors
+from offpiste.training.checkpoint import load_json, save_beside_weights
 from offpiste.training.fitness import overlap_with, refuse_seen, refuse_unfit
 from offpiste.training.run import Run, load_run, seen_stretches
 from offpiste.uncertainty.calibration import (
@@ -26,7 +26,7 @@ from offpiste.uncertainty.calibration import (
     calibration_rows,
     calibration_table,
     draw_calibration,
-    predicted_errors,
+    errors_with_scales,
 )
 from offpiste.uncertainty.fit import SpreadSettings, fit_spread, residuals_on_maps
 from offpiste.uncertainty.novelty import keep_memory_bank
@@ -53,8 +53,8 @@ def calibrate(folders: Sequence[Path], path: Path, out: Path, settings: SpreadSe
         DatasetError: a part has no window.
     """
     dataset, report = open_dataset(path), _Report()
-    for folder, name in zip(folders, names_apart(folders), strict=True):
-        run = _fitting_run(folder, dataset)
+    runs = [_fitting_run(folder, dataset) for folder in folders]
+    for run, name in zip(runs, names_apart(folders), strict=True):
         mine = dataset.starting_above(_min_speed(run))
         spread = kept_or_fitted(run, mine, settings)
         if run.dynamics.encoder is not None:
@@ -63,7 +63,9 @@ def calibrate(folders: Sequence[Path], path: Path, out: Path, settings: SpreadSe
     return report.write(out)
 
 
-def coverage_of_kept(folders: Sequence[Path], path: Path, out: Path, min_speed: float | None = None) -> Path | None:
+def evaluate_kept_spreads(
+    folders: Sequence[Path], path: Path, out: Path, min_speed: float | None = None
+) -> Path | None:
     """Evaluate the spreads that runs keep, as `calibrate` does; nothing is fitted.
 
     Args:
@@ -96,10 +98,10 @@ class _Report:
         """Evaluate a run's spread on the windows of the test part that have a map."""
         windows = Windows(dataset, PART)
         index = windows.evaluation_indices(5)
-        predicted = predicted_errors(spread, residuals_on_maps(run, windows, index))
+        errors = errors_with_scales(spread, residuals_on_maps(run, windows, index))
         located = EvaluatedWindows(dataset, windows.drive[index], windows.row_in_drive(index))
-        self.rows += calibration_rows(name, predicted, members(located), Sampling().on(located))
-        self.within[name] = predicted.within
+        self.rows += calibration_rows(name, errors, members(located), Sampling().on(located))
+        self.within[name] = errors.within
 
     def write(self, out: Path) -> Path:
         """Write table, numbers and picture; show the table."""
@@ -131,9 +133,7 @@ def kept_or_fitted(run: Run, dataset: Dataset, settings: SpreadSettings | None =
         return load_spread(run)
     train, validation = Windows(dataset, "train"), Windows(dataset, "validation")
     spread = fit_spread(run, train, validation, settings)
-    weights = load_json(run.folder / "model.json")["weights_sha256"]
-    seen = seen_stretches(dataset)
-    save_tensors(run.folder / FILE, spread.state_dict(), weights_sha256=weights, seen=seen)
+    save_beside_weights(run.folder / FILE, spread.state_dict(), seen=seen_stretches(dataset))
     return spread
 
 

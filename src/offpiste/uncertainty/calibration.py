@@ -40,7 +40,7 @@ ABOUT: Final = (
 
 
 @dataclass(frozen=True)
-class PredictedErrors:
+class ErrorsWithScales:
     """Errors of position and the scales predicted for them, at the moments of a spread.
 
     Attributes:
@@ -61,10 +61,10 @@ class PredictedErrors:
         return probability_within(squared, self.freedom)
 
 
-def predicted_errors(spread: Spread, residuals: Residuals) -> PredictedErrors:
+def errors_with_scales(spread: Spread, residuals: Residuals) -> ErrorsWithScales:
     """Residuals beside what a spread predicts of them."""
     scale, speed = spread(residuals.inputs).detach().numpy(), residuals.inputs[:, 0, 0].numpy()
-    return PredictedErrors(residuals.error.numpy(), scale, float(spread.freedom.detach()), speed)
+    return ErrorsWithScales(residuals.error.numpy(), scale, float(spread.freedom.detach()), speed)
 
 
 class CalibrationRow(msgspec.Struct, frozen=True, kw_only=True):
@@ -94,20 +94,20 @@ class CalibrationRow(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def calibration_rows(
-    run: str, predicted: PredictedErrors, groups: Mapping[str, Bool[np.ndarray, " N"]], drawn: Resampling
+    run: str, errors: ErrorsWithScales, groups: Mapping[str, Bool[np.ndarray, " N"]], drawn: Resampling
 ) -> list[CalibrationRow]:
     """A row for all windows, and one for each group, at each horizon.
 
     Args:
         run: name of the run.
-        predicted: of the windows.
+        errors: of the windows.
         groups: which windows belong to each.
         drawn: of the same windows, for intervals of the row of all of them.
     """
-    scale, error, within, rows = predicted.scale, predicted.error, predicted.within, list[CalibrationRow]()
+    scale, error, within, rows = errors.scale, errors.error, errors.within, list[CalibrationRow]()
     for place, (horizon, k) in enumerate(zip(HORIZONS, AT, strict=True)):
         distance, reach = np.linalg.norm(error[:, k], axis=-1), np.linalg.norm(scale[:, k], axis=-1)
-        score = crps(error[:, k], scale[:, k], predicted.freedom).mean(axis=-1)
+        score = crps(error[:, k], scale[:, k], errors.freedom).mean(axis=-1)
         for name, mine in ({ALL: np.ones(len(error), bool)} | dict(groups)).items():
             worst = distance[mine] >= np.quantile(distance[mine], 1 - WORST)
             covered = within[mine, place, None] <= np.array(NOMINAL)
@@ -123,7 +123,7 @@ def calibration_rows(
                     ci95=_intervals(covered, drawn) if name == ALL else ((np.nan, np.nan),) * len(NOMINAL),
                     crps_m=float(score[mine].mean()),
                     auroc=area_under_curve(reach[mine], worst),
-                    auroc_by_speed=area_under_curve(predicted.speed[mine], worst),
+                    auroc_by_speed=area_under_curve(errors.speed[mine], worst),
                 )
             )
     return rows

@@ -121,15 +121,15 @@ def residuals_at_recorded(run: Run, windows: Windows, index: np.ndarray, rng: np
     def choose(some: np.ndarray) -> FeatureSetChoice:
         return drawn(draw, rng, len(some), lambda: windows.ahead(some), windows.sets)
 
-    return _joined([residuals for _, residuals in predicted(run, windows, index, "recorded", choose)])
+    return _joined([residuals for _, residuals in predictions_of(run, windows, index, "recorded", choose)])
 
 
 def residuals_on_maps(run: Run, windows: Windows, index: np.ndarray) -> Residuals:
     """Predictions on the map as it was when each window started, read at predicted places."""
-    return _joined([residuals for _, residuals in predicted(run, windows, index, "map")])
+    return _joined([residuals for _, residuals in predictions_of(run, windows, index, "map")])
 
 
-def predicted(
+def predictions_of(
     run: Run,
     windows: Windows,
     index: np.ndarray,
@@ -142,11 +142,11 @@ def predicted(
         choose: feature sets of some windows, read at recorded places; by default the windows' own.
     """
     for some in track(in_parts(index, windows, lookup), f"predicting with {run.folder.name}"):
-        yield _predicted(run.dynamics, windows, some, lookup, choose(some) if choose is not None else None)
+        yield _predictions_of(run.dynamics, windows, some, lookup, choose(some) if choose is not None else None)
 
 
 @torch.no_grad()
-def _predicted(
+def _predictions_of(
     dynamics: Dynamics, windows: Windows, index: np.ndarray, lookup: Lookup, choice: FeatureSetChoice | None
 ) -> tuple[Trajectory, Residuals]:
     batch = encoded(dynamics, batch_for(dynamics, windows, windows.gather(index, choice)))

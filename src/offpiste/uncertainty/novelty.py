@@ -1,6 +1,7 @@
 """Novel ground, unlike any in training: recognised by its features, and treated as ground without any."""
 
 import logging
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
@@ -15,7 +16,7 @@ from offpiste.dataset.windows import Windows
 from offpiste.dynamics import Dynamics
 from offpiste.dynamics.feature_encoder import FeatureEncoder
 from offpiste.errors import DatasetError, RunError
-from offpiste.training.checkpoint import load_json, load_tensors, load_weights, save_tensors
+from offpiste.training.checkpoint import load_beside_weights, load_weights, save_beside_weights
 from offpiste.training.run import Run
 
 logger = logging.getLogger(__name__)
@@ -123,11 +124,12 @@ def features_at_starts(dataset: Dataset, part: str, most: int) -> Float[Tensor, 
     Args:
         most: cells of each feature set.
     """
-    sets, found = Windows(dataset, part).sets, list[Tensor]()
-    for name in FEATURE_SETS[:sets]:
-        features, valid = Windows(dataset, part, feature_set=name).features_at_starts(most)
-        found.append(features[valid][:: -(-len(features[valid]) // most) or 1])
-    return torch.cat(found)
+    windows, seen = Windows(dataset, part), list[Tensor]()
+    for name in FEATURE_SETS[: windows.sets]:
+        features, valid = windows.with_feature_set(name).features_at_starts(most)
+        known = features[valid]
+        seen.append(known[:: max(math.ceil(len(known) / most), 1)])
+    return torch.cat(seen)
 
 
 def keep_memory_bank(run: Run, dataset: Dataset, settings: NoveltySettings | None = None) -> MemoryBank:
@@ -137,8 +139,7 @@ def keep_memory_bank(run: Run, dataset: Dataset, settings: NoveltySettings | Non
         return load_memory_bank(run)
     training, validation = (features_at_starts(dataset, part, settings.candidates) for part in ("train", "validation"))
     bank = fit_memory_bank(training, validation, settings)
-    weights = load_json(run.folder / "model.json")["weights_sha256"]
-    save_tensors(run.folder / FILE, bank.state_dict(), weights_sha256=weights)
+    save_beside_weights(run.folder / FILE, bank.state_dict())
     logger.info(
         f"known ground of {run.folder.name}: {len(bank.kept)} cells, up to a distance of {float(bank.limit):.2f}"
     )
@@ -155,9 +156,7 @@ def load_memory_bank(run: Run) -> MemoryBank:
     if not path.exists():
         how = "make it with `offpiste calibrate RUN --dataset DATASET`, or ignore what is novel"
         raise RunError("keeps no features to tell novel ground by", where=run.folder, how=how)
-    tensors, about = load_tensors(path)
-    if about.get("weights_sha256") != load_json(run.folder / "model.json")["weights_sha256"]:
-        raise RunError("belongs to other weights", where=path, how="delete it and run `offpiste calibrate` again")
+    tensors, _ = load_beside_weights(path)
     shape: Sequence[int] = tensors["kept"].shape if "kept" in tensors else (0, 0)
     bank = MemoryBank(*shape)
     load_weights(bank, tensors, path)

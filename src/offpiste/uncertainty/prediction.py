@@ -9,13 +9,14 @@ from jaxtyping import Float
 from torch import Tensor
 
 from offpiste.dataset.windows import Windows
+from offpiste.dynamics.models import seeded
 from offpiste.errors import RunError
 from offpiste.state import Trajectory
-from offpiste.training.checkpoint import load_json, load_tensors, load_weights
+from offpiste.training.checkpoint import load_beside_weights, load_tensors, load_weights
 from offpiste.training.fitness import refuse_unfit
 from offpiste.training.prediction import Lookup
 from offpiste.training.run import Run
-from offpiste.uncertainty.fit import predicted
+from offpiste.uncertainty.fit import predictions_of
 from offpiste.uncertainty.spread import Spread, inputs_of
 from offpiste.uncertainty.student import radius
 
@@ -55,7 +56,7 @@ def predict_with_spread(run: Run, windows: Windows, lookup: Lookup = "map") -> S
     """
     refuse_unfit(run, windows.dataset)
     spread = load_spread(run)
-    parts = list(predicted(run, windows, np.arange(len(windows)), lookup))
+    parts = list(predictions_of(run, windows, np.arange(len(windows)), lookup))
     trajectory = Trajectory(
         torch.cat([each.state for each, _ in parts]), torch.cat([each.actuators for each, _ in parts])
     )
@@ -72,10 +73,9 @@ def load_spread(run: Run) -> Spread:
     path = run.folder / FILE
     if not path.exists():
         raise RunError("has no spread", where=run.folder, how="make it with `offpiste calibrate`")
-    tensors, about = load_tensors(path)
-    if about.get("weights_sha256") != load_json(run.folder / "model.json")["weights_sha256"]:
-        raise RunError("belongs to other weights", where=path, how="delete it and run `offpiste calibrate` again")
-    spread = Spread(inputs_of(run.dynamics.vehicle, run.dynamics.codes))
+    tensors, _ = load_beside_weights(path)
+    with seeded(0):  # its weights are replaced
+        spread = Spread(inputs_of(run.dynamics.vehicle, run.dynamics.codes))
     load_weights(spread, tensors, path)
     return spread.requires_grad_(False)
 

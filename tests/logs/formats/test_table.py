@@ -219,6 +219,13 @@ def test_cells(tmp_path: Path) -> None:
         log.read("", ["name"])
 
 
+def test_digits_joined_by_underscores_are_text(tmp_path: Path) -> None:
+    """Python's own `float` reads 1_5 as 15."""
+    log = table(tmp_path, "t,x\n0,1.0\n1,1_5\n2,2.0\n")
+    with pytest.raises(LogError, match="'1_5'"):
+        log.read("", ["x"])
+
+
 @pytest.mark.parametrize("bad_row", [1, 150])
 def test_one_bad_cell_is_named_when_its_column_is_read(tmp_path: Path, bad_row: int) -> None:
     rows = [f"{i},{i},{'abc' if i == bad_row else 2 * i}" for i in range(1, 200)]

@@ -1,5 +1,8 @@
 """Columns of an MCAP file are what the plain reader gives, message by message; what does not fit is left to it."""
 
+import math
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -121,6 +124,10 @@ def test_a_stamp_beside_the_numbers_counts_where_there_is_no_header(tmp_path, fi
     np.testing.assert_array_equal(plain.stamps("/odom"), expected)
     assert heard_at(5.0, messages[3], "header") == expected[3]
     assert heard_at(5.0, messages[3], "receive") == 5.0
+    no_time = SimpleNamespace(header=SimpleNamespace(stamp=1.5))
+    assert math.isnan(heard_at(5.0, no_time, "header"))
+    assert heard_at(5.0, no_time, "receive") == 5.0
+    assert heard_at(-math.inf, SimpleNamespace(), "header") == -math.inf
 
 
 def test_a_number_that_is_called_stamp_is_no_time(tmp_path):

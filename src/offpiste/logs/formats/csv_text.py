@@ -76,6 +76,8 @@ def past_midnight(times: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
 
 def number_of(cell: str) -> float | None:
     """The number that a cell holds, 1 and 0 for true and false; None for other text."""
+    if "_" in cell:
+        return None  # Python reads 1_5 as 15
     try:
         return float(cell)
     except ValueError:

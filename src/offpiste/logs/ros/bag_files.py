@@ -35,14 +35,19 @@ def stamp_of(received: int, message: object, stamps: str) -> float:
 
 
 def heard_at(received: float, message: object, stamps: str) -> float:
-    """Time of a message that was heard [s], as `stamp_of`; not finite where that is its arrival, which is not.
+    """Time of a message that was heard [s], as `stamp_of`.
+
+    Not finite where that is its arrival, which is not, and NaN where the stamp in its header is none.
 
     Args:
         received: when it came [s].
     """
-    if math.isfinite(received):
-        return stamp_of(round(received * 1e9), message, stamps)
-    return stamp_of(0, message, stamps) or -math.inf
+    known = math.isfinite(received)
+    try:
+        stamp = stamp_of(round(received * 1e9) if known else 0, message, stamps)
+    except (AttributeError, TypeError, ValueError):
+        return math.nan
+    return stamp if known else stamp or -math.inf
 
 
 def _own_stamp(message: Any) -> int:
