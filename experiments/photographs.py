@@ -26,7 +26,7 @@ logger = logging.getLogger("experiments")
 
 Photograph = UInt8[np.ndarray, "h w 3"]
 _SKY = 1 / 3
-"""Share of a photograph, from its top, that is no ground: as in `perception.frames.image_statistics`."""
+"""Share of a photograph, from its top, that is no ground: as in `perception.keyframes.image_statistics`."""
 _HOOD = 0.1
 """Share, from its bottom, that shows the vehicle."""
 

@@ -43,7 +43,7 @@ def planned(
     Args:
         lengths: of the drives that train, validate and test [s].
         seed: of the first drive; the others count on from it.
-        contrast, appearance: of `simulation.world.WorldSettings`.
+        contrast, appearance: of `simulation.world.world.WorldSettings`.
     """
     listed = [(part, seconds) for part, mine in zip(PARTS, lengths, strict=True) for seconds in mine]
     return [
@@ -68,7 +68,7 @@ def driven_dataset(
 
     Args:
         pca: visual features; else `features` of `dataset.ground_truth_features`.
-        snapshot_seconds, min_hindsight: of `dataset.make.make_dataset`.
+        snapshot_seconds, min_hindsight: of `dataset.extract.make_dataset`.
         rig: of the drives; None: the proving ground's.
 
     Raises:

@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from offpiste.logs.channel import convert
 from offpiste.logs.log import Log, Samples, Topic
-from offpiste.rig.channels import SECONDS, ChannelSource, Clock, unit_factor
+from offpiste.rig.channels import SECONDS_PER_UNIT, ChannelSource, Clock, unit_factor
 from offpiste.rig.edits import Edit, edited, toml_value
 from offpiste.rig.rig import Rig
 
@@ -54,7 +54,7 @@ class RecordingLog(Log):
         if stamps == "receive" and stream.arrival is not None:
             time = stream.arrival
         else:
-            time = stream.time * SECONDS[self._clock.unit]
+            time = stream.time * SECONDS_PER_UNIT[self._clock.unit]
         return Samples(time, np.column_stack([stream.columns[field] for field in fields]))
 
     @property

@@ -39,6 +39,15 @@ def usable_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+def at_a_time(processes: int, device: str = "cpu") -> int:
+    """Number of processes to start: as many as asked for; 0: one a core, or one where they would share an accelerator.
+
+    Args:
+        device: that each computes on.
+    """
+    return processes or (usable_cores() if device == "cpu" else 1)
+
+
 def parse_shard(text: str) -> tuple[int, int]:
     """K and N of "K/N".
 

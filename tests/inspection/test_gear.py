@@ -11,7 +11,7 @@ from offpiste.inspection import gear
 from offpiste.inspection.course import check_course
 from offpiste.inspection.draft_channels import draft_channels
 from offpiste.inspection.draft_rig import draft_rig
-from offpiste.inspection.driven_path import Path, driven_path
+from offpiste.inspection.driven_path import DrivenPath, driven_path
 from offpiste.inspection.gear import check_gear
 from offpiste.inspection.inspect import inspect_log
 from offpiste.inspection.recorded_log import Recorded, RememberedLog, read_topics
@@ -41,7 +41,7 @@ def _with_gear(log: MemoryLog, begin: float, end: float, forward: float, reverse
     return log
 
 
-def _read(log: MemoryLog, *more: tuple[str, str]) -> tuple[Drive, Path, dict[str, Recorded]]:
+def _read(log: MemoryLog, *more: tuple[str, str]) -> tuple[Drive, DrivenPath, dict[str, Recorded]]:
     drive = drive_from_log(log, rig(*more))
     return drive, driven_path(drive), read_topics(RememberedLog(log), None)[0]
 

@@ -7,7 +7,7 @@ from msgspec import structs
 
 import textured_world as world
 from offpiste.inspection.sensor_samples import Grey, driving, pairs
-from offpiste.inspection.sensor_stamps import check_frozen, check_sensor_stamps, untimed_points
+from offpiste.inspection.sensor_stamps import check_repeated_images, check_sensor_stamps, untimed_points
 from offpiste.inspection.sensors import check_sensors
 from offpiste.logs import open_log
 from sensor_bags import IMAGE, SENSORS, cloud, compressed, info, opened, record, sensor_rig, tree
@@ -54,9 +54,9 @@ def test_a_clock_that_drifts(tmp_path):
 
 def test_a_driver_that_repeats_images():
     pictures = [Grey(float(i), np.full((4, 4), i, np.uint8)) for i in range(20)]
-    assert check_frozen("front", pictures) == []
+    assert check_repeated_images("front", pictures) == []
     again = [replace(p, pixels=pictures[i // 3 * 3].pixels) for i, p in enumerate(pictures)]
-    (finding,) = check_frozen("front", again)
+    (finding,) = check_repeated_images("front", again)
     assert finding.evidence == "13 of 19 images are those before them, bit for bit"
 
 

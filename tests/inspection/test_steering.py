@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from simulated import MAX_STEER, START, MemoryLog, drive_log, rig
 
-from offpiste.inspection.driven_path import Path, driven_path
+from offpiste.inspection.driven_path import DrivenPath, driven_path
 from offpiste.inspection.inspect import inspect_log
 from offpiste.inspection.lags import LagFit
 from offpiste.inspection.steering import check_steering
@@ -135,7 +135,7 @@ def test_slip_that_grows_with_the_speed_is_taken_out_of_the_scale(understeer: fl
     yaw = np.cumsum(yaw_rate) * 0.05
     velocity = speed[:, None] * np.stack((np.cos(yaw), np.sin(yaw)), axis=1)
     still = np.zeros(len(time))
-    path = Path(time, np.cumsum(velocity, axis=0) * 0.05, velocity, speed, speed, yaw, yaw_rate, still, still)
+    path = DrivenPath(time, np.cumsum(velocity, axis=0) * 0.05, velocity, speed, speed, yaw, yaw_rate, still, still)
     fit = steering_fit(Channel("steer", "", time, steer[:, None]), path, rig(), measured=True)
     assert fit is not None
     assert fit.extrapolated is not None

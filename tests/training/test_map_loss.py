@@ -154,6 +154,8 @@ def test_folds_all_choose_at_recorded_places(tmp_path: Path) -> None:
     whole = dataset_with_features(tmp_path / "seen.zarr", ("train", "validation"), rows=3300, speeds=(2.5, 3.0))
     dataset = with_snapshots(whole, tmp_path / "snapshots", [200])
     train_folds(dataset, replace(QUICK, model="b", stride=200), tmp_path / "folds", folds=3)
-    for folder in fold_folders(tmp_path / "folds"):
+    folders = fold_folders(tmp_path / "folds")
+    assert len(folders) == 3
+    for folder in folders:
         lines = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
         assert {line["validation_on"] for line in lines} == {"recorded"}

@@ -44,6 +44,7 @@ class FitPca:
         """Choose images, fit, write."""
         from offpiste.dataset.fit_pca import fit_pca, read_image_list, write_image_list
         from offpiste.dataset.splits import parse_split
+        from offpiste.parallel import at_a_time
         from offpiste.perception.backbones import open_backbone
         from offpiste.perception.pca import save_pca
         from offpiste.rig.rig import load_rig
@@ -59,7 +60,7 @@ class FitPca:
             images=images,
             components=self.components,
             seed=self.seed,
-            processes=self.processes or (0 if self.device == "cpu" else 1),
+            processes=at_a_time(self.processes, self.device),
             cluster=self.cluster,
         )
         pca = fitted.pca

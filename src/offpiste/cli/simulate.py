@@ -111,7 +111,7 @@ class Simulate:
 
     def _record_all(self) -> None:
         from offpiste.files import check_folder
-        from offpiste.parallel import usable_cores
+        from offpiste.parallel import at_a_time
         from offpiste.progress import show
         from offpiste.simulation.recordings import Recording, simulate_all
 
@@ -120,7 +120,7 @@ class Simulate:
         name = Path(self.world).stem
         seeds = range(self.seed, self.seed + self.drives)
         recordings = [Recording(self._settings(seed, seed), self.out / f"{name}-{seed}.mcap") for seed in seeds]
-        simulate_all(recordings, self.processes or usable_cores(), self.cluster)
+        simulate_all(recordings, at_a_time(self.processes), self.cluster)
         rig = self._rig(self.out / "rig.toml")
         show(f"next: offpiste inspect {quote(str(self.out))}/*.mcap --rig {rig}")
 

@@ -30,7 +30,7 @@ from offpiste.logs.opening import open_log
 from offpiste.logs.sensor_log import open_sensors
 from offpiste.mapping.replay import MapperSettings
 from offpiste.object_store import brought, expanded
-from offpiste.parallel import Report, run_all, usable_cores
+from offpiste.parallel import Report, at_a_time, run_all
 from offpiste.perception.feature_extractor import FeatureExtractor, load_feature_extractor
 from offpiste.rig.rig import Rig
 
@@ -236,9 +236,8 @@ def make_dataset(
         for log, name in zip(logs, names, strict=True)
         if name not in done and name in mine
     ]
-    processes = processes or (usable_cores() if device == "cpu" else 1)
     try:
-        failed = run_all(extract_drive, jobs, processes, "extract", engine=engine_at(cluster))
+        failed = run_all(extract_drive, jobs, at_a_time(processes, device), "extract", engine=engine_at(cluster))
         remove_partials(out)  # of workers that were lost
     finally:
         remove_if_empty(out)  # all logs failed

@@ -23,7 +23,7 @@ from offpiste.logs.opening import open_log
 from offpiste.logs.sensor_log import SensorLog, open_sensors
 from offpiste.mapping.replay import Moment, ground_points, pinhole_cameras, replay
 from offpiste.object_store import brought, expanded
-from offpiste.parallel import Report, Work, run_all, usable_cores
+from offpiste.parallel import Report, Work, at_a_time, run_all
 from offpiste.perception.backbones import Backbone
 from offpiste.perception.keyframes import image_statistics, keyframes_by_travel, most_diverse
 from offpiste.perception.pca import COMPONENTS, IMAGES, Moments, PrincipalComponents, fit
@@ -148,10 +148,10 @@ def fit_pca(
     logs = sorted(expanded(logs), key=drive_name)  # whatever order they are given in, the same images are chosen
     spacing = SPACING if isinstance(images, int) else 0.0  # listed images need not lie apart
     jobs = [Job(number, log, rig, split, spacing, backbone) for number, log in enumerate(logs)]
-    at_a_time = processes or usable_cores()
+    processes = at_a_time(processes)
     result = [
         Candidate(number, list(rig.cameras)[camera], float(time), statistics)
-        for number, found in _of_each(_find_images, jobs, at_a_time, "finding images", cluster)
+        for number, found in _of_each(_find_images, jobs, processes, "finding images", cluster)
         for camera, time, statistics in zip(found["camera"], found["time"], found["statistics"], strict=True)
     ]
     if not result:
@@ -166,7 +166,7 @@ def fit_pca(
     ]
     jobs = [replace(job, times=mine) for job, mine in zip(jobs, times, strict=True) if mine]
     moments = Moments.none(backbone.channels)
-    for _, found in _of_each(_read_features, jobs, at_a_time, "features of the chosen images", cluster):
+    for _, found in _of_each(_read_features, jobs, processes, "features of the chosen images", cluster):
         moments += Moments(int(found["count"]), found["mean"], found["scatter"])
     about = {"logs": names, "split": split.text, "split_drives": [list(pair) for pair in split.drives]}
     pca = fit(moments, backbone, components=components, **about)

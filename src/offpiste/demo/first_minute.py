@@ -29,7 +29,7 @@ from offpiste.demo.picture import demo_picture
 from offpiste.demo.rehearsal import rehearse
 from offpiste.files import write_text
 from offpiste.logs import read_drive
-from offpiste.parallel import Report, run_all, usable_cores
+from offpiste.parallel import Report, at_a_time, run_all
 from offpiste.report.figure import write_png
 from offpiste.reproduction.steps import claim_folder
 from offpiste.rig.rig import load_rig
@@ -93,7 +93,7 @@ def run_first_minute(out: Path, settings: FirstMinuteSettings, *, processes: int
         OffpisteError: a step failed, or `out` holds a demo with other settings.
     """
     claim_folder(out, {"demo": asdict(settings)})
-    place, processes = settings.place, processes or usable_cores()
+    place, processes = settings.place, at_a_time(processes)
     if processes > 1 and not (out / "dataset.zarr").exists():
         logger.info("0/3  A rehearsal, which compiles what is not compiled yet: it takes half a minute the first time.")
         rehearse(shipped("dc"), processes)

@@ -26,7 +26,7 @@ from offpiste.evaluation.result_rows import REFERENCE
 from offpiste.inspection.inspect import inspect_log
 from offpiste.inspection.render import render
 from offpiste.logs import open_log
-from offpiste.parallel import usable_cores
+from offpiste.parallel import at_a_time
 from offpiste.perception.backbones import open_backbone
 from offpiste.perception.pca import save_pca
 from offpiste.report.figure import write_png
@@ -182,7 +182,7 @@ def run_demo(out: Path, settings: DemoSettings, *, processes: int = 0) -> None:
         OffpisteError: a stage failed, or `out` holds a demo with other settings.
     """
     claim_folder(out, {"demo": asdict(settings)})
-    rig, processes = load_rig("proving_ground"), processes or usable_cores()
+    rig, processes = load_rig("proving_ground"), at_a_time(processes)
     recordings = _recordings(out, settings)
     logs = [recording.log for recording in recordings]
     logger.info(

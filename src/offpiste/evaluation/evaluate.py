@@ -82,7 +82,7 @@ def evaluate_models(
 
     Args:
         models: runs; the first names the model whose worst windows are drawn.
-        scale: of the loss, one for all models so that their losses compare (`offpiste.training.train.loss_scale`).
+        scale: of the loss, one for all models so that their losses compare (`training.losses.loss_scale`).
         weights: of the loss.
         starts: estimates of the state that predictions start from.
         lookups: where models read the terrain; datasets without slope have only one way.

@@ -17,7 +17,7 @@ from offpiste.errors import OffpisteError
 from offpiste.evidence.controls import MODELS, run_controls
 from offpiste.evidence.given import Drives, described, given_drives, inspect_drives
 from offpiste.evidence.page import Collected, write_evidence
-from offpiste.parallel import usable_cores
+from offpiste.parallel import at_a_time
 from offpiste.perception.backbones import BACKBONES, Backbone, open_backbone
 from offpiste.perception.backbones.filterbank import FILTERBANK
 from offpiste.perception.pca import save_pca
@@ -60,8 +60,8 @@ class EvidenceSettings:
 
     @property
     def at_a_time(self) -> int:
-        """Number of processes; one where they would share an accelerator."""
-        return (self.processes or usable_cores()) if self.device == "cpu" else 1
+        """Number of processes (`parallel.at_a_time`)."""
+        return at_a_time(self.processes, self.device)
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import Final
 from offpiste.inspection.clocks import check_clocks
 from offpiste.inspection.course import heading_fits
 from offpiste.inspection.draft_values import check_draft_values, check_size
-from offpiste.inspection.driven_path import Path
+from offpiste.inspection.driven_path import DrivenPath
 from offpiste.inspection.dropouts import check_dropouts
 from offpiste.inspection.dropped import check_dropped
 from offpiste.inspection.findings import Finding
@@ -86,7 +86,7 @@ class Motion:
 
     topics: Topics
     drive: Drive
-    path: Path
+    path: DrivenPath
     follows: bool
 
     @cached_property
@@ -273,6 +273,6 @@ MOTION_CHECKS: Final[tuple[Callable[[Motion], list[Finding]], ...]] = (
 """Checks of channels against the motion; they run where the pose can be trusted."""
 
 
-def motion_of(topics: Topics, drive: Drive, path: Path) -> Motion:
+def motion_of(topics: Topics, drive: Drive, path: DrivenPath) -> Motion:
     """Collect what checks of the motion read."""
     return Motion(topics, drive, path, heading_fits(path))

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from offpiste.channels import control_of
-from offpiste.inspection.driven_path import Path
+from offpiste.inspection.driven_path import DrivenPath
 from offpiste.inspection.findings import Finding, Severity
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.inspection.signals import place
@@ -39,7 +39,7 @@ class WheelSpeed:
     samples: Channel
 
 
-def find_wheel_speeds(recorded: dict[str, Recorded], path: Path, *, besides: set[str]) -> list[WheelSpeed]:
+def find_wheel_speeds(recorded: dict[str, Recorded], path: DrivenPath, *, besides: set[str]) -> list[WheelSpeed]:
     """Fields, of other topics than the pose's, that are proportional to the speed, lagging by up to two seconds."""
     result = []
     for topic, r in recorded.items():
@@ -53,7 +53,7 @@ def find_wheel_speeds(recorded: dict[str, Recorded], path: Path, *, besides: set
     return result
 
 
-def check_clocks(recorded: dict[str, Recorded], path: Path, rig: Rig, *, besides: set[str]) -> list[Finding]:
+def check_clocks(recorded: dict[str, Recorded], path: DrivenPath, rig: Rig, *, besides: set[str]) -> list[Finding]:
     """A finding for each clock behind the rig's channels that is late or drifts; topics with equal stamps share one."""
     known = set(rig.alignment.topics) if rig.alignment else set()
     # Where motors turn as fast as the throttle says, the speed follows it, later: a response and no clock.
@@ -108,7 +108,7 @@ def _severity(topics: list[str], rig: Rig) -> Severity:
 
 
 def _proportional(
-    path: Path, topic: str, field: str, time: Float[np.ndarray, " n"], values: Float[np.ndarray, " n"]
+    path: DrivenPath, topic: str, field: str, time: Float[np.ndarray, " n"], values: Float[np.ndarray, " n"]
 ) -> WheelSpeed | None:
     speed = np.nan_to_num(path.speed)
     if len(values) < 200 or np.ptp(values) == 0 or speed.std() < 0.1 * speed.mean():

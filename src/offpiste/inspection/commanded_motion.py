@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.inspection.driven_path import Path
+from offpiste.inspection.driven_path import DrivenPath
 from offpiste.inspection.lags import LAGS, fit_lags, lagged
 from offpiste.inspection.steering_fit import moving_rows, steering_fit
 from offpiste.logs.channel import Channel
@@ -108,7 +108,7 @@ def commanded_curvature(raw: Float[np.ndarray, "n 2"], rig: Rig) -> float:
     return float(np.percentile(np.abs(rate[turns] / speed[turns]), _USUAL)) if turns.any() else 0.0
 
 
-def is_turn_rate(channel: Channel, path: Path, rig: Rig) -> bool:
+def is_turn_rate(channel: Channel, path: DrivenPath, rig: Rig) -> bool:
     """Whether the vehicle turns as a steering command says, and not as that times the speed.
 
     Args:

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import islice
 from typing import Final
 
 import msgspec
@@ -12,7 +13,7 @@ from jaxtyping import Float
 from offpiste.errors import OffpisteError
 from offpiste.inspection.channel_guesses import Guess, labels
 from offpiste.inspection.commanded_motion import COMMANDED, is_asked_for
-from offpiste.inspection.driven_path import Path, driven_path
+from offpiste.inspection.driven_path import DrivenPath, driven_path
 from offpiste.inspection.lags import LAGS, LagFit, fit_lags, lagged
 from offpiste.inspection.pedals import pedal_fit
 from offpiste.inspection.steering_fit import moving_rows, steering_fit
@@ -70,7 +71,7 @@ def find_controls(log: Log, rig: Rig) -> dict[str, tuple[Guess, float]]:
         path = driven_path(drive_from_log(log, rig))
     except OffpisteError:
         return {}
-    fields = list(_candidates(log, rig))[:_MOST]
+    fields = list(islice(_candidates(log, rig), _MOST))
     found: dict[str, tuple[Guess, float]] = {}
     for name in lacking:
         taken = {(guess.topic, guess.fields) for guess, _ in found.values()}
@@ -126,7 +127,7 @@ def _commanded_and_measured(pair: Sequence[tuple[float, Guess]], log: Log, rig: 
             for name, (score, guess) in (("steer", first), ("steer_angle", second))}  # fmt: skip
 
 
-def _follows(name: str, guess: Guess, log: Log, rig: Rig, path: Path) -> float:
+def _follows(name: str, guess: Guess, log: Log, rig: Rig, path: DrivenPath) -> float:
     """Correlation of the motion with a field as this control, later than it; 0 where it does not follow."""
     trial = _with(name, guess, rig)
     channel = _read(name, guess, log, rig)
@@ -157,7 +158,7 @@ def _read(name: str, guess: Guess, log: Log, rig: Rig) -> Channel | None:
         return None
 
 
-def _is_turn_rate(channel: Channel, path: Path, rig: Rig, strength: float) -> bool:
+def _is_turn_rate(channel: Channel, path: DrivenPath, rig: Rig, strength: float) -> bool:
     """Whether a field explains the yaw rate of that moment alone, as a gyroscope does, no less than times the speed.
 
     Args:
@@ -197,7 +198,19 @@ def is_measured_topic(topic: Topic) -> bool:
 
 
 def _candidates(log: Log, rig: Rig) -> Iterator[Guess]:
-    """Fields that no channel reads, that change, and that no name says to be measured."""
+    """Fields that no channel reads, that change, and that no name says to be measured; those of commands come first."""
+    for guess in sorted(_unread(log, rig), key=lambda guess: not (guess.asked_for or _COMMANDING.search(guess.topic))):
+        try:
+            values = log.read(guess.topic, guess.fields).values[:, 0]
+        except OffpisteError:
+            continue
+        values = values[np.isfinite(values)]
+        if len(values) > 100 and len(np.unique(values)) > 4 and not (np.diff(values) >= 0).all():
+            yield guess
+
+
+def _unread(log: Log, rig: Rig) -> Iterator[Guess]:
+    """Fields that no channel reads and that no name says to be measured, in the log's order."""
     read = {(source.topic, field) for source in rig.channels.values() for field in source.fields}
     for topic in log.topics.values():
         if topic.count < 100 or topic.part_of or is_measured_topic(topic):
@@ -205,12 +218,5 @@ def _candidates(log: Log, rig: Rig) -> Iterator[Guess]:
         for field, label in labels(topic).items():
             asked = COMMANDED.search(topic.name) or COMMANDED.search(label.name)
             moved = not asked and _MOTION.search(label.name.rpartition("/")[2])
-            if (topic.name, field) in read or field == log.clock.column or moved:
-                continue
-            try:
-                values = log.read(topic.name, (field,)).values[:, 0]
-            except OffpisteError:
-                continue
-            values = values[np.isfinite(values)]
-            if len(values) > 100 and len(np.unique(values)) > 4 and not (np.diff(values) >= 0).all():
+            if (topic.name, field) not in read and field != log.clock.column and not moved:
                 yield Guess("", topic.name, (field,), label.unit, asked_for=is_asked_for(topic, (field,)))

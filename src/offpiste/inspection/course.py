@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Bool, Float
 
-from offpiste.inspection.driven_path import STEP, Path
+from offpiste.inspection.driven_path import STEP, DrivenPath
 from offpiste.inspection.findings import Finding, Severity
 from offpiste.inspection.lags import SURE, jackknife
 from offpiste.logs.axes import turning_sign
@@ -56,7 +56,7 @@ class Reading:
     offset_sigma: float
 
 
-def heading_fits(path: Path) -> bool:
+def heading_fits(path: DrivenPath) -> bool:
     """Whether the heading follows the course, so that turning and steering can be checked by it."""
     moving = under_way(path)
     if not moving.any():
@@ -64,7 +64,7 @@ def heading_fits(path: Path) -> bool:
     return _agreement(_course(path) - path.yaw, path.yaw, moving, _straight(path, moving)) > _TOGETHER
 
 
-def check_course(drive: Drive, path: Path) -> list[Finding]:
+def check_course(drive: Drive, path: DrivenPath) -> list[Finding]:
     """Heading against the direction of travel."""
     if under_way(path).sum() < 40:
         return []
@@ -90,7 +90,7 @@ def check_course(drive: Drive, path: Path) -> list[Finding]:
     return [Finding("fatal", name, what, evidence, ", ".join(map(str, cures[0])), 1.0, cures)]
 
 
-def readings(drive: Drive, path: Path) -> Iterator[Reading]:
+def readings(drive: Drive, path: DrivenPath) -> Iterator[Reading]:
     """All ways to read the pose that a rig can state, the present one first."""
     moving = under_way(path)
     straight = _straight(path, moving)
@@ -219,30 +219,30 @@ def _turned(name: str, reading: Reading, rig: Rig) -> Finding:
     return Finding(severity, name, what, evidence, how, 0.8, (cure,), sure=not backwards)
 
 
-def straight_rows(path: Path) -> Bool[np.ndarray, " n"]:
+def straight_rows(path: DrivenPath) -> Bool[np.ndarray, " n"]:
     """Rows in which the vehicle moves and its course turns least."""
     moving = under_way(path)
     return _straight(path, moving) if moving.any() else moving
 
 
-def course_minus_heading(path: Path) -> Float[np.ndarray, " n"]:
+def course_minus_heading(path: DrivenPath) -> Float[np.ndarray, " n"]:
     """Direction of travel minus heading, backward counted as forward: from -pi / 2 to pi / 2 [rad]."""
     return np.asarray(np.angle(np.exp(2j * (_course(path) - path.yaw))) / 2)
 
 
-def under_way(path: Path) -> Bool[np.ndarray, " n"]:
+def under_way(path: DrivenPath) -> Bool[np.ndarray, " n"]:
     """Rows in which the vehicle moves, not slowly for this drive."""
     moving: np.ndarray = np.isfinite(path.yaw) & (path.speed > max(0.3, 0.3 * path.cruise))
     return moving
 
 
-def _course(path: Path) -> Float[np.ndarray, " n"]:
+def _course(path: DrivenPath) -> Float[np.ndarray, " n"]:
     """Direction of travel, the opposite where the gear is reverse [rad]."""
     course = np.asarray(np.arctan2(path.velocity[:, 1], path.velocity[:, 0]))
     return course if path.reverse is None else course + np.pi * path.reverse
 
 
-def _straight(path: Path, moving: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+def _straight(path: DrivenPath, moving: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
     """The moving rows whose course turns least: a vehicle that slides or drifts there does so briefly."""
     course = _course(path)
     rows = 5

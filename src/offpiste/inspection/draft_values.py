@@ -6,7 +6,7 @@ import numpy as np
 
 from offpiste.errors import OffpisteError
 from offpiste.inspection.commanded_motion import commanded_curvature
-from offpiste.inspection.driven_path import Path, driven_path
+from offpiste.inspection.driven_path import DrivenPath, driven_path
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.steering_fit import steering_fits
 from offpiste.logs.drive import Drive, drive_from_log
@@ -100,7 +100,7 @@ def estimated_max_steer(log: Log, rig: Rig, wheelbase: float) -> float:
     return float(f"{np.arctan(curvature * wheelbase):.3g}")
 
 
-def _driven(log: Log, rig: Rig) -> tuple[Drive, Path] | None:
+def _driven(log: Log, rig: Rig) -> tuple[Drive, DrivenPath] | None:
     try:
         drive = drive_from_log(log, rig)
         return drive, driven_path(drive)

@@ -21,7 +21,7 @@ TURNING = 0.05
 
 
 @dataclass(frozen=True)
-class Path:
+class DrivenPath:
     """Motion on an even grid, from the pose, without delay; NaN in gaps.
 
     Attributes:
@@ -69,7 +69,7 @@ class Path:
         """The 95th percentile of the speed [m/s]: how fast this vehicle goes, whatever its size."""
         return float(np.nanpercentile(self.speed, 95)) if np.isfinite(self.speed).any() else 0.0
 
-    def longer_side(self, at: float) -> "Path":
+    def longer_side(self, at: float) -> "DrivenPath":
         """The part before or after a time [s], whichever is longer."""
         row = int(np.searchsorted(self.time, at))
         rows = slice(0, row) if row > len(self.time) - row else slice(row, None)
@@ -88,7 +88,7 @@ class Path:
         )
 
 
-def driven_path(drive: Drive) -> Path:
+def driven_path(drive: Drive) -> DrivenPath:
     """Motion from positions and headings; no velocity of the log is used.
 
     Raises:
@@ -116,7 +116,7 @@ def driven_path(drive: Drive) -> Path:
         if position.shape[1] == 3
         else np.zeros(len(time))
     )
-    return Path(
+    return DrivenPath(
         time,
         position[:, :2],
         velocity[:, :2],
@@ -131,13 +131,13 @@ def driven_path(drive: Drive) -> Path:
     )
 
 
-def on_path(path: Path, recorded: Channel) -> Float[np.ndarray, "n k"]:
+def on_path(path: DrivenPath, recorded: Channel) -> Float[np.ndarray, "n k"]:
     """A channel at the path's times, smoothed as the path is; NaN outside of the record and in gaps."""
     window = max(path.window, 4 * float(np.median(np.diff(recorded.time))))
     return local_polynomial(recorded.time, recorded.values, path.time, window=window, causal=False)[0]
 
 
-def levelled(drive: Drive, path: Path, recorded: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n 2"]:
+def levelled(drive: Drive, path: DrivenPath, recorded: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n 2"]:
     """Horizontal part of a velocity in the body frame, turned by minus yaw: pitch and roll taken out."""
     if recorded.shape[1] == 2 or "orientation" not in drive.channels:
         return recorded[:, :2]

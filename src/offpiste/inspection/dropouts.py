@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from offpiste.channels import control_of
-from offpiste.inspection.driven_path import MOVING, Path
+from offpiste.inspection.driven_path import MOVING, DrivenPath
 from offpiste.inspection.findings import Finding
 from offpiste.logs.drive import Drive
 
@@ -24,7 +24,7 @@ _SHARE: Final = 0.05
 """... and at least this share of what the channel spans."""
 
 
-def check_dropouts(drive: Drive, path: Path) -> list[Finding]:
+def check_dropouts(drive: Drive, path: DrivenPath) -> list[Finding]:
     """A finding for each channel that falls to one value and comes back while the vehicle moves.
 
     Falls with the pose, as of a motion capture that measures both, are said of the pose alone.

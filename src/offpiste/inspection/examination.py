@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from offpiste.errors import OffpisteError
 from offpiste.inspection.checks import MOTION_CHECKS, TOPIC_CHECKS, Topics, motion_of
 from offpiste.inspection.course import check_course
-from offpiste.inspection.driven_path import MOVING, Path, driven_path
+from offpiste.inspection.driven_path import MOVING, DrivenPath, driven_path
 from offpiste.inspection.findings import Finding, is_fatal, ranked
 from offpiste.inspection.heading_drift import check_fast_drift
 from offpiste.inspection.pedals import check_control_channels
@@ -37,7 +37,7 @@ class Examination:
 
     findings: tuple[Finding, ...]
     recorded: dict[str, Recorded]
-    path: Path | None
+    path: DrivenPath | None
 
 
 def examine(log: RememberedLog, rig: Rig | None, *, given: bool, again: bool = False) -> Examination:
@@ -62,7 +62,7 @@ def examine(log: RememberedLog, rig: Rig | None, *, given: bool, again: bool = F
     return Examination(ranked(findings), recorded, path)
 
 
-def _check_driving(log: Log, topics: Topics, rig: Rig) -> tuple[list[Finding], Path | None]:
+def _check_driving(log: Log, topics: Topics, rig: Rig) -> tuple[list[Finding], DrivenPath | None]:
     """Findings on the pose, and on channels against the driven path; and the path, where there is one."""
     pose = rig.channels["position"].topic
     findings: list[Finding] = []
@@ -94,7 +94,7 @@ def _check_driving(log: Log, topics: Topics, rig: Rig) -> tuple[list[Finding], P
     return findings, path
 
 
-def _check_heading(drive: Drive, path: Path) -> list[Finding]:
+def _check_heading(drive: Drive, path: DrivenPath) -> list[Finding]:
     """How the heading fits the course; what no entry of the rig explains may be a drift."""
     found = check_course(drive, path)
     unexplained = any(not finding.cures for finding in found)
@@ -126,7 +126,7 @@ def _check_orientation(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]
     return check_orientation(r.values[:, [r.fields.index(field) for field in source.fields]], rig)
 
 
-def _check_amount(path: Path) -> list[Finding]:
+def _check_amount(path: DrivenPath) -> list[Finding]:
     """A finding if there is too little driving to learn from."""
     if path.driving >= _LEAST_DRIVING and path.cruise >= _LEAST_CRUISE:
         return []

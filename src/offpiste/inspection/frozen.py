@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Bool, Float
 
-from offpiste.inspection.driven_path import MOVING, STEP, Path
+from offpiste.inspection.driven_path import MOVING, STEP, DrivenPath
 from offpiste.inspection.findings import Finding
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
@@ -30,7 +30,7 @@ _SAMPLES: Final = 10
 """... and from this many samples on."""
 
 
-def check_frozen(drive: Drive, path: Path) -> list[Finding]:
+def check_frozen(drive: Drive, path: DrivenPath) -> list[Finding]:
     """A finding for each channel that usually changes, and for a while does not though the vehicle moves."""
     findings = []
     for name, channel in drive.channels.items():
@@ -54,7 +54,7 @@ def check_frozen(drive: Drive, path: Path) -> list[Finding]:
 
 
 def _frozen(
-    channel: Channel, path: Path, least: float, *, again: bool
+    channel: Channel, path: DrivenPath, least: float, *, again: bool
 ) -> tuple[Float[np.ndarray, " r"], Float[np.ndarray, " r"], Bool[np.ndarray, " r"]]:
     """When the unusually long runs of one value begin, how long they last in motion [s], and which turn meanwhile.
 
@@ -90,7 +90,7 @@ def _rests(channel: Channel) -> Bool[np.ndarray, " n"]:
     return np.asarray((values == 0) | (values == values.min()) | (values == values.max()))
 
 
-def _turned(path: Path, begin: Float[np.ndarray, " r"], end: Float[np.ndarray, " r"]) -> Float[np.ndarray, " r"]:
+def _turned(path: DrivenPath, begin: Float[np.ndarray, " r"], end: Float[np.ndarray, " r"]) -> Float[np.ndarray, " r"]:
     """How much the yaw rate changes within runs, over its RMS in the drive: with one steering it hardly does."""
     rate = np.nan_to_num(path.yaw_rate)
     first, last = np.searchsorted(path.time, begin), np.searchsorted(path.time, end)
@@ -100,10 +100,10 @@ def _turned(path: Path, begin: Float[np.ndarray, " r"], end: Float[np.ndarray, "
     return np.asarray(spread / max(float(np.sqrt(np.mean(rate**2))), 1e-9))
 
 
-def _moving(path: Path, at: Float[np.ndarray, " r"]) -> Bool[np.ndarray, " r"]:
+def _moving(path: DrivenPath, at: Float[np.ndarray, " r"]) -> Bool[np.ndarray, " r"]:
     return np.asarray(np.interp(at, path.time, np.nan_to_num(path.speed)) > MOVING)
 
 
-def _time_in_motion(path: Path, until: Float[np.ndarray, " r"]) -> Float[np.ndarray, " r"]:
+def _time_in_motion(path: DrivenPath, until: Float[np.ndarray, " r"]) -> Float[np.ndarray, " r"]:
     """Time in which the vehicle has moved since the path began [s]."""
     return np.asarray(np.interp(until, path.time, np.cumsum(np.nan_to_num(path.speed) > MOVING) * STEP))

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 
 from offpiste.errors import OffpisteError
 from offpiste.inspection.channel_guesses import Guess
-from offpiste.inspection.driven_path import MOVING, STEP, Path, driven_path
+from offpiste.inspection.driven_path import MOVING, STEP, DrivenPath, driven_path
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.lags import LAGS, SURE, fit_lags, lagged, sampled
 from offpiste.inspection.recorded_log import Recorded
@@ -68,7 +68,7 @@ def gear_values(guess: Guess, values: Float[np.ndarray, " n"]) -> tuple[str, ...
     return ("values = { " + ", ".join(f"{key} = {gear}" for key, gear in meanings.items()) + " }",)
 
 
-def check_gear(drive: Drive, path: Path, recorded: Mapping[str, Recorded]) -> list[Finding]:
+def check_gear(drive: Drive, path: DrivenPath, recorded: Mapping[str, Recorded]) -> list[Finding]:
     """A note if the vehicle reverses and the rig has no gear; a warning if the gear is another than the motion's."""
     if "gear" not in drive.channels:
         return [_reverse_pedal(drive.rig)] if pedal_reverses(drive, path) else _hidden_reverse(drive, path)
@@ -89,7 +89,7 @@ def check_gear(drive: Drive, path: Path, recorded: Mapping[str, Recorded]) -> li
     return [Finding("warning", "gear", "does not go with the motion", evidence, how, share, (cure,) if cure else ())]
 
 
-def pedal_reverses(drive: Drive, path: Path) -> bool:
+def pedal_reverses(drive: Drive, path: DrivenPath) -> bool:
     """Whether the brake is the side below zero of the throttle's field, and drives the vehicle backwards."""
     if not drive.rig.reads_alike("throttle", "brake") or not {"throttle", "brake"} <= set(drive.channels):
         return False
@@ -132,7 +132,7 @@ def _reverse_pedal(rig: Rig) -> Finding:
     return Finding("warning", "brake", "is reverse, and no brake", evidence, how, 1.0, (cure,))
 
 
-def _hidden_reverse(drive: Drive, path: Path) -> list[Finding]:
+def _hidden_reverse(drive: Drive, path: DrivenPath) -> list[Finding]:
     if not _moving(path).any():
         return []
     with np.errstate(invalid="ignore"):
@@ -156,7 +156,7 @@ def _hidden_reverse(drive: Drive, path: Path) -> list[Finding]:
     return [Finding("note", "gear", "is not read, and the vehicle reverses", evidence, how, 0.4)]
 
 
-def _pressed(drive: Drive, path: Path) -> Bool[np.ndarray, " n"]:
+def _pressed(drive: Drive, path: DrivenPath) -> Bool[np.ndarray, " n"]:
     """Where the throttle drives the vehicle; nowhere where it is not known."""
     throttle = drive.channels.get("throttle")
     if throttle is None:
@@ -165,7 +165,7 @@ def _pressed(drive: Drive, path: Path) -> Bool[np.ndarray, " n"]:
         return np.asarray(sampled(throttle, path.time, drive.rig) > _PRESSED)
 
 
-def _moving(path: Path) -> Bool[np.ndarray, " n"]:
+def _moving(path: DrivenPath) -> Bool[np.ndarray, " n"]:
     with np.errstate(invalid="ignore"):
         return np.asarray(np.abs(path.forward) > max(MOVING, 0.1 * path.cruise))
 
@@ -179,7 +179,7 @@ def _one_is_wrong(
 
 
 def _meanings(
-    drive: Drive, path: Path, moving: Bool[np.ndarray, " n"], raw: Float[np.ndarray, " n"]
+    drive: Drive, path: DrivenPath, moving: Bool[np.ndarray, " n"], raw: Float[np.ndarray, " n"]
 ) -> tuple[Edit, ...]:
     """The edit that gives each recorded value the gear in which the vehicle moves meanwhile; empty where none fits."""
     source = drive.rig.channels["gear"]
@@ -190,7 +190,7 @@ def _meanings(
     return (Edit("channels.gear.values", values),) if len(set(values.values())) > 1 else ()
 
 
-def _raw(drive: Drive, path: Path, recorded: Mapping[str, Recorded]) -> Float[np.ndarray, " n"]:
+def _raw(drive: Drive, path: DrivenPath, recorded: Mapping[str, Recorded]) -> Float[np.ndarray, " n"]:
     """The gear as recorded, held from each sample on; NaN before the first, and where the log lacks it."""
     source = drive.rig.channels["gear"]
     r = recorded.get(source.topic)

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from offpiste.inspection.course import course_minus_heading, straight_rows
-from offpiste.inspection.driven_path import Path
+from offpiste.inspection.driven_path import DrivenPath
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.lags import SURE, fit_lags
 from offpiste.logs.drive import Drive
@@ -26,7 +26,7 @@ _NOISY: Final = 0.02
 """Scatter of single headings that is reported [rad]: ten times that of compasses, GNSS/INS and SLAM."""
 
 
-def check_heading_drift(drive: Drive, path: Path) -> list[Finding]:
+def check_heading_drift(drive: Drive, path: DrivenPath) -> list[Finding]:
     """A finding if the angle between course and heading surely grows where the vehicle drives straight."""
     rows = straight_rows(path)
     if not rows.any():
@@ -45,7 +45,7 @@ def check_heading_drift(drive: Drive, path: Path) -> list[Finding]:
     return [_drifts(drive, f"{np.degrees(-change):.0f} ± {np.degrees(sigma):.0f}", lasts)]
 
 
-def check_fast_drift(drive: Drive, path: Path) -> list[Finding]:
+def check_fast_drift(drive: Drive, path: DrivenPath) -> list[Finding]:
     """A finding if a heading that does not follow the course does so once an even turning is taken out."""
     rows = np.flatnonzero(straight_rows(path))
     if len(np.unique(path.time[rows] // 5)) < _MANY_BLOCKS:
@@ -79,7 +79,7 @@ def _drifts(drive: Drive, degrees: str, lasts: float) -> Finding:
     return Finding("warning", name, "the heading drifts", evidence, how, 0.6)
 
 
-def check_heading_noise(drive: Drive, path: Path) -> list[Finding]:
+def check_heading_noise(drive: Drive, path: DrivenPath) -> list[Finding]:
     """A finding if headings scatter from sample to sample while the vehicle moves."""
     yaw = heading(drive)
     moving = np.interp(yaw.time, path.time, np.nan_to_num(path.speed)) > path.slowest

@@ -10,7 +10,7 @@ import numpy as np
 
 from offpiste.errors import OffpisteError
 from offpiste.inspection.draft_rig import draft_rig
-from offpiste.inspection.driven_path import Path
+from offpiste.inspection.driven_path import DrivenPath
 from offpiste.inspection.examination import examine
 from offpiste.inspection.findings import Finding, is_fatal, ranked
 from offpiste.inspection.recorded_log import Recorded, RememberedLog, with_fields_of
@@ -93,7 +93,7 @@ class Inspection:
         return {"schema": 2, "usable": self.usable, **asdict(self)}
 
 
-def summarise(recorded: dict[str, Recorded], path: Path | None) -> Summary:
+def summarise(recorded: dict[str, Recorded], path: DrivenPath | None) -> Summary:
     """Length of the log, and of the driven path its length and speeds."""
     stamps = [r.rising for r in recorded.values() if len(r.rising)]
     duration = float(max(s[-1] for s in stamps) - min(s[0] for s in stamps)) if stamps else 0.0

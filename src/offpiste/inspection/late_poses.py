@@ -13,7 +13,7 @@ import numpy as np
 
 from offpiste.geometry import planar_body_from_world
 from offpiste.inspection.commanded_motion import is_measured_steering
-from offpiste.inspection.driven_path import STEP, Path
+from offpiste.inspection.driven_path import STEP, DrivenPath
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.lags import SURE, LagFit, fit_lags
 from offpiste.inspection.pedals import EFFECTS
@@ -81,7 +81,7 @@ class Interval:
 
 
 def check_late_poses(
-    drive: Drive, path: Path, steering: Mapping[str, SteeringFit], pedals: Mapping[str, LagFit]
+    drive: Drive, path: DrivenPath, steering: Mapping[str, SteeringFit], pedals: Mapping[str, LagFit]
 ) -> list[Finding]:
     """A finding if the pose's stamps explain more than those of all other channels do."""
     measured = [*_intervals(drive, path, steering, pedals)]
@@ -147,7 +147,7 @@ def _heading(drive: Drive) -> str:
 
 
 def _intervals(
-    drive: Drive, path: Path, steering: Mapping[str, SteeringFit], pedals: Mapping[str, LagFit]
+    drive: Drive, path: DrivenPath, steering: Mapping[str, SteeringFit], pedals: Mapping[str, LagFit]
 ) -> Iterator[Interval]:
     heading = _heading(drive)
     velocity = None
@@ -185,7 +185,7 @@ def _interval(behind: str, other: str, time: float, sigma: float, usual: tuple[f
     return Interval(behind, other, time, usual[0], float(np.hypot(usual[1], sigma)))
 
 
-def _behind_the_course(heading: str, path: Path) -> Iterator[Interval]:
+def _behind_the_course(heading: str, path: DrivenPath) -> Iterator[Interval]:
     """With the heading late by h, lateral velocity = x * rate + h * speed * rate, x forward of the rear axle."""
     far = _far_behind(path)
     if far is not None:
@@ -204,7 +204,7 @@ def _behind_the_course(heading: str, path: Path) -> Iterator[Interval]:
         yield _interval(heading, "position", float(fit.gain[0]), fit.gain_sigma(0), (slip, scatter))
 
 
-def _far_behind(path: Path) -> tuple[float, float] | None:
+def _far_behind(path: DrivenPath) -> tuple[float, float] | None:
     """Delay of the heading's turning behind the course's, and its uncertainty [s]; None where it is not surely large.
 
     A heading that is late by much points anywhere: its angle to the course says no longer by how much.

@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Bool, Float
 
-from offpiste.inspection.driven_path import MOVING, STEP, Path
+from offpiste.inspection.driven_path import MOVING, STEP, DrivenPath
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.lags import LAGS, LagFit, sampled
 from offpiste.inspection.pedals import OWN_DELAY, RELEASED, pedal_base
@@ -34,7 +34,7 @@ _CRUISE: Final = 0.2
 """Share of the cruising speed below which a motor's first jerk and a change of gear are seen, not the throttle."""
 
 
-def check_lost_throttle(fit: LagFit, drive: Drive, path: Path) -> list[Finding]:
+def check_lost_throttle(fit: LagFit, drive: Drive, path: DrivenPath) -> list[Finding]:
     """A finding if the vehicle accelerates through zeros of the throttle as if it were pressed.
 
     The acceleration is fitted without each run of zeros; what the fit lacks within the run, over what full throttle
@@ -98,7 +98,7 @@ class _Push:
         return np.asarray(np.linalg.lstsq(normal, target, rcond=None)[0])
 
 
-def _push(fit: LagFit, drive: Drive, path: Path) -> _Push:
+def _push(fit: LagFit, drive: Drive, path: DrivenPath) -> _Push:
     lag = float(LAGS[fit.best(*OWN_DELAY["throttle"], sign=1)])
     throttle = sampled(drive.channels["throttle"], path.time - lag, drive.rig)
     columns = np.column_stack((pedal_base(path, drive.channels.get("brake"), drive.rig), throttle))
@@ -109,7 +109,7 @@ def _push(fit: LagFit, drive: Drive, path: Path) -> _Push:
     return _Push(lag, throttle, columns, gained, known, braked, rows.T @ rows, rows.T @ gained[known])
 
 
-def _is_lost(run: tuple[float, float], push: _Push, drive: Drive, path: Path) -> bool:
+def _is_lost(run: tuple[float, float], push: _Push, drive: Drive, path: DrivenPath) -> bool:
     pressed, sigmas, usual = _pressed(*run, push, path)
     if sigmas < _SURE or not _PRESSED * usual < pressed < _FULL:
         return False
@@ -119,7 +119,7 @@ def _is_lost(run: tuple[float, float], push: _Push, drive: Drive, path: Path) ->
     return bool(sigmas > _SURE_ALONE or beside.max() > _LEAP * pressed)
 
 
-def _pressed(begin: float, end: float, push: _Push, path: Path) -> tuple[float, float, float]:
+def _pressed(begin: float, end: float, push: _Push, path: DrivenPath) -> tuple[float, float, float]:
     """The throttle that explains the motion within a run, its standard deviations, and what is usually pressed.
 
     Returns:
@@ -142,7 +142,7 @@ def _pressed(begin: float, end: float, push: _Push, path: Path) -> tuple[float, 
     return more / float(solution[-1]), more / float(np.sqrt(np.mean(stretches**2))), usual
 
 
-def _braked(drive: Drive, path: Path) -> Bool[np.ndarray, " n"]:
+def _braked(drive: Drive, path: DrivenPath) -> Bool[np.ndarray, " n"]:
     """Rows in which the brake is pressed, or was just before: it may act less than usual, on slippery ground."""
     brake = drive.channels.get("brake")
     if brake is None:
@@ -151,7 +151,7 @@ def _braked(drive: Drive, path: Path) -> Bool[np.ndarray, " n"]:
     return np.asarray(pressed[0] | pressed[1])
 
 
-def _driven(within: Bool[np.ndarray, " n"], path: Path) -> bool:
+def _driven(within: Bool[np.ndarray, " n"], path: DrivenPath) -> bool:
     """Whether a run has rows at some speed."""
     return bool(within.sum() >= 4 and path.speed[within].mean() > max(2 * MOVING, _CRUISE * path.cruise))
 

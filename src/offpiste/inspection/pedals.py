@@ -8,7 +8,7 @@ from jaxtyping import Float
 from offpiste.channels import KERNEL_CONTROLS, all_controls
 from offpiste.conventions import GRAVITY
 from offpiste.inspection.course import heading_fits
-from offpiste.inspection.driven_path import MOVING, STEP, Path
+from offpiste.inspection.driven_path import MOVING, STEP, DrivenPath
 from offpiste.inspection.findings import Finding, Severity
 from offpiste.inspection.lags import LAGS, SURE, LagFit, check_delay, fit_lags, lagged, sampled
 from offpiste.inspection.ranges import BRAKES, is_untouched
@@ -25,7 +25,7 @@ _EFFECT = 0.2
 
 
 def check_controls(
-    steering: Mapping[str, SteeringFit], pedals: Mapping[str, LagFit], drive: Drive, path: Path, *, given: bool
+    steering: Mapping[str, SteeringFit], pedals: Mapping[str, LagFit], drive: Drive, path: DrivenPath, *, given: bool
 ) -> list[Finding]:
     """Findings where there is no steering, or where no control has any effect.
 
@@ -56,7 +56,7 @@ def check_controls(
     return findings
 
 
-def check_control_channels(drive: Drive, path: Path) -> list[Finding]:
+def check_control_channels(drive: Drive, path: DrivenPath) -> list[Finding]:
     """The finding that no control is read at all: it needs no motion, and a pose's cure must not seem to bring it."""
     return [] if _present(drive) else [_no_controls([], path)]
 
@@ -65,14 +65,14 @@ def _present(drive: Drive) -> list[str]:
     return [control.name for control in all_controls() if control.name in drive.channels]
 
 
-def _no_controls(present: list[str], path: Path) -> Finding:
+def _no_controls(present: list[str], path: DrivenPath) -> Finding:
     what = "no control has any effect" if present else "there is no control channel"
     evidence = f"checked: {', '.join(present) or 'none'}; {path.distance:.0f} m driven"
     remedy = "add [channels.steer] and [channels.throttle] with the topics that hold them"
     return Finding("fatal", "controls", what, evidence, remedy, 1.0)
 
 
-def _others_work(drive: Drive, path: Path) -> bool:
+def _others_work(drive: Drive, path: DrivenPath) -> bool:
     """Whether a control beyond throttle, brake and steering (`offpiste.channels`) drives or turns the vehicle."""
     one, moving = np.ones((len(path.time), 1)), np.isfinite(path.speed)
     for control in (control for control in all_controls() if control not in KERNEL_CONTROLS):
@@ -111,7 +111,7 @@ _BRAKED, _BRAKED_FOR, _BRAKED_OFTEN = 2.5, 0.3, 3
 """Deceleration on level ground [m/s^2] that drag and engines hardly reach for so long [s] again and again."""
 
 
-def check_pedals(fits: Mapping[str, LagFit], drive: Drive, path: Path) -> list[Finding]:
+def check_pedals(fits: Mapping[str, LagFit], drive: Drive, path: DrivenPath) -> list[Finding]:
     """Findings on `throttle` and `brake`.
 
     Args:
@@ -143,7 +143,7 @@ def check_pedals(fits: Mapping[str, LagFit], drive: Drive, path: Path) -> list[F
     return findings + _braked_without(drive, path)
 
 
-def _braked_without(drive: Drive, path: Path) -> list[Finding]:
+def _braked_without(drive: Drive, path: DrivenPath) -> list[Finding]:
     """A finding on brakes that are never pressed, though the vehicle brakes again and again."""
     brakes = [name for name in BRAKES if name in drive.channels]
     if not all(is_untouched(name, drive.channels[name].values[:, 0]) for name in brakes):
@@ -185,7 +185,7 @@ def _too_small(name: str, fit: LagFit, right: int, drive: Drive) -> list[Finding
     return [Finding("warning", name, "is too small for what it does", evidence, str(edit), 1.0, ((edit,),))]
 
 
-def _never_released(name: str, drive: Drive, path: Path) -> list[Finding]:
+def _never_released(name: str, drive: Drive, path: DrivenPath) -> list[Finding]:
     """A finding on a brake that is pressed while the vehicle drives, and rests there: it is the wrong way round."""
     channel = drive.channels[name]
     pressed = float(np.nanmean(sampled(channel, path.time, drive.rig) > _PRESSED))
@@ -196,7 +196,7 @@ def _never_released(name: str, drive: Drive, path: Path) -> list[Finding]:
     return [Finding("warning", name, "is pressed all the time", evidence, ", ".join(map(str, cure)), 1.0, (cure,))]
 
 
-def _without_effect(name: str, fit: LagFit, drive: Drive, path: Path) -> Finding:
+def _without_effect(name: str, fit: LagFit, drive: Drive, path: DrivenPath) -> Finding:
     pressed = float(np.nanmean(sampled(drive.channels[name], path.time, drive.rig) > _PRESSED))
     evidence = f"correlation with the acceleration: {fit.r[fit.best()]:.2f} at best, within 1.5 s; above {_PRESSED} "
     evidence += f"for {pressed:.1%} of the time"
@@ -204,7 +204,7 @@ def _without_effect(name: str, fit: LagFit, drive: Drive, path: Path) -> Finding
     return Finding("note", name, "shows no effect on the speed", evidence, how, 0.5)
 
 
-def _acts_alone(name: str, drive: Drive, path: Path) -> bool:
+def _acts_alone(name: str, drive: Drive, path: DrivenPath) -> bool:
     """Whether a pedal acts while the other one is released, gravity taken out.
 
     Brakes are pressed seldom, and downhill: over a whole drive, throttle and slope explain away what they do.
@@ -226,7 +226,7 @@ def _acts_alone(name: str, drive: Drive, path: Path) -> bool:
     return r > max(_PEDAL_EFFECT, SURE * fit.r_sigma(best))
 
 
-def _idle(name: str, drive: Drive, path: Path) -> list[Finding]:
+def _idle(name: str, drive: Drive, path: DrivenPath) -> list[Finding]:
     """A finding if a pedal rests above zero: at a standstill, or while the other one is pressed."""
     channel, source = drive.channels[name], drive.rig.channels[name]
     lowest = float(np.percentile(channel.values, 0.5))
@@ -251,7 +251,7 @@ def _idle(name: str, drive: Drive, path: Path) -> list[Finding]:
     return [Finding(severity, name, "never comes back to zero", evidence, str(edit), lowest, ((edit,),))]
 
 
-def pedal_fits(drive: Drive, path: Path) -> dict[str, LagFit]:
+def pedal_fits(drive: Drive, path: DrivenPath) -> dict[str, LagFit]:
     """Fits of the pedals that move, by name."""
     moved = [name for name in EFFECTS if name in drive.channels and np.ptp(drive.channels[name].values) > 0]
     others = {"throttle": drive.channels.get("brake"), "brake": drive.channels.get("throttle")}
@@ -263,13 +263,13 @@ def _has_effect(fit: LagFit) -> bool:
     return fit.strength >= _PEDAL_EFFECT
 
 
-def pedal_fit(channel: Channel, other: Channel | None, path: Path, rig: Rig) -> LagFit | None:
+def pedal_fit(channel: Channel, other: Channel | None, path: DrivenPath, rig: Rig) -> LagFit | None:
     """Fit of the gain in speed, forwards or backwards, by a pedal, with drag, slope and the other pedal taken out."""
     pedal, way = lagged(channel, path.time, rig), np.sign(path.forward)
     return fit_lags(path.acceleration * way, pedal_base(path, other, rig), pedal, LAGS, path.speed > 0.3)
 
 
-def pedal_base(path: Path, other: Channel | None, rig: Rig) -> Float[np.ndarray, "n b"]:
+def pedal_base(path: DrivenPath, other: Channel | None, rig: Rig) -> Float[np.ndarray, "n b"]:
     """What changes the speed besides a pedal, along the motion, in reverse as well: drag, slope and the other pedal."""
     base = [np.ones(len(path.time)), np.abs(path.forward), path.forward**2, path.slope]
     if other is not None and np.ptp(other.values) > 0:

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from scipy.ndimage import median_filter
 
 from offpiste.geometry import rotation_from_quaternion
-from offpiste.inspection.driven_path import STEP, Path
+from offpiste.inspection.driven_path import STEP, DrivenPath
 from offpiste.inspection.findings import TIPPED, Finding, Severity
 from offpiste.inspection.pose_samples import check_faults, check_repeats, check_seldom
 from offpiste.logs.axes import to_z_up
@@ -84,7 +84,7 @@ def check_orientation(quaternion: Float[np.ndarray, "n 4"], rig: Rig) -> list[Fi
     return [*findings, Finding("fatal", "orientation", what, evidence, remedy, 1.0, tuple(cures))]
 
 
-def check_position_unit(drive: Drive, path: Path) -> list[Finding]:
+def check_position_unit(drive: Drive, path: DrivenPath) -> list[Finding]:
     """Degrees of latitude and longitude, the earth's own frame, or a unit in which no vehicle is that fast."""
     places, rig = drive.channels["position"].values, drive.rig
     xy, source = places[:, :2], rig.channels["position"]
@@ -120,7 +120,7 @@ def _is_earth_centred(places: Float[np.ndarray, "n k"]) -> bool:
     return _EARTH[0] < float(np.linalg.norm(middle)) < _EARTH[1] and float(np.sort(middle)[1]) > _LARGEST_EASTING
 
 
-def _geographic(rig: Rig, xy: Float[np.ndarray, "n 2"], path: Path) -> Finding:
+def _geographic(rig: Rig, xy: Float[np.ndarray, "n 2"], path: DrivenPath) -> Finding:
     evidence = f"around ({xy[0, 0]:.5f}, {xy[0, 1]:.5f}), moving by {path.cruise:.1e} a second"
     x, y, *height = rig.channels["position"].fields
     unit = Edit("channels.position.unit", GEOGRAPHIC)
@@ -133,7 +133,7 @@ def _geographic(rig: Rig, xy: Float[np.ndarray, "n 2"], path: Path) -> Finding:
     return Finding("fatal", "position", "looks like latitude and longitude", evidence, how, 1.0, tuple(cures))
 
 
-def _acceleration(path: Path) -> float:
+def _acceleration(path: DrivenPath) -> float:
     """95 % of the accelerations along and across the path, over half a second [m/s^2]."""
     rows = round(0.5 / STEP)
     change = np.hypot(*(path.velocity[rows:] - path.velocity[:-rows]).T) / (rows * STEP)
@@ -141,19 +141,19 @@ def _acceleration(path: Path) -> float:
     return float(np.percentile(change, 95)) if len(change) else 0.0
 
 
-def _scales(rig: Rig, path: Path) -> tuple[tuple[Edit, ...], ...]:
+def _scales(rig: Rig, path: DrivenPath) -> tuple[tuple[Edit, ...], ...]:
     """Powers of ten by which positions may be too large, where no unit explains it."""
     source = rig.channels["position"]
     factors = [factor for factor in (0.01, 0.001, 0.1) if _plausible(path, factor)]
     return tuple((Edit("channels.position.scale", rounded(source.scale * factor)),) for factor in factors)
 
 
-def _plausible(path: Path, factor: float) -> bool:
+def _plausible(path: DrivenPath, factor: float) -> bool:
     """Whether a vehicle drives like that if the positions are this many times what they are read as."""
     return factor * path.cruise < _FASTEST and 0.05 < factor * _acceleration(path) < _HARDEST
 
 
-def check_pose(drive: Drive, path: Path, origin: float) -> list[Finding]:
+def check_pose(drive: Drive, path: DrivenPath, origin: float) -> list[Finding]:
     """Findings on positions; `origin` is where the log's time starts [s]."""
     place = drive.channels["position"]
     seldom = check_repeats(drive, path) + check_seldom(drive)
@@ -161,7 +161,7 @@ def check_pose(drive: Drive, path: Path, origin: float) -> list[Finding]:
     return check_faults(drive) + seldom + _jumps(place, path, origin) + _check_leap(path, origin) + noise
 
 
-def _noise(drive: Drive, path: Path) -> list[Finding]:
+def _noise(drive: Drive, path: DrivenPath) -> list[Finding]:
     """A finding if the positions are too noisy to start from, or, where the log has no velocity, to differentiate."""
     velocity = drive.rig.channels.get("linear_velocity")
     place = drive.channels["position"]
@@ -187,7 +187,7 @@ def _noise(drive: Drive, path: Path) -> list[Finding]:
     return [Finding("warning", "position", "is too noisy to differentiate", evidence, str(edit), 0.6, ((edit,),))]
 
 
-def _jumps(place: Channel, path: Path, origin: float) -> list[Finding]:
+def _jumps(place: Channel, path: DrivenPath, origin: float) -> list[Finding]:
     """Steps that the velocity before and after does not explain, in any direction: along the ground, or in height."""
     dt = np.diff(place.time)
     if len(dt) < 50:
@@ -197,7 +197,7 @@ def _jumps(place: Channel, path: Path, origin: float) -> list[Finding]:
 
 
 def _jumping(
-    words: str, values: Float[np.ndarray, "n k"], time: Float[np.ndarray, " n"], path: Path, origin: float
+    words: str, values: Float[np.ndarray, "n k"], time: Float[np.ndarray, " n"], path: DrivenPath, origin: float
 ) -> Finding | None:
     step, dt = np.diff(values, axis=0), np.diff(time)
     velocity = median_filter(step / dt[:, None], (21, 1), mode="nearest")
@@ -234,7 +234,7 @@ class Leap:
     after: float
 
 
-def leap_of(path: Path) -> Leap | None:
+def leap_of(path: DrivenPath) -> Leap | None:
     """Where positions run away: the largest leap of the velocity; None where it may be driven."""
     sides = [_beside(path, beside, between) for beside, between in zip(_BESIDE, _BETWEEN, strict=True)]
     changes = [np.hypot(*(after - before).T) for before, after in sides]
@@ -251,7 +251,7 @@ def leap_of(path: Path) -> Leap | None:
     return Leap(float(path.time[at]), before, after)
 
 
-def _beside(path: Path, length: float, between: float) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2"]]:
+def _beside(path: DrivenPath, length: float, between: float) -> Float[np.ndarray, "2 n 2"]:
     """Median velocities before and after each instant [m/s], NaN where a side is not whole.
 
     Args:
@@ -265,10 +265,10 @@ def _beside(path: Path, length: float, between: float) -> tuple[Float[np.ndarray
         inner = slice(rows + gap, len(path.time) - rows - gap)
         count = inner.stop - inner.start
         result[0, inner], result[1, inner] = median[:count], median[rows + 2 * gap :][:count]
-    return result[0], result[1]
+    return result
 
 
-def _check_leap(path: Path, origin: float) -> list[Finding]:
+def _check_leap(path: DrivenPath, origin: float) -> list[Finding]:
     leap = leap_of(path)
     if leap is None:
         return []

@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Bool, Float
 
-from offpiste.inspection.driven_path import MOVING, Path
+from offpiste.inspection.driven_path import MOVING, DrivenPath
 from offpiste.inspection.findings import Finding
 from offpiste.logs.drive import Drive
 from offpiste.rig.channels import POSE
@@ -22,7 +22,7 @@ _QUANTA: Final = 3.0
 """Median step of a held channel over its smallest, at least: values that only step by their resolution are rounded."""
 
 
-def check_repeats(drive: Drive, path: Path) -> list[Finding]:
+def check_repeats(drive: Drive, path: DrivenPath) -> list[Finding]:
     """A finding if places repeat the one before while the vehicle moves: rows hold a slower sensor's value."""
     old = {name: share for name in (*POSE, "linear_velocity") if (share := _repeats(drive, path, name)) > 0}
     if "position" not in old:
@@ -38,7 +38,7 @@ def check_repeats(drive: Drive, path: Path) -> list[Finding]:
     return [Finding("warning", "position", "repeats its last value", evidence, how, 0.8, (cure,))]
 
 
-def _repeats(drive: Drive, path: Path, name: str) -> float:
+def _repeats(drive: Drive, path: DrivenPath, name: str) -> float:
     """Share of a channel's samples that hold the one before while the vehicle moves; 0 where it is none that holds."""
     if name not in drive.channels:
         return 0.0

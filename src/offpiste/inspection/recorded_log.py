@@ -18,7 +18,7 @@ from offpiste.logs.kept_rows import increasing
 from offpiste.logs.log import Log, Samples, Topic
 from offpiste.logs.transforms import frame_pair, listed
 from offpiste.progress import track
-from offpiste.rig.channels import SECONDS, Clock
+from offpiste.rig.channels import SECONDS_PER_UNIT, Clock
 from offpiste.rig.labels import is_array_entry
 from offpiste.rig.rig import Rig
 
@@ -100,7 +100,7 @@ class RememberedLog(Log):
         """
         other = copy(self)
         if self._log.has_clock_unit and (clock.column or clock.unit != Clock().unit):
-            other._per_stamp = SECONDS[clock.unit] / SECONDS[self._opened.unit]
+            other._per_stamp = SECONDS_PER_UNIT[clock.unit] / SECONDS_PER_UNIT[self._opened.unit]
         return other
 
     @property

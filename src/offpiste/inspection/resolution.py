@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.inspection.driven_path import Path
+from offpiste.inspection.driven_path import DrivenPath
 from offpiste.inspection.findings import Finding
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
@@ -22,7 +22,7 @@ _COARSE_VELOCITY: Final = (0.05, 0.1)
 """Steps of a velocity from which they matter [m/s]: at least, and as a share of the cruising speed."""
 
 
-def check_resolution(drive: Drive, path: Path) -> list[Finding]:
+def check_resolution(drive: Drive, path: DrivenPath) -> list[Finding]:
     """A finding for each channel whose steps are too coarse to drive by."""
     findings = []
     for name in ("position", "linear_velocity"):

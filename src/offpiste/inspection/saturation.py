@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.inspection.driven_path import TURNING, Path
+from offpiste.inspection.driven_path import TURNING, DrivenPath
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.lags import LAGS, SURE, fit_lags, lagged
 from offpiste.inspection.steering_fit import moving_rows
@@ -23,7 +23,7 @@ _FURTHER_AT_LOCK: Final = 0.5
 """The same where a command ends at 1, its natural end: wheels that follow slowly turn furthest where it is held."""
 
 
-def check_saturation(drive: Drive, path: Path) -> list[Finding]:
+def check_saturation(drive: Drive, path: DrivenPath) -> list[Finding]:
     """A finding for each of `steer`, `steer_angle` and `yaw_rate` that is cut off."""
     if np.nanstd(path.yaw_rate) < TURNING:
         return []
@@ -47,7 +47,7 @@ def check_saturation(drive: Drive, path: Path) -> list[Finding]:
     return findings
 
 
-def _further(channel: Channel, path: Path, rig: Rig) -> tuple[float, float]:
+def _further(channel: Channel, path: DrivenPath, rig: Rig) -> tuple[float, float]:
     """By what share the vehicle turns more at the ends than the other rows foretell, and its standard deviation.
 
     For a steering, slower turning at higher speed has a term of its own. (0, inf) where the rows do not show it.

@@ -123,7 +123,7 @@ def _clock(key: str, source: Source, sensor: Recorded, pose: Recorded, rig: Rig)
     return [Finding("warning", sensor.topic.name, what, f"{evidence} pose", remedy, score)]
 
 
-def check_frozen(name: str, images: Sequence[Grey]) -> list[Finding]:
+def check_repeated_images(name: str, images: Sequence[Grey]) -> list[Finding]:
     """Finding if images repeat, bit for bit."""
     if len(images) < 10:
         return []

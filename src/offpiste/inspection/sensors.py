@@ -20,7 +20,7 @@ from offpiste.inspection.map_health import check_map_health, map_health
 from offpiste.inspection.misfit import Misfit, turned
 from offpiste.inspection.own_body import check_own_body
 from offpiste.inspection.sensor_samples import Gathered, SmallCamera, gather, small_camera
-from offpiste.inspection.sensor_stamps import check_frozen, check_sensor_stamps, refused, untimed_points
+from offpiste.inspection.sensor_stamps import check_repeated_images, check_sensor_stamps, refused, untimed_points
 from offpiste.logs.log import Log
 from offpiste.logs.measurements import Camera, Lidar
 from offpiste.logs.poses import Poses
@@ -246,7 +246,7 @@ def check_sensors(log: Log, rig: Rig, cure: Cure = ()) -> list[Finding]:
     for name, lidar in sensors.lidars.items():
         findings += check_own_body(lidar, gathered.scans[name], sensors.poses, rig.vehicle.wheel_positions)
     for name in cameras:
-        findings += check_frozen(name, gathered.images[name])
+        findings += check_repeated_images(name, gathered.images[name])
     if sensors.notes:
         evidence = "; ".join(sensors.notes)
         findings.append(

@@ -12,7 +12,7 @@ from offpiste.inspection.recorded_log import Recorded, beginning
 from offpiste.inspection.timing import Timing, timing
 from offpiste.rig.channels import ChannelSource, Clock
 from offpiste.rig.edits import Edit
-from offpiste.rig.labels import SECONDS, unit_by_rate
+from offpiste.rig.labels import PER_SECOND, unit_by_rate
 
 _LATE = 2.0
 """A topic that starts this much after the pose, or stops this much before it, is reported [s]."""
@@ -195,7 +195,7 @@ def _intervals(where: str, seen: Timing, origin: float, clock: Clock, *, used: b
     findings: list[Finding] = []
     if not np.isfinite(seen.rate) or seen.backward > _DISORDER * seen.count:
         return findings  # out of order, stamps show no rate
-    unit = unit_by_rate(seen.rate, clock.unit, seen.start * SECONDS[clock.unit])
+    unit = unit_by_rate(seen.rate, clock.unit, seen.start * PER_SECOND[clock.unit])
     if used and seen.count > 20 and unit != clock.unit:
         message = f"{seen.rate:.3g} samples a second, {seen.end - seen.start:.3g} s long"
         edit = Edit("clock.unit", unit)

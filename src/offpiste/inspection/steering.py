@@ -8,7 +8,7 @@ import numpy as np
 from offpiste.geometry import rotation_from_quaternion
 from offpiste.inspection.commanded_motion import is_measured_steering
 from offpiste.inspection.course import under_way
-from offpiste.inspection.driven_path import Path
+from offpiste.inspection.driven_path import DrivenPath
 from offpiste.inspection.findings import Cure, Finding
 from offpiste.inspection.lags import LAGS, SURE, delay_cures, fit_lags
 from offpiste.inspection.steering_agreement import agreement
@@ -34,7 +34,7 @@ _CENTRED: Final = {"steer": 0.05, "steer_angle": 0.0}
 
 
 def check_steering(
-    fits: Mapping[str, SteeringFit], drive: Drive, path: Path, *, measured: bool, cut: Collection[str] = ()
+    fits: Mapping[str, SteeringFit], drive: Drive, path: DrivenPath, *, measured: bool, cut: Collection[str] = ()
 ) -> list[Finding]:
     """Findings on `steer` and `steer_angle`.
 
@@ -93,7 +93,7 @@ def _other_clocks(name: str, drive: Drive) -> tuple[Cure, ...]:
     )
 
 
-def _sign(name: str, fit: SteeringFit, drive: Drive, path: Path) -> list[Finding]:
+def _sign(name: str, fit: SteeringFit, drive: Drive, path: DrivenPath) -> list[Finding]:
     if fit.sign >= 0:
         return []
     steady, dynamic = fit.steady, fit.dynamic
@@ -107,7 +107,7 @@ def _sign(name: str, fit: SteeringFit, drive: Drive, path: Path) -> list[Finding
     return [Finding("warning", name, "is positive to the right", evidence, remedy, 1.0, tuple(cures))]
 
 
-def leans_inward(drive: Drive, path: Path) -> bool:
+def leans_inward(drive: Drive, path: DrivenPath) -> bool:
     """Whether the body surely leans into its curves, as no four-wheeled vehicle does: the axes may point down."""
     if "orientation" not in drive.channels:
         return False

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.inspection.driven_path import STEP, Path
+from offpiste.inspection.driven_path import STEP, DrivenPath
 from offpiste.inspection.lags import LAGS, SURE, fit_lags, lagged, sampled
 from offpiste.logs.drive import Drive
 
@@ -43,7 +43,7 @@ class Agreement:
         return self.strength >= _CLEAR and np.isfinite(margin) and not inside
 
 
-def agreement(drive: Drive, path: Path) -> Agreement | None:
+def agreement(drive: Drive, path: DrivenPath) -> Agreement | None:
     """Compare `steer` and `steer_angle`; None where the log lacks one of them, or one rests."""
     if "steer" not in drive.channels or "steer_angle" not in drive.channels:
         return None

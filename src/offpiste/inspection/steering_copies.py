@@ -9,7 +9,7 @@ from jaxtyping import Float
 from offpiste.geometry import local_polynomial, planar_body_from_world
 from offpiste.inspection.channel_guesses import labels
 from offpiste.inspection.controls_by_numbers import is_measured_topic
-from offpiste.inspection.driven_path import TURNING, Path
+from offpiste.inspection.driven_path import TURNING, DrivenPath
 from offpiste.inspection.field_groups import field_groups
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.lags import fit_lags, sampled
@@ -97,7 +97,7 @@ def _copy_window_lags(
     return np.array(result), max(moving, 1)
 
 
-def check_computed_pose(drive: Drive, path: Path, recorded: Mapping[str, Recorded]) -> list[Finding]:
+def check_computed_pose(drive: Drive, path: DrivenPath, recorded: Mapping[str, Recorded]) -> list[Finding]:
     """A warning if the pose is the steering's: speed times its tangent, at once, and straight ahead of the heading.
 
     No vehicle goes so exactly where it is steered: nothing measured how it turns, and a model would learn a formula.
@@ -126,7 +126,7 @@ def check_computed_pose(drive: Drive, path: Path, recorded: Mapping[str, Recorde
     return [Finding("warning", where, f"is computed from channel {name}", evidence, how, 0.9)]
 
 
-def _misfits(drive: Drive, path: Path, ahead: Float[np.ndarray, " n"]) -> Iterator[tuple[str, float]]:
+def _misfits(drive: Drive, path: DrivenPath, ahead: Float[np.ndarray, " n"]) -> Iterator[tuple[str, float]]:
     """RMS difference of the turning to that of a bicycle over its RMS, by steering channel.
 
     Args:

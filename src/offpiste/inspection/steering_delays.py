@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Bool, Float
 
-from offpiste.inspection.driven_path import Path
+from offpiste.inspection.driven_path import DrivenPath
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.lags import LAGS, LagFit, fit_lags, lagged
 from offpiste.inspection.steering_fit import moving_rows
@@ -61,7 +61,7 @@ class WindowDelays:
         return f"the motion comes {spread} in {len(self.delay)} stretches of {_WINDOW:.0f} s"
 
 
-def window_delays(channel: Channel, path: Path, rig: Rig) -> WindowDelays:
+def window_delays(channel: Channel, path: DrivenPath, rig: Rig) -> WindowDelays:
     """Delays by stretches, of those in which the vehicle turns enough and as it is steered."""
     turning = path.forward * lagged(channel, path.time, rig)
     usual = np.nanstd(path.yaw_rate[moving_rows(path)])

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.special import ndtr, stdtrit
 
-from offpiste.inspection.driven_path import STEP, TURNING, Path
+from offpiste.inspection.driven_path import STEP, TURNING, DrivenPath
 from offpiste.inspection.lags import LAGS, SURE, LagFit, fit_lags, lagged
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
@@ -80,7 +80,7 @@ def _sure_sign(fit: LagFit) -> int:
     return int(np.sign(fit.r[best])) if abs(fit.r[best]) > sure * fit.r_sigma(best) else 0
 
 
-def steering_fit(channel: Channel, path: Path, rig: Rig, *, measured: bool) -> SteeringFit | None:
+def steering_fit(channel: Channel, path: DrivenPath, rig: Rig, *, measured: bool) -> SteeringFit | None:
     """Fit of the yaw rate by forward speed times steering (its tangent, if it is an angle), with a free centre.
 
     Args:
@@ -105,7 +105,7 @@ def steering_fit(channel: Channel, path: Path, rig: Rig, *, measured: bool) -> S
 
 
 def _scale_fits(
-    wheel: Float[np.ndarray, "L n"], steady: LagFit, path: Path, per_unit: float | None
+    wheel: Float[np.ndarray, "L n"], steady: LagFit, path: DrivenPath, per_unit: float | None
 ) -> tuple[LagFit, LagFit, LagFit | None, float, float]:
     """The fits `settled`, `gripping` and `extrapolated`, and the centre with its standard deviation.
 
@@ -138,7 +138,7 @@ def _scale_fits(
     return settled, gripping, extrapolated, -float(other.gain[0]) / gain, other.gain_sigma(0) / abs(gain)
 
 
-def _extrapolated(asked: Float[np.ndarray, " n"], path: Path, rows: Bool[np.ndarray, " n"]) -> LagFit | None:
+def _extrapolated(asked: Float[np.ndarray, " n"], path: DrivenPath, rows: Bool[np.ndarray, " n"]) -> LagFit | None:
     """`asked` by the yaw rate and its slip; None where vehicles would turn the more, the faster they are."""
     slip = path.forward**2 * path.yaw_rate
     turn, of_slip = (
@@ -155,7 +155,7 @@ def _averaged(values: Float[np.ndarray, "L ..."], count: int) -> Float[np.ndarra
     return np.asarray(np.lib.stride_tricks.sliding_window_view(values, count, axis=0).mean(axis=-1))
 
 
-def moving_rows(path: Path) -> Bool[np.ndarray, " n"]:
+def moving_rows(path: DrivenPath) -> Bool[np.ndarray, " n"]:
     """Rows that are fast enough to show how the steering turns the vehicle."""
     return np.asarray(path.speed > max(0.3, 0.2 * path.cruise))
 
@@ -171,7 +171,7 @@ def _shifted(values: Float[np.ndarray, "... n"], rows: int) -> Float[np.ndarray,
     return np.concatenate((values[..., rows:], end), axis=-1)[..., : values.shape[-1]]
 
 
-def steering_fits(drive: Drive, path: Path, *, measured: bool) -> dict[str, SteeringFit]:
+def steering_fits(drive: Drive, path: DrivenPath, *, measured: bool) -> dict[str, SteeringFit]:
     """Fits of the steering channels that move in a drive that turns, by name.
 
     Args:

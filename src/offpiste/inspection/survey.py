@@ -16,7 +16,7 @@ from offpiste.inspection.inspect import inspect_log
 from offpiste.logs.drive import drive_name
 from offpiste.logs.opening import open_log
 from offpiste.object_store import brought
-from offpiste.parallel import Report, run_all, usable_cores
+from offpiste.parallel import Report, at_a_time, run_all
 from offpiste.rig.rig import Rig
 
 
@@ -59,8 +59,8 @@ def inspect_logs(logs: Sequence[str], rig: Rig | None, *, processes: int = 1, cl
         cluster: address of a Ray cluster that inspects them instead (`cluster.run_on_cluster`); "" for none.
     """
     jobs, texts = [Job(log, rig) for log in logs], list[str]()
-    at_a_time = processes or usable_cores()
-    failed = run_all(_inspect, jobs, at_a_time, "inspect", engine=engine_at(cluster), finished=texts.append)
+    processes = at_a_time(processes)
+    failed = run_all(_inspect, jobs, processes, "inspect", engine=engine_at(cluster), finished=texts.append)
     found = sorted((json.loads(text) for text in texts), key=lambda one: logs.index(one["log"]))
     return Survey(tuple(found), tuple(failed))
 

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from msgspec import structs
 
 from offpiste.geometry import planar_body_from_world, yaw_rate_from_body_rates
-from offpiste.inspection.driven_path import STEP, TURNING, Path, levelled, on_path
+from offpiste.inspection.driven_path import STEP, TURNING, DrivenPath, levelled, on_path
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.lags import SURE, fit_lags
 from offpiste.inspection.steering_fit import moving_rows
@@ -63,7 +63,7 @@ class FrameFit:
     delay_sigma: float
 
 
-def fit_frames(drive: Drive, path: Path) -> dict[str, FrameFit]:
+def fit_frames(drive: Drive, path: DrivenPath) -> dict[str, FrameFit]:
     """Fits of channel `linear_velocity` by frame, "world" and "body"; empty where too little moves."""
     if path.driving < 3:
         return {}
@@ -82,7 +82,7 @@ def _read_in(frame: str, velocity: Float[np.ndarray, "n k"], rig: Rig) -> Float[
     return to_z_up(name, structs.replace(source, frame=frame), recorded, rig.motion.axes)
 
 
-def check_linear_velocity(drive: Drive, path: Path) -> list[Finding]:
+def check_linear_velocity(drive: Drive, path: DrivenPath) -> list[Finding]:
     """Frame, unit, sign and delay of the recorded velocity."""
     name, source = "linear_velocity", drive.rig.channels["linear_velocity"]
     if path.driving >= 3 and not drive.channels[name].values[:, :2].any():
@@ -122,14 +122,14 @@ def check_linear_velocity(drive: Drive, path: Path) -> list[Finding]:
     return findings or mirrored
 
 
-def _fits_north_east(drive: Drive, path: Path) -> bool:
+def _fits_north_east(drive: Drive, path: DrivenPath) -> bool:
     """Whether the velocity fits the pose's derivative in the world with its first two fields exchanged."""
     recorded = _read_in("world", on_path(path, drive.channels["linear_velocity"]), drive.rig)
     fit = fit_delayed("world", recorded[:, 1::-1], path.velocity)
     return fit is not None and fit.misfit < _FITS and fit.gain > 0
 
 
-def _sideways(drive: Drive, path: Path) -> list[Finding]:
+def _sideways(drive: Drive, path: DrivenPath) -> list[Finding]:
     """A finding if a body's velocity to the side goes the other way than the pose: it is positive to the right."""
     recorded = levelled(drive, path, on_path(path, drive.channels["linear_velocity"]))
     aside = planar_body_from_world(path.velocity, path.yaw)[:, 1]
@@ -148,7 +148,7 @@ def turn_rate_name(drive: Drive) -> str:
     return "yaw_rate" if "yaw_rate" in drive.channels else "angular_velocity"
 
 
-def fit_turn_rate(drive: Drive, path: Path) -> FrameFit | None:
+def fit_turn_rate(drive: Drive, path: DrivenPath) -> FrameFit | None:
     """Fit of the recorded yaw rate by the heading's derivative; None where there is none, or too little turns."""
     name = turn_rate_name(drive)
     if name not in drive.channels or np.nanstd(path.yaw_rate) < TURNING:
@@ -156,7 +156,7 @@ def fit_turn_rate(drive: Drive, path: Path) -> FrameFit | None:
     return fit_delayed("", on_path(path, _turn_rate(drive)), path.yaw_rate[:, None])
 
 
-def fit_wheel_speed(drive: Drive, path: Path) -> FrameFit | None:
+def fit_wheel_speed(drive: Drive, path: DrivenPath) -> FrameFit | None:
     """Fit of the wheels' speed by the path's; None where there is none, or too little moves."""
     if "wheel_speed" not in drive.channels or path.driving < 3:
         return None
@@ -164,7 +164,7 @@ def fit_wheel_speed(drive: Drive, path: Path) -> FrameFit | None:
     return fit_delayed("", *(values[:, None] - np.nanmean(values) for values in (recorded, path.forward)))
 
 
-def check_wheel_speed(drive: Drive, path: Path) -> list[Finding]:
+def check_wheel_speed(drive: Drive, path: DrivenPath) -> list[Finding]:
     """Unit of the wheels' speed, which spinning and locking change by less than any unit does."""
     fit = fit_wheel_speed(drive, path)
     if fit is None or fit.misfit > _FOLLOWS or _ROLLING[0] < abs(fit.gain) < _ROLLING[1]:
@@ -178,7 +178,7 @@ def check_wheel_speed(drive: Drive, path: Path) -> list[Finding]:
     return _gain("wheel_speed", fit, drive.rig, "m/s", _UNITS)
 
 
-def check_turn_rate(drive: Drive, path: Path) -> list[Finding]:
+def check_turn_rate(drive: Drive, path: DrivenPath) -> list[Finding]:
     """Unit, sign and delay of `yaw_rate`, or of the z component of `angular_velocity`."""
     name = turn_rate_name(drive)
     if name not in drive.channels or np.nanstd(path.yaw_rate) < TURNING:
@@ -197,7 +197,7 @@ def check_turn_rate(drive: Drive, path: Path) -> list[Finding]:
     return wrong or (_bias(on_path(path, drive.channels[name])[:, 0], path, drive.rig) if name == "yaw_rate" else [])
 
 
-def _bias(recorded: Float[np.ndarray, " n"], path: Path, rig: Rig) -> list[Finding]:
+def _bias(recorded: Float[np.ndarray, " n"], path: DrivenPath, rig: Rig) -> list[Finding]:
     """A finding if the yaw rate is surely not zero where the vehicle does not turn."""
     one, everywhere = np.ones((1, len(recorded))), np.ones(len(recorded), bool)
     fit = fit_lags(recorded, path.yaw_rate[:, None], one, np.zeros(1), everywhere)

@@ -294,8 +294,6 @@ class _Listener:
         what += f", {1e3 * age:.0f} ms old"
         oldest = max(_OLD, self._rig.live.timeouts.state) if topic == self._vehicle.position_topic else _OLD
         if not -0.05 < age < oldest:
-            how = (
-                "synchronise the clocks (chrony), or give --clock stamps; for a simulator or a played log --clock clock"
-            )
+            how = "synchronise the clocks (chrony), or give --clock stamps; for a simulator or played log --clock clock"
             return Finding("error", f"{what}: {how}")
         return Finding("ok", what)

@@ -14,7 +14,7 @@ from offpiste.errors import LogError
 from offpiste.logs.ros.bag_files import open_readers, reported, whole_messages
 from offpiste.logs.ros.mcap_recovery import StreamedMcap
 from offpiste.logs.ros.sensor_messages import points_from_message
-from offpiste.rig.channels import SECONDS
+from offpiste.rig.channels import SECONDS_PER_UNIT
 from offpiste.rig.rig import Rig
 from offpiste.rig.sensors import LidarSource
 
@@ -129,7 +129,7 @@ class RecordedDrive:
         points = points_from_message(cloud)
         if lidar.time_field not in (points.dtype.names or ()) or not len(points):
             return 0
-        latest = float(np.max(points[lidar.time_field])) * SECONDS[lidar.time_unit]
+        latest = float(np.max(points[lidar.time_field])) * SECONDS_PER_UNIT[lidar.time_unit]
         stamp = cloud.header.stamp.sec * 10**9 + cloud.header.stamp.nanosec
         return stamp + round(latest * 1e9) if 0 < latest < _LATEST else 0
 

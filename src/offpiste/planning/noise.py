@@ -30,18 +30,6 @@ def gaussian(shape: Shape, generator: Generator, dtype: torch.dtype = torch.floa
     return torch.randn(shape, generator=generator, dtype=dtype, device=generator.device)
 
 
-def log_normal(
-    shape: Shape, generator: Generator, dtype: torch.dtype = torch.float32, *, spread: float = 0.5
-) -> Float[Tensor, "K T U"]:
-    """White noise with heavy tails, variance 1: a normal times a log-normal number (Mohamed et al., log-MPPI, 2022).
-
-    Args:
-        spread: standard deviation of the logarithm; 0 is `gaussian`. The kurtosis is 3 exp(4 spread^2).
-    """
-    size = torch.exp(spread * gaussian(shape, generator, dtype) - spread**2)
-    return size * gaussian(shape, generator, dtype)
-
-
 def coloured(
     shape: Shape,
     generator: Generator,

@@ -15,7 +15,7 @@ from offpiste.dataset.splits import GAP, PARTS, parse_split, write_drives
 from offpiste.dataset.store import Dataset, open_dataset
 from offpiste.dataset.windows import Windows
 from offpiste.errors import DatasetError
-from offpiste.parallel import usable_cores
+from offpiste.parallel import at_a_time
 from offpiste.perception.backbones import open_backbone
 from offpiste.perception.pca import save_pca
 from offpiste.reproduction.settings import PCA_SWEPT, ReproductionSettings, Size
@@ -164,7 +164,7 @@ def _portion(settings: ReproductionSettings, drives: list[PlannedDrive], pca: Pa
 
 
 def _processes(settings: ReproductionSettings, drives: list[PlannedDrive]) -> int:
-    return min(settings.processes or usable_cores(), len(drives))
+    return min(at_a_time(settings.processes), len(drives))
 
 
 def opened(settings: ReproductionSettings) -> Dataset:

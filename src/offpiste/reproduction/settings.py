@@ -10,7 +10,7 @@ from offpiste.checksums import sha256_of_folders
 from offpiste.conventions import FEATURE_SETS
 from offpiste.errors import OffpisteError
 from offpiste.evaluation.metrics import label
-from offpiste.parallel import usable_cores
+from offpiste.parallel import at_a_time
 from offpiste.training.config import TrainConfig
 
 BASELINE = "b"
@@ -192,8 +192,8 @@ class ReproductionSettings:
 
     @property
     def at_a_time(self) -> int:
-        """Number of processes; one where they would share an accelerator."""
-        return (self.processes or usable_cores()) if self.device == "cpu" else 1
+        """Number of processes (`parallel.at_a_time`)."""
+        return at_a_time(self.processes, self.device)
 
     def described(self) -> dict[str, Any]:
         """The settings that must be the same for results in `out` to be used again; the number of seeds may grow."""

@@ -212,7 +212,7 @@ def away_along(windows: Windows, index: Int[np.ndarray, " n"], metres: float) ->
 
 
 class ShiftedMap:
-    """The ground of windows with the features of other windows' maps, for `evaluation.evaluate.predict`.
+    """The ground of windows with the features of other windows' maps, for `training.prediction.predict`.
 
     Args:
         windows: that have maps.

@@ -263,8 +263,8 @@ def check_channels(channels: Mapping[str, ChannelSource], absent: Collection[str
             )
 
 
-SECONDS: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-"""Units of stamps [s]."""
+SECONDS_PER_UNIT: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+"""Length of the units of stamps [s]."""
 
 
 class Clock(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -11,8 +11,8 @@ from jaxtyping import Float
 from offpiste.errors import RigError
 from offpiste.rig.channels import known_channels, unit_factor
 
-SECONDS: Final = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
-"""Units of time per second."""
+PER_SECOND: Final = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
+"""Units of stamps in a second."""
 _SINCE_1970: Final = (1.0e9, 4.1e9)
 """Seconds from 1970 to 2001 and to 2100."""
 RATES: Final = (0.2, 20_000.0)
@@ -201,20 +201,20 @@ def unit_by_rate(rate: float, unit: str, stamp: float = 0.0) -> str:
         unit: that is kept where the rate is one of recordings.
         stamp: one of them, as recorded: its size tells seconds since 1970 where the rate is one of recordings, too.
     """
-    for name, per_second in SECONDS.items():
-        since, samples = stamp / per_second, rate * per_second / SECONDS[unit]
+    for name, per_second in PER_SECOND.items():
+        since, samples = stamp / per_second, rate * per_second / PER_SECOND[unit]
         if _SINCE_1970[0] < since < _SINCE_1970[1] and RATES[0] < samples < RATES[1]:
             return name
     if not np.isfinite(rate) or RATES[0] < rate < RATES[1]:
         return unit
-    wanted = np.log10(SECONDS[unit] * 50 / rate)
-    return min(SECONDS, key=lambda name: abs(np.log10(SECONDS[name]) - wanted))
+    wanted = np.log10(PER_SECOND[unit] * 50 / rate)
+    return min(PER_SECOND, key=lambda name: abs(np.log10(PER_SECOND[name]) - wanted))
 
 
 def are_since_1970(stamps: Float[np.ndarray, " n"]) -> bool:
     """Whether all of some numbers are times since 1970, in one unit, from 2001 to 2100."""
     first, last = _SINCE_1970
-    return any(((first * each < stamps) & (stamps < last * each)).all() for each in SECONDS.values())
+    return any(((first * each < stamps) & (stamps < last * each)).all() for each in PER_SECOND.values())
 
 
 def gear_letter(word: str) -> str:
@@ -224,7 +224,7 @@ def gear_letter(word: str) -> str:
 
 def time_unit(unit: str) -> str:
     """A unit of time as a clock takes it; "" for any other."""
-    return unit if unit in SECONDS else ""
+    return unit if unit in PER_SECOND else ""
 
 
 _AXIS_WORDS: Final = tuple(

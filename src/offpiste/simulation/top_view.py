@@ -4,7 +4,6 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection, LineCollection
-from matplotlib.figure import Figure
 
 from offpiste.simulation.world.ground import colour_table
 from offpiste.simulation.world.surface import normals_of
@@ -15,23 +14,6 @@ SUN = np.array([-0.5, 0.45, 0.74])
 
 _GRASS = np.array([0.62, 0.60, 0.30]), np.array([0.33, 0.43, 0.17])
 _CROWN, _BUSH, _SHADOW = "#3d5a2a", "#6f7a4a", "#2a2418"
-
-
-def top_view(
-    world: World, path: Float[np.ndarray, "n 2"] | None = None, speed: Float[np.ndarray, " n"] | None = None
-) -> Figure:
-    """Figure of a world and, if given, of a drive through it.
-
-    Args:
-        path: x, y of the vehicle [m].
-        speed: speed along the path, shown as its colour [m/s].
-    """
-    figure = Figure(figsize=(8.6, 8) if speed is not None else (8, 8), dpi=150, layout="constrained")
-    axes = figure.subplots()
-    draw_top_view(world, axes, path, speed)
-    settings = world.settings
-    axes.set_title(f"{settings.name}, seed {settings.seed}", fontsize=10, loc="left")
-    return figure
 
 
 def draw_top_view(

@@ -70,7 +70,7 @@ class Run:
     """A trained model and what it was trained on.
 
     Attributes:
-        scale: the loss's units (`train.loss_scale`).
+        scale: the loss's units (`losses.loss_scale`).
         split: text of the split it was trained under.
         seen: (drive, first, last) stretches of time [s] that training or validation used.
         pca: of the visual features (`Dataset.pca`); None without, and of runs older than this entry.

@@ -128,7 +128,7 @@ def test_clock_column_and_unit(tmp_path: Path) -> None:
     assert table(tmp_path, text, clock_column="count", clock_unit="ms").read("", ["x"]).time.tolist() == [1.5, 2.5]
     with pytest.raises(LogError, match="no column 'stamp' for the clock; it has: t, count, x"):
         table(tmp_path, text, clock_column="stamp")
-    with pytest.raises(LogError, match="unknown clock unit 'min'; use one of: s, ms, us, ns"):
+    with pytest.raises(LogError, match="unknown clock unit 'min'; use one: s, ms, us, ns"):
         table(tmp_path, text, clock_unit="min")
 
 

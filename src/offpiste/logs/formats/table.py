@@ -25,7 +25,7 @@ from offpiste.logs.formats.csv_text import (
 )
 from offpiste.logs.log import LOG_FORMATS, Log, Samples, Topic
 from offpiste.rig.channels import Clock
-from offpiste.rig.labels import SECONDS, parse_label, time_unit, unit_by_rate, without_comment
+from offpiste.rig.labels import PER_SECOND, parse_label, time_unit, unit_by_rate, without_comment
 
 _TIME_NAME = re.compile(
     r"^(t|secs?|seconds?|stamp)(?![a-z])|time|zeit|(?<![a-z])(i?tow|epoch|unix)(?![a-z])"
@@ -57,8 +57,8 @@ class TableLog(Log):
     has_clock_unit = True
 
     def __init__(self, path: Path, *, clock_column: str = "", clock_unit: str = "") -> None:
-        if clock_unit and clock_unit not in SECONDS:
-            raise LogError(f"unknown clock unit '{clock_unit}'", where=path, how=f"use one of: {', '.join(SECONDS)}")
+        if clock_unit and clock_unit not in PER_SECOND:
+            raise LogError(f"unknown clock unit '{clock_unit}'", where=path, how=f"use one: {', '.join(PER_SECOND)}")
         self.path = path
         self._is_csv = path.suffix.lower() != ".parquet"
         notes: list[str] = []
@@ -187,14 +187,15 @@ class TableLog(Log):
             if (dates := self._dates[name]) is not None:
                 return dates
             if not self._is_numeric(name):
-                cells = enumerate(column.to_pylist())
+                cells = enumerate(column.to_pylist(), 1 + self._rows_of_units)
                 row, cell = next((r, c) for r, c in cells if c and clock_times(pa.chunked_array([[c]])) is None)
-                line, how = row + 1 + self._rows_of_units, "write seconds, or 2024-05-03T10:11:12.345"
-                what = f"row {line} below the header, column '{name}': '{cell[:40]}' is no time"
-                raise LogError(what, where=self.path, how=how)
+                what = f"row {row} below the header, column '{name}': '{cell[:40]}' is no time"
+                raise LogError(what, where=self.path, how="write seconds, or 2024-05-03T10:11:12.345")
         if nanoseconds := self._beside(name):
             return self._numbers(name) + self._numbers(nanoseconds) / 1e9
-        numbers = self._numbers(name) / (1.0 if _has_time_unit(column.type) else SECONDS[self._unit_of_stamps(name)])
+        numbers = self._numbers(name)
+        if not _has_time_unit(column.type):
+            numbers = numbers / PER_SECOND[self._unit_of_stamps(name)]
         return _seconds_of_the_day(numbers) if _shows_clock_face(numbers) else numbers
 
     def _numbers(self, name: str) -> Float[np.ndarray, " n"]:
@@ -202,7 +203,7 @@ class TableLog(Log):
         if pa.types.is_string(column.type):
             return self._parsed(name)
         if _has_time_unit(column.type):
-            return _floats(column.cast(pa.int64())) / SECONDS[column.type.unit]
+            return _floats(column.cast(pa.int64())) / PER_SECOND[column.type.unit]
         return _floats(column)
 
     def _parsed(self, name: str) -> Float[np.ndarray, " n"]:

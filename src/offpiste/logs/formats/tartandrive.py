@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from offpiste.errors import LogError
 from offpiste.logs.log import LOG_FORMATS, Log, Samples, Topic
-from offpiste.rig.channels import SECONDS, Clock
+from offpiste.rig.channels import SECONDS_PER_UNIT, Clock
 
 
 @LOG_FORMATS.register("tartandrive")
@@ -61,7 +61,7 @@ class TartanDriveLog(Log):
     def _read(self, topic: Topic, fields: Sequence[str], stamps: str) -> Samples:
         folder = self.path / topic.name
         values = _load(folder / topic.type, mapped=False).reshape(topic.count, -1)
-        time = _load_stamps(folder / "timestamps.txt") * SECONDS[self._clock.unit]
+        time = _load_stamps(folder / "timestamps.txt") * SECONDS_PER_UNIT[self._clock.unit]
         if len(time) != len(values):
             raise LogError(
                 f"{len(time)} stamps for {len(values)} samples",
