@@ -193,9 +193,8 @@ class TableLog(Log):
                 raise LogError(what, where=self.path, how="write seconds, or 2024-05-03T10:11:12.345")
         if nanoseconds := self._beside(name):
             return self._numbers(name) + self._numbers(nanoseconds) / 1e9
-        numbers = self._numbers(name)
-        if not _has_time_unit(column.type):
-            numbers = numbers / PER_SECOND[self._unit_of_stamps(name)]
+        per_second = 1.0 if _has_time_unit(column.type) else PER_SECOND[self._unit_of_stamps(name)]
+        numbers = self._numbers(name) / per_second
         return _seconds_of_the_day(numbers) if _shows_clock_face(numbers) else numbers
 
     def _numbers(self, name: str) -> Float[np.ndarray, " n"]:
