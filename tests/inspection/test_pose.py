@@ -190,3 +190,19 @@ def test_a_heading_that_is_lost_with_the_place_is_said_of_the_place() -> None:
     assert [f.where for f in _inspected(turned)[1]] == ["orientation"]
     both = turned.change("odom", "x", lambda x: np.where(lost, 0.0, x))
     assert [f.where for f in _inspected(both)[1]] == ["position"]
+
+
+@pytest.mark.parametrize("heading", [False, True])
+def test_a_place_that_hangs_while_the_vehicle_drives_on_is_found(heading: bool) -> None:
+    log = drive_log(seed=3)
+    time, odom = log.data["odom"]
+    speed = np.hypot(np.gradient(odom["x"], time), np.gradient(odom["y"], time))
+    first = int(np.argmax((speed > 3.0) & (time > time[0] + 20.0)))
+    end = int(np.searchsorted(time, time[first] + 8.0))
+    for field in ("x", "y", "z", *(("qx", "qy", "qz", "qw") if heading else ())):
+        log = log.change("odom", field, lambda values: np.concatenate(
+            (values[:first], np.full(end - first, values[first]), values[end:])))  # fmt: skip
+    found = {(finding.where, finding.what): finding for finding in inspect_log(log, rig()).findings}
+    finding = found["position", "holds one place while the vehicle drives on"]
+    assert f"for 8.0 s from {time[first + 1] - time[0]:.2f} s on" in finding.evidence
+    assert ("position", "jumps") not in found

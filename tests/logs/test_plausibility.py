@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from offpiste.logs.plausibility import plausible_headings, plausible_positions
+from offpiste.logs.plausibility import held_while_driving, plausible_headings, plausible_positions
 from offpiste.logs.pose_segments import best_chain
 
 RUNS = ("glitches", "constant", "random", "long constant", "fast tail", "fast head", "coherent")
@@ -56,6 +56,26 @@ def test_a_healthy_drive_loses_no_sample(seed: int) -> None:
         assert each.keep.all()
         assert not len(each.jumps)
         assert not each.hopeless
+    assert not held_while_driving(time, place).any()
+
+
+@pytest.mark.parametrize("hold", [1, 5])
+@pytest.mark.parametrize("stands", [False, True])
+def test_a_place_that_hangs_while_the_vehicle_drives_on_is_held(hold: int, stands: bool) -> None:
+    """Also where it hangs at a standstill, and the vehicle drives off meanwhile; not where it stands and waits."""
+    time = np.arange(3000) / 50.0
+    speed = np.clip(time - 30.0, 0.0, 4.0) if stands else np.full(len(time), 4.0)
+    place = np.cumsum(speed)[:, None] / 50 * [0.6, 0.8]
+    place = place[np.arange(len(time)) // hold * hold]
+    assert not held_while_driving(time, place).any()
+    first, end = 1400, 1900  # the vehicle drives off at 1500
+    hanging = place.copy()
+    hanging[first:end] = place[first]
+    assert np.linalg.norm(place[end] - place[first]) > 10
+    held = held_while_driving(time, hanging)
+    assert held[first + hold : end].all()
+    assert not held[end:].any()
+    assert stands or not held[:first].any()
 
 
 def planted(kind: str, rng: np.random.Generator, time: np.ndarray, place: np.ndarray, speed: float):

@@ -37,6 +37,23 @@ def test_a_run_is_dropped_and_named_by_its_samples_and_times() -> None:
     assert (run.first, run.last, run.after, run.until) == (1200, 1285, TIME[1199], TIME[1286])
 
 
+def test_a_place_that_hangs_is_dropped_until_it_goes_on() -> None:
+    x = 5 * TIME
+    x[1000:1500] = x[1000]
+    drive = drive_of(x)
+    assert drive.notes == (
+        "position: samples 1001 to 1499 (20.02 to 29.98 s) hold one place, 50 m off the path of any vehicle; dropped",
+    )
+    (run,) = drive.faults.dropped
+    assert run.held
+    assert (run.first, run.last, run.after, run.until) == (1001, 1499, TIME[1000], TIME[1500])
+    assert drive.faults.jumps == ()
+    rows = extract_rows(drive)
+    inside = (rows.time > 20.1) & (rows.time < 29.9)
+    assert inside.any()
+    assert not rows.valid[inside].any()
+
+
 def test_numbers_are_those_of_the_log_where_other_samples_were_dropped() -> None:
     x = 5 * TIME
     x[100:103], x[900] = np.nan, 1e6

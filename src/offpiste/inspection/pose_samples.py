@@ -1,5 +1,6 @@
 """Checks of the pose's samples: rows that repeat a slower sensor's value, samples too far apart, and wrong ones."""
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -8,6 +9,7 @@ from jaxtyping import Bool, Float
 from offpiste.inspection.driven_path import MOVING, DrivenPath
 from offpiste.inspection.findings import Finding
 from offpiste.logs.drive import Drive
+from offpiste.logs.pose_faults import DroppedRun
 from offpiste.rig.channels import POSE
 from offpiste.rig.edits import Edit
 
@@ -87,11 +89,12 @@ def check_seldom(drive: Drive) -> list[Finding]:
 
 def check_faults(drive: Drive) -> list[Finding]:
     """Samples of the pose that no vehicle makes, and headings that jump."""
-    findings = []
     length = max(float(np.ptp(drive.channels["position"].time)), 1e-9)
-    places = {(run.start, run.end) for run in drive.faults.dropped if run.channel == "position"}
-    for name in dict.fromkeys(run.channel for run in drive.faults.dropped):
-        runs = [run for run in drive.faults.dropped if run.channel == name]
+    findings = _held([run for run in drive.faults.dropped if run.held], length)
+    dropped = [run for run in drive.faults.dropped if not run.held]
+    places = {(run.start, run.end) for run in dropped if run.channel == "position"}
+    for name in dict.fromkeys(run.channel for run in dropped):
+        runs = [run for run in dropped if run.channel == name]
         if name != "position" and {(run.start, run.end) for run in runs} <= places:
             continue  # the place says it
         count, worst = sum(run.last - run.first + 1 for run in runs), max(runs, key=lambda run: run.off)
@@ -112,3 +115,20 @@ def check_faults(drive: Drive) -> list[Finding]:
         how = "take a heading without corrections; no window reaches across"
         findings.append(Finding("warning", turns[0].channel, "jumps", evidence, how, min(5 * len(turns) / length, 1.0)))
     return findings
+
+
+def _held(runs: Sequence[DroppedRun], length: float) -> list[Finding]:
+    """A finding where places stand still while the vehicle drives on.
+
+    Args:
+        length: of the drive [s].
+    """
+    if not runs:
+        return []
+    worst = max(runs, key=lambda run: run.off)
+    times = "once" if len(runs) == 1 else f"{len(runs)} times"
+    held = f"for {worst.until - worst.after:.1f} s from {worst.since:.2f} s on"
+    evidence = f"{times}, such as {held}, after which it jumps by {worst.off:.3g} m"
+    how = "nothing where the rest is enough: these samples are dropped on reading, and no window reaches across"
+    share = min(sum(run.until - run.after for run in runs) / length, 1.0)
+    return [Finding("warning", "position", "holds one place while the vehicle drives on", evidence, how, share)]

@@ -1,4 +1,4 @@
-"""Samples of a pose that no vehicle makes: corrupt runs to drop, and jumps that stay.
+"""Samples of a pose that no vehicle makes: corrupt runs to drop, places held while it drives on, and jumps that stay.
 
 The samples are cut into segments at steps that are too fast, or that the velocity before and after does not explain.
 Of all chains of segments the one that keeps the most time is chosen: a link from one segment to a later one is free
@@ -33,6 +33,11 @@ _COARSEST: Final = 1.0
 """Largest resolution of coordinates: float32 beyond 8000 km [m]."""
 _SAME: Final = 1e-9
 """Samples that differ by less are one that repeats [m or rad]."""
+_HANGS, _UNUSUAL = 0.5, 5.0
+"""A place is held by a sensor that hangs from this time on [s], if it is so many times as long as others are held, and
+the next step leads so many times as far as others."""
+_MOVES: Final = 1.5
+"""Speed just before or after such a time [m/s]: nobody stops or starts in an instant."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +65,28 @@ def plausible_positions(
     """
     resolution = float(np.linalg.norm([_resolution(column) for column in position.T]))
     return _plausible(time, lambda first, last: position[last] - position[first], limits, resolution)
+
+
+def held_while_driving(time: Float[np.ndarray, " n"], position: Float[np.ndarray, "n d"]) -> Bool[np.ndarray, " n"]:
+    """Samples that repeat a place while the vehicle drives on, as of a sensor that hangs; the first of each is none.
+
+    Args:
+        time: stamps, strictly increasing [s].
+        position: [m].
+    """
+    steps = np.linalg.norm(np.diff(position, axis=0), axis=1)
+    first = np.append(0, np.flatnonzero(steps > _SAME) + 1)
+    held = np.zeros(len(time), bool)
+    if len(first) < 2 * BESIDE:
+        return held
+    lasts, way = np.diff(time[first]), np.linalg.norm(np.diff(position[first], axis=0), axis=1)
+    speed = way / lasts
+    usual = float(np.median(lasts[speed > _MOVES])) if (speed > _MOVES).any() else np.inf
+    fastest = np.maximum(np.append(0.0, speed[:-1]), np.append(speed[1:], 0.0))
+    hangs = (lasts > max(_HANGS, _UNUSUAL * usual)) & (fastest > _MOVES) & (way > _UNUSUAL * usual * fastest)
+    for number in np.flatnonzero(hangs):
+        held[first[number] + 1 : first[number + 1]] = True
+    return held
 
 
 def plausible_headings(

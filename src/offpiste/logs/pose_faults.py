@@ -1,6 +1,6 @@
 """Faults of a drive's pose: runs of samples that no vehicle makes, which are dropped, and jumps that last."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from offpiste.logs.channel import Channel
-from offpiste.logs.plausibility import Plausible, plausible_headings, plausible_positions
+from offpiste.logs.plausibility import held_while_driving, plausible_headings, plausible_positions
 
 POSE: Final = ("position", "orientation", "yaw")
 """Channels whose samples are compared with what a vehicle can do."""
@@ -26,6 +26,7 @@ class DroppedRun:
         after, until: stamps of the samples before and after them that were kept [s]; infinite where there is none.
         since: from the channel's first sample to `start` [s].
         off: how far the worst one lies from where the vehicle was [m or rad].
+        held: whether they hold one place while the vehicle drives on.
     """
 
     channel: str
@@ -37,6 +38,7 @@ class DroppedRun:
     until: float
     since: float
     off: float
+    held: bool = False
 
 
 @dataclass(frozen=True)
@@ -110,24 +112,33 @@ def without_faults(
         if name not in channels:
             continue
         channel = channels[name]
-        plausible = plausible_positions if name == "position" else plausible_headings
-        found = plausible(channel.time, channel.values)
+        is_place = name == "position"
+        plausible = plausible_positions if is_place else plausible_headings
+        held = held_while_driving(channel.time, channel.values) if is_place else np.zeros(len(channel.time), bool)
+        fresh = np.flatnonzero(~held)
+        found = plausible(channel.time[fresh], channel.values[fresh])
         hopeless += [name] * found.hopeless
-        if not found.keep.all():
-            result[name] = replace(channel, time=channel.time[found.keep], values=channel.values[found.keep])
-            dropped += _runs(channel, numbers[name], found)
+        kept = fresh[found.keep]
+        if len(kept) < len(held):
+            result[name] = replace(channel, time=channel.time[kept], values=channel.values[kept])
+            dropped += _runs(channel, numbers[name], kept, held)
         origin = float(channel.time[0])
-        for at in found.jumps:
+        for at in fresh[found.jumps]:
             time = float(channel.time[at])
             jumps.append(PoseJump(name, int(numbers[name][at]), time, time - origin))
     return result, PoseFaults(tuple(dropped), tuple(jumps), tuple(hopeless))
 
 
-def _runs(channel: Channel, numbers: Int[np.ndarray, " n"], found: Plausible) -> list[DroppedRun]:
-    edges = np.flatnonzero(np.diff(np.concatenate(([True], found.keep, [True])).astype(int)))
-    time = np.concatenate(([-np.inf], channel.time, [np.inf]))
-    return [
-        DroppedRun(
+def _runs(
+    channel: Channel, numbers: Int[np.ndarray, " n"], kept: Int[np.ndarray, " k"], held: Bool[np.ndarray, " n"]
+) -> list[DroppedRun]:
+    dropped = np.ones(len(held), bool)
+    dropped[kept] = False
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], dropped, [False])).astype(int)))
+    time, runs = np.concatenate(([-np.inf], channel.time, [np.inf])), []
+    for first, end in edges.reshape(-1, 2).tolist():
+        holds = bool(held[first:end].all())
+        run = DroppedRun(
             channel.name,
             int(numbers[first]),
             int(numbers[end - 1]),
@@ -136,22 +147,23 @@ def _runs(channel: Channel, numbers: Int[np.ndarray, " n"], found: Plausible) ->
             float(time[first]),
             float(time[end + 1]),
             float(channel.time[first] - channel.time[0]),
-            _off(channel, first, end),
+            _off(channel, first, end, beside=(end,) if holds else (first - 1, end)),
+            holds,
         )
-        for first, end in edges.reshape(-1, 2).tolist()
-    ]
+        runs.append(run)
+    return runs
 
 
-def _off(channel: Channel, first: int, end: int) -> float:
-    """Largest distance of a run from the nearer of the samples around it."""
+def _off(channel: Channel, first: int, end: int, beside: Sequence[int]) -> float:
+    """Largest distance of a run from the nearer of the samples beside it."""
     away = []
-    for beside in (first - 1, end):
-        if 0 <= beside < len(channel.values):
-            apart = channel.values[first:end] - channel.values[beside]
+    for sample in beside:
+        if 0 <= sample < len(channel.values):
+            apart = channel.values[first:end] - channel.values[sample]
             if channel.name == "yaw":
                 apart = (apart + np.pi) % (2 * np.pi) - np.pi
             elif channel.name == "orientation":
-                cosine = np.abs(channel.values[first:end] @ channel.values[beside])
+                cosine = np.abs(channel.values[first:end] @ channel.values[sample])
                 apart = 2 * np.arccos(np.clip(cosine, 0, 1))[:, None]
             away.append(np.linalg.norm(apart, axis=1))
     return float(np.min(away, axis=0).max())
@@ -160,6 +172,8 @@ def _off(channel: Channel, first: int, end: int) -> float:
 def _words(run: DroppedRun) -> str:
     unit = "m" if run.channel == "position" else "rad"
     end = run.since + run.end - run.start
+    if run.held:
+        return f"samples {run.first} to {run.last} ({run.since:.2f} to {end:.2f} s) hold one place, {run.off:.3g} m"
     if run.first == run.last:
         return f"sample {run.first} ({run.since:.2f} s) lies {run.off:.3g} {unit}"
     return f"samples {run.first} to {run.last} ({run.since:.2f} to {end:.2f} s) lie {run.off:.3g} {unit}"
