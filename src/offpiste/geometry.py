@@ -148,19 +148,24 @@ _GRID: Final = 0.01
 """Tangent planes touch the ellipsoid at multiples of this [degrees]: a log and a part of it have the same."""
 
 
+_CREEPS: Final = 0.1
+"""Speed below which a turn rate hardly says how the wheels are turned [m/s]."""
+
+
 def bicycle_angle(
     yaw_rate: Float[np.ndarray, "*n"], speed: Float[np.ndarray, "*n"], wheelbase: float
 ) -> Float[np.ndarray, "*n"]:
     """Angle of the front wheels of a bicycle that turns at a rate, at a speed, without slip [rad].
 
-    A quarter turn to either side where it turns on the spot, which no bicycle does; 0 where it stands.
+    Almost a quarter turn to either side where it turns on the spot, which no bicycle does; next to nothing where it
+    stands and hardly turns, as slower speeds than `_CREEPS` count as that.
 
     Args:
         yaw_rate: to the left [rad/s].
         speed: of the rear axle, negative backwards [m/s].
         wheelbase: [m].
     """
-    return np.arctan2(wheelbase * yaw_rate * np.where(speed < 0, -1.0, 1.0), np.abs(speed))
+    return np.arctan2(wheelbase * yaw_rate * np.where(speed < 0, -1.0, 1.0), np.maximum(np.abs(speed), _CREEPS))
 
 
 def local_from_geographic(

@@ -5,10 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from simulated import MemoryLog
+from simulated import rig as bicycle
 from test_draft_topics import Typed
 
 from offpiste.inspection.channel_guesses import labels
-from offpiste.inspection.commanded_motion import commanded_curvature, is_asked_for, motion_commands
+from offpiste.inspection.commanded_motion import (
+    commanded_curvature,
+    is_asked_for,
+    is_measured_steering,
+    motion_commands,
+)
 from offpiste.inspection.draft_rig import draft_rig
 from offpiste.inspection.inspect import inspect_log
 from offpiste.logs.drive import drive_from_log
@@ -189,3 +195,13 @@ def test_a_turn_rate_that_no_vehicle_has_is_in_degrees() -> None:
     plain, turned = drafted(log), drafted(degrees)
     assert turned.channels["steer"].unit == "deg/s"
     assert turned.vehicle.wheelbase == pytest.approx(plain.vehicle.wheelbase, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("field", "measured"),
+    [("Steering Wheel Angle (deg)", True), ("steering_wheel_angle", True), ("HandwheelPos", True),
+     ("Steering Wheel Angle Command", False), ("steering", False)],
+)  # fmt: skip
+def test_the_angle_of_a_steering_wheel_is_measured_however_its_words_are_joined(field: str, measured: bool) -> None:
+    given = bicycle(('fields = ["command"]', f'fields = ["{field}"]'))
+    assert is_measured_steering("steer", given) is measured

@@ -378,3 +378,14 @@ def test_a_control_that_never_changes_is_named() -> None:
     unsteered = still.change("steering", "command", np.zeros_like).change("steering", "angle", np.zeros_like)
     (line,) = [line for line in missing(draft_rig(unsteered)) if line.startswith("steering")]
     assert line.startswith("steering: steering command is always 0; no model")
+
+
+def test_a_monitor_that_comes_seldom_is_read_where_nothing_else_is() -> None:
+    """Its names are the nearest ones, as those of nuScenes' vehicle_monitor."""
+    time, pedals = CLEAN.data["pedals"]
+    slow = slice(None, None, 50)
+    monitor = {"throttle": pedals["throttle"][slow], "brake": pedals["brake"][slow]}
+    often = {"throttle_sensor": pedals["throttle"]}
+    log = Typed({"odom/Odometry": (TIME, ODOM), "monitor/": (time[slow], monitor), "sensors/": (time, often)})
+    first = {guess.channel: guess.topic for guess in reversed(guess_channels(log))}
+    assert (first["throttle"], first["brake"]) == ("sensors/", "monitor/")

@@ -47,7 +47,7 @@ def _read(log: MemoryLog, *more: tuple[str, str]) -> tuple[Drive, DrivenPath, di
 
 
 def test_a_gear_is_held_from_its_first_sample_on_and_stamps_that_go_back_count_nowhere() -> None:
-    drive, path, recorded = _read(_with_gear(FORWARD, 0.0, 1.0, 1.0, -1.0), GEAR)
+    drive, path, recorded = _read(_with_gear(_reversing(FORWARD, 0.0, 0.0), 0.0, 1.0, 1.0, -1.0), GEAR)
     start = path.time[0]
     time = start + np.array([5.0, 6.0, 4.0, 7.0])
     late = replace(recorded["box"], time=time, values=np.array([[2.0], [3.0], [9.0], [4.0]]))

@@ -423,3 +423,15 @@ def test_progress_is_shown_of_the_topics_once_and_of_all_remedies_together(monke
     inspect_log(CLEAN.change("steering", "command", lambda x: -x), rig())
     assert [bar[0] for bar in shown] == ["topics", "trying remedies"]
     assert len(shown[1]) > 2
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_steering_whose_sign_is_lost_is_said_to_have_none(seed: int) -> None:
+    """Also where the vehicle turns more to one side, so that its size has an effect."""
+    drive = drive_log(seconds=90, seed=seed)
+    lost = drive.change("steering", "angle", np.abs).change("steering", "command", np.abs)
+    found = [f for f in inspect_log(lost, rig()).findings if f.what == "has no sign"]
+    assert {(f.severity, f.where) for f in found} == {("warning", "steer"), ("warning", "steer_angle")}
+    one = drive.change("steering", "command", lambda command: 0.2 + np.abs(command))
+    assert [f.where for f in inspect_log(one, rig()).findings if f.what == "has no sign"] == ["steer"]
+    assert not [f for f in inspect_log(drive, rig()).findings if f.what == "has no sign"]

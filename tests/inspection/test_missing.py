@@ -127,7 +127,7 @@ def test_what_is_measured_is_no_control_whatever_its_topic_belongs_to():
     time, columns = CLEAN.data["pedals"]
     rest = {name: topic for name, topic in CLEAN.data.items() if name != "pedals"}
     odometry = "/velocity_controller/odom", (time, {"pose.x": columns["throttle"]})
-    mode = "/control_mode", (time, {"stamp.sec": np.floor(time), "mode": columns["brake"]})
+    mode = "/control_mode", (time, {"stamp.sec": np.floor(time), "header/stamp": time, "mode": columns["brake"]})
     (finding,) = notes(MemoryLog(rest | dict([odometry, mode])), *NO_PEDALS)
     assert finding.evidence == "nothing reads /control_mode (memory: mode)"
 

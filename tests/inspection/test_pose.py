@@ -5,9 +5,11 @@ import pytest
 from simulated import MemoryLog, drive_log, rig
 
 from offpiste.inspection.driven_path import driven_path
-from offpiste.inspection.findings import Finding
+from offpiste.inspection.findings import TIPPED, Finding
 from offpiste.inspection.inspect import Inspection, inspect_log
 from offpiste.inspection.pose import check_position_unit
+from offpiste.inspection.pose_samples import check_level
+from offpiste.logs.channel import Channel
 from offpiste.logs.drive import drive_from_log
 from offpiste.rig.edits import Edit, edited
 from offpiste.rig.rig import Rig
@@ -206,3 +208,48 @@ def test_a_place_that_hangs_while_the_vehicle_drives_on_is_found(heading: bool) 
     finding = found["position", "holds one place while the vehicle drives on"]
     assert f"for 8.0 s from {time[first + 1] - time[0]:.2f} s on" in finding.evidence
     assert ("position", "jumps") not in found
+
+
+def _span(x: float, y: float, z: float, seed: int = 0) -> list[Finding]:
+    """What a loop of these sizes along the axes, which scatters by some centimetres, says of the axis that is up."""
+    angle, rng = np.linspace(0, 6 * np.pi, 3000), np.random.default_rng(seed)
+    place = np.stack((x * np.cos(angle), y * np.sin(0.3 * angle), z * np.sin(angle)), axis=1) / 2
+    place += rng.normal(0, 0.05, place.shape)
+    given = rig(('fields = ["x", "y", "z"]', 'fields = ["px", "py", "pz"]'))
+    return check_level(Channel("position", "m", np.arange(3000) / 50, place), given, ())
+
+
+@pytest.mark.parametrize(("x", "y", "z"), [(400.0, 3.0, 180.0), (180.0, 3.0, 400.0), (50.0, 0.0, 50.0)])
+def test_y_is_up_where_the_path_is_level_only_along_it(x: float, y: float, z: float) -> None:
+    """Also where it goes further along x than along z."""
+    (finding,) = _span(x, y, z)
+    assert finding.severity == "fatal"
+    ways = [{edit.key: edit.value for edit in cure}["channels.position.fields"] for cure in finding.cures]
+    assert [sorted(way) for way in ways] == 2 * [["px", "py", "pz"]]
+    assert all(way[2] == "py" for way in ways)
+
+
+def test_a_straight_road_over_hills_and_a_height_that_scatters_are_level() -> None:
+    time, rng = np.arange(3000) / 50, np.random.default_rng(1)
+    along = 8 * time
+    for hills, scatter in ((15.0, 0.05), (0.0, 1.5)):
+        z = hills * np.sin(along / 60) + rng.normal(0, scatter, len(time))
+        road = np.stack((along, 0.5 * np.sin(along / 100), z), axis=1)
+        assert check_level(Channel("position", "m", time, road), rig(), ()) == []
+        assert check_level(Channel("position", "m", time, road[:, [1, 0, 2]]), rig(), ()) == []
+
+
+def test_what_goes_with_positions_whose_y_is_up_goes_with_the_cure() -> None:
+    log = drive_log(seed=1)
+    time, odom = log.data["odom"]
+    rows = {"p.x": odom["y"], "p.y": 0.1 * odom["z"], "p.z": odom["x"], "e.z": 0.3 * np.sin(time)}
+    rows |= {"e.y": np.degrees(2 * np.arctan2(odom["qz"], odom["qw"]))}
+    log = MemoryLog(log.data | {"unity": (time, rows)})
+    position = ('topic = "odom"\nfields = ["x", "y", "z"]', 'topic = "unity"\nfields = ["p.x", "p.y", "p.z"]')
+    old = '[channels.orientation]\ntopic = "odom"\nfields = ["qx", "qy", "qz", "qw"]'
+    given = rig(position, (old, '[channels.yaw]\ntopic = "unity"\nfields = ["e.z"]\nunit = "deg"'))
+    finding = next(f for f in inspect_log(log, given).findings if f.what == TIPPED)
+    cured = edited(given, finding.cures[0])
+    assert cured.channels["position"].fields == ("p.z", "p.x", "p.y")
+    assert cured.channels["yaw"].fields == ("e.y",)
+    assert not [f for f in inspect_log(log, cured).findings if f.where in ("position", "yaw")]

@@ -9,7 +9,7 @@ from simulated import MemoryLog, drive_log, rig
 from offpiste.errors import OffpisteError
 from offpiste.inspection.findings import TIPPED, Finding
 from offpiste.inspection.inspect import inspect_log
-from offpiste.inspection.remedies import badness, explain
+from offpiste.inspection.remedies import _mirrored, badness, explain
 from offpiste.rig.edits import Edit, edited
 from offpiste.rig.rig import Rig
 
@@ -198,3 +198,33 @@ def test_a_cure_that_lays_the_world_on_its_side_is_none() -> None:
 
     start = rig()
     assert explain(examine(start), start, examine)[0].cures == ((upright,),)
+
+
+def test_a_pose_that_is_mirrored_is_named_beside_the_cures_of_what_turns_against_it() -> None:
+    log = CLEAN
+    for field in ("y", "qz", "qx"):
+        log = log.change("odom", field, np.negative)
+    findings = inspect_log(log, rig()).findings
+    keys = {edit.key for finding in findings for cure in finding.cures[:1] for edit in cure}
+    assert any(key.endswith("steer.sign") or key.endswith("steer_angle.sign") for key in keys)
+    (mirrored,) = (finding for finding in findings if finding.what == "may be seen in a mirror")
+    assert mirrored.severity == "note"
+    assert mirrored.evidence.startswith("steer, ")
+    assert not any(finding.what.endswith("mirror") for finding in inspect_log(CLEAN, rig()).findings)
+    one = CLEAN.change("steering", "command", np.negative).change("steering", "angle", np.negative)
+    assert not any(finding.what.endswith("mirror") for finding in inspect_log(one, rig()).findings)
+
+
+@pytest.mark.parametrize(("sign", "severity"), [(1, "warning"), (-1, "note")])
+def test_beside_latitudes_a_heading_says_which_way_longitudes_count(sign: int, severity: str) -> None:
+    """A compass is cured by its sign; where it must not be, the world is a mirror image."""
+    yaw = edited(rig(), [
+        Edit("channels.position.unit", "lat lon"), Edit("channels.orientation", None),
+        Edit("channels.yaw", {"topic": "odom", "fields": ["qz"], "sign": sign}),
+    ])  # fmt: skip
+    causes = [_warning("steer", (SIGN,)), _warning("yaw_rate", (Edit("channels.yaw_rate.sign", -1),))]
+    (finding,) = _mirrored(causes, yaw)
+    assert finding.severity == severity
+    assert ("longitudes" in finding.remedy) == (sign > 0)
+    assert _mirrored([*causes, _warning("yaw", (Edit("channels.yaw.sign", -sign),))], yaw) == []
+    assert _mirrored(causes[:1], yaw) == []

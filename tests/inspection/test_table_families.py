@@ -57,6 +57,10 @@ FAMILIES: Mapping[str, tuple[dict[str, str], dict[str, tuple[str, ...]]]] = {
         | PEDALS,
         {"position": ("latitude", "longitude")},
     ),
+    "radians in units": (
+        {"Lat (rad)": "latitude in rad", "Lon (rad)": "longitude in rad", "HDG (deg)": "azimuth"} | PEDALS,
+        {"position": ("Lat (rad)", "Lon (rad)"), "yaw": ("HDG (deg)",)},
+    ),
     "JAUS": (
         PLACES
         | {"Yaw": "azimuth in rad", "PropulsiveLinearEffortX": "throttle in %", "ResistiveLinearEffortX": "brake in %",
@@ -203,7 +207,7 @@ def test_a_pose_of_px4_or_one_that_is_named_so_points_down(prefix: str, down: bo
     assert (parse_rig(text, where="draft").motion.axes == "ned") == down
 
 
-@pytest.mark.parametrize("name", ["cog", "GPS Heading"])
+@pytest.mark.parametrize("name", ["cog", "GPS Heading", "Course Angle", "course over ground"])
 def test_a_course_over_ground_is_said_to_be_no_heading(name: str) -> None:
     columns = {"x": "x", "y": "y", name: "azimuth in rad"} | PEDALS
     log = table(columns)
@@ -232,6 +236,20 @@ def test_a_world_whose_y_is_up_is_turned_as_its_heading_is(heading: str, fields:
     fatal = next(f for f in inspection.findings if f.severity == "fatal")
     assert fatal.what == "climbs as much as it drives"
     assert inspection.cure[0].value == fields
+    assert cured(log, rig) == []
+
+
+def test_a_world_of_unity_is_read_with_the_angle_about_its_y() -> None:
+    yaw = np.degrees(2 * np.arctan2(ODOM["qz"], ODOM["qw"]))
+    pose = {"position.x": ODOM["y"], "position.y": 0.2 * ODOM["z"], "position.z": ODOM["x"]}
+    angles = {"eulerAngles.x": 0.1 * yaw, "eulerAngles.y": yaw % 360, "eulerAngles.z": 0.05 * yaw[::-1]}
+    velocity = {"velocity.x": QUANTITIES["north"], "velocity.y": 0 * yaw, "velocity.z": QUANTITIES["east"]}
+    log = MemoryLog({"": (TIME, pose | angles | velocity | {name: QUANTITIES[name] for name in PEDALS})})
+    rig = parse_rig(draft_rig(log), where="draft")
+    cured_rig = edited(rig, inspect_log(log, rig).cure)
+    assert cured_rig.channels["position"].fields == ("position.z", "position.x", "position.y")
+    assert cured_rig.channels["yaw"].fields == ("eulerAngles.y",)
+    assert cured_rig.channels["linear_velocity"].fields == ("velocity.z", "velocity.x", "velocity.y")
     assert cured(log, rig) == []
 
 

@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 from simulated import MemoryLog, drive_log, pointing, rig
 
+from offpiste.inspection.driven_path import driven_path
 from offpiste.inspection.inspect import inspect_log
+from offpiste.inspection.velocity import _UNITS, _gain, fit_wheel_speed
+from offpiste.logs.drive import drive_from_log
 from offpiste.rig.edits import Edit, edited
 
 CLEAN = drive_log(seed=0)
@@ -76,3 +79,15 @@ def test_a_velocity_of_north_east_down_is_read_in_their_order(frame: str) -> Non
         "world",
     )
     assert not [f for f in inspect_log(log, cured).findings if f.where == "linear_velocity"]
+
+
+def test_joints_that_turn_in_rad_are_given_the_size_of_their_wheels() -> None:
+    """A wheel of 0.3 m turns 3.34 times as fast as the vehicle drives, which is near to km/h."""
+    time, odom = CLEAN.data["odom"]
+    log = MemoryLog({**CLEAN.data, "wheels": (time, {"v": odom["vx"] / 0.299})})
+    given = edited(rig(), [Edit("channels.wheel_speed", {"topic": "wheels", "fields": ["v"]})])
+    joint = edited(given, [Edit("channels.wheel_speed.joints", ["left"])])
+    drive = drive_from_log(log, given)
+    fit = fit_wheel_speed(drive, driven_path(drive))
+    keys = [_gain("wheel_speed", fit, each, "m/s", _UNITS)[0].cures[0][0].key for each in (given, joint)]
+    assert keys == ["channels.wheel_speed.unit", "channels.wheel_speed.scale"]

@@ -26,10 +26,9 @@ from offpiste.errors import LiveError
 from offpiste.live.command_messages import Command, CommandMessages
 from offpiste.live.driver import Heard, StepDriver
 from offpiste.live.lockstep import READY, Lockstep
-from offpiste.live.log_steps import RecordedDrive
+from offpiste.live.log_steps import RecordedDrive, decoded, replayed
 from offpiste.live.play import LogPlayer, clock_message
 from offpiste.live.reception import CourseRequest, Reception
-from offpiste.live.replay import decoded, replayed
 from offpiste.logs.ros.bag_files import stamp_of
 from offpiste.logs.ros.writer import make
 from offpiste.transport.message_types import MessageTypes

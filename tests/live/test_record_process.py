@@ -9,11 +9,10 @@ import numpy as np
 from live.made_up_robot import START, cloud, odometry, planner, small_settings, tree, write_course, write_rig
 from live.test_supervisor import RUN
 from offpiste.live.driver import StepDriver
-from offpiste.live.log_steps import RecordedDrive
+from offpiste.live.log_steps import RecordedDrive, replayed
 from offpiste.live.part import STAMP
 from offpiste.live.parts.record import record
 from offpiste.live.reception import CourseRequest, Reception
-from offpiste.live.replay import replayed
 from offpiste.live.session import LiveSettings, new_session
 from offpiste.rig.rig import load_rig
 from offpiste.transport.message_types import MessageTypes

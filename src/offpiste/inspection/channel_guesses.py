@@ -85,6 +85,8 @@ _BESIDE: Final = re.compile(
 """What is measured at a pedal or a steering, besides where it is; a channel only where nothing else is."""
 _DEVICES: Final = re.compile(r"(can|bus|ecu|plc|gps|gnss|imu)_?\d*$", re.IGNORECASE)
 """Namespaces of what one vehicle may have several of."""
+_SELDOM: Final = 0.04
+"""Samples of a slow copy, over those of the channel."""
 _UNIT, _MOST = 0.02, 0.95
 """How far the length of quaternions is from 1, at most, and in how many of the rows."""
 FALLBACK: Final = 10
@@ -151,12 +153,20 @@ class Guess:
 def guess_channels(log: Log) -> list[Guess]:
     """All guesses that names, units and types suggest, in the log's order, the nearest names first.
 
-    Of commanded motions the one that comes most often is first: others ask, and one is passed on to the vehicle.
+    Of commanded motions the one that comes most often is first: others ask, and one is passed on to the vehicle. What
+    comes `_SELDOM` as often as another of its channel is last, as from a monitor of the vehicle's state.
     Transforms are guessed from where their frames are named like a body in a world.
     """
     topics = [one for one in log.topics.values() if (pair := frame_pair(one.name)) is None or pair.is_of_a_body]
     guesses = [guess for topic in topics if topic.count > 1 for guess in _of_topic(log, topic)]
-    return sorted(guesses, key=lambda g: (g.rank, -log.topics[g.topic].count if g.rank == MOTION else 0))
+    count = {name: topic.count for name, topic in log.topics.items()}
+    most = {g.channel: max(count[other.topic] for other in guesses if other.channel == g.channel) for g in guesses}
+
+    def order(guess: Guess) -> tuple[bool, int, int]:
+        often = count[guess.topic]
+        return often < _SELDOM * most[guess.channel], guess.rank, -often if guess.rank == MOTION else 0
+
+    return sorted(guesses, key=order)
 
 
 def inverse_pose(log: Log) -> str:

@@ -20,7 +20,8 @@ from offpiste.rig.rig import Rig
 COMMANDED: Final = re.compile(r"cmd|com+and|desired|target|setpoint|servo|(?<![a-z])(des|ref)(?![a-z])", re.IGNORECASE)
 """Names of what is asked for, not measured."""
 _MEASURED: Final = re.compile(
-    r"status|report|rpt|feedback|measured|actual|steered|car_?state|handle_?bar|(steering|hand)_?wheel_?(angle|pos)",
+    r"status|report|rpt|feedback|measured|actual|steered|car_?state|handle_?bar|"
+    r"(steering|hand)[ _]?wheel[ _]?(angle|pos)",
     re.IGNORECASE,
 )
 """Names of a steering that is measured, where nothing says that it is asked for."""

@@ -85,7 +85,8 @@ def check_course(drive: Drive, path: DrivenPath) -> list[Finding]:
     evidence = f"they agree to {plain.together:.2f} (1: always, 0: never)"
     if not cures:
         how = "take another pose, or fix its axes: heading must be anticlockwise with x forward"
-        return [Finding("warning", name, what, evidence, how, 1.0, sure=plain.together < _APART)]
+        severity: Severity = "fatal" if plain.together < _APART else "warning"
+        return [Finding(severity, name, what, evidence, how, 1.0, sure=plain.together < _APART)]
     evidence += f", and to {ways[0][1]:.2f} with the remedy"
     return [Finding("fatal", name, what, evidence, ", ".join(map(str, cures[0])), 1.0, cures)]
 

@@ -38,7 +38,9 @@ from offpiste.rig.edits import number
 from offpiste.rig.labels import channel_unit, is_array_entry
 
 _VECTORS: Final = ("position", "orientation", "linear_velocity", "angular_velocity")
-_IN_HAND: Final = re.compile(r"steering_?wheel|hand_?wheel|(?<![a-z])swa?(?![a-z])|carState\.steer", re.IGNORECASE)
+_IN_HAND: Final = re.compile(
+    r"steering[ _]?wheel|hand[ _]?wheel|(?<![a-z])swa?(?![a-z])|carState\.steer", re.IGNORECASE
+)
 """Names of the steering wheel, in the driver's hands."""
 _PEDAL: Final = 1.05
 """Largest value of a pedal; of a commanded speed some value is larger [m/s]."""

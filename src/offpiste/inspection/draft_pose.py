@@ -15,7 +15,8 @@ from offpiste.inspection.commanded_motion import COMMANDED
 from offpiste.inspection.course import check_course
 from offpiste.inspection.driven_path import driven_path
 from offpiste.inspection.findings import Cure, Finding
-from offpiste.inspection.pose import check_level, check_orientation, check_position_unit
+from offpiste.inspection.pose import check_orientation, check_position_unit
+from offpiste.inspection.pose_samples import check_level
 from offpiste.inspection.signal_faults import degrees_each
 from offpiste.logs.channel import read_channel
 from offpiste.logs.drive import drive_from_log
@@ -200,7 +201,7 @@ def pose_cure(log: Log, rig: Rig) -> Cure:
     """
     try:
         source = rig.channels["position"]
-        tipped = check_level(read_channel(log, rig, "position", source)[0], source.fields)
+        tipped = check_level(read_channel(log, rig, "position", source)[0], rig, log.topics[source.topic].fields)
         upright = (*_first_cure(_stored_orientation(log, rig)), *_first_cure(tipped))
         drive = drive_from_log(log, edited(rig, upright))
         path = driven_path(drive)

@@ -9,7 +9,8 @@ from offpiste.inspection.driven_path import MOVING, DrivenPath, driven_path
 from offpiste.inspection.findings import Finding, is_fatal, ranked
 from offpiste.inspection.heading_drift import check_fast_drift
 from offpiste.inspection.pedals import check_control_channels
-from offpiste.inspection.pose import check_level, check_orientation, check_pose, check_position_unit, leap_of
+from offpiste.inspection.pose import check_orientation, check_pose, check_position_unit, leap_of
+from offpiste.inspection.pose_samples import check_level
 from offpiste.inspection.recorded_log import Recorded, RememberedLog, beginning, read_topics
 from offpiste.inspection.stamps import check_spans
 from offpiste.logs.axes import WORLD_DOWN
@@ -76,7 +77,8 @@ def _check_driving(log: Log, topics: Topics, rig: Rig) -> tuple[list[Finding], D
         path = driven_path(drive)
     except OffpisteError as error:
         return [*findings, Finding("fatal", "log", error.what, "on reading it", error.how, 1.0)], None
-    tipped = check_level(drive.channels["position"], rig.channels["position"].fields)
+    beside = topics.recorded[pose].fields if pose in topics.recorded else ()
+    tipped = check_level(drive.channels["position"], rig, beside)
     unfit = check_position_unit(drive, path) or _check_amount(path) or (tipped if is_fatal(tipped) else [])
     if unfit:
         return findings + unfit, path

@@ -165,7 +165,7 @@ _LATERAL: Final = re.compile(r"acc|force|vel|speed|(^|[ ._/])[av]_")
 def _places(named: Mapping[str, Label]) -> Iterator[Group]:
     """Geographic positions, as of sensor_msgs/NavSatFix."""
     places = {field: label for field, label in named.items() if not _LATERAL.search(label.name)}
-    degrees = {field: label for field, label in places.items() if label.unit in ("", "deg")}
+    degrees = {field: label for field, label in places.items() if label.unit in ("", "deg", "rad")}
     metres = {field: label for field, label in places.items() if label.unit in ("", "m")}
     among = (degrees, degrees, metres)
     found = [

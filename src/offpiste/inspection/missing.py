@@ -24,7 +24,7 @@ _NAMES: Final = {
     "steer": "steer",
 }
 """What topics and fields of a control are called."""
-_BESIDES: Final = re.compile(r"(^|[._/])stamp[._]|covariance")
+_BESIDES: Final = re.compile(r"(^|[._/])stamp([._]|$)|covariance")
 """Numbers beside a quantity that are none of a control."""
 _FIELDS: Final = 6
 """Fields of a topic that are listed."""

@@ -1,6 +1,5 @@
 """Checks of the pose: order of the quaternion, which way is up, jumps, units."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Final
@@ -11,7 +10,7 @@ from scipy.ndimage import median_filter
 
 from offpiste.geometry import rotation_from_quaternion
 from offpiste.inspection.driven_path import STEP, DrivenPath
-from offpiste.inspection.findings import TIPPED, Finding, Severity
+from offpiste.inspection.findings import Finding
 from offpiste.inspection.pose_samples import check_faults, check_repeats, check_seldom
 from offpiste.logs.axes import to_z_up
 from offpiste.logs.channel import Channel
@@ -275,25 +274,6 @@ def _check_leap(path: DrivenPath, origin: float) -> list[Finding]:
     evidence = f"at {leap.time - origin:.1f} s, from {leap.before:.3g} to {leap.after:.3g} m/s, and it stays so"
     how = "no rig line fixes it: cut the log there, or take another pose"
     return [Finding("warning", "position", "changes its velocity in an instant", evidence, how, 0.7)]
-
-
-def check_level(place: Channel, fields: Sequence[str]) -> list[Finding]:
-    """Which axis is up, by what the positions span; nothing where it is z."""
-    if place.values.shape[1] < 3:
-        return []
-    spread = np.ptp(np.stack([median_filter(c, 11, mode="nearest") for c in place.values.T], axis=1), axis=0)
-    if spread[2] < 0.7 * np.hypot(*spread[:2]) or spread[2] < 1:
-        return []
-    evidence = f"x, y, z span {spread[0]:.1f}, {spread[1]:.1f}, {spread[2]:.1f} m"
-    how = "reorder channels.position.fields so that z is up, or take another pose (this may be a camera's frame)"
-    cures: tuple[tuple[Edit, ...], ...] = ()
-    if spread[1] < 0.2 * min(spread[0], spread[2]):
-        x, y, z = fields
-        ways = ([z, x, y], [x, z, y])
-        cures = tuple((Edit("channels.position.fields", way),) for way in ways)
-        how = f"{cures[0][0]}, as y is up; or {cures[1][0]}, if that frame is left-handed, as of games"
-    severity: Severity = "fatal" if cures else "warning"
-    return [Finding(severity, "position", TIPPED, evidence, how, 0.9, cures)]
 
 
 def _up(quaternion: Float[np.ndarray, "n 4"]) -> float:

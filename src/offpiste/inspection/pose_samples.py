@@ -1,18 +1,27 @@
-"""Checks of the pose's samples: rows that repeat a slower sensor's value, samples too far apart, and wrong ones."""
+"""Checks of the pose's samples: which axis is up, values of a slower sensor, samples too far apart, and wrong ones."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Iterator, Sequence
 from typing import Final
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.ndimage import median_filter
 
 from offpiste.inspection.driven_path import MOVING, DrivenPath
-from offpiste.inspection.findings import Finding
+from offpiste.inspection.findings import TIPPED, Finding, Severity
+from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
 from offpiste.logs.pose_faults import DroppedRun
 from offpiste.rig.channels import POSE
 from offpiste.rig.edits import Edit
+from offpiste.rig.rig import Rig
 
+_LEVEL: Final = 0.2
+"""What the axis that is up spans of what the others do, at most."""
+_Y_UP: Final = ((2, 0, 1), (0, 2, 1))
+"""Axes of a right-handed and of a left-handed frame whose y is up, in the order in which z is."""
+_STRIDE: Final = 5.0
+"""Length of the path over which its steepness counts [m]: positions scatter up and down."""
 _ENOUGH: Final = 3.9
 """Times between samples that `motion.window` must hold: four are fitted (`geometry.local_polynomial`)."""
 _HELD, _EVENLY_HELD, _FEW = 0.6, 0.25, 200
@@ -22,6 +31,49 @@ _EVEN: Final = 0.9
 """Share of values that are held as long as most, or one sample more or less."""
 _QUANTA: Final = 3.0
 """Median step of a held channel over its smallest, at least: values that only step by their resolution are rounded."""
+
+
+def check_level(place: Channel, rig: Rig, beside: Collection[str]) -> list[Finding]:
+    """Which axis is up, by what the positions span and how steep the path is; nothing where it is z.
+
+    Args:
+        beside: fields of the positions' topic.
+    """
+    if place.values.shape[1] < 3:
+        return []
+    smooth = np.stack([median_filter(c, 11, mode="nearest") for c in place.values.T], axis=1)
+    spread = np.ptp(smooth, axis=0)
+    y_up = bool(spread[1] < _LEVEL * min(spread[0], spread[2])) and _climbs(smooth, 2) and not _climbs(smooth, 1)
+    if not y_up and (spread[2] < 0.7 * np.hypot(*spread[:2]) or spread[2] < 1):
+        return []
+    evidence = f"x, y, z span {spread[0]:.1f}, {spread[1]:.1f}, {spread[2]:.1f} m"
+    how = "reorder channels.position.fields so that z is up, or take another pose (this may be a camera's frame)"
+    cures: tuple[tuple[Edit, ...], ...] = ()
+    if y_up or spread[1] < _LEVEL * min(spread[0], spread[2]):
+        cures = tuple(tuple(_with_y_up(rig, order, beside)) for order in _Y_UP)
+        first = ", ".join(map(str, cures[0]))
+        how = f"{first}, as y is up; or {cures[1][0]}, if that frame is left-handed, as of games"
+    severity: Severity = "fatal" if cures else "warning"
+    return [Finding(severity, "position", TIPPED, evidence, how, 0.9, cures)]
+
+
+def _with_y_up(rig: Rig, order: Sequence[int], beside: Collection[str]) -> Iterator[Edit]:
+    """Edits by which positions, their velocity, and a heading that is called z are read in another order of axes."""
+    for name in ("position", "linear_velocity"):
+        source = rig.channels.get(name)
+        if source is not None and len(source.fields) == len(order) and source.frame != "body":
+            yield Edit(f"channels.{name}.fields", [source.fields[axis] for axis in order])
+    yaw = rig.channels.get("yaw")
+    if yaw is not None and yaw.fields[0].endswith("z") and (about_y := yaw.fields[0][:-1] + "y") in beside:
+        yield Edit("channels.yaw.fields", [about_y])
+
+
+def _climbs(place: Float[np.ndarray, "n 3"], axis: int) -> bool:
+    """Whether a tenth of a path goes further along an axis than across it: no vehicle climbs like that."""
+    way = np.cumsum(np.linalg.norm(np.diff(place, axis=0, prepend=place[:1]), axis=1))
+    step = np.diff(place[np.unique(np.searchsorted(way, np.arange(0, way[-1], _STRIDE)))], axis=0)
+    across = np.linalg.norm(np.delete(step, axis, axis=1), axis=1)
+    return len(step) > 10 and bool(np.mean(np.abs(step[:, axis]) > across) > 0.1)
 
 
 def check_repeats(drive: Drive, path: DrivenPath) -> list[Finding]:

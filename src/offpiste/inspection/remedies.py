@@ -31,6 +31,8 @@ _LEAST_GAIN: Final = 0.4
 """A cure must silence this much to be advised."""
 _TURNED: Final = {"yaw", "orientation", "steer", "steer_angle", "yaw_rate", "angular_velocity", "linear_velocity"}
 """Places of findings that a pose with wrong axes has."""
+_TURNING: Final = (("steer", "steer_angle"), ("yaw_rate", "angular_velocity"))
+"""Channels that turn as the vehicle does; those of one kind may be one sensor."""
 _ROUNDS: Final = 6
 _MOST: Final = 16
 """Most cures that are tried in a round ..."""
@@ -61,12 +63,34 @@ def explain(findings: Sequence[Finding], rig: Rig, examine: Examine) -> tuple[Fi
     kept = ranked(_checked(finding, left, current, examine) for finding in left)
     # What makes a log unusable and has no cure comes first.
     fatal = [finding for finding in kept if finding.severity == "fatal"]
-    return (*fatal, *causes, *(finding for finding in kept if finding.severity != "fatal"))
+    return (*fatal, *causes, *_mirrored(causes, rig), *(finding for finding in kept if finding.severity != "fatal"))
 
 
 def badness(findings: Sequence[Finding]) -> float:
     """How bad findings are together."""
     return sum((_WEIGHTS[f.severity] * (1 + (f.score if f.severity == "warning" else 0)) for f in findings), 0.0)
+
+
+def _mirrored(causes: Sequence[Finding], rig: Rig) -> list[Finding]:
+    """Whether all that turns does so against the pose: either it counts to the right, or the pose is a mirror image.
+
+    Beside latitude and longitude a heading counts clockwise: one that need not be turned round says that the longitude
+    counts to the west.
+    """
+    edits = [edit for cause in causes for cure in cause.cures[:1] for edit in cure]
+    keys = {edit.key for edit in edits}
+    against = [names[0] for names in _TURNING if {f"channels.{name}.sign" for name in names} & keys]
+    against += ["linear_velocity"] * any((edit.key, edit.value) == ("motion.axes", "body down") for edit in edits)
+    if len(against) < 2 or keys & {"channels.yaw.sign", "channels.position.fields"}:
+        return []
+    yaw, west = rig.channels.get("yaw"), rig.channels["position"].unit == GEOGRAPHIC
+    evidence = f"{', '.join(against)} turn the other way than positions and heading do"
+    if west and yaw is not None and yaw.sign > 0 and rig.motion.axes == "z up":
+        evidence += ", and so does the heading, which counts clockwise beside latitudes and longitudes"
+        how = "longitudes that are positive to the west, as of a .vbo file, are to be negated in the log"
+        return [Finding("warning", "position", "is seen in a mirror", evidence, how, 1.0)]
+    how = "nothing, if these count to the right; else negate y and the heading in the log: the pose is mirrored then"
+    return [Finding("note", "position", "may be seen in a mirror", evidence, how, 0.5)]
 
 
 def _best_cure(left: Sequence[Finding], rig: Rig, examine: Examine) -> tuple[Cure, tuple[Finding, ...]] | None:

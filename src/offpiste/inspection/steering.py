@@ -8,7 +8,7 @@ import numpy as np
 from offpiste.geometry import rotation_from_quaternion
 from offpiste.inspection.commanded_motion import is_measured_steering
 from offpiste.inspection.course import under_way
-from offpiste.inspection.driven_path import DrivenPath
+from offpiste.inspection.driven_path import STEP, DrivenPath, on_path
 from offpiste.inspection.findings import Cure, Finding
 from offpiste.inspection.lags import LAGS, SURE, delay_cures, fit_lags
 from offpiste.inspection.steering_agreement import agreement
@@ -29,6 +29,10 @@ _TOGETHER: Final = 0.5
 """Difference of the times by which a topic begins and ends after the pose, below which its clock is apart by it [s]."""
 _CLEAR: Final = 0.7
 """Correlation of the steady fit above which centre and changes of the delay are clear."""
+_LEAST_TURNING: Final = 10.0
+"""Time in motion that shows how a vehicle turns [s]."""
+_UNSIGNED: Final = 0.85
+"""Correlation with the size of the yaw rate from which a steering without a clear effect has lost its sign."""
 _CENTRED: Final = {"steer": 0.05, "steer_angle": 0.0}
 """Steering at which a healthy vehicle may go straight: trims, and roads that slope to one side."""
 
@@ -44,7 +48,12 @@ def check_steering(
         cut: channels that are cut off, which show no scale.
     """
     findings: list[Finding] = []
+    unsigned = set[str]()
     for name, fit in fits.items():
+        if lost := _without_sign(name, drive, path) if fit.steady.strength < _CLEAR else []:
+            findings += lost
+            unsigned.add(name)
+            continue
         if not fit.has_effect:
             findings.append(_without_effect(name, fit, drive))
             continue
@@ -54,13 +63,28 @@ def check_steering(
             delays = window_delays(drive.channels[name], path, drive.rig)
             findings += changing_delay(name, delays) or _delay(name, fit, drive.rig) or uneven_delay(name, delays)
         findings += _centre(name, fit, drive.rig)
-    acting = {name: fit for name, fit in fits.items() if fit.has_effect and name not in cut}
+    acting = {name: fit for name, fit in fits.items() if fit.has_effect and name not in {*cut, *unsigned}}
     turning = {name: fit for name, fit in acting.items() if drive.rig.channels[name].turns}
     if measured:
         findings += [scale_note(name, fit, drive.rig) for name, fit in turning.items()]
         others = {name: fit for name, fit in acting.items() if name not in turning}
         return findings + check_scale(others, None if cut or turning else agreement(drive, path), drive)
     return findings + [scale_note(name, fit, drive.rig) for name, fit in acting.items()]
+
+
+def _without_sign(name: str, drive: Drive, path: DrivenPath) -> list[Finding]:
+    """A finding if how much the vehicle turns follows a steering, and which way it turns does not."""
+    steering = on_path(path, drive.channels[name])[:, 0]
+    rows = under_way(path) & np.isfinite(steering) & np.isfinite(path.yaw_rate)
+    if rows.sum() * STEP < _LEAST_TURNING:
+        return []
+    size = path.speed[rows] * (steering[rows] - steering[rows].min())
+    follows = float(np.corrcoef(np.abs(path.yaw_rate[rows]), size)[0, 1]) if np.ptp(size) > 0 else 0.0
+    if follows < _UNSIGNED:
+        return []
+    evidence = f"correlation of the size of the yaw rate with speed times {name} above its least value: {follows:.2f}"
+    how = "its sign may be in a column of its own, as on CAN buses of VW (_VZ_, _sign): write both into one column"
+    return [Finding("warning", name, "has no sign", evidence, how, 1.0)]
 
 
 def _without_effect(name: str, fit: SteeringFit, drive: Drive) -> Finding:

@@ -259,8 +259,8 @@ def _gain(
     size = power if abs(size / power - 1) < _COUNTED else size
     if same[0] - SURE * fit.gain_sigma < size < same[1] + SURE * fit.gain_sigma:
         return findings
-    # A unit that is stated and should not be is as likely as one that should be and is not.
-    named = {u: f for u, f in units.items() if abs(size / f - 1) < 0.1 and not source.unit}
+    # A unit that is stated and should not be is as likely as one that should be and is not; joints turn in rad/s.
+    named = {u: f for u, f in units.items() if abs(size / f - 1) < 0.1 and not (source.unit or source.joints)}
     plain = source.unit in units and abs(size * units[source.unit] - 1) < 0.1
     value = min(named) if named else unit
     edits = (Edit(f"channels.{name}.unit", value),) if named or plain else rescaled(name, source, 1 / size)

@@ -13,11 +13,10 @@ from offpiste.files import write_whole
 from offpiste.live.command_messages import CommandMessages
 from offpiste.live.driver import Step, StepDriver
 from offpiste.live.lockstep import Lockstep
-from offpiste.live.log_steps import RecordedDrive
+from offpiste.live.log_steps import OnStep, RecordedDrive, replayed
 from offpiste.live.part import keep_loaded
 from offpiste.live.play import LogPlayer
 from offpiste.live.reception import Reception, check_types
-from offpiste.live.replay import OnStep, replayed
 from offpiste.live.session import LiveSettings, ViewSettings
 from offpiste.live.supervisor import asked_to_end, supervise
 from offpiste.planning.caution import caution_of

@@ -12,8 +12,8 @@ from offpiste.errors import LiveError
 from offpiste.live.backlog import Batch
 from offpiste.live.command_messages import Command, CommandMessages
 from offpiste.live.driver import STEP_NS, Heard, StepDriver
+from offpiste.live.log_steps import OnStep
 from offpiste.live.reception import Reception
-from offpiste.live.replay import OnStep
 from offpiste.logs.ros.writer import header, make
 from offpiste.transport.interface import Received, Transport
 

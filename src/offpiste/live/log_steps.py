@@ -1,7 +1,7 @@
-"""A recorded drive in steps of the clock: which messages came until when, as they were recorded."""
+"""A recorded drive in steps of the clock: what came until when, and what the run time would have commanded."""
 
 import heapq
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -11,12 +11,14 @@ from rosbags.interfaces import ConnectionExtRosbag2
 
 from offpiste.conventions import DT
 from offpiste.errors import LogError
+from offpiste.live.driver import Heard, Step, StepDriver
 from offpiste.logs.ros.bag_files import open_readers, reported, whole_messages
 from offpiste.logs.ros.mcap_recovery import StreamedMcap
 from offpiste.logs.ros.sensor_messages import points_from_message
 from offpiste.rig.channels import SECONDS_PER_UNIT
 from offpiste.rig.rig import Rig
 from offpiste.rig.sensors import LidarSource
+from offpiste.transport.message_types import MessageTypes
 
 _LATEST: Final = 1.0
 """Longest revolution of a LiDAR [s]: a message waits no longer for its last point."""
@@ -138,3 +140,27 @@ def _with_times(rig: Rig | None) -> dict[str, LidarSource]:
     """LiDARs whose points have times since the cloud's stamp, by topic."""
     lidars = () if rig is None else rig.lidars.values()
     return {one.topic: one for one in lidars if one.time_field and one.time_origin == "stamp"}
+
+
+def replayed(drive: RecordedDrive, driver: StepDriver, types: MessageTypes) -> Iterator[tuple[float, Step | None]]:
+    """Time of each step [s], and what it came to; messages that cannot be decoded are left out."""
+    for step in drive.steps():
+        now = step.time / 10**9
+        heard = []
+        for one in step.messages:
+            message = decoded(types, one.type, one.data)
+            if message is not None:
+                heard.append(Heard(one.topic, message, now))
+        yield now, driver.step(heard, now)
+
+
+def decoded(types: MessageTypes, msgtype: str, data: bytes) -> object | None:
+    """A message; None where it cannot be decoded, as the transport refuses it."""
+    try:
+        return types.store.deserialize_cdr(data, msgtype)
+    except Exception:  # noqa: BLE001 - whatever damaged bytes make rosbags raise
+        return None
+
+
+OnStep = Callable[[float, Step | None], None]
+"""Is given each step: its time [s], and what it came to."""

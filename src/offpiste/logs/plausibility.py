@@ -81,8 +81,10 @@ def held_while_driving(time: Float[np.ndarray, " n"], position: Float[np.ndarray
         return held
     lasts, way = np.diff(time[first]), np.linalg.norm(np.diff(position[first], axis=0), axis=1)
     speed = way / lasts
-    usual = float(np.median(lasts[speed > _MOVES])) if (speed > _MOVES).any() else np.inf
-    fastest = np.maximum(np.append(0.0, speed[:-1]), np.append(speed[1:], 0.0))
+    moves = speed > _MOVES
+    usual, stride = (float(np.median(each[moves])) if moves.any() else np.inf for each in (lasts, way))
+    beside = np.where((lasts < 2 * usual) & (way < _UNUSUAL * stride), speed, 0.0)  # what jumps does not drive
+    fastest = np.maximum(np.append(0.0, beside[:-1]), np.append(beside[1:], 0.0))
     hangs = (lasts > max(_HANGS, _UNUSUAL * usual)) & (fastest > _MOVES) & (way > _UNUSUAL * usual * fastest)
     for number in np.flatnonzero(hangs):
         held[first[number] + 1 : first[number + 1]] = True

@@ -263,7 +263,7 @@ def check_channels(channels: Mapping[str, ChannelSource], absent: Collection[str
             )
 
 
-SECONDS_PER_UNIT: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+SECONDS_PER_UNIT: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "d": 86_400.0}
 """Length of the units of stamps [s]."""
 
 
@@ -273,7 +273,7 @@ class Clock(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     Attributes:
         stamps: of messages in bags: their headers', or their arrival.
         column: a table's time column.
-        unit: of that column: s, ms, us or ns.
+        unit: of that column: s, ms, us, ns, or d for days.
         sort: samples, images and scans are put in the order of their stamps (the latter two where they come at most 20
             messages late); otherwise those out of order are dropped.
         max_gap: no interpolation between samples further apart; a drive is cut there [s].
@@ -281,7 +281,7 @@ class Clock(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     stamps: Literal["header", "receive"] = "header"
     column: str = ""
-    unit: Literal["s", "ms", "us", "ns"] = "s"
+    unit: Literal["s", "ms", "us", "ns", "d"] = "s"
     sort: bool = False
     max_gap: float = 0.5
 

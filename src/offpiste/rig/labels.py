@@ -11,8 +11,8 @@ from jaxtyping import Float
 from offpiste.errors import RigError
 from offpiste.rig.channels import known_channels, unit_factor
 
-PER_SECOND: Final = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
-"""Units of stamps in a second."""
+PER_SECOND: Final = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9, "d": 1 / 86_400}
+"""Units of stamps in a second; spreadsheets count days."""
 _SINCE_1970: Final = (1.0e9, 4.1e9)
 """Seconds from 1970 to 2001 and to 2100."""
 RATES: Final = (0.2, 20_000.0)
@@ -23,6 +23,7 @@ _SPELLINGS: Final[dict[str, str]] = {
     "ms": "ms msec msecs millis millisecond milliseconds",
     "us": "us µs μs usec usecs micros microsecond microseconds",
     "ns": "ns nsec nsecs nanos nanosecond nanoseconds",
+    "d": "day days",
     "m": "m meter meters metre metres",
     "cm": "cm",
     "mm": "mm",
@@ -212,9 +213,9 @@ def unit_by_rate(rate: float, unit: str, stamp: float = 0.0) -> str:
 
 
 def are_since_1970(stamps: Float[np.ndarray, " n"]) -> bool:
-    """Whether all of some numbers are times since 1970, in one unit, from 2001 to 2100."""
+    """Whether all of some numbers are times since 1970, in one unit but days, from 2001 to 2100."""
     first, last = _SINCE_1970
-    return any(((first * each < stamps) & (stamps < last * each)).all() for each in PER_SECOND.values())
+    return any(((first * each < stamps) & (stamps < last * each)).all() for each in (1.0, 1e3, 1e6, 1e9))
 
 
 def gear_letter(word: str) -> str:
@@ -253,7 +254,7 @@ GEOGRAPHIC_NAMES: Final = tuple(
     for words in ("lat|latitude", "lon|lng|long|longitude", "alt|altitude|height|elevation")
 )
 """What latitude, longitude and height are called."""
-COURSE_NAMES: Final = r"track|trk_gnd|course(_over_ground)?|cog"
+COURSE_NAMES: Final = r"track|trk_gnd|course([_ ]over[_ ]ground|[_ ]?angle)?|cog"
 """What a course over ground is called, as part of a pattern."""
 _COURSE_WORD: Final = re.compile(r"course|(?<![a-z])(cog|trk|track)(?![a-z])|gps[ _.]?(heading|hdg)", re.IGNORECASE)
 """What every such name holds, and longer ones too, and what loggers call it."""

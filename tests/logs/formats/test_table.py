@@ -128,7 +128,7 @@ def test_clock_column_and_unit(tmp_path: Path) -> None:
     assert table(tmp_path, text, clock_column="count", clock_unit="ms").read("", ["x"]).time.tolist() == [1.5, 2.5]
     with pytest.raises(LogError, match="no column 'stamp' for the clock; it has: t, count, x"):
         table(tmp_path, text, clock_column="stamp")
-    with pytest.raises(LogError, match="unknown clock unit 'min'; use one: s, ms, us, ns"):
+    with pytest.raises(LogError, match="unknown clock unit 'min'; use one: s, ms, us, ns, d"):
         table(tmp_path, text, clock_unit="min")
 
 
@@ -217,6 +217,21 @@ def test_cells(tmp_path: Path) -> None:
     np.testing.assert_array_equal(column(log, "armed"), [1.0, 0.0, np.nan, 1.0, 1.0, 1.0])
     with pytest.raises(LogError, match="column 'name' holds text, such as 'a', and no numbers; it has: t, x, armed"):
         log.read("", ["name"])
+
+
+@pytest.mark.parametrize("encoding", ["utf-16-le", "utf-16-be"])
+def test_text_in_utf_16_is_read_also_where_its_last_row_is_cut(tmp_path: Path, encoding: str) -> None:
+    text = "t\tLänge\n" + "".join(f"{i}\t{2 * i}\n" for i in range(50)) + "50"
+    log = table(tmp_path, ("\ufeff" + text).encode(encoding))
+    assert column(log, "Länge") == [2.0 * i for i in range(50)]
+    assert any("the last row is cut off" in note for note in log.warnings)
+
+
+def test_days_of_a_spreadsheet_are_days(tmp_path: Path) -> None:
+    rows = "".join(f"{45416.4 + i / 50 / 86_400:.10f},{i}\n" for i in range(200))
+    log = table(tmp_path, "Timestamp,x\n" + rows)
+    assert log.clock.unit == "d"
+    assert np.diff(log.read("", ["x"]).time) == pytest.approx(0.02, abs=1e-4)
 
 
 def test_digits_joined_by_underscores_are_text(tmp_path: Path) -> None:
@@ -343,7 +358,6 @@ def test_names_above_columns_separated_by_spaces_may_be_separated_otherwise(tmp_
         ("t,x,x\n1,2,3\n", "column 'x' appears twice; give every column its own name"),
         ("t,yaw °\n0,1\n".encode("latin-1"), "the text is not UTF-8; save it as UTF-8"),
         ("t,unit\n0,m\n1,m\n2,°\n".encode("latin-1"), "invalid UTF8 data; fix that line; the text must be UTF-8"),
-        ("t,x\n0,1\n".encode("utf-16"), "the text is not UTF-8; save it as UTF-8"),
         ("t,x\n0,1\n".encode("utf-16-le"), "not a text file; save it as UTF-8 text with a header line"),
     ],
 )

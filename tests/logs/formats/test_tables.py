@@ -68,8 +68,18 @@ def test_tables_with_the_same_columns_are_drives_of_their_own(tmp_path: Path) ->
 def test_tables_of_different_times_are_refused_in_one_line(tmp_path: Path) -> None:
     folder = _folder(tmp_path / "log")
     _table(folder / "log_later.csv", "timestamp,speed", TIME[:50], time=1e6 * (TIME[:50] + 100))
-    with pytest.raises(LogError, match="tables 'later' and 'vehicle_pose_0' were not recorded at the same time"):
+    with pytest.raises(
+        LogError, match=r"'later' \(10\d.\d to 1\d\d.\d s\) and 'vehicle_pose_0' \(.*\) were not recorded"
+    ) as refused:
         open_log(folder)
+    assert "GPS" not in str(refused.value)
+
+
+def test_seconds_of_a_gps_week_are_named_beside_another_clock(tmp_path: Path) -> None:
+    _table(tmp_path / "ins.csv", "gps_tow_s,lat,lon,heading", TIME, TIME, TIME, time=549_963 + TIME)
+    _table(tmp_path / "can.csv", "unix_time,speed", TIME, time=1.7e9 + TIME)
+    with pytest.raises(LogError, match="604800 s a week"):
+        open_log(tmp_path)
 
 
 def test_a_bag_beside_tables_is_the_log(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """The text of CSV files: their header, separator, units and cells."""
 
+import codecs
 import csv
 import io
 import re
@@ -14,20 +15,16 @@ import pyarrow.csv as pa_csv
 from jaxtyping import Float
 
 from offpiste.errors import LogError
+from offpiste.logs.formats.loggers import DATE_AND_TIME, MARKS, as_table, in_one_space
 from offpiste.rig.labels import gear_letter, unit_of, without_comment
 
 _TEXT_BOOLEANS = {"true": 1.0, "false": 0.0}
 _MOST_PREAMBLE, _ROWS_BELOW = 64, 8
 """Lines before the header, at most; and rows below it by which it is known."""
+_BEGIN: Final = 4096
+"""Bytes that show what a text is."""
 _SEPARATORS = ",;\t|"
-_DATE_AND_TIME: Final = re.compile(
-    r"(?<!\S)(\d{4}[-/.]\d\d?[-/.]\d\d?|\d\d?[-/.]\d\d?[-/.]\d{4}) +(\d\d?:\d\d:\d\d[.\d]*)(?!\S)"
-)
-"""A stamp that is one cell although it has a space in it."""
-_EXAMPLES = {
-    5: ("t", "x", "y", "yaw", "steer"),
-    8: ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw"),
-}
+_EXAMPLES = {5: ("t", "x", "y", "yaw", "steer"), 8: ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")}
 """Names for a table without any, by the number of its columns; eight are those of a trajectory in TUM's format."""
 _MOST_GEARS = 16
 """Numbers among letters that are gears; more are measurements, and a letter among them is a mistake."""
@@ -102,14 +99,10 @@ def are_gears(cells: pa.ChunkedArray) -> bool:
 
 def unknown_words(cells: pa.ChunkedArray) -> list[str]:
     """Words that are no gears in a column of few words, of which others are; none in one of any other text."""
-    there = pc.unique(pc.utf8_trim_whitespace(cells.drop_null()))
-    words = (
-        [cell for cell in there.to_pylist() if cell and number_of(cell) is None] if len(there) <= _MOST_GEARS else []
-    )
-    letters = [gear_letter(word) for word in words]
-    if not set(letters) & set("PRND"):
-        return []
-    return [word for word, letter in zip(words, letters, strict=True) if not letter]
+    there = pc.unique(pc.utf8_trim_whitespace(cells.drop_null())).to_pylist()
+    words = [cell for cell in there if cell and number_of(cell) is None] if len(there) <= _MOST_GEARS else []
+    gears = {gear_letter(word) for word in words} & set("PRND")
+    return [word for word in words if not gear_letter(word)] if gears else []
 
 
 def read_csv(path: Path, notes: list[str], units: dict[str, str]) -> pa.Table:
@@ -136,7 +129,7 @@ def read_csv(path: Path, notes: list[str], units: dict[str, str]) -> pa.Table:
         decimals = ", decimals by ','" if comma else ""
         notes.append(f"columns are separated by '{delimiter}'{decimals}".replace("\t", "tab").replace("' '", "spaces"))
     names = [name.strip() for name in next(csv.reader([header], delimiter=delimiter))]
-    if all(number_of(name) is not None for name in names):
+    if 2 * sum(number_of(name) is not None for name in names) > len(names):
         example = _EXAMPLES.get(len(names), _EXAMPLES[5])
         how = f"write the names of the columns into the first line, such as {delimiter.join(example)}"
         raise LogError(f"no header line above {len(names)} columns of numbers", where=path, how=how)
@@ -145,18 +138,17 @@ def read_csv(path: Path, notes: list[str], units: dict[str, str]) -> pa.Table:
     check_columns(path, names)
     units |= _row_of_units(names, next(csv.reader(rows[:1], delimiter=delimiter), []))
     skipped = above + (2 if units else 1)
+    as_text = pa_csv.ConvertOptions(column_types=dict.fromkeys(names, pa.string()), strings_can_be_null=True)
     try:
-        text = _in_one_space(path.read_bytes()) if spaces else b""
-        table = pa_csv.read_csv(
-            io.BytesIO(text) if spaces else path,
-            read_options=pa_csv.ReadOptions(use_threads=False, column_names=names, skip_rows=skipped),
-            parse_options=pa_csv.ParseOptions(
-                delimiter=delimiter, invalid_row_handler=_last_row_may_be_cut(path, text, notes)
-            ),
-            convert_options=pa_csv.ConvertOptions(
-                column_types=dict.fromkeys(names, pa.string()), strings_can_be_null=True
-            ),
-        )
+        with _opened(path) as file:
+            text = in_one_space(file.read()) if spaces else b""
+            cut = _last_row_may_be_cut(path, text, notes)
+            table = pa_csv.read_csv(
+                io.BytesIO(text) if spaces else file,
+                read_options=pa_csv.ReadOptions(use_threads=False, column_names=names, skip_rows=skipped),
+                parse_options=pa_csv.ParseOptions(delimiter=delimiter, invalid_row_handler=cut),
+                convert_options=as_text,
+            )
     except (pa.ArrowException, OSError) as error:
         raise LogError(str(error), where=path, how="fix that line; the text must be UTF-8") from error
     if table.num_rows == 0:
@@ -183,7 +175,7 @@ def _are_numbers(line: str, separators: str) -> bool:
     """Whether a line holds several cells between any of these separators, most but a stamp numbers."""
     if any(other in line for other in _SEPARATORS if other not in separators):
         return False
-    cells = re.split(f"[{re.escape(separators)}]+", _DATE_AND_TIME.sub("0", line.strip()))
+    cells = re.split(f"[{re.escape(separators)}]+", DATE_AND_TIME.sub("0", line.strip()))
     return len(cells) > 1 and 2 * sum(number_of(cell) is not None for cell in cells) > len(cells)
 
 
@@ -195,12 +187,6 @@ def has_numbers(path: Path) -> bool:
         return False
 
 
-def _in_one_space(text: bytes) -> bytes:
-    """A text separated by spaces, with one between cells and none within stamps."""
-    lines = (" ".join(line.split()) for line in text.decode("utf-8", "surrogateescape").split("\n"))
-    return "\n".join(_DATE_AND_TIME.sub(r"\1T\2", line) for line in lines if line).encode("utf-8", "surrogateescape")
-
-
 def _as_many_as_cells(names: list[str], header: str, row: str, path: Path) -> list[str]:
     """Names above a table separated by spaces, which may themselves be separated by something else.
 
@@ -209,7 +195,7 @@ def _as_many_as_cells(names: list[str], header: str, row: str, path: Path) -> li
     Raises:
         LogError: there are more or fewer than cells below.
     """
-    cells, parts = _DATE_AND_TIME.sub(r"\1T\2", row).split(), row.split()
+    cells, parts = DATE_AND_TIME.sub(r"\1T\2", row).split(), row.split()
     if len(names) == len(parts) == len(cells) + 1:
         at = next(at for at, (cell, part) in enumerate(zip(cells, parts, strict=False)) if cell != part)
         return [*names[:at], " ".join(names[at : at + 2]), *names[at + 2 :]]
@@ -253,8 +239,8 @@ def _last_row_may_be_cut(path: Path, text: bytes, notes: list[str]) -> Callable[
     def handle(row: pa_csv.InvalidRow) -> str:
         if row.actual_columns > row.expected_columns:
             return "error"
-        with io.BytesIO(text) if text else path.open("rb") as file:
-            file.seek(-min(len(text) or path.stat().st_size, len(row.text.encode()) + 8), 2)
+        with io.BytesIO(text) if text else _opened(path) as file:
+            file.seek(-min(file.seek(0, 2), len(row.text.encode()) + 8), 2)
             if file.read().strip(b"\r\n").endswith(b"\n" + row.text.strip("\r\n").encode()):
                 notes.append(f"the last row is cut off after {row.actual_columns} cells, and left out")
                 return "skip"
@@ -263,10 +249,22 @@ def _last_row_may_be_cut(path: Path, text: bytes, notes: list[str]) -> Callable[
     return handle
 
 
+def _opened(path: Path) -> io.BufferedIOBase:
+    """A table's text in UTF-8 with a line of names: spreadsheets write UTF-16, and loggers have ways of their own."""
+    file = path.open("rb")
+    begin = file.peek(_BEGIN)[:_BEGIN]
+    wide = begin.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    if not wide and not any(mark in begin for mark in MARKS):
+        return file
+    with file:
+        text = file.read().decode("utf-16" if wide else "utf-8-sig", "replace")
+    return io.BytesIO((as_table(text) or text).encode())
+
+
 def _first_lines(path: Path) -> list[str]:
     """The first lines, of which the last one may be cut."""
     try:
-        with path.open("rb") as file:
+        with _opened(path) as file:
             lines = [line for _ in range(_MOST_PREAMBLE + _ROWS_BELOW) if (line := file.readline(1 << 20))] or [b""]
     except OSError as error:
         raise LogError(f"cannot be opened: {error.strerror}", where=path) from error

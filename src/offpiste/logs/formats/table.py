@@ -1,4 +1,4 @@
-"""Tables: `.csv`, `.tsv`, `.txt` and `.parquet`, one row a sample, one column a quantity."""
+"""Tables: `.csv`, `.tsv`, `.txt`, `.vbo` and `.parquet`, one row a sample, one column a quantity."""
 
 import re
 from collections.abc import Sequence
@@ -53,7 +53,7 @@ class TableLog(Log):
         LogError: the file is empty, damaged, or has no such clock column or unit.
     """
 
-    description = "a table (.csv, .tsv, .txt, .parquet)"
+    description = "a table (.csv, .tsv, .txt, .vbo, .parquet)"
     has_clock_unit = True
 
     def __init__(self, path: Path, *, clock_column: str = "", clock_unit: str = "") -> None:
@@ -90,7 +90,7 @@ class TableLog(Log):
     def recognises(path: Path) -> bool:
         """Whether a file has a table's ending; of `.txt`, whether it also has rows of numbers."""
         ending = path.suffix.lower() if path.is_file() else ""
-        return ending in (".csv", ".tsv", ".parquet") or (ending == ".txt" and has_numbers(path))
+        return ending in (".csv", ".tsv", ".vbo", ".parquet") or (ending == ".txt" and has_numbers(path))
 
     @classmethod
     def open(cls, path: Path, clock: Clock) -> Log:

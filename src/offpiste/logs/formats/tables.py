@@ -1,5 +1,6 @@
 """Folders of tables that are one drive: a table a topic, as bags and the logs of autopilots are exported."""
 
+import re
 from collections.abc import Sequence
 from itertools import takewhile
 from pathlib import Path
@@ -15,6 +16,8 @@ from offpiste.logs.log import LOG_FORMATS, Log, Samples, Topic
 from offpiste.rig.channels import Clock
 
 _TABLES: Final = (".csv", ".tsv", ".parquet")
+_GPS_TIME: Final = re.compile(r"(?<![a-z])(tow|itow|gps_?(time|tow|seconds?)|seconds?_of_week)", re.IGNORECASE)
+"""What stamps in seconds of a GPS week are called."""
 _BAGS: Final = (".bag", ".mcap", ".db3")
 """Beside one of these, tables are but what was exported of it."""
 
@@ -133,4 +136,7 @@ def _refuse_apart(tables: dict[str, Log], path: Path) -> None:
     for name, time in known.items():
         if time.max() < known[longest].min() or time.min() > known[longest].max():
             how = "give one of them, or put the stamps of all on one clock"
-            raise LogError(f"tables '{name}' and '{longest}' were not recorded at the same time", where=path, how=how)
+            if any(map(_GPS_TIME.search, (tables[each].clock.column for each in (name, longest)))):
+                how += " (GPS time is 604800 s a week since 1980-01-06, 315964800 s since 1970, and 18 s ahead of UTC)"
+            spans = (f"'{each}' ({known[each].min():.1f} to {known[each].max():.1f} s)" for each in (name, longest))
+            raise LogError(f"tables {' and '.join(spans)} were not recorded at the same time", where=path, how=how)

@@ -1,0 +1,74 @@
+"""Texts of loggers of cars: read as tables, with names, units and conventions that are those of all others."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from offpiste.errors import LogError
+from offpiste.logs import open_log
+from offpiste.logs.formats.loggers import as_table
+from offpiste.rig.channels import Clock
+
+RACELOGIC = """File created on 15/04/2023 at 10:12:13
+
+[header]
+satellites
+time
+latitude
+
+[channel units]
+{units}
+
+[comments]
+(c) Racelogic
+
+[column names]
+sats time lat long velocity heading height vert-vel Steering Throttle
+
+[data]
+{rows}"""
+ROWS = "\n".join(
+    f"011 1012{i // 20:02d}.{5 * (i % 20):02d} +03124.200{i:02d} +00060.899{i:02d} 010.000 050.20 +00120.01 +00.000 "
+    f"+{i}.0E+00 +5.0E+01"
+    for i in range(60)
+)
+RACECAPTURE = (
+    '"Interval"|"ms"|0|0|1,"Utc"|"ms"|0|0|1,"Yaw"|"Deg/Sec"|-120|120|50,"Lap"|""|0|0|1\n20,17,1.5,0\n40,37,2.5,0\n'
+)
+
+
+@pytest.mark.parametrize("units", ["deg\n%", "(null)\n" * 4 + "km/h\n(null)\nm\n(null)\ndeg\n%"])
+@pytest.mark.parametrize("ending", [".vbo", ".txt"])
+@pytest.mark.parametrize("newline", ["\n", "\r\n"])
+def test_a_file_of_racelogic_has_degrees_to_the_east(tmp_path: Path, units: str, ending: str, newline: str) -> None:
+    """Its minutes count to the west; units are of all columns or of the last ones."""
+    path = tmp_path / f"VBOX0001{ending}"
+    path.write_bytes(RACELOGIC.format(units=units, rows=ROWS).replace("\n", newline).encode("latin-1"))
+    log = open_log(path)
+    fields = log.topics[""].fields
+    assert {"latitude (deg)", "longitude (deg)", "velocity (km/h)", "Steering (deg)", "Throttle (%)"} <= set(fields)
+    samples = log.read("", ["latitude (deg)", "longitude (deg)", "Steering (deg)"])
+    np.testing.assert_allclose(samples.values[0], [3124.2 / 60, -60.899 / 60, 0.0])
+    np.testing.assert_allclose(np.diff(samples.time), 0.05, atol=1e-6)
+    assert samples.values[-1, 2] == 59.0
+
+
+def test_a_bad_cell_of_racelogic_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "a.vbo"
+    path.write_text(RACELOGIC.format(units="deg\n%", rows=ROWS.replace("+03124.20007", "*****")))
+    with pytest.raises(LogError, match=r"'latitude \(deg\)': '\*\*\*\*\*' is not a number"):
+        open_log(path).read("", ["latitude (deg)"])
+
+
+def test_a_file_of_racecapture_has_its_units(tmp_path: Path) -> None:
+    path = tmp_path / "rc_1.csv"
+    path.write_text(RACECAPTURE)
+    log = open_log(path, clock=Clock(column="Interval (ms)", unit="ms"))
+    assert log.topics[""].fields == ("Interval (ms)", "Utc (ms)", "Yaw (Deg/Sec)", "Lap")
+    assert log.read("", ["Yaw (Deg/Sec)"]).values[:, 0].tolist() == [1.5, 2.5]
+
+
+@pytest.mark.parametrize("text", ['"t"|"x"|"y"\n0|1|2\n1|2|3\n', "t,x\n0,1\n", "[data]\n1 2\n", ""])
+def test_other_texts_stay_as_they_are(text: str) -> None:
+    assert as_table(text) is None
