@@ -83,9 +83,11 @@ def held_while_driving(time: Float[np.ndarray, " n"], position: Float[np.ndarray
     speed = way / lasts
     moves = speed > _MOVES
     usual, stride = (float(np.median(each[moves])) if moves.any() else np.inf for each in (lasts, way))
-    beside = np.where((lasts < 2 * usual) & (way < _UNUSUAL * stride), speed, 0.0)  # what jumps does not drive
-    fastest = np.maximum(np.append(0.0, beside[:-1]), np.append(beside[1:], 0.0))
+    steady = way < _UNUSUAL * stride
+    driven = np.where(steady & (lasts < 2 * usual), speed, 0.0)
+    fastest = np.maximum(np.append(0.0, driven[:-1]), np.append(driven[1:], 0.0))
     hangs = (lasts > max(_HANGS, _UNUSUAL * usual)) & (fastest > _MOVES) & (way > _UNUSUAL * usual * fastest)
+    hangs &= np.append(True, steady[:-1])  # a place that it jumped to is another fault
     for number in np.flatnonzero(hangs):
         held[first[number] + 1 : first[number + 1]] = True
     return held
