@@ -43,7 +43,7 @@ from live.made_up_robot import RIG, START, odometry
 from offpiste.closed_loop.planner import Planner
 from offpiste.conventions import CONTROL
 from offpiste.dynamics import Parametric, Vehicle
-from offpiste.live.driver import refuse_unfit
+from offpiste.live.driver import refuse_unmeasured
 from offpiste.live.packing import pack_measured, reading_from, unpacked
 from offpiste.live.vehicle_messages import VehicleMessages
 from offpiste.logs.ros.writer import make
@@ -59,7 +59,7 @@ from runtime.stream import WHEELS, sensor_setup, settings
 channel = '[channels.throttle_position]\\ntopic = "/flap"\\nfields = ["data"]\\n[lidars'
 rig, now = parse_rig(RIG.replace("[lidars", channel), where="test"), START / 1e9
 model = Parametric(Vehicle(1150.0, 2.06, 0.5, CONTROL, rig.present_actuators))
-refuse_unfit(Planner("parametric", Path("run"), model), rig)
+refuse_unmeasured(Planner("parametric", Path("run"), model), rig)
 messages, track = VehicleMessages(rig), VehicleTrack(actuators=model.vehicle.actuators)
 intake = Intake(track, model.vehicle.actuators, Timeouts(), Tally())
 assert intake.vehicle(messages.take("/odom", odometry(0.0), now)) == "dropped"

@@ -21,7 +21,7 @@ from live.test_supervisor import RUN, Drive, drove, first_stop
 from offpiste.closed_loop.planner import load_planner
 from offpiste.errors import LiveError, PlanningError, RigError
 from offpiste.live.commands import run_live
-from offpiste.live.driver import refuse_unfit
+from offpiste.live.driver import refuse_unmeasured
 from offpiste.live.packing import pack_measured, pack_plan, packed, unpacked
 from offpiste.live.part import STAMP
 from offpiste.live.parts.control import MODE
@@ -287,7 +287,7 @@ def test_a_model_that_reads_what_the_rig_lacks_is_refused_before_anything_starts
     with pytest.raises(LiveError, match=r"reads brake, .*engine_rpm, which rig 'made up' does not have"):
         run_live(LiveSettings(write_rig(tmp_path), run, None, course), lockstep=False, replay=None, commands=None)
     with pytest.raises(LiveError, match=r"reads images, and rig 'made up' has no cameras"):
-        refuse_unfit(load_planner("pretrained:proving-ground/dc"), load_rig(write_rig(tmp_path, actuators=True)))
+        refuse_unmeasured(load_planner("pretrained:proving-ground/dc"), load_rig(write_rig(tmp_path, actuators=True)))
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from offpiste.channels import control_of
 from offpiste.inspection.driven_path import DrivenPath
 from offpiste.inspection.findings import Finding, Severity
 from offpiste.inspection.recorded_log import Recorded
-from offpiste.inspection.signals import place
+from offpiste.inspection.signals import field_in_words
 from offpiste.logs.channel import Channel
 from offpiste.logs.clock_drift import estimate_lag
 from offpiste.rig.edits import Edit, rounded
@@ -72,7 +72,7 @@ def check_clocks(recorded: dict[str, Recorded], path: DrivenPath, rig: Rig, *, b
         reference = Channel("speed", "m/s", path.time[speed], path.speed[speed, None])
         lag = estimate_lag(reference, wheel.samples, max_lag=_MAX_LAG).lag
         low, middle, high = np.percentile(lag, (5, 50, 95))
-        field = place(wheel.topic, wheel.field)
+        field = field_in_words(wheel.topic, wheel.field)
         source = {"topic": wheel.topic, "fields": [wheel.field], "scale": rounded(wheel.scale)}
         readers = {name for name, source in rig.channels.items() if source.topic == wheel.topic}
         if readers and all(map(control_of, readers)) and _LEADS < low <= high < _LATE:

@@ -65,7 +65,7 @@ def other_signals(recorded: dict[str, Recorded], rig: Rig | None) -> list[Signal
     """Every field as recorded that no channel of the rig reads."""
     read = {(source.topic, field) for source in (rig.channels.values() if rig else ()) for field in source.fields}
     return [
-        Signal(place(topic, field), "", column, column)
+        Signal(field_in_words(topic, field), "", column, column)
         for topic, r in recorded.items()
         for field, column in zip(r.fields, r.values.T, strict=True)
         if (topic, field) not in read and not is_clock(column)
@@ -83,7 +83,7 @@ def channel_signals(recorded: dict[str, Recorded], rig: Rig) -> list[Signal]:
         converted = _valid(convert(name, source, columns, rig.vehicle), source)
         raw = columns if source.wrap is None else unwrapped(columns, source.wrap)
         for i, field in enumerate(source.fields[: converted.shape[1]]):
-            where = f"{name} ({place(source.topic, field)})"
+            where = f"{name} ({field_in_words(source.topic, field)})"
             most = largest_recorded(name, source, i, rig.vehicle)
             beside = _usual(np.delete(converted, i, axis=1))
             signals.append(Signal(where, f"channels.{name}", raw[:, i], converted[:, i], limits(name), most, beside))
@@ -137,7 +137,7 @@ def _other_than_degrees(signals: list[Signal], rig: Rig | None) -> list[Finding]
     return [Finding("fatal", signal.where, what, evidence, how, 1.0, (cure,)) for signal in both]
 
 
-def place(topic: str, field: str) -> str:
+def field_in_words(topic: str, field: str) -> str:
     """A topic's field for people: `controls[1]`, `/odom pose.position.x`, a table's column by its name."""
     if not topic:
         return field

@@ -14,7 +14,7 @@ from offpiste.inspection.field_groups import field_groups
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.lags import fit_lags, sampled
 from offpiste.inspection.recorded_log import Recorded
-from offpiste.inspection.signals import place
+from offpiste.inspection.signals import field_in_words
 from offpiste.inspection.steering_fit import moving_rows
 from offpiste.logs.drive import Drive
 from offpiste.logs.motion import heading
@@ -65,7 +65,7 @@ def check_copies(drive: Drive, recorded: dict[str, Recorded]) -> list[Finding]:
                 f"in {len(lags)} of {windows} stretches of {_COPY_WINDOW:.0f} s it is the steering, {low:.1f} to "
             )
             evidence += f"{high:.1f} s later (10 to 90 %)"
-            name, what = place(topic, field), "is a late copy of the steering, not its command"
+            name, what = field_in_words(topic, field), "is a late copy of the steering, not its command"
             findings.append(Finding("note", name, what, evidence, "do not feed channels.steer from it", 0.3))
     return findings
 

@@ -19,7 +19,7 @@ from offpiste.channels import OPTIONAL_CONTROLS
 from offpiste.closed_loop.planner import load_planner
 from offpiste.errors import LiveError, OffpisteError, did_you_mean, require
 from offpiste.live.command_messages import CommandMessages
-from offpiste.live.driver import refuse_unfit
+from offpiste.live.driver import refuse_unmeasured
 from offpiste.live.reception import check_types, is_pressed
 from offpiste.live.sensor_messages import SensorMessages
 from offpiste.live.session import Source
@@ -151,7 +151,7 @@ def _model(rig: Rig, run: str, pca: Path | None) -> tuple[list[Finding], bool]:
         return [Finding("error", str(error))], True
     found = [Finding("ok", f"run {run}: {planner.name}")]
     try:
-        refuse_unfit(planner, rig)
+        refuse_unmeasured(planner, rig)
     except OffpisteError as error:
         found.append(Finding("error", str(error)))
     if (apart := differing_vehicle(planner.dynamics.vehicle, rig.vehicle)) is not None:

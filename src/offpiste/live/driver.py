@@ -76,7 +76,7 @@ class StepDriver:
         shadow: bool = True,
         seed: int = 0,
     ) -> None:
-        refuse_unfit(planner, rig)
+        refuse_unmeasured(planner, rig)
         self._rig, self._planner, self._reception = rig, planner, reception
         self._settings, self._shadow, self._seed = settings or RuntimeSettings(), shadow, seed
         # In shadow mode nothing is sent: no switch has to be pressed for a look at what would be.
@@ -180,7 +180,7 @@ def sensor_setup_of(planner: Planner, sensors: Sensors) -> SensorSetup:
     return SensorSetup(lidars, pinholes, planner.extractor.extract)
 
 
-def refuse_unfit(planner: Planner, rig: Rig) -> None:
+def refuse_unmeasured(planner: Planner, rig: Rig) -> None:
     """Refuse a model that reads what the robot does not measure: it would wait for it forever.
 
     Raises:
