@@ -227,6 +227,16 @@ def test_text_in_utf_16_is_read_also_where_its_last_row_is_cut(tmp_path: Path, e
     assert any("the last row is cut off" in note for note in log.warnings)
 
 
+def test_words_on_each_column_may_stand_below_its_unit(tmp_path: Path) -> None:
+    header = "Time;PosX;VehSpd;\ns;m;km/h;\nMeasurement time;Position east;Vehicle speed;\n"
+    log = table(tmp_path, header + "".join(f"{i / 50};{i};{2 * i};\n" for i in range(60)))
+    assert column(log, "PosX") == [float(i) for i in range(60)]
+    assert log.topics[""].units["VehSpd"] == "km/h"
+    bad = table(tmp_path, header + "".join(f"{i / 50};{'?' if i == 7 else i};{2 * i};\n" for i in range(60)))
+    with pytest.raises(LogError, match="row 10 below the header, column 'PosX'"):
+        column(bad, "PosX")
+
+
 def test_days_of_a_spreadsheet_are_days(tmp_path: Path) -> None:
     rows = "".join(f"{45416.4 + i / 50 / 86_400:.10f},{i}\n" for i in range(200))
     log = table(tmp_path, "Timestamp,x\n" + rows)

@@ -105,11 +105,14 @@ def unknown_words(cells: pa.ChunkedArray) -> list[str]:
     return [word for word in words if not gear_letter(word)] if gears else []
 
 
-def read_csv(path: Path, notes: list[str], units: dict[str, str]) -> pa.Table:
+def read_csv(path: Path, notes: list[str], units: dict[str, str]) -> tuple[pa.Table, int]:
     """All columns as text: what a column is, and which cell is wrong, is decided from the text.
 
     Args:
         notes, units: filled with what was guessed, and with a row of units below the header.
+
+    Returns:
+        the table, and how many rows stand between its header and its data: units, and then words on each column.
 
     Raises:
         LogError: it cannot be read, is empty or damaged, or has no header.
@@ -137,7 +140,8 @@ def read_csv(path: Path, notes: list[str], units: dict[str, str]) -> pa.Table:
         names = _as_many_as_cells(names, header, rows[0], path)
     check_columns(path, names)
     units |= _row_of_units(names, next(csv.reader(rows[:1], delimiter=delimiter), []))
-    skipped = above + (2 if units else 1)
+    words = next(csv.reader(rows[1:2], delimiter=delimiter), []) if units else []
+    between = bool(units) + (any(words) and all(number_of(cell) is None for cell in words))
     as_text = pa_csv.ConvertOptions(column_types=dict.fromkeys(names, pa.string()), strings_can_be_null=True)
     try:
         with _opened(path) as file:
@@ -145,7 +149,7 @@ def read_csv(path: Path, notes: list[str], units: dict[str, str]) -> pa.Table:
             cut = _last_row_may_be_cut(path, text, notes)
             table = pa_csv.read_csv(
                 io.BytesIO(text) if spaces else file,
-                read_options=pa_csv.ReadOptions(use_threads=False, column_names=names, skip_rows=skipped),
+                read_options=pa_csv.ReadOptions(use_threads=False, column_names=names, skip_rows=above + 1 + between),
                 parse_options=pa_csv.ParseOptions(delimiter=delimiter, invalid_row_handler=cut),
                 convert_options=as_text,
             )
@@ -155,7 +159,7 @@ def read_csv(path: Path, notes: list[str], units: dict[str, str]) -> pa.Table:
         raise LogError("no row below the header", where=path, how="record or export it again")
     if comma:
         table = pa.table([pc.replace_substring(column, ",", ".") for column in table.columns], names=names)
-    return table
+    return table, between
 
 
 def _row_of_units(names: Sequence[str], cells: Sequence[str]) -> dict[str, str]:

@@ -64,12 +64,12 @@ class TableLog(Log):
         notes: list[str] = []
         self._units: dict[str, str] = {}
         self._dates: dict[str, Float[np.ndarray, " n"] | None] = {}
-        self._table = read_csv(path, notes, self._units) if self._is_csv else _read_parquet(path)
+        read = read_csv(path, notes, self._units) if self._is_csv else (_read_parquet(path), 0)
+        self._table, self._rows_of_units = read
         names = self._table.column_names
         self._columns = tuple(name for name in names if self._is_numeric(name))
         if not self._is_csv:
             check_columns(path, list(self._columns))
-        self._rows_of_units = int(bool(self._units))
         self._units |= {name: unit for name in names if (unit := parse_label(name).unit)}
         self._unit = clock_unit
         clock = clock_column if clock_column in names else without_comment(clock_column)  # as a rig may name it
