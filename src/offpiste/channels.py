@@ -83,7 +83,7 @@ CONTROLS: Final = (
         "throttle",
         rate=4.0,
         declared=True,
-        pattern=r"throttle|acc(el)?_?pedal|accelerator|pedal_?acc|(^|[ ._/])(gas|thr(?![a-z]))",
+        pattern=r"throttle|acc(el)?_?(pedal|pdl|ped(?![a-z]))|accelerator|pedal_?acc|(^|[ ._/])(gas|thr(?![a-z]))",
     ),
     Control("brake", rate=8.0, pattern=r"brake|(?<![a-z])brk(?![a-z])", declared=True),
     Control(

@@ -74,6 +74,13 @@ FAMILIES: Mapping[str, tuple[dict[str, str], dict[str, tuple[str, ...]]]] = {
            "Brake Temp FL [C]": "brake in C", "Steered Angle [deg]": "wheel in deg"},
         {"brake": ("Brake Pressure Front [bar]",), "steer": ("Steered Angle [deg]",)},
     ),
+    "CANape": (
+        PLACES
+        | {"Heading": "azimuth", "AccPdl [%]": "throttle in %", "BrkPrs [bar]": "brake in bar",
+           "StrWhlAng [deg]": "wheel in deg", "VehSpd [m/s]": "vx"},
+        {"throttle": ("AccPdl [%]",), "brake": ("BrkPrs [bar]",), "steer": ("StrWhlAng [deg]",),
+         "wheel_speed": ("VehSpd [m/s]",)},
+    ),
     "Torque": (
         PLACES
         | {"Bearing": "azimuth", "G(x)": "g", "G(y)": "g", "G(z)": "g", "Brake(%)": "brake in %",

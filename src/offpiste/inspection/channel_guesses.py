@@ -43,7 +43,11 @@ _SCALARS: tuple[tuple[str, int, str], ...] = (
     ("yaw", 1, r"(euler|rpy|attitude).*[._/]z$|(yaw_?pitch_?roll|ypr).*[._/]x$"),
     ("yaw", 2, rf"(?<![a-z])(phi|{COURSE_NAMES})$"),
     ("brake_pressure", 0, r"(brake|brk).*press(ure)?(?!ed)|press(ure)?(?!ed).*(brake|brk)|(?<![a-z])p_?(brake|brk)"),
-    ("steer_angle", 0, rf"steer(ing)?.*{_ANGLE}|(?<![a-z])delta(_?f|_front)?(_(cmd|des|ref|target))?$"),
+    (
+        "steer_angle",
+        0,
+        rf"(steer(ing)?|(?<![a-z])(str|stg)_?whl).*{_ANGLE}|(?<![a-z])delta(_?f|_front)?(_(cmd|des|ref|target))?$",
+    ),
     ("steer_angle", 0, rf"(road_?wheel|front_?wheel|(?<![a-z])front|tyre|tire)_?{_ANGLE}"),
     ("steer_angle", 1, rf"(^|[ ._/])wheel_?{_ANGLE}$"),
     ("throttle", 0, r"^pps$"),
@@ -68,7 +72,7 @@ _SCALARS: tuple[tuple[str, int, str], ...] = (
     ("throttle", MOTION + 1, r"(?<![a-z])duty(_?cycle)?$"),
     ("wheel_speed", 1, r"wheels?[ _]?(speed|vel)|(speed|vel)_?wheels?"),
     ("wheel_speed", 1, r"(^|[ ._/])v_ego$"),
-    ("wheel_speed", 2, r"(^|[ ._/])((vehicle|car|ego)_?)?speed$"),
+    ("wheel_speed", 2, r"(^|[ ._/])((vehicle|car|ego)_?)?speed$|(^|[ ._/])veh(icle)?_?spd$"),
 )
 """Channels of one number: how far the name is from the channel's own, and its pattern. Nearer ones come first."""
 _NEVER: Final = {

@@ -21,7 +21,7 @@ COMMANDED: Final = re.compile(r"cmd|com+and|desired|target|setpoint|servo|(?<![a
 """Names of what is asked for, not measured."""
 _MEASURED: Final = re.compile(
     r"status|report|rpt|feedback|measured|actual|steered|car_?state|handle_?bar|"
-    r"(steering|hand)[ _]?wheel[ _]?(angle|pos)",
+    r"(steer(ing)?|str|stg|hand)[ _]?(wheel|whl)[ _]?(ang|pos)",
     re.IGNORECASE,
 )
 """Names of a steering that is measured, where nothing says that it is asked for."""

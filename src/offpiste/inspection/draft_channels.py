@@ -39,7 +39,7 @@ from offpiste.rig.labels import channel_unit, is_array_entry
 
 _VECTORS: Final = ("position", "orientation", "linear_velocity", "angular_velocity")
 _IN_HAND: Final = re.compile(
-    r"steering[ _]?wheel|hand[ _]?wheel|(?<![a-z])swa?(?![a-z])|carState\.steer", re.IGNORECASE
+    r"(steering|hand)[ _]?wheel|(steer|str|stg)_?whl|(?<![a-z])swa?(?![a-z])|carState\.steer", re.IGNORECASE
 )
 """Names of the steering wheel, in the driver's hands."""
 _PEDAL: Final = 1.05
