@@ -81,6 +81,13 @@ FAMILIES: Mapping[str, tuple[dict[str, str], dict[str, tuple[str, ...]]]] = {
         {"throttle": ("AccPdl [%]",), "brake": ("BrkPrs [bar]",), "steer": ("StrWhlAng [deg]",),
          "wheel_speed": ("VehSpd [m/s]",)},
     ),
+    "Volkswagen": (
+        PLACES
+        | {"Heading": "azimuth", "MO_Fahrpedalrohwert_01 [%]": "throttle in %", "ESP_Bremsdruck [bar]": "brake in bar",
+           "LWI_VZ_Lenkradwinkel": "g", "LWI_Lenkradwinkel [deg]": "wheel in deg"},
+        {"throttle": ("MO_Fahrpedalrohwert_01 [%]",), "brake": ("ESP_Bremsdruck [bar]",),
+         "steer": ("LWI_Lenkradwinkel [deg]",)},
+    ),
     "Torque": (
         PLACES
         | {"Bearing": "azimuth", "G(x)": "g", "G(y)": "g", "G(z)": "g", "Brake(%)": "brake in %",
