@@ -239,6 +239,13 @@ def test_a_straight_road_over_hills_and_a_height_that_scatters_are_level() -> No
         assert check_level(Channel("position", "m", time, road[:, [1, 0, 2]]), rig(), ()) == []
 
 
+def test_places_beyond_the_moon_take_no_more_memory_than_others() -> None:
+    rng = np.random.default_rng(0)
+    far = np.stack((1e12 * rng.random(3000), rng.random(3000), 1e12 * rng.random(3000)), axis=1)
+    (finding,) = check_level(Channel("position", "m", np.arange(3000) / 50, far), rig(), ())
+    assert finding.what == TIPPED
+
+
 def test_what_goes_with_positions_whose_y_is_up_goes_with_the_cure() -> None:
     log = drive_log(seed=1)
     time, odom = log.data["odom"]

@@ -71,7 +71,7 @@ def _with_y_up(rig: Rig, order: Sequence[int], beside: Collection[str]) -> Itera
 def _climbs(place: Float[np.ndarray, "n 3"], axis: int) -> bool:
     """Whether a tenth of a path goes further along an axis than across it: no vehicle climbs like that."""
     way = np.cumsum(np.linalg.norm(np.diff(place, axis=0, prepend=place[:1]), axis=1))
-    step = np.diff(place[np.unique(np.searchsorted(way, np.arange(0, way[-1], _STRIDE)))], axis=0)
+    step = np.diff(place[np.flatnonzero(np.diff(way // _STRIDE, prepend=-1))], axis=0)
     across = np.linalg.norm(np.delete(step, axis, axis=1), axis=1)
     return len(step) > 10 and bool(np.mean(np.abs(step[:, axis]) > across) > 0.1)
 

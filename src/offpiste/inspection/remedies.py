@@ -83,9 +83,9 @@ def _mirrored(causes: Sequence[Finding], rig: Rig) -> list[Finding]:
     against += ["linear_velocity"] * any((edit.key, edit.value) == ("motion.axes", "body down") for edit in edits)
     if len(against) < 2 or keys & {"channels.yaw.sign", "channels.position.fields"}:
         return []
-    yaw, west = rig.channels.get("yaw"), rig.channels["position"].unit == GEOGRAPHIC
+    yaw, geographic = rig.channels.get("yaw"), rig.channels["position"].unit == GEOGRAPHIC
     evidence = f"{', '.join(against)} turn the other way than positions and heading do"
-    if west and yaw is not None and yaw.sign > 0 and rig.motion.axes == "z up":
+    if geographic and yaw is not None and yaw.sign > 0 and rig.motion.axes == "z up":
         evidence += ", and so does the heading, which counts clockwise beside latitudes and longitudes"
         how = "longitudes that are positive to the west, as of a .vbo file, are to be negated in the log"
         return [Finding("warning", "position", "is seen in a mirror", evidence, how, 1.0)]
