@@ -27,6 +27,7 @@ from offpiste.evaluation.evaluated_windows import EvaluatedWindows
 from offpiste.evaluation.intervals import Sampling
 from offpiste.evaluation.speed_bands import members
 from offpiste.files import write_text
+from offpiste.geometry import planar_body_from_world
 from offpiste.training.fitness import refuse_seen, refuse_unfit
 from offpiste.training.prediction import in_parts
 from offpiste.training.run import Run, load_run
@@ -166,19 +167,12 @@ def _parts(windows: Windows, index: Int[np.ndarray, " N"]) -> list[np.ndarray]:
     return list(in_parts(index, windows, "map"))
 
 
-def in_heading(difference: Float[np.ndarray, "*B 2"], heading: Float[np.ndarray, "*B"]) -> Float[np.ndarray, "*B 2"]:
-    """Differences of places along and across headings [m]."""
-    cos, sin = np.cos(heading), np.sin(heading)
-    x, y = difference[..., 0], difference[..., 1]
-    return np.stack((cos * x + sin * y, cos * y - sin * x), axis=-1)
-
-
 def mean_of(found: Members) -> tuple[Float[np.ndarray, "N K 2"], Float[np.ndarray, "N K 2"]]:
     """Error of the members' mean, and their deviation from it, along and across its heading [m]."""
     heading = np.arctan2(np.sin(found.heading).mean(axis=0), np.cos(found.heading).mean(axis=0))
     mean = found.place.mean(axis=0)
-    apart = in_heading(found.place - mean, np.broadcast_to(heading, found.heading.shape))
-    return in_heading(found.target - mean, heading), apart.std(axis=0, ddof=1)
+    apart = planar_body_from_world(found.place - mean, np.broadcast_to(heading, found.heading.shape))
+    return planar_body_from_world(found.target - mean, heading), apart.std(axis=0, ddof=1)
 
 
 def deviations(found: Members) -> dict[str, Float[np.ndarray, "N K 2"]]:
@@ -217,7 +211,7 @@ def errors_by_ways(found: Members, ways: dict[str, Widening], freedom: float) ->
         freedom: of the first run's spread.
     """
     error, deviation = mean_of(found)
-    own = in_heading(found.target - found.place[0], found.heading[0])
+    own = planar_body_from_world(found.target - found.place[0], found.heading[0])
     errors = {
         "fitted": ErrorsWithScales(own, found.scale[0], freedom, found.speed),
         "ensemble as it is": ErrorsWithScales(error, np.maximum(deviation, 1e-6), GAUSSIAN, found.speed),

@@ -25,6 +25,9 @@ def test_a_vector_along_the_heading_points_forward_in_the_body():
     yaw = np.array([0.3, -2.0])
     along = np.stack((np.cos(yaw), np.sin(yaw)), axis=1)
     np.testing.assert_allclose(planar_body_from_world(along, yaw), [[1, 0], [1, 0]], atol=1e-12)
+    # Heading north: north is ahead, west is left; of a path all points by one heading.
+    path = np.array([[[-1.0, 3.0], [0.0, 2.0]]])
+    np.testing.assert_allclose(planar_body_from_world(path, np.array([[np.pi / 2]])), [[[3, 1], [2, 0]]], atol=1e-12)
 
 
 def test_rotations_equal_scipys_whatever_the_quaternions_length():

@@ -21,6 +21,7 @@ from offpiste.dataset.store import Dataset, open_dataset
 from offpiste.dataset.windows import Windows
 from offpiste.errors import RunError
 from offpiste.evaluation.errors import trajectories
+from offpiste.geometry import planar_body_from_world
 from offpiste.reproduction.data import PlannedDrive, drive_settings
 from offpiste.reproduction.gains import same_windows
 from offpiste.simulation.simulate import DriveSettings
@@ -121,7 +122,12 @@ def _compared(
     predicted = ends[1] - ends[0]
     names_of = names or own
     drive = np.array([[d.name for d in names_of.drives].index(here.drive_names[d]) for d in here.drive[index]])
-    return Differences(drive, here.row_in_drive(index), _turned(simulated[ok], yaw), _turned(predicted, yaw))
+    return Differences(
+        drive,
+        here.row_in_drive(index),
+        planar_body_from_world(simulated[ok], yaw),
+        planar_body_from_world(predicted, yaw),
+    )
 
 
 def _both(here: Windows, there: Windows, like: Differences | None, names: Dataset | None) -> Int[np.ndarray, " n"]:
@@ -173,10 +179,3 @@ def _simulated(
 def _mean(runs: list[Differences]) -> Differences:
     first = runs[0]
     return Differences(first.drive, first.row, first.simulated, np.mean([run.predicted for run in runs], axis=0))
-
-
-def _turned(difference: Float[np.ndarray, "n 2"], yaw: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 2"]:
-    """World differences as ahead and to the left of a heading."""
-    cos, sin = np.cos(yaw), np.sin(yaw)
-    x, y = difference.T
-    return np.stack((cos * x + sin * y, cos * y - sin * x), axis=1)

@@ -10,11 +10,13 @@ _BLOCK: Final = 2**17
 """Samples of windows that are fitted at once, about 60 bytes each."""
 
 
-def planar_body_from_world(vectors: Float[np.ndarray, "N 2"], yaw: Float[np.ndarray, " N"]) -> Float[np.ndarray, "N 2"]:
-    """Horizontal world vectors in the planar body frame: turned by minus yaw."""
+def planar_body_from_world(
+    vectors: Float[np.ndarray, "*B 2"], yaw: Float[np.ndarray, "*#B"]
+) -> Float[np.ndarray, "*B 2"]:
+    """Horizontal world vectors in the planar body frame, ahead and to the left: turned by minus yaw."""
     cos, sin = np.cos(yaw), np.sin(yaw)
-    x, y = vectors.T
-    return np.stack((cos * x + sin * y, cos * y - sin * x), axis=1)
+    x, y = vectors[..., 0], vectors[..., 1]
+    return np.stack((cos * x + sin * y, cos * y - sin * x), axis=-1)
 
 
 def rotation_from_quaternion(quaternion: Float[np.ndarray, "N 4"]) -> Float[np.ndarray, "N 3 3"]:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from experiments.command import run as run_command
-from experiments.spreads import Members, Spreads, errors_by_ways, fitted_ways, in_heading, mean_of
+from experiments.spreads import Members, Spreads, errors_by_ways, fitted_ways, mean_of
 from feature_datasets import dataset_with_features
 from offpiste.errors import RunError
 from offpiste.training.config import TrainConfig
@@ -32,11 +32,6 @@ def drawn(seed: int, windows: int = 1500, runs: int = 5) -> Members:
     members = np.stack([place() for _ in range(runs)])
     scale = np.stack((size, 0.3 * size), axis=-1)[None].repeat(runs, axis=0)
     return Members(members, scale, np.broadcast_to(heading, members.shape[:-1]), place(), size[:, 0])
-
-
-def test_in_heading_is_along_and_across():
-    turned = in_heading(np.array([[1.0, 3.0]]), np.array([np.pi / 2]))
-    np.testing.assert_allclose(turned, [[3.0, -1.0]], atol=1e-12)
 
 
 def test_the_mean_of_members_is_nearer_and_their_deviation_is_along_the_heading():

@@ -17,6 +17,7 @@ from offpiste.dataset.windows import Windows
 from offpiste.dynamics import Dynamics
 from offpiste.errors import RunError
 from offpiste.files import write_whole
+from offpiste.geometry import planar_body_from_world
 from offpiste.state import wrap_angle
 from offpiste.training.losses import summed_loss
 from offpiste.training.prediction import Lookup, MapSource, batch_for, in_parts, roll_batch_out, roll_out
@@ -241,9 +242,7 @@ def trajectories(
 
 def in_start_frame(paths: Float[np.ndarray, "n T 2"], yaw: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n T 2"]:
     """Displacements in the world as displacements ahead and to the left of each start's heading [m]."""
-    cos, sin = np.cos(yaw)[:, None], np.sin(yaw)[:, None]
-    x, y = paths[..., 0], paths[..., 1]
-    return np.stack((cos * x + sin * y, cos * y - sin * x), axis=-1)
+    return planar_body_from_world(paths, yaw[:, None])
 
 
 def _absolute_errors(predicted: Float[Tensor, "B 5 6"], target: Float[Tensor, "B 5 6"]) -> Float[Tensor, "B 5 5"]:

@@ -10,7 +10,7 @@ import pytest
 from experiments.control_experiments import twins
 from experiments.control_experiments.branches import branches_of, load_branches, save_branches, twin_worlds
 from experiments.control_experiments.sensitivity import Differences, draw_sensitivity, sensitivity, sensitivity_table
-from experiments.control_experiments.twins import _turned, settings_of
+from experiments.control_experiments.twins import settings_of
 from offpiste.conventions import DT
 from offpiste.reproduction.data import planned_drives
 from offpiste.reproduction.settings import SIZES
@@ -49,11 +49,6 @@ def test_a_model_that_tells_nothing_apart() -> None:
     assert np.isnan(measured.correlation.mean)
     assert "–" in sensitivity_table([measured]).lines[0][5]
     assert draw_sensitivity({"b": made(0.0, 0.0)}, [measured]).axes
-
-
-def test_ahead_and_left_of_a_heading() -> None:
-    # Heading north: north is ahead, west is left.
-    np.testing.assert_allclose(_turned(np.array([[-1.0, 3.0]]), np.array([np.pi / 2])), [[3.0, 1.0]], atol=1e-12)
 
 
 @pytest.mark.parametrize("name", ["laptop", "evening", "full"])
