@@ -50,16 +50,17 @@ def check_steering(
     findings: list[Finding] = []
     unsigned = set[str]()
     for name, fit in fits.items():
-        if lost := _without_sign(name, drive, path) if fit.steady.strength < _CLEAR else []:
-            findings += lost
+        without_sign = _without_sign(name, drive, path) if fit.steady.strength < _CLEAR else []
+        if without_sign:
+            findings += without_sign
             unsigned.add(name)
             continue
         if not fit.has_effect:
             findings.append(_without_effect(name, fit, drive))
             continue
         findings += _sign(name, fit, drive, path)
-        said = "steer_angle" in fits and drive.rig.reads_alike("steer", "steer_angle")
-        if name != "steer" or not said:  # by the angle
+        read_as_angle = "steer_angle" in fits and drive.rig.reads_alike("steer", "steer_angle")
+        if name != "steer" or not read_as_angle:
             delays = window_delays(drive.channels[name], path, drive.rig)
             findings += changing_delay(name, delays) or _delay(name, fit, drive.rig) or uneven_delay(name, delays)
         findings += _centre(name, fit, drive.rig)

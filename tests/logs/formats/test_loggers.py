@@ -38,6 +38,21 @@ RACECAPTURE = (
 )
 
 
+@pytest.mark.parametrize("encoding", ["latin-1", "utf-8"])
+def test_degrees_of_racelogic_are_read_in_either_encoding(tmp_path: Path, encoding: str) -> None:
+    path = tmp_path / "a.vbo"
+    path.write_bytes(RACELOGIC.format(units="° \n%", rows=ROWS).encode(encoding))
+    log = open_log(path)
+    assert log.topics[""].units["Steering (°)"] == "deg"
+
+
+def test_other_text_that_is_no_utf_8_is_refused_as_before(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_bytes('"t"|"x °"\n0|1\n1|2\n'.encode("latin-1"))
+    with pytest.raises(LogError, match="not UTF-8"):
+        open_log(path)
+
+
 @pytest.mark.parametrize("units", ["deg\n%", "(null)\n" * 4 + "km/h\n(null)\nm\n(null)\ndeg\n%"])
 @pytest.mark.parametrize("ending", [".vbo", ".txt"])
 @pytest.mark.parametrize("newline", ["\n", "\r\n"])

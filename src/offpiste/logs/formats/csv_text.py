@@ -1,6 +1,5 @@
 """The text of CSV files: their header, separator, units and cells."""
 
-import codecs
 import csv
 import io
 import re
@@ -15,7 +14,7 @@ import pyarrow.csv as pa_csv
 from jaxtyping import Float
 
 from offpiste.errors import LogError
-from offpiste.logs.formats.loggers import DATE_AND_TIME, MARKS, as_table, in_one_space
+from offpiste.logs.formats.loggers import DATE_AND_TIME, MARKS, UTF_16, in_one_space, with_one_header
 from offpiste.rig.labels import gear_letter, unit_of, without_comment
 
 _TEXT_BOOLEANS = {"true": 1.0, "false": 0.0}
@@ -257,12 +256,10 @@ def _opened(path: Path) -> io.BufferedIOBase:
     """A table's text in UTF-8 with a line of names: spreadsheets write UTF-16, and loggers have ways of their own."""
     file = path.open("rb")
     begin = file.peek(_BEGIN)[:_BEGIN]
-    wide = begin.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
-    if not wide and not any(mark in begin for mark in MARKS):
+    if not begin.startswith(UTF_16) and not any(mark in begin for mark in MARKS):
         return file
     with file:
-        text = file.read().decode("utf-16" if wide else "utf-8-sig", "replace")
-    return io.BytesIO((as_table(text) or text).encode())
+        return io.BytesIO(with_one_header(file.read()))
 
 
 def _first_lines(path: Path) -> list[str]:

@@ -1,9 +1,12 @@
 """Texts of loggers of cars, which say names and units in ways of their own, as tables with one line of names."""
 
+import codecs
 import re
 from collections.abc import Callable, Sequence
 from typing import Final
 
+UTF_16: Final = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+"""What texts in UTF-16 begin with, as spreadsheets write them."""
 MARKS: Final = (b"[column names]", b'"|"')
 """What texts of known loggers have near their beginning, and others hardly."""
 DATE_AND_TIME: Final = re.compile(
@@ -33,6 +36,18 @@ def in_one_space(text: bytes) -> bytes:
     return "\n".join(DATE_AND_TIME.sub(r"\1T\2", line) for line in lines if line).encode("utf-8", "surrogateescape")
 
 
+def with_one_header(read: bytes) -> bytes:
+    """A file's text in UTF-8, with one line of names above its rows if it is of a known logger; else as it was read."""
+    if read.startswith(UTF_16):
+        text = read.decode("utf-16", "replace")
+        return (as_table(text) or text).encode()
+    try:
+        table = as_table(read.decode("utf-8-sig"))
+    except UnicodeDecodeError:
+        table = as_table(read.decode("latin-1"))  # in which older loggers write degrees
+    return read if table is None else table.encode()
+
+
 def as_table(text: str) -> str | None:
     """A text of a known logger with one line of names above its rows; None for any other.
 
@@ -49,7 +64,7 @@ def _of_racelogic(text: str) -> str | None:
     if not {"column names", "data"} <= set(sections):
         return None
     names = sections["column names"].split()
-    units = sections.get("channel units", "").split()
+    units = [line.strip() for line in sections.get("channel units", "").splitlines() if line.strip()]
     # Some list the units of all columns, others those of the columns behind the usual ones.
     unit_of = dict(zip(reversed(names), reversed(units), strict=False))
     header = [_RACELOGIC.get(name.lower()) or _with_unit(name, unit_of.get(name, "")) for name in names]

@@ -37,7 +37,7 @@ def stamp_of(received: int, message: object, stamps: str) -> float:
 def heard_at(received: float, message: object, stamps: str) -> float:
     """Time of a message that was heard [s], as `stamp_of`.
 
-    Not finite where that is its arrival, which is not, and NaN where the stamp in its header is none.
+    Infinite where it has no stamp of its own and its arrival is not known yet; NaN where its header's stamp is no time.
 
     Args:
         received: when it came [s].
