@@ -38,7 +38,7 @@ class CourseFigures(msgspec.Struct, frozen=True):
     Attributes:
         courses: number of them, each in a world of its own that no model has seen.
         against_b: driven cost relative to that of the `b` that ships beside it, on the same courses.
-        commit, date: of the code that drove, and when.
+        commit, date: of the code that drove, several where drives were made again by a later one; and when the last was.
     """
 
     courses: int
@@ -117,7 +117,7 @@ def card_page(card: ModelCard) -> str:
     if card.driving is not None:
         found = card.driving
         lines += ["## How a planner drives with it", ""]
-        lines += [f"{driving_words(found)} Commit {found.commit}, {found.date}.", ""]
+        lines += [f"{driving_words(found)} Code: {found.commit}; {found.date}.", ""]
     lines += ["## What it must not be used for", "", *(f"- {use}" for use in card.not_for), ""]
     return "\n".join(lines)
 
