@@ -78,6 +78,18 @@ def test_a_place_that_hangs_while_the_vehicle_drives_on_is_held(hold: int, stand
     assert stands or not held[:first].any()
 
 
+@pytest.mark.parametrize("hold", [1, 5])
+def test_a_place_that_hangs_to_the_end_is_held_unless_the_vehicle_can_have_stopped(hold: int) -> None:
+    time = np.arange(3000) / 50.0
+    for braking, held_to_the_end in ((1e6, True), (8.0, False)):
+        speed = np.clip(braking * (40.0 - time), 0.0, 4.0)
+        place = np.cumsum(speed)[:, None] / 50 * [0.6, 0.8]
+        place = place[np.arange(len(time)) // hold * hold]
+        held = held_while_driving(time, place)
+        assert held[2000 + hold :].all() if held_to_the_end else not held.any()
+        assert not held[:2000].any()
+
+
 def planted(kind: str, rng: np.random.Generator, time: np.ndarray, place: np.ndarray, speed: float):
     """The drive with corrupt samples, and which ones are good."""
     count, result, good = len(time), place.copy(), np.ones(len(time), bool)

@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 
 from factories import MemoryLog, small_rig
 from offpiste.dataset.resample import extract_rows
+from offpiste.inspection.pose_samples import check_faults
 from offpiste.logs.drive import Drive, drive_from_log
 from offpiste.logs.pose_faults import DroppedRun, PoseFaults
 from offpiste.logs.poses import poses_from_drive
@@ -52,6 +53,20 @@ def test_a_place_that_hangs_is_dropped_until_it_goes_on() -> None:
     inside = (rows.time > 20.1) & (rows.time < 29.9)
     assert inside.any()
     assert not rows.valid[inside].any()
+
+
+def test_a_place_that_hangs_to_the_end_is_dropped() -> None:
+    x = 5 * TIME
+    x[1000:] = x[1000]
+    drive = drive_of(x)
+    end = len(TIME) - 1
+    (note,) = drive.notes
+    said = f"position: samples 1001 to {end} (20.02 to {TIME[end]:.2f} s) hold one place to the end"
+    assert note == f"{said}, off the path of any vehicle; dropped"
+    assert not extract_rows(drive).valid[extract_rows(drive).time > 20.1].any()
+    (finding,) = check_faults(drive)
+    assert finding.what == "holds one place while the vehicle drives on"
+    assert finding.evidence == f"once, such as for {TIME[end] - 20.0:.1f} s from 20.02 s on, to the end of the log"
 
 
 def test_numbers_are_those_of_the_log_where_other_samples_were_dropped() -> None:

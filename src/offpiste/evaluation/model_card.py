@@ -38,7 +38,7 @@ class CourseFigures(msgspec.Struct, frozen=True):
     Attributes:
         courses: number of them, each in a world of its own that no model has seen.
         against_b: driven cost relative to that of the `b` that ships beside it, on the same courses.
-        commit, date: of the code that drove, several where drives were made again by a later one; and when the last was.
+        commit, date: of the code that drove, several where drives were made again by later code; when the last was.
     """
 
     courses: int

@@ -177,10 +177,12 @@ def _held(runs: Sequence[DroppedRun], length: float) -> list[Finding]:
     """
     if not runs:
         return []
-    worst = max(runs, key=lambda run: run.off)
+    seconds = [min(run.until, run.end) - run.after for run in runs]
+    longest = int(np.argmax(seconds))
+    worst = runs[longest]
     times = "once" if len(runs) == 1 else f"{len(runs)} times"
-    held = f"for {worst.until - worst.after:.1f} s from {worst.since:.2f} s on"
-    evidence = f"{times}, such as {held}, after which it jumps by {worst.off:.3g} m"
+    then = f", after which it jumps by {worst.off:.3g} m" if np.isfinite(worst.until) else ", to the end of the log"
+    evidence = f"{times}, such as for {seconds[longest]:.1f} s from {worst.since:.2f} s on{then}"
     how = "nothing where the rest is enough: these samples are dropped on reading, and no window reaches across"
-    share = min(sum(run.until - run.after for run in runs) / length, 1.0)
+    share = min(sum(seconds) / length, 1.0)
     return [Finding("warning", "position", "holds one place while the vehicle drives on", evidence, how, share)]

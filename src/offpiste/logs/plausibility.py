@@ -38,6 +38,8 @@ _HANGS, _UNUSUAL = 0.5, 5.0
 the next step leads so many times as far as others."""
 _MOVES: Final = 1.5
 """Speed just before or after such a time [m/s]: nobody stops or starts in an instant."""
+_BRAKES: Final = 15.0
+"""No vehicle slows down by more [m/s^2]: one whose place does so, and then stays the same to the end, drove on."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +72,8 @@ def plausible_positions(
 def held_while_driving(time: Float[np.ndarray, " n"], position: Float[np.ndarray, "n d"]) -> Bool[np.ndarray, " n"]:
     """Samples that repeat a place while the vehicle drives on, as of a sensor that hangs; the first of each is none.
 
+    To the end of a log it hangs where the vehicle would have had to stop in an instant.
+
     Args:
         time: stamps, strictly increasing [s].
         position: [m].
@@ -90,6 +94,9 @@ def held_while_driving(time: Float[np.ndarray, " n"], position: Float[np.ndarray
     hangs &= np.append(True, steady[:-1])  # a place that it jumped to is another fault
     for number in np.flatnonzero(hangs):
         held[first[number] + 1 : first[number + 1]] = True
+    fast = min(driven[-1], driven[-2])
+    if time[-1] - time[first[-1]] > max(_HANGS, _UNUSUAL * usual) and fast > max(_MOVES, _BRAKES * usual):
+        held[first[-1] + 1 :] = True
     return held
 
 

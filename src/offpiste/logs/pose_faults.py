@@ -25,7 +25,8 @@ class DroppedRun:
         start, end: their stamps [s].
         after, until: stamps of the samples before and after them that were kept [s]; infinite where there is none.
         since: from the channel's first sample to `start` [s].
-        off: how far the worst one lies from where the vehicle was [m or rad].
+        off: how far the worst one lies from where the vehicle was [m or rad]; 0 where that is not known, as of a place
+            that is held to the end.
         held: whether they hold one place while the vehicle drives on.
     """
 
@@ -166,12 +167,14 @@ def _off(channel: Channel, first: int, end: int, beside: Sequence[int]) -> float
                 cosine = np.abs(channel.values[first:end] @ channel.values[sample])
                 apart = 2 * np.arccos(np.clip(cosine, 0, 1))[:, None]
             away.append(np.linalg.norm(apart, axis=1))
-    return float(np.min(away, axis=0).max())
+    return float(np.min(away, axis=0).max()) if away else 0.0
 
 
 def _words(run: DroppedRun) -> str:
     unit = "m" if run.channel == "position" else "rad"
     end = run.since + run.end - run.start
+    if run.held and not np.isfinite(run.until):
+        return f"samples {run.first} to {run.last} ({run.since:.2f} to {end:.2f} s) hold one place to the end,"
     if run.held:
         return f"samples {run.first} to {run.last} ({run.since:.2f} to {end:.2f} s) hold one place, {run.off:.3g} m"
     if run.first == run.last:
