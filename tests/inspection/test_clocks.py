@@ -32,6 +32,16 @@ def test_a_speed_that_follows_a_command_is_no_clock(fields: list[str]) -> None:
     assert findings_with_a_throttle(0.6, edited(rig(), [Edit("channels.throttle.fields", fields)])) == []
 
 
+def test_a_speed_that_is_asked_for_beside_the_pedals_is_no_clock() -> None:
+    """Also on a topic that nothing reads, whose messages come with those of the pedals."""
+    time, odom = CLEAN.data["odom"]
+    pedals, _ = CLEAN.data["pedals"]
+    asked = {"speed": np.interp(pedals + 0.6, time, odom["vx"])}
+    log = MemoryLog({**CLEAN.data, "request": (pedals, asked)})
+    recorded, _ = read_topics(RememberedLog(log), rig())
+    assert check_clocks(recorded, driven_path(drive_from_log(log, rig())), rig(), besides={"odom"}) == []
+
+
 def test_a_speed_that_comes_late_beside_commands_is_by_a_late_clock() -> None:
     (found,) = findings_with_a_throttle(-0.6, edited(rig(), [Edit("channels.throttle.fields", ["brake"])]))
     assert found.what == "is late"

@@ -108,6 +108,18 @@ def test_a_steering_that_is_held_while_the_vehicle_drives_straight_may_be_the_dr
     assert check_frozen(drive, straight) == []
 
 
+def test_a_steering_that_hangs_from_one_standstill_to_the_next_is_found() -> None:
+    time, _ = CLEAN.data["odom"]
+    path = driven_path(drive_from_log(CLEAN, rig()))
+    begin, end = time[len(time) // 3], time[2 * len(time) // 3]
+    near = np.minimum(np.abs(path.time - begin), np.abs(path.time - end)) < 0.5
+    steered_, _ = CLEAN.data["steering"]
+    first, last = np.searchsorted(steered_, (begin, end))
+    log = CLEAN.change("steering", "angle", lambda values: _held(values, first, last - first))
+    stopping = replace(path, speed=np.where(near, 0.0, path.speed), forward=np.where(near, 0.0, path.forward))
+    assert [finding.where for finding in check_frozen(drive_from_log(log, rig()), stopping)] == ["steer_angle"]
+
+
 def test_a_lock_that_is_held_from_the_other_one_on_does_not_hang() -> None:
     """The vehicle turns the old way until the wheels have followed; then evenly, as the driver holds it."""
     time, columns = CLEAN.data["steering"]

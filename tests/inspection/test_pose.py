@@ -259,4 +259,6 @@ def test_what_goes_with_positions_whose_y_is_up_goes_with_the_cure() -> None:
     cured = edited(given, finding.cures[0])
     assert cured.channels["position"].fields == ("p.z", "p.x", "p.y")
     assert cured.channels["yaw"].fields == ("e.y",)
-    assert not [f for f in inspect_log(log, cured).findings if f.where in ("position", "yaw")]
+    (finding,) = (f for f in inspect_log(log, cured).findings if f.where in ("position", "yaw"))
+    assert (finding.severity, finding.what, finding.cures) == ("note", "left and right may be exchanged", ())
+    assert 'left-handed, as of games, channels.position.fields = ["p.x", "p.z", "p.y"]' in finding.remedy

@@ -7,6 +7,8 @@ import pytest
 from simulated import RIG, MemoryLog, drive_log, rig
 
 from offpiste.inspection.inspect import inspect_log
+from offpiste.inspection.recorded_log import RememberedLog, read_topics
+from offpiste.inspection.stamps import check_headers
 from offpiste.inspection.timing import timing
 from offpiste.rig.edits import Edit, edited
 
@@ -101,6 +103,22 @@ def test_samples_that_came_late_ask_for_no_other_clock() -> None:
     (finding,) = (f for f in inspect_log(log, rig()).findings if f.what == "stamps go back")
     assert (finding.severity, finding.cures) == ("note", ())
     assert finding.evidence.startswith("3 of 1500")
+
+
+def test_a_topic_that_nothing_reads_changes_no_clock() -> None:
+    class Apart(MemoryLog):
+        def stamps(self, topic: str, *, stamps: str = "header") -> np.ndarray:
+            late = 0.0 if stamps == "header" else 1.7 if topic == apart else 0.01
+            return super().stamps(topic) + late
+
+    time, odom = CLEAN.data["odom"]
+    for apart, severity in (("spare", "note"), ("steering", "warning")):
+        log = Apart({**CLEAN.data, "spare": (time, odom)})
+        found = check_headers(
+            read_topics(RememberedLog(log), rig())[0], rig().clock, used={"odom", "pedals", "steering"}
+        )
+        assert [(f.where, f.severity) for f in found] == [(apart, severity)]
+        assert bool(found[0].cures) == (severity == "warning")
 
 
 def test_a_clock_that_was_set_back_is_not_believed() -> None:

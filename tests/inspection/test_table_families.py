@@ -308,6 +308,16 @@ def test_a_world_of_unreal_is_turned_so_that_left_is_left(unit: str, scale: floa
     assert [f.what for f in inspect_log(log, rig).findings if f.severity != "note"] == []
 
 
+def test_a_location_beside_a_plain_yaw_may_be_of_a_world_of_unreal() -> None:
+    yaw = 2 * np.arctan2(ODOM["qz"], ODOM["qw"])
+    columns = {"location_x": ODOM["x"], "location_y": -ODOM["y"], "location_z": ODOM["z"], "yaw": np.degrees(-yaw)}
+    log = MemoryLog({"": (TIME, columns | {name: QUANTITIES[name] for name in ("throttle", "brake", "steer")})})
+    found = inspect_log(log, parse_rig(draft_rig(log), where="draft")).findings
+    (finding,) = (f for f in found if "mirror" in f.what)
+    assert (finding.severity, finding.cures) == ("note", ())
+    assert 'channels.position.fields = ["location_y", "location_x", "location_z"]' in finding.remedy
+
+
 @pytest.mark.parametrize(
     "columns",
     [

@@ -150,7 +150,7 @@ def _stamps(topics: Topics) -> list[Finding]:
     silent = topics.silent | {finding.where for finding in changing}
     channels = topics.rig.channels if topics.rig else {}
     alone = check_stamps(topics.inspected, topics.clock, used=topics.used, silent=silent, channels=channels)
-    return changing + alone + check_headers(topics.inspected, topics.clock)
+    return changing + alone + check_headers(topics.inspected, topics.clock, used=topics.used)
 
 
 TOPIC_CHECKS: Final[tuple[Callable[[Topics], list[Finding]], ...]] = (

@@ -74,8 +74,8 @@ def check_clocks(recorded: dict[str, Recorded], path: DrivenPath, rig: Rig, *, b
         low, middle, high = np.percentile(lag, (5, 50, 95))
         field = field_in_words(wheel.topic, wheel.field)
         source = {"topic": wheel.topic, "fields": [wheel.field], "scale": rounded(wheel.scale)}
-        readers = {name for name, source in rig.channels.items() if source.topic == wheel.topic}
-        if readers and all(map(control_of, readers)) and _LEADS < low <= high < _LATE:
+        readers = {name for name, source in rig.channels.items() if source.topic in shared}
+        if all(map(control_of, readers)) and _LEADS < low <= high < _LATE:
             continue  # a commanded speed, which the vehicle's follows
         if high - low > _CHANGE and _SLIP[0] < low <= high < _SLIP[1]:
             continue

@@ -150,7 +150,7 @@ def _mirrored(name: str, drive: Drive) -> list[Finding]:
     """
     fields, yaw = drive.rig.channels["position"].fields, drive.rig.channels.get("yaw")
     named = [named_axis(field) for field in fields[:2]]
-    game = yaw is not None and _ROTATION.search(yaw.fields[0]) is not None and _LOCATION.search(fields[0]) is not None
+    game = yaw is not None and _LOCATION.search(fields[0]) is not None
     if yaw is None or drive.rig.motion.axes != "z up" or named != (["x", "y"] if game else ["y", "x"]):
         return []
     quarter = np.pi / 2 / (yaw.sign * unit_factor("yaw", yaw.unit))
@@ -169,8 +169,11 @@ def _mirrored(name: str, drive: Drive) -> list[Finding]:
     if game:
         evidence = f"'{fields[0]}' and '{yaw.fields[0]}' are names of Unreal and CARLA, whose y is to the right"
         how += "; none, if the log was turned to y left before"
-    cures = (cure, pose) if signs else (pose,)
-    return [Finding("warning", name, "the world is seen in a mirror", evidence, how, 1.0, cures)]
+    what, cures = "the world is seen in a mirror", (cure, pose) if signs else (pose,)
+    if game and _ROTATION.search(yaw.fields[0]) is None:
+        evidence = f"'{fields[0]}' is a name of Unreal and CARLA, whose y is to the right; of others, too"
+        return [Finding("note", name, "the world may be seen in a mirror", evidence, how, 1.0)]
+    return [Finding("warning", name, what, evidence, how, 1.0, cures)]
 
 
 def _velocities_mirrored(rig: Rig) -> Iterator[Edit]:

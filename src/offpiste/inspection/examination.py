@@ -99,7 +99,7 @@ def _check_driving(log: Log, topics: Topics, rig: Rig) -> tuple[list[Finding], D
 def _check_heading(drive: Drive, path: DrivenPath) -> list[Finding]:
     """How the heading fits the course; what no entry of the rig explains may be a drift."""
     found = check_course(drive, path)
-    unexplained = any(not finding.cures for finding in found)
+    unexplained = any(not finding.cures and finding.severity != "note" for finding in found)
     return (check_fast_drift(drive, path) if unexplained else []) or found
 
 

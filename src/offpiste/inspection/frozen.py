@@ -70,11 +70,12 @@ def _frozen(
     if channel.name in _STEERINGS:
         turned = _turned(path, np.minimum(begin + _SETTLES, end), end)
     straight, turns = turned <= _STRAIGHT, turned > _TURNED
-    moves = (~_rests(channel)[first] | turns) & (_moving(path, begin) | _moving(path, end))
-    if moves.sum() < 50:
-        return np.zeros(0), np.zeros(0), np.zeros(0, bool)
     # Who stops with the wheel turned holds it at the standstill, too.
     lasts = _time_in_motion(path, end) - _time_in_motion(path, begin)
+    in_motion = _moving(path, begin) | _moving(path, end) | (lasts > least)
+    moves = (~_rests(channel)[first] | turns) & in_motion
+    if moves.sum() < 50:
+        return np.zeros(0), np.zeros(0), np.zeros(0, bool)
     usual = np.sort(lasts[moves])
     alone = max(least, 0.0 if again else _ALONE * float(usual[-3]))
     unusual = np.where(turns, 0.0, _UNUSUAL * float(np.percentile(usual, 99)))

@@ -14,6 +14,7 @@ from offpiste.logs.drive import Drive
 from offpiste.logs.pose_faults import DroppedRun
 from offpiste.rig.channels import POSE
 from offpiste.rig.edits import Edit
+from offpiste.rig.labels import named_axis
 from offpiste.rig.rig import Rig
 
 _LEVEL: Final = 0.2
@@ -41,6 +42,12 @@ def check_level(place: Channel, rig: Rig, beside: Collection[str]) -> list[Findi
     """
     if place.values.shape[1] < 3:
         return []
+    fields = rig.channels["position"].fields
+    if [named_axis(field) for field in fields] == ["z", "x", "y"]:
+        evidence = f"'{fields[0]}' and '{fields[1]}' are read as x and y, as of a right-handed frame whose y is up"
+        other = Edit("channels.position.fields", [fields[1], fields[0], fields[2]])
+        how = f"none; in one that is left-handed, as of games, {other}, and so for velocities"
+        return [Finding("note", "position", "left and right may be exchanged", evidence, how, 1.0)]
     smooth = np.stack([median_filter(c, 11, mode="nearest") for c in place.values.T], axis=1)
     spread = np.ptp(smooth, axis=0)
     y_up = bool(spread[1] < _LEVEL * min(spread[0], spread[2])) and _climbs(smooth, 2) and not _climbs(smooth, 1)

@@ -223,8 +223,12 @@ def _intervals(where: str, seen: Timing, origin: float, clock: Clock, *, used: b
     return findings
 
 
-def check_headers(recorded: Mapping[str, Recorded], clock: Clock) -> list[Finding]:
-    """Header against arrival: headers never filled in, or one topic's clock apart from the others'."""
+def check_headers(recorded: Mapping[str, Recorded], clock: Clock, *, used: Collection[str]) -> list[Finding]:
+    """Header against arrival: headers never filled in, or one topic's clock apart from the others'.
+
+    Args:
+        used: topics that a rig reads, if there is one; those of the others are but a note.
+    """
     both = {name: r for name, r in recorded.items() if r.other is not None and len(r.time) > 2}
     if clock.stamps != "header" or not both:
         return []
@@ -239,5 +243,8 @@ def check_headers(recorded: Mapping[str, Recorded], clock: Clock) -> list[Findin
             message = f"arrival is {late[name]:.2f} s after the header, {usual:.2f} s for the topic in the middle"
         else:
             continue
-        findings.append(Finding("warning", name, what, message, str(_RECEIVE), score, ((_RECEIVE,),)))
+        if used and name not in used:
+            findings.append(Finding("note", name, what, message, "none: no channel reads it", score))
+        else:
+            findings.append(Finding("warning", name, what, message, str(_RECEIVE), score, ((_RECEIVE,),)))
     return findings

@@ -11,6 +11,15 @@ from offpiste.rig.channels import Clock
 
 _LISTED = 5
 """How many logs of a folder a message names."""
+_EXPORTED_BY = {
+    ".ulg": "ulog2csv (pyulog), and give the folder of its tables",
+    ".bin": "ArduPilot's mavlogdump.py (pymavlink) as CSV",
+    ".mf4": "asammdf as CSV or Parquet",
+    ".blf": "python-can and the DBC as CSV",
+    ".h5": "pandas as Parquet",
+    ".mat": "scipy.io.loadmat and pandas as Parquet",
+}
+"""What reads logs of other formats, by their ending."""
 
 
 def _logs_in(folder: Path, formats: Sequence[type[Log]]) -> list[Path]:
@@ -49,4 +58,6 @@ def open_log(path: str | Path, *, clock: Clock | None = None) -> Log:
             how=f"give one of them: offpiste inspect {quote(str(inside[0]))}",
         )
     how = f"give {', '.join(kind.description for kind in formats)}"
+    if by := _EXPORTED_BY.get(path.suffix.lower()):
+        how = f"export it by {by}"
     raise LogError("no known log format", where=path, how=how)

@@ -18,6 +18,10 @@ from offpiste.rig.channels import Clock
 _TABLES: Final = (".csv", ".tsv", ".parquet")
 _GPS_TIME: Final = re.compile(r"(?<![a-z])(tow|itow|gps_?(time|tow|seconds?)|seconds?_of_week)", re.IGNORECASE)
 """What stamps in seconds of a GPS week are called."""
+_AGAIN: Final = 8
+"""Most tables of one drive whose columns are those of another one."""
+_BEGINS: Final = 1.0
+"""Before this time stamps are counted from a table's own beginning [s]."""
 _BAGS: Final = (".bag", ".mcap", ".db3")
 """Beside one of these, tables are but what was exported of it."""
 
@@ -26,14 +30,16 @@ _BAGS: Final = (".bag", ".mcap", ".db3")
 class TablesLog(Log):
     """A drive whose topics are the tables of a folder, named after their files but for what all names begin with.
 
-    Tables with the same columns are drives of their own, whose folder is no log.
+    A folder in which most tables have the same columns as another one is no log: they are drives of their own. Few that
+    do are sensors of one kind.
 
     Args:
         path: folder.
         clock: of each table that has its column; other tables' clocks are guessed.
 
     Raises:
-        LogError: tables are damaged, fewer than two have stamps, or two were not recorded at the same time.
+        LogError: tables are damaged, fewer than two have stamps, two were not recorded at the same time, or two of the
+            same columns may not have been.
     """
 
     description = "a folder of tables of one drive"
@@ -52,21 +58,23 @@ class TablesLog(Log):
         start = len(_beginning([*opened]))
         self._tables = {name[start:]: log for name, log in opened.items()}
         _refuse_apart(self._tables, path)
+        _refuse_alike(self._tables, path)
         left_out = [f"{name} has no column of stamps: it is left out" for name in without]
         self.warnings = (*dict.fromkeys(note for log in self._tables.values() for note in log.warnings), *left_out)
 
     @staticmethod
     def recognises(path: Path) -> bool:
-        """Whether a folder holds several tables, no two of the same columns, and no bag."""
+        """Whether a folder holds tables of several kinds of columns, few of a kind that another has, and no bag."""
         if not path.is_dir() or any(file.suffix.lower() in _BAGS for file in path.iterdir()):
             return False
-        seen = set[str]()
+        kinds, again = set[str](), 0
         for file in _tables_in(path):
             columns = _columns(file)
-            if not columns or columns in seen:  # at once: a folder may hold a table a scan
+            again += columns in kinds
+            if not columns or again > _AGAIN:  # at once: a folder may hold a table a scan
                 return False
-            seen.add(columns)
-        return len(seen) > 1
+            kinds.add(columns)
+        return len(kinds) > again + 1
 
     @classmethod
     def open(cls, path: Path, clock: Clock) -> Log:
@@ -140,3 +148,21 @@ def _refuse_apart(tables: dict[str, Log], path: Path) -> None:
                 how += " (GPS time is 604800 s a week since 1980-01-06, 315964800 s since 1970, and 18 s ahead of UTC)"
             spans = (f"'{each}' ({known[each].min():.1f} to {known[each].max():.1f} s)" for each in (name, longest))
             raise LogError(f"tables {' and '.join(spans)} were not recorded at the same time", where=path, how=how)
+
+
+def _refuse_alike(tables: dict[str, Log], path: Path) -> None:
+    """Raise where two tables with the same fields count their stamps from their own beginnings.
+
+    Raises:
+        LogError: names both.
+    """
+    seen = dict[tuple[str, ...], str]()
+    for name, log in tables.items():
+        stamps = log.stamps("")
+        if not np.isfinite(stamps).any() or np.nanmin(stamps) > _BEGINS:
+            continue
+        other = seen.setdefault(log.topics[""].fields, name)
+        if other != name:
+            how = "give one of them if they are drives of their own, or put the stamps of all on one clock"
+            raise LogError(f"tables '{other}' and '{name}' have the same columns, and both begin at 0 s",
+                           where=path, how=how)  # fmt: skip
