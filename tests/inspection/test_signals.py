@@ -100,6 +100,15 @@ def test_a_motion_capture_that_loses_the_vehicle_once_has_one_warning(lost: floa
         assert "odom x" in finding.evidence
 
 
+def test_fields_that_no_channel_reads_and_lack_the_same_samples_are_named_together() -> None:
+    log = drive_log(seconds=60)
+    time, _ = log.data["pedals"]
+    log = MemoryLog({**log.data, "arm": (time, {f"joint {i}": np.full(len(time), np.nan) for i in range(6)})})
+    (finding,) = (f for f in inspect_log(log).findings if f.what.startswith("values are NaN"))
+    assert finding.where == "arm joint 0, arm joint 1, arm joint 2, arm joint 3 and 2 more"
+    assert (finding.severity, finding.remedy) == ("note", "nothing: no channel reads it")
+
+
 def test_channels_that_are_not_finite_in_other_samples_have_warnings_of_their_own() -> None:
     row = np.arange(4500)
     log = drive_log().change("odom", "vx", lambda x: np.where(abs(row - 1000) < 10, np.nan, x))

@@ -12,6 +12,8 @@ TIPPED = "climbs as much as it drives"
 
 Cure = tuple[Edit, ...]
 """Rig edits that are made together."""
+_NAMED = 4
+"""Fields that a finding on many of them names."""
 _ORDER: dict[Severity, int] = {"fatal": 0, "warning": 1, "note": 2}
 
 
@@ -72,15 +74,17 @@ def merged(findings: list[Finding]) -> list[Finding]:
 
 
 def of_one_cause(findings: list[Finding]) -> list[Finding]:
-    """Warnings that name the same samples become one, as of a motion capture that loses the vehicle."""
+    """Findings that name the same samples become one, as of a motion capture that loses the vehicle."""
     together: dict[tuple[str, ...], list[Finding]] = {}
     for finding in findings:
-        own = () if finding.severity == "warning" else (finding.where,)
-        together.setdefault((finding.evidence, finding.remedy, *own), []).append(finding)
+        together.setdefault((finding.severity, finding.evidence, finding.remedy), []).append(finding)
     return [_as_one(group) if len(group) > 1 else group[0] for group in together.values()]
 
 
 def _as_one(findings: Sequence[Finding]) -> Finding:
+    if findings[0].severity == "note":  # of fields that no channel reads
+        more = f" and {len(findings) - _NAMED} more" if len(findings) > _NAMED else ""
+        return replace(findings[0], where=", ".join(finding.where for finding in findings[:_NAMED]) + more)
     channels, places = zip(*(finding.where.removesuffix(")").split(" (", 1) for finding in findings), strict=True)
     evidence = f"{findings[0].evidence}, alike in {', '.join(places)}"
     return replace(findings[0], where=", ".join(dict.fromkeys(channels)), evidence=evidence)
