@@ -194,6 +194,8 @@ def test_errors_user_error_of_that_a_user_can_put_right_are_one_line() -> None:
         (errno.EROFS, "my.toml: cannot be opened: Read-only file system"),
         (errno.ENOSPC, "my.toml: cannot be written: No space left on device; make room"),
         (errno.ENOTDIR, "my.toml: is a file, or lies in one"),
+        (errno.EISDIR, "my.toml: cannot be used: Is a directory; give another path"),
+        (errno.EIO, "my.toml: cannot be used: Input/output error; give another path"),
     ):
         assert str(user_error_of(OSError(number, os.strerror(number), "my.toml"))).startswith(said)
-    assert user_error_of(OSError(errno.EIO, "no device", "my.toml")) is None
+    assert user_error_of(OSError(errno.EIO, "no device")) is None

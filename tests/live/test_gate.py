@@ -44,6 +44,14 @@ def test_above_the_largest_speed_the_throttle_is_released():
     assert gate.passed(FULL, 5.1, 0.0, stopping=False).control[0] == 0.0
 
 
+@pytest.mark.parametrize("limits", [LIMITS, CommandLimits()])
+def test_at_an_unknown_speed_the_throttle_is_released_whatever_the_limits(limits):
+    for speed in (np.inf, np.nan):
+        gate = Gate(limits, None, 0.5)
+        settled(gate, FULL)
+        assert gate.passed(FULL, speed, 0.0, stopping=False).control[0] == 0.0
+
+
 def test_the_dead_mans_switch_has_to_be_heard_and_pressed():
     gate = Gate(LIMITS, Enable("/enable", timeout=0.3), 0.5)
     assert settled(gate, FULL)[-1].why == "the enable topic is not heard"

@@ -37,7 +37,8 @@ def test_a_risk_is_read_from_its_text(text, risk):
 
 
 @pytest.mark.parametrize(
-    "text", ["", "none:1", "spread:much", "spread:-1", "spread:nan", "spread:inf", "cvar:0", "cvar:2", "mean"]
+    "text",
+    ["", "none:1", "spread:", "spread:much", "spread:-1", "spread:nan", "spread:inf", "cvar:0", "cvar:2", "mean"],
 )
 def test_what_is_no_risk_is_refused_in_a_line(text):
     with pytest.raises(PlanningError) as refused:

@@ -358,6 +358,23 @@ def test_a_gpu_reaches_the_optimum_too():
     assert cost_of(found[None]).item() == pytest.approx(cost_of(riccati(20).cuda()[None]).item(), rel=0.02)
 
 
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"samples": 0}, "0 samples and 1 iterations"),
+        ({"iterations": 0}, "1024 samples and 0 iterations"),
+        ({"temperature": 0.0}, "a temperature of 0"),
+        ({"temperature": float("nan")}, "a temperature of nan"),
+        ({"dt": -0.02}, "steps of -0.02 s"),
+        ({"fresh": 0.6, "wide": 0.5}, "together at most 1"),
+        ({"smoothing": -5}, "smoothing over -5 steps"),
+    ],
+)
+def test_settings_that_no_plan_can_be_made_with_are_refused(wrong, said):
+    with pytest.raises(ValueError, match=said):
+        Settings(Limits((0.0,), (1.0,)), (0.1,), **wrong)
+
+
 def test_smoothing_over_an_even_length_is_refused():
     with pytest.raises(ValueError, match="6 steps; it has to be odd"):
         Settings(Limits((0.0,), (1.0,)), (0.1,), smoothing=6)

@@ -309,7 +309,7 @@ def test_features_that_are_not_finite_count_as_no_image():
     broken.append(True)
     stream.run(2.2)
     assert stream.modes()[-1] == ("degraded", "no image")
-    assert stream.runtime.dropped["images without finite features"] >= 3
+    assert stream.runtime.dropped["images: features are not finite"] >= 3
     assert np.isfinite(commands(stream)).all()
     assert np.isfinite(stream.runtime._mapper.layers().features[stream.runtime._mapper.layers().valid]).all()
 

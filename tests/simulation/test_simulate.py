@@ -19,6 +19,7 @@ from offpiste.logs.ground_truth import read_truth
 from offpiste.rig.rig import load_rig
 from offpiste.simulation import simulate as simulation
 from offpiste.simulation.sample import VehicleSample
+from offpiste.simulation.sensors.imperfections import Imperfections
 from offpiste.simulation.sensors.suite import SensorSuite, light_suite
 from offpiste.simulation.simulate import (
     DriveSettings,
@@ -246,6 +247,9 @@ def test_ctrl_c_leaves_a_readable_file(tmp_path, monkeypatch):
         (replace(SETTINGS, seconds=float("nan")), "a drive of nan s"),
         (replace(SETTINGS, seconds=float("inf")), "a drive of inf s"),
         (replace(SETTINGS, seed=-1), "seed is -1"),
+        (replace(SETTINGS, mounting_turn=float("nan")), "mounting_turn is nan; give a number of 0 or more"),
+        (replace(SETTINGS, imperfections=Imperfections(pose_noise_m=-1.0)), "pose_noise_m is -1"),
+        (replace(SETTINGS, imperfections=Imperfections(stamp_offset_ms=float("inf"))), "stamp_offset_ms is inf"),
         (replace(SETTINGS, sensors="sonar"), "sonar"),
         (replace(SETTINGS, world=replace(WORLD, preset="moon")), "moon"),
         (replace(SETTINGS, world=replace(WORLD, size=10.0)), "size is 10"),

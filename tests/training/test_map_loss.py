@@ -19,12 +19,13 @@ from offpiste.state import Trajectory
 from offpiste.training import map_loss as module
 from offpiste.training import optimise
 from offpiste.training.build import build, vehicle_of
+from offpiste.training.checkpoint import fold_folders
 from offpiste.training.config import TrainConfig
 from offpiste.training.distributed import ALONE, Group
 from offpiste.training.losses import summed_loss
 from offpiste.training.map_loss import map_loss
 from offpiste.training.prediction import predict_windows, roll_out
-from offpiste.training.train import fold_folders, train, train_folds
+from offpiste.training.train import train, train_folds
 
 ROWS = tuple(range(20, 600, 40))
 QUICK = TrainConfig(model="cf", epochs=1, bicycle_epochs=1, actuator_epochs=1, stride=50, batch=16)

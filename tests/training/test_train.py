@@ -20,12 +20,12 @@ from offpiste.dynamics import Hybrid, Parametric
 from offpiste.errors import DatasetError, OffpisteError, RunError, TrainingError
 from offpiste.rig.channels import ChannelSource
 from offpiste.training import optimise, prediction
-from offpiste.training.checkpoint import load_json, load_tensors, save_json, save_tensors
+from offpiste.training.checkpoint import fold_folders, load_json, load_tensors, save_json, save_tensors
 from offpiste.training.config import TrainConfig, other_settings
 from offpiste.training.fitness import refuse_seen
 from offpiste.training.prediction import Lookup, predict, predict_windows, roll_out
 from offpiste.training.run import load_run
-from offpiste.training.train import fold_folders, train, train_folds
+from offpiste.training.train import train, train_folds
 
 QUICK = TrainConfig(model="b", epochs=2, bicycle_epochs=1, stride=200, batch=64)
 
@@ -228,6 +228,20 @@ def test_a_gradient_that_is_not_finite_is_named(dataset: Dataset, tmp_path: Path
     stage = optimise.Stage("root", module, lambda batch: torch.sqrt(module.weight[0] * 0).expand(len(batch.state)), 1)
     with pytest.raises(TrainingError, match="root, epoch 1, batch 1: the gradient of 'weight' is not finite"):
         optimise.run_stage(stage, windows, windows, QUICK, tmp_path, lambda line: None)
+
+
+def test_a_folder_of_something_else_is_neither_trained_into_nor_changed(dataset: Dataset, tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("mine")
+    for begin in (lambda: train(dataset, QUICK, tmp_path), lambda: train_folds(dataset, QUICK, tmp_path, folds=3)):
+        with pytest.raises(RunError, match="is a folder of something else than a run; give another one as --out"):
+            begin()
+        assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
+
+
+def test_folds_are_those_with_a_number(tmp_path: Path) -> None:
+    for name in ("fold-10", "fold-2", "fold-0-old", "fold-"):
+        (tmp_path / name).mkdir()
+    assert [path.name for path in fold_folders(tmp_path)] == ["fold-2", "fold-10"]
 
 
 def test_a_folder_with_a_run_is_not_overwritten(dataset: Dataset, run: Path) -> None:

@@ -81,6 +81,8 @@ def user_error_of(error: OSError) -> OffpisteError | None:
     if error.errno in _NOT_ALLOWED:
         how = "give files that you may read, and folders that you may write to"
         return OffpisteError(f"cannot be opened: {error.strerror}", where=where, how=how)
+    if error.filename:
+        return OffpisteError(f"cannot be used: {error.strerror}", where=where, how="give another path, or repair it")
     return None
 
 

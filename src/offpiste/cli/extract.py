@@ -1,5 +1,6 @@
 """`offpiste extract`."""
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from shlex import join
@@ -10,6 +11,7 @@ import tyro
 from offpiste.cli.entry import COMMANDS
 from offpiste.command_line import command_line
 from offpiste.conventions import PERCEPTION_LATENCY
+from offpiste.errors import PerceptionError
 from offpiste.progress import show
 
 if TYPE_CHECKING:
@@ -66,6 +68,8 @@ class Extract:
         from offpiste.parallel import parse_shard
         from offpiste.rig.rig import load_rig
 
+        if not 0 <= self.keyframe_metres < math.inf:
+            raise PerceptionError(f"--keyframe-metres is {self.keyframe_metres:g}", how="give a distance of 0 or more")
         rig = load_rig(self.rig)
         dataset = make_dataset(
             self.logs,

@@ -7,7 +7,7 @@ from typing import Annotated
 import tyro
 
 from offpiste.cli.entry import COMMANDS
-from offpiste.errors import LogError
+from offpiste.errors import LogError, PerceptionError
 from offpiste.progress import show
 
 
@@ -51,6 +51,12 @@ class FitPca:
 
         if not self.logs:
             raise LogError("no log is given", how="name one or more logs")
+        if self.out.is_dir():
+            raise PerceptionError("is a folder", where=self.out, how="give a file as --out")
+        for name, least in (("images", 1), ("components", 1), ("seed", 0)):
+            value = getattr(self, name)
+            if isinstance(value, int) and value < least:
+                raise PerceptionError(f"--{name} is {value}", how=f"give {least} or more")
         images = read_image_list(self.images) if isinstance(self.images, Path) else self.images
         fitted = fit_pca(
             self.logs,

@@ -40,8 +40,11 @@ class Train:
         """Open, train, save."""
         from offpiste.dataset.store import open_dataset
         from offpiste.training.distributed import ALONE, joined
+        from offpiste.training.optimise import check_tensorboard
         from offpiste.training.train import train, train_folds
 
+        if self.tensorboard:
+            check_tensorboard()
         dataset = open_dataset(self.dataset)
         if self.folds:
             if self.ddp:
@@ -105,9 +108,9 @@ class Train:
 
     def _with_more_epochs(self) -> str | None:
         """The same training with twice the epochs of all stages that had not converged; None where all have."""
+        from offpiste.training.checkpoint import fold_folders
         from offpiste.training.kept_epoch import SETTINGS
         from offpiste.training.run import kept_epochs
-        from offpiste.training.train import fold_folders
 
         runs = fold_folders(self.out) if self.folds else [self.out]
         stages = {

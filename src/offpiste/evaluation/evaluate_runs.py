@@ -26,12 +26,11 @@ from offpiste.evaluation.result_rows import Start
 from offpiste.files import check_folder
 from offpiste.progress import track
 from offpiste.shipped import named, run_folder
-from offpiste.training.checkpoint import load_json
+from offpiste.training.checkpoint import fold_folders, load_json
 from offpiste.training.config import TrainConfig
 from offpiste.training.fitness import differing_vehicle, refuse_seen, refuse_unfit
 from offpiste.training.prediction import Lookup
 from offpiste.training.run import Run, load_run
-from offpiste.training.train import fold_folders
 
 logger = logging.getLogger(__name__)
 

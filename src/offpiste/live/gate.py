@@ -93,7 +93,7 @@ class Gate:
             steer = float(control[2]) if np.isfinite(control[2]) else self.steer
             control, stopping = np.array((0.0, self._stop, steer)), True
         throttle, brake, steer = (float(value) for value in control)
-        too_fast = not speed <= limits.speed  # also where the speed is not known
+        too_fast = not (np.isfinite(speed) and speed <= limits.speed)  # also where it is not known
         throttle = 0.0 if stopping or too_fast else min(max(throttle, 0.0), limits.throttle)
         brake = min(max(brake, 0.0), 1.0 if stopping else limits.brake)
         steer = min(max(steer, -limits.steer), limits.steer)

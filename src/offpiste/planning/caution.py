@@ -89,7 +89,7 @@ def risk_of(text: str) -> Risk:
     try:
         if text == "none":
             return AsPredicted()
-        return made[kind](float(number)) if number else made[kind]()
+        return made[kind](float(number)) if text != kind else made[kind]()
     except (KeyError, ValueError):
         raise PlanningError(f"no risk is written {text!r}", how=f"give one of {', '.join(KINDS)}") from None
 

@@ -48,7 +48,8 @@ class Settings:
         dt: duration of a step [s], for the rates.
 
     Raises:
-        ValueError: `smoothing` is even; or a control cost with noise whose covariance is not known.
+        ValueError: a number is out of range; `smoothing` is even; or a control cost with noise whose covariance is not
+            known.
     """
 
     limits: Limits
@@ -67,6 +68,14 @@ class Settings:
     dt: float = DT
 
     def __post_init__(self) -> None:
+        if min(self.samples, self.iterations) < 1:
+            raise ValueError(f"{self.samples} samples and {self.iterations} iterations; each has to be 1 or more")
+        if not (0 < self.temperature < math.inf and 0 < self.dt < math.inf):
+            raise ValueError(f"a temperature of {self.temperature:g} and steps of {self.dt:g} s; both are above 0")
+        if min(self.fresh, self.wide) < 0 or self.fresh + self.wide > 1:
+            raise ValueError(f"shares of {self.fresh:g} fresh and {self.wide:g} wide samples; together at most 1")
+        if self.smoothing < 0:
+            raise ValueError(f"smoothing over {self.smoothing} steps; it has to be 0 or more")
         if self.smoothing and self.smoothing % 2 == 0:
             raise ValueError(f"smoothing over {self.smoothing} steps; it has to be odd")
         if self.control_cost:

@@ -127,8 +127,8 @@ class OnlineMapper:
         try:
             with self._watch.of("extract features"):
                 self._mapper.add_image(image, pose)
-        except PerceptionError:
-            self.dropped["images without finite features"] += 1
+        except PerceptionError as error:
+            self.dropped[f"images: {error.what}"] += 1
             return
         self.image_time = max(self.image_time, image.time)
 

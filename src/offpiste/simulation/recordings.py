@@ -1,6 +1,7 @@
 """Several drives recorded side by side, each whole or not at all."""
 
 import io
+import logging
 from collections.abc import Sequence
 from contextlib import redirect_stderr
 from dataclasses import dataclass
@@ -9,6 +10,8 @@ from pathlib import Path
 from offpiste.cluster import engine_at
 from offpiste.parallel import Report, run_all
 from offpiste.simulation.simulate import DriveSettings, simulate
+
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -26,6 +29,8 @@ def simulate_all(recordings: Sequence[Recording], processes: int, cluster: str =
         OffpisteError: the first failure; drives that did not fail are recorded.
     """
     missing = [recording for recording in recordings if not recording.log.exists()]
+    if kept := len(recordings) - len(missing):
+        logger.warning(f"{kept} of {len(recordings)} drives are there, and stay as they were recorded")
     failed = run_all(_record, missing, processes, "simulate", engine=engine_at(cluster))
     if failed:
         raise failed[0]

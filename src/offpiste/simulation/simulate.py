@@ -196,6 +196,10 @@ def _check(settings: DriveSettings, files: Sequence[Path]) -> int:
     """Number of steps of `DT`; refuses wrong settings before minutes are spent."""
     if not DT / 2 < settings.seconds < np.inf:
         raise OffpisteError(f"a drive of {settings.seconds:g} s", how="give --seconds above zero")
+    amounts = {**vars(settings.imperfections), "mounting_turn": settings.mounting_turn}
+    for name, amount in amounts.items():
+        if not np.isfinite(amount) or (amount < 0 and name != "stamp_offset_ms"):
+            raise OffpisteError(f"{name} is {amount:g}", how="give a number of 0 or more")
     if settings.seed < 0:
         raise OffpisteError(f"the drive's seed is {settings.seed}", how="choose 0 or more")
     sensor_suite(settings.sensors)

@@ -2,6 +2,7 @@
 
 import json
 import logging
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -13,7 +14,7 @@ from torch import Tensor, nn
 
 from offpiste.checksums import sha256_of, sha256_of_arrays, sha256_of_json
 from offpiste.errors import RunError
-from offpiste.files import write_bytes, write_text
+from offpiste.files import remove_partials, write_bytes, write_text
 
 logger = logging.getLogger(__name__)
 
@@ -21,6 +22,9 @@ REMEDY: Final = "train again, or restore the file"
 
 WEIGHTS: Final = "model.safetensors"
 """File of a run's weights."""
+
+_FOLD: Final = re.compile(r"fold-(\d+)")
+"""Names of the runs of a cross-validation."""
 
 
 def save_tensors(path: Path, tensors: dict[str, Tensor], **about: Any) -> None:
@@ -163,3 +167,22 @@ def load_checkpoint(
     except (KeyError, ValueError) as error:
         raise RunError(f"does not fit the optimiser: {error}", where=path, how="train again") from error
     return weights, about
+
+
+def fold_folders(folder: Path) -> list[Path]:
+    """The runs of a cross-validation, in the order of the folds; empty if the folder is a single run."""
+    numbers = {int(named[1]): path for path in folder.glob("fold-*") if (named := _FOLD.fullmatch(path.name))}
+    return [numbers[number] for number in sorted(numbers)]
+
+
+def refuse_other_folder(folder: Path) -> None:
+    """Check that a folder that holds no run may become one: it is not there, or holds nothing but folds.
+
+    Raises:
+        RunError: it holds something else, which a run's files might overwrite.
+    """
+    if not folder.exists():
+        return
+    remove_partials(folder)
+    if any(not _FOLD.fullmatch(each.name) for each in folder.iterdir()):
+        raise RunError("is a folder of something else than a run", where=folder, how="give another one as --out")

@@ -88,6 +88,8 @@ def refuse_impossible(config: TrainConfig) -> None:
     for name, limit in (least | {"seed": 0}).items():
         if getattr(config, name) < limit:
             _refuse(name, getattr(config, name), f"{limit} or more")
+    if config.seed >= 1 << 63:
+        _refuse("seed", config.seed, "a number below 2^63")
     if config.codes > MOST_CODES:
         _refuse("codes", config.codes, f"{MOST_CODES} or less; the paper takes 1 to 16")
     for name in ("learning_rate", "constants_learning_rate", "gradient_clip"):

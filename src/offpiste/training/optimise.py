@@ -65,14 +65,25 @@ def metrics_writer(path: Path) -> Record:
     return record
 
 
+def check_tensorboard() -> None:
+    """Check that scalars can be written for TensorBoard.
+
+    Raises:
+        MissingExtra: it is not installed.
+    """
+    with extra("tensorboard"):
+        import torch.utils.tensorboard  # noqa: F401
+
+
 def also_tensorboard(record: Record, folder: Path) -> Record:
     """A record that also writes scalars for TensorBoard.
 
     Raises:
         MissingExtra: TensorBoard is not installed.
     """
-    with extra("tensorboard"):
-        from torch.utils.tensorboard import SummaryWriter
+    check_tensorboard()
+    from torch.utils.tensorboard import SummaryWriter
+
     writer = SummaryWriter(folder)
 
     def both(line: Metrics) -> None:

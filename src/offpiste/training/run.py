@@ -264,10 +264,12 @@ def check_device(name: str) -> torch.device:
         RunError: no such device, or torch was built without it.
     """
     try:
-        device = torch.zeros(1, device=name).device
+        there = torch.zeros(1, device=name)
+        there.item()  # which tells devices that compute from those that only have a name
     except (RuntimeError, AssertionError) as error:
         reason = str(error).splitlines()[0]
         raise RunError(f"no device '{name}': {reason}", how="use --device cpu, or install torch for it") from error
+    device = there.device
     if device.type == "cuda":
         torch.backends.cudnn.allow_tf32 = False  # LSTMs would round to 10 bits, and differ from the CPU's
     return device

@@ -29,7 +29,7 @@ from offpiste.files import check_folder, remove_partials
 from offpiste.state import Trajectory
 from offpiste.training.actuator_stage import actuators_to_fit, fit_actuators
 from offpiste.training.build import build, vehicle_of
-from offpiste.training.checkpoint import load_json, save_json
+from offpiste.training.checkpoint import load_json, refuse_other_folder, save_json
 from offpiste.training.config import TrainConfig, other_settings, refuse_impossible
 from offpiste.training.distributed import ALONE, Group
 from offpiste.training.kept_epoch import FEW_WINDOWS, KeptEpoch
@@ -213,9 +213,9 @@ def _claim(folder: Path, dataset: Dataset, config: TrainConfig, resume: bool) ->
     """Make the run folder, or check that the run in it is this one."""
     described = {"train": asdict(config), "dataset": str(dataset.path.resolve()), "split": dataset.split.text}
     described, data = json.loads(json.dumps(described)), digest_of(dataset)
-    remove_partials(folder)
     path = folder / "config.json"
     if not path.exists():
+        refuse_other_folder(folder)
         save_json(path, {**described, "dataset_sha256": data})
         return
     before = load_json(path)
@@ -229,6 +229,7 @@ def _claim(folder: Path, dataset: Dataset, config: TrainConfig, resume: bool) ->
         raise RunError("holds a run already", where=folder, how="add --resume, or choose another --out")
     if "dataset_sha256" not in before:
         logger.warning(f"{path}: has no digest of the dataset, since an older offpiste wrote it: changes go unnoticed")
+    remove_partials(folder)
 
 
 def digest_of(dataset: Dataset) -> str:
@@ -282,8 +283,10 @@ def train_folds(
     All choose their epochs at recorded places: snapshots of the map are of the windows of the dataset's own split.
 
     Raises:
-        RunError: fewer than three folds, which leave no row for each part.
+        RunError: fewer than three folds, which leave no row for each part; or the folder is one of something else.
     """
+    check_folder(folder)
+    refuse_other_folder(folder)
     if folds < 3:
         raise RunError(f"{folds} folds", how="cross-validation takes 3 or more")
     if any(drive.snapshots is not None for drive in dataset.drives):
@@ -292,8 +295,3 @@ def train_folds(
         logger.info(f"fold {number + 1} of {folds}")
         relabelled = dataset.relabelled(parse_split(f"fold:{number}/{folds}"))
         train(relabelled, config, folder / f"fold-{number}", resume=resume)
-
-
-def fold_folders(folder: Path) -> list[Path]:
-    """The runs of a cross-validation, in the order of the folds; empty if the folder is a single run."""
-    return sorted(folder.glob("fold-*"), key=lambda path: int(path.name.removeprefix("fold-")))

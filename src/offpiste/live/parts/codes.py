@@ -50,8 +50,8 @@ def codes(session: Session) -> None:
                 try:
                     pixels = setup.cameras[image.camera].rectifier(image.pixels)
                     found = codes_of(pixels, planner.extractor.extract, encoder)
-                except PerceptionError:
-                    part.dropped["images without finite features"] += 1
+                except PerceptionError as error:
+                    part.dropped[f"images: {error.what}"] += 1
                     continue
                 took = time.monotonic() - began
                 keyframes.add(image.camera, image.time, pose, found, image.pixels[:0])

@@ -163,9 +163,8 @@ def open_backbone(name: str = DINOV2_SMALL, *, device: str = "cpu", precision: P
 
 def _device(name: str) -> torch.device:
     try:
-        device = torch.device(name)
-    except RuntimeError as error:
-        raise PerceptionError(f"no such device: {name!r}", how="give cpu or cuda") from error
-    if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
-        raise PerceptionError(f"no device {name!r} here", how="give cpu")
-    return device
+        torch.zeros(1, device=name).item()
+    except (RuntimeError, AssertionError) as error:
+        reason = str(error).splitlines()[0]
+        raise PerceptionError(f"no device {name!r}: {reason}", how="give cpu, or install torch for it") from error
+    return torch.device(name)
