@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from offpiste.checksums import sha256_of, sha256_of_arrays, sha256_of_json
 from offpiste.errors import RunError
-from offpiste.files import remove_partials, write_bytes, write_text
+from offpiste.files import PARTIAL, remove_partials, write_bytes, write_text
 
 logger = logging.getLogger(__name__)
 
@@ -183,6 +183,6 @@ def refuse_other_folder(folder: Path) -> None:
     """
     if not folder.exists():
         return
-    remove_partials(folder)
-    if any(not _FOLD.fullmatch(each.name) for each in folder.iterdir()):
+    if any(not (_FOLD.fullmatch(each.name) or each.name.endswith(PARTIAL)) for each in folder.iterdir()):
         raise RunError("is a folder of something else than a run", where=folder, how="give another one as --out")
+    remove_partials(folder)
