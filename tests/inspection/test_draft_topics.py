@@ -63,6 +63,18 @@ def test_the_odometry_of_wheels_comes_after_that_of_a_filter() -> None:
     assert _drafted(Typed(dict(list(log.data.items())[:1]))).channels["position"].topic == "drive_controller/Odometry"
 
 
+@pytest.mark.parametrize("name", ["mapping/icp_odom", "odometry/global", "gt_poses", "ground_truth/pose"])
+@pytest.mark.parametrize("dense", [True, False])
+def test_a_plain_odometry_comes_after_a_pose_that_is_corrected_and_dense(name: str, dense: bool) -> None:
+    """Even if that is a pose alone: what slips is no measure of how the vehicle moves."""
+    some = slice(None) if dense else slice(None, None, 20)
+    pose = {field: values[some] for field, values in ODOM.items() if field[0] not in "vw"}
+    log = Typed({"base/odom": (TIME, ODOM), name: (TIME[some], pose)})
+    channels = _drafted(log).channels
+    assert channels["position"].topic == (name if dense else "base/odom")
+    assert ("linear_velocity" in channels) == (not dense)
+
+
 def test_rates_of_an_imu_stand_beside_a_pose_that_has_none() -> None:
     pose = {name: values for name, values in ODOM.items() if name[0] not in "vw"}
     log = Typed(CLEAN.data | {"odom": (TIME, pose), "imu/Imu": _receiver_and_imu().data["imu/Imu"]})

@@ -37,8 +37,13 @@ _SIGNAL: Final = re.compile(r"signal|name|channel|variable|parameter|field|topic
 _VALUE: Final = re.compile(r"(?<![a-z])(value|val|data|reading)$", re.IGNORECASE)
 """Columns of a long table."""
 _POSE: Final = ("position", "orientation", "yaw", "linear_velocity", "angular_velocity")
-_LAST: Final = re.compile(r"wheel|controller|ecef", re.IGNORECASE)
+_LAST: Final = re.compile(r"wheel|controller|ecef|earth", re.IGNORECASE)
 """Names of topics with the odometry of wheels, or in the earth's own frame, whose z is not up."""
+_ODOMETRY: Final = re.compile(r"(^|/)odom(etry)?$", re.IGNORECASE)
+_CORRECTED: Final = re.compile(r"(?i)(?<![a-z])(filtered|fused|global|map(ping)?|icp|lio|slam|ekf|gt|truth)(?![a-z])")
+"""Names of a plain odometry, as base controllers give, and of poses that scans, satellites or a filter correct."""
+_DENSE: Final = 5.0
+"""Rate from which the latter come before the former [1/s]."""
 _NED: Final = re.compile(
     r"(?<![a-zA-Z])ned(?![a-z])|NED(?![a-z])|vehicle_local_position"
     r"|vehicle_odometry(_\d)?([./](position|q|[xyz])\b|\.csv)"
@@ -66,18 +71,22 @@ class Entry:
 def draft_pose(log: Log, guesses: Sequence[Guess], frame: str) -> dict[str, Entry]:
     """The topic with most of a pose and velocities, by their number, its rate, then its place in the log.
 
-    The odometry of wheels, which slip, and poses in the earth's frame come after others. Where none has both a position
-    and a heading, as with a GNSS receiver beside an IMU, each comes from its own topic.
+    The odometry of wheels, which slip, and poses in the earth's frame come after others, a plain odometry after poses
+    that are corrected. Where none has position and heading, as with a GNSS receiver beside an IMU, each has a topic.
     """
     best: dict[str, Guess] = {}
-    best_score = (0, False, 0)
+    best_score = (False, 0, False, 0)
     channels_of = by_topic(guesses)
-    for topic in (name for name in log.topics if name in channels_of):
-        channels = channels_of[topic]
-        if "position" not in channels or not {"orientation", "yaw"} & set(channels):
-            continue
+    whole = {t: each for t, each in channels_of.items() if "position" in each and {"orientation", "yaw"} & set(each)}
+    spans = (np.ptp(time[np.isfinite(time)]) for time in map(log.stamps, whole) if np.isfinite(time).any())
+    often = _DENSE * max(spans, default=0.0)
+    corrected = any(_CORRECTED.search(topic) and log.topics[topic].count > often for topic in whole)
+    for topic in (name for name in log.topics if name in whole):
+        channels = whole[topic]
         moving = {c: g for c, g in channels.items() if c not in _POSE or _varies(field_values(log, g))}
-        score = (sum(c in _POSE for c in moving), _LAST.search(topic) is None, log.topics[topic].count)
+        drifts = corrected and (_ODOMETRY.search(topic) or _LAST.search(topic)) and not _CORRECTED.search(topic)
+        kinds, count = sum(c in _POSE for c in moving), log.topics[topic].count
+        score = (not drifts, kinds, _LAST.search(topic) is None, count)
         if "position" in moving and score > best_score:
             best, best_score = moving, score
     best = best or _places_and_headings(log, channels_of)
@@ -137,7 +146,8 @@ def _velocity_beside(log: Log, channels_of: Mapping[str, Mapping[str, Guess]]) -
     """The velocity that is reported most often, where the pose's topic has none; commands are none."""
     for topic in sorted(channels_of, key=lambda topic: -log.topics[topic].count):
         guess = channels_of[topic].get("linear_velocity")
-        if guess is not None and not COMMANDED.search(topic) and _varies(field_values(log, guess)):
+        slips = _ODOMETRY.search(topic) or _LAST.search(topic)
+        if guess is not None and not slips and not COMMANDED.search(topic) and _varies(field_values(log, guess)):
             return {"linear_velocity": guess}
     return {}
 
