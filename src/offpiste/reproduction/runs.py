@@ -20,6 +20,7 @@ from offpiste.progress import track
 from offpiste.reproduction.data import opened
 from offpiste.reproduction.settings import BASELINE, Figure, FigureModel, ReproductionSettings, feature_sets
 from offpiste.reproduction.steps import Step
+from offpiste.training.checkpoint import SHARED_STAGES
 from offpiste.training.distributed import ALONE
 from offpiste.training.fitness import refuse_seen
 from offpiste.training.map_loss import MapLoss, map_loss
@@ -27,12 +28,6 @@ from offpiste.training.prediction import MapSource
 from offpiste.training.run import Run, kept_epochs, load_run
 from offpiste.training.terrain_sources import on_map
 from offpiste.training.train import train
-
-STAGES = ("bicycle",)
-"""Stages of training that do not read terrain features: fitted with one model, they serve all.
-
-The actuators' stage does not either; every training shares that (`offpiste.training.actuator_stage`).
-"""
 
 
 def reuse_stages(runs: Path, folder: Path, seed: int) -> None:
@@ -42,7 +37,7 @@ def reuse_stages(runs: Path, folder: Path, seed: int) -> None:
         runs: folder of all runs, of one dataset and with the same settings of these stages.
         folder: of the run.
     """
-    for stage in STAGES:
+    for stage in SHARED_STAGES:
         name = f"{stage}.safetensors"
         done = sorted(runs.glob(f"*-{seed}/{name}"))
         if done and not (folder / name).exists():

@@ -23,6 +23,12 @@ REMEDY: Final = "train again, or restore the file"
 WEIGHTS: Final = "model.safetensors"
 """File of a run's weights."""
 
+SHARED_STAGES: Final = ("bicycle",)
+"""Stages of training that do not read terrain features: fitted with one model, they serve all of a seed.
+
+The actuators' stage does not either; every training shares that (`offpiste.training.actuator_stage`).
+"""
+
 _FOLD: Final = re.compile(r"fold-(\d+)")
 """Names of the runs of a cross-validation."""
 
@@ -176,13 +182,19 @@ def fold_folders(folder: Path) -> list[Path]:
 
 
 def refuse_other_folder(folder: Path) -> None:
-    """Check that a folder that holds no run may become one: it is not there, or holds nothing but folds.
+    """Check that a folder that holds no run may become one: it is not there, or holds nothing but folds or stages.
 
     Raises:
         RunError: it holds something else, which a run's files might overwrite.
     """
     if not folder.exists():
         return
-    if any(not (_FOLD.fullmatch(each.name) or each.name.endswith(PARTIAL)) for each in folder.iterdir()):
+    if any(not _of_training(each.name) for each in folder.iterdir()):
         raise RunError("is a folder of something else than a run", where=folder, how="give another one as --out")
     remove_partials(folder)
+
+
+def _of_training(name: str) -> bool:
+    """Whether a file or folder of this name is there before a run is: a fold, a stage of another run, what was cut."""
+    stages = {f"{stage}.safetensors" for stage in SHARED_STAGES}
+    return name in stages or name.endswith(PARTIAL) or _FOLD.fullmatch(name) is not None
