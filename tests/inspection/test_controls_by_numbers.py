@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from simulated import MemoryLog, drive_log, rig
 
-from offpiste.inspection.controls_by_numbers import find_controls, is_measured_topic
+from offpiste.inspection.controls_by_numbers import find_controls, is_measured_topic, why_no_steering
 from offpiste.logs.log import Topic
 from offpiste.rig.edits import Edit, edited
 from offpiste.rig.rig import Rig
@@ -105,3 +105,48 @@ def test_noise_and_what_is_measured_is_no_control() -> None:
     yaw = np.unwrap(2 * np.arctan2(odom["qz"], odom["qw"]))
     gyro = {"axes[0]": np.gradient(yaw, odom_time)}
     assert find_controls(MemoryLog({"odom": log.data["odom"], "joy": (odom_time, gyro)}), posed()) == {}
+
+
+def _radio(seconds: float = 60.0) -> MemoryLog:
+    """The drive by radio: one stick drives above its middle and brakes below, and what comes in goes out, too."""
+    log = drive_log(seconds=seconds)
+    time, pedals = log.data["pedals"]
+    steer = np.interp(time, *(log.data["steering"][0], log.data["steering"][1]["angle"]))
+    stick = np.clip(2 * (pedals["throttle"] - pedals["brake"]), -1, 1)
+    stick[np.abs(stick) < 0.2] = 0.0
+    topics = {
+        name: (time, {"channels[0]": 1500 + size * steer, "channels[2]": 1500 + size * stick})
+        for name, size in (("/rc/in", 500), ("/rc/out", 400))
+    }
+    return MemoryLog({"odom": log.data["odom"], **topics})
+
+
+def test_a_stick_of_pulses_that_goes_both_ways_is_a_throttle_and_what_goes_out_is_read() -> None:
+    found = find_controls(_radio(), posed())
+    throttle, _ = found["throttle"]
+    assert (throttle.topic, throttle.fields) == ("/rc/out", ("channels[2]",))
+    assert found["steer"][0].topic == "/rc/out"
+    assert "brake" not in found
+
+
+def test_the_command_of_one_side_and_raw_frames_are_no_control() -> None:
+    log = joystick()
+    time, axes = log.data["joy"]
+    sides = {"track_left": -axes["axes[0]"], "track_right": axes["axes[0]"]}
+    tracks = MemoryLog({"odom": log.data["odom"], "tracks/command": (time, sides)})
+    assert find_controls(tracks, posed()) == {}
+    words = why_no_steering(tracks)
+    assert "tracks/command track_left, tracks/command track_right drive one side of the vehicle each" in words
+    alone = MemoryLog({"odom": log.data["odom"], "tracks/command": (time, {"track_left": -axes["axes[0]"]})})
+    assert find_controls(alone, posed())["steer"][0].fields == ("track_left",)
+
+    class Bus(MemoryLog):
+        @property
+        def topics(self) -> dict[str, Topic]:
+            types = {"joy": "can_msgs/msg/Frame"}
+            return {name: replace(topic, type=types.get(name, topic.type)) for name, topic in super().topics.items()}
+
+    bus = Bus(log.data)
+    assert find_controls(bus, posed()) == {}
+    assert "joy holds raw CAN frames: decode them with the DBC" in why_no_steering(bus)
+    assert why_no_steering(log) == ""

@@ -486,3 +486,15 @@ def test_latitude_and_longitude_in_messages_of_their_own_are_a_position(tmp_path
     drive = drive_from_log(open_log(path), rig)
     assert len(drive.channels["position"].time) == len(DRIVEN["t"])
     assert drive.notes == ()
+
+
+@pytest.mark.parametrize("size", [0.8, 1.0])
+def test_a_throttle_that_is_at_full_for_long_is_no_trigger(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, size: float
+) -> None:
+    """Beside a brake of its own, what is below zero is none."""
+    full = (DRIVEN["pedal"] > 0.4).astype(float) - (DRIVEN["pedal"] < -0.59)
+    monkeypatch.setitem(DRIVEN, "both", size * full)
+    columns = {**POSE, "throttle": ("both", 1.0), "brake": ("brake", 1.0), "steer": ("angle", 1)}
+    throttle = drafted(written(tmp_path / "drive.csv", columns)).channels["throttle"]
+    assert (throttle.scale, throttle.offset, throttle.clip) == (1.0, 0.0, (0.0, 1.0))

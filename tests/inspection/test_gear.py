@@ -206,3 +206,59 @@ def test_a_brake_below_zero_stays_one_where_the_vehicle_rolls_back(tmp_path) -> 
     assert driven_path(drive_from_log(log, drafted)).forward.min() < -0.5
     assert drafted.channels["brake"].sign == -1
     assert "gear" not in drafted.channels
+
+
+def test_a_throttle_that_is_released_halfway_is_found_and_brought_to_zero() -> None:
+    """Both ways from zero, and read as if it were a trigger."""
+    drive, path, recorded = _read(FORWARD)
+    standing = replace(path, speed=np.where(np.arange(len(path.time)) < 300, 0.0, path.speed))
+    throttle = drive.channels["throttle"]
+    both = np.sign(np.sin(throttle.time)) * (np.abs(np.sin(throttle.time)) > 0.6) * (throttle.time > path.time[300])
+    halved = replace(throttle, values=0.5 + 0.5 * both[:, None])
+    (finding,) = check_gear(replace(drive, channels={**drive.channels, "throttle": halved}), standing, recorded)
+    assert (finding.severity, finding.what) == ("warning", "never comes back to zero")
+    cured = edited(drive.rig, finding.cures[0]).channels["throttle"]
+    assert (cured.scale, cured.offset, cured.clip) == (2.0, -1.0, (0.0, 1.0))
+    released = replace(throttle, values=np.maximum(both, 0.0)[:, None])
+    assert check_gear(replace(drive, channels={**drive.channels, "throttle": released}), standing, recorded) == []
+
+
+def _speed_controller(path, *, brakes: float):
+    """A table of a rover whose pedal below zero brakes while it rolls, and reverses from a standstill."""
+    time = np.arange(0, 90, 0.02)
+    x, y, yaw, speed, rows = 0.0, 0.0, 0.3, 0.0, []
+    for t in time:
+        phase = t % 15
+        pedal = 0.6 if phase < 6 else -0.3 if phase < 6 + brakes else 0.0 if phase < 10 else -0.4 if phase < 14 else 0.0
+        rows.append((t, x, y, yaw, 0.3 * np.sin(0.37 * t), pedal))
+        force = (-0.6 * np.sign(speed) if speed > 0.02 else 4 * pedal) if pedal < 0 else 4 * pedal
+        speed += 0.02 * (force - 0.8 * speed)
+        yaw += 0.02 * speed * np.tan(0.5 * rows[-1][4]) / 2
+        x, y = x + 0.02 * speed * np.cos(yaw), y + 0.02 * speed * np.sin(yaw)
+    np.savetxt(path, rows, delimiter=",", header="t,x,y,yaw,steering,throttle", comments="", fmt="%.6f")
+    return open_log(path)
+
+
+@pytest.mark.parametrize("gear", [True, False])
+def test_a_pedal_that_brakes_and_reverses_is_said_to_whatever_it_is_read_as(tmp_path, gear: bool) -> None:
+    log = _speed_controller(tmp_path / "drive.csv", brakes=2.0)
+    given = parse_rig(draft_rig(log), where="test")
+    # As the draft would be if the other had been seen.
+    clip, absent = [0.0, 1.0], ["brake_pressure", "steer_angle", "steer_rate", "engine_rpm"]
+    as_gear = {"fields": ["throttle"], "scale": 25.0} if gear else None
+    brake = None if gear else {"fields": ["throttle"], "sign": -1, "clip": clip}
+    edits = (
+        ("throttle", {"fields": ["throttle"], "absolute": gear, "clip": clip}),
+        ("gear", as_gear),
+        ("brake", brake),
+    )
+    cures = [Edit(f"channels.{name}", value) for name, value in edits]
+    given = edited(given, [*cures, Edit("absent", [*absent, *(["brake"] if gear else [])])])
+    drive = drive_from_log(log, given)
+    found = check_gear(drive, driven_path(drive), read_topics(RememberedLog(log), None)[0])
+    assert len(found) == 1
+    if gear:
+        assert (found[0].severity, found[0].where) == ("warning", "gear")
+        assert "brakes while the vehicle rolls" in found[0].what
+    else:
+        assert found[0].what in ("is not read, and the vehicle reverses", "is reverse, and no brake")

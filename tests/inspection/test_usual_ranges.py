@@ -8,6 +8,7 @@ from offpiste.inspection.usual_ranges import (
     are_pulses,
     held_range,
     pulse_at_rest,
+    rests_between,
     rests_high,
     scaled_to_unit,
     seen_range,
@@ -134,3 +135,18 @@ def test_where_a_speed_controller_rests() -> None:
     assert pulse_at_rest(1650 + 100 * WAVE) == 1500
     assert pulse_at_rest(1500 + 400 * WAVE) == 1500
     assert pulse_at_rest(np.clip(1000 + 900 * WAVE, 1000, 2000)) == 1000
+    # A stick that is released at the middle pulse, and at times pulled to the least one.
+    assert pulse_at_rest(1500 + 500 * _two_way()) == 1500
+
+
+def _two_way() -> np.ndarray:
+    """A throttle that is released, at full size forwards and, less often, at full size backwards."""
+    return np.concatenate((np.zeros(400), np.ones(300), -np.ones(200), np.linspace(-1, 1, 600)))
+
+
+def test_a_pedal_that_is_released_between_its_ends_goes_both_ways() -> None:
+    for size, middle in ((0.8, 0.0), (100.0, 0.0), (400.0, 1500.0)):
+        assert rests_between(middle + size * _two_way(), middle)
+    for trigger in (presses(-1, 1, rest=1.0), presses(-1, 1, rest=-1.0), presses(0, 1, rest=0.0)):
+        assert not rests_between(trigger)
+    assert not rests_between(presses(1000, 2000, rest=1000.0), 1500.0)

@@ -17,7 +17,7 @@ from offpiste.inspection.driven_path import DrivenPath, driven_path
 from offpiste.inspection.lags import LAGS, LagFit, fit_lags, lagged
 from offpiste.inspection.pedals import pedal_fit
 from offpiste.inspection.steering_fit import moving_rows, steering_fit
-from offpiste.inspection.usual_ranges import are_pulses, is_signed, pulse_at_rest, rests_high
+from offpiste.inspection.usual_ranges import are_pulses, is_signed, pulse_at_rest, rests_between, rests_high
 from offpiste.logs.channel import Channel, read_channel
 from offpiste.logs.drive import drive_from_log
 from offpiste.logs.log import Log, Topic
@@ -52,6 +52,13 @@ _MEASURED: Final = re.compile(
 """Topics and types of what is measured."""
 _COMMANDING: Final = re.compile(rf"{COMMANDED.pattern}|actuator|motors", re.IGNORECASE)
 """Topics of commands to a vehicle, or to its actuators."""
+_GOES_OUT: Final = re.compile(r"(?<![a-z])(rc)?out?(puts?)?(?![a-z])", re.IGNORECASE)
+"""Topics of what a flight controller gives its actuators, whatever came in by radio."""
+_SIDES: Final = {"left": "right", "right": "left"}
+_SIDE: Final = re.compile(r"(?<![a-z])(left|right)(?![a-z])", re.IGNORECASE)
+"""Names of the two sides of a vehicle, whose wheels or tracks have a command each."""
+_FRAME: Final = re.compile(r"can_msgs/(msg/)?Frame$")
+"""Messages of bytes as they come on a CAN bus."""
 _MOTION: Final = re.compile(
     r"acc|gyro|omega|rate|vel|speed|pos|orient|quat|cov|curv|slip|wheel|rpm|yaw|pitch|roll|(?<![a-z])[xyz](?![a-z])"
 )
@@ -96,11 +103,12 @@ def find_controls(log: Log, rig: Rig) -> dict[str, tuple[Guess, float]]:
 def _without_copies(near: Sequence[tuple[float, Guess]], name: str, log: Log, rig: Rig) -> list[tuple[float, Guess]]:
     """The same but for fields that are another one at the same moment in other numbers, as pulses of its command.
 
-    Of these the one whose numbers are a share, within -1 to 1, is kept.
+    Of these the one whose numbers are a share, within -1 to 1, is kept, else what goes out to the actuators.
     """
     kept = list[tuple[float, Guess, Channel]]()
     read = [(score, guess, channel) for score, guess in near if (channel := _read(name, guess, log, rig)) is not None]
-    for score, guess, channel in sorted(read, key=lambda one: float(np.abs(one[2].values).max()) > _WHOLE):
+    read.sort(key=lambda one: (float(np.abs(one[2].values).max()) > _WHOLE, not _GOES_OUT.search(one[1].topic)))
+    for score, guess, channel in read:
         at = channel.time[:: max(len(channel.time) // 2000, 1)]
         others = (np.interp(at, other.time, other.values[:, 0]) for _, _, other in kept)
         own = np.interp(at, channel.time, channel.values[:, 0])
@@ -172,12 +180,13 @@ def _is_turn_rate(channel: Channel, path: DrivenPath, rig: Rig, strength: float)
 def _pressed(channel: Channel) -> Channel | None:
     """A pedal from 0, released, upwards, or what lies above the middle of a stick or of pulses; None for neither."""
     values: Float[np.ndarray, "n 1"] = channel.values
-    high = rests_high(values[:, 0])
-    if high is None:
-        if channel.name == "throttle" and are_pulses(values[:, 0], named=False):
-            return replace(channel, values=np.maximum(values - pulse_at_rest(values[:, 0]), 0.0))
-        both_ways = channel.name == "throttle" and is_signed(values[:, 0])
-        return replace(channel, values=np.maximum(values, 0.0)) if both_ways else None
+    high, pulses = rests_high(values[:, 0]), are_pulses(values[:, 0], named=False)
+    rest = pulse_at_rest(values[:, 0]) if pulses else 0.0
+    two_way = rests_between(values[:, 0], rest) and (pulses or is_signed(values[:, 0]))
+    # Whoever drives at full throttle for long is at an end of the range as well.
+    if high is None or two_way:
+        both_ways = channel.name == "throttle" and (pulses or is_signed(values[:, 0]))
+        return replace(channel, values=np.maximum(values - rest, 0.0)) if both_ways else None
     return Channel(channel.name, channel.unit, channel.time, values.max() - values if high else values - values.min())
 
 
@@ -213,10 +222,42 @@ def _unread(log: Log, rig: Rig) -> Iterator[Guess]:
     """Fields that no channel reads and that no name says to be measured, in the log's order."""
     read = {(source.topic, field) for source in rig.channels.values() for field in source.fields}
     for topic in log.topics.values():
-        if topic.count < 100 or topic.part_of or is_measured_topic(topic):
+        if topic.count < 100 or topic.part_of or is_measured_topic(topic) or _FRAME.search(topic.type):
             continue
+        sides = _sides(topic, log)
         for field, label in labels(topic).items():
             asked = COMMANDED.search(topic.name) or COMMANDED.search(label.name)
             moved = not asked and _MOTION.search(label.name.rpartition("/")[2])
-            if (topic.name, field) not in read and field != log.clock.column and not moved:
+            if (topic.name, field) not in read and field not in (log.clock.column, *sides) and not moved:
                 yield Guess("", topic.name, (field,), label.unit, asked_for=is_asked_for(topic, (field,)))
+
+
+def _sides(topic: Topic, log: Log) -> list[str]:
+    """Fields of one side of the vehicle that have a counterpart of the other side: one alone neither drives nor steers.
+
+    The side is in the names of the fields, or in that of the topic.
+    """
+    fields = [field for field in topic.fields if _other_side(field) in topic.fields]
+    return fields or (list(topic.fields) if _other_side(topic.name) in log.topics else [])
+
+
+def _other_side(name: str) -> str | None:
+    """The same name of the other side; None where it names no side."""
+    other = _SIDE.sub(lambda side: _SIDES[side[0].lower()], name)
+    return None if other == name else other
+
+
+def why_no_steering(log: Log) -> str:
+    """Sentences on what holds a steering that cannot be read as it is: commands of two sides, raw bytes; or none."""
+    sided: list[str] = []
+    words = ""
+    for topic in log.topics.values():
+        if not topic.part_of and not is_measured_topic(topic):
+            fields = [field for field in _sides(topic, log) if _COMMANDING.search(f"{topic.name} {field}")]
+            sided += [f"{topic.name} {field}".strip() for field in fields]
+        if _FRAME.search(topic.type):
+            words += f"{topic.name} holds raw CAN frames: decode them with the DBC of the vehicle first. "
+    if sided:
+        words += f"{', '.join(sided[:4])} drive one side of the vehicle each: log their difference as the steering, "
+        words += "and their mean as the throttle. "
+    return words

@@ -17,6 +17,7 @@ from offpiste.inspection.usual_ranges import (
     held_range,
     is_signed,
     pulse_at_rest,
+    rests_between,
     rests_high,
     scaled_to_unit,
     seen_range,
@@ -70,7 +71,9 @@ def signed_pedal(scalars: Scalars, *, backwards: bool = False) -> dict[str, Entr
     guess, values = scalars["throttle"]
     if are_pulses(values, named=are_named_pulses(guess)):
         return _pulsed_pedal(guess, values, alone="brake" not in scalars, backwards=backwards)
-    if find_wrap(values) is not None or not is_signed(values) or ("brake" in scalars and rests_high(values)):
+    # A trigger rests at an end of its range; who drives at full throttle for long is at one, too.
+    trigger = "brake" in scalars and rests_high(values) and not rests_between(values)
+    if find_wrap(values) is not None or not is_signed(values) or trigger:
         return {}
     low, high = held_range(values)
     largest = max(-low, high)

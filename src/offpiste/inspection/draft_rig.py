@@ -14,7 +14,7 @@ from offpiste.errors import OffpisteError, RigError
 from offpiste.files import write_text
 from offpiste.inspection.channel_guesses import guess_channels
 from offpiste.inspection.commanded_motion import is_turn_rate
-from offpiste.inspection.controls_by_numbers import find_controls, is_measured_topic
+from offpiste.inspection.controls_by_numbers import find_controls, is_measured_topic, why_no_steering
 from offpiste.inspection.draft_channels import Found, draft_channels, of_other_vehicles
 from offpiste.inspection.draft_pose import Entry, field_values, no_pose, points_down, pose_cure
 from offpiste.inspection.draft_sensors import draft_sensors
@@ -277,11 +277,12 @@ def _why_missing(log: Log, *channels: str) -> str:
 def _candidates(log: Log) -> str:
     """Numbers that may be the steering under another name, as a sentence."""
     if list(log.topics) == [""]:
-        return f"The columns are: {', '.join(log.topics[''].fields[:_LISTED])}"
+        return f"{why_no_steering(log)}The columns are: {', '.join(log.topics[''].fields[:_LISTED])}"
     others = [t for t in log.topics.values() if t.fields and not (t.part_of or is_measured_topic(t))]
     topics = [topic for topic in others if _COMMANDS.search(topic.name)] or others
     named = [f"{topic.name} ({', '.join(map(topic.in_words, topic.fields[:8]))})" for topic in topics]
-    return f"It may be in: {'; '.join(named)}" if named else "All topics are named like measurements."
+    may_be = f"It may be in: {'; '.join(named)}" if named else "All topics are named like measurements."
+    return why_no_steering(log) + may_be
 
 
 def _toml(value: object) -> str:

@@ -6,13 +6,16 @@ from typing import Any, Final
 
 import numpy as np
 from jaxtyping import Bool, Float
+from msgspec.structs import replace
 
+from offpiste.conventions import GRAVITY
 from offpiste.errors import OffpisteError
 from offpiste.inspection.channel_guesses import Guess
 from offpiste.inspection.driven_path import MOVING, STEP, DrivenPath, driven_path
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.lags import LAGS, SURE, fit_lags, lagged, sampled
 from offpiste.inspection.recorded_log import Recorded
+from offpiste.inspection.usual_ranges import rests_between, scaled_to_unit
 from offpiste.logs.drive import Drive, drive_from_log
 from offpiste.logs.kept_rows import increasing
 from offpiste.logs.log import Log
@@ -46,6 +49,10 @@ _DEAD_BAND: Final = 0.02
 """Size of a pedal whose sign is the direction, from which it counts."""
 DIRECTION: Final = 0.5 / _DEAD_BAND
 """Scale of such a pedal, 1 at most, by which it is a gear: rounded, it is its sign."""
+_HALFWAY: Final = (0.2, 0.8)
+"""Where a throttle that goes both ways is released, if its whole range is read as 0 to 1."""
+_BRAKES: Final = 0.25
+"""Share of the motion with a pedal below zero that leads forwards, from which it is also the brake."""
 _CODES: Final = frozenset(map(float, range(ord("A"), ord("Z") + 1)))
 """Character codes of letters."""
 
@@ -69,11 +76,19 @@ def gear_values(guess: Guess, values: Float[np.ndarray, " n"]) -> tuple[str, ...
 
 
 def check_gear(drive: Drive, path: DrivenPath, recorded: Mapping[str, Recorded]) -> list[Finding]:
-    """A note if the vehicle reverses and the rig has no gear; a warning if the gear is another than the motion's."""
+    """A note if the vehicle reverses and the rig has no gear; a warning if the gear is another than the motion's.
+
+    Before them, a warning on a throttle that goes both ways and is read as a pedal.
+    """
+    if halfway := _released_halfway(drive, path):
+        return [halfway]
     if "gear" not in drive.channels:
-        return [_reverse_pedal(drive.rig)] if pedal_reverses(drive, path) else _hidden_reverse(drive, path)
+        below = _below_zero(drive, path, recorded)
+        return [_reverse_pedal(drive.rig)] if pedal_reverses(drive, path) else _hidden_reverse(drive, path, below)
     moving = _moving(path)
     gear = drive.channels["gear"].hold(path.time, max_gap=drive.rig.clock.max_gap)[:, 0]
+    if drive.rig.reads_alike("throttle", "gear") and (finding := _braking_reverse(gear, moving, path)):
+        return [finding]
     with np.errstate(invalid="ignore"):
         driven_back = (gear == 0) & (path.forward < 0) & _pressed(drive, path)
         against = moving & ((gear * path.forward < 0) | driven_back)
@@ -110,13 +125,59 @@ def pedal_reverses(drive: Drive, path: DrivenPath) -> bool:
 
 
 def reverses_by_pedal(log: Log, rig: Rig) -> bool:
-    """Whether the brake of a rig is reverse (`pedal_reverses`), as a log shows it."""
-    if not rig.reads_alike("throttle", "brake"):
+    """Whether what is below zero of a rig's throttle is reverse (`pedal_reverses`), as a log shows it.
+
+    A brake of its own does not change that.
+    """
+    throttle = rig.channels.get("throttle")
+    if throttle is None or throttle.clip != (0.0, 1.0) or "gear" in rig.channels:
         return False
+    below = replace(throttle, sign=-throttle.sign)
+    absent = tuple(name for name in rig.absent if name != "brake")
     try:
-        return pedal_reverses(drive := drive_from_log(log, rig), driven_path(drive))
+        trial = replace(rig, channels={**rig.channels, "brake": below}, absent=absent)
+        return pedal_reverses(drive := drive_from_log(log, trial), driven_path(drive))
     except OffpisteError:
         return False
+
+
+def _released_halfway(drive: Drive, path: DrivenPath) -> Finding | None:
+    """A finding on a throttle that stays at one value well above zero at standstills, and goes both ways from there."""
+    throttle = drive.channels.get("throttle")
+    if throttle is None:
+        return None
+    at = sampled(throttle, path.time, drive.rig)
+    with np.errstate(invalid="ignore"):
+        there = at[(path.speed < MOVING) & np.isfinite(at)]
+    if len(there) * STEP < _LASTS:
+        return None
+    rest = float(np.median(there))
+    stays = float(np.mean(np.abs(there - rest) < _DEAD_BAND)) > 0.5
+    if not (_HALFWAY[0] < rest < _HALFWAY[1] and stays and rests_between(throttle.values[:, 0], rest)):
+        return None
+    source = drive.rig.channels["throttle"]
+    cure = (*scaled_to_unit("throttle", source, (rest, 1.0)), Edit("channels.throttle.clip", [0.0, 1.0]))
+    how = f"{', '.join(map(str, cure))}; what is below brakes, or drives backwards (docs/rig.md)"
+    evidence = f"it is {rest:.2g} at standstills, and goes both ways from there"
+    return Finding("warning", "throttle", "never comes back to zero", evidence, how, 1.0, (cure,))
+
+
+def _braking_reverse(gear: Float[np.ndarray, " n"], moving: Bool[np.ndarray, " n"], path: DrivenPath) -> Finding | None:
+    """A finding on a pedal whose side below zero brakes while the vehicle rolls, and reverses from a standstill.
+
+    Speed controllers of model cars and rovers do so; where it reverses at once, it is soon over.
+    """
+    with np.errstate(invalid="ignore"):
+        back, forward = (moving & (gear < 0) & (way * path.forward > 0) for way in (-1, 1))
+    share = float(forward.sum() / max(forward.sum() + back.sum(), 1))
+    if STEP * forward.sum() < _LEAST_AGAINST or share < _BRAKES:
+        return None
+    evidence = f"it moves forwards for {STEP * forward.sum():.1f} s, {share:.0%} of its motion with gear -1"
+    how = (
+        "where a gear or a brake is recorded on its own, read that; else read below zero as the brake (sign = -1,"
+        " clip = [0, 1]), and leave out the drives in reverse"
+    )
+    return Finding("warning", "gear", "brakes while the vehicle rolls, and is no reverse then", evidence, how, share)
 
 
 def _reverse_pedal(rig: Rig) -> Finding:
@@ -132,12 +193,28 @@ def _reverse_pedal(rig: Rig) -> Finding:
     return Finding("warning", "brake", "is reverse, and no brake", evidence, how, 1.0, (cure,))
 
 
-def _hidden_reverse(drive: Drive, path: DrivenPath) -> list[Finding]:
+def _below_zero(drive: Drive, path: DrivenPath, recorded: Mapping[str, Recorded]) -> Bool[np.ndarray, " n"]:
+    """Where a throttle that a rig clips at zero is below, and pushes backwards: a brake does not."""
+    source = drive.rig.channels.get("throttle")
+    if source is None or source.clip is None:
+        return np.zeros(len(path.time), bool)
+    raw = _raw(drive, path, recorded, "throttle")
+    with np.errstate(invalid="ignore"):
+        below = source.sign * (raw * source.scale + source.offset) * unit_factor("throttle", source.unit) < -_PRESSED
+        return np.asarray(below & (GRAVITY * path.slope > path.acceleration))
+
+
+def _hidden_reverse(drive: Drive, path: DrivenPath, below: Bool[np.ndarray, " n"]) -> list[Finding]:
+    """A note on stretches of reversing that no channel shows.
+
+    Args:
+        below: where the throttle is below zero and drives backwards.
+    """
     if not _moving(path).any():
         return []
     with np.errstate(invalid="ignore"):
         backwards = _moving(path) & (path.forward < 0)
-        driven = backwards & _pressed(drive, path)
+        driven = backwards & (_pressed(drive, path) | below)
     edges = np.flatnonzero(np.diff(np.concatenate(([False], backwards, [False]))))
     stretches = [
         (first, last)
@@ -149,10 +226,10 @@ def _hidden_reverse(drive: Drive, path: DrivenPath) -> list[Finding]:
     seconds = sum(last - first for first, last in stretches) * STEP
     times = "once" if len(stretches) == 1 else f"{len(stretches)} times"
     evidence = f"{times}, {seconds:.1f} s in all, from {path.time[stretches[0][0]] - path.time[0]:.1f} s on, "
-    evidence += "with the throttle pressed"
-    how = (
-        "add [channels.gear] where the log has one (docs/rig.md); without it, models expect throttle to drive forwards"
-    )
+    negative = bool((driven & below).any())
+    evidence += "with the throttle below zero" if negative else "with the throttle pressed"
+    how = "add [channels.gear] where the log has one (docs/rig.md); without it, models expect "
+    how += "below zero to brake" if negative else "throttle to drive forwards"
     return [Finding("note", "gear", "is not read, and the vehicle reverses", evidence, how, 0.4)]
 
 
@@ -190,9 +267,11 @@ def _meanings(
     return (Edit("channels.gear.values", values),) if len(set(values.values())) > 1 else ()
 
 
-def _raw(drive: Drive, path: DrivenPath, recorded: Mapping[str, Recorded]) -> Float[np.ndarray, " n"]:
-    """The gear as recorded, held from each sample on; NaN before the first, and where the log lacks it."""
-    source = drive.rig.channels["gear"]
+def _raw(
+    drive: Drive, path: DrivenPath, recorded: Mapping[str, Recorded], name: str = "gear"
+) -> Float[np.ndarray, " n"]:
+    """A channel as recorded, held from each sample on; NaN before the first, and where the log lacks it."""
+    source = drive.rig.channels[name]
     r = recorded.get(source.topic)
     if r is None or source.fields[0] not in r.fields:
         return np.full(len(path.time), np.nan)

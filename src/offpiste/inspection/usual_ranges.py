@@ -88,6 +88,20 @@ def rests_high(values: Float[np.ndarray, " n"]) -> bool | None:
     return at_high > at_low
 
 
+def rests_between(values: Float[np.ndarray, " n"], middle: float = 0.0) -> bool:
+    """Whether a pedal goes both ways from a middle and is released there.
+
+    It is at full throttle at times, too, but hardly more than twice as often; a trigger only passes its middle.
+    """
+    low, high = (end - middle for end in held_range(values))
+    reach, slack = max(-low, high), _SLACK * (high - low)
+    if min(-low, high) <= 0.05 * reach:
+        return False
+    around = values - middle
+    near = np.mean(np.abs(around) <= 0.05 * reach)
+    return bool(near >= 0.5 * max(np.mean(around <= low + slack), np.mean(around >= high - slack)))
+
+
 def is_signed(values: Float[np.ndarray, " n"]) -> bool:
     """Whether a pedal's numbers go both ways from zero: often near it, and not at rest at the lower end."""
     low, high = np.percentile(values, (0.5, 99.5))
@@ -173,5 +187,7 @@ def _usual_middle(values: Float[np.ndarray, " n"], *, named: bool) -> tuple[floa
 
 
 def pulse_at_rest(values: Float[np.ndarray, " n"]) -> float:
-    """The pulse of a speed controller that is released [us]: the middle one, or the least where it begins there."""
-    return _MIDDLE_PULSE if float(np.percentile(values, 1)) > _BEGINS else _LEAST_PULSE
+    """The pulse of a speed controller that is released [us]: the middle one, or the least where it is more often."""
+    near = float(np.mean(np.abs(values - _MIDDLE_PULSE) <= 0.05 * (FULL_PULSE - _MIDDLE_PULSE)))
+    begins = float(np.percentile(values, 1)) <= _BEGINS and float(np.mean(values <= _BEGINS)) > near
+    return _LEAST_PULSE if begins else _MIDDLE_PULSE
