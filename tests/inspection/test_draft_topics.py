@@ -75,6 +75,25 @@ def test_a_plain_odometry_comes_after_a_pose_that_is_corrected_and_dense(name: s
     assert ("linear_velocity" in channels) == (not dense)
 
 
+def test_what_covers_a_part_of_the_log_comes_after_what_covers_it() -> None:
+    log = Typed({"map/pose": (TIME[: len(TIME) // 4], {f: v[: len(TIME) // 4] for f, v in ODOM.items()})})
+    pose = {field: values for field, values in ODOM.items() if field[0] not in "vw"}
+    assert _drafted(Typed(log.data | {"odom": (TIME, pose)})).channels["position"].topic == "odom"
+    assert _drafted(log).channels["position"].topic == "map/pose"
+
+
+def test_a_position_of_satellites_without_a_heading_is_no_corrected_pose() -> None:
+    fixed = ODOM | {name: 0 * TIME + (name == "qw") for name in ODOM if name[0] in "qvw"}
+    log = Typed({"gps/odom": (TIME, fixed), "wheels/odom": (TIME, ODOM)})
+    assert _drafted(log).channels["position"].topic == "wheels/odom"
+
+
+def test_a_pose_that_has_more_is_read_though_no_name_says_that_it_is_corrected() -> None:
+    pose = {field: values for field, values in ODOM.items() if field[0] not in "vw"}
+    log = Typed({"localization": (TIME, ODOM), "map/pose": (TIME, pose), "odom": (TIME, ODOM)})
+    assert _drafted(log).channels["position"].topic == "localization"
+
+
 def test_rates_of_an_imu_stand_beside_a_pose_that_has_none() -> None:
     pose = {name: values for name, values in ODOM.items() if name[0] not in "vw"}
     log = Typed(CLEAN.data | {"odom": (TIME, pose), "imu/Imu": _receiver_and_imu().data["imu/Imu"]})

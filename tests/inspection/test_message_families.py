@@ -99,6 +99,25 @@ FAMILIES: Mapping[str, tuple[dict[str, dict[str, str]], dict[str, tuple[str, ...
         | COMMANDS,
         {"position": ("lat", "lon"), "yaw": ("heading",), "linear_velocity": ("vel_e", "vel_n")},
     ),
+    "u-blox NavPVT, of a receiver that measures a heading": (
+        {"/ublox/navpvt": {"lon": "counted longitude", "lat": "counted latitude", "heading": "counted north",
+                           "head_veh": "counted azimuth"}}
+        | COMMANDS,
+        {"position": ("lat", "lon"), "yaw": ("head_veh",)},
+    ),
+    "u-blox NavPVT, of one that measures none": (
+        {"/ublox/navpvt": {"lon": "counted longitude", "lat": "counted latitude", "heading": "counted azimuth",
+                           "head_veh": "0"}}
+        | COMMANDS,
+        {"position": ("lat", "lon"), "yaw": ("heading",)},
+    ),
+    "GPSFix beside an IMU": (
+        {"/gps": {"latitude": "latitude", "longitude": "longitude", "altitude": "height", "track": "north"},
+         "/imu": {f"orientation.{axis}": f"q{axis}" for axis in "xyzw"}}
+        | COMMANDS,
+        {"position": ("latitude", "longitude", "altitude"),
+         "orientation": tuple(f"orientation.{axis}" for axis in "xyzw")},
+    ),
     "Inertial Sense, angles": (
         {"/ins1": {"theta[0]": "0", "theta[1]": "0", "theta[2]": "azimuth in rad", "uvw[0]": "vx", "uvw[1]": "0",
                    "uvw[2]": "0", "lla[0]": "latitude", "lla[1]": "longitude", "lla[2]": "height"}}
@@ -266,6 +285,9 @@ def test_channels_are_found_in_messages_of(name: str) -> None:
         ("gyro_yaw yaw", "yaw", "yaw"),
         ("gyro_yaw yaw", "yaw_rate", "gyro_yaw"),
         ("Engine_Speed Vehicle_Speed", "engine_rpm", "Engine_Speed"),
+        ("EngPercentLoadAtCurrentSpeed EngSpeed WheelBasedVehicleSpeed", "wheel_speed", "WheelBasedVehicleSpeed"),
+        ("headMot headVeh lat", "yaw", "headVeh"),
+        ("head_mot head_veh imu_yaw lat", "yaw", "head_veh"),
         ("Engine_Speed Vehicle_Speed", "wheel_speed", "Vehicle_Speed"),
         ("rpm_fl rpm_fr rpm_rl rpm_rr", "wheel_speed", "rpm_fl"),
         ("front_left_wheel_speed front_right_wheel_speed rear_left_wheel_speed rear_right_wheel_speed", "wheel_speed",
@@ -456,8 +478,19 @@ def test_a_table_without_a_drive_is_said_to_have_none(rows: int, what: str) -> N
 
 
 def test_a_pose_in_the_earths_frame_comes_last() -> None:
-    log = log_of({"/odometry_ecef": POSE, "/odometry_enu": POSE} | COMMANDS)
-    assert parse_rig(draft_rig(log), where="draft").channels["position"].topic == "/odometry_enu"
+    more = POSE | {f"twist.twist.angular.{axis}": f"w{axis}" for axis in "xyz"}
+    for name in ("/odometry_ecef", "/odometry_earth"):
+        log = log_of({name: more, "/odometry_enu": POSE} | COMMANDS)
+        assert parse_rig(draft_rig(log), where="draft").channels["position"].topic == "/odometry_enu"
+
+
+def test_a_pose_in_the_earths_frame_comes_last_by_its_numbers() -> None:
+    """As a rotated world far away, whose name says nothing."""
+    more = POSE | {f"twist.twist.angular.{axis}": f"w{axis}" for axis in "xyz"}
+    log: MemoryLog = log_of({"/ins/odometry": more, "/ins/local": POSE} | COMMANDS)
+    for axis, far in (("x", 4.18e6), ("y", 0.86e6), ("z", 4.72e6)):
+        log = log.change("/ins/odometry", f"pose.pose.position.{axis}", lambda values, far=far: values + far)
+    assert parse_rig(draft_rig(log), where="draft").channels["position"].topic == "/ins/local"
 
 
 def test_a_world_with_its_z_down_is_known_by_its_name() -> None:

@@ -125,6 +125,16 @@ FAMILIES: Mapping[str, tuple[dict[str, str], dict[str, tuple[str, ...]]]] = {
          "Gyro Yaw Velocity [deg/s]": "wz in deg/s", "GPS Speed": "vx", "brk_bar": "brake in bar"} | PEDALS,
         {"orientation": ("att.q1", "att.q2", "att.q3", "att.q0"), "yaw_rate": ("Gyro Yaw Velocity [deg/s]",)},
     ),
+    "EuRoC": (
+        {f"p_RS_R_{axis} [m]": axis for axis in "xyz"} | {f"q_RS_{axis} []": f"q{axis}" for axis in "wxyz"}
+        | {"v_RS_R_x [m s^-1]": "east", "v_RS_R_y [m s^-1]": "north", "v_RS_R_z [m s^-1]": "vz"}
+        | {f"b_w_RS_S_{axis} [rad s^-1]": "1" for axis in "xyz"} | {f"w_RS_S_{a} [rad s^-1]": f"w{a}" for a in "xyz"}
+        | PEDALS,
+        {"position": ("p_RS_R_x [m]", "p_RS_R_y [m]", "p_RS_R_z [m]"),
+         "orientation": ("q_RS_x []", "q_RS_y []", "q_RS_z []", "q_RS_w []"),
+         "linear_velocity": ("v_RS_R_x [m s^-1]", "v_RS_R_y [m s^-1]", "v_RS_R_z [m s^-1]"),
+         "angular_velocity": ("w_RS_S_x [rad s^-1]", "w_RS_S_y [rad s^-1]", "w_RS_S_z [rad s^-1]")},
+    ),
     "RaceChrono": (
         PLACES
         | {"bearing": "azimuth", "x_rate_of_rotation": "wx in deg/s", "y_rate_of_rotation": "wy in deg/s",
@@ -147,6 +157,22 @@ def test_channels_are_found_in_a_table_of(name: str) -> None:
     rig = parse_rig(draft_rig(log), where="draft")
     assert {channel: rig.channels[channel].fields for channel in expected} == expected
     assert cured(log, rig) == []
+
+
+@pytest.mark.parametrize(
+    ("asked", "measured"),
+    [
+        ("SetSteerAngle", "ActualSteerAngle"),
+        ("steering_angle_request", "steering_angle"),
+        ("target_steering_angle", "current_steering_angle"),
+        ("steer_cmd", "measured_steer"),
+    ],
+)
+def test_what_is_set_and_what_is_measured_of_a_steering(asked: str, measured: str) -> None:
+    log = table({"x": "x", "y": "y", "yaw": "0"} | {asked: "tire command", measured: "angle"})
+    yaw = 2 * np.arctan2(ODOM["qz"], ODOM["qw"])
+    channels = parse_rig(draft_rig(log.change("", "yaw", lambda values: yaw)), where="draft").channels
+    assert (channels["steer"].fields, channels["steer_angle"].fields) == ((asked,), (measured,))
 
 
 @pytest.mark.parametrize(("quantity", "drafted"), [("letter", True), ("azimuth", False)])

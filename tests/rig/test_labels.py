@@ -21,6 +21,7 @@ from offpiste.rig.labels import (
         ("throttle_%", "throttle", "percent"), ("X_m", "x", "m"), ("speedKmh", "speed", "km/h"), ("posX", "pos_x", ""),
         ("x / m", "x", "m"), ("v / (m/s)", "v", "m/s"), ("yaw, deg", "yaw", "deg"), ("vx_m_s", "vx", "m/s"),
         ("w_deg_s", "w", "deg/s"), ("yaw°", "yaw", "deg"), ("accel [m/s²]", "accel", "m/s²"), ("ax_m_s2", "ax", "m/s2"),
+        ("w_RS_S_x [rad s^-1]", "w_rs_s_x", "rad/s"),
         # These say no unit.
         ("W (IMU)", "w (imu)", ""), ("axes[0]", "axes[0]", ""), ("pose.pose.position.x", "pose.pose.position.x", ""),
         ("yaw_psi", "yaw_psi", ""), ("secs", "secs", ""), ("m", "m", ""), ("section", "section", ""), ("", "", ""),

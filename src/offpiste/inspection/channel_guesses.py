@@ -5,12 +5,9 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Final
 
-import numpy as np
-
 from offpiste.channels import ACTUATORS, CONTROLS, all_actuators, all_controls
-from offpiste.errors import OffpisteError
 from offpiste.inspection.commanded_motion import COMMANDED, is_asked_for, motion_commands
-from offpiste.inspection.field_groups import field_groups, fours
+from offpiste.inspection.field_groups import are_quaternions, field_groups, fours
 from offpiste.logs.log import Log, Topic
 from offpiste.logs.transforms import frame_pair
 from offpiste.rig.labels import (
@@ -37,6 +34,7 @@ _SCALARS: tuple[tuple[str, int, str], ...] = (
     ("yaw_rate", 0, r"yaw_?rate|(^|[ ._/])w( \(imu\))?$|gyro_?z|(?<![a-z])(omega|gz|wz)$|(yaw|psi|theta)_?(dot|vel)$"),
     ("yaw_rate", 0, r"(gyro|rate)[_ ]yaw$"),
     ("yaw_rate", 0, _TURN_RATE.pattern),
+    ("yaw", -1, r"(?<![a-z])head(ing)?_?veh(icle)?$"),
     ("yaw", 0, r"(?<![a-z])(yaw|heading|psi|hdg)$"),
     ("yaw", 1, r"(?<![a-z])(theta|azimuth|bearing|compass)$|(yaw|heading)_?(angle|true)$|compass_?bearing$"),
     ("yaw", 1, r"(?<![a-z])angle_yaw(?![a-z])"),
@@ -53,6 +51,7 @@ _SCALARS: tuple[tuple[str, int, str], ...] = (
     ("throttle", 0, r"^pps$"),
     ("throttle", 1, r"(?<![a-z])tps(?![a-z])"),
     ("steer_angle", MEASURED, r"(?<![a-z])steer(ing)?_?(pos(ition)?|feedback|fb|act(ual)?|meas(ured)?)$"),
+    ("steer_angle", MEASURED, r"(?<![a-z])(act(ual)?|meas(ured)?|current|feedback)_?steer(ing)?$"),
     ("steer", 0, r"(?<![a-z])hand(_?wheel|le_?bars?)(_?(angle|ang|pos(ition)?))?$"),
     ("steer", 1, r"(?<![a-z])servo([_/. ]?(cmd|com+and|input|value|pos(ition)?))?$"),
     ("throttle", 1, r"(?<![a-z])(motor|duty(_?cycle)?|pwm|esc)_?(cmd|com+and|input|value)$"),
@@ -84,19 +83,22 @@ _NEVER: Final = {
     "brake": re.compile(r"temp|wear|fluid"),
     "steer_angle": re.compile(r"normali[sz]ed|(?<![a-z])norm(?![a-z])"),
     "yaw": re.compile(r"brake|brk|press|tire|tyre|oil|boost|fuel|gyro|rate"),
-    "wheel_speed": re.compile(r"engine|motor|turbine|steer|fan|shaft|wind|gps|gnss"),
+    "wheel_speed": re.compile(
+        r"(?<![a-z])(eng(?![a-z])|load|limit)|engine|motor|turbine|steer|fan|shaft|wind|gps|gnss|percent"
+    ),
 }
 """What a channel is not called; a throttle that has a name of its own may be."""
 _BESIDE: Final = re.compile(
     r"torque|rate|speed|(?<![a-z])vel(?![a-z])|press|current|force|effort|temp|engage|light|lamp|switch|bias|park|hand_?brake|on_off"
 )
 """What is measured at a pedal or a steering, besides where it is; a channel only where nothing else is."""
+_SET: Final = re.compile(r"(?<![a-z])(set|req(uest(ed)?)?|demand(ed)?)(?![a-z])")
+_ACTUAL: Final = re.compile(r"(?<![a-z])(actual|measured|feedback|current)(?![a-z])")
+"""Words of what is asked for, besides those of commands, and of what is measured, whatever its topic is called."""
 _DEVICES: Final = re.compile(r"(can|bus|ecu|plc|gps|gnss|imu)_?\d*$", re.IGNORECASE)
 """Namespaces of what one vehicle may have several of."""
 _SELDOM: Final = 0.04
 """Samples of a slow copy, over those of the channel."""
-_UNIT, _MOST = 0.02, 0.95
-"""How far the length of quaternions is from 1, at most, and in how many of the rows."""
 FALLBACK: Final = 10
 """Ranks from here on are those of such names."""
 
@@ -203,7 +205,7 @@ def _of_topic(log: Log, topic: Topic) -> Iterator[Guess]:
         yield Guess(channel, topic.name, fields, unit, MOTION)
         taken |= set(fields)
     for fields, of_the_vehicle in fours(named):
-        if not taken & set(fields) and _are_quaternions(log, topic.name, fields):
+        if not taken & set(fields) and are_quaternions(log, topic.name, fields):
             if of_the_vehicle and not COMMANDED.search(topic.name):
                 yield Guess("orientation", topic.name, fields)
             taken |= set(fields)
@@ -236,22 +238,14 @@ def _of_topic(log: Log, topic: Topic) -> Iterator[Guess]:
                 break
 
 
-def _are_quaternions(log: Log, topic: str, fields: tuple[str, ...]) -> bool:
-    """Whether the rows of four fields have length 1, but for a few."""
-    try:
-        rows = log.read(topic, fields).values
-    except OffpisteError:
-        return False
-    rows = rows[np.isfinite(rows).all(axis=1)]
-    return len(rows) > 1 and bool(np.mean(np.abs(np.linalg.norm(rows, axis=1) - 1) < _UNIT) > _MOST)
-
-
 def _guess(channel: str, topic: Topic, fields: tuple[str, ...], label: Label, rank: int = 0) -> Guess | None:
     """A guess, unless the unit measures something else; pedals, steering and pressures may be recorded in any."""
     in_any = {"brake_pressure", *(control.name for control in all_controls())}
     if channel_unit(channel, label.unit) is None and channel not in in_any:
         return None
-    return Guess(channel, topic.name, fields, label.unit, rank, is_asked_for(topic, fields))
+    asked = is_asked_for(topic, fields) or _SET.search(label.name) is not None
+    measured = any(_ACTUAL.search(parse_label(field).name) for field in fields)
+    return Guess(channel, topic.name, fields, label.unit, rank, asked and not measured)
 
 
 def by_topic(result: Iterable[Guess]) -> dict[str, dict[str, Guess]]:

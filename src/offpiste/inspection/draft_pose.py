@@ -9,11 +9,11 @@ import numpy as np
 from jaxtyping import Float
 
 from offpiste.errors import LogError, OffpisteError
-from offpiste.geometry import rotation_from_quaternion
 from offpiste.inspection.channel_guesses import DOWN, Guess, by_topic, guess_channels, inverse_pose, of_one_vehicle
 from offpiste.inspection.commanded_motion import COMMANDED
 from offpiste.inspection.course import check_course
 from offpiste.inspection.driven_path import driven_path
+from offpiste.inspection.field_groups import are_earth_centred, contents, from_earth, not_read, pivoted, w_comes_first
 from offpiste.inspection.findings import Cure, Finding
 from offpiste.inspection.pose import check_orientation, check_position_unit
 from offpiste.inspection.pose_samples import check_level
@@ -22,28 +22,27 @@ from offpiste.logs.channel import read_channel
 from offpiste.logs.drive import drive_from_log
 from offpiste.logs.kept_rows import brought_together
 from offpiste.logs.log import Log
-from offpiste.logs.transforms import listed
 from offpiste.rig.channels import GEOGRAPHIC
 from offpiste.rig.edits import edited
-from offpiste.rig.labels import channel_unit, named_down
+from offpiste.rig.labels import channel_unit, named_course, named_down
 from offpiste.rig.rig import Rig
 
 BY_HAND: Final = "write a rig that names one"
 """Remedy where no name shows the pose."""
 _LONG: Final = "the table is long: it has a line, not a column, for each signal"
 _IN_EARTH: Final = "positions in the earth's own frame (ECEF) are not read"
-_ECEF: Final = re.compile(r"(?<![a-z])ecef[_. ]*(pos(ition)?)?[_. ]*[xyz](?![a-z])", re.IGNORECASE)
-_SIGNAL: Final = re.compile(r"signal|name|channel|variable|parameter|field|topic|key", re.IGNORECASE)
-_VALUE: Final = re.compile(r"(?<![a-z])(value|val|data|reading)$", re.IGNORECASE)
-"""Columns of a long table."""
 _POSE: Final = ("position", "orientation", "yaw", "linear_velocity", "angular_velocity")
-_LAST: Final = re.compile(r"wheel|controller|ecef|earth", re.IGNORECASE)
-"""Names of topics with the odometry of wheels, or in the earth's own frame, whose z is not up."""
+_LAST: Final = re.compile(r"wheel|controller|encoder", re.IGNORECASE)
 _ODOMETRY: Final = re.compile(r"(^|/)odom(etry)?$", re.IGNORECASE)
-_CORRECTED: Final = re.compile(r"(?i)(?<![a-z])(filtered|fused|global|map(ping)?|icp|lio|slam|ekf|gt|truth)(?![a-z])")
-"""Names of a plain odometry, as base controllers give, and of poses that scans, satellites or a filter correct."""
-_DENSE: Final = 5.0
-"""Rate from which the latter come before the former [1/s]."""
+"""Names of the odometry of wheels, and of a plain one, as base controllers give."""
+_CORRECTED: Final = re.compile(
+    r"(?<![a-z])(filtered|fused|global|map(ping)?|icp|lio|slam|ekf|gps|gnss|ins|gt|(ground_?)?truth)(?![a-z])", re.I
+)
+"""Names of poses that scans, satellites or a filter correct."""
+_EARTH: Final = re.compile(r"(?<![a-z])(ecef|earth)(?![a-z])", re.IGNORECASE)
+"""Names of topics in the earth's own frame, whose z is not up."""
+_DENSE: Final = 4.0
+"""Rate below which a pose comes after others [1/s]."""
 _NED: Final = re.compile(
     r"(?<![a-zA-Z])ned(?![a-z])|NED(?![a-z])|vehicle_local_position"
     r"|vehicle_odometry(_\d)?([./](position|q|[xyz])\b|\.csv)"
@@ -69,27 +68,19 @@ class Entry:
 
 
 def draft_pose(log: Log, guesses: Sequence[Guess], frame: str) -> dict[str, Entry]:
-    """The topic with most of a pose and velocities, by their number, its rate, then its place in the log.
+    """The topic with most of a pose and velocities, and the IMU's or other ones that it lacks.
 
-    The odometry of wheels, which slip, and poses in the earth's frame come after others, a plain odometry after poses
-    that are corrected. Where none has position and heading, as with a GNSS receiver beside an IMU, each has a topic.
+    Where none has position and heading, as with a GNSS receiver beside an IMU, each has a topic, also where the one is
+    a course over ground. Poses in the earth's frame are read where nothing else is.
     """
-    best: dict[str, Guess] = {}
-    best_score = (False, 0, False, 0)
+    guesses = sorted(guesses, key=lambda guess: _is_doubtful(log, guess))
     channels_of = by_topic(guesses)
-    whole = {t: each for t, each in channels_of.items() if "position" in each and {"orientation", "yaw"} & set(each)}
-    spans = (np.ptp(time[np.isfinite(time)]) for time in map(log.stamps, whole) if np.isfinite(time).any())
-    often = _DENSE * max(spans, default=0.0)
-    corrected = any(_CORRECTED.search(topic) and log.topics[topic].count > often for topic in whole)
-    for topic in (name for name in log.topics if name in whole):
-        channels = whole[topic]
-        moving = {c: g for c, g in channels.items() if c not in _POSE or _varies(field_values(log, g))}
-        drifts = corrected and (_ODOMETRY.search(topic) or _LAST.search(topic)) and not _CORRECTED.search(topic)
-        kinds, count = sum(c in _POSE for c in moving), log.topics[topic].count
-        score = (not drifts, kinds, _LAST.search(topic) is None, count)
-        if "position" in moving and score > best_score:
-            best, best_score = moving, score
-    best = best or _places_and_headings(log, channels_of)
+    on_ground = {t: each for t, each in channels_of.items() if not _is_earth_centred(log, each.get("position"))}
+    best = _whole_pose(log, on_ground)
+    if not _has_heading(best):
+        apart = _places_and_headings(log, on_ground)
+        best = apart if _has_heading(apart) or not best else best
+    best = best or _whole_pose(log, channels_of)
     if best:
         channels_of = by_topic(of_one_vehicle(guesses, best["position"].topic))
     if best and not _RATES & set(best):
@@ -103,7 +94,7 @@ def draft_pose(log: Log, guesses: Sequence[Guess], frame: str) -> dict[str, Entr
         guess = best[channel]
         lines, comment = unit_line(channel, guess), f"GUESSED by its name, as of {log.topics[guess.topic].type}"
         values = field_values(log, guess)
-        if channel == "orientation" and values is not None and _w_comes_first(guess, values):
+        if channel == "orientation" and values is not None and w_comes_first(guess.fields, values):
             guess, comment = replace(guess, fields=(*guess.fields[1:], guess.fields[0])), f"{comment}; w comes first"
         elif channel == "position" and guess.unit == GEOGRAPHIC and values is not None:
             if (each := degrees_each(values[:, 0], values[:, 1])) != 1:
@@ -122,14 +113,68 @@ def draft_pose(log: Log, guesses: Sequence[Guess], frame: str) -> dict[str, Entr
     return entries
 
 
+def _whole_pose(log: Log, channels_of: Mapping[str, Mapping[str, Guess]]) -> dict[str, Guess]:
+    """The topic with most of a pose and velocities, by their number, its rate, then its place in the log.
+
+    What comes seldom, or in a part of the log, comes after others, and the odometry of wheels, which slip, after poses
+    that are corrected.
+    """
+    whole = {
+        topic: {c: g for c, g in each.items() if c not in _POSE or _varies(field_values(log, g))}
+        for topic in log.topics
+        if "position" in (each := channels_of.get(topic, {})) and {"orientation", "yaw"} & set(each)
+    }
+    spans = {topic: _span(log, topic) for topic, moving in whole.items() if "position" in moving}
+    longest = max(spans.values(), default=0.0)
+    often = [t for t, span in spans.items() if log.topics[t].count > _DENSE * longest and span >= longest / 2]
+    corrected = any(_CORRECTED.search(topic) and _has_heading(whole[topic]) for topic in often)
+
+    def score(topic: str) -> tuple[bool, bool, bool, int, bool, int]:
+        last = _LAST.search(topic) is not None
+        drifts = corrected and (last or _ODOMETRY.search(topic) is not None) and not _CORRECTED.search(topic)
+        kinds = sum(channel in _POSE for channel in whole[topic])
+        return topic in often, _has_heading(whole[topic]), not drifts, kinds, not last, log.topics[topic].count
+
+    return whole[max(spans, key=score)] if spans else {}
+
+
+def _span(log: Log, topic: str) -> float:
+    """From a topic's first message to its last [s]."""
+    time = log.stamps(topic)
+    time = time[np.isfinite(time)]
+    return float(np.ptp(time)) if len(time) else 0.0
+
+
+def _has_heading(channels: Mapping[str, Guess]) -> bool:
+    """Whether one is the vehicle's heading; a course over ground is none."""
+    return "orientation" in channels or ("yaw" in channels and not named_course(channels["yaw"].fields[0]))
+
+
+def _is_doubtful(log: Log, guess: Guess) -> bool:
+    """Whether a heading never changes, as of a receiver that measures none, or is a course over ground."""
+    return guess.channel == "yaw" and (named_course(guess.fields[0]) or not _varies(field_values(log, guess)))
+
+
+def _is_earth_centred(log: Log, place: Guess | None) -> bool:
+    """Whether a position is one in the earth's own frame, by its name or its numbers."""
+    if place is None or place.unit == GEOGRAPHIC:
+        return False
+    values = field_values(log, place)
+    return _EARTH.search(place.topic) is not None or (values is not None and are_earth_centred(values))
+
+
 def _places_and_headings(log: Log, channels_of: Mapping[str, Mapping[str, Guess]]) -> dict[str, Guess]:
-    """A position and a heading of different topics, those with most samples; empty where one is missing."""
+    """A position and a heading of different topics, those with most samples; empty where one is missing.
+
+    A course over ground is a heading where nothing else is.
+    """
     often = sorted(channels_of, key=lambda topic: -log.topics[topic].count)
-    of_kind = [
+    places, headings = (
         [g for topic in often for c, g in channels_of[topic].items() if c in kind and _varies(field_values(log, g))]
         for kind in (("position",), ("orientation", "yaw"))
-    ]
-    return {guesses[0].channel: guesses[0] for guesses in of_kind} if all(of_kind) else {}
+    )
+    headings.sort(key=lambda guess: _is_doubtful(log, guess))
+    return {guesses[0].channel: guesses[0] for guesses in (places, headings)} if places and headings else {}
 
 
 def _from_imu(log: Log, channels_of: Mapping[str, Mapping[str, Guess]]) -> dict[str, Guess]:
@@ -146,7 +191,7 @@ def _velocity_beside(log: Log, channels_of: Mapping[str, Mapping[str, Guess]]) -
     """The velocity that is reported most often, where the pose's topic has none; commands are none."""
     for topic in sorted(channels_of, key=lambda topic: -log.topics[topic].count):
         guess = channels_of[topic].get("linear_velocity")
-        slips = _ODOMETRY.search(topic) or _LAST.search(topic)
+        slips = any(names.search(topic) for names in (_ODOMETRY, _LAST, _EARTH))
         if guess is not None and not slips and not COMMANDED.search(topic) and _varies(field_values(log, guess)):
             return {"linear_velocity": guess}
     return {}
@@ -184,15 +229,6 @@ def degrees(values: Float[np.ndarray, " n"]) -> tuple[str, ...]:
     return ()
 
 
-def _w_comes_first(guess: Guess, values: Float[np.ndarray, "n 4"]) -> bool:
-    """Whether quaternions whose entries have no letters are stored as w x y z: the vehicle is upright then."""
-    if any(re.search(r"[xyzw]$", field, re.IGNORECASE) for field in guess.fields):
-        return False
-    turned = (rotation_from_quaternion(rows)[:, 2, 2] for rows in (values, np.roll(values, -1, axis=1)))
-    as_stored, w_first = (float(np.mean(up)) for up in turned)
-    return w_first > as_stored
-
-
 def _varies(values: Float[np.ndarray, "n k"] | None) -> bool:
     return values is not None and bool(np.ptp(values, axis=0).max() > 0)
 
@@ -212,7 +248,9 @@ def pose_cure(log: Log, rig: Rig) -> Cure:
     try:
         source = rig.channels["position"]
         tipped = check_level(read_channel(log, rig, "position", source)[0], rig, log.topics[source.topic].fields)
-        upright = (*_first_cure(_stored_orientation(log, rig)), *_first_cure(tipped))
+        turned = rig.channels.get("orientation")
+        stored = check_orientation(log.read(turned.topic, turned.fields).values, rig) if turned else []
+        upright = (*_first_cure(stored), *_first_cure(tipped))
         drive = drive_from_log(log, edited(rig, upright))
         path = driven_path(drive)
         if in_metres := _first_cure(check_position_unit(drive, path)):
@@ -223,11 +261,6 @@ def pose_cure(log: Log, rig: Rig) -> Cure:
         return ()
 
 
-def _stored_orientation(log: Log, rig: Rig) -> list[Finding]:
-    source = rig.channels.get("orientation")
-    return [] if source is None else check_orientation(log.read(source.topic, source.fields).values, rig)
-
-
 def _first_cure(findings: Sequence[Finding]) -> Cure:
     return next((cure for finding in findings for cure in finding.cures), ())
 
@@ -235,43 +268,20 @@ def _first_cure(findings: Sequence[Finding]) -> Cure:
 def no_pose(log: Log) -> LogError:
     """The error where no topic looks like a pose: what there is instead, and what to do."""
     most = max((topic.count for topic in log.topics.values()), default=2)
-    if most < 2 and not _not_read(log):
+    if most < 2 and not not_read(log):
         has = ("the table has no rows", "the table has one row")
         if list(log.topics) != [""]:
             has = ("no topic has a message", "no topic has more than one message")
         return LogError(has[most], where=log.path, how="a drive needs many: record or export it again")
-    for what, remedy in ((_LONG, _pivoted(log)), (_IN_EARTH, _from_the_earth(log))):
+    for what, remedy in ((_LONG, pivoted(log)), (_IN_EARTH, from_earth(log))):
         if remedy:
             return LogError(what, where=log.path, how=remedy)
-    how = _not_read(log) or f"{inverse_pose(log)}{BY_HAND}"
+    how = not_read(log) or f"{inverse_pose(log)}{BY_HAND}"
     return LogError(
         "no topic looks like a pose (position and heading)",
         where=log.path,
-        how=f"{how}; {_half_of_a_pose(log)}it has: {_contents(log)}",
+        how=f"{how}; {_half_of_a_pose(log)}it has: {contents(log)}",
     )
-
-
-def _pivoted(log: Log) -> str:
-    """How a table of signals' names beside their values becomes one of a column each; empty for another log."""
-    table = log.topics.get("")
-    if table is None:
-        return ""
-    numbers = [name for name in table.fields if name != log.clock.column]
-    values = numbers if len(numbers) == 1 else [name for name in numbers if _VALUE.search(name)]
-    signals = [name for name in table.unread if _SIGNAL.search(name)]
-    if not values or not signals:
-        return ""
-    columns = f"values='{values[0]}', index='{log.clock.column}', columns='{signals[0]}'"
-    return f"give each name in '{signals[0]}' a column, as pandas' pivot_table({columns}) does"
-
-
-def _from_the_earth(log: Log) -> str:
-    """What to write in place of ECEF positions; empty where no field is called one."""
-    fields = [field for topic in log.topics.values() for field in topic.fields if _ECEF.search(field)]
-    if len(fields) < 3:
-        return ""
-    geographic = f"write latitude and longitude [deg] beside {', '.join(fields[:3])} (pyproj: EPSG:4978 to EPSG:4979)"
-    return f"{geographic}, and the heading from east to north [rad]; an orientation in that frame is none"
 
 
 def _half_of_a_pose(log: Log) -> str:
@@ -285,16 +295,3 @@ def _half_of_a_pose(log: Log) -> str:
     kind, other = ("position", "heading") if place else ("heading", "position")
     where = f"{half.topic} ({', '.join(half.fields)})" if half.topic else ", ".join(half.fields)
     return f"{where} may be a {kind}, and no name is that of a {other}; "
-
-
-def _not_read(log: Log) -> str:
-    """Why topics cannot be read, and what to do; empty where they can."""
-    reasons = [f"{topic.name}: {topic.type}" for topic in log.topics.values() if not topic.fields and " " in topic.type]
-    return f"record it as ROS messages, or write its numbers to a .csv ({'; '.join(reasons[:4])})" if reasons else ""
-
-
-def _contents(log: Log) -> str:
-    """Topics, or the columns of a log that is one table."""
-    if list(log.topics) == [""]:
-        return f"columns {', '.join(log.topics[''].fields) or 'without numbers'}"
-    return ", ".join(listed(log.topics)) or "no topic"

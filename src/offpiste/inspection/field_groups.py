@@ -1,19 +1,36 @@
-"""Fields that belong together, by their names: vectors, geographic places, and the speeds of four wheels."""
+"""Fields that belong together, by their names: vectors, places, speeds of four wheels; and what is no channel yet."""
 
 import re
 from collections.abc import Iterator, Mapping
 from typing import Final
 
-from offpiste.logs.log import Topic
+import numpy as np
+from jaxtyping import Float
+
+from offpiste.errors import OffpisteError
+from offpiste.geometry import rotation_from_quaternion
+from offpiste.logs.log import Log, Topic
+from offpiste.logs.transforms import listed
 from offpiste.rig.channels import GEOGRAPHIC
 from offpiste.rig.labels import GEOGRAPHIC_NAMES, Label, parse_label, with_letters
 
 Group = tuple[str, tuple[str, ...], str, int]
 """A channel, the fields that may hold it, their unit, and how far their names are from the channel's own."""
 
+_SIGNAL: Final = re.compile(r"signal|name|channel|variable|parameter|field|topic|key", re.IGNORECASE)
+_VALUE: Final = re.compile(r"(?<![a-z])(value|val|data|reading)$", re.IGNORECASE)
+"""Columns of a long table."""
+_ECEF: Final = re.compile(r"(?<![a-z])ecef[_. ]*(pos(ition)?)?[_. ]*[xyz](?![a-z])", re.IGNORECASE)
+_RADII: Final = (6.34e6, 6.39e6)
+_EASTING: Final = 1e6
+"""Distances of the ground from the earth's middle, and the largest easting: a northing may be as far [m]."""
+_UNIT, _MOST = 0.02, 0.95
+"""How far the length of quaternions is from 1, at most, and in how many of the rows."""
 _AXIS = re.compile(r"(?<![a-z])([pqtvwg]?)x(?![a-z])")
 _TRANSLATION: Final = re.compile(r"(?<![a-z])t[._ ]*$")
 """What stands before the letter x of TUM's `tx`, which may be a torque as well: a place only where nothing else is."""
+_FRAMES: Final = re.compile(r"((?:^|[./ ])[pqvw])(_[a-z]{1,2}){1,2}$")
+"""Frames that follow a vector's letter, as of R to S, given in R: `p_RS_R_x`."""
 _PLACES = (
     "utm|enu|local|global|world|map|gps|gnss|ego|car|veh|vehicle|odom|rtk|slam|base|robot|center|cog|pos|gt|ground_?truth"
     "|ekf|est|state|cg|rear_?axle|loc(ation)?|coord(inate)?s?"
@@ -120,6 +137,7 @@ def _group_of(name: str, before: str, after: str) -> tuple[str, re.Pattern[str],
     if _NOT_GROUPS.search(name):
         return None
     words, behind = (text.strip("._ /") for text in (before, after))
+    words = _FRAMES.sub(r"\1", words)
     if not words and behind:
         *vectors, position = _GROUPS
         return next((group for group in vectors if group[1].search(behind)), position)
@@ -207,3 +225,65 @@ def _wheels(topic: Topic, named: Mapping[str, Label]) -> Iterator[Group]:
     if set(columns) == set(_CORNERS):
         fields = tuple(columns[corner] for corner in _CORNERS)
         yield "wheel_speed", fields, named[fields[0]].unit, 0
+
+
+def are_quaternions(log: Log, topic: str, fields: tuple[str, ...]) -> bool:
+    """Whether the rows of four fields have length 1, but for a few."""
+    try:
+        rows = log.read(topic, fields).values
+    except OffpisteError:
+        return False
+    rows = rows[np.isfinite(rows).all(axis=1)]
+    return len(rows) > 1 and bool(np.mean(np.abs(np.linalg.norm(rows, axis=1) - 1) < _UNIT) > _MOST)
+
+
+def w_comes_first(fields: tuple[str, ...], values: Float[np.ndarray, "n 4"]) -> bool:
+    """Whether quaternions whose entries have no letters are stored as w x y z: the vehicle is upright then."""
+    if any(re.search(r"[xyzw]$", field, re.IGNORECASE) for field in fields):
+        return False
+    turned = (rotation_from_quaternion(rows)[:, 2, 2] for rows in (values, np.roll(values, -1, axis=1)))
+    as_stored, w_first = (float(np.mean(up)) for up in turned)
+    return w_first > as_stored
+
+
+def are_earth_centred(places: Float[np.ndarray, "n k"]) -> bool:
+    """Whether places lie on the ground as seen from the earth's middle."""
+    middle = np.abs(np.median(places, axis=0))
+    near = _RADII[0] < float(np.linalg.norm(middle)) < _RADII[1]
+    return near and len(middle) > 2 and float(np.sort(middle)[1]) > _EASTING
+
+
+def pivoted(log: Log) -> str:
+    """How a table of signals' names beside their values becomes one of a column each; empty for another log."""
+    table = log.topics.get("")
+    if table is None:
+        return ""
+    numbers = [name for name in table.fields if name != log.clock.column]
+    values = numbers if len(numbers) == 1 else [name for name in numbers if _VALUE.search(name)]
+    signals = [name for name in table.unread if _SIGNAL.search(name)]
+    if not values or not signals:
+        return ""
+    columns = f"values='{values[0]}', index='{log.clock.column}', columns='{signals[0]}'"
+    return f"give each name in '{signals[0]}' a column, as pandas' pivot_table({columns}) does"
+
+
+def from_earth(log: Log) -> str:
+    """What to write in place of ECEF positions; empty where no field is called one."""
+    fields = [field for topic in log.topics.values() for field in topic.fields if _ECEF.search(field)]
+    if len(fields) < 3:
+        return ""
+    geographic = f"write latitude and longitude [deg] beside {', '.join(fields[:3])} (pyproj: EPSG:4978 to EPSG:4979)"
+    return f"{geographic}, and the heading from east to north [rad]; an orientation in that frame is none"
+
+
+def not_read(log: Log) -> str:
+    """Why topics cannot be read, and what to do; empty where they can."""
+    reasons = [f"{topic.name}: {topic.type}" for topic in log.topics.values() if not topic.fields and " " in topic.type]
+    return f"record it as ROS messages, or write its numbers to a .csv ({'; '.join(reasons[:4])})" if reasons else ""
+
+
+def contents(log: Log) -> str:
+    """Topics, or the columns of a log that is one table."""
+    if list(log.topics) == [""]:
+        return f"columns {', '.join(log.topics[''].fields) or 'without numbers'}"
+    return ", ".join(listed(log.topics)) or "no topic"

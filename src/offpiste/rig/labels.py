@@ -35,7 +35,7 @@ _SPELLINGS: Final[dict[str, str]] = {
     "km/h": "km/h km_h kmh kph kmph",
     "mph": "mph",
     "kn": "kn knot knots kts",
-    "rad/s": "rad/s rad_s radps rad/sec rad*s^-1 rad.s-1",
+    "rad/s": "rad/s rad_s radps rad/sec rad*s^-1 rad.s-1 rads^-1",
     "deg/s": "deg/s deg_s degps dps deg/sec °/s º/s",
     "rev/min": "rev/min rpm 1/min",
     "percent": "percent pct %",
@@ -254,9 +254,9 @@ GEOGRAPHIC_NAMES: Final = tuple(
     for words in ("lat|latitude", "lon|lng|long|longitude", "alt|altitude|height|elevation")
 )
 """What latitude, longitude and height are called."""
-COURSE_NAMES: Final = r"track|trk_gnd|course([_ ]over[_ ]ground|[_ ]?angle)?|cog"
+COURSE_NAMES: Final = r"track|head(ing)?_?(of_?)?mot(ion)?|trk_gnd|course([_ ]over[_ ]ground|[_ ]?angle)?|cog"
 """What a course over ground is called, as part of a pattern."""
-_COURSE_WORD: Final = re.compile(r"course|(?<![a-z])(cog|trk|track)(?![a-z])|gps[ _.]?(heading|hdg)", re.IGNORECASE)
+_COURSE_WORD: Final = re.compile(r"(?i)course|(?<![a-z])(cog|trk|track)(?![a-z])|gps[ _.]?(heading|hdg)|head\w*mot")
 """What every such name holds, and longer ones too, and what loggers call it."""
 
 
