@@ -19,7 +19,6 @@ from offpiste.dataset.map_snapshots import SnapshotWriter
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import add_drive, create, open_dataset
 from offpiste.errors import OffpisteError
-from offpiste.files import write_folder
 from offpiste.mapping.terrain_map import TerrainMap
 from offpiste.perception.pca import PrincipalComponents, load_pca, save_pca
 from offpiste.training.build import build, vehicle_of
@@ -201,14 +200,6 @@ def test_check_misses_no_missing_chunk(made: Path, tmp_path: Path, capsys: pytes
     (tmp_path / "data.zarr/kept/snapshots/rise/c/0/0").unlink()
     assert run_check(tmp_path / "data.zarr") == 1
     assert "snapshots/rise lacks 1 chunks" in capsys.readouterr().out
-
-
-def test_the_current_folder_is_not_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    for path in (Path(), tmp_path):
-        with pytest.raises(OffpisteError, match="is the current folder"):
-            write_folder(path, lambda partial: (partial / "whole").touch())
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_check_refuses_what_is_nothing_of_ours(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -3,7 +3,8 @@
 import os
 import shutil
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from glob import escape
 from pathlib import Path
 from typing import TypeVar
@@ -30,18 +31,47 @@ def _beside(path: Path, make: Callable[..., Made]) -> Made:
         raise OffpisteError("nothing can be written there", where=path.parent, how="give another folder") from error
 
 
+@contextmanager
+def _locked(partial: Path) -> Iterator[None]:
+    """Lock what is being written while this process lives, so that `remove_partials` of others leaves it.
+
+    Nothing is locked where the system or the file system has no such locks.
+
+    Raises:
+        BlockingIOError: another process holds it.
+    """
+    handle = None
+    try:
+        try:
+            import fcntl
+
+            handle = os.open(partial, os.O_RDONLY)
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise
+        except (ImportError, OSError):
+            pass
+        yield
+    finally:
+        if handle is not None:
+            os.close(handle)
+
+
 def write_whole(path: Path, write: Callable[[Path], None]) -> None:
     """Have `write` fill a file beside `path`, then move it there; an interruption leaves the old file."""
     refuse_url(path)
     handle, name = _beside(path, tempfile.mkstemp)
     os.close(handle)
     partial = Path(name)
-    try:
-        write(partial)
-        partial.chmod(0o644)
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
+    with _locked(partial):
+        try:
+            write(partial)
+            partial.chmod(0o644)
+            with partial.open("rb") as written:
+                os.fsync(written.fileno())  # without it, a loss of power may leave the new name to an empty file
+            partial.replace(path)
+        finally:
+            partial.unlink(missing_ok=True)
 
 
 def write_folder(path: Path, write: Callable[[Path], None]) -> None:
@@ -53,13 +83,21 @@ def write_folder(path: Path, write: Callable[[Path], None]) -> None:
     refuse_url(path)
     if path.resolve() == Path.cwd():
         raise OffpisteError("is the current folder", where=path, how="give a folder that is not yet there")
-    partial = Path(_beside(path, tempfile.mkdtemp))
-    try:
+    with temporary_folder(path) as partial:
         write(partial)
         partial.chmod(0o755)
         partial.replace(path)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
+
+
+@contextmanager
+def temporary_folder(path: Path) -> Iterator[Path]:
+    """A folder under a hidden name beside a path, for files that are needed while that is made; removed afterwards."""
+    partial = Path(_beside(path, tempfile.mkdtemp))
+    with _locked(partial):
+        try:
+            yield partial
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
 
 
 def check_folder(out: Path, *, option: str = "--out") -> None:
@@ -78,17 +116,18 @@ def check_folder(out: Path, *, option: str = "--out") -> None:
 
 
 def remove_partials(folder: Path, name: str = "") -> None:
-    """Remove what killed processes left half written.
+    """Remove what killed processes left half written; what a process still writes stays.
 
     Args:
         name: of the file or folder that they were writing; "" for all in `folder`.
     """
     named = f".{escape(name)}.*{PARTIAL}" if name else f".*{PARTIAL}"
     for partial in folder.glob(named):
-        if partial.is_dir():
-            shutil.rmtree(partial, ignore_errors=True)
-        else:
-            partial.unlink(missing_ok=True)
+        with suppress(BlockingIOError), _locked(partial):
+            if partial.is_dir():
+                shutil.rmtree(partial, ignore_errors=True)
+            else:
+                partial.unlink(missing_ok=True)
 
 
 def write_bytes(path: Path, content: bytes) -> None:

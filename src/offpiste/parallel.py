@@ -44,7 +44,12 @@ def at_a_time(processes: int, device: str = "cpu") -> int:
 
     Args:
         device: that each computes on.
+
+    Raises:
+        OffpisteError: a number below 0.
     """
+    if processes < 0:
+        raise OffpisteError(f"--processes is {processes}", how="give 1 or more, or 0 for one a core")
     return processes or (usable_cores() if device == "cpu" else 1)
 
 

@@ -18,6 +18,7 @@ from offpiste.dataset.splits import PARTS, parse_split
 from offpiste.dataset.window_starts import evaluation_starts
 from offpiste.dataset.windows import Windows
 from offpiste.errors import DatasetError
+from offpiste.files import temporary_folder
 from offpiste.mapping.terrain_map import TerrainMap
 from offpiste.mapping.terrain_sampler import MapTerrain
 
@@ -119,7 +120,7 @@ def made(path: Path) -> store.Dataset:
     for number in range(2):
         rows = with_ground_truth(circle_rows(2400, seed=number, speed=4 + number), tilted(), small_rig()).rows
         part = SPLIT.label("", rows.state[:, :2] + rows.origin)
-        with store.temporary_folder(path, "snapshots") as folder:
+        with temporary_folder(path / "snapshots") as folder:
             writer = SnapshotWriter(folder / "s", 0.25, 2)
             for row in evaluation_starts(rows, part == PARTS.index("test"))[::20]:
                 state = rows.state_causal[row].astype(np.float64)

@@ -17,6 +17,7 @@ from offpiste.reproduction.gains import HINDSIGHT, MAP, errors_of, evaluation_in
 from offpiste.reproduction.shift import ShiftedMap, other_ground, shift_gains, shifted
 from offpiste.training.build import vehicle_of
 from offpiste.training.config import TrainConfig
+from offpiste.training.fitness import Stretch
 from offpiste.training.run import Run, load_run, save_run
 from offpiste.training.terrain_sources import encoded, map_terrain, on_map
 
@@ -119,13 +120,16 @@ def test_errors_of_other_windows_are_not_taken_for_these(tmp_path: Path, dataset
     )
     assert (len(first.row), len(other.row)) == (2, 3)
     assert other.loss[1] == first.loss[1]
+    kept = {"index": np.array([20, 50, 100]), "kept": tmp_path / "kept"}
+    doubled = errors_of(run, windows, reading=HINDSIGHT, scale=torch.full((5,), 2.0), **kept)
+    assert np.all(doubled.loss < other.loss), "the loss is in other units"
 
 
 def test_errors_on_windows_that_a_run_was_trained_on_are_refused(tmp_path: Path, dataset: Dataset) -> None:
     run, windows, index = untrained(dataset, "b", tmp_path / "b-0"), Windows(dataset, "test"), np.array([0, 50])
     options = {"scale": torch.ones(5), "kept": tmp_path / "kept"}
     assert len(errors_of(run, windows, index, HINDSIGHT, **options).row) == 2
-    informed = replace(run, seen=((windows.drive_names[windows.drive[0]], 0.0, 60.0),))
+    informed = replace(run, seen=(Stretch(windows.drive_names[windows.drive[0]], 0.0, 60.0),))
     with pytest.raises(RunError, match=r"b-0: was trained on 18 s of the test part of drive"):
         errors_of(informed, windows, index, HINDSIGHT, **options)
     assert len(errors_of(run, Windows(dataset, "validation"), index, HINDSIGHT, **options).row) == 2

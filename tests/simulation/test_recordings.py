@@ -38,7 +38,13 @@ def test_one_that_fails_does_not_keep_the_others(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "said"), [(["--drives", "0"], "0 drives"), (["--drives", "2", "--twins", "1"], "goes with neither")]
+    ("words", "said"),
+    [
+        (["--drives", "0"], "0 drives"),
+        (["--drives", "2", "--twins", "1"], "goes with neither"),
+        (["--twins", "-1"], "--twins is -1; give a number of 0 or more"),
+        (["--drives", "2", "--processes", "-1"], "--processes is -1; give 1 or more, or 0"),
+    ],
 )
 def test_what_does_not_go_together(words: list[str], said: str, tmp_path: Path, capsys) -> None:
     with pytest.raises(SystemExit) as exit_:

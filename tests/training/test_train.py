@@ -330,6 +330,18 @@ def test_a_run_is_not_evaluated_on_what_it_was_trained_on(dataset: Dataset, run:
         refuse_seen(loaded, dataset.relabelled(parse_split("blocks:0.2,0.2,0.6")), "test")
 
 
+def test_a_drive_under_another_name_is_still_the_one_that_was_trained_on(dataset: Dataset, run: Path) -> None:
+    loaded, split = load_run(run), parse_split("blocks:0.2,0.2,0.6")
+    renamed = replace(dataset, drives=tuple(replace(drive, name=f"new {drive.name}") for drive in dataset.drives))
+    refuse_seen(loaded, renamed, "test")
+    with pytest.raises(RunError, match=r"of the test part of drive 'new drive0 \(there: drive0\)'"):
+        refuse_seen(loaded, renamed.relabelled(split), "test")
+    older = replace(loaded, seen=tuple(stretch._replace(rows="") for stretch in loaded.seen))
+    refuse_seen(older, renamed.relabelled(split), "test")
+    with pytest.raises(RunError, match="drive 'drive0'"):
+        refuse_seen(older, dataset.relabelled(split), "test")
+
+
 def test_settings_that_an_older_run_has_more_hide_no_others() -> None:
     now = {"train": json.loads(json.dumps(asdict(TrainConfig()))), "dataset": "/b", "split": "fold:1/5"}
     before = {"train": {**now["train"], "of before": 1}, "dataset": "/b", "split": "fold:0/5"}

@@ -14,12 +14,12 @@ from feature_datasets import FEATURES, dataset_with_features, with_snapshots
 from offpiste.cli import main
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
-from offpiste.errors import RunError
+from offpiste.errors import DatasetError, OffpisteError, RunError
 from offpiste.training.checkpoint import WEIGHTS, load_json, load_tensors, save_json, save_tensors
 from offpiste.training.config import TrainConfig
 from offpiste.training.run import Run, load_run
 from offpiste.training.train import train
-from offpiste.uncertainty.calibrate import evaluate_kept_spreads, kept_or_fitted
+from offpiste.uncertainty.calibrate import calibrate, evaluate_kept_spreads, kept_or_fitted
 from offpiste.uncertainty.calibration import CalibrationRow, calibration_table
 from offpiste.uncertainty.fit import SpreadSettings, residuals_on_maps
 from offpiste.uncertainty.novelty import features_at_starts, load_memory_bank
@@ -92,11 +92,11 @@ def test_a_run_refuses_windows_of_another_dataset(dataset: Dataset, run: Run) ->
 def test_runs_whose_folders_have_one_name_are_told_apart(dataset: Dataset, run: Run, tmp_path: Path) -> None:
     kept_or_fitted(run, dataset, QUICK)
     folders = [Path(shutil.copytree(run.folder, tmp_path / seed / "dc")) for seed in ("s0", "s1")]
-    assert evaluate_kept_spreads(folders, dataset.path, tmp_path / "out") is not None
+    evaluate_kept_spreads(folders, dataset.path).write(tmp_path / "out")
     rows = json.loads((tmp_path / "out" / "calibration.json").read_text("utf-8"))["rows"]
     assert list(dict.fromkeys(row["run"] for row in rows)) == ["s0/dc", "s1/dc"]
     alone = tmp_path / "alone"
-    evaluate_kept_spreads(folders[:1], dataset.path, alone)
+    evaluate_kept_spreads(folders[:1], dataset.path).write(alone)
     widths = [cv2.imread(str(each / "calibration.png")).shape[1] for each in (alone, tmp_path / "out")]
     assert widths[1] == pytest.approx(2 * widths[0], rel=0.01), "a panel for each"
 
@@ -107,10 +107,23 @@ def test_a_spread_is_not_evaluated_on_what_it_was_fitted_to(dataset: Dataset, ru
     save_json(run.folder / "model.json", about | {"seen": []})
     stranger = load_run(run.folder)
     kept_or_fitted(stranger, dataset, QUICK)
-    assert evaluate_kept_spreads([run.folder], dataset.path, tmp_path / "apart") is not None
+    assert evaluate_kept_spreads([run.folder], dataset.path) is not None
     again = dataset_with_features(tmp_path / "again.zarr", ("test", "train", "validation", "train"))
     with pytest.raises(RunError, match=r"spread\.safetensors: was fitted to .* of the test part of drive"):
-        evaluate_kept_spreads([run.folder], again.path, tmp_path / "out")
+        evaluate_kept_spreads([run.folder], again.path)
+
+
+def test_what_cannot_be_evaluated_is_refused_before_anything_is_fitted_or_written(
+    dataset: Dataset, run: Run, tmp_path: Path
+) -> None:
+    untested = dataset_with_features(tmp_path / "untested.zarr", ("train", "validation", "train"))
+    with pytest.raises(DatasetError, match="test part has no window"):
+        calibrate([run.folder], untested.path, tmp_path / "out", QUICK)
+    (tmp_path / "file").touch()
+    with pytest.raises(OffpisteError, match="file: is a file; give a folder as --out"):
+        calibrate([run.folder], dataset.path, tmp_path / "file", QUICK)
+    assert not (run.folder / FILE).exists()
+    assert not (tmp_path / "out").exists()
 
 
 def test_maps_as_they_were_are_read(dataset: Dataset, run: Run, tmp_path: Path) -> None:
@@ -137,15 +150,14 @@ def test_the_command_writes_table_numbers_and_picture(
     of_bands = [row["n"] for row in rows if row["windows"] != "all" and row["horizon"] == 5]
     assert sum(of_bands) == next(row["n"] for row in rows)
     assert (out / "calibration.png").stat().st_size > 5000
-    assert (
-        evaluate_kept_spreads([run.folder], dataset.path, tmp_path / "again") == tmp_path / "again" / "calibration.md"
-    )
+    kept = evaluate_kept_spreads([run.folder], dataset.path)
+    assert kept.write(tmp_path / "again") == tmp_path / "again" / "calibration.md"
     again = json.loads((tmp_path / "again" / "calibration.json").read_text("utf-8"))["rows"]
     assert [row["coverage"] for row in again] == [row["coverage"] for row in rows]
     view_regions(run.folder, dataset, out)
     assert (out / "regions.png").stat().st_size > 5000
     (run.folder / FILE).unlink()
-    assert evaluate_kept_spreads([run.folder], dataset.path, tmp_path / "none") is None
+    assert evaluate_kept_spreads([run.folder], dataset.path) is None
     with pytest.raises(RunError, match=r"has no spread.*offpiste calibrate"):
         view_regions(run.folder, dataset, out)
     assert load_memory_bank(run).novel(features_at_starts(dataset, "validation", 100)).float().mean() < 0.1

@@ -47,7 +47,7 @@ class Evaluate:
         from offpiste.uncertainty.calibrate import evaluate_kept_spreads
 
         # First: it may refuse a run's spread, and the evaluation takes long.
-        evaluate_kept_spreads(self.runs, self.dataset, self.out, self.min_speed)
+        spreads = evaluate_kept_spreads(self.runs, self.dataset, self.min_speed)
         lookups: tuple[Literal["recorded", "map"], ...] = ("recorded", "map")
         evaluate_runs(
             self.runs,
@@ -59,4 +59,6 @@ class Evaluate:
             context=self.context,
             device=self.device,
         )
+        if spreads is not None:
+            spreads.write(self.out)
         return 0

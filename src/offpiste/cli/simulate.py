@@ -116,11 +116,12 @@ class Simulate:
         from offpiste.simulation.recordings import Recording, simulate_all
 
         check_folder(self.out)
+        processes = at_a_time(self.processes)
         self.out.mkdir(parents=True, exist_ok=True)
         name = Path(self.world).stem
         seeds = range(self.seed, self.seed + self.drives)
         recordings = [Recording(self._settings(seed, seed), self.out / f"{name}-{seed}.mcap") for seed in seeds]
-        simulate_all(recordings, at_a_time(self.processes), self.cluster)
+        simulate_all(recordings, processes, self.cluster)
         rig = self._rig(self.out / "rig.toml")
         show(f"next: offpiste inspect {quote(str(self.out))}/*.mcap --rig {rig}")
 

@@ -20,11 +20,11 @@ from offpiste.dataset.place import drive_names, remove_if_empty, working_copy
 from offpiste.dataset.resample import Rows, extract_rows
 from offpiste.dataset.split_balance import fitting_split, split_warning
 from offpiste.dataset.splits import PARTS, Split, empty_parts, parse_split, refuse_places_without_origin, stored_split
-from offpiste.dataset.store import Dataset, StoredDrive, add_drive, create, open_dataset, temporary_folder
+from offpiste.dataset.store import Dataset, StoredDrive, add_drive, create, open_dataset
 from offpiste.dataset.visual_features import SnapshotKeeper, with_visual_features
 from offpiste.dataset.window_starts import MIN_HINDSIGHT, evaluation_starts
 from offpiste.errors import DatasetError, OffpisteError
-from offpiste.files import remove_partials
+from offpiste.files import remove_partials, temporary_folder
 from offpiste.logs.drive import drive_from_log, drive_name
 from offpiste.logs.opening import open_log
 from offpiste.logs.sensor_log import open_sensors
@@ -81,7 +81,7 @@ def _extract_here(job: Job, report: Report) -> str:
         extractor = load_feature_extractor(job.pca, job.device)
         notes += _seen_by_pca(extractor, rows, job)
         replay = job.replay or MapperSettings()
-        with temporary_folder(job.out, job.name) as folder:
+        with temporary_folder(job.out / job.name) as folder:
             settings, size = job.snapshots or SnapshotSettings(), replay.map.voxels.size
             writer = SnapshotWriter(folder / "snapshots", size, extractor.channels, settings.latency)
             schedule = SnapshotSchedule(_starts(rows, job, settings), settings)

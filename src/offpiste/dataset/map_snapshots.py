@@ -88,7 +88,7 @@ class SnapshotWriter:
 
     def __init__(self, folder: Path, resolution: float, features: int, latency: float = PERCEPTION_LATENCY) -> None:
         attributes: dict[str, Any] = {"resolution": resolution, "latency": latency}
-        self._group = zarr.open_group(folder, mode="w", attributes=attributes, zarr_format=3)
+        self._group = zarr.open_group(folder, mode="w-", attributes=attributes, zarr_format=3)
         self._row: list[int] = []
         self._first = [0]
         self._origin: list[np.ndarray] = []

@@ -2,7 +2,6 @@
 
 import json
 import shutil
-import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
@@ -36,7 +35,7 @@ from offpiste.dataset.store_validation import (
 )
 from offpiste.dataset.stored_arrays import ARRAYS, digest_of_chunks, mapped_array, whole_array, write_arrays
 from offpiste.errors import DatasetError
-from offpiste.files import PARTIAL, check_folder, remove_partials, write_folder
+from offpiste.files import check_folder, remove_partials, write_folder
 from offpiste.mapping.replay import MapperSettings
 from offpiste.mapping.terrain_map import TerrainMap
 from offpiste.rig.rig import Rig
@@ -161,7 +160,7 @@ def create(
         return
 
     def write(partial: Path) -> None:
-        zarr.open_group(partial, mode="w", attributes=meta, zarr_format=3)
+        zarr.open_group(partial, mode="w-", attributes=meta, zarr_format=3)
         write_checksums(partial, [partial / "zarr.json"])
 
     write_folder(path, write)
@@ -197,7 +196,7 @@ def add_drive(
     def write(partial: Path) -> None:
         attributes = {"origin": rows.origin.tolist(), "notes": list(notes), "distance_m": rows.distance}
         attributes["findings"] = stored_findings(findings)
-        group = zarr.open_group(partial, mode="w", attributes=attributes, zarr_format=3)
+        group = zarr.open_group(partial, mode="w-", attributes=attributes, zarr_format=3)
         write_arrays(group, {**rows.arrays(), "part": part})
         if rows.cells is not None:
             write_arrays(group.create_group("cells"), {f.name: getattr(rows.cells, f.name) for f in fields(Cells)})
@@ -215,16 +214,6 @@ def add_drive(
     load_map = (lambda: _read_map(path, name)) if evaluated else None
     kept = open_snapshots(path / name / SNAPSHOTS) if snapshots is not None else None
     return StoredDrive(name, rows, part, notes, load_map, kept, tuple(findings))
-
-
-@contextmanager
-def temporary_folder(path: Path, name: str) -> Iterator[Path]:
-    """Folder beside the drives of a dataset for files that one of them needs while it is made; removed afterwards."""
-    folder = Path(tempfile.mkdtemp(prefix=f".{name}.", suffix=PARTIAL, dir=path))
-    try:
-        yield folder
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
 
 
 def open_dataset(path: str | Path) -> Dataset:

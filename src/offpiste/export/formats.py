@@ -81,9 +81,9 @@ def size_of(text: str) -> tuple[int, int]:
     Raises:
         OffpisteError: it is none.
     """
-    numbers = re.fullmatch(r"([1-9]\d{0,4})x([1-9]\d{0,4})", text)
+    numbers = re.fullmatch(r"([1-9]\d{0,3})x([1-9]\d{0,3})", text)
     if numbers is None:
-        raise OffpisteError(f"--size is '{text}'", how="give width and height in pixels, as 640x360")
+        raise OffpisteError(f"--size is '{text}'", how="give width and height in pixels, 1 to 9999, as 640x360")
     return int(numbers[1]), int(numbers[2])
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from jaxtyping import Int
 
+from offpiste.checksums import sha256_of_folders, sha256_of_json
 from offpiste.dataset.windows import Windows
 from offpiste.errors import RunError
 from offpiste.evaluation.errors import Errors, SeededErrors, by_seed, pool, save_errors, saved_errors
@@ -87,7 +88,9 @@ def errors_of(
     kept: Path,
     map_source: MapSource = on_map,
 ) -> Errors:
-    """Errors of a run, from `kept` if they are there, of the same weights and windows; else they are computed and kept.
+    """Errors of a run, from `kept` if they are there; else they are computed and kept.
+
+    Kept ones are of the same weights, dataset, units of the loss and windows.
 
     Args:
         scale: of the loss, the same for all that is compared.
@@ -98,8 +101,9 @@ def errors_of(
     """
     if windows.part == PART:  # ideas are chosen on windows that validate, as epochs are
         refuse_seen(run, windows.dataset, PART)
-    weights = sha256_of_tensors(run.dynamics.state_dict(), {})[:12]  # a run may be trained again in its folder
-    path = kept / run.folder.name / f"{'-'.join((*filter(None, reading), weights))}.safetensors"
+    weights = sha256_of_tensors(run.dynamics.state_dict(), {})  # a run may be trained again in its folder
+    of = sha256_of_json([weights, sha256_of_folders(windows.dataset.path), scale.tolist()])[:12]
+    path = kept / run.folder.name / f"{'-'.join((*filter(None, reading), of))}.safetensors"
 
     def compute() -> Errors:
         return run_errors(run, windows, index, reading, scale=scale, map_source=map_source)

@@ -176,6 +176,8 @@ def simulate(settings: DriveSettings, out: Path, *, twins: int = 0) -> list[Driv
     Raises:
         OffpisteError: a setting is out of range, or a file exists already.
     """
+    if twins < 0:
+        raise OffpisteError(f"--twins is {twins}", how="give a number of 0 or more")
     files = [out, *(out.with_name(f"{out.stem}-twin-{k}{out.suffix}") for k in range(1, twins + 1))]
     steps = _check(settings, files)
     parameters = load_vehicle(settings.vehicle or None)

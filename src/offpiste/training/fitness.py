@@ -7,9 +7,10 @@ from typing import Final, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 
 from offpiste.channels import without_optional
+from offpiste.checksums import sha256_of_arrays
 from offpiste.conventions import DT
 from offpiste.dataset.splits import PARTS
-from offpiste.dataset.store import Dataset
+from offpiste.dataset.store import Dataset, StoredDrive
 from offpiste.dynamics import Dynamics, Vehicle
 from offpiste.errors import RunError
 from offpiste.rig.rig import Vehicle as RigVehicle
@@ -18,6 +19,19 @@ from offpiste.training.build import vehicle_of
 
 ALIKE: Final = 0.1
 """Share by which vehicles may differ in a measure and still count as the same."""
+
+
+class Stretch(NamedTuple):
+    """A stretch of a drive that something was fitted to: from `first` to `last` [s].
+
+    Attributes:
+        rows: digest of the drive's rows, by which it is known under another name; empty in older files.
+    """
+
+    drive: str
+    first: float
+    last: float
+    rows: str = ""
 
 
 @runtime_checkable
@@ -45,8 +59,8 @@ class TrainedRun(Protocol):
         ...
 
     @property
-    def seen(self) -> tuple[tuple[str, float, float], ...]:
-        """Drives and their stretches that it was trained or chosen on [s]."""
+    def seen(self) -> tuple[Stretch, ...]:
+        """What it was trained or chosen on."""
         ...
 
 
@@ -69,20 +83,41 @@ class Overlap(NamedTuple):
     seconds: float
 
 
-def overlap_with(seen: Sequence[tuple[str, float, float]], dataset: Dataset, part: str) -> Overlap | None:
+def overlap_with(seen: Sequence[Stretch], dataset: Dataset, part: str) -> Overlap | None:
     """The first stretch that something was fitted to and that a part of a dataset holds moments of; None for none.
 
-    Args:
-        seen: drives and their stretches [s].
+    A drive is the same by its name, or by its rows: a log that was renamed.
     """
-    number = PARTS.index(part)
+    number, known = PARTS.index(part), {stretch.rows for stretch in seen} - {""}
     for drive in dataset.drives:
         evaluated = drive.rows.time[drive.part == number]
-        for name, first, last in seen:
-            count = np.count_nonzero((evaluated >= first) & (evaluated <= last)) if name == drive.name else 0
+        rows = _digest_of_rows(drive) if known and len(evaluated) else ""
+        for name, first, last, theirs in seen:
+            same = name == drive.name or (theirs and theirs == rows)
+            count = np.count_nonzero((evaluated >= first) & (evaluated <= last)) if same else 0
             if count:
-                return Overlap(name, count * DT)
+                named_so = drive.name if name == drive.name else f"{drive.name} (there: {name})"
+                return Overlap(named_so, count * DT)
     return None
+
+
+def seen_stretches(dataset: Dataset) -> list[Stretch]:
+    """Stretches of drives in the parts that training and validation read."""
+    stretches = []
+    for drive in dataset.drives:
+        used = np.isin(drive.part, (PARTS.index("train"), PARTS.index("validation")))
+        edges = np.flatnonzero(np.diff(np.concatenate(([False], used, [False])).astype(int)))
+        rows = _digest_of_rows(drive) if len(edges) else ""
+        for first, last in edges.reshape(-1, 2):
+            stretches.append(Stretch(drive.name, float(drive.rows.time[first]), float(drive.rows.time[last - 1]), rows))
+    return stretches
+
+
+def _digest_of_rows(drive: StoredDrive) -> str:
+    rows = drive.rows
+    return sha256_of_arrays(
+        {"time": rows.time, "state": rows.state, "control": rows.control, "origin": rows.origin}, {}
+    )
 
 
 def _extracted_with(run: TrainedRun) -> str:

@@ -7,13 +7,11 @@ from pathlib import Path
 from typing import Final
 
 import msgspec
-import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from offpiste.checksums import sha256_of
-from offpiste.dataset.splits import PARTS
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics import Dynamics, Vehicle
@@ -31,7 +29,7 @@ from offpiste.training.checkpoint import (
     save_tensors,
 )
 from offpiste.training.config import MOST_CODES, TrainConfig, Weights
-from offpiste.training.fitness import refuse_unfit
+from offpiste.training.fitness import Stretch, refuse_unfit, seen_stretches
 from offpiste.training.kept_epoch import KeptEpoch
 from offpiste.training.losses import COMPONENTS
 from offpiste.training.prediction import Lookup, predict_windows
@@ -58,7 +56,7 @@ class _Stated(msgspec.Struct):
     seed: int
     loss: _Loss
     split: str
-    seen: tuple[tuple[str, float, float], ...]
+    seen: tuple[Stretch, ...]
     pca: str | None = None
     features: tuple[str, ...] = ()
     weights_sha256: str | None = None
@@ -72,7 +70,7 @@ class Run:
     Attributes:
         scale: the loss's units (`losses.loss_scale`).
         split: text of the split it was trained under.
-        seen: (drive, first, last) stretches of time [s] that training or validation used.
+        seen: stretches of drives that training or validation used.
         pca: of the visual features (`Dataset.pca`); None without, and of runs older than this entry.
         features: names of the dataset's terrain features; none without, and of runs older than this entry.
         noise: of short predictions on the training drives (`short_errors.ShortErrors.noise`), for slow context; None of
@@ -86,7 +84,7 @@ class Run:
     weights: Weights
     scale: Float[Tensor, " 5"]
     split: str
-    seen: tuple[tuple[str, float, float], ...]
+    seen: tuple[Stretch, ...]
     pca: str | None = None
     features: tuple[str, ...] = ()
     noise: tuple[float, float, float] | None = None
@@ -244,17 +242,6 @@ def model_trained_on(folder: Path, dataset: Path) -> str:
 def kept_epochs(folder: Path) -> dict[str, KeptEpoch]:
     """The epoch that each stage of a finished run kept, by stage."""
     return {stage: KeptEpoch(**kept) for stage, kept in load_json(folder / "model.json").get("kept", {}).items()}
-
-
-def seen_stretches(dataset: Dataset) -> list[tuple[str, float, float]]:
-    """(drive, first, last) stretches of time [s] in the parts that training and validation read."""
-    stretches = []
-    for drive in dataset.drives:
-        used = np.isin(drive.part, (PARTS.index("train"), PARTS.index("validation")))
-        edges = np.flatnonzero(np.diff(np.concatenate(([False], used, [False])).astype(int)))
-        for first, last in edges.reshape(-1, 2):
-            stretches.append((drive.name, float(drive.rows.time[first]), float(drive.rows.time[last - 1])))
-    return stretches
 
 
 def check_device(name: str) -> torch.device:

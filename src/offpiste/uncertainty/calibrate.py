@@ -15,12 +15,12 @@ from offpiste.errors import RunError
 from offpiste.evaluation.evaluated_windows import EvaluatedWindows
 from offpiste.evaluation.intervals import Sampling
 from offpiste.evaluation.speed_bands import members
-from offpiste.files import write_text
+from offpiste.files import check_folder, write_text
 from offpiste.report.figure import write_png
 from offpiste.shipped import names_apart, run_folder
 from offpiste.training.checkpoint import load_json, save_beside_weights
-from offpiste.training.fitness import overlap_with, refuse_seen, refuse_unfit
-from offpiste.training.run import Run, load_run, seen_stretches
+from offpiste.training.fitness import overlap_with, refuse_seen, refuse_unfit, seen_stretches
+from offpiste.training.run import Run, load_run
 from offpiste.uncertainty.calibration import (
     CalibrationRow,
     calibration_rows,
@@ -39,57 +39,14 @@ PART: Final = "test"
 """Part of the dataset that calibration is evaluated on."""
 
 
-def calibrate(folders: Sequence[Path], path: Path, out: Path, settings: SpreadSettings | None = None) -> Path:
-    """Fit the spread of each run that has none, and evaluate all on the windows of the test part that have a map.
-
-    Of runs that read features, some of their training's are kept as well (`novelty`).
-
-    Returns:
-        Path of the table, `calibration.md`; `calibration.json` and `calibration.png` stand beside it.
-
-    Raises:
-        RunError: a run does not fit the dataset, it or its spread has seen what would be tested, or the spread belongs
-            to other weights.
-        DatasetError: a part has no window.
-    """
-    dataset, report = open_dataset(path), _Report()
-    runs = [_fitting_run(folder, dataset) for folder in folders]
-    for run, name in zip(runs, names_apart(folders), strict=True):
-        mine = dataset.starting_above(_min_speed(run))
-        spread = kept_or_fitted(run, mine, settings)
-        if run.dynamics.encoder is not None:
-            keep_memory_bank(run, mine)
-        report.add(name, run, spread, mine)
-    return report.write(out)
-
-
-def evaluate_kept_spreads(
-    folders: Sequence[Path], path: Path, out: Path, min_speed: float | None = None
-) -> Path | None:
-    """Evaluate the spreads that runs keep, as `calibrate` does; nothing is fitted.
-
-    Args:
-        min_speed: windows start above it [m/s]; None: as the dataset says.
-
-    Returns:
-        Path of the table; None where no run keeps a spread.
-
-    Raises:
-        RunError, DatasetError: as `calibrate`.
-    """
-    keeping = [folder for folder in folders if (run_folder(folder) / FILE).exists()]
-    if not keeping:
-        return None
-    dataset, report = open_dataset(path).starting_above(min_speed), _Report()
-    for folder, name in zip(keeping, names_apart(keeping), strict=True):
-        run = _fitting_run(folder, dataset)
-        report.add(name, run, load_spread(run), dataset)
-    return report.write(out)
-
-
 @dataclass
-class _Report:
-    """Rows of the table, and by run the regions that errors lie on."""
+class SpreadReport:
+    """How far errors lie within the regions of spreads.
+
+    Attributes:
+        rows: of the table.
+        within: by run, the regions that errors lie on.
+    """
 
     rows: list[CalibrationRow] = field(default_factory=list)
     within: dict[str, np.ndarray] = field(default_factory=dict)
@@ -104,7 +61,7 @@ class _Report:
         self.within[name] = errors.within
 
     def write(self, out: Path) -> Path:
-        """Write table, numbers and picture; show the table."""
+        """Write table, numbers and picture; show the table; returns the path of `calibration.md`."""
         table = calibration_table(self.rows)
         write_png(out / "calibration.png", draw_calibration(self.within), dpi=110)
         content = {"schema": 1, "part": PART, "rows": self.rows}
@@ -113,6 +70,55 @@ class _Report:
         logger.info(table.text(width=150))
         logger.info(f"written: {out / 'calibration.md'}")
         return out / "calibration.md"
+
+
+def calibrate(folders: Sequence[Path], path: Path, out: Path, settings: SpreadSettings | None = None) -> Path:
+    """Fit the spread of each run that has none, and evaluate all on the windows of the test part that have a map.
+
+    Of runs that read features, some of their training's are kept as well (`novelty`).
+
+    Returns:
+        Path of the table, `calibration.md`; `calibration.json` and `calibration.png` stand beside it.
+
+    Raises:
+        RunError: a run does not fit the dataset, it or its spread has seen what would be tested, or the spread belongs
+            to other weights.
+        DatasetError: a part has no window.
+    """
+    check_folder(out)
+    dataset, report = open_dataset(path), SpreadReport()
+    runs = [_fitting_run(folder, dataset) for folder in folders]
+    starting = [dataset.starting_above(_min_speed(run)) for run in runs]
+    for each in starting:
+        Windows(each, PART)  # refuses what cannot be evaluated before time is spent on a fit
+    for run, name, mine in zip(runs, names_apart(folders), starting, strict=True):
+        spread = kept_or_fitted(run, mine, settings)
+        if run.dynamics.encoder is not None:
+            keep_memory_bank(run, mine)
+        report.add(name, run, spread, mine)
+    return report.write(out)
+
+
+def evaluate_kept_spreads(folders: Sequence[Path], path: Path, min_speed: float | None = None) -> SpreadReport | None:
+    """Evaluate the spreads that runs keep, as `calibrate` does; nothing is fitted or written.
+
+    Args:
+        min_speed: windows start above it [m/s]; None: as the dataset says.
+
+    Returns:
+        What is to be written; None where no run keeps a spread.
+
+    Raises:
+        RunError, DatasetError: as `calibrate`.
+    """
+    keeping = [folder for folder in folders if (run_folder(folder) / FILE).exists()]
+    if not keeping:
+        return None
+    dataset, report = open_dataset(path).starting_above(min_speed), SpreadReport()
+    for folder, name in zip(keeping, names_apart(keeping), strict=True):
+        run = _fitting_run(folder, dataset)
+        report.add(name, run, load_spread(run), dataset)
+    return report
 
 
 def _fitting_run(folder: Path, dataset: Dataset) -> Run:

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import Final
 
+import msgspec
 import numpy as np
 import torch
 from jaxtyping import Float
@@ -13,7 +14,7 @@ from offpiste.dynamics.models import seeded
 from offpiste.errors import RunError
 from offpiste.state import Trajectory
 from offpiste.training.checkpoint import load_beside_weights, load_tensors, load_weights
-from offpiste.training.fitness import refuse_unfit
+from offpiste.training.fitness import Stretch, refuse_unfit
 from offpiste.training.prediction import Lookup
 from offpiste.training.run import Run
 from offpiste.uncertainty.fit import predictions_of
@@ -80,10 +81,10 @@ def load_spread(run: Run) -> Spread:
     return spread.requires_grad_(False)
 
 
-def spread_seen(run: Run) -> list[tuple[str, float, float]]:
-    """Drives and their stretches that the spread in a run's folder was fitted to [s].
+def spread_seen(run: Run) -> list[Stretch]:
+    """What the spread in a run's folder was fitted to.
 
     Those that the run was trained and chosen on, where an older offpiste, which did not write it, fitted it.
     """
     _, about = load_tensors(run.folder / FILE)
-    return [(str(name), float(first), float(last)) for name, first, last in about.get("seen", run.seen)]
+    return msgspec.convert(about.get("seen", run.seen), list[Stretch])
