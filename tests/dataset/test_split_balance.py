@@ -20,6 +20,7 @@ from offpiste.dataset.split_balance import (
     complaints,
     fitting_split,
     has_little_driving,
+    lacks_windows,
     next_split,
     part_facts,
     split_warning,
@@ -84,11 +85,11 @@ def test_a_drive_that_stands_nearly_always_has_no_better_split() -> None:
 def test_a_short_drive_gets_a_split_in_which_every_part_has_windows() -> None:
     data = dataset(at_speed(wandering(4000)))
     (drive,) = data.drives
-    found = fitting_split(drive, 0.0, 1.5)
+    found = fitting_split([drive], 0.0, 1.5)
     assert found is not None
     assert all(part.windows for part in part_facts(data.relabelled(found)))
     assert f"with --split {found.text}, or" in described(drive, data.split)
-    assert fitting_split(dataset(at_speed(wandering(800))).drives[0], 0.0, 1.5) is None
+    assert fitting_split(dataset(at_speed(wandering(800))).drives, 0.0, 1.5) is None
 
 
 def test_windows_are_counted_at_the_speed_at_which_they_start() -> None:
@@ -160,6 +161,19 @@ def test_a_drive_with_holes_gets_a_fold_where_no_blocks_fit() -> None:
     split = next_split(data)
     assert split is not None
     assert all(part.windows for part in part_facts(data.relabelled(split)))
+
+
+def test_short_drives_whose_parts_are_empty_get_a_split_that_fills_them_together() -> None:
+    one = dataset(at_speed(wandering(2000)))
+    drives = tuple(replace(one.drives[0], name=name) for name in ("first", "second"))
+    short = replace(one, drives=drives)
+    assert lacks_windows(short)
+    split = next_split(short)
+    assert split is not None
+    assert not lacks_windows(short.relabelled(split))
+    hopeless = dataset(at_speed(wandering(1200)))
+    assert lacks_windows(hopeless)
+    assert next_split(hopeless) is None
 
 
 def test_little_driving_is_what_training_has_of_it() -> None:

@@ -11,7 +11,7 @@ from offpiste.dynamics import Parametric, Vehicle
 from offpiste.dynamics.feature_encoder import Compressor
 from offpiste.runtime import prediction
 from offpiste.runtime.estimator import TrackRows
-from offpiste.runtime.prediction import coded_area, cropped, model_state_after, model_state_of
+from offpiste.runtime.prediction import coded_area, model_state_after, model_state_of
 from planning.test_kernel import model, start
 from planning_maps import layers, situation
 
@@ -28,16 +28,6 @@ def at(area, x, y):
     """Codes under a wheel at a place."""
     state = torch.tensor([[x, y, 0.0, 0.0, 0.0, 0.0]])
     return area.terrain(ORIGIN, torch.zeros(4, 2), 1).at(0, state).latent[0, 0]
-
-
-def test_a_square_is_cut_out_to_whole_cells():
-    whole = layers(plane=(0.1, -0.3))  # cells every 0.5 m from -20 to 20 m
-    near = cropped(whole, np.array((3.2, -1.1)), 2.0)
-    np.testing.assert_allclose(near.origin, (1.0, -3.5))
-    assert near.known.shape == (10, 10)  # to 5.5 and 1.0 m
-    np.testing.assert_allclose(near.elevation, 0.1 * near.centres[..., 0] - 0.3 * near.centres[..., 1], atol=1e-6)
-    assert cropped(whole, np.array((19.0, -19.0)), 2.0).known.shape == (7, 7)
-    assert cropped(whole, np.array((500.0, 0.0)), 2.0).known.shape[1] == 1
 
 
 def test_a_map_of_codes_is_read_as_it_is(encoder):

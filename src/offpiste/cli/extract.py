@@ -63,7 +63,7 @@ class Extract:
         """Read, resample, write."""
         from offpiste.dataset.extract import make_dataset
         from offpiste.dataset.map_snapshots import SnapshotSettings
-        from offpiste.dataset.split_balance import has_little_driving, next_split
+        from offpiste.dataset.split_balance import has_little_driving, lacks_windows, next_split
         from offpiste.mapping.replay import MapperSettings
         from offpiste.parallel import parse_shard
         from offpiste.rig.rig import load_rig
@@ -88,7 +88,13 @@ class Extract:
             force=self.force,
         )
         if not self.shard:
-            show(f"next: {self._next(next_split(dataset), has_little_driving(dataset))}")
+            split = next_split(dataset)
+            if split is None and lacks_windows(dataset):
+                show(
+                    "next: record more, or longer drives: a part of the split has no window, so nothing can be trained"
+                )
+            else:
+                show(f"next: {self._next(split, has_little_driving(dataset))}")
         return 0
 
     def _next(self, split: "Split | None", little: bool) -> str:

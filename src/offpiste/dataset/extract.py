@@ -149,7 +149,7 @@ def described(
     ]
     wanted = [count for part, count in zip(PARTS, windows, strict=True) if part not in empty_parts(split)]
     if split.kind in ("blocks", "fold") and min(wanted) == 0:
-        other = fitting_split(drive, min_hindsight, min_speed)
+        other = fitting_split([drive], min_hindsight, min_speed)
         how = f"extract again, into another --out, with --split {other.text}" if other else "record two minutes or more"
         lines.append(
             f"  warning: too short or slow for {split.text}: a part has no window, so `train` refuses it alone; {how},"

@@ -164,33 +164,41 @@ def better_split(dataset: Dataset) -> tuple[Split, tuple[PartFacts, ...]] | None
     return min(good, key=lambda each: unlikeness(each[1])) if good else None
 
 
-def fitting_split(drive: StoredDrive, min_hindsight: float, min_speed: float) -> Split | None:
-    """Larger parts to validate and test on, or a fold, which a short drive has enough windows for; None without any.
+def fitting_split(drives: Sequence[StoredDrive], min_hindsight: float, min_speed: float) -> Split | None:
+    """Larger parts to validate and test on, or a fold, which short drives have enough windows for; None without any.
 
     The first that leaves `LEAST_WINDOWS` in each part, or else that with the most in its smallest.
     """
-    rows, least = drive.rows, {}
+    least = {}
     for text in _FOR_SHORT_DRIVES:
-        split = parse_split(text)
-        label = split.label(drive.name, rows.state[:, :2] + rows.origin)
-        counts = [len(evaluation_starts(rows, label == part, min_hindsight, min_speed)) for part in range(len(PARTS))]
-        least[text] = min(counts)
+        split, counts = parse_split(text), np.zeros(len(PARTS), int)
+        for drive in drives:
+            rows = drive.rows
+            label = split.label(drive.name, rows.state[:, :2] + rows.origin)
+            for part in range(len(PARTS)):
+                counts[part] += len(evaluation_starts(rows, label == part, min_hindsight, min_speed))
+        least[text] = int(counts.min())
     best = max(least, key=lambda text: min(least[text], LEAST_WINDOWS))
     return parse_split(best) if least[best] else None
 
 
+def lacks_windows(dataset: Dataset) -> bool:
+    """Whether a part that the split asks for has no window."""
+    facts = part_facts(dataset)
+    return len(facts) < len(PARTS) - len(empty_parts(dataset.split)) or not all(part.windows for part in facts)
+
+
 def next_split(dataset: Dataset) -> Split | None:
     """A split to extract a dataset with instead: with parts that are alike, or none that is empty; None for none."""
-    wanted = len(PARTS) - len(empty_parts(dataset.split))
-    facts = part_facts(dataset)
-    if not list(complaints(facts)) and len(facts) == wanted:
+    empty = lacks_windows(dataset)
+    if not empty and not list(complaints(part_facts(dataset))):
         return None
     better = better_split(dataset)
     if better is not None:
         return better[0]
-    if len(dataset.drives) != 1 or (len(facts) == wanted and all(part.windows for part in facts)):
+    if not empty or dataset.split.kind not in ("blocks", "fold"):
         return None
-    return fitting_split(dataset.drives[0], dataset.min_hindsight, dataset.min_speed)
+    return fitting_split(dataset.drives, dataset.min_hindsight, dataset.min_speed)
 
 
 def has_little_driving(dataset: Dataset) -> bool:

@@ -4,7 +4,7 @@
 at x = i, y = j. Loops compile them (`MAPPING.inlined(bilinear)`), the sampler calls them as they are.
 """
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, Final
 
 import numpy as np
@@ -89,13 +89,9 @@ class TerrainMap:
 
     def cropped(self, low: Float[np.ndarray, " 2"], high: Float[np.ndarray, " 2"]) -> "TerrainMap":
         """The cells whose centres lie in a box of the world frame, and one around them."""
-        ny, nx = self.elevation.shape
-        first = np.clip(np.floor((low - self.origin) / self.resolution).astype(int), 0, [nx - 1, ny - 1])
-        last = np.clip(np.ceil((high - self.origin) / self.resolution).astype(int), 0, [nx - 1, ny - 1])
-        rows, columns = slice(first[1], last[1] + 1), slice(first[0], last[0] + 1)
-        origin = self.origin + first * self.resolution
-        rise = None if self.rise is None else self.rise[rows, columns]
-        return TerrainMap(origin, self.resolution, self.elevation[rows, columns], self.features[rows, columns], rise)
+        window, origin = _window(self, low, high)
+        rise = None if self.rise is None else self.rise[window]
+        return TerrainMap(origin, self.resolution, self.elevation[window], self.features[window], rise)
 
 
 def _layer(*components: int, dtype: type = np.float32) -> dict[str, Any]:
@@ -156,11 +152,30 @@ class TerrainLayers:
         y = self.origin[1] + self.resolution * np.arange(ny)
         return np.stack(np.meshgrid(x, y), axis=-1)
 
+    def cropped(self, low: Float[np.ndarray, " 2"], high: Float[np.ndarray, " 2"]) -> "TerrainLayers":
+        """Those of the cells whose centres lie in a box of the world frame, and of one around them; shares memory.
+
+        Of a box off the map, one cell of its border is left.
+        """
+        window, origin = _window(self, low, high)
+        return replace(self, origin=origin, **{layer.name: getattr(self, layer.name)[window] for layer in LAYERS})
+
     def terrain_map(self) -> TerrainMap:
         """What models sample; shares memory with the layers where it can."""
         with np.errstate(invalid="ignore"):
             rise = -self.normal[..., :2] / self.normal[..., 2:]
         return TerrainMap(self.origin, self.resolution, self.elevation, self.features, rise)
+
+
+def _window(
+    ground: TerrainMap | TerrainLayers, low: Float[np.ndarray, " 2"], high: Float[np.ndarray, " 2"]
+) -> tuple[tuple[slice, slice], Float[np.ndarray, " 2"]]:
+    """Rows and columns of the cells whose centres lie in a box, and one around them, and the origin of these."""
+    ny, nx = ground.elevation.shape
+    first = np.clip(np.floor((low - ground.origin) / ground.resolution).astype(int), 0, [nx - 1, ny - 1])
+    last = np.clip(np.ceil((high - ground.origin) / ground.resolution).astype(int), first, [nx - 1, ny - 1])
+    rows, columns = slice(first[1], last[1] + 1), slice(first[0], last[0] + 1)
+    return (rows, columns), ground.origin + first * ground.resolution
 
 
 LAYERS: Final = tuple(f for f in fields(TerrainLayers) if f.metadata)

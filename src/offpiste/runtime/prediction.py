@@ -4,7 +4,7 @@ The kernel computes them where it knows the model; others are rolled out step by
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -55,21 +55,6 @@ class Area:
         return MapTerrain(self.stack, number, offset.expand(count, 2), wheels, self.encode)
 
 
-def cropped(layers: TerrainLayers, centre: Float[np.ndarray, " 2"], half: float) -> TerrainLayers:
-    """Map layers within a square; shares memory.
-
-    Args:
-        centre: x, y [m]; off the map, one cell of its border is left.
-        half: half the side of the square [m].
-    """
-    ny, nx = layers.known.shape
-    first = np.clip(np.floor((centre - half - layers.origin) / layers.resolution).astype(int), 0, [nx - 1, ny - 1])
-    last = np.clip(np.ceil((centre + half - layers.origin) / layers.resolution).astype(int), first, [nx - 1, ny - 1])
-    window = (slice(first[1], last[1] + 1), slice(first[0], last[0] + 1))
-    cut = {f.name: getattr(layers, f.name)[window] for f in fields(layers) if f.name not in ("origin", "resolution")}
-    return replace(layers, origin=layers.origin + first * layers.resolution, **cut)
-
-
 def reachable(
     layers: TerrainLayers, state: Float[np.ndarray, " 6"], target: float, gear: float, margin: float
 ) -> TerrainLayers:
@@ -83,7 +68,8 @@ def reachable(
     """
     half = 0.5 * max(float(np.hypot(*state[3:5])), target) * DT * HORIZON_STEPS
     heading = gear * np.array((np.cos(state[2]), np.sin(state[2])))
-    return cropped(layers, state[:2] + half * heading, half + margin)
+    centre, half = state[:2] + half * heading, half + margin
+    return layers.cropped(centre - half, centre + half)
 
 
 def coded_area(layers: TerrainLayers, encoder: FeatureEncoder | None, ground: KnownGround | None = None) -> Area:
