@@ -152,7 +152,7 @@ def _released_halfway(drive: Drive, path: DrivenPath) -> Finding | None:
     if len(there) * STEP < _LASTS:
         return None
     rest = float(np.median(there))
-    stays = float(np.mean(np.abs(there - rest) < _DEAD_BAND)) > 0.5
+    stays = float(np.mean(np.abs(there - rest) < _DEAD_BAND / 2)) > 0.5  # a slow ramp through it is no rest
     if not (_HALFWAY[0] < rest < _HALFWAY[1] and stays and rests_between(throttle.values[:, 0], rest)):
         return None
     source = drive.rig.channels["throttle"]
