@@ -147,6 +147,7 @@ def test_a_control_that_comes_back_keeps_the_gear_until_the_standstill(moving):
 @pytest.mark.parametrize("first", ["", "control", "watchdog"])
 def test_the_last_that_is_heard_is_the_stop_whoever_ends_first(moving, first):
     assert moving.drives(), moving.supervisor.look()
+    assert until(lambda: moving.run(0.1)["watchdog"][1] == "ready", 30)
     if first:
         moving.supervisor._names.remove(first)
         os.kill(moving.pid(first), signal.SIGKILL)
