@@ -4,7 +4,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from glob import escape
 from pathlib import Path
 from typing import TypeVar
@@ -40,21 +40,18 @@ def _locked(partial: Path) -> Iterator[None]:
     Raises:
         BlockingIOError: another process holds it.
     """
-    handle = None
-    try:
+    with ExitStack() as opened:
         try:
             import fcntl
 
             handle = os.open(partial, os.O_RDONLY)
+            opened.callback(os.close, handle)
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise
         except (ImportError, OSError):
             pass
         yield
-    finally:
-        if handle is not None:
-            os.close(handle)
 
 
 def write_whole(path: Path, write: Callable[[Path], None]) -> None:

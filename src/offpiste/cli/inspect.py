@@ -92,9 +92,9 @@ class Inspect:
 
     def _next(self, log: str, inspection: "Inspection") -> str:
         """The command that comes next, as a line to paste, and before it what to do first."""
-        from offpiste.inspection.draft_pose import BY_HAND
         from offpiste.inspection.draft_values import DRAFTED
         from offpiste.inspection.inspect import UNDRAFTED
+        from offpiste.inspection.missing import BY_HAND
         from offpiste.rig.rig import rig_text
 
         rig = str(self.write_rig) if self.write_rig else self.rig

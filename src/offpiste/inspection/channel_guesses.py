@@ -179,15 +179,6 @@ def guess_channels(log: Log) -> list[Guess]:
     return sorted(guesses, key=order)
 
 
-def inverse_pose(log: Log) -> str:
-    """The beginning of a remedy, where a transform is of the world in a body; empty where none is."""
-    for name in log.topics:
-        if (pair := frame_pair(name)) is not None and pair.is_inverse:
-            turned = f"{pair.topic} has it the other way round (child {pair.child} in {pair.parent}), which is not read"
-            return f"{turned}: record it as nav_msgs/Odometry, or "
-    return ""
-
-
 def labels(topic: Topic) -> dict[str, Label]:
     """Name and unit of each field of a topic (`offpiste.rig.labels.field_labels`)."""
     return field_labels(topic.name, topic.fields, topic.units, topic.joints)

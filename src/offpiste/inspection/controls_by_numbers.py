@@ -57,6 +57,10 @@ _GOES_OUT: Final = re.compile(r"(?<![a-z])(rc)?out?(puts?)?(?![a-z])", re.IGNORE
 _SIDES: Final = {"left": "right", "right": "left"}
 _SIDE: Final = re.compile(r"(?<![a-z])(left|right)(?![a-z])", re.IGNORECASE)
 """Names of the two sides of a vehicle, whose wheels or tracks have a command each."""
+_STEERING: Final = re.compile(r"steer|joy|com+and|cmd|control", re.IGNORECASE)
+"""Topics that may hold a steering, whatever its field is called."""
+_LISTED: Final = 60
+"""Columns of a table that are named."""
 _FRAME: Final = re.compile(r"can_msgs/(msg/)?Frame$")
 """Messages of bytes as they come on a CAN bus."""
 _MOTION: Final = re.compile(
@@ -261,3 +265,14 @@ def why_no_steering(log: Log) -> str:
         words += f"{', '.join(sided[:4])} drive one side of the vehicle each: log their difference as the steering, "
         words += "and their mean as the throttle. "
     return words
+
+
+def steering_candidates(log: Log) -> str:
+    """Sentences on numbers that may be the steering under another name, and on what holds one that cannot be read."""
+    why = why_no_steering(log)
+    if list(log.topics) == [""]:
+        return f"{why}The columns are: {', '.join(log.topics[''].fields[:_LISTED])}"
+    others = [t for t in log.topics.values() if t.fields and not (t.part_of or is_measured_topic(t))]
+    topics = [topic for topic in others if _STEERING.search(topic.name)] or others
+    named = [f"{topic.name} ({', '.join(map(topic.in_words, topic.fields[:8]))})" for topic in topics]
+    return why + (f"It may be in: {'; '.join(named)}" if named else "All topics are named like measurements.")

@@ -8,12 +8,12 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.errors import LogError, OffpisteError
-from offpiste.inspection.channel_guesses import DOWN, Guess, by_topic, guess_channels, inverse_pose, of_one_vehicle
+from offpiste.errors import OffpisteError
+from offpiste.inspection.channel_guesses import DOWN, Guess, by_topic, of_one_vehicle
 from offpiste.inspection.commanded_motion import COMMANDED
 from offpiste.inspection.course import check_course
 from offpiste.inspection.driven_path import driven_path
-from offpiste.inspection.field_groups import are_earth_centred, contents, from_earth, not_read, pivoted, w_comes_first
+from offpiste.inspection.field_groups import are_earth_centred, w_comes_first
 from offpiste.inspection.findings import Cure, Finding
 from offpiste.inspection.pose import check_orientation, check_position_unit
 from offpiste.inspection.pose_samples import check_level
@@ -27,10 +27,6 @@ from offpiste.rig.edits import edited
 from offpiste.rig.labels import channel_unit, named_course, named_down
 from offpiste.rig.rig import Rig
 
-BY_HAND: Final = "write a rig that names one"
-"""Remedy where no name shows the pose."""
-_LONG: Final = "the table is long: it has a line, not a column, for each signal"
-_IN_EARTH: Final = "positions in the earth's own frame (ECEF) are not read"
 _POSE: Final = ("position", "orientation", "yaw", "linear_velocity", "angular_velocity")
 _LAST: Final = re.compile(r"wheel|controller|encoder", re.IGNORECASE)
 _ODOMETRY: Final = re.compile(r"(^|/)odom(etry)?$", re.IGNORECASE)
@@ -120,7 +116,7 @@ def _whole_pose(log: Log, channels_of: Mapping[str, Mapping[str, Guess]]) -> dic
     that are corrected.
     """
     whole = {
-        topic: {c: g for c, g in each.items() if c not in _POSE or _varies(field_values(log, g))}
+        topic: {c: g for c, g in each.items() if c not in _POSE or varies(field_values(log, g))}
         for topic in log.topics
         if "position" in (each := channels_of.get(topic, {})) and {"orientation", "yaw"} & set(each)
     }
@@ -152,7 +148,7 @@ def _has_heading(channels: Mapping[str, Guess]) -> bool:
 
 def _is_doubtful(log: Log, guess: Guess) -> bool:
     """Whether a heading never changes, as of a receiver that measures none, or is a course over ground."""
-    return guess.channel == "yaw" and (named_course(guess.fields[0]) or not _varies(field_values(log, guess)))
+    return guess.channel == "yaw" and (named_course(guess.fields[0]) or not varies(field_values(log, guess)))
 
 
 def _is_earth_centred(log: Log, place: Guess | None) -> bool:
@@ -170,7 +166,7 @@ def _places_and_headings(log: Log, channels_of: Mapping[str, Mapping[str, Guess]
     """
     often = sorted(channels_of, key=lambda topic: -log.topics[topic].count)
     places, headings = (
-        [g for topic in often for c, g in channels_of[topic].items() if c in kind and _varies(field_values(log, g))]
+        [g for topic in often for c, g in channels_of[topic].items() if c in kind and varies(field_values(log, g))]
         for kind in (("position",), ("orientation", "yaw"))
     )
     headings.sort(key=lambda guess: _is_doubtful(log, guess))
@@ -182,7 +178,7 @@ def _from_imu(log: Log, channels_of: Mapping[str, Mapping[str, Guess]]) -> dict[
     imus = [topic for topic in channels_of if "imu" in log.topics[topic].type.lower()]
     for topic in sorted(imus, key=lambda topic: -log.topics[topic].count):
         guess = channels_of[topic].get("angular_velocity")
-        if guess is not None and _varies(field_values(log, guess)):
+        if guess is not None and varies(field_values(log, guess)):
             return {"angular_velocity": guess}
     return {}
 
@@ -192,7 +188,7 @@ def _velocity_beside(log: Log, channels_of: Mapping[str, Mapping[str, Guess]]) -
     for topic in sorted(channels_of, key=lambda topic: -log.topics[topic].count):
         guess = channels_of[topic].get("linear_velocity")
         slips = any(names.search(topic) for names in (_ODOMETRY, _LAST, _EARTH))
-        if guess is not None and not slips and not COMMANDED.search(topic) and _varies(field_values(log, guess)):
+        if guess is not None and not slips and not COMMANDED.search(topic) and varies(field_values(log, guess)):
             return {"linear_velocity": guess}
     return {}
 
@@ -229,7 +225,8 @@ def degrees(values: Float[np.ndarray, " n"]) -> tuple[str, ...]:
     return ()
 
 
-def _varies(values: Float[np.ndarray, "n k"] | None) -> bool:
+def varies(values: Float[np.ndarray, "n k"] | None) -> bool:
+    """Whether the rows of a field are there and not all the same."""
     return values is not None and bool(np.ptp(values, axis=0).max() > 0)
 
 
@@ -263,35 +260,3 @@ def pose_cure(log: Log, rig: Rig) -> Cure:
 
 def _first_cure(findings: Sequence[Finding]) -> Cure:
     return next((cure for finding in findings for cure in finding.cures), ())
-
-
-def no_pose(log: Log) -> LogError:
-    """The error where no topic looks like a pose: what there is instead, and what to do."""
-    most = max((topic.count for topic in log.topics.values()), default=2)
-    if most < 2 and not not_read(log):
-        has = ("the table has no rows", "the table has one row")
-        if list(log.topics) != [""]:
-            has = ("no topic has a message", "no topic has more than one message")
-        return LogError(has[most], where=log.path, how="a drive needs many: record or export it again")
-    for what, remedy in ((_LONG, pivoted(log)), (_IN_EARTH, from_earth(log))):
-        if remedy:
-            return LogError(what, where=log.path, how=remedy)
-    how = not_read(log) or f"{inverse_pose(log)}{BY_HAND}"
-    return LogError(
-        "no topic looks like a pose (position and heading)",
-        where=log.path,
-        how=f"{how}; {_half_of_a_pose(log)}it has: {contents(log)}",
-    )
-
-
-def _half_of_a_pose(log: Log) -> str:
-    """Which half of a pose there is, in words; empty where there is none, or none that ever changes."""
-    found = {
-        g.channel: g for g in reversed(guess_channels(log)) if g.channel in _POSE and _varies(field_values(log, g))
-    }
-    place, heading = found.get("position"), found.get("orientation") or found.get("yaw")
-    if (half := place or heading) is None or (place and heading):
-        return ""
-    kind, other = ("position", "heading") if place else ("heading", "position")
-    where = f"{half.topic} ({', '.join(half.fields)})" if half.topic else ", ".join(half.fields)
-    return f"{where} may be a {kind}, and no name is that of a {other}; "

@@ -14,9 +14,9 @@ from offpiste.errors import OffpisteError, RigError
 from offpiste.files import write_text
 from offpiste.inspection.channel_guesses import guess_channels
 from offpiste.inspection.commanded_motion import is_turn_rate
-from offpiste.inspection.controls_by_numbers import find_controls, is_measured_topic, why_no_steering
+from offpiste.inspection.controls_by_numbers import find_controls, steering_candidates
 from offpiste.inspection.draft_channels import Found, draft_channels, of_other_vehicles
-from offpiste.inspection.draft_pose import Entry, field_values, no_pose, points_down, pose_cure
+from offpiste.inspection.draft_pose import Entry, field_values, points_down, pose_cure
 from offpiste.inspection.draft_sensors import draft_sensors
 from offpiste.inspection.draft_values import (
     GUESSED,
@@ -32,6 +32,7 @@ from offpiste.inspection.draft_values import (
 )
 from offpiste.inspection.driven_path import driven_path
 from offpiste.inspection.gear import reverses_by_pedal
+from offpiste.inspection.missing import no_pose
 from offpiste.inspection.recorded_log import is_bulk
 from offpiste.inspection.steering_scale import MAX_STEERS
 from offpiste.inspection.velocity import fit_frames
@@ -51,7 +52,6 @@ _NO_THROTTLE = (
     "# MISSING: throttle: {why}; without it no model can foresee the speed. Add [channels.throttle]"
     " and take throttle out of `absent`.\n"
 )
-_COMMANDS = re.compile(r"steer|joy|com+and|cmd|control", re.IGNORECASE)
 _HEADER = """\
 # A first rig for {name}, guessed by `offpiste inspect`. Every line is a guess: read it, fix it, and inspect again
 # with --rig until nothing is left to fix.
@@ -179,7 +179,8 @@ def _text(log: Log, seen: _Seen) -> str:
     absent = undeclared(entries)
     parts = [_header(log, entries, absent, seen)]
     if "steer" in absent:
-        parts += [_NO_STEERING.format(why=_why_missing(log, "steer", "steer_angle"), candidates=_candidates(log))]
+        why = _why_missing(log, "steer", "steer_angle")
+        parts += [_NO_STEERING.format(why=why, candidates=steering_candidates(log))]
     parts += [_NO_THROTTLE.format(why=_why_missing(log, "throttle"))] if "throttle" in absent else []
     parts += of_other_vehicles(entries)
     for channel, entry in entries.items():
@@ -272,17 +273,6 @@ def _why_missing(log: Log, *channels: str) -> str:
         if values is not None and np.ptp(values) == 0:
             return f"{guess.topic and f'{guess.topic} '}{', '.join(guess.fields)} is always {values[0, 0]:g}"
     return "no field looks like it"
-
-
-def _candidates(log: Log) -> str:
-    """Numbers that may be the steering under another name, as a sentence."""
-    if list(log.topics) == [""]:
-        return f"{why_no_steering(log)}The columns are: {', '.join(log.topics[''].fields[:_LISTED])}"
-    others = [t for t in log.topics.values() if t.fields and not (t.part_of or is_measured_topic(t))]
-    topics = [topic for topic in others if _COMMANDS.search(topic.name)] or others
-    named = [f"{topic.name} ({', '.join(map(topic.in_words, topic.fields[:8]))})" for topic in topics]
-    may_be = f"It may be in: {'; '.join(named)}" if named else "All topics are named like measurements."
-    return why_no_steering(log) + may_be
 
 
 def _toml(value: object) -> str:

@@ -1,4 +1,4 @@
-"""Fields that belong together, by their names: vectors, places, speeds of four wheels; and what is no channel yet."""
+"""Fields that belong together: vectors, places and four wheels by their names, quaternions by their numbers."""
 
 import re
 from collections.abc import Iterator, Mapping
@@ -10,17 +10,12 @@ from jaxtyping import Float
 from offpiste.errors import OffpisteError
 from offpiste.geometry import rotation_from_quaternion
 from offpiste.logs.log import Log, Topic
-from offpiste.logs.transforms import listed
 from offpiste.rig.channels import GEOGRAPHIC
 from offpiste.rig.labels import GEOGRAPHIC_NAMES, Label, parse_label, with_letters
 
 Group = tuple[str, tuple[str, ...], str, int]
 """A channel, the fields that may hold it, their unit, and how far their names are from the channel's own."""
 
-_SIGNAL: Final = re.compile(r"signal|name|channel|variable|parameter|field|topic|key", re.IGNORECASE)
-_VALUE: Final = re.compile(r"(?<![a-z])(value|val|data|reading)$", re.IGNORECASE)
-"""Columns of a long table."""
-_ECEF: Final = re.compile(r"(?<![a-z])ecef[_. ]*(pos(ition)?)?[_. ]*[xyz](?![a-z])", re.IGNORECASE)
 _RADII: Final = (6.34e6, 6.39e6)
 _EASTING: Final = 1e6
 """Distances of the ground from the earth's middle, and the largest easting: a northing may be as far [m]."""
@@ -251,39 +246,3 @@ def are_earth_centred(places: Float[np.ndarray, "n k"]) -> bool:
     middle = np.abs(np.median(places, axis=0))
     near = _RADII[0] < float(np.linalg.norm(middle)) < _RADII[1]
     return near and len(middle) > 2 and float(np.sort(middle)[1]) > _EASTING
-
-
-def pivoted(log: Log) -> str:
-    """How a table of signals' names beside their values becomes one of a column each; empty for another log."""
-    table = log.topics.get("")
-    if table is None:
-        return ""
-    numbers = [name for name in table.fields if name != log.clock.column]
-    values = numbers if len(numbers) == 1 else [name for name in numbers if _VALUE.search(name)]
-    signals = [name for name in table.unread if _SIGNAL.search(name)]
-    if not values or not signals:
-        return ""
-    columns = f"values='{values[0]}', index='{log.clock.column}', columns='{signals[0]}'"
-    return f"give each name in '{signals[0]}' a column, as pandas' pivot_table({columns}) does"
-
-
-def from_earth(log: Log) -> str:
-    """What to write in place of ECEF positions; empty where no field is called one."""
-    fields = [field for topic in log.topics.values() for field in topic.fields if _ECEF.search(field)]
-    if len(fields) < 3:
-        return ""
-    geographic = f"write latitude and longitude [deg] beside {', '.join(fields[:3])} (pyproj: EPSG:4978 to EPSG:4979)"
-    return f"{geographic}, and the heading from east to north [rad]; an orientation in that frame is none"
-
-
-def not_read(log: Log) -> str:
-    """Why topics cannot be read, and what to do; empty where they can."""
-    reasons = [f"{topic.name}: {topic.type}" for topic in log.topics.values() if not topic.fields and " " in topic.type]
-    return f"record it as ROS messages, or write its numbers to a .csv ({'; '.join(reasons[:4])})" if reasons else ""
-
-
-def contents(log: Log) -> str:
-    """Topics, or the columns of a log that is one table."""
-    if list(log.topics) == [""]:
-        return f"columns {', '.join(log.topics[''].fields) or 'without numbers'}"
-    return ", ".join(listed(log.topics)) or "no topic"

@@ -1,4 +1,4 @@
-"""Checks of the rig's channels against the log's topics and fields: what the log lacks, and what nothing reads."""
+"""What a log lacks, and what of it nothing reads: its topics and fields against a rig's channels; or no pose at all."""
 
 import re
 from collections.abc import Iterator, Sequence
@@ -8,10 +8,14 @@ from typing import Final
 import numpy as np
 
 from offpiste.channels import CONTROLS
+from offpiste.errors import LogError
+from offpiste.inspection.channel_guesses import guess_channels
 from offpiste.inspection.controls_by_numbers import is_measured_topic
+from offpiste.inspection.draft_pose import field_values, varies
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.recorded_log import Recorded
-from offpiste.logs.transforms import FramePair, frame_pair
+from offpiste.logs.log import Log
+from offpiste.logs.transforms import FramePair, frame_pair, listed
 from offpiste.rig.channels import POSE, ChannelSource, topic_in_words
 from offpiste.rig.edits import Edit, absent
 from offpiste.rig.rig import Rig
@@ -28,6 +32,14 @@ _BESIDES: Final = re.compile(r"(^|[._/])stamp([._]|$)|covariance")
 """Numbers beside a quantity that are none of a control."""
 _FIELDS: Final = 6
 """Fields of a topic that are listed."""
+BY_HAND: Final = "write a rig that names one"
+"""Remedy where no name shows the pose."""
+_LONG: Final = "the table is long: it has a line, not a column, for each signal"
+_IN_EARTH: Final = "positions in the earth's own frame (ECEF) are not read"
+_SIGNAL: Final = re.compile(r"signal|name|channel|variable|parameter|field|topic|key", re.IGNORECASE)
+_VALUE: Final = re.compile(r"(?<![a-z])(value|val|data|reading)$", re.IGNORECASE)
+"""Columns of a long table."""
+_ECEF: Final = re.compile(r"(?<![a-z])ecef[_. ]*(pos(ition)?)?[_. ]*[xyz](?![a-z])", re.IGNORECASE)
 
 
 def check_missing(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
@@ -132,7 +144,7 @@ def _unread(recorded: dict[str, Recorded], rig: Rig, named: re.Pattern[str]) -> 
     """What is named like a control and not read, in words: topic, type and fields."""
     for name, r in recorded.items():
         read = {field for source in rig.channels.values() if source.topic == name for field in source.fields}
-        still = {field for field, column in zip(r.fields, r.values.T, strict=True) if not _varies(column)}
+        still = {field for field, column in zip(r.fields, r.values.T, strict=True) if not _changes(column)}
         fields = [field for field in r.topic.fields if field not in read | still]
         fields = [field for field in fields if not _BESIDES.search(field)]
         if read or is_measured_topic(r.topic) or not named.search(name):
@@ -142,6 +154,81 @@ def _unread(recorded: dict[str, Recorded], rig: Rig, named: re.Pattern[str]) -> 
             yield f"{name} ({r.topic.type}: {listed})" if name else listed
 
 
-def _varies(column: np.ndarray) -> bool:
+def _changes(column: np.ndarray) -> bool:
     finite = column[np.isfinite(column)]
     return bool(len(finite)) and bool(np.ptp(finite) > 0)
+
+
+def no_pose(log: Log) -> LogError:
+    """The error where no topic looks like a pose: what there is instead, and what to do."""
+    most = max((topic.count for topic in log.topics.values()), default=2)
+    if most < 2 and not _not_read(log):
+        has = ("the table has no rows", "the table has one row")
+        if list(log.topics) != [""]:
+            has = ("no topic has a message", "no topic has more than one message")
+        return LogError(has[most], where=log.path, how="a drive needs many: record or export it again")
+    for what, remedy in ((_LONG, _pivoted(log)), (_IN_EARTH, _from_earth(log))):
+        if remedy:
+            return LogError(what, where=log.path, how=remedy)
+    how = _not_read(log) or f"{_inverse_pose(log)}{BY_HAND}"
+    return LogError(
+        "no topic looks like a pose (position and heading)",
+        where=log.path,
+        how=f"{how}; {_half_of_a_pose(log)}it has: {_contents(log)}",
+    )
+
+
+def _half_of_a_pose(log: Log) -> str:
+    """Which half of a pose there is, in words; empty where there is none, or none that ever changes."""
+    found = {g.channel: g for g in reversed(guess_channels(log)) if g.channel in POSE and varies(field_values(log, g))}
+    place, heading = found.get("position"), found.get("orientation") or found.get("yaw")
+    if (half := place or heading) is None or (place and heading):
+        return ""
+    kind, other = ("position", "heading") if place else ("heading", "position")
+    where = f"{half.topic} ({', '.join(half.fields)})" if half.topic else ", ".join(half.fields)
+    return f"{where} may be a {kind}, and no name is that of a {other}; "
+
+
+def _inverse_pose(log: Log) -> str:
+    """The beginning of a remedy, where a transform is of the world in a body; empty where none is."""
+    for name in log.topics:
+        if (pair := frame_pair(name)) is not None and pair.is_inverse:
+            turned = f"{pair.topic} has it the other way round (child {pair.child} in {pair.parent}), which is not read"
+            return f"{turned}: record it as nav_msgs/Odometry, or "
+    return ""
+
+
+def _pivoted(log: Log) -> str:
+    """How a table of signals' names beside their values becomes one of a column each; empty for another log."""
+    table = log.topics.get("")
+    if table is None:
+        return ""
+    numbers = [name for name in table.fields if name != log.clock.column]
+    values = numbers if len(numbers) == 1 else [name for name in numbers if _VALUE.search(name)]
+    signals = [name for name in table.unread if _SIGNAL.search(name)]
+    if not values or not signals:
+        return ""
+    columns = f"values='{values[0]}', index='{log.clock.column}', columns='{signals[0]}'"
+    return f"give each name in '{signals[0]}' a column, as pandas' pivot_table({columns}) does"
+
+
+def _from_earth(log: Log) -> str:
+    """What to write in place of ECEF positions; empty where no field is called one."""
+    fields = [field for topic in log.topics.values() for field in topic.fields if _ECEF.search(field)]
+    if len(fields) < 3:
+        return ""
+    geographic = f"write latitude and longitude [deg] beside {', '.join(fields[:3])} (pyproj: EPSG:4978 to EPSG:4979)"
+    return f"{geographic}, and the heading from east to north [rad]; an orientation in that frame is none"
+
+
+def _not_read(log: Log) -> str:
+    """Why topics cannot be read, and what to do; empty where they can."""
+    reasons = [f"{topic.name}: {topic.type}" for topic in log.topics.values() if not topic.fields and " " in topic.type]
+    return f"record it as ROS messages, or write its numbers to a .csv ({'; '.join(reasons[:4])})" if reasons else ""
+
+
+def _contents(log: Log) -> str:
+    """Topics, or the columns of a log that is one table."""
+    if list(log.topics) == [""]:
+        return f"columns {', '.join(log.topics[''].fields) or 'without numbers'}"
+    return ", ".join(listed(log.topics)) or "no topic"
