@@ -83,6 +83,24 @@ def test_a_command_is_not_measured_whatever_its_type_is() -> None:
     assert [is_measured_topic(Topic(name, kind, 100, ("data",))) for name, kind in topics] == [False, True]
 
 
+@pytest.mark.parametrize(("topic", "pedals"), [("/joy", True), ("/husky/joy_teleop", True), ("/enjoyed", False)])
+def test_pedals_of_a_remote_control_are_found_beside_a_steering_that_has_a_name(topic: str, pedals: bool) -> None:
+    log = joystick()
+    time, axes = log.data["joy"]
+    triggers = {name: axes[name] for name in ("axes[2]", "axes[3]", "axes[5]", "axes[6]")}
+    steered = MemoryLog(
+        {"odom": log.data["odom"], "steering": (time, {"angle": axes["axes[0]"]}), topic: (time, triggers)}
+    )
+    known = edited(
+        posed(),
+        [
+            Edit("channels.steer", {"topic": "steering", "fields": ["angle"]}),
+            Edit("absent", [name for name in posed().absent if name != "steer"]),
+        ],
+    )
+    assert set(find_controls(steered, known)) == ({"throttle", "brake"} if pedals else set())
+
+
 def test_a_steering_whose_turning_does_not_grow_with_the_speed_is_found() -> None:
     """Of a vehicle that understeers, the yaw rate follows the steering alone as well as times the speed."""
     log = joystick()

@@ -33,7 +33,7 @@ RUN = "pretrained:proving-ground/parametric"
 class Drive:
     """Control and its watchdog, fed with what the other processes would hand over, and a vehicle that listens."""
 
-    def __init__(self, folder, more="", *, keys="rmw_zenoh", clock="system"):
+    def __init__(self, folder, more="", *, keys="rmw_zenoh", clock="system", names=("control", "watchdog")):
         self.network, self.heard = Network(keys=keys), []
         self.settings = LiveSettings(
             write_rig(folder, more), RUN, None, CourseRequest(write_course(folder)),
@@ -48,7 +48,7 @@ class Drive:
         }
         x = np.arange(0.0, 60.0)
         self.rings["course"].write(pack_course(Course(np.stack((x, 0 * x), axis=1), np.full(60, 4.0))))
-        self.supervisor = Supervisor(self.session, self.network.session(), cameras=False, names=("control", "watchdog"))
+        self.supervisor = Supervisor(self.session, self.network.session(), cameras=False, names=names)
         self.supervisor.start()
 
     def _commanded(self, received):
@@ -150,6 +150,15 @@ def test_the_vehicle_drives_on_when_the_watchdog_dies_and_it_is_started_again(dr
     assert until(lambda: drive.run(0.2)["watchdog"][1] == "ready" and drive.supervisor.restarts["watchdog"] == 1, 30)
     assert drove(drive, moment)
     assert drive.run(0.1)["watchdog"][0] == 0
+
+
+def test_nothing_is_driven_before_the_watchdog_is_ready(tmp_path):
+    with closing(Drive(tmp_path, names=("control",))) as drive:
+        assert until(lambda: drive.run(0.1)["control"][1] == "stopped: the watchdog is not ready", 60)
+        moment = time.monotonic()
+        drive.run(0.5)
+        assert drive.since(moment), "the stop is sent"
+        assert all(command.acceleration < 0 for _, command in drive.heard)
 
 
 def test_it_stops_when_readings_end_or_plans_end(drive):

@@ -52,6 +52,8 @@ _MEASURED: Final = re.compile(
 """Topics and types of what is measured."""
 _COMMANDING: Final = re.compile(rf"{COMMANDED.pattern}|actuator|motors", re.IGNORECASE)
 """Topics of commands to a vehicle, or to its actuators."""
+_BY_HAND: Final = re.compile(r"(?<![a-z])(joy(stick)?|gamepad|teleop|radio|rc(_?in)?)(?![a-z])", re.IGNORECASE)
+"""Topics of what a person drives with at a distance: sticks, and triggers that are pedals."""
 _GOES_OUT: Final = re.compile(r"(?<![a-z])(rc)?out?(puts?)?(?![a-z])", re.IGNORECASE)
 """Topics of what a flight controller gives its actuators, whatever came in by radio."""
 _SIDES: Final = {"left": "right", "right": "left"}
@@ -87,10 +89,9 @@ def find_controls(log: Log, rig: Rig) -> dict[str, tuple[Guess, float]]:
     for name in lacking:
         taken = {(guess.topic, guess.fields) for guess, _ in found.values()}
         left = [guess for guess in fields if (guess.topic, guess.fields) not in taken]
-        # Pedals lie where the steering does, or are called a command: too much else goes up and down with the speed.
         if name != "steer":
             topics = {found["steer"][0].topic} if "steer" in found else set()
-            left = [guess for guess in left if guess.topic in topics or _COMMANDING.search(guess.topic)]
+            left = [guess for guess in left if guess.topic in topics or _may_hold_pedals(guess.topic)]
         scores = sorted(((_follows(name, guess, log, rig, path), guess) for guess in left), key=lambda pair: -pair[0])
         if not scores or scores[0][0] < _FOLLOWS[name]:
             continue
@@ -102,6 +103,11 @@ def find_controls(log: Log, rig: Rig) -> dict[str, tuple[Guess, float]]:
             score, guess = near[0]
             found[name] = replace(guess, channel=name), score
     return found
+
+
+def _may_hold_pedals(topic: str) -> bool:
+    """Whether a topic is called a command, or what a person drives by: too much else goes up and down with the speed."""
+    return bool(_COMMANDING.search(topic) or _BY_HAND.search(topic))
 
 
 def _without_copies(near: Sequence[tuple[float, Guess]], name: str, log: Log, rig: Rig) -> list[tuple[float, Guess]]:

@@ -149,6 +149,8 @@ class Controller:
             return why
         if self.part.clock_stands_still:
             return "the clock stands still"
+        if self.part.ring("status-watchdog").written == 0:  # once it was, another follows within a second
+            return "the watchdog is not ready"
         if stops != before or time.monotonic() - self._sent_at > SILENCE:
             return "commands were interrupted"  # and the vehicle was stopped, or stopped by itself
         return self._gate.blocked(time.monotonic())
