@@ -204,6 +204,19 @@ def test_what_a_receiver_measures_is_no_wheels_speed() -> None:
     assert "wheel_speed" not in guesses
 
 
+@pytest.mark.parametrize(
+    ("name", "turned", "drafted"), [("Accel", 0, True), ("Accel", 30, False), ("accel_mps2", 0, False)]
+)
+def test_what_is_called_accel_is_a_pedal_where_it_is_never_below_zero(name: str, turned: float, drafted: bool) -> None:
+    """As of Forza, whose pedals go from 0 to 255, and of tables whose acceleration is called so."""
+    log = table({"x": "x", "y": "y", "yaw": "0", name: "throttle", "Brake": "brake", "Steer": "tire command"})
+    yaw = 2 * np.arctan2(ODOM["qz"], ODOM["qw"])
+    log = log.change("", "yaw", lambda values: yaw).change("", name, lambda values: 255 * values - turned)
+    text = draft_rig(log)
+    assert (f'fields = ["{name}"]' in text) == drafted, text
+    assert not drafted or parse_rig(text, where="draft").channels["throttle"].scale == pytest.approx(1 / 255, rel=1e-3)
+
+
 def test_a_pressure_is_not_read_as_a_percentage() -> None:
     """A pedal that was never fully pressed: 60 bar are no 60 %."""
     columns = {

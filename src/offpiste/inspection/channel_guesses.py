@@ -30,6 +30,8 @@ MOTION: Final = 3
 """Rank of a commanded speed or turn rate, which stands for the throttle or the steering where nothing else does."""
 MEASURED: Final = 2
 """Rank of a steering's position, which beside its command is the measured angle, and without one the steering."""
+ACCELERATOR: Final = 9
+"""Rank of what is called `accel`: a pedal, or an acceleration, as its numbers say."""
 _SCALARS: tuple[tuple[str, int, str], ...] = (
     ("yaw_rate", 0, r"yaw_?rate|(^|[ ._/])w( \(imu\))?$|gyro_?z|(?<![a-z])(omega|gz|wz)$|(yaw|psi|theta)_?(dot|vel)$"),
     ("yaw_rate", 0, r"(gyro|rate)[_ ]yaw$"),
@@ -68,6 +70,7 @@ _SCALARS: tuple[tuple[str, int, str], ...] = (
     ("throttle", 1, r"propulsive_linear_effort_x$"),
     ("brake", 1, r"resistive_linear_effort_x$"),
     ("steer", 1, r"propulsive_rotational_effort_z$"),
+    ("throttle", ACCELERATOR, r"(^|[ ./])accel$"),
     ("throttle", MOTION + 1, r"(?<![a-z])duty(_?cycle)?$"),
     ("yaw_rate", 0, r"(?<!vz_)gier_?(rate|geschwindigkeit)$"),
     ("steer_angle", 0, r"(?<!vz_)lenk(rad)?_?winkel$"),

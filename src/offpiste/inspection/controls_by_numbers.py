@@ -106,7 +106,7 @@ def find_controls(log: Log, rig: Rig) -> dict[str, tuple[Guess, float]]:
 
 
 def _may_hold_pedals(topic: str) -> bool:
-    """Whether a topic is called a command, or what a person drives by: too much else goes up and down with the speed."""
+    """Whether a topic is a command or a remote control by its name: too much else goes up and down with the speed."""
     return bool(_COMMANDING.search(topic) or _BY_HAND.search(topic))
 
 

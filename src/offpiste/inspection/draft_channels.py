@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from offpiste.inspection.channel_guesses import (
+    ACCELERATOR,
     FALLBACK,
     MEASURED,
     MOTION,
@@ -30,7 +31,7 @@ from offpiste.inspection.draft_pose import Entry, degrees, draft_pose, field_val
 from offpiste.inspection.draft_values import WIDEST
 from offpiste.inspection.gear import MOST_GEARS, gear_values
 from offpiste.inspection.signal_faults import find_spikes, find_wrap
-from offpiste.inspection.usual_ranges import held_range, steering_middle
+from offpiste.inspection.usual_ranges import held_range, largest_size, steering_middle
 from offpiste.logs.channel import unwrapped
 from offpiste.logs.log import Log
 from offpiste.rig.channels import unit_factor
@@ -93,7 +94,7 @@ def draft_channels(
         if channel == "wheel_speed" and guess.rank > 1 and guess.topic != pose_topic:
             continue
         values = field_values(log, guess)
-        if values is not None and np.ptp(values) > 0 and not _is_no_gear(guess, values):
+        if values is not None and np.ptp(values) > 0 and not _is_another(guess, values):
             scalars[channel] = guess, values[:, 0]
     for channel, (guess, _) in found.items():
         if channel not in scalars and (values := field_values(log, guess)) is not None:
@@ -137,8 +138,10 @@ def of_other_vehicles(entries: Mapping[str, Entry]) -> list[str]:
     ]
 
 
-def _is_no_gear(guess: Guess, values: Float[np.ndarray, "n k"]) -> bool:
-    """Whether a direction is that of a commanded speed that never leads backwards, or an angle by its many values."""
+def _is_another(guess: Guess, values: Float[np.ndarray, "n k"]) -> bool:
+    """Whether a direction only drives forward or is an angle by its many values, or a pedal is an acceleration."""
+    if guess.rank == ACCELERATOR:
+        return bool(guess.unit) or float(values.min()) < 0
     if guess.channel != "gear":
         return False
     return float(values.min()) >= 0 if guess.rank == MOTION else guess.rank > 0 and len(np.unique(values)) > MOST_GEARS
@@ -235,7 +238,7 @@ def _steering(scalars: Scalars, straight: float | None, max_steer: float) -> dic
         lines = (f'unit = "{unit}"',) if unit else ()
         entries["steer_angle"] = Entry(angle[0], lines, "GUESSED by its name and numbers: an angle of the road wheels")
         if not commanded:
-            stated = _largest(angle[1]) * factor / min(_largest(command[1]), 1.0)
+            stated = largest_size(angle[1]) * factor / min(largest_size(command[1]), 1.0)
             entries["steer"] = replace(
                 entries["steer"], max_angle=float(f"{stated:.4g}") if stated < _STEEPEST else 0.0
             )
@@ -246,8 +249,8 @@ def _in_hand(
     steer: tuple[Guess, Float[np.ndarray, " n"]], angle: tuple[Guess, Float[np.ndarray, " n"]], max_steer: float
 ) -> dict[str, Entry]:
     """The angle of the road wheels by that of the steering wheel, as far as the command in the same unit turns them."""
-    largest = _largest(steer[1])
-    if not (_is_angle(steer[0]) and steer[0].unit == angle[0].unit and 0.5 < _largest(angle[1]) / largest < 2):
+    largest = largest_size(steer[1])
+    if not (_is_angle(steer[0]) and steer[0].unit == angle[0].unit and 0.5 < largest_size(angle[1]) / largest < 2):
         return {}
     comment = (
         f"GUESSED: of a steering wheel, of which {largest:.4g} turn the road wheels by max_steer; correct it with that"
@@ -257,12 +260,12 @@ def _in_hand(
 
 def _are_alike(steer: tuple[Guess, np.ndarray], angle: tuple[Guess, np.ndarray]) -> bool:
     """Whether a command of no unit has the numbers of the measured angle: as a share, 1 would be a radian."""
-    return not steer[0].unit and _ALIKE[0] < _largest(steer[1]) / _largest(angle[1]) < _ALIKE[1]
+    return not steer[0].unit and _ALIKE[0] < largest_size(steer[1]) / largest_size(angle[1]) < _ALIKE[1]
 
 
 def _from_angle(guess: Guess, values: Float[np.ndarray, " n"], factor: float, *, measured: bool) -> Entry:
     """A steering command from an angle: 1 at its largest, which is the vehicle's `max_steer`."""
-    max_angle = float(f"{_largest(values) * factor:.4g}")
+    max_angle = float(f"{largest_size(values) * factor:.4g}")
     unit = channel_unit("steer_angle", guess.unit) if guess.unit else "rad" if factor == 1 else "deg"
     lines = (f'unit = "{unit or "rad"}"', "clip = [-1.0, 1.0]")
     comment = "GUESSED: an angle of the road wheels, which is divided by max_steer"
@@ -283,12 +286,6 @@ def _is_in_hand(guess: Guess) -> bool:
     return guess.in_hand or any(_IN_HAND.search(name) for name in (guess.topic, *guess.fields))
 
 
-def _largest(values: Float[np.ndarray, " n"]) -> float:
-    """Largest absolute value, spikes left out."""
-    usual, largest = float(np.percentile(np.abs(values), 99)), float(np.abs(values).max())
-    return largest if largest < 1.2 * usual else usual
-
-
 def _angle_factor(guess: Guess, values: Float[np.ndarray, " n"]) -> float:
     """Factor to radians of an angle of the road wheels; 0 where it is too large to be one, or called another's."""
     if _is_in_hand(guess):
@@ -297,4 +294,4 @@ def _angle_factor(guess: Guess, values: Float[np.ndarray, " n"]) -> float:
         factors = [unit_factor("steer_angle", channel_unit("steer_angle", guess.unit) or "")]
     else:
         factors = [1.0, unit_factor("steer_angle", "deg")]
-    return next((factor for factor in factors if 0 < _largest(values) * factor <= WIDEST), 0.0)
+    return next((factor for factor in factors if 0 < largest_size(values) * factor <= WIDEST), 0.0)

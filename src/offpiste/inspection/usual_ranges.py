@@ -53,6 +53,12 @@ def seen_range(values: Float[np.ndarray, " n"]) -> tuple[float, float]:
     return (0.0 if abs(least) < tiny else least), (0.0 if abs(most) < tiny else most)
 
 
+def largest_size(values: Float[np.ndarray, " n"]) -> float:
+    """Largest absolute value, spikes left out."""
+    usual, largest = float(np.percentile(np.abs(values), 99)), float(np.abs(values).max())
+    return largest if largest < 1.2 * usual else usual
+
+
 def full_scale(largest: float) -> float:
     """The number that loggers write for fully pressed, where the largest of a drive is this; 0 for none."""
     return next((full for full in _FULL if _PRESSED * full <= largest <= (1 + _SLACK) * full), 0.0)
