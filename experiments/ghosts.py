@@ -36,7 +36,7 @@ logger = logging.getLogger("experiments")
 DEEPEST = 13.0
 """Depth of the deepest planted ghost [m]."""
 PERIOD = 16.0
-"""Of the wandering height: from one extreme to the other in 8 s [s]."""
+"""Period of the wandering height: from one extreme to the other in 8 s [s]."""
 _NEAR = 15.0
 """The ground under a wheel is what the map held last within this distance of the vehicle [m]."""
 

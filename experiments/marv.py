@@ -40,7 +40,7 @@ from offpiste.visualization.images import beside, overlay, sheet, write_png
 logger = logging.getLogger("experiments")
 
 _CELL: Final = np.deg2rad(0.35)
-"""Of the range image: the spacing of a LiDAR's columns or a little more [rad]."""
+"""Cell of the range image: the spacing of a LiDAR's columns or a little more [rad]."""
 _APART: Final = 3
 """Neighbours are looked for as far as so many cells to either side: where no echo came back, there is none."""
 
@@ -102,7 +102,7 @@ def edge_score(
 
 CAMERAS = ("camera_front", "camera_left", "camera_rear", "camera_right")
 SIZE = (960, 600)
-"""Of rectified images [px]; they are recorded at twice that, and the four of them are out of focus nearby."""
+"""Width and height of rectified images [px]; they are recorded at twice that, and all four are out of focus nearby."""
 TURNS = (-2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0)
 """About each axis of a camera, by which its mounting is falsified [deg]."""
 

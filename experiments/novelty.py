@@ -65,19 +65,19 @@ class HeldOut:
     """Recognise ground of a kind that no training drive had."""
 
     dataset: Path
-    """Of simulated drives, with visual features."""
+    """Dataset of simulated drives, with visual features."""
     truth: Path
-    """Of the same drives, with `--features ground-truth`."""
+    """Dataset of the same drives, with `--features ground-truth`."""
     out: Path = Path("novelty")
     """Folder of all outputs."""
     sets: tuple[str, ...] = ("hindsight", "10", "20")
     """Feature sets that are read: by the distance cells were seen from [m]."""
     cells: int = 400
-    """Of each drive and feature set, drawn at random."""
+    """Cells of each drive and feature set, drawn at random."""
     powers: tuple[float, ...] = (0.0, 0.5, 1.0)
-    """Of the features' standard deviation that they are divided by."""
+    """Powers of the features' standard deviation that they are divided by."""
     seed: int = 0
-    """Of the cells."""
+    """Seed by which cells are drawn."""
 
     def run(self) -> str:
         """Read the cells, hold out each kind, write and show the table.

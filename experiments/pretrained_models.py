@@ -72,13 +72,13 @@ class PretrainedModels:
     reproduction: Path = Path("results")
     """Folder of `offpiste reproduce fig4`, of the size and seeds below."""
     size: Literal["evening", "day"] = "evening"
-    """As of `reproduce`: with drives at all speeds and in reverse."""
+    """Size, as of `reproduce`: with drives at all speeds and in reverse."""
     seeds: int | None = None
     """Runs of every model, instead of the size's."""
     controls: Path = Path("controls")
     """Folder of the control experiments; what is trained here goes to `shipped` in it."""
     epochs: int = 48
-    """Of the models that ship: with the reproduction's 12, `b` is not yet as good as it gets (docs/results.md)."""
+    """Epochs of the models that ship: with the reproduction's 12, `b` still gets better (docs/results.md)."""
     out: Path = Path("src/offpiste/pretrained_models") / FAMILY
     """Folder that is replaced."""
 

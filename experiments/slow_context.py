@@ -44,7 +44,7 @@ logger = logging.getLogger("experiments")
 
 FLOORS: Final = ("tape and tiles", "rubbery floor", "slippery floor")
 FIRST_SEED: Final = 12_500
-"""Of the worlds, which nothing else uses."""
+"""First seed of the worlds, which nothing else uses."""
 
 LOADED: Final = {"mass": 1.35, "com_height": 1.1, "front_share": 0.9, "pitch_inertia": 1.3, "yaw_inertia": 1.3}
 """A load of 400 kg over the rear axle: factors of the vehicle's parameters."""

@@ -94,7 +94,7 @@ class Spreads:
     runs: tuple[Path, ...]
     """One model, trained with different seeds."""
     dataset: Path
-    """That they were trained on."""
+    """Dataset that they were trained on."""
     held_out: tuple[Path, ...] = ()
     """Datasets of ground that no training drive had; nothing is fitted to them."""
     out: Path = Path("spreads")

@@ -78,7 +78,7 @@ class UnseenKinds:
     kinds: tuple[str, ...] = ()
     """To hold out; default: all that enough test windows are on."""
     seed: int = 0
-    """Of the runs."""
+    """Seed of the runs."""
     ensemble: int = 1
     """Runs without the kind, with seeds from that one on; two or more are also evaluated together (as in `spreads`)."""
 

@@ -50,15 +50,15 @@ Drive = dict[str, Any] | None
 """What result.json holds, and its row; None: not driven."""
 
 Runs = Sequence[Sequence[Drive]]
-"""Of the runs of some seeds, course after course."""
+"""Drives of the runs of some seeds, course after course."""
 
 Drives = Mapping[str, Mapping[int, Sequence[Drive]]]
-"""Of every row, by the seed of the run that drove, course after course."""
+"""Drives of every row, by the seed of the run that drove, course after course."""
 
 
 @dataclass(frozen=True)
 class Difference:
-    """Of a measure between two planners: mean, 95 % interval over courses and seeds, and number of pairs."""
+    """Difference of a measure between two planners: mean, 95 % interval over courses and seeds, and number of pairs."""
 
     mean: float
     low: float

@@ -73,7 +73,7 @@ class Reproduced:
         return standard_model(model, len(self.dataset.features))
 
     def logs(self) -> list[Path]:
-        """Of all drives of the dataset.
+        """Logs of all drives of the dataset.
 
         Raises:
             RunError: one is missing, as where the size removes them.

@@ -36,7 +36,7 @@ class Sensitivity(msgspec.Struct, frozen=True, kw_only=True):
 
 @dataclass(frozen=True)
 class Differences:
-    """Of the place after 5 s, in the frame of each window's start [m].
+    """Differences of the place after 5 s, in the frame of each window's start [m].
 
     Attributes:
         drive, row: of the windows.

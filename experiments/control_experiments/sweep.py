@@ -29,7 +29,7 @@ logger = logging.getLogger("experiments")
 
 FIRST_SEED = 4000
 GRAIN = 3.0
-"""Of the noise in the place of imperfect sight [m]: spots of about 9 m, as patches of ground are."""
+"""Grain of the noise in the place of imperfect sight [m]: spots of about 9 m, as patches of ground are."""
 
 
 @dataclass(frozen=True)

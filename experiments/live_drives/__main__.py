@@ -34,7 +34,7 @@ logger = logging.getLogger("experiments")
 
 RIG: Final = "proving_ground_gear"
 LIMIT: Final = 60.0
-"""Of a drive on a course [s]."""
+"""Longest drive on a course [s]."""
 _WAITS: Final = 180.0
 """Live and the simulator may take so long to load and to compile [s]."""
 _COST: Final = re.compile(r"(?P<ending>finished|[\d.]+ of [\d.]+ m) in (?P<time>[\d.]+) s,.* cost (?P<cost>\d+);")
@@ -52,13 +52,13 @@ class LiveDrives:
     run_folder: str = "pretrained:proving-ground/dc"
     """The run that drives."""
     world: str = "dunes"
-    """That is driven through."""
+    """World that is driven through."""
     seeds: tuple[int, ...] = (1, 2, 3, 4, 5)
-    """Of the courses."""
+    """Seeds of the courses."""
     speed: float = 5.0
     """Wanted on courses [m/s]."""
     latency: float = PERCEPTION_LATENCY
-    """Of `live`, from the data of a plan to its first control [s]; lockstep has the default."""
+    """Latency of `live`, from the data of a plan to its first control [s]; lockstep has the default."""
     log: Path | None = None
     """For `memory`: a log of the proving ground with its sensors, as `simulate --out` writes it."""
     minutes: float = 30.0

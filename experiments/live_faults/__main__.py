@@ -50,11 +50,11 @@ class LiveFaults:
     out: Path = Path("live-faults")
     """Folder of outcomes.csv, and of what each drive said and recorded."""
     repetitions: int = 20
-    """Of each fault."""
+    """Repetitions of each fault."""
     seed: int = 0
-    """Of the moments, and of what is random in a fault."""
+    """Seed of the moments, and of what is random in a fault."""
     world: str = "dunes"
-    """That is driven through."""
+    """World that is driven through."""
     speed: float = 2.0
     """Wanted [m/s]."""
     run_folder: str = "pretrained:proving-ground/b"

@@ -57,9 +57,9 @@ class Probe:
     test_seeds: tuple[int, ...] = (62,)
     """Seeds of the test drives."""
     backbone: str = FILTERBANK
-    """Whose features are probed."""
+    """Backbone whose features are probed."""
     images: int = 175
-    """That the PCA is fitted on."""
+    """Number of images that the PCA is fitted on."""
     flaw_worlds: tuple[str, ...] = ("mojave", "halter-ranch")
     """Worlds in which flaws are tried; none leaves that out."""
     flaw_seconds: float = 60.0
@@ -136,7 +136,7 @@ class Probe:
 
     @cached_property
     def rig(self) -> Rig:
-        """Of the proving ground."""
+        """Rig of the proving ground."""
         return load_rig("proving_ground")
 
     @cached_property

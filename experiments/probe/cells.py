@@ -66,7 +66,7 @@ class WithColour(Backbone):
         return self._inner.device
 
     def settings(self) -> dict[str, Any]:
-        """Of the backbone."""
+        """Settings of the backbone."""
         return {**self._inner.settings(), "colour": True}
 
     def _features(self, images: Float[Tensor, "B 3 h w"]) -> Float[Tensor, "B rows columns C"]:

@@ -20,7 +20,7 @@ COMMON = ("hindsight", "-10", "0", "10", "20")
 """Feature sets that are also tested on the cells valid in all of them."""
 
 PARTS = 5
-"""Of the cross-validation that chooses the penalty: fifths of every drive, in the order of time."""
+"""Parts of the cross-validation that chooses the penalty: fifths of every drive, in the order of time."""
 
 FEWEST = 50
 """Least number of cells to fit or test on."""
@@ -48,7 +48,7 @@ class Pooled:
 
     @property
     def part(self) -> Int[np.ndarray, " M"]:
-        """Of `PARTS`."""
+        """Which of `PARTS` each belongs to."""
         part = np.zeros(len(self.drive), np.int64)
         for number in np.unique(self.drive):
             mine = self.drive == number

@@ -39,7 +39,7 @@ class Recording:
 
     @property
     def name(self) -> str:
-        """Of the drive in a dataset."""
+        """Name of the drive in a dataset."""
         return drive_name(self.path)
 
 

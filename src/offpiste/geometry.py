@@ -143,7 +143,7 @@ def _fits(
 
 _EQUATOR: Final = 6_378_137.0
 _FLATTENING: Final = 1 / 298.257223563
-"""Of WGS 84's ellipsoid: its radius at the equator [m], and how much flatter it is at the poles."""
+"""WGS 84's ellipsoid: its radius at the equator [m], and how much flatter it is at the poles."""
 LARGEST_DEGREES: Final = (90.0, 360.0)
 """Latitude and longitude that are places on the earth, by size; a longitude counts to 180 or to 360."""
 _GRID: Final = 0.01

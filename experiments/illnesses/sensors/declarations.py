@@ -21,7 +21,7 @@ Cured = Callable[[SensorCase, Rig], bool]
 _ANGLE, _DELAY = 0.5, 0.015
 """A cure is right if it leaves at most this of a turn [deg] and of a delay [s]."""
 _PERIOD: Final = 16.0
-"""Of the height that goes up and down [s]."""
+"""Period of the height that goes up and down [s]."""
 
 
 @dataclass(frozen=True)

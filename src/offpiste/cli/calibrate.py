@@ -18,7 +18,7 @@ class Calibrate:
     """Folders of `offpiste train`; each keeps its spread (spread.safetensors) and, if it reads features, some of
     its training's ground (memory_bank.safetensors); what is kept already is used again."""
     dataset: Path
-    """That the runs were trained on."""
+    """Dataset that the runs were trained on."""
     out: Path = Path("calibration")
     """Folder of the table, the picture and the numbers."""
 

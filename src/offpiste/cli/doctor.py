@@ -16,11 +16,11 @@ class Doctor:
     """Look at a robot before anything moves: what is heard, and what is missing (needs the extra `live`)."""
 
     rig: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="RIG")]
-    """Of the vehicle: a .toml file, or a preset's name."""
+    """Rig of the vehicle: a .toml file, or a preset's name."""
     run_folder: Annotated[str, tyro.conf.arg(name="run", metavar="RUN")] = RUN
     """The run that is to drive, as for `live`: does the robot measure what it reads?"""
     pca: Path | None = None
-    """Of that run, as for `live`."""
+    """PCA of that run, as for `live`."""
     seconds: float = 3.0
     """How long the robot is listened to [s]."""
     clock: Literal["system", "clock", "stamps"] = "system"

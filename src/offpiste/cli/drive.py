@@ -41,7 +41,7 @@ class Drive:
     """What novel ground, unlike any in training, is to the model; missing needs features of training's (shipped with
     models that see the ground, for others by `offpiste calibrate`)."""
     device: str = "cpu"
-    """That images are encoded and plans are made on: cpu, or cuda (needs the extra `cuda`)."""
+    """Device on which images are encoded and plans are made: cpu, or cuda (needs the extra `cuda`)."""
     against: bool = False
     """Start the vehicle against its course: it turns round first, backwards and forwards."""
     fault: Literal["none", "camera-dropped", "lidar-dropped", "late-image", "nan-features", "map-empty"] = "none"

@@ -23,8 +23,8 @@ class Evidence:
     rig: str = ""
     """Rig of the logs: a preset or a file."""
     weights: str = ""
-    """Of DINOv2 or another vision transformer: a folder, or owner/model on the Hugging Face hub. Its features are
-    compared beside those of `filterbank`, which needs none."""
+    """Weights of DINOv2 or another vision transformer: a folder, or owner/model on the Hugging Face hub. Its features
+    are compared beside those of `filterbank`, which needs none."""
     split: str = "blocks:0.7,0.1,0.2"
     """Which stretches of the logs train, validate and test, as in `extract`."""
     size: Literal["smoke", "laptop", "paper"] = "laptop"

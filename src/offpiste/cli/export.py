@@ -23,9 +23,9 @@ class Export:
     """What to write: c or cuda, one header with the weights; mppi-generic, dynamics for that library; onnx, graphs from
     images to codes and from the last 0.2 s to the start (extra `onnx`)."""
     images: Path | None = None
-    """Of onnx: a folder of rectified pictures, by which int8 is calibrated; without one there is no int8."""
+    """A folder of rectified pictures, by which int8 of onnx is calibrated; without one there is no int8."""
     size: Annotated[str | None, tyro.conf.arg(metavar="WIDTHxHEIGHT")] = None
-    """Of onnx: width and height of the rectified images [px], those with which features were extracted; 640x360 unless
+    """Width and height of the rectified images of onnx [px], those with which features were extracted; 640x360 unless
     given."""
 
     def run(self) -> int:

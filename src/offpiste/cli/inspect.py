@@ -36,7 +36,7 @@ class Inspect:
     json: bool = False
     """Print findings as JSON."""
     processes: int = 0
-    """Of several logs, how many are inspected at a time; 0: one a core."""
+    """How many of several logs are inspected at a time; 0: one a core."""
     cluster: str = ""
     """Inspect several logs on a Ray cluster instead (extra `ray`): auto, or HOST:PORT of its head."""
 

@@ -20,7 +20,7 @@ class Live:
     """Drive a vehicle that runs ROS 2, or watch what would be commanded: the default (needs the extra `live`)."""
 
     rig: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="RIG")]
-    """Of the vehicle, with [outputs]: a .toml file, or a preset's name."""
+    """Rig of the vehicle, with [outputs]: a .toml file, or a preset's name."""
     run_folder: Annotated[str, tyro.conf.arg(name="run", metavar="RUN")] = RUN
     """A folder that `train` wrote, or `pretrained:NAME`."""
     pca: Path | None = None
@@ -46,9 +46,9 @@ class Live:
     """What novel ground, unlike any in training, is to the model; missing needs features of training's (shipped with
     models that see the ground, for others by `offpiste calibrate`)."""
     device: str = "cpu"
-    """That images are encoded and plans are made on: cpu, or cuda (needs the extra `cuda`)."""
+    """Device on which images are encoded and plans are made: cpu, or cuda (needs the extra `cuda`)."""
     seed: int = 0
-    """Of the sampled controls."""
+    """Seed of the sampled controls."""
     seconds: float = float("inf")
     """End after this time."""
     lockstep: bool = False

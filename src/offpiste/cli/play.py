@@ -18,7 +18,7 @@ class Play:
     log: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="LOG")]
     """An .mcap or .db3, or the folder of a bag."""
     rig: str = ""
-    """Of the vehicle: its topics alone are played, and clouds once their last point was measured; without it, all."""
+    """Rig of the vehicle: only its topics are played, and clouds once their last point was measured; else all."""
     rate: float = 1.0
     """Times as fast as it was recorded."""
     seconds: float = float("inf")

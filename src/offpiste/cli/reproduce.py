@@ -27,7 +27,7 @@ class Reproduce:
     dataset: Path | None = None
     """A dataset with visual features, used instead of simulating."""
     backbone: str = "filterbank"
-    """As in `fit-pca`."""
+    """Backbone, as in `fit-pca`."""
     split: Literal["drives", "blocks"] = "drives"
     """Test on drives in worlds of their own, or on stretches of the same logs, as the paper does."""
     grip_contrast: float = 1.0

@@ -16,7 +16,7 @@ class RobotOptions:
     """How the robot is reached, over zenoh."""
 
     endpoint: str = ""
-    """Of zenoh's router; tcp/127.0.0.1:7447, where rmw_zenohd listens, unless given."""
+    """Address of zenoh's router; tcp/127.0.0.1:7447, where rmw_zenohd listens, unless given."""
     router: bool = False
     """Be the router oneself: where no rmw_zenohd runs."""
     keys: Literal["rmw_zenoh", "bridge"] = "rmw_zenoh"
@@ -24,7 +24,7 @@ class RobotOptions:
     domain: int = 0
     """ROS_DOMAIN_ID, for rmw_zenoh."""
     namespace: str = ""
-    """Of the bridge."""
+    """Namespace of the bridge."""
     zenoh_config: Path | None = None
     """File of zenoh's configuration, e.g. with certificates for TLS."""
 

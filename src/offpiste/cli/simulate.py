@@ -60,7 +60,7 @@ class Simulate:
     stamp_offset: float = 0.0
     """How much too late cameras and LiDARs are stamped [ms]."""
     processes: int = 0
-    """Of several drives, how many are recorded at a time; 0: one a core."""
+    """How many of several drives are recorded at a time; 0: one a core."""
     cluster: str = ""
     """Record several drives on a Ray cluster instead (extra `ray`): auto, or HOST:PORT of its head."""
 
@@ -69,7 +69,7 @@ class Simulate:
 
     Only world, seconds, seed, sensors, vehicle, pose noise, contrast and appearance of the above apply."""
     speed: float = 5.0
-    """Of --live: the course is chosen for it [m/s]."""
+    """Speed that the course of --live is chosen for [m/s]."""
     robot: Annotated[RobotOptions, tyro.conf.OmitArgPrefixes] = field(default_factory=RobotOptions)
 
     def run(self) -> int:

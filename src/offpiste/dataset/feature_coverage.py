@@ -43,7 +43,7 @@ class Differences:
     feature: Float[np.ndarray, "D D F"]
 
     def neighbours(self) -> Float[np.ndarray, "_ F"]:
-        """Of distances that are next to each other: -20 and -10, -10 and 0, ..."""
+        """Differences of distances that are next to each other: -20 and -10, -10 and 0, ..."""
         at = np.arange(HINDSIGHT + 1, len(self.count) - 1)
         return self.feature[at, at + 1]
 
@@ -157,7 +157,7 @@ def contacts_by_pass(passes: Passes) -> Int[np.ndarray, " K"]:
 
 
 def _pairs(cells: Sequence[Cells]) -> Iterator[tuple[int, int, Float[np.ndarray, "n F"]]]:
-    """Of every drive and every two sets: the difference of the features of cells that are valid in both."""
+    """Differences of the features of cells that are valid in both of two sets, for every drive and every two sets."""
     for drive in cells:
         features = drive.features.astype(np.float32)
         for a in range(len(features)):

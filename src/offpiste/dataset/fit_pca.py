@@ -287,7 +287,7 @@ def _added(moments: Moments, features: torch.Tensor, mask: np.ndarray) -> Moment
 
 
 def _ground_hits(moment: Moment) -> dict[tuple[str, float], tuple[torch.Tensor, np.ndarray]]:
-    """Of each image in view: its features, and the patches in which a ground point of this scan lies."""
+    """Features of each image in view, and the patches in which a ground point of this scan lies."""
     if moment.projection is None:
         return {}
     ground, result = ground_points(moment), {}

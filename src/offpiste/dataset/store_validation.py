@@ -24,7 +24,7 @@ SCHEMA = 2  # 1 had no checksums, no causal actuators and controls, and straight
 YOUNGER = (
     "masks", "latency", "keyframe_metres", "snapshot_seconds", "snapshot_speed", "map_settings", "snapshot_settings",
 )  # fmt: skip
-"""Of `MADE_BY`, what older datasets do not say."""
+"""Entries of `MADE_BY` that older datasets do not say."""
 
 MADE_BY = ("schema", "rig", "split", "split_drives", "features", "pca", "min_hindsight", *YOUNGER)
 """What all drives of a dataset must share."""

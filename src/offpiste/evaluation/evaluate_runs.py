@@ -121,7 +121,7 @@ def _with_context(model: EvaluatedModel, run: Run) -> EvaluatedModel:
 
 
 def _noise(run: Run) -> tuple[float, float, float]:
-    """Of its short predictions.
+    """Errors of a run's short predictions.
 
     Raises:
         RunError: the run has none.

@@ -19,7 +19,7 @@ GREY = 150
 """Shade of ground that no camera has seen."""
 
 QUALITY = 70
-"""Of the pictures in a browser, 1 to 100."""
+"""JPEG quality of the pictures in a browser, 1 to 100."""
 
 Square = tuple[tuple[float, float], float]
 """Middle (ahead, to the left) and half the width of a square in the frame of a window's start [m]."""

@@ -30,7 +30,7 @@ BANDS: Final = (
     Band("4 to 8 m/s", 4.0, 8.0),
     Band("above 8 m/s", 8.0, np.inf),
 )
-"""Of windows that do not start in reverse."""
+"""Bands of windows that do not start in reverse."""
 
 REVERSE: Final = "reverse"
 """Windows that start in reverse gear, or backwards where the log has no gear."""

@@ -47,7 +47,7 @@ class EstimatedMounting:
 
     @property
     def roll_pitch_yaw(self) -> Float[np.ndarray, " 3"]:
-        """Of the mounting [rad]; of a camera, of axes x forward, y left, z up."""
+        """Angles of the mounting [rad]; a camera's are of axes x forward, y left, z up."""
         return _euler(self.mounting, self.optical)
 
     @property

@@ -157,7 +157,7 @@ class _Sums:
         columns: Int[np.ndarray, " n"],
         starts: Int[np.ndarray, " B"],
     ) -> "_Sums":
-        """Of each block; `columns` are those of `lagged` that are used, `starts` the first one of each block."""
+        """Sums of each block; `columns` are those of `lagged` that are used, `starts` the first one of each block."""
         sums = []
         # Block by block: all at once would be most of the memory that a long log takes.
         for block in (slice(*ends) for ends in pairwise((*starts, len(y)))):
@@ -169,11 +169,11 @@ class _Sums:
         return cls(*(np.stack(each) for each in zip(*sums, strict=True)))
 
     def whole(self) -> "_Sums":
-        """Of all blocks."""
+        """Sums of all blocks."""
         return _Sums(*(np.asarray(part.sum(axis=0)) for part in vars(self).values()))
 
     def without_each(self) -> "_Sums":
-        """Of all blocks but one, for each."""
+        """Sums of all blocks but one, for each."""
         return _Sums(*map(_without_each, vars(self).values()))
 
     def solve(self) -> tuple[Float[np.ndarray, "*B L"], Float[np.ndarray, "*B L"], Bool[np.ndarray, "*B"]]:

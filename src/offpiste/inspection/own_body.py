@@ -30,7 +30,7 @@ _OFTEN: Final = 0.6
 _RETURNS: Final = 10
 """Least number of returns a scan, on average, in all voxels that stand."""
 _MARGIN: Final = 0.1
-"""Of the box around what stands [m]."""
+"""Margin of the box around what stands [m]."""
 
 
 def check_own_body(

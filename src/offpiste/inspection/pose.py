@@ -37,7 +37,7 @@ _OTHERS: Final = 3.0
 _EARTH: Final = (6.34e6, 6.39e6)
 """Distances of the ground from the earth's middle [m]."""
 _LARGEST_EASTING: Final = 1e6
-"""Of UTM [m]."""
+"""Largest easting of UTM [m]."""
 _JUMP_TIME = 0.05
 """A jump is at least as long as the path driven in this time at cruising speed [s]."""
 _NOISY: Final = 0.03

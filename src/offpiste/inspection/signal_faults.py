@@ -12,7 +12,7 @@ from offpiste.rig.labels import are_since_1970
 _SPIKE: Final = 8.0
 """A spike stands out from its neighbours by this many times what 95 % of the samples do."""
 PERIODS: Final = (65536.0, 6553.6, 655.36)
-"""Of 16-bit counters, whole or in tenths or hundredths."""
+"""Periods of 16-bit counters, whole or in tenths or hundredths."""
 MAX_SPIKES: Final = 0.02
 """More than this share of the samples are no isolated spikes."""
 

@@ -34,10 +34,10 @@ from offpiste.transport.zenoh_transport import ZenohSettings, ZenohTransport
 Level = Literal["ok", "warning", "error"]
 _CORES: Final = 4
 _FREE_MEMORY: Final = 3.0
-"""Of a drive with a model that reads images, about [GB]."""
+"""Memory that a drive with a model that reads images takes, about [GB]."""
 _MEMORY: Final = Path("/proc/meminfo")
 _SHARED_MEMORY: Final = 0.5
-"""Of its rings [GB]."""
+"""Shared memory of its rings [GB]."""
 _WAITING: Final = 16
 """Messages of a topic that wait to be decoded; where more do, the oldest are left out, but count."""
 _OLD: Final = 0.3

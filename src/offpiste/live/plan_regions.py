@@ -18,7 +18,7 @@ from offpiste.uncertainty.student import radius
 WITHIN: Final = 0.8
 """Probability with which the vehicle is within a region."""
 _POINTS: Final = 24
-"""Of a region's outline."""
+"""Points of a region's outline."""
 
 
 class PlanRegions:

@@ -50,7 +50,7 @@ _LOADS: Final = 600.0
 _SAY: Final = 1.0
 """States of one process are logged no more often [s]."""
 _FRAME: Final = "map"
-"""Of what is published, where the messages of the vehicle's position name none."""
+"""Frame of what is published, where the messages of the vehicle's position name none."""
 _ENDING: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 

@@ -155,7 +155,7 @@ class VehicleMessages:
         return None if yaw is None else np.array((0.0, 0.0, np.sin(yaw[0] / 2), np.cos(yaw[0] / 2)))
 
     def _velocity(self, time: float, orientation: Float[np.ndarray, " 4"]) -> Float[np.ndarray, " 3"] | None:
-        """Of the pose point in the world frame; from positions where the log has none of its own."""
+        """Velocity of the pose point in the world frame; from positions where the log has none of its own."""
         entry = self._rig.channels.get("linear_velocity")
         if entry is None or entry.frame == "unknown":
             rate = self._rate("position", time)

@@ -87,7 +87,7 @@ class SensorLog:
         yield from heapq.merge(*streams, key=lambda measured: measured.time)
 
     def _measured(self, name: str, times: Float[np.ndarray, " n"] | None) -> Iterator[Image | Cloud]:
-        """Of one sensor; of some stamps as recorded, if they are given."""
+        """What one sensor measured; at some stamps as recorded, if they are given."""
         camera = self.cameras.get(name)
         return self._clouds(self.lidars[name], times) if camera is None else self._images(camera, times)
 

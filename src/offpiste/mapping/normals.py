@@ -149,7 +149,7 @@ def to_covariances(sums):  # type: ignore[no-untyped-def]
 
 @MAPPING.loop
 def put_determinants(z, count, xx, xy, yy, out):  # type: ignore[no-untyped-def]
-    """Of the points' covariance; not a number where they do not carry a plane, or the cell has no ground."""
+    """Determinants of the points' covariance; not a number where they carry no plane, or the cell has no ground."""
     least = np.float32(MIN_SPREAD)
     for i in range(len(out)):
         trace, determinant = xx[i] + yy[i], xx[i] * yy[i] - xy[i] * xy[i]

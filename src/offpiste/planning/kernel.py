@@ -39,7 +39,7 @@ from offpiste.planning.pedal import complete
 from offpiste.state import ModelState
 
 Codes = tuple[Float[Tensor, "ny nx E"], Float[Tensor, " E"]]
-"""Of the cells of a map, and of a cell without features."""
+"""Codes of the cells of a map, and of a cell without features."""
 
 PART: Final = 4096
 """How many cells are encoded at a time."""

@@ -19,7 +19,7 @@ from offpiste.uncertainty.spread import Spread
 
 SECONDS: Final = 1.0
 SPEED: Final = 2.0
-"""Of the vehicle [m/s]."""
+"""Speed of the vehicle [m/s]."""
 EVERY: Final = 10
 """Rows from scan to scan, and from image to image."""
 

@@ -34,7 +34,7 @@ from offpiste.training.optimise import Record, Stage, metrics_of, run_stage, wri
 logger = logging.getLogger(__name__)
 
 NAME: Final = "actuators"
-"""Of the stage, and stem of its files."""
+"""Name of the stage, and stem of its files."""
 
 LARGEST_EPOCH: Final = 100_000
 """Windows, or about as many: with more of them they lie further apart, since these models are small and neighbours

@@ -23,7 +23,7 @@ WINDOWS: Final = 300
 """Most windows that an epoch is chosen by."""
 
 CORRIDOR: Final = 10.0
-"""Of each snapshot, the cells within this distance of the recorded path are kept in memory [m].
+"""Cells of a snapshot within this distance of the recorded path are kept in memory [m].
 
 Predictions that stray further find unknown ground. A window takes some 2 MB with 40 features.
 """

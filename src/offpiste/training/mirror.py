@@ -16,10 +16,10 @@ from offpiste.errors import RunError
 from offpiste.state import History, Terrain
 
 STATE_SIGNS: Final = tuple(-1.0 if name in ("py", "yaw", "vy", "yaw_rate") else 1.0 for name in STATE)
-"""Of a state, mirrored in the world's x axis."""
+"""Signs of a state, mirrored in the world's x axis."""
 
 NORMAL_SIGNS: Final = (1.0, -1.0, 1.0)
-"""Of a surface normal in the world frame."""
+"""Signs of a surface normal in the world frame, mirrored likewise."""
 
 OPPOSITE: Final = tuple(
     WHEELS.index(name.replace("left", "right") if "left" in name else name.replace("right", "left")) for name in WHEELS

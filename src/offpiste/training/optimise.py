@@ -34,7 +34,7 @@ EVALUATED_AT_ONCE: Final = 512
 """Windows, where a batch is not larger."""
 
 Metrics = dict[str, float | int | str]
-"""Of one epoch, with the names of its stage and its number."""
+"""Numbers of one epoch, with the names of its stage and its number."""
 
 Record = Callable[[Metrics], None]
 """Takes the metrics of one epoch."""

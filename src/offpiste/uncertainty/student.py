@@ -26,7 +26,7 @@ def squared_distance(error: Float[Tensor, "*B 2"], scale: Float[Tensor, "*B 2"])
 def negative_log_likelihood(
     error: Float[Tensor, "*B 2"], scale: Float[Tensor, "*B 2"], freedom: Float[Tensor, ""]
 ) -> Float[Tensor, "*B"]:
-    """Of errors under a bivariate t: its constant does not depend on the degrees of freedom.
+    """Negative log-likelihood of errors under a bivariate t: its constant does not depend on the degrees of freedom.
 
     Args:
         freedom: degrees of freedom, above 0.

@@ -30,7 +30,7 @@ SPEED_ROW = ROW["vx"]
 CONSTANTS = len(layout.LAG_CONSTANTS)
 
 Residuals = tuple[Network, Network]
-"""Of the brake and the steering."""
+"""Networks of the brake and the steering."""
 
 
 class LagRecord(NamedTuple):

@@ -26,7 +26,7 @@ CODES = len(ROWS)
 CONSTANTS = len(LEARNED)
 
 Networks = tuple[Network, Network, Network]
-"""Of the forces, the brake and the steering."""
+"""Networks of the forces, the brake and the steering."""
 
 BufferSets = tuple[Buffers, Buffers, Buffers]
 

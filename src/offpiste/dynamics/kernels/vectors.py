@@ -185,7 +185,7 @@ def _transposed(builder: ir.IRBuilder, fours: list[ir.Value]) -> list[ir.Value]:
         return _shuffled(builder, join(parts[:half]), join(parts[half:]), range(4 * len(parts)))
 
     def pick(a: ir.Value, b: ir.Value, *places: int) -> ir.Value:
-        """Of each 16 bytes of two vectors four numbers; those of the second count from 4."""
+        """Four numbers of each 16 bytes of two vectors; those of the second count from 4."""
         at = (4 * four + place % 4 + GROUP * (place // 4) for four in range(GROUP // 4) for place in places)
         return _shuffled(builder, a, b, at)
 

@@ -20,7 +20,7 @@ WORLD, BODY = "map", "base_link"
 _WAITING: Final = 64
 """Messages that may wait for a client; older ones are dropped."""
 _HEIGHT: Final = 1.0
-"""Of the box that stands for the vehicle [m]."""
+"""Height of the box that stands for the vehicle [m]."""
 WHITE, BLUE, ORANGE = (255, 255, 255), (20, 90, 200), (230, 80, 30)
 _MODE: Final = {"type": "object", "properties": {"mode": {"type": "string"}, "why": {"type": "string"}}}
 _NUMBERS: Final = {"type": "object", "additionalProperties": {"type": "number"}}

@@ -16,7 +16,7 @@ from offpiste.registry import Registry
 from offpiste.runtime.estimator import VehicleReading
 
 QUALITY: Final = 80
-"""Of images, as JPEG has it."""
+"""Quality of images, as JPEG has it."""
 WIDEST: Final = 640
 """Images are shown no wider [px]."""
 FASTEST: Final = 10.0
@@ -44,7 +44,7 @@ class ShownPlan:
 
     @property
     def colours(self) -> UInt8[np.ndarray, "P 3"]:
-        """Of the places, by speed."""
+        """Colours of the places, by speed."""
         return (255 * colormaps["plasma"](np.clip(self.speed / FASTEST, 0, 1))[:, :3]).astype(np.uint8)
 
 
