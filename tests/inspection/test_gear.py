@@ -208,19 +208,30 @@ def test_a_brake_below_zero_stays_one_where_the_vehicle_rolls_back(tmp_path) -> 
     assert "gear" not in drafted.channels
 
 
-def test_a_throttle_that_is_released_halfway_is_found_and_brought_to_zero() -> None:
-    """Both ways from zero, and read as if it were a trigger."""
-    drive, path, recorded = _read(FORWARD)
+def _released_halfway(drive: Drive, path: DrivenPath) -> tuple[Drive, DrivenPath, np.ndarray]:
+    """The drive with a stick both ways from zero that is read as a trigger, standing at first; and the stick."""
     standing = replace(path, speed=np.where(np.arange(len(path.time)) < 300, 0.0, path.speed))
     throttle = drive.channels["throttle"]
     both = np.sign(np.sin(throttle.time)) * (np.abs(np.sin(throttle.time)) > 0.6) * (throttle.time > path.time[300])
     halved = replace(throttle, values=0.5 + 0.5 * both[:, None])
-    (finding,) = check_gear(replace(drive, channels={**drive.channels, "throttle": halved}), standing, recorded)
+    return replace(drive, channels={**drive.channels, "throttle": halved}), standing, both
+
+
+def test_a_throttle_that_is_released_halfway_is_found_and_brought_to_zero() -> None:
+    drive, path, recorded = _read(FORWARD)
+    halfway, standing, both = _released_halfway(drive, path)
+    (finding,) = check_gear(halfway, standing, recorded)
     assert (finding.severity, finding.what) == ("warning", "never comes back to zero")
     cured = edited(drive.rig, finding.cures[0]).channels["throttle"]
     assert (cured.scale, cured.offset, cured.clip) == (2.0, -1.0, (0.0, 1.0))
-    released = replace(throttle, values=np.maximum(both, 0.0)[:, None])
+    released = replace(drive.channels["throttle"], values=np.maximum(both, 0.0)[:, None])
     assert check_gear(replace(drive, channels={**drive.channels, "throttle": released}), standing, recorded) == []
+
+
+def test_a_gear_of_its_own_that_is_wrong_is_found_beside_a_throttle_that_is_released_halfway() -> None:
+    drive, path, recorded = _read(_with_gear(_reversing(FORWARD, 20.0, 40.0), 20.0, 40.0, 3.0, 1.0), GEAR)
+    halfway, standing, _ = _released_halfway(drive, path)
+    assert [finding.where for finding in check_gear(halfway, standing, recorded)] == ["throttle", "gear"]
 
 
 def _speed_controller(path, *, brakes: float):

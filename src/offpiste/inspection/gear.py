@@ -80,8 +80,10 @@ def check_gear(drive: Drive, path: DrivenPath, recorded: Mapping[str, Recorded])
 
     Before them, a warning on a throttle that goes both ways and is read as a pedal.
     """
-    if halfway := _released_halfway(drive, path):
-        return [halfway]
+    halfway = _released_halfway(drive, path)
+    if halfway is not None and ("gear" not in drive.channels or drive.rig.reads_alike("throttle", "gear")):
+        return [halfway]  # what it drives backwards shows once it is read around its rest
+    found = [halfway] if halfway is not None else []
     if "gear" not in drive.channels:
         below = _below_zero(drive, path, recorded)
         return [_reverse_pedal(drive.rig)] if pedal_reverses(drive, path) else _hidden_reverse(drive, path, below)
@@ -97,11 +99,14 @@ def check_gear(drive: Drive, path: DrivenPath, recorded: Mapping[str, Recorded])
     share = float(against.sum() / max(moving.sum(), 1))
     raw = _raw(drive, path, recorded)
     if against.sum() * STEP < _LEAST_AGAINST or (share < _SHARE and not _one_is_wrong(raw, against, moving)):
-        return []
+        return found
     cure = _meanings(drive, path, moving, raw)
     evidence = f"the vehicle moves against it for {against.sum() * STEP:.1f} s, {share:.0%} of its motion"
     how = ", ".join(map(str, cure)) or "give `values` for what is recorded, or leave the channel out"
-    return [Finding("warning", "gear", "does not go with the motion", evidence, how, share, (cure,) if cure else ())]
+    return [
+        *found,
+        Finding("warning", "gear", "does not go with the motion", evidence, how, share, (cure,) if cure else ()),
+    ]
 
 
 def pedal_reverses(drive: Drive, path: DrivenPath) -> bool:

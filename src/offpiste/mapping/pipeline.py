@@ -6,7 +6,7 @@ same map.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -113,15 +113,3 @@ class MapPipeline:
         if has.any():
             codes[has] = self._encode(features[has])
         return codes
-
-
-def encoded(layers: TerrainLayers, encode: Encode, channels: int) -> TerrainLayers:
-    """The same layers with codes in the place of features.
-
-    Args:
-        channels: of the codes, E.
-    """
-    codes = np.full((*layers.valid.shape, channels), np.nan, np.float32)
-    if layers.valid.any():
-        codes[layers.valid] = encode(layers.features[layers.valid])
-    return replace(layers, features=codes)
