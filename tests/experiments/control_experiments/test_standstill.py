@@ -18,6 +18,7 @@ from experiments.control_experiments.standstill import (
     at_rest,
     grouped,
     kinds_under_wheels,
+    right_at_best,
     slope_along,
     standstill_control,
 )
@@ -75,6 +76,17 @@ def test_groups_by_throttle_slope_and_kind(tmp_path: Path) -> None:
     }
 
 
+def test_no_limit_is_right_more_often_than_the_best() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        predicted, moves = rng.normal(size=(12, 2)), rng.random(12) < 0.6
+        distance = np.linalg.norm(predicted, axis=1)
+        tried = [((distance > limit) == moves).mean() for limit in (-1.0, *distance)]
+        assert right_at_best(predicted, moves) == max(tried)
+    apart = np.array([[0.1, 0.0], [0.0, 0.7], [2.0, 0.0]])
+    assert right_at_best(apart, np.array([False, False, True])) == 1.0, "0.7 m counts as staying at a limit of 1 m"
+
+
 def test_moving_windows_are_none(tmp_path: Path) -> None:
     windows = Windows(dataset_with_features(tmp_path / "one.zarr"), "test")
     with pytest.raises(DatasetError, match=r"no window with a snapshot starts at a standstill.*--snapshot-speed 0"):
@@ -101,6 +113,6 @@ def test_standing_vehicles_from_end_to_end(tmp_path: Path, monkeypatch: pytest.M
     windows = Windows(of.dataset, "test", min_speed=0.0)
     for model in ("b", "dc", "oracle"):
         found = rows["all"]["models"][model]
-        assert 0 <= found["right"] <= 1
+        assert 0 <= found["right"] <= found["right_at_best"] <= 1
         assert found["error_m"] >= (1 - found["right"]) * standstill.MOVED, "whoever is said to move is wrong by that"
     assert len(windows) > rows["all"]["n"]
