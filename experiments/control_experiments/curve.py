@@ -11,6 +11,7 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
+from jaxtyping import Int
 from matplotlib.figure import Figure
 
 from experiments.control_experiments.data import claim_settings, true_ground
@@ -28,6 +29,7 @@ from offpiste.evaluation.intervals import PairedDifference, Resampling, Sampling
 from offpiste.report.text_table import TextTable, interval, number
 from offpiste.reproduction.gains import MAP, errors_of, evaluation_index, runs_of, same_windows
 from offpiste.training.config import TrainConfig
+from offpiste.training.run import Run
 
 logger = logging.getLogger("experiments")
 
@@ -51,11 +53,13 @@ class Curve:
     Attributes:
         hours: of driving, each with models of its own.
         models: beside the oracle.
+        oracle: whether `df` on the true ground is trained too, for which all drives are extracted a second time.
         seed: of the order in which drives are drawn.
     """
 
     hours: tuple[float, ...] = (0.3, 0.6, 1.2, 2.5, 5.0)
     models: tuple[str, ...] = ("parametric", "b", "cf", "dc")
+    oracle: bool = True
     seed: int = 0
 
 
@@ -86,10 +90,9 @@ def curve_control(of: Reproduced, out: Path, curve: Curve, seeds: int) -> Path:
         DatasetError: there is less driving than the smallest amount.
     """
     claim_settings(out / "curve", {"seed": curve.seed})
-    truth = true_ground(of, out / "oracle")
-    windows, true_windows = Windows(of.dataset, "test"), Windows(truth, "test")
+    windows = Windows(of.dataset, "test")
     index = evaluation_index(windows, MAP, of.size.stride)
-    there = same_windows(windows, index, true_windows)
+    truth = true_ground(of, out / "oracle") if curve.oracle else None
     whole = hours_of(of.dataset)
     errors: dict[tuple[str, float], SeededErrors] = {}
     for names in amounts(of.dataset, curve):
@@ -102,20 +105,24 @@ def curve_control(of: Reproduced, out: Path, curve: Curve, seeds: int) -> Path:
                 runs = of.runs(model)[:seeds]
             else:
                 runs = trained_seeds(mine, _config(of, model, config), folder / "runs", seeds)
-            kept = folder / "evaluated"
-            errors[model, hours] = runs_of(
-                [errors_of(run, windows, index, MAP, scale=of.scale, kept=kept) for run in runs]
-            )
-        runs = trained_seeds(training_on(truth, names), replace(config, model="df"), folder / ORACLE, seeds)
-        kept = folder / "evaluated" / ORACLE
-        errors[ORACLE, hours] = runs_of(
-            [errors_of(run, true_windows, there, MAP, scale=of.scale, kept=kept) for run in runs]
-        )
+            errors[model, hours] = _on_maps(of, runs, windows, index, folder / "evaluated")
+        if truth is not None:
+            there = Windows(truth, "test")
+            runs = trained_seeds(training_on(truth, names), replace(config, model="df"), folder / ORACLE, seeds)
+            same = same_windows(windows, index, there)
+            errors[ORACLE, hours] = _on_maps(of, runs, there, same, folder / "evaluated" / ORACLE)
         found = (f"{model} {mine.distance().mean():.3f} m" for (model, at), mine in errors.items() if at == hours)
         logger.info(f"{hours:.2f} h: {', '.join(found)}")
     points = _points(errors)
     results = {"control": "curve", "curve": curve, "points": points}
     return write_control(out / "curve", [_table(points)], results, {"curve": draw_curves(points)})
+
+
+def _on_maps(
+    of: Reproduced, runs: Sequence[Run], windows: Windows, index: Int[np.ndarray, " n"], kept: Path
+) -> SeededErrors:
+    """Errors of runs of one model on the map, at predicted places."""
+    return runs_of([errors_of(run, windows, index, MAP, scale=of.scale, kept=kept) for run in runs])
 
 
 def amounts(dataset: Dataset, curve: Curve) -> list[set[str]]:

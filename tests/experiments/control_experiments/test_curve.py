@@ -97,6 +97,10 @@ def test_a_curve_from_end_to_end_is_resumed(tmp_path: Path) -> None:
     kept = {path: path.stat().st_mtime_ns for path in out.rglob("*.safetensors")}
     curve_control(of, out, curve, 1)
     assert {path: path.stat().st_mtime_ns for path in out.rglob("*.safetensors")} == kept
+    (folder / "truth.zarr").rename(tmp_path / "elsewhere.zarr")
+    curve_control(of, out, replace(curve, oracle=False), 1)
+    points = json.loads((page.parent / "control.json").read_text("utf-8"))["points"]
+    assert {p["model"] for p in points} == {"b", "dc"}, "no true ground is needed"
     with pytest.raises(RunError, match=r"was begun with other settings \(seed\)"):
         curve_control(of, out, replace(curve, seed=1), 1)
 
