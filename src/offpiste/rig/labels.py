@@ -85,17 +85,6 @@ _BESIDES: Final = re.compile(
 )
 """What a message says of a quantity besides the quantity: bounds, whether it counts, and numbers of the messages."""
 _NUMBER_ONLY: Final = re.compile(r"[/.](data|value)$")
-_GEARS: Final = {
-    word: letter
-    for letter, words in (
-        ("P", "park parking parked"),
-        ("R", "reverse reversing backward backwards"),
-        ("N", "neutral stop stopped standstill halt halted"),
-        ("D", "drive forward forwards"),
-    )
-    for word in words.split()
-}
-"""Letters of gears, by what logs call these."""
 _COMMENT: Final = re.compile(r"^ *(#+|//+|%+(?!.*[,;|\t] *%)) *(?=[^\s,;|])")
 """What makes a header a comment, as numpy.savetxt or `rostopic echo -p` writes it; signs before each name are units."""
 _NAMES: Final = {"rpm"}
@@ -216,11 +205,6 @@ def are_since_1970(stamps: Float[np.ndarray, " n"]) -> bool:
     """Whether all of some numbers are times since 1970, in one unit but days, from 2001 to 2100."""
     first, last = _SINCE_1970
     return any(((first * each < stamps) & (stamps < last * each)).all() for each in (1.0, 1e3, 1e6, 1e9))
-
-
-def gear_letter(word: str) -> str:
-    """The letter of the gear that a word names, P, R, N or D; single letters as they are, and "" for other words."""
-    return word if len(word) == 1 and word.isalpha() else _GEARS.get(word.lower(), "")
 
 
 def time_unit(unit: str) -> str:

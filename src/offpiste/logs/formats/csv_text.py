@@ -7,15 +7,13 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.csv as pa_csv
-from jaxtyping import Float
 
 from offpiste.errors import LogError
 from offpiste.logs.formats.loggers import DATE_AND_TIME, MARKS, UTF_16, in_one_space, with_one_header
-from offpiste.rig.labels import gear_letter, unit_of, without_comment
+from offpiste.rig.labels import unit_of, without_comment
 
 _TEXT_BOOLEANS = {"true": 1.0, "false": 0.0}
 _MOST_PREAMBLE, _ROWS_BELOW = 64, 8
@@ -27,47 +25,17 @@ _EXAMPLES = {5: ("t", "x", "y", "yaw", "steer"), 8: ("timestamp", "tx", "ty", "t
 """Names for a table without any, by the number of its columns; eight are those of a trajectory in TUM's format."""
 _MOST_GEARS = 16
 """Numbers among letters that are gears; more are measurements, and a letter among them is a mistake."""
-
-
-_CLOCK: Final = re.compile(
-    r"(?:(?P<date>.*?)[T ,_-]+|)(?P<hours>\d{1,2}):(?P<minutes>\d\d):(?P<seconds>\d\d(?:[.,:]\d+)?)"
-    r"\s*(?P<half>[ap])?\.?(?:m\.?)?\s*(?:z|utc|gmt|[+-]\d\d:?\d\d)?",
-    re.IGNORECASE,
-)
-_COMPACT: Final = re.compile(
-    r"(?P<date>\d{8})[T _-](?P<hours>\d\d)(?P<minutes>\d\d)(?P<seconds>\d\d(?:[.,]\d+)?)(?P<half>)Z?", re.IGNORECASE
-)
-"""Times of the day, with or without a date before them."""
-_DAY: Final = 86_400.0
-
-
-def clock_times(cells: pa.ChunkedArray) -> Float[np.ndarray, " n"] | None:
-    """Times of the day, such as `05/03/2024 1:02:03.4 PM`, as seconds from midnight; None where a cell is none.
-
-    Each further text of a date is the next day. Where there is no such text, steps beyond half a day cross midnight,
-    also those of a row that comes late.
-    """
-    times = np.full(len(cells), np.nan)
-    days: dict[str, int] = {}
-    for row, cell in enumerate(cells.to_pylist()):
-        if cell is None or not cell.strip():
-            continue
-        match = _CLOCK.fullmatch(cell.strip()) or _COMPACT.fullmatch(cell.strip())
-        if match is None:
-            return None
-        hours, date = int(match["hours"]), match["date"] or ""
-        if half := (match["half"] or "").lower():
-            hours = hours % 12 + (12 if half == "p" else 0)
-        seconds = float(re.sub("[,:]", ".", match["seconds"]))
-        times[row] = _DAY * days.setdefault(date, len(days)) + 3600 * hours + 60 * int(match["minutes"]) + seconds
-    return past_midnight(times) if len(days) == 1 else times
-
-
-def past_midnight(times: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """Seconds of the day that count on where a step beyond half a day crosses midnight."""
-    known, result = np.isfinite(times), times.copy()
-    result[known] = np.unwrap(times[known], period=_DAY)
-    return result
+_GEARS: Final = {
+    word: letter
+    for letter, words in (
+        ("P", "park parking parked"),
+        ("R", "reverse reversing backward backwards"),
+        ("N", "neutral stop stopped standstill halt halted"),
+        ("D", "drive forward forwards"),
+    )
+    for word in words.split()
+}
+"""Letters of gears, by what logs call these."""
 
 
 def number_of(cell: str) -> float | None:
@@ -78,6 +46,11 @@ def number_of(cell: str) -> float | None:
         return float(cell)
     except ValueError:
         return _TEXT_BOOLEANS.get(cell.strip().lower())
+
+
+def gear_letter(word: str) -> str:
+    """The letter of the gear that a word names, P, R, N or D; single letters as they are, and "" for other words."""
+    return word if len(word) == 1 and word.isalpha() else _GEARS.get(word.lower(), "")
 
 
 def gear_of(cell: str) -> float:

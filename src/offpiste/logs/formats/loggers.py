@@ -1,9 +1,13 @@
-"""Texts of loggers of cars, which say names and units in ways of their own, as tables with one line of names."""
+"""Texts of loggers of cars, which say names, units and times in ways of their own, as tables of numbers."""
 
 import codecs
 import re
 from collections.abc import Callable, Sequence
 from typing import Final
+
+import numpy as np
+import pyarrow as pa
+from jaxtyping import Float
 
 UTF_16: Final = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 """What texts in UTF-16 begin with, as spreadsheets write them."""
@@ -28,6 +32,64 @@ _MINUTES: Final = {"lat": 1 / 60, "long": -1 / 60}
 """Degrees of a minute of arc; longitudes count to the west."""
 _QUOTED: Final = re.compile(r'"([^"|]*)"\|"([^"|]*)"(\|[^,|]*)*')
 """A column of RaceCapture: its name, its unit, then its range and rate."""
+_CLOCK: Final = re.compile(
+    r"(?:(?P<date>.*?)[T ,_-]+|)(?P<hours>\d{1,2}):(?P<minutes>\d\d):(?P<seconds>\d\d(?:[.,:]\d+)?)"
+    r"\s*(?P<half>[ap])?\.?(?:m\.?)?\s*(?:z|utc|gmt|[+-]\d\d:?\d\d)?",
+    re.IGNORECASE,
+)
+_COMPACT: Final = re.compile(
+    r"(?P<date>\d{8})[T _-](?P<hours>\d\d)(?P<minutes>\d\d)(?P<seconds>\d\d(?:[.,]\d+)?)(?P<half>)Z?", re.IGNORECASE
+)
+"""Times of the day, with or without a date before them."""
+_DAY: Final = 86_400.0
+
+
+def clock_times(cells: pa.ChunkedArray) -> Float[np.ndarray, " n"] | None:
+    """Times of the day, such as `05/03/2024 1:02:03.4 PM`, as seconds from midnight; None where a cell is none.
+
+    Each further text of a date is the next day. Where there is no such text, steps beyond half a day cross midnight,
+    also those of a row that comes late.
+    """
+    times = np.full(len(cells), np.nan)
+    days: dict[str, int] = {}
+    for row, cell in enumerate(cells.to_pylist()):
+        if cell is None or not cell.strip():
+            continue
+        match = _CLOCK.fullmatch(cell.strip()) or _COMPACT.fullmatch(cell.strip())
+        if match is None:
+            return None
+        hours, date = int(match["hours"]), match["date"] or ""
+        if half := (match["half"] or "").lower():
+            hours = hours % 12 + (12 if half == "p" else 0)
+        seconds = float(re.sub("[,:]", ".", match["seconds"]))
+        times[row] = _DAY * days.setdefault(date, len(days)) + 3600 * hours + 60 * int(match["minutes"]) + seconds
+    return past_midnight(times) if len(days) == 1 else times
+
+
+def past_midnight(times: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """Seconds of the day that count on where a step beyond half a day crosses midnight."""
+    known, result = np.isfinite(times), times.copy()
+    result[known] = np.unwrap(times[known], period=_DAY)
+    return result
+
+
+def shows_clock_face(stamps: Float[np.ndarray, " n"]) -> bool:
+    """Whether stamps are digits of hours, minutes and seconds, HHMMSS.sss: each minute leaves out 60 to 99."""
+    known = stamps[np.isfinite(stamps)]
+    if not len(known) or known.min() < 0 or known.max() >= 240_000:
+        return False
+    if (known % 100).max() >= 60 or (known // 100 % 100).max() >= 60:
+        return False
+    steps = np.diff(known)
+    minutes = np.diff(known // 100) != 0
+    usual = float(np.median(steps)) if len(steps) else 0.0
+    return bool(minutes.any() and usual > 0 and abs(float(np.median(steps[minutes] % 100)) - 40 - usual) < 2 * usual)
+
+
+def seconds_of_the_day(stamps: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """Seconds from midnight of stamps that show a clock's face."""
+    hours, minutes = stamps // 10_000, stamps // 100 % 100
+    return past_midnight(3600 * hours + 60 * minutes + stamps % 100)
 
 
 def in_one_space(text: bytes) -> bytes:

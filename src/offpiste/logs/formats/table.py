@@ -15,14 +15,13 @@ from offpiste.errors import LogError, NoClock
 from offpiste.logs.formats.csv_text import (
     are_gears,
     check_columns,
-    clock_times,
     gear_of,
     has_numbers,
     number_of,
-    past_midnight,
     read_csv,
     unknown_words,
 )
+from offpiste.logs.formats.loggers import clock_times, seconds_of_the_day, shows_clock_face
 from offpiste.logs.log import LOG_FORMATS, Log, Samples, Topic
 from offpiste.rig.channels import Clock
 from offpiste.rig.labels import PER_SECOND, parse_label, time_unit, unit_by_rate, without_comment
@@ -195,7 +194,7 @@ class TableLog(Log):
             return self._numbers(name) + self._numbers(nanoseconds) / 1e9
         per_second = 1.0 if _has_time_unit(column.type) else PER_SECOND[self._unit_of_stamps(name)]
         numbers = self._numbers(name) / per_second
-        return _seconds_of_the_day(numbers) if _shows_clock_face(numbers) else numbers
+        return seconds_of_the_day(numbers) if shows_clock_face(numbers) else numbers
 
     def _numbers(self, name: str) -> Float[np.ndarray, " n"]:
         column = self._table[name]
@@ -226,24 +225,6 @@ class TableLog(Log):
                 )
             values[row] = value
         return values
-
-
-def _shows_clock_face(stamps: Float[np.ndarray, " n"]) -> bool:
-    """Whether stamps are digits of hours, minutes and seconds, HHMMSS.sss: each minute leaves out 60 to 99."""
-    known = stamps[np.isfinite(stamps)]
-    if not len(known) or known.min() < 0 or known.max() >= 240_000:
-        return False
-    if (known % 100).max() >= 60 or (known // 100 % 100).max() >= 60:
-        return False
-    steps = np.diff(known)
-    minutes = np.diff(known // 100) != 0
-    usual = float(np.median(steps)) if len(steps) else 0.0
-    return bool(minutes.any() and usual > 0 and abs(float(np.median(steps[minutes] % 100)) - 40 - usual) < 2 * usual)
-
-
-def _seconds_of_the_day(stamps: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    hours, minutes = stamps // 10_000, stamps // 100 % 100
-    return past_midnight(3600 * hours + 60 * minutes + stamps % 100)
 
 
 def _floats(column: pa.ChunkedArray) -> Float[np.ndarray, " n"]:
