@@ -2,13 +2,16 @@
 
 Rigs, datasets, log checks, models, kernels and planners read these tables. `CONTROLS` and `ACTUATORS` are in every
 dataset, NaN where a log lacks them. `OPTIONAL_CONTROLS`, and what others register, are in the datasets of rigs that
-give them. Generated kernels know all but what others register. docs/extending.md adds one of each.
+give them. Generated kernels know all but what others register. docs/extending.md adds one of each. What logs call them
+in other languages is here, too.
 """
 
 import math
+import re
 from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Final
+from unicodedata import combining, normalize
 
 from offpiste.registry import Registry
 
@@ -203,3 +206,45 @@ def channel_of_rate(channel: str) -> str:
     columns = {actuator.name: actuator for actuator in all_actuators()}
     rates = {a.channel: columns[a.rate_of].channel for a in columns.values() if a.rate_of}
     return rates.get(channel, "")
+
+
+_IN_ENGLISH: Final = {
+    "yaw_rate": r"(vitesse|velocidad|velocita|tasa)[_ ](angular[_ ])?(de[_ ]|di[_ ])?(lacet|guinada|imbardata)"
+    r"|(?<!vz_)gier_?(winkel_?)?(rate|geschwindigkeit)|ヨーレ(ート|イト)",
+    "yaw": "lacet|guinada|imbardata|gierwinkel|ヨー角",
+    "heading": "rumbo|方位角?",
+    "vehicle_speed": "(vitesse|velocidad|velocita)[_ ]((du|del|de|di)[_ ])?(vehicule|vehiculo|veicolo)"
+    "|fahr(zeug)?geschwindigkeit|車速",
+    "speed": "vitesse|velocidad|velocita|geschwindigkeit|^速度$",
+    "steering_wheel_angle": "ang(le|olo|ulo)[_ ]((du|de|del)[_ ])?volante?|(?<!vz_)lenkrad_?winkel|ハンドル角度?",
+    "steering_angle": "(?<!vz_)lenk_?winkel|操?舵角",
+    "steering_wheel": "volante?|ハンドル",
+    "accelerator": "accelerateur|acelerador|acceleratore|(fahr|gas)_?pedal(_?(wert|rohwert|stellung))?|アクセル(開度)?",
+    "throttle": "スロットル(開度)?",
+    "brake_pressure": "pression[_ ](de[_ ])?frein(s|age)?|presion[_ ](de[_ ])?frenos?|pressione[_ ](dei[_ ])?fren[oi]"
+    "|brems_?druck|ブレーキ(液?圧|圧力)",
+    "brake": "freins?|frenos?|freni|bremse|brems_?pedal|ブレーキ(?!温)",
+    "engine_speed": "regime[_ ](du[_ ])?moteur|giri[_ ]motore|motor_?drehzahl|エンジン回転[数速]度?",
+    "latitude": "latitud|latitudine|breitengrad|緯度",
+    "longitude": "longitud|longitudine|langengrad|経度",
+    "altitude": "altitud|altitudine|標高|高度",
+    "time": "^temps([_ ](ecoule|gps|utc))?$|tiempo|tempo|時[刻間]",
+}
+"""What logs call these in French, Spanish, Italian, German and Japanese: patterns of whole words, a phrase first."""
+
+
+def _without_accents(text: str) -> str:
+    return normalize("NFC", "".join(each for each in normalize("NFD", text) if not combining(each)))
+
+
+_WORDS: Final = tuple(
+    (english, re.compile(rf"(?<![a-z])({_without_accents(words)})(?![a-z])")) for english, words in _IN_ENGLISH.items()
+)
+
+
+def in_english(name: str) -> str:
+    """A field's name in lower case without accents, and with English words for those of other languages."""
+    name = _without_accents(name)
+    for english, words in _WORDS:
+        name = words.sub(english, name)
+    return name

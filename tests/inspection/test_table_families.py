@@ -20,6 +20,8 @@ MORE: Mapping[str, np.ndarray] = {
     "azimuth in hundredths": np.round(100 * QUANTITIES["azimuth"]),
     "throttle in %": 100 * QUANTITIES["throttle"],
     "brake in %": 100 * QUANTITIES["brake"],
+    "throttle in mV": 500 + 4000 * QUANTITIES["throttle"],
+    "brake in mV": 400 + 3000 * QUANTITIES["brake"],
     "brake in bar": 60 * QUANTITIES["brake"],
     "brake in C": 300 + 50 * QUANTITIES["brake"],
     "steer to the right in %": -100 * QUANTITIES["steer"],
@@ -143,6 +145,24 @@ FAMILIES: Mapping[str, tuple[dict[str, str], dict[str, tuple[str, ...]]]] = {
         {"position": ("Latitude", "Longitude"),
          "angular_velocity": ("x_rate_of_rotation", "y_rate_of_rotation", "z_rate_of_rotation")},
     ),
+    "pedals as potentiometers": (
+        PLACES | {"Heading": "azimuth", "APPS_mV": "throttle in mV", "bps_front": "brake in mV",
+                  "bps_rear": "brake in mV", "steer": "steer"},
+        {"throttle": ("APPS_mV",), "brake": ("bps_front",)},
+    ),
+    "French": (
+        PLACES | {"Cap": "azimuth", "Heading": "azimuth", "Vitesse": "vx", "Angle volant [°]": "wheel in deg",
+                  "Accélérateur %": "throttle in %", "Frein %": "brake in %", "Vitesse de lacet": "wz"},
+        {"wheel_speed": ("Vitesse",), "steer": ("Angle volant [°]",), "throttle": ("Accélérateur %",),
+         "brake": ("Frein %",), "yaw_rate": ("Vitesse de lacet",)},
+    ),
+    "Japanese": (
+        {"緯度": "latitude", "経度": "longitude", "方位": "azimuth", "車速": "vx", "ハンドル角[deg]": "wheel in deg",
+         "アクセル開度[%]": "throttle in %", "ブレーキ圧[bar]": "brake in bar", "ブレーキ温度": "brake in C",
+         "ヨーレート": "wz"},
+        {"position": ("緯度", "経度"), "yaw": ("方位",), "wheel_speed": ("車速",), "steer": ("ハンドル角[deg]",),
+         "throttle": ("アクセル開度[%]",), "brake": ("ブレーキ圧[bar]",), "yaw_rate": ("ヨーレート",)},
+    ),
 }  # fmt: skip
 
 
@@ -230,6 +250,15 @@ def test_a_pressure_is_not_read_as_a_percentage() -> None:
     source = parse_rig(draft_rig(table(columns)), where="draft").channels["brake"]
     assert source.unit != "percent"
     assert source.scale * 60 * QUANTITIES["brake"].max() == pytest.approx(1, rel=0.01)
+
+
+def test_a_potentiometer_at_rest_is_a_pedal_that_is_released() -> None:
+    channels = parse_rig(draft_rig(table(FAMILIES["pedals as potentiometers"][0])), where="draft").channels
+    for channel, rest, reach in (("throttle", 500, 4000), ("brake", 400, 3000)):
+        source = channels[channel]
+        assert source.scale * rest + source.offset == pytest.approx(0, abs=0.01)
+        pressed = reach * QUANTITIES[channel].max() + rest
+        assert source.scale * pressed + source.offset == pytest.approx(1, abs=0.02)
 
 
 def test_the_pedal_of_an_aim_logger_is_found() -> None:

@@ -34,6 +34,36 @@ def test_labels(header: str, name: str, unit: str) -> None:
 
 
 @pytest.mark.parametrize(
+    ("header", "name", "unit"),
+    [
+        ("Vitesse", "speed", ""), ("Vitesse véhicule [km/h]", "vehicle_speed", "km/h"),
+        ("velocidad_kmh", "speed", "km/h"),
+        ("Velocità", "speed", ""), ("Fahrzeuggeschwindigkeit", "vehicle_speed", ""),
+        ("車速[km/h]", "vehicle_speed", "km/h"),
+        ("Angle volant (°)", "steering_wheel_angle", "deg"), ("Ángulo del volante", "steering_wheel_angle", ""),
+        ("angolo_volante", "steering_wheel_angle", ""), ("Lenkwinkel_deg", "steering_angle", "deg"),
+        ("ハンドル角", "steering_wheel_angle", ""), ("舵角", "steering_angle", ""),
+        ("Accélérateur %", "accelerator", "percent"), ("Acelerador", "accelerator", ""),
+        ("ACCELERATORE", "accelerator", ""),
+        ("Gaspedal", "accelerator", ""), ("アクセル開度", "accelerator", ""),
+        ("Frein", "brake", ""), ("freno", "brake", ""), ("Bremse", "brake", ""), ("ブレーキ", "brake", ""),
+        ("Pression frein [bar]", "brake_pressure", "bar"), ("ブレーキ圧", "brake_pressure", ""),
+        ("Vitesse de lacet", "yaw_rate", ""), ("velocidad de guiñada", "yaw_rate", ""), ("Gierrate", "yaw_rate", ""),
+        ("Velocità di imbardata", "yaw_rate", ""), ("ヨーレート", "yaw_rate", ""),
+        ("Temps (s)", "time", "s"), ("Tiempo", "time", ""), ("Tempo", "time", ""), ("時刻", "time", ""),
+        # These are none of these words: parts of others, temperatures, and the sign of a yaw rate.
+        ("brake_temps", "brake_temps", ""), ("temporal", "temporal", ""), ("加速度", "加速度", ""),
+        ("freinte", "freinte", ""), ("VZ_Gierrate", "vz_gierrate", ""),
+        # What a pedal's sensor gives, and pressures.
+        ("APPS_mV", "apps", "mv"), ("BPS [mV]", "bps", "mv"), ("Brake [kPa]", "brake", "kpa"), ("p_kPa", "p", "kpa"),
+        ("data.mSpeed", "data.m_speed", ""),
+    ],
+)  # fmt: skip
+def test_names_in_other_languages_and_of_sensors(header: str, name: str, unit: str) -> None:
+    assert parse_label(header) == Label(name, unit)
+
+
+@pytest.mark.parametrize(
     ("channel", "unit", "said"),
     [
         ("position", "m", ""), ("position", "mm", "mm"), ("position", "m/s", None), ("yaw", "deg", "deg"),

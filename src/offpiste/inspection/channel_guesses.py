@@ -59,7 +59,9 @@ _SCALARS: tuple[tuple[str, int, str], ...] = (
     ("throttle", 1, r"(?<![a-z])(motor|duty(_?cycle)?|pwm|esc)_?(cmd|com+and|input|value)$"),
     ("throttle", 1, r"(^|[ ./])motor$|(?<![a-z])(pwm|esc)$|(cmd|com+and).*(?<![a-z])duty(_?cycle)?$"),
     ("throttle", 2, r"(?<![a-z])accel(_?(rpt|cmd))?[._/]?_?(cmd|com+and|manual_input|input|output|pct|pos(ition)?)$"),
-    ("throttle", 1, r"(?<![a-z])(effort|torque)_?(cmd|com+and|input|req(uest)?)$|(?<![a-z])apps_?1?$"),
+    ("throttle", 1, r"(?<![a-z])(effort|torque)_?(cmd|com+and|input|req(uest)?)$"),
+    ("throttle", 1, r"(?<![a-z])apps(_?[\da-b])?(_(raw|adc|volts?|voltage))?$"),
+    ("brake", 1, r"^bps(_?(\d|front|rear|f|r))?(_(raw|adc|volts?|voltage))?$"),
     ("steer", 1, r"(cmd|com+and(ed)?|desired|target|setpoint).*curvature|curvature.*(cmd|com+and|setpoint|target)"),
     (
         "gear",
@@ -72,12 +74,9 @@ _SCALARS: tuple[tuple[str, int, str], ...] = (
     ("steer", 1, r"propulsive_rotational_effort_z$"),
     ("throttle", ACCELERATOR, r"(^|[ ./])accel$"),
     ("throttle", MOTION + 1, r"(?<![a-z])duty(_?cycle)?$"),
-    ("yaw_rate", 0, r"(?<!vz_)gier_?(rate|geschwindigkeit)$"),
-    ("steer_angle", 0, r"(?<!vz_)lenk(rad)?_?winkel$"),
-    ("throttle", 1, r"(fahr|gas)_?pedal(_?(wert|rohwert|stellung))?(_\d+)?$"),
-    ("brake_pressure", 0, r"brems_?druck$"),
     ("wheel_speed", 1, r"wheels?[ _]?(speed|vel)|(speed|vel)_?wheels?"),
     ("wheel_speed", 1, r"(^|[ ._/])v_ego$"),
+    ("wheel_speed", 1, r"(^|[ ._/])speed \(\d+: (obd|can)\w*\)$"),
     ("wheel_speed", 2, r"(^|[ ._/])((vehicle|car|ego)_?)?speed$|(^|[ ._/])veh(icle)?_?spd$"),
 )
 """Channels of one number: how far the name is from the channel's own, and its pattern. Nearer ones come first."""

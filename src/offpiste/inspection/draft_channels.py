@@ -36,7 +36,7 @@ from offpiste.logs.channel import unwrapped
 from offpiste.logs.log import Log
 from offpiste.rig.channels import unit_factor
 from offpiste.rig.edits import number
-from offpiste.rig.labels import channel_unit, is_array_entry
+from offpiste.rig.labels import channel_unit, is_array_entry, parse_label
 
 _VECTORS: Final = ("position", "orientation", "linear_velocity", "angular_velocity")
 _IN_HAND: Final = re.compile(
@@ -115,11 +115,10 @@ def draft_channels(
     for channel, (guess, correlation) in found.items():
         if channel in entries and entries[channel].guess is guess:
             follows = f"by its numbers: the motion follows it ({correlation:.2f})"
-            comment = entries[channel].comment.removeprefix("GUESSED").removeprefix(" by its name").removeprefix(":")
+            comment = entries[channel].comment.removeprefix("GUESSED").removeprefix(" by its name").strip(":; ")
             if channel == "throttle" and "brake" in entries and entries["brake"].guess is guess:
                 by_numbers = entries["brake"].comment.replace("by its name and numbers", "by its numbers")
                 entries["brake"] = replace(entries["brake"], comment=by_numbers)
-            comment = comment.strip("; ")
             entries[channel] = replace(entries[channel], comment=f"GUESSED {follows}{comment and '; '}{comment}")
     return entries
 
@@ -283,7 +282,8 @@ def _is_curvature(guess: Guess) -> bool:
 
 def _is_in_hand(guess: Guess) -> bool:
     """Whether a name, or the motion, says that an angle is of the steering wheel."""
-    return guess.in_hand or any(_IN_HAND.search(name) for name in (guess.topic, *guess.fields))
+    named = (parse_label(field).name for field in guess.fields)
+    return guess.in_hand or any(map(_IN_HAND.search, (guess.topic, *guess.fields, *named)))
 
 
 def _angle_factor(guess: Guess, values: Float[np.ndarray, " n"]) -> float:

@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
+from offpiste.channels import in_english
 from offpiste.errors import RigError
 from offpiste.rig.channels import known_channels, unit_factor
 
@@ -54,8 +55,10 @@ PRESSURES: Final = frozenset(("pa", "kpa", "mpa", "bar", "psi"))
 _UNITS: Final = {spelling: unit for unit, all_of in _SPELLINGS.items() for spelling in all_of.split()}
 _BRACKETED: Final = {**_UNITS, **{unit: unit for unit in _OTHERS.split()}}
 _AFTER: Final = {s: unit for s, unit in _UNITS.items() if unit != "1"} | {
-    "m_s2": "m/s2", "mps2": "m/s2", "bar": "bar", "kpa": "kpa", "mpa": "mpa", "psi": "psi",
+    "m_s2": "m/s2", "mps2": "m/s2", "bar": "bar", "kpa": "kpa", "mpa": "mpa", "psi": "psi", "mv": "mv",
 }  # fmt: skip
+_WORD_BEGINS: Final = re.compile(r"(?<=[a-z0-9])(?=[A-Z])(?!(?<=[\W_][mk])(V|A|W|Pa|Hz)(?![a-z]))")
+"""Where a capital begins a word, and is none of the unit mV or kPa."""
 _BRACKET: Final = re.compile(r"^(.*?)[\s_]*(?:\[([^\[\]]*)\]|\(([^()]*)\)|\{([^{}]*)\}|<([^<>]*)>)$")
 _PRESSED: Final = re.compile("brake|press|line|circuit|hydr|air")
 """Names that psi is the unit of; it is a heading, too."""
@@ -98,7 +101,8 @@ class Label:
     """What a column's header says.
 
     Attributes:
-        name: without the unit, in lower case, words joined by `_` where they were by a capital: `posX` is `pos_x`.
+        name: in English, without the unit, in lower case, words joined by `_` where they were by a capital: `posX` is
+            `pos_x`.
         unit: as rigs take it, e.g. "deg", "km/h" or, of time, "us"; "" where the header says none.
     """
 
@@ -107,8 +111,13 @@ class Label:
 
 
 def parse_label(header: str) -> Label:
-    """Name and unit of a column or field; brackets that hold no known unit stay a part of the name."""
-    text = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", header.strip()).lower()
+    """Name, in English, and unit of a column or field; brackets that hold no known unit stay a part of the name."""
+    label = _as_written(header)
+    return Label(in_english(label.name), label.unit)
+
+
+def _as_written(header: str) -> Label:
+    text = _WORD_BEGINS.sub("_", header.strip()).lower()
     # `x[m]`, then `x / m` and `x, m`, then `x_m`.
     if (match := _BRACKET.match(text)) and match[1]:
         name, inside = match[1], next(group for group in match.groups()[1:] if group is not None)
