@@ -114,12 +114,13 @@ def test_a_time_that_no_name_shows_is_named(
 def test_a_time_that_is_named_is_read_in_the_unit_of_its_name(
     log: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Or of its rate, where the name has none."""
     monkeypatch.chdir(tmp_path)
     header, *rows = Path(log).read_text("utf-8").splitlines()
     cells = (row.partition(",") for row in rows)
     in_ms = [f"{1000 * float(time):.0f},{rest}" for time, _, rest in cells]
-    Path("odd.csv").write_text("\n".join([f"millis{header[1:]}", *in_ms]) + "\n", "utf-8")
-    for time in ((), ("--time", "millis")):
+    for name, time in (("millis", ()), ("millis", ("--time", "millis")), ("moment", ("--time", "moment"))):
+        Path("odd.csv").write_text("\n".join([f"{name}{header[1:]}", *in_ms]) + "\n", "utf-8")
         assert run("inspect", "odd.csv", *time, "--json") == 0
         topic = json.loads(capsys.readouterr().out)["topics"][0]
         assert topic["rate"] == pytest.approx(20, rel=0.5), topic

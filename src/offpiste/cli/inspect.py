@@ -28,7 +28,7 @@ class Inspect:
     rig: str | None = None
     """Name of a preset (an unknown one lists all), or a rig file; without one, only the log itself is checked."""
     time: str = ""
-    """Column that holds a table's time [s, or as its name says]; a rig says it by `clock.column`."""
+    """Column that holds a table's time, whose unit is known by its name or rate; a rig says it by `clock.column`."""
     write_rig: Path | None = None
     """Write a rig to a new file: the given one, or a first one for this log, with all remedies applied."""
     estimate_mountings: bool = False
@@ -68,15 +68,13 @@ class Inspect:
         from offpiste.object_store import brought
         from offpiste.rig.channels import Clock
         from offpiste.rig.edits import edited_text
-        from offpiste.rig.labels import parse_label, time_unit
         from offpiste.rig.rig import rig_text
 
         if self.write_rig:
             refuse_existing(self.write_rig)
         with brought(path) as here:
-            unit = time_unit(parse_label(self.time).unit) or Clock().unit
-            clock = rig.clock if rig else Clock(column=self.time, unit=unit)  # type: ignore[arg-type]
-            log = open_log(here, clock=clock)
+            named = Clock(column=self.time, unit="") if self.time else Clock()  # type: ignore[arg-type]
+            log = open_log(here, clock=rig.clock if rig else named)
             inspection = replace(inspect_log(log, rig, sensors=True), log=path)
             show(dumps(inspection.as_dict(), indent=2) if self.json else render(inspection))
             text = rig_text(self.rig) if self.rig else draft_rig(log) if self.write_rig else ""

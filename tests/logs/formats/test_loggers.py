@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from offpiste.errors import LogError
+from offpiste.inspection.channel_guesses import guess_channels
 from offpiste.logs import open_log
 from offpiste.logs.formats.loggers import as_table
 from offpiste.rig.channels import Clock
@@ -47,10 +48,60 @@ def test_degrees_of_racelogic_are_read_in_either_encoding(tmp_path: Path, encodi
 
 
 def test_other_text_that_is_no_utf_8_is_refused_as_before(tmp_path: Path) -> None:
+    """Of a byte that Windows' text does not have either."""
     path = tmp_path / "a.csv"
-    path.write_bytes('"t"|"x °"\n0|1\n1|2\n'.encode("latin-1"))
-    with pytest.raises(LogError, match="not UTF-8"):
+    path.write_bytes(b'"t"|"x \x81"\n0|1\n1|2\n')
+    with pytest.raises(LogError, match="neither UTF-8 nor cp1252; save it as UTF-8"):
         open_log(path)
+
+
+def test_text_of_windows_is_read_and_said_to_be(tmp_path: Path) -> None:
+    """An accent far behind the first lines is found as well."""
+    path = tmp_path / "a.csv"
+    rows = "".join(f"{0.02 * k:.2f},{k},ok\n" for k in range(500))
+    path.write_bytes(f"t,Lenkwinkel [°],état\n{rows}".encode("cp1252"))
+    log = open_log(path)
+    assert log.topics[""].units == {"Lenkwinkel [°]": "deg"}
+    assert log.warnings == ("the text is not UTF-8, and read as cp1252; where names look wrong, save it as UTF-8",)
+    path.write_bytes(f"t,x\n{rows.replace(',ok', '')}9.99,3é\n".encode("cp1252"))
+    log = open_log(path)
+    assert "cp1252" in log.warnings[0]
+    with pytest.raises(LogError, match="row 501 below the header, column 'x': '3é' is not a number"):
+        log.read("", ["x"])
+
+
+RACECHRONO = """This file is created using RaceChrono v9.0.2 ( http://racechrono.com/ ).
+
+Format,3
+Session title,"A, b"
+Created,22/04/2023,10:00
+Note,
+
+timestamp,fragment_id,bearing,speed,accelerator_pos,speed
+unix time,,deg,m/s,%,km/h
+,,100: gps,100: gps,103: obd,103: obd
+1650000000.00,0,90.5,10.0,20,36.1
+1650000000.05,0,91.5,10.5,21,38.2
+1650000000.10,0,92.5,11.0,22,40.3
+"""
+
+
+@pytest.mark.parametrize("newline", ["\n", "\r\n"])
+def test_a_file_of_racechrono_has_its_units_and_tells_two_columns_of_one_name_apart(
+    tmp_path: Path, newline: str
+) -> None:
+    path = tmp_path / "session.csv"
+    path.write_bytes(RACECHRONO.replace("\n", newline).encode())
+    log = open_log(path)
+    topic = log.topics[""]
+    assert topic.fields == ("timestamp", "fragment_id", "bearing", "speed", "accelerator_pos", "speed (103: obd)")
+    assert topic.units == {"timestamp": "s", "bearing": "deg", "speed": "m/s", "accelerator_pos": "percent",
+                           "speed (103: obd)": "km/h"}  # fmt: skip
+    samples = log.read("", ["speed", "speed (103: obd)"])
+    np.testing.assert_array_equal(samples.values, [[10.0, 36.1], [10.5, 38.2], [11.0, 40.3]])
+    np.testing.assert_allclose(np.diff(samples.time), 0.05, atol=1e-6)
+    guesses = [guess.fields for guess in guess_channels(log) if guess.channel == "wheel_speed"]
+    assert guesses[0] == ("speed (103: obd)",)  # not that of the receiver
 
 
 @pytest.mark.parametrize("units", ["deg\n%", "(null)\n" * 4 + "km/h\n(null)\nm\n(null)\ndeg\n%"])

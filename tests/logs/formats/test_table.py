@@ -12,7 +12,7 @@ from offpiste.errors import LogError
 from offpiste.logs.channel import read_channel
 from offpiste.logs.formats.table import TableLog
 from offpiste.logs.opening import open_log
-from offpiste.rig.channels import ChannelSource
+from offpiste.rig.channels import ChannelSource, Clock
 
 DART = {
     "81_circles_tape_and_tiles/car_1_Datarecording_09_09_2024_17_58_23steer_neg03_ramp.csv": 6998,
@@ -106,6 +106,37 @@ def test_a_clock_that_is_named_by_its_unit(tmp_path: Path, name: str, per_second
     rows = "".join(f"{1513 + row},{time * per_second:.0f}\n" for row, time in enumerate(seconds))
     log = table(tmp_path, f"ch1_us,{name}\n{rows}")
     assert log.read("", ["ch1_us"]).time.tolist() == pytest.approx(seconds)
+
+
+@pytest.mark.parametrize(("name", "per_second"), [("GpsTow", 1), ("gpsTow", 1), ("Tow", 1), ("tow_s", 1),
+                                                  ("GPS_TOW_ms", 1000), ("GPSTow", 1000), ("時刻", 1),
+                                                  ("Temps [ms]", 1000),
+                                                  ("tiempo", 1)])  # fmt: skip
+def test_a_time_of_week_or_of_another_language_is_time(tmp_path: Path, name: str, per_second: int) -> None:
+    """Its unit is that of its rate, of 20 Hz; a column that rises as evenly stands before it."""
+    rows = "".join(f"{k},{(345600 + 0.05 * k) * per_second:.2f},{k % 3}\n" for k in range(20))
+    log = table(tmp_path, f"odometer,{name},x\n{rows}")
+    assert log.clock == Clock(column=name, unit="s" if per_second == 1 else "ms")
+    np.testing.assert_allclose(np.diff(log.stamps("")), 0.05, atol=1e-6)
+
+
+@pytest.mark.parametrize(("unit", "per_second"), [("s", 1), ("ms", 1000)])
+def test_a_clock_without_a_unit_has_that_of_its_rate(tmp_path: Path, unit: str, per_second: int) -> None:
+    path = tmp_path / "drive.csv"
+    path.write_text("moment,x\n" + "".join(f"{0.05 * k * per_second:.2f},{k}\n" for k in range(20)))
+    clock = Clock(column="moment", unit="")  # type: ignore[arg-type]
+    assert TableLog.open(path, clock).clock == Clock(column="moment", unit=unit)  # type: ignore[arg-type]
+
+
+def test_units_in_cells_are_those_of_their_column(tmp_path: Path) -> None:
+    rows = "".join(f"{50 * k} ms,{3.6 * k:.1f} km/h,{k} %,{'1 s' if k % 2 else '1 m'}\n" for k in range(20))
+    log = table(tmp_path, f"time,speed,pedal,mixed\n{rows}")
+    assert log.topics[""].units == {"time": "ms", "speed": "km/h", "pedal": "percent"}
+    np.testing.assert_allclose(log.read("", ["speed"]).values[:, 0], 3.6 * np.arange(20))
+    np.testing.assert_allclose(np.diff(log.stamps("")), 0.05)
+    assert "mixed" in log.topics[""].unread
+    with pytest.raises(LogError, match="'1 min' is not a number; fix or empty that cell"):
+        table(tmp_path, "time,x\n" + "".join(f"{k} sec,1\n" for k in range(200)) + "1 min,1\n").stamps("")
 
 
 def test_no_time(tmp_path: Path) -> None:
@@ -366,8 +397,8 @@ def test_names_above_columns_separated_by_spaces_may_be_separated_otherwise(tmp_
         ("t,x\n0,1\n1\n2,3\n", "Row #3: Expected 2 columns, got 1: 1; fix that line"),
         ("1,2\n3,4\n", "no header line above 2 columns of numbers; write the names of the columns into the first line"),
         ("t,x,x\n1,2,3\n", "column 'x' appears twice; give every column its own name"),
-        ("t,yaw °\n0,1\n".encode("latin-1"), "the text is not UTF-8; save it as UTF-8"),
-        ("t,unit\n0,m\n1,m\n2,°\n".encode("latin-1"), "invalid UTF8 data; fix that line; the text must be UTF-8"),
+        (b"t,yaw \x81\n0,1\n", "the text is neither UTF-8 nor cp1252; save it as UTF-8"),
+        (b"t,unit\n0,m\n1,m\n2,\x81\n", "the text is neither UTF-8 nor cp1252; save it as UTF-8"),
         ("t,x\n0,1\n".encode("utf-16-le"), "not a text file; save it as UTF-8 text with a header line"),
     ],
 )

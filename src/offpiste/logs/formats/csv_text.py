@@ -12,7 +12,7 @@ import pyarrow.compute as pc
 import pyarrow.csv as pa_csv
 
 from offpiste.errors import LogError
-from offpiste.logs.formats.loggers import DATE_AND_TIME, MARKS, UTF_16, in_one_space, with_one_header
+from offpiste.logs.formats.loggers import DATE_AND_TIME, MARKS, UTF_16, in_one_space, is_utf_8, with_one_header
 from offpiste.rig.labels import unit_of, without_comment
 
 _TEXT_BOOLEANS = {"true": 1.0, "false": 0.0}
@@ -21,6 +21,8 @@ _MOST_PREAMBLE, _ROWS_BELOW = 64, 8
 _BEGIN: Final = 4096
 """Bytes that show what a text is."""
 _SEPARATORS = ",;\t|"
+_WITH_UNIT: Final = re.compile(r"\s*[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?\s*([^\d\s.+-].*?)\s*")
+"""A number with its unit in one cell."""
 _EXAMPLES = {5: ("t", "x", "y", "yaw", "steer"), 8: ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")}
 """Names for a table without any, by the number of its columns; eight are those of a trajectory in TUM's format."""
 _MOST_GEARS = 16
@@ -116,7 +118,7 @@ def read_csv(path: Path, notes: list[str], units: dict[str, str]) -> tuple[pa.Ta
     between = bool(units) + (any(words) and all(number_of(cell) is None for cell in words))
     as_text = pa_csv.ConvertOptions(column_types=dict.fromkeys(names, pa.string()), strings_can_be_null=True)
     try:
-        with _opened(path) as file:
+        with _opened(path, notes) as file:
             text = in_one_space(file.read()) if spaces else b""
             cut = _last_row_may_be_cut(path, text, notes)
             table = pa_csv.read_csv(
@@ -126,12 +128,24 @@ def read_csv(path: Path, notes: list[str], units: dict[str, str]) -> tuple[pa.Ta
                 convert_options=as_text,
             )
     except (pa.ArrowException, OSError) as error:
-        raise LogError(str(error), where=path, how="fix that line; the text must be UTF-8") from error
+        raise LogError(str(error), where=path, how="fix that line") from error
     if table.num_rows == 0:
         raise LogError("no row below the header", where=path, how="record or export it again")
     if comma:
         table = pa.table([pc.replace_substring(column, ",", ".") for column in table.columns], names=names)
-    return table, between
+    return _without_units(table, units), between
+
+
+def _without_units(table: pa.Table, units: dict[str, str]) -> pa.Table:
+    """Columns whose cells all have the same unit behind their number, `0.05 sec`, as numbers; `units` has it then."""
+    for at, name in enumerate(table.column_names):
+        cells = table[name].drop_null().slice(0, 100).to_pylist()
+        behind = {match[1] if (match := _WITH_UNIT.fullmatch(cell)) else "" for cell in cells}
+        if len(behind) == 1 and (unit := unit_of(spelled := behind.pop())):
+            numbers = pc.replace_substring_regex(table[name], rf"\s*{re.escape(spelled)}\s*$", "")
+            table = table.set_column(at, name, numbers)
+            units.setdefault(name, unit)
+    return table
 
 
 def _row_of_units(names: Sequence[str], cells: Sequence[str]) -> dict[str, str]:
@@ -225,14 +239,26 @@ def _last_row_may_be_cut(path: Path, text: bytes, notes: list[str]) -> Callable[
     return handle
 
 
-def _opened(path: Path) -> io.BufferedIOBase:
-    """A table's text in UTF-8 with a line of names: spreadsheets write UTF-16, and loggers have ways of their own."""
+def _opened(path: Path, notes: Sequence[str] = ()) -> io.BufferedIOBase:
+    """A table's text in UTF-8 with a line of names: spreadsheets write UTF-16, and loggers have ways of their own.
+
+    Any other text is read as Windows writes it, which a note says, if there is a list for it.
+    """
     file = path.open("rb")
     begin = file.peek(_BEGIN)[:_BEGIN]
-    if not begin.startswith(UTF_16) and not any(mark in begin for mark in MARKS):
+    is_known = begin.startswith(UTF_16) or any(mark in begin for mark in MARKS)
+    as_it_is = not is_known and is_utf_8(file)
+    file.seek(0)
+    if as_it_is:
         return file
     with file:
-        return io.BytesIO(with_one_header(file.read()))
+        try:
+            text = with_one_header(file.read())
+        except UnicodeDecodeError as error:
+            raise LogError("the text is neither UTF-8 nor cp1252", where=path, how="save it as UTF-8") from error
+    if not is_known and isinstance(notes, list):
+        notes.append("the text is not UTF-8, and read as cp1252; where names look wrong, save it as UTF-8")
+    return io.BytesIO(text)
 
 
 def _first_lines(path: Path) -> list[str]:
@@ -244,11 +270,7 @@ def _first_lines(path: Path) -> list[str]:
         raise LogError(f"cannot be opened: {error.strerror}", where=path) from error
     if not lines[0].strip():
         raise LogError("the file is empty, or begins with an empty line", where=path, how="record or export it again")
-    try:
-        text = [line.decode("utf-8-sig").rstrip("\r\n") for line in lines[:2]]
-        text += [line.decode("utf-8", "replace").rstrip("\r\n") for line in lines[2:]]
-    except UnicodeDecodeError as error:
-        raise LogError("the text is not UTF-8", where=path, how="save it as UTF-8") from error
+    text = [line.decode("utf-8-sig", "replace").rstrip("\r\n") for line in lines]
     if "\0" in text[0]:
         raise LogError("not a text file", where=path, how="save it as UTF-8 text with a header line")
     if len(lines) < 2:

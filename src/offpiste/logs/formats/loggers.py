@@ -1,6 +1,8 @@
 """Texts of loggers of cars, which say names, units and times in ways of their own, as tables of numbers."""
 
 import codecs
+import csv
+import io
 import re
 from collections.abc import Callable, Sequence
 from typing import Final
@@ -9,9 +11,11 @@ import numpy as np
 import pyarrow as pa
 from jaxtyping import Float
 
+from offpiste.rig.labels import unit_of
+
 UTF_16: Final = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 """What texts in UTF-16 begin with, as spreadsheets write them."""
-MARKS: Final = (b"[column names]", b'"|"')
+MARKS: Final = (b"[column names]", b'"|"', b"Format,3")
 """What texts of known loggers have near their beginning, and others hardly."""
 DATE_AND_TIME: Final = re.compile(
     r"(?<!\S)(\d{4}[-/.]\d\d?[-/.]\d\d?|\d\d?[-/.]\d\d?[-/.]\d{4}) +(\d\d?:\d\d:\d\d[.\d]*)(?!\S)"
@@ -32,6 +36,10 @@ _MINUTES: Final = {"lat": 1 / 60, "long": -1 / 60}
 """Degrees of a minute of arc; longitudes count to the west."""
 _QUOTED: Final = re.compile(r'"([^"|]*)"\|"([^"|]*)"(\|[^,|]*)*')
 """A column of RaceCapture: its name, its unit, then its range and rate."""
+_SOURCE: Final = re.compile(r"\d+: .+")
+"""Where RaceChrono has a column from, `103: obd`."""
+_MOST_PREAMBLE: Final = 64
+"""Lines before its names, at most."""
 _CLOCK: Final = re.compile(
     r"(?:(?P<date>.*?)[T ,_-]+|)(?P<hours>\d{1,2}):(?P<minutes>\d\d):(?P<seconds>\d\d(?:[.,:]\d+)?)"
     r"\s*(?P<half>[ap])?\.?(?:m\.?)?\s*(?:z|utc|gmt|[+-]\d\d:?\d\d)?",
@@ -99,15 +107,31 @@ def in_one_space(text: bytes) -> bytes:
 
 
 def with_one_header(read: bytes) -> bytes:
-    """A file's text in UTF-8, with one line of names above its rows if it is of a known logger; else as it was read."""
+    """A file's text in UTF-8, with one line of names above its rows if it is of a known logger.
+
+    Raises:
+        UnicodeDecodeError: of other texts, those that are neither in UTF-8 nor in Windows' cp1252.
+    """
     if read.startswith(UTF_16):
         text = read.decode("utf-16", "replace")
         return (as_table(text) or text).encode()
     try:
         table = as_table(read.decode("utf-8-sig"))
     except UnicodeDecodeError:
-        table = as_table(read.decode("latin-1"))  # in which older loggers write degrees
+        table = as_table(read.decode("latin-1")) or read.decode("cp1252")  # as older loggers write degrees
     return read if table is None else table.encode()
+
+
+def is_utf_8(file: io.BufferedIOBase) -> bool:
+    """Whether a file's bytes, from where it stands, are a text in UTF-8."""
+    decoder = codecs.getincrementaldecoder("utf-8")()
+    try:
+        while block := file.read(1 << 20):
+            decoder.decode(block)
+        decoder.decode(b"", final=True)
+    except UnicodeDecodeError:
+        return False
+    return True
 
 
 def as_table(text: str) -> str | None:
@@ -156,4 +180,21 @@ def _of_racecapture(text: str) -> str | None:
     return _QUOTED.sub(lambda column: _with_unit(column[1], column[2]), header) + "\n" + rows
 
 
-_LOGGERS: Final[tuple[Callable[[str], str | None], ...]] = (_of_racelogic, _of_racecapture)
+def _of_racechrono(text: str) -> str | None:
+    """A .csv file of RaceChrono, below whose names are units and then sources, which tell columns of one name apart."""
+    lines = text.splitlines()
+    rows = list(csv.reader(lines[:_MOST_PREAMBLE]))
+    sources = (at for at, cells in enumerate(rows) if any(cells) and all(map(_SOURCE.fullmatch, filter(None, cells))))
+    if (at := next(sources, 0)) < 2:
+        return None
+    names, units, source = rows[at - 2 : at + 1]
+    named = [
+        f"{name} ({of})" if name in names[:k] else name for k, (name, of) in enumerate(zip(names, source, strict=False))
+    ]
+    known = ["s" if unit == "unix time" else unit if unit_of(unit) else "" for unit in units]
+    header = io.StringIO(newline="")
+    csv.writer(header, lineterminator="\n").writerows([named, known] if any(known) else [named])
+    return header.getvalue() + "\n".join(lines[at + 1 :]) + "\n"
+
+
+_LOGGERS: Final[tuple[Callable[[str], str | None], ...]] = (_of_racelogic, _of_racecapture, _of_racechrono)

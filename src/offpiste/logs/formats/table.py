@@ -27,7 +27,7 @@ from offpiste.rig.channels import Clock
 from offpiste.rig.labels import PER_SECOND, parse_label, time_unit, unit_by_rate, without_comment
 
 _TIME_NAME = re.compile(
-    r"^(t|secs?|seconds?|stamp)(?![a-z])|time|zeit|(?<![a-z])(i?tow|epoch|unix)(?![a-z])"
+    r"^(t|secs?|seconds?|stamp)(?![a-z])|time|zeit|(?<![a-z])((gps|gnss)?i?tow([mun]?s)?|epoch|unix)(?![a-z])"
     r"|^([mun]s|ticks)$|(?<![a-z])(ticks_[mun]s|millis|micros|[mu]secs?|(milli|micro|nano)seconds?)(?![a-z])"
 )
 _WHOLE_SECONDS: Final = re.compile(r"^(|.*[^a-z])secs?$", re.IGNORECASE)
@@ -46,7 +46,7 @@ class TableLog(Log):
     Args:
         path: text, or `.parquet`.
         clock_column: the column of stamps; "" to guess it from the names, of several the most steadily rising one.
-        clock_unit: its unit: s, ms, us or ns; "" as the header says, else s. A column of dates needs none.
+        clock_unit: its unit: s, ms, us, ns or d; "" as the header says, else by the rate. A column of dates needs none.
 
     Raises:
         LogError: the file is empty, damaged, or has no such clock column or unit.
@@ -93,7 +93,7 @@ class TableLog(Log):
 
     @classmethod
     def open(cls, path: Path, clock: Clock) -> Log:
-        """A table whose time is the clock's column."""
+        """A table whose time is the clock's column; its unit is guessed where the clock has none."""
         unit = "" if not clock.column and clock.unit == Clock().unit else clock.unit
         return cls(path, clock_column=clock.column, clock_unit=unit)
 
@@ -130,7 +130,7 @@ class TableLog(Log):
         return f"column '{name}' holds text, such as '{text[:40]}', and no numbers"
 
     def _guess_clock(self, notes: list[str]) -> str:
-        names = [name for name in self._table.column_names if _TIME_NAME.search(name.lower())]
+        names = [name for name in self._table.column_names if _is_named_time(name)]
         names = names or [name for name in self._table.column_names if _has_time_unit(self._table[name].type)]
         if seconds := [name for name in names if self._beside(name)]:
             names = seconds[:1]
@@ -225,6 +225,10 @@ class TableLog(Log):
                 )
             values[row] = value
         return values
+
+
+def _is_named_time(name: str) -> bool:
+    return any(map(_TIME_NAME.search, (name.lower(), parse_label(name).name)))
 
 
 def _floats(column: pa.ChunkedArray) -> Float[np.ndarray, " n"]:

@@ -16,7 +16,7 @@ from offpiste.logs.log import LOG_FORMATS, Log, Samples, Topic
 from offpiste.rig.channels import Clock
 
 _TABLES: Final = (".csv", ".tsv", ".parquet")
-_GPS_TIME: Final = re.compile(r"(?<![a-z])(tow|itow|gps_?(time|tow|seconds?)|seconds?_of_week)", re.IGNORECASE)
+_GPS_TIME: Final = re.compile(r"(?<![a-z])((gps|gnss)?i?tow|gps_?(time|tow|seconds?)|seconds?_of_week)", re.IGNORECASE)
 """What stamps in seconds of a GPS week are called."""
 _AGAIN: Final = 8
 """Most tables of one drive whose columns are those of another one."""
