@@ -126,6 +126,25 @@ def test_a_time_that_is_named_is_read_in_the_unit_of_its_name(
         assert topic["rate"] == pytest.approx(20, rel=0.5), topic
 
 
+def test_a_column_that_cannot_be_read_is_said_to_be_and_not_to_be_missing(
+    log: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    lines = Path(log).read_text("utf-8").splitlines()
+    at = lines[0].split(",").index("delta")
+    cells = lines[200].split(",")
+    lines[200] = ",".join([*cells[:at], "bad", *cells[at + 1 :]])
+    Path("bad.csv").write_text("\n".join(lines) + "\n", "utf-8")
+    run("inspect", "bad.csv", "--write-rig", "my.toml")
+    printed = capsys.readouterr()
+    why = "row 200 below the header, column 'delta': 'bad' is not a number"
+    assert f"missing: steering: {why}; no model can do without" in " ".join(printed.err.split())
+    said = " ".join(printed.out.split())
+    assert said.count(why) == 1
+    assert "nothing reads delta" not in said
+    assert "no field looks like it" not in printed.err
+
+
 def test_json_is_nothing_but_json(log: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("inspect", log, "--json") == 0
     assert json.loads(capsys.readouterr().out)["usable"]

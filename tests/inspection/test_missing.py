@@ -1,11 +1,16 @@
 """Channels that the log does not have, cured by a name that is nearly the same; controls that nothing reads."""
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
+import pytest
 from simulated import MemoryLog, drive_log, rig
 
+from offpiste.errors import LogError
+from offpiste.inspection.draft_rig import draft_rig
 from offpiste.inspection.inspect import inspect_log
+from offpiste.logs import open_log
 from offpiste.logs.log import Topic
 
 CLEAN = drive_log(seed=0)
@@ -139,3 +144,12 @@ def test_fields_that_are_entries_of_an_array_are_listed() -> None:
     (finding,) = (f for f in inspect_log(log, rig()).findings if f.where == "steer" and f.severity == "fatal")
     assert "data[0], data[1]" in finding.evidence
     assert "leave the channel out" not in finding.remedy
+
+
+def test_a_place_that_is_text_is_named_beside_the_columns_of_numbers(tmp_path: Path) -> None:
+    """Degrees and minutes as VBOX Test Suite writes them."""
+    path = tmp_path / "vbox.csv"
+    rows = "".join(f"{0.05 * k:.2f},47°24.{k:04d} N,008°30.0000 E,{k}\n" for k in range(50))
+    path.write_text(f"Time,Latitude,Longitude,Heading\n{rows}", "utf-8")
+    with pytest.raises(LogError, match=r"column 'Latitude' holds text, such as '47°24.0000 N', and no numbers"):
+        draft_rig(open_log(path))

@@ -154,6 +154,24 @@ def test_samples_that_are_recorded_twice_ask_for_no_other_clock(copies: bool) ->
     assert ("they are copies" in finding.remedy) == copies
 
 
+def test_stamps_that_change_more_seldom_than_the_rows_are_one_finding() -> None:
+    """A receiver's time, ten times a second, beside pedals that are recorded fifty times."""
+    time, odom = CLEAN.data["odom"]
+    held = (np.arange(len(time)) // 5) * 5
+    columns = {"x": odom["x"][held], "y": odom["y"][held], "yaw": 2 * np.arctan2(odom["qz"], odom["qw"])[held]}
+    for name, (topic, field) in {"throttle": ("pedals", "throttle"), "steer": ("steering", "command")}.items():
+        columns[name] = np.interp(time, CLEAN.data[topic][0], CLEAN.data[topic][1][field])
+    (finding,) = inspect_log(MemoryLog({"": (time[held], columns)})).findings
+    assert (finding.severity, finding.where, finding.what) == ("fatal", "table", "stamps repeat")
+    assert finding.evidence == "2400 of 3000 (80.0%): 5 samples for each, of which there are 10 a second"
+    assert finding.remedy.startswith("take another clock.column; or export the stamps with all their decimals")
+    copies = {name: column[held] for name, column in columns.items()}
+    (finding,) = (f for f in inspect_log(MemoryLog({"": (time[held], copies)})).findings if f.what == "stamps repeat")
+    assert (finding.severity, finding.remedy) == (
+        "note", "nothing: they are copies of the sample before, and one of each is kept",
+    )  # fmt: skip
+
+
 def test_a_gap_of_two_minutes() -> None:
     def gap(time: np.ndarray) -> np.ndarray:
         time[1000:] += 120.0

@@ -145,6 +145,10 @@ FAMILIES: Mapping[str, tuple[dict[str, str], dict[str, tuple[str, ...]]]] = {
         {"position": ("Latitude", "Longitude"),
          "angular_velocity": ("x_rate_of_rotation", "y_rate_of_rotation", "z_rate_of_rotation")},
     ),
+    "ArduPilot": (
+        PLACES | {"DesYaw": "0", "Yaw": "azimuth", "DesYawRate": "0", "YawRate": "wz"} | PEDALS,
+        {"yaw": ("Yaw",), "yaw_rate": ("YawRate",)},
+    ),
     "pedals as potentiometers": (
         PLACES | {"Heading": "azimuth", "APPS_mV": "throttle in mV", "bps_front": "brake in mV",
                   "bps_rear": "brake in mV", "steer": "steer"},

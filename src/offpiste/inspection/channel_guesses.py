@@ -80,11 +80,14 @@ _SCALARS: tuple[tuple[str, int, str], ...] = (
     ("wheel_speed", 2, r"(^|[ ._/])((vehicle|car|ego)_?)?speed$|(^|[ ._/])veh(icle)?_?spd$"),
 )
 """Channels of one number: how far the name is from the channel's own, and its pattern. Nearer ones come first."""
+_DESIRED: Final = re.compile(r"(?<![a-z])(des(ired)?|target|demand(ed)?|setpoint)(?![a-z])")
+"""What is asked for of a heading and its rate: no measurement, as `DesYaw` of ArduPilot."""
 _NEVER: Final = {
     "throttle": re.compile(r"steer|servo|brake|brk"),
     "brake": re.compile(r"temp|wear|fluid"),
     "steer_angle": re.compile(r"normali[sz]ed|(?<![a-z])norm(?![a-z])"),
-    "yaw": re.compile(r"brake|brk|press|tire|tyre|oil|boost|fuel|gyro|rate"),
+    "yaw_rate": _DESIRED,
+    "yaw": re.compile(rf"{_DESIRED.pattern}|brake|brk|press|tire|tyre|oil|boost|fuel|gyro|rate"),
     "wheel_speed": re.compile(
         r"(?<![a-z])(eng(?![a-z])|load|limit)|engine|motor|turbine|steer|fan|shaft|wind|gps|gnss|percent"
     ),

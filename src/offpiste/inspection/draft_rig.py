@@ -267,9 +267,13 @@ def _unread(log: Log, entries: Mapping[str, Entry]) -> list[str]:
 
 
 def _why_missing(log: Log, *channels: str) -> str:
-    """Why a control has no field: what is called so never changes, or nothing is."""
-    for guess in guess_channels(log):
-        values = field_values(log, guess) if guess.channel in channels else None
+    """Why a control has no field: what is called so cannot be read or never changes, or nothing is."""
+    for guess in (guess for guess in guess_channels(log) if guess.channel in channels):
+        try:
+            log.read(guess.topic, guess.fields)
+        except OffpisteError as error:
+            return error.what
+        values = field_values(log, guess)
         if values is not None and np.ptp(values) == 0:
             return f"{guess.topic and f'{guess.topic} '}{', '.join(guess.fields)} is always {values[0, 0]:g}"
     return "no field looks like it"

@@ -18,6 +18,7 @@ from offpiste.logs.log import Log
 from offpiste.logs.transforms import FramePair, frame_pair, listed
 from offpiste.rig.channels import POSE, ChannelSource, topic_in_words
 from offpiste.rig.edits import Edit, absent
+from offpiste.rig.labels import named_axis, named_coordinate
 from offpiste.rig.rig import Rig
 
 _LISTED: Final = 12
@@ -145,7 +146,7 @@ def _unread(recorded: dict[str, Recorded], rig: Rig, named: re.Pattern[str]) -> 
     for name, r in recorded.items():
         read = {field for source in rig.channels.values() if source.topic == name for field in source.fields}
         still = {field for field, column in zip(r.fields, r.values.T, strict=True) if not _changes(column)}
-        fields = [field for field in r.topic.fields if field not in read | still]
+        fields = [field for field in (r.topic.fields if name else r.fields) if field not in read | still]
         fields = [field for field in fields if not _BESIDES.search(field)]
         if read or is_measured_topic(r.topic) or not named.search(name):
             fields = [field for field in fields if named.search(r.topic.in_words(field))]
@@ -230,5 +231,7 @@ def _not_read(log: Log) -> str:
 def _contents(log: Log) -> str:
     """Topics, or the columns of a log that is one table."""
     if list(log.topics) == [""]:
-        return f"columns {', '.join(log.topics[''].fields) or 'without numbers'}"
+        text = [why for name, why in log.topics[""].unread.items() if named_coordinate(name) or named_axis(name)]
+        columns = f"columns {', '.join(log.topics[''].fields) or 'without numbers'}"
+        return "; ".join((columns, *text[:2]))
     return ", ".join(listed(log.topics)) or "no topic"

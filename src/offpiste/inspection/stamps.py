@@ -10,6 +10,7 @@ from jaxtyping import Float
 from offpiste.inspection.findings import Finding, Severity, merged
 from offpiste.inspection.recorded_log import Recorded, beginning
 from offpiste.inspection.timing import Timing, timing
+from offpiste.logs.channel import LEAST_KEPT
 from offpiste.rig.channels import ChannelSource, Clock
 from offpiste.rig.edits import Edit
 from offpiste.rig.labels import PER_SECOND, unit_by_rate
@@ -55,7 +56,7 @@ def check_stamps(
         intervals = [] if name in silent else _intervals(where, seen, origin, clock, used=name in used)
         sources = [source for source in (channels or {}).values() if source.topic == name]
         seen = replace(seen, repeated=_repeated(topic, seen, sources))
-        message = _order(where, topic, seen, origin, clock) + intervals
+        message = _order(where, topic, seen, origin, clock, refused=_refused(topic, sources)) + intervals
         findings += message if name in used else [replace(f, severity="note") for f in message]
     return merged(findings)
 
@@ -142,7 +143,23 @@ def _repeated(topic: Recorded, seen: Timing, sources: Sequence[ChannelSource]) -
     return max((int((np.diff(time) == 0).sum()) for time in samples), default=seen.repeated)
 
 
-def _order(where: str, topic: Recorded, seen: Timing, origin: float, clock: Clock) -> list[Finding]:
+def _refused(topic: Recorded, sources: Sequence[ChannelSource]) -> bool:
+    """Whether so many samples of a channel share a stamp, and differ, that reading refuses it."""
+    for source in sources:
+        if not {*source.fields} <= {*topic.fields}:
+            continue
+        values = topic.values[:, [topic.fields.index(field) for field in source.fields]]
+        known = np.isfinite(np.column_stack((topic.time, values))).all(axis=1)
+        time, values = topic.time[known], values[known]
+        copies = (np.diff(time) == 0) & (np.diff(values, axis=0) == 0).all(axis=1)
+        if len(np.unique(time)) < LEAST_KEPT * (len(time) - copies.sum()):
+            return True
+    return False
+
+
+def _order(
+    where: str, topic: Recorded, seen: Timing, origin: float, clock: Clock, *, refused: bool = False
+) -> list[Finding]:
     findings, total = [], len(topic.time)
     arrives = topic.other if topic.other is not None and clock.stamps == "header" else np.zeros(0)
     with np.errstate(invalid="ignore"):  # between stamps that are infinite
@@ -175,6 +192,12 @@ def _order(where: str, topic: Recorded, seen: Timing, origin: float, clock: Cloc
         if topic.copies:
             how = "nothing: they are copies of the sample before, and one of each is kept"
             return [*findings, Finding("note", where, "stamps repeat", evidence, how, share)]
+        if refused and not receives and not seen.backward:
+            kept = len(topic.rising)
+            often = (kept - 1) / (seen.end - seen.start)
+            evidence += f": {total / kept:.2g} samples for each, of which there are {often:.3g} a second"
+            how = "take another clock.column; or export the stamps with all their decimals, or one row for each"
+            return [*findings, Finding("fatal", where, "stamps repeat", evidence, how, share)]
         bunches = remedy if share <= 0.02 or receives else "nothing: one sample a stamp is kept"
         severity = "warning" if share > _REPEATED else "note"
         findings.append(Finding(severity, where, "stamps repeat", evidence, bunches, share, cures))

@@ -34,6 +34,8 @@ FAR: Final = 1e5
 """Distance from the origin at which places on a plane are percents off [m]."""
 KEPT_UP: Final = 6
 """Samples in `motion.window` of a channel that is published only when it changes: its rate is fitted to four."""
+LEAST_KEPT: Final = 0.5
+"""Share of the samples, copies left aside, whose stamps have to increase."""
 _LONGEST: Final = 86400.0
 """Longest recording [s]: stamps that span more are of another unit, or damaged."""
 
@@ -194,7 +196,7 @@ def _clean(
     copies = int(((np.diff(time) == 0) & (np.diff(values, axis=0) == 0).all(axis=1)).sum())
     time, values, numbers = time[forward], values[forward], numbers[forward]
 
-    if len(time) < 0.5 * (len(forward) - copies):
+    if len(time) < LEAST_KEPT * (len(forward) - copies):
         raise LogError(
             f"{name}: {len(forward) - len(time)} of {len(forward)} stamps repeat or go back",
             where=path,

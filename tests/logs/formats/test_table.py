@@ -128,6 +128,11 @@ def test_a_clock_without_a_unit_has_that_of_its_rate(tmp_path: Path, unit: str, 
     assert TableLog.open(path, clock).clock == Clock(column="moment", unit=unit)  # type: ignore[arg-type]
 
 
+def test_a_dash_is_an_empty_cell(tmp_path: Path) -> None:
+    log = table(tmp_path, "t,pedal,x\n0,-,1\n1,5.5,--\n2,-5.5,3\n")
+    np.testing.assert_array_equal(log.read("", ["pedal", "x"]).values, [[np.nan, 1], [5.5, np.nan], [-5.5, 3]])
+
+
 def test_units_in_cells_are_those_of_their_column(tmp_path: Path) -> None:
     rows = "".join(f"{50 * k} ms,{3.6 * k:.1f} km/h,{k} %,{'1 s' if k % 2 else '1 m'}\n" for k in range(20))
     log = table(tmp_path, f"time,speed,pedal,mixed\n{rows}")

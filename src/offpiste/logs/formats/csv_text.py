@@ -20,6 +20,8 @@ _MOST_PREAMBLE, _ROWS_BELOW = 64, 8
 """Lines before the header, at most; and rows below it by which it is known."""
 _BEGIN: Final = 4096
 """Bytes that show what a text is."""
+_NOTHING: Final = [*pa_csv.ConvertOptions().null_values, "-", "--"]
+"""Cells that are empty: loggers write a dash as well."""
 _SEPARATORS = ",;\t|"
 _WITH_UNIT: Final = re.compile(r"\s*[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?\s*([^\d\s.+-].*?)\s*")
 """A number with its unit in one cell."""
@@ -116,7 +118,9 @@ def read_csv(path: Path, notes: list[str], units: dict[str, str]) -> tuple[pa.Ta
     units |= _row_of_units(names, next(csv.reader(rows[:1], delimiter=delimiter), []))
     words = next(csv.reader(rows[1:2], delimiter=delimiter), []) if units else []
     between = bool(units) + (any(words) and all(number_of(cell) is None for cell in words))
-    as_text = pa_csv.ConvertOptions(column_types=dict.fromkeys(names, pa.string()), strings_can_be_null=True)
+    as_text = pa_csv.ConvertOptions(
+        column_types=dict.fromkeys(names, pa.string()), strings_can_be_null=True, null_values=_NOTHING
+    )
     try:
         with _opened(path, notes) as file:
             text = in_one_space(file.read()) if spaces else b""
