@@ -1,7 +1,6 @@
 """Checks of the heading against the course: mirrored, in another unit, turned; or places with swapped axes."""
 
-import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import Final
@@ -10,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from offpiste.inspection.driven_path import STEP, DrivenPath
-from offpiste.inspection.findings import Finding, Severity
+from offpiste.inspection.findings import EXCHANGED, Finding, Severity
 from offpiste.inspection.lags import SURE, jackknife
 from offpiste.logs.axes import turning_sign
 from offpiste.logs.drive import Drive
@@ -34,9 +33,14 @@ _STRAIGHT: Final = 0.3
 """Share of the moving rows, those that turn least, at which a vehicle goes where it heads."""
 _ONE_WAY: Final = 0.7
 """Resultant of headings above which a vehicle drives to and fro in one direction."""
-_LOCATION: Final = re.compile(r"(?<![a-z])location[._ ]?[xy]$", re.IGNORECASE)
-_ROTATION: Final = re.compile(r"(?<![a-z])rotat(ion|or)[._ ]?yaw$", re.IGNORECASE)
-"""What Unreal and CARLA call a pose: their y is to the right, and their yaw counts clockwise."""
+_STRETCHES: Final = np.geomspace(1.0, 10.0, 30)
+"""Times that places are too long to the east against the north, tried where latitude and longitude are exchanged."""
+_STRETCHED: Final = 1.1
+"""Least of them that is seen; a compass beside iron errs by as much."""
+_FITS_BETTER: Final = 0.5
+"""What the heading may lack of following the stretched course, as a share of what it lacks now ..."""
+_LACKS: Final = 0.003
+"""... if it lacks this much now."""
 _OF_GEOGRAPHIC: Final = {"z up": ("ned", -np.pi / 2), "ned": ("z up", np.pi / 2)}
 """Other axes of an orientation beside latitude and longitude, and how the course turns with them [rad]."""
 
@@ -48,12 +52,19 @@ class Reading:
     Attributes:
         together: resultant of course minus heading while moving, from 0 to 1; backward counts as forward.
         offset, offset_sigma: mean of course minus heading where the vehicle drives straight [rad].
+        stretch: times that exchanged places are too long to the east against the north.
     """
 
     edits: tuple[Edit, ...]
     together: float
     offset: float
     offset_sigma: float
+    stretch: float = 1.0
+
+    @property
+    def exchanged(self) -> bool:
+        """Whether the first two fields of the position are exchanged."""
+        return any(edit.key == "channels.position.fields" for edit in self.edits)
 
 
 def heading_fits(path: DrivenPath) -> bool:
@@ -70,14 +81,38 @@ def check_course(drive: Drive, path: DrivenPath) -> list[Finding]:
         return []
     name = "yaw" if "yaw" in drive.channels else "orientation"
     plain, *others = readings(drive, path)
+    exchanged = _check_exchanged(name, [plain, *others], drive.rig)
+    return exchanged + _check_heading(name, plain, others, drive.rig)
+
+
+def _check_exchanged(name: str, ways: Sequence[Reading], rig: Rig) -> list[Finding]:
+    """A finding if places are stretched as those are whose latitude is read as the longitude.
+
+    A degree of longitude is shorter than one of latitude by the cosine of the latitude, wherever people live.
+    """
+    if rig.channels["position"].unit != GEOGRAPHIC:
+        return []
+    best = max((way for way in ways if way.exchanged), key=lambda way: way.together)
+    lacks = 1 - max(way.together for way in ways if not way.exchanged)
+    if best.stretch < _STRETCHED or lacks < _LACKS or 1 - best.together > _FITS_BETTER * lacks:
+        return []
+    cure = _with_offset(name, best, rig)
+    evidence = f"heading and course agree to {best.together:.3f} with the exchange, and to {1 - lacks:.3f} at best "
+    evidence += f"without: places are {best.stretch:.2g} times too long in one of two directions"
+    how = ", ".join(map(str, cure))
+    return [Finding("warning", "position", EXCHANGED, evidence, how, 1.0, (cure,), sure=False)]
+
+
+def _check_heading(name: str, plain: Reading, others: Sequence[Reading], rig: Rig) -> list[Finding]:
+    """A finding if the heading does not follow the course, or at an angle."""
     if plain.together > _TOGETHER:
         if abs(plain.offset) > _TURNED + SURE * plain.offset_sigma:
-            return [_turned(name, plain, drive.rig)]
-        return _mirrored(name, drive)
+            return [_turned(name, plain, rig)]
+        return []
     better = [other for other in others if other.together > max(_TOGETHER, plain.together + 0.1)]
-    ways = [(_with_offset(name, other, drive.rig), other.together) for other in better]
+    ways = [(_with_offset(name, other, rig), other.together) for other in better]
     # Axes that are named as they are read are the last to be wrong.
-    ways.sort(key=lambda way: (against_names(way[0], drive.rig), len(way[0]), -way[1]))
+    ways.sort(key=lambda way: (against_names(way[0], rig), len(way[0]), -way[1]))
     cures = tuple(cure for cure, _ in ways)
     what = "the heading does not follow the course"
     if cures and name == "yaw" and {"channels.yaw.sign", "motion.axes"} & {edit.key for edit in cures[0]}:
@@ -102,17 +137,19 @@ def readings(drive: Drive, path: DrivenPath) -> Iterator[Reading]:
     if yaw is not None:
         now = yaw.unit or "rad"
         units |= {unit: unit_factor("yaw", unit) / unit_factor("yaw", now) for unit in ("rad", "deg") if unit != now}
-    places = drive.rig.channels["position"].unit == GEOGRAPHIC  # which have no axes to be exchanged
-    swaps = (False,) if places else (False, True)
-    for swap, sign, (unit, factor) in product(swaps, (1, -1) if yaw else (1,), units.items()):
+    places = drive.rig.channels["position"].unit == GEOGRAPHIC
+    for swap, sign, (unit, factor) in product((False, True), (1, -1) if yaw else (1,), units.items()):
         # Degrees read as radians were unwrapped at the wrong turn: from the samples, not from the path.
         turned = np.interp(path.time, raw.time, np.unwrap(sign * factor * raw.values[:, 0]))
-        edits = [Edit("channels.position.fields", _swapped(drive.rig))] if swap else []
+        edits = [Edit("channels.position.fields", _exchanged(drive.rig))] if swap else []
         edits += [Edit("channels.yaw.sign", -yaw.sign)] if yaw and sign < 0 else []
         edits += [Edit("channels.yaw.unit", unit)] if unit else []
-        difference = (np.pi / 2 - course if swap else course) - turned
-        agreement = _agreement(difference, turned, moving, straight)
-        yield Reading(tuple(edits), agreement, *_offset(difference, straight, moving))
+        ways = []
+        for stretch in (_STRETCHES if places else (1.0,)) if swap else (0.0,):
+            difference = _course(path, exchanged=float(stretch)) - turned
+            ways.append((_agreement(difference, turned, moving, straight), stretch, difference))
+        agreement, stretch, difference = max(ways, key=lambda way: way[0])
+        yield Reading(tuple(edits), agreement, *_offset(difference, straight, moving), stretch)
     # All beside them may be north, east, down; a compass alone needs no other axes.
     if places and (yaw is None or _has_axes(drive.rig)) and drive.rig.motion.axes in _OF_GEOGRAPHIC:
         other, quarter = _OF_GEOGRAPHIC[drive.rig.motion.axes]
@@ -134,60 +171,19 @@ def against_names(edits: Iterable[Edit], rig: Rig) -> float:
 
     Letters may be wrong, and among cures that explain as much they decide; nobody writes "east" for north.
     """
-    fields = rig.channels["position"].fields[:2]
+    fields, yaw = rig.channels["position"].fields[:2], rig.channels.get("yaw")
     exchanged = any(edit.key == "channels.position.fields" for edit in edits)
-    if exchanged and [named_coordinate(field) for field in fields] == ["lat", "lon"]:
-        return 10.0
-    if not exchanged or [named_axis(field) for field in fields] != ["x", "y"]:
+    geographic = [named_coordinate(field) for field in fields] == ["lat", "lon"]
+    if not exchanged or not (geographic or [named_axis(field) for field in fields] == ["x", "y"]):
         return 0.0
-    return 10.0 if all(named_direction(field) for field in fields) else 0.5
+    # A heading that is read as a compass's is as sure of its side as they are.
+    compass = yaw is not None and yaw.sign * turning_sign("yaw", rig.motion.axes) < 0
+    named = geographic or all(named_direction(field) for field in fields)
+    return 10.0 if named and not compass else 0.5
 
 
-def _mirrored(name: str, drive: Drive) -> list[Finding]:
-    """A finding where left and right are exchanged by the names of the pose, and the heading follows all the same.
-
-    Either y is read before x (a compass), or x before y of a game's world, whose y is to the right.
-    """
-    fields, yaw = drive.rig.channels["position"].fields, drive.rig.channels.get("yaw")
-    named = [named_axis(field) for field in fields[:2]]
-    game = yaw is not None and _LOCATION.search(fields[0]) is not None
-    if yaw is None or drive.rig.motion.axes != "z up" or named != (["x", "y"] if game else ["y", "x"]):
-        return []
-    quarter = np.pi / 2 / (yaw.sign * unit_factor("yaw", yaw.unit))
-    pose: tuple[Edit, ...] = (
-        Edit("channels.position.fields", _swapped(drive.rig)),
-        Edit("channels.yaw.sign", -yaw.sign),
-        Edit("channels.yaw.offset", rounded(yaw.offset - quarter)),
-    )
-    steering = (name for name in ("steer", "steer_angle") if name in drive.rig.channels)
-    signs = tuple(Edit(f"channels.{name}.sign", -drive.rig.channels[name].sign) for name in steering)
-    if game:
-        pose += tuple(_velocities_mirrored(drive.rig))
-    cure = (*pose, *signs)  # a steering that is right in a mirror is wrong without it
-    evidence = f"position reads {fields[0]} before {fields[1]}, and the heading, clockwise then, follows the course"
-    how = ", ".join(map(str, cure)) + "; left and right are exchanged until then"
-    if game:
-        evidence = f"'{fields[0]}' and '{yaw.fields[0]}' are names of Unreal and CARLA, whose y is to the right"
-        how += "; none, if the log was turned to y left before"
-    what, cures = "the world is seen in a mirror", (cure, pose) if signs else (pose,)
-    if game and _ROTATION.search(yaw.fields[0]) is None:
-        evidence = f"'{fields[0]}' is a name of Unreal and CARLA, whose y is to the right; of others, too"
-        return [Finding("note", name, "the world may be seen in a mirror", evidence, how, 1.0)]
-    return [Finding("warning", name, what, evidence, how, 1.0, cures)]
-
-
-def _velocities_mirrored(rig: Rig) -> Iterator[Edit]:
-    """Edits of the velocities of a world that is seen in a mirror."""
-    for name in ("linear_velocity", "angular_velocity", "yaw_rate"):
-        source = rig.channels.get(name)
-        if source is not None and name == "linear_velocity" and source.frame != "body":
-            x, y, *z = source.fields
-            yield Edit(f"channels.{name}.fields", [y, x, *z])
-        elif source is not None and name != "linear_velocity":
-            yield Edit(f"channels.{name}.sign", -source.sign)  # of its three rates the yaw's alone counts
-
-
-def _swapped(rig: Rig) -> list[str]:
+def _exchanged(rig: Rig) -> list[str]:
+    """Fields of the position with its first two exchanged."""
     x, y, *z = rig.channels["position"].fields
     return [y, x, *z]
 
@@ -240,9 +236,14 @@ def under_way(path: DrivenPath) -> Bool[np.ndarray, " n"]:
     return moving
 
 
-def _course(path: DrivenPath) -> Float[np.ndarray, " n"]:
-    """Direction of travel, the opposite where the gear is reverse [rad]."""
-    course = np.asarray(np.arctan2(path.velocity[:, 1], path.velocity[:, 0]))
+def _course(path: DrivenPath, exchanged: float = 0.0) -> Float[np.ndarray, " n"]:
+    """Direction of travel, the opposite where the gear is reverse [rad].
+
+    Args:
+        exchanged: by how many times y is too long where x and y are exchanged; 0 where they are not.
+    """
+    x, y = path.velocity.T
+    course = np.asarray(np.arctan2(x, y / exchanged) if exchanged else np.arctan2(y, x))
     return course if path.reverse is None else course + np.pi * path.reverse
 
 

@@ -7,6 +7,8 @@ from typing import Literal
 from offpiste.rig.edits import Edit
 
 Severity = Literal["fatal", "warning", "note"]
+EXCHANGED = "latitude and longitude are exchanged"
+"""What is wrong with places that the rig reads in the wrong order."""
 TIPPED = "climbs as much as it drives"
 """What is found of a position whose z is not up."""
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from offpiste.errors import OffpisteError
 from offpiste.inspection.course import against_names
-from offpiste.inspection.findings import TIPPED, Cure, Finding, ranked
+from offpiste.inspection.findings import EXCHANGED, TIPPED, Cure, Finding, ranked
 from offpiste.logs.axes import turning_sign
 from offpiste.rig.channels import GEOGRAPHIC, unit_factor
 from offpiste.rig.edits import Edit, edited, rounded
@@ -89,7 +89,8 @@ def _mirrored(causes: Sequence[Finding], rig: Rig) -> list[Finding]:
         evidence += ", and so does the heading, which counts clockwise beside latitudes and longitudes"
         how = "longitudes that are positive to the west, as of a .vbo file, are to be negated in the log"
         return [Finding("warning", "position", "is seen in a mirror", evidence, how, 1.0)]
-    how = "nothing, if these count to the right; else negate y and the heading in the log: the pose is mirrored then"
+    how = "nothing, if these count to the right; else negate y and the heading in the log, or, where the heading is a "
+    how += "compass's, exchange x and y in the rig: the pose is mirrored then"
     return [Finding("note", "position", "may be seen in a mirror", evidence, how, 0.5)]
 
 
@@ -99,12 +100,14 @@ def _best_cure(left: Sequence[Finding], rig: Rig, examine: Examine) -> tuple[Cur
     if not serious:
         return None
     best, least = None, badness(left) - _LEAST_GAIN
+    seen = {cure for finding in left if finding.what == EXCHANGED for cure in finding.cures}
     for cure in _distinct(serious, rig):
         try:
             after = examine(edited(rig, cure))
         except OffpisteError:
             continue  # an edit that this rig does not allow
-        remains = badness(after) + _PER_EDIT * _size(cure, rig) + against_names(cure, rig)
+        remains = badness(after) + _PER_EDIT * _size(cure, rig)
+        remains += 0.0 if cure in seen else against_names(cure, rig)
         if remains < least - 1e-9 and not _hides_motion(left, after):
             best, least = (cure, after), remains
     return best

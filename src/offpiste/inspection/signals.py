@@ -7,7 +7,7 @@ from jaxtyping import Float
 from scipy.ndimage import median_filter
 
 from offpiste.channels import control_of
-from offpiste.inspection.findings import Finding, Severity, of_one_cause
+from offpiste.inspection.findings import EXCHANGED, Finding, Severity, of_one_cause
 from offpiste.inspection.ranges import is_untouched, limits
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.inspection.signal_faults import (
@@ -129,6 +129,10 @@ def _other_than_degrees(signals: list[Signal], rig: Rig | None) -> list[Finding]
     if (each := degrees_each(*(signal.raw for signal in both))) == 1:
         if not are_off_the_earth(*(signal.raw for signal in both)):
             return []
+        if not are_off_the_earth(*(signal.raw for signal in reversed(both))):
+            x, y, *height = source.fields
+            swap = Edit("channels.position.fields", [y, x, *height])
+            return [Finding("fatal", "position", EXCHANGED, evidence, str(swap), 1.0, ((swap,),))]
         how = "convert to degrees: of minutes, 60 are one; 4724.36 may be 47 degrees, 24.36 minutes; in .vbo west is +"
         return [Finding("fatal", ", ".join(s.where for s in both), "is not in degrees", evidence, how, 1.0)]
     cure = (Edit("channels.position.scale", each), Edit("channels.position.fields", list(source.fields[:2])))
