@@ -28,7 +28,7 @@ from offpiste.inspection.resolution import check_resolution
 from offpiste.inspection.saturation import check_saturation
 from offpiste.inspection.signals import channel_signals, check_signals, other_signals
 from offpiste.inspection.stamps import check_headers, check_stamps
-from offpiste.inspection.steering import check_steering
+from offpiste.inspection.steering import check_steering, check_upside_down
 from offpiste.inspection.steering_copies import check_computed_pose, check_copies
 from offpiste.inspection.steering_fit import SteeringFit, steering_fits
 from offpiste.inspection.velocity import check_linear_velocity, check_turn_rate, check_wheel_speed
@@ -222,6 +222,12 @@ def _steering(motion: Motion) -> list[Finding]:
     return check_steering(motion.steering, motion.drive, motion.path, measured=motion.measured, cut=cut)
 
 
+def _upside_down(motion: Motion) -> list[Finding]:
+    if not motion.follows:
+        return []
+    return check_upside_down(motion.steering, motion.drive, motion.path, motion.topics.recorded)
+
+
 def _steering_copies(motion: Motion) -> list[Finding]:
     return [] if motion.topics.given else check_copies(motion.drive, motion.topics.recorded)
 
@@ -262,6 +268,7 @@ MOTION_CHECKS: Final[tuple[Callable[[Motion], list[Finding]], ...]] = (
     _turn_rate,
     _clocks,
     _steering,
+    _upside_down,
     _cut_off,
     _steering_copies,
     _computed_pose,

@@ -3,12 +3,12 @@
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.errors import OffpisteError
+from offpiste.errors import LogError, OffpisteError
 from offpiste.inspection.channel_guesses import DOWN, Guess, by_topic, of_one_vehicle
 from offpiste.inspection.commanded_motion import COMMANDED
 from offpiste.inspection.course import check_course
@@ -40,7 +40,7 @@ _EARTH: Final = re.compile(r"(?<![a-z])(ecef|earth)(?![a-z])", re.IGNORECASE)
 _DENSE: Final = 4.0
 """Rate below which a pose comes after others [1/s]."""
 _NED: Final = re.compile(
-    r"(?<![a-zA-Z])ned(?![a-z])|NED(?![a-z])|vehicle_local_position"
+    r"(?<![a-zA-Z])(ned|frd)(?![a-z])|NED(?![a-z])|vehicle_local_position"
     r"|vehicle_odometry(_\d)?([./](position|q|[xyz])\b|\.csv)"
 )
 """Names of poses of north, east, down: those that say so, and PX4's."""
@@ -232,9 +232,19 @@ def varies(values: Float[np.ndarray, "n k"] | None) -> bool:
 
 def points_down(log: Log, pose: Guess) -> bool:
     """Whether a position is one of north, east, down, by its names or the type of its messages."""
-    names = pose.topic or log.path.name, *pose.fields
+    first = first_message(log, pose.topic)
+    frames = getattr(getattr(first, "header", None), "frame_id", ""), getattr(first, "child_frame_id", "")
+    names = (pose.topic or log.path.name, *pose.fields, *map(str, frames))
     named = any(map(_NED.search, names)) or any(map(named_down, pose.fields))
     return named or log.topics[pose.topic].type.startswith(DOWN)
+
+
+def first_message(log: Log, topic: str) -> Any:
+    """The first message of a topic; None where there is none, or the log has no messages."""
+    try:
+        return next((message for _, message in log.messages(topic)), None)
+    except LogError:
+        return None
 
 
 def pose_cure(log: Log, rig: Rig) -> Cure:

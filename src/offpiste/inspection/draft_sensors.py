@@ -3,9 +3,10 @@
 import json
 import re
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Literal
 
 from offpiste.errors import LogError
+from offpiste.inspection.draft_pose import first_message
 from offpiste.logs.log import Log
 from offpiste.logs.transforms import TRANSFORMS, Transform, between
 from offpiste.rig.sensors import TIME_FIELDS
@@ -69,22 +70,15 @@ def _scans(log: Log) -> list[str]:
 
 
 def _points(log: Log, name: str) -> int:
-    message = _first(log, name)
+    message = first_message(log, name)
     return 0 if message is None else int(message.width) * int(message.height)
-
-
-def _first(log: Log, name: str) -> Any:
-    try:
-        return next((message for _, message in log.messages(name)), None)
-    except LogError:
-        return None
 
 
 def _body(log: Log, pose_topic: str, transforms: Sequence[Transform]) -> str:
     frames = {frame for t in transforms for frame in (t.parent, t.child)}
     if BODY in frames:
         return BODY
-    child = str(getattr(_first(log, pose_topic) if pose_topic in log.topics else None, "child_frame_id", ""))
+    child = str(getattr(first_message(log, pose_topic) if pose_topic in log.topics else None, "child_frame_id", ""))
     return child.lstrip("/") or BODY
 
 
@@ -115,7 +109,7 @@ def _camera(log: Log, topic: str, name: str, body: str, transforms: list[Transfo
 def _lidar(log: Log, topic: str, name: str, body: str, transforms: list[Transform]) -> str:
     lines = [f"[lidars.{name}]", f"topic = {_toml(topic)}"]
     lines += _mounting(log, topic, name, body, transforms, "body_from_lidar")
-    fields = [field.name for field in getattr(_first(log, topic), "fields", ())]
+    fields = [field.name for field in getattr(first_message(log, topic), "fields", ())]
     times = [field for field in fields if field in TIME_FIELDS]
     if times:
         lines.append(

@@ -1,16 +1,23 @@
-"""Response to the steering: sign, delay and scale (`steering_fit.py`), and what is wrong with them."""
+"""Response to the steering: sign, delay and scale (`steering_fit.py`), and what is wrong with them.
 
+A pose whose z points down is seen in a mirror, in which a steering to the right is one to the left: what gravity does
+tells the two apart.
+"""
+
+import re
 from collections.abc import Collection, Mapping
 from typing import Final
 
 import numpy as np
+from jaxtyping import Float
 
 from offpiste.geometry import rotation_from_quaternion
 from offpiste.inspection.commanded_motion import is_measured_steering
 from offpiste.inspection.course import under_way
 from offpiste.inspection.driven_path import STEP, DrivenPath, on_path
 from offpiste.inspection.findings import Cure, Finding
-from offpiste.inspection.lags import LAGS, SURE, delay_cures, fit_lags
+from offpiste.inspection.lags import LAGS, SURE, delay_cures, fit_lags, sampled
+from offpiste.inspection.recorded_log import Recorded
 from offpiste.inspection.steering_agreement import agreement
 from offpiste.inspection.steering_delays import changing_delay, uneven_delay, window_delays
 from offpiste.inspection.steering_fit import DYNAMIC_EFFECT, SteeringFit
@@ -18,6 +25,7 @@ from offpiste.inspection.steering_scale import check_scale, scale_note
 from offpiste.logs.drive import Drive
 from offpiste.rig.channels import unit_factor
 from offpiste.rig.edits import Edit, absent, rounded
+from offpiste.rig.labels import parse_label
 from offpiste.rig.rig import Rig
 
 _STEADY_OWN: Final = (-0.08, 0.5)
@@ -35,6 +43,21 @@ _UNSIGNED: Final = 0.85
 """Correlation with the size of the yaw rate from which a steering without a clear effect has lost its sign."""
 _CENTRED: Final = {"steer": 0.05, "steer_angle": 0.0}
 """Steering at which a healthy vehicle may go straight: trims, and roads that slope to one side."""
+
+_LEANS: Final = 0.4
+"""Correlation with which a body leans into its curves where nothing but that speaks against a pose."""
+_GRAVITY: Final = 9.81
+_ON_SLOPES: Final = (0.5, 1.6)
+"""Acceleration over gravity times the slope, of either sign, that is gravity's."""
+_PUSHED_AFTER: Final = 0.1
+"""Time after which pedals act [s]."""
+_VERTICAL: Final = 0.8
+"""Least share of gravity on the third axis of an accelerometer that is mounted level."""
+_ONE_MOTION: Final = 0.5
+"""Correlation above which two sensors measure one motion."""
+_ACCELERATION: Final = re.compile(r"(?<![a-z])((lin(ear)?_?)?acc(el(eration|erometer)?)?s?[._ ]?|a[._ ]?)([xyz])$")
+_TURN: Final = re.compile(r"(?<![a-z])(angular_vel(ocity)?|gyro(scope)?s?|omega|g|w)[._ ]?(z)$")
+"""Fields of an IMU, without their units."""
 
 
 def check_steering(
@@ -132,7 +155,7 @@ def _sign(name: str, fit: SteeringFit, drive: Drive, path: DrivenPath) -> list[F
     return [Finding("warning", name, "is positive to the right", evidence, remedy, 1.0, tuple(cures))]
 
 
-def leans_inward(drive: Drive, path: DrivenPath) -> bool:
+def leans_inward(drive: Drive, path: DrivenPath, least: float = 0.2) -> bool:
     """Whether the body surely leans into its curves, as no four-wheeled vehicle does: the axes may point down."""
     if "orientation" not in drive.channels:
         return False
@@ -141,7 +164,69 @@ def leans_inward(drive: Drive, path: DrivenPath) -> bool:
     roll = np.arctan2(rotation[:, 2, 1], rotation[:, 2, 2])
     aside = (path.forward * path.yaw_rate)[None]
     fit = fit_lags(roll, np.ones((len(roll), 1)), aside, np.zeros(1), under_way(path))
-    return fit is not None and float(fit.r[0]) < -max(0.2, SURE * fit.r_sigma(0))
+    return fit is not None and float(fit.r[0]) < -max(least, SURE * fit.r_sigma(0))
+
+
+def check_upside_down(
+    fits: Mapping[str, SteeringFit], drive: Drive, path: DrivenPath, recorded: Mapping[str, Recorded]
+) -> list[Finding]:
+    """A finding if gravity shows that a pose that is read as z up has its z down, and nothing shows the opposite."""
+    hills, imu = _rises(drive, path), _turns_as_pose(path, recorded)
+    lean = leans_inward(drive, path, _LEANS)
+    if max(hills, imu) > 0 or not (lean or min(hills, imu) < 0) or drive.rig.motion.axes != "z up":
+        return []
+    seen = ["the body leans into its curves"] * lean + ["it gains speed where its path rises"] * (hills < 0)
+    seen += ["gyroscope and accelerometer turn the other way than it"] * (imu < 0)
+    # What is positive to the left in a mirror is so to the right without it.
+    signs = (
+        Edit(f"channels.{name}.sign", -drive.rig.channels[name].sign) for name, fit in fits.items() if fit.sign > 0
+    )
+    cure = (Edit("motion.axes", "ned"), *signs)
+    what, remedy = "its z axis points down: the world is seen in a mirror", ", ".join(map(str, cure))
+    pose = "orientation" if "orientation" in drive.channels else "yaw"
+    return [Finding("warning", pose, what, ", ".join(seen), remedy, 1.0, (cure,), sure=False)]
+
+
+def _rises(drive: Drive, path: DrivenPath) -> int:
+    """1 where the vehicle surely loses speed as its path rises, -1 where it surely gains speed, 0 where neither is."""
+    pedals = [name for name in ("throttle", "brake") if name in drive.channels]
+    if "throttle" not in pedals:
+        return 0
+    pushed = [sampled(drive.channels[name], path.time - _PUSHED_AFTER, drive.rig) for name in pedals]
+    base = np.stack((np.ones(len(path.time)), path.forward, path.forward**2, *pushed), axis=1)
+    ahead = under_way(path) & (path.forward > 0)
+    fit = fit_lags(path.acceleration, base, _GRAVITY * path.slope[None], np.zeros(1), ahead)
+    if fit is None or abs(fit.gain[0]) < _ON_SLOPES[0] + SURE * fit.gain_sigma(0) or abs(fit.gain[0]) > _ON_SLOPES[1]:
+        return 0
+    return int(-np.sign(fit.gain[0]))
+
+
+def _turns_as_pose(path: DrivenPath, recorded: Mapping[str, Recorded]) -> int:
+    """1 where an IMU turns about the vertical as the pose does, -1 where it turns the other way, 0 where none shows it.
+
+    Its accelerometer says where up is, however it is mounted.
+    """
+    for topic in recorded.values():
+        names = [parse_label(field).name for field in topic.fields]
+        forces = {found[6]: row for row, name in enumerate(names) if (found := _ACCELERATION.search(name))}
+        turns = [row for row, name in enumerate(names) if _TURN.search(name)]
+        if set(forces) != {"x", "y", "z"} or not turns or len(topic.rising) < len(topic.time):
+            continue
+        x, y, z, turn = (
+            np.interp(path.time, topic.time, topic.values[:, row]) for row in (*map(forces.get, "xyz"), turns[0])
+        )
+        up, size = float(np.nanmedian(z)), float(np.nanmedian(np.sqrt(x**2 + y**2 + z**2)))
+        turned, pushed = (_correlation(*pair) for pair in ((turn, path.yaw_rate), (x, path.acceleration)))
+        # Gravity itself, as phones have it, is measured with the opposite sign, and so is what pushes the vehicle.
+        if abs(up) > _VERTICAL * size and abs(turned) > _ONE_MOTION and pushed > _ONE_MOTION:
+            return int(np.sign(up) * np.sign(turned))
+    return 0
+
+
+def _correlation(one: Float[np.ndarray, " n"], other: Float[np.ndarray, " n"]) -> float:
+    known = np.isfinite(one) & np.isfinite(other)
+    varies = known.sum() > 1 and np.ptp(one[known]) > 0 and np.ptp(other[known]) > 0
+    return float(np.corrcoef(one[known], other[known])[0, 1]) if varies else 0.0
 
 
 def _delay(name: str, fit: SteeringFit, rig: Rig) -> list[Finding]:
