@@ -112,6 +112,19 @@ def test_a_turned_heading_of_a_vehicle_that_reverses_at_times_is_turned_back(deg
     assert edit.value == pytest.approx(-np.radians(degrees), abs=0.05)
 
 
+@pytest.mark.parametrize("seed", [1, 3])
+def test_headings_that_are_held_until_the_vehicle_moves_fast_do_not_turn_the_others(seed: int) -> None:
+    """As receivers do that take the heading from their motion; a quarter of a turn comes out exactly."""
+    log = drive_log(seconds=60, seed=seed)
+    _, odom = log.data["odom"]
+    last = np.maximum.accumulate(np.where(odom["vx"] < 5.0, 0, np.arange(len(odom["vx"]))))
+    yaw = np.unwrap(2 * np.arctan2(odom["qz"], odom["qw"]))
+    log = _turned((yaw[last] - yaw) + np.pi / 2, log)
+    drive = drive_from_log(log, rig())
+    (finding,) = check_course(drive, driven_path(drive))
+    assert finding.cures == ((Edit("channels.orientation.offset", -1.571),),)
+
+
 def test_a_vehicle_that_reverses_on_most_of_its_straights_is_not_turned() -> None:
     path = driven_path(drive_from_log(CLEAN, rig()))
     time, bends = CLEAN.data["odom"][0], np.abs(np.nan_to_num(path.yaw_rate))

@@ -29,6 +29,8 @@ _SPOILS: Final = np.deg2rad(45.0)
 """Turn of the heading beyond which forward and sideways are confused, and nothing can be learned [rad]."""
 _NEARLY: Final = np.deg2rad(2.0)
 """Conventions differ by quarters of a turn: what is this near to one is one [rad]."""
+_HELD: Final = 1e-9
+"""Turn rate up to which a heading is held: noise alone is more [rad/s]."""
 _STRAIGHT: Final = 0.3
 """Share of the moving rows, those that turn least, at which a vehicle goes where it heads."""
 _ONE_WAY: Final = 0.7
@@ -70,9 +72,8 @@ class Reading:
 def heading_fits(path: DrivenPath) -> bool:
     """Whether the heading follows the course, so that turning and steering can be checked by it."""
     moving = under_way(path)
-    if not moving.any():
-        return True
-    return _agreement(_course(path) - path.yaw, path.yaw, moving, _straight(path, moving)) > _TOGETHER
+    course = _course(path)
+    return not moving.any() or _agreement(course - path.yaw, path.yaw, moving, _straight(path, moving)) > _TOGETHER
 
 
 def check_course(drive: Drive, path: DrivenPath) -> list[Finding]:
@@ -130,6 +131,8 @@ def readings(drive: Drive, path: DrivenPath) -> Iterator[Reading]:
     """All ways to read the pose that a rig can state, the present one first."""
     moving = under_way(path)
     straight = _straight(path, moving)
+    measured = straight & (np.abs(path.yaw_rate) > _HELD)  # receivers hold a heading until they move
+    measured = measured if measured.sum() > 3 / STEP else straight
     course = _course(path)
     yaw = drive.rig.channels.get("yaw")
     raw = heading(drive) if yaw is None else drive.channels["yaw"]
@@ -149,14 +152,14 @@ def readings(drive: Drive, path: DrivenPath) -> Iterator[Reading]:
             difference = _course(path, exchanged=float(stretch)) - turned
             ways.append((_agreement(difference, turned, moving, straight), stretch, difference))
         agreement, stretch, difference = max(ways, key=lambda way: way[0])
-        yield Reading(tuple(edits), agreement, *_offset(difference, straight, moving), stretch)
+        yield Reading(tuple(edits), agreement, *_offset(difference, measured, moving), stretch)
     # All beside them may be north, east, down; a compass alone needs no other axes.
     if places and (yaw is None or _has_axes(drive.rig)) and drive.rig.motion.axes in _OF_GEOGRAPHIC:
         other, quarter = _OF_GEOGRAPHIC[drive.rig.motion.axes]
         turned = np.interp(path.time, raw.time, np.unwrap(raw.values[:, 0]))
         difference = course + quarter + turned
         agreement = _agreement(difference, turned, moving, straight)
-        yield Reading((Edit("motion.axes", other),), agreement, *_offset(difference, straight, moving))
+        yield Reading((Edit("motion.axes", other),), agreement, *_offset(difference, measured, moving))
 
 
 def _has_axes(rig: Rig) -> bool:
@@ -198,18 +201,17 @@ def _with_offset(name: str, reading: Reading, rig: Rig) -> tuple[Edit, ...]:
     if name == "yaw":
         sign = stated.get("channels.yaw.sign", source.sign)
         per_unit *= sign * unit_factor("yaw", stated.get("channels.yaw.unit", source.unit))
-    half = np.pi / abs(per_unit)
-    offset = reading.offset
+    half, offset = np.pi / abs(per_unit), reading.offset
     quarters = np.round(offset / (np.pi / 2)) * np.pi / 2
-    if abs(offset - quarters) < _NEARLY:
+    if abs(offset - quarters) < max(_NEARLY, min(SURE * reading.offset_sigma, _TURNED)):
         offset = quarters
     turn = np.remainder(source.offset + offset / per_unit + half, 2 * half) - half
     return (*reading.edits, Edit(f"channels.{name}.offset", rounded(float(turn))))
 
 
 def _turned(name: str, reading: Reading, rig: Rig) -> Finding:
-    evidence = f"{np.degrees(reading.offset):.0f} ± {np.degrees(reading.offset_sigma):.0f} degrees where it drives "
-    evidence += "straight"
+    size, sigma = np.degrees((reading.offset, reading.offset_sigma))
+    evidence = f"{size:.0f} ± {sigma:.0f} degrees where it drives straight"
     cure = _with_offset(name, reading, rig)
     how = ", ".join(map(str, cure))
     backwards = abs(reading.offset) > np.radians(150)  # whether it reverses is known by what else follows from it
@@ -280,9 +282,9 @@ def _together(difference: Float[np.ndarray, " n"]) -> float:
 def _offset(
     difference: Float[np.ndarray, " n"], rows: Bool[np.ndarray, " n"], moving: Bool[np.ndarray, " n"]
 ) -> tuple[float, float]:
-    """Mean angle of some rows, and its standard deviation by a jackknife over blocks of 5 s [rad].
+    """Median angle of some rows, and the standard deviation of their mean, by a jackknife over blocks of 5 s [rad].
 
-    Angles are averaged modulo pi, as a vehicle that reverses at times goes where its tail points; most of the moving
+    Angles are compared modulo pi, as a vehicle that reverses at times goes where its tail points; most of the moving
     rows say which.
     """
     at = np.flatnonzero(rows & np.isfinite(difference))
@@ -292,7 +294,7 @@ def _offset(
     blocks = [twice[at // round(5 / STEP) == block].sum() for block in np.unique(at // round(5 / STEP))]
     total = np.sum(blocks)
     left_out = np.angle((total - np.array(blocks)) / total) / 2 if len(blocks) > 1 else np.zeros(1)
-    mean = float(np.angle(total)) / 2
-    if np.nansum(np.cos(difference[moving] - mean)) < 0:
-        mean += np.pi if mean <= 0 else -np.pi
-    return mean, jackknife(left_out)
+    middle = float(np.angle(total * np.exp(1j * np.median(np.angle(twice * np.conj(total)))))) / 2
+    if np.nansum(np.cos(difference[moving] - middle)) < 0:
+        middle += np.pi if middle <= 0 else -np.pi
+    return middle, jackknife(left_out)
