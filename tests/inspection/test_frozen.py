@@ -68,6 +68,20 @@ def test_who_stops_with_the_wheel_turned_and_starts_again_holds_nothing() -> Non
     assert check_frozen(drive, replace(path, speed=np.where(stands, 0.0, path.speed))) == []
 
 
+@pytest.mark.parametrize("seconds", [1.0, 4.0])
+def test_a_heading_that_stays_the_same_on_a_straight_is_not_held(seconds: float) -> None:
+    """As a simulator logs it: the course stays the same, too."""
+    time, steering = CLEAN.data["steering"]
+    elapsed = time - time[0]
+    straight = np.any([(elapsed > begin) & (elapsed < begin + seconds) for begin in (12.0, 45.0)], axis=0)
+    log = steered(CLEAN, np.where(straight, 0.0, steering["command"]), follows=0.0)
+    assert _frozen(log) == []
+    first = int(np.searchsorted(log.data["odom"][0], time[0] + 20.0))
+    for field in ("qz", "qw"):
+        log = log.change("odom", field, lambda values: _held(values, first, 150))
+    assert [finding.where for finding in _frozen(log)] == ["orientation"]
+
+
 @pytest.mark.parametrize("seconds", [0.6, 3.0])
 def test_headings_that_hang_again_and_again_are_found(seconds: float) -> None:
     log, count = CLEAN, int(seconds / 0.02)

@@ -5,6 +5,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Bool, Float
 
+from offpiste.inspection.course import course_minus_heading, straight_rows
 from offpiste.inspection.driven_path import MOVING, STEP, DrivenPath
 from offpiste.inspection.findings import Finding
 from offpiste.logs.channel import Channel
@@ -18,6 +19,8 @@ _STRAIGHT, _TURNED = 0.15, 0.7
 driver's, and from which the vehicle turns to and fro."""
 _SETTLES: Final = 1.0
 """Time in which the turning follows a steering that begins to be held [s]."""
+_NO_TURN, _SCATTER = np.radians(1.0), 4.0
+"""Turn of the course while a heading is held that is none [rad], and times its scatter about the heading."""
 _CONTROLS: Final = ("steer", "throttle", "brake")
 """A driver holds them for some seconds now and then."""
 _LEAST, _LEAST_OF_HEADINGS, _LEAST_OF_CONTROLS = 3.0, 0.4, 4.7
@@ -60,7 +63,7 @@ def _frozen(
 
     Args:
         least: shortest run [s].
-        again: whether runs count that happen again and again.
+        again: whether runs count that happen again and again, as of headings, and only where the course turns.
     """
     changes = np.flatnonzero((np.diff(channel.values, axis=0) != 0).any(axis=1)) + 1
     first, last = np.append(0, changes), np.append(changes, len(channel.time)) - 1
@@ -80,6 +83,8 @@ def _frozen(
     alone = max(least, 0.0 if again else _ALONE * float(usual[-3]))
     unusual = np.where(turns, 0.0, _UNUSUAL * float(np.percentile(usual, 99)))
     long = moves & ~straight & (lasts > np.maximum(alone, unusual)) & (last - first >= _SAMPLES)
+    if again:
+        long[long] = _course_turns(path, begin[long], end[long])
     return begin[long], lasts[long], turns[long]
 
 
@@ -99,6 +104,21 @@ def _turned(path: DrivenPath, begin: Float[np.ndarray, " r"], end: Float[np.ndar
     mean, square = ((total[last] - total[first]) / np.maximum(last - first, 1) for total in sums)
     spread = np.sqrt(np.maximum(square - mean**2, 0.0))
     return np.asarray(spread / max(float(np.sqrt(np.mean(rate**2))), 1e-9))
+
+
+def _course_turns(
+    path: DrivenPath, begin: Float[np.ndarray, " r"], end: Float[np.ndarray, " r"]
+) -> Bool[np.ndarray, " r"]:
+    """Whether the course turns within runs by more than noise and slip: on a straight a heading may stay the same."""
+    away, known = course_minus_heading(path), np.isfinite(path.velocity).all(axis=1) & (path.speed > MOVING)
+    straight = away[straight_rows(path)]
+    scatter = 1.4826 * float(np.median(np.abs(straight - np.median(straight)))) if len(straight) else 0.0
+    course = np.unwrap(np.arctan2(path.velocity[known, 1], path.velocity[known, 0]))
+    # Velocities at the ends of a run are also of what is beyond.
+    inside = np.minimum(path.window / 2, (end - begin) / 4)
+    first, last = (np.searchsorted(path.time[known], ends) for ends in (begin + inside, end - inside))
+    turned = [np.ptp(course[slice(*run)]) if run[1] > run[0] else 0.0 for run in zip(first, last, strict=True)]
+    return np.array(turned) > max(_NO_TURN, _SCATTER * scatter)
 
 
 def _moving(path: DrivenPath, at: Float[np.ndarray, " r"]) -> Bool[np.ndarray, " r"]:
