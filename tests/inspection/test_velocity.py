@@ -5,6 +5,7 @@ import pytest
 from simulated import MemoryLog, drive_log, pointing, rig
 
 from offpiste.inspection.driven_path import driven_path
+from offpiste.inspection.findings import Finding
 from offpiste.inspection.inspect import inspect_log
 from offpiste.inspection.velocity import _UNITS, _gain, fit_wheel_speed
 from offpiste.logs.drive import drive_from_log
@@ -91,3 +92,32 @@ def test_joints_that_turn_in_rad_are_given_the_size_of_their_wheels() -> None:
     fit = fit_wheel_speed(drive, driven_path(drive))
     keys = [_gain("wheel_speed", fit, each, "m/s", _UNITS)[0].cures[0][0].key for each in (given, joint)]
     assert keys == ["channels.wheel_speed.unit", "channels.wheel_speed.scale"]
+
+
+def _wheels(per_speed: float, unit: str) -> list[Finding]:
+    """What is found of wheels that count this much for each m/s, read in a unit."""
+    time, odom = CLEAN.data["odom"]
+    noise = 0.02 * np.random.default_rng(0).standard_normal(len(time))
+    log = MemoryLog({**CLEAN.data, "wheels": (time, {"v": per_speed * odom["vx"] + noise})})
+    source = {"topic": "wheels", "fields": ["v"]} | ({"unit": unit} if unit else {})
+    given = edited(rig(), [Edit("channels.wheel_speed", source)])
+    return [finding for finding in inspect_log(log, given).findings if finding.where == "wheel_speed"]
+
+
+@pytest.mark.parametrize(("true", "read"), [("mph", "km/h"), ("km/h", "mph"), ("kn", "km/h")])
+def test_wheels_under_the_name_of_another_unit_are_read_in_theirs(true: str, read: str) -> None:
+    """Wheels that spin never count so evenly."""
+    (finding,) = _wheels(_UNITS[true], read)
+    assert (finding.severity, finding.cures) == ("warning", ((Edit("channels.wheel_speed.unit", true),),))
+    assert _wheels(_UNITS[true], true) == []
+
+
+def test_what_tyres_may_be_off_by_as_well_is_a_question() -> None:
+    (knots,) = _wheels(_UNITS["kn"], "mph")
+    assert (knots.severity, knots.what) == ("note", "may be in kn")
+    (turning,) = _wheels(1 / 0.36, "km/h")
+    assert turning.severity == "note"
+    assert "radius of 0.36 m" in turning.remedy
+    for off in (0.95, 1.05):
+        assert _wheels(3.6 * off, "km/h") == []
+        assert _wheels(off, "") == []

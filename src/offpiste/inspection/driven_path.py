@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from offpiste.geometry import local_polynomial, planar_body_from_world, rotation_from_quaternion
+from offpiste.inspection.lags import fit_lags
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive, common_span
 from offpiste.logs.motion import across_jumps, driven_slope, heading
@@ -16,6 +17,8 @@ _WINDOW = 0.4
 """Span of pose samples behind a velocity [s]; slower poses take six samples."""
 MOVING = 0.3
 """Speed below which a vehicle is at a standstill [m/s]."""
+DELAYS = np.arange(-30, 31) * STEP
+"""Times by which a recorded motion is tried to be late [s]."""
 TURNING = 0.05
 """Least spread of the yaw rates of a drive that shows turning [rad/s]."""
 
@@ -150,3 +153,38 @@ def _reverse(drive: Drive, time: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " 
     if "gear" not in drive.channels:
         return None
     return np.asarray(drive.channels["gear"].hold(time, max_gap=np.inf)[:, 0] < 0)
+
+
+@dataclass(frozen=True)
+class FrameFit:
+    """How well a velocity fits the pose's derivative in one frame.
+
+    Attributes:
+        misfit: RMS difference over the RMS speed, with the best gain and delay taken out.
+        gain, gain_sigma: recorded over true, and its standard deviation.
+        delay, delay_sigma: by how much the recorded one is late, and its standard deviation [s].
+    """
+
+    frame: str
+    misfit: float
+    gain: float
+    gain_sigma: float
+    delay: float
+    delay_sigma: float
+
+
+def fit_delayed(frame: str, recorded: Float[np.ndarray, "n c"], true: Float[np.ndarray, "n c"]) -> FrameFit | None:
+    """Fit `recorded(t) = gain * true(t - delay)`; None where too little is known or moves."""
+    count, parts = true.shape
+    shifted = np.full((len(DELAYS), parts, count), np.nan)
+    for lag, row in zip(np.rint(DELAYS / STEP).astype(int), shifted, strict=True):
+        row[:, max(lag, 0) : count + min(lag, 0)] = true.T[:, max(-lag, 0) : count - max(lag, 0)]
+    everywhere = np.ones(recorded.size, bool)
+    flat = shifted.reshape(len(DELAYS), -1)
+    fit = fit_lags(recorded.T.ravel(), np.zeros((recorded.size, 0)), flat, DELAYS, everywhere)
+    if fit is None:
+        return None
+    best = fit.best()
+    delay, delay_sigma = fit.delay(best)
+    misfit = float(np.sqrt(max(1 - fit.r[best] ** 2, 0.0)))
+    return FrameFit(frame, misfit, float(fit.gain[best]), fit.gain_sigma(best), delay, delay_sigma)

@@ -13,12 +13,12 @@ import numpy as np
 
 from offpiste.geometry import planar_body_from_world
 from offpiste.inspection.commanded_motion import is_measured_steering
-from offpiste.inspection.driven_path import STEP, DrivenPath
+from offpiste.inspection.driven_path import STEP, DrivenPath, fit_delayed
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.lags import SURE, LagFit, fit_lags
 from offpiste.inspection.pedals import EFFECTS
 from offpiste.inspection.steering_fit import SteeringFit, moving_rows
-from offpiste.inspection.velocity import fit_delayed, fit_frames, fit_turn_rate, fit_wheel_speed, turn_rate_name
+from offpiste.inspection.velocity import fit_frames, fit_turn_rate, fit_wheel_speed, turn_rate_name
 from offpiste.logs.drive import Drive
 from offpiste.rig.edits import Edit
 

@@ -1,7 +1,6 @@
 """Checks of recorded velocities against the derivative of the pose: frame, unit, sign and delay."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -9,7 +8,7 @@ from jaxtyping import Float
 from msgspec import structs
 
 from offpiste.geometry import planar_body_from_world, yaw_rate_from_body_rates
-from offpiste.inspection.driven_path import STEP, TURNING, DrivenPath, levelled, on_path
+from offpiste.inspection.driven_path import DELAYS, TURNING, DrivenPath, FrameFit, fit_delayed, levelled, on_path
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.lags import SURE, fit_lags
 from offpiste.inspection.steering_fit import moving_rows
@@ -24,7 +23,6 @@ _FITS = 0.2
 """A frame fits if the RMS difference to the pose's derivative is below this share of the RMS speed."""
 _FOLLOWS = 0.6
 """A yaw rate follows the pose's if the RMS difference is below this share of its RMS."""
-_LAGS: Final = np.arange(-30, 31) * STEP
 _LATE: Final = 0.12
 """Delays from here on are reported [s]."""
 _BIASED: Final = 0.02
@@ -39,28 +37,16 @@ _OTHER_BODY: Final = {"z up": "body down", "body down": "z up", "ned": "world do
 """Axes of the same world and a body whose z axis points the other way."""
 _ROLLING: Final = (0.6, 1.8)
 """Speed of wheels over the vehicle's, slip and worn tyres included."""
+_PROPORTIONAL: Final = 0.03
+"""Misfit of wheels up to which they roll, so that a gain is that of a unit or a radius ..."""
+_ONE_UNIT: Final = 0.01
+"""... and what such a gain may be off that of a unit, over it ..."""
+_TYRES: Final = 0.3
+"""... and off 1 where tyres of another size may be the cause."""
 _COUNTED: Final = 0.02
 """A gain this near to a power of ten is one, as of cm/s or mm/s."""
 _UNITS = {"km/h": 3.6, "mph": 2.23694, "kn": 1.94384}
 _RATE_UNITS = {"deg/s": 180 / np.pi, "rev/min": 60 / (2 * np.pi)}
-
-
-@dataclass(frozen=True)
-class FrameFit:
-    """How well a velocity fits the pose's derivative in one frame.
-
-    Attributes:
-        misfit: RMS difference over the RMS speed, with the best gain and delay taken out.
-        gain, gain_sigma: recorded over true, and its standard deviation.
-        delay, delay_sigma: by how much the recorded one is late, and its standard deviation [s].
-    """
-
-    frame: str
-    misfit: float
-    gain: float
-    gain_sigma: float
-    delay: float
-    delay_sigma: float
 
 
 def fit_frames(drive: Drive, path: DrivenPath) -> dict[str, FrameFit]:
@@ -165,9 +151,13 @@ def fit_wheel_speed(drive: Drive, path: DrivenPath) -> FrameFit | None:
 
 
 def check_wheel_speed(drive: Drive, path: DrivenPath) -> list[Finding]:
-    """Unit of the wheels' speed, which spinning and locking change by less than any unit does."""
+    """Unit of the wheels' speed, which spinning and locking change by less than most units do."""
     fit = fit_wheel_speed(drive, path)
-    if fit is None or fit.misfit > _FOLLOWS or _ROLLING[0] < abs(fit.gain) < _ROLLING[1]:
+    if fit is None or fit.misfit > _FOLLOWS:
+        return []
+    if fit.misfit < _PROPORTIONAL and (found := _other_speed_unit(fit, drive.rig.channels["wheel_speed"])):
+        return found
+    if _ROLLING[0] < abs(fit.gain) < _ROLLING[1]:
         return []
     # At a nearly constant speed what varies is slip, which has a gain of its own.
     recorded = on_path(path, drive.channels["wheel_speed"]).mean(axis=1)
@@ -176,6 +166,29 @@ def check_wheel_speed(drive: Drive, path: DrivenPath) -> list[Finding]:
     if not _ROLLING[0] < level / fit.gain < _ROLLING[1]:
         return []
     return _gain("wheel_speed", fit, drive.rig, "m/s", _UNITS)
+
+
+def _other_speed_unit(fit: FrameFit, source: ChannelSource) -> list[Finding]:
+    """A finding if wheels of a stated unit are in another one; a note where tyres may be as far off."""
+    name, stated = "wheel_speed", unit_factor("wheel_speed", source.unit) * source.scale
+    evidence = f"it is {fit.gain:.4g} ± {fit.gain_sigma:.1g} times the pose's speed, and follows it to {fit.misfit:.1%}"
+    here = [unit for unit, each in _UNITS.items() if abs(stated * each - 1) < _ONE_UNIT]
+    for unit in here and _UNITS.keys() - {*here}:
+        if abs(fit.gain / (stated * _UNITS[unit]) - 1) < _ONE_UNIT:
+            cure = (
+                Edit(f"channels.{name}.unit", unit),
+                *([Edit(f"channels.{name}.scale", 1.0)] if source.scale != 1 else []),
+            )
+            how, what = ", ".join(map(str, cure)), f"is in {unit}, not in {here[0]}"
+            if abs(fit.gain - 1) > _TYRES:
+                return [Finding("warning", name, what, evidence, how, 0.9, (cure,))]
+            return [Finding("note", name, f"may be in {unit}", evidence, f"nothing, if tyres are so; else {how}", 0.4)]
+    if here and not _SAME[0] < fit.gain < _SAME[1] and _ROLLING[0] < fit.gain < _ROLLING[1]:
+        radius = stated / fit.gain
+        how = f"nothing, if tyres are so; of wheels in rad/s with a radius of {radius:.2g} m: "
+        how += f'channels.{name}.unit = "m/s", channels.{name}.scale = {rounded(radius)}'
+        return [Finding("note", name, f"may not be in {here[0]}", evidence, how, 0.4)]
+    return []
 
 
 def check_turn_rate(drive: Drive, path: DrivenPath) -> list[Finding]:
@@ -222,23 +235,6 @@ def _turn_rate(drive: Drive) -> Channel:
     return Channel(name, rate.unit, rate.time, values[:, None])
 
 
-def fit_delayed(frame: str, recorded: Float[np.ndarray, "n c"], true: Float[np.ndarray, "n c"]) -> FrameFit | None:
-    """Fit `recorded(t) = gain * true(t - delay)`; None where too little is known or moves."""
-    count, parts = true.shape
-    shifted = np.full((len(_LAGS), parts, count), np.nan)
-    for lag, row in zip(np.rint(_LAGS / STEP).astype(int), shifted, strict=True):
-        row[:, max(lag, 0) : count + min(lag, 0)] = true.T[:, max(-lag, 0) : count - max(lag, 0)]
-    everywhere = np.ones(recorded.size, bool)
-    flat = shifted.reshape(len(_LAGS), -1)
-    fit = fit_lags(recorded.T.ravel(), np.zeros((recorded.size, 0)), flat, _LAGS, everywhere)
-    if fit is None:
-        return None
-    best = fit.best()
-    delay, delay_sigma = fit.delay(best)
-    misfit = float(np.sqrt(max(1 - fit.r[best] ** 2, 0.0)))
-    return FrameFit(frame, misfit, float(fit.gain[best]), fit.gain_sigma(best), delay, delay_sigma)
-
-
 def _zero(name: str) -> Finding:
     removed = Edit(f"channels.{name}", None)
     how = f"{removed}; the pose is differentiated instead"
@@ -282,7 +278,7 @@ def _other_unit_of_places(size: float, rig: Rig) -> Iterator[tuple[Edit, ...]]:
 
 
 def _delay(name: str, fit: FrameFit, source: ChannelSource) -> list[Finding]:
-    if abs(fit.delay) < _LATE + SURE * fit.delay_sigma or abs(fit.delay) >= _LAGS[-1]:
+    if abs(fit.delay) < _LATE + SURE * fit.delay_sigma or abs(fit.delay) >= DELAYS[-1]:
         return []
     late = fit.delay > 0
     evidence = f"it fits the pose's derivative best when taken {abs(fit.delay):.2f} ± {fit.delay_sigma:.2f} s "
