@@ -9,6 +9,7 @@ from simulated import drive_log, rig, steered
 from offpiste.inspection.driven_path import driven_path
 from offpiste.inspection.frozen import check_frozen
 from offpiste.inspection.inspect import inspect_log
+from offpiste.inspection.steering_fit import steering_fits
 from offpiste.logs.drive import drive_from_log
 
 CLEAN = drive_log(seed=0)
@@ -144,3 +145,17 @@ def test_a_lock_that_is_held_from_the_other_one_on_does_not_hang() -> None:
     turned = np.std(path.yaw_rate[np.abs(path.time - time[len(time) // 2] - 3.25) < 3.25])
     assert turned > 0.7 * np.sqrt(np.mean(path.yaw_rate**2))  # at first sight it turns to and fro
     assert [finding.where for finding in check_frozen(drive, path)] == []
+
+
+@pytest.mark.parametrize("share", [0.3, 0.4])
+def test_a_steering_that_hangs_for_a_while_is_fitted_without_that_time(share: float) -> None:
+    """Else it is said to have another sign, another centre or no effect."""
+    log = drive_log(seed=3)
+    count = len(log.data["steering"][0])
+    log = log.change("steering", "angle", lambda values: _held(values, round(0.4 * count), round(share * count)))
+    found = [finding for finding in inspect_log(log, rig()).findings if finding.severity != "note"]
+    assert [(finding.where, finding.what) for finding in found] == [("steer_angle", WHAT)]
+    drive = drive_from_log(log, rig())
+    fit = steering_fits(drive, driven_path(drive), measured=True)["steer_angle"]
+    assert fit.sign == 1
+    assert abs(fit.centre) < 0.005

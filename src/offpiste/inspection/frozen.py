@@ -10,6 +10,7 @@ from offpiste.inspection.driven_path import MOVING, STEP, DrivenPath
 from offpiste.inspection.findings import Finding
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
+from offpiste.rig.rig import Rig
 
 _HEADINGS: Final = ("orientation", "yaw")
 """Nobody drives so that a measured heading stays the same, unlike a control; a position that does is no motion."""
@@ -37,12 +38,9 @@ def check_frozen(drive: Drive, path: DrivenPath) -> list[Finding]:
     """A finding for each channel that usually changes, and for a while does not though the vehicle moves."""
     findings = []
     for name, channel in drive.channels.items():
-        changes_alone = name in drive.rig.channels and drive.rig.channels[name].interpolation == "on change"
-        if name == "position" or changes_alone or len(channel.time) < 100:
+        if name == "position":
             continue
-        heading = name in _HEADINGS
-        least = _LEAST_OF_HEADINGS if heading else _LEAST_OF_CONTROLS if name in _CONTROLS else _LEAST
-        begin, lasts, turns = _frozen(channel, path, least, again=heading)
+        begin, _, lasts, turns = _frozen(channel, path, drive.rig)
         if not len(begin):
             continue
         longest = int(lasts.argmax())
@@ -56,15 +54,31 @@ def check_frozen(drive: Drive, path: DrivenPath) -> list[Finding]:
     return findings
 
 
-def _frozen(
-    channel: Channel, path: DrivenPath, least: float, *, again: bool
-) -> tuple[Float[np.ndarray, " r"], Float[np.ndarray, " r"], Bool[np.ndarray, " r"]]:
-    """When the unusually long runs of one value begin, how long they last in motion [s], and which turn meanwhile.
+def while_held(channel: Channel, path: DrivenPath, rig: Rig, *, beside: float) -> Bool[np.ndarray, " n"]:
+    """Rows of the path in which a channel is frozen, and those beside them.
 
     Args:
-        least: shortest run [s].
-        again: whether runs count that happen again and again, as of headings, and only where the course turns.
+        beside: time before and after [s].
     """
+    begin, end, *_ = _frozen(channel, path, rig)
+    rows = np.zeros(len(path.time), bool)
+    for first, last in zip(begin, end, strict=True):
+        rows |= (path.time > first - beside) & (path.time < last + beside)
+    return rows
+
+
+def _frozen(
+    channel: Channel, path: DrivenPath, rig: Rig
+) -> tuple[Float[np.ndarray, " r"], Float[np.ndarray, " r"], Float[np.ndarray, " r"], Bool[np.ndarray, " r"]]:
+    """When the unusually long runs of one value begin and end, how long they last in motion [s], and which turn then.
+
+    Runs of headings count that happen again and again, and only where the course turns.
+    """
+    changes_alone = channel.name in rig.channels and rig.channels[channel.name].interpolation == "on change"
+    again, nothing = channel.name in _HEADINGS, (np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0, bool))
+    least = _LEAST_OF_HEADINGS if again else _LEAST_OF_CONTROLS if channel.name in _CONTROLS else _LEAST
+    if changes_alone or len(channel.time) < 100:
+        return nothing
     changes = np.flatnonzero((np.diff(channel.values, axis=0) != 0).any(axis=1)) + 1
     first, last = np.append(0, changes), np.append(changes, len(channel.time)) - 1
     begin, end = channel.time[first], channel.time[last]
@@ -78,14 +92,14 @@ def _frozen(
     in_motion = _moving(path, begin) | _moving(path, end) | (lasts > least)
     moves = (~_rests(channel)[first] | turns) & in_motion
     if moves.sum() < 50:
-        return np.zeros(0), np.zeros(0), np.zeros(0, bool)
+        return nothing
     usual = np.sort(lasts[moves])
     alone = max(least, 0.0 if again else _ALONE * float(usual[-3]))
     unusual = np.where(turns, 0.0, _UNUSUAL * float(np.percentile(usual, 99)))
     long = moves & ~straight & (lasts > np.maximum(alone, unusual)) & (last - first >= _SAMPLES)
     if again:
         long[long] = _course_turns(path, begin[long], end[long])
-    return begin[long], lasts[long], turns[long]
+    return begin[long], end[long], lasts[long], turns[long]
 
 
 def _rests(channel: Channel) -> Bool[np.ndarray, " n"]:

@@ -8,7 +8,7 @@ Tyres slip the more, the faster a vehicle turns (understeer: yaw rate = speed * 
 The **extrapolated** fit takes that out: what is left at no speed is geometry alone.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float
 from scipy.special import ndtr, stdtrit
 
 from offpiste.inspection.driven_path import STEP, TURNING, DrivenPath
+from offpiste.inspection.frozen import while_held
 from offpiste.inspection.lags import LAGS, SURE, LagFit, fit_lags, lagged
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
@@ -172,7 +173,7 @@ def _shifted(values: Float[np.ndarray, "... n"], rows: int) -> Float[np.ndarray,
 
 
 def steering_fits(drive: Drive, path: DrivenPath, *, measured: bool) -> dict[str, SteeringFit]:
-    """Fits of the steering channels that move in a drive that turns, by name.
+    """Fits of the steering channels that move in a drive that turns, by name, without the time in which they hang.
 
     Args:
         measured: whether the rig's wheelbase and `max_steer` are the vehicle's, not a draft's.
@@ -181,5 +182,10 @@ def steering_fits(drive: Drive, path: DrivenPath, *, measured: bool) -> dict[str
         return {}
     present = [name for name in ("steer", "steer_angle") if name in drive.channels]
     moved = [name for name in present if np.ptp(drive.channels[name].values) > 0]
-    fits = {name: steering_fit(drive.channels[name], path, drive.rig, measured=measured) for name in moved}
+    fits = {}
+    for name in moved:
+        channel = drive.channels[name]
+        held = while_held(channel, path, drive.rig, beside=float(LAGS[-1]))
+        without = replace(path, yaw_rate=np.where(held, np.nan, path.yaw_rate))
+        fits[name] = steering_fit(channel, without, drive.rig, measured=measured)
     return {name: fit for name, fit in fits.items() if fit is not None}
