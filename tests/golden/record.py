@@ -761,11 +761,12 @@ def machine() -> dict[str, str]:
     info = Path("/proc/cpuinfo")
     lines = [line.partition(":") for line in (info.read_text().splitlines() if info.exists() else ())]
     described = {key.strip(): value.strip() for key, _, value in reversed(lines)}
-    # A virtual machine's name says little: processors of one name compute with other instructions.
-    processor = [described.get(key, "") for key in ("model name", "cpu family", "model", "stepping")]
+    # A virtual machine's name says little: processors of one name compute with other instructions, and in other blocks.
+    processor = [described.get(key, "") for key in ("model name", "cpu family", "model", "stepping", "cache size")]
     packages = ("numpy", "scipy", "numba", "torch", "mujoco", "embreex", "opencv-python-headless")
     return {
         "processor": " ".join(processor) if any(processor) else platform.processor(),
+        "instructions": hashlib.sha256(described.get("flags", "").encode()).hexdigest()[:16],
         "python": platform.python_version(),
         **{name: version(name) for name in packages},
     }
