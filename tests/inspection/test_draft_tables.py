@@ -8,6 +8,7 @@ import pytest
 from simulated import MemoryLog
 
 from offpiste.errors import LogError
+from offpiste.inspection.draft_pose import pose_cure
 from offpiste.inspection.draft_rig import draft_rig
 from offpiste.inspection.draft_sensors import missing
 from offpiste.inspection.draft_values import check_draft_values
@@ -498,3 +499,29 @@ def test_a_throttle_that_is_at_full_for_long_is_no_trigger(
     columns = {**POSE, "throttle": ("both", 1.0), "brake": ("brake", 1.0), "steer": ("angle", 1)}
     throttle = drafted(written(tmp_path / "drive.csv", columns)).channels["throttle"]
     assert (throttle.scale, throttle.offset, throttle.clip) == (1.0, 0.0, (0.0, 1.0))
+
+
+@pytest.mark.parametrize(
+    ("name", "factor", "unit", "sign"),
+    [("attitude_3", 1, "rad", 1), ("dir_vehicle", DEG, "deg", 1), ("kurs", -DEG, "deg", -1), ("ch17", -1, "rad", -1)],
+)
+def test_a_heading_that_no_name_gives_away_is_found_by_the_course(
+    tmp_path: Path, name: str, factor: float, unit: str, sign: int
+) -> None:
+    more = {"t": ("t", 1), "east": ("x", 1), "north": ("y", 1), name: ("yaw", factor), "v1": ("speed", 1)}
+    path = written(tmp_path / "log.csv", more | {"target_dir": ("yaw", 1), "steering": ("angle", 1)})
+    rig = drafted(path)
+    yaw = rig.channels["yaw"]
+    assert (yaw.fields, yaw.unit or "rad") == ((name,), unit), "what is a target is none"
+    cured = edited(rig, pose_cure(open_log(path), rig))
+    assert cured.channels["yaw"].sign == sign
+    assert "by its numbers: the course of the position follows it" in draft_rig(open_log(path))
+
+
+@pytest.mark.parametrize("straight", [False, True])
+def test_no_heading_is_made_of_what_no_course_follows(tmp_path: Path, straight: bool) -> None:
+    """On a straight all that hardly changes would be one."""
+    along = {"east": ("t", 5), "north": ("zero", 1)} if straight else {"east": ("x", 1), "north": ("y", 1)}
+    more = {"t": ("t", 1), **along, "hardly": ("zero", 1), "v1": ("speed", 1), "steering": ("angle", 1)}
+    with pytest.raises(LogError, match=r"no name is that of a heading"):
+        drafted(written(tmp_path / "log.csv", more))

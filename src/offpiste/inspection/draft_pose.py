@@ -12,6 +12,7 @@ from offpiste.errors import LogError, OffpisteError
 from offpiste.inspection.channel_guesses import DOWN, Guess, by_topic, of_one_vehicle
 from offpiste.inspection.commanded_motion import COMMANDED
 from offpiste.inspection.course import check_course
+from offpiste.inspection.draft_values import BY_NUMBERS, heading_by_numbers
 from offpiste.inspection.driven_path import driven_path
 from offpiste.inspection.field_groups import are_earth_centred, w_comes_first
 from offpiste.inspection.findings import Cure, Finding
@@ -76,7 +77,7 @@ def draft_pose(log: Log, guesses: Sequence[Guess], frame: str) -> dict[str, Entr
     if not _has_heading(best):
         apart = _places_and_headings(log, on_ground)
         best = apart if _has_heading(apart) or not best else best
-    best = best or _whole_pose(log, channels_of)
+    best = best or _whole_pose(log, channels_of) or _pose_by_course(log, guesses)
     if best:
         channels_of = by_topic(of_one_vehicle(guesses, best["position"].topic))
     if best and not _RATES & set(best):
@@ -103,6 +104,8 @@ def draft_pose(log: Log, guesses: Sequence[Guess], frame: str) -> dict[str, Entr
             comment += "" if frame == "unknown" else "; frame by the pose"
         elif channel == "angular_velocity":
             lines, comment = (*lines, 'frame = "body"'), comment + "; in the body's frame, as gyroscopes measure"
+        elif channel == "yaw" and guess.rank == BY_NUMBERS:
+            comment = "GUESSED by its numbers: the course of the position follows it"
         elif channel == "yaw" and not guess.unit and values is not None:
             lines += degrees(values[:, 0])
         entries[channel] = Entry(guess, lines, comment)
@@ -132,6 +135,14 @@ def _whole_pose(log: Log, channels_of: Mapping[str, Mapping[str, Guess]]) -> dic
         return topic in often, _has_heading(whole[topic]), not drifts, kinds, not last, log.topics[topic].count
 
     return whole[max(spans, key=score)] if spans else {}
+
+
+def _pose_by_course(log: Log, guesses: Sequence[Guess]) -> dict[str, Guess]:
+    """A position, and the heading beside it that no name gives away; empty where either is missing."""
+    places = (guess for guess in guesses if guess.channel == "position" and varies(field_values(log, guess)))
+    place = next(places, None)
+    heading = None if place is None else heading_by_numbers(log, place)
+    return {} if place is None or heading is None else {"position": place, "yaw": heading}
 
 
 def _span(log: Log, topic: str) -> float:

@@ -1,17 +1,22 @@
-"""Mass and wheel positions: those that a first rig makes up, noted until they are measured, and those of no vehicle."""
+"""Numbers of a first rig: mass and wheel positions, made up until they are measured, and what the motion shows."""
 
+from collections.abc import Iterator
+from itertools import product
 from typing import Final
 
 import numpy as np
+from jaxtyping import Float
 
 from offpiste.errors import OffpisteError
-from offpiste.inspection.commanded_motion import commanded_curvature
+from offpiste.geometry import local_from_geographic
+from offpiste.inspection.channel_guesses import Guess
+from offpiste.inspection.commanded_motion import COMMANDED, commanded_curvature
 from offpiste.inspection.driven_path import DrivenPath, driven_path
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.steering_fit import steering_fits
 from offpiste.logs.drive import Drive, drive_from_log
-from offpiste.logs.log import Log
-from offpiste.rig.channels import unit_factor
+from offpiste.logs.log import Log, Samples
+from offpiste.rig.channels import GEOGRAPHIC, unit_factor
 from offpiste.rig.edits import Edit, rounded
 from offpiste.rig.rig import Rig, Vehicle
 
@@ -35,8 +40,74 @@ _UNITS: Final = ("cm", "mm", "ft")
 """What wheel positions may be in by mistake."""
 _CLEAR: Final = 0.8
 """Least correlation of the yaw rate with what speed and steering angle make of it."""
+BY_NUMBERS: Final = 5
+"""Rank of a heading that only the course shows."""
+_APART: Final = 0.5
+"""Time between two places that show the course [s]."""
+_LEAST: Final = 20
+"""Number of such ways that show it."""
+_FOLLOWS: Final = 0.95
+"""Least resultant of course minus heading, of one that has no name for it, ..."""
+_ONE_WAY: Final = 0.8
+"""... and the largest of the course itself: on a straight, whatever hardly changes follows it."""
 _CENTRE: Final = 0.01
 """Steering at which a vehicle goes straight that is another middle than the usual one, and how sure it must be."""
+
+
+def heading_by_numbers(log: Log, place: Guess) -> Guess | None:
+    """The field that a position's course follows, whatever it is called; None where none does, or on a straight.
+
+    It may count either way and from any direction, in radians or degrees.
+
+    Args:
+        place: guess of the position.
+    """
+    time, xy = _in_order(log.read(place.topic, place.fields[:2]))
+    if place.unit == GEOGRAPHIC:
+        xy = local_from_geographic(xy)
+    at = np.arange(time[0], time[-1] - _APART, _APART) if len(time) else time
+    way = _before(time, xy, at + _APART) - _before(time, xy, at)
+    length = np.nan_to_num(np.linalg.norm(way, axis=1))
+    moves = length > 0.5 * np.percentile(length, 90) if len(at) else np.zeros(0, bool)
+    course = np.arctan2(way[moves, 1], way[moves, 0])
+    if moves.sum() < _LEAST or abs(np.exp(1j * course).mean()) > _ONE_WAY:
+        return None
+    found: list[tuple[float, Guess]] = []
+    for topic, field, time, values in _unnamed(log, place):
+        angle = _before(time, values, at + _APART / 2)[moves, 0]
+        for sign, unit in product((1, -1), ("rad", "deg")):
+            away = course - sign * unit_factor("yaw", unit) * angle
+            found.append((float(abs(np.exp(1j * away).mean())), Guess("yaw", topic, (field,), unit, BY_NUMBERS)))
+    best = max(found, key=lambda pair: pair[0], default=(0.0, None))
+    return best[1] if best[0] > _FOLLOWS else None
+
+
+def _unnamed(log: Log, place: Guess) -> Iterator[tuple[str, str, Float[np.ndarray, " n"], Float[np.ndarray, "n 1"]]]:
+    """Topic, name, stamps and values of fields that are no place and no command, and change."""
+    for topic in log.topics.values():
+        for field in topic.fields:
+            if topic.part_of or field in (log.clock.column, *place.fields) or COMMANDED.search(f"{topic.name} {field}"):
+                continue
+            try:
+                time, values = _in_order(log.read(topic.name, (field,)))
+            except OffpisteError:
+                continue
+            if len(values) and np.ptp(values) > 0:
+                yield topic.name, field, time, values
+
+
+def _in_order(samples: Samples) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n k"]]:
+    """Stamps and values of the rows that are finite, by their stamps."""
+    known = np.isfinite(samples.time) & np.isfinite(samples.values).all(axis=1)
+    order = np.argsort(samples.time[known], kind="stable")
+    return samples.time[known][order], samples.values[known][order]
+
+
+def _before(
+    time: Float[np.ndarray, " n"], values: Float[np.ndarray, "n k"], at: Float[np.ndarray, " m"]
+) -> Float[np.ndarray, "m k"]:
+    """The last samples before some moments: angles may jump by a turn between two."""
+    return np.asarray(values[np.maximum(np.searchsorted(time, at) - 1, 0)])
 
 
 def estimated_wheelbase(log: Log, rig: Rig) -> float:
