@@ -17,6 +17,10 @@ from transport.routers import Network, free_port
 ODOM = "nav_msgs/msg/Odometry"
 
 
+LISTENS = 1.5
+"""Time that a busy machine takes at most to bring the first message [s]."""
+
+
 class Robot:
     """Publishes until it is closed; what is wrong with it is given."""
 
@@ -51,7 +55,7 @@ def found(folder, *, more="", run="", change=lambda text: text, before=lambda ne
     moving = Robot(network, **robot)
     try:
         before(network)
-        return list(examined(rig, run, None, ZenohSettings(endpoint=network.endpoint), 0.6, "system"))
+        return list(examined(rig, run, None, ZenohSettings(endpoint=network.endpoint), LISTENS, "system"))
     finally:
         moving.close()
         network.close()
