@@ -228,6 +228,17 @@ def test_a_throttle_that_is_released_halfway_is_found_and_brought_to_zero() -> N
     assert check_gear(replace(drive, channels={**drive.channels, "throttle": released}), standing, recorded) == []
 
 
+def test_a_throttle_that_is_let_go_to_brake_was_held_open_where_the_vehicle_stood() -> None:
+    drive, path, recorded = _read(FORWARD)
+    halfway, standing, both = _released_halfway(drive, path)
+    braked = replace(drive.channels["brake"], time=drive.channels["throttle"].time, values=0.5 * (both < 0)[:, None])
+    stuck = replace(halfway, channels={**halfway.channels, "brake": braked})
+    assert check_gear(stuck, standing, recorded) == []
+    pressed_at_rest = replace(braked, values=0.5 * (both == 0)[:, None])
+    stick = replace(halfway, channels={**halfway.channels, "brake": pressed_at_rest})
+    assert [finding.what for finding in check_gear(stick, standing, recorded)] == ["never comes back to zero"]
+
+
 def test_a_gear_of_its_own_that_is_wrong_is_found_beside_a_throttle_that_is_released_halfway() -> None:
     drive, path, recorded = _read(_with_gear(_reversing(FORWARD, 20.0, 40.0), 20.0, 40.0, 3.0, 1.0), GEAR)
     halfway, standing, _ = _released_halfway(drive, path)

@@ -147,7 +147,7 @@ def reverses_by_pedal(log: Log, rig: Rig) -> bool:
 
 
 def _released_halfway(drive: Drive, path: DrivenPath) -> Finding | None:
-    """A finding on a throttle that stays at one value well above zero at standstills, and goes both ways from there."""
+    """A finding on a throttle that is at one value above zero at standstills, and goes both ways, but not to brake."""
     throttle = drive.channels.get("throttle")
     if throttle is None:
         return None
@@ -158,7 +158,9 @@ def _released_halfway(drive: Drive, path: DrivenPath) -> Finding | None:
         return None
     rest = float(np.median(there))
     stays = float(np.mean(np.abs(there - rest) < _DEAD_BAND / 2)) > 0.5  # a slow ramp through it is no rest
-    if not (_HALFWAY[0] < rest < _HALFWAY[1] and stays and rests_between(throttle.values[:, 0], rest)):
+    braked = _pressed(drive, path, "brake") & np.isfinite(at) & (not drive.rig.reads_alike("throttle", "brake"))
+    let_go = braked.any() and np.median(at[braked]) < rest / 2  # what was held open while it stood
+    if not (_HALFWAY[0] < rest < _HALFWAY[1] and stays and rests_between(throttle.values[:, 0], rest)) or let_go:
         return None
     source = drive.rig.channels["throttle"]
     cure = (*scaled_to_unit("throttle", source, (rest, 1.0)), Edit("channels.throttle.clip", [0.0, 1.0]))
@@ -238,13 +240,12 @@ def _hidden_reverse(drive: Drive, path: DrivenPath, below: Bool[np.ndarray, " n"
     return [Finding("note", "gear", "is not read, and the vehicle reverses", evidence, how, 0.4)]
 
 
-def _pressed(drive: Drive, path: DrivenPath) -> Bool[np.ndarray, " n"]:
-    """Where the throttle drives the vehicle; nowhere where it is not known."""
-    throttle = drive.channels.get("throttle")
-    if throttle is None:
+def _pressed(drive: Drive, path: DrivenPath, pedal: str = "throttle") -> Bool[np.ndarray, " n"]:
+    """Where a pedal is pressed; nowhere where it is not known."""
+    if pedal not in drive.channels:
         return np.zeros(len(path.time), bool)
     with np.errstate(invalid="ignore"):
-        return np.asarray(sampled(throttle, path.time, drive.rig) > _PRESSED)
+        return np.asarray(sampled(drive.channels[pedal], path.time, drive.rig) > _PRESSED)
 
 
 def _moving(path: DrivenPath) -> Bool[np.ndarray, " n"]:
