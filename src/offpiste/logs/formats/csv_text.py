@@ -243,7 +243,7 @@ def _last_row_may_be_cut(path: Path, text: bytes, notes: list[str]) -> Callable[
     return handle
 
 
-def _opened(path: Path, notes: Sequence[str] = ()) -> io.BufferedIOBase:
+def _opened(path: Path, notes: list[str] | None = None) -> io.BufferedIOBase:
     """A table's text in UTF-8 with a line of names: spreadsheets write UTF-16, and loggers have ways of their own.
 
     Any other text is read as Windows writes it, which a note says, if there is a list for it.
@@ -260,7 +260,7 @@ def _opened(path: Path, notes: Sequence[str] = ()) -> io.BufferedIOBase:
             text = with_one_header(file.read())
         except UnicodeDecodeError as error:
             raise LogError("the text is neither UTF-8 nor cp1252", where=path, how="save it as UTF-8") from error
-    if not is_known and isinstance(notes, list):
+    if not is_known and notes is not None:
         notes.append("the text is not UTF-8, and read as cp1252; where names look wrong, save it as UTF-8")
     return io.BytesIO(text)
 
