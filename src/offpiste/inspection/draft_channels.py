@@ -94,7 +94,7 @@ def draft_channels(
         if channel == "wheel_speed" and guess.rank > 1 and guess.topic != pose_topic:
             continue
         values = field_values(log, guess)
-        if values is not None and np.ptp(values) > 0 and not _is_another(guess, values):
+        if values is not None and np.ptp(values) > 0 and not _is_misnamed(guess, values):
             scalars[channel] = guess, values[:, 0]
     for channel, (guess, _) in found.items():
         if channel not in scalars and (values := field_values(log, guess)) is not None:
@@ -137,8 +137,8 @@ def of_other_vehicles(entries: Mapping[str, Entry]) -> list[str]:
     ]
 
 
-def _is_another(guess: Guess, values: Float[np.ndarray, "n k"]) -> bool:
-    """Whether a direction only drives forward or is an angle by its many values, or a pedal is an acceleration."""
+def _is_misnamed(guess: Guess, values: Float[np.ndarray, "n k"]) -> bool:
+    """Whether numbers belie a name: a gear that only drives forward or is an angle, a pedal that is an acceleration."""
     if guess.rank == ACCELERATOR:
         return bool(guess.unit) or float(values.min()) < 0
     if guess.channel != "gear":

@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
+from offpiste.conventions import GRAVITY
 from offpiste.geometry import rotation_from_quaternion
 from offpiste.inspection.commanded_motion import is_measured_steering
 from offpiste.inspection.course import under_way
@@ -46,7 +47,6 @@ _CENTRED: Final = {"steer": 0.05, "steer_angle": 0.0}
 
 _LEANS: Final = 0.4
 """Correlation with which a body leans into its curves where nothing but that speaks against a pose."""
-_GRAVITY: Final = 9.81
 _ON_SLOPES: Final = (0.5, 1.6)
 """Acceleration over gravity times the slope, of either sign, that is gravity's."""
 _PUSHED_AFTER: Final = 0.1
@@ -195,7 +195,7 @@ def _rises(drive: Drive, path: DrivenPath) -> int:
     pushed = [sampled(drive.channels[name], path.time - _PUSHED_AFTER, drive.rig) for name in pedals]
     base = np.stack((np.ones(len(path.time)), path.forward, path.forward**2, *pushed), axis=1)
     ahead = under_way(path) & (path.forward > 0)
-    fit = fit_lags(path.acceleration, base, _GRAVITY * path.slope[None], np.zeros(1), ahead)
+    fit = fit_lags(path.acceleration, base, GRAVITY * path.slope[None], np.zeros(1), ahead)
     if fit is None or abs(fit.gain[0]) < _ON_SLOPES[0] + SURE * fit.gain_sigma(0) or abs(fit.gain[0]) > _ON_SLOPES[1]:
         return 0
     return int(-np.sign(fit.gain[0]))
@@ -204,7 +204,7 @@ def _rises(drive: Drive, path: DrivenPath) -> int:
 def _turns_as_pose(path: DrivenPath, recorded: Mapping[str, Recorded]) -> int:
     """1 where an IMU turns about the vertical as the pose does, -1 where it turns the other way, 0 where none shows it.
 
-    Its accelerometer says where up is, however it is mounted.
+    Its accelerometer says where up is, also of one that is mounted upside down.
     """
     for topic in recorded.values():
         names = [parse_label(field).name for field in topic.fields]
