@@ -42,6 +42,9 @@ PERCEPTION_LATENCY: Final = 0.1
 GRAVITY: Final = 9.80665
 """Standard gravity [m/s^2] (CGPM 1901)."""
 
+SIGMA_PER_MEDIAN: Final = 1.4826
+"""Standard deviation of a normal distribution over its median absolute deviation."""
+
 
 def min_evaluation_speed(wheelbase: float) -> float:
     """Speed above which windows of a vehicle start [m/s]: 1.5, or less for a small one, by equal Froude numbers.

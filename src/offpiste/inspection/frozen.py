@@ -5,6 +5,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Bool, Float
 
+from offpiste.conventions import SIGMA_PER_MEDIAN
 from offpiste.inspection.course import course_minus_heading, straight_rows
 from offpiste.inspection.driven_path import MOVING, STEP, DrivenPath
 from offpiste.inspection.findings import Finding
@@ -126,7 +127,7 @@ def _course_turns(
     """Whether the course turns within runs by more than noise and slip: on a straight a heading may stay the same."""
     away, known = course_minus_heading(path), np.isfinite(path.velocity).all(axis=1) & (path.speed > MOVING)
     straight = away[straight_rows(path)]
-    scatter = 1.4826 * float(np.median(np.abs(straight - np.median(straight)))) if len(straight) else 0.0
+    scatter = SIGMA_PER_MEDIAN * float(np.median(np.abs(straight - np.median(straight)))) if len(straight) else 0.0
     course = np.unwrap(np.arctan2(path.velocity[known, 1], path.velocity[known, 0]))
     # Velocities at the ends of a run are also of what is beyond.
     inside = np.minimum(path.window / 2, (end - begin) / 4)

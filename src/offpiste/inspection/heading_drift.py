@@ -5,6 +5,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
+from offpiste.conventions import SIGMA_PER_MEDIAN
 from offpiste.inspection.course import course_minus_heading, straight_rows
 from offpiste.inspection.driven_path import DrivenPath
 from offpiste.inspection.findings import Finding
@@ -87,7 +88,7 @@ def check_heading_noise(drive: Drive, path: DrivenPath) -> list[Finding]:
     if len(third) < 100:
         return []
     # Third differences of white noise have 20 times its variance; turning hardly shows in them.
-    sigma = 1.4826 * float(np.median(third)) / np.sqrt(20)
+    sigma = SIGMA_PER_MEDIAN * float(np.median(third)) / np.sqrt(20)
     if sigma < _NOISY:
         return []
     name = "yaw" if "yaw" in drive.channels else "orientation"

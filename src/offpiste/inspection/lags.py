@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from offpiste.conventions import SIGMA_PER_MEDIAN
 from offpiste.inspection.findings import Finding
 from offpiste.logs.channel import Channel
 from offpiste.rig.edits import Edit
@@ -129,7 +130,7 @@ def fit_lags(
         if last:
             break
         residual = _residual(known, lagged[np.abs(r).argmax()][use], y, weight)
-        scale = max(1.4826 * float(np.median(np.abs(residual))), 1e-12)
+        scale = max(SIGMA_PER_MEDIAN * float(np.median(np.abs(residual))), 1e-12)
         weight = np.minimum(1.0, _OUTLIER * scale / np.maximum(np.abs(residual), 1e-12)) ** 2
     left_out, gain_left_out, varies = sums.without_each().solve()
     varies &= len(starts) > 1

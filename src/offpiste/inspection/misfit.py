@@ -13,6 +13,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
+from offpiste.conventions import SIGMA_PER_MEDIAN
+
 PRIOR: Final = np.array([*np.deg2rad([5.0, 5.0, 5.0]), 0.3])
 """Standard deviation of the prior [rad, rad, rad, s]: what the data do not tell stays as uncertain as this."""
 STEPS: Final = np.array([*np.deg2rad([0.05, 0.05, 0.05]), 0.04, 0.01, 0.01, 0.01])
@@ -108,7 +110,7 @@ def _step(pairs: Sequence[Pair], start: Parameters, prior: Parameters) -> Misfit
     normal, weight = np.eye(len(prior)), np.ones(len(residual))
     for _ in range(15):
         left = residual + slope @ step
-        scale = max(1.4826 * float(np.median(np.abs(left))), 1e-9)
+        scale = max(SIGMA_PER_MEDIAN * float(np.median(np.abs(left))), 1e-9)
         weight = np.clip(1 - (left / (_BIWEIGHT * scale)) ** 2, 0, None) ** 2 / scale**2
         normal = slope.T @ (weight[:, None] * slope) + np.eye(len(prior))
         step = -np.linalg.solve(normal, slope.T @ (weight * residual) + start / prior)

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.ndimage import median_filter
 
+from offpiste.conventions import SIGMA_PER_MEDIAN
 from offpiste.geometry import rotation_from_quaternion
 from offpiste.inspection.driven_path import STEP, DrivenPath
 from offpiste.inspection.findings import Finding
@@ -168,7 +169,7 @@ def _noise(drive: Drive, path: DrivenPath) -> list[Finding]:
         return []
     step = float(np.median(np.diff(place.time)))
     # Third differences of white noise have 20 times its variance; driving hardly shows in them.
-    sigma = 1.4826 * float(np.median(np.abs(np.diff(place.values[:, :2], 3, axis=0)))) / np.sqrt(20)
+    sigma = SIGMA_PER_MEDIAN * float(np.median(np.abs(np.diff(place.values[:, :2], 3, axis=0)))) / np.sqrt(20)
     if velocity is not None and velocity.frame != "unknown":
         if sigma < max(_NOISY * path.cruise, 0.02):
             return []

@@ -12,6 +12,7 @@ from offpiste.channels import actuator_columns
 from offpiste.conventions import ACTUATORS, DT, HISTORY_STEPS
 from offpiste.dataset.columns import COLUMNS
 from offpiste.dataset.resample import OWN_COLUMNS
+from offpiste.geometry import yaw_from_quaternion
 from offpiste.logs.channel import Channel
 from offpiste.logs.motion import extrapolated, planar_state
 from offpiste.logs.poses import Poses
@@ -169,7 +170,8 @@ class VehicleTrack:
         age = np.maximum(at - time[index], 0.0)
         velocity = np.stack([r.velocity[:2] for r in chosen])
         rate = np.array([[r.yaw_rate] for r in chosen])
-        yaw = extrapolated(np.unwrap([_yaw(r.orientation) for r in chosen])[:, None], rate, age)
+        yaw = yaw_from_quaternion(np.stack([r.orientation for r in chosen]))
+        yaw = extrapolated(yaw[:, None], rate, age)
         place = extrapolated(np.stack([r.position[:2] for r in chosen]), velocity, age)
         state = planar_state(place, yaw, velocity, rate)
         extra = {name: np.array([r.extra.get(name, np.nan) for r in chosen]) for name in _past_columns()}
@@ -188,9 +190,3 @@ class VehicleTrack:
 def _past_columns() -> list[str]:
     """Columns of extensions that a model's history holds."""
     return [name for name, column in COLUMNS.items() if name not in OWN_COLUMNS and "past" in column.segments]
-
-
-def _yaw(quaternion: Float[np.ndarray, " 4"]) -> float:
-    """Heading of the body's x axis in the horizontal plane [rad]."""
-    x, y, z, w = quaternion / np.linalg.norm(quaternion)
-    return float(np.arctan2(2 * (x * y + z * w), 1 - 2 * (y * y + z * z)))

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from jaxtyping import Float, Int
 
-from offpiste.conventions import DT
+from offpiste.conventions import DT, SIGMA_PER_MEDIAN
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.slow_context import SHIFTED, ContextSettings, SlowContext, shifted
@@ -31,9 +31,6 @@ AT_ONCE: Final = 2048
 ENOUGH: Final = 20_000
 """Short predictions from which the noise of a run is known."""
 
-ROBUST: Final = 1.4826
-"""Standard deviation of a normal distribution over its median absolute deviation."""
-
 
 @dataclass(frozen=True)
 class ShortErrors:
@@ -53,7 +50,7 @@ class ShortErrors:
     @property
     def noise(self) -> Float[np.ndarray, " 3"]:
         """Standard deviation of the errors, whatever their mean, in spite of outliers."""
-        return np.asarray(ROBUST * np.median(np.abs(self.error), axis=0))
+        return np.asarray(SIGMA_PER_MEDIAN * np.median(np.abs(self.error), axis=0))
 
 
 @torch.no_grad()
