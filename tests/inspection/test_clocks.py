@@ -1,7 +1,10 @@
 """Clocks that the speed of the wheels shows to be late, and what only looks like it."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
+from jaxtyping import Float
 from simulated import MemoryLog, drive_log, rig
 
 from offpiste.inspection.clocks import check_clocks
@@ -61,3 +64,23 @@ def test_wheels_that_run_ahead_slip_and_those_that_come_late_have_a_clock_that_d
     recorded, _ = read_topics(RememberedLog(log), rig())
     found = check_clocks(recorded, driven_path(drive_from_log(log, rig())), rig(), besides={"odom"})
     assert [finding.what for finding in found] == (["has a clock that drifts"] if drifts else [])
+
+
+@pytest.mark.parametrize(
+    ("late", "what"),
+    [(lambda t: -0.8 * np.sin(t / 5) ** 2, None), (lambda t: 0.8 * np.sin(t / 5) ** 2, "drifts"), (0.5, "is late")],
+)
+def test_what_has_the_stamps_of_the_pose_is_not_late_with_it(
+    late: float | Callable[[Float[np.ndarray, " n"]], Float[np.ndarray, " n"]], what: str | None
+) -> None:
+    """However far wheels run ahead, their clock is that of the pose; where they are late, the pose is not."""
+    time, odom = CLEAN.data["odom"]
+    lag = late(time) if callable(late) else late
+    log = MemoryLog({**CLEAN.data, "wheels": (time, {"speed": np.interp(time - lag, time, odom["vx"])})})
+    of = edited(rig(), [Edit("channels.wheel_speed", {"topic": "wheels", "fields": ["speed"]})])
+    recorded, _ = read_topics(RememberedLog(log), of)
+    found = check_clocks(recorded, driven_path(drive_from_log(log, of)), of, besides={"odom"})
+    assert [finding.where for finding in found] == ([] if what is None else ["wheels"])
+    assert all(what in finding.what for finding in found)
+    cured = {edit.key for finding in found for cure in finding.cures for edit in cure}
+    assert cured <= {"alignment", "channels.wheel_speed.delay"}

@@ -64,8 +64,9 @@ def check_clocks(recorded: dict[str, Recorded], path: DrivenPath, rig: Rig, *, b
     for wheel in sorted(find_wheel_speeds(recorded, path, besides=besides | known), key=lambda w: -w.correlation):
         if wheel.topic in checked or (wheel.topic, wheel.field) in commanded:
             continue
-        shared = [t for t, r in recorded.items() if np.array_equal(r.time, recorded[wheel.topic].time)]
-        checked |= set(shared)
+        together = {t for t, r in recorded.items() if np.array_equal(r.time, recorded[wheel.topic].time)}
+        shared = [topic for topic in recorded if topic in together - besides]
+        checked |= together
         if not any(source.topic in shared for source in rig.channels.values()):
             continue
         speed = np.isfinite(path.speed)
@@ -77,7 +78,9 @@ def check_clocks(recorded: dict[str, Recorded], path: DrivenPath, rig: Rig, *, b
         readers = {name for name, source in rig.channels.items() if source.topic in shared}
         if all(map(control_of, readers)) and _LEADS < low <= high < _LATE:
             continue  # a commanded speed, which the vehicle's follows
-        if high - low > _CHANGE and _SLIP[0] < low <= high < _SLIP[1]:
+        # Stamps that are the pose's own do not drift against it: wheels then slip, however far they run ahead.
+        least = -np.inf if together & besides else _SLIP[0]
+        if high - low > _CHANGE and least < low <= high < _SLIP[1]:
             continue
         evidence = f"{field} follows the speed (correlation {wheel.correlation:.2f}), "
         evidence += f"{low:+.2f} to {high:+.2f} s late (5 to 95 %)"
