@@ -105,12 +105,12 @@ def curve_control(of: Reproduced, out: Path, curve: Curve, seeds: int) -> Path:
                 runs = of.runs(model)[:seeds]
             else:
                 runs = trained_seeds(mine, _config(of, model, config), folder / "runs", seeds)
-            errors[model, hours] = _on_maps(of, runs, windows, index, folder / "evaluated")
+            errors[model, hours] = _on_maps(runs, windows, index, folder / "evaluated")
         if truth is not None:
             there = Windows(truth, "test")
             runs = trained_seeds(training_on(truth, names), replace(config, model="df"), folder / ORACLE, seeds)
             same = same_windows(windows, index, there)
-            errors[ORACLE, hours] = _on_maps(of, runs, there, same, folder / "evaluated" / ORACLE)
+            errors[ORACLE, hours] = _on_maps(runs, there, same, folder / "evaluated" / ORACLE)
         found = (f"{model} {mine.distance().mean():.3f} m" for (model, at), mine in errors.items() if at == hours)
         logger.info(f"{hours:.2f} h: {', '.join(found)}")
     points = _points(errors)
@@ -118,11 +118,9 @@ def curve_control(of: Reproduced, out: Path, curve: Curve, seeds: int) -> Path:
     return write_control(out / "curve", [_table(points)], results, {"curve": draw_curves(points)})
 
 
-def _on_maps(
-    of: Reproduced, runs: Sequence[Run], windows: Windows, index: Int[np.ndarray, " n"], kept: Path
-) -> SeededErrors:
-    """Errors of runs of one model on the map, at predicted places."""
-    return runs_of([errors_of(run, windows, index, MAP, scale=of.scale, kept=kept) for run in runs])
+def _on_maps(runs: Sequence[Run], windows: Windows, index: Int[np.ndarray, " n"], kept: Path) -> SeededErrors:
+    """Errors of runs of one model on the map, at predicted places; distances do not depend on the units of the loss."""
+    return runs_of([errors_of(run, windows, index, MAP, scale=runs[0].scale, kept=kept) for run in runs])
 
 
 def amounts(dataset: Dataset, curve: Curve) -> list[set[str]]:
