@@ -78,7 +78,7 @@ def check_clocks(recorded: dict[str, Recorded], path: DrivenPath, rig: Rig, *, b
         readers = {name for name, source in rig.channels.items() if source.topic in shared}
         if all(map(control_of, readers)) and _LEADS < low <= high < _LATE:
             continue  # a commanded speed, which the vehicle's follows
-        # Stamps that are the pose's own do not drift against it: wheels then slip, however far they run ahead.
+        # With the pose's own stamps, wheels that run ahead slip, however far: a clock does not drift against itself.
         least = -np.inf if together & besides else _SLIP[0]
         if high - low > _CHANGE and least < low <= high < _SLIP[1]:
             continue
