@@ -14,7 +14,6 @@ SOURCES = sorted(
     file for folder in ("src", "experiments") for file in (ROOT / folder).rglob("*.py") if file.name != "generated.py"
 )
 SHARED_LINES = 6
-LONGEST_FILE = 300
 LONGEST_FUNCTION = 75
 MODULES = 450
 
@@ -53,13 +52,7 @@ def test_no_two_places_share_six_equal_lines():
     assert not twice, twice
 
 
-def test_files_are_short_and_few():
-    long = {
-        str(file.relative_to(ROOT)): count
-        for file in SOURCES
-        if (count := len(file.read_text("utf-8").splitlines())) > LONGEST_FILE
-    }
-    assert not long, long
+def test_modules_are_few():
     modules = [file for file in SOURCES if "src" in file.relative_to(ROOT).parts and file.name != "__init__.py"]
     assert len(modules) <= MODULES
 
