@@ -184,7 +184,7 @@ def test_check_names_a_damaged_file_and_what_to_do(
     # In JSON a digit behind another one, so that it stays JSON.
     at = next(
         k
-        for k in range(len(content) // 2, len(content))
+        for k in (*range(len(content) // 2, len(content)), *range(1, len(content) // 2))
         if not name.endswith("json") or content[k - 1 : k + 1].isdigit()
     )
     content[at] ^= 1

@@ -1,5 +1,6 @@
 """Compares the checksums of all files of runs, datasets and PCAs with their content (`offpiste check`)."""
 
+import json
 import logging
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -11,7 +12,7 @@ from safetensors import SafetensorError, safe_open
 from offpiste.checksums import CHECKSUMS, damaged_files
 from offpiste.dataset.place import drive_names
 from offpiste.dataset.store import open_dataset
-from offpiste.dataset.stored_arrays import check_crc32c
+from offpiste.dataset.stored_arrays import check_crc32c, refuse_foreign
 from offpiste.errors import OffpisteError
 from offpiste.perception.pca import PCA_HEADER, load_pca
 from offpiste.progress import track
@@ -130,7 +131,8 @@ def _check_metadata(folder: Path) -> None:
 
 def _check_chunks_are_there(folder: Path) -> None:
     try:
-        node = zarr.open(folder, mode="r")
+        refuse_foreign(json.loads((folder / "zarr.json").read_bytes()))
+        node = zarr.open(folder, mode="r", zarr_format=3)
     except (KeyError, TypeError, OSError, ValueError):
         return  # its metadata are damaged, and said to be
     if isinstance(node, zarr.Array) and node.nchunks_initialized < node.nchunks:

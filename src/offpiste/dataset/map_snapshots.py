@@ -15,6 +15,7 @@ from zarr.codecs import Crc32cCodec, ZstdCodec
 
 from offpiste.conventions import DT, PERCEPTION_LATENCY
 from offpiste.dataset.known_cells import CELL_ARRAYS, CellList
+from offpiste.dataset.stored_arrays import open_stored
 from offpiste.errors import DatasetError
 from offpiste.mapping.terrain_map import TerrainMap
 
@@ -183,7 +184,7 @@ def open_snapshots(folder: Path) -> Snapshots:
     Raises:
         KeyError, OSError, ValueError: the folder is cut short.
     """
-    group = zarr.open_group(folder, mode="r")
+    group = open_stored(folder)
     arrays = dict(group.arrays())
     for name, array in arrays.items():
         if array.nchunks_initialized < array.nchunks:

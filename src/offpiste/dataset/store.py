@@ -33,7 +33,14 @@ from offpiste.dataset.store_validation import (
     refuse_misshapen,
     refuse_unlike,
 )
-from offpiste.dataset.stored_arrays import ARRAYS, digest_of_chunks, mapped_array, whole_array, write_arrays
+from offpiste.dataset.stored_arrays import (
+    ARRAYS,
+    digest_of_chunks,
+    mapped_array,
+    open_stored,
+    whole_array,
+    write_arrays,
+)
 from offpiste.errors import DatasetError
 from offpiste.files import check_folder, remove_partials, write_folder
 from offpiste.mapping.replay import MapperSettings
@@ -243,7 +250,7 @@ def open_dataset(path: str | Path) -> Dataset:
 def _read_drive(path: Path, name: str) -> StoredDrive:
     with _reading(path, name):
         check_files(path / name)
-        group = zarr.open_group(path / name, mode="r")
+        group = open_stored(path / name)
         arrays = {key: whole_array(group, key) for key in ("time", "valid")}
         for key, column in COLUMNS.items():
             if key in OWN_COLUMNS or key in group:  # datasets that were made without an added column lack it
@@ -267,7 +274,7 @@ def _read_cells(folder: Path, group: Any) -> Cells:
 
 def _read_map(path: Path, name: str) -> TerrainMap:
     with _reading(path, name):
-        group = zarr.open_group(path / name / "map", mode="r")
+        group = open_stored(path / name / "map")
         about: dict[str, Any] = dict(group.attrs)
         return TerrainMap(
             np.array(about["origin"]),

@@ -1,5 +1,6 @@
 """Validation of a dataset's files: it is resumed only as it was begun, and rows marked complete are complete."""
 
+import json
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 from pathlib import Path
@@ -7,7 +8,6 @@ from typing import Annotated, Any
 
 import msgspec
 import numpy as np
-import zarr
 from jaxtyping import Int
 from msgspec.structs import replace
 
@@ -16,6 +16,7 @@ from offpiste.conventions import MIN_EVALUATION_SPEED
 from offpiste.dataset.columns import COLUMNS, Column
 from offpiste.dataset.resample import Rows
 from offpiste.dataset.splits import PARTS
+from offpiste.dataset.stored_arrays import refuse_foreign
 from offpiste.errors import DatasetError, RigError
 from offpiste.rig.rig import Rig, check_rig
 
@@ -213,7 +214,9 @@ def attributes_of(path: Path) -> dict[str, Any]:
     """
     damaged = DatasetError("is damaged", where=path / "zarr.json", how="restore it from a copy, or extract again")
     try:
-        attributes = dict(zarr.open_group(path, mode="r").attrs)
+        metadata = json.loads((path / "zarr.json").read_bytes())
+        refuse_foreign(metadata)
+        attributes = dict(metadata["attributes"])
         if attributes.get("schema") == SCHEMA:
             check_files(path)
     except DamagedFile as error:

@@ -1,7 +1,10 @@
 """Arrays of a dataset on disk: one uncompressed chunk each, with its CRC-32C at the end (Zarr's codec `crc32c`)."""
 
+import json
+import math
 import os
 from pathlib import Path
+from typing import Any, Final
 
 import google_crc32c
 import numpy as np
@@ -13,8 +16,47 @@ from offpiste.checksums import CHECKSUMS, DamagedFile, sha256_of_json
 ARRAYS = "arrays_sha256"
 """Attribute of a drive: `digest_of_chunks` of its folder when it was written."""
 
+CODECS: Final = frozenset({"bytes", "zstd", "crc32c"})
+"""Codecs that datasets are written with. Others may run code: numcodecs has one that unpickles."""
+
+LARGEST_CHUNK: Final = 1 << 32
+"""Largest chunk that metadata may ask for, decompressed [bytes]."""
+
 PIECE = 1 << 22
 """Bytes of a file that are read at a time."""
+
+
+def open_stored(folder: Path) -> zarr.Group:
+    """Open a group of Zarr v3 whose arrays have only the codecs that datasets are written with.
+
+    Raises:
+        ValueError: the metadata of the group, or of anything below it, name something else.
+    """
+    for file in sorted(folder.rglob("zarr.json")):
+        try:
+            refuse_foreign(json.loads(file.read_bytes()))
+        except (ValueError, TypeError, KeyError, RecursionError) as error:
+            raise ValueError(f"{file} is no metadata of a dataset ({error})") from error
+    return zarr.open_group(folder, mode="r", zarr_format=3, use_consolidated=False)
+
+
+def refuse_foreign(metadata: dict[str, Any]) -> None:
+    """Raise unless the metadata are those of a group or an array as `write_arrays` and `SnapshotWriter` write them.
+
+    Raises:
+        ValueError, TypeError, KeyError: they are not.
+    """
+    if metadata["zarr_format"] != 3:
+        raise ValueError(f"Zarr version {metadata['zarr_format']}, not 3")
+    if metadata["node_type"] == "group":
+        return
+    if foreign := sorted({codec["name"] for codec in metadata["codecs"]} - CODECS):
+        raise ValueError(f"codec '{foreign[0]}', not one of {', '.join(sorted(CODECS))}")
+    if metadata.get("storage_transformers"):
+        raise ValueError("storage transformers, of which datasets have none")
+    chunk = math.prod(metadata["chunk_grid"]["configuration"]["chunk_shape"]) * np.dtype(metadata["data_type"]).itemsize
+    if chunk > LARGEST_CHUNK:
+        raise ValueError(f"chunks of {chunk / 2**30:.0f} GiB, more than {LARGEST_CHUNK >> 30}")
 
 
 def write_arrays(group: zarr.Group, arrays: dict[str, np.ndarray]) -> None:
@@ -98,6 +140,6 @@ def digest_of_chunks(folder: Path) -> str:
 
 def changed_arrays(drive: Path) -> str:
     """`digest_of_chunks` of a drive whose arrays are not those that were written; empty for others, or older ones."""
-    written = zarr.open_group(drive, mode="r").attrs.get(ARRAYS)
+    written = open_stored(drive).attrs.get(ARRAYS)
     found = digest_of_chunks(drive)
     return found if written not in (None, found) else ""
