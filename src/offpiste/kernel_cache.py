@@ -26,6 +26,9 @@ DAMAGED: Final = "machine code that was kept cannot be used, and is compiled aga
 WAIT: Final = 180.0
 """A process that finds another one compiling the same waits for so long before it compiles as well [s]."""
 
+SILENT: Final = 1.0
+"""Time that a process waits for a small kernel of another one before it says so [s]."""
+
 
 class _UserFolder(UserWideCacheLocator):  # type: ignore[misc]
     """Numba's way to name folders after those of the sources, below offpiste's own."""
@@ -131,14 +134,15 @@ class _Turn:
             self._folder.mkdir(parents=True, exist_ok=True)
             path = self._folder / f"{digest[:16]}.lock"
             self._file = path.open("wb")
-            end, waits = time.monotonic() + WAIT, False
+            begin, waits = time.monotonic(), False
+            end = begin + WAIT
             while time.monotonic() < end and path.exists():
                 with suppress(BlockingIOError):
                     fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
                     return
-                if not waits and self._part:
-                    logger.info(f"waiting for another process, which compiles {self._part}")
-                waits = True
+                if not waits and (self._part or time.monotonic() > begin + SILENT):
+                    logger.info(f"waiting for another process, which compiles {self._part or self._name}")
+                    waits = True
                 time.sleep(0.05)
 
     def give_up(self) -> None:

@@ -1,5 +1,6 @@
 """Parity files: inputs, and what a model predicts from them, to run on the machine that an export is for."""
 
+import zlib
 from dataclasses import dataclass
 from typing import Final
 
@@ -24,7 +25,7 @@ TRACK: Final = 1.5
 """Distance between left and right wheels of vehicles that were declared without [m]."""
 
 HEADER: Final = b"opar"
-VERSION: Final = 2
+VERSION: Final = 3
 
 DIGEST: Final = 16
 """Characters of a digest of a model."""
@@ -107,7 +108,8 @@ def parity_bytes(case: ParityCase) -> bytes:
     )  # fmt: skip
     numbers = [np.nan_to_num(part.numpy(), nan=0.0) if part is case.start else part.numpy() for part in parts]
     head = HEADER + np.array(sizes, "<i4").tobytes() + case.model.encode()
-    return head + b"".join(part.astype("<f4").tobytes() for part in numbers)
+    content = head + b"".join(part.astype("<f4").tobytes() for part in numbers)
+    return content + zlib.crc32(content).to_bytes(4, "little")
 
 
 def _source(dynamics: Dynamics, ground: MapStack, wheels: Tensor, count: int) -> MapTerrain:

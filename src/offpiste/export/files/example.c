@@ -10,7 +10,7 @@ int main(int count, char** arguments) {
     float* codes = offpiste_code_cells(&p);
     const offpiste_map map = offpiste_map_of(&p, codes);
     float* states = (float*)malloc(sizeof(float) * 10 * p.drives * p.steps);
-    int drive, t;
+    int drive, t, failed;
     if (!states) return 1;
     for (drive = 0; drive < p.drives; drive++) {
         float state[OFFPISTE_STATE];
@@ -24,5 +24,7 @@ int main(int count, char** arguments) {
             memcpy(states + 10 * at, state, 10 * sizeof(float));
         }
     }
-    return offpiste_report(&p, states);
+    failed = offpiste_report(&p, states);
+    free(states), free(codes), free(p.content);
+    return failed;
 }

@@ -62,5 +62,7 @@ int main(int count, char** arguments) {
     roll_out<<<blocks, OFFPISTE_BLOCK>>>(weights, there, begin, controls, found, p.steps, p.drives);
     check(cudaGetLastError());
     check(cudaMemcpy(states, found, out, cudaMemcpyDeviceToHost));
-    return offpiste_report(&p, states);
+    const int failed = offpiste_report(&p, states);
+    free(starts), free(states), free(codes), free(p.content);
+    return failed;
 }

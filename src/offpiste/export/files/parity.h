@@ -6,6 +6,7 @@
      slope [rows, columns, 2]; features [rows, columns, F], NaN where missing
      past states [drives, past, 10], past controls [drives, past, U], start [drives, 10], controls [drives, steps, U]
      expected states [drives, steps, 10]
+     CRC-32 of all bytes before it, uint32
    A state is px, py, yaw, vx, vy, yaw rate, brake, steer, steer rate, engine.
    Include offpiste.h before. */
 #ifndef OFFPISTE_PARITY_H
@@ -20,49 +21,65 @@ typedef struct {
     int rows, columns, features, drives, past, steps, controls;
     float x, y, resolution, wheels[4][2];
     float *slope, *cells, *past_states, *past_controls, *start, *control, *expected;
+    unsigned char* content;
 } offpiste_parity;
 
-static float* offpiste_numbers(FILE* file, size_t count) {
-    float* numbers = (float*)malloc(count * sizeof(float) + 1);
-    if (!numbers || fread(numbers, sizeof(float), count, file) != count) {
-        fprintf(stderr, "the parity file ends too soon\n");
-        exit(1);
+static uint32_t offpiste_crc32(const unsigned char* bytes, size_t count) {
+    uint32_t crc = 0xffffffffu;
+    size_t i;
+    int bit;
+    for (i = 0; i < count; i++) {
+        crc ^= bytes[i];
+        for (bit = 0; bit < 8; bit++) crc = (crc >> 1) ^ (0xedb88320u & (0u - (crc & 1u)));
     }
-    return numbers;
+    return ~crc;
 }
 
+static void offpiste_refuse_parity(const char* path, const char* why) {
+    fprintf(stderr, "%s: %s\n", path, why);
+    exit(1);
+}
+
+/* Reads a parity file, or says what is wrong with it and exits with 1. */
 static offpiste_parity offpiste_read_parity(const char* path) {
+    const size_t head = 52; /* bytes before the numbers */
     offpiste_parity p;
-    char magic[4], model[16];
     int32_t sizes[8];
-    size_t cells, drives;
-    float* place;
+    uint32_t crc;
+    size_t cells, drives, rows, count;
+    float* next;
+    long length = -1;
     FILE* file = fopen(path, "rb");
-    if (!file || fread(magic, 1, 4, file) != 4 || memcmp(magic, "opar", 4) || fread(sizes, 4, 8, file) != 8 ||
-        sizes[0] != 2 || fread(model, 1, 16, file) != 16) {
-        fprintf(stderr, "%s: no parity file of version 2\n", path);
-        exit(1);
-    }
+    if (file && !fseek(file, 0, SEEK_END)) length = ftell(file);
+    if (length < (long)head + 4) offpiste_refuse_parity(path, "no parity file of version 3");
+    count = (size_t)length - 4;
+    p.content = (unsigned char*)malloc((size_t)length);
+    rewind(file);
+    if (!p.content || fread(p.content, 1, (size_t)length, file) != (size_t)length)
+        offpiste_refuse_parity(path, "cannot be read");
+    fclose(file);
+    memcpy(sizes, p.content + 4, sizeof sizes);
+    if (memcmp(p.content, "opar", 4) || sizes[0] != 3) offpiste_refuse_parity(path, "no parity file of version 3");
+    memcpy(&crc, p.content + count, 4);
+    if (crc != offpiste_crc32(p.content, count)) offpiste_refuse_parity(path, "is damaged or cut short; export it again");
     p.rows = sizes[1], p.columns = sizes[2], p.features = sizes[3], p.drives = sizes[4];
     p.past = sizes[5], p.steps = sizes[6], p.controls = sizes[7];
-    if (memcmp(model, OFFPISTE_DIGEST, 16) || p.controls != OFFPISTE_CONTROLS || p.features != OFFPISTE_FEATURES ||
-        p.past != OFFPISTE_PAST) {
-        fprintf(stderr, "%s: belongs to another model than offpiste.h\n", path);
-        exit(1);
-    }
-    place = offpiste_numbers(file, 11);
-    p.x = place[0], p.y = place[1], p.resolution = place[2];
-    memcpy(p.wheels, place + 3, sizeof p.wheels);
-    free(place);
-    cells = (size_t)p.rows * p.columns, drives = (size_t)p.drives;
-    p.slope = offpiste_numbers(file, 2 * cells);
-    p.cells = offpiste_numbers(file, p.features * cells);
-    p.past_states = offpiste_numbers(file, drives * p.past * 10);
-    p.past_controls = offpiste_numbers(file, drives * p.past * p.controls);
-    p.start = offpiste_numbers(file, drives * 10);
-    p.control = offpiste_numbers(file, drives * p.steps * p.controls);
-    p.expected = offpiste_numbers(file, drives * p.steps * 10);
-    fclose(file);
+    if (memcmp(p.content + 36, OFFPISTE_DIGEST, 16) || p.controls != OFFPISTE_CONTROLS ||
+        p.features != OFFPISTE_FEATURES || p.past != OFFPISTE_PAST)
+        offpiste_refuse_parity(path, "belongs to another model than offpiste.h");
+    cells = (size_t)p.rows * p.columns, drives = (size_t)p.drives, rows = drives * p.steps;
+    next = (float*)(void*)(p.content + head);
+    p.x = next[0], p.y = next[1], p.resolution = next[2];
+    memcpy(p.wheels, next + 3, sizeof p.wheels);
+    p.slope = next + 11;
+    p.cells = p.slope + 2 * cells;
+    p.past_states = p.cells + p.features * cells;
+    p.past_controls = p.past_states + drives * p.past * 10;
+    p.start = p.past_controls + drives * p.past * p.controls;
+    p.control = p.start + drives * 10;
+    p.expected = p.control + rows * p.controls;
+    if ((size_t)(p.expected - next + rows * 10) * sizeof(float) != count - head)
+        offpiste_refuse_parity(path, "has another length than its sizes say");
     return p;
 }
 
