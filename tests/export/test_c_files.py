@@ -23,9 +23,12 @@ from offpiste.export.parity import parity_bytes, parity_case
 from offpiste.registry import Registry
 from offpiste.training.run import pretrained
 
+SANITIZED = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+"""A leak, and an access out of bounds, end the program with an error."""
+
 
 def compiled_and_run(folder):
-    command = ["gcc", "-std=c99", "-O1", "-Wall", "-Wextra", "-Werror", "example.c", "-o", "example", "-lm"]
+    command = ["gcc", "-std=c99", "-O1", *SANITIZED, "-Wall", "-Wextra", "-Werror", "example.c", "-o", "example", "-lm"]
     made = subprocess.run(command, cwd=folder, capture_output=True, text=True)
     assert made.returncode == 0, made.stderr[:2000]
     return subprocess.run(["./example", "parity.bin"], cwd=folder, capture_output=True, text=True)
@@ -90,7 +93,12 @@ def test_every_kind_of_model_agrees(kind, tmp_path):
     assert subprocess.run(["./example"], cwd=tmp_path, capture_output=True).returncode == 1
     (tmp_path / "parity.bin").write_bytes(parity_bytes(case)[:-4])
     cut = subprocess.run(["./example"], cwd=tmp_path, capture_output=True, text=True)
-    assert (cut.returncode, cut.stderr) == (1, "the parity file ends too soon\n")
+    assert (cut.returncode, cut.stderr) == (1, "parity.bin: is damaged or cut short; export it again\n")
+    for at in (5, 30, 40, 60, len(parity_bytes(case)) // 2, len(parity_bytes(case)) - 10):
+        flipped = bytearray(parity_bytes(case))
+        flipped[at] ^= 1
+        (tmp_path / "parity.bin").write_bytes(flipped)
+        assert subprocess.run(["./example"], cwd=tmp_path, capture_output=True).returncode == 1
     other = parity_case(unsettled(made_up(kind), scale=0.01), steps=100)
     (tmp_path / "parity.bin").write_bytes(parity_bytes(other))
     alien = subprocess.run(["./example"], cwd=tmp_path, capture_output=True, text=True)
@@ -123,7 +131,7 @@ def test_a_control_that_kernels_do_not_know_is_refused(monkeypatch):
     channels.register_control(channels.Control("diff_lock", low=0.0, high=1.0))
     dynamics = Hybrid(replace(VEHICLE, control=(*VEHICLE.control, "diff_lock")))
     run = replace(pretrained("proving-ground/b"), dynamics=dynamics)
-    with pytest.raises(RunError, match="kernels do not know diff_lock, which 'b' reads; train it on a dataset without"):
+    with pytest.raises(RunError, match="'b' has no kernels: they do not know diff_lock; export"):
         refuse_without_kernels(run)
 
 
@@ -143,9 +151,9 @@ class Scaled(FeatureEncoder):
 def test_an_encoder_that_the_text_does_not_know_is_refused():
     dynamics = Hybrid(replace(VEHICLE, features=3), encoder=Scaled(3))
     run = replace(pretrained("proving-ground/b"), dynamics=dynamics)
-    with pytest.raises(RunError, match="an encoder of type Scaled cannot be printed; export a model whose"):
+    with pytest.raises(RunError, match="'b' has no kernels: its encoder is a Scaled"):
         refuse_without_kernels(run)
-    with pytest.raises(ValueError, match="no C code of an encoder of type Scaled"):
+    with pytest.raises(ValueError, match="no C code of this encoder: its encoder is a Scaled"):
         model_header(dynamics, "Made up.")
 
 

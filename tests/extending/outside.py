@@ -42,7 +42,9 @@ steer = { fields = ["steer"] }
 """
 
 
-def extracted_car(folder: Path, channel: str, *, extension: str, **columns: np.ndarray) -> Path:
+def extracted_car(
+    folder: Path, channel: str, *, extension: str, split: str = "blocks:1,0,0", **columns: np.ndarray
+) -> Path:
     """A dataset of a car that drives straight at 5 m/s, extracted from a table with a channel of the extension.
 
     Args:
@@ -55,7 +57,7 @@ def extracted_car(folder: Path, channel: str, *, extension: str, **columns: np.n
     table = {"t": time, "x": 5 * time, "y": zero, "yaw": zero, "throttle": zero, "brake": zero, "steer": zero} | columns
     rows = np.column_stack([*table.values()])
     np.savetxt(folder / "drive.csv", rows, delimiter=",", header=",".join(table), comments="", fmt="%.9g")
-    words = ("--rig", folder / "rig.toml", "--out", folder / "d.zarr", "--split", "blocks:1,0,0", "--force")
+    words = ("--rig", folder / "rig.toml", "--out", folder / "d.zarr", "--split", split, "--force")
     extracted = offpiste("extract", folder / "drive.csv", *words, extension=extension)
     assert extracted.returncode == 0, extracted.stderr
     return folder / "d.zarr"

@@ -6,15 +6,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
-import torch
-
 from offpiste._version import __version__
 from offpiste.checksums import sha256_of
-from offpiste.conventions import ACTUATORS, DT, WHEELS
-from offpiste.dynamics.header.start_text import knows_encoder
+from offpiste.conventions import DT, WHEELS
 from offpiste.dynamics.header.step_text import absent_actuators
 from offpiste.dynamics.kernels import layout
-from offpiste.dynamics.kernels.autograd import has_kernels
+from offpiste.dynamics.kernels.coverage import uncovered, uncovered_encoder
 from offpiste.errors import OffpisteError, RunError
 from offpiste.files import check_folder, write_folder
 from offpiste.registry import Registry
@@ -93,27 +90,9 @@ def refuse_without_kernels(run: Run) -> None:
     Raises:
         RunError: no kernels can step it, or its encoder cannot be printed.
     """
-    dynamics, vehicle = run.dynamics, run.dynamics.vehicle
-    if dynamics.kernel_parts() is None or dynamics.actuators is None:
-        raise RunError(
-            f"'{run.model}' has no kernels", where=run.folder, how="export a model with a bicycle, as b or dc"
-        )
-    with torch.no_grad():
-        printed = has_kernels(dynamics)
-    if not printed:
-        columns = (*vehicle.actuator_columns, *vehicle.control_columns)
-        names = ", ".join(name for name in columns if name not in (*ACTUATORS, *layout.COMMANDS))
-        raise RunError(
-            f"kernels do not know {names}, which '{run.model}' reads",
-            where=run.folder,
-            how="train it on a dataset without, or call `predict` from Python",
-        )
-    if not knows_encoder(dynamics.encoder):
-        raise RunError(
-            f"an encoder of type {type(dynamics.encoder).__name__} cannot be printed",
-            where=run.folder,
-            how="export a model whose encoder is a Compressor or Identity",
-        )
+    if reason := uncovered(run.dynamics) or uncovered_encoder(run.dynamics.encoder):
+        how = "export a model with a bicycle, as b or dc, or call `predict` from Python"
+        raise RunError(f"'{run.model}' has no kernels: {reason}", where=run.folder, how=how)
 
 
 def write_about(run: Run, folder: Path, **more: Any) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from torch import Tensor
 from offpiste.cuda_kernels import cuda_kernels
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.kernels.autograd import supports
+from offpiste.dynamics.kernels.coverage import uncovered
 from offpiste.errors import PlanningError, extra
 from offpiste.planning import mppi
 from offpiste.planning.costs.weights import CostWeights
@@ -55,7 +56,8 @@ def require_device(name: str, dynamics: Dynamics) -> None:
         import cuda.core  # noqa: F401
     with torch.no_grad():
         if not supports(dynamics, torch.device("cpu"), torch.float32):
-            raise PlanningError("no kernels for this model on a GPU", how="plan on the CPU: device='cpu'")
+            reason = uncovered(dynamics) or "it is not in float32, or differs from its kernels"
+            raise PlanningError(f"no kernels for this model on a GPU: {reason}", how="plan on the CPU: device='cpu'")
 
 
 def gpu_of(name: str) -> torch.device:

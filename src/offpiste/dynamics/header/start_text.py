@@ -6,10 +6,11 @@ import torch
 from torch import Tensor, nn
 
 from offpiste.dynamics.base import Dynamics
-from offpiste.dynamics.feature_encoder import Compressor, FeatureEncoder, Identity
+from offpiste.dynamics.feature_encoder import Compressor, FeatureEncoder
 from offpiste.dynamics.header.networks import PrintedNetwork, printed_networks, sized
 from offpiste.dynamics.header.step_text import MOVED, inputs_text, shipped_text
 from offpiste.dynamics.kernels import layout
+from offpiste.dynamics.kernels.coverage import uncovered_encoder
 
 
 def start_text(dynamics: Dynamics) -> str:
@@ -27,19 +28,14 @@ def start_members(dynamics: Dynamics) -> dict[str, dict[str, Tensor]]:
     return {of.name: _members(of) for of in printed_networks(dynamics)}
 
 
-def knows_encoder(encoder: FeatureEncoder | None) -> bool:
-    """Whether `encoder_text` can print an encoder; none needs no text."""
-    return isinstance(encoder, Identity | Compressor | None)
-
-
 def encoder_text(encoder: FeatureEncoder) -> str:
     """C code of `offpiste_encode`.
 
     Raises:
-        ValueError: an encoder that `knows_encoder` is false for.
+        ValueError: one that `coverage.uncovered_encoder` gives a reason for.
     """
-    if not knows_encoder(encoder):
-        raise ValueError(f"no C code of an encoder of type {type(encoder).__name__}")
+    if reason := uncovered_encoder(encoder):
+        raise ValueError(f"no C code of this encoder: {reason}")
     sizes = {"FEATURES": len(encoder.mean), "COMPRESSED": int(isinstance(encoder, Compressor))}
     if isinstance(encoder, Compressor):
         first, second, last = _linear(encoder.layers)

@@ -15,10 +15,11 @@ from offpiste.compilation import KERNELS, spread_kernel
 from offpiste.conventions import ACTUATORS, STATE
 from offpiste.dynamics.actuators import Actuators
 from offpiste.dynamics.kernels import layout
+from offpiste.dynamics.kernels.coverage import uncovered_actuators
 from offpiste.dynamics.kernels.elementary import copy, f4
 from offpiste.dynamics.kernels.generated import actuate, actuate_adjoint
 from offpiste.dynamics.kernels.layout import LANES, ROW
-from offpiste.dynamics.kernels.model_arrays import knows_channels, recorded_channels, residual_networks, switches
+from offpiste.dynamics.kernels.model_arrays import recorded_channels, residual_networks, switches
 from offpiste.dynamics.kernels.network import Network, compensate, compensate_adjoint, make_buffers, weights
 
 ACTUATED = len(ACTUATORS)
@@ -48,9 +49,9 @@ class LagRecord(NamedTuple):
 
 
 def supports_actuators(actuators: Actuators, device: torch.device, dtype: torch.dtype) -> bool:
-    """Whether `rollout_actuators` can step these: on the CPU, in float32, without registered channels."""
+    """Whether `rollout_actuators` can step these: of the types in `coverage`, on the CPU, in float32."""
     alike = all(p.device.type == "cpu" and p.dtype == torch.float32 for p in actuators.parameters())
-    return knows_channels(actuators.vehicle) and device.type == "cpu" and dtype == torch.float32 and alike
+    return not uncovered_actuators(actuators) and device.type == "cpu" and dtype == torch.float32 and alike
 
 
 def rollout_actuators(

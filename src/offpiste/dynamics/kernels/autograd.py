@@ -5,6 +5,7 @@ The first call compiles for some 20 seconds; the machine code is kept in the use
 """
 
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import torch
@@ -17,38 +18,51 @@ from offpiste.conventions import ACTUATORS, STATE
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.inputs import drive_train
 from offpiste.dynamics.kernels import layout
+from offpiste.dynamics.kernels.coverage import uncovered, warn_of_eager_steps
 from offpiste.dynamics.kernels.lanes import unpack
 from offpiste.dynamics.kernels.model_arrays import (
     Given,
     compensator_weights,
     constants,
-    knows_channels,
     learned_constants,
     networks,
     record,
     terms_of_codes,
 )
+from offpiste.dynamics.kernels.parity import APART, largest_difference
 from offpiste.dynamics.kernels.rollout import backward, forward
 from offpiste.state import ModelState, Terrain, Trajectory
+
+_agrees: WeakKeyDictionary[Dynamics, bool] = WeakKeyDictionary()
+"""Whether the kernels agree with each model that was compared with them in this process."""
 
 
 def supports(dynamics: Dynamics, device: torch.device, dtype: torch.dtype) -> bool:
     """Whether `rollout_recorded` can roll this model out, here and in this type.
 
-    It can step models with `kernel_parts` on the CPU in float32, of vehicles with no other channels than
-    `offpiste.channels` lists; where gradients are wanted, only while the actuators' models are frozen.
+    It can step models that `coverage` knows, on the CPU in float32; where gradients are wanted, only while the
+    actuators' models are frozen. Once a process, the kernels are compared with each model on random input.
     """
     if device.type != "cpu" or dtype != torch.float32 or not has_kernels(dynamics):
         return False
-    return all(p.device.type == "cpu" and p.dtype == dtype for p in dynamics.parameters())
+    if any(p.device.type != "cpu" or p.dtype != dtype for p in dynamics.parameters()):
+        return False
+    if dynamics not in _agrees:
+        apart = largest_difference(dynamics, _recorded, device, gradients=False, batch=layout.LANES + 1, steps=4)
+        _agrees[dynamics] = apart < APART
+    if not _agrees[dynamics]:
+        warn_of_eager_steps(type(dynamics).__name__, "they compute something else than its `stepper`")
+    return _agrees[dynamics]
 
 
 def has_kernels(dynamics: Dynamics) -> bool:
     """Whether there are kernels for a model, as it is: of its actuators' models they have no gradients."""
-    actuators = dynamics.actuators
-    if dynamics.kernel_parts() is None or actuators is None or not knows_channels(dynamics.vehicle):
+    if reason := uncovered(dynamics):
+        if dynamics.reads_terrain:  # of baselines that are stepped eagerly by design nobody needs to hear
+            warn_of_eager_steps(type(dynamics).__name__, reason)
         return False
-    learning = torch.is_grad_enabled() and any(p.requires_grad for p in actuators.parameters())
+    assert dynamics.actuators is not None
+    learning = torch.is_grad_enabled() and any(p.requires_grad for p in dynamics.actuators.parameters())
     return not (dynamics.vehicle.actuators and learning)
 
 
@@ -72,6 +86,12 @@ def rollout_recorded(
     """
     if not supports(dynamics, controls.device, controls.dtype):
         raise ValueError(f"no kernels for this model with {controls.dtype} on {controls.device}; see `supports`")
+    return _recorded(dynamics, model_state, controls, terrain)
+
+
+def _recorded(
+    dynamics: Dynamics, model_state: ModelState, controls: Float[Tensor, "B T U"], terrain: Terrain
+) -> Trajectory:
     latent = read_codes(dynamics, terrain)
     check_shapes(dynamics, model_state, controls, terrain, latent)
     start, learned = model_state.pack(), learned_constants(dynamics)

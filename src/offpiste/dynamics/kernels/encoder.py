@@ -16,6 +16,7 @@ from torch.nn.functional import pad
 
 from offpiste.compilation import KERNELS, spread_kernel
 from offpiste.dynamics.feature_encoder import Compressor, FeatureEncoder
+from offpiste.dynamics.kernels.coverage import uncovered_encoder
 from offpiste.dynamics.kernels.elementary import Lane, f4, matrix_products, tanh
 
 CELLS = 128
@@ -48,7 +49,7 @@ class Layers(NamedTuple):
 
 def supports_encoder(encoder: FeatureEncoder, features: Tensor) -> bool:
     """Whether `encode_cells` can compute these codes: of a `Compressor`, on the CPU, in float32, of recorded cells."""
-    if not isinstance(encoder, Compressor) or features.requires_grad:
+    if not isinstance(encoder, Compressor) or uncovered_encoder(encoder) or features.requires_grad:
         return False
     tensors = (features, *encoder.parameters())
     return all(tensor.device.type == "cpu" and tensor.dtype == torch.float32 for tensor in tensors)

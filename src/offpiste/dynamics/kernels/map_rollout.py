@@ -11,8 +11,8 @@ from torch import Tensor
 from offpiste.compilation import KERNELS, spread_kernel
 from offpiste.conventions import ACTUATORS, STATE
 from offpiste.dynamics.base import Dynamics, rollout
-from offpiste.dynamics.feature_encoder import Compressor, Identity
 from offpiste.dynamics.kernels.autograd import supports
+from offpiste.dynamics.kernels.coverage import uncovered_encoder
 from offpiste.dynamics.kernels.elementary import f4
 from offpiste.dynamics.kernels.encoder import CELLS, Activations, Layers, encode_block, layers_of, make_activations
 from offpiste.dynamics.kernels.layout import LANES
@@ -53,7 +53,7 @@ def predict_on(
 def _supports_maps(dynamics: Dynamics, terrain: MapTerrain) -> bool:
     """Whether the maps are lists of float16 cells, and their features are read as the model encodes them."""
     maps, encoders = terrain.maps, (None, dynamics.encoder)
-    if not isinstance(maps, CellStack) or not isinstance(dynamics.encoder, Identity | Compressor | None):
+    if not isinstance(maps, CellStack) or uncovered_encoder(dynamics.encoder):
         return False
     return maps.slope.dtype == maps.features.dtype == torch.float16 and terrain.encode in encoders
 

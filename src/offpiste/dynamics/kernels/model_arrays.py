@@ -78,12 +78,6 @@ def recorded_channels(vehicle: Vehicle) -> np.ndarray:
     )
 
 
-def knows_channels(vehicle: Vehicle) -> bool:
-    """Whether the kernels know all columns of a vehicle's datasets."""
-    columns = vehicle.control_columns
-    return vehicle.actuator_columns == ACTUATORS and columns == layout.COMMANDS[: len(columns)]
-
-
 def kernel_parts(dynamics: Dynamics) -> tuple[KernelParts, Actuators]:
     """What the kernels step of a model.
 

@@ -1,0 +1,108 @@
+"""Which models the generated kernels cover: exact module types and shapes, for the CPU, GPUs and exports alike.
+
+Subclasses and modules with hooks are not covered, because they may compute something else.
+"""
+
+import logging
+from collections.abc import Sequence
+from functools import cache
+from typing import Final
+
+from torch import nn
+
+from offpiste.conventions import ACTUATORS
+from offpiste.dynamics.actuators import Actuators
+from offpiste.dynamics.base import Dynamics
+from offpiste.dynamics.bicycle import BicycleConstants
+from offpiste.dynamics.feature_encoder import Compressor, FeatureEncoder, Identity
+from offpiste.dynamics.kernels import layout
+from offpiste.dynamics.lstm import Compensator
+from offpiste.dynamics.vehicle import Vehicle
+
+logger = logging.getLogger(__name__)
+
+EAGER_COST: Final = "10 to 20 times slower"
+"""Time of eager steps relative to the kernels (docs/results-speed.md)."""
+
+
+def uncovered(dynamics: Dynamics) -> str:
+    """Return why the kernels do not cover the steps of a model; empty if they do. They read codes of any encoder."""
+    parts, actuators = dynamics.kernel_parts(), dynamics.actuators
+    if parts is None or actuators is None:
+        return "it declares no parts for them"
+    network = "" if parts.compensator is None else uncovered_network(parts.compensator)
+    return _not_exactly(parts.bicycle, BicycleConstants) or network or uncovered_actuators(actuators)
+
+
+def uncovered_actuators(actuators: Actuators) -> str:
+    """Return why the kernels do not cover the models of the actuators; empty if they do."""
+    if names := unknown_channels(actuators.vehicle):
+        return f"they do not know {', '.join(names)}"
+    reasons = (uncovered_network(network) for network in actuators.residuals.values())
+    return _not_exactly(actuators, Actuators) or next(filter(None, reasons), "")
+
+
+def uncovered_network(network: nn.Module) -> str:
+    """Return why the kernels do not cover a recurrent network; empty if they do."""
+    if reason := _not_exactly(network, Compensator):
+        return reason
+    assert isinstance(network, Compensator)
+    if reason := _not_exactly(network.cell, nn.LSTMCell) or _not_exactly(network.init_cell, nn.LSTM):
+        return reason
+    cell, first = network.cell, network.init_cell
+    if cell.hidden_size != layout.HIDDEN or network.hidden != layout.HIDDEN:
+        return f"its LSTM has {cell.hidden_size} units, theirs {layout.HIDDEN}"
+    if not cell.bias or (first.num_layers, first.proj_size, first.bidirectional, first.bias) != (1, 0, False, True):
+        return "its LSTMs have other biases, layers or projections"
+    return _not_layers(network.output, 2) or _not_layers(network.init_output, 2)
+
+
+def uncovered_encoder(encoder: FeatureEncoder | None) -> str:
+    """Return why the kernels do not cover an encoder; empty if they do, or if there is none."""
+    if encoder is None:
+        return ""
+    if isinstance(encoder, Compressor):
+        return _not_exactly(encoder, Compressor) or _not_layers(encoder.layers, 3)
+    return (
+        _not_exactly(encoder, Identity)
+        if isinstance(encoder, Identity)
+        else f"its encoder is a {type(encoder).__name__}"
+    )
+
+
+def unknown_channels(vehicle: Vehicle) -> Sequence[str]:
+    """Return the columns of a vehicle's datasets that the kernels do not know."""
+    commands = layout.COMMANDS[: len(vehicle.control_columns)]
+    if vehicle.actuator_columns == ACTUATORS and vehicle.control_columns == commands:
+        return ()
+    known = (*ACTUATORS, *layout.COMMANDS)
+    columns = (*vehicle.actuator_columns, *vehicle.control_columns)
+    return [name for name in columns if name not in known] or columns
+
+
+@cache
+def warn_of_eager_steps(model: str, reason: str) -> None:
+    """Warn once a process that a model is stepped without kernels."""
+    logger.warning(f"the kernels do not cover {model} ({reason}): it is stepped eagerly, {EAGER_COST}")
+
+
+def _not_exactly(module: nn.Module, kind: type[nn.Module]) -> str:
+    """Return what else a module is than one of this very type, without hooks; empty if it is one."""
+    if type(module) is not kind:
+        return f"its {kind.__name__} is a {type(module).__name__}"
+    # PyTorch has no public way to ask for hooks.
+    hooked = module._forward_hooks or module._forward_pre_hooks or "forward" in vars(module)
+    return f"its {kind.__name__} has hooks" if hooked else ""
+
+
+def _not_layers(layers: nn.Module, linear: int) -> str:
+    """Return how a network differs from linear layers with tanh between them; empty if it does not."""
+    kinds = [nn.Linear, *[nn.Tanh, nn.Linear] * (linear - 1)]
+    if reason := _not_exactly(layers, nn.Sequential):
+        return reason
+    found = list(layers.children())
+    if len(found) != len(kinds):
+        return f"it has {len(found)} layers in place of {len(kinds)}"
+    if any(isinstance(layer, nn.Linear) and layer.bias is None for layer in found):
+        return "a linear layer has no bias"
+    return next(filter(None, map(_not_exactly, found, kinds)), "")

@@ -1,0 +1,170 @@
+"""Kernels step the modules that they were written for, and no others."""
+
+import logging
+from collections.abc import Callable
+
+import pytest
+import torch
+from torch import Tensor, nn
+
+from factories import VEHICLE, coded
+from offpiste.dynamics import MODELS, Hybrid
+from offpiste.dynamics.base import Step
+from offpiste.dynamics.feature_encoder import Compressor
+from offpiste.dynamics.kernels import coverage
+from offpiste.dynamics.kernels.autograd import supports
+from offpiste.dynamics.kernels.coverage import uncovered, uncovered_encoder
+from offpiste.dynamics.kernels.encoder import supports_encoder
+from offpiste.dynamics.lstm import Compensator
+from offpiste.state import ModelState, Terrain
+
+CPU = torch.device("cpu")
+
+
+class GatedCell(nn.Module):
+    def __init__(self, inputs: int, hidden: int) -> None:
+        super().__init__()
+        self.gru = nn.GRUCell(inputs, hidden)
+        self.input_size, self.weight_ih, self.weight_hh = inputs, self.gru.weight_ih, self.gru.weight_hh
+
+    def forward(self, inputs: Tensor, state: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
+        return self.gru(inputs, state[0]), state[1]
+
+
+class Doubled(Compensator):
+    def forward(self, inputs: Tensor, hidden: Tensor, cell: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        out, hidden, cell = super().forward(inputs, hidden, cell)
+        return 2 * out, hidden, cell
+
+
+class HalfForce(Hybrid):
+    """A subclass whose parts are those of its parent and whose step is not."""
+
+    def stepper(self) -> Step:
+        step = super().stepper()
+
+        def halved(model_state: ModelState, control: Tensor, terrain: Terrain) -> ModelState:
+            after = step(model_state, control, terrain)
+            return ModelState((model_state.state + after.state) / 2, after.actuators, after.hidden, after.cell)
+
+        return halved
+
+
+def frozen(model: Hybrid) -> Hybrid:
+    model.actuators.requires_grad_(False)
+    return model
+
+
+def changed(change: Callable[[Hybrid], object]) -> Hybrid:
+    model = frozen(coded(VEHICLE, 0))
+    change(model)
+    return model
+
+
+def other_cell(model: Hybrid) -> None:
+    cell = model.compensator.cell
+    model.compensator.cell = GatedCell(cell.input_size, cell.hidden_size)
+
+
+def other_activation(model: Hybrid) -> None:
+    model.compensator.output[1] = nn.ReLU()
+
+
+def another_layer(model: Hybrid) -> None:
+    model.compensator.output.append(nn.Linear(4, 4))
+
+
+def no_bias(model: Hybrid) -> None:
+    layer = model.compensator.output[0]
+    model.compensator.output[0] = nn.Linear(layer.in_features, layer.out_features, bias=False)
+
+
+def more_units(model: Hybrid) -> None:
+    model.compensator = Compensator(model.compensator.cell.input_size, 4, hidden=8)
+
+
+def other_residual(model: Hybrid) -> None:
+    for network in model.actuators.residuals.values():
+        network.output[1] = nn.Sigmoid()
+
+
+def subclassed_network(model: Hybrid) -> None:
+    model.compensator = Doubled(model.compensator.cell.input_size, 4)
+
+
+def weight_norm(model: Hybrid) -> None:
+    nn.utils.parametrizations.weight_norm(model.compensator.output[0])
+
+
+def hook(model: Hybrid) -> None:
+    model.compensator.output.register_forward_hook(lambda *_: None)
+
+
+def other_history(model: Hybrid) -> None:
+    model.compensator.init_cell = nn.LSTM(model.compensator.cell.input_size, 20, num_layers=2, batch_first=True)
+
+
+CHANGES = {
+    other_cell: "LSTMCell is a GatedCell",
+    other_activation: "Tanh is a ReLU",
+    another_layer: "4 layers in place of 3",
+    no_bias: "no bias",
+    more_units: "8 units",
+    other_residual: "Tanh is a Sigmoid",
+    subclassed_network: "Compensator is a Doubled",
+    weight_norm: "Linear is a Parametrized",
+    hook: "hooks",
+    other_history: "layers",
+}
+
+
+@pytest.mark.parametrize("change", CHANGES, ids=lambda change: change.__name__)
+def test_a_changed_module_is_not_covered_and_the_reason_is_said(change, caplog):
+    coverage.warn_of_eager_steps.cache_clear()
+    model = changed(change)
+    assert CHANGES[change] in uncovered(model)
+    with caplog.at_level(logging.WARNING):
+        assert not supports(model, CPU, torch.float32)
+        assert not supports(model, CPU, torch.float32)
+    (line,) = [record.message for record in caplog.records if "eagerly" in record.message]
+    assert CHANGES[change] in line
+    assert "slower" in line
+
+
+def test_a_subclass_that_steps_otherwise_is_noticed_even_before_training(caplog):
+    coverage.warn_of_eager_steps.cache_clear()
+    model = frozen(HalfForce(VEHICLE))
+    assert not uncovered(model)
+    with caplog.at_level(logging.WARNING):
+        assert not supports(model, CPU, torch.float32)
+    assert "HalfForce" in caplog.text
+
+
+def test_modules_exchanged_after_the_first_use_are_noticed():
+    model = frozen(coded(VEHICLE, 0))
+    assert supports(model, CPU, torch.float32)
+    other_activation(model)
+    assert not supports(model, CPU, torch.float32)
+
+
+@pytest.mark.parametrize("name", [name for name in MODELS if MODELS[name](VEHICLE, seed=0).kernel_parts() is not None])
+def test_models_that_ship_are_covered_and_agree(name):
+    model = frozen(MODELS[name](VEHICLE, seed=0))
+    assert supports(model, CPU, torch.float32)
+    assert not uncovered_encoder(model.encoder)
+
+
+def test_a_comparison_leaves_the_model_and_the_global_generator_alone():
+    model = frozen(coded(VEHICLE, 0))
+    before, state = torch.get_rng_state(), [p.detach().clone() for p in model.parameters()]
+    assert supports(model, CPU, torch.float32)
+    assert torch.equal(before, torch.get_rng_state())
+    assert all(torch.equal(a, b) for a, b in zip(state, model.parameters(), strict=True))
+
+
+def test_encoders_with_other_layers_are_not_covered():
+    encoder = Compressor(3)
+    assert supports_encoder(encoder, torch.zeros(2, 3))
+    encoder.layers[1] = nn.ReLU()
+    assert "Tanh is a ReLU" in uncovered_encoder(encoder)
+    assert not supports_encoder(encoder, torch.zeros(2, 3))

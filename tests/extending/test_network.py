@@ -1,0 +1,42 @@
+"""A network that the kernels do not cover, from outside the package, is trained and predicts as it steps."""
+
+import numpy as np
+
+from extending.outside import extracted_car, offpiste, python
+from offpiste.conventions import DT
+
+PREDICT = """
+import sys
+import torch
+from offpiste.dataset.store import open_dataset
+from offpiste.dataset.windows import Windows
+from offpiste.dynamics import rollout
+from offpiste.state import RecordedTerrain
+from offpiste.training.prediction import predict
+from offpiste.training.run import load_run
+
+run = load_run(sys.argv[2])
+windows = Windows(open_dataset(sys.argv[1]), "train")
+batch = windows.gather(windows.every(100))
+with torch.no_grad():
+    start = run.dynamics.start(batch.history, batch.state, batch.actuators)
+    eager = rollout(run.dynamics, start, batch.control, RecordedTerrain(batch.terrain)).state
+    assert torch.equal(predict(run.dynamics, batch).state, eager)
+assert type(run.dynamics.compensator.cell).__name__ == "GatedCell"
+"""
+
+
+def test_a_hybrid_model_with_a_gru_trains_with_a_warning_and_predicts_its_own_steps(tmp_path):
+    time = DT * np.arange(3000)
+    throttle = 0.5 + 0.5 * np.sin(time)
+    dataset = extracted_car(tmp_path, "", extension="gated", split="blocks:0.6,0.2,0.2", throttle=throttle)
+    words = ("--model", "b-gru", "--out", tmp_path / "run", "--epochs", "1", "--stride", "50")
+    trained = offpiste("train", dataset, *words, extension="gated")
+    assert trained.returncode == 0, trained.stderr
+    said = " ".join((trained.stderr + trained.stdout).split())
+    assert said.count("its LSTMCell is a GatedCell): it is stepped eagerly") == 1
+    checked = python("-c", PREDICT, dataset, tmp_path / "run", extension="gated")
+    assert checked.returncode == 0, checked.stderr
+    exported = offpiste("export", tmp_path / "run", "--out", tmp_path / "out", extension="gated")
+    assert exported.returncode == 1
+    assert "GatedCell" in exported.stderr
