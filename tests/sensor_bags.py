@@ -108,12 +108,12 @@ def info(width: int = 8, height: int = 6, **changed):
     return make("sensor_msgs/CameraInfo", **fields | changed)
 
 
-def compressed(seconds: float, pixels: np.ndarray | None = None):
-    """A PNG of an RGB image; one that cannot be decoded if there is none."""
+def compressed(seconds: float, pixels: np.ndarray | None = None, form: str = "png"):
+    """A PNG of an RGB image, or of numbers [h, w, 1]; one that cannot be decoded if there is none."""
     data = np.arange(40, dtype=np.uint8)
     if pixels is not None:
         data = cv2.imencode(".png", np.ascontiguousarray(pixels[:, :, ::-1]))[1].ravel()
-    return make("sensor_msgs/CompressedImage", header=header(stamp(seconds), "camera"), format="png", data=data)
+    return make("sensor_msgs/CompressedImage", header=header(stamp(seconds), "camera"), format=form, data=data)
 
 
 def raw_image(seconds: float, encoding: str, pixels: np.ndarray):

@@ -69,6 +69,26 @@ def test_what_the_log_does_not_say_is_missing(tmp_path: Path) -> None:
         open_sensors(open_log(tmp_path / "log.mcap"), rig)
 
 
+def test_images_of_16_bits_are_drafted_with_the_bits_that_they_use(tmp_path: Path) -> None:
+    deep = np.arange(48, dtype=np.uint16).reshape(6, 8, 1) * 80
+    message = compressed(0.2, deep, "mono16; png compressed ")
+    messages = [(0.2, "/cam/image/compressed", message), (0, "/cam/camera_info", info()), (0, "/tf_static", tree())]
+    log = open_log(record(tmp_path / "log.mcap", messages))
+    rig = sensor_rig(draft_sensors(log, "/odom"))
+    assert rig.cameras["cam"].bits == 12
+    image = next(open_sensors(log, rig).stream(["cam"]))
+    assert (image.pixels.min(), image.pixels.max()) == (0, round(47 * 80 * 255 / 4095))
+
+
+def test_a_topic_without_pictures_waits_in_comments(tmp_path: Path) -> None:
+    message = compressed(0.2, np.zeros((6, 8, 1), np.uint16), "16UC1; png compressed ")
+    messages = [(0.2, "/cam/image/compressed", message), (0, "/cam/camera_info", info()), (0, "/tf_static", tree())]
+    text = draft_sensors(open_log(record(tmp_path / "log.mcap", messages)), "/odom")
+    assert not sensor_rig(text).cameras
+    (line,) = missing(text)
+    assert line.startswith("pictures of cam: topic '/cam/image/compressed' holds images encoded as '16UC1', which are")
+
+
 def test_two_cameras_have_their_own_calibration_and_name(tmp_path: Path) -> None:
     messages = [(0.2, f"/{side}/image/compressed", compressed(0.1, IMAGE)) for side in ("left", "right")]
     messages += [(0, f"/{side}/camera_info", info()) for side in ("left", "right")]

@@ -22,6 +22,7 @@ WRONG = {
         r"cameras\.front\.intrinsics",
     ),
     "unknown lens": ('[cameras.front]\ntopic = "f"\n' + INTRINSICS + 'model = "pinhole"\n', r"pinhole"),
+    "bits": (CAMERA + "bits = 20\n", r"cameras\.front\.bits is 20; give 8 to 16"),
     "polygon of two": (CAMERA + "own_body = [[[0, 0], [1, 1]]]\n", r"less than three corners"),
     "no rotation": (
         LIDAR + "[lidars.top.body_from_lidar]\nposition = [0, 0, 1]\norientation = [0, 0, 0, 2]\n",

@@ -3,11 +3,16 @@
 import json
 import re
 from collections.abc import Sequence
-from typing import Literal
+from itertools import islice
+from typing import Final, Literal
+
+import numpy as np
 
 from offpiste.errors import LogError
 from offpiste.inspection.draft_pose import first_message
 from offpiste.logs.log import Log
+from offpiste.logs.measurements import used_bits
+from offpiste.logs.ros.image_encodings import pixels_of
 from offpiste.logs.transforms import TRANSFORMS, Transform, between
 from offpiste.rig.sensors import TIME_FIELDS
 
@@ -16,6 +21,9 @@ BODY = "base_link"
 
 LEAST_POINTS = 100
 """A cloud of fewer points is no scan."""
+
+_FIRST: Final = 10
+"""Images that bits are guessed from."""
 
 _IMAGES = ("sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image")
 _NO_PICTURE = re.compile(r"depth|disparity|mask|label|theora", re.IGNORECASE)
@@ -100,10 +108,26 @@ def _camera(log: Log, topic: str, name: str, body: str, transforms: list[Transfo
         lines += ["rectified = true         # GUESSED by the topic's name"] if rectified else []
     else:
         lines.append(f"# MISSING: calibration of {name}: no CameraInfo beside {topic}; give cameras.{name}.intrinsics")
+    try:
+        lines += _bits(log, topic)
+    except LogError as error:
+        info = ""
+        lines.append(f"# MISSING: pictures of {name}: {error.what}")
     lines += _mounting(log, topic, name, body, transforms, "body_from_camera")
     lines += ["# own_body: polygons in the image [px] where the vehicle sees itself", ""]
-    # Without a calibration it would be refused as a whole: it waits in comments.
+    # Without a calibration or pictures it would be refused as a whole: it waits in comments.
     return "\n".join(lines if info else [line if line.startswith("#") or not line else f"# {line}" for line in lines])
+
+
+def _bits(log: Log, topic: str) -> list[str]:
+    """How many bits images of 16 bits use, by the first of them.
+
+    Raises:
+        LogError: the topic holds no pictures that can be read.
+    """
+    images = [pixels_of(message, topic) for _, message in islice(log.messages(topic), _FIRST)]
+    deep = [int(pixels.max()) for pixels in images if pixels is not None and pixels.dtype == np.uint16]
+    return [f"bits = {used_bits(max(deep))}                  # GUESSED by the first images"] if deep else []
 
 
 def _lidar(log: Log, topic: str, name: str, body: str, transforms: list[Transform]) -> str:

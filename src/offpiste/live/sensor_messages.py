@@ -11,10 +11,11 @@ from jaxtyping import Float
 from offpiste.errors import LogError, PerceptionError
 from offpiste.live.vehicle_messages import NO_STAMP
 from offpiste.logs.log import Log, RawCloud, Samples, Topic
-from offpiste.logs.measurements import Camera, Cloud, Image, Lidar, cloud_from_records
+from offpiste.logs.measurements import Camera, Cloud, Image, Lidar, cloud_from_records, in_eight_bits
 from offpiste.logs.mountings import camera_of, lidar_of, refuse_rough
 from offpiste.logs.ros.bag_files import heard_at
-from offpiste.logs.ros.sensor_messages import decompressed, points_from_message, raw_pixels
+from offpiste.logs.ros.image_encodings import pixels_of
+from offpiste.logs.ros.sensor_messages import points_from_message
 from offpiste.logs.transforms import Transform, transform_of
 from offpiste.rig.camera import CameraModel, model_from_message
 from offpiste.rig.rig import Rig
@@ -163,11 +164,11 @@ class SensorMessages:
             self.sensors = cameras, lidars
 
     def _image(self, camera: Camera, topic: str, message: Any, time: float) -> Image | None:
-        pixels = decompressed(message) if hasattr(message, "format") else raw_pixels(message, topic)
+        pixels = pixels_of(message, topic)
         if pixels is None or (pixels.shape[1], pixels.shape[0]) != (camera.model.width, camera.model.height):
             self.dropped.add(f"{camera.name}: images that cannot be decoded, or of another size than calibrated")
             return None
-        return Image(time - camera.source.delay, camera.name, pixels)
+        return Image(time - camera.source.delay, camera.name, in_eight_bits(pixels, camera))
 
     def _cloud(self, lidar: Lidar, message: Any, time: float) -> Cloud | None:
         cloud = cloud_from_records(RawCloud(time, lidar.name, points_from_message(message)), lidar)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Final, TypeVar
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, UInt8, UInt16
 
 from offpiste.errors import LogError, did_you_mean
 from offpiste.logs.transforms import Transform, listed
@@ -97,12 +97,12 @@ class RawImage:
     Attributes:
         time: stamp [s].
         frame: optical frame of the camera.
-        pixels: RGB; None where it cannot be decoded.
+        pixels: RGB in as many bits as were recorded (`measurements.in_eight_bits`); None where it cannot be decoded.
     """
 
     time: float
     frame: str
-    pixels: UInt8[np.ndarray, "h w 3"] | None
+    pixels: UInt8[np.ndarray, "h w 3"] | UInt16[np.ndarray, "h w 3"] | None
 
 
 @dataclass(frozen=True)

@@ -5,12 +5,15 @@ from typing import Final
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, Float, Shaped, UInt8, UInt16
 
 from offpiste.errors import LogError
 from offpiste.logs.log import RawCloud
 from offpiste.rig.camera import CameraModel
 from offpiste.rig.sensors import CameraSource, LidarSource
+
+Pixels = UInt8[np.ndarray, "h w 3"] | UInt16[np.ndarray, "h w 3"]
+"""RGB in as many bits as were recorded (`in_eight_bits`)."""
 
 _SECONDS: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
@@ -78,16 +81,44 @@ class Cloud:
         return self.time + (np.zeros(len(self.points)) if self.offset is None else self.offset)
 
 
-def decoded_picture(data: UInt8[np.ndarray, " n"], *, grey: bool = False) -> UInt8[np.ndarray, "h w *c"] | None:
+def decoded_picture(
+    data: UInt8[np.ndarray, " n"], *, grey: bool = False, as_stored: bool = False
+) -> Shaped[np.ndarray, "h w *c"] | None:
     """BGR, or grey, of a PNG, a JPEG or whatever else OpenCV decodes; None where it cannot, or will not for its size.
+
+    Args:
+        as_stored: channels and depth of the file, which are otherwise converted to 8 bits.
 
     The command line sets OPENCV_IO_MAX_IMAGE_PIXELS, so that a few bytes cannot ask for gigabytes.
     """
+    mode = cv2.IMREAD_UNCHANGED if as_stored else cv2.IMREAD_GRAYSCALE if grey else cv2.IMREAD_COLOR
     try:
-        decoded = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE if grey else cv2.IMREAD_COLOR) if data.size else None
+        decoded = cv2.imdecode(data, mode) if data.size else None
     except cv2.error:
         return None
-    return None if decoded is None else np.asarray(decoded, np.uint8)
+    return None if decoded is None else np.asarray(decoded)
+
+
+def in_eight_bits(pixels: Pixels, camera: Camera) -> UInt8[np.ndarray, "h w 3"]:
+    """RGB of 8 bits; 16 bits are scaled by those that the rig says are used, so that all images are scaled alike.
+
+    Raises:
+        LogError: the rig does not say how many bits are used, or values need more.
+    """
+    if pixels.dtype == np.uint8:
+        return np.asarray(pixels, np.uint8)
+    bits, highest, key = camera.source.bits, int(pixels.max(initial=0)), f"cameras.{camera.name}.bits"
+    if not bits or highest >> bits:
+        said = f"has values up to {highest}, and {key} = {bits}" if bits else f"has images of 16 bits without {key}"
+        how = f"{key} = {used_bits(highest)}, or as many bits as it uses; values in this image reach {highest}"
+        raise LogError(f"'{camera.name}' {said}", where=f"topic '{camera.source.topic}'", how=how)
+    scale = np.round(np.arange(1 << bits) * (255 / ((1 << bits) - 1))).astype(np.uint8)
+    return scale[pixels]
+
+
+def used_bits(highest: int) -> int:
+    """Bits of a camera whose values reach `highest`: 8, 10, 12, 14 or 16."""
+    return max(8, highest.bit_length() + highest.bit_length() % 2)
 
 
 def cloud_from_records(raw: RawCloud, lidar: Lidar) -> Cloud:

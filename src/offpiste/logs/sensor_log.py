@@ -13,7 +13,7 @@ from offpiste.logs.clock_drift import DRIFT_LIMIT, clock_difference, clock_note
 from offpiste.logs.drive import drive_from_log
 from offpiste.logs.kept_rows import increasing
 from offpiste.logs.log import Log, RawCloud, RawImage
-from offpiste.logs.measurements import Camera, Cloud, Image, Lidar, cloud_from_records
+from offpiste.logs.measurements import Camera, Cloud, Image, Lidar, cloud_from_records, in_eight_bits
 from offpiste.logs.mountings import camera_of, lidar_of, refuse_rough
 from offpiste.logs.poses import Poses, jump_note, poses_from_drive
 from offpiste.logs.transforms import listed
@@ -148,7 +148,7 @@ class SensorLog:
                 what = f"'{camera.name}' has images of {width}x{height}, and a calibration for"
                 size = f"{camera.model.width}x{camera.model.height}"
                 raise LogError(f"{what} {size}", where=self.path, how="give the calibration of these images in the rig")
-            return Image(raw.time - camera.source.delay, camera.name, raw.pixels)
+            return Image(raw.time - camera.source.delay, camera.name, in_eight_bits(raw.pixels, camera))
 
         topic, stamps = camera.source.topic, self.rig.clock.stamps
         raw = (

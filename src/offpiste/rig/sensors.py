@@ -104,6 +104,7 @@ class CameraSource(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         body_from_camera: instead of the log's transforms.
         rectified: the images are rectified already: CameraInfo's P holds instead of K and d.
         delay: how much later than it happened an image is stamped [s].
+        bits: that images of 16 bits use, as 12 of a sensor of 12 bits; 0 where they have 8.
         optional: a log without the topic is read without this camera.
         mask: a picture of the recorded size, any colour but black where the vehicle sees itself; beside the rig file.
         own_body: polygons in the recorded image in which the vehicle sees itself, too.
@@ -116,6 +117,7 @@ class CameraSource(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     body_from_camera: Mounting | None = None
     rectified: bool = False
     delay: float = 0.0
+    bits: int = 0
     optional: bool = False
     mask: str = ""
     own_body: tuple[Polygon, ...] = ()
@@ -178,6 +180,8 @@ def _check_camera(key: str, camera: CameraSource) -> None:
         raise RigError(f"{key}.intrinsics: sizes and focal lengths are above zero", how="give them in pixels")
     if any(len(polygon) < 3 for polygon in camera.own_body):
         raise RigError(f"{key}.own_body: a polygon has less than three corners", how="give [[x, y], [x, y], [x, y]]")
+    if camera.bits and not 8 <= camera.bits <= 16:
+        raise RigError(f"{key}.bits is {camera.bits}", how="give 8 to 16, or leave it out where images have 8 bits")
     _check_mounting(f"{key}.body_from_camera", camera.body_from_camera)
     _check_finite(f"{key}.delay", camera.delay)
 

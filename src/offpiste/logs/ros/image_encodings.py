@@ -1,0 +1,160 @@
+"""Pixels of sensor_msgs/Image and CompressedImage: a table of all encodings and codecs, and the decoder that reads it.
+
+rosbags-image 0.10 does not serve: it ignores `step`, so padded rows come out skewed or not at all, takes 8UC1 and 8UC3
+for no colours, and stops at a broken image with an AssertionError.
+"""
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from jaxtyping import UInt8
+
+from offpiste.errors import LogError
+from offpiste.logs.measurements import Pixels, decoded_picture
+
+
+@dataclass(frozen=True)
+class Encoding:
+    """Layout of the pixels of an encoding.
+
+    Attributes:
+        depth: bits of a number, 8 or 16.
+        channels: numbers of a pixel; in planar layouts, those of brightness.
+        to_rgb: conversion of OpenCV; None for RGB itself.
+        rows: rows of data for two rows of pixels; more than two in planar layouts.
+    """
+
+    depth: int
+    channels: int
+    to_rgb: int | None
+    rows: int = 2
+
+
+_LAYOUTS: Final = {
+    "rgb": (3, None),
+    "bgr": (3, cv2.COLOR_BGR2RGB),
+    "rgba": (4, cv2.COLOR_RGBA2RGB),
+    "bgra": (4, cv2.COLOR_BGRA2RGB),
+    "mono": (1, cv2.COLOR_GRAY2RGB),
+    # OpenCV names a Bayer pattern by the second row's second and third pixel, ROS by the first row's first two.
+    "bayer_rggb": (1, cv2.COLOR_BayerBG2RGB),
+    "bayer_bggr": (1, cv2.COLOR_BayerRG2RGB),
+    "bayer_gbrg": (1, cv2.COLOR_BayerGR2RGB),
+    "bayer_grbg": (1, cv2.COLOR_BayerGB2RGB),
+}
+_UYVY, _YUYV = Encoding(8, 2, cv2.COLOR_YUV2RGB_UYVY), Encoding(8, 2, cv2.COLOR_YUV2RGB_YUY2)
+PICTURES: Final = {
+    **{f"{name}{depth}": Encoding(depth, *layout) for name, layout in _LAYOUTS.items() for depth in (8, 16)},
+    "uyvy": _UYVY,
+    "yuv422": _UYVY,
+    "yuyv": _YUYV,
+    "yuv422_yuy2": _YUYV,
+    "nv12": Encoding(8, 1, cv2.COLOR_YUV2RGB_NV12, rows=3),
+    "nv21": Encoding(8, 1, cv2.COLOR_YUV2RGB_NV21, rows=3),
+    "nv24": Encoding(8, 1, cv2.COLOR_YUV2RGB_UYVY, rows=6),
+    # Types of OpenCV are in its own order of colours. 16UC1 is depth (REP 118), and not grey.
+    "8UC1": Encoding(8, *_LAYOUTS["mono"]),
+    **{f"{depth}UC3": Encoding(depth, *_LAYOUTS["bgr"]) for depth in (8, 16)},
+    **{f"{depth}UC4": Encoding(depth, *_LAYOUTS["bgra"]) for depth in (8, 16)},
+}
+"""Encodings of sensor_msgs/image_encodings that hold a picture."""
+_TYPES: Final = {f"{kind}C{n}" for kind in ("8U", "8S", "16U", "16S", "32S", "32F", "64F") for n in range(1, 5)}
+NO_PICTURES: Final = {
+    name: "depth or another measurement" if name.endswith("C1") else "numbers without a meaning as colours"
+    for name in sorted(_TYPES - set(PICTURES))
+}
+"""What the other encodings hold."""
+CODECS: Final = ("jpeg", "jpg", "png", "tiff", "webp", "bmp")
+"""Codecs of compressed images."""
+_OF_FILES: Final = {1: PICTURES["mono8"], 3: PICTURES["bgr8"], 4: PICTURES["bgra8"]}
+"""Layouts of what OpenCV decodes, by channels, where the format names none."""
+
+
+def pixels_of(message: Any, topic: str) -> Pixels | None:
+    """RGB of a sensor_msgs/CompressedImage or Image; None where its data is damaged.
+
+    Raises:
+        LogError: an encoding that is not supported, or that holds no picture.
+    """
+    try:
+        return _decompressed(message, topic) if hasattr(message, "format") else _raw_pixels(message, topic)
+    except cv2.error:  # sizes that a layout cannot have
+        return None
+
+
+def _raw_pixels(message: Any, topic: str) -> Pixels | None:
+    encoding = _encoding(message.encoding, topic)
+    height, width, step = message.height, message.width, message.step
+    rows, used = height * encoding.rows // 2, width * encoding.channels * encoding.depth // 8
+    data = np.asarray(message.data, np.uint8)
+    if step < used or data.size < rows * step or not height * width:
+        return None
+    data = data[: rows * step]
+    if message.encoding == "nv24":
+        return _from_nv24(data.reshape(3, -1), height, width)
+    pixels = np.ascontiguousarray(data.reshape(rows, step)[:, :used])
+    if encoding.depth == 16:
+        pixels = pixels.view(">u2" if message.is_bigendian else "<u2").astype(np.uint16)
+    return _to_rgb(pixels.reshape((rows, width, encoding.channels)), encoding)
+
+
+def _from_nv24(planes: UInt8[np.ndarray, "3 n"], height: int, width: int) -> Pixels:
+    """RGB of brightness of all pixels, before colour of all pixels in rows of twice the length."""
+    brightness = planes[0].reshape(height, -1)[:, :width]
+    colour = planes[1:].reshape(height, -1)[:, : 2 * width].reshape(height, width, 2)
+    # OpenCV does not know this layout: each pixel becomes a pair of pixels of UYVY.
+    pairs = np.stack((colour[..., 0], brightness, colour[..., 1], brightness), axis=-1)
+    return _to_rgb(pairs.reshape(height, 2 * width, 2), _UYVY)[:, ::2].copy()
+
+
+def _decompressed(message: Any, topic: str) -> Pixels | None:
+    """RGB of a CompressedImage by its format: a codec, or `ENCODING; CODEC compressed LAYOUT`.
+
+    By compressed_image_transport, OpenCV wrote numbers in that layout, or else in the encoding itself, into the file.
+    Where the file has another number of channels, it is read as BGR or grey.
+    """
+    name, _, rest = message.format.rpartition(";")
+    name, (codec, *words) = name.strip(), rest.split() or [""]
+    if codec == "compressedDepth":
+        what = f"topic '{topic}' holds images compressed as '{message.format}', which are depth and no picture"
+        raise LogError(what, how="remove the camera from the rig, or give it the topic of its pictures")
+    if codec and codec.lower().removeprefix("image/") not in CODECS:
+        what = f"topic '{topic}' holds images compressed as '{message.format}', which is not supported"
+        raise LogError(what, how=f"record one of: {', '.join(CODECS)}; or uncompressed")
+    encoding = _encoding(name, topic) if name else None
+    layout = _encoding(words[-1], topic) if len(words) > 1 else None
+    pixels = decoded_picture(np.asarray(message.data, np.uint8), as_stored=True)
+    if pixels is None or pixels.dtype not in (np.uint8, np.uint16):
+        return None
+    if encoding is not None and encoding.depth == 16 and pixels.dtype == np.uint8:
+        if layout is None:
+            what = f"topic '{topic}' holds images compressed as '{message.format}', which cut 16 bits to their lower 8"
+            raise LogError(what, how="record png, or raw images of 8 bits")
+        pixels = pixels.astype(np.uint16) * 257  # cv_bridge divided by it
+    channels = pixels.shape[2] if pixels.ndim == 3 else 1
+    fitting = (one for one in (layout, encoding, _OF_FILES.get(channels)) if one and one.channels == channels)
+    found = next(fitting, None)
+    return None if found is None else _to_rgb(pixels, found)
+
+
+def _encoding(name: str, topic: str) -> Encoding:
+    """Entry of the table.
+
+    Raises:
+        LogError: it has no picture of that name.
+    """
+    if name in PICTURES:
+        return PICTURES[name]
+    if name in NO_PICTURES:
+        what = f"topic '{topic}' holds images encoded as '{name}', which are {NO_PICTURES[name]} and no picture"
+        raise LogError(what, how="remove the camera from the rig, or give it the topic of its pictures")
+    what = f"topic '{topic}' holds images encoded as '{name}', which is not supported"
+    raise LogError(what, how=f"record one of: {', '.join(PICTURES)}; or compressed")
+
+
+def _to_rgb(pixels: np.ndarray, encoding: Encoding) -> Pixels:
+    if encoding.to_rgb is None:
+        return pixels.copy()
+    return np.asarray(cv2.cvtColor(np.ascontiguousarray(pixels), encoding.to_rgb))
