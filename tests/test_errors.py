@@ -39,7 +39,7 @@ def test_a_command_names_the_extra_that_it_needs_before_it_does_anything(
     done = run_without(module, *(argument.format(tmp=tmp_path) for argument in arguments))
     assert done.returncode == 1
     assert done.stderr.startswith(f"offpiste: this needs the extra '{name}' ({module}")
-    assert f"pip install 'offpiste[{name}]'" in done.stderr
+    assert f"pip install '.[{name}]'" in done.stderr
     assert done.stderr.count("\n") == 1
     assert not list(tmp_path.iterdir())
 
@@ -47,9 +47,9 @@ def test_a_command_names_the_extra_that_it_needs_before_it_does_anything(
 def test_functions_name_the_extra_that_they_need(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setitem(sys.modules, "transformers", None)
     monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
-    with pytest.raises(MissingExtra, match=r"offpiste\[vit\]', or use the backbone filterbank"):
+    with pytest.raises(MissingExtra, match=r"'.\[vit\]', or use the backbone filterbank"):
         load_vision_transformer("facebook/dinov2-small", device=torch.device("cpu"))
-    with pytest.raises(MissingExtra, match=r"offpiste\[tensorboard\]"):
+    with pytest.raises(MissingExtra, match=r"'.\[tensorboard\]"):
         also_tensorboard(lambda line: None, tmp_path)
 
 

@@ -134,7 +134,12 @@ def is_installed(module: str) -> bool:
     return find_spec(module) is not None
 
 
+def installation_of(name: str) -> str:
+    """Return how to install an extra. offpiste is on no package index, where anybody could take its name."""
+    return f"in the checkout of offpiste: pip install '.[{name}]'"
+
+
 def missing(name: str, module: str, otherwise: str = "") -> MissingExtra:
     """The error for an extra that is not installed."""
-    how = f"pip install 'offpiste[{name}]'" + (f", or {otherwise}" if otherwise else "")
+    how = installation_of(name) + (f", or {otherwise}" if otherwise else "")
     return MissingExtra(f"this needs the extra '{name}' ({module} is not installed)", how=how)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any, Final
 
-from offpiste.errors import OffpisteError
+from offpiste.errors import OffpisteError, installation_of
 
 logger = logging.getLogger(__name__)
 
@@ -109,8 +109,9 @@ def store_at(url: str) -> Store:
         with _errors_of(url):
             files, root = fsspec.url_to_fs(url)
     except ImportError as error:
-        needed = f"offpiste[{_EXTRAS[scheme]}]" if scheme in _EXTRAS else error.name or f"fsspec's package for {scheme}"
-        raise OffpisteError(f"reading {scheme}:// needs another package", how=f"pip install '{needed}'") from error
+        needed = error.name or f"fsspec's package for {scheme}"
+        how = installation_of(_EXTRAS[scheme]) if scheme in _EXTRAS else f"pip install '{needed}'"
+        raise OffpisteError(f"reading {scheme}:// needs another package", how=how) from error
     return Store(url, files, root.rstrip("/"))
 
 

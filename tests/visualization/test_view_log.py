@@ -63,7 +63,7 @@ def test_without_pca_and_without_rerun_there_are_pictures_and_a_line(
     assert (out / "mine.txt").read_text() == "mine"
     assert cv2.imread(str(out / "map.png")) is not None
     said = capsys.readouterr().out
-    assert "pip install 'offpiste[view]'" in said
+    assert "pip install '.[view]'" in said
     assert "0% of it with features" in said
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.figure import Figure
 
-from offpiste.errors import LogError, RigError, is_installed
+from offpiste.errors import LogError, RigError, installation_of, is_installed
 from offpiste.files import write_bytes
 from offpiste.inspection.map_health import check_map_health, find_pits, map_health
 from offpiste.inspection.sensor_samples import gather
@@ -95,7 +95,7 @@ def view_log(
         logger.info(f"  {note}")
     if rrd and not is_installed("rerun"):
         logger.info(
-            "no recording: rerun-sdk is not installed (pip install 'offpiste[view]'); pictures are made without it"
+            f"no recording: rerun-sdk is not installed ({installation_of('view')}); pictures are made without it"
         )
         rrd = False
     written = [out / "sensors.png"]

@@ -12,7 +12,7 @@ from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.header.recorded import recorded_text, rollout_by_kernels
 from offpiste.dynamics.kernels.autograd import has_kernels
 from offpiste.dynamics.kernels.parity import APART, largest_difference
-from offpiste.errors import OffpisteError, is_installed
+from offpiste.errors import OffpisteError, installation_of, is_installed
 
 logger = logging.getLogger(__name__)
 
@@ -53,7 +53,7 @@ def prepared(dynamics: Dynamics, device: torch.device, compiled: Callable[[str, 
 
 @cache
 def _say_that_kernels_are_missing() -> None:
-    logger.warning("without the extra `cuda` the GPU steps models eagerly, which is slow: pip install 'offpiste[cuda]'")
+    logger.warning(f"without the extra `cuda` the GPU steps models eagerly, which is slow; {installation_of('cuda')}")
 
 
 def check_kernels(kernels: Kernels, dynamics: Dynamics, device: torch.device) -> None:
