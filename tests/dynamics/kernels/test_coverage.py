@@ -2,6 +2,7 @@
 
 import logging
 from collections.abc import Callable
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -11,12 +12,16 @@ from factories import VEHICLE, coded
 from offpiste.dynamics import MODELS, Hybrid
 from offpiste.dynamics.base import Step
 from offpiste.dynamics.feature_encoder import Compressor
-from offpiste.dynamics.kernels import coverage
+from offpiste.dynamics.kernels import autograd, coverage
+from offpiste.dynamics.kernels.actuators import supports_actuators
 from offpiste.dynamics.kernels.autograd import supports
 from offpiste.dynamics.kernels.coverage import uncovered, uncovered_encoder
 from offpiste.dynamics.kernels.encoder import supports_encoder
 from offpiste.dynamics.lstm import Compensator
-from offpiste.state import ModelState, Terrain
+from offpiste.dynamics.vehicle import Vehicle
+from offpiste.errors import RunError
+from offpiste.export.formats import refuse_without_kernels
+from offpiste.state import History, ModelState, Terrain
 
 CPU = torch.device("cpu")
 
@@ -37,17 +42,30 @@ class Doubled(Compensator):
         return 2 * out, hidden, cell
 
 
-class HalfForce(Hybrid):
-    """A subclass whose parts are those of its parent and whose step is not."""
+class FurtherGain(Hybrid):
+    """A subclass with the parts of its parent, which steps otherwise only once it has trained."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        super().__init__(vehicle)
+        self.gain = nn.Parameter(torch.ones(()))
 
     def stepper(self) -> Step:
         step = super().stepper()
 
-        def halved(model_state: ModelState, control: Tensor, terrain: Terrain) -> ModelState:
+        def scaled(model_state: ModelState, control: Tensor, terrain: Terrain) -> ModelState:
             after = step(model_state, control, terrain)
-            return ModelState((model_state.state + after.state) / 2, after.actuators, after.hidden, after.cell)
+            moved = model_state.state + self.gain * (after.state - model_state.state)
+            return ModelState(moved, after.actuators, after.hidden, after.cell)
 
-        return halved
+        return scaled
+
+
+class OtherStart(Hybrid):
+    """A subclass that the generated `offpiste_start` of an export does not know."""
+
+    def start(self, history: History, state: Tensor, actuators: Tensor) -> ModelState:
+        begun = super().start(history, state, actuators)
+        return ModelState(begun.state, begun.actuators, begun.hidden + 0.5, begun.cell)
 
 
 def frozen(model: Hybrid) -> Hybrid:
@@ -100,6 +118,18 @@ def hook(model: Hybrid) -> None:
     model.compensator.output.register_forward_hook(lambda *_: None)
 
 
+def backward_hook(model: Hybrid) -> None:
+    model.compensator.output[1].register_full_backward_hook(lambda *_: None)
+
+
+def other_method(model: Hybrid) -> None:
+    model.compensator._standardised = lambda inputs: 2 * inputs
+
+
+def other_stepper(model: Hybrid) -> None:
+    model.stepper = lambda: lambda model_state, *_: model_state
+
+
 def other_history(model: Hybrid) -> None:
     model.compensator.init_cell = nn.LSTM(model.compensator.cell.input_size, 20, num_layers=2, batch_first=True)
 
@@ -114,6 +144,9 @@ CHANGES = {
     subclassed_network: "Compensator is a Doubled",
     weight_norm: "Linear is a Parametrized",
     hook: "hooks",
+    backward_hook: "hooks",
+    other_method: "another _standardised",
+    other_stepper: "another stepper",
     other_history: "layers",
 }
 
@@ -131,13 +164,26 @@ def test_a_changed_module_is_not_covered_and_the_reason_is_said(change, caplog):
     assert "slower" in line
 
 
-def test_a_subclass_that_steps_otherwise_is_noticed_even_before_training(caplog):
+def test_a_subclass_is_not_covered_even_if_it_steps_otherwise_only_after_training(caplog):
     coverage.warn_of_eager_steps.cache_clear()
-    model = frozen(HalfForce(VEHICLE))
-    assert not uncovered(model)
+    model = frozen(FurtherGain(VEHICLE))
     with caplog.at_level(logging.WARNING):
         assert not supports(model, CPU, torch.float32)
-    assert "HalfForce" in caplog.text
+    assert "its Hybrid is a FurtherGain" in caplog.text
+
+
+@pytest.mark.parametrize("kind", [FurtherGain, OtherStart])
+def test_exports_refuse_subclasses(kind, tmp_path):
+    with pytest.raises(RunError, match=f"its Hybrid is a {kind.__name__}"):
+        refuse_without_kernels(SimpleNamespace(dynamics=kind(VEHICLE), model="mine", folder=tmp_path))
+
+
+def test_a_model_that_kernels_differ_from_is_stepped_eagerly(caplog, monkeypatch):
+    coverage.warn_of_eager_steps.cache_clear()
+    monkeypatch.setattr(autograd, "largest_difference", lambda *_, **__: float("nan"))
+    with caplog.at_level(logging.WARNING):
+        assert not supports(frozen(coded(VEHICLE, 0)), CPU, torch.float32)
+    assert "they compute something else" in caplog.text
 
 
 def test_modules_exchanged_after_the_first_use_are_noticed():
@@ -168,3 +214,20 @@ def test_encoders_with_other_layers_are_not_covered():
     encoder.layers[1] = nn.ReLU()
     assert "Tanh is a ReLU" in uncovered_encoder(encoder)
     assert not supports_encoder(encoder, torch.zeros(2, 3))
+
+
+@pytest.mark.parametrize(("inner", "outer", "size"), [(7, 8, 4), (8, 7, 4), (8, 8, 6)])
+def test_encoders_of_widths_that_the_kernels_misread_are_not_covered(inner, outer, size):
+    encoder = Compressor(3)
+    layers = (nn.Linear(4, inner), nn.Tanh(), nn.Linear(inner, outer), nn.Tanh(), nn.Linear(outer, size))
+    encoder.layers = nn.Sequential(*layers)
+    assert uncovered_encoder(encoder)
+    assert not supports_encoder(encoder, torch.zeros(2, 3))
+
+
+def test_actuators_that_are_not_covered_are_stepped_eagerly_with_a_warning(caplog):
+    coverage.warn_of_eager_steps.cache_clear()
+    model = changed(other_residual)
+    with caplog.at_level(logging.WARNING):
+        assert not supports_actuators(model.actuators, CPU, torch.float32)
+    assert "Actuators (its Tanh is a Sigmoid): it is stepped eagerly" in caplog.text

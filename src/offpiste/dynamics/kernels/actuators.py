@@ -15,7 +15,7 @@ from offpiste.compilation import KERNELS, spread_kernel
 from offpiste.conventions import ACTUATORS, STATE
 from offpiste.dynamics.actuators import Actuators
 from offpiste.dynamics.kernels import layout
-from offpiste.dynamics.kernels.coverage import uncovered_actuators
+from offpiste.dynamics.kernels.coverage import uncovered_actuators, warn_of_eager_steps
 from offpiste.dynamics.kernels.elementary import copy, f4
 from offpiste.dynamics.kernels.generated import actuate, actuate_adjoint
 from offpiste.dynamics.kernels.layout import LANES, ROW
@@ -50,8 +50,11 @@ class LagRecord(NamedTuple):
 
 def supports_actuators(actuators: Actuators, device: torch.device, dtype: torch.dtype) -> bool:
     """Whether `rollout_actuators` can step these: of the types in `coverage`, on the CPU, in float32."""
+    if reason := uncovered_actuators(actuators):
+        warn_of_eager_steps(type(actuators).__name__, reason)
+        return False
     alike = all(p.device.type == "cpu" and p.dtype == torch.float32 for p in actuators.parameters())
-    return not uncovered_actuators(actuators) and device.type == "cpu" and dtype == torch.float32 and alike
+    return device.type == "cpu" and dtype == torch.float32 and alike
 
 
 def rollout_actuators(

@@ -15,6 +15,7 @@ from offpiste.dynamics.actuators import Actuators
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.bicycle import BicycleConstants
 from offpiste.dynamics.feature_encoder import Compressor, FeatureEncoder, Identity
+from offpiste.dynamics.hybrid import Hybrid, Parametric
 from offpiste.dynamics.kernels import layout
 from offpiste.dynamics.lstm import Compensator
 from offpiste.dynamics.vehicle import Vehicle
@@ -24,12 +25,17 @@ logger = logging.getLogger(__name__)
 EAGER_COST: Final = "10 to 20 times slower"
 """Time of eager steps relative to the kernels (docs/results-speed.md)."""
 
+_HOOKS: Final = ("_forward_hooks", "_forward_pre_hooks", "_backward_hooks", "_backward_pre_hooks")
+
 
 def uncovered(dynamics: Dynamics) -> str:
     """Return why the kernels do not cover the steps of a model; empty if they do. They read codes of any encoder."""
     parts, actuators = dynamics.kernel_parts(), dynamics.actuators
     if parts is None or actuators is None:
         return "it declares no parts for them"
+    # A subclass may step otherwise only once it has trained, which no comparison before shows.
+    if reason := _not_exactly(dynamics, Hybrid if isinstance(dynamics, Hybrid) else Parametric):
+        return reason
     network = "" if parts.compensator is None else uncovered_network(parts.compensator)
     return _not_exactly(parts.bicycle, BicycleConstants) or network or uncovered_actuators(actuators)
 
@@ -62,7 +68,7 @@ def uncovered_encoder(encoder: FeatureEncoder | None) -> str:
     if encoder is None:
         return ""
     if isinstance(encoder, Compressor):
-        return _not_exactly(encoder, Compressor) or _not_layers(encoder.layers, 3)
+        return _not_exactly(encoder, Compressor) or _not_layers(encoder.layers, 3) or _not_widths(encoder)
     return (
         _not_exactly(encoder, Identity)
         if isinstance(encoder, Identity)
@@ -86,13 +92,30 @@ def warn_of_eager_steps(model: str, reason: str) -> None:
     logger.warning(f"the kernels do not cover {model} ({reason}): it is stepped eagerly, {EAGER_COST}")
 
 
-def _not_exactly(module: nn.Module, kind: type[nn.Module]) -> str:
+def _not_exactly(module: nn.Module, kind: type) -> str:
     """Return what else a module is than one of this very type, without hooks; empty if it is one."""
+    methods = _methods(kind)
     if type(module) is not kind:
         return f"its {kind.__name__} is a {type(module).__name__}"
+    if replaced := methods & vars(module).keys():
+        return f"its {kind.__name__} has another {min(replaced)}"
     # PyTorch has no public way to ask for hooks.
-    hooked = module._forward_hooks or module._forward_pre_hooks or "forward" in vars(module)
-    return f"its {kind.__name__} has hooks" if hooked else ""
+    return f"its {kind.__name__} has hooks" if any(getattr(module, hooks) for hooks in _HOOKS) else ""
+
+
+@cache
+def _methods(kind: type) -> frozenset[str]:
+    return frozenset(name for name in dir(kind) if callable(getattr(kind, name)))
+
+
+def _not_widths(encoder: Compressor) -> str:
+    """Return which width of an encoder's layers the kernels do not read; empty if there is none."""
+    first, second, last = (layer for layer in encoder.layers if isinstance(layer, nn.Linear))
+    if first.out_features % 4 or second.out_features % 4:
+        return "its hidden layers have no multiple of 4 units"
+    if last.out_features != encoder.size:
+        return f"its last layer has {last.out_features} units in place of {encoder.size}"
+    return ""
 
 
 def _not_layers(layers: nn.Module, linear: int) -> str:
