@@ -80,8 +80,8 @@ def test_remedies_are_rig_lines():
 
 
 def test_points_without_their_times_are_no_reason_for_a_delay():
-    (late,) = check_mountings([replace(checked((0, 0, 0, 30)), untimed="t")])
-    assert late.remedy.startswith('lidars.top.time_field = "t", with its time_unit;')
+    (late,) = check_mountings([replace(checked((0, 0, 0, 30)), untimed='lidars.top.time_field = "t"')])
+    assert late.remedy.startswith('lidars.top.time_field = "t"; only if its scans are compensated: ')
     assert late.cures == ()
 
 

@@ -12,6 +12,7 @@ from offpiste.errors import LogError
 from offpiste.inspection.draft_pose import first_message
 from offpiste.logs.log import Log
 from offpiste.logs.measurements import used_bits
+from offpiste.logs.point_times import proposed_times
 from offpiste.logs.ros.image_encodings import pixels_of
 from offpiste.logs.transforms import TRANSFORMS, Transform, between
 from offpiste.rig.sensors import TIME_FIELDS
@@ -133,15 +134,24 @@ def _bits(log: Log, topic: str) -> list[str]:
 def _lidar(log: Log, topic: str, name: str, body: str, transforms: list[Transform]) -> str:
     lines = [f"[lidars.{name}]", f"topic = {_toml(topic)}"]
     lines += _mounting(log, topic, name, body, transforms, "body_from_lidar")
-    fields = [field.name for field in getattr(first_message(log, topic), "fields", ())]
-    times = [field for field in fields if field in TIME_FIELDS]
-    if times:
-        lines.append(
-            f"# MISSING: time of the points of {name}: they have '{times[0]}'; give time_field and time_unit, unless"
-            " the scans are compensated already"
-        )
+    lines += _times(log, topic, name)
     lines += ["# own_body: a box in the body frame [m]; points in it are the vehicle itself", ""]
     return "\n".join(lines)
+
+
+def _times(log: Log, topic: str, name: str) -> list[str]:
+    """How to read the times of a LiDAR's points, by its first scan."""
+    try:
+        first, stamps = next(log.clouds(topic)), np.sort(log.stamps(topic))
+    except LogError:
+        return []
+    entries = proposed_times(first, float(np.median(np.diff(stamps))) if len(stamps) > 1 else 0.0)
+    if entries:
+        why = "# GUESSED by the first scan: remove these where scans are compensated already"
+        return [why, *(f"{key} = {_toml(value)}" for key, value in entries.items())]
+    times = [field for field in TIME_FIELDS if field in (first.points.dtype.names or ())]
+    what = f"# MISSING: time of the points of {name}: no unit of '{{}}' puts them near the stamp; give time_field and"
+    return [what.format(times[0]) + " time_unit, unless scans are compensated already"] if times else []
 
 
 def _mounting(log: Log, topic: str, name: str, body: str, transforms: list[Transform], key: str) -> list[str]:

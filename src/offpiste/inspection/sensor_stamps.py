@@ -1,8 +1,8 @@
 """Checks of images and clouds without geometry: stamps, spans, repeats."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
+from itertools import islice, pairwise
 from typing import Final
 
 import msgspec
@@ -15,12 +15,12 @@ from offpiste.inspection.sensor_samples import Grey
 from offpiste.inspection.stamps import check_spans, check_stamps
 from offpiste.logs.clock_drift import clock_difference
 from offpiste.logs.log import Log
-from offpiste.logs.measurements import Lidar
+from offpiste.logs.point_times import lines, misread_times, proposed_times
 from offpiste.logs.sensor_log import SensorLog
 from offpiste.rig.channels import ChannelSource
 from offpiste.rig.edits import Edit
 from offpiste.rig.rig import Rig
-from offpiste.rig.sensors import TIME_FIELDS, CameraSource, LidarSource
+from offpiste.rig.sensors import CameraSource, LidarSource
 
 Source = CameraSource | LidarSource | ChannelSource
 """Topic of a sensor or of the pose, and the delay of its stamps."""
@@ -34,6 +34,8 @@ _APART: Final = 0.5
 _STAMPS: Final = 50
 """Fewer messages than this do not show a drift."""
 _FROZEN: Final = 0.1
+_SCANS: Final = 5
+"""First scans whose points' times are checked."""
 _HALF: Final = 0.5
 """A sensor that misses less of the drive than this is a note."""
 
@@ -82,14 +84,35 @@ def _in_words(finding: Finding) -> Finding:
     return replace(finding, severity=severity, remedy=remedy if finding.cures else finding.remedy, cures=())
 
 
-def untimed_points(log: Log, lidars: Mapping[str, Lidar]) -> dict[str, str]:
-    """LiDARs whose points have a field of times that the rig does not name: from the LiDAR's name to the field's."""
+def untimed_points(sensors: SensorLog) -> dict[str, str]:
+    """Rig lines that read the times of points, by the name of the LiDAR, where the rig does not name their field."""
     result: dict[str, str] = {}
-    for name, lidar in lidars.items():
-        first = None if lidar.source.time_field else next(log.clouds(lidar.source.topic), None)
-        times = [field for field in TIME_FIELDS if first is not None and field in (first.points.dtype.names or ())]
-        if times:
-            result[name] = times[0]
+    for name, lidar in sensors.lidars.items():
+        first = None if lidar.source.time_field else next(sensors.raw_clouds(name), None)
+        entries = {} if first is None else proposed_times(first, sensors.period(name))
+        if entries:
+            result[name] = lines(name, entries)
+    return result
+
+
+def check_point_times(sensors: SensorLog) -> list[Finding]:
+    """Findings for LiDARs whose points, by their own times, are not measured within a sweep of the scan's stamp.
+
+    A finding has no cure where no unit and origin of these times explain them.
+    """
+    result = []
+    for name, lidar in sensors.lidars.items():
+        first = islice(sensors.raw_clouds(name), _SCANS) if lidar.source.time_field else ()
+        read = [misread_times(raw, lidar.source, sensors.period(name)) for raw in first]
+        misread = [one for one in read if one is not None]
+        if 2 * len(misread) <= len(read):
+            continue
+        fault, edits = misread[-1], tuple(Edit(f"lidars.{name}.{k}", v) for k, v in misread[-1].entries.items())
+        remedy = fault.remedy(name)
+        if sensors.rig.clock.stamps == "receive" and "epoch" in fault.entries.values():
+            edits, remedy = (), f'{remedy}, with clock.stamps = "header"; or remove lidars.{name}.time_field'
+        evidence = f"{len(misread)} of its first {len(read)} scans"
+        result.append(Finding("warning", name, fault.what, evidence, remedy, 1.0, (edits,) if edits else ()))
     return result
 
 

@@ -20,7 +20,13 @@ from offpiste.inspection.map_health import check_map_health, map_health
 from offpiste.inspection.misfit import Misfit, turned
 from offpiste.inspection.own_body import check_own_body
 from offpiste.inspection.sensor_samples import Gathered, SmallCamera, gather, small_camera
-from offpiste.inspection.sensor_stamps import check_repeated_images, check_sensor_stamps, refused, untimed_points
+from offpiste.inspection.sensor_stamps import (
+    check_point_times,
+    check_repeated_images,
+    check_sensor_stamps,
+    refused,
+    untimed_points,
+)
 from offpiste.logs.log import Log
 from offpiste.logs.measurements import Camera, Lidar
 from offpiste.logs.poses import Poses
@@ -61,7 +67,7 @@ class CheckedSensor:
 
     Attributes:
         misfit: None where it could not be estimated.
-        untimed: a field with the time of its points that the rig does not name, if there is one.
+        untimed: lines of the rig that read the times of its points, if it has them and the rig does not.
     """
 
     sensor: Camera | Lidar
@@ -151,8 +157,7 @@ def _late(one: CheckedSensor, misfit: Misfit, blames_pose: str) -> Finding:
     cure = Edit(f"{one.key}.delay", round(one.sensor.source.delay + late, 3))
     remedy, sure = str(cure), not one.untimed and not blames_pose
     if one.untimed:
-        field = f'{one.key}.time_field = "{one.untimed}", with its time_unit'
-        remedy = f"{field}; only if its scans are compensated: {remedy}"
+        remedy = f"{one.untimed}; only if its scans are compensated: {remedy}"
     elif blames_pose:
         remedy += f"; {blames_pose}, the pose's stamps may be what is off: fix its delay instead"
     return Finding(
@@ -238,7 +243,12 @@ def check_sensors(log: Log, rig: Rig, cure: Cure = ()) -> list[Finding]:
         return []
     try:
         sensors = open_sensors(log, edited(rig, cure))
-        findings = check_sensor_stamps(log, sensors)
+        misread = check_point_times(sensors)
+        findings = check_sensor_stamps(log, sensors) + misread
+        if not all(finding.cures for finding in misread):
+            return findings  # scans cannot be read
+        edits = [edit for finding in misread for edit in finding.cures[0]]
+        sensors = open_sensors(log, edited(sensors.rig, edits), poses=sensors.poses)
         cameras = {name: small_camera(camera) for name, camera in sensors.cameras.items()}
         gathered = gather(sensors, cameras)
     except OffpisteError as error:
@@ -252,7 +262,7 @@ def check_sensors(log: Log, rig: Rig, cure: Cure = ()) -> list[Finding]:
         findings.append(
             Finding("note", "cameras and LiDARs", "are there in part", evidence, "nothing where the rest is enough")
         )
-    untimed = untimed_points(log, sensors.lidars)
+    untimed = untimed_points(sensors)
     checked = [
         replace(one, untimed=untimed.get(one.sensor.name, ""))
         for one in lidar_misfits(sensors.lidars, gathered, sensors.poses)

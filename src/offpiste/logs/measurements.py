@@ -1,7 +1,6 @@
 """Images and point clouds as measured, and the cameras and LiDARs that measured them."""
 
 from dataclasses import dataclass
-from typing import Final
 
 import cv2
 import numpy as np
@@ -9,13 +8,12 @@ from jaxtyping import Bool, Float, Shaped, UInt8, UInt16
 
 from offpiste.errors import LogError
 from offpiste.logs.log import RawCloud
+from offpiste.logs.point_times import SWEEP, misread_times, offsets
 from offpiste.rig.camera import CameraModel
 from offpiste.rig.sensors import CameraSource, LidarSource
 
 Pixels = UInt8[np.ndarray, "h w 3"] | UInt16[np.ndarray, "h w 3"]
 """RGB in as many bits as were recorded (`in_eight_bits`)."""
-
-_SECONDS: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 
 @dataclass(frozen=True)
@@ -121,11 +119,14 @@ def used_bits(highest: int) -> int:
     return max(8, highest.bit_length() + highest.bit_length() % 2)
 
 
-def cloud_from_records(raw: RawCloud, lidar: Lidar) -> Cloud:
-    """Usable points of a recorded cloud.
+def cloud_from_records(raw: RawCloud, lidar: Lidar, period: float = 0.0) -> Cloud:
+    """Usable points of a recorded cloud; those whose own time is far from the stamp are not.
+
+    Args:
+        period: time between scans; 0 where it is not known [s].
 
     Raises:
-        LogError: its points lack x, y, z or the time that the rig names.
+        LogError: its points lack x, y, z or the time that the rig names, or their times are of another unit or origin.
     """
     names = raw.points.dtype.names or ()
     source = lidar.source
@@ -139,9 +140,11 @@ def cloud_from_records(raw: RawCloud, lidar: Lidar) -> Cloud:
     keep = usable_points(points, lidar)
     offset = None
     if source.time_field:
-        seconds = raw.points[source.time_field].astype(np.float64) * _SECONDS[source.time_unit]
-        offset = seconds - raw.time if source.time_origin == "epoch" else seconds
-        keep &= np.isfinite(offset)
+        misread = misread_times(raw, source, period)
+        if misread is not None and misread.entries:
+            raise LogError(f"'{lidar.name}': {misread.what}", how=misread.remedy(lidar.name))
+        offset = offsets(raw.time, raw.points[source.time_field], source.time_unit, source.time_origin)
+        keep &= np.abs(offset) <= SWEEP  # where it is not a number, too
         offset = offset[keep]
     intensity = raw.points["intensity"][keep] if "intensity" in names else np.full(keep.sum(), np.nan)
     return Cloud(raw.time - source.delay, lidar.name, points[keep], offset, intensity.astype(np.float64))

@@ -15,6 +15,7 @@ from offpiste.logs.kept_rows import increasing
 from offpiste.logs.log import Log, RawCloud, RawImage
 from offpiste.logs.measurements import Camera, Cloud, Image, Lidar, cloud_from_records, in_eight_bits
 from offpiste.logs.mountings import camera_of, lidar_of, refuse_rough
+from offpiste.logs.point_times import misread_times
 from offpiste.logs.poses import Poses, jump_note, poses_from_drive
 from offpiste.logs.transforms import listed
 from offpiste.rig.rig import Rig
@@ -95,6 +96,15 @@ class SensorLog:
         """Times of a sensor's messages in the order of the file [s], without decoding them."""
         return self._recorded_stamps(name) - self._sensor(name).source.delay
 
+    def raw_clouds(self, name: str) -> Iterator[RawCloud]:
+        """Clouds of a LiDAR as recorded, in the order of the file."""
+        return self._log.clouds(self.lidars[name].source.topic, stamps=self.rig.clock.stamps)
+
+    def period(self, name: str) -> float:
+        """Time between a sensor's messages [s]; 0 where there are less than two."""
+        stamps = np.sort(self._recorded_stamps(name))
+        return float(np.median(np.diff(stamps))) if len(stamps) > 1 else 0.0
+
     def _recorded_stamps(self, name: str) -> Float[np.ndarray, " n"]:
         if name not in self._stamps:
             self._stamps[name] = self._log.stamps(self._sensor(name).source.topic, stamps=self.rig.clock.stamps)
@@ -159,9 +169,15 @@ class SensorLog:
         return self._converted(camera.name, raw, convert)
 
     def _clouds(self, lidar: Lidar, times: Float[np.ndarray, " n"] | None) -> Iterator[Cloud]:
+        period, timed = self.period(lidar.name), lidar.source.time_field
+
         def convert(raw: RawCloud) -> Cloud | str:
-            cloud = cloud_from_records(raw, lidar)
-            return cloud if len(cloud.points) else "clouds have no usable point and were dropped"
+            cloud = cloud_from_records(raw, lidar, period)
+            if len(cloud.points):
+                return cloud
+            if timed and misread_times(raw, lidar.source, period) is not None:
+                return f"clouds have points whose '{timed}' is far from the stamp and were dropped"
+            return "clouds have no usable point and were dropped"
 
         topic, stamps = lidar.source.topic, self.rig.clock.stamps
         raw = (
@@ -194,7 +210,8 @@ class SensorLog:
                 useless += 1
                 if useless >= _USELESS:
                     what = f"'{name}': {useless} {converted.removesuffix(' and were dropped')}, one after the other"
-                    raise LogError(what, where=self.path, how="record it again, or remove the sensor from the rig")
+                    how = "fix its entry in the rig, record it again, or remove the sensor from the rig"
+                    raise LogError(what, where=self.path, how=how)
                 continue
             latest, useless = measured.time, 0
             yield converted

@@ -1,0 +1,103 @@
+"""Points of a scan lie within a sweep of its stamp: only one unit and origin of their times makes it so."""
+
+from itertools import product
+
+import numpy as np
+import pytest
+
+from offpiste.errors import LogError
+from offpiste.logs.log import RawCloud
+from offpiste.logs.measurements import Lidar, cloud_from_records
+from offpiste.logs.point_times import misread_times, proposed_times
+from offpiste.rig.sensors import LidarSource
+from point_clocks import DRIVERS, SWEEP, PointClock
+
+STAMP = 1_750_000_000.25
+XYZ = np.random.default_rng(0).uniform(1, 9, (400, 3))
+
+
+def scan(clock: PointClock, stamp: float = STAMP) -> RawCloud:
+    return RawCloud(stamp, "lidar", clock.fill(stamp, XYZ))
+
+
+def source(clock: PointClock, **changed: str) -> LidarSource:
+    return LidarSource(topic="/points", **(clock.entries | changed))
+
+
+@pytest.mark.parametrize("stamp", [STAMP, 100.25])  # of a real drive, and of a simulated one
+@pytest.mark.parametrize("name", DRIVERS)
+def test_every_other_unit_and_origin_is_found_and_put_right(name: str, stamp: float) -> None:
+    clock = DRIVERS[name]
+    raw, right = scan(clock, stamp), (clock.unit, clock.origin)
+    assert misread_times(raw, source(clock), SWEEP) is None
+    assert proposed_times(raw, SWEEP) == clock.entries
+    for unit, origin in set(product(("s", "ms", "us", "ns"), ("stamp", "epoch"))) - {right}:
+        misread = misread_times(raw, source(clock, time_unit=unit, time_origin=origin), SWEEP)
+        assert misread is not None
+        assert clock.entries == clock.entries | {"time_unit": unit, "time_origin": origin} | misread.entries
+
+
+def test_nanoseconds_read_as_microseconds_are_one_line() -> None:
+    clock = DRIVERS["Ouster"]
+    lidar = Lidar("top", np.eye(4), source(clock, time_unit="us"))
+    with pytest.raises(LogError) as error:
+        cloud_from_records(scan(clock), lidar)
+    what = "'top': 't', read in us since the stamp, puts points 49.9 s from their scan's stamp"
+    assert str(error.value) == f'{what}; lidars.top.time_unit = "ns"'
+    right = cloud_from_records(scan(clock), Lidar("top", np.eye(4), source(clock)))
+    assert right.offset is not None
+    np.testing.assert_allclose(right.offset, np.linspace(0, SWEEP, 400, endpoint=False), atol=1e-8)
+
+
+def test_microseconds_read_as_nanoseconds_are_found_by_the_time_between_scans() -> None:
+    clock = DRIVERS["microseconds"]
+    misread = misread_times(scan(clock), source(clock, time_unit="ns"), SWEEP)
+    assert misread is not None
+    assert misread.what == "'time_stamp', read in ns since the stamp, takes 9e-05 s for scans that come every 0.1 s"
+
+
+@pytest.mark.parametrize("period", [0.0, 0.1, 0.5, 5.0])
+def test_scans_that_were_thinned_out_are_right(period: float) -> None:
+    assert misread_times(scan(DRIVERS["Ouster"]), source(DRIVERS["Ouster"]), period) is None
+
+
+@pytest.mark.parametrize("times", [np.zeros(400), np.linspace(0, 0.01, 400), np.linspace(0, 0.8, 400)])
+def test_compensated_scans_sectors_and_slow_sweeps_are_right(times: np.ndarray) -> None:
+    clock = PointClock("t", "<f8", lambda _, since: times, "s", "stamp")
+    assert misread_times(scan(clock), source(clock), SWEEP) is None
+
+
+def test_points_without_echo_say_nothing() -> None:
+    """Drivers of organised clouds leave their times at zero, which is 1970."""
+    clock = DRIVERS["Hesai"]
+    raw = scan(clock)
+    for fault, some in ((np.nan, slice(0, 200)), (0.0, slice(200, 320))):
+        for field in raw.points.dtype.names or ():
+            raw.points[field][some] = 0.0 if field == "timestamp" else fault
+    assert misread_times(raw, source(clock), SWEEP) is None
+    assert proposed_times(raw, SWEEP) == clock.entries
+
+
+def test_single_points_far_from_the_stamp_are_dropped() -> None:
+    clock = DRIVERS["Hesai"]
+    raw = scan(clock)
+    raw.points["timestamp"][:20] = (0.0, np.nan) * 10
+    cloud = cloud_from_records(raw, Lidar("top", np.eye(4), source(clock)))
+    assert len(cloud.points) == 380
+
+
+def test_a_clock_of_its_own_has_no_unit_that_fits() -> None:
+    clock = PointClock("timestamp", "<f8", lambda _, since: 4000.0 + since, "s", "epoch")
+    misread = misread_times(scan(clock), source(clock), SWEEP)
+    assert misread is not None
+    assert misread.entries == {}
+    assert "and no other unit or origin fits" in misread.what
+    assert misread.remedy("top").startswith("remove lidars.top.time_field, or record with the LiDAR's clock")
+    assert proposed_times(scan(clock), SWEEP) == {}
+    assert len(cloud_from_records(scan(clock), Lidar("top", np.eye(4), source(clock))).points) == 0
+
+
+@pytest.mark.parametrize("values", [np.zeros(400), np.full(400, 7.0)])
+def test_times_that_do_not_change_are_not_proposed(values: np.ndarray) -> None:
+    clock = PointClock("t", "<f8", lambda _, since: values, "s", "stamp")
+    assert proposed_times(scan(clock), SWEEP) == {}
