@@ -69,10 +69,11 @@ def misread_times(raw: RawCloud, source: LidarSource, period: float = 0.0) -> Mi
     if _fits(middle, span, period):
         return None
     fits = next(_fitting(raw.time, values, period), None)
-    what = f"'{source.time_field}', read in {source.time_unit} since {_ORIGINS[source.time_origin]}, puts points "
-    what += f"{abs(middle):.3g} s from their scan's stamp"
-    if abs(middle) <= SWEEP:
-        what = f"{what.partition(', puts')[0]}, takes {span:.2g} s for scans that come every {period:.2g} s"
+    read = f"'{source.time_field}', read in {source.time_unit} since {_ORIGINS[source.time_origin]}"
+    if abs(middle) > SWEEP:
+        what = f"{read}, puts points {abs(middle):.3g} s from their scan's stamp"
+    else:
+        what = f"{read}, takes {span:.2g} s for scans that come every {period:.2g} s"
     if fits is None:
         return MisreadTimes(f"{what}, and no other unit or origin fits", {})
     now = {"time_unit": source.time_unit, "time_origin": source.time_origin}
