@@ -3,7 +3,8 @@
 Each term over the quantity that it is of, and a plan past an obstacle to a path with the samples that it was made of.
 """
 
-import sys
+import argparse
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -52,7 +53,7 @@ def obstacle_course(resolution: float = 0.2) -> TerrainLayers:
     return TerrainLayers(**parts)
 
 
-def draw_plan(axes: Axes) -> None:
+def draw_plan(axes: Axes, samples: int) -> None:
     """A plan of 5 s by a parametric model, and its samples."""
     torch.manual_seed(0)
     ground, weights = obstacle_course(), CostWeights()
@@ -63,14 +64,14 @@ def draw_plan(axes: Axes) -> None:
     model = Parametric(Vehicle(1200.0, 2.1, 0.5, CONTROL, ())).requires_grad_(False)
     model_state = ModelState(state[None], torch.full((1, 4), torch.nan), torch.zeros(1, 0), torch.zeros(1, 0))
     codes, draw = encode_map(at.ground, None), torch.Generator().manual_seed(0)
-    settings = Settings(PEDALS_AND_WHEEL, (0.3, 0.05, 0.25), samples=1024, iterations=8, temperature=2.0)
+    settings = Settings(PEDALS_AND_WHEEL, (0.3, 0.05, 0.25), samples=samples, iterations=8, temperature=2.0)
     cost_of = fused_costs(model, model_state, at, weights, codes)
     plan = improve(torch.zeros(250, 3), cost_of, settings, draw, previous=at.control).controls
-    _, samples = fused_rollout(model, model_state, sample(plan, settings, draw)[:300].clamp(-1, 1), at, weights, codes)
+    _, rolled = fused_rollout(model, model_state, sample(plan, settings, draw)[:300].clamp(-1, 1), at, weights, codes)
     axes.imshow(np.log1p(costs.layers[..., 0].numpy()), origin="lower", extent=(-30, 30, -30, 30), cmap="Greys", vmax=9)
-    axes.plot(samples[1:, :, 0].T, samples[1:, :, 1].T, color="#e09f3e", linewidth=0.3, alpha=0.4)
+    axes.plot(rolled[1:, :, 0].T, rolled[1:, :, 1].T, color="#e09f3e", linewidth=0.3, alpha=0.4)
     axes.axhline(0, color="#5b8e7d", linestyle="--", linewidth=1.2, label="course")
-    axes.plot(samples[0, :, 0], samples[0, :, 1], color=LINE, linewidth=2.4, label="plan, 5 s")
+    axes.plot(rolled[0, :, 0], rolled[0, :, 1], color=LINE, linewidth=2.4, label="plan, 5 s")
     axes.set(xlim=(-12, 24), ylim=(-9, 9))
     axes.set_title("a plan: 8 iterations of 1,024 samples; grey: cost of obstacles", fontsize=10, loc="left")
     axes.set_xlabel("x [m]", fontsize=LABEL)
@@ -79,14 +80,17 @@ def draw_plan(axes: Axes) -> None:
     axes.legend(fontsize=LABEL, loc="lower right")
 
 
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     """Write the picture."""
-    folder, w = Path(sys.argv[1] if len(sys.argv) > 1 else "docs"), CostWeights()
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path, nargs="?", default=Path("docs"))
+    parser.add_argument("--smoke", action="store_true", help="few samples, to try it")
+    options, w = parser.parse_args(arguments), CostWeights()
     figure = Figure(figsize=(11, 10), layout="constrained")
     grid = figure.add_gridspec(4, 3, height_ratios=(1, 1, 1, 2.2))
     axes = [figure.add_subplot(grid[i // 3, i % 3]) for i in range(9)]
     x = np.linspace(-3, 3, 201)
-    curve(axes[0], x, terms.path_term(x, w.path), "off the path", "distance [m]")
+    curve(axes[0], x, terms.path_term(x, 0.0, w.path), "off the path", "distance [m]")
     v = np.linspace(0, 12, 201)
     along = terms.speed_term(v, 6.0, w.speed)
     curve(axes[1], v, along, "along the course (target 6 m/s)", "speed along [m/s]")
@@ -113,8 +117,8 @@ def main() -> None:
     curve(axes[7], u, terms.effort_term(u, w.effort[2]), "effort: steering", "command")
     rate = np.linspace(-4, 4, 201)
     curve(axes[8], rate, terms.jerk_term(rate * 0.02, 0.0, 0.02, w.jerk[2]), "jerk: steering", "change [1/s]")
-    draw_plan(figure.add_subplot(grid[3, :]))
-    figure.savefig(folder / "planning-costs.png", dpi=90)
+    draw_plan(figure.add_subplot(grid[3, :]), samples=16 if options.smoke else 1024)
+    figure.savefig(options.folder / "planning-costs.png", dpi=90)
 
 
 if __name__ == "__main__":

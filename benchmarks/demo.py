@@ -12,16 +12,23 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     """Run, and print a table and what it says."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=Path("demos"))
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--cold", type=int, default=3, help="runs with an empty cache, of seed 0")
-    given = parser.parse_args()
+    parser.add_argument("--smoke", action="store_true", help="measure `offpiste --version` only, to try it")
+    given = parser.parse_args(arguments)
+    if given.smoke:
+        given.out.mkdir(parents=True, exist_ok=True)
+        taken = measured([sys.executable, "-m", "offpiste", "--version"], given.out / "version.log")
+        print(f"{taken['seconds']:.1f} s, {taken['gib']:.2f} GiB")
+        return
     given.out.mkdir(parents=True, exist_ok=True)
     colds = [_cold(given.out / f"cold-{number}") for number in range(given.cold)]
     warms = [run(given.out / f"seed-{seed}", seed) for seed in range(given.seeds)]
@@ -54,16 +61,21 @@ def run(out: Path, seed: int, **environment: str) -> dict[str, float]:
     path = out.with_suffix(".json")
     if not path.exists():
         command = [sys.executable, "-m", "offpiste", "demo", "--seed", str(seed), "--out", str(out)]
-        began, most = time.perf_counter(), 0.0
-        with Path(f"{out}.log").open("w") as log:
-            process = subprocess.Popen(command, env=os.environ | environment, stdout=log, stderr=log)
-            while process.poll() is None:
-                most = max(most, _memory(process.pid))
-                time.sleep(0.5)
-        if process.returncode:
-            sys.exit(f"{' '.join(command)} ended with {process.returncode}: {out}.log")
-        path.write_text(json.dumps({"seconds": time.perf_counter() - began, "gib": most}))
+        path.write_text(json.dumps(measured(command, Path(f"{out}.log"), **environment)))
     return json.loads(path.read_text())
+
+
+def measured(command: list[str], log: Path, **environment: str) -> dict[str, float]:
+    """Run a command; return its time [s] and largest memory [GiB]."""
+    began, most = time.perf_counter(), 0.0
+    with log.open("w") as opened:
+        process = subprocess.Popen(command, env=os.environ | environment, stdout=opened, stderr=opened)
+        while process.poll() is None:
+            most = max(most, _memory(process.pid))
+            time.sleep(0.5)
+    if process.returncode:
+        sys.exit(f"{' '.join(command)} ended with {process.returncode}: {log}")
+    return {"seconds": time.perf_counter() - began, "gib": most}
 
 
 def _memory(pid: int) -> float:

@@ -4,14 +4,13 @@
 cost, whole plans, and the packing and copying in them), `spread` (both where the spread counts), `images` (images to
 codes), `training` (rollouts forward and back), `pytorch-mppi` (the same rollouts by it, eager and compiled), `train`
 (trainings on the CPU and on the device, whose validation losses must agree; with `--alone` on the device only). Rows
-are written as they come. Without a GPU, `PYTHONPATH=tests python benchmarks/gpu.py plans --device cpu --small` runs a
-stage on kernels that g++ compiled for this machine (from tests/host_kernels.py), which checks the script, not the GPU:
-its times mean nothing.
+are written as they come.
 """
 
 import argparse
 import json
 import platform
+from collections.abc import Sequence
 from pathlib import Path
 
 import torch
@@ -41,19 +40,20 @@ def opened(name: str) -> torch.device:
     return device
 
 
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     """Check, time, write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("stages", nargs="*", metavar="STAGE", help=f"of {', '.join(STAGES)}; none: names the device")
     parser.add_argument("--device", default="cuda")
     parser.add_argument("--out", type=Path, default=Path("gpu.json"))
-    parser.add_argument("--small", action="store_true", help="few samples, no graph: for memcheck, or without a GPU")
+    small = "few samples, no graph: for memcheck, or without a GPU"
+    parser.add_argument("--small", "--smoke", action="store_true", help=small)
     parser.add_argument("--turns", type=int, default=30)
-    parser.add_argument("--dataset", type=Path, help="of the stage `train`, with features; made-up drives otherwise")
+    parser.add_argument("--dataset", type=Path, help="of the stage `train`, with features")
     parser.add_argument("--epochs", type=int, default=10, help="of bicycle and model on that dataset")
     parser.add_argument("--batch", type=int, nargs="+", default=[128], help="windows a step of the stage `train`")
     parser.add_argument("--alone", action="store_true", help="train on the device only, not on the CPU as well")
-    given = parser.parse_args()
+    given = parser.parse_args(arguments)
     if given.small:
         given.turns = 2
     if unknown := set(given.stages) - set(STAGES):

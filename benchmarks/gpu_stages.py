@@ -22,7 +22,8 @@ HERE = Path(__file__).resolve().parent
 WHOLE = 590.0
 """Seconds of all stages together."""
 
-TESTS = ("tests/dynamics/header/test_cuda.py", "tests/test_cuda_kernels.py", "tests/dynamics/test_base.py")
+TESTS: tuple[str, ...] = ("tests/dynamics/header/test_cuda.py", "tests/test_cuda_kernels.py")
+TESTS += ("tests/dynamics/test_base.py",)
 TESTS += ("tests/perception/backbones/test_backbone.py", "tests/planning/test_mppi.py")
 
 RENAMED = ("CUFFT_INCOMPLETE_PARAMETER_LIST", "CUFFT_PARSE_ERROR", "CUFFT_LICENSE_ERROR")
@@ -61,6 +62,10 @@ def by_script(stage: str) -> Callable[[Path, argparse.Namespace], list[str]]:
         if stage == "pytorch-mppi" and find_spec("pytorch_mppi") is None:
             raise Skipped("pytorch_mppi is not installed")
         small = ["--small"] if given.small else []
+        if stage == "train":
+            if given.dataset is None:
+                raise Skipped("it needs --dataset")
+            small += ["--dataset", str(given.dataset)]
         out = str(folder / f"{stage}.json")
         return [sys.executable, str(HERE / "gpu.py"), stage, "--device", given.device, "--out", out, *small]
 
@@ -209,8 +214,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, nargs="?", default=Path("gpu-results"))
     parser.add_argument("--device", default="cuda")
-    parser.add_argument("--small", action="store_true", help="few samples: to try the stages themselves")
+    parser.add_argument("--small", "--smoke", action="store_true", help="few samples: to try the stages themselves")
     parser.add_argument("--only", nargs="*", choices=[stage.name for stage in STAGES], help="these stages")
+    parser.add_argument("--dataset", type=Path, help="of the stage `train`, with features; skipped without")
     given = parser.parse_args()
     folder = given.folder.resolve()
     folder.mkdir(parents=True, exist_ok=True)

@@ -13,12 +13,10 @@ Row = dict[str, Any]
 
 
 def open_kernels(text: str, device: torch.device) -> Kernels:
-    """Kernels on a GPU; on the CPU those that tests compile."""
-    if device.type == "cuda":
-        return cuda_kernels(text, device)
-    from host_kernels import HostKernels
-
-    return HostKernels(text, "-O2")
+    """Compile kernels for a GPU."""
+    if device.type != "cuda":
+        raise SystemExit("this stage needs an NVIDIA GPU")
+    return cuda_kernels(text, device)
 
 
 def timed(what: str, run: Callable[[], Any], device: torch.device, turns: int) -> Row:

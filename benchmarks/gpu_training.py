@@ -2,7 +2,7 @@
 
 import argparse
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -44,24 +44,22 @@ def windows(dynamics: Dynamics, batch: int, device: torch.device) -> tuple[Model
 
 def of_train(dynamics: Dynamics, device: torch.device, given: argparse.Namespace) -> Iterator[Row]:
     """Trainings on CPU and device: their validation losses must agree. With `--alone`, on the device only."""
-    from feature_datasets import dataset_with_features
-
+    if given.dataset is None:
+        raise SystemExit("the stage `train` needs --dataset, one with features")
     with TemporaryDirectory() as folder:
-        path, epochs = given.dataset, given.epochs
-        if path is None:
-            path, epochs = Path(folder) / "dataset.zarr", 2
-            dataset_with_features(path)
-        dataset = open_dataset(path)
+        epochs, dataset = given.epochs, open_dataset(given.dataset)
         model = "dc" if len(dataset.drives[0].rows.normal) > 1 else "df"
         for batch in given.batch:
-            losses = []
+            losses: list[float] = []
             for place in (str(device),) if given.alone else ("cpu", str(device)):
                 config = TrainConfig(
                     model, epochs=epochs, bicycle_epochs=epochs, actuator_epochs=2, batch=batch, device=place
                 )
                 run, began = Path(folder) / f"run-{batch}-{len(losses)}", time.perf_counter()
                 train(dataset, config, run)
-                losses.append(kept_epochs(run)["model"].validation_loss)
+                validation = kept_epochs(run)["model"].validation_loss
+                assert validation is not None
+                losses.append(validation)
                 took = time.perf_counter() - began
                 yield {
                     "what": f"{epochs} epochs of {model} on {place}, batches of {batch}: {took:.1f} s, validation loss "
@@ -78,7 +76,10 @@ def of_codes(batch: int, device: torch.device, turns: int) -> Iterator[Row]:
     first = torch.randint(0, count - HORIZON_STEPS - 3, (batch, 1, 1), generator=draw)
     cells = (first + torch.arange(HORIZON_STEPS)[:, None] + torch.tensor([3, 2, 1, 0])).to(device)
     bar = torch.randn(*cells.shape, 4, generator=draw).to(device)
-    ways = {"codes_of_cells": codes_of_cells, "torch's embedding": lambda rows, index: embedding(index, rows)}
+    ways: dict[str, Callable[[Tensor, Tensor], Tensor]] = {
+        "codes_of_cells": codes_of_cells,
+        "torch's embedding": lambda rows, index: embedding(index, rows),
+    }
     gradients = []
     for name, read in ways.items():
         yield timed(f"codes of {batch} windows by {name}", lambda read=read: read(codes.detach(), cells), device, turns)
@@ -96,7 +97,9 @@ def of_training(dynamics: Dynamics, device: torch.device, given: argparse.Namesp
     """Rollouts forward and back; the eager model on the same device for the smallest batch, unless the run is small."""
     small, turns = given.small, given.turns
     dynamics = dynamics.to(device)
-    for part in (dynamics.kernel_parts().compensator, dynamics.encoder):
+    parts = dynamics.kernel_parts()
+    for part in (parts and parts.compensator, dynamics.encoder):
+        assert part is not None
         part.requires_grad_(True)
     kernels, sizes = open_kernels(recorded_text(dynamics), device), [40] if small else [1024, 4096, 16384]
     if not small:

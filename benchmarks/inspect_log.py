@@ -97,8 +97,15 @@ def main(
     minutes: float = 60.0,
     rig: str = "proving_ground",
     scratch: Path = Path("long.mcap"),
+    smoke: bool = False,
 ) -> None:
-    """Make the long log if it is not there yet, and inspect it."""
+    """Make the long log if it is not there yet, and inspect it.
+
+    Args:
+        smoke: a log of some seconds, to try it.
+    """
+    if smoke:
+        minutes = 0.2
     if not scratch.exists():
         repeated(drive, scratch, minutes)
     began = time.perf_counter()

@@ -1,18 +1,19 @@
 """The map: insertion and flattening, against plain NumPy and against copying the bytes touched; and torch's lookups.
 
-`PYTHONPATH=. python benchmarks/mapping.py [threads]`: everything side by side in one run. A vehicle drives 0.5 m
+`python benchmarks/mapping.py [--threads 2]`: everything side by side in one run. A vehicle drives 0.5 m
 between scans of 100,000 points over rolling ground, a third of the view ending at walls of bushes; the map is +-60 m
 in cells of 0.2 m.
 Times are medians, in brackets the best one and the processor time that all threads together took, median and best: on
 a busy machine that divided by the threads says what a free one would take.
 """
 
-import sys
+import argparse
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import fields
 from functools import partial
 
+import mapping_reference
 import numpy as np
 import torch
 
@@ -20,7 +21,6 @@ from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.mapping.terrain_sampler import sample_maps, stack_maps
 from offpiste.mapping.voxel_map import VoxelMap, VoxelSettings
 from offpiste.mapping.voxels_to_layers import Flattener, FlattenSettings
-from tests.mapping import numpy_reference
 
 RINGS, TURN = 64, 1563
 SCANS = 40
@@ -63,16 +63,16 @@ def report(name: str, times: list[np.ndarray], plain: np.ndarray, touched: int) 
     print(f"{summary(name, times)}   {plainly}   copying {touched / 1e6:5.1f} MB: {copying:4.1f} ms")
 
 
-def mapping(channels: int, threads: int) -> None:
+def mapping(channels: int, threads: int, scans: int) -> None:
     """Insertion, flattening and lookup."""
     rng = np.random.default_rng(0)
     settings, flat = VoxelSettings(threads=threads), FlattenSettings()
-    held, plain = VoxelMap(channels, settings), numpy_reference.empty_reference(channels, settings)
+    held, plain = VoxelMap(channels, settings), mapping_reference.empty_reference(channels, settings)
     flattener, layers = Flattener(held, flat), None
     points, distance = scan(rng)
     features, has = rng.normal(size=(len(points), channels)).astype(np.float32), rng.random(len(points)) < 0.8
     inserting, flattening = [], []
-    for number in range(SCANS):
+    for number in range(scans):
         place = np.array([0.5 * number, 0.0])
         seen = points + np.array([*place, 0.0])
         seen[:, 2] += 0.5 * np.sin(0.1 * seen[:, 0]) + 0.5 * np.cos(0.07 * seen[:, 1])
@@ -80,10 +80,10 @@ def mapping(channels: int, threads: int) -> None:
         inserting.append(timed(partial(held.insert, seen, features, has, distance)))
         layers = flattener.layers(layers) if number == 0 else layers
         flattening.append(timed(partial(flattener.layers, layers)))
-        plain = numpy_reference.recentred(plain, place, 0.0)
+        plain = mapping_reference.recentred(plain, place, 0.0)
         if number % 5 == 4:  # NumPy gets every fifth scan, to keep this short
-            plainly = timed(partial(numpy_reference.inserted, plain, seen, features, has, distance))
-            plain = numpy_reference.inserted(plain, seen, features, has, distance)
+            plainly = timed(partial(mapping_reference.inserted, plain, seen, features, has, distance))
+            plain = mapping_reference.inserted(plain, seen, features, has, distance)
     assert layers is not None
     layers = flattener.layers(layers)
     voxel = held.voxels.seen.strides[0]
@@ -93,7 +93,7 @@ def mapping(channels: int, threads: int) -> None:
     print(f"\n{channels} features, {len(points)} points; {held.occupied} voxels, {about}, {held.nbytes / 1e6:.0f} MB")
     touched = points.nbytes + features.nbytes + distance.nbytes + len(points) * (64 + voxel)
     report("insert", inserting[2:], plainly, touched)
-    plainly = timed(partial(numpy_reference.flattened, plain, flat))
+    plainly = timed(partial(mapping_reference.flattened, plain, flat))
     report("flatten 600 x 600", flattening[2:], plainly, outputs + columns * (64 + 2 * voxel))
     both = [a + b for a, b in zip(inserting, flattening, strict=True)][2:]
     print(summary("insert + flatten", both))
@@ -114,12 +114,15 @@ def wheels(layers: TerrainLayers) -> None:
     print(summary("look up 1024 x 250 x 4", [timed(sample) for _ in range(5)]))
 
 
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     """Print the tables."""
-    threads = int(sys.argv[1]) if len(sys.argv) > 1 else 2
-    torch.set_num_threads(threads)
-    for channels in (4, 40):
-        mapping(channels, threads)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--smoke", action="store_true", help="few scans, to try it")
+    options = parser.parse_args(arguments)
+    torch.set_num_threads(options.threads)
+    for channels in (4,) if options.smoke else (4, 40):
+        mapping(channels, options.threads, 5 if options.smoke else SCANS)
 
 
 if __name__ == "__main__":

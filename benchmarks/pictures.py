@@ -3,7 +3,8 @@
 Four worlds from above, one frame of each camera with the LiDARs' points, a driven path.
 """
 
-import sys
+import argparse
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -77,18 +78,21 @@ def sensors(world: World, sample: VehicleSample) -> Figure:
     return figure
 
 
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     """Write the three pictures."""
-    folder = Path(sys.argv[1] if len(sys.argv) > 1 else "docs")
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path, nargs="?", default=Path("docs"))
+    parser.add_argument("--smoke", action="store_true", help="a short drive, to try it")
+    options = parser.parse_args(arguments)
     world = make_world(WorldSettings(seed=3))
-    samples = simulate_drive(world, 120.0, 3)
+    samples = simulate_drive(world, 3.0 if options.smoke else 120.0, 3)
     figures = {
-        "worlds": worlds(),
+        **({} if options.smoke else {"worlds": worlds()}),
         "drive": path(world, samples),
         "sensors": sensors(world, samples[min(1500, len(samples) - 1)]),
     }
     for name, figure in figures.items():
-        figure.savefig(folder / f"{name}.jpg", pil_kwargs={"quality": 85})
+        figure.savefig(options.folder / f"{name}.jpg", pil_kwargs={"quality": 85})
 
 
 if __name__ == "__main__":

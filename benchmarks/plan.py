@@ -15,7 +15,7 @@ import argparse
 import statistics
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -41,6 +41,9 @@ from offpiste.planning.mppi import PEDALS_AND_WHEEL, Settings, improve, limited,
 from offpiste.planning.rollouts import driving_costs
 from offpiste.state import ModelState
 from offpiste.uncertainty.spread import Spread, inputs_of
+
+Planned = Callable[[Tensor, Tensor], Tensor]
+"""Next states, or costs, of states and controls."""
 
 FEATURES = 40
 WHEELS = torch.tensor([[1.1, 0.8], [1.1, -0.8], [-1.1, 0.8], [-1.1, -0.8]])
@@ -69,19 +72,18 @@ def codes_first(at: Situation, codes: tuple[Tensor, Tensor]) -> Situation:
     """The situation with a map of codes instead of features, for planners that read one cell at a time."""
     cells = codes[0][None]
     return Situation(
-        type(at.ground)(at.ground.resolution, at.ground.origin, at.ground.slope, cells),
-        at.costs, at.wheels, at.offset, at.state, at.control,
+        replace(at.ground, features=cells), at.costs, at.wheels, at.offset, at.state, at.control,
     )  # fmt: skip
 
 
-def stepwise(model: Hybrid, at: Situation, weights: CostWeights, samples: int) -> tuple[Callable, Callable]:
+def stepwise(model: Hybrid, at: Situation, weights: CostWeights, samples: int) -> tuple[Planned, Planned]:
     """Dynamics and running cost for pytorch_mppi; velocity and control before a step travel with the state."""
     zeros, offset = torch.zeros(samples, dtype=torch.long, device=at.state.device), at.offset.expand(samples, 2)
-    encode = as_codes(model.encoder.missing()) if model.codes else None
-    step = as_callable(model, MapTerrain(at.ground, zeros, offset, at.wheels, encode))
+    encode = as_codes(model.encoder.missing()) if model.encoder is not None else None
+    callable_step = as_callable(model, MapTerrain(at.ground, zeros, offset, at.wheels, encode))
 
     def dynamics(state: Tensor, control: Tensor) -> Tensor:
-        return torch.cat((step(state[:, :-8], control), state[:, 3:5], state[:, -3:], control), dim=1)
+        return torch.cat((callable_step(state[:, :-8], control, 0), state[:, 3:5], state[:, -3:], control), dim=1)
 
     def cost(state: Tensor, control: Tensor) -> Tensor:
         terms = terms_after(state[:, :6], state[:, -8:-6], control, state[:, -6:-3], at, weights)
@@ -96,7 +98,9 @@ def start(model: Hybrid, at: Situation) -> ModelState:
     return ModelState(at.state[None], torch.full((1, 4), torch.nan), units, units)
 
 
-def pytorch_mppi(model: Hybrid, at: Situation, weights: CostWeights, controls: Tensor, *, compiled: bool) -> Callable:
+def pytorch_mppi(
+    model: Hybrid, at: Situation, weights: CostWeights, controls: Tensor, *, compiled: bool
+) -> Callable[[], Tensor]:
     """Its rollout of the same control sequences."""
     from pytorch_mppi import MPPI
 
@@ -158,7 +162,7 @@ def compare(model: Hybrid, at: Situation, controls: Tensor, options: argparse.Na
     coded, model_state = codes_first(at, codes), start(model, at)
     fused = fused_costs(model, model_state, at, weights, codes)
     eager = driving_costs(model, model_state, coded, weights, as_codes(codes[1]) if model.codes else None)
-    makers = {
+    makers: dict[str, Callable[[], Callable[[], Tensor]]] = {
         "fused": lambda: lambda: fused(controls),
         "eager": lambda: lambda: eager(controls),
         "pytorch-mppi": lambda: pytorch_mppi(model, coded, weights, controls, compiled=False),
@@ -210,10 +214,12 @@ def whole_plan(models: dict[str, Hybrid], at: Situation, plan: Tensor, settings:
 def encoding(model: Hybrid, at: Situation) -> None:
     """Print what codes of the map cost."""
     coded = codes_first(at, encode_map(at.ground, model.encoder)).ground
+    assert model.encoder is not None
+    encoder = model.encoder
     runs = {
         "all cells": lambda: encode_map(at.ground, model.encoder)[0],
         "within 40 m": lambda: encode_map(at.ground, model.encoder, centre=at.offset, reach=40.0)[0],
-        "codes already": lambda: coded_map(coded.features[0], model.encoder)[0],
+        "codes already": lambda: coded_map(coded.features[0], encoder)[0],
     }
     for name, one in in_turns(runs, 2.0).items():
         print(f"  {name:16} {one}", flush=True)
@@ -231,7 +237,8 @@ def cycle(run: Path, pca: Path | None, seconds: float) -> None:
         print(f"  {name:18} {stage['count']:5} {stage['median_ms']:8.1f} {stage['p95_ms']:8.1f}")
 
 
-def main() -> None:
+@torch.no_grad()
+def main(arguments: Sequence[str] | None = None) -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--threads", type=int, default=2)
@@ -242,13 +249,17 @@ def main() -> None:
     parser.add_argument("--plan-alone", action="store_true", help="the parts of a whole plan, and nothing else")
     parser.add_argument("--cycle", type=Path, metavar="RUN")
     parser.add_argument("--pca", type=Path)
-    options = parser.parse_args()
+    parser.add_argument("--smoke", action="store_true", help="try everything once, with few samples")
+    options = parser.parse_args(arguments)
+    if options.smoke:
+        options.samples, options.steps, options.seconds, options.skip = [16], [5], 0.0, ["compiled"]
     warnings.simplefilter("ignore")
     torch.set_num_threads(options.threads)
     if options.cycle:
         return cycle(options.cycle, options.pca, options.seconds)
-    torch.set_grad_enabled(False)
-    layers, settings = ground(), Settings(PEDALS_AND_WHEEL, (0.3, 0.1, 0.3))
+    horizon = 5 if options.smoke else HORIZON_STEPS
+    layers = ground(100 if options.smoke else 600)
+    settings = Settings(PEDALS_AND_WHEEL, (0.3, 0.1, 0.3), samples=16 if options.smoke else 1024)
     at = Situation(
         stack_maps([layers.terrain_map()]),
         cost_map(layers, Course(np.array([[-50.0, 0], [50.0, 0]]), np.full(2, 6.0)), Hazards()),
@@ -261,16 +272,16 @@ def main() -> None:
         return limited(sample(plan, replace(settings, samples=samples), draw), settings, at.control)
 
     print(f"{options.threads} threads")
-    print(f"a whole plan, K 1024, T {HORIZON_STEPS}")
-    whole_plan(models, at, torch.tensor([0.3, 0.0, 0.0]).repeat(HORIZON_STEPS, 1), settings, options.seconds)
+    print(f"a whole plan, K {settings.samples}, T {horizon}")
+    whole_plan(models, at, torch.tensor([0.3, 0.0, 0.0]).repeat(horizon, 1), settings, options.seconds)
     if options.plan_alone:
         return None
     print("codes of a map of 600 x 600 cells, once a map (dc)")
     encoding(models["dc"], at)
     for name, model in models.items():
         for samples in options.samples:
-            print(f"{name}, K {samples}, T {HORIZON_STEPS}: rollouts with map and cost", flush=True)
-            compare(model, at, controls(samples, HORIZON_STEPS), options, options.skip)
+            print(f"{name}, K {samples}, T {horizon}: rollouts with map and cost", flush=True)
+            compare(model, at, controls(samples, horizon), options, options.skip)
     for steps in options.steps:
         print(f"dc, K 1024, T {steps}: rollouts with map and cost", flush=True)
         compare(models["dc"], at, controls(1024, steps), options, [*options.skip, "pytorch-mppi", "compiled"])
@@ -282,7 +293,9 @@ def network(name: str) -> Hybrid:
     torch.manual_seed(0)
     vehicle = Vehicle(1200.0, 2.1, 0.5, CONTROL, ())
     model = Hybrid(vehicle, encoder=Compressor(FEATURES) if name == "dc" else None).requires_grad_(False)
-    torch.nn.init.normal_(model.compensator.output[-1].weight, std=0.05)
+    last = model.compensator.output[-1]
+    assert isinstance(last, torch.nn.Linear)
+    torch.nn.init.normal_(last.weight, std=0.05)
     return model
 
 

@@ -11,6 +11,7 @@ import resource
 import statistics
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -113,7 +114,7 @@ def report(name: str, ratios: list[float]) -> None:
     print(f"{name:22} {statistics.median(ratios):6.2f} x real time ({spread}); peak memory {peak:.2f} GiB", flush=True)
 
 
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     """Print a line a part."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=20.0, help="of driving in a run")
@@ -121,7 +122,10 @@ def main() -> None:
     parser.add_argument("--whole", type=float, default=0.0, help="seconds of drives with a world of their own")
     parser.add_argument("--parts", action="store_true", help="measure an image and a scan instead")
     parser.add_argument("--world", default="mojave", help="of all but whole drives")
-    options = parser.parse_args()
+    parser.add_argument("--smoke", action="store_true", help="one short run of each part, to try it")
+    options = parser.parse_args(arguments)
+    if options.smoke:
+        options.seconds, options.runs = 1.0, 1
     world = make_world(WorldSettings(preset=options.world, seed=3))
     if options.parts:
         parts(world, options.runs)
@@ -130,7 +134,7 @@ def main() -> None:
     for name, sampled in (("physics alone", False), ("physics and samples", True)):
         ratios = [physics(world, options.seconds, sampled=sampled) for _ in range(options.runs)]
         report(name, ratios)
-    for profile, share in (("none", 1.0), ("light", 0.5), ("full", 0.1)):
+    for profile, share in (("none", 1.0), ("light", 0.5), ("full", 0.1))[: 2 if options.smoke else None]:
         suite = sensor_suite(profile)
         sensing = Sensing(world, suite, np.random.default_rng(0)) if suite.lidars else None
         with tempfile.TemporaryDirectory() as folder:

@@ -205,7 +205,9 @@ def make_trainer(dataset_path: Path, batch: int, device: torch.device | None = N
     model.actuators.requires_grad_(False)
     standardise(model, windows)
     torch.manual_seed(0)
-    nn.init.normal_(model.compensator.output[-1].weight, std=0.02)
+    last = model.compensator.output[-1]
+    assert isinstance(last, nn.Linear)
+    nn.init.normal_(last.weight, std=0.02)
     scale = loss_scale(Kinematic(vehicle).to(device), windows, TrainConfig(stride=max(50, len(windows) // 1000)))
     optimiser = torch.optim.Adam([p for p in model.parameters() if p.requires_grad], lr=1e-4)
     return Trainer(model, windows, scale, optimiser, batch, np.random.default_rng(0))
@@ -290,6 +292,7 @@ def main(
     repeats: int = 7,
     compile_seconds: int = 300,
     step_only: bool = False,
+    smoke: bool = False,
 ) -> None:
     """Print both tables.
 
@@ -300,7 +303,10 @@ def main(
         repeats: of everything; medians are printed.
         compile_seconds: torch.compile may take so long to compile; 0 leaves it out.
         step_only: print what a step of `dc` takes and nothing else.
+        smoke: one turn of a small batch without torch.compile, to try it.
     """
+    if smoke:
+        batch, repeats, compile_seconds = 16, 1, 0
     torch.set_num_threads(threads)
     keep_freed_memory()
     trainer = make_trainer(dataset, batch)

@@ -6,6 +6,7 @@ With --pca (see `offpiste fit-pca`) the cells hold visual features of the camera
 """
 
 import argparse
+from pathlib import Path
 
 import numpy as np
 from matplotlib import pyplot as plt
@@ -14,16 +15,21 @@ import offpiste
 from offpiste.mapping.replay import pinhole_cameras
 
 
+def no_features(pixels: np.ndarray) -> np.ndarray:
+    """Stand for a feature extractor where no camera is read."""
+    raise NotImplementedError
+
+
 def build_map(
     log: str, rig: str, *, pca: str = "", seconds: float = np.inf
 ) -> tuple[offpiste.TerrainLayers, np.ndarray]:
     """Layers of the map after some seconds, and the vehicle's position then [m]."""
     sensors = offpiste.open_sensors(offpiste.open_log(log), offpiste.load_rig(rig))
     if pca:
-        extractor = offpiste.load_feature_extractor(pca)
+        extractor = offpiste.load_feature_extractor(Path(pca))
         cameras, features, channels = pinhole_cameras(sensors, extractor.patch), extractor.extract, extractor.channels
     else:
-        cameras, features, channels = {}, None, 0
+        cameras, features, channels = {}, no_features, 0
     first, last = sensors.poses.span
     for moment in offpiste.replay(sensors, cameras, features, channels, end=min(first + seconds, last)):
         layers, position = moment.layers, moment.vehicle

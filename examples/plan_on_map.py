@@ -14,6 +14,7 @@ from matplotlib import pyplot as plt
 from torch import Tensor
 
 import offpiste
+from offpiste.mapping.terrain_sampler import MapStack
 from offpiste.planning.mppi import PEDALS_AND_WHEEL, Settings, improve
 from offpiste.planning.rollouts import model_costs, spread_model_state
 from offpiste.training.terrain_sources import map_terrain
@@ -71,6 +72,7 @@ def draw(scene: Scene, controls: Tensor, out: str) -> None:
     """The plan from above on the slope of the map, and its controls."""
     figure, (above, below) = plt.subplots(1, 2, figsize=(11, 5), layout="constrained")
     maps, number = scene.terrain.maps, int(scene.terrain.number[0])
+    assert isinstance(maps, MapStack)
     ny, nx = maps.shape
     rise = maps.slope_at(torch.tensor(number), torch.arange(ny)[:, None], torch.arange(nx))
     slope = torch.linalg.vector_norm(rise.float(), dim=-1)

@@ -62,7 +62,7 @@ def drive(steps: int = 200, seed: int = 0) -> Tensor:
             for _ in range(5):
                 planner.shift_nominal_trajectory()
             planner.command(packed[0], shift_nominal_trajectory=False)
-        packed = one(packed, planner.U[t % 5][None])
+        packed = one(packed, planner.U[t % 5][None], 0)
         driven.append(packed[0, :6])
     return torch.stack(driven)
 

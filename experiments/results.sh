@@ -57,7 +57,6 @@ real_drive() {
     step report-folds offpiste evaluate "${folds[@]}" --dataset "$folder/turnpike.zarr" --out "$folder/report-folds"
     step report-flat offpiste evaluate "${flat[@]}" --dataset "$folder/flat.zarr" --out "$folder/report-flat"
     step report-meadows offpiste evaluate "${runs[@]}" --dataset "$folder/meadows.zarr" --out "$folder/report-meadows"
-    step limits python benchmarks/limits.py "$folder/turnpike.zarr"
     step constants python -m experiments.constants "$folder"/parametric-? --dataset "$folder"/{turnpike,meadows}.zarr
 }
 

@@ -96,7 +96,10 @@ def test_names_that_leave_the_folder_are_refused(name: str, tmp_path: Path) -> N
 def test_what_cannot_be_reached_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(OffpisteError, match="memory://b/none: no such file or folder"), brought("memory://b/none"):
         pass
-    with pytest.raises(OffpisteError, match=r"reading gs:// needs another package; pip install 'offpiste\[gcs\]'"):
+    with pytest.raises(
+        OffpisteError,
+        match=r"reading gs:// needs another package; .*pip install '\.\[gcs\]'",
+    ):
         store_at("gs://bucket/x")
     with pytest.raises(OffpisteError, match=r"nosuch://b/x: cannot be reached \(ValueError"):
         store_at("nosuch://b/x")

@@ -10,6 +10,6 @@ from offpiste.mapping.fusion import FUSION_RULES
 
 
 @FUSION_RULES.register("farthest")
-def farthest(distance, held_distance, count):
+def farthest(distance: float, held_distance: float, count: int) -> bool:
     """Keep the observation from farthest, of equally far ones the first."""
     return distance > held_distance

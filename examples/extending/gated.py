@@ -29,5 +29,5 @@ def gated(vehicle: Vehicle) -> Hybrid:
     """Return the hybrid model without terrain features, with a GRU."""
     model = Hybrid(vehicle)
     network = model.compensator
-    network.cell = GatedCell(network.cell.input_size, network.hidden)
+    network.cell = GatedCell(network.cell.input_size, network.hidden)  # type: ignore[assignment]
     return model

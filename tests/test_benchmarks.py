@@ -1,0 +1,98 @@
+"""Every script in benchmarks/ runs with --smoke."""
+
+import importlib
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from feature_datasets import dataset_with_features
+from offpiste.shipped import pca_file
+from offpiste.simulation.simulate import DriveSettings, simulate
+
+ROOT = Path(__file__).parents[1]
+BENCHMARKS = ROOT / "benchmarks"
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("log") / "drive.mcap"
+    simulate(DriveSettings(seconds=9.0, sensors="light"), path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("dataset") / "data.zarr"
+    dataset_with_features(path)
+    return path
+
+
+@pytest.fixture
+def script(monkeypatch: pytest.MonkeyPatch) -> Callable:
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
+    return lambda name: importlib.import_module(name)
+
+
+@pytest.mark.parametrize("name", ["plan", "mapping", "simulate"])
+def test_a_benchmark_without_input_runs(script, name, capsys):
+    script(name).main(["--smoke"])
+    assert "ms" in (shown := capsys.readouterr().out) or "real time" in shown
+
+
+@pytest.mark.parametrize(("name", "made"), [("cost_pictures", {"planning-costs.png"}), ("pictures", {"drive.jpg"})])
+def test_a_script_of_pictures_writes_them(script, name, made, tmp_path):
+    script(name).main([str(tmp_path), "--smoke"])
+    assert made <= {path.name for path in tmp_path.iterdir()}
+
+
+def test_demo_measures_time_and_memory(script, tmp_path, capsys):
+    script("demo").main(["--out", str(tmp_path), "--smoke"])
+    assert "GiB" in capsys.readouterr().out
+
+
+def test_training_steps_are_timed(script, dataset, capsys):
+    script("train").main(dataset, smoke=True)
+    assert "16 windows" in capsys.readouterr().out
+
+
+def test_extraction_is_timed(script, log, capsys):
+    script("extract").main(log, pca_file("pretrained:proving-ground"), smoke=True)
+    assert "windows with features" in capsys.readouterr().out
+
+
+def test_inspection_is_timed(script, log, tmp_path, capsys):
+    script("inspect_log").main(log, scratch=tmp_path / "long.mcap", smoke=True)
+    assert "exit code 0" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", ["gpu", "gpu_stages"])
+def test_without_a_gpu_the_gpu_scripts_end_in_one_line(name, tmp_path):
+    command = [sys.executable, str(BENCHMARKS / f"{name}.py"), "--smoke"]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=False)
+    assert done.returncode == 1
+    assert "no GPU 'cuda'" in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+def test_every_script_is_tried_and_none_imports_tests():
+    tried = {
+        "plan",
+        "mapping",
+        "simulate",
+        "cost_pictures",
+        "pictures",
+        "demo",
+        "train",
+        "extract",
+        "inspect_log",
+        "gpu",
+    }
+    parts = {"gpu_planning", "gpu_stages", "gpu_timing", "gpu_training", "mapping_reference"}
+    assert {path.stem for path in BENCHMARKS.glob("*.py")} == tried | parts
+    for folder in ("benchmarks", "examples", "experiments", "src"):
+        for path in (ROOT / folder).rglob("*.py"):
+            assert "feature_datasets" not in path.read_text()
+            assert "from tests" not in path.read_text()
