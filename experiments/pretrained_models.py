@@ -19,8 +19,8 @@ from jaxtyping import Bool
 
 from experiments.command import run
 from experiments.control_experiments.data import true_ground
-from experiments.control_experiments.models import trained_seeds
 from experiments.control_experiments.reproduced import Reproduced, open_reproduction
+from experiments.control_experiments.runs import trained_seeds
 from experiments.control_experiments.strata import strata
 from offpiste._version import commit, today
 from offpiste.conventions import DT

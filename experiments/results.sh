@@ -57,7 +57,6 @@ real_drive() {
     step report-folds offpiste evaluate "${folds[@]}" --dataset "$folder/turnpike.zarr" --out "$folder/report-folds"
     step report-flat offpiste evaluate "${flat[@]}" --dataset "$folder/flat.zarr" --out "$folder/report-flat"
     step report-meadows offpiste evaluate "${runs[@]}" --dataset "$folder/meadows.zarr" --out "$folder/report-meadows"
-    step constants python -m experiments.constants "$folder"/parametric-? --dataset "$folder"/{turnpike,meadows}.zarr
 }
 
 visual_features() {
@@ -68,27 +67,17 @@ visual_features() {
     step view-eight offpiste view "$out/eight.zarr" --out "$out/view-eight"
     step view-halter offpiste view "$drives/halter-ranch-62.mcap" --rig proving_ground --pca "$out/pca.safetensors" \
         --out "$out/view-halter"
-    step fusion python -m experiments.fusion "$drives"/*-62.mcap --pca "$out/pca.safetensors" --seconds 40
     step sensor-faults python -m experiments.sensor_faults "$drives"/*-62.mcap
 }
 
-true_ground() {
-    step gate python -m experiments.gate --out "$out/gate"
-    step placebo python -m experiments.gate --world uniform --features ground-kind --same-world --models df b \
-        --drives 6 2 4 --out "$out/placebo"
-    step uniform-worlds python -m experiments.gate --world uniform --features ground-kind --models df b parametric \
-        --drives 6 2 4 --out "$out/uniform-worlds"
-}
-
 controls() {
-    for name in oracle shift selection models uniform twins contrast appearance snapshots; do
+    for name in oracle shift strata; do
         step "control-$name" python -m experiments.control_experiments $name --reproduction "$out/laptop" --out "$out/controls"
     done
 }
 
 closed_loop() {
     local runs=("$out"/laptop/runs/{parametric,b,dc}-{0,1,2} "$out"/controls/oracle/runs/df-{0,1,2})
-    step constants-laptop python -m experiments.constants "$out"/laptop/runs/parametric-?
     step closed-loop python -m experiments.closed_loop_table --runs "${runs[@]}" --pca "$out/laptop/pca.safetensors" \
         --test --out "$out/closed-loop"
     step faults python -m experiments.closed_loop_table --runs "$out/laptop/runs/dc-0" --pca "$out/laptop/pca.safetensors" \
@@ -107,11 +96,7 @@ half_contrast() {
     step half-contrast offpiste reproduce fig4 --size laptop --seconds 1080 150 450 --grip-contrast 0.5 --out "$out/half"
 }
 
-real_floors() {
-    step dart python -m experiments.surfaces "$data/dart" --out "$out/dart" --permutations 3
-}
-
-groups=(laptop_figures real_drive true_ground controls closed_loop all_speeds half_contrast visual_features real_floors)
+groups=(laptop_figures real_drive controls closed_loop all_speeds half_contrast visual_features)
 for group in "${@:3}"; do
     [[ " ${groups[*]} " == *" $group "* ]] || { echo "no group '$group'; there are: ${groups[*]}" >&2; exit 2; }
 done

@@ -20,8 +20,8 @@ from jaxtyping import Bool, Float, Int
 
 from experiments.command import run
 from experiments.control_experiments.data import true_ground
-from experiments.control_experiments.models import trained
 from experiments.control_experiments.reproduced import open_reproduction
+from experiments.control_experiments.runs import trained
 from experiments.novelty import nearest_kinds, refuse_unlike
 from experiments.spreads import errors_by_ways, members_of, validated_ways
 from offpiste.conventions import HORIZON_STEPS

@@ -3,15 +3,14 @@
 import logging
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import tyro
 
 from experiments.closed_loop_table.cards import write_driving
-from experiments.closed_loop_table.drives import DEVELOPMENT, PYTORCH_MPPI, TEST, drive_all, entries, places
+from experiments.closed_loop_table.drives import DEVELOPMENT, TEST, drive_all, entries, places
 from experiments.closed_loop_table.faults import drive_faults
 from experiments.closed_loop_table.pictures import draw_choices
-from experiments.closed_loop_table.pytorch_mppi_planner import check_installed
 from experiments.closed_loop_table.table import write_table
 from experiments.command import run
 from offpiste.closed_loop.courses import KINDS as KINDS_OF_COURSE
@@ -49,9 +48,6 @@ class ClosedLoop:
     risks: tuple[str, ...] = ()
     """What counts in plans beside the prediction (spread:TIMES or cvar:SHARE), as rows of their own for the runs that
     have a spread."""
-    planners: tuple[Literal["offpiste", "offpiste-10x", "pytorch-mppi"], ...] = ("offpiste",)
-    """What plans; offpiste-10x, with ten times the samples, and pytorch-mppi (`pip install pytorch-mppi`) make rows of
-    their own of every run."""
     keep_logs: bool = False
     """Keep the log of every drive: 150 MB each."""
     cards: bool = False
@@ -76,15 +72,13 @@ class ClosedLoop:
             KINDS_OF_COURSE[kind]  # complains itself
         if not self.kinds:
             raise OffpisteError("no kind of course", where="--kinds", how=f"give {', '.join(KINDS_OF_COURSE)}")
-        if PYTORCH_MPPI in self.planners:
-            check_installed()
         planners = [load_planner(run, self.pca) for run in self.runs]
         settings = CourseDriveSettings(
             seconds=self.seconds,
             course=CourseSettings(speed=self.speed),
             keep_log=self.keep_logs,
         )
-        rows = entries(planners, self.latencies, self.risks, self.planners)
+        rows = entries(planners, self.latencies, self.risks)
         worlds = places(TEST if self.test else DEVELOPMENT, self.courses, self.kinds)
         processes = self.processes or usable_cores()
         if self.faults:

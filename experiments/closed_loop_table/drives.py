@@ -10,7 +10,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from experiments.closed_loop_table.pytorch_mppi_planner import PytorchMppi
 from experiments.closed_loop_table.table import COUNTED, MEASURES
 from offpiste.closed_loop.courses import course_world
 from offpiste.closed_loop.drive_course import (
@@ -21,13 +20,10 @@ from offpiste.closed_loop.drive_course import (
     settings_of,
 )
 from offpiste.closed_loop.planner import Planner
-from offpiste.dynamics import Dynamics
 from offpiste.errors import CourseError, OffpisteError, RunError
 from offpiste.files import check_folder
 from offpiste.parallel import run_all
 from offpiste.planning.caution import AsPredicted, risk_of
-from offpiste.runtime.plan_improvement import MakeImprover, PlanImprover
-from offpiste.runtime.settings import RuntimeSettings
 from offpiste.simulation.rendering.scene import Scene, world_scene
 from offpiste.simulation.world.world import World, WorldSettings
 
@@ -36,18 +32,6 @@ DEVELOPMENT, TEST = 1, 646
 
 WORLDS: Final = ("mojave", "halter-ranch", "coastal-scrub", "dunes")
 """Course after course."""
-
-OFFPISTE, TEN_TIMES, PYTORCH_MPPI = "offpiste", "offpiste-10x", "pytorch-mppi"
-
-
-def ten_times(dynamics: Dynamics, settings: RuntimeSettings, seed: int) -> PlanImprover:
-    """What improves plans by ten times the samples: more than there is time for on a vehicle."""
-    sampling = replace(settings.sampling, samples=10 * settings.sampling.samples)
-    return PlanImprover(dynamics, replace(settings, sampling=sampling), seed)
-
-
-PLANNERS: Final[dict[str, MakeImprover]] = {OFFPISTE: PlanImprover, TEN_TIMES: ten_times, PYTORCH_MPPI: PytorchMppi}
-"""What improves plans, by name."""
 
 NEEDED: Final = (
     "world",
@@ -70,17 +54,16 @@ NEWER: Final = ("fault_start", "fault_when", "against", "sensors", "weights_sha2
 
 @dataclass(frozen=True)
 class Entry:
-    """A model that plans at a latency [s], with a risk, by one of `PLANNERS`."""
+    """A model that plans at a latency [s], with a risk."""
 
     planner: Planner
     latency: float = 0.1
     risk: str = "none"
-    by: str = OFFPISTE
 
     @property
     def row(self) -> str:
         """What its row is called, which the runs of all seeds share."""
-        more = [self.risk.replace(":", "-")] * (self.risk != "none") + [self.by] * (self.by != OFFPISTE)
+        more = [self.risk.replace(":", "-")] * (self.risk != "none")
         return f"{'+'.join((self.planner.name, *more))}-{round(1000 * self.latency)}ms"
 
     @property
@@ -93,13 +76,11 @@ def entries(
     planners: Sequence[Planner],
     latencies: Sequence[float] = (0.0, 0.3),
     risks: Sequence[str] = ("none",),
-    others: Sequence[str] = (),
 ) -> list[Entry]:
     """All at 0.1 s; of those that know the ground ahead, the first run at other latencies too, each once.
 
     Args:
         risks: of plans; other ones than none are driven by the runs that have a spread.
-        others: of `PLANNERS` beside offpiste's, for all runs at 0.1 s.
 
     Raises:
         OffpisteError: two planners have one name and one seed, and so one folder; or no run has the spread that a risk
@@ -122,8 +103,7 @@ def entries(
             how = "`offpiste calibrate` makes one for a run"
             raise OffpisteError(f"none of the runs has a spread for {risk}", where="--risks", how=how)
     cautious = [Entry(p, risk=risk) for risk in dict.fromkeys(risks) if risk != "none" for p in planners if p.spread]
-    by_others = [Entry(p, by=other) for other in dict.fromkeys(others) if other != OFFPISTE for p in planners]
-    return [*(Entry(p) for p in planners), *wide, *cautious, *by_others]
+    return [*(Entry(p) for p in planners), *wide, *cautious]
 
 
 class Place(NamedTuple):
@@ -201,7 +181,7 @@ def _drive_rows(
 def _driven(row: Entry, drive: CourseDriveSettings, folder: Path, world: World, scene: Scene) -> str:
     shutil.rmtree(folder, ignore_errors=True)  # what an interrupted drive left
     with redirect_stderr(io.StringIO()):  # a bar of its own would run into those of others
-        result = drive_course(row.planner, drive, folder, world=world, scene=scene, improver=PLANNERS[row.by]).result
+        result = drive_course(row.planner, drive, folder, world=world, scene=scene).result
     return f"{row.name}: {described(result)}"
 
 

@@ -15,8 +15,8 @@ from jaxtyping import Int
 from matplotlib.figure import Figure
 
 from experiments.control_experiments.data import claim_settings, true_ground
-from experiments.control_experiments.models import trained_seeds
 from experiments.control_experiments.reproduced import Reproduced
+from experiments.control_experiments.runs import trained_seeds
 from experiments.control_experiments.tables import percent, write_control
 from offpiste.conventions import DT
 from offpiste.dataset.splits import PARTS

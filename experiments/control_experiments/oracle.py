@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from experiments.control_experiments.data import true_ground
-from experiments.control_experiments.models import trained_seeds
 from experiments.control_experiments.reproduced import Reproduced
+from experiments.control_experiments.runs import trained_seeds
 from experiments.control_experiments.tables import percent, write_control
 from offpiste.conventions import FEATURE_SETS
 from offpiste.dataset.windows import Windows

@@ -24,13 +24,11 @@ class Reproduced:
         folder: of `offpiste reproduce`.
         size: size of the evaluation, and settings of the training.
         dataset: with visual features by distance.
-        contrast: of grip in its worlds.
     """
 
     folder: Path
     size: Size
     dataset: Dataset
-    contrast: float = 1.0
 
     @property
     def pca(self) -> Path:
@@ -111,4 +109,4 @@ def open_reproduction(folder: Path) -> Reproduced:
         ) from error
     path = folder / "dataset.zarr" if made_of == "simulated" else Path(made_of)
     dataset = open_dataset(path).starting_above(size.train.min_speed)
-    return Reproduced(folder, size, dataset, settings.get("contrast", 1.0))
+    return Reproduced(folder, size, dataset)

@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from experiments.ghosts import with_ghosts
 from experiments.illnesses.illness import UnknownIllness
 from experiments.illnesses.sensors.case import ChangedLog, SensorCase, mounting_key, sensor_errors, true_mounting
 from experiments.illnesses.sensors.drives import CAMERA, LIDAR
@@ -22,6 +22,8 @@ _ANGLE, _DELAY = 0.5, 0.015
 """A cure is right if it leaves at most this of a turn [deg] and of a delay [s]."""
 _PERIOD: Final = 16.0
 """Period of the height that goes up and down [s]."""
+_DEEPEST: Final = 13.0
+"""Depth of the deepest return below the ground [m]."""
 
 
 @dataclass(frozen=True)
@@ -96,6 +98,20 @@ def _declare_mounting(kind: str, name: str) -> None:
 
 _declare_mounting("camera", CAMERA)
 _declare_mounting("LiDAR", LIDAR)
+
+
+def with_ghosts(
+    points: Float[np.ndarray, "n 3"], sensor: Float[np.ndarray, " 3"], share: float, rng: np.random.Generator
+) -> Float[np.ndarray, "n 3"]:
+    """Move a share of the points whose rays point down 0.7 to 13 m lower, along their rays."""
+    if share <= 0:
+        return points
+    rays = points - sensor
+    steep = np.flatnonzero(rays[:, 2] < -0.035 * np.linalg.norm(rays[:, :2], axis=1))
+    chosen = rng.choice(steep, min(round(share * len(points)), len(steep)), replace=False)
+    result = points.copy()
+    result[chosen] += rays[chosen] * (rng.uniform(0.7, _DEEPEST, len(chosen)) / -rays[chosen, 2])[:, None]
+    return result
 
 
 @_illness("ghosts", (0.01, 0.05, 0.2), "% of the returns", "LiDARs", "ghosts")

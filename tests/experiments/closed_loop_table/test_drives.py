@@ -8,14 +8,12 @@ from types import SimpleNamespace
 import pytest
 
 from experiments.closed_loop_table import drives
-from experiments.closed_loop_table.drives import NEEDED, NEWER, PYTORCH_MPPI, Entry, drive_all, entries, places
-from experiments.closed_loop_table.pytorch_mppi_planner import PytorchMppi
+from experiments.closed_loop_table.drives import NEEDED, NEWER, Entry, drive_all, entries, places
 from offpiste.closed_loop.courses import CourseSettings
 from offpiste.closed_loop.drive_course import CourseDriveSettings, settings_of
 from offpiste.closed_loop.planner import Planner
 from offpiste.errors import CourseError, OffpisteError, RunError
 from offpiste.planning.costs.layers import Hazards
-from offpiste.runtime.plan_improvement import PlanImprover
 from offpiste.runtime.settings import RuntimeSettings
 from offpiste.simulation.world.build import make_world
 from offpiste.simulation.world.world import WorldSettings
@@ -28,14 +26,13 @@ B, DC = (Planner(name, Path(f"/runs/{name}"), parametric()) for name in ("b", "d
 @pytest.fixture
 def driven(monkeypatch):
     """Drives that only record their settings; `driven.bad` holds worlds without a course."""
-    done = SimpleNamespace(drives=[], improvers=[], kinds=[], bad=set())
+    done = SimpleNamespace(drives=[], kinds=[], bad=set())
 
-    def drive_course(planner, settings, folder, *, world, scene, improver):
+    def drive_course(planner, settings, folder, *, world, scene):
         if settings.world.seed in done.bad:
             raise CourseError("no stretch of its trails makes a course")
         assert not folder.exists(), "what an interrupted drive left"
         folder.mkdir(parents=True)
-        done.improvers.append(improver)
         done.kinds.append(settings.course.kind)
         done.drives.append((planner.name, settings.world.preset, settings.world.seed, settings.runtime.latency))
         result = {**dict.fromkeys(NEEDED, 0), **settings_of(planner, settings)}
@@ -164,30 +161,14 @@ def test_kinds_and_worlds_come_in_turn(driven, tmp_path):
     assert driven.kinds == ["bends", "choices", "passages"]
 
 
-def test_ten_times_the_samples_are_all_that_is_other(monkeypatch):
-    made = []
-    monkeypatch.setattr(drives, "PlanImprover", lambda *given: made.append(given))
-    settings = RuntimeSettings()
-    drives.PLANNERS[drives.TEN_TIMES](B.dynamics, settings, 3)
-    ((dynamics, given, seed),) = made
-    assert (dynamics, seed) == (B.dynamics, 3)
-    assert given.sampling.samples == 10 * settings.sampling.samples
-    assert replace(given, sampling=settings.sampling) == settings
-    assert replace(given.sampling, samples=settings.sampling.samples) == settings.sampling
-
-
-def test_another_planner_and_a_risk_are_rows_of_their_own(driven, tmp_path):
+def test_a_risk_is_a_row_of_its_own():
     cautious = replace(DC, spread=Spread(1))
-    rows = entries([B, cautious], (0.3,), ("none", "spread:1"), ("offpiste", PYTORCH_MPPI))
+    rows = entries([B, cautious], (0.3,), ("none", "spread:1"))
     assert [row.row for row in rows] == [
         "b-100ms",
         "dc-100ms",
         "dc-300ms",
         "dc+spread-1-100ms",
-        "b+pytorch-mppi-100ms",
-        "dc+pytorch-mppi-100ms",
     ]
-    drive_all(rows, places(1, 1), tmp_path)
-    assert driven.improvers == [*4 * [PlanImprover], *2 * [PytorchMppi]]
     with pytest.raises(OffpisteError, match=r"--risks: none of the runs has a spread for spread:1; .*calibrate"):
         entries([B, DC], (), ("spread:1",))

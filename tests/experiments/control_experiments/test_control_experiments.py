@@ -9,9 +9,8 @@ import pytest
 import torch
 
 from experiments.control_experiments.__main__ import ControlExperiment
-from experiments.control_experiments.models import models_control, trained
 from experiments.control_experiments.reproduced import open_reproduction
-from experiments.control_experiments.selection import selection_control
+from experiments.control_experiments.runs import trained
 from experiments.control_experiments.shift import shift_control
 from feature_datasets import dataset_with_features
 from offpiste.errors import RunError
@@ -46,22 +45,6 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("controls")
 
 
-def test_models_are_trained_once_and_evaluated_beside_b_and_dc(reproduction: Path, out: Path) -> None:
-    of = open_reproduction(reproduction)
-    page = models_control(of, out, ["dc-hold"], 1)
-    found = json.loads((page.parent / "control.json").read_text("utf-8"))
-    readings = {(g["model"], g["lookup"], g["feature_set"]) for g in found["against_b"]}
-    assert {("dc", "map", None), ("dc-hold", "recorded", "40"), ("dc-hold", "recorded", "hindsight")} <= readings
-    assert {g["model"] for g in found["against_dc"]} == {"dc-hold"}
-    assert "## Control models against b" in page.read_text("utf-8")
-    # The bicycle's constants are those of the reproduction's runs: only the networks are trained anew.
-    stage = "bicycle.safetensors"
-    assert (out / "models/runs/dc-hold-0" / stage).read_bytes() == (reproduction / "runs/b-0" / stage).read_bytes()
-    kept = {path: path.stat().st_mtime_ns for path in out.rglob("*.safetensors")}
-    models_control(of, out, ["dc-hold"], 1)
-    assert {path: path.stat().st_mtime_ns for path in out.rglob("*.safetensors")} == kept
-
-
 def test_shifted_features_are_evaluated_on_the_same_windows(reproduction: Path, out: Path) -> None:
     of = open_reproduction(reproduction)
     page = shift_control(of, out)
@@ -71,27 +54,6 @@ def test_shifted_features_are_evaluated_on_the_same_windows(reproduction: Path, 
         assert (before["n"], before["baseline_error_m"]) == (after["n"], after["baseline_error_m"])
         assert before["error_m"] != after["error_m"]
         assert (own["error_m"], own["baseline_error_m"]) == (before["error_m"], after["error_m"])
-
-
-def test_windows_that_the_future_leaves_out_are_evaluated_beside_the_usual_ones(reproduction: Path, out: Path) -> None:
-    of = open_reproduction(reproduction)
-    page = selection_control(of, out / "none")
-    found = json.loads((page.parent / "control.json").read_text("utf-8"))
-    assert (found["left_out"], [g["case"] for g in found["gains"]]) == (0, ["usual windows", "all windows"])
-    assert "Here that is 0 of " in page.read_text("utf-8")
-    drives = []
-    for drive in of.dataset.drives:
-        valid = drive.rows.cells.valid.copy()
-        valid[0, valid.shape[1] // 2 :] = False  # never seen: from half of the drive on
-        drives.append(replace(drive, rows=replace(drive.rows, cells=replace(drive.rows.cells, valid=valid))))
-    of = replace(of, dataset=replace(of.dataset, drives=tuple(drives), min_hindsight=0.5))
-    page = selection_control(of, out)
-    usual, every, left_out = json.loads((page.parent / "control.json").read_text("utf-8"))["gains"]
-    assert [g["case"] for g in (usual, every, left_out)] == [f"{c} windows" for c in ("usual", "all", "left out")]
-    assert usual["n"] > 0 < left_out["n"]
-    assert every["n"] == usual["n"] + left_out["n"]
-    total = usual["n"] * usual["error_m"] + left_out["n"] * left_out["error_m"]
-    assert every["n"] * every["error_m"] == pytest.approx(total)
 
 
 def test_what_is_no_reproduction_is_said_in_a_line(tmp_path: Path, reproduction: Path) -> None:
@@ -129,14 +91,14 @@ def test_a_finished_run_of_other_settings_or_data_is_not_reused(reproduction: Pa
 def test_experiments_refuse_a_reproduction_that_was_made_anew_with_another_size(reproduction: Path, tmp_path) -> None:
     folder, out = tmp_path / "reproduced", tmp_path / "controls"
     shutil.copytree(reproduction, folder)
-    ControlExperiment("selection", folder, out).run()
+    ControlExperiment("shift", folder, out).run()
     older = load_json(out / "settings.json")
     more_seeds = {"size": asdict(replace(TINY, seeds=5)), "dataset": "simulated"}
     (folder / "settings.json").write_text(json.dumps(more_seeds))
-    ControlExperiment("selection", folder, out).run()
+    ControlExperiment("shift", folder, out).run()
     size = older.pop("size")
     save_json(out / "settings.json", older)
-    ControlExperiment("selection", folder, out).run()
+    ControlExperiment("shift", folder, out).run()
     save_json(out / "settings.json", older | {"size": size | {"stride": 7}})
     with pytest.raises(RunError, match=r"was begun with other settings \(size.stride\)"):
-        ControlExperiment("selection", folder, out).run()
+        ControlExperiment("shift", folder, out).run()

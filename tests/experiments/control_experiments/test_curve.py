@@ -17,8 +17,8 @@ from experiments.control_experiments.curve import (
     hours_of,
     training_on,
 )
-from experiments.control_experiments.models import trained
 from experiments.control_experiments.reproduced import open_reproduction
+from experiments.control_experiments.runs import trained
 from feature_datasets import dataset_with_features
 from offpiste.conventions import DT
 from offpiste.dataset.store import Dataset

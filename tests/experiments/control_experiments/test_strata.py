@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.control_experiments.models import trained
 from experiments.control_experiments.reproduced import open_reproduction
+from experiments.control_experiments.runs import trained
 from experiments.control_experiments.strata import strata, strata_control
 from feature_datasets import dataset_with_features
 from offpiste.dataset.windows import Windows

@@ -1,1 +1,0 @@
-"""Whether knowing a real floor helps: DART's car on three floors."""
