@@ -168,7 +168,7 @@ def featureless(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.mark.parametrize("model", ["df", "cf", "dc", "hold"])
+@pytest.mark.parametrize("model", ["df", "cf", "dc"])
 def test_a_model_that_reads_features_and_a_dataset_without_any(
     featureless: Path, tmp_path: Path, error_of: Callable[..., str], model: str
 ) -> None:

@@ -3,24 +3,19 @@
 Feature sets by distance, against brute force that keeps every map and searches every moment.
 """
 
-from functools import partial
-
 import numpy as np
 import pytest
 
-from offpiste.conventions import FEATURE_SETS, HISTORY_STEPS
+from offpiste.conventions import FEATURE_SETS
 from offpiste.dataset.feature_sets import (
     TOLERANCE,
     Draw,
     FeatureSetChoice,
     FeatureSetRecorder,
     MapCellValues,
-    as_seen,
     drawn,
     hindsight,
     hindsight_throughout,
-    masked,
-    per_step,
     per_trajectory,
 )
 from offpiste.dataset.wheel_passes import PAUSE, find_passes
@@ -29,46 +24,20 @@ from offpiste.dynamics import MODELS
 STORED = len(FEATURE_SETS)
 
 
-DRAWS = (as_seen, hindsight, hindsight_throughout, masked, per_step, per_trajectory)
+DRAWS = (hindsight, hindsight_throughout, per_trajectory)
 
 
-def of(draw: Draw, count: int, *, seed: int = 0, steps: int = 30) -> FeatureSetChoice:
-    return drawn(draw, np.random.default_rng(seed), count, lambda: driven(count, steps), STORED)
-
-
-def driven(count: int, steps: int) -> np.ndarray:
-    """Rows that lie 0.4 m apart, the start among them."""
-    return np.tile(0.4 * np.arange(-HISTORY_STEPS, steps), (count, 1))
+def of(draw: Draw, count: int, *, seed: int = 0) -> FeatureSetChoice:
+    return drawn(draw, np.random.default_rng(seed), count, STORED)
 
 
 def test_dc_keeps_a_set_for_the_trajectory_and_draws_all_alike():
     feature_set_choice = of(per_trajectory, 8000)
     assert feature_set_choice.features.shape == (8000, 1)
-    assert not feature_set_choice.flags_only
     np.testing.assert_array_equal(feature_set_choice.features[:, 0], feature_set_choice.normals)
     counts = np.bincount(feature_set_choice.normals, minlength=STORED)
     assert len(counts) == STORED
     assert np.abs(counts - 1000).max() < 5 * np.sqrt(1000)
-
-
-def test_dc_step_draws_at_every_row():
-    feature_set_choice = of(per_step, 50)
-    assert feature_set_choice.features.shape == (50, HISTORY_STEPS + 30)
-    assert (np.diff(feature_set_choice.features, axis=1) == 0).mean() == pytest.approx(1 / STORED, abs=0.03)
-
-
-def test_dc_view_reads_what_was_seen_from_as_far_as_the_ground_lies_ahead():
-    ahead = np.tile([-60.0, -8.0, 0.0, 4.0, 26.0, 90.0], (4000, 1))
-    read = drawn(as_seen, np.random.default_rng(0), len(ahead), lambda: ahead, STORED).features
-    distances = np.array([float(name) for name in FEATURE_SETS[1:]])[read - 1]
-    inside = (ahead > -20) & (ahead < 40)
-    assert np.abs(distances - ahead)[inside].max() <= 10
-    np.testing.assert_array_equal(distances[:, [0, 5]], [[-20, 40]] * len(ahead))
-    np.testing.assert_allclose(distances[:, 1:5].mean(axis=0), ahead[0, 1:5], atol=0.3)  # ends are drawn: no bias
-    rising = np.tile(np.linspace(-5, 45, 200), (50, 1))
-    assert (
-        np.diff(drawn(as_seen, np.random.default_rng(1), len(rising), lambda: rising, STORED).features, axis=1) >= 0
-    ).all()
 
 
 def test_features_of_hindsight_come_with_drawn_normals():
@@ -83,20 +52,15 @@ def test_the_papers_baseline_draws_nothing():
     assert not feature_set_choice.normals.any()
 
 
-def test_masked_takes_flags_alone():
-    assert of(masked, 5).flags_only
-
-
 def test_models_of_a_seed_read_the_same_normals_batch_after_batch():
     def normals(draw: Draw) -> list[np.ndarray]:
         rng = np.random.default_rng(3)
-        return [drawn(draw, rng, count, partial(driven, count, 20), STORED).normals for count in (40, 7, 40)]
+        return [drawn(draw, rng, count, STORED).normals for count in (40, 7, 40)]
 
     wanted = normals(hindsight)
     assert (wanted[0] != wanted[2]).any()
-    for draw in (as_seen, masked, per_step, per_trajectory):
-        for mine, theirs in zip(normals(draw), wanted, strict=True):
-            np.testing.assert_array_equal(mine, theirs)
+    for mine, theirs in zip(normals(per_trajectory), wanted, strict=True):
+        np.testing.assert_array_equal(mine, theirs)
 
 
 def test_the_generator_decides():
@@ -107,29 +71,21 @@ def test_the_generator_decides():
 
 def test_where_one_set_is_stored_nothing_is_drawn():
     for draw in DRAWS:
-        choice = drawn(draw, np.random.default_rng(3), 40, lambda: driven(40, 20), 1)
+        choice = drawn(draw, np.random.default_rng(3), 40, 1)
         assert not choice.features.any()
         assert not choice.normals.any()
 
 
 def test_windows_of_a_choice_keep_what_they_read():
-    choice = of(per_step, 9)
+    choice = of(per_trajectory, 9)
     np.testing.assert_array_equal(choice[2:5].features, choice.features[2:5])
     np.testing.assert_array_equal(choice[2:5].normals, choice.normals[2:5])
-    assert of(masked, 9)[2:5].flags_only
 
 
 def test_models_say_how_they_draw():
     drawing = {name: model.draw for name, model in MODELS.items() if model.draw is not hindsight}
-    by_distance = {
-        "dc": per_trajectory,
-        "dc-hold": per_trajectory,
-        "dc-step": per_step,
-        "cf-masked": masked,
-        "dc-view": as_seen,
-    }
-    assert drawing == {**by_distance, "b-hindsight": hindsight_throughout}
-    assert {name for name, model in MODELS.items() if model.needs_sets} == set(by_distance)
+    assert drawing == {"dc": per_trajectory, "b-hindsight": hindsight_throughout}
+    assert {name for name, model in MODELS.items() if model.needs_sets} == {"dc"}
 
 
 WHEELS = np.array([[0.5, 0.3], [0.5, -0.3], [-0.5, 0.3], [-0.5, -0.3]])

@@ -37,13 +37,13 @@ def plainly(
         mine, chosen = cells[number], int(sets[place[:2]])
         cell = mine.index[rows[place[:2]] - first[number], place[2]]
         if cell >= 0:
-            features[place] = mine.features[0 if feature_set_choice.flags_only else chosen, cell]
-            valid[place] = mine.valid[chosen, cell] and (not feature_set_choice.flags_only or mine.valid[0, cell])
+            features[place] = mine.features[chosen, cell]
+            valid[place] = mine.valid[chosen, cell]
     return features, valid
 
 
 @pytest.mark.parametrize("table", [CellTable, ResidentCells])
-@given(seed=st.integers(0, 10_000), kind=st.sampled_from(["one", "each", "steps", "flags"]))
+@given(seed=st.integers(0, 10_000), kind=st.sampled_from(["one", "each", "steps"]))
 def test_windows_find_what_plain_indexing_finds(table, seed, kind):
     rng = np.random.default_rng(seed)
     cells = [drive(rng, 40, 30), drive(rng, 25, 1), drive(rng, 30, 50)]
@@ -53,7 +53,7 @@ def test_windows_find_what_plain_indexing_finds(table, seed, kind):
     feature_set_choice = (
         same_feature_set(len(rows), 1)
         if kind == "one"
-        else FeatureSetChoice(rng.integers(0, SETS, shape), np.zeros(len(rows), int), kind == "flags")
+        else FeatureSetChoice(rng.integers(0, SETS, shape), np.zeros(len(rows), int))
     )
     under = table(cells, torch.device("cpu")).under(start, 6, feature_set_choice, history=2)
     wanted, valid = plainly(cells, rows, feature_set_choice)

@@ -80,20 +80,6 @@ def test_recorded_and_predicted_places_read_the_same_ground(tmp_path):
         torch.testing.assert_close(found.latent, batch.terrain.latent[:, t], atol=1.0, rtol=1e-3)
 
 
-def test_hold_keeps_the_codes_of_the_start_on_the_record_and_on_the_map(tmp_path):
-    dataset = made(tmp_path / "data.zarr")
-    windows, index = Windows(dataset, "test"), np.array([0, 50])
-    hold, df = (build(name, vehicle_of(dataset), seed=0) for name in ("hold", "df"))
-    held, free = encoded(hold, windows.gather(index)), encoded(df, windows.gather(index))
-    assert (held.terrain.latent == free.terrain.latent[:, :1]).all()
-    assert not (free.terrain.latent == free.terrain.latent[:, :1]).all()
-    torch.testing.assert_close(held.history.terrain.latent, free.history.terrain.latent)
-    far = free.target[:, -1]
-    found = on_map(hold, windows, index, held)[1].at(249, far)
-    torch.testing.assert_close(found.latent, free.terrain.latent[:, 0])
-    torch.testing.assert_close(found.normal, on_map(df, windows, index, free)[1].at(249, far).normal)
-
-
 def test_models_without_an_encoder_do_not_see_features(tmp_path):
     dataset = made(tmp_path / "data.zarr")
     windows, index = Windows(dataset, "test"), np.array([0, 50])

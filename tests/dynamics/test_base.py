@@ -12,7 +12,7 @@ from offpiste.conventions import ACTUATORS, CONTROL
 from offpiste.dynamics import MODELS, Dynamics, Vehicle, as_callable, rollout
 from offpiste.state import ModelState, RecordedTerrain, TerrainSource, Trajectory
 
-CODES = {"df": 3, "hold": 3, "cf": 4, "dc": 4, "dc-step": 4, "dc-view": 4, "cf-masked": 4, "dc-hold": 4}
+CODES = {"df": 3, "cf": 4, "dc": 4}
 """Two features and a flag, or their compression."""
 models = pytest.mark.parametrize("name", MODELS)
 

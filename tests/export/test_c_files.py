@@ -61,14 +61,14 @@ def test_the_example_fails_where_a_drive_is_not_a_number_or_turns_otherwise(tmp_
 
 
 def made_up(kind):
-    """Models with what the shipped ones lack: absent channels, a gear, features as they are, codes that are held."""
+    """Models with what the shipped ones lack: absent channels, a gear, features as they are."""
     vehicle = replace(VEHICLE, wheelbase=2.2)
     torch.manual_seed(0)
     model = {
         "no actuators": lambda: example(*CHANNELS["no actuators"], codes=0, kind=Hybrid),
         "gear without throttle": lambda: example(*CHANNELS["gear without throttle"], codes=0, kind=Hybrid),
         "features as they are": lambda: Hybrid(vehicle, encoder=Identity(2)),
-        "held": lambda: Hybrid(vehicle, encoder=Compressor(2), holds_codes=True),
+        "features": lambda: Hybrid(vehicle, encoder=Compressor(2)),
     }[kind]()
     if isinstance(model, Hybrid):
         torch.nn.init.normal_(model.compensator.output[-1].weight, std=0.1)
@@ -76,7 +76,7 @@ def made_up(kind):
 
 
 @needs_gcc
-@pytest.mark.parametrize("kind", ["no actuators", "gear without throttle", "features as they are", "held"])
+@pytest.mark.parametrize("kind", ["no actuators", "gear without throttle", "features as they are", "features"])
 def test_every_kind_of_model_agrees(kind, tmp_path):
     dynamics = made_up(kind)
     header = model_header(dynamics, "Made up.")

@@ -49,7 +49,7 @@ def test_the_exported_dynamics_drives_5_s_and_agrees_with_predictions(tmp_path):
         assert name in readme
 
 
-@pytest.mark.parametrize("kind", ["gear without throttle", "held"])
+@pytest.mark.parametrize("kind", ["gear without throttle", "features"])
 def test_every_kind_of_model_drives_on_the_host_and_as_a_gpu_would(kind, tmp_path):
     case = made_up_export(kind, tmp_path)
     ran = compiled_and_run(tmp_path)

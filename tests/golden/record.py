@@ -232,7 +232,7 @@ def models() -> Results:
     commanded = replace(COMMANDED, features=FEATURES)
     steering = Vehicle(900.0, 2.4, 0.5, ("steer",), (), rear_axle=1.1, features=FEATURES, pca=3, codes=2)
     cases = [(name, "whole", whole) for name in MODELS]
-    cases += [(name, "commanded", commanded) for name in ("kinematic", "parametric", "b", "lstm", "dc", "hold")]
+    cases += [(name, "commanded", commanded) for name in ("kinematic", "parametric", "b", "lstm", "dc")]
     cases += [(name, "steering", steering) for name in ("kinematic", "parametric", "b", "df", "cf")]
     found: Results = {"names": json.dumps(sorted(MODELS))}
     for name, which, vehicle in cases:
@@ -517,7 +517,7 @@ def plan() -> Results:
     at = situation(rough(), hazards=Hazards(obstacle=50.0), state=(-3.0, 1, 0.3, 8, 0.2, 0.1))
     found |= parts("prices", at.costs) | {"prices.3": np.array(at.costs.outside[0])}
     for name, vehicle in (
-        ("parametric", COMMANDED), ("b", COMMANDED), ("dc", COMMANDED), ("hold", COMMANDED), ("b", VEHICLE),
+        ("parametric", COMMANDED), ("b", COMMANDED), ("dc", COMMANDED), ("b", VEHICLE),
     ):  # fmt: skip
         label = f"{name}.{len(vehicle.actuators)}"
         dynamics = made(name, replace(vehicle, features=2)).eval().requires_grad_(False)
@@ -655,9 +655,8 @@ def training() -> Results:
     found: Results = {}
     quick = TrainConfig(epochs=2, bicycle_epochs=1, actuator_epochs=1, stride=20, batch=32, codes=3, seed=11)
     runs = []
-    for name in ("b", "dc", "lstm", "dc-step", "cf-masked"):
+    for name in ("b", "dc", "lstm"):
         folder = temporary_folder() / "runs" / name
-        # Two drives are enough for those that only draw otherwise.
         dynamics = train(made, replace(quick, model=name), folder)
         found |= trained(name, dynamics, folder)
         runs.append(folder)

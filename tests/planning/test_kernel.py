@@ -58,7 +58,7 @@ def model(kind, vehicle=COMMANDED):
         "b": Hybrid(vehicle),
         "dc": coded(vehicle, 3),
         "dc of five numbers": Hybrid(vehicle, encoder=Compressor(2, size=5)),
-        "hold": Hybrid(vehicle, encoder=Identity(2), holds_codes=True),
+        "df": Hybrid(vehicle, encoder=Identity(2)),
     }[kind]
     if isinstance(made, Hybrid):
         torch.nn.init.normal_(made.compensator.output[-1].weight, std=0.1)
@@ -94,7 +94,7 @@ def both(dynamics, at, controls, weights):
 
 
 @pytest.mark.parametrize("vehicle", [COMMANDED, VEHICLE], ids=["commands", "actuators"])
-@pytest.mark.parametrize("kind", ["parametric", "b", "dc", "dc of five numbers", "hold"])
+@pytest.mark.parametrize("kind", ["parametric", "b", "dc", "dc of five numbers", "df"])
 def test_costs_and_states_equal_the_eager_ones(kind, vehicle):
     at = situation(ground(), hazards=Hazards(obstacle=50.0), state=(-3.0, 1, 0.3, 8, 0.2, 0.1))
     weights = CostWeights(lateral_limit=0.25, rollover=20.0)
@@ -162,7 +162,7 @@ def test_backwards_most_samples_agree(kind):
     assert (difference < 1e-3).float().mean() > 0.9
 
 
-@pytest.mark.parametrize("kind", ["parametric", "dc", "hold"])
+@pytest.mark.parametrize("kind", ["parametric", "dc", "df"])
 @pytest.mark.parametrize("vehicle", [COMMANDED, VEHICLE], ids=["commands", "actuators"])
 def test_the_model_state_after_controls_equals_that_of_eager_steps(kind, vehicle):
     at, dynamics = situation(ground(), state=(-3.0, 1, 0.3, 8, 0.2, 0.1)), model(kind, vehicle)
@@ -176,15 +176,6 @@ def test_the_model_state_after_controls_equals_that_of_eager_steps(kind, vehicle
         torch.testing.assert_close(
             getattr(found, part), getattr(model_state, part), atol=1e-4, rtol=1e-4, equal_nan=True
         )
-
-
-def test_a_model_that_holds_codes_differs_from_one_that_reads_ahead():
-    at, controls, holding, extractor = situation(ground()), commands(8), model("hold"), model("dc")
-    extractor.load_state_dict(holding.state_dict())
-    codes = encode_map(at.ground, holding.encoder)
-    held, seen = (fused_rollout(m, start(m, at), controls, at, CostWeights(), codes)[1] for m in (holding, extractor))
-    torch.testing.assert_close(held[:, 0], seen[:, 0])
-    assert (held[:, -1] - seen[:, -1]).abs().max() > 1e-3
 
 
 def test_a_map_that_holds_codes_needs_no_encoder():

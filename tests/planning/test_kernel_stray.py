@@ -43,7 +43,7 @@ def compared(kind, vehicle, at, controls):
 
 
 @pytest.mark.parametrize("vehicle", [COMMANDED, VEHICLE], ids=["commands", "actuators"])
-@pytest.mark.parametrize("kind", ["parametric", "b", "dc", "hold"])
+@pytest.mark.parametrize("kind", ["parametric", "b", "dc", "df"])
 @pytest.mark.parametrize("steps", [60, 45, 3])
 def test_what_caution_adds_equals_what_the_reference_adds(kind, vehicle, steps):
     at = situation(ground(), hazards=NO_HAZARDS, state=(-3.0, 1, 0.3, 8, 0.2, 0.1))

@@ -46,9 +46,8 @@ def test_known_ground_is_encoded_where_it_lies(encoder):
     torch.testing.assert_close(at(area, 3.0, -10.0), code)
 
 
-@pytest.mark.parametrize("kind", ["parametric", "dc", "hold"])
+@pytest.mark.parametrize("kind", ["parametric", "dc", "df"])
 def test_committed_controls_are_stepped_alike_with_and_without_the_kernel(kind, monkeypatch):
-    """A model that holds codes in plans reads those of the ground that it is on until then."""
     dynamics = model(kind)
     if kind != "parametric":
         torch.nn.init.normal_(dynamics.compensator.output[-1].weight, std=1.0)

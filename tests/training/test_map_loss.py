@@ -54,7 +54,7 @@ def evaluated(dynamics: Dynamics, windows: Windows) -> float:
     return float(loss(predicted, batch).mean())
 
 
-@pytest.mark.parametrize("model", ["dc", "hold"])
+@pytest.mark.parametrize("model", ["dc", "df"])
 def test_it_is_the_loss_that_evaluation_measures_on_the_map(
     dataset: Dataset, validation: Windows, model: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

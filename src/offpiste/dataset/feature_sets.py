@@ -18,9 +18,6 @@ TOLERANCE = 5.0
 DISTANCES = np.array([float(name) for name in FEATURE_SETS[1:]])
 """Distances of the feature sets besides hindsight [m]."""
 
-VIEW_SHIFT = 5.0
-"""Half the distance between two feature sets [m]."""
-
 
 @dataclass(frozen=True)
 class FeatureSetChoice:
@@ -29,16 +26,14 @@ class FeatureSetChoice:
     Attributes:
         features: sets that features are read from, by window and row t-10 ... t+T-1; one column: the same for all rows.
         normals: set that surface normals are read from, the same for all rows of a window.
-        flags_only: features are hindsight's, and missing where their set lacks them.
     """
 
     features: Int[np.ndarray, "B R"]
     normals: Int[np.ndarray, " B"]
-    flags_only: bool = False
 
     def __getitem__(self, windows: slice) -> "FeatureSetChoice":
         """Those of some of the windows."""
-        return FeatureSetChoice(self.features[windows], self.normals[windows], self.flags_only)
+        return FeatureSetChoice(self.features[windows], self.normals[windows])
 
 
 def same_feature_set(count: int, number: int) -> FeatureSetChoice:
@@ -62,64 +57,33 @@ def set_number(name: str, stored: int) -> int:
     return number
 
 
-Ahead = Callable[[], Float[np.ndarray, "B R"]]
-"""How far rows t-10 ... t+T-1 lie ahead of the start, negative behind it [m] (`Windows.ahead`), for draws that ask."""
-
-Draw = Callable[[np.random.Generator, Int[np.ndarray, " B"], Ahead, int], FeatureSetChoice]
-"""From a generator, the sets that normals are read from, how far rows lie ahead, and the number of stored sets to what
-windows read."""
+Draw = Callable[[np.random.Generator, Int[np.ndarray, " B"], int], FeatureSetChoice]
+"""Choose what windows read from a generator, the sets of their normals and the number of stored sets."""
 
 
-def hindsight(rng: np.random.Generator, normals: Int[np.ndarray, " B"], ahead: Ahead, stored: int) -> FeatureSetChoice:
+def hindsight(rng: np.random.Generator, normals: Int[np.ndarray, " B"], stored: int) -> FeatureSetChoice:
     """`df`, `cf`: features of hindsight. `b`, which reads none, draws so, too."""
     return FeatureSetChoice(np.zeros((len(normals), 1), int), normals)
 
 
-def per_trajectory(
-    rng: np.random.Generator, normals: Int[np.ndarray, " B"], ahead: Ahead, stored: int
-) -> FeatureSetChoice:
+def per_trajectory(rng: np.random.Generator, normals: Int[np.ndarray, " B"], stored: int) -> FeatureSetChoice:
     """`dc`: features of the set that the normals are of."""
     return FeatureSetChoice(normals[:, None], normals)
 
 
-def per_step(rng: np.random.Generator, normals: Int[np.ndarray, " B"], ahead: Ahead, stored: int) -> FeatureSetChoice:
-    """`dc-step`: the features' set is drawn anew at every step; the paper found it poor."""
-    return FeatureSetChoice(rng.integers(0, stored, ahead().shape), normals)
-
-
-def as_seen(rng: np.random.Generator, normals: Int[np.ndarray, " B"], ahead: Ahead, stored: int) -> FeatureSetChoice:
-    """`dc-view`: each row's features are those seen from as far as the row lies ahead, as on a map at the start.
-
-    Sets are 10 m apart: where one ends and the next begins is drawn for each trajectory. As recorded places do, this
-    gives away how far the vehicle will go; on a map at predicted places nothing does.
-    """
-    if stored == 1:
-        return same_feature_set(len(normals), 0)
-    shifted = ahead() + rng.uniform(-VIEW_SHIFT, VIEW_SHIFT, (len(normals), 1))
-    between = (DISTANCES[1:] + DISTANCES[:-1]) / 2
-    return FeatureSetChoice(1 + np.searchsorted(between, shifted), normals)
-
-
-def masked(rng: np.random.Generator, normals: Int[np.ndarray, " B"], ahead: Ahead, stored: int) -> FeatureSetChoice:
-    """`cf-masked`: features that would be missing from the normals' set are, but the rest is as in hindsight."""
-    return FeatureSetChoice(normals[:, None], normals, flags_only=True)
-
-
-def hindsight_throughout(
-    rng: np.random.Generator, normals: Int[np.ndarray, " B"], ahead: Ahead, stored: int
-) -> FeatureSetChoice:
+def hindsight_throughout(rng: np.random.Generator, normals: Int[np.ndarray, " B"], stored: int) -> FeatureSetChoice:
     """`b-hindsight`: nothing is drawn, as in the paper."""
     return same_feature_set(len(normals), 0)
 
 
-def drawn(draw: Draw, rng: np.random.Generator, count: int, ahead: Ahead, stored: int) -> FeatureSetChoice:
+def drawn(draw: Draw, rng: np.random.Generator, count: int, stored: int) -> FeatureSetChoice:
     """What `count` windows read in training: a stored set for the normals of each, and beside it what a model draws.
 
     Fair: from generators in the same state, all models get the same normals. What one of them draws besides does not
     come from the generator itself, so that it does not change what follows.
     """
     normals = rng.integers(0, stored, count)
-    return draw(rng.spawn(1)[0], normals, ahead, stored)
+    return draw(rng.spawn(1)[0], normals, stored)
 
 
 @dataclass(frozen=True)

@@ -141,13 +141,7 @@ class CellTable:
         features[-1] = np.nan  # the ranges fill all others
         valid = np.zeros(total + 1, bool)
         for chosen, first, low, size in ranges:
-            self._read(
-                features[first : first + size],
-                valid[first : first + size],
-                chosen,
-                low,
-                feature_set_choice.flags_only,
-            )
+            self._read(features[first : first + size], valid[first : first + size], chosen, low)
         if touched.mean() < MOSTLY:
             number, features, valid = (np.cumsum(touched) - 1)[number], features[touched], valid[touched]
         under = to_device(number, self._device)
@@ -158,13 +152,10 @@ class CellTable:
             under[:, history:],
         )
 
-    def _read(self, features: np.ndarray, valid: np.ndarray, chosen: int, low: int, flags_only: bool) -> None:
+    def _read(self, features: np.ndarray, valid: np.ndarray, chosen: int, low: int) -> None:
         drive = int(np.searchsorted(self._first, low, side="right")) - 1
-        read = 0 if flags_only else chosen
-        self._readers[drive].read(read, low - int(self._first[drive]), features)
-        valid[:] = self._valid[read, low : low + len(valid)]
-        if flags_only:
-            valid &= self._valid[chosen, low : low + len(valid)]
+        self._readers[drive].read(chosen, low - int(self._first[drive]), features)
+        valid[:] = self._valid[chosen, low : low + len(valid)]
 
 
 def _merged(

@@ -50,10 +50,9 @@ class ResidentCells:
         under = touched.cumsum(0, dtype=torch.int32)[key].long() - 1
         distinct = touched[:-1].nonzero()[:, 0]
         from_set = torch.div(distinct, cells, rounding_mode="floor")
-        read = torch.zeros_like(from_set) if feature_set_choice.flags_only else from_set
         place = distinct % cells
-        valid = self._valid[read, place] & self._valid[from_set, place]
-        features = self._features[read, place].float()
+        valid = self._valid[from_set, place]
+        features = self._features[from_set, place].float()
         return FeaturesUnderWheels(
             torch.cat((features, features.new_full((1, channels), torch.nan))),
             torch.cat((valid, valid.new_zeros(1))),

@@ -260,13 +260,6 @@ class Windows:
         position = torch.where(known[..., None], self._state[near][..., :2] - start, torch.inf)
         return position, self._driven_normal[near][..., 0, :]
 
-    def ahead(self, index: Int[np.ndarray, " B"]) -> Float[np.ndarray, "B R"]:
-        """How far rows t-10 ... t+T-1 lie from the start, negative before it [m]."""
-        row = np.arange(-HISTORY_STEPS, self.horizon)
-        at = torch.as_tensor(self.rows[index], device=self.device)[:, None] + torch.as_tensor(row, device=self.device)
-        away = torch.linalg.vector_norm(self._state[at][..., :2] - self._state[at[:, HISTORY_STEPS], None, :2], dim=-1)
-        return np.where(row < 0, -1.0, 1.0) * away.cpu().numpy()
-
     def places(self, index: Int[np.ndarray, " B"]) -> Float[Tensor, "B 2"]:
         """Where windows start: px, py in the world frame [m], in double precision."""
         start = self._start[torch.as_tensor(self.rows[index], device=self.device), :2].double()

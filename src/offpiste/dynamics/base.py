@@ -42,14 +42,12 @@ class Dynamics(nn.Module, ABC):
         encoder: turns terrain features into the codes that the model reads; None if it reads no features.
         actuators: delay models, fitted before the model itself; None if it has none.
         reads_terrain: whether predictions depend on the ground at all.
-        holds_codes: whether the codes at the start of a prediction stay for all of it.
     """
 
     vehicle: Vehicle
     encoder: FeatureEncoder | None
     actuators: Actuators | None
     reads_terrain: ClassVar[bool] = True
-    holds_codes: bool = False
 
     def __init__(self, vehicle: Vehicle) -> None:
         super().__init__()

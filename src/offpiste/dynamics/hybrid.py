@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from offpiste.conventions import DT
-from offpiste.dataset.feature_sets import as_seen, hindsight_throughout, masked, per_step, per_trajectory
+from offpiste.dataset.feature_sets import hindsight_throughout, per_trajectory
 from offpiste.dynamics.actuators import TORCH, Actuators
 from offpiste.dynamics.base import Dynamics, KernelParts, Step
 from offpiste.dynamics.bicycle import BicycleConstants, Constants, Force, Rates, forces, rates
@@ -69,30 +69,19 @@ class Hybrid(Dynamics):
 
     Args:
         encoder: of the terrain features; None for `b`.
-        holds_codes: the codes of the start stay for the whole horizon (`hold`), to show what reading ahead is worth.
-        history: units of the networks that read the last 0.2 s.
-        width: units of the layer that turns the LSTM's state and inputs into the compensation.
     """
 
     actuators: Actuators
 
-    def __init__(
-        self,
-        vehicle: Vehicle,
-        *,
-        encoder: FeatureEncoder | None = None,
-        holds_codes: bool = False,
-        history: int = 20,
-        width: int = 20,
-    ) -> None:
+    def __init__(self, vehicle: Vehicle, *, encoder: FeatureEncoder | None = None) -> None:
         super().__init__(vehicle)
-        self.encoder, self.holds_codes = encoder, holds_codes
+        self.encoder = encoder
         self.actuators = Actuators(vehicle)
         self.bicycle = BicycleConstants(vehicle)
         before = 3 + len(vehicle.actuators) + len(vehicle.control) + 3
         self.unknown = slice(before, before + UNKNOWN)
         inputs = before + UNKNOWN + 4 + 4 * self.codes
-        self.compensator = Compensator(inputs, 4, width=width, init_hidden=history, init_width=history)
+        self.compensator = Compensator(inputs, 4)
         self.force_scale: Tensor
         # One unit of the network's output is 1 m/s^2 of the whole vehicle, or 1 rad/s^2.
         self.register_buffer("force_scale", torch.tensor([vehicle.mass / 2, vehicle.mass, vehicle.mass, 1.0]))
@@ -172,23 +161,11 @@ class Hybrid(Dynamics):
         return torch.cat(columns + ([terrain.latent.flatten(-2)] if self.codes else []), dim=-1)
 
 
-def _compressing(vehicle: Vehicle, *, holds_codes: bool = False) -> Hybrid:
-    return Hybrid(vehicle, encoder=Compressor(vehicle.read, size=vehicle.codes), holds_codes=holds_codes)
+def _compressing(vehicle: Vehicle) -> Hybrid:
+    return Hybrid(vehicle, encoder=Compressor(vehicle.read, size=vehicle.codes))
 
 
 register_model("b-hindsight", draw=hindsight_throughout, colour="#7fb8e6")(Hybrid)
-
-
-@register_model("b-history", ablation=True)
-def with_longer_history(vehicle: Vehicle) -> Hybrid:
-    """`b` with networks for the last 0.2 s that are three times as wide."""
-    return Hybrid(vehicle, history=64)
-
-
-@register_model("b-wide", ablation=True)
-def with_more_parameters(vehicle: Vehicle) -> Hybrid:
-    """`b` with as many parameters as `dc`."""
-    return Hybrid(vehicle, history=34, width=96)
 
 
 @register_model("df", colour="#d55e00", what="b that reads features of the ground")
@@ -207,23 +184,6 @@ def compressed(vehicle: Vehicle) -> Hybrid:
 def compressed_distance_independent(vehicle: Vehicle) -> Hybrid:
     """Compressed terrain features, trained on a random feature set for each trajectory."""
     return _compressing(vehicle)
-
-
-register_model("dc-view", draw=as_seen, ablation=True)(_compressing)
-register_model("dc-step", draw=per_step, ablation=True)(_compressing)
-register_model("cf-masked", draw=masked, ablation=True)(_compressing)
-
-
-@register_model("hold", ablation=True)
-def held(vehicle: Vehicle) -> Hybrid:
-    """`df` that keeps the features of the start."""
-    return Hybrid(vehicle, encoder=Identity(vehicle.read), holds_codes=True)
-
-
-@register_model("dc-hold", draw=per_trajectory, ablation=True)
-def compressed_held(vehicle: Vehicle) -> Hybrid:
-    """`dc` that keeps the codes of the start."""
-    return _compressing(vehicle, holds_codes=True)
 
 
 def parametric_forces(

@@ -25,7 +25,6 @@ class Model:
         build: makes an untrained model.
         draw: feature sets that training windows read beside those drawn for their normals.
         baseline: whether it is evaluated beside every trained model; it has nothing to train but its actuators.
-        ablation: whether it answers a question about another model and is no candidate itself.
         colour: in figures; "" for one from the spare colours.
         what: it is, in a few words for reports; "" to say nothing.
         fits: whether the model can be made for a vehicle.
@@ -34,7 +33,6 @@ class Model:
     build: Callable[[Vehicle], Dynamics]
     draw: Draw = hindsight
     baseline: bool = False
-    ablation: bool = False
     colour: str = ""
     what: str = ""
     fits: Callable[[Vehicle], bool] = lambda vehicle: True
@@ -68,7 +66,6 @@ def register_model(
     *,
     draw: Draw = hindsight,
     baseline: bool = False,
-    ablation: bool = False,
     colour: str = "",
     what: str = "",
     fits: Callable[[Vehicle], bool] = lambda vehicle: True,
@@ -80,7 +77,7 @@ def register_model(
     """
 
     def add(build: Build) -> Build:
-        MODELS.register(name)(Model(build, draw, baseline, ablation, colour, what, fits))
+        MODELS.register(name)(Model(build, draw, baseline, colour, what, fits))
         return build
 
     return add

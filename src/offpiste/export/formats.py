@@ -113,7 +113,6 @@ def write_about(run: Run, folder: Path, **more: Any) -> dict[str, Any]:
         "controls": list(dynamics.vehicle.control_columns),
         "wheels": list(WHEELS),
         "codes_per_wheel": dynamics.codes,
-        "holds_codes": dynamics.holds_codes,
         "frames": "world: right-handed, z up; body: x forward, y left, z up; vx, vy: horizontal world velocity turned "
         "by minus yaw",
         "units": "SI units and radians; engine in 1000 rev/min; throttle, brake and brake pressure 0 to 1, steering "

@@ -13,7 +13,7 @@ from offpiste.channels import control_columns
 from offpiste.conventions import ACTUATORS, DT, HISTORY_STEPS, HORIZON_STEPS
 from offpiste.dynamics.base import Dynamics, rollout
 from offpiste.dynamics.vehicle import Vehicle
-from offpiste.mapping.terrain_sampler import HeldCodes, MapStack, MapTerrain, last_cells
+from offpiste.mapping.terrain_sampler import MapStack, MapTerrain, last_cells
 from offpiste.state import History, Terrain
 from offpiste.training.checkpoint import sha256_of_tensors
 
@@ -67,8 +67,7 @@ def parity_case(dynamics: Dynamics, *, drives: int = 16, steps: int = HORIZON_ST
     history = _history(dynamics, ground, wheels, past, past_controls)
     model_state = dynamics.start(history, start[:, :6], start[:, 6:])
     ahead = _source(dynamics, ground, wheels, drives)
-    held = HeldCodes.of(ahead, start[:, :6]) if dynamics.holds_codes else ahead
-    trajectory = rollout(dynamics, model_state, controls, held)
+    trajectory = rollout(dynamics, model_state, controls, ahead)
     expected = torch.cat((trajectory.state, trajectory.actuators), dim=-1)
     return ParityCase(ground, wheels, past, past_controls, start, controls, expected, digest_of(dynamics))
 
@@ -87,7 +86,7 @@ def _history(dynamics: Dynamics, ground: MapStack, wheels: Tensor, past: Tensor,
 
 def digest_of(dynamics: Dynamics) -> str:
     """Digest of a model's weights and channels, by which an export knows its own parity file."""
-    about = {"vehicle": repr(dynamics.vehicle), "holds_codes": dynamics.holds_codes}
+    about = {"vehicle": repr(dynamics.vehicle)}
     return sha256_of_tensors(dynamics.state_dict(), about)[:DIGEST]
 
 

@@ -5,7 +5,7 @@ sample one map a million times, is `planning.kernel_terrain`; both use the cells
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -197,23 +197,6 @@ class MapTerrain:
             return Terrain(result.normal, result.known, result.normal[..., :0])
         codes = self.encode(result.features.flatten(0, 1), result.valid.flatten())
         return Terrain(result.normal, result.known, codes.unflatten(0, (-1, 4)))
-
-
-@dataclass(frozen=True)
-class HeldCodes:
-    """Normals under the wheels of the predicted state, codes of the start (`hold`)."""
-
-    source: MapTerrain
-    latent: Float[Tensor, "B 4 E"]
-
-    @classmethod
-    def of(cls, source: MapTerrain, state: Float[Tensor, "B 6"]) -> "HeldCodes":
-        """A source that keeps the codes under the wheels in `state`."""
-        return cls(replace(source, encode=None), source.at(0, state).latent)
-
-    def at(self, t: int, state: Float[Tensor, "B 6"]) -> Terrain:
-        """The ground under the wheels in `state`, as it looked at the start."""
-        return replace(self.source.at(t, state), latent=self.latent)
 
 
 def as_codes(missing: Float[Tensor, " E"]) -> Encode:

@@ -133,14 +133,14 @@ def kernel_model_state(
     situation: Situation,
     codes: Codes,
 ) -> ModelState:
-    """What the model carries after controls; every step reads the ground where it is, also of models that hold codes.
+    """What the model carries after controls; every step reads the ground where it is.
 
     Args:
         controls: one step's at least.
     """
     packed = model_state.pack()
     after = torch.empty(1, len(controls), packed.shape[1])
-    _bind(dynamics, model_state, situation, CostWeights(), codes, holds=False)(controls[None], after)
+    _bind(dynamics, model_state, situation, CostWeights(), codes)(controls[None], after)
     result = ModelState.unpack(after[:, -1])
     recorded = torch.tensor([name in dynamics.vehicle.actuators for name in ACTUATORS])
     return replace(result, actuators=result.actuators.where(recorded, model_state.actuators))
@@ -153,8 +153,6 @@ def _bind(
     situation: Situation,
     weights: CostWeights,
     codes: Codes,
-    *,
-    holds: bool = True,
 ) -> Callable[[Tensor, Tensor], Tensor]:
     _check(dynamics, model_state, codes)
     vehicle, costs = dynamics.vehicle, kernel_costs(situation.costs.table)
@@ -167,7 +165,6 @@ def _bind(
         _cost_cells(situation),
         stray_weights(situation.caution, vehicle, dynamics.codes),
         costs.numbers(weights),
-        holds and dynamics.holds_codes,
     )
     start = model_state.pack()[0].contiguous().numpy()
 

@@ -91,7 +91,6 @@ def roll_out(
     cost_cells: CostCells,
     unsure: StrayWeights,
     numbers: np.ndarray,
-    holds: bool,
     costs: np.ndarray,
     states: np.ndarray,
 ) -> None:
@@ -107,7 +106,6 @@ def roll_out(
         ground, cost_cells: the maps.
         unsure: the spread of the predictions.
         numbers: weights and parameters of the terms (`KernelCosts.numbers`).
-        holds: the codes of the start stay.
         costs: to fill [K].
         states: to fill with the first numbers of the model state after each step [K, T, 6 ... P], or empty.
     """
@@ -127,7 +125,7 @@ def roll_out(
         for k in range(len(start)):
             absent = STATES <= k < MOVED // LANES and not recorded[k - STATES]
             model_states[0, k * LANES : (k + 1) * LANES] = f4(0) if absent else start[k]
-        sample_terrain(w, model_states[0], terrain, ground, cost_cells, True)
+        sample_terrain(w, model_states[0], terrain, ground, cost_cells)
         begin_stray(unsure, stray, terrain.values)
         for t in range(steps):
             now, then = t % 2, (t + 1) % 2
@@ -136,7 +134,7 @@ def roll_out(
             if cautious and t % EVERY == 0:
                 sense_stray(unsure, stray, w, before, terrain.values, len(ground.missing))
             advance_block(w, c, networks, buffer_sets, before, after)
-            sample_terrain(w, after, terrain, ground, cost_cells, not holds)
+            sample_terrain(w, after, terrain, ground, cost_cells)
             move_stray(stray, terrain.values)
             control_cost(numbers, commands[now], commands[then], total)
             motion_cost(numbers, w, before, after, commands[then], terrain.values, total)

@@ -235,9 +235,8 @@ def sample_terrain(
     samples: TerrainSamples,
     ground: GroundCells,
     cost_cells: CostCells,
-    codes: bool,
 ) -> None:
-    """Read normals, and codes if wanted, into the workspace, and the cost map into `samples.values`."""
+    """Read normals and codes into the workspace, and the cost map into `samples.values`."""
     for i in range(LANES):
         samples.values[COS * LANES + i] = cos(model_state[2 * LANES + i])
         samples.values[SIN * LANES + i] = sin(model_state[2 * LANES + i])
@@ -253,7 +252,6 @@ def sample_terrain(
         read_slope(ground.grid, ground.slope, samples.corner, samples.first, samples.read)
         add_normal(normal, unknown, samples.read, samples.u, samples.v, samples.cell)
         read_layers(k, cost_cells, cost_cell, samples.first, samples.read, samples.values)
-        if codes:
-            read_codes(w, samples, ground, k)
+        read_codes(w, samples, ground, k)
     find_pose_cells(model_state, cost_cell, cost_cells.grid)
     read_layers(POSE_POINT, cost_cells, cost_cell, samples.first, samples.read, samples.values)

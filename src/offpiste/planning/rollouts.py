@@ -8,7 +8,7 @@ from torch import Tensor
 
 from offpiste.conventions import CONTROL
 from offpiste.dynamics.base import Dynamics, rollout
-from offpiste.mapping.terrain_sampler import Encode, HeldCodes, MapTerrain
+from offpiste.mapping.terrain_sampler import Encode, MapTerrain
 from offpiste.planning.caution import strays
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.driving_cost import Situation, driving_cost
@@ -68,17 +68,14 @@ def driving_costs(
 def situation_terrain(
     dynamics: Dynamics, situation: Situation, samples: int, encode: Encode | None = None
 ) -> TerrainSource:
-    """Terrain of the situation's map for `samples` rollouts; for models that hold codes, with those of the start.
+    """Terrain of the situation's map for `samples` rollouts.
 
     Args:
         encode: as in `driving_costs`.
     """
     number = torch.zeros(samples, dtype=torch.long, device=situation.state.device)
     offset = situation.offset.expand(samples, 2)
-    source = MapTerrain(situation.ground, number, offset, situation.wheels, encode)
-    if not dynamics.holds_codes:
-        return source
-    return HeldCodes.of(source, situation.state.expand(samples, 6))
+    return MapTerrain(situation.ground, number, offset, situation.wheels, encode)
 
 
 def spread_model_state(model_state: ModelState, samples: int) -> ModelState:

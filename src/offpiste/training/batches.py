@@ -24,7 +24,7 @@ def draw_sets(
     draw: Draw | None, windows: Windows, index: Int[np.ndarray, " B"], rng: np.random.Generator
 ) -> FeatureSetChoice | None:
     """Feature sets that windows read; None for their own."""
-    return drawn(draw, rng, len(index), lambda: windows.ahead(index), windows.sets) if draw is not None else None
+    return drawn(draw, rng, len(index), windows.sets) if draw is not None else None
 
 
 def batches_of(

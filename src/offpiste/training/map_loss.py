@@ -17,7 +17,7 @@ from offpiste.dynamics.kernels.map_rollout import predict_on
 from offpiste.mapping.terrain_sampler import CellStack, MapTerrain
 from offpiste.state import Trajectory
 from offpiste.training.distributed import Group
-from offpiste.training.terrain_sources import read_on
+from offpiste.training.terrain_sources import with_past_on
 
 WINDOWS: Final = 300
 """Most windows that an epoch is chosen by."""
@@ -62,9 +62,9 @@ class MapLoss:
             number = torch.arange(len(self._mine), device=self.windows.device)
             places = self.windows.places(self._mine)
             source = MapTerrain(maps, number, places, self.windows.wheels, dynamics.encoder)
-            batch, ahead = read_on(dynamics, source, batch)
+            batch = with_past_on(source, batch)
             start = dynamics.start(batch.history, batch.state, batch.actuators)
-            total += loss(predict_on(dynamics, start, batch.control, ahead), batch).double().sum()
+            total += loss(predict_on(dynamics, start, batch.control, source), batch).double().sum()
         return float(self.group.sum(total.to(trained))) / len(self.index)
 
     @cached_property

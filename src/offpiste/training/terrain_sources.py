@@ -14,7 +14,7 @@ from offpiste.dynamics import Dynamics
 from offpiste.dynamics.feature_encoder import Compressor
 from offpiste.dynamics.kernels.encoder import codes_under_wheels, encode_cells, supports_encoder
 from offpiste.errors import DatasetError
-from offpiste.mapping.terrain_sampler import HeldCodes, MapTerrain
+from offpiste.mapping.terrain_sampler import MapTerrain
 from offpiste.state import Terrain, TerrainSource
 
 
@@ -64,14 +64,11 @@ def encoded(dynamics: Dynamics, batch: Batch) -> Batch:
     else:
         codes = encoder(features, valid)
     codes = codes.to(batch.state.dtype)
-    ahead = batch.ground.ahead
-    if dynamics.holds_codes:
-        ahead = ahead[:, :1].expand_as(ahead)
     past = replace(batch.history.terrain, latent=codes_of_cells(codes, batch.ground.past))
     return replace(
         batch,
         history=replace(batch.history, terrain=past),
-        terrain=replace(batch.terrain, latent=codes_of_cells(codes, ahead)),
+        terrain=replace(batch.terrain, latent=codes_of_cells(codes, batch.ground.ahead)),
     )
 
 
@@ -130,13 +127,8 @@ def on_map(
     """
     if not windows.dataset.features and not windows.maps.kept:
         return batch, path_terrain(windows, index)
-    return read_on(dynamics, map_terrain(dynamics, windows, index), batch)
-
-
-def read_on(dynamics: Dynamics, source: MapTerrain, batch: Batch) -> tuple[Batch, TerrainSource]:
-    """The batch, its past read on a map, and what lies ahead as the model reads it there."""
-    batch = with_past_on(source, batch)
-    return batch, HeldCodes.of(source, batch.state) if dynamics.holds_codes else source
+    source = map_terrain(dynamics, windows, index)
+    return with_past_on(source, batch), source
 
 
 def map_terrain(dynamics: Dynamics, windows: Windows, index: Int[np.ndarray, " B"]) -> MapTerrain:

@@ -119,7 +119,7 @@ def residuals_at_recorded(run: Run, windows: Windows, index: np.ndarray, rng: np
     draw = MODELS[run.model].draw
 
     def choose(some: np.ndarray) -> FeatureSetChoice:
-        return drawn(draw, rng, len(some), lambda: windows.ahead(some), windows.sets)
+        return drawn(draw, rng, len(some), windows.sets)
 
     return _joined([residuals for _, residuals in predictions_of(run, windows, index, "recorded", choose)])
 

@@ -11,8 +11,8 @@ from offpiste.dynamics import Hybrid, Parametric, Vehicle, rollout
 from offpiste.dynamics.feature_encoder import Compressor, Identity
 from offpiste.dynamics.kernels import map_rollout
 from offpiste.dynamics.kernels.map_rollout import predict_on, rollout_on_maps
-from offpiste.mapping.terrain_sampler import CellStack, HeldCodes, MapTerrain, last_cells
-from offpiste.state import ModelState, TerrainSource, Trajectory
+from offpiste.mapping.terrain_sampler import CellStack, MapTerrain, last_cells
+from offpiste.state import ModelState, Trajectory
 
 FEATURES, MAPS, SIDE = 5, 3, (60, 45)
 TOLERANCE = 2e-5
@@ -52,7 +52,7 @@ def model_of(kind: str, vehicle: Vehicle) -> Hybrid | Parametric:
     return model
 
 
-def run(model: Hybrid | Parametric, batch: int, *, held: bool, eager: bool) -> Trajectory:
+def run(model: Hybrid | Parametric, batch: int, *, eager: bool) -> Trajectory:
     """Vehicles anywhere on their maps, over the edges, and far off; one is nowhere."""
     dtype, draw = next(model.parameters()).dtype, torch.Generator().manual_seed(batch)
     state = torch.randn(batch, 6, generator=draw) * torch.tensor([9.0, 9.0, 3.0, 4.0, 0.5, 0.5])
@@ -66,10 +66,7 @@ def run(model: Hybrid | Parametric, batch: int, *, held: bool, eager: bool) -> T
     number = torch.randint(MAPS, (batch,), generator=draw)
     offset = torch.rand(batch, 2, generator=draw).double() + torch.tensor([11.0, 15.0]).double()
     wheels = torch.tensor([[1.2, 0.7], [1.2, -0.7], [-0.9, 0.7], [-0.9, -0.7]])
-    source: TerrainSource = MapTerrain(stack(), number, offset, wheels, model.encoder)
-    if held:
-        assert isinstance(source, MapTerrain)
-        source = HeldCodes.of(source, start.state)
+    source = MapTerrain(stack(), number, offset, wheels, model.encoder)
     return (rollout if eager else predict_on)(model, start, controls.to(dtype), source)
 
 
@@ -81,17 +78,14 @@ def difference(found: torch.Tensor, wanted: torch.Tensor) -> float:
 
 
 @pytest.mark.parametrize("batch", [1, 33])
-@pytest.mark.parametrize("held", [False, True])
 @pytest.mark.parametrize("kind", ["compressed", "direct", "blind", "parametric"])
 @torch.no_grad()
-def test_kernels_agree_with_the_eager_model(kind: str, held: bool, batch: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    if held and kind in ("blind", "parametric"):
-        pytest.skip("it holds nothing")
+def test_kernels_agree_with_the_eager_model(kind: str, batch: int, monkeypatch: pytest.MonkeyPatch) -> None:
     model = model_of(kind, VEHICLE)
     called = []
     monkeypatch.setattr(map_rollout, "rollout_on_maps", lambda *given: called.append(1) or rollout_on_maps(*given))
-    found = run(model, batch, held=held, eager=False)
-    wanted = run(copy.deepcopy(model).double(), batch, held=held, eager=True)
+    found = run(model, batch, eager=False)
+    wanted = run(copy.deepcopy(model).double(), batch, eager=True)
     assert called
     assert difference(found.state, wanted.state) < TOLERANCE
     assert difference(found.actuators, wanted.actuators) < TOLERANCE
@@ -99,7 +93,7 @@ def test_kernels_agree_with_the_eager_model(kind: str, held: bool, batch: int, m
 
 def test_gradients_are_left_to_the_eager_model() -> None:
     model = model_of("compressed", VEHICLE)
-    assert run(model, 3, held=False, eager=False).state.requires_grad
+    assert run(model, 3, eager=False).state.requires_grad
 
 
 @torch.no_grad()

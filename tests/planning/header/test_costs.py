@@ -30,7 +30,7 @@ def printed(dynamics, at, controls, weights, *, lanes):
 
 
 @pytest.mark.parametrize("vehicle", [COMMANDED, VEHICLE], ids=["commands", "actuators"])
-@pytest.mark.parametrize("kind", ["parametric", "b", "dc", "hold"])
+@pytest.mark.parametrize("kind", ["parametric", "b", "dc", "df"])
 def test_four_lanes_come_to_what_one_thread_does(kind, vehicle):
     dynamics, weights = model(kind, vehicle), CostWeights(lateral_limit=0.25, rollover=20.0)
     at = situation(ground(), hazards=Hazards(obstacle=50.0), state=(-3.0, 1, 0.3, 8, 0.2, 0.1))
@@ -64,7 +64,7 @@ def both(dynamics, at, controls, weights):
 
 
 @pytest.mark.parametrize("vehicle", [COMMANDED, VEHICLE], ids=["commands", "actuators"])
-@pytest.mark.parametrize("kind", ["parametric", "b", "dc", "hold"])
+@pytest.mark.parametrize("kind", ["parametric", "b", "dc", "df"])
 def test_costs_and_states_equal_those_of_the_numba_kernel(kind, vehicle):
     at = situation(ground(), hazards=Hazards(obstacle=50.0), state=(-3.0, 1, 0.3, 8, 0.2, 0.1))
     found, wanted = both(model(kind, vehicle), at, commands(70), CostWeights(lateral_limit=0.25, rollover=20.0))
@@ -83,7 +83,7 @@ def added_by_caution(costs_of, dynamics, at):
 
 @pytest.mark.parametrize("lanes", [False, True], ids=["one thread", "four lanes"])
 @pytest.mark.parametrize("vehicle", [COMMANDED, VEHICLE], ids=["commands", "actuators"])
-@pytest.mark.parametrize("kind", ["parametric", "b", "dc", "hold"])
+@pytest.mark.parametrize("kind", ["parametric", "b", "dc", "df"])
 def test_what_caution_adds_equals_what_the_numba_kernel_adds(kind, vehicle, lanes):
     at = situation(ground(), hazards=NO_HAZARDS, state=(-3.0, 1, 0.3, 8, 0.2, 0.1))
     dynamics, controls = model(kind, vehicle), commands(9 if lanes else 70)[:, :45]

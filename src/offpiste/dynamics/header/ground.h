@@ -8,8 +8,7 @@ typedef struct {
     float wheels[4][2];
 } offpiste_map;
 
-/* codes: whether they are read; models that hold codes read those of the start alone. */
-OFFPISTE_FN void offpiste_look(const offpiste_map* map, const float* state, int codes, offpiste_given* given) {
+OFFPISTE_FN void offpiste_look(const offpiste_map* map, const float* state, offpiste_given* given) {
     const float c = offpiste_cos(state[2]), s = offpiste_sin(state[2]);
     float normal[3] = {0.0f, 0.0f, 0.0f}, unknown = 0.0f;
     OFFPISTE_UNROLL
@@ -19,13 +18,11 @@ OFFPISTE_FN void offpiste_look(const offpiste_map* map, const float* state, int 
         const offpiste_cell_place place = offpiste_cell_at(&map->grid, x, y);
         offpiste_add_normal(&map->grid, map->slope, place, normal, &unknown);
 #if OFFPISTE_CODES
-        if (codes)
-            offpiste_read_codes(
-                map->codes, map->missing, offpiste_nearest(&map->grid, place), place.inside,
-                given->codes + OFFPISTE_CODE * k);
+        offpiste_read_codes(
+            map->codes, map->missing, offpiste_nearest(&map->grid, place), place.inside,
+            given->codes + OFFPISTE_CODE * k);
 #endif
     }
-    (void)codes;
     OFFPISTE_UNROLL
     for (int k = 0; k < 3; k++) given->normal[k] = normal[k];
     given->unknown = unknown;

@@ -69,7 +69,6 @@ def _declarations(dynamics: Dynamics, networks: Sequence[PrintedNetwork], apart:
         "TERMS": term_count(dynamics) if apart else 0,
         "CONSTANTS": len(layout.LEARNED),
         "ROWS": len(layout.ROWS),
-        "HOLDS_CODES": int(dynamics.holds_codes),
         "ABSENT": sum(1 << row for row in absent_actuators(dynamics)),
     }
     for network in networks[:1]:

@@ -34,7 +34,7 @@ from offpiste.dynamics.kernels.rollout import (
     make_buffer_sets,
     make_workspace,
 )
-from offpiste.mapping.terrain_sampler import CellStack, HeldCodes, MapTerrain
+from offpiste.mapping.terrain_sampler import CellStack, MapTerrain
 from offpiste.state import ModelState, TerrainSource, Trajectory
 
 
@@ -42,12 +42,10 @@ def predict_on(
     dynamics: Dynamics, model_state: ModelState, controls: Float[Tensor, "B T U"], source: TerrainSource
 ) -> Trajectory:
     """`rollout` of the same arguments, by the kernel where it can and no gradient is wanted."""
-    terrain = source.source if isinstance(source, HeldCodes) else source
     stepped = not torch.is_grad_enabled() and supports(dynamics, controls.device, controls.dtype)
-    if not stepped or not isinstance(terrain, MapTerrain) or not _supports_maps(dynamics, terrain):
+    if not stepped or not isinstance(source, MapTerrain) or not _supports_maps(dynamics, source):
         return rollout(dynamics, model_state, controls, source)
-    held = source.latent.flatten(-2) if isinstance(source, HeldCodes) else controls.new_zeros(0, 0)
-    return rollout_on_maps(dynamics, model_state, controls, terrain, held)
+    return rollout_on_maps(dynamics, model_state, controls, source)
 
 
 def _supports_maps(dynamics: Dynamics, terrain: MapTerrain) -> bool:
@@ -63,13 +61,8 @@ def rollout_on_maps(
     model_state: ModelState,
     controls: Float[Tensor, "B T U"],
     terrain: MapTerrain,
-    held: Float[Tensor, "H C"],
 ) -> Trajectory:
-    """Predict T steps, reading maps of float16 cells.
-
-    Args:
-        held: codes of the wheels that stay for the whole rollout; none where they are read.
-    """
+    """Predict T steps, reading maps of float16 cells."""
     maps = terrain.maps
     assert isinstance(maps, CellStack)
     shift = (terrain.offset - maps.origin[terrain.number]).float()
@@ -82,7 +75,6 @@ def rollout_on_maps(
         place=maps.place.numpy(),
         slope=maps.slope.numpy().view(np.uint16),
         features=maps.features.numpy().view(np.uint16),
-        held=held.contiguous().numpy(),
     )
 
     batch, steps = controls.shape[:2]
@@ -143,24 +135,18 @@ def forward_on_maps(
     Args:
         codes: numbers that the networks read of all wheels.
     """
-    batch, steps, _ = controls.shape
+    steps = controls.shape[1]
     w = make_workspace(codes, recorded)
     tape = np.zeros((2, start.shape[1] * LANES), f4)
     buffer_sets, samples = make_buffer_sets(networks, f4(1)), make_samples(layers)
     activations = make_activations(layers, f4(1))
-    held = len(ground.held) > 0
     for block in range(first, last):
         begin(start, recorded, tape[0], block)
-        if held:
-            for i in range(LANES):
-                window = min(block * LANES + i, batch - 1)
-                for k in range(codes):
-                    w[(CODES + k) * LANES + i] = ground.held[window, k]
         for t in range(steps):
             before, after = tape[t % 2], tape[(t + 1) % 2]
             load_controls(w, controls, recorded, block, t)
-            sample_ground(w, before, ground, samples, block, codes > 0 and not held)
-            if codes > 0 and not held:
+            sample_ground(w, before, ground, samples, block, codes > 0)
+            if codes > 0:
                 _encode(w, samples, activations, layers, codes // WHEELS)
             advance_block(w, c, networks, buffer_sets, before, after)
             keep(after, start, recorded, block, t, states, actuators)

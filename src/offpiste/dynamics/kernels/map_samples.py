@@ -31,7 +31,6 @@ class Ground(NamedTuple):
         last, place: see `CellStack` [S, 2], [S, ny, nx].
         slope: of the cells, float16 as bits [C, 2].
         features: alike [C, F].
-        held: codes that stay for the whole rollout [B, 4 E]; of no window where codes are read.
     """
 
     shift: np.ndarray
@@ -42,7 +41,6 @@ class Ground(NamedTuple):
     place: np.ndarray
     slope: np.ndarray
     features: np.ndarray
-    held: np.ndarray
 
 
 class Samples(NamedTuple):

@@ -19,7 +19,7 @@ int main(int count, char** arguments) {
         for (t = 0; t < p.steps; t++) {
             const int at = drive * p.steps + t;
             memcpy(given.control, p.control + p.controls * at, sizeof given.control);
-            offpiste_look(&map, state, t == 0 || !OFFPISTE_HOLDS_CODES, &given);
+            offpiste_look(&map, state, &given);
             offpiste_step(&offpiste_model, &given, state);
             memcpy(states + 10 * at, state, 10 * sizeof(float));
         }

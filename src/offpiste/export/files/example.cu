@@ -18,7 +18,7 @@ __global__ void __launch_bounds__(OFFPISTE_BLOCK) roll_out(
         OFFPISTE_FORGET
         OFFPISTE_UNROLL
         for (int k = 0; k < OFFPISTE_CONTROLS; k++) given.control[k] = controls[OFFPISTE_CONTROLS * (i * steps + t) + k];
-        offpiste_look(&map, state, t == 0 || !OFFPISTE_HOLDS_CODES, &given);
+        offpiste_look(&map, state, &given);
         offpiste_step(params, &given, state);
         OFFPISTE_UNROLL
         for (int k = 0; k < 10; k++) states[10 * (i * steps + t) + k] = state[k];

@@ -35,7 +35,6 @@ struct OffpisteParams : public DynamicsParams {
     offpiste_grid grid = {0.0f, 0.0f, 1.0f, 0.0f, 0.0f}; /* no cell: unknown ground everywhere */
     float wheels[4][2] = {{0.0f}};
     float missing[4 * OFFPISTE_TEXTURES] = {0.0f};    /* code off the map */
-    float held[4][4 * OFFPISTE_TEXTURES] = {{0.0f}};  /* of models that hold codes: those at the start */
     float memory[OFFPISTE_STATE] = {0.0f};            /* of the networks after the buffer, behind ten zeros */
     bool remembers = false;                           /* rollouts start with that memory */
     float gear = 1.0f;                                /* of models that have one: -1, 0 or 1 */
@@ -134,18 +133,17 @@ public:
     }
 
     /* A whole state from what was measured now and at the 10 rows (0.2 s) before, oldest first: [10], [10, 10],
-       [10, OFFPISTE_CONTROLS]. For models that hold codes, those under the wheels now hold until the next start. */
+       [10, OFFPISTE_CONTROLS]. */
     state_array start(const float* measured, const float* past_states, const float* past_controls) {
         state_array state = state_array::Zero();
         offpiste_given given[PAST];
         for (int k = 0; k < NUMBERS; k++) state(k) = measured[k];
         for (int row = 0; row < PAST; row++) {
-            look(past_states + NUMBERS * row, given + row, true);
+            look(past_states + NUMBERS * row, given + row);
             for (int k = 0; k < OFFPISTE_CONTROLS; k++)
                 given[row].control[k] = past_controls[OFFPISTE_CONTROLS * row + k];
         }
         offpiste_start(&this->params_.model, &offpiste_starts, past_states, given, PAST, state.data());
-        hold(state.data());
         return state;
     }
 
@@ -260,13 +258,13 @@ protected:
         float own[STATE_DIM]; /* in registers on the GPU */
         for (int k = 0; k < STATE_DIM; k++) own[k] = state[k];
         for (int k = 0; k < OFFPISTE_CONTROLS; k++) given.control[k] = k < 3 ? control[k] : this->params_.gear;
-        look(own, &given, !OFFPISTE_HOLDS_CODES);
+        look(own, &given);
         offpiste_step(params, &given, own);
         for (int k = 0; k < STATE_DIM; k++) next_state[k] = own[k];
     }
 
     /* The ground under the wheels of a state, as offpiste_look reads it, by textures. */
-    __host__ __device__ void look(const float* state, offpiste_given* given, bool reads) {
+    __host__ __device__ void look(const float* state, offpiste_given* given) {
         const offpiste_grid* grid = &this->params_.grid;
         const float c = offpiste_cos(state[2]), s = offpiste_sin(state[2]);
         float normal[3] = {0.0f, 0.0f, 0.0f}, unknown = 0.0f;
@@ -284,29 +282,16 @@ protected:
             offpiste_add_tilt(rise, place.inside, normal, &unknown);
 #if OFFPISTE_CODES
             for (int n = 0; n < OFFPISTE_TEXTURES; n++) {
-                const float* kept = (reads ? this->params_.missing : this->params_.held[k]) + 4 * n;
+                const float* kept = this->params_.missing + 4 * n;
                 float4 four = make_float4(kept[0], kept[1], kept[2], kept[3]);
-                if (reads && place.inside) four = codes_->queryTexture(n, at);
+                if (place.inside) four = codes_->queryTexture(n, at);
                 const float code[4] = {four.x, four.y, four.z, four.w};
                 for (int m = 0; m < 4 && 4 * n + m < OFFPISTE_CODE; m++)
                     given->codes[OFFPISTE_CODE * k + 4 * n + m] = code[m];
             }
 #endif
         }
-        (void)reads;
         for (int k = 0; k < 3; k++) given->normal[k] = normal[k];
         given->unknown = unknown;
-    }
-
-    void hold(const float* state) {
-#if OFFPISTE_HOLDS_CODES
-        offpiste_given given;
-        look(state, &given, true);
-        for (int k = 0; k < OFFPISTE_CODES; k++)
-            this->params_.held[k / OFFPISTE_CODE][k % OFFPISTE_CODE] = given.codes[k];
-        if (this->GPUMemStatus_) paramsToDevice();
-#else
-        (void)state;
-#endif
     }
 };

@@ -121,7 +121,7 @@ static void offpiste_start_of(const offpiste_parity* p, const offpiste_map* map,
     for (row = 0; row < p->past; row++) {
         const int at = drive * p->past + row;
         memcpy(given[row].control, p->past_controls + p->controls * at, sizeof given[row].control);
-        offpiste_look(map, p->past_states + 10 * at, 1, given + row);
+        offpiste_look(map, p->past_states + 10 * at, given + row);
     }
     offpiste_start(
         &offpiste_model, &offpiste_starts, p->past_states + 10 * p->past * drive, given, p->past, state);

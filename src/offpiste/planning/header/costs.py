@@ -77,7 +77,7 @@ def packed_situation(
         _grid(situation.ground, situation),
         _grid(situation.costs, situation),
         situation.wheels.cpu().flatten(),
-        (situation.gear, float(dynamics.holds_codes)),
+        [situation.gear],
         situation.control.cpu(),
         [0.0 if math.isnan(value) else value for value in situation.costs.outside],
         vector_of_numbers(weights, names),

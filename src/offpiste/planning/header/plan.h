@@ -7,7 +7,7 @@ typedef struct {
     float missing[OFFPISTE_CODE + (4 - OFFPISTE_CODE % 4) % 4];
 #endif
     offpiste_grid ground, costs;
-    float wheels[4][2], gear, holds, control[3];
+    float wheels[4][2], gear, control[3];
     float outside[OFFPISTE_LAYERS], numbers[OFFPISTE_NUMBERS], start[OFFPISTE_STATE];
 #if OFFPISTE_STRAY
     offpiste_stray_weights stray;
@@ -21,7 +21,7 @@ typedef struct {
 
 /* What the model reads of the ground under a wheel into normal, unknown and codes, and what the cost reads. */
 OFFPISTE_FN void offpiste_sample_wheel(
-    const offpiste_situation* s, const offpiste_maps* maps, const float* state, int k, int reads, float* normal,
+    const offpiste_situation* s, const offpiste_maps* maps, const float* state, int k, float* normal,
     float* unknown, float* codes, offpiste_values* values) {
     const float wx = s->wheels[k][0], wy = s->wheels[k][1];
     const float px = state[0] + values->cos_yaw * wx - values->sin_yaw * wy;
@@ -31,16 +31,15 @@ OFFPISTE_FN void offpiste_sample_wheel(
     offpiste_add_normal(&s->ground, maps->slope, place, normal, unknown);
     offpiste_read_wheel_layers(
         maps->layers + OFFPISTE_LAYERS * offpiste_nearest(&s->costs, cost), cost.inside, s->outside, values);
-    (void)reads;
     (void)codes;
 #if OFFPISTE_CODES
-    if (reads) offpiste_read_codes(maps->codes, s->missing, offpiste_nearest(&s->ground, place), place.inside, codes);
+    offpiste_read_codes(maps->codes, s->missing, offpiste_nearest(&s->ground, place), place.inside, codes);
 #endif
 }
 
 /* What the model reads of the ground under a state into given, and what the cost reads into values. */
 OFFPISTE_FN void offpiste_sample(
-    const offpiste_situation* s, const offpiste_maps* maps, const float* state, int reads, offpiste_given* given,
+    const offpiste_situation* s, const offpiste_maps* maps, const float* state, offpiste_given* given,
     offpiste_values* values) {
     float normal[3] = {0.0f, 0.0f, 0.0f}, unknown = 0.0f;
     values->cos_yaw = offpiste_cos(state[2]);
@@ -55,13 +54,12 @@ OFFPISTE_FN void offpiste_sample(
 #if OFFPISTE_LANES > 1 /* a wheel for each */
 #if OFFPISTE_CODES
     float own[OFFPISTE_CODE];
-    offpiste_sample_wheel(s, maps, state, OFFPISTE_LANE, reads, normal, &unknown, own, values);
-    if (reads)
-        OFFPISTE_UNROLL
-        for (int k = 0; k < OFFPISTE_CODES; k++)
-            codes[k] = offpiste_from_lane(own[k % OFFPISTE_CODE], k / OFFPISTE_CODE);
+    offpiste_sample_wheel(s, maps, state, OFFPISTE_LANE, normal, &unknown, own, values);
+    OFFPISTE_UNROLL
+    for (int k = 0; k < OFFPISTE_CODES; k++)
+        codes[k] = offpiste_from_lane(own[k % OFFPISTE_CODE], k / OFFPISTE_CODE);
 #else
-    offpiste_sample_wheel(s, maps, state, OFFPISTE_LANE, reads, normal, &unknown, 0, values);
+    offpiste_sample_wheel(s, maps, state, OFFPISTE_LANE, normal, &unknown, 0, values);
 #endif
     OFFPISTE_UNROLL
     for (int k = 0; k < 3; k++) normal[k] = offpiste_over_lanes(normal[k]);
@@ -70,7 +68,7 @@ OFFPISTE_FN void offpiste_sample(
 #else
     OFFPISTE_UNROLL
     for (int k = 0; k < 4; k++)
-        offpiste_sample_wheel(s, maps, state, k, reads, normal, &unknown, OFFPISTE_CODES_OF(k), values);
+        offpiste_sample_wheel(s, maps, state, k, normal, &unknown, OFFPISTE_CODES_OF(k), values);
 #endif
     OFFPISTE_UNROLL
     for (int k = 0; k < 3; k++) given->normal[k] = normal[k];
@@ -99,7 +97,7 @@ OFFPISTE_KERNEL(
         for (int k = 0; k < OFFPISTE_STATE; k++) state[k] = s->start[k];
         OFFPISTE_UNROLL
         for (int k = 0; k < 3; k++) before[k] = s->control[k], next[k] = controls[k * n + i];
-        offpiste_sample(s, &maps, state, 1, &given, &values);
+        offpiste_sample(s, &maps, state, &given, &values);
 #if OFFPISTE_STRAY
         offpiste_stray stray = offpiste_begin_stray(&s->stray, &values);
 #endif
@@ -119,7 +117,7 @@ OFFPISTE_KERNEL(
             values.vx_before = state[3];
             values.vy_before = state[4];
             offpiste_step(params, &given, state);
-            offpiste_sample(s, &maps, state, s->holds == 0.0f, &given, &values);
+            offpiste_sample(s, &maps, state, &given, &values);
             total += offpiste_control_cost(s->numbers, before, values.control);
             total += offpiste_motion_cost(s->numbers, state, given.normal, &values);
             OFFPISTE_UNROLL
