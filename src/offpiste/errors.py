@@ -50,6 +50,10 @@ class LogError(OffpisteError):
     """A recorded log cannot be read, or lacks what is needed of it."""
 
 
+class SeveralLogs(LogError):
+    """A folder holds several recordings, each of which is a log."""
+
+
 class NoClock(LogError):
     """A table has no column of stamps, or not the one that is asked for."""
 

@@ -3,7 +3,7 @@
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from glob import escape
 from pathlib import Path
@@ -97,19 +97,25 @@ def temporary_folder(path: Path) -> Iterator[Path]:
             shutil.rmtree(partial, ignore_errors=True)
 
 
-def check_folder(out: Path, *, option: str = "--out") -> None:
-    """Check that a path can be a folder.
+def check_folder(out: Path, *, option: str = "--out", own: Sequence[str] | None = None) -> None:
+    """Check that a command can write a folder.
 
     Args:
         option: that gives it, for the message.
+        own: patterns of files, one of which the command leaves; None: the caller looks at what is there.
 
     Raises:
-        OffpisteError: it is a file, or lies in one, or in an object store.
+        OffpisteError: it is a file, or lies in one, or in an object store, or holds something else.
     """
     refuse_url(out)
     for place in (out, *out.parents):
         if place.exists() and not place.is_dir():
             raise OffpisteError("is a file", where=place, how=f"give a folder as {option}")
+    if own is None or not out.exists() or any(next(out.glob(pattern), None) is not None for pattern in own):
+        return
+    if other := sorted(each.name for each in out.iterdir() if not each.name.startswith(".")):
+        how = f"give a folder that is empty or not there yet as {option}"
+        raise OffpisteError(f"holds something else ({other[0]})", where=out, how=how)
 
 
 def remove_partials(folder: Path, name: str = "") -> None:

@@ -2,11 +2,13 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from shlex import join
 from typing import Annotated
 
 import tyro
 
 from offpiste.cli.entry import COMMANDS
+from offpiste.progress import show
 
 
 @COMMANDS.register("calibrate")
@@ -27,4 +29,6 @@ class Calibrate:
         from offpiste.uncertainty.calibrate import calibrate
 
         calibrate(self.runs, self.dataset, self.out)
+        words = ["evaluate", *map(str, self.runs), "--dataset", str(self.dataset)]
+        show(f"next: {join(['offpiste', *words])}")
         return 0

@@ -6,6 +6,7 @@ import gc
 import os
 import sys
 from collections.abc import Callable, Sequence
+from shlex import join
 from typing import Final, Protocol, runtime_checkable
 
 import tyro
@@ -108,6 +109,22 @@ def _parsed(arguments: list[str], commands: dict[str, Callable[..., Command]]) -
     )
 
 
+RESUMING: Final = {
+    "demo": (), "evidence": (), "extract": (), "merge": (), "reproduce": (), "simulate": (), "train": ("--resume",),
+}  # fmt: skip
+"""Commands that resume where they were stopped, with the option that this takes."""
+
+
+def _again(arguments: Sequence[str]) -> str:
+    """Return what is left of an interrupted command, and how to go on."""
+    name = arguments[0] if arguments else ""
+    more = [each for each in RESUMING.get(name, ()) if each not in arguments]
+    command = join(["offpiste", *arguments, *more])
+    if name in RESUMING:
+        return f"what was finished is kept; resume: {command}"
+    return f"nothing is left half written; run it again: {command}"
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Run one command: exit 0 when done, 1 when the input or the run failed (one line on stderr), 2 on wrong usage."""
     arguments = list(sys.argv[1:] if arguments is None else arguments)
@@ -135,7 +152,7 @@ def main(arguments: list[str] | None = None) -> None:
         print(f"offpiste: {error}", file=sys.stderr)  # noqa: T201
         sys.exit(1)
     except KeyboardInterrupt:
-        print("offpiste: interrupted; what was finished is kept", file=sys.stderr)  # noqa: T201
+        print(f"offpiste: interrupted; {_again(arguments)}", file=sys.stderr)  # noqa: T201
         sys.exit(1)
     except BrokenPipeError:
         # The reader of a pipe has closed it, e.g. `head`; Python would complain when it flushes at exit.

@@ -2,12 +2,14 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from shlex import join
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from offpiste.cli.entry import COMMANDS
 from offpiste.conventions import FEATURE_SETS
+from offpiste.progress import show
 
 if TYPE_CHECKING:
     FeatureSet = str
@@ -61,4 +63,7 @@ class Evaluate:
         )
         if spreads is not None:
             spreads.write(self.out)
+        else:
+            words = ["calibrate", *map(str, self.runs), "--dataset", str(self.dataset)]
+            show(f"next: {join(['offpiste', *words])}")
         return 0

@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from shlex import join
+from shlex import join, quote
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
@@ -63,7 +63,7 @@ class Extract:
         """Read, resample, write."""
         from offpiste.dataset.extract import make_dataset
         from offpiste.dataset.map_snapshots import SnapshotSettings
-        from offpiste.dataset.split_balance import has_little_driving, lacks_windows, next_split
+        from offpiste.dataset.split_balance import has_little_driving, is_for_tests, lacks_windows, next_split
         from offpiste.mapping.replay import MapperSettings
         from offpiste.parallel import parse_shard
         from offpiste.rig.rig import load_rig
@@ -89,7 +89,9 @@ class Extract:
         )
         if not self.shard:
             split = next_split(dataset)
-            if split is None and lacks_windows(dataset):
+            if is_for_tests(dataset.split):
+                show(f"next: offpiste evaluate RUN --dataset {quote(str(self.out))}")
+            elif split is None and lacks_windows(dataset):
                 show(
                     "next: record more, or longer drives: a part of the split has no window, so nothing can be trained"
                 )

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from shlex import join
 from typing import Annotated
 
 import tyro
@@ -73,4 +74,7 @@ class FitPca:
         save_pca(self.out, pca)
         write_image_list(self.out.with_suffix(".images.txt"), fitted.images)
         show(f"{self.out}: {pca.components} components, {pca.variance.sum() / pca.total_variance:.1%} of the variance")
+        logs = [str(log) for log in self.logs]
+        words = ["extract", *logs, "--rig", self.rig, "--pca", str(self.out), "--out", "dataset.zarr"]
+        show(f"next: {join(['offpiste', *words])}")
         return 0

@@ -42,7 +42,8 @@ class Inspect:
 
     def run(self) -> int:
         """Inspect, write the cured rig, print, name the next command."""
-        from offpiste.errors import LogError
+        from offpiste.errors import LogError, SeveralLogs
+        from offpiste.logs.ros.bag_files import storage_files
         from offpiste.object_store import expanded
         from offpiste.rig.rig import load_rig
 
@@ -55,7 +56,10 @@ class Inspect:
             return self._survey(logs)
         if self.estimate_mountings:
             return self._estimate(logs[0])
-        return self._inspect(logs[0], load_rig(self.rig) if self.rig else None)
+        try:
+            return self._inspect(logs[0], load_rig(self.rig) if self.rig else None)
+        except SeveralLogs:
+            return self._survey([str(file) for file in storage_files(Path(logs[0]))])
 
     def _inspect(self, path: str, rig: "Rig | None") -> int:
         from json import dumps
@@ -140,6 +144,10 @@ class Inspect:
         rig = load_rig(self.rig) if self.rig else None
         survey = inspect_logs(logs, rig, processes=self.processes, cluster=self.cluster)
         show(dumps(survey.as_dict(), indent=2) if self.json else survey_table(survey))
+        if not self.json:
+            again = ["inspect", logs[0], *(["--rig", self.rig] if self.rig else []), "--write-rig", _another("my.toml")]
+            extract = ["extract", *logs, "--rig", str(self.rig), "--out", _dataset(str(self.rig))]
+            show(f"next: {join(['offpiste', *(extract if self.rig and survey.usable else again)])}")
         return 0 if survey.usable else 1
 
     def _estimate(self, log: str) -> int:

@@ -2,11 +2,13 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from shlex import join
 from typing import Annotated
 
 import tyro
 
 from offpiste.cli.entry import COMMANDS
+from offpiste.progress import show
 
 
 @COMMANDS.register("merge")
@@ -23,5 +25,7 @@ class Merge:
         """Check, copy, open."""
         from offpiste.merge import merge_datasets
 
-        merge_datasets(self.parts, self.out)
+        dataset = merge_datasets(self.parts, self.out)
+        model = "dc" if dataset.features else "b"
+        show(f"next: {join(['offpiste', 'train', str(self.out), '--model', model, '--out', f'runs/{model}'])}")
         return 0

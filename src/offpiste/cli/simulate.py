@@ -115,7 +115,7 @@ class Simulate:
         from offpiste.progress import show
         from offpiste.simulation.recordings import Recording, simulate_all
 
-        check_folder(self.out)
+        check_folder(self.out, own=("*.mcap",))
         processes = at_a_time(self.processes)
         self.out.mkdir(parents=True, exist_ok=True)
         name = Path(self.world).stem

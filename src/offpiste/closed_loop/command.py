@@ -2,6 +2,7 @@
 
 import logging
 from pathlib import Path
+from shlex import join
 from typing import Any
 
 from rich.table import Table
@@ -69,6 +70,7 @@ def run_drive(
         record_drive(driven, out / "drive.rrd")
         written.append("drive.rrd")
     logger.info(f"wrote {', '.join(str(out / name) for name in written)}")
+    logger.info(f"next: {join(['offpiste', 'view', str(out / 'drive.mcap'), '--rig', 'proving_ground_gear'])}")
     return driven
 
 

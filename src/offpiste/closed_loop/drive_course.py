@@ -124,7 +124,7 @@ def drive_course(
     _refuse_unmeasured(planner)
     caution_of(settings.runtime.risk, planner.spread)  # complains itself, before a world is built
     out = Path(out)
-    check_folder(out)
+    check_folder(out, own=("drive.mcap", "result.json"))
     for name in ("drive.mcap", "result.json"):
         if (out / name).exists():
             raise OffpisteError("exists already", where=out / name, how="give another folder, or remove it")

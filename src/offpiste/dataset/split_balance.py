@@ -182,10 +182,24 @@ def fitting_split(drives: Sequence[StoredDrive], min_hindsight: float, min_speed
     return parse_split(best) if least[best] else None
 
 
+def trains_nothing(split: Split) -> bool:
+    """Whether a split leaves nothing to train on, or to choose epochs by."""
+    return bool({"train", "validation"} & set(empty_parts(split)))
+
+
+def is_for_tests(split: Split) -> bool:
+    """Whether all drives are given to the test part, for runs that were trained elsewhere."""
+    return split.kind == "drives" and set(empty_parts(split)) == {"train", "validation"}
+
+
 def lacks_windows(dataset: Dataset) -> bool:
-    """Whether a part that the split asks for has no window."""
+    """Whether a part has no window that the split asks for, or that training takes."""
     facts = part_facts(dataset)
-    return len(facts) < len(PARTS) - len(empty_parts(dataset.split)) or not all(part.windows for part in facts)
+    return (
+        trains_nothing(dataset.split)
+        or len(facts) < len(PARTS) - len(empty_parts(dataset.split))
+        or not all(part.windows for part in facts)
+    )
 
 
 def next_split(dataset: Dataset) -> Split | None:
@@ -193,7 +207,7 @@ def next_split(dataset: Dataset) -> Split | None:
     empty = lacks_windows(dataset)
     if not empty and not list(complaints(part_facts(dataset))):
         return None
-    better = better_split(dataset)
+    better = None if trains_nothing(dataset.split) else better_split(dataset)
     if better is not None:
         return better[0]
     if not empty or dataset.split.kind not in ("blocks", "fold"):

@@ -62,11 +62,11 @@ def evaluate_runs(
     Raises:
         RunError: none is given, a folder is no finished run, does not fit the dataset, or was trained on the test part.
         DatasetError: no dataset there, or no window in its test part.
-        OffpisteError: `out` is a file, or a setting is impossible.
+        OffpisteError: `out` is a file or holds something else, or a setting is impossible.
     """
     if not folders:
         raise RunError("no run is given", how="name one or more: offpiste evaluate RUN... --dataset DATASET")
-    check_folder(out)
+    check_folder(out, own=("report.html", "calibration.md"))
     if min_speed is not None and not 0 <= min_speed < math.inf:
         raise OffpisteError(f"--min-speed is {min_speed:g}", how="give a speed of 0 or more [m/s]")
     dataset = open_dataset(dataset_path).starting_above(min_speed)

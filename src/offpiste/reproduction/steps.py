@@ -33,9 +33,9 @@ def claim_folder(
 
     Raises:
         RunError: the folder was begun with other settings.
-        OffpisteError: it is a file.
+        OffpisteError: it is a file, or holds something else.
     """
-    check_folder(out)
+    check_folder(out, own=("settings.json",))
     path, wanted = out / "settings.json", json.loads(json.dumps(settings))
     if not path.exists():
         save_json(path, wanted)

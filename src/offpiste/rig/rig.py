@@ -1,5 +1,6 @@
 """The rig: a vehicle, its channels, sensors and clocks, read from a TOML file."""
 
+import re
 import tomllib
 from importlib import resources
 from pathlib import Path
@@ -192,10 +193,20 @@ def parse_rig(text: str, *, where: str) -> Rig:
         raise RigError(f"not valid TOML: {error}", where=where, how="fix the line that is named") from error
     except msgspec.ValidationError as error:
         what = _with_names(str(error), given)
-        raise RigError(what, where=where, how="see docs/rig.md for the keys of a rig") from error
+        how = f"{_near_field(what)}see docs/rig.md for the keys of a rig"
+        raise RigError(what, where=where, how=how) from error
     except RigError as error:
         raise RigError(error.what, where=where, how=error.how) from None
     return rig
+
+
+def _near_field(what: str) -> str:
+    """Return a question that names a field of a rig spelled like an unknown one; "" for other messages."""
+    unknown = re.search(r"unknown field `(.+?)`", what)
+    if unknown is None:
+        return ""
+    tables = msgspec.json.schema(Rig)["$defs"].values()
+    return did_you_mean(unknown[1], {name for table in tables for name in table.get("properties", ())})
 
 
 def _with_names(what: str, given: dict[str, Any]) -> str:

@@ -85,7 +85,7 @@ def calibrate(folders: Sequence[Path], path: Path, out: Path, settings: SpreadSe
             to other weights.
         DatasetError: a part has no window.
     """
-    check_folder(out)
+    check_folder(out, own=("calibration.md", "report.html"))
     dataset, report = open_dataset(path), SpreadReport()
     runs = [_fitting_run(folder, dataset) for folder in folders]
     starting = [dataset.starting_above(_min_speed(run)) for run in runs]

@@ -14,7 +14,8 @@ from matplotlib.lines import Line2D
 
 from offpiste.dataset.splits import PARTS
 from offpiste.dataset.store import Dataset, StoredDrive, open_dataset
-from offpiste.errors import DatasetError, LogError, RigError
+from offpiste.errors import LogError, RigError
+from offpiste.files import check_folder
 from offpiste.logs.log import Log
 from offpiste.logs.opening import open_log
 from offpiste.perception.feature_extractor import load_feature_extractor
@@ -189,8 +190,7 @@ def view(
     Raises:
         LogError, RigError, PerceptionError, DatasetError, RunError: the path is neither, or cannot be viewed.
     """
-    if out.exists() and not out.is_dir():
-        raise DatasetError("is a file, not a folder for pictures", where=out, how="choose another --out")
+    check_folder(out, own=("*.png", "report.html"))
     if (path / "zarr.json").exists():
         if rig or pca or seconds:
             logger.info(

@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.errors import LogError
+from offpiste.errors import LogError, SeveralLogs
 from offpiste.logs.log import LOG_FORMATS, Log, RawCloud, RawImage, Samples, Topic
 from offpiste.logs.ros.bag_files import (
     MAGIC,
@@ -292,4 +292,4 @@ def _refuse_several(readers: Sequence[Reader], path: Path) -> None:
         if before.end_time - after.start_time > _OVERLAP:
             first, second = (Path(str(reader.path)).name for reader in (before, after))
             what = f"holds several recordings: {second} begins before {first} ends"
-            raise LogError(what, where=path, how="give each file by itself")
+            raise SeveralLogs(what, where=path, how="give each file by itself")

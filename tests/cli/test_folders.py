@@ -1,0 +1,101 @@
+"""Commands write only into folders that are theirs, name the next command, and say how to go on when interrupted."""
+
+from pathlib import Path
+
+import pytest
+
+from factories import RIG
+from feature_datasets import dataset_with_features
+from offpiste.cli import entry, main
+from offpiste.cli.entry import COMMANDS
+from offpiste.dataset.split_balance import is_for_tests, lacks_windows, next_split
+from offpiste.dataset.splits import parse_split
+from offpiste.errors import RigError
+from offpiste.rig.rig import parse_rig
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("dataset") / "data.zarr"
+    dataset_with_features(path)
+    return path
+
+
+def ended(*words: str | Path) -> int:
+    with pytest.raises(SystemExit) as end:
+        main([*map(str, words)])
+    return int(end.value.code or 0)
+
+
+B = "pretrained:proving-ground/b"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("demo", "--out", "{out}"),
+        ("evaluate", B, "--dataset", "{data}", "--out", "{out}"),
+        ("calibrate", B, "--dataset", "{data}", "--out", "{out}"),
+        ("train", "{data}", "--model", "b", "--out", "{out}"),
+        ("extract", "drive.csv", "--rig", "proving_ground", "--out", "{out}"),
+        ("drive", B, "--out", "{out}"),
+        ("simulate", "--drives", "2", "--out", "{out}"),
+        ("reproduce", "fig4", "--out", "{out}"),
+        ("evidence", "--out", "{out}"),
+        ("export", B, "--to", "{out}"),
+        ("view", "{data}", "--out", "{out}"),
+        ("merge", "{data}", "{data}", "--out", "{out}"),
+    ],
+    ids=lambda words: words[0],
+)
+def test_a_folder_with_other_files_is_refused_and_left_alone(words, dataset, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "drive.csv").write_text("t,x\n0,1\n")
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "mine.txt").write_text("mine")
+    assert ended(*(word.format(out=out, data=dataset) for word in words)) == 1
+    assert capsys.readouterr().err.count("\n") == 1
+    assert [path.name for path in out.iterdir()] == ["mine.txt"]
+
+
+class Interrupted:
+    def run(self) -> int:
+        raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("extract", "resume: offpiste extract 'my drive.mcap' --out d.zarr"),
+        ("train", "resume: offpiste train 'my drive.mcap' --out d.zarr --resume"),
+        ("evaluate", "run it again: offpiste evaluate 'my drive.mcap' --out d.zarr"),
+    ],
+)
+def test_an_interrupted_command_names_the_one_that_goes_on(name, said, monkeypatch, capsys):
+    monkeypatch.setattr(entry, "_parsed", lambda arguments, commands: Interrupted())
+    assert ended(name, "my drive.mcap", "--out", "d.zarr") == 1
+    assert said in capsys.readouterr().err
+
+
+def test_commands_that_resume_exist():
+    assert set(entry.RESUMING) <= set(COMMANDS)
+
+
+def test_a_split_without_validation_leads_to_one_that_works(tmp_path):
+    whole = dataset_with_features(tmp_path / "long.zarr", rows=4000).relabelled(parse_split("blocks:1,0,0"))
+    assert lacks_windows(whole)
+    split = next_split(whole)
+    assert split is not None
+    assert not lacks_windows(whole.relabelled(split))
+
+
+def test_drives_that_are_all_for_tests_lack_nothing_of_their_own(tmp_path):
+    (tmp_path / "parts.txt").write_text("drive test\n")
+    assert is_for_tests(parse_split(f"drives:{tmp_path / 'parts.txt'}"))
+
+
+def test_an_unknown_field_of_a_rig_is_explained():
+    for text, meant in ((RIG.replace("mass", "masss"), "mass"), ('nme = "x"\n' + RIG, "name")):
+        with pytest.raises(RigError, match=f"did you mean '{meant}'"):
+            parse_rig(text, where="my.toml")
