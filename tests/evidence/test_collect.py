@@ -78,7 +78,7 @@ def test_a_terminated_run_ends_as_an_interrupted_one(
     with pytest.raises(SystemExit) as ended:
         main(["evidence"])
     assert ended.value.code == 1
-    assert capsys.readouterr().err == "offpiste: interrupted; what was finished is kept\n"
+    assert capsys.readouterr().err == "offpiste: interrupted; what was finished is kept; resume: offpiste evidence\n"
     assert signal.getsignal(signal.SIGTERM) == before
 
 
