@@ -35,7 +35,7 @@ def claim_folder(
         RunError: the folder was begun with other settings.
         OffpisteError: it is a file, or holds something else.
     """
-    check_folder(out, own=("settings.json", "*/pca.safetensors"))
+    check_folder(out, own=("settings.json", "pca.safetensors", "*/pca.safetensors"))
     path, wanted = out / "settings.json", json.loads(json.dumps(settings))
     if not path.exists():
         save_json(path, wanted)
