@@ -132,8 +132,7 @@ def _firm_ways(drives: Drives) -> list[str]:
         for other in (o for o in drives if o != row and _compared(row, o)):
             mine, its = _paired_runs(runs, drives[other])
             if mine and (found := paired(_firm(mine), _firm(its))) is not None:
-                # Of few courses Student's interval can reach beyond what a difference of shares can be.
-                mean, low, high = 100 * np.clip((found.mean, found.low, found.high), -1.0, 1.0)
+                mean, low, high = (100 * value for value in (found.mean, found.low, found.high))
                 against.append(f"− {other}: {mean:+.0f} [{low:+.0f}, {high:+.0f}]")
         counted = f"{int(np.nansum(taken))} of {known.sum()}"
         lines.append(_line([row, counted, share, "; ".join(against) or "–"]))
@@ -196,7 +195,7 @@ def _differences(drives: Drives, limit: float) -> list[str]:
     """A line for every two planners that are compared."""
     lines = [
         "Paired differences on the same courses between runs of the same seeds, or the only runs that there are, with"
-        " 95 % intervals bootstrapped over courses and seeds. The last two leave out drives that not both finish,"
+        f" 95 % intervals bootstrapped over courses and seeds; –: fewer than {MIN_UNITS} courses. The last two leave out drives that not both finish,"
         " and so show how they drive, not how often they stop.",
         "",
         _line(["difference", *MEASURES.values(), *BOTH_FINISH.values()]),

@@ -7,6 +7,7 @@ import numpy as np
 
 from experiments.illnesses.effect import UNREADABLE
 from experiments.illnesses.score import COSTLY, IllnessScore, Score
+from offpiste.evaluation.intervals import MIN_UNITS, share_interval
 
 
 @dataclass(frozen=True)
@@ -17,22 +18,13 @@ class Row:
     ill: IllnessScore
 
 
-def wilson(hits: int, count: int) -> tuple[float, float]:
-    """95 % interval of a share (Wilson 1927)."""
-    if count == 0:
-        return 0.0, 1.0
-    z, share = 1.96, hits / count
-    middle = (share + z**2 / (2 * count)) / (1 + z**2 / count)
-    half = z / (1 + z**2 / count) * np.sqrt(share * (1 - share) / count + z**2 / (4 * count**2))
-    return max(middle - half, 0.0), min(middle + half, 1.0)
-
-
 def share(hits: int, count: int) -> str:
     """A share with its interval, in words."""
     if count == 0:
         return "-"
-    low, high = wilson(hits, count)
-    return f"{hits}/{count} = {hits / count:.0%} ({low:.0%} to {high:.0%})"
+    low, high = share_interval(hits, count)
+    bounds = f"({low:.0%} to {high:.0%})" if count >= MIN_UNITS else f"(–: fewer than {MIN_UNITS} cases)"
+    return f"{hits}/{count} = {hits / count:.0%} {bounds}"
 
 
 def report(scores: Sequence[Score]) -> str:

@@ -18,7 +18,7 @@ from offpiste.dataset.store import Dataset, open_dataset
 from offpiste.errors import OffpisteError, RunError
 from offpiste.evaluation.evaluate import Evaluation, evaluate_models
 from offpiste.evaluation.evaluated_models import EvaluatedModel, named_apart
-from offpiste.evaluation.intervals import MIN_UNITS
+from offpiste.evaluation.intervals import MIN_UNITS, Levels
 from offpiste.evaluation.metrics import Metrics, read_metrics
 from offpiste.evaluation.report import write_report
 from offpiste.evaluation.report_tables import terminal_table
@@ -109,9 +109,10 @@ def evaluate_runs(
     if {"recorded", "map"} <= {row.lookup for row in evaluation.metrics.results}:
         nearest = "" if dataset.features else ": without features, the slope of the driven path nearest to them"
         logger.info(f"rows with the lookup 'map' decide: they read the ground where wheels are predicted{nearest}")
-    if (result := evaluation.metrics.windows.blocks) < MIN_UNITS:
-        line = f"–: no interval, since windows lie in too few blocks of 10 s: {result}, and {MIN_UNITS} are needed"
-        logger.info(line + _folds(folders[0], runs[0].model, dataset, dataset_path))
+    levels = Levels(evaluation.metrics.windows.drives, evaluation.metrics.windows.blocks)
+    if levels.caveat:
+        more = _folds(folders[0], runs[0].model, dataset, dataset_path) if levels.units < MIN_UNITS else ""
+        logger.info(levels.caveat + more)
     logger.info(f"report: {out / 'report.html'}")
     return evaluation
 
@@ -145,7 +146,7 @@ def _folds(folder: Path, model: str, dataset: Dataset, path: Path) -> str:
         return ""
     settings = options(_settings(folder), model=model)
     more = ["--out", f"{folder}-folds", "--folds", "5", *settings]
-    return f"; to test on all of the driving: {join(['offpiste', 'train', str(path), *more])}"
+    return f" To test on all of the driving: {join(['offpiste', 'train', str(path), *more])}"
 
 
 def _settings(folder: Path) -> TrainConfig:

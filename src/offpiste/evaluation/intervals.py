@@ -4,6 +4,10 @@ Windows overlap, blocks of a world share its ground, and all windows share the r
 a sample of its own. Each resample draws drives (in the proving ground each has a world of its own), then blocks within
 each drawn drive, then seeds, all with replacement. Where drives do not differ this is conservative: two stages count
 the spread between blocks twice (Davison and Hinkley, Bootstrap Methods and their Application, 1997, section 3.8).
+
+Independent units are drives. The blocks of a single drive count as units of that drive, and every interval over them
+says so. Fewer than `MIN_UNITS` units have no interval. All intervals are percentiles of resampled statistics, so that
+the interval of a distance has no negative bound.
 """
 
 from dataclasses import dataclass
@@ -12,7 +16,7 @@ from typing import Protocol, runtime_checkable
 import msgspec
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.special import ndtr, stdtrit
+from scipy.special import ndtr, ndtri, stdtrit
 
 from offpiste.conventions import DT
 
@@ -20,11 +24,10 @@ BLOCK_SECONDS = 10.0
 """Default length of a block: twice a horizon, so that windows of one block and of the next but one share no row."""
 
 RESAMPLES = 2000
-MIN_UNITS = 3
-"""With fewer drives, blocks alone are drawn, and intervals hold for these drives; with fewer blocks there are none."""
+MIN_UNITS = 5
+"""Least number of independent units for an interval."""
 
-FEW_UNITS = 6
-"""With fewer units, percentiles of their means end too early: no mean lies beyond the farthest unit."""
+NO_INTERVAL = (np.nan, np.nan)
 
 
 class Levels(msgspec.Struct, frozen=True):
@@ -34,17 +37,30 @@ class Levels(msgspec.Struct, frozen=True):
     blocks: int
     seeds: int = 1
 
+    @property
+    def units(self) -> int:
+        """Number of independent units: drives, or the blocks of a single drive."""
+        return self.drives if self.drives > 1 else self.blocks
+
     def text(self) -> str:
-        """In words: "10 drives, 90 blocks, 3 seeds"."""
-        counts = {"drive": self.drives, "block": self.blocks, "seed": self.seeds}
-        return ", ".join(f"{count} {name}{'s' * (count != 1)}" for name, count in counts.items())
+        """In words: "10 drives, 90 blocks, 3 seeds" or "40 blocks of one drive, 3 seeds"."""
+        seeds = _count(self.seeds, "seed")
+        if self.drives == 1:
+            return f"{_count(self.blocks, 'block')} of one drive, {seeds}"
+        return f"{_count(self.drives, 'drive')}, {_count(self.blocks, 'block')}, {seeds}"
 
     @property
     def caveat(self) -> str:
-        """What intervals do not say with so few drives; empty where nothing is missing."""
-        if self.drives >= MIN_UNITS:
-            return ""
-        return f"Fewer than {MIN_UNITS} drives: intervals are over blocks and say nothing of other worlds."
+        """Why there is no interval, or what it does not say; empty where nothing is missing."""
+        if self.units < MIN_UNITS:
+            unit = "drive" if self.drives > 1 else "block"
+            found = _count(self.units, unit) + " of one drive" * (self.drives == 1)
+            return f"–: no interval, since there are only {found} and {MIN_UNITS} {unit}s are needed."
+        return "Intervals are over blocks of one drive and say nothing of other drives." if self.drives == 1 else ""
+
+
+def _count(number: int, name: str) -> str:
+    return f"{number} {name}{'s' * (number != 1)}"
 
 
 class Statistics(msgspec.Struct, frozen=True):
@@ -73,7 +89,7 @@ class Resampling:
         block: number of each window's block, 0 ... G - 1.
         draws: how often each block was drawn in each resample.
         drives: number of drives.
-        units: independent units of the top level: drives, or blocks where these are too few.
+        units: number of independent units (`Levels.units`).
         seed: of the draws of seeds.
     """
 
@@ -115,19 +131,15 @@ class Resampling:
         return np.asarray((of_seeds * seeds).sum(axis=1) / seeds.sum(axis=1))
 
     def interval(self, means: Float[np.ndarray, " R"]) -> tuple[float, float]:
-        """The middle 95 % of resampled means, a little more where units are few.
+        """The middle 95 % of resampled means, a little more where units are few; NaN with fewer than `MIN_UNITS`.
 
         Plain percentiles are too narrow by sqrt((N-1)/N) and take the normal distribution for Student's; the
         percentiles are moved out to make up for it (Hesterberg, The American Statistician 69, 2015, "expanded
-        percentile interval"). Of fewer than `FEW_UNITS` units it is Student's interval with the deviation of the means.
+        percentile interval").
         """
         if self.units < MIN_UNITS or not np.isfinite(means).all():
-            return (np.nan, np.nan)
-        reach = np.sqrt(self.units / (self.units - 1)) * stdtrit(self.units - 1, 0.975)
-        if self.units < FEW_UNITS:
-            middle, half = float(means.mean()), float(reach * means.std())
-            return (middle - half, middle + half)
-        tail = ndtr(-reach)
+            return NO_INTERVAL
+        tail = ndtr(-np.sqrt(self.units / (self.units - 1)) * stdtrit(self.units - 1, 0.975))
         low, high = np.quantile(means, [tail, 1 - tail])
         return (float(low), float(high))
 
@@ -169,9 +181,9 @@ def resampling(
     """
     rng, total = np.random.default_rng(seed), int(block.max()) + 1
     names, inside = np.unique(drive, return_inverse=True)
-    if len(names) < MIN_UNITS:
+    if len(names) == 1:
         draws = rng.multinomial(total, np.full(total, 1 / total), size=resamples)
-        return Resampling(block, draws, len(names), total, seed)
+        return Resampling(block, draws, 1, total, seed)
     drawn = rng.multinomial(len(names), np.full(len(names), 1 / len(names)), size=resamples)
     draws = np.zeros((resamples, total), np.int64)
     for number in range(len(names)):
@@ -219,14 +231,14 @@ def summary(values: Float[np.ndarray, "*S n"], drawn: Resampling) -> Statistics:
     over_seeds = values.reshape(-1, values.shape[-1]).mean(axis=0)
     q1, median, q3, p90 = _quantiles(over_seeds, (0.25, 0.5, 0.75, 0.9))
     failed = not np.isfinite(values).all()
-    interval = (np.nan, np.nan) if failed else drawn.interval(drawn.means(values))
+    interval = NO_INTERVAL if failed else drawn.interval(drawn.means(values))
     return Statistics(float(values.mean()), median, q1, q3, p90, interval)
 
 
 def paired(values: Float[np.ndarray, "*S n"], other: Float[np.ndarray, "*Q n"], drawn: Resampling) -> PairedDifference:
     """Mean of `values - other` on the same windows: negative where `values` are the smaller errors."""
     if not (np.isfinite(values).all() and np.isfinite(other).all()):
-        return PairedDifference(float(values.mean()) - float(other.mean()), (np.nan, np.nan))
+        return PairedDifference(float(values.mean()) - float(other.mean()), NO_INTERVAL)
     difference = drawn.means(values) - drawn.means(other)
     return PairedDifference(float(values.mean() - other.mean()), drawn.interval(difference))
 
@@ -236,9 +248,19 @@ def relative(
 ) -> PairedDifference:
     """`mean(values) / mean(other) - 1` on the same windows: -0.3 where the errors are 30 % smaller."""
     if not (np.isfinite(values).all() and np.isfinite(other).all() and other.mean() > 0):
-        return PairedDifference(np.nan, (np.nan, np.nan))
+        return PairedDifference(np.nan, NO_INTERVAL)
     ratios = drawn.means(values) / np.maximum(drawn.means(other), 1e-300) - 1
     return PairedDifference(float(values.mean() / other.mean() - 1), drawn.interval(ratios))
+
+
+def share_interval(hits: int, count: int) -> tuple[float, float]:
+    """95 % interval of the share of independent cases that are hits (Wilson 1927); NaN with fewer than `MIN_UNITS`."""
+    if count < MIN_UNITS:
+        return NO_INTERVAL
+    z, share = ndtri(0.975), hits / count
+    middle = (share + z**2 / (2 * count)) / (1 + z**2 / count)
+    half = z / (1 + z**2 / count) * np.sqrt(share * (1 - share) / count + z**2 / (4 * count**2))
+    return (max(float(middle - half), 0.0), min(float(middle + half), 1.0))
 
 
 def _quantiles(values: Float[np.ndarray, " n"], at: tuple[float, ...]) -> list[float]:

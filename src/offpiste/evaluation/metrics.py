@@ -87,6 +87,7 @@ class BandRow(Labelled, msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         band: in words (`offpiste.evaluation.speed_bands`): speeds at the start, or "reverse".
         n: number of windows in it.
+        levels: numbers of drives, blocks and seeds that intervals are drawn from; None in files that are older.
     """
 
     model: str
@@ -98,6 +99,7 @@ class BandRow(Labelled, msgspec.Struct, frozen=True, kw_only=True):
     horizon_s: float
     n: int
     distance_error_m: Statistics
+    levels: Levels | None = None
 
 
 class Headline(msgspec.Struct, frozen=True, kw_only=True):

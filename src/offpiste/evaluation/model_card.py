@@ -130,6 +130,7 @@ def figures_table(card: ModelCard) -> TextTable:
         f"Mean distance error after 5 s, from the causal start, on {card.lookup}, at predicted places; "
         "95 % intervals. Speed and kind of ground are those at a window's start."
     )
+    about = " ".join((about, *filter(None, dict.fromkeys(figures.levels.caveat for _, figures in rows))))
     names = ("windows that start", "number", "intervals over", "error [m]", "against `b`")
     return TextTable("How well it predicts", names, lines, about)
 

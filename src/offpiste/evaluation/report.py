@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from offpiste.dynamics import MODELS
 from offpiste.evaluation.errors import HORIZONS
 from offpiste.evaluation.evaluate import Evaluation
+from offpiste.evaluation.intervals import MIN_UNITS
 from offpiste.evaluation.metrics import Metrics, pooled_rows, run_rows, single_rows, write_metrics
 from offpiste.evaluation.report_figures import REPORT_FIGURES
 from offpiste.evaluation.report_headlines import headline_texts, result_cards
@@ -124,8 +125,8 @@ def _notes(metrics: Metrics) -> Sequence[str]:
         "lookup do not read the terrain.",
         "Intervals are of the mean, bootstrapped over drives, then blocks within each drawn drive, then seeds: windows "
         f"of one drive that start within {metrics.windows.block_s:g} s of each other stay together, since overlapping "
-        "windows are not independent, and windows of a drive share its ground. With fewer than three drives blocks "
-        "alone are drawn, and nothing is said of other drives; a dash: fewer than three blocks.",
+        "windows are not independent, and windows of a drive share its ground. Of a single drive blocks are drawn, and "
+        f"nothing is said of other drives; a dash: fewer than {MIN_UNITS} drives, or blocks of a single drive.",
         "A model with several runs: each window's error is the mean over seeds; folds are evaluated on different "
         "windows, which are put together. It is the mean of errors, not the error of a mean prediction.",
         f"The loss is the mean over all 250 steps of squared errors, each divided by the mean square error of "

@@ -7,7 +7,7 @@ import numpy as np
 from offpiste.dynamics.models import is_baseline
 from offpiste.evaluation.box_plots import colour_of
 from offpiste.evaluation.errors import HORIZONS
-from offpiste.evaluation.intervals import PairedDifference
+from offpiste.evaluation.intervals import Levels, PairedDifference
 from offpiste.evaluation.metrics import Headline, Metrics, ResultRow, pooled_rows, reading_label
 from offpiste.report.page import Card
 from offpiste.report.text_table import interval, number
@@ -86,7 +86,7 @@ def _differences(metrics: Metrics, headline: Headline) -> list[str]:
     rows = [row for row in pooled_rows(metrics.results) if _last(row)]
     trained = {row.label for row in rows if not is_baseline(row.model)}
     return [
-        _difference(headline.model, other, minus.distance_error_m)
+        _difference(headline.model, other, minus.distance_error_m, row.levels)
         for row in rows
         if (row.label, row.start, row.lookup, row.feature_set) == case
         for other, minus in row.minus.items()
@@ -94,12 +94,12 @@ def _differences(metrics: Metrics, headline: Headline) -> list[str]:
     ]
 
 
-def _difference(model: str, other: str, difference: PairedDifference) -> str:
+def _difference(model: str, other: str, difference: PairedDifference, levels: Levels) -> str:
     (low, high), mean = difference.ci95, difference.mean
     if not np.isfinite(mean):
         return f"{model} and {other} are not compared: predictions failed, see below."
     if not np.isfinite(low):
-        return f"{model} minus {other}: {number(mean)} m; there are too few blocks for an interval."
+        return f"{model} minus {other}: {number(mean)} m {levels.caveat}"
     if low <= 0 <= high:
         return f"No difference between {model} and {other} is shown: {number(mean)} m {interval(difference.ci95)}."
     size, bounds = abs(mean), sorted((abs(low), abs(high)))

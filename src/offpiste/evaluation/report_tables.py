@@ -116,9 +116,9 @@ def drawn_from(rows: Sequence[ResultRow]) -> str:
     each = [f"{text} ({', '.join(dict.fromkeys(labels))})" for text, labels in models.items()]
     text = "; ".join(each) if len(each) > 1 else next(iter(models))
     bare = [row.distance_error_m.mean for row in rows if not np.isfinite(row.distance_error_m.ci95).all()]
-    few = "–: too few blocks for one." if np.isfinite(bare).any() else ""
     failed = "" if np.isfinite(bare).all() else "–: no mean or interval, since predictions failed."
-    return " ".join(filter(None, (f"Intervals are over {text}.", few, failed, rows[0].levels.caveat)))
+    caveats = dict.fromkeys(row.levels.caveat for row in rows)
+    return " ".join(filter(None, (f"Intervals are over {text}.", failed, *caveats)))
 
 
 def band_table(rows: Sequence[BandRow]) -> TextTable:
@@ -131,7 +131,9 @@ def band_table(rows: Sequence[BandRow]) -> TextTable:
         for name, start in dict.fromkeys((name, start) for name, start, _ in cells)
     ]
     names = ("model", "start", *(f"{band} [m]" for band in windows))
-    about = "Windows: " + ", ".join(f"{n} {band}" for band, n in windows.items()) + "; with 95 % intervals."
+    about = "Windows: " + ", ".join(f"{n} {band}" for band, n in windows.items()) + "; with 95 % intervals. "
+    levels = {row.band: row.levels for row in last if row.levels is not None}
+    about += " ".join(f"{band}: {one.caveat}" for band, one in levels.items() if one.caveat)
     return TextTable("Distance error after 5 s by the speed at the start", names, lines, about, left=2)
 
 

@@ -75,6 +75,7 @@ def band_rows(errors: Mapping[Case, SeededErrors], windows: EvaluatedWindows, sa
                     horizon_s=float(seconds),
                     n=int(mine.sum()),
                     distance_error_m=summary(some.at(h, 0), drawn),
+                    levels=drawn.levels(len(some.runs)),
                 )
                 for h, seconds in enumerate(HORIZONS)
             ]

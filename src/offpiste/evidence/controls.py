@@ -11,7 +11,7 @@ import torch
 
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
-from offpiste.evaluation.intervals import PairedDifference
+from offpiste.evaluation.intervals import MIN_UNITS, PairedDifference
 from offpiste.evidence.baselines import baseline_gains
 from offpiste.report.text_table import TextTable
 from offpiste.reproduction.gains import HINDSIGHT, MAP, Gain, errors_of, evaluation_index, gain
@@ -125,8 +125,8 @@ def checks(results: FigureResults, controls: Controls, *, learned: bool = True) 
         "Distance errors after 5 s relative to each other, with 95 % intervals; negative: smaller, which is better. "
         "Below: yes where the whole interval is negative, no where none of it is, not certain between. Nothing left "
         "or gained: no where the whole interval is negative; yes where none of it reaches half of what dc gains on b; "
-        f"not certain between. {UNKNOWN}: there is no interval (–), for it takes "
-        "three blocks of 10 s: drive more; or dc learned nothing."
+        f"not certain between. {UNKNOWN}: there is no interval (–), since it takes "
+        f"{MIN_UNITS} drives, or {MIN_UNITS} blocks of 10 s of a single drive; or dc learned nothing."
     )
     return TextTable("What has to hold", ("check", "here", "holds"), tuple(lines), about)
 

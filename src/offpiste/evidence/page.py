@@ -10,7 +10,6 @@ import msgspec
 
 from offpiste.conventions import FEATURE_SETS
 from offpiste.evaluation.evaluated_models import Reading
-from offpiste.evaluation.intervals import MIN_UNITS
 from offpiste.evaluation.metrics import provenance
 from offpiste.evidence.baselines import ABOUT as ABOUT_BASELINES
 from offpiste.evidence.controls import ABOUT_LEAK, Controls, checks
@@ -89,11 +88,8 @@ def _main_results(one: Collected) -> list[str]:
         ]
     said = tables.sentences(one.results, "dc")
     levels = one.results.levels(next((r for r in one.results.readings if r == tables.MAP), tables.HINDSIGHT))
-    if levels.drives < MIN_UNITS and levels.blocks < MIN_UNITS:
-        said.append(
-            f"Nothing can be said for certain: the test part has {levels.blocks} of the {MIN_UNITS} blocks of 10 s "
-            "that an interval takes. Drive more."
-        )
+    if levels.caveat:
+        said.append(levels.caveat)
     return said
 
 
@@ -110,7 +106,7 @@ def gains_beside_each_other(collected: Mapping[str, Collected]) -> TextTable:
     levels = first.levels(first.readings[0])
     about = (
         "Distance error after 5 s relative to b on the same windows; negative: smaller, which is better. 95 % "
-        f"intervals over {levels.text()}; –: none, for they take three blocks of 10 s. "
+        f"intervals over {levels.text()}. {levels.caveat} "
         "map: the map as it was at the window's start, read at predicted places: it decides. recorded: under the "
         "wheels' recorded future places, with features seen from so many metres away, or in hindsight from anywhere. "
         f"{NOTHING}: every run kept the weights that it began with, the physics alone (see the trainings)."

@@ -177,7 +177,8 @@ def gain_table(title: str, gains: Sequence[Gain], about: str) -> TextTable:
         for g in gains
     ]
     names = ("model", "lookup", "error [m]", "baseline [m]", "distance error", "loss", "windows", "intervals over")
-    return TextTable(title, names, tuple(lines), about)
+    caveats = [caveat for caveat in dict.fromkeys(g.levels.caveat for g in gains) if caveat]
+    return TextTable(title, names, tuple(lines), " ".join((about, *caveats)))
 
 
 def _percent(difference: PairedDifference) -> str:

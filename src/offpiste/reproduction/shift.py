@@ -53,7 +53,7 @@ class OtherGround(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def enough(self) -> bool:
-        """Whether there are as many blocks as an interval takes."""
+        """Whether there are as many blocks as an interval over blocks takes."""
         return self.blocks >= MIN_UNITS
 
     def line(self, wanted: float) -> str:

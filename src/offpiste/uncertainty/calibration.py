@@ -154,9 +154,8 @@ def calibration_table(rows: list[CalibrationRow]) -> TextTable:
 
 
 def _covered(share: float, bounds: tuple[float, float]) -> str:
-    """A share and its interval in percent; Student's interval of few units may reach beyond any share."""
-    text, (low, high) = number(100 * share, 0), np.clip(bounds, 0.0, 1.0).tolist()
-    return text if np.isnan(bounds).any() else f"{text} {interval((100 * low, 100 * high), 0)}"
+    """A share and its interval in percent."""
+    return f"{number(100 * share, 0)} {interval((100 * bounds[0], 100 * bounds[1]), 0)}"
 
 
 def draw_calibration(within: Mapping[str, Float[np.ndarray, "N H"]]) -> Figure:

@@ -10,7 +10,7 @@ from experiments.illnesses.__main__ import Illnesses
 from experiments.illnesses.cases import Given, Patient
 from experiments.illnesses.illness import ILLNESSES
 from experiments.illnesses.score import IllnessScore, Score, points_to, score
-from experiments.illnesses.table import report, shown, wilson
+from experiments.illnesses.table import report, share, shown
 from experiments.illnesses.true_drive import save
 from made_up_drive import made_up_case, made_up_drive
 from offpiste.errors import OffpisteError
@@ -129,10 +129,9 @@ def made_up_score(seed, *, found, cost=0.5, alarms=(), cure="right", healthy=Fal
 
 
 def test_shares_and_their_intervals_by_hand():
-    low, high = wilson(8, 10)
-    assert (low, high) == (pytest.approx(0.490, abs=2e-3), pytest.approx(0.943, abs=2e-3))
-    assert wilson(0, 0) == (0.0, 1.0)
-    assert wilson(0, 50)[0] == 0.0
+    assert share(8, 10) == "8/10 = 80% (49% to 94%)"
+    assert share(0, 50) == "0/50 = 0% (0% to 7%)"
+    assert share(3, 4) == "3/4 = 75% (–: fewer than 5 cases)"
     assert [shown(cost) for cost in (None, 0.123, 1e6)] == ["not known", "+12%", "unreadable"]
 
 
