@@ -195,8 +195,8 @@ def _differences(drives: Drives, limit: float) -> list[str]:
     """A line for every two planners that are compared."""
     lines = [
         "Paired differences on the same courses between runs of the same seeds, or the only runs that there are, with"
-        f" 95 % intervals bootstrapped over courses and seeds; –: fewer than {MIN_UNITS} courses. The last two leave out drives that not both finish,"
-        " and so show how they drive, not how often they stop.",
+        f" 95 % intervals bootstrapped over courses and seeds; –: fewer than {MIN_UNITS} courses. The last two leave"
+        " out drives that not both finish, and so show how they drive, not how often they stop.",
         "",
         _line(["difference", *MEASURES.values(), *BOTH_FINISH.values()]),
         _rule(1 + len(MEASURES) + len(BOTH_FINISH)),
