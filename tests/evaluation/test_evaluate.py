@@ -145,9 +145,7 @@ def test_a_known_difference_is_found_with_its_sign(evaluation: Evaluation) -> No
     assert row(rows, "slow", lookup="map", seed=1).distance_error_m.mean == pytest.approx(7.5, rel=0.08)
     minus = slow.minus["kinematic"]
     assert minus.distance_error_m.mean == pytest.approx(5.0, rel=0.08)
-    low, high = minus.distance_error_m.ci95
-    assert 2 < low < 3, "the interval holds one seed"
-    assert 7 < high < 8, "and the other"
+    assert np.isnan(minus.distance_error_m.ci95).all(), "too few drives"
     assert row(rows, "kinematic").minus["slow"].distance_error_m.mean == -minus.distance_error_m.mean
     assert minus.loss.mean > 0
 

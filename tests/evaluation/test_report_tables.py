@@ -13,10 +13,10 @@ NAMES = ("b", "dc")
 
 
 def errors(failed: tuple[int, ...] = (), *, windows: int = 10) -> Errors:
-    """Of four drives, one window a block; some predictions are not finite."""
-    values, loss = np.ones((4 * windows, 5, 5)), np.ones(4 * windows)
+    """Of five drives, one window a block; some predictions are not finite."""
+    values, loss = np.ones((5 * windows, 5, 5)), np.ones(5 * windows)
     values[list(failed), -1], loss[list(failed)] = np.inf, np.inf
-    return Errors(np.repeat(np.arange(4), windows), np.tile(np.arange(windows) * 600 + 20, 4), values, loss)
+    return Errors(np.repeat(np.arange(5), windows), np.tile(np.arange(windows) * 600 + 20, 5), values, loss)
 
 
 def rows(*runs: list[Errors]) -> list[ResultRow]:
@@ -30,21 +30,21 @@ def rows(*runs: list[Errors]) -> list[ResultRow]:
 
 def test_failed_predictions_are_not_called_few_blocks() -> None:
     found = rows([errors((3,))], [errors()])
-    assert "4 drives, 40 blocks" in drawn_from(found)
+    assert "5 drives, 50 blocks" in drawn_from(found)
     assert "predictions failed" in drawn_from(found)
     assert "few blocks" not in drawn_from(found)
-    said = _difference("b", "dc", found[0].minus["dc"].distance_error_m)
+    said = _difference("b", "dc", found[0].minus["dc"].distance_error_m, found[0].levels)
     assert said == "b and dc are not compared: predictions failed, see below."
     both = rows([errors((3,))], [errors((3,))])
-    assert "not compared" in _difference("b", "dc", both[0].minus["dc"].distance_error_m)
+    assert "not compared" in _difference("b", "dc", both[0].minus["dc"].distance_error_m, both[0].levels)
 
 
 def test_few_blocks_are_not_called_failed() -> None:
     one = errors().take(np.array([0, 1]))
     (found, _) = rows([one], [one])
-    assert "–: too few blocks for one." in drawn_from([found])
+    assert "–: no interval, since there are only 2 blocks of one drive" in drawn_from([found])
     assert "failed" not in drawn_from([found])
-    assert "too few blocks" in _difference("b", "dc", found.minus["dc"].distance_error_m)
+    assert "no interval" in _difference("b", "dc", found.minus["dc"].distance_error_m, found.levels)
     assert "–" not in drawn_from(rows([errors()]))
 
 

