@@ -14,7 +14,7 @@ SOURCES = sorted(
     file for folder in ("src", "experiments") for file in (ROOT / folder).rglob("*.py") if file.name != "generated.py"
 )
 SHARED_LINES = 6
-LONGEST_FUNCTION = 75
+LONGEST_FUNCTION = 80
 MODULES = 455
 
 BANNED = re.compile(

@@ -1,4 +1,4 @@
-"""Commands write only into folders that are theirs, name the next command, and say how to go on when interrupted."""
+"""Commands write only into folders that are theirs, name the next command, and say how to continue when interrupted."""
 
 from pathlib import Path
 

@@ -116,7 +116,7 @@ RESUMING: Final = {
 
 
 def _again(arguments: Sequence[str]) -> str:
-    """Return what is left of an interrupted command, and how to go on."""
+    """Return what is left of an interrupted command, and how to continue."""
     name = arguments[0] if arguments else ""
     more = [each for each in RESUMING.get(name, ()) if each not in arguments]
     command = join(["offpiste", *arguments, *more])

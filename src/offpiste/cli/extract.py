@@ -61,6 +61,7 @@ class Extract:
 
     def run(self) -> int:
         """Read, resample, write."""
+        from offpiste.dataset.assumptions import assumptions_block, assumptions_of
         from offpiste.dataset.extract import make_dataset
         from offpiste.dataset.map_snapshots import SnapshotSettings
         from offpiste.dataset.split_balance import has_little_driving, is_for_tests, lacks_windows, next_split
@@ -87,6 +88,7 @@ class Extract:
             cluster=self.cluster,
             force=self.force,
         )
+        show(assumptions_block(assumptions_of(dataset)))
         if not self.shard:
             split = next_split(dataset)
             if is_for_tests(dataset.split):

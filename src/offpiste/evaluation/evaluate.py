@@ -11,6 +11,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from offpiste.conventions import DT, EVALUATION_STRIDE
+from offpiste.dataset.assumptions import assumptions_of
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
 from offpiste.evaluation.context import errors_with_context
@@ -133,6 +134,8 @@ def evaluate_models(
         headlines=headlines(cases, sampling),
         results=result_rows(cases, part, sampling),
         warnings=(*dataset.findings, *warnings),
+        assumptions=assumptions_of(dataset),
+        features=bool(dataset.features),
         bands=band_rows(together, windows, sampling),
     )
     return Evaluation(metrics, errors, windows, _shown_case(errors, models[0], starts[0]), predictions)

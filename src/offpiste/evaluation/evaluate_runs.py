@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 
 from offpiste.command_line import options
+from offpiste.dataset.assumptions import assumptions_block, assumptions_of
 from offpiste.dataset.log_findings import warning_line
 from offpiste.dataset.split_balance import split_warning
 from offpiste.dataset.splits import parse_split
@@ -89,7 +90,7 @@ def evaluate_runs(
         models = [each for model, run in zip(models, runs, strict=True) for each in (model, _with_context(model, run))]
     _refuse_unseen(runs, dataset)
     _warn_of_slow(dataset, min_speed)
-    warnings = _doubts(runs, models, dataset)
+    warnings = [*_doubts(runs, models, dataset), *_other_assumptions(runs, models, dataset)]
     evaluation = evaluate_models(
         models,
         dataset,
@@ -113,8 +114,16 @@ def evaluate_runs(
     if levels.caveat:
         more = _folds(folders[0], runs[0].model, dataset, dataset_path) if levels.units < MIN_UNITS else ""
         logger.info(levels.caveat + more)
+    logger.info(assumptions_block(evaluation.metrics.assumptions))
     logger.info(f"report: {out / 'report.html'}")
     return evaluation
+
+
+def _other_assumptions(runs: Sequence[Run], models: Sequence[EvaluatedModel], dataset: Dataset) -> list[str]:
+    """Assumptions that runs were trained with and that the dataset does not share."""
+    mine = assumptions_of(dataset)
+    found = {f"{run.model} was trained with: {each}" for run in runs for each in run.assumptions if each not in mine}
+    return sorted(found)
 
 
 def _with_context(model: EvaluatedModel, run: Run) -> EvaluatedModel:

@@ -156,6 +156,8 @@ class Metrics(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         bands: the same windows by the speed at which they start; empty in files that are older.
+        assumptions: of the dataset (`offpiste.dataset.assumptions`); empty in files that are older.
+        features: whether the dataset has terrain features.
     """
 
     schema: int = SCHEMA
@@ -168,6 +170,8 @@ class Metrics(msgspec.Struct, frozen=True, kw_only=True):
     headlines: list[Headline]
     results: list[ResultRow]
     warnings: tuple[str, ...] = ()
+    assumptions: tuple[str, ...] = ()
+    features: bool = True
     bands: list[BandRow] = []
 
 

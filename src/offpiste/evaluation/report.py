@@ -102,11 +102,20 @@ def _facts(metrics: Metrics) -> dict[str, str]:
         "command": made.command,
         "versions": ", ".join(f"{name} {version}" for name, version in made.versions.items()),
     }
+    if metrics.assumptions:
+        facts["assumptions"] = "; ".join(metrics.assumptions)
     if metrics.warnings:
         facts["warnings"] = "; ".join(metrics.warnings)
     if failed:
         facts["failed"] = f"predictions that are not finite: {failed}; means over them are not either"
     return facts
+
+
+def _map_reads(metrics: Metrics) -> str:
+    """Return what the lookup `map` reads."""
+    if metrics.features:
+        return "reads it at the predicted place, as a planner does"
+    return "reads the slope of the path driven later, at its point nearest to the predicted place, which no planner has"
 
 
 def _notes(metrics: Metrics) -> Sequence[str]:
@@ -121,8 +130,8 @@ def _notes(metrics: Metrics) -> Sequence[str]:
         "Start: a causal start knows only what was known at the time; a smoothed one sees a little of the future, and "
         "is shown beside it for comparison. The causal one is what a planner has.",
         "Lookup: recorded reads the terrain under the recorded future path, as in the paper, which also gives away how "
-        "far the vehicle went; map reads it at the predicted place, as a planner does, and decides. Models without a "
-        "lookup do not read the terrain.",
+        f"far the vehicle went; map {_map_reads(metrics)}, and decides. Models without a lookup do not read the "
+        "terrain.",
         "Intervals are of the mean, bootstrapped over drives, then blocks within each drawn drive, then seeds: windows "
         f"of one drive that start within {metrics.windows.block_s:g} s of each other stay together, since overlapping "
         "windows are not independent, and windows of a drive share its ground. Of a single drive blocks are drawn, and "

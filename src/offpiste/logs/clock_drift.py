@@ -29,6 +29,9 @@ DRIFT_LIMIT: Final = 0.2
 _OFFSET: Final = 0.5
 """Offset above which a clock is reported [s]; no sensor takes so long to send."""
 
+ALIGNED: Final = "clock of"
+"""Beginning of the note on a clock that was aligned."""
+
 
 @dataclass(frozen=True)
 class ClockLag:
@@ -73,7 +76,7 @@ def align_clock(
             aligned[name] = replace(channels[name], time=lag.happened(channels[name].time))
     low, middle, high = np.percentile(lag.lag, (5, 50, 95))
     return aligned, [
-        f"clock of {', '.join(alignment.topics)}: {middle:.2f} s late (5 to 95 %: {low:.2f} to {high:.2f} s); aligned"
+        f"{ALIGNED} {', '.join(alignment.topics)}: {middle:.2f} s late (5 to 95 %: {low:.2f} to {high:.2f} s); aligned"
     ]
 
 

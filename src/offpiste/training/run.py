@@ -12,6 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from offpiste.checksums import sha256_of
+from offpiste.dataset.assumptions import assumptions_of
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics import Dynamics, Vehicle
@@ -61,6 +62,7 @@ class _Stated(msgspec.Struct):
     features: tuple[str, ...] = ()
     weights_sha256: str | None = None
     noise: tuple[float, float, float] | None = None
+    assumptions: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -73,6 +75,7 @@ class Run:
         seen: stretches of drives that training or validation used.
         pca: of the visual features (`Dataset.pca`); None without, and of runs older than this entry.
         features: names of the dataset's terrain features; none without, and of runs older than this entry.
+        assumptions: behind the dataset (`offpiste.dataset.assumptions`).
         noise: of short predictions on the training drives (`short_errors.ShortErrors.noise`), for slow context; None of
             models without physical constants, and of runs older than this entry.
     """
@@ -88,6 +91,7 @@ class Run:
     pca: str | None = None
     features: tuple[str, ...] = ()
     noise: tuple[float, float, float] | None = None
+    assumptions: tuple[str, ...] = ()
 
     def predict(self, windows: Windows, lookup: Lookup = "recorded") -> Trajectory:
         """Predicted states and actuators of windows; positions are relative to each window's start.
@@ -158,6 +162,7 @@ def load_run(folder: str | Path, *, device: str = "cpu") -> Run:
         stated.pca,
         stated.features,
         stated.noise,
+        stated.assumptions,
     )
 
 
@@ -225,6 +230,7 @@ def save_run(
         "features": list(dataset.features),
         "noise": noise,
         "warnings": list(dataset.findings),
+        "assumptions": list(assumptions_of(dataset)),
         "kept": {stage: asdict(epoch) for stage, epoch in (kept or {}).items()},
     }
     save_json(folder / "model.json", about)

@@ -14,6 +14,7 @@ from torch import Tensor, nn
 
 from offpiste.checksums import CHECKSUMS, sha256_of, sha256_of_json
 from offpiste.conventions import DT, STATE
+from offpiste.dataset.assumptions import assumptions_block, assumptions_of
 from offpiste.dataset.feature_sets import Draw, hindsight
 from offpiste.dataset.ground_tables import free_budget, ground_tables
 from offpiste.dataset.log_findings import warning_line
@@ -142,6 +143,7 @@ def _log_kept(stage: str, kept: KeptEpoch, group: Group) -> None:
 
 def _warn_beforehand(dataset: Dataset, validation: Windows, config: TrainConfig, dynamics: Dynamics) -> None:
     """Log what speaks against dataset and settings before time is spent; a fold is not to be split otherwise."""
+    logger.info(assumptions_block(assumptions_of(dataset)))
     if (line := warning_line(dataset.findings)) is not None:
         logger.warning(line)
     if dynamics.physics() is None and config.bicycle_epochs != TrainConfig.bicycle_epochs:
