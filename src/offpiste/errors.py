@@ -54,6 +54,10 @@ class SeveralLogs(LogError):
     """A folder holds several recordings, each of which is a log."""
 
 
+class TooLarge(LogError):
+    """A file asks for more memory than anything of its kind needs (`offpiste.limits`): it is damaged, or crafted."""
+
+
 class NoClock(LogError):
     """A table has no column of stamps, or not the one that is asked for."""
 

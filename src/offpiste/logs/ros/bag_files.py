@@ -12,10 +12,12 @@ from typing import Any
 
 from rosbags import rosbag1, rosbag2
 from rosbags.interfaces import Connection, ConnectionExtRosbag1, MessageDefinition, MessageDefinitionFormat, Nodetype
-from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from offpiste.errors import LogError
+from offpiste.errors import LogError, TooLarge
+from offpiste.limits import LARGEST, refuse_larger
+from offpiste.logs.ros.bounds import MOST_OBJECTS, Rosbag1, has_entries, refuse_expansion, refuse_text
 from offpiste.logs.ros.mcap_recovery import StreamedMcap
 
 _OCTETS = {"byte", "char", "uint8"}
@@ -105,14 +107,20 @@ def _encoding(connection: Connection) -> str:
 
 
 def whole_messages(connection: Connection, path: Path) -> Callable[[bytes], object]:
-    """Decoder of whole messages.
+    """Decoder of whole messages; raises TooLarge for one that would take too much memory.
 
     Raises:
         LogError: as `typestore_of`.
     """
     store, msgtype = typestore_of(connection, path), connection.msgtype
     deserialize = store.deserialize_ros1 if _encoding(connection) == "ros1" else store.deserialize_cdr
-    return lambda raw: deserialize(raw, msgtype)
+    most = MOST_OBJECTS if has_entries(store.fielddefs, msgtype) else LARGEST
+
+    def decode(raw: bytes) -> object:
+        refuse_larger(len(raw), f"a message of {msgtype}", most, where=path)
+        return deserialize(raw, msgtype)
+
+    return decode
 
 
 def headers_only(connection: Connection, path: Path) -> Callable[[bytes], object]:
@@ -151,8 +159,8 @@ def typestore_of(connection: Connection, path: Path) -> Typestore:
             where=path,
             how="record as .mcap, or run `ros2 bag convert` to .mcap, where its message package is installed",
         ) from error
-    except (TypesysError, SyntaxError, RecursionError) as error:
-        reason = " ".join(str(error).split())[:100]
+    except Exception as error:  # rosbags parses and compiles what the file holds
+        reason = (" ".join(str(error).split()) or type(error).__name__)[:100]
         what = f"{connection.msgtype} has a damaged definition: {reason}"
         raise LogError(what, where=path, how="record or copy the bag again") from error
 
@@ -164,7 +172,9 @@ def _typestore(msgtype: str, definition: MessageDefinition, ros1: bool) -> Types
         store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
     else:
         store = get_typestore(Stores.EMPTY)
+        refuse_text(definition.data, idl=definition.format == MessageDefinitionFormat.IDL)
         store.register(_parsed(msgtype, definition))
+        refuse_expansion(store.fielddefs, msgtype, ros1=ros1)
     store.get_msgdef(msgtype)  # a KeyError names the type that is missing
     return store
 
@@ -230,7 +240,7 @@ def _open_file(path: Path, notes: list[str]) -> Reader:
     if path.suffix == ".db3" and wal.is_file() and wal.stat().st_size > 0:
         notes.append(f"{wal}: messages not yet moved into the .db3 are not read; `sqlite3 FILE .schema` moves them")
     try:
-        return _opened(rosbag1.Reader if path.suffix == ".bag" else rosbag2.Reader, path)
+        return _opened(Rosbag1 if path.suffix == ".bag" else rosbag2.Reader, path)
     except LogError:
         if path.suffix != ".mcap":
             raise
@@ -287,6 +297,8 @@ def reported(path: Path, what: str) -> Iterator[None]:
     """Turn errors into one line: rosbags lets those of struct, lz4, zstd, bz2 and SQLite through."""
     try:
         yield
+    except TooLarge as error:
+        raise TooLarge(error.what, where=error.where or path, how=error.how) from error
     except LogError:
         raise
     except Exception as error:

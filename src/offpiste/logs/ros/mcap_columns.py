@@ -6,10 +6,10 @@ clouds nothing is read but the stamp. What does not fit is left to the plain rea
 """
 
 import struct
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
@@ -21,11 +21,12 @@ from rosbags.rosbag2.storage_mcap import ChunkInfo, McapReader, decompress
 from rosbags.typesys.store import Typestore
 
 from offpiste.errors import LogError
+from offpiste.limits import LARGEST
 from offpiste.logs.ros.bag_files import reported, typestore_of
-from offpiste.logs.ros.message_layout import LARGEST, Layout, layout, numbers_at
+from offpiste.logs.ros.message_layout import LONGEST, Layout, layout, numbers_at
 
 _AHEAD: Final = 4
-"""Chunks that are decompressed at the same time."""
+"""Chunks that are decompressed at the same time, at most; together no more than `LARGEST` bytes."""
 _HEAD: Final = 31
 """Bytes of a message record before its data: opcode, length, channel, sequence, two times."""
 _HEADS: Final = {"header": "std_msgs/msg/Header", "stamp": "builtin_interfaces/msg/Time"}
@@ -125,13 +126,15 @@ def _chunks(path: Any, chunks: Sequence[ChunkInfo]) -> Iterator[tuple[_Index, UI
             record = file.read(chunk.chunk_length + chunk.message_index_length)
             return _message_index(memoryview(record)[chunk.chunk_length :]), pool.submit(_content, record, chunk)
 
-        waiting = iter(chunks)
-        ahead = [load(chunk) for chunk in islice(waiting, _AHEAD)]
-        while ahead:
-            index, content = ahead.pop(0)
-            data = content.result()
-            ahead += [load(chunk) for chunk in islice(waiting, 1)]
-            yield index, data
+        ahead, loaded = deque[tuple[_Index, Any]](), 0
+        for number in range(len(chunks)):
+            while loaded < len(chunks) and loaded < number + _AHEAD:
+                if loaded > number and sum(one.uncompressed_size for one in chunks[number : loaded + 1]) > LARGEST:
+                    break
+                ahead.append(load(chunks[loaded]))
+                loaded += 1
+            index, content = ahead.popleft()
+            yield index, content.result()
 
 
 def _content(record: bytes, chunk: ChunkInfo) -> UInt8[np.ndarray, " n"]:
@@ -168,11 +171,13 @@ def _gather(topic: _Topic, data: UInt8[np.ndarray, " n"], index: Int[np.ndarray,
         return
     if topic.layout is None:
         first = data[begin[0] : begin[0] + size[0]].tobytes()
-        topic.layout = None if len(first) > LARGEST else layout(topic.store, topic.msgtype, first)
+        topic.layout = None if len(first) > LONGEST else layout(topic.store, topic.msgtype, first)
     known = topic.layout
     topic.regular = known is not None and bool((size == known.size).all())
     if known is None or not topic.regular:
         return
+    if len(begin) * (_HEAD + known.size) > len(data):
+        raise ValueError("the index counts messages several times")
     rows = _rows(data, begin, known.size)
     topic.regular = all((numbers_at(rows, at, "u4") == value).all() for at, value in known.lengths)
     if not topic.regular:

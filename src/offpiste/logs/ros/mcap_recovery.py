@@ -4,11 +4,9 @@ import struct
 import zlib
 from collections import Counter
 from collections.abc import Collection, Iterator
-from io import BufferedReader, BytesIO
+from io import SEEK_CUR, BufferedReader, BytesIO
 from pathlib import Path
 
-import lz4.frame  # type: ignore[import-untyped]
-import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
@@ -16,7 +14,9 @@ from mcap.records import Channel, Chunk, Message, Schema
 from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinition, MessageDefinitionFormat
 from rosbags.typesys.msg import normalize_msgtype
 
-from offpiste.errors import LogError
+from offpiste.errors import LogError, TooLarge
+from offpiste.limits import LARGEST, refuse_larger
+from offpiste.logs.ros.bounds import inflated, zstd
 
 _FORMATS = {
     "ros1msg": MessageDefinitionFormat.MSG,
@@ -24,8 +24,8 @@ _FORMATS = {
     "ros2idl": MessageDefinitionFormat.IDL,
     "omgidl": MessageDefinitionFormat.IDL,
 }
-_DAMAGE = (McapError, struct.error, ValueError, OverflowError, RuntimeError, zstandard.ZstdError)
-"""Errors of mcap, lz4 and zstandard on damaged bytes."""
+_DAMAGE = (McapError, struct.error, ValueError, OverflowError, RuntimeError, EOFError, zstd.ZstdError)
+"""Errors of mcap, lz4 and zstd on damaged bytes."""
 
 
 class StreamedMcap:
@@ -103,32 +103,36 @@ class StreamedMcap:
             yield from self._walk(file, self.path.stat().st_size)
 
     def _walk(self, file: BufferedReader | BytesIO, size: int) -> Iterator[Schema | Channel | Message]:
+        in_chunk = isinstance(file, BytesIO)
         while len(head := file.read(9)) == 9:
             opcode, length = struct.unpack("<BQ", head)
             self._finished = opcode in (Opcode.DATA_END, Opcode.FOOTER)
             if self._finished or opcode == 0:  # a crash can leave blocks of zeros at the end
                 return
-            body = file.read(min(length, size))
+            if length <= size - file.tell():
+                if opcode not in (Opcode.CHUNK, *_READERS):
+                    file.seek(length, SEEK_CUR)
+                    continue
+                refuse_larger(length, "a record of it", where=self.path)
+            body = file.read(min(length, LARGEST))
             whole = len(body) == length
             try:
-                if opcode == Opcode.CHUNK:
+                if opcode == Opcode.CHUNK and not in_chunk:
                     data = _unpack(Chunk.read(ReadDataStream(BytesIO(body))), whole=whole)
                     yield from self._walk(BytesIO(data), len(data))
                 elif whole and opcode in _READERS:
                     yield _READERS[opcode](body)
+            except TooLarge as error:
+                raise TooLarge(error.what, where=self.path, how=error.how) from error
             except _DAMAGE:
                 self._damaged += whole
 
 
 def _unpack(chunk: Chunk, *, whole: bool) -> bytes:
     """Decompressed content of a chunk; as much as possible of one that is cut short."""
-    data: bytes = chunk.data
-    if chunk.compression == "zstd":
-        data = zstandard.ZstdDecompressor().decompressobj().decompress(data)
-    elif chunk.compression == "lz4":
-        data = lz4.frame.LZ4FrameDecompressor().decompress(data)
-    elif chunk.compression:
+    if chunk.compression not in ("", "lz4", "zstd"):
         raise ValueError(f"unknown compression {chunk.compression}")
+    data = inflated(chunk.data, chunk.compression, whole=whole)
     if whole and chunk.uncompressed_crc not in (0, zlib.crc32(data)):
         raise ValueError("checksum mismatch")
     return data

@@ -14,7 +14,7 @@ from rosbags.typesys.store import Typestore
 from offpiste.errors import LogError
 from offpiste.logs.ros.bag_files import field_getter, reported
 
-LARGEST: Final = 4096
+LONGEST: Final = 4096
 """Messages that are longer have no numbers that are kept: images, clouds, maps [bytes]."""
 _ENTRIES: Final = 8
 """Arrays with more entries (covariances) are not kept; they are read again where they are asked for."""
@@ -97,7 +97,7 @@ def _walk(store: Typestore, msgtype: str, walk: _Walk, prefix: str | None) -> No
             continue
         (inner, element), size = detail
         count, begin = size if kind == Nodetype.ARRAY else walk.length(), walk.at
-        if count > LARGEST:
+        if count > LONGEST:
             raise ValueError("too long")
         for k in range(count):
             kept = inner == Nodetype.BASE and path is not None and count <= _ENTRIES

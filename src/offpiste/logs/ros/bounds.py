@@ -1,0 +1,264 @@
+"""Limits on what a ROS bag may ask for: decompression, definitions, indexes, YAML and SQL.
+
+rosbags decompresses whatever a file holds, unrolls definitions into Python code and expands YAML. Importing this module
+replaces its decompression, YAML and storage by bounded ones.
+"""
+
+import bz2
+import re
+import shutil
+import sqlite3
+import sys
+import tempfile
+from collections.abc import Callable, Mapping
+from contextlib import closing
+from pathlib import Path
+from types import SimpleNamespace
+from typing import IO, Any, Final
+from urllib.parse import quote
+
+import lz4.frame  # type: ignore[import-untyped]
+from rosbags import rosbag1
+from rosbags.interfaces import Nodetype
+from rosbags.rosbag1 import reader as rosbag1_reader
+from rosbags.rosbag2 import metadata, storage_mcap
+from rosbags.rosbag2 import reader as rosbag2_reader
+from rosbags.rosbag2.storage_mcap import McapReader
+from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
+from rosbags.typesys import TypesysError
+from ruamel.yaml import YAML
+
+from offpiste.limits import LARGEST, LARGEST_TEXT, refuse_larger
+
+if sys.version_info >= (3, 14):
+    from compression import zstd
+else:
+    from backports import zstd
+
+_PIECE: Final = 1 << 22
+"""Bytes that are decompressed at a time."""
+_SMALLER: Final = "`mcap compress FILE -o SMALLER.mcap` writes smaller chunks, of ROS 1 `rosbag record --chunksize=768`"
+MOST_OBJECTS: Final = LARGEST >> 5
+"""Longest message with sequences of messages or texts, whose entries take 30 and more times their bytes [bytes]."""
+_MOST_FIELDS: Final = 1 << 14
+"""Most numbers and texts in a message's definition, entries of arrays of messages included."""
+_LARGEST_DEFINITION: Final = 1 << 20
+"""Longest text that defines a message [characters]."""
+_MOST_EXPANSION: Final = 100
+"""How many times its size a compressed file of a bag may take on the disk, beyond `LARGEST`."""
+
+_DECOMPRESSORS: Final[dict[str, Callable[[], Any]]] = {
+    "bz2": bz2.BZ2Decompressor,
+    "lz4": lz4.frame.LZ4FrameDecompressor,
+    "zstd": zstd.ZstdDecompressor,
+}
+
+
+def inflated(data: bytes, compression: str, *, whole: bool = True) -> bytes:
+    """Decompressed bytes of a chunk or a message.
+
+    Args:
+        compression: bz2, lz4, zstd, or "" for none.
+        whole: whether data that are cut short are an error; otherwise what there is of them is returned.
+
+    Raises:
+        TooLarge: they take more than `LARGEST`.
+        EOFError: they are cut short.
+        Exception: they are damaged; bz2, lz4 and zstd have errors of their own.
+    """
+    parts: list[bytes] = []
+    size = 0
+    if not compression:
+        parts, size, data = [data], len(data), b""
+    while data:  # each frame
+        one = _DECOMPRESSORS[compression]()
+        given = data
+        while not one.eof and size <= LARGEST:
+            parts.append(one.decompress(given, _PIECE))
+            given = b""
+            size += len(parts[-1])
+            if not parts[-1] and one.needs_input:
+                if whole:
+                    raise EOFError("compressed data are cut short")
+                break
+        data = (one.unused_data or b"") if one.eof and size <= LARGEST else b""
+    refuse_larger(size, "a chunk of it", how=_SMALLER)
+    return parts[0] if len(parts) == 1 else b"".join(parts)
+
+
+def _opened(source: IO[bytes], mode: str) -> Any:
+    """A compressed file of a bag, which may take some space on the disk, and not all that there is."""
+    assert mode == "rb"
+    free = shutil.disk_usage(tempfile.gettempdir()).free
+    return _Bounded(source, min(LARGEST + _MOST_EXPANSION * Path(source.name).stat().st_size, free // 2))
+
+
+class _Bounded(zstd.ZstdFile):
+    def __init__(self, source: IO[bytes], most: int) -> None:
+        super().__init__(source, "rb")
+        self._left, self._most, self._of = most, most, source.name
+
+    def read(self, size: int | None = -1) -> bytes:
+        """As any file, as long as not too much was read."""
+        data: bytes = super().read(_PIECE if size is None or size < 0 else min(size, _PIECE))
+        self._left -= len(data)
+        refuse_larger(self._most - self._left, "it, decompressed,", self._most, where=self._of, how=_SMALLER)
+        return data
+
+
+class _PlainYaml(YAML):
+    """YAML without merge keys, with which a few lines expand to gigabytes."""
+
+    def load(self, stream: Any) -> Any:
+        """As ruamel.yaml."""
+        text = stream if isinstance(stream, str) else stream.read()
+        refuse_larger(len(text), "its YAML", LARGEST_TEXT >> 5)
+        if "<<" in text:
+            raise ValueError("its YAML has merge keys, which no bag needs")
+        return super().load(text)
+
+
+class Rosbag1(rosbag1.Reader):
+    """A ROS 1 bag whose index takes no more entries than the file has room for: chunks may not share one."""
+
+    def read_index_data(self, pos: int, indexes: dict[int, list[Any]]) -> None:
+        """As rosbags.
+
+        Raises:
+            ValueError: index records are read again and again.
+        """
+        super().read_index_data(pos, indexes)
+        if 12 * sum(map(len, indexes.values())) > self.path.stat().st_size:
+            raise ValueError("its index counts messages several times")
+
+
+class _Mcap(McapReader):
+    """An MCAP whose index asks for no more memory than its chunks need: rosbags holds those that overlap in time.
+
+    Raises:
+        TooLarge: they take too much.
+        ValueError: two entries of the index share a chunk.
+    """
+
+    def _open(self) -> None:
+        super()._open()
+        chunks = sorted(self.chunks, key=lambda chunk: chunk.chunk_start_offset)
+        ends = [0, *(chunk.chunk_start_offset + chunk.chunk_length for chunk in chunks)]
+        if any(chunk.chunk_start_offset < end for chunk, end in zip(chunks, ends, strict=False)):
+            raise ValueError("its index has chunks that overlap")
+        steps, held = [], 0
+        for chunk in chunks:
+            refuse_larger(chunk.uncompressed_size, "a chunk of it", how=_SMALLER)
+            steps.append((chunk.message_start_time, chunk.uncompressed_size))
+            steps.append((chunk.message_end_time + 1, -chunk.uncompressed_size))
+        for _, size in sorted(steps):
+            held += size
+            refuse_larger(held, "what of it overlaps in time", 2 * LARGEST, how="`mcap sort` puts it in order")
+
+
+class _Sqlite(Sqlite3Reader):
+    """A SQLite file of tables alone: views, generated columns and virtual tables would run SQL of the file.
+
+    Raises:
+        ValueError: it has others.
+        sqlite3.Error: it is damaged.
+    """
+
+    def open(self) -> None:
+        """As rosbags."""
+        file = f"file:{quote(str(Path(str(self.path)).absolute()))}?mode=ro&immutable=1"
+        with closing(sqlite3.connect(file, uri=True)) as database:
+            for kind, name, sql in database.execute("SELECT type, name, sql FROM sqlite_master").fetchall():
+                columns = database.execute("SELECT hidden FROM pragma_table_xinfo(?)", (name,)).fetchall()
+                virtual = re.match(r"\s*create\s+virtual", str(sql), re.IGNORECASE)
+                if kind == "view" or virtual or any(hidden for (hidden,) in columns):
+                    raise ValueError(f"its '{name}' is not stored but computed, which no bag needs")
+        super().open()
+
+
+def refuse_text(text: str, *, idl: bool) -> None:
+    """Raise if the text of a definition takes too long to parse.
+
+    Raises:
+        TypesysError: it does.
+    """
+    if len(text) > _LARGEST_DEFINITION:
+        raise TypesysError(f"{len(text)} characters, more than {_LARGEST_DEFINITION}")
+    # rosbags' parser of IDL tries each part in brackets 64 times, and computes with numbers of any length.
+    code = re.sub(r'"(?:\\.|[^"\\])*"|/\*.*?\*/|//[^\n]*', "", text, flags=re.DOTALL) if idl else ""
+    if re.search(r"<<|\*|\([^()]*\(", code):
+        raise TypesysError("computed constants are not supported")
+
+
+def refuse_expansion(types: Mapping[str, Any], name: str, *, ros1: bool) -> None:
+    """Raise if a few lines of definitions stand for very many fields, or for a sequence of nothing.
+
+    Args:
+        types: constants and fields by the name of a type, as rosbags has them.
+
+    Raises:
+        TypesysError: they do.
+        RecursionError: a type contains itself.
+    """
+    counts: dict[str, int] = {}
+
+    def count(one: str) -> int:
+        if one not in counts:
+            counts[one] = max(1, sum(_entries(described, count) for described in _fields(types, one)))
+            if counts[one] > _MOST_FIELDS:
+                raise TypesysError(f"more than {_MOST_FIELDS} fields")
+        return counts[one]
+
+    count(name)
+    for one in counts if ros1 else ():
+        for kind, detail in _fields(types, one):
+            if kind == Nodetype.SEQUENCE and detail[0][0] == Nodetype.NAME and _is_nothing(types, detail[0][1]):
+                raise TypesysError(f"a sequence of {detail[0][1]}, which has no fields")
+
+
+def has_entries(types: Mapping[str, Any], name: str) -> bool:
+    """Whether a type, which `refuse_expansion` has seen, has sequences that are decoded entry by entry."""
+    for kind, detail in _fields(types, name):
+        inner, element = (kind, detail) if kind in (Nodetype.BASE, Nodetype.NAME) else detail[0]
+        if kind == Nodetype.SEQUENCE and (inner == Nodetype.NAME or element[0] == "string"):
+            return True
+        if inner == Nodetype.NAME and has_entries(types, element):
+            return True
+    return False
+
+
+def _fields(types: Mapping[str, Any], name: str) -> list[Any]:
+    """Descriptions of a type's fields; none of a type that is not defined."""
+    return [described for _, described in types[name][1]] if name in types else []
+
+
+def _entries(described: Any, count: Callable[[str], int]) -> int:
+    """Number of fields that a field stands for; entries of sequences count once."""
+    kind, detail = described
+    if kind in (Nodetype.BASE, Nodetype.NAME):
+        return count(detail) if kind == Nodetype.NAME else 1
+    (inner, element), size = detail
+    each = count(element) if inner == Nodetype.NAME else 1
+    unrolled = kind == Nodetype.ARRAY and (inner == Nodetype.NAME or element[0] == "string")
+    return int(each * size) if unrolled else each
+
+
+def _is_nothing(types: Mapping[str, Any], name: str) -> bool:
+    """Whether messages of a type take no bytes in ROS 1."""
+    return all(kind == Nodetype.NAME and _is_nothing(types, detail) for kind, detail in _fields(types, name))
+
+
+def _bound_rosbags() -> None:
+    for name in ("", "lz4", "zstd"):
+        storage_mcap.DECOMPRESSORS[name] = lambda data, _, name=name: inflated(data, name)
+    for name, kind in (("none", ""), ("bz2", "bz2"), ("lz4", "lz4")):
+        rosbag1_reader.decompressors[name] = lambda data, kind=kind: inflated(data, kind)
+    rosbag2_reader.zstd = SimpleNamespace(decompress=lambda data: inflated(data, "zstd"), open=_opened)  # type: ignore
+    for plugins in (rosbag2_reader.Reader.STORAGE_PLUGINS, rosbag2_reader.DirectoryReader.STORAGE_PLUGINS):
+        for name, plugin in ((".mcap", _Mcap), ("mcap", _Mcap), (".db3", _Sqlite), ("sqlite3", _Sqlite)):
+            if name in plugins:
+                plugins[name] = plugin  # type: ignore[index]
+    rosbag2_reader.YAML = metadata.YAML = _PlainYaml  # type: ignore
+
+
+_bound_rosbags()
