@@ -1,19 +1,19 @@
 """Compares the checksums of all files of runs, datasets and PCAs with their content (`offpiste check`)."""
 
-import json
 import logging
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import zarr
-from safetensors import SafetensorError, safe_open
+from safetensors import SafetensorError
 
 from offpiste.checksums import CHECKSUMS, damaged_files
 from offpiste.dataset.place import drive_names
 from offpiste.dataset.store import open_dataset
 from offpiste.dataset.stored_arrays import check_crc32c, refuse_foreign
 from offpiste.errors import OffpisteError
+from offpiste.limits import open_tensors, parsed, read_small
 from offpiste.perception.pca import PCA_HEADER, load_pca
 from offpiste.progress import track
 from offpiste.shipped import run_folder
@@ -92,7 +92,7 @@ def pieces_of(path: Path) -> Iterator[Piece]:
 
 def _pieces_of_tensors(path: Path) -> Iterator[Piece]:
     try:
-        with safe_open(path, framework="numpy") as file:
+        with open_tensors(path, "numpy") as file:
             header = file.metadata() or {}
     except (OSError, SafetensorError):
         header = {PCA_HEADER: ""}
@@ -131,7 +131,7 @@ def _check_metadata(folder: Path) -> None:
 
 def _check_chunks_are_there(folder: Path) -> None:
     try:
-        refuse_foreign(json.loads((folder / "zarr.json").read_bytes()))
+        refuse_foreign(parsed(read_small(folder / "zarr.json")))
         node = zarr.open(folder, mode="r", zarr_format=3)
     except (KeyError, TypeError, OSError, ValueError):
         return  # its metadata are damaged, and said to be

@@ -71,7 +71,7 @@ def test_other_codecs_are_not_opened(dataset, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("changes", "what"),
     [
-        ({"chunk_grid": {"name": "regular", "configuration": {"chunk_shape": [1 << 40]}}}, "chunks of 8192 GiB"),
+        ({"chunk_grid": {"name": "regular", "configuration": {"chunk_shape": [1 << 40]}}}, "chunks of 8388608 MiB"),
         ({"storage_transformers": [{"name": "x"}]}, "storage transformers"),
         ({"data_type": "object"}, "cannot be read"),
         ({"codecs": "bytes"}, "cannot be read"),

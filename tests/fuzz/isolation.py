@@ -1,6 +1,7 @@
 """One command in a forked process, with limits on time, memory and disk, and what came of it."""
 
 import contextlib
+import multiprocessing
 import os
 import resource
 import signal
@@ -8,11 +9,12 @@ import sys
 import time
 import traceback
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-MEMORY = 4 << 30
+MEMORY = 2 << 30
 """Largest resident memory [bytes]."""
 ADDRESSES = 8 << 30
 """Address space beyond what the server holds [bytes]: libraries reserve more than they use."""
@@ -117,3 +119,16 @@ def _resident(process: int) -> int:
         return int(Path(f"/proc/{process}/statm").read_text().split()[1]) * resource.getpagesize()
     except (OSError, IndexError):
         return 0
+
+
+def run_apart(arguments: Sequence[str], folder: Path) -> Outcome:
+    """Run a command of the CLI as `run_isolated`, by a fork of a small server: this process may be large."""
+    context = multiprocessing.get_context("forkserver")
+    with ProcessPoolExecutor(1, mp_context=context) as pool:
+        return pool.submit(_command_apart, tuple(arguments), folder).result()
+
+
+def _command_apart(arguments: Sequence[str], folder: Path) -> Outcome:
+    from offpiste.cli import main
+
+    return run_isolated(lambda: main(list(arguments)), folder)

@@ -51,13 +51,12 @@ PIPELINE: Final = (
 
 LIBRARIES: Final = {
     "OPENCV_LOG_LEVEL": "SILENT",
-    "OPENCV_IO_MAX_IMAGE_PIXELS": str(1 << 27),
     "OPENBLAS_NUM_THREADS": "1",
     "OMP_WAIT_POLICY": "PASSIVE",
 }
-"""What libraries read of the environment when they are imported: our errors say what is wrong with a picture, a small
-file cannot claim to hold gigabytes, and NumPy's products are too small for threads, which would spin beside ours.
-Threads of torch sleep where they wait: beside another busy process each barrier would cost a slice of its time."""
+"""What libraries read of the environment when they are imported: our errors say what is wrong with a picture, and
+NumPy's products are too small for threads, which would spin beside ours. Threads of torch sleep where they wait: beside
+another busy process each barrier would cost a slice of its time."""
 
 
 _NO_ROOM: Final = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}

@@ -5,7 +5,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from jaxtyping import Float
 
@@ -15,6 +14,7 @@ from offpiste.evaluation.errors import Progress
 from offpiste.geometry import yaw_rate_from_body_rates
 from offpiste.logs.log import RawCloud
 from offpiste.logs.measurements import Camera, Cloud, Image, Lidar, cloud_from_records
+from offpiste.logs.ros.image_encodings import pixels_of
 from offpiste.logs.ros.sensor_messages import points_from_message
 from offpiste.logs.ros.writer import McapWriter
 from offpiste.progress import track
@@ -152,8 +152,7 @@ def measurement_of(message: Any, lidars: Mapping[str, Lidar]) -> Image | Cloud |
     name = message.header.frame_id
     stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
     if hasattr(message, "format"):
-        decoded = cv2.imdecode(np.asarray(message.data, np.uint8), cv2.IMREAD_COLOR_RGB)
-        return Image(stamp, name, np.asarray(decoded, np.uint8))
+        return Image(stamp, name, np.asarray(pixels_of(message, name), np.uint8))
     if name in lidars:
         return cloud_from_records(RawCloud(stamp, name, points_from_message(message)), lidars[name])
     return None

@@ -1,6 +1,5 @@
 """A trained run as a planner: its model, and the feature extractor with the PCA that it was trained with."""
 
-import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -8,6 +7,7 @@ from typing import Any
 from offpiste.checksums import sha256_of
 from offpiste.dynamics import Dynamics
 from offpiste.errors import RunError
+from offpiste.limits import parsed, read_small
 from offpiste.logs.ground_truth import GROUND_PROPERTIES
 from offpiste.perception.feature_extractor import FeatureExtractor, load_feature_extractor
 from offpiste.shipped import PCA, PREFIX
@@ -111,7 +111,7 @@ def _of_dataset(folder: Path) -> tuple[str | None, tuple[str, ...]]:
         return str(about["pca"]), ()
     dataset = Path(about.get("dataset", ""))
     try:
-        attributes = json.loads((dataset / "zarr.json").read_text("utf-8"))["attributes"]
+        attributes = parsed(read_small(dataset / "zarr.json"))["attributes"]
         return attributes["pca"], tuple(attributes["features"])
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise RunError(

@@ -17,6 +17,7 @@ from offpiste.dataset.resample import Rows, extract_rows
 from offpiste.dataset.splits import Split, refuse_places_without_origin
 from offpiste.errors import PerceptionError
 from offpiste.files import write_text
+from offpiste.limits import read_small
 from offpiste.logs.drive import drive_from_log, drive_name
 from offpiste.logs.measurements import Image
 from offpiste.logs.opening import open_log
@@ -51,7 +52,7 @@ def read_image_list(path: Path) -> list[ListedImage]:
         PerceptionError: no such file, a line of another form, or no image.
     """
     try:
-        lines = path.read_text("utf-8").splitlines()
+        lines = read_small(path).splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise PerceptionError(
             "no list of images can be read", where=path, how="give --images a number, or a file"

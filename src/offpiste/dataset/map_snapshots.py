@@ -6,7 +6,7 @@ A snapshot is cropped to what five seconds can reach, and holds only cells of wh
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import zarr
@@ -15,12 +15,16 @@ from zarr.codecs import Crc32cCodec, ZstdCodec
 
 from offpiste.conventions import DT, PERCEPTION_LATENCY
 from offpiste.dataset.known_cells import CELL_ARRAYS, CellList
-from offpiste.dataset.stored_arrays import open_stored
+from offpiste.dataset.stored_arrays import open_stored, refuse_expanding
 from offpiste.errors import DatasetError
+from offpiste.limits import zstd
 from offpiste.mapping.terrain_map import TerrainMap
 
 CHUNK = 8192
 """Cells in a chunk of the store; a snapshot has some ten thousand."""
+
+_MOST_CELLS: Final = 1 << 22
+"""Most cells of a snapshot, known or not: it reaches some 50 m around the vehicle."""
 
 
 @dataclass(frozen=True)
@@ -161,11 +165,17 @@ class Snapshots:
         Raises:
             DatasetError: what is stored of it is damaged.
         """
-        begin, end = self.first[number : number + 2]
+        begin, end = self.first[number : number + 2].tolist()
         ny, nx = self.shape[number].tolist()
         try:
+            if not 0 <= end - begin <= ny * nx <= _MOST_CELLS:
+                raise ValueError(f"{end - begin} cells of a map of {ny} x {nx}")
+            for array in self.cells.values():
+                refuse_expanding(self.folder, array, begin, end)
             read = {name: np.asarray(array[begin:end]) for name, array in self.cells.items()}
-        except (OSError, ValueError) as error:
+            if len(read["place"]) and not 0 <= read["place"].min() <= read["place"].max() < ny * nx:
+                raise ValueError(f"cells outside of a map of {ny} x {nx}")
+        except (OSError, ValueError, zstd.ZstdError) as error:
             raise DatasetError(
                 f"snapshot {number} is damaged ({error})",
                 where=self.folder,
@@ -197,4 +207,7 @@ def open_snapshots(folder: Path) -> Snapshots:
     assert isinstance(latency, float)
 
     cells = {name: arrays[name] for name in CELL_ARRAYS}
+    rising = len(first) == len(row) + 1 and bool((np.diff(first) >= 0).all()) and first[0] == 0
+    if not rising or {first[-1], *(array.shape[0] for array in cells.values())} != {first[-1]}:
+        raise ValueError("the snapshots' cells do not fit their numbers")
     return Snapshots(folder, resolution, latency, row, first, origin, shape, cells)

@@ -10,6 +10,7 @@ from jaxtyping import Float, Int
 from offpiste.conventions import DT, HISTORY_STEPS, HORIZON_STEPS
 from offpiste.errors import DatasetError, did_you_mean
 from offpiste.files import write_text
+from offpiste.limits import read_small
 from offpiste.rig.channels import GEOGRAPHIC
 from offpiste.rig.rig import Rig
 
@@ -202,7 +203,7 @@ def _place_labels(position: Float[np.ndarray, "N 2"], cell: float) -> Int[np.nda
 def _read_drives(path: Path) -> tuple[tuple[str, str], ...]:
     try:
         # The part is the last word: names of drives may hold spaces.
-        lines = [line.strip().rsplit(maxsplit=1) for line in path.read_text("utf-8").splitlines() if line.strip()]
+        lines = [line.strip().rsplit(maxsplit=1) for line in read_small(path).splitlines() if line.strip()]
     except (OSError, UnicodeDecodeError) as error:
         raise DatasetError("cannot read the split", where=path, how="a line 'NAME PART' a drive") from error
     parts = dict[str, str]()

@@ -1,6 +1,5 @@
 """Validation of a dataset's files: it is resumed only as it was begun, and rows marked complete are complete."""
 
-import json
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 from pathlib import Path
@@ -18,6 +17,7 @@ from offpiste.dataset.resample import Rows
 from offpiste.dataset.splits import PARTS
 from offpiste.dataset.stored_arrays import refuse_foreign
 from offpiste.errors import DatasetError, RigError
+from offpiste.limits import parsed, read_small
 from offpiste.rig.rig import Rig, check_rig
 
 SCHEMA = 2  # 1 had no checksums, no causal actuators and controls, and straight up for unknown normals
@@ -214,7 +214,7 @@ def attributes_of(path: Path) -> dict[str, Any]:
     """
     damaged = DatasetError("is damaged", where=path / "zarr.json", how="restore it from a copy, or extract again")
     try:
-        metadata = json.loads((path / "zarr.json").read_bytes())
+        metadata = parsed(read_small(path / "zarr.json"))
         refuse_foreign(metadata)
         attributes = dict(metadata["attributes"])
         if attributes.get("schema") == SCHEMA:

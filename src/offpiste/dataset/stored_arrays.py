@@ -1,6 +1,5 @@
 """Arrays of a dataset on disk: one uncompressed chunk each, with its CRC-32C at the end (Zarr's codec `crc32c`)."""
 
-import json
 import math
 import os
 from pathlib import Path
@@ -12,6 +11,7 @@ import zarr
 from zarr.codecs import Crc32cCodec
 
 from offpiste.checksums import CHECKSUMS, DamagedFile, sha256_of_json
+from offpiste.limits import LARGEST, parsed, read_small, zstd
 
 ARRAYS = "arrays_sha256"
 """Attribute of a drive: `digest_of_chunks` of its folder when it was written."""
@@ -20,7 +20,10 @@ CODECS: Final = frozenset({"bytes", "zstd", "crc32c"})
 """Codecs that datasets are written with. Others may run code: numcodecs has one that unpickles."""
 
 LARGEST_CHUNK: Final = 1 << 32
-"""Largest chunk that metadata may ask for, decompressed [bytes]."""
+"""Largest chunk that metadata may ask for; it is as long on the disk [bytes]."""
+
+LARGEST_COMPRESSED: Final = LARGEST >> 4
+"""Largest chunk of a compressed array, of which there may be many [bytes]."""
 
 PIECE = 1 << 22
 """Bytes of a file that are read at a time."""
@@ -32,11 +35,18 @@ def open_stored(folder: Path) -> zarr.Group:
     Raises:
         ValueError: the metadata of the group, or of anything below it, name something else.
     """
-    for file in sorted(folder.rglob("zarr.json")):
-        try:
-            refuse_foreign(json.loads(file.read_bytes()))
-        except (ValueError, TypeError, KeyError, RecursionError) as error:
-            raise ValueError(f"{file} is no metadata of a dataset ({error})") from error
+    for place, folders, files in os.walk(folder):
+        if linked := [name for name in folders if Path(place, name).is_symlink()]:
+            raise ValueError(f"{Path(place, linked[0])} is a link")  # behind which nothing would be checked
+        if "zarr.json" in files:
+            file = Path(place, "zarr.json")
+            try:
+                metadata = parsed(read_small(file))
+                refuse_foreign(metadata)
+            except (ValueError, TypeError, KeyError) as error:
+                raise ValueError(f"{file} is no metadata of a dataset ({error})") from error
+            if metadata["node_type"] == "array":
+                _refuse_missing(metadata, file.parent)
     return zarr.open_group(folder, mode="r", zarr_format=3, use_consolidated=False)
 
 
@@ -50,13 +60,39 @@ def refuse_foreign(metadata: dict[str, Any]) -> None:
         raise ValueError(f"Zarr version {metadata['zarr_format']}, not 3")
     if metadata["node_type"] == "group":
         return
-    if foreign := sorted({codec["name"] for codec in metadata["codecs"]} - CODECS):
+    codecs = {codec["name"] for codec in metadata["codecs"]}
+    if foreign := sorted(codecs - CODECS):
         raise ValueError(f"codec '{foreign[0]}', not one of {', '.join(sorted(CODECS))}")
     if metadata.get("storage_transformers"):
         raise ValueError("storage transformers, of which datasets have none")
     chunk = math.prod(metadata["chunk_grid"]["configuration"]["chunk_shape"]) * np.dtype(metadata["data_type"]).itemsize
-    if chunk > LARGEST_CHUNK:
-        raise ValueError(f"chunks of {chunk / 2**30:.0f} GiB, more than {LARGEST_CHUNK >> 30}")
+    most = LARGEST_COMPRESSED if "zstd" in codecs else LARGEST_CHUNK
+    if chunk > most:
+        raise ValueError(f"chunks of {chunk >> 20} MiB, more than {most >> 20}")
+
+
+def _refuse_missing(metadata: dict[str, Any], folder: Path) -> None:
+    """Raise if an array has fewer files than chunks: its shape may be anything, and Zarr would look for each chunk."""
+    sizes = zip(metadata["shape"], metadata["chunk_grid"]["configuration"]["chunk_shape"], strict=True)
+    chunks = math.prod(-(-size // max(chunk, 1)) for size, chunk in sizes)
+    if chunks > sum(len(files) for _, _, files in os.walk(folder)) - 1:
+        raise ValueError(f"a chunk of '{folder.name}' is missing")
+
+
+def refuse_expanding(folder: Path, array: Any, begin: int, end: int) -> None:
+    """Raise if a compressed chunk of some rows promises to be longer than it is: Zarr would take its word.
+
+    Args:
+        folder: of the group.
+
+    Raises:
+        ValueError: it does.
+    """
+    for number in range(begin // array.chunks[0], -(-end // array.chunks[0])):
+        with folder.joinpath(array.basename, "c", str(number), *("0" for _ in array.shape[1:])).open("rb") as file:
+            promised = zstd.get_frame_info(file.read(32)).decompressed_size
+        if promised != math.prod(array.chunks) * array.dtype.itemsize:
+            raise ValueError(f"chunk {number} of '{array.basename}' promises {promised} bytes")
 
 
 def write_arrays(group: zarr.Group, arrays: dict[str, np.ndarray]) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from safetensors import SafetensorError
-from safetensors.numpy import load_file, save_file
+from safetensors.numpy import save_file
 from torch import Tensor
 
 from offpiste.conventions import DT
@@ -18,6 +18,7 @@ from offpiste.dynamics import Dynamics
 from offpiste.errors import RunError
 from offpiste.files import write_whole
 from offpiste.geometry import planar_body_from_world
+from offpiste.limits import open_tensors
 from offpiste.state import wrap_angle
 from offpiste.training.losses import summed_loss
 from offpiste.training.prediction import Lookup, MapSource, batch_for, in_parts, roll_batch_out, roll_out
@@ -275,7 +276,8 @@ def load_errors(path: Path) -> Errors:
         RunError: there is no such file, or it is damaged.
     """
     try:
-        return Errors(**load_file(path))
+        with open_tensors(path, "numpy") as file:
+            return Errors(**{name: file.get_tensor(name) for name in file.keys()})  # noqa: SIM118
     except (OSError, SafetensorError, TypeError) as error:
         raise RunError(f"cannot be read: {error}", where=path, how="delete it and run again") from error
 

@@ -15,6 +15,7 @@ import torch
 from offpiste.errors import RunError
 from offpiste.evaluation.intervals import Levels, PairedDifference, Statistics
 from offpiste.files import write_text
+from offpiste.limits import parsed, read_small
 
 SCHEMA = 2
 
@@ -217,11 +218,11 @@ def read_metrics(path: Path) -> Metrics:
     """
     how = "give the metrics.json that `offpiste evaluate` wrote"
     try:
-        content = msgspec.json.decode(path.read_bytes())
+        content = parsed(read_small(path), msgspec.json.decode)
         if isinstance(content, dict) and content.get("schema") != SCHEMA:
             raise RunError(f"schema {content.get('schema')}, this offpiste reads {SCHEMA}", where=path, how=how)
         return msgspec.convert(_with_nan(content), type=Metrics)
-    except (OSError, msgspec.MsgspecError) as error:
+    except (OSError, ValueError, msgspec.MsgspecError) as error:
         raise RunError(f"not the numbers of an evaluation: {error}", where=path, how=how) from error
 
 

@@ -1,6 +1,7 @@
 """Cards of trained models: what a model was trained on, how well it predicts, and what it must not be used for."""
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -8,6 +9,7 @@ import msgspec
 from offpiste.errors import RunError
 from offpiste.evaluation.intervals import Levels, PairedDifference
 from offpiste.files import write_text
+from offpiste.limits import parsed, read_small
 from offpiste.report.text_table import TextTable, interval, number
 
 CARD, PAGE = "card.json", "card.md"
@@ -89,8 +91,8 @@ def load_card(folder: Path) -> ModelCard:
     """
     path = folder / CARD
     try:
-        return msgspec.json.decode(path.read_bytes(), type=ModelCard)
-    except (OSError, msgspec.MsgspecError) as error:
+        return parsed(read_small(path), partial(msgspec.json.decode, type=ModelCard))
+    except (OSError, ValueError, msgspec.MsgspecError) as error:
         raise RunError(f"has no card that can be read ({error})", where=path, how="install offpiste again") from error
 
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-import cv2
 import numpy as np
 import torch
 from jaxtyping import Float, UInt8
@@ -14,6 +13,7 @@ from torch import Tensor
 
 from offpiste.errors import OffpisteError, extra
 from offpiste.export.onnx_graphs import run_graph
+from offpiste.logs.measurements import decoded_picture
 
 MOST: Final = 64
 """Images that a graph is calibrated with, at most."""
@@ -102,7 +102,7 @@ def read_images(folder: Path, size: tuple[int, int]) -> UInt8[Tensor, "N h w 3"]
 
 def _picture(file: Path, size: tuple[int, int]) -> UInt8[np.ndarray, "h w 3"]:
     width, height = size
-    picture = cv2.imread(str(file), cv2.IMREAD_COLOR)
+    picture = decoded_picture(np.fromfile(file, np.uint8))
     if picture is None or picture.shape[:2] != (height, width):
         found = "no picture" if picture is None else f"a picture of {picture.shape[1]} x {picture.shape[0]}"
         how = f"give rectified pictures of {width} x {height}, or their size: --size WIDTHxHEIGHT"

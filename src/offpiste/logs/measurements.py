@@ -1,12 +1,17 @@
 """Images and point clouds as measured, and the cameras and LiDARs that measured them."""
 
+import io
+import warnings
 from dataclasses import dataclass
+from typing import Final
 
 import cv2
 import numpy as np
+import PIL.Image
 from jaxtyping import Bool, Float, Shaped, UInt8, UInt16
 
 from offpiste.errors import LogError
+from offpiste.limits import MOST_PIXELS
 from offpiste.logs.log import RawCloud
 from offpiste.logs.point_times import SWEEP, misread_times, offsets
 from offpiste.rig.camera import CameraModel
@@ -14,6 +19,9 @@ from offpiste.rig.sensors import CameraSource, LidarSource
 
 Pixels = UInt8[np.ndarray, "h w 3"] | UInt16[np.ndarray, "h w 3"]
 """RGB in as many bits as were recorded (`in_eight_bits`)."""
+
+_FORMATS: Final = ("BMP", "JPEG", "PNG", "PPM", "TIFF", "WEBP")
+"""Formats of pictures that are decoded, by Pillow's names."""
 
 
 @dataclass(frozen=True)
@@ -87,14 +95,28 @@ def decoded_picture(
     Args:
         as_stored: channels and depth of the file, which are otherwise converted to 8 bits.
 
-    The command line sets OPENCV_IO_MAX_IMAGE_PIXELS, so that a few bytes cannot ask for gigabytes.
+    Its header is read first: a few bytes of it could ask for gigabytes.
     """
+    if not 0 < _pixels_of(data) <= MOST_PIXELS:
+        return None
     mode = cv2.IMREAD_UNCHANGED if as_stored else cv2.IMREAD_GRAYSCALE if grey else cv2.IMREAD_COLOR
     try:
-        decoded = cv2.imdecode(data, mode) if data.size else None
+        decoded = cv2.imdecode(data, mode)
     except cv2.error:
         return None
     return None if decoded is None else np.asarray(decoded)
+
+
+def _pixels_of(data: UInt8[np.ndarray, " n"]) -> int:
+    """Pixels that a picture's header promises; 0 where it is none that is known."""
+    try:
+        with warnings.catch_warnings(action="ignore"):
+            picture = PIL.Image.open(io.BytesIO(data.data), formats=_FORMATS)  # reads no more than its header
+        return picture.width * picture.height
+    except PIL.Image.DecompressionBombError:
+        return MOST_PIXELS + 1
+    except Exception:  # noqa: BLE001  (Pillow lets those of struct and others through)
+        return 0
 
 
 def in_eight_bits(pixels: Pixels, camera: Camera) -> UInt8[np.ndarray, "h w 3"]:

@@ -14,13 +14,14 @@ from typing import Any
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
-from safetensors import SafetensorError, safe_open
+from safetensors import SafetensorError
 from safetensors.numpy import save
 from torch import Tensor
 
 from offpiste.checksums import sha256_of_arrays
 from offpiste.errors import PerceptionError
 from offpiste.files import write_bytes
+from offpiste.limits import open_tensors, parsed
 from offpiste.perception.backbones import Backbone
 from offpiste.shipped import pca_file
 
@@ -235,10 +236,10 @@ def load_pca(path: str | Path, backbone: Backbone | None = None) -> PrincipalCom
     """
     path = pca_file(path)
     try:
-        with safe_open(path, framework="numpy") as file:
+        with open_tensors(path, "numpy") as file:
             header = file.metadata() or {}
             tensors = {name: file.get_tensor(name) for name in ("mean", "basis", "variance")}
-        about = json.loads(header[PCA_HEADER])
+        about = parsed(header[PCA_HEADER])
         written = about.pop("sha256", None)
         if about["schema"] != _SCHEMA:
             raise ValueError(f"schema {about['schema']}, not {_SCHEMA}")

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from offpiste.errors import LogError, PerceptionError
+from offpiste.limits import MOST_PIXELS
 from offpiste.rig.sensors import Intrinsics
 
 PLUMB_BOB: Final = "plumb_bob"
@@ -70,7 +71,7 @@ class CameraModel:
             wanted = " or ".join(map(str, counts))
             what = f"{len(self.distortion)} distortion coefficients, {self.distortion_model} has {wanted}"
             raise PerceptionError(what, where=name, how=how)
-        if self.width < 1 or self.height < 1:
+        if self.width < 1 or self.height < 1 or self.width * self.height > MOST_PIXELS:
             raise PerceptionError(f"an image of {self.width}x{self.height} pixels", where=name, how=how)
         if not (np.isfinite(self.matrix).all() and np.isfinite(self.distortion).all()):
             raise PerceptionError("calibration is not finite", where=name, how=how)

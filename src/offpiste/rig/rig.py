@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from offpiste.channels import Actuator, Control, actuator_columns, all_actuators, control_columns
 from offpiste.errors import RigError, did_you_mean
+from offpiste.limits import parsed, read_small
 from offpiste.registry import load_extensions
 from offpiste.rig.channels import Alignment, ChannelSource, Clock, check_channels
 from offpiste.rig.outputs import Live, Output, check_names, check_outputs
@@ -170,7 +171,7 @@ def rig_text(name: str | Path) -> str:
     if _is_preset(name):
         return (resources.files("offpiste.rig") / "presets" / f"{name}.toml").read_text("utf-8")
     try:
-        return Path(name).read_text("utf-8")
+        return read_small(Path(name))
     except (OSError, UnicodeDecodeError) as error:
         how = f"{did_you_mean(str(name), preset_names())}give a .toml file or one of: {', '.join(preset_names())}"
         how += "; `offpiste inspect LOG --write-rig my.toml` writes a first one"
@@ -185,16 +186,16 @@ def parse_rig(text: str, *, where: str) -> Rig:
     """A rig from TOML text; `where` names it in errors (see `load_rig`)."""
     load_extensions()  # may declare channels
     try:
-        given = tomllib.loads(text)
+        given = parsed(text, tomllib.loads)
         check_names(given)
         rig = msgspec.convert(given, type=Rig)
         check_rig(rig)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise RigError(f"not valid TOML: {error}", where=where, how="fix the line that is named") from error
     except msgspec.ValidationError as error:
         what = _with_names(str(error), given)
         how = f"{_near_field(what)}see docs/rig.md for the keys of a rig"
         raise RigError(what, where=where, how=how) from error
+    except ValueError as error:
+        raise RigError(f"not valid TOML: {error}", where=where, how="fix the line that is named") from error
     except RigError as error:
         raise RigError(error.what, where=where, how=error.how) from None
     return rig

@@ -8,13 +8,14 @@ from pathlib import Path
 from typing import Any, Final
 
 import torch
-from safetensors import SafetensorError, safe_open
+from safetensors import SafetensorError
 from safetensors.torch import save
 from torch import Tensor, nn
 
 from offpiste.checksums import sha256_of, sha256_of_arrays, sha256_of_json
 from offpiste.errors import RunError
 from offpiste.files import PARTIAL, remove_partials, write_bytes, write_text
+from offpiste.limits import open_tensors, parsed, read_small
 
 logger = logging.getLogger(__name__)
 
@@ -48,11 +49,11 @@ def load_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
         RunError: no such file, or a damaged one.
     """
     try:
-        with safe_open(path, framework="pt") as file:
+        with open_tensors(path, "pt") as file:
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-            about: dict[str, Any] = json.loads((file.metadata() or {}).get("about", "{}"))
+            about: dict[str, Any] = parsed((file.metadata() or {}).get("about", "{}"))
             written = about.pop("sha256", None)
-    except (OSError, SafetensorError, json.JSONDecodeError, AttributeError) as error:
+    except (OSError, SafetensorError, ValueError, AttributeError) as error:
         raise RunError(f"cannot be read: {error}", where=path, how=REMEDY) from error
     _refuse_changed(path, written, sha256_of_tensors(tensors, about))
     return tensors, about
@@ -100,8 +101,8 @@ def load_json(path: Path) -> dict[str, Any]:
         RunError: no such file, not a JSON object, or a damaged one.
     """
     try:
-        content = json.loads(path.read_text("utf-8"))
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
+        content = parsed(read_small(path))
+    except (OSError, ValueError) as error:
         raise RunError("not a run", where=path, how="give the folder that `offpiste train` wrote") from error
     if not isinstance(content, dict):
         raise RunError("not a JSON object", where=path, how=REMEDY)

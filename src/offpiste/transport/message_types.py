@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 from rosbags.interfaces import Nodetype
-from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from offpiste.errors import TransportError
@@ -83,7 +83,7 @@ class MessageTypes:
         try:
             self.store.register(get_types_from_msg(text, name))
             self.store.hash_rihs01(name)
-        except (TypesysError, SyntaxError, RecursionError, KeyError) as error:
+        except Exception as error:  # rosbags parses and compiles it
             reason = " ".join(str(error).split())[:100]
             how = "give the definitions that it is made of before it"
             raise TransportError(f"is no message definition: {reason}", where=file, how=how) from error

@@ -3,6 +3,7 @@
 import csv
 import io
 import re
+from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
@@ -18,6 +19,7 @@ from offpiste.rig.labels import unit_of, without_comment
 _TEXT_BOOLEANS = {"true": 1.0, "false": 0.0}
 _MOST_PREAMBLE, _ROWS_BELOW = 64, 8
 """Lines before the header, at most; and rows below it by which it is known."""
+_MOST_COLUMNS: Final = 10_000
 _BEGIN: Final = 4096
 """Bytes that show what a text is."""
 _NOTHING: Final = [*pa_csv.ConvertOptions().null_values, "-", "--"]
@@ -98,7 +100,7 @@ def read_csv(path: Path, notes: list[str], units: dict[str, str]) -> tuple[pa.Ta
     spaces = _are_numbers(there[-1 if len(there) < 3 else -2], " ")
     lines = [" ".join(line.split()) for line in there] if spaces else lines
     lines = [without_comment(line) for line in lines]
-    above = _lines_above_header(lines, " " if spaces else max(_SEPARATORS, key=lines[-1].count))
+    above = _lines_above_header(_cells(lines, " " if spaces else max(_SEPARATORS, key=lines[-1].count), path))
     if above:
         notes.append(f"{above} lines before the header are left out")
     header, *rows = lines[above:]
@@ -107,7 +109,7 @@ def read_csv(path: Path, notes: list[str], units: dict[str, str]) -> tuple[pa.Ta
     if delimiter != ",":
         decimals = ", decimals by ','" if comma else ""
         notes.append(f"columns are separated by '{delimiter}'{decimals}".replace("\t", "tab").replace("' '", "spaces"))
-    names = [name.strip() for name in next(csv.reader([header], delimiter=delimiter))]
+    names = [name.strip() for name in _cells([header], delimiter, path)[0]]
     if 2 * sum(number_of(name) is not None for name in names) > len(names):
         example = _EXAMPLES.get(len(names), _EXAMPLES[5])
         how = f"write the names of the columns into the first line, such as {delimiter.join(example)}"
@@ -115,8 +117,8 @@ def read_csv(path: Path, notes: list[str], units: dict[str, str]) -> tuple[pa.Ta
     if spaces:
         names = _as_many_as_cells(names, header, rows[0], path)
     check_columns(path, names)
-    units |= _row_of_units(names, next(csv.reader(rows[:1], delimiter=delimiter), []))
-    words = next(csv.reader(rows[1:2], delimiter=delimiter), []) if units else []
+    units |= _row_of_units(names, (_cells(rows[:1], delimiter, path) or [[]])[0])
+    words = (_cells(rows[1:2], delimiter, path) or [[]])[0] if units else []
     between = bool(units) + (any(words) and all(number_of(cell) is None for cell in words))
     as_text = pa_csv.ConvertOptions(
         column_types=dict.fromkeys(names, pa.string()), strings_can_be_null=True, null_values=_NOTHING
@@ -205,13 +207,25 @@ def _as_many_as_cells(names: list[str], header: str, row: str, path: Path) -> li
     return names
 
 
-def _lines_above_header(lines: Sequence[str], delimiter: str) -> int:
+def _cells(lines: Sequence[str], delimiter: str, path: Path) -> list[list[str]]:
+    """Cells of lines.
+
+    Raises:
+        LogError: one is longer than a cell may be.
+    """
+    try:
+        return list(csv.reader(lines, delimiter=delimiter))
+    except csv.Error as error:
+        raise LogError(f"not a table: {error}", where=path, how="export it again") from error
+
+
+def _lines_above_header(table: Sequence[Sequence[str]]) -> int:
     """How many lines stand before the header, as loggers of cars write them; 0 where none does.
 
     All cells of a header are different texts, and all rows below it, but for one of units, have a number and as many
     cells.
     """
-    rows = [[cell.strip() for cell in cells] for cells in csv.reader(lines, delimiter=delimiter)]
+    rows = [[cell.strip() for cell in cells] for cells in table]
     for above, names in enumerate(rows):
         below = [cells for cells in rows[above + 1 :] if any(cells)]
         numbers = [any(number_of(cell) is not None for cell in cells) for cells in below]
@@ -288,7 +302,9 @@ def check_columns(path: Path, names: list[str]) -> None:
     Raises:
         LogError: it has.
     """
-    repeated = sorted({name for name in names if names.count(name) > 1})
+    if len(names) > _MOST_COLUMNS:
+        raise LogError(f"{len(names)} columns", where=path, how=f"export at most {_MOST_COLUMNS}")
+    repeated = sorted(name for name, count in Counter(names).items() if count > 1)
     if repeated:
         raise LogError(f"column '{repeated[0]}' appears twice", where=path, how="give every column its own name")
     if not names:

@@ -14,6 +14,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from offpiste.errors import LogError
+from offpiste.limits import read_small
 from offpiste.logs.log import LOG_FORMATS, Log, RawCloud, RawImage, Samples, Topic
 from offpiste.logs.measurements import decoded_picture
 from offpiste.logs.transforms import Transform
@@ -88,7 +89,7 @@ class KittiLog(Log):
         """
         path = self.path / topic / name
         try:
-            lines = path.read_text("utf-8").split("\n")
+            lines = read_small(path).split("\n")
             with warnings.catch_warnings(action="error"):  # of time zones, which stamps do not have
                 stamps = [np.datetime64(line.strip().replace(" ", "T"), "ns") for line in lines if line.strip()]
         except (OSError, ValueError, UserWarning) as error:
@@ -200,7 +201,7 @@ def _day_of(drive: Path) -> Path:
 
 def _row(path: Path) -> Float[np.ndarray, " 30"]:
     try:
-        row = np.array(path.read_text("utf-8").split(), dtype=np.float64)
+        row = np.array(read_small(path).split(), dtype=np.float64)
     except (OSError, ValueError) as error:
         raise LogError(f"not a row of numbers: {error}", where=path, how="download the drive again") from error
     if len(row) != len(_OXTS):
@@ -226,7 +227,7 @@ def _calibration(path: Path) -> dict[str, Float[np.ndarray, " n"]]:
         LogError: no such file.
     """
     try:
-        lines = path.read_text("utf-8").splitlines()
+        lines = read_small(path).splitlines()
     except (OSError, UnicodeDecodeError) as error:
         how = "put the day's calibration files into the folder above the drive, or above the link to it"
         raise LogError("no calibration file", where=path, how=how) from error

@@ -183,7 +183,10 @@ def _of_racecapture(text: str) -> str | None:
 def _of_racechrono(text: str) -> str | None:
     """A .csv file of RaceChrono, below whose names are units and then sources, which tell columns of one name apart."""
     lines = text.splitlines()
-    rows = list(csv.reader(lines[:_MOST_PREAMBLE]))
+    try:
+        rows = list(csv.reader(lines[:_MOST_PREAMBLE]))
+    except csv.Error:  # a cell that is too long
+        return None
     sources = (at for at, cells in enumerate(rows) if any(cells) and all(map(_SOURCE.fullmatch, filter(None, cells))))
     if (at := next(sources, 0)) < 2:
         return None

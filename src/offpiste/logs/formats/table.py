@@ -12,6 +12,7 @@ import pyarrow.parquet as pq
 from jaxtyping import Float
 
 from offpiste.errors import LogError, NoClock
+from offpiste.limits import LARGEST_TABLE, refuse_larger
 from offpiste.logs.formats.csv_text import (
     are_gears,
     check_columns,
@@ -31,6 +32,7 @@ _TIME_NAME = re.compile(
     r"|^([mun]s|ticks)$|(?<![a-z])(ticks_[mun]s|millis|micros|[mu]secs?|(milli|micro|nano)seconds?)(?![a-z])"
 )
 _WHOLE_SECONDS: Final = re.compile(r"^(|.*[^a-z])secs?$", re.IGNORECASE)
+_SPLIT: Final = "export fewer columns, or the drive in parts"
 _EVENLY = 0.2
 """Spread of a clock's steps over their median (5 to 95 %), at most, where its name does not say what it is."""
 
@@ -265,10 +267,28 @@ def _is_struct(kind: pa.DataType) -> bool:
     return bool(pa.types.is_struct(kind))
 
 
+def _read_bounded(file: pq.ParquetFile, path: Path) -> pa.Table:
+    """Columns that are read, one after the other, as long as they fit into memory."""
+    names = [field.name for field in file.schema_arrow if _is_readable(field.type) or _is_struct(field.type)]
+    groups = [file.metadata.row_group(number) for number in range(file.metadata.num_row_groups)]
+    columns = [[group.column(number) for number in range(group.num_columns)] for group in groups]
+    pages = sum(column.total_uncompressed_size for group in columns for column in group)
+    widths = sum(any(f"{c.path_in_schema}.".startswith(f"{name}.") for name in names) for c in (columns or [[]])[0])
+    size = max(pages, 8 * file.metadata.num_rows * widths)
+    refuse_larger(size, "its columns", LARGEST_TABLE, where=path, how=_SPLIT)
+    parts, size = [], 0
+    for number in range(len(groups)):
+        parts.append(file.read_row_group(number, columns=names))
+        size += parts[-1].nbytes
+        refuse_larger(size, "its columns", LARGEST_TABLE, where=path, how=_SPLIT)
+    return pa.concat_tables(parts) if parts else file.read(columns=names)
+
+
 def _read_parquet(path: Path) -> pa.Table:
     try:
-        with pq.ParquetFile(path) as file:
-            table = file.read(columns=[f.name for f in file.schema_arrow if _is_readable(f.type) or _is_struct(f.type)])
+        texts = [field.name for field in pq.read_schema(path) if _is_text(field.type)]
+        with pq.ParquetFile(path, read_dictionary=texts) as file:
+            table = _read_bounded(file, path)
             while any(_is_struct(field.type) for field in table.schema):
                 table = table.flatten()  # pose: {x, y} becomes pose.x and pose.y
             kept = [number for number, field in enumerate(table.schema) if _is_readable(field.type)]
@@ -279,7 +299,12 @@ def _read_parquet(path: Path) -> pa.Table:
     check_columns(path, columns)
     if not table.num_rows:
         raise LogError("the table has no rows", where=path, how="record or export it again")
-    texts = {
+    for name, column in zip(columns, table.columns, strict=True):
+        if pa.types.is_dictionary(column.type):  # a few words, which are repeated as text
+            lengths = (pc.max(pc.binary_length(chunk.dictionary)).as_py() for chunk in column.chunks)
+            longest = max(filter(None, lengths), default=0)
+            refuse_larger(len(column) * longest, f"its column '{name}'", LARGEST_TABLE, where=path, how=_SPLIT)
+    words = {
         n: column.cast(pa.string()) for n, column in zip(columns, table.columns, strict=True) if _is_text(column.type)
     }
-    return pa.table({name: texts.get(name, table[name]) for name in columns})
+    return pa.table({name: words.get(name, table[name]) for name in columns})

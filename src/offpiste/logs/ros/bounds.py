@@ -8,10 +8,10 @@ import bz2
 import re
 import shutil
 import sqlite3
-import sys
 import tempfile
 from collections.abc import Callable, Mapping
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import IO, Any, Final
@@ -28,12 +28,7 @@ from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 from rosbags.typesys import TypesysError
 from ruamel.yaml import YAML
 
-from offpiste.limits import LARGEST, LARGEST_TEXT, refuse_larger
-
-if sys.version_info >= (3, 14):
-    from compression import zstd
-else:
-    from backports import zstd
+from offpiste.limits import LARGEST, LARGEST_TEXT, refuse_larger, zstd
 
 _PIECE: Final = 1 << 22
 """Bytes that are decompressed at a time."""
@@ -82,6 +77,8 @@ def inflated(data: bytes, compression: str, *, whole: bool = True) -> bytes:
                     raise EOFError("compressed data are cut short")
                 break
         data = (one.unused_data or b"") if one.eof and size <= LARGEST else b""
+    if size > LARGEST:
+        parts.clear()  # who keeps the error keeps this frame
     refuse_larger(size, "a chunk of it", how=_SMALLER)
     return parts[0] if len(parts) == 1 else b"".join(parts)
 
@@ -248,11 +245,16 @@ def _is_nothing(types: Mapping[str, Any], name: str) -> bool:
     return all(kind == Nodetype.NAME and _is_nothing(types, detail) for kind, detail in _fields(types, name))
 
 
+def _of_mcap(compression: str, data: bytes, _: int) -> bytes:
+    """Decompressed bytes, however many the file promises."""
+    return inflated(data, compression)
+
+
 def _bound_rosbags() -> None:
     for name in ("", "lz4", "zstd"):
-        storage_mcap.DECOMPRESSORS[name] = lambda data, _, name=name: inflated(data, name)
+        storage_mcap.DECOMPRESSORS[name] = partial(_of_mcap, name)
     for name, kind in (("none", ""), ("bz2", "bz2"), ("lz4", "lz4")):
-        rosbag1_reader.decompressors[name] = lambda data, kind=kind: inflated(data, kind)
+        rosbag1_reader.decompressors[name] = partial(inflated, compression=kind)
     rosbag2_reader.zstd = SimpleNamespace(decompress=lambda data: inflated(data, "zstd"), open=_opened)  # type: ignore
     for plugins in (rosbag2_reader.Reader.STORAGE_PLUGINS, rosbag2_reader.DirectoryReader.STORAGE_PLUGINS):
         for name, plugin in ((".mcap", _Mcap), ("mcap", _Mcap), (".db3", _Sqlite), ("sqlite3", _Sqlite)):

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from offpiste.errors import LogError
+from offpiste.limits import MOST_PIXELS
 from offpiste.logs.measurements import Pixels, decoded_picture
 
 
@@ -89,7 +90,7 @@ def _raw_pixels(message: Any, topic: str) -> Pixels | None:
     height, width, step = message.height, message.width, message.step
     rows, used = height * encoding.rows // 2, width * encoding.channels * encoding.depth // 8
     data = np.asarray(message.data, np.uint8)
-    if step < used or data.size < rows * step or not height * width:
+    if step < used or data.size < rows * step or not 0 < height * width <= MOST_PIXELS:
         return None
     data = data[: rows * step]
     if message.encoding == "nv24":

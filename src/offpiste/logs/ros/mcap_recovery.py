@@ -15,8 +15,8 @@ from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefiniti
 from rosbags.typesys.msg import normalize_msgtype
 
 from offpiste.errors import LogError, TooLarge
-from offpiste.limits import LARGEST, refuse_larger
-from offpiste.logs.ros.bounds import inflated, zstd
+from offpiste.limits import LARGEST, refuse_larger, zstd
+from offpiste.logs.ros.bounds import inflated
 
 _FORMATS = {
     "ros1msg": MessageDefinitionFormat.MSG,

@@ -5,7 +5,6 @@ by the model itself (bicubic, to the size of the image's grid), as transformers 
 """
 
 import hashlib
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
@@ -15,6 +14,7 @@ from safetensors import SafetensorError
 from torch import Tensor
 
 from offpiste.errors import PerceptionError, did_you_mean, extra
+from offpiste.limits import parsed, read_small
 from offpiste.perception.backbones import DINOV2_SMALL, Backbone, Precision
 
 if TYPE_CHECKING:
@@ -193,7 +193,7 @@ def _normalisation(folder: Path) -> tuple[tuple[float, float, float], tuple[floa
     if not path.is_file():
         return IMAGENET_MEAN, IMAGENET_STD
     try:
-        content = json.loads(path.read_text("utf-8"))
+        content = parsed(read_small(path))
         red_green_blue = [tuple(float(value) for value in content[key]) for key in ("image_mean", "image_std")]
         (m_red, m_green, m_blue), (s_red, s_green, s_blue) = red_green_blue
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:

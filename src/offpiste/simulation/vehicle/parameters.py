@@ -10,6 +10,7 @@ import numpy as np
 
 from offpiste.conventions import GRAVITY
 from offpiste.errors import OffpisteError
+from offpiste.limits import parsed, read_small
 
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 Share = Annotated[float, msgspec.Meta(gt=0, lt=1)]
@@ -153,14 +154,14 @@ def load_vehicle(path: str | Path | None = None) -> VehicleParameters:
     """
     file = resources.files("offpiste.simulation.vehicle") / "side_by_side.toml" if path is None else Path(path)
     try:
-        vehicle = msgspec.convert(tomllib.loads(file.read_text(encoding="utf-8")), VehicleParameters)
+        vehicle = msgspec.convert(parsed(read_small(file), tomllib.loads), VehicleParameters)
     except OSError as error:
         raise VehicleError(f"cannot read the vehicle: {error.strerror}", where=str(file)) from error
-    except tomllib.TOMLDecodeError as error:
-        raise VehicleError(f"not TOML: {error}", where=str(file)) from error
     except msgspec.ValidationError as error:
         how = "compare with offpiste/simulation/vehicle/side_by_side.toml"
         raise VehicleError(f"{error}".replace("$.", ""), where=str(file), how=how) from error
+    except ValueError as error:
+        raise VehicleError(f"not TOML: {error}", where=str(file)) from error
     if vehicle.sprung_mass <= 0:
         what = f"mass is {vehicle.mass:g} kg, and its four wheels are {4 * vehicle.unsprung_mass:g}"
         raise VehicleError(what, where=str(file), how="give mass of the whole vehicle, and unsprung_mass of one wheel")

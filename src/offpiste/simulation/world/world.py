@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from offpiste.errors import OffpisteError
+from offpiste.limits import parsed, read_small
 from offpiste.logs.ground_truth import GROUND_KINDS
 from offpiste.registry import Registry
 
@@ -213,14 +214,14 @@ def read_world_preset(file: Path | Traversable) -> WorldPreset:
         OffpisteError: the file is missing, is not TOML, or a key is missing, unknown or wrong.
     """
     try:
-        return msgspec.convert(tomllib.loads(file.read_text(encoding="utf-8")), WorldPreset)
+        return msgspec.convert(parsed(read_small(file), tomllib.loads), WorldPreset)
     except OSError as error:
         raise OffpisteError(f"cannot read the world: {error.strerror}", where=str(file)) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise OffpisteError(f"not TOML: {error}", where=str(file)) from error
     except msgspec.ValidationError as error:
         how = "see docs/proving-ground.md, or copy one from offpiste/simulation/world/presets"
         raise OffpisteError(f"{error}".replace("$.", ""), where=str(file), how=how) from error
+    except ValueError as error:
+        raise OffpisteError(f"not TOML: {error}", where=str(file)) from error
 
 
 WORLDS: Final[Registry[WorldPreset]] = Registry("world")

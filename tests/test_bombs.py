@@ -1,0 +1,315 @@
+"""Files of a few bytes that ask for gigabytes, or for hours, end in one line; nothing that they name is run."""
+
+import bz2
+import sqlite3
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
+import lz4.frame
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from rosbags import rosbag1
+from rosbags.rosbag1 import reader as rosbag1_reader
+from rosbags.rosbag2 import reader as rosbag2_reader
+from rosbags.rosbag2 import storage_mcap
+
+from offpiste.errors import TooLarge
+from offpiste.limits import zstd
+from offpiste.logs.ros.bounds import inflated
+from tests.fuzz.cases import verdict_of
+from tests.fuzz.isolation import run_apart
+from tests.fuzz.recordings import driven, write_db3, write_mcap, write_ros1
+
+PART = "=" * 80 + "\nMSG: p/"
+"""Begins the definition of another type."""
+MEGABYTE = bytes(1 << 20)
+GIGABYTES = 3
+PACKERS: dict[str, Callable[[], bytes]] = {
+    "zstd": lambda: zstd.compress(MEGABYTE) * (1024 * GIGABYTES),
+    "bz2": lambda: bz2.compress(MEGABYTE * 8) * (128 * GIGABYTES),
+    "lz4": lambda: lz4_frame(1024 * GIGABYTES),
+}
+"""Zeros, packed."""
+
+
+def lz4_frame(megabytes: int) -> bytes:
+    """One frame: rosbags reads no second one."""
+    with lz4.frame.LZ4FrameCompressor() as one:
+        return one.begin() + b"".join(one.compress(MEGABYTE) for _ in range(megabytes)) + one.flush()
+
+
+def record(opcode: int, body: bytes) -> bytes:
+    return struct.pack("<BQ", opcode, len(body)) + body
+
+
+def text(value: str | bytes) -> bytes:
+    raw = value.encode() if isinstance(value, str) else value
+    return struct.pack("<I", len(raw)) + raw
+
+
+def channel(definition: str = "float64 x", encoding: str = "ros2msg", qos: str = "") -> bytes:
+    """Records of a schema and of its channel."""
+    metadata = text("offered_qos_profiles") + text(qos) if qos else b""
+    return record(3, struct.pack("<H", 1) + text("p/msg/T") + text(encoding) + text(definition)) + record(
+        4, struct.pack("<HH", 1, 1) + text("/t") + text("cdr") + text(metadata)
+    )
+
+
+def mcap(path: Path, *records: bytes, indexed: bytes = b"") -> Path:
+    """A file with these records, and with others as its summary."""
+    body = b"\x89MCAP0\r\n" + record(1, text("ros2") + text("")) + b"".join(records)
+    summary = len(body) if indexed else 0
+    end = record(2, struct.pack("<QQI", summary, 0, 0)) + b"\x89MCAP0\r\n"
+    path.write_bytes(body + indexed + end)
+    return path
+
+
+def chunk(packed: bytes, compression: str, size: int) -> bytes:
+    return record(6, struct.pack("<QQQI", 1, 2, size, 0) + text(compression) + struct.pack("<Q", len(packed)) + packed)
+
+
+def message(data: bytes, time: int = 1) -> bytes:
+    return record(5, struct.pack("<HIQQ", 1, 0, time, time) + data)
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4"])
+@pytest.mark.parametrize("indexed", [False, True])
+@pytest.mark.parametrize("told", [False, True])
+def test_a_chunk_of_an_mcap(tmp_path: Path, compression: str, indexed: bool, told: bool) -> None:
+    size = GIGABYTES << 30 if told else 1 << 20
+    whole, start = chunk(PACKERS[compression](), compression, size), 8 + len(record(1, text("ros2") + text("")))
+    index = struct.pack("<QQQQ", 1, 2, start, len(whole)) + text(b"") + struct.pack("<Q", 31) + text(compression)
+    index += struct.pack("<QQ", len(whole) - 9 - 40 - len(compression), size)
+    path = mcap(tmp_path / "a.mcap", whole, message(b""), indexed=channel() + record(8, index) if indexed else b"")
+    why = refused(path, tmp_path)
+    assert indexed or "takes more than 256 MB" in why, why
+
+
+def test_a_chunk_of_a_ros_1_bag(tmp_path: Path) -> None:
+    path = tmp_path / "a.bag"
+    write_ros1(driven(), path)
+    data = bytearray(path.read_bytes())
+    reader = rosbag1.Reader(path)
+    reader.open()
+    first = min(reader.chunks.values(), key=lambda one: one.datapos)
+    reader.close()
+    packed = PACKERS["lz4"]()
+    # The chunk moves to the end of the file, and its index to behind it.
+    header = b"".join(
+        struct.pack("<I", len(field)) + field
+        for field in (b"op=\x05", b"compression=lz4", b"size=" + struct.pack("<I", 1 << 20))
+    )
+    begin, index = len(data), first.datapos + first.datasize
+    infos = reader_infos(path)
+    data += struct.pack("<I", len(header)) + header + struct.pack("<I", len(packed)) + packed
+    data += data[index : index + 2 * (55 + 12 * 2000)]
+    for at in infos:
+        data[at : at + 8] = struct.pack("<Q", begin)
+    path.write_bytes(data)
+    assert "takes more than 256 MB" in refused(path, tmp_path)
+
+
+@pytest.mark.parametrize("compression", sorted(PACKERS))
+def test_every_compression(compression: str) -> None:
+    with pytest.raises(TooLarge, match="takes more than 256 MB"):
+        inflated(PACKERS[compression](), compression)
+    packed = {"zstd": zstd.compress, "bz2": bz2.compress, "lz4": lz4.frame.compress}[compression](MEGABYTE)
+    assert inflated(packed, compression) == MEGABYTE
+    with pytest.raises(EOFError):
+        inflated(packed[:-8], compression)
+    assert MEGABYTE.startswith(inflated(packed[:-8], compression, whole=False))
+
+
+def test_rosbags_decompresses_with_limits() -> None:
+    with pytest.raises(TooLarge):
+        rosbag1_reader.decompressors["bz2"](PACKERS["bz2"]())
+    with pytest.raises(TooLarge):
+        storage_mcap.DECOMPRESSORS["lz4"](PACKERS["lz4"](), 1)
+    with pytest.raises(TooLarge):
+        rosbag2_reader.zstd.decompress(PACKERS["zstd"]())
+
+
+def reader_infos(path: Path) -> list[int]:
+    """Where the places of chunks stand in the index of a ROS 1 bag."""
+    data, found, at = path.read_bytes(), [], 0
+    while (at := data.find(b"chunk_pos=", at)) >= 0:
+        at += len(b"chunk_pos=")
+        found.append(at)
+    return found
+
+
+@pytest.mark.parametrize("mode", ["message", "file"])
+def test_a_compressed_db3(tmp_path: Path, mode: str) -> None:
+    folder = tmp_path / "drive"
+    write_db3(driven(), folder)
+    metadata = (folder / "metadata.yaml").read_text()
+    metadata = metadata.replace("compression_format: ''", "compression_format: zstd")
+    (folder / "metadata.yaml").write_text(metadata.replace("compression_mode: ''", f"compression_mode: {mode}"))
+    if mode == "file":
+        (folder / "metadata.yaml").write_text((folder / "metadata.yaml").read_text().replace("drive.db3", "d.db3.zstd"))
+        (folder / "drive.db3").unlink()
+        (folder / "d.db3.zstd").write_bytes(PACKERS["zstd"]())
+    else:
+        with sqlite3.connect(folder / "drive.db3") as database:
+            database.execute("UPDATE messages SET data = ? WHERE id = 1", (PACKERS["zstd"](),))
+    assert f"compression_mode: {mode}" in (folder / "metadata.yaml").read_text()
+    refused(folder, tmp_path)
+
+
+@pytest.mark.parametrize(
+    "sql",
+    [
+        "ALTER TABLE schema RENAME TO s; CREATE VIEW schema AS WITH RECURSIVE r(schema_version) AS "
+        "(SELECT 1 UNION ALL SELECT schema_version + 1 FROM r) SELECT schema_version FROM r WHERE schema_version < 0",
+        "ALTER TABLE messages RENAME TO m; CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp "
+        "INTEGER, data AS (zeroblob(900000000))); INSERT INTO messages SELECT id, topic_id, timestamp FROM m",
+    ],
+    ids=["view", "generated column"],
+)
+def test_sql_of_a_db3_is_not_run(tmp_path: Path, sql: str) -> None:
+    write_db3(driven(), tmp_path / "drive")
+    with sqlite3.connect(tmp_path / "drive" / "drive.db3") as database:
+        database.executescript(sql)
+    assert "is not stored but computed" in refused(tmp_path / "drive" / "drive.db3", tmp_path)
+
+
+TREE = "".join(f"{PART}T{k}\nT{k + 1} a\nT{k + 1} b\n" for k in range(40)) + f"{PART}T40\nint8 x\n"
+MERGES = "a0: &a0 {x: 1}\n" + "".join(f"a{k}: &a{k} {{<<: [*a{k - 1}, *a{k - 1}]}}\n" for k in range(1, 40))
+BRACKETS = "module p { module msg { const long A = " + "(" * 30 + "1" + ")" * 30 + "; struct T { long x; }; }; };"
+SHIFT = "module p { module msg { const long A = 1 << 99999999999; struct T { long x; }; }; };"
+
+
+@pytest.mark.parametrize(
+    "described",
+    [
+        channel("T0 x\n" + TREE),
+        channel(f"E[4000000000] x\n{PART}E\n"),
+        channel("string[4000000000] x"),
+        channel("int32[" + "9" * 5000 + "] x"),
+        channel("float32 X=1e999\nint8 x"),
+        channel("T x"),
+        channel(BRACKETS, "ros2idl"),
+        channel(SHIFT, "ros2idl"),
+        channel(qos=MERGES),
+    ],
+    ids=["tree", "array of nothing", "array of texts", "digits", "infinite", "itself", "brackets", "shift", "merges"],
+)
+@pytest.mark.parametrize("place", ["index", "no index"])
+def test_a_definition(tmp_path: Path, described: bytes, place: str) -> None:
+    refused(mcap(tmp_path / "a.mcap", described, *(message(bytes(12), k) for k in range(1, 9))), tmp_path)
+
+
+def test_a_sequence_of_nothing_in_ros_1(tmp_path: Path) -> None:
+    path = tmp_path / "a.bag"
+    with rosbag1.Writer(path) as writer:
+        topic = writer.add_connection("/t", "p/msg/T", msgdef=f"E[] x\n{PART}E\n", md5sum="0" * 32)
+        for k in range(1, 9):
+            writer.write(topic, k, struct.pack("<I", 2**32 - 1))
+    refused(path, tmp_path)
+
+
+def test_messages_that_become_many_objects(tmp_path: Path) -> None:
+    definition = f"E[] x\n{PART}E\nint8 y\n"
+    data = struct.pack("<II", 1 << 8, 1 << 27) + bytes(1 << 27)
+    packed = zstd.compress(channel(definition) + message(data))
+    refused(mcap(tmp_path / "a.mcap", chunk(packed, "zstd", 1 << 27)), tmp_path)
+
+
+def test_an_index_whose_entries_share_a_chunk(tmp_path: Path) -> None:
+    write_mcap(driven(), tmp_path / "drive")
+    data = (tmp_path / "drive" / "drive.mcap").read_bytes()
+    (summary,) = struct.unpack_from("<Q", data, len(data) - 28)
+    at, before, entries = summary, b"", b""
+    while data[at] not in (2, 14):
+        end = at + 9 + struct.unpack_from("<Q", data, at + 1)[0]
+        if data[at] == 8:
+            entries += data[at:end] * 3000
+        else:
+            before += data[at:end]
+        at = end
+    end = record(2, struct.pack("<QQI", summary, 0, 0)) + b"\x89MCAP0\r\n"
+    (tmp_path / "a.mcap").write_bytes(data[:summary] + before + entries + end)
+    assert inspected(tmp_path / "a.mcap", tmp_path)[0] in ("ok", "refused")
+
+
+def test_a_table_of_repeated_numbers(tmp_path: Path) -> None:
+    rows = pa.table({name: pa.array(np.zeros(1 << 22)) for name in ("time", "a", "b")})
+    with pq.ParquetWriter(tmp_path / "a.parquet", rows.schema) as writer:
+        for _ in range(32):
+            writer.write_table(rows)
+    assert "more than 1024 MB" in refused(tmp_path / "a.parquet", tmp_path)
+
+
+def test_a_table_of_a_long_word(tmp_path: Path) -> None:
+    words = pa.DictionaryArray.from_arrays(np.zeros(4096, np.int32), ["x" * (1 << 20)])
+    pq.write_table(pa.table({"time": np.arange(4096.0), "a": np.zeros(4096), "w": words}), tmp_path / "a.parquet")
+    assert "more than 1024 MB" in refused(tmp_path / "a.parquet", tmp_path)
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        ["time,a" + "," * 1_000_000, "1,2"],
+        ["time," + "a" * 1_000_000, "1,2", "2,3"],
+        ["time,a", *(f"{k}," + "9" * 900_000 + " x" for k in range(9))],
+        ["time,a", "1," + "9" * 50_000_000],
+        ["time,a", *("1" * 900_000 for k in range(9))],
+        ["time,a", '"' * 900_000],
+        [" " * 900_000 + "x", "1 2"],
+    ],
+    ids=["columns", "name", "cell", "line", "digits", "quotes", "spaces"],
+)
+def test_lines_of_a_table(tmp_path: Path, lines: list[str]) -> None:
+    (tmp_path / "a.csv").write_text("\n".join(lines) + "\n")
+    assert inspected(tmp_path / "a.csv", tmp_path)[0] in ("ok", "refused")
+
+
+@pytest.mark.parametrize("shape", ["(1099511627776,)", "(1, 1099511627776)", "(4000000000, 0)", "(-1,)"])
+def test_the_shape_of_an_array(tmp_path: Path, shape: str) -> None:
+    place = tmp_path / "drive" / "odom"
+    place.mkdir(parents=True)
+    header = f"{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}, }}\n".encode()
+    (place / "data.npy").write_bytes(b"\x93NUMPY\x01\x00" + struct.pack("<H", len(header)) + header + bytes(800))
+    (place / "timestamps.txt").write_text("".join(f"{k}\n" for k in range(100)))
+    refused(tmp_path / "drive", tmp_path)
+
+
+def test_the_header_of_tensors(tmp_path: Path) -> None:
+    header = ('{"__metadata__": {' + '"k": "", ' * 5_000_000 + '"k": ""}}').encode()
+    (tmp_path / "a.safetensors").write_bytes(struct.pack("<Q", len(header)) + header)
+    assert "its header takes more than" in refused(tmp_path / "a.safetensors", tmp_path, "check")
+
+
+@pytest.mark.parametrize(
+    "content", ["[" * 100_000, "a." * 500_000 + "b = 1", "a = " + "[" * 100_000, "a = [" + "1," * (1 << 25)]
+)
+def test_a_rig(tmp_path: Path, content: str) -> None:
+    (tmp_path / "rig.toml").write_text(content)
+    write_mcap(driven(), tmp_path / "drive")
+    refused(tmp_path / "drive", tmp_path, "inspect", "--rig", str(tmp_path / "rig.toml"))
+
+
+@pytest.mark.parametrize("name", ["model.json", "config.json"])
+@pytest.mark.parametrize(
+    "content", ["[" * 100_000, "9" * 10_000, "[" + "1," * (1 << 25)], ids=["deep", "digits", "long"]
+)
+def test_the_json_of_a_run(tmp_path: Path, name: str, content: str) -> None:
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / name).write_text(content)
+    refused(tmp_path / "run", tmp_path, "check")
+
+
+def refused(path: Path, folder: Path, command: str = "inspect", *options: str) -> str:
+    verdict, why = inspected(path, folder, command, *options)
+    assert verdict == "refused", why
+    return why
+
+
+def inspected(path: Path, folder: Path, command: str = "inspect", *options: str) -> tuple[str, str]:
+    """Verdict on a command in a process of its own, with 2 GiB and 120 s, and why."""
+    outcome = run_apart([command, str(path), *options], folder)
+    verdict, why = verdict_of(outcome, command)
+    return verdict, f"{why} ({outcome.memory >> 20} MB, {outcome.seconds:.0f} s)\n{outcome.out}{outcome.err}"
