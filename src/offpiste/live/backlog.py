@@ -3,9 +3,13 @@
 import threading
 from collections import deque
 from collections.abc import Collection
+from typing import Final
 
 from offpiste.transport.interface import Received
 from offpiste.transport.tally import Tally
+
+LATCHED: Final = 16
+"""Messages of a latched topic that may wait: each publisher of `/tf_static` sends its own."""
 
 
 class Backlog:
@@ -16,19 +20,32 @@ class Backlog:
         dropped: counts those that gave way.
         size: of all that may wait [bytes].
         why: they gave way.
+        latched: topics that are published once or rarely; their newest messages wait apart, so that others never
+            drop them.
     """
 
     def __init__(
-        self, most: int, dropped: Tally, *, size: int = 1 << 62, why: str = "comes faster than it is decoded"
+        self,
+        most: int,
+        dropped: Tally,
+        *,
+        size: int = 1 << 62,
+        why: str = "comes faster than it is decoded",
+        latched: Collection[str] = (),
     ) -> None:
         self._most, self._size, self._dropped, self._why = most, size, dropped, why
         self._held = 0
         self._waiting: deque[Received] = deque()
+        self._latched = {topic: deque[Received](maxlen=LATCHED) for topic in latched}
         self._changed = threading.Condition()
 
     def put(self, received: Received) -> None:
         """Add a message."""
         with self._changed:
+            if (apart := self._latched.get(received.topic)) is not None:
+                apart.append(received)
+                self._changed.notify()
+                return
             self._waiting.append(received)
             self._held += len(received.data)
             while len(self._waiting) > self._most or self._held > self._size:
@@ -36,10 +53,13 @@ class Backlog:
             self._changed.notify()
 
     def get(self, timeout: float) -> Received | None:
-        """The oldest that waits; None where none has come within some time [s]."""
+        """The oldest that waits, those of latched topics first; None where none has come within some time [s]."""
         with self._changed:
-            if not self._waiting:
+            if not (self._waiting or any(self._latched.values())):
                 self._changed.wait(timeout)
+            for apart in self._latched.values():
+                if apart:
+                    return apart.popleft()
             return self._taken() if self._waiting else None
 
     def _taken(self) -> Received:

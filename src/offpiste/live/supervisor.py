@@ -51,7 +51,7 @@ _SAY: Final = 1.0
 """States of one process are logged no more often [s]."""
 _FRAME: Final = "map"
 """Frame of what is published, where the messages of the vehicle's position name none."""
-_ENDING: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_ENDING: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP)
 
 
 class Supervisor:
@@ -235,10 +235,13 @@ def supervise(settings: LiveSettings, planner: Planner, definitions: list[Path])
 
 @contextmanager
 def asked_to_end() -> Iterator[threading.Event]:
-    """Set once a service manager (SIGTERM) or a terminal that is gone (SIGHUP) ends the drive; Ctrl-C raises."""
+    """Set once a service manager (SIGTERM), a terminal that is gone (SIGHUP), SIGQUIT or Ctrl-Z ends the drive.
+
+    Ctrl-C raises. A drive is not suspended by Ctrl-Z: its processes would drive on without supervision.
+    """
     asked = threading.Event()
     before = {number: signal.getsignal(number) for number in _ENDING}
-    for number in (signal.SIGTERM, signal.SIGHUP):
+    for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP):
         if before[number] != signal.SIG_IGN:  # as nohup sets it
             signal.signal(number, lambda *_: asked.set())
     try:

@@ -2,6 +2,7 @@
 
 import json
 import multiprocessing
+import os
 import signal
 import time
 from collections.abc import Iterator
@@ -116,6 +117,7 @@ def _serve(endpoint: str, file: str, pipe: Connection) -> None:
     """Be the router until asked to end, or for some time after the parent is gone."""
     for number in _ENDING:
         signal.signal(number, signal.SIG_IGN)
+    os.setsid()  # the stop goes through it, also where a signal to the whole group stops all others
     try:
         session = opened_session(endpoint, "router", file)
     except TransportError as error:

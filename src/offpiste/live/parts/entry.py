@@ -22,6 +22,8 @@ _FIRST_KILLED = {"codes": 300, "map": 300, "plan": 300, "record": 500, "view": 5
 def run_part(name: str, session: Session, cameras: bool) -> None:
     """Run a process to its end; an error becomes its last state, and its exit code 1."""
     _leave_ending_to_the_parent()
+    if name == "watchdog":
+        os.setsid()  # a signal to the whole group, SIGSTOP included, does not reach what stops the vehicle
     os.nice(_NICE.get(name, 0))
     with suppress(OSError):
         Path("/proc/self/oom_score_adj").write_text(str(_FIRST_KILLED.get(name, 0)))
@@ -43,7 +45,7 @@ def _leave(name: str, session: Session, state: str) -> None:
 
 def _leave_ending_to_the_parent() -> None:
     """End only as the parent says: a signal to all at once (Ctrl-C, systemd, a lost terminal) must not end the stop."""
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP):
         signal.signal(number, signal.SIG_IGN)
     if (parent := parent_process()) is not None:
         threading.Thread(target=_end_after, args=(parent.sentinel,), daemon=True).start()

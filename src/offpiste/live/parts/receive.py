@@ -2,7 +2,7 @@
 
 import threading
 import time
-from collections import deque
+from collections import defaultdict, deque
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from offpiste.errors import LiveError
-from offpiste.live.backlog import Backlog
+from offpiste.live.backlog import LATCHED, Backlog
 from offpiste.live.packing import pack_course, pack_measured, pack_sensors
 from offpiste.live.part import RUNS_ON, STAMP, Part, keep_loaded
 from offpiste.live.reception import Reception
@@ -36,9 +36,10 @@ class Receiver:
         self.reception = Reception(self.rig, part.settings.course, cameras=cameras)
         definitions = [Path(name) for name in self.rig.live.definitions]
         self.transport = part.settings.robot.connect(definitions)
-        self._small = Backlog(_WAITING, part.dropped)
+        latched = [topic for topic, history in self.reception.topics.items() if history]
+        self._small = Backlog(_WAITING, part.dropped, latched=latched)
         self._newest: dict[str, Received] = {}
-        self._calibrations: deque[Received] = deque(maxlen=_WAITING)
+        self._calibrations: defaultdict[str, deque[Received]] = defaultdict(lambda: deque(maxlen=LATCHED))
         self._stamp, self._heard_at = -1.0, np.inf
         clock = part.settings.clock  # what has no header is stamped with its arrival, by the clock of all that has one
         self._by_robot, self._sets_clock = clock != "system", ""
@@ -77,7 +78,8 @@ class Receiver:
                 self._newest[received.topic] = received
             self._any.set()
         elif received.topic in self.reception.sensors.topics:
-            self._calibrations.append(received)
+            with self._lock:
+                self._calibrations[received.topic].append(received)
             self._any.set()
         if received.topic not in self.reception.sensors.topics or received.topic in self.reception.vehicle.topics:
             self._small.put(received)
@@ -139,9 +141,10 @@ class Receiver:
             self._any.wait(0.1)
             self._any.clear()
             with self._lock:
-                waiting, self._newest = list(self._newest.values()), {}
-            while self._calibrations:
-                waiting.insert(0, self._calibrations.pop())
+                waiting = [each for held in self._calibrations.values() for each in held]
+                waiting += self._newest.values()
+                self._newest = {}
+                self._calibrations.clear()
             for received in waiting:
                 message = self.transport.decode(received)
                 taken = message and self.reception.sensors.take(received.topic, message, received.received)
