@@ -88,6 +88,24 @@ def test_mistakes_are_named_with_the_file_in_one_line(case, tmp_path):
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.parametrize(
+    ("text", "meant"),
+    [
+        (edited("max_steer", "max_stear"), "max_steer"),
+        (edited("[vehicle]", "[vehicel]"), "vehicle"),
+        (RIG + "scael = 2.0\n", "scale"),
+        (RIG + '[clock]\nstamps = "heder"\n', "header"),
+        (RIG + "[channels.steer.wrap]\nperoid = 1.0\n", "period"),
+        (edited("[channels.brake]", "[channels.break]"), "brake"),
+        (edited('"steer_angle",', '"steer_angel",'), "steer_angle"),
+        (RIG + "[live.timeouts]\nscann = 1.0\n", "scan"),
+    ],
+)
+def test_a_misspelled_name_is_answered_by_the_nearest_one(text, meant):
+    with pytest.raises(RigError, match=f"did you mean '{meant}'"):
+        parse_rig(text, where="test")
+
+
 def test_a_rig_that_does_not_exist_is_an_error_that_lists_the_presets(tmp_path):
     for name in ("tartandrive3", str(tmp_path / "no.toml"), str(tmp_path)):
         with pytest.raises(RigError, match=r"no such rig.*tartandrive2"):

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.errors import LogError, PerceptionError
+from offpiste.errors import LogError, PerceptionError, did_you_mean
 from offpiste.limits import MOST_PIXELS
 from offpiste.rig.sensors import Intrinsics
 
@@ -65,7 +65,8 @@ class CameraModel:
         how = "fix its CameraInfo or its calibration in the rig"
         if self.distortion_model not in COEFFICIENTS:
             what, known = f"unknown distortion model {self.distortion_model!r}", ", ".join(COEFFICIENTS)
-            raise PerceptionError(what, where=name, how=f"known are {known}")
+            how = f"{did_you_mean(self.distortion_model, COEFFICIENTS)}known are {known}"
+            raise PerceptionError(what, where=name, how=how)
         counts = COEFFICIENTS[self.distortion_model]
         if len(self.distortion) not in counts:
             wanted = " or ".join(map(str, counts))

@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 
 from offpiste.channels import all_actuators, all_controls
-from offpiste.errors import RigError
+from offpiste.errors import RigError, did_you_mean
 
 GEOGRAPHIC: Final = "lat lon"
 """Unit of positions in degrees of latitude and longitude, with the height in metres."""
@@ -210,7 +210,8 @@ def check_channels(channels: Mapping[str, ChannelSource], absent: Collection[str
     known = known_channels()
     for name, source in channels.items():
         if name not in known:
-            raise RigError(f"unknown channel '{name}'", how=f"channels are: {', '.join(known)}")
+            how = f"{did_you_mean(name, known)}channels are: {', '.join(known)}"
+            raise RigError(f"unknown channel '{name}'", how=how)
         widths = (1, 2) if name == "steer" else known[name][1]  # of a turn rate, with the speed
         if len(source.fields) not in widths:
             raise RigError(
@@ -250,7 +251,8 @@ def check_channels(channels: Mapping[str, ChannelSource], absent: Collection[str
             raise RigError(f"channel '{name}' is both given and declared absent", how="remove one of the two")
     unknown = set(absent) - set(known)
     if unknown:
-        raise RigError(f"absent: unknown channel '{min(unknown)}'", how=f"channels are: {', '.join(known)}")
+        how = f"{did_you_mean(min(unknown), known)}channels are: {', '.join(known)}"
+        raise RigError(f"absent: unknown channel '{min(unknown)}'", how=how)
     if "position" not in channels:
         raise RigError("channels.position is missing", how="every rig needs the vehicle's position")
     if not {"orientation", "yaw"} & set(channels):

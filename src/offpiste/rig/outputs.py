@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from offpiste.errors import RigError
+from offpiste.errors import RigError, did_you_mean
 from offpiste.rig.channels import TURN_RATES, unit_factor
 
 Quantity = Literal["throttle", "brake", "steer", "gear", "pedal", "speed", "yaw_rate", "constant"]
@@ -176,7 +176,8 @@ def check_names(rig: Mapping[str, Any]) -> None:
     timeouts = live.get("timeouts") if isinstance(live, dict) else None
     for name in timeouts if isinstance(timeouts, dict) else {}:
         if name not in (there := [each.name for each in fields(Timeouts)]):
-            raise RigError(f"live.timeouts.{name} is no timeout", how=f"give {', '.join(there)}")
+            how = f"{did_you_mean(name, there)}give {', '.join(there)}"
+            raise RigError(f"live.timeouts.{name} is no timeout", how=how)
     outputs = rig.get("outputs")
     for name, output in (outputs if isinstance(outputs, dict) else {}).items():
         written = output.get("fields") if isinstance(output, dict) else None
@@ -184,7 +185,8 @@ def check_names(rig: Mapping[str, Any]) -> None:
             held = field.get("of") if isinstance(field, dict) else None
             if isinstance(held, str) and held not in get_args(Quantity):
                 what = f"outputs.{name}.fields.\"{path}\" holds '{held}'"
-                raise RigError(what, how=f"give one of {', '.join(get_args(Quantity))}")
+                how = f"{did_you_mean(held, get_args(Quantity))}give one of {', '.join(get_args(Quantity))}"
+                raise RigError(what, how=how)
 
 
 def can_reverse(outputs: Mapping[str, Output]) -> bool:

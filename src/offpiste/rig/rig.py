@@ -1,6 +1,5 @@
 """The rig: a vehicle, its channels, sensors and clocks, read from a TOML file."""
 
-import re
 import tomllib
 from importlib import resources
 from pathlib import Path
@@ -12,6 +11,7 @@ from jaxtyping import Float
 
 from offpiste.channels import Actuator, Control, actuator_columns, all_actuators, control_columns
 from offpiste.errors import RigError, did_you_mean
+from offpiste.field_names import suggestion
 from offpiste.limits import parsed, read_small
 from offpiste.registry import load_extensions
 from offpiste.rig.channels import Alignment, ChannelSource, Clock, check_channels
@@ -192,22 +192,13 @@ def parse_rig(text: str, *, where: str) -> Rig:
         check_rig(rig)
     except msgspec.ValidationError as error:
         what = _with_names(str(error), given)
-        how = f"{_near_field(what)}see docs/rig.md for the keys of a rig"
+        how = f"{suggestion(error, Rig)}see docs/rig.md for the keys of a rig"
         raise RigError(what, where=where, how=how) from error
     except ValueError as error:
         raise RigError(f"not valid TOML: {error}", where=where, how="fix the line that is named") from error
     except RigError as error:
         raise RigError(error.what, where=where, how=error.how) from None
     return rig
-
-
-def _near_field(what: str) -> str:
-    """Return a question that names a field of a rig spelled like an unknown one; "" for other messages."""
-    unknown = re.search(r"unknown field `(.+?)`", what)
-    if unknown is None:
-        return ""
-    tables = msgspec.json.schema(Rig)["$defs"].values()
-    return did_you_mean(unknown[1], {name for table in tables for name in table.get("properties", ())})
 
 
 def _with_names(what: str, given: dict[str, Any]) -> str:

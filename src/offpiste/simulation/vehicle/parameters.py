@@ -10,6 +10,7 @@ import numpy as np
 
 from offpiste.conventions import GRAVITY
 from offpiste.errors import OffpisteError
+from offpiste.field_names import suggestion
 from offpiste.limits import parsed, read_small
 
 Positive = Annotated[float, msgspec.Meta(gt=0)]
@@ -158,7 +159,7 @@ def load_vehicle(path: str | Path | None = None) -> VehicleParameters:
     except OSError as error:
         raise VehicleError(f"cannot read the vehicle: {error.strerror}", where=str(file)) from error
     except msgspec.ValidationError as error:
-        how = "compare with offpiste/simulation/vehicle/side_by_side.toml"
+        how = f"{suggestion(error, VehicleParameters)}compare with offpiste/simulation/vehicle/side_by_side.toml"
         raise VehicleError(f"{error}".replace("$.", ""), where=str(file), how=how) from error
     except ValueError as error:
         raise VehicleError(f"not TOML: {error}", where=str(file)) from error

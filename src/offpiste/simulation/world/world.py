@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from offpiste.errors import OffpisteError
+from offpiste.field_names import suggestion
 from offpiste.limits import parsed, read_small
 from offpiste.logs.ground_truth import GROUND_KINDS
 from offpiste.registry import Registry
@@ -219,6 +220,7 @@ def read_world_preset(file: Path | Traversable) -> WorldPreset:
         raise OffpisteError(f"cannot read the world: {error.strerror}", where=str(file)) from error
     except msgspec.ValidationError as error:
         how = "see docs/proving-ground.md, or copy one from offpiste/simulation/world/presets"
+        how = f"{suggestion(error, WorldPreset)}{how}"
         raise OffpisteError(f"{error}".replace("$.", ""), where=str(file), how=how) from error
     except ValueError as error:
         raise OffpisteError(f"not TOML: {error}", where=str(file)) from error
