@@ -11,7 +11,7 @@ import pytest
 
 from log_messages import logged
 from offpiste.errors import LogError, OffpisteError
-from offpiste.parallel import run_all
+from offpiste.parallel import free_memory, run_all, within_memory
 from parallel_jobs import square, variable
 
 
@@ -83,3 +83,50 @@ def _runs(pid: int) -> bool:
     # A process that has ended stays as a zombie until its new parent reaps it.
     status = Path(f"/proc/{pid}/stat")
     return not status.exists() or status.read_text().split()[2] != "Z"
+
+
+def machine(root: Path, **files: str) -> Path:
+    """Files of /proc and /sys of a machine with 8 GiB available."""
+    files = {"proc/meminfo": "MemTotal: 9999999 kB\nMemAvailable: 8388608 kB\n"} | files
+    for name, text in files.items():
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        (root / name).write_text(text)
+    return root
+
+
+def test_free_memory_counts_what_holds_files_where_the_machine_says_how_much(tmp_path, monkeypatch):
+    monkeypatch.setattr("os.sysconf", {"SC_AVPHYS_PAGES": 3_500_000, "SC_PAGE_SIZE": 1000}.get)
+    assert free_memory(tmp_path) == 3_500_000_000
+    assert free_memory(machine(tmp_path)) == 8 << 30
+
+
+@pytest.mark.parametrize(
+    ("group", "place", "limit", "used", "cached"),
+    [
+        ("0::/jobs/one", "sys/fs/cgroup/jobs", "memory.max", "memory.current", "inactive_file"),
+        ("0::/", "sys/fs/cgroup", "memory.max", "memory.current", "inactive_file"),
+        (
+            "4:cpu,memory:/docker/x",
+            "sys/fs/cgroup/memory/docker/x",
+            "memory.limit_in_bytes",
+            "memory.usage_in_bytes",
+            "total_inactive_file",
+        ),
+    ],
+    ids=["a parent's limit", "in a container", "version 1"],
+)
+def test_free_memory_is_no_more_than_the_container_has_left(tmp_path, group, place, limit, used, cached):
+    files = {limit: f"{4 << 30}\n", used: f"{3 << 30}\n", "memory.stat": f"anon 5\n{cached} {1 << 30}\n"}
+    inside = {f"{place}/{name}": text for name, text in files.items()}
+    assert free_memory(machine(tmp_path, **{"proc/self/cgroup": f"1:name=systemd:/\n{group}\n"} | inside)) == 2 << 30
+    (tmp_path / place / limit).write_text("max\n")
+    assert free_memory(tmp_path) == 8 << 30
+
+
+def test_fewer_processes_are_started_where_memory_is_short(monkeypatch):
+    monkeypatch.setattr("offpiste.parallel.free_memory", lambda: int(4.5e9))
+    with logged() as messages:
+        assert [within_memory(wanted, 1.3e9) for wanted in (1, 3, 16)] == [1, 3, 3]
+    assert messages == ["3 of 16 processes at a time: 4.5 GB of memory are free, and each takes 1.3 GB"]
+    monkeypatch.setattr("offpiste.parallel.free_memory", lambda: 0)
+    assert within_memory(4, 1.3e9) == 1

@@ -9,11 +9,12 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from multiprocessing.context import BaseContext
+from pathlib import Path, PurePosixPath
 from queue import Empty
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 from offpiste.errors import OffpisteError
 from offpiste.progress import jobs_bar
@@ -30,6 +31,11 @@ Work = Callable[[Job, Report], str]
 Engine = Callable[[Work[Any], Sequence[Any], str], Iterator[str | OffpisteError]]
 """Does all jobs under a description, and gives the result or the error of each as it ends."""
 
+_CGROUP_2: Final = ("sys/fs/cgroup", "memory.max", "memory.current", "inactive_file")
+_CGROUP_1: Final = ("sys/fs/cgroup/memory", "memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file")
+"""Where Linux keeps the limits of a group of processes, and the files of a group: limit, use, and caches in it."""
+_SPARE: Final = 5e8
+"""Memory that is left to others [bytes]."""
 POLL = 0.3
 """Interval at which the bar is updated [s]."""
 
@@ -37,6 +43,54 @@ POLL = 0.3
 def usable_cores() -> int:
     """Number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def free_memory(root: Path = Path("/")) -> int:
+    """Memory that this process and its children can still have [bytes]: what the machine has, and its container.
+
+    Memory that holds files for now counts as free, where the system says how much that is.
+
+    Args:
+        root: of /proc and /sys.
+    """
+    free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    with suppress(OSError):
+        for line in root.joinpath("proc/meminfo").read_text("ascii").splitlines():
+            if line.startswith("MemAvailable:"):
+                free = 1024 * int(line.split()[1])
+    with suppress(OSError):
+        for line in root.joinpath("proc/self/cgroup").read_text("utf-8").splitlines():
+            number, controllers, group = line.split(":", 2)
+            place, *names = _CGROUP_2 if number == "0" else _CGROUP_1
+            if number == "0" or "memory" in controllers.split(","):
+                groups = [root / place / part.lstrip("/") for part in (group, *map(str, PurePosixPath(group).parents))]
+                free = min(free, *(_left_in(folder, *names) for folder in groups))
+    return free
+
+
+def _left_in(folder: Path, limit: str, used: str, cached: str) -> int:
+    """Memory left in a group of processes [bytes]; endless where it has no limit."""
+    try:
+        most = int((folder / limit).read_text("ascii"))
+        held = int((folder / used).read_text("ascii"))
+        lines = (line.split() for line in (folder / "memory.stat").read_text("ascii").splitlines())
+        return max(0, most - held + sum(int(size) for name, size in lines if name == cached))
+    except (OSError, ValueError):  # none there, or "max"
+        return sys.maxsize
+
+
+def within_memory(processes: int, each: float) -> int:
+    """As many processes as are wanted, or as have room in memory, at least one; says so if these are fewer.
+
+    Args:
+        each: memory that one takes [bytes].
+    """
+    free = free_memory()
+    fitting = max(1, int((free - _SPARE) / max(each, 1.0)))
+    if fitting < processes:
+        room = f"{free / 1e9:.1f} GB of memory are free, and each takes {each / 1e9:.1f} GB"
+        logger.warning(f"{fitting} of {processes} processes at a time: {room}")
+    return min(processes, fitting)
 
 
 def at_a_time(processes: int, device: str = "cpu") -> int:

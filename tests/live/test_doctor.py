@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from live.made_up_robot import ENABLE, START, cloud, odometry, tree, write_rig
-from offpiste.live import doctor
 from offpiste.live.doctor import examined
 from offpiste.logs.ros.writer import make
 from offpiste.transport.zenoh_transport import ZenohSettings
@@ -174,12 +173,3 @@ def test_without_a_router_it_says_so(tmp_path):
     robot = ZenohSettings(endpoint=f"tcp/127.0.0.1:{free_port()}")
     findings = list(examined(write_rig(tmp_path), "", None, robot, 0.1, "system"))
     assert "no connection" in errors(findings)[-1]
-
-
-@pytest.mark.parametrize(("said", "free"), [("MemFree: 9 kB\nMemAvailable:  5000000 kB\n", "5.1 GB"), ("", "3.5 GB")])
-def test_memory_that_holds_files_counts_as_free_where_the_system_says_how_much(tmp_path, monkeypatch, said, free):
-    monkeypatch.setattr(doctor, "_MEMORY", tmp_path / "meminfo")
-    monkeypatch.setattr("os.sysconf", {"SC_AVPHYS_PAGES": 3_500_000, "SC_PAGE_SIZE": 1000}.get)
-    if said:
-        (tmp_path / "meminfo").write_text(said)
-    assert any(what == f"{free} of memory are free" for _, what in doctor._computer())

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from log_messages import logged
 from offpiste.cli import main
 from offpiste.errors import OffpisteError
 from offpiste.simulation.recordings import Recording, simulate_all
@@ -27,6 +28,16 @@ def test_processes_record_what_one_does_and_what_is_there_stays(tmp_path: Path) 
     assert shared[0].log.read_bytes() == b"there"
     assert [one.log.read_bytes() for one in shared[1:]] == [one.log.read_bytes() for one in alone[1:]]
     assert sorted(path.name for path in (tmp_path / "shared").iterdir()) == ["0.mcap", "1.mcap", "2.mcap"]
+
+
+def test_only_as_many_processes_record_as_memory_has_room_for(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr("offpiste.parallel.free_memory", lambda: int(2e9))
+    started = []
+    monkeypatch.setattr("offpiste.simulation.recordings.run_all", lambda *given, **_: started.append(given[2]) or [])
+    with logged() as messages:
+        simulate_all(recordings(tmp_path / "logs"), 16)
+    assert started == [2]
+    assert messages == ["2 of 3 processes at a time: 2.0 GB of memory are free, and each takes 0.7 GB"]
 
 
 def test_one_that_fails_does_not_keep_the_others(tmp_path: Path) -> None:

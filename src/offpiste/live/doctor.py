@@ -1,13 +1,12 @@
 """Before anything moves: the computer, the rig, the model, the connection, and what is heard of the robot."""
 
 import math
-import os
 import platform
 import shutil
 import time
 from collections import deque
 from collections.abc import Iterator
-from contextlib import closing, suppress
+from contextlib import closing
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
@@ -25,7 +24,7 @@ from offpiste.live.sensor_messages import SensorMessages
 from offpiste.live.session import Source
 from offpiste.live.vehicle_messages import VehicleMessages
 from offpiste.logs.ros.bag_files import field_getter, heard_at
-from offpiste.parallel import usable_cores
+from offpiste.parallel import free_memory, usable_cores
 from offpiste.rig.rig import Rig, load_rig
 from offpiste.training.fitness import differing_vehicle
 from offpiste.transport.interface import Received
@@ -35,7 +34,6 @@ Level = Literal["ok", "warning", "error"]
 _CORES: Final = 4
 _FREE_MEMORY: Final = 3.0
 """Memory that a drive with a model that reads images takes, about [GB]."""
-_MEMORY: Final = Path("/proc/meminfo")
 _SHARED_MEMORY: Final = 0.5
 """Shared memory of its rings [GB]."""
 _WAITING: Final = 16
@@ -112,22 +110,13 @@ def _computer() -> Iterator[Finding]:
     cores = usable_cores()
     few = f"{cores} cores: plans and maps will be late; {_CORES} or more are better"
     yield Finding("warning", few) if cores < _CORES else Finding("ok", f"{cores} cores")
-    free = _free_memory()
+    free = free_memory() / 1e9
     yield Finding("ok" if free > _FREE_MEMORY else "warning", f"{free:.1f} GB of memory are free")
     shared = Path("/dev/shm")
     room = shutil.disk_usage(shared).free / 1e9 if shared.is_dir() else 0.0
     much = room > _SHARED_MEMORY
     hint = "" if much else "; in a container, give it more: --shm-size 1g"
     yield Finding("ok" if much else "error", f"{room:.1f} GB of shared memory are free{hint}")
-
-
-def _free_memory() -> float:
-    """Memory that a drive can have [GB]: also what holds files for now, where the system says how much that is."""
-    with suppress(OSError):
-        for line in _MEMORY.read_text(encoding="ascii").splitlines():
-            if line.startswith("MemAvailable:"):
-                return int(line.split()[1]) * 1024 / 1e9
-    return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 1e9
 
 
 def _for_driving(rig: Rig) -> Iterator[Finding]:

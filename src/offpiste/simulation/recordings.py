@@ -6,12 +6,17 @@ from collections.abc import Sequence
 from contextlib import redirect_stderr
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 from offpiste.cluster import engine_at
-from offpiste.parallel import Report, run_all
+from offpiste.parallel import Report, run_all, within_memory
 from offpiste.simulation.simulate import DriveSettings, simulate
 
 logger = logging.getLogger(__name__)
+
+
+MEMORY: Final = {"none": 0.7e9, "light": 1.3e9, "full": 1.3e9}
+"""Memory of a process that records a drive, by its sensors [bytes]: the largest measured, and a third more."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +36,9 @@ def simulate_all(recordings: Sequence[Recording], processes: int, cluster: str =
     missing = [recording for recording in recordings if not recording.log.exists()]
     if kept := len(recordings) - len(missing):
         logger.warning(f"{kept} of {len(recordings)} drives are there, and stay as they were recorded")
+    if not cluster and missing:
+        wanted = min(processes, len(missing))
+        processes = within_memory(wanted, max(MEMORY.get(one.settings.sensors, 0.0) for one in missing))
     failed = run_all(_record, missing, processes, "simulate", engine=engine_at(cluster))
     if failed:
         raise failed[0]
