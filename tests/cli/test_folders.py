@@ -59,6 +59,16 @@ def test_a_folder_with_other_files_is_refused_and_left_alone(words, dataset, tmp
     assert [path.name for path in out.iterdir()] == ["mine.txt"]
 
 
+def test_demo_leaves_a_folder_of_runs_alone(tmp_path, capsys):
+    run = tmp_path / "out" / "dc"
+    run.mkdir(parents=True)
+    for name in ("model.json", "pca.safetensors"):
+        (run / name).write_text("mine")
+    assert ended("demo", "--out", tmp_path / "out") == 1
+    assert "holds something else" in capsys.readouterr().err
+    assert {path.name for path in run.iterdir()} == {"model.json", "pca.safetensors"}
+
+
 class Interrupted:
     def run(self) -> int:
         raise KeyboardInterrupt

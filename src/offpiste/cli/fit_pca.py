@@ -75,6 +75,7 @@ class FitPca:
         write_image_list(self.out.with_suffix(".images.txt"), fitted.images)
         show(f"{self.out}: {pca.components} components, {pca.variance.sum() / pca.total_variance:.1%} of the variance")
         logs = [str(log) for log in self.logs]
-        words = ["extract", *logs, "--rig", self.rig, "--pca", str(self.out), "--out", "dataset.zarr"]
+        words = ["extract", *logs, "--rig", self.rig, "--pca", str(self.out), "--split", self.split]
+        words += ["--out", "dataset.zarr"]
         show(f"next: {join(['offpiste', *words])}")
         return 0

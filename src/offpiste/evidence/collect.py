@@ -26,7 +26,7 @@ from offpiste.reproduction.reproduce import reproduce
 from offpiste.reproduction.results import gather
 from offpiste.reproduction.runs import EvaluationData, figure_readings, mapped
 from offpiste.reproduction.settings import PCA_SWEPT, ReproductionSettings, Size, defaults, figure_models
-from offpiste.reproduction.steps import Step, append_time, claim_folder, run_steps
+from offpiste.reproduction.steps import FEATURES, Step, append_time, claim_folder, run_steps
 from offpiste.rig.rig import rig_text
 from offpiste.simulation.recordings import Recording, simulate_all
 from offpiste.training.run import load_run
@@ -126,14 +126,14 @@ def collect(settings: EvidenceSettings) -> Path:
 def _claimed(settings: EvidenceSettings) -> Drives:
     """The drives, inspected before the folder is begun with them, or simulated into it."""
     if not settings.logs:
-        claim_folder(settings.out, described(settings.size, None, ""), defaults=defaults())
+        claim_folder(settings.out, described(settings.size, None, ""), defaults=defaults(), own=FEATURES)
         drives = _simulated(settings)
         _drive(settings, drives)
         return drives
     drives = given_drives(settings.logs, settings.rig, settings.split)
     if not (settings.out / "settings.json").exists():
         inspect_drives(drives, rig=settings.rig)
-    claim_folder(settings.out, described(settings.size, drives, settings.rig), defaults=defaults())
+    claim_folder(settings.out, described(settings.size, drives, settings.rig), defaults=defaults(), own=FEATURES)
     return drives
 
 

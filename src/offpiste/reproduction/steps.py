@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import redirect_stderr
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from offpiste.errors import RunError
 from offpiste.files import check_folder
@@ -18,24 +18,30 @@ from offpiste.training.checkpoint import load_json, save_json
 logger = logging.getLogger(__name__)
 
 
+FEATURES: Final = ("settings.json", "pca.safetensors", "*/pca.safetensors")
+"""Files of a folder that features may have been put into beforehand."""
+
+
 def claim_folder(
     out: Path,
     settings: dict[str, Any],
     *,
     defaults: Mapping[str, Any] | None = None,
     formerly: Mapping[str, Any] | None = None,
+    own: Sequence[str] = ("settings.json",),
 ) -> None:
     """Write the settings of an experiment to `out/settings.json`, or check that they are the same.
 
     Args:
         defaults: values of settings that a folder from before there were such may lack.
         formerly: by key, what older versions wrote for the same value.
+        own: patterns of files, one of which a folder that is not empty holds.
 
     Raises:
         RunError: the folder was begun with other settings.
         OffpisteError: it is a file, or holds something else.
     """
-    check_folder(out, own=("settings.json", "pca.safetensors", "*/pca.safetensors"))
+    check_folder(out, own=own)
     path, wanted = out / "settings.json", json.loads(json.dumps(settings))
     if not path.exists():
         save_json(path, wanted)
