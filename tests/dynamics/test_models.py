@@ -13,7 +13,7 @@ from offpiste.errors import RunError
 
 
 def test_every_model_can_be_made_and_says_what_it_can_do() -> None:
-    for model in MODELS.values():
+    for model in dict(MODELS.items()).values():
         dynamics = model(VEHICLE, seed=0)
         assert isinstance(dynamics, Dynamics)
         assert dynamics.codes == (dynamics.encoder.size if dynamics.encoder is not None else 0)

@@ -190,7 +190,7 @@ def view(
     Raises:
         LogError, RigError, PerceptionError, DatasetError, RunError: the path is neither, or cannot be viewed.
     """
-    check_folder(out, own=("*.png", "report.html"))
+    check_folder(out, own=("*.png", "*.rrd", "report.html"))
     if (path / "zarr.json").exists():
         if rig or pca or seconds:
             logger.info(
