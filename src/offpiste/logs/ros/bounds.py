@@ -33,7 +33,7 @@ from offpiste.limits import LARGEST, LARGEST_TEXT, refuse_larger, zstd
 _PIECE: Final = 1 << 22
 """Bytes that are decompressed at a time."""
 _SMALLER: Final = "`mcap compress FILE -o SMALLER.mcap` writes smaller chunks, of ROS 1 `rosbag record --chunksize=768`"
-MOST_OBJECTS: Final = LARGEST >> 5
+MOST_OBJECTS: Final = 1 << 25
 """Longest message with sequences of messages or texts, whose entries take 30 and more times their bytes [bytes]."""
 _MOST_FIELDS: Final = 1 << 14
 """Most numbers and texts in a message's definition, entries of arrays of messages included."""
