@@ -155,7 +155,7 @@ def test_how_often_the_firm_way_is_taken():
     assert "| b-100ms | 1 of 3 | 33 % | – |" in text
     line = next(line for line in text.splitlines() if line.startswith("| dc-100ms | 3 of 4 | 75 % | − b-100ms: +33 ["))
     low, high = (float(part) for part in line.split("[")[1].split("]")[0].split(", "))
-    assert -100 <= low < 0 < 33 < high <= 100, "three courses show nothing, and no share differs by more than 100"
+    assert -100 <= low <= 0 < 33 < high <= 100, "three courses show nothing, and no share differs by more than 100"
 
 
 def test_another_planner_and_a_risk_are_compared_with_who_has_none_and_who_knows_less():
