@@ -20,7 +20,7 @@ from offpiste.errors import TooLarge
 from offpiste.limits import zstd
 from offpiste.logs.ros.bounds import inflated
 from tests.fuzz.cases import verdict_of
-from tests.fuzz.isolation import run_apart
+from tests.fuzz.isolation import run_command_apart
 from tests.fuzz.recordings import driven, write_db3, write_mcap, write_ros1
 
 PART = "=" * 80 + "\nMSG: p/"
@@ -310,6 +310,6 @@ def refused(path: Path, folder: Path, command: str = "inspect", *options: str) -
 
 def inspected(path: Path, folder: Path, command: str = "inspect", *options: str) -> tuple[str, str]:
     """Verdict on a command in a process of its own, with 2 GiB and 120 s, and why."""
-    outcome = run_apart([command, str(path), *options], folder)
+    outcome = run_command_apart([command, str(path), *options], folder)
     verdict, why = verdict_of(outcome, command)
     return verdict, f"{why} ({outcome.memory >> 20} MB, {outcome.seconds:.0f} s)\n{outcome.out}{outcome.err}"

@@ -12,6 +12,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 MEMORY = 2 << 30
@@ -121,14 +122,22 @@ def _resident(process: int) -> int:
         return 0
 
 
-def run_apart(arguments: Sequence[str], folder: Path) -> Outcome:
-    """Run a command of the CLI as `run_isolated`, by a fork of a small server: this process may be large."""
+def run_apart(work: Callable[[], object], folder: Path) -> Outcome:
+    """Call `work` as `run_isolated` does, in a fork of a small server.
+
+    The resident memory of a fork starts at that of its parent, and this process may be large.
+    """
     context = multiprocessing.get_context("forkserver")
     with ProcessPoolExecutor(1, mp_context=context) as pool:
-        return pool.submit(_command_apart, tuple(arguments), folder).result()
+        return pool.submit(run_isolated, work, folder).result()
 
 
-def _command_apart(arguments: Sequence[str], folder: Path) -> Outcome:
+def run_command_apart(arguments: Sequence[str], folder: Path) -> Outcome:
+    """Run a command of the CLI as `run_apart`."""
+    return run_apart(partial(_run_command, tuple(arguments)), folder)
+
+
+def _run_command(arguments: tuple[str, ...]) -> None:
     from offpiste.cli import main
 
-    return run_isolated(lambda: main(list(arguments)), folder)
+    main(list(arguments))

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tests.fuzz.cases import verdict_of
-from tests.fuzz.isolation import MEMORY, Outcome, run_isolated
+from tests.fuzz.isolation import MEMORY, Outcome, run_apart
 from tests.fuzz.mutations import BYTES, TEXT, mutate_values
 
 SEED = int(os.environ.get("OFFPISTE_FUZZ_SEED") or datetime.date.today().toordinal())
@@ -109,4 +109,4 @@ def _allocate(size: int) -> None:
     ],
 )
 def test_a_process_of_its_own_ends_as_it_ends(tmp_path: Path, work, verdict: str) -> None:
-    assert verdict_of(run_isolated(work, tmp_path))[0] == verdict
+    assert verdict_of(run_apart(work, tmp_path))[0] == verdict
