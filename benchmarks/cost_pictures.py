@@ -12,7 +12,8 @@ import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from offpiste.conventions import CONTROL, GRAVITY
+from offpiste.core.conventions import CONTROL, GRAVITY
+from offpiste.core.state import ModelState
 from offpiste.dynamics import Parametric, Vehicle
 from offpiste.mapping.terrain_map import TerrainLayers, empty_layers
 from offpiste.mapping.terrain_sampler import stack_maps
@@ -24,7 +25,6 @@ from offpiste.planning.course import Course
 from offpiste.planning.driving_cost import Situation
 from offpiste.planning.kernel import encode_map, fused_costs, fused_rollout
 from offpiste.planning.mppi import PEDALS_AND_WHEEL, Settings, improve, sample
-from offpiste.state import ModelState
 
 WHEELS = torch.tensor([[1.1, 0.8], [1.1, -0.8], [-1.1, 0.8], [-1.1, -0.8]])
 LINE, LABEL = "#2a6f97", 8

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from offpiste.conventions import FEATURE_SETS
+from offpiste.core.conventions import FEATURE_SETS
 from offpiste.dataset.extract import make_dataset
 from offpiste.dataset.features_under_wheels import Cells
 from offpiste.dataset.resample import Rows, extract_rows

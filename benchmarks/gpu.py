@@ -18,7 +18,7 @@ from gpu_planning import of_images, of_plans, of_pytorch_mppi, of_spread
 from gpu_timing import Row
 from gpu_training import of_train, of_training
 
-from offpiste.errors import OffpisteError
+from offpiste.core.errors import OffpisteError
 from offpiste.training.run import pretrained
 
 STAGES = {

@@ -12,7 +12,8 @@ from gpu_timing import Row, by_events, open_kernels, timed
 from torch import Tensor
 
 from offpiste.closed_loop.planner import load_planner
-from offpiste.conventions import HORIZON_STEPS
+from offpiste.core.conventions import HORIZON_STEPS
+from offpiste.core.state import ModelState
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.feature_encoder import FeatureEncoder
 from offpiste.mapping.replay import ExtractFeatures
@@ -32,7 +33,6 @@ from offpiste.planning.mppi import PEDALS_AND_WHEEL, Settings, limited, sample
 from offpiste.planning.pedal import PEDAL_AND_WHEEL
 from offpiste.planning.plan_graph import captured
 from offpiste.runtime.perception import codes_of, encoder_on
-from offpiste.state import ModelState
 from offpiste.training.run import pretrained
 from offpiste.uncertainty.prediction import load_spread
 

@@ -11,13 +11,13 @@ from gpu_timing import Row, open_kernels, timed
 from torch import Tensor
 from torch.nn.functional import embedding
 
-from offpiste.conventions import ACTUATORS, HORIZON_STEPS
+from offpiste.core.conventions import ACTUATORS, HORIZON_STEPS
+from offpiste.core.state import ModelState, RecordedTerrain, Terrain
 from offpiste.dataset.store import open_dataset
 from offpiste.dynamics import rollout
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.header.gpu import check_kernels
 from offpiste.dynamics.header.recorded import recorded_text, rollout_by_kernels
-from offpiste.state import ModelState, RecordedTerrain, Terrain
 from offpiste.training.config import TrainConfig
 from offpiste.training.run import kept_epochs
 from offpiste.training.terrain_sources import codes_of_cells

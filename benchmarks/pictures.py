@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from offpiste.conventions import DT
+from offpiste.core.conventions import DT
 from offpiste.simulation.rendering.appearance import make_appearance
 from offpiste.simulation.rendering.scene import world_scene
 from offpiste.simulation.sample import Pose, VehicleSample, motionless

@@ -25,7 +25,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from offpiste.conventions import CONTROL, DT, HORIZON_STEPS
+from offpiste.core.conventions import CONTROL, DT, HORIZON_STEPS
+from offpiste.core.state import ModelState
 from offpiste.dynamics import Hybrid, Vehicle, as_callable
 from offpiste.dynamics.feature_encoder import Compressor
 from offpiste.mapping.terrain_map import TerrainLayers
@@ -39,7 +40,6 @@ from offpiste.planning.driving_cost import Situation, terms_after
 from offpiste.planning.kernel import coded_map, encode_map, fused_costs
 from offpiste.planning.mppi import PEDALS_AND_WHEEL, Settings, improve, limited, sample, weigh
 from offpiste.planning.rollouts import driving_costs
-from offpiste.state import ModelState
 from offpiste.uncertainty.spread import Spread, inputs_of
 
 Planned = Callable[[Tensor, Tensor], Tensor]

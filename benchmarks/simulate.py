@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from offpiste.conventions import DT
+from offpiste.core.conventions import DT
 from offpiste.logs.ros.writer import McapWriter
 from offpiste.simulation.recorder import Recorder
 from offpiste.simulation.rendering.appearance import make_appearance

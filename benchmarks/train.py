@@ -22,6 +22,7 @@ import torch
 import tyro
 from torch import Tensor, nn
 
+from offpiste.core.state import ModelState, RecordedTerrain, Trajectory
 from offpiste.dataset.feature_sets import per_trajectory
 from offpiste.dataset.ground_tables import free_budget, ground_tables
 from offpiste.dataset.store import open_dataset
@@ -31,7 +32,6 @@ from offpiste.dynamics.base import Step
 from offpiste.dynamics.header.gpu import gpu_kernels
 from offpiste.dynamics.header.recorded import rollout_by_kernels
 from offpiste.dynamics.kernels.autograd import rollout_recorded
-from offpiste.state import ModelState, RecordedTerrain, Trajectory
 from offpiste.training.batches import draw_sets
 from offpiste.training.build import build, vehicle_of
 from offpiste.training.config import TrainConfig

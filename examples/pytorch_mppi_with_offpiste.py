@@ -9,10 +9,10 @@ import torch
 from pytorch_mppi import MPPI
 from torch import Tensor
 
+from offpiste.core.state import ModelState
 from offpiste.dynamics import Hybrid, Vehicle, as_callable
 from offpiste.mapping.terrain_map import TerrainMap
 from offpiste.mapping.terrain_sampler import MapTerrain, stack_maps
-from offpiste.state import ModelState
 
 SAMPLES, STEPS, RADIUS, SPEED = 200, 75, 20.0, 5.0
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import tyro
 
-from offpiste.errors import OffpisteError
-from offpiste.progress import log_to_terminal, show
+from offpiste.core.errors import OffpisteError
+from offpiste.core.progress import log_to_terminal, show
 
 
 def run(command: Callable[..., Any], arguments: list[str] | None = None) -> None:

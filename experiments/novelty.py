@@ -18,14 +18,14 @@ import torch
 from jaxtyping import Bool, Float, Int
 
 from experiments.command import run
-from offpiste.conventions import FEATURE_SETS
+from offpiste.core.conventions import FEATURE_SETS
+from offpiste.core.errors import DatasetError
+from offpiste.core.files import write_text
+from offpiste.core.progress import track
 from offpiste.dataset.features_under_wheels import Cells
 from offpiste.dataset.splits import PARTS
 from offpiste.dataset.store import Dataset, StoredDrive, open_dataset
-from offpiste.errors import DatasetError
-from offpiste.files import write_text
 from offpiste.logs.ground_truth import GROUND_KINDS, GROUND_PROPERTIES
-from offpiste.progress import track
 from offpiste.report.text_table import TextTable, number
 from offpiste.simulation.world.ground import property_table
 from offpiste.uncertainty.novelty import NoveltySettings, fit_memory_bank

@@ -23,11 +23,12 @@ from experiments.control_experiments.reproduced import Reproduced, open_reproduc
 from experiments.control_experiments.runs import trained_seeds
 from experiments.control_experiments.strata import strata
 from offpiste._version import commit, today
-from offpiste.conventions import DT
+from offpiste.core.conventions import DT
+from offpiste.core.errors import RunError
+from offpiste.core.shipped import PCA
 from offpiste.dataset.splits import PARTS
 from offpiste.dataset.store import Dataset, open_dataset
 from offpiste.dataset.windows import Windows
-from offpiste.errors import RunError
 from offpiste.evaluation.errors import Errors
 from offpiste.evaluation.intervals import PairedDifference, Sampling, relative, summary
 from offpiste.evaluation.model_card import GroupFigures, ModelCard, write_card
@@ -35,7 +36,6 @@ from offpiste.reproduction.gains import MAP, errors_of, evaluation_index, runs_o
 from offpiste.reproduction.reproduce import reproduce
 from offpiste.reproduction.settings import ReproductionSettings, sized
 from offpiste.reproduction.steps import claim_folder
-from offpiste.shipped import PCA
 from offpiste.training.checkpoint import WEIGHTS, load_json, save_json
 from offpiste.training.run import Run
 from offpiste.uncertainty.calibrate import kept_or_fitted

@@ -16,13 +16,13 @@ from rich.table import Table
 from scipy.spatial.transform import Rotation
 
 from experiments.command import run
+from offpiste.core.progress import track
 from offpiste.inspection.misfit import turned
 from offpiste.inspection.sensor_samples import Gathered, SmallCamera, gather, small_camera
 from offpiste.inspection.sensors import CheckedSensor, camera_misfits, lidar_misfits
 from offpiste.logs import open_log
 from offpiste.logs.measurements import Lidar
 from offpiste.logs.sensor_log import open_sensors
-from offpiste.progress import track
 from offpiste.rig.rig import Rig, load_rig
 
 logger = logging.getLogger("experiments")

@@ -19,15 +19,15 @@ from jaxtyping import Bool, Float, Int
 from scipy.optimize import minimize
 
 from experiments.command import run
-from offpiste.conventions import HORIZON_STEPS
+from offpiste.core.conventions import HORIZON_STEPS
+from offpiste.core.errors import RunError
+from offpiste.core.files import write_text
+from offpiste.core.geometry import planar_body_from_world
 from offpiste.dataset.store import Dataset, open_dataset
 from offpiste.dataset.windows import Windows
-from offpiste.errors import RunError
 from offpiste.evaluation.evaluated_windows import EvaluatedWindows
 from offpiste.evaluation.intervals import Sampling
 from offpiste.evaluation.speed_bands import members
-from offpiste.files import write_text
-from offpiste.geometry import planar_body_from_world
 from offpiste.training.fitness import refuse_seen, refuse_unfit
 from offpiste.training.prediction import in_parts
 from offpiste.training.run import Run, load_run

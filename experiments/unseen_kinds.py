@@ -24,14 +24,14 @@ from experiments.control_experiments.reproduced import open_reproduction
 from experiments.control_experiments.runs import trained
 from experiments.novelty import nearest_kinds, refuse_unlike
 from experiments.spreads import errors_by_ways, members_of, validated_ways
-from offpiste.conventions import HORIZON_STEPS
+from offpiste.core.conventions import HORIZON_STEPS
+from offpiste.core.errors import DatasetError
+from offpiste.core.files import write_text
 from offpiste.dataset.splits import PARTS
 from offpiste.dataset.store import Dataset, StoredDrive
 from offpiste.dataset.windows import Windows
-from offpiste.errors import DatasetError
 from offpiste.evaluation.evaluated_windows import EvaluatedWindows
 from offpiste.evaluation.intervals import Sampling
-from offpiste.files import write_text
 from offpiste.logs.ground_truth import GROUND_KINDS
 from offpiste.reproduction.gains import MAP, evaluation_index
 from offpiste.reproduction.steps import claim_folder

@@ -20,9 +20,9 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
+from offpiste.core.errors import DatasetError
 from offpiste.dataset.extract import make_dataset
 from offpiste.dataset.place import drive_names
-from offpiste.errors import DatasetError
 from offpiste.rig.rig import load_rig
 from offpiste.simulation.simulate import DriveSettings, simulate
 from offpiste.simulation.world.world import WorldSettings

@@ -11,7 +11,7 @@ from offpiste import compilation
 from offpiste.compilation import Compiler
 
 PACKAGE = Path(compilation.__file__).parent
-MACHINERY = {"offpiste.compilation", "offpiste.registry", "offpiste.errors"}
+MACHINERY = {"offpiste.compilation", "offpiste.core.registry", "offpiste.core.errors"}
 """Modules whose values are in no compiled code, or, of the first, in every digest."""
 
 METHODS = {"inlined", "loop", "summing_loop", "maker", "entry"}

@@ -8,13 +8,13 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from offpiste.conventions import ACTUATORS, CONTROL, DT
+from offpiste.core.conventions import ACTUATORS, CONTROL, DT
+from offpiste.core.state import History, RecordedTerrain, Terrain
 from offpiste.dataset.resample import Rows
 from offpiste.dynamics import Hybrid, Vehicle
 from offpiste.dynamics.feature_encoder import Identity
 from offpiste.logs.log import Log, Samples, Topic
 from offpiste.rig.rig import Rig, parse_rig
-from offpiste.state import History, RecordedTerrain, Terrain
 
 torch.set_num_threads(1)
 """Tensors here are small: threads cost more than they bring."""

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from factories import circle_rows, small_rig
-from offpiste.conventions import FEATURE_SETS
+from offpiste.core.conventions import FEATURE_SETS
 from offpiste.dataset.features_under_wheels import Cells
 from offpiste.dataset.known_cells import crop
 from offpiste.dataset.map_snapshots import SnapshotWriter, open_snapshots

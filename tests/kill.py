@@ -124,7 +124,7 @@ def recorded_steering(inputs: Path) -> None:
     """A dataset of random features and of a steering angle, so that there are actuators to fit."""
     from factories import RIG
     from feature_datasets import FEATURES, rows_with_features
-    from offpiste.conventions import DT
+    from offpiste.core.conventions import DT
     from offpiste.dataset.splits import parse_split
     from offpiste.dataset.store import add_drive, create
     from offpiste.rig.rig import parse_rig

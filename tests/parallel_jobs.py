@@ -1,10 +1,10 @@
-"""Jobs for tests of `offpiste.parallel`, which worker processes must be able to import."""
+"""Jobs for tests of `offpiste.core.parallel`, which worker processes must be able to import."""
 
 import os
 import time
 from collections.abc import Callable
 
-from offpiste.errors import LogError
+from offpiste.core.errors import LogError
 
 
 def square(job: int, report: Callable[[float], None]) -> str:

@@ -10,7 +10,7 @@ from types import ModuleType
 import pytest
 
 from feature_datasets import dataset_with_features
-from offpiste.shipped import pca_file
+from offpiste.core.shipped import pca_file
 from offpiste.simulation.simulate import DriveSettings, simulate
 
 ROOT = Path(__file__).parents[1]

@@ -16,8 +16,8 @@ from rosbags.rosbag1 import reader as rosbag1_reader
 from rosbags.rosbag2 import reader as rosbag2_reader
 from rosbags.rosbag2 import storage_mcap
 
-from offpiste.errors import TooLarge
-from offpiste.limits import zstd
+from offpiste.core.errors import TooLarge
+from offpiste.core.limits import zstd
 from offpiste.logs.ros.bounds import inflated
 from tests.fuzz.cases import verdict_of
 from tests.fuzz.isolation import run_command_apart

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from offpiste.cache import cache_folder, forget_unused
+from offpiste.core.cache import cache_folder, forget_unused
 
 HOME = Path.home()
 

@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from offpiste.channels import (
+from offpiste.core.channels import (
     ACTUATORS,
     CONTROLS,
     KERNEL_CONTROLS,

@@ -10,9 +10,9 @@ import pytest
 import cluster
 from log_messages import logged
 from offpiste.cluster import engine_at
-from offpiste.errors import OffpisteError
+from offpiste.core.errors import OffpisteError
+from offpiste.core.parallel import run_all
 from offpiste.inspection.survey import inspect_logs
-from offpiste.parallel import run_all
 from offpiste.rig.rig import load_rig
 from parallel_jobs import square
 

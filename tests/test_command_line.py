@@ -6,7 +6,7 @@ from pathlib import Path
 import tyro
 
 from offpiste.cli.extract import Extract
-from offpiste.command_line import command_line
+from offpiste.core.command_line import command_line
 
 
 def _parsed(line: str) -> Extract:

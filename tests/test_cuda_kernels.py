@@ -6,8 +6,8 @@ from types import ModuleType, SimpleNamespace
 import pytest
 import torch
 
+from offpiste.core.errors import OffpisteError
 from offpiste.cuda_kernels import CudaKernels, argument_of, machine_code
-from offpiste.errors import OffpisteError
 
 
 class CUDAError(Exception):

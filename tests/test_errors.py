@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from offpiste.errors import MissingExtra, OffpisteError, extra, is_installed, require
+from offpiste.core.errors import MissingExtra, OffpisteError, extra, is_installed, require
 from offpiste.perception.backbones.vision_transformer import load_vision_transformer
 from offpiste.training.optimise import also_tensorboard
 

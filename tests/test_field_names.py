@@ -2,7 +2,7 @@
 
 import pytest
 
-from offpiste.errors import OffpisteError
+from offpiste.core.errors import OffpisteError
 from offpiste.simulation.vehicle.parameters import load_vehicle
 from offpiste.simulation.world.world import read_world_preset
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from offpiste.errors import OffpisteError
-from offpiste.files import remove_partials, temporary_folder, write_folder, write_text, write_whole
+from offpiste.core.errors import OffpisteError
+from offpiste.core.files import remove_partials, temporary_folder, write_folder, write_text, write_whole
 
 
 def test_the_current_folder_is_not_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

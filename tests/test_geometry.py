@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from offpiste.geometry import (
+from offpiste.core.geometry import (
     bicycle_angle,
     local_from_geographic,
     local_polynomial,

@@ -14,11 +14,11 @@ import torch
 from factories import small_rig
 from feature_datasets import FEATURES, rows_with_features
 from offpiste.cli import main
+from offpiste.core.errors import OffpisteError
 from offpiste.dataset.known_cells import crop
 from offpiste.dataset.map_snapshots import SnapshotWriter
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import add_drive, create, open_dataset
-from offpiste.errors import OffpisteError
 from offpiste.mapping.terrain_map import TerrainMap
 from offpiste.perception.pca import PrincipalComponents, load_pca, save_pca
 from offpiste.training.build import build, vehicle_of

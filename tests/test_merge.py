@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from offpiste.core.errors import DatasetError, OffpisteError
+from offpiste.core.parallel import parse_shard
 from offpiste.dataset.extract import make_dataset
 from offpiste.dataset.place import drive_names
-from offpiste.errors import DatasetError, OffpisteError
 from offpiste.merge import merge_datasets
-from offpiste.parallel import parse_shard
 from offpiste.rig.rig import load_rig
 from offpiste.simulation.simulate import DriveSettings, simulate
 from offpiste.simulation.world.world import WorldSettings

@@ -7,10 +7,10 @@ import pytest
 import s3fs
 
 from object_stores import s3_server
-from offpiste.errors import LogError, OffpisteError
-from offpiste.files import check_folder
+from offpiste.core.errors import LogError, OffpisteError
+from offpiste.core.files import check_folder
+from offpiste.core.object_store import brought, expanded, store_at, url_of
 from offpiste.logs import open_log
-from offpiste.object_store import brought, expanded, store_at, url_of
 
 
 @pytest.fixture

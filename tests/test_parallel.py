@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from log_messages import logged
-from offpiste.errors import LogError, OffpisteError
-from offpiste.parallel import free_memory, run_all, within_memory
+from offpiste.core.errors import LogError, OffpisteError
+from offpiste.core.parallel import free_memory, run_all, within_memory
 from parallel_jobs import square, variable
 
 
@@ -54,14 +54,14 @@ def test_work_that_processes_could_not_import_is_refused_before_any_starts(tmp_p
     package = tmp_path / "study"
     package.mkdir()
     (package / "__init__.py").touch()
-    code = "from offpiste.parallel import run_all\ndef work(job, report): return ''\nrun_all(work, [1, 2], 2, '')"
+    code = "from offpiste.core.parallel import run_all\ndef work(job, report): return ''\nrun_all(work, [1, 2], 2, '')"
     (package / "__main__.py").write_text(code)
     ran = subprocess.run([sys.executable, "-m", "study"], cwd=tmp_path, capture_output=True, text=True)
     assert "ValueError: put work in a module of its own" in ran.stderr
 
 
 def test_processes_end_when_their_parent_is_killed():
-    imports = "from parallel_jobs import wait; from offpiste.parallel import run_all"
+    imports = "from parallel_jobs import wait; from offpiste.core.parallel import run_all"
     code = f"{imports}; run_all(wait, [1, 2], 2, 'waiting', finished=print)"
     script = f"if __name__ == '__main__':\n    {code}"
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(["tests", *sys.path])}
@@ -124,9 +124,9 @@ def test_free_memory_is_no_more_than_the_container_has_left(tmp_path, group, pla
 
 
 def test_fewer_processes_are_started_where_memory_is_short(monkeypatch):
-    monkeypatch.setattr("offpiste.parallel.free_memory", lambda: int(4.5e9))
+    monkeypatch.setattr("offpiste.core.parallel.free_memory", lambda: int(4.5e9))
     with logged() as messages:
         assert [within_memory(wanted, 1.3e9) for wanted in (1, 3, 16)] == [1, 3, 3]
     assert messages == ["3 of 16 processes at a time: 4.5 GB of memory are free, and each takes 1.3 GB"]
-    monkeypatch.setattr("offpiste.parallel.free_memory", lambda: 0)
+    monkeypatch.setattr("offpiste.core.parallel.free_memory", lambda: 0)
     assert within_memory(4, 1.3e9) == 1

@@ -15,11 +15,11 @@ from safetensors.torch import load_file
 
 from factories import circle_rows, small_rig
 from feature_datasets import dataset_with_features
-from offpiste.checksums import sha256_of, sha256_of_json, write_checksums
 from offpiste.cli import main
+from offpiste.core.checksums import sha256_of, sha256_of_json, write_checksums
+from offpiste.core.errors import RunError
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import add_drive, create, open_dataset
-from offpiste.errors import RunError
 from offpiste.training.build import build, vehicle_of
 from offpiste.training.checkpoint import load_json, save_json, save_tensors
 from offpiste.training.config import TrainConfig, Weights, refuse_impossible

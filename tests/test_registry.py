@@ -4,8 +4,8 @@ import sys
 
 import pytest
 
-from offpiste.errors import OffpisteError, PerceptionError
-from offpiste.registry import EXTENSIONS, Registry, load_extensions
+from offpiste.core.errors import OffpisteError, PerceptionError
+from offpiste.core.registry import EXTENSIONS, Registry, load_extensions
 
 
 def test_an_entry_is_found_by_the_name_it_registered():
@@ -39,7 +39,7 @@ def package(tmp_path, monkeypatch):
     """A package with a registry and one module that registers itself, and an extension beside it."""
     folder = tmp_path / "shipped_things"
     folder.mkdir()
-    head = "from offpiste.registry import Registry\n"
+    head = "from offpiste.core.registry import Registry\n"
     (folder / "__init__.py").write_text(head + "THINGS = Registry('thing', package=__name__)\n")
     (folder / "hammer.py").write_text("from shipped_things import THINGS\nTHINGS.register('hammer')(1)\n")
     (tmp_path / "added_things.py").write_text("from shipped_things import THINGS\nTHINGS.register('saw')(2)\n")

@@ -7,7 +7,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from offpiste.state import RecordedTerrain, Terrain, TerrainSource, wrap_angle
+from offpiste.core.state import RecordedTerrain, Terrain, TerrainSource, wrap_angle
 
 
 @given(st.floats(-3.1, 3.1), st.integers(-5, 5))

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import tyro
 
 from offpiste.cli.entry import COMMANDS
-from offpiste.progress import show
+from offpiste.core.progress import show
 
 
 @COMMANDS.register("digest")

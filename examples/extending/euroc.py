@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 from ruamel.yaml import YAML
 
-from offpiste.errors import LogError
+from offpiste.core.errors import LogError
 from offpiste.logs.log import LOG_FORMATS, Log, RawImage, Samples, Topic
 from offpiste.logs.transforms import Transform
 from offpiste.rig.camera import CameraModel

@@ -12,13 +12,13 @@ The wheels of the rig are the ends of the tracks.
 import torch
 from torch import Tensor, nn
 
-from offpiste.channels import Control, register_control
-from offpiste.conventions import DT
+from offpiste.core.channels import Control, register_control
+from offpiste.core.conventions import DT
+from offpiste.core.errors import RunError
+from offpiste.core.state import History, ModelState, Terrain
 from offpiste.dynamics import Dynamics, Vehicle, register_model
 from offpiste.dynamics.base import Step
 from offpiste.dynamics.inputs import body_normal
-from offpiste.errors import RunError
-from offpiste.state import History, ModelState, Terrain
 
 TRACKS = ("left_track", "right_track")
 

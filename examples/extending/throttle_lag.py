@@ -6,7 +6,7 @@ follows. Name this module in the environment to use it:
     PYTHONPATH=examples/extending OFFPISTE_EXTENSIONS=throttle_lag offpiste extract drive.csv --rig rig.toml
 """
 
-from offpiste.channels import Actuator, register_actuator
+from offpiste.core.channels import Actuator, register_actuator
 
 register_actuator(
     Actuator(

@@ -8,7 +8,7 @@ import msgspec
 from experiments.closed_loop_table.drives import entries
 from experiments.closed_loop_table.table import by_row, driven_cost_against
 from offpiste.closed_loop.planner import Planner
-from offpiste.errors import RunError
+from offpiste.core.errors import RunError
 from offpiste.evaluation.model_card import CARD, CourseFigures, load_card, write_card
 
 

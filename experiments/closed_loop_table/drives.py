@@ -20,9 +20,9 @@ from offpiste.closed_loop.drive_course import (
     settings_of,
 )
 from offpiste.closed_loop.planner import Planner
-from offpiste.errors import CourseError, OffpisteError, RunError
-from offpiste.files import check_folder
-from offpiste.parallel import run_all
+from offpiste.core.errors import CourseError, OffpisteError, RunError
+from offpiste.core.files import check_folder
+from offpiste.core.parallel import run_all
 from offpiste.planning.caution import AsPredicted, risk_of
 from offpiste.simulation.rendering.scene import Scene, world_scene
 from offpiste.simulation.world.world import World, WorldSettings

@@ -11,7 +11,7 @@ from experiments.closed_loop_table.drives import Place, drive_all, entries
 from offpiste.closed_loop.drive_course import CourseDriveSettings
 from offpiste.closed_loop.faults import KINDS
 from offpiste.closed_loop.planner import Planner
-from offpiste.files import write_text
+from offpiste.core.files import write_text
 from offpiste.report.text_table import TextTable, number
 
 logger = logging.getLogger("experiments")

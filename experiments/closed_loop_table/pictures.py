@@ -12,7 +12,7 @@ from matplotlib.patheffects import Normal, Stroke
 
 from experiments.closed_loop_table.drives import Place
 from offpiste.closed_loop.courses import ChosenCourse, CourseSettings, choose_course, course_world
-from offpiste.files import write_whole
+from offpiste.core.files import write_whole
 from offpiste.simulation.top_view import draw_top_view
 from offpiste.simulation.world.world import World
 

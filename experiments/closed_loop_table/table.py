@@ -9,8 +9,8 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Bool, Float
 
+from offpiste.core.files import write_text
 from offpiste.evaluation.intervals import MIN_UNITS, PairedDifference, resampling
-from offpiste.files import write_text
 
 MEASURES: Final = {
     "driven_cost": "driven cost",

@@ -18,12 +18,12 @@ from experiments.control_experiments.data import claim_settings, true_ground
 from experiments.control_experiments.reproduced import Reproduced
 from experiments.control_experiments.runs import trained_seeds
 from experiments.control_experiments.tables import percent, write_control
-from offpiste.conventions import DT
+from offpiste.core.conventions import DT
+from offpiste.core.errors import DatasetError
 from offpiste.dataset.splits import PARTS
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics import MODELS
-from offpiste.errors import DatasetError
 from offpiste.evaluation.errors import SeededErrors
 from offpiste.evaluation.intervals import PairedDifference, Resampling, Sampling, relative
 from offpiste.report.text_table import TextTable, interval, number

@@ -9,7 +9,7 @@ from experiments.control_experiments.data import true_ground
 from experiments.control_experiments.reproduced import Reproduced
 from experiments.control_experiments.runs import trained_seeds
 from experiments.control_experiments.tables import percent, write_control
-from offpiste.conventions import FEATURE_SETS
+from offpiste.core.conventions import FEATURE_SETS
 from offpiste.dataset.windows import Windows
 from offpiste.evaluation.errors import Errors
 from offpiste.evaluation.evaluated_models import Reading

@@ -8,9 +8,9 @@ from typing import Any
 import msgspec
 import torch
 
+from offpiste.core.errors import RunError
 from offpiste.dataset.splits import write_drives
 from offpiste.dataset.store import Dataset, open_dataset
-from offpiste.errors import RunError
 from offpiste.reproduction.settings import FigureModel, Size, standard_model
 from offpiste.training.checkpoint import load_json
 from offpiste.training.run import Run, load_run

@@ -6,8 +6,8 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 from experiments.control_experiments.data import ELSEWHERE
+from offpiste.core.errors import RunError
 from offpiste.dataset.store import Dataset
-from offpiste.errors import RunError
 from offpiste.reproduction.runs import reuse_stages
 from offpiste.training.checkpoint import load_json
 from offpiste.training.config import TrainConfig, other_settings

@@ -7,8 +7,8 @@ from typing import Any
 import msgspec
 from matplotlib.figure import Figure
 
+from offpiste.core.files import write_text
 from offpiste.evaluation.intervals import PairedDifference
-from offpiste.files import write_text
 from offpiste.report.figure import write_png
 from offpiste.report.text_table import TextTable, interval, number
 

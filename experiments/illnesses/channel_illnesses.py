@@ -6,7 +6,7 @@ import numpy as np
 
 from experiments.illnesses.illness import illness, some_rows
 from experiments.illnesses.recording import Case
-from offpiste.geometry import rotation_from_quaternion
+from offpiste.core.geometry import rotation_from_quaternion
 
 _ONCE: Final = (1.0,)
 _CONTROLS: Final = ("throttle", "brake")

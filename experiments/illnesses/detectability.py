@@ -27,7 +27,7 @@ from experiments.illnesses.recording import Case
 from experiments.illnesses.score import COSTLY
 from experiments.illnesses.table import share
 from experiments.illnesses.true_drive import TrueDrive, scaled
-from offpiste.files import check_folder
+from offpiste.core.files import check_folder
 from offpiste.inspection.driven_path import driven_path
 from offpiste.inspection.pedals import pedal_fits
 from offpiste.inspection.range_ends import check_range_ends

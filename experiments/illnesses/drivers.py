@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.conventions import DT
+from offpiste.core.conventions import DT
 from offpiste.simulation.sample import VehicleSample
 from offpiste.simulation.simulate import Controller
 from offpiste.simulation.vehicle.parameters import VehicleParameters

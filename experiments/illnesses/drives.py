@@ -10,7 +10,7 @@ import numpy as np
 
 from experiments.illnesses.behaviours import BEHAVIOURS, world_of
 from experiments.illnesses.true_drive import TrueDrive, load, save, scaled
-from offpiste.conventions import DT
+from offpiste.core.conventions import DT
 from offpiste.simulation.sample import VehicleSample
 from offpiste.simulation.simulate import FINAL_EVENTS, Controller, Start
 from offpiste.simulation.vehicle.parameters import VehicleParameters, load_vehicle

@@ -8,9 +8,9 @@ from jaxtyping import Float
 
 from experiments.illnesses.quick_model import error_of, fit, windows_of
 from experiments.illnesses.recording import Case
-from offpiste.conventions import DT
+from offpiste.core.conventions import DT
+from offpiste.core.errors import OffpisteError
 from offpiste.dataset.resample import Rows, extract_rows
-from offpiste.errors import OffpisteError
 from offpiste.logs.drive import drive_from_log
 from offpiste.rig.rig import Vehicle
 

@@ -7,8 +7,8 @@ from typing import Final, Literal
 import numpy as np
 
 from experiments.illnesses.recording import Case
-from offpiste.errors import OffpisteError
-from offpiste.registry import Registry
+from offpiste.core.errors import OffpisteError
+from offpiste.core.registry import Registry
 
 Kind = Literal["channel", "stamps", "pose", "rig", "healthy"]
 Change = Callable[[Case, float, np.random.Generator], Case]

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.optimize import least_squares
 
-from offpiste.conventions import DT, HORIZON_STEPS
+from offpiste.core.conventions import DT, HORIZON_STEPS
 from offpiste.dataset.resample import Rows
 from offpiste.rig.rig import Vehicle
 

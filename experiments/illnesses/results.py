@@ -6,9 +6,9 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from offpiste.errors import OffpisteError
-from offpiste.files import write_text
-from offpiste.parallel import run_all
+from offpiste.core.errors import OffpisteError
+from offpiste.core.files import write_text
+from offpiste.core.parallel import run_all
 
 T = TypeVar("T")
 

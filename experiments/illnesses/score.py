@@ -9,7 +9,7 @@ from typing import Final
 from experiments.illnesses.cases import Given, Patient
 from experiments.illnesses.effect import MANY, UNREADABLE, Costs, Readable, costs_against, distance, is_cured, rows_of
 from experiments.illnesses.recording import Case
-from offpiste.errors import OffpisteError
+from offpiste.core.errors import OffpisteError
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.inspect import inspect_log
 from offpiste.logs.log import Log

@@ -10,7 +10,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from experiments.illnesses.true_drive import TrueDrive
-from offpiste.geometry import rotation_from_quaternion, yaw_from_quaternion, yaw_rate_from_body_rates
+from offpiste.core.geometry import rotation_from_quaternion, yaw_from_quaternion, yaw_rate_from_body_rates
 
 START: Final = 1_750_000_000.0
 """Stamp of the start of a drive [s]."""

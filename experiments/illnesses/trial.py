@@ -20,10 +20,10 @@ from experiments.illnesses.formats import formats_for, stored
 from experiments.illnesses.illness import ILLNESSES
 from experiments.illnesses.score import Score, score
 from experiments.illnesses.table import report, shown
-from offpiste.files import check_folder
+from offpiste.core.files import check_folder
+from offpiste.core.progress import show
 from offpiste.inspection.inspect import inspect_log
 from offpiste.inspection.render import render
-from offpiste.progress import show
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.files import write_whole
+from offpiste.core.files import write_whole
 
 
 @dataclass(frozen=True)

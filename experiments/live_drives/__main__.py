@@ -22,9 +22,9 @@ from offpiste.closed_loop.courses import CourseSettings
 from offpiste.closed_loop.drive_course import CourseDriveSettings, drive_course
 from offpiste.closed_loop.planner import load_planner
 from offpiste.closed_loop.scores import scores_of
-from offpiste.conventions import PERCEPTION_LATENCY
-from offpiste.errors import LiveError
-from offpiste.files import write_text
+from offpiste.core.conventions import PERCEPTION_LATENCY
+from offpiste.core.errors import LiveError
+from offpiste.core.files import write_text
 from offpiste.report.figure import write_png
 from offpiste.report.text_table import TextTable, number
 from offpiste.simulation.vehicle.parameters import load_vehicle

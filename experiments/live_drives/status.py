@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.figure import Figure
 
-from offpiste.errors import LiveError
+from offpiste.core.errors import LiveError
 
 NUMBERS: Final = ("cpu_s", "rss_mb", "tick_p99_ms", "map_age_p99_ms", "plan_age_p99_ms", "plan_ms", "map_ms", "dropped")
 """Columns that are read; NaN where a process has none."""

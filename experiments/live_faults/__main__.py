@@ -15,7 +15,7 @@ from rich.table import Table
 from experiments.command import run
 from experiments.live_faults.bench import Bench
 from experiments.live_faults.faults import Fault, faults
-from offpiste.errors import LiveError, OffpisteError
+from offpiste.core.errors import LiveError, OffpisteError
 from offpiste.logs import open_log
 
 logger = logging.getLogger("experiments")

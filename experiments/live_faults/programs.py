@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
-from offpiste.errors import LiveError
+from offpiste.core.errors import LiveError
 
 _ENDS: Final = 30.0
 """A program that does not end within so long after Ctrl-C is killed [s]."""

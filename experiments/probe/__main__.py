@@ -20,15 +20,15 @@ from experiments.perturbed_sensors import Flaw
 from experiments.probe.cells import see_cells_once
 from experiments.probe.figures import distance_picture, distance_table, flaw_picture, flaw_table
 from experiments.probe.scores import Pooled, flaw_rows, pool, probe_rows
+from offpiste.core.errors import PerceptionError
+from offpiste.core.files import write_bytes, write_text
+from offpiste.core.progress import track
 from offpiste.dataset.fit_pca import fit_pca
 from offpiste.dataset.splits import parse_split
-from offpiste.errors import PerceptionError
-from offpiste.files import write_bytes, write_text
 from offpiste.perception.backbones import open_backbone
 from offpiste.perception.backbones.filterbank import FILTERBANK
 from offpiste.perception.feature_extractor import FeatureExtractor, load_feature_extractor
 from offpiste.perception.pca import save_pca
-from offpiste.progress import track
 from offpiste.rig.rig import Rig, load_rig
 from offpiste.simulation.recordings import simulate_once
 from offpiste.simulation.simulate import DriveSettings

@@ -11,10 +11,10 @@ from torch import Tensor
 from torch.nn import functional
 
 from experiments.perturbed_sensors import Flaw, perturbed, stretch
-from offpiste.conventions import WHEELS
+from offpiste.core.conventions import WHEELS
+from offpiste.core.files import write_whole
 from offpiste.dataset.resample import Rows, extract_rows
 from offpiste.dataset.visual_features import with_visual_features
-from offpiste.files import write_whole
 from offpiste.logs import read_drive
 from offpiste.logs.ground_truth import GROUND_KINDS, GROUND_PROPERTIES, read_truth_map
 from offpiste.logs.opening import open_log

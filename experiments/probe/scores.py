@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 
 from experiments.probe.cells import SeenCells
 from experiments.probe.ridge import Ridge, Score, fit_ridge, score
-from offpiste.conventions import FEATURE_SETS
+from offpiste.core.conventions import FEATURE_SETS
 from offpiste.evaluation.intervals import Resampling, Sampling
 from offpiste.logs.ground_truth import GROUND_KINDS, GROUND_PROPERTIES
 

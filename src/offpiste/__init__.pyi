@@ -1,14 +1,12 @@
 # Public names, each written once: `__init__.py` imports them from here on first use.
 
 from . import closed_loop as closed_loop
-from . import conventions as conventions
 from . import dataset as dataset
 from . import demo as demo
 from . import dynamics as dynamics
 from . import evaluation as evaluation
 from . import evidence as evidence
 from . import export as export
-from . import geometry as geometry
 from . import inspection as inspection
 from . import live as live
 from . import logs as logs
@@ -19,7 +17,6 @@ from . import reproduction as reproduction
 from . import rig as rig
 from . import runtime as runtime
 from . import simulation as simulation
-from . import state as state
 from . import training as training
 from . import transport as transport
 from . import uncertainty as uncertainty
@@ -30,6 +27,9 @@ from ._version import __version__ as __version__
 from .closed_loop.drive_course import CourseDriveSettings as CourseDriveSettings
 from .closed_loop.drive_course import drive_course as drive_course
 from .closed_loop.planner import load_planner as load_planner
+from .core.errors import OffpisteError as OffpisteError
+from .core.state import RecordedTerrain as RecordedTerrain
+from .core.state import Trajectory as Trajectory
 
 # Making datasets.
 from .dataset.extract import make_dataset as make_dataset
@@ -47,7 +47,6 @@ from .dynamics import Dynamics as Dynamics
 from .dynamics import Vehicle as Vehicle
 from .dynamics import as_callable as as_callable
 from .dynamics import rollout as rollout
-from .errors import OffpisteError as OffpisteError
 
 # Evaluating.
 from .evaluation.evaluate_runs import evaluate_runs as evaluate_runs
@@ -90,8 +89,6 @@ from .rig.rig import load_rig as load_rig
 from .simulation.simulate import DriveSettings as DriveSettings
 from .simulation.simulate import simulate as simulate
 from .simulation.world.world import WorldSettings as WorldSettings
-from .state import RecordedTerrain as RecordedTerrain
-from .state import Trajectory as Trajectory
 
 # Training.
 from .training.config import TrainConfig as TrainConfig

@@ -13,9 +13,9 @@ from contextlib import contextmanager, suppress
 from functools import partial
 from typing import Any, Final
 
-from offpiste.errors import OffpisteError, extra
-from offpiste.parallel import POLL, Engine, Job, Work
-from offpiste.progress import jobs_bar
+from offpiste.core.errors import OffpisteError, extra
+from offpiste.core.parallel import POLL, Engine, Job, Work
+from offpiste.core.progress import jobs_bar
 
 RETRIES: Final = 4
 """Times that a job is begun again after its worker or its node was lost."""

@@ -202,8 +202,8 @@ FEATURE_SETS_KEPT: Final = Compiler(("dataset/feature_sets.py",), loops_make_arr
 _STEP: Final = (
     "dynamics/kernels",
     *(f"dynamics/{name}.py" for name in ("actuator_lags", "bicycle", "inputs", "lstm")),
-    "channels.py",
-    "conventions.py",
+    "core/channels.py",
+    "core/conventions.py",
     "mapping/terrain_map.py",
 )
 """What a step is compiled from, modules with its constants included."""

@@ -14,8 +14,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from offpiste.cache import cache_folder
-from offpiste.errors import OffpisteError, extra
+from offpiste.core.cache import cache_folder
+from offpiste.core.errors import OffpisteError, extra
 
 logger = logging.getLogger(__name__)
 

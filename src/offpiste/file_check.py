@@ -8,15 +8,15 @@ from pathlib import Path
 import zarr
 from safetensors import SafetensorError
 
-from offpiste.checksums import CHECKSUMS, damaged_files
+from offpiste.core.checksums import CHECKSUMS, damaged_files
+from offpiste.core.errors import OffpisteError
+from offpiste.core.limits import open_tensors, parsed, read_small
+from offpiste.core.progress import track
+from offpiste.core.shipped import run_folder
 from offpiste.dataset.place import drive_names
 from offpiste.dataset.store import open_dataset
 from offpiste.dataset.stored_arrays import check_crc32c, refuse_foreign
-from offpiste.errors import OffpisteError
-from offpiste.limits import open_tensors, parsed, read_small
 from offpiste.perception.pca import PCA_HEADER, load_pca
-from offpiste.progress import track
-from offpiste.shipped import run_folder
 from offpiste.training.checkpoint import load_json, load_tensors
 from offpiste.training.run import load_run
 

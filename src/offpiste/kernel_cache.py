@@ -18,7 +18,7 @@ from numba.core.caching import (
     UserWideCacheLocator,
 )
 
-from offpiste.cache import cache_folder
+from offpiste.core.cache import cache_folder
 
 logger = logging.getLogger(__name__)
 

@@ -6,15 +6,15 @@ import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
-from offpiste.checksums import CHECKSUMS
+from offpiste.core.checksums import CHECKSUMS
+from offpiste.core.errors import DatasetError
+from offpiste.core.files import check_folder, remove_partials, write_folder
+from offpiste.core.progress import track
 from offpiste.dataset.place import drive_names, mirrored
 from offpiste.dataset.split_balance import split_warning
 from offpiste.dataset.store import Dataset, open_dataset
 from offpiste.dataset.store_validation import attributes_of, refuse_unlike
-from offpiste.errors import DatasetError
 from offpiste.file_check import check_paths
-from offpiste.files import check_folder, remove_partials, write_folder
-from offpiste.progress import track
 
 logger = logging.getLogger(__name__)
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from offpiste.cli import main
-from offpiste.conventions import FEATURE_SETS
+from offpiste.core.conventions import FEATURE_SETS
 from offpiste.dataset.store import open_dataset
 from sensor_bags import transforms
 from sensor_drive import AROUND, STATIC, clouds, good_drive, images, poses, written

@@ -8,9 +8,9 @@ from factories import RIG
 from feature_datasets import dataset_with_features
 from offpiste.cli import entry, main
 from offpiste.cli.entry import COMMANDS
+from offpiste.core.errors import RigError
 from offpiste.dataset.split_balance import is_for_tests, lacks_windows, next_split
 from offpiste.dataset.splits import parse_split
-from offpiste.errors import RigError
 from offpiste.rig.rig import parse_rig
 
 

@@ -9,7 +9,7 @@ from rich.console import Console
 
 from offpiste.cli.drive import Drive
 from offpiste.closed_loop.command import modes_table, stages_table
-from offpiste.errors import PlanningError
+from offpiste.core.errors import PlanningError
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")

@@ -8,7 +8,7 @@ import pytest
 from offpiste.closed_loop.courses import KINDS, CourseSettings, choose_course, course_world
 from offpiste.closed_loop.kinds.passages import MARGIN, RELIEF
 from offpiste.closed_loop.stretches import RUN_OUT, traction_along
-from offpiste.errors import OffpisteError
+from offpiste.core.errors import OffpisteError
 from offpiste.logs.ground_truth import GROUND_PROPERTIES
 from offpiste.simulation.world.build import make_world
 from offpiste.simulation.world.forks import ASIDE, WEAVE

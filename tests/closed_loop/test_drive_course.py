@@ -10,13 +10,13 @@ from scipy.spatial.transform import Rotation
 
 from experiments.closed_loop_table.drives import NEEDED
 from offpiste._version import commit, today
-from offpiste.channels import MORE_ACTUATORS, Actuator
 from offpiste.closed_loop.courses import CourseSettings, choose_course
 from offpiste.closed_loop.drive_course import CourseDriveSettings, drive_course
 from offpiste.closed_loop.planner import Planner, load_planner
 from offpiste.closed_loop.stretches import surprise_along, traction_along
+from offpiste.core.channels import MORE_ACTUATORS, Actuator
+from offpiste.core.errors import OffpisteError, PlanningError, RunError
 from offpiste.dynamics import Parametric
-from offpiste.errors import OffpisteError, PlanningError, RunError
 from offpiste.logs.drive import read_drive
 from offpiste.logs.ground_truth import GROUND_PROPERTIES
 from offpiste.planning.caution import AddSpread

@@ -8,9 +8,9 @@ import pytest
 import torch
 
 from offpiste.closed_loop.planner import load_planner
-from offpiste.conventions import CONTROL
+from offpiste.core.conventions import CONTROL
+from offpiste.core.errors import RunError
 from offpiste.dynamics import Vehicle
-from offpiste.errors import RunError
 from offpiste.logs.ground_truth import GROUND_PROPERTIES
 from offpiste.perception.backbones import open_backbone
 from offpiste.perception.pca import PrincipalComponents, save_pca

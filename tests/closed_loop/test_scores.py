@@ -18,7 +18,7 @@ from offpiste.closed_loop.scores import (
     summary,
     trace_of,
 )
-from offpiste.conventions import HORIZON_STEPS
+from offpiste.core.conventions import HORIZON_STEPS
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.course import Course
 from offpiste.runtime.modes import Controls

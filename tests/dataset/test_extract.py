@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from factories import circle_rows, small_rig
+from offpiste.core.errors import DatasetError
 from offpiste.dataset import extract
 from offpiste.dataset.extract import Job, _seen_by_pca, _starts, make_dataset
 from offpiste.dataset.map_snapshots import SnapshotSettings
 from offpiste.dataset.splits import GAP, PARTS, parse_split, write_drives
-from offpiste.errors import DatasetError
 from offpiste.perception.backbones import open_backbone
 from offpiste.perception.feature_extractor import FeatureExtractor
 from offpiste.perception.pca import PrincipalComponents

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from offpiste.conventions import FEATURE_SETS
+from offpiste.core.conventions import FEATURE_SETS
 from offpiste.dataset import feature_coverage
 from offpiste.dataset.features_under_wheels import Cells
 from offpiste.dataset.wheel_passes import find_passes

@@ -6,7 +6,7 @@ Feature sets by distance, against brute force that keeps every map and searches 
 import numpy as np
 import pytest
 
-from offpiste.conventions import FEATURE_SETS
+from offpiste.core.conventions import FEATURE_SETS
 from offpiste.dataset.feature_sets import (
     TOLERANCE,
     Draw,

@@ -6,10 +6,10 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
+from offpiste.core.errors import DatasetError
 from offpiste.dataset.feature_sets import FeatureSetChoice, same_feature_set, set_number
 from offpiste.dataset.features_under_wheels import ArrayReader, Cells, CellTable, NormalsUnderWheels
 from offpiste.dataset.ground_tables import ResidentCells, ResidentNormals
-from offpiste.errors import DatasetError
 
 SETS, FEATURES = 3, 2
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from offpiste.core.errors import PerceptionError
 from offpiste.dataset import fit_pca
 from offpiste.dataset.fit_pca import ListedImage, read_image_list, write_image_list
-from offpiste.errors import PerceptionError
 
 
 def test_a_list_comes_back_with_names_that_have_blanks(tmp_path):

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from offpiste.checksums import write_checksums
 from offpiste.cli import main
+from offpiste.core.checksums import write_checksums
+from offpiste.core.errors import DatasetError
 from offpiste.dataset.store import open_dataset
-from offpiste.errors import DatasetError
 from test_integrity import make_dataset
 
 

@@ -7,12 +7,12 @@ import pytest
 import torch
 
 from factories import circle_rows, small_rig
+from offpiste.core.errors import DatasetError, RunError
 from offpiste.dataset import store
 from offpiste.dataset.ground_truth_features import with_ground_truth
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics import MODELS, Hybrid
-from offpiste.errors import DatasetError, RunError
 from offpiste.mapping.terrain_map import TerrainMap, wheel_positions
 from offpiste.training.build import build, vehicle_of
 from offpiste.training.terrain_sources import encoded, on_map

@@ -10,12 +10,12 @@ import simulated
 import zarr
 
 from factories import circle_rows, small_rig
-from offpiste.checksums import write_checksums
+from offpiste.core.checksums import write_checksums
+from offpiste.core.errors import DatasetError
 from offpiste.dataset import extract, store
 from offpiste.dataset.extract import make_dataset
 from offpiste.dataset.log_findings import LogFinding, UnusableLog, findings_by_drive, findings_on, warning_line
 from offpiste.dataset.splits import parse_split
-from offpiste.errors import DatasetError
 from offpiste.logs.log import Log
 
 SPLIT = parse_split("blocks:0.5,0.25,0.25")

@@ -9,6 +9,8 @@ import pytest
 import torch
 
 from factories import circle_rows, small_rig
+from offpiste.core.errors import DatasetError
+from offpiste.core.files import temporary_folder
 from offpiste.dataset import store
 from offpiste.dataset.extract import Job, _starts
 from offpiste.dataset.ground_truth_features import with_ground_truth
@@ -17,8 +19,6 @@ from offpiste.dataset.map_snapshots import CHUNK, SnapshotSchedule, SnapshotSett
 from offpiste.dataset.splits import PARTS, parse_split
 from offpiste.dataset.window_starts import evaluation_starts
 from offpiste.dataset.windows import Windows
-from offpiste.errors import DatasetError
-from offpiste.files import temporary_folder
 from offpiste.mapping.terrain_map import TerrainMap
 from offpiste.mapping.terrain_sampler import MapTerrain
 

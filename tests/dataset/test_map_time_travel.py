@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from offpiste.conventions import PERCEPTION_LATENCY
+from offpiste.core.conventions import PERCEPTION_LATENCY
 from offpiste.dataset.map_snapshots import SnapshotSchedule, SnapshotSettings, SnapshotWriter, open_snapshots
 from offpiste.dataset.resample import Rows, extract_rows
 from offpiste.dataset.visual_features import SnapshotKeeper

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from factories import circle_rows, small_rig
-from offpiste.checksums import write_checksums
-from offpiste.conventions import MIN_EVALUATION_SPEED, min_evaluation_speed
+from offpiste.core.checksums import write_checksums
+from offpiste.core.conventions import MIN_EVALUATION_SPEED, min_evaluation_speed
+from offpiste.core.errors import DatasetError
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import add_drive, create, open_dataset
 from offpiste.dataset.windows import Windows
-from offpiste.errors import DatasetError
 from offpiste.rig.edits import Edit, edited
 from offpiste.rig.rig import load_rig, preset_names
 

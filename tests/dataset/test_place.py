@@ -8,14 +8,14 @@ import pytest
 from fsspec.implementations.memory import MemoryFile
 
 from object_stores import s3_server
-from offpiste.cache import VARIABLE
-from offpiste.checksums import CHECKSUMS
+from offpiste.core.cache import VARIABLE
+from offpiste.core.checksums import CHECKSUMS
+from offpiste.core.errors import DatasetError, OffpisteError
+from offpiste.core.object_store import store_at
 from offpiste.dataset.extract import make_dataset
 from offpiste.dataset.place import drive_names
 from offpiste.dataset.store import open_dataset
-from offpiste.errors import DatasetError, OffpisteError
 from offpiste.merge import merge_datasets
-from offpiste.object_store import store_at
 from offpiste.rig.rig import load_rig
 from offpiste.simulation.simulate import DriveSettings, simulate
 from offpiste.simulation.world.world import WorldSettings

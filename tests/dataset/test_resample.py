@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from factories import RIG, MemoryLog, small_rig
-from offpiste.conventions import DT
+from offpiste.core.conventions import DT
+from offpiste.core.errors import LogError
 from offpiste.dataset.resample import Rows, extract_rows
-from offpiste.errors import LogError
 from offpiste.logs.drive import drive_from_log
 from offpiste.rig.rig import parse_rig
 

@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from factories import RIG, MemoryLog
-from offpiste.conventions import HISTORY_STEPS, HORIZON_STEPS
+from offpiste.core.conventions import HISTORY_STEPS, HORIZON_STEPS
+from offpiste.core.errors import DatasetError
 from offpiste.dataset.extract import make_dataset
 from offpiste.dataset.fit_pca import fit_pca
 from offpiste.dataset.splits import (
@@ -21,7 +22,6 @@ from offpiste.dataset.splits import (
     write_drives,
 )
 from offpiste.dataset.window_starts import window_starts
-from offpiste.errors import DatasetError
 from offpiste.logs.channel import read_channel
 from offpiste.perception.backbones import open_backbone
 from offpiste.rig.rig import Rig, parse_rig

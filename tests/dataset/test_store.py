@@ -10,12 +10,12 @@ import zarr
 
 from factories import circle_rows, small_rig
 from feature_datasets import dataset_with_features, with_snapshots
-from offpiste.checksums import write_checksums
+from offpiste.core.checksums import write_checksums
+from offpiste.core.errors import DatasetError, OffpisteError
 from offpiste.dataset import store
 from offpiste.dataset.resample import Rows
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.stored_arrays import write_arrays
-from offpiste.errors import DatasetError, OffpisteError
 
 SPLIT = parse_split("blocks:0.5,0.25,0.25")
 

@@ -6,11 +6,11 @@ import msgspec
 import pytest
 
 from factories import RIG, small_rig
+from offpiste.core.errors import DatasetError
 from offpiste.dataset.map_snapshots import SnapshotSettings
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import create
 from offpiste.dataset.store_validation import MADE_BY, YOUNGER, refuse_unlike
-from offpiste.errors import DatasetError
 from offpiste.mapping.pipeline import MapSettings
 from offpiste.mapping.replay import MapperSettings
 from offpiste.mapping.voxel_map import VoxelSettings

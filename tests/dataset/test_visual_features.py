@@ -10,14 +10,14 @@ import torch
 
 from log_messages import logged
 from offpiste.cli import main
-from offpiste.conventions import FEATURE_SETS, PERCEPTION_LATENCY
+from offpiste.core.conventions import FEATURE_SETS, PERCEPTION_LATENCY
+from offpiste.core.errors import DatasetError, LogError
 from offpiste.dataset.extract import make_dataset
 from offpiste.dataset.fit_pca import fit_pca
 from offpiste.dataset.place import drive_names
 from offpiste.dataset.splits import parse_split, write_drives
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
-from offpiste.errors import DatasetError, LogError
 from offpiste.logs.ground_truth import read_truth_map
 from offpiste.logs.opening import open_log
 from offpiste.logs.sensor_log import open_sensors

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from offpiste.conventions import FEATURE_SETS
+from offpiste.core.conventions import FEATURE_SETS
 from offpiste.dataset.features_under_wheels import Cells
 from offpiste.dataset.window_starts import enough_hindsight, seen_in_hindsight
 

@@ -9,13 +9,13 @@ import torch
 
 from factories import circle_rows, small_rig
 from feature_datasets import dataset_with_features
-from offpiste.conventions import HISTORY_STEPS, HORIZON_STEPS
+from offpiste.core.conventions import HISTORY_STEPS, HORIZON_STEPS
+from offpiste.core.errors import DatasetError
 from offpiste.dataset.feature_sets import FeatureSetChoice
 from offpiste.dataset.resample import Rows
 from offpiste.dataset.splits import PARTS, parse_split
 from offpiste.dataset.store import Dataset, StoredDrive
 from offpiste.dataset.windows import Windows
-from offpiste.errors import DatasetError
 
 SPLIT = parse_split("blocks:0.5,0.25,0.25")
 

@@ -10,12 +10,12 @@ import msgspec
 import numpy as np
 import pytest
 
+from offpiste.core.errors import OffpisteError
+from offpiste.core.shipped import run_folder
 from offpiste.demo.comparison import Predictions, closing_words, comparison_table
 from offpiste.demo.first_minute import FIRST_WORLD, MODELS, FirstMinuteSettings, run_first_minute, shipped
-from offpiste.errors import OffpisteError
 from offpiste.evaluation.intervals import PairedDifference
 from offpiste.evaluation.model_card import CourseFigures, load_card
-from offpiste.shipped import run_folder
 
 SMALL = FirstMinuteSettings(
     seconds=8.0,

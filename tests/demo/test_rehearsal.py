@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
+from offpiste.core.errors import RunError
 from offpiste.demo.first_minute import shipped
 from offpiste.demo.rehearsal import PLAN, RECORD, rehearse, rehearse_part
-from offpiste.errors import RunError
 
 
 @pytest.mark.parametrize("part", [RECORD, PLAN])

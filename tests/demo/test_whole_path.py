@@ -8,10 +8,10 @@ import pytest
 
 from feature_datasets import dataset_with_features
 from log_messages import logged
-from offpiste.conventions import FEATURE_SETS
+from offpiste.core.conventions import FEATURE_SETS
+from offpiste.core.errors import RunError
 from offpiste.dataset.store import Dataset
 from offpiste.demo.whole_path import MAP, DemoSettings, comparison_table, conclusion, gain_of, run_demo
-from offpiste.errors import RunError
 from offpiste.evaluation.errors import Errors
 from offpiste.evaluation.intervals import PairedDifference
 

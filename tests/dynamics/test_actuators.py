@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from factories import COMMANDED, VEHICLE, Situation, gradients_agree, unsettled
-from offpiste.conventions import DT
+from offpiste.core.conventions import DT
 from offpiste.dynamics import actuator_lags
 from offpiste.dynamics.actuator_lags import apply_release, second_order
 from offpiste.dynamics.actuators import Actuators

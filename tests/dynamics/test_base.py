@@ -8,9 +8,9 @@ import pytest
 import torch
 
 from factories import COMMANDED, VEHICLE, Situation, gradients_agree, unsettled
-from offpiste.conventions import ACTUATORS, CONTROL
+from offpiste.core.conventions import ACTUATORS, CONTROL
+from offpiste.core.state import ModelState, RecordedTerrain, TerrainSource, Trajectory
 from offpiste.dynamics import MODELS, Dynamics, Vehicle, as_callable, rollout
-from offpiste.state import ModelState, RecordedTerrain, TerrainSource, Trajectory
 
 CODES = {"df": 3, "cf": 4, "dc": 4}
 """Two features and a flag, or their compression."""

@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from factories import COMMANDED, Situation, flat, unsettled
-from offpiste.conventions import DT
+from offpiste.core.conventions import DT
+from offpiste.core.state import ModelState, RecordedTerrain
 from offpiste.dynamics import ConstantMotion, Kinematic, Recurrent, rollout
-from offpiste.state import ModelState, RecordedTerrain
 
 
 def drive(model, state: list[float], control: list[float], steps: int = 100) -> torch.Tensor:

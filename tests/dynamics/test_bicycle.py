@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from torch.func import functional_call, jacfwd, vmap
 
 from factories import COMMANDED
-from offpiste.conventions import DT
+from offpiste.core.conventions import DT
 from offpiste.dynamics.actuators import TORCH
 from offpiste.dynamics.bicycle import (
     STANDSTILL,

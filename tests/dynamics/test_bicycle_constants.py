@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from factories import COMMANDED
-from offpiste.conventions import DT, GRAVITY
+from offpiste.core.conventions import DT, GRAVITY
 from offpiste.dynamics.bicycle import BicycleConstants, Constants
 
 COUNT = BicycleConstants(COMMANDED).raw.numel()

@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from factories import VEHICLE
+from offpiste.core.errors import RunError
 from offpiste.dynamics import MODELS
 from offpiste.dynamics.feature_encoder import Compressor, Identity
-from offpiste.errors import RunError
 from offpiste.training.build import build
 
 

@@ -8,10 +8,10 @@ import torch
 from torch import Tensor
 
 from factories import COMMANDED, VEHICLE, Situation, coded, flat, ground, unsettled
-from offpiste.conventions import DT, GRAVITY
+from offpiste.core.conventions import DT, GRAVITY
+from offpiste.core.state import ModelState, RecordedTerrain, Terrain
 from offpiste.dynamics import Hybrid, Parametric, rollout
 from offpiste.dynamics.bicycle import _RANGES, Constants
-from offpiste.state import ModelState, RecordedTerrain, Terrain
 
 
 def run(model, state: Tensor, controls: Tensor, terrain: Terrain) -> Tensor:

@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from factories import COMMANDED, VEHICLE, ground
+from offpiste.core.errors import DatasetError
+from offpiste.core.state import Terrain
 from offpiste.dynamics.inputs import body_normal, drive_train, rotate_by_minus_yaw, select_present, unknown_normals
-from offpiste.errors import DatasetError
-from offpiste.state import Terrain
 
 STATE = torch.tensor([[1.0, 2.0, 0.3, -5.0, 0.1, 0.2]])
 ACTUATORS = torch.tensor([[0.6, 0.2, 0.0, 3.0]])

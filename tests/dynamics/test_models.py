@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from factories import COMMANDED, VEHICLE, Situation
+from offpiste.core.errors import RunError
 from offpiste.dynamics import MODELS, Dynamics, register_model
 from offpiste.dynamics.models import initial_actuators, is_baseline, reference_of
-from offpiste.errors import RunError
 
 
 def test_every_model_can_be_made_and_says_what_it_can_do() -> None:

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dynamics.test_bicycle import COUNT, SCALARS, any_constants, constants_from, euler, extremes, many_constants, speeds
-from offpiste.conventions import DT
+from offpiste.core.conventions import DT
 from offpiste.dynamics.actuators import TORCH
 from offpiste.dynamics.bicycle import forces, rates
 

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from offpiste.conventions import ACTUATORS, CONTROL
+from offpiste.core.conventions import ACTUATORS, CONTROL
+from offpiste.core.errors import RunError
 from offpiste.dynamics import MODELS, Vehicle
 from offpiste.dynamics.slow_context import SHIFTED, ContextSettings, SlowContext, shifted
-from offpiste.errors import RunError
 
 NOISE = np.array([0.2, 0.1, 0.03])
 VEHICLE = Vehicle(mass=1200.0, wheelbase=2.1, max_steer=0.5, control=CONTROL, actuators=ACTUATORS)

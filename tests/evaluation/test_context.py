@@ -8,13 +8,13 @@ import pytest
 import torch
 
 from factories import circle_rows, small_rig
-from offpiste.conventions import DT
+from offpiste.core.conventions import DT
+from offpiste.core.errors import RunError
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import Dataset, add_drive, create, open_dataset
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics import MODELS, Dynamics
 from offpiste.dynamics.slow_context import SHIFTED, ContextSettings, shifted
-from offpiste.errors import RunError
 from offpiste.evaluation.context import errors_with_context
 from offpiste.evaluation.errors import positions, prediction_errors
 from offpiste.evaluation.evaluate_runs import evaluate_runs

@@ -8,12 +8,13 @@ import pytest
 import torch
 
 from factories import COMMANDED, RIG, circle_rows
-from offpiste.conventions import DT
+from offpiste.core.conventions import DT
+from offpiste.core.errors import RunError
+from offpiste.core.state import ModelState
 from offpiste.dataset.splits import Split
 from offpiste.dataset.store import Dataset, StoredDrive
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics import ConstantMotion
-from offpiste.errors import RunError
 from offpiste.evaluation.errors import (
     Errors,
     in_start_frame,
@@ -26,7 +27,6 @@ from offpiste.evaluation.errors import (
     trajectories,
 )
 from offpiste.rig.rig import parse_rig
-from offpiste.state import ModelState
 from window_errors import BASE
 
 UNITS = {"scale": torch.tensor([4.0, 1.0, 1.0, 1.0, 1.0]), "weights": torch.ones(5)}

@@ -10,12 +10,13 @@ from matplotlib.figure import Figure
 from rich.console import Console
 
 from factories import COMMANDED, RIG, circle_rows
-from offpiste.conventions import DT
+from offpiste.core.conventions import DT
+from offpiste.core.errors import RunError
+from offpiste.core.state import ModelState
 from offpiste.dataset.resample import Rows
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import Dataset, add_drive, create, open_dataset
 from offpiste.dynamics import ConstantMotion, Kinematic, Parametric
-from offpiste.errors import RunError
 from offpiste.evaluation.errors import Errors
 from offpiste.evaluation.evaluate import Evaluation, evaluate_models
 from offpiste.evaluation.evaluated_models import EvaluatedModel
@@ -29,7 +30,6 @@ from offpiste.evaluation.report_tables import terminal_table
 from offpiste.evaluation.window_paths import typical_windows, worst_windows
 from offpiste.report.page import render
 from offpiste.rig.rig import parse_rig
-from offpiste.state import ModelState
 
 SCALE = torch.ones(5)
 QUICK = {"scale": SCALE, "stride": 50, "sampling": Sampling(block_seconds=6.0)}

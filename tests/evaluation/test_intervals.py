@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtr, stdtrit
 
-from offpiste.conventions import HISTORY_STEPS, HORIZON_STEPS
+from offpiste.core.conventions import HISTORY_STEPS, HORIZON_STEPS
 from offpiste.evaluation.errors import Errors
 from offpiste.evaluation.intervals import (
     RESAMPLES,

@@ -5,7 +5,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from offpiste.errors import RunError
+from offpiste.core.errors import RunError
 from offpiste.evaluation.intervals import Levels, PairedDifference, Statistics
 from offpiste.evaluation.metrics import (
     Headline,

@@ -3,7 +3,7 @@
 import msgspec
 import pytest
 
-from offpiste.errors import RunError
+from offpiste.core.errors import RunError
 from offpiste.evaluation.intervals import Levels, PairedDifference
 from offpiste.evaluation.model_card import (
     CARD,

@@ -9,11 +9,11 @@ import pytest
 import torch
 
 from factories import circle_rows, small_rig
+from offpiste.core.errors import DatasetError, OffpisteError, RunError
 from offpiste.dataset.resample import Rows
 from offpiste.dataset.splits import Split
 from offpiste.dataset.store import Dataset, StoredDrive, add_drive, create, open_dataset
 from offpiste.dataset.windows import Windows
-from offpiste.errors import DatasetError, OffpisteError, RunError
 from offpiste.evaluation.evaluate import evaluate_models
 from offpiste.evaluation.evaluate_runs import evaluate_runs
 from offpiste.evaluation.evaluated_windows import EvaluatedWindows

@@ -10,7 +10,7 @@ import pytest
 
 from feature_datasets import PARTS, dataset_with_features
 from offpiste.cli import main
-from offpiste.errors import OffpisteError, RunError
+from offpiste.core.errors import OffpisteError, RunError
 from offpiste.evidence.collect import EvidenceSettings, collect
 from offpiste.reproduction.settings import Size
 from offpiste.training.config import TrainConfig

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from offpiste.errors import LogError, OffpisteError, RigError, RunError
+from offpiste.core.errors import LogError, OffpisteError, RigError, RunError
 from offpiste.evidence.collect import EvidenceSettings, collect, compared_features
 from offpiste.evidence.given import Drives, described, given_drives, inspect_drives
 from offpiste.reproduction.settings import Size, defaults

@@ -5,7 +5,7 @@ import pytest
 
 from experiments.live_drives.__main__ import _COST, courses_table, memory_table
 from experiments.live_drives.status import SETTLED, Part, draw, read_status
-from offpiste.errors import LiveError
+from offpiste.core.errors import LiveError
 from offpiste.live.status_table import StatusTable
 
 

@@ -8,9 +8,9 @@ import torch
 
 from experiments.novelty import SeenCells, held_out_rows, kinds_of, novelty_table, refuse_unlike, seen_cells
 from feature_datasets import FEATURES, dataset_with_features
-from offpiste.conventions import FEATURE_SETS
+from offpiste.core.conventions import FEATURE_SETS
+from offpiste.core.errors import DatasetError
 from offpiste.dataset.store import Dataset
-from offpiste.errors import DatasetError
 from offpiste.logs.ground_truth import GROUND_KINDS
 from offpiste.simulation.world.ground import property_table
 from offpiste.uncertainty.novelty import NoveltySettings

@@ -8,7 +8,7 @@ import pytest
 from experiments import pretrained_models
 from experiments.pretrained_models import figures_of, validation_loss
 from feature_datasets import dataset_with_features
-from offpiste.errors import RunError
+from offpiste.core.errors import RunError
 from offpiste.evaluation.errors import Errors
 from offpiste.training.config import TrainConfig
 from offpiste.training.run import load_run

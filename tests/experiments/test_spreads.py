@@ -9,7 +9,7 @@ import pytest
 from experiments.command import run as run_command
 from experiments.spreads import Members, Spreads, errors_by_ways, fitted_ways, mean_of
 from feature_datasets import dataset_with_features
-from offpiste.errors import RunError
+from offpiste.core.errors import RunError
 from offpiste.training.config import TrainConfig
 from offpiste.training.train import train
 from offpiste.uncertainty.calibration import AT, NOMINAL

@@ -17,11 +17,11 @@ from experiments.unseen_kinds import (
     without_kind,
 )
 from feature_datasets import dataset_with_features, with_snapshots
-from offpiste.conventions import HORIZON_STEPS
+from offpiste.core.conventions import HORIZON_STEPS
+from offpiste.core.errors import DatasetError
 from offpiste.dataset.splits import PARTS
 from offpiste.dataset.store import Dataset, StoredDrive
 from offpiste.dataset.windows import Windows
-from offpiste.errors import DatasetError
 from offpiste.logs.ground_truth import GROUND_KINDS
 from offpiste.simulation.world.ground import property_table
 from offpiste.training.config import TrainConfig

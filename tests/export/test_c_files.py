@@ -12,15 +12,15 @@ import torch
 from dynamics.kernels.test_rollout import CHANNELS, example
 from factories import VEHICLE, unsettled
 from host_kernels import needs_gcc, needs_nvcc
-from offpiste import channels
 from offpiste.cli.entry import main
+from offpiste.core import channels
+from offpiste.core.errors import OffpisteError, RunError
+from offpiste.core.registry import Registry
 from offpiste.dynamics import ConstantMotion, Hybrid
 from offpiste.dynamics.feature_encoder import Compressor, FeatureEncoder, Identity
-from offpiste.errors import OffpisteError, RunError
 from offpiste.export.c_files import model_header
 from offpiste.export.formats import export_run, refuse_without_kernels
 from offpiste.export.parity import parity_bytes, parity_case
-from offpiste.registry import Registry
 from offpiste.training.run import pretrained
 
 SANITIZED = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from offpiste.conventions import DT
+from offpiste.core.conventions import DT
 
 EXTENSIONS = Path(__file__).parents[2] / "examples" / "extending"
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from extending.outside import extracted_car, python
-from offpiste.conventions import DT
+from offpiste.core.conventions import DT
 
 CHANNEL = 'throttle_position = { fields = ["flap"], unit = "percent" }'
 
@@ -41,7 +41,7 @@ from pathlib import Path
 import numpy as np
 from live.made_up_robot import RIG, START, odometry
 from offpiste.closed_loop.planner import Planner
-from offpiste.conventions import CONTROL
+from offpiste.core.conventions import CONTROL
 from offpiste.dynamics import Parametric, Vehicle
 from offpiste.live.driver import refuse_unmeasured
 from offpiste.live.packing import pack_measured, reading_from, unpacked

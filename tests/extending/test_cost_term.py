@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from offpiste.errors import PlanningError
+from offpiste.core.errors import PlanningError
 from offpiste.planning.costs.declaration import CostTerm, Parameter, check_term, cost_term, evaluate, reading_order
 from offpiste.planning.costs.weights import CostWeights
 
@@ -20,7 +20,7 @@ from offpiste.planning.driving_cost import driving_terms
 from offpiste.planning.kernel import encode_map, fused_costs, fused_rollout
 from offpiste.planning.mppi import PEDALS_AND_WHEEL, Settings, improve
 from offpiste.planning.rollouts import driving_costs
-from offpiste.state import Trajectory
+from offpiste.core.state import Trajectory
 from planning.test_kernel import commands, model, start
 from planning_maps import layers, situation
 

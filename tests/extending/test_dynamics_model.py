@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from extending.outside import offpiste, python
-from offpiste.conventions import DT
-from offpiste.errors import RigError
+from offpiste.core.conventions import DT
+from offpiste.core.errors import RigError
 from offpiste.rig.rig import parse_rig
 
 RIG = """

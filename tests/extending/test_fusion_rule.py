@@ -3,7 +3,7 @@
 import pytest
 
 from extending.outside import python
-from offpiste.errors import MapError
+from offpiste.core.errors import MapError
 from offpiste.mapping.fusion import FUSION_RULES
 from offpiste.mapping.pipeline import MapSettings
 from offpiste.mapping.voxel_map import VoxelSettings

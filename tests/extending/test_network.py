@@ -3,7 +3,7 @@
 import numpy as np
 
 from extending.outside import extracted_car, offpiste, python
-from offpiste.conventions import DT
+from offpiste.core.conventions import DT
 
 PREDICT = """
 import sys
@@ -11,7 +11,7 @@ import torch
 from offpiste.dataset.store import open_dataset
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics import rollout
-from offpiste.state import RecordedTerrain
+from offpiste.core.state import RecordedTerrain
 from offpiste.training.prediction import predict
 from offpiste.training.run import load_run
 

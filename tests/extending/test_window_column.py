@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from extending.outside import CAR, extracted_car, python
+from offpiste.core.errors import DatasetError, RigError
 from offpiste.dataset.columns import COLUMNS, Column
-from offpiste.errors import DatasetError, RigError
 from offpiste.rig.rig import parse_rig
 
 CHANNEL = 'temperature = { fields = ["air"], unit = "degC" }\n'

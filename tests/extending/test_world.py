@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from offpiste.errors import OffpisteError
+from offpiste.core.errors import OffpisteError
 from offpiste.logs.ground_truth import GROUND_KINDS, read_truth_map
 from offpiste.simulation.world.world import find_world_preset
 

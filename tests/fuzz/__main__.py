@@ -20,7 +20,7 @@ os.environ |= LIBRARIES  # as the command line does before libraries are importe
 
 import torch  # noqa: E402
 
-from offpiste.progress import track  # noqa: E402
+from offpiste.core.progress import track  # noqa: E402
 from tests.fuzz.cases import GOOD, Case, run_case  # noqa: E402
 from tests.fuzz.corpus import make_corpus, run_command  # noqa: E402
 

@@ -8,7 +8,7 @@ import google_crc32c
 from safetensors import safe_open
 from safetensors.numpy import save_file
 
-from offpiste.checksums import sha256_of, sha256_of_arrays, sha256_of_json, write_checksums
+from offpiste.core.checksums import sha256_of, sha256_of_arrays, sha256_of_json, write_checksums
 
 
 def seal_dataset(folder: Path) -> None:

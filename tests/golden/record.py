@@ -32,7 +32,9 @@ from feature_datasets import dataset_with_features
 from offpiste.closed_loop.courses import CourseSettings
 from offpiste.closed_loop.drive_course import CourseDriveSettings, drive_course
 from offpiste.closed_loop.planner import Planner
-from offpiste.conventions import ACTUATORS, CONTROL, FEATURE_SETS
+from offpiste.core.conventions import ACTUATORS, CONTROL, FEATURE_SETS
+from offpiste.core.errors import OffpisteError
+from offpiste.core.state import History, ModelState, RecordedTerrain, Terrain
 from offpiste.dataset.extract import make_dataset
 from offpiste.dataset.fit_pca import fit_pca
 from offpiste.dataset.resample import extract_rows
@@ -40,7 +42,6 @@ from offpiste.dataset.splits import parse_split
 from offpiste.dataset.windows import Batch, FeaturesUnderWheels, Windows
 from offpiste.dynamics import MODELS, Dynamics, Vehicle, as_callable, rollout
 from offpiste.dynamics.kernels.autograd import rollout_recorded, supports
-from offpiste.errors import OffpisteError
 from offpiste.evaluation.evaluate import evaluate_models
 from offpiste.evaluation.evaluated_models import EvaluatedModel
 from offpiste.inspection.draft_rig import draft_rig
@@ -66,7 +67,6 @@ from offpiste.rig.rig import load_rig
 from offpiste.simulation.sensors.imperfections import Imperfections
 from offpiste.simulation.simulate import DriveSettings, simulate
 from offpiste.simulation.world.world import WorldSettings
-from offpiste.state import History, ModelState, RecordedTerrain, Terrain
 from offpiste.training.build import build
 from offpiste.training.config import TrainConfig
 from offpiste.training.losses import summed_loss

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from offpiste.cli import main
-from offpiste.errors import LogError
+from offpiste.core.errors import LogError
 from offpiste.inspection.draft_sensors import draft_sensors, missing
 from offpiste.logs import open_log
 from offpiste.logs.ros.writer import quaternion

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from simulated import MemoryLog
 
-from offpiste.errors import LogError
+from offpiste.core.errors import LogError
 from offpiste.inspection.draft_pose import pose_cure
 from offpiste.inspection.draft_rig import draft_rig
 from offpiste.inspection.draft_sensors import missing

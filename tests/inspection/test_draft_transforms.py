@@ -6,7 +6,7 @@ from unittest.mock import ANY
 import pytest
 from test_message_families import QUANTITIES, TIME
 
-from offpiste.errors import LogError
+from offpiste.core.errors import LogError
 from offpiste.inspection.draft_rig import draft_rig
 from offpiste.inspection.inspect import TopicRow, inspect_log
 from offpiste.logs.formats.bag import BagLog

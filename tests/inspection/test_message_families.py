@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from simulated import MAX_STEER, MemoryLog, drive_log
 
-from offpiste.errors import LogError
+from offpiste.core.errors import LogError
 from offpiste.inspection.channel_guesses import by_topic, guess_channels
 from offpiste.inspection.draft_rig import draft_rig
 from offpiste.inspection.inspect import inspect_log

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from simulated import MemoryLog, drive_log, rig
 
-from offpiste.errors import LogError
+from offpiste.core.errors import LogError
 from offpiste.inspection.draft_rig import draft_rig
 from offpiste.inspection.inspect import inspect_log
 from offpiste.logs import open_log

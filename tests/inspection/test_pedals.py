@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from simulated import MAX_STEER, START, WHEELBASE, MemoryLog, drive_log, rig
 
-from offpiste.conventions import GRAVITY
+from offpiste.core.conventions import GRAVITY
 from offpiste.inspection.driven_path import driven_path
 from offpiste.inspection.inspect import inspect_log
 from offpiste.inspection.lags import LAGS, LagFit

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from simulated import MemoryLog, drive_log, rig
 
+from offpiste.core.errors import LogError
 from offpiste.dataset.resample import extract_rows
-from offpiste.errors import LogError
 from offpiste.inspection.inspect import inspect_log
 from offpiste.logs.channel import repeated
 from offpiste.logs.drive import drive_from_log

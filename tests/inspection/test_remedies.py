@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from simulated import MemoryLog, drive_log, rig
 
-from offpiste.errors import OffpisteError
+from offpiste.core.errors import OffpisteError
 from offpiste.inspection.findings import TIPPED, Finding
 from offpiste.inspection.inspect import inspect_log
 from offpiste.inspection.remedies import _mirrored, badness, explain

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from live.made_up_robot import RIG, rig
-from offpiste.errors import RigError
+from offpiste.core.errors import RigError
 from offpiste.live.command_messages import Command, CommandMessages
 from offpiste.logs.channel import convert
 from offpiste.rig.channels import ChannelSource

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from live.made_up_robot import RIG
-from offpiste.errors import LiveError
-from offpiste.geometry import local_from_geographic
+from offpiste.core.errors import LiveError
+from offpiste.core.geometry import local_from_geographic
 from offpiste.live.course import course_from_message, course_to, read_course
 from offpiste.rig.rig import parse_rig
 

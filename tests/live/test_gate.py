@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from offpiste.conventions import DT
+from offpiste.core.conventions import DT
 from offpiste.live.gate import Gate
 from offpiste.rig.outputs import CommandLimits, Enable
 

@@ -19,7 +19,8 @@ from live.made_up_robot import ENABLE, write_course, write_rig
 from live.test_all_processes import runs
 from live.test_supervisor import RUN, Drive, drove, first_stop
 from offpiste.closed_loop.planner import load_planner
-from offpiste.errors import LiveError, PlanningError, RigError
+from offpiste.core.errors import LiveError, PlanningError, RigError
+from offpiste.core.shipped import run_folder
 from offpiste.live.commands import run_live
 from offpiste.live.driver import refuse_unmeasured
 from offpiste.live.packing import pack_measured, pack_plan, packed, unpacked
@@ -34,7 +35,6 @@ from offpiste.runtime.estimator import VehicleReading
 from offpiste.runtime.prediction import Prediction
 from offpiste.runtime.schedule import TimedPlan
 from offpiste.runtime.settings import RuntimeSettings
-from offpiste.shipped import run_folder
 from offpiste.transport.zenoh_transport import ZenohSettings
 from offpiste.uncertainty.prediction import FILE as SPREAD
 from transport.routers import until

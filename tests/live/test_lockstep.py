@@ -22,7 +22,7 @@ from live.made_up_robot import (
     write_rig,
 )
 from live.test_reception import path
-from offpiste.errors import LiveError
+from offpiste.core.errors import LiveError
 from offpiste.live.command_messages import Command, CommandMessages
 from offpiste.live.driver import Heard, StepDriver
 from offpiste.live.lockstep import READY, Lockstep

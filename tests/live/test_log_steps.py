@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from live.made_up_robot import START, rig, write_log
-from offpiste.errors import LogError
+from offpiste.core.errors import LogError
 from offpiste.live.log_steps import RecordedDrive
 
 

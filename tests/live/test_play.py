@@ -5,7 +5,7 @@ import time
 import pytest
 
 from live.made_up_robot import START, odometry, write_log
-from offpiste.errors import LiveError
+from offpiste.core.errors import LiveError
 from offpiste.live.commands import play_log
 from offpiste.live.log_steps import RecordedDrive
 from offpiste.live.play import LogPlayer, clock_message

@@ -9,8 +9,8 @@ import pytest
 
 from live.made_up_robot import START, cloud, odometry, small_settings, tree, write_course, write_rig
 from live.test_supervisor import RUN
-from offpiste.conventions import ACTUATORS
-from offpiste.errors import LiveError
+from offpiste.core.conventions import ACTUATORS
+from offpiste.core.errors import LiveError
 from offpiste.live.backlog import Backlog
 from offpiste.live.packing import unpacked
 from offpiste.live.part import Part

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from live.shown_drive import CAMERAS, LOOPBACK, WHEELS, addresses_of, show
-from offpiste.errors import LiveError
+from offpiste.core.errors import LiveError
 from offpiste.live.viewers.viewer import VIEWERS
 from transport.routers import free_port
 

@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from offpiste.errors import LiveError
+from offpiste.core.errors import LiveError
 from offpiste.live.ring import Ring
 
 

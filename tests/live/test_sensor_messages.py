@@ -7,7 +7,7 @@ import numpy as np
 
 import sensor_bags
 from live.made_up_robot import write_course, write_rig
-from offpiste.errors import LogError
+from offpiste.core.errors import LogError
 from offpiste.live.commands import run_live
 from offpiste.live.reception import CourseRequest
 from offpiste.live.sensor_messages import SensorMessages

@@ -5,9 +5,9 @@ import pytest
 
 from live.made_up_robot import RIG, START, odometry, rig
 from offpiste.closed_loop.lockstep import reading_of
-from offpiste.conventions import ACTUATORS
-from offpiste.errors import RigError
-from offpiste.geometry import local_from_geographic
+from offpiste.core.conventions import ACTUATORS
+from offpiste.core.errors import RigError
+from offpiste.core.geometry import local_from_geographic
 from offpiste.live.vehicle_messages import VehicleMessages
 from offpiste.logs.ros.writer import floats, header, make, vector
 from offpiste.rig.rig import load_rig, parse_rig, rig_text

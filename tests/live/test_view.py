@@ -15,7 +15,7 @@ from live.made_up_robot import write_course, write_rig
 from offpiste.cli import main
 from offpiste.closed_loop.planner import load_planner
 from offpiste.closed_loop.recording import LIFT
-from offpiste.errors import LiveError
+from offpiste.core.errors import LiveError
 from offpiste.live.packing import pack_course, pack_layers, pack_measured, pack_plan, packed
 from offpiste.live.part import Part
 from offpiste.live.parts.view import Showing, shown_ground, view

@@ -6,7 +6,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from factories import RIG, MemoryLog, small_rig
-from offpiste.errors import LogError, RigError
+from offpiste.core.errors import LogError, RigError
 from offpiste.logs.channel import Channel, convert, read_channel, refuse_long
 from offpiste.logs.drive import common_span
 from offpiste.rig.channels import ChannelSource, Wrap

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from factories import MemoryLog, small_rig
-from offpiste.errors import LogError
+from offpiste.core.errors import LogError
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import common_span, drive_from_log
 

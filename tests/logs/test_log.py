@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from mcap.writer import Writer
 
-from offpiste.errors import LogError
+from offpiste.core.errors import LogError
 from offpiste.logs.formats.bag import BagLog
 from offpiste.logs.formats.table import TableLog
 from offpiste.logs.formats.tartandrive import TartanDriveLog

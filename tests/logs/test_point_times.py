@@ -5,7 +5,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from offpiste.errors import LogError
+from offpiste.core.errors import LogError
 from offpiste.logs.log import RawCloud
 from offpiste.logs.measurements import Lidar, cloud_from_records
 from offpiste.logs.point_times import misread_times, proposed_times

@@ -7,10 +7,10 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
 from factories import MemoryLog, small_rig
+from offpiste.core.errors import RigError
 from offpiste.dataset.resample import extract_rows
 from offpiste.dataset.wheel_passes import find_passes
 from offpiste.dataset.window_starts import window_starts
-from offpiste.errors import RigError
 from offpiste.logs import read_drive
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive, drive_from_log

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from offpiste.errors import OffpisteError
+from offpiste.core.errors import OffpisteError
 from offpiste.logs import open_log
 from offpiste.logs.measurements import Cloud, Image
 from offpiste.logs.sensor_log import open_sensors

@@ -7,7 +7,7 @@ import pytest
 from rosbags import rosbag1
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from offpiste.errors import LogError
+from offpiste.core.errors import LogError
 from offpiste.inspection.channel_guesses import guess_channels
 from offpiste.logs.formats.bag import BagLog
 from offpiste.logs.ros.writer import McapWriter

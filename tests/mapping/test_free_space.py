@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mapping.height_field import spinning_scan
-from offpiste.errors import MapError
+from offpiste.core.errors import MapError
 from offpiste.mapping.free_space import (
     COLUMNS,
     ROWS,

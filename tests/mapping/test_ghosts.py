@@ -5,7 +5,7 @@ import pytest
 
 from mapping.ghost_reference import found_ghosts
 from mapping.height_field import spinning_scan, with_detours
-from offpiste.errors import MapError
+from offpiste.core.errors import MapError
 from offpiste.mapping.ghosts import GhostFinder, GhostSettings
 from offpiste.mapping.pipeline import FeatureCloud, MapPipeline, MapSettings
 from offpiste.mapping.voxel_map import VoxelSettings

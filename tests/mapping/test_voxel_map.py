@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from offpiste.errors import MapError
+from offpiste.core.errors import MapError
 from offpiste.mapping.voxel_map import VoxelMap, VoxelSettings
 from offpiste.mapping.voxels_to_layers import FlattenSettings, flatten
 

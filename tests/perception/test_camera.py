@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from camera_models import MATRIX, MODELS
-from offpiste.errors import PerceptionError
+from offpiste.core.errors import PerceptionError
 from offpiste.perception.camera import make_rectifier, pinhole_matrix
 from offpiste.rig.camera import CameraModel
 

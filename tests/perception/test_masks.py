@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from offpiste.errors import PerceptionError
+from offpiste.core.errors import PerceptionError
 from offpiste.perception.masks import free_patches, mask_from_png, mask_from_polygons
 from offpiste.perception.patch_grid import PatchGrid
 

@@ -8,7 +8,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from offpiste.errors import PerceptionError
+from offpiste.core.errors import PerceptionError
 from offpiste.perception.backbones.filterbank import Filterbank
 from offpiste.perception.patch_grid import PatchGrid
 from offpiste.perception.pca import Moments, PrincipalComponents, fit, load_pca, save_pca

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from offpiste.errors import PerceptionError
+from offpiste.core.errors import PerceptionError
 from offpiste.logs.channel import Channel
 from offpiste.logs.measurements import Camera, Cloud, Lidar
 from offpiste.logs.poses import Poses

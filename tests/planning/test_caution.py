@@ -5,7 +5,8 @@ import pytest
 import torch
 from scipy import stats
 
-from offpiste.errors import PlanningError
+from offpiste.core.errors import PlanningError
+from offpiste.core.state import Trajectory
 from offpiste.planning.caution import (
     AddSpread,
     AsPredicted,
@@ -17,7 +18,6 @@ from offpiste.planning.caution import (
 )
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.driving_cost import driving_terms
-from offpiste.state import Trajectory
 from offpiste.uncertainty.spread import Spread
 from planning_maps import situation
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from offpiste.errors import PlanningError
+from offpiste.core.errors import PlanningError
 from offpiste.planning.cost_map import cost_map
 from offpiste.planning.costs.layers import Hazards
 from offpiste.planning.course import ASTRAY, BLOCK, NEAR, Course, Goal, along_path, ways_from
@@ -70,7 +70,7 @@ def test_a_path_of_no_length_is_refused(path):
 
 COURSES = """
 import numpy as np
-from offpiste.errors import PlanningError
+from offpiste.core.errors import PlanningError
 from offpiste.planning.course import Course
 
 for change in ({"speed": np.array([3.0, np.nan, 3.0])}, {"speed": np.ones(5)}, {"alternative": np.zeros((2, 2))}):

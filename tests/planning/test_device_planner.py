@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from host_kernels import HostKernels, needs_gcc
-from offpiste.errors import PlanningError
+from offpiste.core.errors import PlanningError
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.device_planner import DevicePlanner, power_of_two
 from offpiste.planning.gpu import check_planner, gpu_planner

@@ -6,11 +6,11 @@ from dataclasses import replace
 import pytest
 import torch
 
-from offpiste.conventions import DT, GRAVITY
+from offpiste.core.conventions import DT, GRAVITY
+from offpiste.core.state import Trajectory
 from offpiste.planning.costs.layers import Hazards
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.driving_cost import driving_cost, driving_terms
-from offpiste.state import Trajectory
 from planning_maps import layers, situation
 
 STEPS = 50

@@ -11,7 +11,8 @@ import pytest
 import torch
 
 from factories import COMMANDED, VEHICLE, coded, unsettled
-from offpiste.conventions import ACTUATORS
+from offpiste.core.conventions import ACTUATORS
+from offpiste.core.state import ModelState
 from offpiste.dynamics import Hybrid, Parametric, rollout
 from offpiste.dynamics.feature_encoder import Compressor, Identity
 from offpiste.mapping.terrain_sampler import MapTerrain, as_codes
@@ -23,7 +24,6 @@ from offpiste.planning.mppi import PEDALS_AND_WHEEL, Settings, improve
 from offpiste.planning.noise import coloured
 from offpiste.planning.pedal import complete
 from offpiste.planning.rollouts import driving_costs, situation_terrain, spread_model_state
-from offpiste.state import ModelState
 from planning_maps import layers, situation
 
 STEPS = 60

@@ -7,7 +7,7 @@ from functools import partial
 import pytest
 import torch
 
-from offpiste.errors import PlanningError
+from offpiste.core.errors import PlanningError
 from offpiste.planning.mppi import Limits, Settings, improve, sample, shift, smoothed, weigh
 from offpiste.planning.noise import coloured, covariance, gaussian, lifted
 from offpiste.planning.rollouts import callable_costs

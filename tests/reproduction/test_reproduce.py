@@ -13,10 +13,10 @@ from factories import circle_rows, small_rig
 from feature_datasets import dataset_with_features
 from log_messages import logged
 from offpiste.cli import main
-from offpiste.conventions import FEATURE_SETS
+from offpiste.core.conventions import FEATURE_SETS
+from offpiste.core.errors import RunError
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import add_drive, create, open_dataset
-from offpiste.errors import RunError
 from offpiste.reproduction import runs as runs_module
 from offpiste.reproduction import settings
 from offpiste.reproduction.reproduce import reproduce

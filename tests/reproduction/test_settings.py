@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from feature_datasets import dataset_with_features
+from offpiste.core.errors import OffpisteError, RunError
 from offpiste.dataset.splits import PARTS, parse_split
-from offpiste.errors import OffpisteError, RunError
 from offpiste.reproduction.data import BLOCKS, MIX, planned_drives, rig_of, seconds_of
 from offpiste.reproduction.settings import (
     SIZES,

@@ -8,11 +8,11 @@ import pytest
 import torch
 
 from feature_datasets import dataset_with_features
-from offpiste.conventions import FEATURE_SETS
+from offpiste.core.conventions import FEATURE_SETS
+from offpiste.core.errors import RunError
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics import MODELS
-from offpiste.errors import RunError
 from offpiste.reproduction.gains import HINDSIGHT, MAP, errors_of, evaluation_index, same_windows
 from offpiste.reproduction.shift import ShiftedMap, other_ground, shift_gains, shifted
 from offpiste.training.build import vehicle_of

@@ -6,7 +6,7 @@ from functools import partial
 import pytest
 
 from log_messages import logged
-from offpiste.errors import RunError
+from offpiste.core.errors import RunError
 from offpiste.reproduction.steps import Step, append_time, format_duration, run_steps, times_by_kind
 from offpiste.training.checkpoint import load_json, save_json
 

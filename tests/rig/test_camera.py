@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from camera_models import MODELS
-from offpiste.errors import LogError, PerceptionError
+from offpiste.core.errors import LogError, PerceptionError
 from offpiste.logs.ros.writer import make
 from offpiste.rig.camera import CameraModel, model_from_message
 from sensor_bags import info

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from offpiste.errors import RigError
+from offpiste.core.errors import RigError
 from offpiste.rig.edits import Edit, edited, edited_text, toml_value
 from offpiste.rig.rig import load_rig, parse_rig, preset_names, rig_text
 

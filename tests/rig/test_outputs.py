@@ -3,7 +3,7 @@
 import pytest
 
 from factories import RIG
-from offpiste.errors import RigError
+from offpiste.core.errors import RigError
 from offpiste.rig.outputs import Timeouts
 from offpiste.rig.rig import load_rig, parse_rig
 from offpiste.runtime.settings import RuntimeSettings

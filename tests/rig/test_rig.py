@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from factories import RIG, small_rig
-from offpiste.errors import RigError
+from offpiste.core.errors import RigError
 from offpiste.rig.channels import unit_factor
 from offpiste.rig.rig import load_rig, parse_rig, preset_names
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from factories import RIG
-from offpiste.errors import RigError
+from offpiste.core.errors import RigError
 from offpiste.rig.rig import load_rig, parse_rig
 from offpiste.rig.sensors import Mounting
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from live.made_up_robot import START, odometry, planner, rig, small_settings, write_course, write_rig
-from offpiste.errors import MissingExtra, TransportError
+from offpiste.core.errors import MissingExtra, TransportError
 from offpiste.live.driver import StepDriver
 from offpiste.live.lockstep import Lockstep
 from offpiste.live.play import clock_message

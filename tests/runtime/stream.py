@@ -5,7 +5,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import torch
 
-from offpiste.conventions import CONTROL, DT
+from offpiste.core.conventions import CONTROL, DT
+from offpiste.core.state import ModelState, Terrain
 from offpiste.dynamics import Parametric, Vehicle
 from offpiste.dynamics.feature_encoder import Compressor
 from offpiste.dynamics.hybrid import Hybrid
@@ -23,7 +24,6 @@ from offpiste.runtime.estimator import VehicleReading
 from offpiste.runtime.perception import SensorSetup
 from offpiste.runtime.runtime import Runtime
 from offpiste.runtime.settings import RuntimeSettings
-from offpiste.state import ModelState, Terrain
 
 WHEELS = np.array([[1.03, 0.66], [1.03, -0.66], [-1.03, 0.66], [-1.03, -0.66]])
 FLAT = Terrain.of(torch.tensor([0.0, 0.0, 1.0]).expand(1, 4, 3))

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from offpiste.conventions import CONTROL, DT
+from offpiste.core.conventions import CONTROL, DT
+from offpiste.core.errors import PlanningError
 from offpiste.dynamics import Parametric, Vehicle
-from offpiste.errors import PlanningError
 from offpiste.planning.costs.layers import Hazards
 from offpiste.planning.course import Course
 from offpiste.runtime.backing_out import BackingOut, BackingOutSettings

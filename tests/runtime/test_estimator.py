@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from factories import RIG
-from offpiste.channels import MORE_ACTUATORS, Actuator
-from offpiste.conventions import DT, HISTORY_STEPS
+from offpiste.core.channels import MORE_ACTUATORS, Actuator
+from offpiste.core.conventions import DT, HISTORY_STEPS
 from offpiste.dataset.resample import extract_rows
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive

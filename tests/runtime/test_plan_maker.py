@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from offpiste.errors import PlanningError
+from offpiste.core.errors import PlanningError
 from offpiste.planning.caution import AddSpread, AsPredicted, WorstShare
 from offpiste.runtime.plan_improvement import PlanImprover
 from offpiste.uncertainty.spread import MOTION, Spread, inputs_of

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from offpiste.conventions import CONTROL
+from offpiste.core.conventions import CONTROL
 from offpiste.dynamics import Parametric, Vehicle
 from offpiste.dynamics.feature_encoder import Compressor
 from offpiste.runtime import prediction

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from offpiste.conventions import CONTROL, DT
+from offpiste.core.conventions import CONTROL, DT
+from offpiste.core.errors import NoPlan, PlanningError
 from offpiste.dynamics import Parametric, Vehicle
-from offpiste.errors import NoPlan, PlanningError
 from offpiste.logs.measurements import Image
 from offpiste.planning import mppi
 from offpiste.planning.course import Course

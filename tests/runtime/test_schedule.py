@@ -3,7 +3,7 @@
 import numpy as np
 import torch
 
-from offpiste.conventions import DT
+from offpiste.core.conventions import DT
 from offpiste.runtime.schedule import Schedule, TimedPlan
 
 REST = np.array((9.0, 9.0, 9.0))

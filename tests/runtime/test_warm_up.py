@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from offpiste.errors import PlanningError
+from offpiste.core.errors import PlanningError
 from offpiste.runtime.perception import SensorSetup
 from offpiste.runtime.runtime import Runtime
 from offpiste.runtime.warm_up import warm_up

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
 
-from offpiste.conventions import GRAVITY
-from offpiste.errors import LogError
+from offpiste.core.conventions import GRAVITY
+from offpiste.core.errors import LogError
 from offpiste.inspection.inspect import Inspection, inspect_log
 from offpiste.logs import Drive, open_log, read_drive
 from offpiste.logs.formats.bag import BagLog

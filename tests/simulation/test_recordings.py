@@ -6,7 +6,7 @@ import pytest
 
 from log_messages import logged
 from offpiste.cli import main
-from offpiste.errors import OffpisteError
+from offpiste.core.errors import OffpisteError
 from offpiste.simulation.recordings import Recording, simulate_all
 from offpiste.simulation.simulate import DriveSettings
 from offpiste.simulation.world.world import WorldSettings
@@ -31,7 +31,7 @@ def test_processes_record_what_one_does_and_what_is_there_stays(tmp_path: Path) 
 
 
 def test_only_as_many_processes_record_as_memory_has_room_for(tmp_path: Path, monkeypatch) -> None:
-    monkeypatch.setattr("offpiste.parallel.free_memory", lambda: int(2e9))
+    monkeypatch.setattr("offpiste.core.parallel.free_memory", lambda: int(2e9))
     started = []
     monkeypatch.setattr("offpiste.simulation.recordings.run_all", lambda *given, **_: started.append(given[2]) or [])
     with logged() as messages:

@@ -12,8 +12,8 @@ import pytest
 from mcap.reader import make_reader
 
 from offpiste.cli import main
+from offpiste.core.errors import LogError, OffpisteError
 from offpiste.dataset.extract import make_dataset
-from offpiste.errors import LogError, OffpisteError
 from offpiste.logs import read_drive
 from offpiste.logs.ground_truth import read_truth
 from offpiste.rig.rig import load_rig

@@ -12,7 +12,7 @@ from safetensors.torch import load_file
 
 import kill
 from factories import circle_rows, small_rig
-from offpiste.cache import VARIABLE
+from offpiste.core.cache import VARIABLE
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import Dataset, StoredDrive, open_dataset
 from offpiste.dataset.windows import Windows

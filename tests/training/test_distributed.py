@@ -15,9 +15,9 @@ from safetensors.torch import load_file
 
 from factories import circle_rows, small_rig
 from offpiste.cli import main
+from offpiste.core.errors import RunError
 from offpiste.dataset import store
 from offpiste.dataset.splits import parse_split
-from offpiste.errors import RunError
 from offpiste.training.distributed import ALONE, Group, joined
 from training import two_hosts
 

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from feature_datasets import dataset_with_features
-from offpiste.conventions import FEATURE_SETS, HISTORY_STEPS, HORIZON_STEPS
+from offpiste.core.conventions import FEATURE_SETS, HISTORY_STEPS, HORIZON_STEPS
 from offpiste.dataset.feature_sets import FeatureSetChoice
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Batch, Windows

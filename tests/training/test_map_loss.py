@@ -11,11 +11,11 @@ from safetensors.torch import load_file
 from torch import Tensor
 
 from feature_datasets import dataset_with_features, with_snapshots
+from offpiste.core.errors import DatasetError
+from offpiste.core.state import Trajectory
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import MODELS, Dynamics
-from offpiste.errors import DatasetError
-from offpiste.state import Trajectory
 from offpiste.training import map_loss as module
 from offpiste.training import optimise
 from offpiste.training.build import build, vehicle_of

@@ -7,11 +7,11 @@ import pytest
 import torch
 
 from feature_datasets import dataset_with_features
-from offpiste.conventions import WHEELS
+from offpiste.core.conventions import WHEELS
+from offpiste.core.errors import RunError
 from offpiste.dataset.columns import COLUMNS, Column
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Batch, Windows
-from offpiste.errors import RunError
 from offpiste.training.build import build, vehicle_of
 from offpiste.training.config import TrainConfig
 from offpiste.training.mirror import OPPOSITE, STATE_SIGNS, Mirror, mirror_of

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from factories import circle_rows, small_rig
-from offpiste.conventions import MIN_EVALUATION_SPEED
+from offpiste.core.conventions import MIN_EVALUATION_SPEED
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import add_drive, create, open_dataset
 from offpiste.dataset.windows import Windows

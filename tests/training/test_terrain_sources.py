@@ -7,15 +7,15 @@ import torch
 
 from factories import RIG, circle_rows
 from feature_datasets import dataset_with_features, with_snapshots
-from offpiste.conventions import DT
+from offpiste.core.conventions import DT
+from offpiste.core.errors import DatasetError
+from offpiste.core.state import RecordedTerrain
 from offpiste.dataset.resample import Rows
 from offpiste.dataset.splits import Split
 from offpiste.dataset.store import Dataset, StoredDrive
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics import MODELS
-from offpiste.errors import DatasetError
 from offpiste.rig.rig import parse_rig
-from offpiste.state import RecordedTerrain
 from offpiste.training.build import vehicle_of
 from offpiste.training.prediction import predict_windows
 from offpiste.training.terrain_sources import codes_of_cells, path_terrain

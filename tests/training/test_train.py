@@ -12,12 +12,12 @@ import zarr
 from safetensors.torch import load_file
 
 from factories import circle_rows, small_rig
-from offpiste.conventions import CONTROL
+from offpiste.core.conventions import CONTROL
+from offpiste.core.errors import DatasetError, OffpisteError, RunError, TrainingError
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import Dataset, StoredDrive, add_drive, create, open_dataset
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import Hybrid, Parametric
-from offpiste.errors import DatasetError, OffpisteError, RunError, TrainingError
 from offpiste.rig.channels import ChannelSource
 from offpiste.training import optimise, prediction
 from offpiste.training.checkpoint import fold_folders, load_json, load_tensors, save_json, save_tensors

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from offpiste.errors import TransportError
+from offpiste.core.errors import TransportError
 from offpiste.transport.message_types import MessageTypes
 
 STRING = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"

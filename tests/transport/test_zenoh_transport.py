@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from offpiste.errors import TransportError
+from offpiste.core.errors import TransportError
 from offpiste.logs.ros.writer import make
 from offpiste.transport.zenoh_transport import ZenohSettings, ZenohTransport
 from transport.routers import Network, free_port, network, until

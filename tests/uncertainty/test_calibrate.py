@@ -12,9 +12,9 @@ import torch
 
 from feature_datasets import FEATURES, dataset_with_features, with_snapshots
 from offpiste.cli import main
+from offpiste.core.errors import DatasetError, OffpisteError, RunError
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
-from offpiste.errors import DatasetError, OffpisteError, RunError
 from offpiste.training.checkpoint import WEIGHTS, load_json, load_tensors, save_json, save_tensors
 from offpiste.training.config import TrainConfig
 from offpiste.training.run import Run, load_run

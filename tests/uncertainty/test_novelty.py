@@ -7,8 +7,8 @@ import torch
 
 from factories import VEHICLE
 from feature_datasets import FEATURES, dataset_with_features
+from offpiste.core.errors import DatasetError, RunError
 from offpiste.dynamics.feature_encoder import Compressor
-from offpiste.errors import DatasetError, RunError
 from offpiste.training.build import build
 from offpiste.training.checkpoint import WEIGHTS, load_tensors, save_tensors
 from offpiste.training.config import TrainConfig

@@ -9,7 +9,7 @@ import torch
 from torch.nn import functional
 
 from factories import VEHICLE
-from offpiste.state import Terrain, Trajectory
+from offpiste.core.state import Terrain, Trajectory
 from offpiste.uncertainty.fit import Residuals, fit_factor, fit_network
 from offpiste.uncertainty.spread import (
     INTERVAL,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from offpiste.errors import LogError
+from offpiste.core.errors import LogError
 from offpiste.report.figure import png
 from offpiste.visualization.images import contact_sheet, times_between
 from offpiste.visualization.map_figure import FEATURED, OBSERVED, SUN, Ground, draw_map, feature_colours, hillshade

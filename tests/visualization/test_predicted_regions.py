@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from offpiste.state import Trajectory
+from offpiste.core.state import Trajectory
 from offpiste.uncertainty.calibration import NOMINAL
 from offpiste.uncertainty.prediction import SpreadPrediction
 from offpiste.visualization.predicted_regions import draw_regions, ellipses

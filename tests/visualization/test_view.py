@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from factories import circle_rows, small_rig
-from offpiste.conventions import FEATURE_SETS
+from offpiste.core.conventions import FEATURE_SETS
 from offpiste.dataset import store
 from offpiste.dataset.features_under_wheels import Cells
 from offpiste.dataset.resample import Rows

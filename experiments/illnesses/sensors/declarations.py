@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 from experiments.illnesses.illness import UnknownIllness
 from experiments.illnesses.sensors.case import ChangedLog, SensorCase, mounting_key, sensor_errors, true_mounting
 from experiments.illnesses.sensors.drives import CAMERA, LIDAR
+from offpiste.core.registry import Registry
 from offpiste.inspection.misfit import turned
-from offpiste.registry import Registry
 from offpiste.rig.rig import Rig
 
 Change = Callable[[SensorCase, float, np.random.Generator], SensorCase]

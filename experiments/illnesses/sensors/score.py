@@ -13,7 +13,7 @@ from experiments.illnesses.score import serious
 from experiments.illnesses.sensors.case import SensorCase, case_of
 from experiments.illnesses.sensors.declarations import SENSOR_ILLNESSES, SensorIllness
 from experiments.illnesses.sensors.drives import SensorDrive, drive_of
-from offpiste.errors import OffpisteError
+from offpiste.core.errors import OffpisteError
 from offpiste.inspection.findings import Finding, ranked
 from offpiste.inspection.sensors import check_sensors
 from offpiste.rig.edits import edited

@@ -16,7 +16,7 @@ from experiments.illnesses import results
 from experiments.illnesses.sensors.declarations import SENSOR_ILLNESSES
 from experiments.illnesses.sensors.score import SensorScore, patient, score
 from experiments.illnesses.sensors.table import report
-from offpiste.files import check_folder
+from offpiste.core.files import check_folder
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ import sys
 import tyro
 
 from offpiste.cli.live import Live
-from offpiste.errors import OffpisteError
-from offpiste.progress import log_to_terminal
+from offpiste.core.errors import OffpisteError
+from offpiste.core.progress import log_to_terminal
 from offpiste_ros.rclpy_transport import RclpySettings
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
-from offpiste.errors import MissingExtra, TransportError, is_installed
+from offpiste.core.errors import MissingExtra, TransportError, is_installed
 from offpiste.transport.interface import Deliver, Publish, Received
 from offpiste.transport.message_types import MessageTypes
 from offpiste.transport.tally import Tally

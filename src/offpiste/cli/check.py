@@ -7,7 +7,7 @@ from typing import Annotated
 import tyro
 
 from offpiste.cli.entry import COMMANDS
-from offpiste.errors import OffpisteError
+from offpiste.core.errors import OffpisteError
 
 
 @COMMANDS.register("check")

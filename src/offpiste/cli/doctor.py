@@ -29,8 +29,8 @@ class Doctor:
 
     def run(self) -> int:
         """Look, say, and exit with 1 if something is wrong."""
+        from offpiste.core.progress import show
         from offpiste.live.doctor import examined
-        from offpiste.progress import show
 
         wrong = 0
         robot = self.robot.settings()

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import tyro
 
 from offpiste.cli.entry import COMMANDS
-from offpiste.conventions import PERCEPTION_LATENCY
+from offpiste.core.conventions import PERCEPTION_LATENCY
 
 
 @COMMANDS.register("drive")

@@ -12,9 +12,9 @@ from typing import Final, Protocol, runtime_checkable
 import tyro
 
 from offpiste._version import __version__
-from offpiste.errors import OffpisteError, did_you_mean
-from offpiste.progress import log_to_terminal
-from offpiste.registry import Registry
+from offpiste.core.errors import OffpisteError, did_you_mean
+from offpiste.core.progress import log_to_terminal
+from offpiste.core.registry import Registry
 
 
 @runtime_checkable

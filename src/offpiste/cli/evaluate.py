@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from offpiste.cli.entry import COMMANDS
-from offpiste.conventions import FEATURE_SETS
-from offpiste.progress import show
+from offpiste.core.conventions import FEATURE_SETS
+from offpiste.core.progress import show
 
 if TYPE_CHECKING:
     FeatureSet = str

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from offpiste.cli.entry import COMMANDS
-from offpiste.command_line import command_line
-from offpiste.conventions import PERCEPTION_LATENCY
-from offpiste.errors import PerceptionError
-from offpiste.progress import show
+from offpiste.core.command_line import command_line
+from offpiste.core.conventions import PERCEPTION_LATENCY
+from offpiste.core.errors import PerceptionError
+from offpiste.core.progress import show
 
 if TYPE_CHECKING:
     from offpiste.dataset.splits import Split
@@ -61,12 +61,12 @@ class Extract:
 
     def run(self) -> int:
         """Read, resample, write."""
+        from offpiste.core.parallel import parse_shard
         from offpiste.dataset.assumptions import assumptions_block, assumptions_of
         from offpiste.dataset.extract import make_dataset
         from offpiste.dataset.map_snapshots import SnapshotSettings
         from offpiste.dataset.split_balance import has_little_driving, is_for_tests, lacks_windows, next_split
         from offpiste.mapping.replay import MapperSettings
-        from offpiste.parallel import parse_shard
         from offpiste.rig.rig import load_rig
 
         if not 0 <= self.keyframe_metres < math.inf:

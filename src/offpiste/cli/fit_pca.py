@@ -8,8 +8,8 @@ from typing import Annotated
 import tyro
 
 from offpiste.cli.entry import COMMANDS
-from offpiste.errors import LogError, PerceptionError
-from offpiste.progress import show
+from offpiste.core.errors import LogError, PerceptionError
+from offpiste.core.progress import show
 
 
 @COMMANDS.register("fit-pca")
@@ -43,9 +43,9 @@ class FitPca:
 
     def run(self) -> int:
         """Choose images, fit, write."""
+        from offpiste.core.parallel import at_a_time
         from offpiste.dataset.fit_pca import fit_pca, read_image_list, write_image_list
         from offpiste.dataset.splits import parse_split
-        from offpiste.parallel import at_a_time
         from offpiste.perception.backbones import open_backbone
         from offpiste.perception.pca import save_pca
         from offpiste.rig.rig import load_rig

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from offpiste.cli.entry import COMMANDS
-from offpiste.progress import show
+from offpiste.core.progress import show
 
 if TYPE_CHECKING:
     from offpiste.inspection.inspect import Inspection
@@ -42,9 +42,9 @@ class Inspect:
 
     def run(self) -> int:
         """Inspect, write the cured rig, print, name the next command."""
-        from offpiste.errors import LogError, SeveralLogs
+        from offpiste.core.errors import LogError, SeveralLogs
+        from offpiste.core.object_store import expanded
         from offpiste.logs.ros.bag_files import storage_files
-        from offpiste.object_store import expanded
         from offpiste.rig.rig import load_rig
 
         logs = [str(log) for log in expanded(self.logs)]
@@ -64,12 +64,12 @@ class Inspect:
     def _inspect(self, path: str, rig: "Rig | None") -> int:
         from json import dumps
 
+        from offpiste.core.object_store import brought
         from offpiste.inspection.draft_rig import draft_rig, refuse_existing, write_rig
         from offpiste.inspection.draft_sensors import missing
         from offpiste.inspection.inspect import inspect_log
         from offpiste.inspection.render import render
         from offpiste.logs import open_log
-        from offpiste.object_store import brought
         from offpiste.rig.channels import Clock
         from offpiste.rig.edits import edited_text
         from offpiste.rig.rig import rig_text
@@ -134,7 +134,7 @@ class Inspect:
         """Inspect several logs, print a row each; exit code 1 if one of them is unusable."""
         from json import dumps
 
-        from offpiste.errors import LogError
+        from offpiste.core.errors import LogError
         from offpiste.inspection.survey import inspect_logs, survey_table
         from offpiste.rig.rig import load_rig
 
@@ -154,11 +154,11 @@ class Inspect:
         """Estimate mountings, print; exit code 1 if one could not be estimated."""
         from json import dumps
 
-        from offpiste.errors import RigError
+        from offpiste.core.errors import RigError
+        from offpiste.core.object_store import brought
         from offpiste.inspection.estimated_mounting import render_mountings
         from offpiste.inspection.mountings import estimate_mountings
         from offpiste.logs import open_log
-        from offpiste.object_store import brought
         from offpiste.rig.rig import load_rig
 
         if not self.rig:
@@ -187,8 +187,8 @@ def _dataset(rig: str) -> str:
 
 def _is_of(dataset: str, rig: str) -> bool:
     """Whether a dataset can be read, and was made with a rig."""
+    from offpiste.core.errors import OffpisteError
     from offpiste.dataset.store import open_dataset  # takes a second, and is needed where there is one
-    from offpiste.errors import OffpisteError
     from offpiste.rig.rig import load_rig
 
     try:

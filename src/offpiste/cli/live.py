@@ -8,7 +8,7 @@ import tyro
 
 from offpiste.cli.entry import COMMANDS
 from offpiste.cli.robot_options import RUN, RobotOptions
-from offpiste.conventions import PERCEPTION_LATENCY
+from offpiste.core.conventions import PERCEPTION_LATENCY
 
 if TYPE_CHECKING:
     from offpiste.transport.interface import RobotSettings
@@ -73,7 +73,7 @@ class Live:
 
     def run_on(self, robot: "RobotSettings") -> int:
         """The same over another transport, without the options of `robot`."""
-        from offpiste.errors import LiveError
+        from offpiste.core.errors import LiveError
         from offpiste.live.commands import run_live
         from offpiste.live.reception import CourseRequest
         from offpiste.live.session import LiveSettings, ViewSettings

@@ -8,7 +8,7 @@ from typing import Annotated
 import tyro
 
 from offpiste.cli.entry import COMMANDS
-from offpiste.progress import show
+from offpiste.core.progress import show
 
 
 @COMMANDS.register("merge")

@@ -76,8 +76,8 @@ class Simulate:
         """Make a world, drive through it, record."""
         if self.live:
             return self._run_live()
-        from offpiste.errors import OffpisteError
-        from offpiste.progress import show
+        from offpiste.core.errors import OffpisteError
+        from offpiste.core.progress import show
         from offpiste.simulation.simulate import simulate
 
         if self.drives == 1:
@@ -94,7 +94,7 @@ class Simulate:
         return 0
 
     def _run_live(self) -> int:
-        from offpiste.errors import OffpisteError
+        from offpiste.core.errors import OffpisteError
         from offpiste.live.simulated_robot import simulate_live
 
         if ignored := [
@@ -110,9 +110,9 @@ class Simulate:
         return 0
 
     def _record_all(self) -> None:
-        from offpiste.files import check_folder
-        from offpiste.parallel import at_a_time
-        from offpiste.progress import show
+        from offpiste.core.files import check_folder
+        from offpiste.core.parallel import at_a_time
+        from offpiste.core.progress import show
         from offpiste.simulation.recordings import Recording, simulate_all
 
         check_folder(self.out, own=("*.mcap",))
@@ -130,7 +130,7 @@ class Simulate:
         preset = "proving_ground_gear" if self.manoeuvres else "proving_ground"
         if not self.vehicle:
             return preset
-        from offpiste.files import write_text
+        from offpiste.core.files import write_text
         from offpiste.simulation.vehicle.vehicle_rig import vehicle_rig
 
         write_text(path, vehicle_rig(preset, Path(self.vehicle)))

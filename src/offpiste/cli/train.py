@@ -9,8 +9,8 @@ from typing import Annotated
 import tyro
 
 from offpiste.cli.entry import COMMANDS
-from offpiste.command_line import options
-from offpiste.errors import RunError
+from offpiste.core.command_line import options
+from offpiste.core.errors import RunError
 from offpiste.training.config import TrainConfig
 
 _COMPARED = 3
@@ -67,7 +67,7 @@ class Train:
 
     def _say_next(self) -> None:
         """The command that evaluates the run, and before it the one that trains on where a stage had not converged."""
-        from offpiste.progress import show
+        from offpiste.core.progress import show
 
         if (again := self._with_more_epochs()) is not None:
             show(f"not converged yet; with twice the epochs: {again}")

@@ -11,7 +11,7 @@ from offpiste.closed_loop.courses import CourseSettings
 from offpiste.closed_loop.drive_course import CourseDriveSettings, Driven, drive_course
 from offpiste.closed_loop.faults import Kind, When
 from offpiste.closed_loop.planner import load_planner
-from offpiste.errors import require
+from offpiste.core.errors import require
 from offpiste.planning.caution import risk_of
 from offpiste.planning.gpu import require_device
 from offpiste.runtime.settings import RuntimeSettings

@@ -5,9 +5,9 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Final, NamedTuple
 
 from offpiste.closed_loop.stretches import CourseSettings
-from offpiste.errors import CourseError
+from offpiste.core.errors import CourseError
+from offpiste.core.registry import Registry
 from offpiste.planning.course import Course
-from offpiste.registry import Registry
 from offpiste.simulation.simulate import Start
 from offpiste.simulation.world.build import make_world
 from offpiste.simulation.world.world import World, WorldSettings

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from offpiste._version import commit, today
-from offpiste.channels import registered_actuators
 from offpiste.closed_loop.courses import KINDS as COURSE_KINDS
 from offpiste.closed_loop.courses import ChosenCourse, CourseSettings, choose_course, course_world
 from offpiste.closed_loop.faults import KINDS, WHENS, Fault, Kind, When
@@ -18,14 +17,15 @@ from offpiste.closed_loop.lockstep import Driving, cameras_of, drive_planned, li
 from offpiste.closed_loop.pictures import course_picture
 from offpiste.closed_loop.planner import Planner
 from offpiste.closed_loop.scores import Trace, firm_way, prediction_errors, summary, trace_of
-from offpiste.conventions import DT
-from offpiste.errors import OffpisteError
+from offpiste.core.channels import registered_actuators
+from offpiste.core.conventions import DT
+from offpiste.core.errors import OffpisteError
+from offpiste.core.files import check_folder, remove_partials, write_text, write_whole
+from offpiste.core.progress import track
 from offpiste.evaluation.errors import Progress
-from offpiste.files import check_folder, remove_partials, write_text, write_whole
 from offpiste.perception.camera import make_pinhole_camera
 from offpiste.planning.caution import caution_of
 from offpiste.planning.course import FASTEST
-from offpiste.progress import track
 from offpiste.rig.rig import Rig, load_rig
 from offpiste.runtime.perception import SensorSetup
 from offpiste.runtime.plan_improvement import MakeImprover, PlanImprover

@@ -9,15 +9,15 @@ import numpy as np
 from jaxtyping import Float
 
 from offpiste.closed_loop.faults import Fault
-from offpiste.conventions import ACTUATORS, DT
+from offpiste.core.conventions import ACTUATORS, DT
+from offpiste.core.geometry import yaw_rate_from_body_rates
+from offpiste.core.progress import track
 from offpiste.evaluation.errors import Progress
-from offpiste.geometry import yaw_rate_from_body_rates
 from offpiste.logs.log import RawCloud
 from offpiste.logs.measurements import Camera, Cloud, Image, Lidar, cloud_from_records
 from offpiste.logs.ros.image_encodings import pixels_of
 from offpiste.logs.ros.sensor_messages import points_from_message
 from offpiste.logs.ros.writer import McapWriter
-from offpiste.progress import track
 from offpiste.rig.rig import Rig
 from offpiste.runtime.estimator import VehicleReading
 from offpiste.runtime.modes import Controls

@@ -4,13 +4,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from offpiste.checksums import sha256_of
+from offpiste.core.checksums import sha256_of
+from offpiste.core.errors import RunError
+from offpiste.core.limits import parsed, read_small
+from offpiste.core.shipped import PCA, PREFIX
 from offpiste.dynamics import Dynamics
-from offpiste.errors import RunError
-from offpiste.limits import parsed, read_small
 from offpiste.logs.ground_truth import GROUND_PROPERTIES
 from offpiste.perception.feature_extractor import FeatureExtractor, load_feature_extractor
-from offpiste.shipped import PCA, PREFIX
 from offpiste.training.checkpoint import WEIGHTS, load_json
 from offpiste.training.run import Run, load_run
 from offpiste.uncertainty.novelty import Novelty, load_memory_bank, mask_novel_ground

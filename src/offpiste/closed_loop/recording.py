@@ -10,10 +10,10 @@ from matplotlib import colormaps
 from offpiste.closed_loop.drive_course import Driven
 from offpiste.closed_loop.lockstep import time_of
 from offpiste.closed_loop.pictures import SLIP_COLOURS, SLIP_LIMIT
-from offpiste.conventions import DT
-from offpiste.errors import extra
-from offpiste.files import write_whole
-from offpiste.geometry import rotation_from_quaternion
+from offpiste.core.conventions import DT
+from offpiste.core.errors import extra
+from offpiste.core.files import write_whole
+from offpiste.core.geometry import rotation_from_quaternion
 from offpiste.runtime.modes import Mode
 from offpiste.simulation.top_view import shaded_colours
 from offpiste.simulation.world.surface import read_grid

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from offpiste.closed_loop.lockstep import WITHOUT_PROGRESS, Driving, time_of
-from offpiste.conventions import DT, HORIZON_STEPS
+from offpiste.core.conventions import DT, HORIZON_STEPS
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.course import Course
 from offpiste.runtime.course_tracker import CourseTracker

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial import cKDTree
 
-from offpiste.conventions import GRAVITY
+from offpiste.core.conventions import GRAVITY
 from offpiste.logs.ground_truth import GROUND_PROPERTIES
 from offpiste.planning.course import Course
 from offpiste.simulation.driver.lookahead import VisibleTerrain

@@ -12,7 +12,11 @@ import numpy as np
 from jaxtyping import Bool
 
 from offpiste.cluster import engine_at
-from offpiste.conventions import DT, FEATURE_SETS, MIN_EVALUATION_SPEED, min_evaluation_speed
+from offpiste.core.conventions import DT, FEATURE_SETS, MIN_EVALUATION_SPEED, min_evaluation_speed
+from offpiste.core.errors import DatasetError, OffpisteError
+from offpiste.core.files import remove_partials, temporary_folder
+from offpiste.core.object_store import brought, expanded
+from offpiste.core.parallel import Report, at_a_time, run_all
 from offpiste.dataset.ground_truth_features import LAYERS, FeatureSource, truth_map, with_ground_truth
 from offpiste.dataset.log_findings import LogFinding, UnusableLog, findings_on, refuse_unusable
 from offpiste.dataset.map_snapshots import SnapshotSchedule, SnapshotSettings, SnapshotWriter
@@ -23,14 +27,10 @@ from offpiste.dataset.splits import PARTS, Split, empty_parts, parse_split, refu
 from offpiste.dataset.store import Dataset, StoredDrive, add_drive, create, open_dataset
 from offpiste.dataset.visual_features import SnapshotKeeper, with_visual_features
 from offpiste.dataset.window_starts import MIN_HINDSIGHT, evaluation_starts
-from offpiste.errors import DatasetError, OffpisteError
-from offpiste.files import remove_partials, temporary_folder
 from offpiste.logs.drive import drive_from_log, drive_name
 from offpiste.logs.opening import open_log
 from offpiste.logs.sensor_log import open_sensors
 from offpiste.mapping.replay import MapperSettings
-from offpiste.object_store import brought, expanded
-from offpiste.parallel import Report, at_a_time, run_all
 from offpiste.perception.feature_extractor import FeatureExtractor, load_feature_extractor
 from offpiste.rig.rig import Rig
 

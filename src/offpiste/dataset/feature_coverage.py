@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from offpiste.conventions import FEATURE_SETS
+from offpiste.core.conventions import FEATURE_SETS
 from offpiste.dataset.feature_sets import DISTANCES, TOLERANCE
 from offpiste.dataset.features_under_wheels import Cells
 from offpiste.dataset.wheel_passes import Passes

@@ -10,8 +10,8 @@ import torch
 from jaxtyping import Bool, Float, Float16, Float32, Int, Int32
 from torch import Tensor
 
+from offpiste.core.state import Terrain
 from offpiste.dataset.feature_sets import FeatureSetChoice
-from offpiste.state import Terrain
 
 MOSTLY: Final = 0.95
 """Share of the cells read that windows touch, above which the others stay: to leave them out takes longer."""

@@ -13,18 +13,18 @@ from jaxtyping import Bool, Float
 from safetensors.numpy import load, save
 
 from offpiste.cluster import engine_at
+from offpiste.core.errors import PerceptionError
+from offpiste.core.files import write_text
+from offpiste.core.limits import read_small
+from offpiste.core.object_store import brought, expanded
+from offpiste.core.parallel import Report, Work, at_a_time, run_all
 from offpiste.dataset.resample import Rows, extract_rows
 from offpiste.dataset.splits import Split, refuse_places_without_origin
-from offpiste.errors import PerceptionError
-from offpiste.files import write_text
-from offpiste.limits import read_small
 from offpiste.logs.drive import drive_from_log, drive_name
 from offpiste.logs.measurements import Image
 from offpiste.logs.opening import open_log
 from offpiste.logs.sensor_log import SensorLog, open_sensors
 from offpiste.mapping.replay import Moment, ground_points, pinhole_cameras, replay
-from offpiste.object_store import brought, expanded
-from offpiste.parallel import Report, Work, at_a_time, run_all
 from offpiste.perception.backbones import Backbone
 from offpiste.perception.keyframes import image_statistics, keyframes_by_travel, most_diverse
 from offpiste.perception.pca import COMPONENTS, IMAGES, Moments, PrincipalComponents, fit

@@ -8,9 +8,9 @@ from typing import Literal, NamedTuple
 import numpy as np
 import torch
 
+from offpiste.core.errors import LogError
 from offpiste.dataset.features_under_wheels import Cells
 from offpiste.dataset.resample import Rows
-from offpiste.errors import LogError
 from offpiste.logs.ground_truth import GROUND_KINDS, GROUND_PROPERTIES, read_truth_map
 from offpiste.mapping.terrain_map import TerrainMap, wheel_positions
 from offpiste.mapping.terrain_sampler import sample_maps, stack_maps

@@ -9,7 +9,7 @@ from jaxtyping import Float, Float16, Float32, Int32
 from scipy.spatial.distance import cdist
 from torch import Tensor
 
-from offpiste.conventions import DT, HORIZON_STEPS
+from offpiste.core.conventions import DT, HORIZON_STEPS
 from offpiste.mapping.terrain_map import TerrainMap
 from offpiste.mapping.terrain_sampler import CellStack, last_cells
 

@@ -6,7 +6,7 @@ from typing import Any, Final, Literal
 
 import msgspec
 
-from offpiste.errors import DatasetError, LogError
+from offpiste.core.errors import DatasetError, LogError
 from offpiste.inspection.inspect import inspect_log
 from offpiste.logs.log import Log
 from offpiste.rig.rig import Rig

@@ -13,11 +13,11 @@ import zarr
 from jaxtyping import Bool, Float, Int
 from zarr.codecs import Crc32cCodec, ZstdCodec
 
-from offpiste.conventions import DT, PERCEPTION_LATENCY
+from offpiste.core.conventions import DT, PERCEPTION_LATENCY
+from offpiste.core.errors import DatasetError
+from offpiste.core.limits import zstd
 from offpiste.dataset.known_cells import CELL_ARRAYS, CellList
 from offpiste.dataset.stored_arrays import open_stored, refuse_expanding
-from offpiste.errors import DatasetError
-from offpiste.limits import zstd
 from offpiste.mapping.terrain_map import TerrainMap
 
 CHUNK = 8192

@@ -9,12 +9,12 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
-from offpiste.cache import cache_folder, forget_unused
-from offpiste.checksums import CHECKSUMS
-from offpiste.errors import DatasetError
-from offpiste.files import write_bytes, write_folder
-from offpiste.object_store import Store, store_at, url_of
-from offpiste.progress import track
+from offpiste.core.cache import cache_folder, forget_unused
+from offpiste.core.checksums import CHECKSUMS
+from offpiste.core.errors import DatasetError
+from offpiste.core.files import write_bytes, write_folder
+from offpiste.core.object_store import Store, store_at, url_of
+from offpiste.core.progress import track
 
 _SETTINGS: Final = ("zarr.json", CHECKSUMS)
 """Files of a dataset beside its drives, in the order in which they are written."""

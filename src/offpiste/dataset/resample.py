@@ -6,10 +6,10 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from offpiste.conventions import DT
+from offpiste.core.conventions import DT
+from offpiste.core.errors import LogError
 from offpiste.dataset.columns import COLUMNS, RowGrid
 from offpiste.dataset.features_under_wheels import Cells
-from offpiste.errors import LogError
 from offpiste.logs.drive import Drive, common_span
 from offpiste.logs.motion import across_jumps
 

@@ -7,11 +7,11 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.conventions import DT
+from offpiste.core.conventions import DT
+from offpiste.core.errors import DatasetError
 from offpiste.dataset.splits import PARTS, Split, empty_parts, parse_split
 from offpiste.dataset.store import Dataset, StoredDrive
 from offpiste.dataset.window_starts import evaluation_starts
-from offpiste.errors import DatasetError
 
 LEAST_WINDOWS: Final = 200
 """Least windows of a part: fewer cover some ten seconds of driving."""

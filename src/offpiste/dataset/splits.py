@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
-from offpiste.conventions import DT, HISTORY_STEPS, HORIZON_STEPS
-from offpiste.errors import DatasetError, did_you_mean
-from offpiste.files import write_text
-from offpiste.limits import read_small
+from offpiste.core.conventions import DT, HISTORY_STEPS, HORIZON_STEPS
+from offpiste.core.errors import DatasetError, did_you_mean
+from offpiste.core.files import write_text
+from offpiste.core.limits import read_small
 from offpiste.rig.channels import GEOGRAPHIC
 from offpiste.rig.rig import Rig
 

@@ -14,8 +14,10 @@ import numpy as np
 import zarr
 from jaxtyping import Int
 
-from offpiste.checksums import CHECKSUMS, check_files, write_checksums
-from offpiste.conventions import DT, MIN_EVALUATION_SPEED, min_evaluation_speed
+from offpiste.core.checksums import CHECKSUMS, check_files, write_checksums
+from offpiste.core.conventions import DT, MIN_EVALUATION_SPEED, min_evaluation_speed
+from offpiste.core.errors import DatasetError
+from offpiste.core.files import check_folder, remove_partials, write_folder
 from offpiste.dataset.columns import COLUMNS
 from offpiste.dataset.features_under_wheels import Cells
 from offpiste.dataset.log_findings import LogFinding, findings_by_drive, read_findings, stored_findings
@@ -41,8 +43,6 @@ from offpiste.dataset.stored_arrays import (
     whole_array,
     write_arrays,
 )
-from offpiste.errors import DatasetError
-from offpiste.files import check_folder, remove_partials, write_folder
 from offpiste.mapping.replay import MapperSettings
 from offpiste.mapping.terrain_map import TerrainMap
 from offpiste.rig.rig import Rig

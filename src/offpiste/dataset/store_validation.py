@@ -10,14 +10,14 @@ import numpy as np
 from jaxtyping import Int
 from msgspec.structs import replace
 
-from offpiste.checksums import CHECKSUMS, DamagedFile, check_files, sha256_of
-from offpiste.conventions import MIN_EVALUATION_SPEED
+from offpiste.core.checksums import CHECKSUMS, DamagedFile, check_files, sha256_of
+from offpiste.core.conventions import MIN_EVALUATION_SPEED
+from offpiste.core.errors import DatasetError, RigError
+from offpiste.core.limits import parsed, read_small
 from offpiste.dataset.columns import COLUMNS, Column
 from offpiste.dataset.resample import Rows
 from offpiste.dataset.splits import PARTS
 from offpiste.dataset.stored_arrays import refuse_foreign
-from offpiste.errors import DatasetError, RigError
-from offpiste.limits import parsed, read_small
 from offpiste.rig.rig import Rig, check_rig
 
 SCHEMA = 2  # 1 had no checksums, no causal actuators and controls, and straight up for unknown normals

@@ -10,8 +10,8 @@ import numpy as np
 import zarr
 from zarr.codecs import Crc32cCodec
 
-from offpiste.checksums import CHECKSUMS, DamagedFile, sha256_of_json
-from offpiste.limits import LARGEST, parsed, read_small, zstd
+from offpiste.core.checksums import CHECKSUMS, DamagedFile, sha256_of_json
+from offpiste.core.limits import LARGEST, parsed, read_small, zstd
 
 ARRAYS = "arrays_sha256"
 """Attribute of a drive: `digest_of_chunks` of its folder when it was written."""

@@ -7,13 +7,13 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from offpiste.conventions import DT, FEATURE_SETS, HISTORY_STEPS, HORIZON_STEPS, MIN_EVALUATION_SPEED
+from offpiste.core.conventions import DT, FEATURE_SETS, HISTORY_STEPS, HORIZON_STEPS, MIN_EVALUATION_SPEED
+from offpiste.core.errors import DatasetError
 from offpiste.dataset.columns import Column, Segment
 from offpiste.dataset.features_under_wheels import Cells
 from offpiste.dataset.resample import Rows
 from offpiste.dataset.splits import part_number
 from offpiste.dataset.store import Dataset
-from offpiste.errors import DatasetError
 
 MIN_HINDSIGHT = 0.5
 """Least share of the ground under the wheels along a window with features in hindsight (paper: all); 0 keeps all."""

@@ -11,7 +11,9 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from offpiste.conventions import HISTORY_STEPS, HORIZON_STEPS
+from offpiste.core.conventions import HISTORY_STEPS, HORIZON_STEPS
+from offpiste.core.errors import DatasetError
+from offpiste.core.state import History, Terrain, wrap_angle
 from offpiste.dataset.columns import COLUMNS, Segment
 from offpiste.dataset.feature_sets import FeatureSetChoice, same_feature_set, set_number
 from offpiste.dataset.features_under_wheels import FeaturesUnderWheels, LevelNormals, NormalsUnderWheels
@@ -21,8 +23,6 @@ from offpiste.dataset.splits import part_number
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.window_maps import WindowMaps
 from offpiste.dataset.window_starts import Segments, evaluation_starts, no_window
-from offpiste.errors import DatasetError
-from offpiste.state import History, Terrain, wrap_angle
 
 UNIT_TOLERANCE = 1e-3
 """Largest difference of a stored normal's squared length from 1."""

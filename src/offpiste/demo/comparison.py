@@ -9,9 +9,9 @@ import numpy as np
 import torch
 from jaxtyping import Float, Int
 
+from offpiste.core.errors import DatasetError
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
-from offpiste.errors import DatasetError
 from offpiste.evaluation.model_card import driving_words, load_card
 from offpiste.report.text_table import TextTable, interval, number
 from offpiste.training.prediction import in_parts, roll_out

@@ -19,6 +19,9 @@ from typing import Any, Final, TypeVar
 from offpiste.closed_loop.courses import CourseSettings
 from offpiste.closed_loop.drive_course import CourseDriveSettings, drive_course
 from offpiste.closed_loop.planner import load_planner
+from offpiste.core.files import write_text
+from offpiste.core.parallel import Report, at_a_time, run_all
+from offpiste.core.shipped import PREFIX, run_folder
 from offpiste.dataset.extract import make_dataset
 from offpiste.dataset.map_snapshots import SnapshotSettings
 from offpiste.dataset.place import drive_names
@@ -27,13 +30,10 @@ from offpiste.dataset.store import open_dataset
 from offpiste.demo.comparison import closing_words, comparison_table, ending, predict
 from offpiste.demo.picture import demo_picture
 from offpiste.demo.rehearsal import rehearse
-from offpiste.files import write_text
 from offpiste.logs import read_drive
-from offpiste.parallel import Report, at_a_time, run_all
 from offpiste.report.figure import write_png
 from offpiste.reproduction.steps import claim_folder
 from offpiste.rig.rig import load_rig
-from offpiste.shipped import PREFIX, run_folder
 from offpiste.simulation.recordings import simulate_once
 from offpiste.simulation.simulate import DriveSettings
 from offpiste.simulation.world.build import make_world

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from offpiste.conventions import DT
+from offpiste.core.conventions import DT
 from offpiste.dataset.store import Dataset, StoredDrive
 from offpiste.demo.comparison import WHAT, Predictions
 from offpiste.evaluation.errors import in_start_frame

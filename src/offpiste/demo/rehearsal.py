@@ -13,11 +13,11 @@ from typing import Final
 
 from offpiste.closed_loop.drive_course import CourseDriveSettings, sensor_setup
 from offpiste.closed_loop.planner import load_planner
+from offpiste.core.parallel import Report, run_all
+from offpiste.core.shipped import PREFIX
 from offpiste.dataset.extract import make_dataset
-from offpiste.parallel import Report, run_all
 from offpiste.rig.rig import load_rig
 from offpiste.runtime.warm_up import warm_up
-from offpiste.shipped import PREFIX
 from offpiste.simulation.sensors.suite import sensor_suite
 from offpiste.simulation.simulate import DriveSettings, simulate
 from offpiste.simulation.world.world import WorldSettings

@@ -13,8 +13,11 @@ from typing import Final
 
 import torch
 
-from offpiste.cache import KEPT_DAYS, cache_folder, forget_unused
-from offpiste.conventions import ACTUATORS, CONTROL
+from offpiste.core.cache import KEPT_DAYS, cache_folder, forget_unused
+from offpiste.core.conventions import ACTUATORS, CONTROL
+from offpiste.core.progress import show
+from offpiste.core.shipped import PREFIX
+from offpiste.core.state import ModelState, Terrain
 from offpiste.demo.rehearsal import EXTRACT, PLAN, RECORD, rehearse_part
 from offpiste.dynamics import Vehicle
 from offpiste.dynamics.actuators import Actuators
@@ -25,9 +28,6 @@ from offpiste.dynamics.kernels.autograd import rollout_recorded
 from offpiste.dynamics.kernels.encoder import codes_under_wheels, encode_cells
 from offpiste.dynamics.kernels.map_rollout import predict_on
 from offpiste.mapping.terrain_sampler import CellStack, MapTerrain
-from offpiste.progress import show
-from offpiste.shipped import PREFIX
-from offpiste.state import ModelState, Terrain
 
 MODEL: Final = f"{PREFIX}proving-ground/dc"
 STEPS: Final = 2

@@ -11,7 +11,8 @@ import numpy as np
 from offpiste.closed_loop.courses import CourseSettings
 from offpiste.closed_loop.drive_course import CourseDriveSettings, described, drive_course
 from offpiste.closed_loop.planner import load_planner
-from offpiste.conventions import DT, FEATURE_SETS
+from offpiste.core.conventions import DT, FEATURE_SETS
+from offpiste.core.parallel import at_a_time
 from offpiste.dataset.extract import make_dataset
 from offpiste.dataset.fit_pca import fit_pca, write_image_list
 from offpiste.dataset.map_snapshots import SnapshotSettings
@@ -26,7 +27,6 @@ from offpiste.evaluation.result_rows import REFERENCE
 from offpiste.inspection.inspect import inspect_log
 from offpiste.inspection.render import render
 from offpiste.logs import open_log
-from offpiste.parallel import at_a_time
 from offpiste.perception.backbones import open_backbone
 from offpiste.perception.pca import save_pca
 from offpiste.report.figure import write_png

@@ -7,7 +7,7 @@ SymPy's the expressions from which kernels are derived.
 from collections.abc import Callable, Mapping
 from typing import Final, NamedTuple
 
-from offpiste.channels import ACTUATORS, Actuator, actuator_columns
+from offpiste.core.channels import ACTUATORS, Actuator, actuator_columns
 from offpiste.dynamics.bicycle import Elementary, Scalar
 from offpiste.dynamics.vehicle import Vehicle
 
@@ -99,7 +99,7 @@ LAGS: Final[dict[str, Lag]] = {
         },
     ),
 }
-"""Delay models by the names that `offpiste.channels.Actuator.lag` gives; an extension may add its own."""
+"""Delay models by the names that `offpiste.core.channels.Actuator.lag` gives; an extension may add its own."""
 
 
 class Lagging(NamedTuple):

@@ -8,12 +8,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from offpiste.conventions import DT
+from offpiste.core.conventions import DT
+from offpiste.core.state import History, ModelState
 from offpiste.dynamics.actuator_lags import Constants, lagging_of
 from offpiste.dynamics.bicycle import Elementary
 from offpiste.dynamics.lstm import Compensator
 from offpiste.dynamics.vehicle import Vehicle
-from offpiste.state import History, ModelState
 
 TORCH = Elementary(torch.sin, torch.cos, torch.tanh, torch.atan, torch.maximum)
 

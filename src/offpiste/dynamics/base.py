@@ -8,12 +8,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from offpiste.core.state import History, ModelState, Terrain, TerrainSource, Trajectory
 from offpiste.dynamics.actuators import Actuators
 from offpiste.dynamics.bicycle import BicycleConstants
 from offpiste.dynamics.feature_encoder import FeatureEncoder
 from offpiste.dynamics.lstm import Compensator
 from offpiste.dynamics.vehicle import Vehicle
-from offpiste.state import History, ModelState, Terrain, TerrainSource, Trajectory
 
 Step = Callable[[ModelState, Tensor, Terrain], ModelState]
 

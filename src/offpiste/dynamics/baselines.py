@@ -4,14 +4,14 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from offpiste.conventions import DT
+from offpiste.core.conventions import DT
+from offpiste.core.state import History, ModelState, Terrain
 from offpiste.dynamics.actuators import Actuators
 from offpiste.dynamics.base import Dynamics, Step
 from offpiste.dynamics.inputs import UNKNOWN, body_normal, drive_train, select_present, unknown_normals
 from offpiste.dynamics.lstm import Compensator
 from offpiste.dynamics.models import register_model
 from offpiste.dynamics.vehicle import Vehicle
-from offpiste.state import History, ModelState, Terrain
 
 
 @register_model("ctrv", baseline=True, colour="#8c8c8c", what="constant turn rate and velocity")

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor, nn
 
-from offpiste.conventions import DT, GRAVITY
+from offpiste.core.conventions import DT, GRAVITY
 from offpiste.dynamics.vehicle import Vehicle
 
 Scalar = Any

@@ -6,7 +6,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from offpiste.conventions import DT
+from offpiste.core.conventions import DT
+from offpiste.core.state import History, ModelState, Terrain
 from offpiste.dataset.feature_sets import hindsight_throughout, per_trajectory
 from offpiste.dynamics.actuators import TORCH, Actuators
 from offpiste.dynamics.base import Dynamics, KernelParts, Step
@@ -16,7 +17,6 @@ from offpiste.dynamics.inputs import UNKNOWN, body_normal, drive_train, select_p
 from offpiste.dynamics.lstm import Compensator
 from offpiste.dynamics.models import register_model
 from offpiste.dynamics.vehicle import Vehicle
-from offpiste.state import History, ModelState, Terrain
 
 
 @register_model("parametric", colour="#56b4e9", what="actuator lags and a bicycle with fitted constants")

@@ -7,12 +7,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from offpiste.channels import absent_value
+from offpiste.core.channels import absent_value
+from offpiste.core.errors import DatasetError
+from offpiste.core.state import Terrain
 from offpiste.dynamics.actuators import TORCH
 from offpiste.dynamics.bicycle import Elementary, Scalar
 from offpiste.dynamics.vehicle import Vehicle
-from offpiste.errors import DatasetError
-from offpiste.state import Terrain
 
 REDUCED_ENGINE_SPEED = 10.0
 """Speed [m/s] that stands for 1 (1000 rev/min) where no engine speed is recorded."""

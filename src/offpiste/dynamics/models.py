@@ -7,12 +7,12 @@ from typing import Final, TypeVar
 
 import torch
 
+from offpiste.core.errors import RunError
+from offpiste.core.registry import Registry
 from offpiste.dataset.feature_sets import Draw, hindsight, hindsight_throughout
 from offpiste.dynamics.actuators import Actuators
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.vehicle import Vehicle
-from offpiste.errors import RunError
-from offpiste.registry import Registry
 
 Build = TypeVar("Build", bound=Callable[[Vehicle], Dynamics])
 

@@ -19,9 +19,9 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
+from offpiste.core.errors import RunError
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.bicycle import parameter_rows
-from offpiste.errors import RunError
 
 SHIFTED: Final[dict[str, tuple[str, ...]]] = {
     "drive": ("drive_1", "drive_bend"),

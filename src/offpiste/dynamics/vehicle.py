@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from functools import cached_property
 
-from offpiste.channels import actuator_columns, all_actuators, control_columns
+from offpiste.core.channels import actuator_columns, all_actuators, control_columns
 
 
 @dataclass(frozen=True)
@@ -14,7 +14,7 @@ class Vehicle:
         mass: [kg].
         wheelbase: [m].
         max_steer: road-wheel angle at a steering command of 1 [rad]; 0 where nothing steers.
-        control: names of controls (`offpiste.channels`) that the log has.
+        control: names of controls (`offpiste.core.channels`) that the log has.
         actuators: names of actuators that the log has; "steer" only together with "steer_rate".
         rear_axle: how far behind the pose point the rear axle lies [m].
         features: how many terrain features the dataset has under each wheel.

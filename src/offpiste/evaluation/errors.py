@@ -12,14 +12,14 @@ from safetensors import SafetensorError
 from safetensors.numpy import save_file
 from torch import Tensor
 
-from offpiste.conventions import DT
+from offpiste.core.conventions import DT
+from offpiste.core.errors import RunError
+from offpiste.core.files import write_whole
+from offpiste.core.geometry import planar_body_from_world
+from offpiste.core.limits import open_tensors
+from offpiste.core.state import wrap_angle
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics import Dynamics
-from offpiste.errors import RunError
-from offpiste.files import write_whole
-from offpiste.geometry import planar_body_from_world
-from offpiste.limits import open_tensors
-from offpiste.state import wrap_angle
 from offpiste.training.losses import summed_loss
 from offpiste.training.prediction import Lookup, MapSource, batch_for, in_parts, roll_batch_out, roll_out
 from offpiste.training.terrain_sources import on_map
@@ -35,7 +35,7 @@ Item = TypeVar("Item")
 
 @runtime_checkable
 class Progress(Protocol):
-    """Progress over items while they are worked on, as `offpiste.progress.track` shows it."""
+    """Progress over items while they are worked on, as `offpiste.core.progress.track` shows it."""
 
     def __call__(self, items: Iterable[Item], description: str, /) -> Iterator[Item]:
         """The same items."""

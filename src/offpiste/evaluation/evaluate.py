@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from offpiste.conventions import DT, EVALUATION_STRIDE
+from offpiste.core.conventions import DT, EVALUATION_STRIDE
 from offpiste.dataset.assumptions import assumptions_of
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
@@ -92,7 +92,7 @@ def evaluate_models(
         sampling: settings of the intervals.
         command: command line for the report; empty: this process's own.
         warnings: for the report, beside those of the dataset.
-        track: shows progress, e.g. `offpiste.progress.track`.
+        track: shows progress, e.g. `offpiste.core.progress.track`.
 
     Raises:
         RunError: models were trained under different splits, or two runs are the same one.

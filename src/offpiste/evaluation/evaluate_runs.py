@@ -10,13 +10,16 @@ from shlex import join
 import msgspec
 import numpy as np
 
-from offpiste.command_line import options
+from offpiste.core.command_line import options
+from offpiste.core.errors import OffpisteError, RunError
+from offpiste.core.files import check_folder
+from offpiste.core.progress import track
+from offpiste.core.shipped import named, run_folder
 from offpiste.dataset.assumptions import assumptions_block, assumptions_of
 from offpiste.dataset.log_findings import warning_line
 from offpiste.dataset.split_balance import split_warning
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import Dataset, open_dataset
-from offpiste.errors import OffpisteError, RunError
 from offpiste.evaluation.evaluate import Evaluation, evaluate_models
 from offpiste.evaluation.evaluated_models import EvaluatedModel, named_apart
 from offpiste.evaluation.intervals import MIN_UNITS, Levels
@@ -24,9 +27,6 @@ from offpiste.evaluation.metrics import Metrics, read_metrics
 from offpiste.evaluation.report import write_report
 from offpiste.evaluation.report_tables import terminal_table
 from offpiste.evaluation.result_rows import Start
-from offpiste.files import check_folder
-from offpiste.progress import track
-from offpiste.shipped import named, run_folder
 from offpiste.training.checkpoint import fold_folders, load_json
 from offpiste.training.config import TrainConfig
 from offpiste.training.fitness import differing_vehicle, refuse_seen, refuse_unfit

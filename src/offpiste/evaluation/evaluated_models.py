@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from offpiste.channels import without_optional
+from offpiste.core.channels import without_optional
+from offpiste.core.errors import RunError
+from offpiste.core.shipped import names_apart
 from offpiste.dataset.splits import Split
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics import MODELS, Dynamics, Vehicle
-from offpiste.errors import RunError
 from offpiste.evaluation.metrics import label
-from offpiste.shipped import names_apart
 from offpiste.training.build import vehicle_of
 from offpiste.training.prediction import Lookup
 

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
-from offpiste.conventions import DT, HORIZON_STEPS
+from offpiste.core.conventions import DT, HORIZON_STEPS
 from offpiste.dataset.splits import PARTS
 from offpiste.dataset.store import Dataset
 

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.special import ndtr, ndtri, stdtrit
 
-from offpiste.conventions import DT
+from offpiste.core.conventions import DT
 
 BLOCK_SECONDS = 10.0
 """Default length of a block: twice a horizon, so that windows of one block and of the next but one share no row."""

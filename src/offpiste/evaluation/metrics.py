@@ -12,10 +12,10 @@ from typing import Any, Literal
 import msgspec
 import torch
 
-from offpiste.errors import RunError
+from offpiste.core.errors import RunError
+from offpiste.core.files import write_text
+from offpiste.core.limits import parsed, read_small
 from offpiste.evaluation.intervals import Levels, PairedDifference, Statistics
-from offpiste.files import write_text
-from offpiste.limits import parsed, read_small
 
 SCHEMA = 2
 

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import msgspec
 
-from offpiste.errors import RunError
+from offpiste.core.errors import RunError
+from offpiste.core.files import write_text
+from offpiste.core.limits import parsed, read_small
 from offpiste.evaluation.intervals import Levels, PairedDifference
-from offpiste.files import write_text
-from offpiste.limits import parsed, read_small
 from offpiste.report.text_table import TextTable, interval, number
 
 CARD, PAGE = "card.json", "card.md"

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from offpiste.conventions import DT
+from offpiste.core.conventions import DT
 from offpiste.evaluation.box_plots import RECORDED, colour_of
 from offpiste.evaluation.window_paths import WindowPaths
 from offpiste.report.chart import INK, SOFT, Chart, escaped, layout, rounded

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from offpiste.conventions import DT, HISTORY_STEPS, HORIZON_STEPS
+from offpiste.core.conventions import DT, HISTORY_STEPS, HORIZON_STEPS
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
 from offpiste.evaluation.context import trajectories_with_context

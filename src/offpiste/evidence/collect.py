@@ -8,16 +8,16 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from offpiste.core.errors import OffpisteError
+from offpiste.core.parallel import at_a_time
 from offpiste.dataset.extract import make_dataset
 from offpiste.dataset.fit_pca import fit_pca
 from offpiste.dataset.map_snapshots import SnapshotSettings
 from offpiste.dataset.place import drive_names
 from offpiste.dataset.splits import parse_split, write_drives
-from offpiste.errors import OffpisteError
 from offpiste.evidence.controls import MODELS, run_controls
 from offpiste.evidence.given import Drives, described, given_drives, inspect_drives
 from offpiste.evidence.page import Collected, write_evidence
-from offpiste.parallel import at_a_time
 from offpiste.perception.backbones import BACKBONES, Backbone, open_backbone
 from offpiste.perception.backbones.filterbank import FILTERBANK
 from offpiste.perception.pca import save_pca

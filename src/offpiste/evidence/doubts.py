@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
-from offpiste.conventions import HORIZON_STEPS
+from offpiste.core.conventions import HORIZON_STEPS
 from offpiste.dataset.split_balance import part_facts, split_warning
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows

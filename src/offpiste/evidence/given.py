@@ -8,15 +8,15 @@ from typing import Any
 
 import msgspec
 
-from offpiste.checksums import sha256_of
+from offpiste.core.checksums import sha256_of
+from offpiste.core.errors import LogError, RigError
+from offpiste.core.object_store import brought, expanded, url_of
+from offpiste.core.progress import track
 from offpiste.dataset.extract import names_of
 from offpiste.dataset.log_findings import findings_on
 from offpiste.dataset.splits import Split, parse_split
-from offpiste.errors import LogError, RigError
 from offpiste.logs.opening import open_log
 from offpiste.logs.sensor_log import open_sensors
-from offpiste.object_store import brought, expanded, url_of
-from offpiste.progress import track
 from offpiste.reproduction.settings import Size
 from offpiste.rig.rig import Rig, load_rig, rig_text
 

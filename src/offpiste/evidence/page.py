@@ -8,14 +8,14 @@ from typing import Any, Final
 
 import msgspec
 
-from offpiste.conventions import FEATURE_SETS
+from offpiste.core.conventions import FEATURE_SETS
+from offpiste.core.files import write_text
 from offpiste.evaluation.evaluated_models import Reading
 from offpiste.evaluation.metrics import provenance
 from offpiste.evidence.baselines import ABOUT as ABOUT_BASELINES
 from offpiste.evidence.controls import ABOUT_LEAK, Controls, checks
 from offpiste.evidence.doubts import doubts, public_command, vehicle_facts
 from offpiste.evidence.trainings import NOTHING, has_learned, trainings_table
-from offpiste.files import write_text
 from offpiste.report.figure import png
 from offpiste.report.page import Page, Picture, Section, table_section, write_page
 from offpiste.report.text_table import TextTable

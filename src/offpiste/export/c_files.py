@@ -9,14 +9,14 @@ from typing import Any, Final
 import numpy as np
 from torch import Tensor
 
-from offpiste.conventions import HISTORY_STEPS
+from offpiste.core.conventions import HISTORY_STEPS
+from offpiste.core.files import write_bytes, write_text
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.header.networks import parameter_constants, printed_networks
 from offpiste.dynamics.header.start_text import encoder_members, encoder_text, start_members, start_text
 from offpiste.dynamics.header.step_text import shipped_text, step_text
 from offpiste.export.formats import FORMATS, ImageOptions, refuse_images, refuse_without_kernels, write_about
 from offpiste.export.parity import digest_of, features_of, parity_bytes, parity_case
-from offpiste.files import write_bytes, write_text
 from offpiste.training.run import Run
 
 HEADER: Final = "offpiste.h"

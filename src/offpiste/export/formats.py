@@ -7,14 +7,14 @@ from pathlib import Path
 from typing import Any, Final
 
 from offpiste._version import __version__
-from offpiste.checksums import sha256_of
-from offpiste.conventions import DT, WHEELS
+from offpiste.core.checksums import sha256_of
+from offpiste.core.conventions import DT, WHEELS
+from offpiste.core.errors import OffpisteError, RunError
+from offpiste.core.files import check_folder, write_folder
+from offpiste.core.registry import Registry
 from offpiste.dynamics.header.step_text import absent_actuators
 from offpiste.dynamics.kernels import layout
 from offpiste.dynamics.kernels.coverage import uncovered, uncovered_encoder
-from offpiste.errors import OffpisteError, RunError
-from offpiste.files import check_folder, write_folder
-from offpiste.registry import Registry
 from offpiste.training.checkpoint import WEIGHTS, save_json
 from offpiste.training.run import Run, load_run
 

@@ -9,15 +9,15 @@ import torch
 from jaxtyping import UInt8
 from torch import Tensor, nn
 
+from offpiste.core.errors import RunError, extra
+from offpiste.core.shipped import PREFIX, pca_file
 from offpiste.dynamics.base import Dynamics
-from offpiste.errors import RunError, extra
 from offpiste.export.c_files import write_readme
 from offpiste.export.formats import FORMATS, ImageOptions, write_about
 from offpiste.export.onnx_graphs import SIZE, ImageToCodes, PastToMemory, run_graph, sample_images, write_graph
 from offpiste.export.onnx_precision import codes_of, loss_of, read_images, write_float16, write_int8
 from offpiste.export.parity import parity_case, past_of
 from offpiste.perception.feature_extractor import FeatureExtractor, load_feature_extractor
-from offpiste.shipped import PREFIX, pca_file
 from offpiste.training.run import Run
 
 TOLERANCE: Final = 1e-4

@@ -10,10 +10,10 @@ import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor, nn
 
+from offpiste.core.errors import extra
+from offpiste.core.state import History, Terrain
 from offpiste.dynamics.base import Dynamics
-from offpiste.errors import extra
 from offpiste.perception.feature_extractor import FeatureExtractor
-from offpiste.state import History, Terrain
 
 SIZE: Final = (640, 360)
 """Width and height of the images of the graph of codes, where nothing else is said [px]."""

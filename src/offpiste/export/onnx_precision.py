@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from offpiste.errors import OffpisteError, extra
+from offpiste.core.errors import OffpisteError, extra
 from offpiste.export.onnx_graphs import run_graph
 from offpiste.logs.measurements import decoded_picture
 

@@ -9,12 +9,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from offpiste.channels import control_columns
-from offpiste.conventions import ACTUATORS, DT, HISTORY_STEPS, HORIZON_STEPS
+from offpiste.core.channels import control_columns
+from offpiste.core.conventions import ACTUATORS, DT, HISTORY_STEPS, HORIZON_STEPS
+from offpiste.core.state import History, Terrain
 from offpiste.dynamics.base import Dynamics, rollout
 from offpiste.dynamics.vehicle import Vehicle
 from offpiste.mapping.terrain_sampler import MapStack, MapTerrain, last_cells
-from offpiste.state import History, Terrain
 from offpiste.training.checkpoint import sha256_of_tensors
 
 CELLS: Final = 80

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Final
 
-from offpiste.channels import ACTUATORS, CONTROLS, all_actuators, all_controls
+from offpiste.core.channels import ACTUATORS, CONTROLS, all_actuators, all_controls
 from offpiste.inspection.commanded_motion import COMMANDED, is_asked_for, motion_commands
 from offpiste.inspection.field_groups import are_quaternions, field_groups, fours
 from offpiste.logs.log import Log, Topic

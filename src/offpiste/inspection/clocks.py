@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.channels import control_of
+from offpiste.core.channels import control_of
 from offpiste.inspection.driven_path import DrivenPath
 from offpiste.inspection.findings import Finding, Severity
 from offpiste.inspection.recorded_log import Recorded

@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.errors import OffpisteError
+from offpiste.core.errors import OffpisteError
 from offpiste.inspection.channel_guesses import Guess, labels
 from offpiste.inspection.commanded_motion import COMMANDED, is_asked_for
 from offpiste.inspection.driven_path import DrivenPath, driven_path

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.errors import LogError, OffpisteError
+from offpiste.core.errors import LogError, OffpisteError
 from offpiste.inspection.channel_guesses import DOWN, Guess, by_topic, of_one_vehicle
 from offpiste.inspection.commanded_motion import COMMANDED
 from offpiste.inspection.course import check_course

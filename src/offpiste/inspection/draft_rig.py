@@ -10,8 +10,8 @@ from textwrap import wrap
 import numpy as np
 from msgspec import structs
 
-from offpiste.errors import OffpisteError, RigError
-from offpiste.files import write_text
+from offpiste.core.errors import OffpisteError, RigError
+from offpiste.core.files import write_text
 from offpiste.inspection.channel_guesses import guess_channels
 from offpiste.inspection.commanded_motion import is_turn_rate
 from offpiste.inspection.controls_by_numbers import find_controls, steering_candidates

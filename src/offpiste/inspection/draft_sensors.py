@@ -8,7 +8,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from offpiste.errors import LogError
+from offpiste.core.errors import LogError
 from offpiste.inspection.draft_pose import first_message
 from offpiste.logs.log import Log
 from offpiste.logs.measurements import used_bits

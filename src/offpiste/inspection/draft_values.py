@@ -7,8 +7,8 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.errors import OffpisteError
-from offpiste.geometry import local_from_geographic
+from offpiste.core.errors import OffpisteError
+from offpiste.core.geometry import local_from_geographic
 from offpiste.inspection.channel_guesses import Guess
 from offpiste.inspection.commanded_motion import COMMANDED, commanded_curvature
 from offpiste.inspection.driven_path import DrivenPath, driven_path

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from offpiste.geometry import local_polynomial, planar_body_from_world, rotation_from_quaternion
+from offpiste.core.geometry import local_polynomial, planar_body_from_world, rotation_from_quaternion
 from offpiste.inspection.lags import fit_lags
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive, common_span

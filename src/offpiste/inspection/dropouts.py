@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float, Int
 
-from offpiste.channels import control_of
+from offpiste.core.channels import control_of
 from offpiste.inspection.driven_path import MOVING, DrivenPath
 from offpiste.inspection.findings import Finding
 from offpiste.logs.drive import Drive

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from offpiste.errors import OffpisteError
+from offpiste.core.errors import OffpisteError
 from offpiste.inspection.checks import MOTION_CHECKS, TOPIC_CHECKS, Topics, motion_of
 from offpiste.inspection.course import check_course, heading_fits
 from offpiste.inspection.driven_path import MOVING, DrivenPath, driven_path

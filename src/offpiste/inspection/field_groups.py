@@ -7,8 +7,8 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.errors import OffpisteError
-from offpiste.geometry import rotation_from_quaternion
+from offpiste.core.errors import OffpisteError
+from offpiste.core.geometry import rotation_from_quaternion
 from offpiste.logs.log import Log, Topic
 from offpiste.rig.channels import GEOGRAPHIC
 from offpiste.rig.labels import GEOGRAPHIC_NAMES, Label, parse_label, with_letters

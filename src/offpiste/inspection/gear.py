@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from msgspec.structs import replace
 
-from offpiste.conventions import GRAVITY
-from offpiste.errors import OffpisteError
+from offpiste.core.conventions import GRAVITY
+from offpiste.core.errors import OffpisteError
 from offpiste.inspection.channel_guesses import Guess
 from offpiste.inspection.driven_path import MOVING, STEP, DrivenPath, driven_path
 from offpiste.inspection.findings import Finding

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from offpiste.errors import OffpisteError
+from offpiste.core.errors import OffpisteError
+from offpiste.core.progress import track
 from offpiste.inspection.draft_rig import draft_rig
 from offpiste.inspection.driven_path import DrivenPath
 from offpiste.inspection.examination import examine
@@ -18,7 +19,6 @@ from offpiste.inspection.remedies import explain
 from offpiste.inspection.sensors import can_be_checked, check_sensors
 from offpiste.inspection.timing import timing
 from offpiste.logs.log import Log
-from offpiste.progress import track
 from offpiste.rig.channels import Clock
 from offpiste.rig.edits import Edit, edited
 from offpiste.rig.rig import Rig, parse_rig

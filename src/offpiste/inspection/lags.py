@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from offpiste.conventions import SIGMA_PER_MEDIAN
+from offpiste.core.conventions import SIGMA_PER_MEDIAN
 from offpiste.inspection.findings import Finding
 from offpiste.logs.channel import Channel
 from offpiste.rig.edits import Edit

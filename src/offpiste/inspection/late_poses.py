@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from offpiste.geometry import planar_body_from_world
+from offpiste.core.geometry import planar_body_from_world
 from offpiste.inspection.commanded_motion import is_measured_steering
 from offpiste.inspection.driven_path import STEP, DrivenPath, fit_delayed
 from offpiste.inspection.findings import Finding

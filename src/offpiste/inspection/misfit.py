@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from offpiste.conventions import SIGMA_PER_MEDIAN
+from offpiste.core.conventions import SIGMA_PER_MEDIAN
 
 PRIOR: Final = np.array([*np.deg2rad([5.0, 5.0, 5.0]), 0.3])
 """Standard deviation of the prior [rad, rad, rad, s]: what the data do not tell stays as uncertain as this."""

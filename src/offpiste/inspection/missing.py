@@ -7,8 +7,8 @@ from typing import Final
 
 import numpy as np
 
-from offpiste.channels import CONTROLS
-from offpiste.errors import LogError
+from offpiste.core.channels import CONTROLS
+from offpiste.core.errors import LogError
 from offpiste.inspection.channel_guesses import guess_channels
 from offpiste.inspection.controls_by_numbers import is_measured_topic
 from offpiste.inspection.draft_pose import field_values, varies

@@ -7,7 +7,8 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.errors import LogError
+from offpiste.core.errors import LogError
+from offpiste.core.progress import track
 from offpiste.inspection.camera import check_camera
 from offpiste.inspection.camera_mounting import estimate_rotation, matched, median_angle
 from offpiste.inspection.camera_place import estimate_place
@@ -22,7 +23,6 @@ from offpiste.logs.measurements import Lidar
 from offpiste.logs.mountings import body_from_sensor, given_mounting
 from offpiste.logs.poses import Poses
 from offpiste.logs.sensor_log import SensorLog, open_sensors
-from offpiste.progress import track
 from offpiste.rig.edits import Edit, edited
 from offpiste.rig.rig import Rig
 from offpiste.rig.sensors import CameraSource, LidarSource

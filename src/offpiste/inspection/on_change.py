@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Bool, Float
 
-from offpiste.channels import control_of
+from offpiste.core.channels import control_of
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.rig.channels import OTHER_CHANNELS, ChannelSource

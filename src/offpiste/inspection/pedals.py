@@ -5,8 +5,8 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.channels import KERNEL_CONTROLS, all_controls
-from offpiste.conventions import GRAVITY
+from offpiste.core.channels import KERNEL_CONTROLS, all_controls
+from offpiste.core.conventions import GRAVITY
 from offpiste.inspection.course import heading_fits
 from offpiste.inspection.driven_path import MOVING, STEP, DrivenPath
 from offpiste.inspection.findings import Finding, Severity
@@ -73,7 +73,7 @@ def _no_controls(present: list[str], path: DrivenPath) -> Finding:
 
 
 def _others_work(drive: Drive, path: DrivenPath) -> bool:
-    """Whether a control beyond throttle, brake and steering (`offpiste.channels`) drives or turns the vehicle."""
+    """Whether a control beyond throttle, brake and steering (`offpiste.core.channels`) drives or turns the vehicle."""
     one, moving = np.ones((len(path.time), 1)), np.isfinite(path.speed)
     for control in (control for control in all_controls() if control not in KERNEL_CONTROLS):
         channel = drive.channels.get(control.name)

@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.ndimage import median_filter
 
-from offpiste.conventions import SIGMA_PER_MEDIAN
-from offpiste.geometry import rotation_from_quaternion
+from offpiste.core.conventions import SIGMA_PER_MEDIAN
+from offpiste.core.geometry import rotation_from_quaternion
 from offpiste.inspection.driven_path import STEP, DrivenPath
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.pose_samples import check_faults, check_repeats, check_seldom

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Bool, Float
 
-from offpiste.channels import CONTROLS
+from offpiste.core.channels import CONTROLS
 from offpiste.inspection.findings import Finding, Severity
 from offpiste.logs.drive import Drive
 from offpiste.rig.edits import rescaled

@@ -6,8 +6,8 @@ import msgspec
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.channels import all_actuators, all_controls
-from offpiste.errors import RigError
+from offpiste.core.channels import all_actuators, all_controls
+from offpiste.core.errors import RigError
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.inspection.signal_faults import PERIODS

@@ -12,12 +12,12 @@ import numpy as np
 from jaxtyping import Float
 from msgspec import structs
 
-from offpiste.errors import LogError
+from offpiste.core.errors import LogError
+from offpiste.core.progress import track
 from offpiste.inspection.findings import Finding
 from offpiste.logs.kept_rows import increasing
 from offpiste.logs.log import Log, Samples, Topic
 from offpiste.logs.transforms import frame_pair, listed
-from offpiste.progress import track
 from offpiste.rig.channels import SECONDS_PER_UNIT, Clock
 from offpiste.rig.labels import is_array_entry
 from offpiste.rig.rig import Rig

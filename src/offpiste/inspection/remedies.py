@@ -13,7 +13,7 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from offpiste.errors import OffpisteError
+from offpiste.core.errors import OffpisteError
 from offpiste.inspection.course import against_names
 from offpiste.inspection.findings import EXCHANGED, TIPPED, Cure, Finding, ranked
 from offpiste.logs.axes import turning_sign

@@ -8,13 +8,13 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
+from offpiste.core.progress import track
 from offpiste.inspection.misfit import Parameters, turned
 from offpiste.logs.measurements import Camera, Cloud, Image
 from offpiste.logs.poses import Poses
 from offpiste.logs.sensor_log import SensorLog
 from offpiste.perception.camera import Rectifier, make_rectifier, own_body
 from offpiste.perception.motion_compensation import MOMENT
-from offpiste.progress import track
 
 SECONDS: Final = 60.0
 """Driving that is read [s]."""

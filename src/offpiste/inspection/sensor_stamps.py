@@ -8,7 +8,7 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from offpiste.errors import OffpisteError
+from offpiste.core.errors import OffpisteError
 from offpiste.inspection.findings import Finding, Severity
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.inspection.sensor_samples import Grey

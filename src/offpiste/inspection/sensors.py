@@ -12,7 +12,8 @@ from typing import Final
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from offpiste.errors import OffpisteError
+from offpiste.core.errors import OffpisteError
+from offpiste.core.progress import track
 from offpiste.inspection.camera import check_camera
 from offpiste.inspection.findings import Cure, Finding
 from offpiste.inspection.lidar import check_lidar
@@ -31,7 +32,6 @@ from offpiste.logs.log import Log
 from offpiste.logs.measurements import Camera, Lidar
 from offpiste.logs.poses import Poses
 from offpiste.logs.sensor_log import open_sensors
-from offpiste.progress import track
 from offpiste.rig.edits import Edit, edited
 from offpiste.rig.rig import Rig
 from offpiste.rig.sensors import CameraSource, LidarSource

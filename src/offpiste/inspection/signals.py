@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.ndimage import median_filter
 
-from offpiste.channels import control_of
+from offpiste.core.channels import control_of
 from offpiste.inspection.findings import EXCHANGED, Finding, Severity, of_one_cause
 from offpiste.inspection.ranges import is_untouched, limits
 from offpiste.inspection.recorded_log import Recorded

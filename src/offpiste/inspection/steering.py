@@ -11,8 +11,8 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.conventions import GRAVITY
-from offpiste.geometry import rotation_from_quaternion
+from offpiste.core.conventions import GRAVITY
+from offpiste.core.geometry import rotation_from_quaternion
 from offpiste.inspection.commanded_motion import is_measured_steering
 from offpiste.inspection.course import under_way
 from offpiste.inspection.driven_path import STEP, DrivenPath, on_path

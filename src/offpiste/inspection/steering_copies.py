@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.geometry import local_polynomial, planar_body_from_world
+from offpiste.core.geometry import local_polynomial, planar_body_from_world
 from offpiste.inspection.channel_guesses import labels
 from offpiste.inspection.controls_by_numbers import is_measured_topic
 from offpiste.inspection.driven_path import TURNING, DrivenPath

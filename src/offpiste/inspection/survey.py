@@ -11,12 +11,12 @@ from typing import Any
 from rich.table import Table
 
 from offpiste.cluster import engine_at
-from offpiste.errors import OffpisteError
+from offpiste.core.errors import OffpisteError
+from offpiste.core.object_store import brought
+from offpiste.core.parallel import Report, at_a_time, run_all
 from offpiste.inspection.inspect import inspect_log
 from offpiste.logs.drive import drive_name
 from offpiste.logs.opening import open_log
-from offpiste.object_store import brought
-from offpiste.parallel import Report, at_a_time, run_all
 from offpiste.rig.rig import Rig
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from msgspec import structs
 
-from offpiste.geometry import planar_body_from_world, yaw_rate_from_body_rates
+from offpiste.core.geometry import planar_body_from_world, yaw_rate_from_body_rates
 from offpiste.inspection.driven_path import DELAYS, TURNING, DrivenPath, FrameFit, fit_delayed, levelled, on_path
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.lags import SURE, fit_lags

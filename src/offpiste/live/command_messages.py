@@ -9,7 +9,7 @@ from jaxtyping import Float
 from msgspec.structs import replace
 from rosbags.serde import SerdeError
 
-from offpiste.errors import RigError
+from offpiste.core.errors import RigError
 from offpiste.logs.ros.writer import header
 from offpiste.rig.outputs import CommandLimits, Output, OutputField
 from offpiste.rig.rig import Rig

@@ -8,8 +8,9 @@ from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-from offpiste.errors import LiveError, require
-from offpiste.files import write_whole
+from offpiste.core.errors import LiveError, require
+from offpiste.core.files import write_whole
+from offpiste.core.progress import track
 from offpiste.live.command_messages import CommandMessages
 from offpiste.live.driver import Step, StepDriver
 from offpiste.live.lockstep import Lockstep
@@ -21,7 +22,6 @@ from offpiste.live.session import LiveSettings, ViewSettings
 from offpiste.live.supervisor import asked_to_end, supervise
 from offpiste.planning.caution import caution_of
 from offpiste.planning.gpu import require_device
-from offpiste.progress import track
 from offpiste.rig.rig import Rig, load_rig
 from offpiste.runtime.settings import keeping_to
 from offpiste.training.fitness import differing_vehicle

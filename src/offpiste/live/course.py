@@ -7,8 +7,8 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.errors import LiveError
-from offpiste.geometry import local_from_geographic
+from offpiste.core.errors import LiveError
+from offpiste.core.geometry import local_from_geographic
 from offpiste.logs.axes import to_z_up
 from offpiste.logs.channel import FAR
 from offpiste.planning.course import FASTEST, Course

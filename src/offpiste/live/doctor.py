@@ -14,9 +14,10 @@ from typing import Final, Literal, NamedTuple
 
 import numpy as np
 
-from offpiste.channels import OPTIONAL_CONTROLS
 from offpiste.closed_loop.planner import load_planner
-from offpiste.errors import LiveError, OffpisteError, did_you_mean, require
+from offpiste.core.channels import OPTIONAL_CONTROLS
+from offpiste.core.errors import LiveError, OffpisteError, did_you_mean, require
+from offpiste.core.parallel import free_memory, usable_cores
 from offpiste.live.command_messages import CommandMessages
 from offpiste.live.driver import refuse_unmeasured
 from offpiste.live.reception import check_types, is_pressed
@@ -24,7 +25,6 @@ from offpiste.live.sensor_messages import SensorMessages
 from offpiste.live.session import Source
 from offpiste.live.vehicle_messages import VehicleMessages
 from offpiste.logs.ros.bag_files import field_getter, heard_at
-from offpiste.parallel import free_memory, usable_cores
 from offpiste.rig.rig import Rig, load_rig
 from offpiste.training.fitness import differing_vehicle
 from offpiste.transport.interface import Received

@@ -10,10 +10,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from offpiste.channels import all_actuators
 from offpiste.closed_loop.planner import Planner
-from offpiste.conventions import DT
-from offpiste.errors import LiveError
+from offpiste.core.channels import all_actuators
+from offpiste.core.conventions import DT
+from offpiste.core.errors import LiveError
 from offpiste.live.command_messages import Command
 from offpiste.live.gate import Gate, Passed
 from offpiste.live.reception import Pressed, Reception, Taken

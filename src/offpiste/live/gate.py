@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.conventions import DT
+from offpiste.core.conventions import DT
 from offpiste.rig.outputs import CommandLimits, Enable
 
 OTHERS_FOR = 1.0

@@ -7,8 +7,8 @@ from typing import Final
 
 import numpy as np
 
-from offpiste.conventions import DT
-from offpiste.errors import LiveError
+from offpiste.core.conventions import DT
+from offpiste.core.errors import LiveError
 from offpiste.live.backlog import Batch
 from offpiste.live.command_messages import Command, CommandMessages
 from offpiste.live.driver import STEP_NS, Heard, StepDriver

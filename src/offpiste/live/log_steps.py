@@ -9,8 +9,8 @@ from typing import Any, Final
 import numpy as np
 from rosbags.interfaces import ConnectionExtRosbag2
 
-from offpiste.conventions import DT
-from offpiste.errors import LogError
+from offpiste.core.conventions import DT
+from offpiste.core.errors import LogError
 from offpiste.live.driver import Heard, Step, StepDriver
 from offpiste.logs.ros.bag_files import open_readers, reported, whole_messages
 from offpiste.logs.ros.mcap_recovery import StreamedMcap

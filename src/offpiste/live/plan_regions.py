@@ -6,12 +6,12 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
+from offpiste.core.state import Terrain
 from offpiste.dynamics.base import Dynamics
 from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.planning.pedal import complete
 from offpiste.runtime.prediction import Prediction, coded_area
 from offpiste.runtime.schedule import TimedPlan
-from offpiste.state import Terrain
 from offpiste.uncertainty.spread import EVERY, INTERVAL, Moments, Spread, spread_inputs
 from offpiste.uncertainty.student import radius
 

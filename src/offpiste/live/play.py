@@ -6,12 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
 
-from offpiste.conventions import DT
-from offpiste.errors import LiveError
+from offpiste.core.conventions import DT
+from offpiste.core.errors import LiveError
+from offpiste.core.progress import track
 from offpiste.live.lockstep import CLOCK, COMMAND, END, READY
 from offpiste.live.log_steps import LogStep, RecordedDrive
 from offpiste.logs.ros.writer import make
-from offpiste.progress import track
 from offpiste.transport.zenoh_transport import ZenohTransport
 
 _ANSWER: Final = 120.0

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from offpiste.errors import LiveError, OffpisteError, RigError
+from offpiste.core.errors import LiveError, OffpisteError, RigError
 from offpiste.live.course import course_from_message, course_to, is_same_course, read_course
 from offpiste.live.sensor_messages import SensorMessages
 from offpiste.live.vehicle_messages import VehicleMessages

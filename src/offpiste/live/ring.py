@@ -16,7 +16,7 @@ from typing import Final, NamedTuple
 
 import google_crc32c
 
-from offpiste.errors import LiveError
+from offpiste.core.errors import LiveError
 
 _HEAD: Final = struct.Struct("<8sQQ")
 """Magic, slots, and bytes in a slot: written once, when the ring is made."""

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.errors import LogError, PerceptionError
+from offpiste.core.errors import LogError, PerceptionError
 from offpiste.live.vehicle_messages import NO_STAMP
 from offpiste.logs.log import Log, RawCloud, Samples, Topic
 from offpiste.logs.measurements import Camera, Cloud, Image, Lidar, cloud_from_records, in_eight_bits

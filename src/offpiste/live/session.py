@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Final, Literal
 
 from offpiste.closed_loop.planner import Planner, load_planner
-from offpiste.errors import LiveError
+from offpiste.core.errors import LiveError
 from offpiste.live.reception import CourseRequest
 from offpiste.live.ring import Ring
 from offpiste.runtime.settings import RuntimeSettings

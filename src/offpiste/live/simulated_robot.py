@@ -14,13 +14,13 @@ from jaxtyping import Float
 from offpiste.closed_loop.courses import ChosenCourse, CourseSettings, choose_course
 from offpiste.closed_loop.lockstep import Driving, time_of
 from offpiste.closed_loop.scores import scores_of
-from offpiste.conventions import DT
-from offpiste.errors import LiveError, require
+from offpiste.core.conventions import DT
+from offpiste.core.errors import LiveError, require
+from offpiste.core.progress import track
 from offpiste.live.lockstep import CLOCK
 from offpiste.live.part import keep_loaded
 from offpiste.live.play import clock_message
 from offpiste.logs.ros.writer import header, make, quaternion, vector
-from offpiste.progress import track
 from offpiste.rig.rig import Rig, load_rig
 from offpiste.runtime.modes import Controls
 from offpiste.simulation.recorder import MAP, stamp_ns, vehicle_messages

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from offpiste.errors import LiveError
+from offpiste.core.errors import LiveError
 
 logger = logging.getLogger(__name__)
 

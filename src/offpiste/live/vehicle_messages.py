@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.channels import (
+from offpiste.core.channels import (
     ACTUATORS,
     CONTROLS,
     KERNEL_CONTROLS,
@@ -17,8 +17,8 @@ from offpiste.channels import (
     channel_of_rate,
     registered_actuators,
 )
-from offpiste.errors import RigError
-from offpiste.geometry import local_polynomial, rotation_of_one, yaw_rate_from_body_rates
+from offpiste.core.errors import RigError
+from offpiste.core.geometry import local_polynomial, rotation_of_one, yaw_rate_from_body_rates
 from offpiste.logs.axes import to_z_up
 from offpiste.logs.channel import KEPT_UP, convert, largest
 from offpiste.logs.ros.bag_files import field_getter, heard_at

@@ -9,9 +9,9 @@ import msgspec
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from offpiste.channels import control_of
-from offpiste.errors import LogError, RigError
-from offpiste.geometry import LARGEST_DEGREES, bicycle_angle, local_from_geographic
+from offpiste.core.channels import control_of
+from offpiste.core.errors import LogError, RigError
+from offpiste.core.geometry import LARGEST_DEGREES, bicycle_angle, local_from_geographic
 from offpiste.logs.axes import to_z_up
 from offpiste.logs.kept_rows import between_samples, brought_together, increasing
 from offpiste.logs.log import Log, Samples

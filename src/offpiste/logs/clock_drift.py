@@ -11,8 +11,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from offpiste.errors import LogError
-from offpiste.geometry import local_polynomial
+from offpiste.core.errors import LogError
+from offpiste.core.geometry import local_polynomial
 from offpiste.logs.channel import Channel, read_channel, refuse_long
 from offpiste.logs.log import Log
 from offpiste.rig.channels import Alignment

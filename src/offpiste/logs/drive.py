@@ -7,8 +7,8 @@ from typing import Final
 
 import numpy as np
 
-from offpiste.errors import LogError
-from offpiste.geometry import same_sign
+from offpiste.core.errors import LogError
+from offpiste.core.geometry import same_sign
 from offpiste.logs.channel import KEPT_UP, Channel, read_numbered_channel, refuse_long
 from offpiste.logs.clock_drift import align_clock
 from offpiste.logs.log import Log

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float, Int
 
-from offpiste.errors import LogError
+from offpiste.core.errors import LogError
 from offpiste.logs.log import Log
 from offpiste.logs.opening import open_log
 from offpiste.logs.ros.grid_map import MapLayers, layers_from_grid_map

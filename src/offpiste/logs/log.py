@@ -13,9 +13,9 @@ from typing import Any, ClassVar, Final, TypeVar
 import numpy as np
 from jaxtyping import Float, UInt8, UInt16
 
-from offpiste.errors import LogError, did_you_mean
+from offpiste.core.errors import LogError, did_you_mean
+from offpiste.core.registry import Registry
 from offpiste.logs.transforms import Transform, listed
-from offpiste.registry import Registry
 from offpiste.rig.camera import CameraModel
 from offpiste.rig.channels import Clock, topic_in_words
 from offpiste.rig.labels import without_comment

@@ -10,8 +10,8 @@ import numpy as np
 import PIL.Image
 from jaxtyping import Bool, Float, Shaped, UInt8, UInt16
 
-from offpiste.errors import LogError
-from offpiste.limits import MOST_PIXELS
+from offpiste.core.errors import LogError
+from offpiste.core.limits import MOST_PIXELS
 from offpiste.logs.log import RawCloud
 from offpiste.logs.point_times import SWEEP, misread_times, offsets
 from offpiste.rig.camera import CameraModel

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from offpiste.conventions import DT
-from offpiste.geometry import (
+from offpiste.core.conventions import DT
+from offpiste.core.geometry import (
     local_polynomial,
     planar_body_from_world,
     rotation_from_quaternion,
@@ -27,7 +27,7 @@ _STALE = 0.1
 
 @dataclass(frozen=True)
 class Motion:
-    """Planar states at N moments (`offpiste.conventions.STATE`); NaN where unknown.
+    """Planar states at N moments (`offpiste.core.conventions.STATE`); NaN where unknown.
 
     Attributes:
         state: targets; where velocities come from the pose, smoothed with zero phase.
@@ -188,7 +188,7 @@ def planar_state(
     velocity: Float[np.ndarray, "N 2"],
     yaw_rate: Float[np.ndarray, "N 1"],
 ) -> Float[np.ndarray, "N 6"]:
-    """States (`offpiste.conventions.STATE`) from places and horizontal velocities in the world frame [m, m/s]."""
+    """States (`offpiste.core.conventions.STATE`) from places and horizontal velocities in the world frame [m, m/s]."""
     return np.concatenate((xy, yaw, planar_body_from_world(velocity, yaw[:, 0]), yaw_rate), axis=1)
 
 

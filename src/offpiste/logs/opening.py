@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from shlex import quote
 
-from offpiste.errors import LogError
+from offpiste.core.errors import LogError
+from offpiste.core.object_store import refuse_url
 from offpiste.logs.log import LOG_FORMATS, Log
-from offpiste.object_store import refuse_url
 from offpiste.rig.channels import Clock
 
 _LISTED = 5

@@ -8,8 +8,8 @@ from jaxtyping import Float, Int
 from scipy.ndimage import median_filter
 
 from offpiste.compilation import POSES
-from offpiste.errors import RigError
-from offpiste.geometry import rotation_from_quaternion
+from offpiste.core.errors import RigError
+from offpiste.core.geometry import rotation_from_quaternion
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
 

@@ -8,7 +8,7 @@ from typing import Final, TypeVar
 import numpy as np
 from jaxtyping import Float, Int
 
-from offpiste.errors import LogError
+from offpiste.core.errors import LogError
 from offpiste.logs.clock_drift import DRIFT_LIMIT, clock_difference, clock_note
 from offpiste.logs.drive import drive_from_log
 from offpiste.logs.kept_rows import increasing

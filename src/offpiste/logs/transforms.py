@@ -12,8 +12,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.errors import LogError
-from offpiste.geometry import rotation_from_quaternion
+from offpiste.core.errors import LogError
+from offpiste.core.geometry import rotation_from_quaternion
 
 TRANSFORMS: Final = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 """Types of messages that carry them."""

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from offpiste.compilation import MAPPING
-from offpiste.errors import MapError
+from offpiste.core.errors import MapError
 from offpiste.mapping.voxel_kernels import BASE, FEATURED, OCCUPIED, PARTS, PASSED, STRIPE, X, Y, Z, release
 from offpiste.mapping.voxel_map import VoxelMap
 

@@ -9,8 +9,8 @@ points, and it must work on NumPy arrays too.
 from collections.abc import Callable
 from typing import Any, Final
 
-from offpiste.errors import MapError
-from offpiste.registry import Registry
+from offpiste.core.errors import MapError
+from offpiste.core.registry import Registry
 
 Scalar = Any
 """A number or an array."""

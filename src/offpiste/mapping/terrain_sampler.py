@@ -12,8 +12,8 @@ import torch
 from jaxtyping import Bool, Float, Int, Int32
 from torch import Tensor
 
+from offpiste.core.state import Terrain
 from offpiste.mapping.terrain_map import TerrainMap, bilinear, on_map, wheel_positions_of_states
-from offpiste.state import Terrain
 
 Encode = Callable[[Float[Tensor, "M F"], Bool[Tensor, " M"]], Float[Tensor, "M E"]]
 """From features and whether they are there to codes (`offpiste.dynamics.feature_encoder`)."""

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from offpiste.compilation import spread_blocks
-from offpiste.errors import MapError
+from offpiste.core.errors import MapError
 from offpiste.mapping.fusion import FUSION_RULES
 from offpiste.mapping.voxel_kernels import (
     EVER,

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Int
 
 from offpiste.compilation import spread_blocks
-from offpiste.errors import MapError
+from offpiste.core.errors import MapError
 from offpiste.mapping.ground import BLOCK, drop_overhangs, put_spans, read_columns, see_columns
 from offpiste.mapping.infill import (
     fill_gaps,

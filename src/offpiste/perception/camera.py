@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int16, Shaped, UInt16
 
-from offpiste.errors import PerceptionError
+from offpiste.core.errors import PerceptionError
 from offpiste.logs.measurements import Camera
 from offpiste.perception.masks import free_patches, mask_from_png, mask_from_polygons
 from offpiste.perception.patch_grid import PatchGrid

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
-from offpiste.errors import PerceptionError
+from offpiste.core.errors import PerceptionError
 
 
 def keyframes_by_travel(position: Float[np.ndarray, "n k"], metres: float) -> Int[np.ndarray, " m"]:

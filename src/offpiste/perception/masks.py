@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool
 
-from offpiste.errors import PerceptionError
+from offpiste.core.errors import PerceptionError
 from offpiste.logs.measurements import decoded_picture
 from offpiste.perception.patch_grid import PatchGrid
 

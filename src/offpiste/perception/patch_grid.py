@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from offpiste.errors import PerceptionError
+from offpiste.core.errors import PerceptionError
 
 
 @dataclass(frozen=True)

@@ -18,12 +18,12 @@ from safetensors import SafetensorError
 from safetensors.numpy import save
 from torch import Tensor
 
-from offpiste.checksums import sha256_of_arrays
-from offpiste.errors import PerceptionError
-from offpiste.files import write_bytes
-from offpiste.limits import open_tensors, parsed
+from offpiste.core.checksums import sha256_of_arrays
+from offpiste.core.errors import PerceptionError
+from offpiste.core.files import write_bytes
+from offpiste.core.limits import open_tensors, parsed
+from offpiste.core.shipped import pca_file
 from offpiste.perception.backbones import Backbone
-from offpiste.shipped import pca_file
 
 logger = logging.getLogger(__name__)
 

@@ -9,9 +9,9 @@ from jaxtyping import Float
 from scipy import stats
 from torch import Tensor
 
+from offpiste.core.errors import PlanningError
+from offpiste.core.state import TerrainSource, Trajectory
 from offpiste.dynamics.vehicle import Vehicle
-from offpiste.errors import PlanningError
-from offpiste.state import TerrainSource, Trajectory
 from offpiste.uncertainty.spread import Spread, inputs_along
 
 

@@ -7,8 +7,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from offpiste.channels import CONTROLS
 from offpiste.compilation import PLANNING, spread_kernel
+from offpiste.core.channels import CONTROLS
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ PEDALS_AND_WHEEL = Limits(
     high=tuple(control.high for control in CONTROLS),
     rate=tuple(control.rate for control in CONTROLS),
 )
-"""Limits of the controls in `offpiste.channels.CONTROLS`."""
+"""Limits of the controls in `offpiste.core.channels.CONTROLS`."""
 
 
 def keep_within(

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32
 
 from offpiste.compilation import PLANNING, spread_kernel
-from offpiste.errors import PlanningError
+from offpiste.core.errors import PlanningError
 from offpiste.mapping.terrain_map import TerrainLayers
 
 BLOCK = 4

@@ -13,11 +13,12 @@ import torch
 from jaxtyping import Float
 from torch import Generator, Tensor
 
-from offpiste.conventions import CONTROL
+from offpiste.core.conventions import CONTROL
+from offpiste.core.errors import PlanningError
+from offpiste.core.state import ModelState
 from offpiste.cuda_kernels import Kernels
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.header.networks import packed_parameters
-from offpiste.errors import PlanningError
 from offpiste.planning.constraints import bounds
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.driving_cost import Situation
@@ -27,7 +28,6 @@ from offpiste.planning.mppi import Plan, Settings, limited, no_finite_cost, rest
 from offpiste.planning.noise import Noise, coefficient_sizes, coloured, from_coefficients, function_and_options
 from offpiste.planning.pedal import controls_of
 from offpiste.planning.plan_graph import Buffers, Capture, is_same, outcome
-from offpiste.state import ModelState
 
 _Versions = tuple[tuple[Tensor | None, int | None], ...]
 

@@ -6,14 +6,14 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from offpiste.conventions import DT, GRAVITY
+from offpiste.core.conventions import DT, GRAVITY
+from offpiste.core.state import Trajectory
 from offpiste.mapping.terrain_map import wheel_positions_of_states
 from offpiste.mapping.terrain_sampler import MapStack, sample_maps
 from offpiste.planning.caution import Caution
 from offpiste.planning.cost_map import CostMap
 from offpiste.planning.costs.declaration import CostTerm, Scalar, cost_terms, evaluate
 from offpiste.planning.costs.weights import CostWeights
-from offpiste.state import Trajectory
 
 
 @dataclass(frozen=True)

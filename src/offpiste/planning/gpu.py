@@ -6,11 +6,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from offpiste.core.errors import PlanningError, extra
+from offpiste.core.state import ModelState
 from offpiste.cuda_kernels import cuda_kernels
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.kernels.autograd import supports
 from offpiste.dynamics.kernels.coverage import uncovered
-from offpiste.errors import PlanningError, extra
 from offpiste.planning import mppi
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.device_planner import DevicePlanner, bounds_of, model_controls
@@ -19,7 +20,6 @@ from offpiste.planning.header.cost_text import plan_text
 from offpiste.planning.header.costs import costs_by_kernels
 from offpiste.planning.kernel import Codes, fused_costs
 from offpiste.planning.plan_graph import APART, HOW, captured
-from offpiste.state import ModelState
 
 CHECKED: Final = 64
 """Samples whose costs are compared."""

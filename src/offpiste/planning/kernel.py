@@ -16,7 +16,8 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from offpiste.compilation import spread_kernel
-from offpiste.conventions import ACTUATORS, CONTROL
+from offpiste.core.conventions import ACTUATORS, CONTROL
+from offpiste.core.state import ModelState
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.feature_encoder import FeatureEncoder
 from offpiste.dynamics.kernels import layout
@@ -36,7 +37,6 @@ from offpiste.planning.kernel_stray import stray_weights
 from offpiste.planning.kernel_terrain import CostCells, Grid, GroundCells
 from offpiste.planning.mppi import CostOf
 from offpiste.planning.pedal import complete
-from offpiste.state import ModelState
 
 Codes = tuple[Float[Tensor, "ny nx E"], Float[Tensor, " E"]]
 """Codes of the cells of a map, and of a cell without features."""

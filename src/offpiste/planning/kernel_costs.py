@@ -15,8 +15,8 @@ from typing import Any, Final
 import numpy as np
 
 from offpiste.compilation import PLANNING
-from offpiste.conventions import CONTROL as CONTROLS
-from offpiste.conventions import DT, GRAVITY
+from offpiste.core.conventions import CONTROL as CONTROLS
+from offpiste.core.conventions import DT, GRAVITY
 from offpiste.dynamics.kernels import elementary
 from offpiste.dynamics.kernels.elementary import Lane, f4
 from offpiste.dynamics.kernels.layout import LANES

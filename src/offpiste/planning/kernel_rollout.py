@@ -7,7 +7,7 @@ step is read once (`kernel_terrain`): the step's cost reads it, and so does the 
 import numpy as np
 
 from offpiste.compilation import PLANNING
-from offpiste.conventions import CONTROL
+from offpiste.core.conventions import CONTROL
 from offpiste.dynamics.kernels.elementary import copy, f4
 from offpiste.dynamics.kernels.lanes import ACTUATED
 from offpiste.dynamics.kernels.layout import LANES

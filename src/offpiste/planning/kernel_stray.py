@@ -10,7 +10,7 @@ import torch
 from torch import nn
 
 from offpiste.compilation import PLANNING
-from offpiste.conventions import DT
+from offpiste.core.conventions import DT
 from offpiste.dynamics.kernels.elementary import Lane, add_product, f4, tanh
 from offpiste.dynamics.kernels.lanes import COMMANDED
 from offpiste.dynamics.kernels.layout import COMMANDS, LANES

@@ -16,8 +16,8 @@ from scipy.signal import savgol_coeffs
 from torch import Generator, Tensor
 
 from offpiste.compilation import single_threaded_torch
-from offpiste.conventions import DT
-from offpiste.errors import NoPlan
+from offpiste.core.conventions import DT
+from offpiste.core.errors import NoPlan
 from offpiste.planning.constraints import PEDALS_AND_WHEEL, Limits, keep_within
 from offpiste.planning.noise import Noise, coloured, covariance
 

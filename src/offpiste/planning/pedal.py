@@ -11,10 +11,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from offpiste.channels import OPTIONAL_CONTROLS
-from offpiste.conventions import CONTROL
+from offpiste.core.channels import OPTIONAL_CONTROLS
+from offpiste.core.conventions import CONTROL
+from offpiste.core.errors import PlanningError
 from offpiste.dynamics.vehicle import Vehicle
-from offpiste.errors import PlanningError
 from offpiste.planning.mppi import CostOf, Limits
 
 PEDAL_AND_WHEEL: Final = Limits(low=(-1.0, -1.0), high=(1.0, 1.0), rate=(6.0, 4.0))

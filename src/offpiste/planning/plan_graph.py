@@ -7,7 +7,7 @@ from typing import Final
 import torch
 from torch import Generator, Tensor
 
-from offpiste.errors import PlanningError
+from offpiste.core.errors import PlanningError
 
 Capture = Callable[[Callable[[], None], Generator], Callable[[], None]]
 """Turns a function into one that repeats its work, new random numbers of the generator each time (`captured`)."""

@@ -6,7 +6,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from offpiste.conventions import CONTROL
+from offpiste.core.conventions import CONTROL
+from offpiste.core.state import ModelState, TerrainSource, Trajectory
 from offpiste.dynamics.base import Dynamics, rollout
 from offpiste.mapping.terrain_sampler import Encode, MapTerrain
 from offpiste.planning.caution import strays
@@ -14,7 +15,6 @@ from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.driving_cost import Situation, driving_cost
 from offpiste.planning.mppi import CostOf
 from offpiste.planning.pedal import complete
-from offpiste.state import ModelState, TerrainSource, Trajectory
 
 
 def model_costs(

@@ -7,7 +7,7 @@ from typing import Literal
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from offpiste.files import write_bytes
+from offpiste.core.files import write_bytes
 
 INK, SOFT, GRID = "#1b1f24", "#8a939c", "#dddddd"
 BLUE, ORANGE, GREEN, PURPLE = "#0072b2", "#d95f02", "#1a7f37", "#7b3fa0"

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
-from offpiste.files import write_bytes, write_text
+from offpiste.core.files import write_bytes, write_text
 from offpiste.report.chart import Chart, charts_json, plotly_base64
 from offpiste.report.text_table import TextTable
 

@@ -6,7 +6,9 @@ from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
 
-from offpiste.conventions import DT, FEATURE_SETS
+from offpiste.core.conventions import DT, FEATURE_SETS
+from offpiste.core.errors import DatasetError
+from offpiste.core.parallel import at_a_time
 from offpiste.dataset.extract import make_dataset
 from offpiste.dataset.fit_pca import fit_pca
 from offpiste.dataset.map_snapshots import SnapshotSettings
@@ -14,8 +16,6 @@ from offpiste.dataset.place import drive_names
 from offpiste.dataset.splits import GAP, PARTS, parse_split, write_drives
 from offpiste.dataset.store import Dataset, open_dataset
 from offpiste.dataset.windows import Windows
-from offpiste.errors import DatasetError
-from offpiste.parallel import at_a_time
 from offpiste.perception.backbones import open_backbone
 from offpiste.perception.pca import save_pca
 from offpiste.reproduction.settings import PCA_SWEPT, ReproductionSettings, Size

@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from offpiste.conventions import FEATURE_SETS, HISTORY_STEPS, HORIZON_STEPS
+from offpiste.core.conventions import FEATURE_SETS, HISTORY_STEPS, HORIZON_STEPS
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics import Dynamics
 from offpiste.evaluation.box_plots import grouped_box_plot, whisker_top

@@ -8,9 +8,9 @@ import numpy as np
 import torch
 from jaxtyping import Int
 
-from offpiste.checksums import sha256_of_folders, sha256_of_json
+from offpiste.core.checksums import sha256_of_folders, sha256_of_json
+from offpiste.core.errors import RunError
 from offpiste.dataset.windows import Windows
-from offpiste.errors import RunError
 from offpiste.evaluation.errors import Errors, SeededErrors, by_seed, pool, save_errors, saved_errors
 from offpiste.evaluation.evaluated_models import Reading
 from offpiste.evaluation.intervals import Levels, PairedDifference, Resampling, Sampling, relative

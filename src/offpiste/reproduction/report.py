@@ -7,11 +7,11 @@ from typing import Any
 import msgspec
 from matplotlib.figure import Figure
 
-from offpiste.conventions import FEATURE_SETS
+from offpiste.core.conventions import FEATURE_SETS
+from offpiste.core.files import write_text
 from offpiste.dataset.store import Dataset
 from offpiste.evaluation.evaluated_windows import share_driven_in_training
 from offpiste.evaluation.metrics import LossUnits, provenance
-from offpiste.files import write_text
 from offpiste.report.figure import png
 from offpiste.report.page import Page, Picture, Section, table_section, write_page
 from offpiste.report.text_table import TextTable

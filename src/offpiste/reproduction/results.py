@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 from jaxtyping import Bool
 
-from offpiste.conventions import HISTORY_STEPS, HORIZON_STEPS
+from offpiste.core.conventions import HISTORY_STEPS, HORIZON_STEPS
 from offpiste.dataset.feature_sets import set_number
 from offpiste.dataset.store import Dataset
 from offpiste.evaluation.errors import HORIZONS, Errors, SeededErrors, by_seed, load_errors, pool

@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from offpiste.checksums import CHECKSUMS
-from offpiste.conventions import DT
+from offpiste.core.checksums import CHECKSUMS
+from offpiste.core.conventions import DT
+from offpiste.core.files import write_bytes
+from offpiste.core.progress import track
 from offpiste.dataset.splits import PARTS
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
 from offpiste.evaluation.errors import Errors, Predictor, errors_of_models, save_errors
 from offpiste.evaluation.evaluated_models import Reading
-from offpiste.files import write_bytes
-from offpiste.progress import track
 from offpiste.reproduction.data import opened
 from offpiste.reproduction.settings import BASELINE, Figure, FigureModel, ReproductionSettings, feature_sets
 from offpiste.reproduction.steps import Step

@@ -6,11 +6,11 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from offpiste.checksums import sha256_of_folders
-from offpiste.conventions import FEATURE_SETS
-from offpiste.errors import OffpisteError
+from offpiste.core.checksums import sha256_of_folders
+from offpiste.core.conventions import FEATURE_SETS
+from offpiste.core.errors import OffpisteError
+from offpiste.core.parallel import at_a_time
 from offpiste.evaluation.metrics import label
-from offpiste.parallel import at_a_time
 from offpiste.training.config import TrainConfig
 
 BASELINE = "b"

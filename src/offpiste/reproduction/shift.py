@@ -15,7 +15,8 @@ import numpy as np
 import torch
 from jaxtyping import Float, Int
 
-from offpiste.conventions import HISTORY_STEPS
+from offpiste.core.conventions import HISTORY_STEPS
+from offpiste.core.state import Terrain, TerrainSource
 from offpiste.dataset.store import Dataset, StoredDrive
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import Dynamics
@@ -23,7 +24,6 @@ from offpiste.evaluation.evaluated_models import Reading
 from offpiste.evaluation.intervals import MIN_UNITS, Sampling
 from offpiste.mapping.terrain_sampler import MapTerrain
 from offpiste.reproduction.gains import HINDSIGHT, MAP, Gain, errors_of, evaluation_index, gain, same_windows
-from offpiste.state import Terrain, TerrainSource
 from offpiste.training.run import Run
 from offpiste.training.terrain_sources import map_terrain, on_map, with_past_on
 

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from offpiste.errors import RunError
-from offpiste.files import check_folder
-from offpiste.parallel import Report, run_all
+from offpiste.core.errors import RunError
+from offpiste.core.files import check_folder
+from offpiste.core.parallel import Report, run_all
 from offpiste.training.checkpoint import load_json, save_json
 
 logger = logging.getLogger(__name__)

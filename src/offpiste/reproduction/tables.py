@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from offpiste.conventions import FEATURE_SETS
+from offpiste.core.conventions import FEATURE_SETS
 from offpiste.dataset.store import Dataset
 from offpiste.evaluation.evaluated_models import Reading
 from offpiste.evaluation.intervals import PairedDifference

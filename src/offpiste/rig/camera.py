@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.errors import LogError, PerceptionError, did_you_mean
-from offpiste.limits import MOST_PIXELS
+from offpiste.core.errors import LogError, PerceptionError, did_you_mean
+from offpiste.core.limits import MOST_PIXELS
 from offpiste.rig.sensors import Intrinsics
 
 PLUMB_BOB: Final = "plumb_bob"

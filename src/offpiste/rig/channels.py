@@ -6,8 +6,8 @@ from typing import Final, Literal
 import msgspec
 import numpy as np
 
-from offpiste.channels import all_actuators, all_controls
-from offpiste.errors import RigError, did_you_mean
+from offpiste.core.channels import all_actuators, all_controls
+from offpiste.core.errors import RigError, did_you_mean
 
 GEOGRAPHIC: Final = "lat lon"
 """Unit of positions in degrees of latitude and longitude, with the height in metres."""
@@ -46,7 +46,7 @@ OTHER_CHANNELS: dict[str, tuple[str, tuple[int, ...]]] = {
 def declare_channel(
     name: str, *, unit: str, fields: tuple[int, ...] = (1,), units: Mapping[str, float] | None = None
 ) -> None:
-    """Let rigs name one more channel; controls and actuators are declared in `offpiste.channels`.
+    """Let rigs name one more channel; controls and actuators are declared in `offpiste.core.channels`.
 
     Args:
         unit: inside offpiste.

@@ -11,7 +11,7 @@ import tomlkit
 from tomlkit.exceptions import TOMLKitError
 from tomlkit.items import InlineTable, Item, Table, Whitespace
 
-from offpiste.errors import RigError
+from offpiste.core.errors import RigError
 from offpiste.rig.channels import ChannelSource
 from offpiste.rig.rig import Rig, check_rig, parse_rig
 

@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.channels import in_english
-from offpiste.errors import RigError
+from offpiste.core.channels import in_english
+from offpiste.core.errors import RigError
 from offpiste.rig.channels import known_channels, unit_factor
 
 PER_SECOND: Final = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9, "d": 1 / 86_400}

@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from offpiste.errors import RigError, did_you_mean
+from offpiste.core.errors import RigError, did_you_mean
 from offpiste.rig.channels import TURN_RATES, unit_factor
 
 Quantity = Literal["throttle", "brake", "steer", "gear", "pedal", "speed", "yaw_rate", "constant"]

@@ -9,11 +9,11 @@ import msgspec
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.channels import Actuator, Control, actuator_columns, all_actuators, control_columns
-from offpiste.errors import RigError, did_you_mean
-from offpiste.field_names import suggestion
-from offpiste.limits import parsed, read_small
-from offpiste.registry import load_extensions
+from offpiste.core.channels import Actuator, Control, actuator_columns, all_actuators, control_columns
+from offpiste.core.errors import RigError, did_you_mean
+from offpiste.core.field_names import suggestion
+from offpiste.core.limits import parsed, read_small
+from offpiste.core.registry import load_extensions
 from offpiste.rig.channels import Alignment, ChannelSource, Clock, check_channels
 from offpiste.rig.outputs import Live, Output, check_names, check_outputs
 from offpiste.rig.sensors import CameraSource, Frames, LidarSource, beside, check_sensors

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from msgspec.structs import replace
 
-from offpiste.errors import RigError
+from offpiste.core.errors import RigError
 
 Box = tuple[tuple[float, float, float], tuple[float, float, float]]
 """Lowest and highest x, y, z [m]."""
@@ -62,7 +62,7 @@ class Mounting(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         Args:
             optical: `looks` is that of a camera: z forward, x right, y down.
         """
-        from offpiste.geometry import rotation_from_quaternion
+        from offpiste.core.geometry import rotation_from_quaternion
 
         matrix = np.eye(4)
         if self.orientation is not None:

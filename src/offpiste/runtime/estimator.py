@@ -8,11 +8,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.channels import actuator_columns
-from offpiste.conventions import ACTUATORS, DT, HISTORY_STEPS
+from offpiste.core.channels import actuator_columns
+from offpiste.core.conventions import ACTUATORS, DT, HISTORY_STEPS
+from offpiste.core.geometry import yaw_from_quaternion
 from offpiste.dataset.columns import COLUMNS
 from offpiste.dataset.resample import OWN_COLUMNS
-from offpiste.geometry import yaw_from_quaternion
 from offpiste.logs.channel import Channel
 from offpiste.logs.motion import extrapolated, planar_state
 from offpiste.logs.poses import Poses

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.conventions import DT
+from offpiste.core.conventions import DT
 from offpiste.runtime.course_tracker import CourseTracker
 from offpiste.runtime.estimator import Given, TrackRows, VehicleTrack
 from offpiste.runtime.modes import NO_AGES, Ages, Controls, Event, ModeDecision, decide_mode

@@ -12,8 +12,8 @@ import numpy as np
 import torch
 from jaxtyping import Float32, UInt8
 
+from offpiste.core.errors import PerceptionError
 from offpiste.dynamics.feature_encoder import FeatureEncoder
-from offpiste.errors import PerceptionError
 from offpiste.logs.measurements import Cloud, Image, Lidar
 from offpiste.mapping.replay import ExtractFeatures, MapperSettings, SensorMapper
 from offpiste.mapping.terrain_map import TerrainLayers

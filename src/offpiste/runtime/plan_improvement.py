@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from offpiste.core.state import ModelState
 from offpiste.dynamics.base import Dynamics
 from offpiste.planning import mppi
 from offpiste.planning.device_planner import DevicePlanner
@@ -15,7 +16,6 @@ from offpiste.planning.gpu import check_planner, gpu_planner, require_device
 from offpiste.planning.pedal import pedals_of, with_pedal
 from offpiste.runtime.prediction import Area, costs_from
 from offpiste.runtime.settings import RuntimeSettings
-from offpiste.state import ModelState
 
 CPU = torch.device("cpu")
 

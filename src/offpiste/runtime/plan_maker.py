@@ -9,9 +9,10 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from offpiste.conventions import HORIZON_STEPS
+from offpiste.core.conventions import HORIZON_STEPS
+from offpiste.core.errors import NoPlan
+from offpiste.core.state import ModelState
 from offpiste.dynamics.base import Dynamics
-from offpiste.errors import NoPlan
 from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.planning.caution import caution_of
 from offpiste.planning.cost_map import CostMap, cost_map
@@ -35,7 +36,6 @@ from offpiste.runtime.prediction import (
 )
 from offpiste.runtime.schedule import TimedPlan, continued
 from offpiste.runtime.settings import RuntimeSettings
-from offpiste.state import ModelState
 from offpiste.uncertainty.spread import Spread
 
 FRESH: Final = 0.5

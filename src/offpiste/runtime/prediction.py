@@ -11,7 +11,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from offpiste.conventions import DT, HORIZON_STEPS
+from offpiste.core.conventions import DT, HORIZON_STEPS
+from offpiste.core.state import History, ModelState, Terrain, TerrainSource
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.feature_encoder import FeatureEncoder
 from offpiste.dynamics.kernels.autograd import supports
@@ -24,7 +25,6 @@ from offpiste.planning.mppi import CostOf
 from offpiste.planning.pedal import complete
 from offpiste.planning.rollouts import driving_costs, situation_terrain
 from offpiste.runtime.estimator import TrackRows
-from offpiste.state import History, ModelState, Terrain, TerrainSource
 
 KnownGround = Callable[[Float[np.ndarray, "M 2"]], Float[np.ndarray, "M F"]]
 """Features of the ground at places x, y [m]: a simulator's ground truth instead of features from cameras."""

@@ -13,8 +13,8 @@ import torch
 from jaxtyping import Float
 
 from offpiste.compilation import single_threaded_torch
+from offpiste.core.errors import PlanningError
 from offpiste.dynamics.base import Dynamics
-from offpiste.errors import PlanningError
 from offpiste.logs.measurements import Cloud, Image
 from offpiste.planning.course import Course
 from offpiste.runtime.course_tracker import CourseTracker

@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from offpiste.conventions import DT
+from offpiste.core.conventions import DT
 from offpiste.planning.mppi import shift
 
 

@@ -4,8 +4,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from offpiste.conventions import DT, PERCEPTION_LATENCY
-from offpiste.errors import PlanningError
+from offpiste.core.conventions import DT, PERCEPTION_LATENCY
+from offpiste.core.errors import PlanningError
 from offpiste.mapping.replay import MapperSettings
 from offpiste.planning import mppi
 from offpiste.planning.caution import AsPredicted, Risk

@@ -5,10 +5,10 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.channels import registered_actuators
-from offpiste.conventions import ACTUATORS, DT
+from offpiste.core.channels import registered_actuators
+from offpiste.core.conventions import ACTUATORS, DT
+from offpiste.core.errors import PlanningError
 from offpiste.dynamics.base import Dynamics
-from offpiste.errors import PlanningError
 from offpiste.logs.measurements import Cloud, Image
 from offpiste.planning.course import Course
 from offpiste.runtime.estimator import VehicleReading

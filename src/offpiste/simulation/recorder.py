@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.conventions import GRAVITY
-from offpiste.geometry import rotation_of_one
+from offpiste.core.conventions import GRAVITY
+from offpiste.core.geometry import rotation_of_one
 from offpiste.logs.ground_truth import GROUND_KINDS, GROUND_PROPERTIES, MAP_TOPIC, WHEEL, WHEELS_TOPIC
 from offpiste.logs.ros.grid_map import grid_map_from_layers
 from offpiste.logs.ros.sensor_messages import message_from_points

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from offpiste.cluster import engine_at
-from offpiste.parallel import Report, run_all, within_memory
+from offpiste.core.parallel import Report, run_all, within_memory
 from offpiste.simulation.simulate import DriveSettings, simulate
 
 logger = logging.getLogger(__name__)

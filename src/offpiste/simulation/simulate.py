@@ -10,10 +10,10 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.conventions import DT
-from offpiste.errors import OffpisteError
+from offpiste.core.conventions import DT
+from offpiste.core.errors import OffpisteError
+from offpiste.core.progress import track
 from offpiste.logs.ros.writer import McapWriter
-from offpiste.progress import track
 from offpiste.simulation.driver.driver import Driver, DriverSettings
 from offpiste.simulation.driver.manoeuvres import ManoeuvringDriver
 from offpiste.simulation.recorder import Recorder

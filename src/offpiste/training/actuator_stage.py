@@ -14,16 +14,16 @@ import numba
 import numpy as np
 import torch
 
-from offpiste.cache import cache_folder
-from offpiste.checksums import sha256_of_arrays
 from offpiste.compilation import sources_digest, target_machine
+from offpiste.core.cache import cache_folder
+from offpiste.core.checksums import sha256_of_arrays
+from offpiste.core.errors import RunError
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics import Vehicle
 from offpiste.dynamics.actuator_lags import lagging_of
 from offpiste.dynamics.actuators import Actuators
 from offpiste.dynamics.kernels.actuators import supports_actuators
 from offpiste.dynamics.models import initial_actuators
-from offpiste.errors import RunError
 from offpiste.training.checkpoint import load_tensors, save_tensors
 from offpiste.training.config import TrainConfig
 from offpiste.training.distributed import ALONE, Group

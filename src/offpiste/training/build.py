@@ -1,8 +1,8 @@
 """Untrained models for a dataset's vehicle."""
 
+from offpiste.core.errors import RunError
 from offpiste.dataset.store import Dataset
 from offpiste.dynamics import MODELS, Dynamics, Vehicle
-from offpiste.errors import RunError
 from offpiste.training.config import TrainConfig
 
 

@@ -12,10 +12,10 @@ from safetensors import SafetensorError
 from safetensors.torch import save
 from torch import Tensor, nn
 
-from offpiste.checksums import sha256_of, sha256_of_arrays, sha256_of_json
-from offpiste.errors import RunError
-from offpiste.files import PARTIAL, remove_partials, write_bytes, write_text
-from offpiste.limits import open_tensors, parsed, read_small
+from offpiste.core.checksums import sha256_of, sha256_of_arrays, sha256_of_json
+from offpiste.core.errors import RunError
+from offpiste.core.files import PARTIAL, remove_partials, write_bytes, write_text
+from offpiste.core.limits import open_tensors, parsed, read_small
 
 logger = logging.getLogger(__name__)
 

@@ -5,7 +5,7 @@ import math
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
-from offpiste.errors import RunError
+from offpiste.core.errors import RunError
 
 MOST_CODES = 256
 """A longer code would not compress anything."""

@@ -12,7 +12,7 @@ import torch.distributed as dist
 from jaxtyping import Int
 from torch import Tensor
 
-from offpiste.errors import OffpisteError, RunError
+from offpiste.core.errors import OffpisteError, RunError
 
 TIMEOUT = timedelta(minutes=30)
 """Longest wait of processes for each other: one may be writing or reading a large file."""

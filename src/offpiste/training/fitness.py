@@ -6,15 +6,15 @@ from typing import Final, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from offpiste.channels import without_optional
-from offpiste.checksums import sha256_of_arrays
-from offpiste.conventions import DT
+from offpiste.core.channels import without_optional
+from offpiste.core.checksums import sha256_of_arrays
+from offpiste.core.conventions import DT
+from offpiste.core.errors import RunError
+from offpiste.core.shipped import PREFIX, named
 from offpiste.dataset.splits import PARTS
 from offpiste.dataset.store import Dataset, StoredDrive
 from offpiste.dynamics import Dynamics, Vehicle
-from offpiste.errors import RunError
 from offpiste.rig.rig import Vehicle as RigVehicle
-from offpiste.shipped import PREFIX, named
 from offpiste.training.build import vehicle_of
 
 ALIKE: Final = 0.1

@@ -7,12 +7,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from offpiste.conventions import min_evaluation_speed
+from offpiste.core.conventions import min_evaluation_speed
+from offpiste.core.state import wrap_angle
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import Dynamics
 from offpiste.dynamics.actuators import Actuators
 from offpiste.dynamics.kernels.actuators import rollout_actuators, supports_actuators
-from offpiste.state import wrap_angle
 from offpiste.training.config import TrainConfig
 from offpiste.training.prediction import in_parts, predict
 

@@ -11,11 +11,11 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from offpiste.core.state import Trajectory
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import Dynamics
 from offpiste.dynamics.kernels.map_rollout import predict_on
 from offpiste.mapping.terrain_sampler import CellStack, MapTerrain
-from offpiste.state import Trajectory
 from offpiste.training.distributed import Group
 from offpiste.training.terrain_sources import with_past_on
 

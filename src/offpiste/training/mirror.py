@@ -7,13 +7,13 @@ import torch
 from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 
-from offpiste.conventions import STATE, WHEELS
+from offpiste.core.conventions import STATE, WHEELS
+from offpiste.core.errors import RunError
+from offpiste.core.state import History, Terrain
 from offpiste.dataset.columns import COLUMNS
 from offpiste.dataset.features_under_wheels import FeaturesUnderWheels
 from offpiste.dataset.resample import OWN_COLUMNS
 from offpiste.dataset.windows import Batch, Windows
-from offpiste.errors import RunError
-from offpiste.state import History, Terrain
 
 STATE_SIGNS: Final = tuple(-1.0 if name in ("py", "yaw", "vy", "yaw_rate") else 1.0 for name in STATE)
 """Signs of a state, mirrored in the world's x axis."""

@@ -9,15 +9,15 @@ import torch
 from jaxtyping import Int
 from torch import Tensor
 
-from offpiste.channels import absent_value
+from offpiste.core.channels import absent_value
+from offpiste.core.errors import DatasetError, OffpisteError, did_you_mean
+from offpiste.core.state import RecordedTerrain, TerrainSource, Trajectory
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import Dynamics, Vehicle, rollout
 from offpiste.dynamics.header.gpu import gpu_kernels
 from offpiste.dynamics.header.recorded import rollout_by_kernels
 from offpiste.dynamics.kernels.autograd import rollout_recorded, supports
 from offpiste.dynamics.kernels.map_rollout import predict_on
-from offpiste.errors import DatasetError, OffpisteError, did_you_mean
-from offpiste.state import RecordedTerrain, TerrainSource, Trajectory
 from offpiste.training.terrain_sources import encoded, on_map
 
 Lookup = Literal["recorded", "map"]

@@ -11,14 +11,14 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from offpiste.checksums import sha256_of
+from offpiste.core.checksums import sha256_of
+from offpiste.core.errors import RunError
+from offpiste.core.shipped import PREFIX, alike, run_folder
+from offpiste.core.state import Trajectory
 from offpiste.dataset.assumptions import assumptions_of
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics import Dynamics, Vehicle
-from offpiste.errors import RunError
-from offpiste.shipped import PREFIX, alike, run_folder
-from offpiste.state import Trajectory
 from offpiste.training.build import build
 from offpiste.training.checkpoint import (
     WEIGHTS,

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from jaxtyping import Float, Int
 
-from offpiste.conventions import DT, SIGMA_PER_MEDIAN
+from offpiste.core.conventions import DT, SIGMA_PER_MEDIAN
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.slow_context import SHIFTED, ContextSettings, SlowContext, shifted

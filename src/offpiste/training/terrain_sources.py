@@ -9,13 +9,13 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from offpiste.core.errors import DatasetError
+from offpiste.core.state import Terrain, TerrainSource
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import Dynamics
 from offpiste.dynamics.feature_encoder import Compressor
 from offpiste.dynamics.kernels.encoder import codes_under_wheels, encode_cells, supports_encoder
-from offpiste.errors import DatasetError
 from offpiste.mapping.terrain_sampler import MapTerrain
-from offpiste.state import Terrain, TerrainSource
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,11 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from offpiste.checksums import CHECKSUMS, sha256_of, sha256_of_json
-from offpiste.conventions import DT, STATE
+from offpiste.core.checksums import CHECKSUMS, sha256_of, sha256_of_json
+from offpiste.core.conventions import DT, STATE
+from offpiste.core.errors import DatasetError, OffpisteError, RunError, TrainingError
+from offpiste.core.files import check_folder, remove_partials
+from offpiste.core.state import Trajectory
 from offpiste.dataset.assumptions import assumptions_block, assumptions_of
 from offpiste.dataset.feature_sets import Draw, hindsight
 from offpiste.dataset.ground_tables import free_budget, ground_tables
@@ -25,9 +28,6 @@ from offpiste.dataset.stored_arrays import changed_arrays
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import MODELS, Dynamics
 from offpiste.dynamics.models import reference_of
-from offpiste.errors import DatasetError, OffpisteError, RunError, TrainingError
-from offpiste.files import check_folder, remove_partials
-from offpiste.state import Trajectory
 from offpiste.training.actuator_stage import actuators_to_fit, fit_actuators
 from offpiste.training.build import build, vehicle_of
 from offpiste.training.checkpoint import load_json, refuse_other_folder, save_json

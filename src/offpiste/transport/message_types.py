@@ -10,7 +10,7 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from offpiste.errors import TransportError
+from offpiste.core.errors import TransportError
 from offpiste.logs.ros.writer import DEFINITIONS
 
 _LONGEST: Final = 1 << 20

@@ -11,7 +11,7 @@ from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from typing import Any, Final, Literal
 
-from offpiste.errors import TransportError, extra
+from offpiste.core.errors import TransportError, extra
 
 ROUTER: Final = "tcp/127.0.0.1:7447"
 """Where rmw_zenoh's router listens by default, on the loopback."""

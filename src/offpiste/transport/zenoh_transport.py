@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from offpiste.errors import extra, require
+from offpiste.core.errors import extra, require
 from offpiste.transport.interface import Deliver, Publish, Received
 from offpiste.transport.keys import (
     ATTACHMENT_SIZE,

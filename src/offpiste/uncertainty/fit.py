@@ -9,13 +9,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from offpiste.core.progress import track
+from offpiste.core.state import RecordedTerrain, TerrainSource, Trajectory
 from offpiste.dataset.feature_sets import FeatureSetChoice, drawn
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import MODELS, Dynamics
 from offpiste.dynamics.kernels.map_rollout import predict_on
 from offpiste.dynamics.models import seeded
-from offpiste.progress import track
-from offpiste.state import RecordedTerrain, TerrainSource, Trajectory
 from offpiste.training.prediction import Lookup, batch_for, in_parts, predict
 from offpiste.training.run import Run
 from offpiste.training.terrain_sources import encoded, on_map

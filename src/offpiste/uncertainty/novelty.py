@@ -10,12 +10,12 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from offpiste.conventions import FEATURE_SETS
+from offpiste.core.conventions import FEATURE_SETS
+from offpiste.core.errors import DatasetError, RunError
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics import Dynamics
 from offpiste.dynamics.feature_encoder import FeatureEncoder
-from offpiste.errors import DatasetError, RunError
 from offpiste.training.checkpoint import load_beside_weights, load_weights, save_beside_weights
 from offpiste.training.run import Run
 

@@ -9,10 +9,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from offpiste.core.errors import RunError
+from offpiste.core.state import Trajectory
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics.models import seeded
-from offpiste.errors import RunError
-from offpiste.state import Trajectory
 from offpiste.training.checkpoint import load_beside_weights, load_tensors, load_weights
 from offpiste.training.fitness import Stretch, refuse_unfit
 from offpiste.training.prediction import Lookup

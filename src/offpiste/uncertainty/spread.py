@@ -13,9 +13,9 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-from offpiste.conventions import DT, HORIZON_STEPS
+from offpiste.core.conventions import DT, HORIZON_STEPS
+from offpiste.core.state import Terrain, TerrainSource, Trajectory
 from offpiste.dynamics.vehicle import Vehicle
-from offpiste.state import Terrain, TerrainSource, Trajectory
 
 EVERY: Final = 10
 """Steps between two moments at which the spread is known."""

@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 from matplotlib.figure import Figure
 
-from offpiste.conventions import FEATURE_SETS
+from offpiste.core.conventions import FEATURE_SETS
 from offpiste.dataset.feature_coverage import PAPER_DIFFERENCE, PAPER_RATES
 from offpiste.dataset.feature_sets import DISTANCES, TOLERANCE
 from offpiste.report.figure import BLUE, GREEN, GRID, INK, ORANGE, PURPLE, SOFT, plain, png

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float, Int
 
-from offpiste.conventions import DT, FEATURE_SETS
+from offpiste.core.conventions import DT, FEATURE_SETS
 from offpiste.dataset import feature_coverage
 from offpiste.dataset.feature_coverage import HINDSIGHT, PAPER_RATES
 from offpiste.dataset.features_under_wheels import Cells

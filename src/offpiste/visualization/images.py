@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from offpiste.files import write_whole
+from offpiste.core.files import write_whole
 from offpiste.mapping.replay import Moment
 from offpiste.perception.patch_grid import PatchGrid
 from offpiste.report.feature_colours import colours

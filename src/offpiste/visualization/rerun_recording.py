@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from matplotlib import colormaps
 
-from offpiste.errors import extra
+from offpiste.core.errors import extra
 from offpiste.mapping.replay import Moment
 from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.perception.projection import CameraView

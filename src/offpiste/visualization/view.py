@@ -12,10 +12,10 @@ from matplotlib.colors import Colormap
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from offpiste.core.errors import LogError, RigError
+from offpiste.core.files import check_folder
 from offpiste.dataset.splits import PARTS
 from offpiste.dataset.store import Dataset, StoredDrive, open_dataset
-from offpiste.errors import LogError, RigError
-from offpiste.files import check_folder
 from offpiste.logs.log import Log
 from offpiste.logs.opening import open_log
 from offpiste.perception.feature_extractor import load_feature_extractor

@@ -10,8 +10,9 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.figure import Figure
 
-from offpiste.errors import LogError, RigError, installation_of, is_installed
-from offpiste.files import write_bytes
+from offpiste.core.errors import LogError, RigError, installation_of, is_installed
+from offpiste.core.files import write_bytes
+from offpiste.core.progress import track
 from offpiste.inspection.map_health import check_map_health, find_pits, map_health
 from offpiste.inspection.sensor_samples import gather
 from offpiste.logs.log import Log
@@ -19,7 +20,6 @@ from offpiste.logs.sensor_log import SensorLog, open_sensors
 from offpiste.mapping.replay import MapperSettings, Moment, pinhole_cameras, replay
 from offpiste.mapping.terrain_map import wheel_positions
 from offpiste.perception.feature_extractor import FeatureExtractor
-from offpiste.progress import track
 from offpiste.report.figure import png
 from offpiste.rig.rig import Rig
 from offpiste.visualization.images import Album, contact_sheet, times_between, write_png

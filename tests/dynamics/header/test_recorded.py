@@ -8,11 +8,11 @@ import torch
 
 from dynamics.kernels.test_rollout import CHANNELS, TOLERANCE, difference, example, randomised, run, windows
 from host_kernels import HostKernels, needs_gcc
-from offpiste.conventions import ACTUATORS, CONTROL
+from offpiste.core.conventions import ACTUATORS, CONTROL
+from offpiste.core.errors import OffpisteError
 from offpiste.dynamics import MODELS, Hybrid, Parametric, Vehicle
 from offpiste.dynamics.header.gpu import check_kernels, gpu_kernels, prepared
 from offpiste.dynamics.header.recorded import recorded_text, rollout_by_kernels
-from offpiste.errors import OffpisteError
 
 pytestmark = needs_gcc
 

@@ -7,10 +7,10 @@ import torch
 
 from dynamics.kernels.test_rollout import CHANNELS, example, windows
 from host_kernels import compiled, needs_gcc
+from offpiste.core.state import RecordedTerrain
 from offpiste.dynamics import Hybrid, rollout
 from offpiste.dynamics.header.networks import packed_parameters
 from offpiste.dynamics.header.step_text import step_text
-from offpiste.state import RecordedTerrain
 
 LANES = 16
 TOP = """

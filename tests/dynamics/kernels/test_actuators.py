@@ -10,7 +10,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from offpiste.conventions import ACTUATORS, CONTROL
+from offpiste.core.conventions import ACTUATORS, CONTROL
 from offpiste.dynamics import Vehicle
 from offpiste.dynamics.actuators import Actuators
 from offpiste.dynamics.kernels.actuators import rollout_actuators, supports_actuators

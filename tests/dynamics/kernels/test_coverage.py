@@ -9,6 +9,8 @@ import torch
 from torch import Tensor, nn
 
 from factories import VEHICLE, coded
+from offpiste.core.errors import RunError
+from offpiste.core.state import History, ModelState, Terrain
 from offpiste.dynamics import MODELS, Hybrid
 from offpiste.dynamics.base import Step
 from offpiste.dynamics.feature_encoder import Compressor
@@ -19,9 +21,7 @@ from offpiste.dynamics.kernels.coverage import uncovered, uncovered_encoder
 from offpiste.dynamics.kernels.encoder import supports_encoder
 from offpiste.dynamics.lstm import Compensator
 from offpiste.dynamics.vehicle import Vehicle
-from offpiste.errors import RunError
 from offpiste.export.formats import refuse_without_kernels
-from offpiste.state import History, ModelState, Terrain
 
 CPU = torch.device("cpu")
 

@@ -7,12 +7,12 @@ import pytest
 import torch
 
 from factories import VEHICLE
+from offpiste.core.state import ModelState, Trajectory
 from offpiste.dynamics import Hybrid, Parametric, Vehicle, rollout
 from offpiste.dynamics.feature_encoder import Compressor, Identity
 from offpiste.dynamics.kernels import map_rollout
 from offpiste.dynamics.kernels.map_rollout import predict_on, rollout_on_maps
 from offpiste.mapping.terrain_sampler import CellStack, MapTerrain, last_cells
-from offpiste.state import ModelState, Trajectory
 
 FEATURES, MAPS, SIDE = 5, 3, (60, 45)
 TOLERANCE = 2e-5

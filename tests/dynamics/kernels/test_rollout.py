@@ -13,11 +13,11 @@ import torch
 from torch import Tensor
 
 from factories import coded
-from offpiste.conventions import ACTUATORS, CONTROL
+from offpiste.core.conventions import ACTUATORS, CONTROL
+from offpiste.core.errors import DatasetError
+from offpiste.core.state import ModelState, RecordedTerrain, Terrain, Trajectory
 from offpiste.dynamics import ConstantMotion, Hybrid, Parametric, Vehicle, rollout
 from offpiste.dynamics.kernels.autograd import rollout_recorded, supports
-from offpiste.errors import DatasetError
-from offpiste.state import ModelState, RecordedTerrain, Terrain, Trajectory
 
 TOLERANCE = 2e-5
 """Of the largest value of each tensor."""

@@ -7,9 +7,9 @@ import pytest
 
 from experiments.closed_loop_table.cards import write_driving
 from offpiste.closed_loop.planner import load_planner
-from offpiste.errors import RunError
+from offpiste.core.errors import RunError
+from offpiste.core.shipped import run_folder
 from offpiste.evaluation.model_card import load_card
-from offpiste.shipped import run_folder
 
 
 def results(costs, **about):

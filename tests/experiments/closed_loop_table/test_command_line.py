@@ -6,7 +6,7 @@ import pytest
 
 from experiments.closed_loop_table import __main__ as command
 from offpiste.closed_loop.planner import Planner
-from offpiste.errors import OffpisteError
+from offpiste.core.errors import OffpisteError
 from runtime.stream import parametric
 
 

@@ -13,7 +13,7 @@ from experiments.control_experiments.reproduced import open_reproduction
 from experiments.control_experiments.runs import trained
 from experiments.control_experiments.shift import shift_control
 from feature_datasets import dataset_with_features
-from offpiste.errors import RunError
+from offpiste.core.errors import RunError
 from offpiste.reproduction.settings import Size
 from offpiste.reproduction.shift import OWN_GROUND, SHIFTED
 from offpiste.training.checkpoint import load_json, save_json

@@ -20,9 +20,9 @@ from experiments.control_experiments.curve import (
 from experiments.control_experiments.reproduced import open_reproduction
 from experiments.control_experiments.runs import trained
 from feature_datasets import dataset_with_features
-from offpiste.conventions import DT
+from offpiste.core.conventions import DT
+from offpiste.core.errors import DatasetError, RunError
 from offpiste.dataset.store import Dataset
-from offpiste.errors import DatasetError, RunError
 from offpiste.reproduction.settings import Size
 from offpiste.training.config import TrainConfig
 

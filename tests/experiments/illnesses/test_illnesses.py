@@ -8,7 +8,7 @@ from experiments.illnesses.effect import costs_against, distance, is_cured, rows
 from experiments.illnesses.illness import ILLNESSES
 from experiments.illnesses.true_drive import save
 from made_up_drive import made_up_case, made_up_drive
-from offpiste.errors import OffpisteError
+from offpiste.core.errors import OffpisteError
 
 
 def case_for(name, seed=0):

@@ -13,7 +13,7 @@ from experiments.illnesses.score import IllnessScore, Score, points_to, score
 from experiments.illnesses.table import report, share, shown
 from experiments.illnesses.true_drive import save
 from made_up_drive import made_up_case, made_up_drive
-from offpiste.errors import OffpisteError
+from offpiste.core.errors import OffpisteError
 from offpiste.inspection.findings import Finding
 from offpiste.rig.edits import Edit
 

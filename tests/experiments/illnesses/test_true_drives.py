@@ -7,8 +7,8 @@ from experiments.illnesses.drivers import Weaving
 from experiments.illnesses.drives import drive_of, varied_vehicle
 from experiments.illnesses.true_drive import load, save, scaled
 from made_up_drive import made_up_drive
-from offpiste.conventions import DT
-from offpiste.geometry import yaw_from_quaternion
+from offpiste.core.conventions import DT
+from offpiste.core.geometry import yaw_from_quaternion
 from offpiste.simulation.vehicle.parameters import load_vehicle
 from offpiste.simulation.vehicle.vehicle import VehicleSimulation
 from offpiste.simulation.world.build import make_world

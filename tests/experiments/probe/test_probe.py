@@ -21,8 +21,8 @@ from experiments.probe.scores import (
     probe_rows,
     score_probe,
 )
-from offpiste.conventions import FEATURE_SETS
-from offpiste.errors import PerceptionError
+from offpiste.core.conventions import FEATURE_SETS
+from offpiste.core.errors import PerceptionError
 from offpiste.logs.ground_truth import GROUND_PROPERTIES, read_truth
 from offpiste.perception.backbones import open_backbone
 from offpiste.perception.feature_extractor import FeatureExtractor

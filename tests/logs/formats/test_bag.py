@@ -9,7 +9,7 @@ from rosbags import rosbag1
 from rosbags.rosbag2.enums import CompressionMode, StoragePlugin
 
 from bag_files import ROS2, SPEED, START, TWIST, custom, mcap_file, ros1_bag, ros2_folder, speeds, twist, twists
-from offpiste.errors import LogError
+from offpiste.core.errors import LogError
 from offpiste.inspection.draft_rig import draft_rig
 from offpiste.logs.formats.bag import BagLog
 

@@ -11,7 +11,7 @@ from mcap.writer import CompressionType, IndexType
 from rosbags.rosbag2.enums import StoragePlugin
 
 from bag_files import mcap_file, ros1_bag, ros2_folder, speeds, twists
-from offpiste.errors import LogError
+from offpiste.core.errors import LogError
 from offpiste.logs.formats.bag import BagLog
 
 

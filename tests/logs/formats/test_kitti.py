@@ -8,7 +8,7 @@ import pytest
 from msgspec import structs
 from scipy.spatial.transform import Rotation
 
-from offpiste.errors import LogError
+from offpiste.core.errors import LogError
 from offpiste.logs import open_log, read_drive
 from offpiste.logs.formats.kitti import KittiLog, pose_from_oxts, time_in_sweep
 from offpiste.logs.measurements import Cloud, Image

@@ -8,7 +8,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from factories import small_rig
-from offpiste.errors import LogError
+from offpiste.core.errors import LogError
 from offpiste.logs.channel import read_channel
 from offpiste.logs.formats.table import TableLog
 from offpiste.logs.opening import open_log

@@ -7,7 +7,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from offpiste.errors import LogError
+from offpiste.core.errors import LogError
 from offpiste.logs.formats.tables import TablesLog
 from offpiste.logs.opening import open_log
 from offpiste.rig.channels import Clock

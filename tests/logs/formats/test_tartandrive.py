@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from offpiste.errors import LogError
+from offpiste.core.errors import LogError
 from offpiste.logs.formats.tartandrive import TartanDriveLog
 from offpiste.rig.channels import Clock
 

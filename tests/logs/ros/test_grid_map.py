@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from offpiste.errors import LogError
+from offpiste.core.errors import LogError
 from offpiste.logs.ros.grid_map import grid_map_from_layers, layers_from_grid_map
 from offpiste.logs.ros.writer import message_types
 

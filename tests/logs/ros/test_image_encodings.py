@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from offpiste.errors import LogError
+from offpiste.core.errors import LogError
 from offpiste.logs.measurements import Camera, in_eight_bits
 from offpiste.logs.ros.image_encodings import CODECS, NO_PICTURES, PICTURES, pixels_of
 from offpiste.logs.ros.writer import header, make

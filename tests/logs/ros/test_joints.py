@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bag_files import custom, mcap_file
-from offpiste.errors import LogError, RigError
+from offpiste.core.errors import LogError, RigError
 from offpiste.inspection.channel_guesses import guess_channels
 from offpiste.inspection.draft_rig import draft_rig
 from offpiste.inspection.inspect import inspect_log

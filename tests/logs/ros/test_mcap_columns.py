@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bag_files import ROS2, START, custom, mcap_file
-from offpiste.errors import LogError
+from offpiste.core.errors import LogError
 from offpiste.logs import open_log
 from offpiste.logs.ros.bag_files import heard_at
 from offpiste.logs.ros.writer import McapWriter, floats, header, make

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from offpiste.errors import LogError
+from offpiste.core.errors import LogError
 from offpiste.logs.ros.sensor_messages import message_from_points, points_from_message
 from offpiste.logs.ros.writer import header, make, message_types
 

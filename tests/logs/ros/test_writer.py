@@ -12,7 +12,7 @@ import pytest
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
-from offpiste.errors import LogError
+from offpiste.core.errors import LogError
 from offpiste.logs import open_log
 from offpiste.logs.formats.bag import BagLog
 from offpiste.logs.ros.writer import McapWriter, header, make, message_types

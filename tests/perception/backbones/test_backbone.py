@@ -5,7 +5,7 @@ import pytest
 import torch
 from transformers import Dinov2Config, Dinov2Model
 
-from offpiste.errors import PerceptionError
+from offpiste.core.errors import PerceptionError
 from offpiste.perception.backbones import Backbone, open_backbone
 from offpiste.perception.backbones.filterbank import Filterbank
 from offpiste.perception.backbones.vision_transformer import VisionTransformer

@@ -20,7 +20,7 @@ from transformers import (
     ViTModel,
 )
 
-from offpiste.errors import PerceptionError
+from offpiste.core.errors import PerceptionError
 from offpiste.perception.backbones import open_backbone
 from offpiste.perception.backbones.vision_transformer import VisionTransformer, weights_hash
 

@@ -1,6 +1,6 @@
 import pytest
 
-from offpiste.errors import PlanningError
+from offpiste.core.errors import PlanningError
 from offpiste.planning.header.c_expression import CExpression, called, traced
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from offpiste.conventions import DT
+from offpiste.core.conventions import DT
 from offpiste.simulation.driver.driver import WITH_MANOEUVRES, Driver, DriverSettings, pose_and_speed
 from offpiste.simulation.driver.manoeuvres import ManoeuvringDriver
 from offpiste.simulation.sample import VehicleSample

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from offpiste.conventions import DT
+from offpiste.core.conventions import DT
 from offpiste.simulation.driver.pedal_control import SpeedControl, TractionControl
 from simulation.drives import drive, flat_world, vehicle_on
 

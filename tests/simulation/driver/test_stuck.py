@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from offpiste.conventions import DT
+from offpiste.core.conventions import DT
 from offpiste.simulation.driver.stuck import StuckRecovery
 
 

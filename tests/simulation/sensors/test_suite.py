@@ -10,7 +10,7 @@ from unittest.mock import create_autospec
 import numpy as np
 import pytest
 
-from offpiste.conventions import DT
+from offpiste.core.conventions import DT
 from offpiste.simulation.sample import VehicleSample
 from offpiste.simulation.sensors.suite import AHEAD, Sensing, SensorSuite, light_suite, observed
 from offpiste.simulation.world.build import make_world

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from offpiste.conventions import DT
+from offpiste.core.conventions import DT
 from offpiste.simulation.vehicle.drivetrain import GearBox
 from offpiste.simulation.vehicle.parameters import load_vehicle
 from simulation.drives import drive, flat_world, vehicle_on, yaw_of

@@ -2,7 +2,7 @@ from importlib import resources
 
 import pytest
 
-from offpiste.conventions import GRAVITY
+from offpiste.core.conventions import GRAVITY
 from offpiste.simulation.vehicle.parameters import VehicleError, load_vehicle
 
 TEXT = (resources.files("offpiste.simulation.vehicle") / "side_by_side.toml").read_text()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from offpiste.conventions import GRAVITY
+from offpiste.core.conventions import GRAVITY
 from offpiste.logs.ground_truth import GROUND_KINDS
 from offpiste.simulation.vehicle import vehicle
 from offpiste.simulation.vehicle.parameters import load_vehicle

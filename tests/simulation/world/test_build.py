@@ -3,7 +3,7 @@ from dataclasses import fields, is_dataclass, replace
 import numpy as np
 import pytest
 
-from offpiste.errors import OffpisteError
+from offpiste.core.errors import OffpisteError
 from offpiste.logs.ground_truth import GROUND_KINDS
 from offpiste.simulation.world.build import make_world
 from offpiste.simulation.world.ground import property_table

@@ -1,6 +1,6 @@
 """Columns of a drive's rows, each declared once: resampling, the store, validation and windows read the declaration.
 
-A module in this package, or an extension (`offpiste.registry`), adds a column by registering a `Column` under its name.
+A module in this package, or an extension (`offpiste.core.registry`), adds a column by registering a `Column` by name.
 """
 
 from collections.abc import Callable, Sequence
@@ -11,13 +11,13 @@ from typing import Final, Literal
 import numpy as np
 from jaxtyping import Bool, Float
 
-from offpiste.channels import channel_of_rate, control_of
-from offpiste.errors import DatasetError, LogError
-from offpiste.geometry import local_polynomial
+from offpiste.core.channels import channel_of_rate, control_of
+from offpiste.core.errors import DatasetError, LogError
+from offpiste.core.geometry import local_polynomial
+from offpiste.core.registry import Registry
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
 from offpiste.logs.motion import Motion, estimate_motion
-from offpiste.registry import Registry
 from offpiste.rig.rig import Rig
 
 Segment = Literal["past", "start", "ahead", "target"]

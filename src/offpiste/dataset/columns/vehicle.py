@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.conventions import ACTUATORS, CONTROL, DT, STATE, WHEELS
+from offpiste.core.conventions import ACTUATORS, CONTROL, DT, STATE, WHEELS
 from offpiste.dataset.columns import COLUMNS, Column, RowGrid
 from offpiste.logs.motion import across_jumps, driven_slope
 from offpiste.rig.rig import Rig

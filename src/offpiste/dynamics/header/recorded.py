@@ -13,7 +13,8 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 from torch.nn.functional import pad
 
-from offpiste.conventions import STATE
+from offpiste.core.conventions import STATE
+from offpiste.core.state import ModelState, Terrain, Trajectory
 from offpiste.cuda_kernels import Kernels
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.header.networks import packed_parameters
@@ -27,7 +28,6 @@ from offpiste.dynamics.kernels.model_arrays import (
     learned_constants,
     terms_of_codes,
 )
-from offpiste.state import ModelState, Terrain, Trajectory
 
 MOVED = len(layout.STEPPED)
 GATES = 4 * layout.HIDDEN

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from importlib.resources import files
 
-from offpiste.conventions import ACTUATORS, STATE
+from offpiste.core.conventions import ACTUATORS, STATE
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.header.networks import LANE, PrintedNetwork, printed_networks
 from offpiste.dynamics.kernels import layout

@@ -12,7 +12,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from offpiste.compilation import KERNELS, spread_kernel
-from offpiste.conventions import ACTUATORS, STATE
+from offpiste.core.conventions import ACTUATORS, STATE
 from offpiste.dynamics.actuators import Actuators
 from offpiste.dynamics.kernels import layout
 from offpiste.dynamics.kernels.coverage import uncovered_actuators, warn_of_eager_steps

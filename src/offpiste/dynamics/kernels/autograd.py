@@ -14,7 +14,8 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from offpiste.compilation import spread_kernel
-from offpiste.conventions import ACTUATORS, STATE
+from offpiste.core.conventions import ACTUATORS, STATE
+from offpiste.core.state import ModelState, Terrain, Trajectory
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.inputs import drive_train
 from offpiste.dynamics.kernels import layout
@@ -31,7 +32,6 @@ from offpiste.dynamics.kernels.model_arrays import (
 )
 from offpiste.dynamics.kernels.parity import APART, largest_difference
 from offpiste.dynamics.kernels.rollout import backward, forward
-from offpiste.state import ModelState, Terrain, Trajectory
 
 _agrees: WeakKeyDictionary[Dynamics, bool] = WeakKeyDictionary()
 """Whether the kernels agree with each model that was compared with them in this process."""

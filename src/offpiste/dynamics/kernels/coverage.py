@@ -10,7 +10,7 @@ from typing import Final
 
 from torch import nn
 
-from offpiste.conventions import ACTUATORS
+from offpiste.core.conventions import ACTUATORS
 from offpiste.dynamics.actuators import Actuators
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.bicycle import BicycleConstants

@@ -1,6 +1,6 @@
 """Prints the scalar physics, forward and adjoint: as loops over lanes for Numba, and as C.
 
-Run `python -m offpiste.dynamics.kernels.generate` after a change of the physics or of `offpiste.channels`.
+Run `python -m offpiste.dynamics.kernels.generate` after a change of the physics or of `offpiste.core.channels`.
 
 The physics is called with SymPy's symbols. The elementary functions that it calls are recorded, each result as a new
 symbol (`tape`); what lies between them is algebra, which SymPy differentiates and shares. `dialects` print the result.

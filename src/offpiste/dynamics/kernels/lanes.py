@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 
 from offpiste.compilation import KERNELS
-from offpiste.conventions import ACTUATORS
+from offpiste.core.conventions import ACTUATORS
 from offpiste.dynamics.kernels.elementary import f4
 from offpiste.dynamics.kernels.layout import ABSENT, CONTROLS, LANES
 

@@ -8,8 +8,8 @@ array.
 
 from typing import Final
 
-from offpiste.channels import KERNEL_CONTROLS
-from offpiste.conventions import ACTUATORS, STATE
+from offpiste.core.channels import KERNEL_CONTROLS
+from offpiste.core.conventions import ACTUATORS, STATE
 from offpiste.dynamics.actuator_lags import lagging
 from offpiste.dynamics.bicycle import Constants, Force
 from offpiste.dynamics.inputs import DriveTrain

@@ -9,7 +9,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from offpiste.compilation import KERNELS, spread_kernel
-from offpiste.conventions import ACTUATORS, STATE
+from offpiste.core.conventions import ACTUATORS, STATE
+from offpiste.core.state import ModelState, TerrainSource, Trajectory
 from offpiste.dynamics.base import Dynamics, rollout
 from offpiste.dynamics.kernels.autograd import supports
 from offpiste.dynamics.kernels.coverage import uncovered_encoder
@@ -35,7 +36,6 @@ from offpiste.dynamics.kernels.rollout import (
     make_workspace,
 )
 from offpiste.mapping.terrain_sampler import CellStack, MapTerrain
-from offpiste.state import ModelState, TerrainSource, Trajectory
 
 
 def predict_on(

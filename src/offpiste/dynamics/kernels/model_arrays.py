@@ -10,7 +10,8 @@ from torch import Tensor
 from torch.nn import functional
 
 from offpiste.compilation import spread_kernel
-from offpiste.conventions import ACTUATORS
+from offpiste.core.conventions import ACTUATORS
+from offpiste.core.state import Terrain
 from offpiste.dynamics.actuator_lags import Lagging
 from offpiste.dynamics.actuators import Actuators
 from offpiste.dynamics.base import Dynamics, KernelParts
@@ -19,7 +20,6 @@ from offpiste.dynamics.kernels.lanes import GIVEN, pack
 from offpiste.dynamics.kernels.network import Network, Weights, network, weights, weights_apart
 from offpiste.dynamics.kernels.rollout import Networks, Record
 from offpiste.dynamics.vehicle import Vehicle
-from offpiste.state import Terrain
 
 
 class Given(NamedTuple):

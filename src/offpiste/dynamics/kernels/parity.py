@@ -6,9 +6,9 @@ from copy import deepcopy
 import torch
 from torch import Tensor
 
-from offpiste.conventions import ACTUATORS
+from offpiste.core.conventions import ACTUATORS
+from offpiste.core.state import ModelState, RecordedTerrain, Terrain, Trajectory
 from offpiste.dynamics.base import Dynamics, rollout
-from offpiste.state import ModelState, RecordedTerrain, Terrain, Trajectory
 
 APART = 1e-3
 """Largest difference of states and of gradients from the eager model's, relative to their largest values."""

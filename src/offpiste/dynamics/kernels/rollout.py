@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from offpiste.compilation import KERNELS
-from offpiste.conventions import STATE
+from offpiste.core.conventions import STATE
 from offpiste.dynamics.kernels.elementary import Lane, copy, f4
 from offpiste.dynamics.kernels.generated import advance, advance_adjoint, sense, sense_adjoint
 from offpiste.dynamics.kernels.lanes import ACTUATED, COMMANDED, GIVEN

@@ -4,7 +4,7 @@ What the eager model does around the physics on batches (turning the normal, cho
 is written here once more for scalars; tests compare both.
 """
 
-from offpiste.conventions import DT, STATE
+from offpiste.core.conventions import DT, STATE
 from offpiste.dynamics.bicycle import Constants, Elementary, Force, Scalar, forces, rates
 from offpiste.dynamics.inputs import REDUCED, DriveTrain
 from offpiste.dynamics.kernels import layout

@@ -8,10 +8,10 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.figure import Figure
 
-from offpiste.conventions import FEATURE_SETS
+from offpiste.core.conventions import FEATURE_SETS
+from offpiste.core.registry import Registry
 from offpiste.evaluation.evaluate import Evaluation
 from offpiste.evaluation.result_rows import Case
-from offpiste.registry import Registry
 from offpiste.report.chart import Drawing
 
 Draw = Callable[[Evaluation], Figure | Drawing | None]

@@ -2,7 +2,7 @@
 
 import time
 
-from offpiste.errors import PerceptionError
+from offpiste.core.errors import PerceptionError
 from offpiste.live.packing import image_from, packed, unpacked
 from offpiste.live.part import Part, TrackFeed, keep_loaded
 from offpiste.live.parts.setup import load_kernels, wait_for_sensors

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from offpiste.conventions import DT
+from offpiste.core.conventions import DT
 from offpiste.live.command_messages import Command, CommandMessages
 from offpiste.live.gate import Gate, Passed
 from offpiste.live.lockstep import COMMAND

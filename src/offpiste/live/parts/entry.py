@@ -9,7 +9,7 @@ from contextlib import suppress
 from multiprocessing import connection, parent_process
 from pathlib import Path
 
-from offpiste.errors import LiveError, OffpisteError
+from offpiste.core.errors import LiveError, OffpisteError
 from offpiste.live.part import AFTER, Part
 from offpiste.live.session import Session
 

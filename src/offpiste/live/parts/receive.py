@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from offpiste.errors import LiveError
+from offpiste.core.errors import LiveError
 from offpiste.live.backlog import LATCHED, Backlog
 from offpiste.live.packing import pack_course, pack_measured, pack_sensors
 from offpiste.live.part import RUNS_ON, STAMP, Part, keep_loaded

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from offpiste.errors import LogError
+from offpiste.core.errors import LogError
 from offpiste.live.backlog import Backlog
 from offpiste.live.lockstep import CLOCK, COMMAND
 from offpiste.live.part import Part, free_file

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from offpiste.conventions import DT
+from offpiste.core.conventions import DT
 from offpiste.live.command_messages import Command, CommandMessages
 from offpiste.live.part import Part, keep_loaded
 from offpiste.live.parts.setup import last_command

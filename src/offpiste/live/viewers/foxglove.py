@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Final, cast
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from offpiste.errors import LiveError, extra
+from offpiste.core.errors import LiveError, extra
 from offpiste.live.viewers.viewer import NUMBERS, VIEWERS, ShownGround, ShownPlan, jpeg_of, listening_at
 from offpiste.logs.measurements import Image
 from offpiste.runtime.estimator import VehicleReading

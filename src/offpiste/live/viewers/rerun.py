@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Float
 
 from offpiste.closed_loop.recording import LEVEL, PLOTS
-from offpiste.errors import LiveError, extra
-from offpiste.geometry import rotation_of_one
+from offpiste.core.errors import LiveError, extra
+from offpiste.core.geometry import rotation_of_one
 from offpiste.live.viewers.viewer import NUMBERS, VIEWERS, ShownGround, ShownPlan, jpeg_of, listening_at
 from offpiste.logs.measurements import Image
 from offpiste.runtime.estimator import VehicleReading

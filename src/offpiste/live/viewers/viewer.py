@@ -10,9 +10,9 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from matplotlib import colormaps
 
-from offpiste.errors import LiveError
+from offpiste.core.errors import LiveError
+from offpiste.core.registry import Registry
 from offpiste.logs.measurements import Image
-from offpiste.registry import Registry
 from offpiste.runtime.estimator import VehicleReading
 
 QUALITY: Final = 80

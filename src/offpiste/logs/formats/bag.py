@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.errors import LogError, SeveralLogs
+from offpiste.core.errors import LogError, SeveralLogs
 from offpiste.logs.log import LOG_FORMATS, Log, RawCloud, RawImage, Samples, Topic
 from offpiste.logs.ros.bag_files import (
     MAGIC,

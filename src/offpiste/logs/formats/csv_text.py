@@ -12,7 +12,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.csv as pa_csv
 
-from offpiste.errors import LogError
+from offpiste.core.errors import LogError
 from offpiste.logs.formats.loggers import DATE_AND_TIME, MARKS, UTF_16, in_one_space, is_utf_8, with_one_header
 from offpiste.rig.labels import unit_of, without_comment
 

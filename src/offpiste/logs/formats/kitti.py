@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from offpiste.errors import LogError
-from offpiste.limits import read_small
+from offpiste.core.errors import LogError
+from offpiste.core.limits import read_small
 from offpiste.logs.log import LOG_FORMATS, Log, RawCloud, RawImage, Samples, Topic
 from offpiste.logs.measurements import decoded_picture
 from offpiste.logs.transforms import Transform

@@ -11,8 +11,8 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from jaxtyping import Float
 
-from offpiste.errors import LogError, NoClock
-from offpiste.limits import LARGEST_TABLE, refuse_larger
+from offpiste.core.errors import LogError, NoClock
+from offpiste.core.limits import LARGEST_TABLE, refuse_larger
 from offpiste.logs.formats.csv_text import (
     are_gears,
     check_columns,

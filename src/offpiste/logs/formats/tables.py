@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from offpiste.errors import LogError, NoClock
+from offpiste.core.errors import LogError, NoClock
 from offpiste.logs.formats.table import TableLog
 from offpiste.logs.log import LOG_FORMATS, Log, Samples, Topic
 from offpiste.rig.channels import Clock

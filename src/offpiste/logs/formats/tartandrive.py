@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.errors import LogError
+from offpiste.core.errors import LogError
 from offpiste.logs.log import LOG_FORMATS, Log, Samples, Topic
 from offpiste.rig.channels import SECONDS_PER_UNIT, Clock
 

@@ -15,8 +15,8 @@ from rosbags.interfaces import Connection, ConnectionExtRosbag1, MessageDefiniti
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from offpiste.errors import LogError, TooLarge
-from offpiste.limits import LARGEST, refuse_larger
+from offpiste.core.errors import LogError, TooLarge
+from offpiste.core.limits import LARGEST, refuse_larger
 from offpiste.logs.ros.bounds import MOST_OBJECTS, Rosbag1, has_entries, refuse_expansion, refuse_text
 from offpiste.logs.ros.mcap_recovery import StreamedMcap
 

@@ -28,7 +28,7 @@ from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 from rosbags.typesys import TypesysError
 from ruamel.yaml import YAML
 
-from offpiste.limits import LARGEST, LARGEST_TEXT, refuse_larger, zstd
+from offpiste.core.limits import LARGEST, LARGEST_TEXT, refuse_larger, zstd
 
 _PIECE: Final = 1 << 22
 """Bytes that are decompressed at a time."""

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.errors import LogError
+from offpiste.core.errors import LogError
 from offpiste.logs.ros.writer import header, make, quaternion, vector
 
 

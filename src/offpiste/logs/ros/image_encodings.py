@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from offpiste.errors import LogError
-from offpiste.limits import MOST_PIXELS
+from offpiste.core.errors import LogError
+from offpiste.core.limits import MOST_PIXELS
 from offpiste.logs.measurements import Pixels, decoded_picture
 
 

@@ -20,8 +20,8 @@ from rosbags.rosbag2 import Reader as Rosbag2
 from rosbags.rosbag2.storage_mcap import ChunkInfo, McapReader, decompress
 from rosbags.typesys.store import Typestore
 
-from offpiste.errors import LogError
-from offpiste.limits import LARGEST
+from offpiste.core.errors import LogError
+from offpiste.core.limits import LARGEST
 from offpiste.logs.ros.bag_files import reported, typestore_of
 from offpiste.logs.ros.message_layout import LONGEST, Layout, layout, numbers_at
 

@@ -14,8 +14,8 @@ from mcap.records import Channel, Chunk, Message, Schema
 from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinition, MessageDefinitionFormat
 from rosbags.typesys.msg import normalize_msgtype
 
-from offpiste.errors import LogError, TooLarge
-from offpiste.limits import LARGEST, refuse_larger, zstd
+from offpiste.core.errors import LogError, TooLarge
+from offpiste.core.limits import LARGEST, refuse_larger, zstd
 from offpiste.logs.ros.bounds import inflated
 
 _FORMATS = {

@@ -11,7 +11,7 @@ from jaxtyping import UInt8
 from rosbags.interfaces import Nodetype
 from rosbags.typesys.store import Typestore
 
-from offpiste.errors import LogError
+from offpiste.core.errors import LogError
 from offpiste.logs.ros.bag_files import field_getter, reported
 
 LONGEST: Final = 4096

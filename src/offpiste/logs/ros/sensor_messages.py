@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from offpiste.errors import LogError
+from offpiste.core.errors import LogError
 from offpiste.logs.log import JOINT_ARRAYS, RawCloud, RawImage
 from offpiste.logs.ros.bag_files import MAX_ENTRIES
 from offpiste.logs.ros.image_encodings import pixels_of

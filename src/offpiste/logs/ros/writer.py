@@ -11,7 +11,7 @@ from mcap.writer import CompressionType, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from offpiste.errors import LogError
+from offpiste.core.errors import LogError
 
 DEFINITIONS: Final = {
     "grid_map_msgs/msg/GridMapInfo": """

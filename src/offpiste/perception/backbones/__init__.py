@@ -18,9 +18,9 @@ from jaxtyping import Float, Shaped
 from torch import Tensor
 
 from offpiste.compilation import single_threaded_torch
-from offpiste.errors import PerceptionError
+from offpiste.core.errors import PerceptionError
+from offpiste.core.registry import Registry
 from offpiste.perception.patch_grid import PatchGrid
-from offpiste.registry import Registry
 
 DINOV2_SMALL: Final = "facebook/dinov2-small"
 """DINOv2 ViT-S/14, the paper's backbone and the default."""

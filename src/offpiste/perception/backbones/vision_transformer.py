@@ -13,8 +13,8 @@ from jaxtyping import Float
 from safetensors import SafetensorError
 from torch import Tensor
 
-from offpiste.errors import PerceptionError, did_you_mean, extra
-from offpiste.limits import parsed, read_small
+from offpiste.core.errors import PerceptionError, did_you_mean, extra
+from offpiste.core.limits import parsed, read_small
 from offpiste.perception.backbones import DINOV2_SMALL, Backbone, Precision
 
 if TYPE_CHECKING:

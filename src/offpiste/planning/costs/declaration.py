@@ -13,9 +13,9 @@ from dataclasses import dataclass, field
 from functools import cache
 from typing import Any, Final
 
-from offpiste.conventions import CONTROL as CONTROLS
-from offpiste.errors import PlanningError
-from offpiste.registry import Registry
+from offpiste.core.conventions import CONTROL as CONTROLS
+from offpiste.core.errors import PlanningError
+from offpiste.core.registry import Registry
 
 Scalar = Any
 """A number or a tensor of any shape."""

@@ -10,11 +10,11 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
-from offpiste.errors import PlanningError
+from offpiste.core.errors import PlanningError
+from offpiste.core.registry import Registry
 from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.mapping.voxels_to_layers import neighbour_offsets
 from offpiste.planning.course import Course, Goal
-from offpiste.registry import Registry
 
 Reading = Literal["mean of wheels", "least of wheels", "pose point"]
 """Where terms read a layer: at the nearest cell of each wheel, or of the pose point."""

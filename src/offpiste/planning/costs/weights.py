@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-from offpiste.errors import PlanningError
+from offpiste.core.errors import PlanningError
 from offpiste.planning.costs.declaration import Number, Parameter, cost_terms
 
 

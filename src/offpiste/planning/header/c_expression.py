@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from offpiste.errors import PlanningError
+from offpiste.core.errors import PlanningError
 
 
 @dataclass(frozen=True, eq=False)

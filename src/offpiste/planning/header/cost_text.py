@@ -5,8 +5,8 @@ from collections.abc import Iterable
 from importlib.resources import files
 from typing import Final
 
-from offpiste.conventions import CONTROL as CONTROLS
-from offpiste.conventions import DT
+from offpiste.core.conventions import CONTROL as CONTROLS
+from offpiste.core.conventions import DT
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.header.step_text import shipped_text, step_text
 from offpiste.planning.caution import Caution

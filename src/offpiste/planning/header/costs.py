@@ -8,7 +8,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from offpiste.conventions import CONTROL
+from offpiste.core.conventions import CONTROL
+from offpiste.core.state import ModelState
 from offpiste.cuda_kernels import Kernels
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.header.networks import LANE, packed_parameters
@@ -22,7 +23,6 @@ from offpiste.planning.driving_cost import Situation
 from offpiste.planning.kernel import Codes
 from offpiste.planning.kernel_costs import places_of_numbers, vector_of_numbers
 from offpiste.planning.kernel_stray import GIVEN, MOVING, stray_weights
-from offpiste.state import ModelState
 
 Maps = tuple[Tensor, Tensor, Tensor]
 """Slopes, codes and layers of cells, as `offpiste_roll_out` reads them."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.conventions import GRAVITY
+from offpiste.core.conventions import GRAVITY
 from offpiste.simulation.driver.intent import Intent, RandomIntent
 from offpiste.simulation.driver.lookahead import ArcHazards, VisibleTerrain, hazards_along_arcs
 from offpiste.simulation.driver.pedal_control import TractionControl

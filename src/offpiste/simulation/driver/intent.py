@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from offpiste.conventions import DT
+from offpiste.core.conventions import DT
 
 Manoeuvre = Literal["", "throttle", "brake", "coast", "swerve", "brake and swerve", "stop"]
 

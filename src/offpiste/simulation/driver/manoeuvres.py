@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.conventions import DT
+from offpiste.core.conventions import DT
 from offpiste.simulation.driver.driver import Driver, pose_and_speed
 from offpiste.simulation.driver.pedal_control import SpeedControl
 from offpiste.simulation.sample import VehicleSample

@@ -4,7 +4,7 @@ A wheel that slides on the ground accelerates with all torque in excess, so its 
 proportional controller holds it, slowly enough for its own lag, around a throttle that is learned over time.
 """
 
-from offpiste.conventions import DT
+from offpiste.core.conventions import DT
 
 _PROPORTIONAL, _INTEGRAL, _MOST = 0.35, 0.4, 0.8
 """Throttle per lack of speed [s/m], its growth [1/m], and the most that it grows to."""

@@ -2,7 +2,7 @@
 
 import math
 
-from offpiste.conventions import DT
+from offpiste.core.conventions import DT
 
 _PROGRESS = 2.0
 """Distance after which the vehicle has left the place where it got stuck [m]."""

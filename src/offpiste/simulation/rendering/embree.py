@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from offpiste.compilation import RAYS, call_address
-from offpiste.errors import extra
+from offpiste.core.errors import extra
 
 with extra("sim"):
     import embreex

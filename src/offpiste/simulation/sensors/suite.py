@@ -10,8 +10,8 @@ from typing import Any, Final
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from offpiste.conventions import DT
-from offpiste.errors import OffpisteError
+from offpiste.core.conventions import DT
+from offpiste.core.errors import OffpisteError
 from offpiste.simulation.rendering.appearance import make_appearance
 from offpiste.simulation.rendering.scene import Scene, world_scene
 from offpiste.simulation.sample import Motion, Pose, VehicleSample

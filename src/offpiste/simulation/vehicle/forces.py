@@ -9,7 +9,7 @@ and brake torque react inside the vehicle, wherever their housings hang.
 import numpy as np
 
 from offpiste.compilation import PHYSICS, call_address
-from offpiste.conventions import GRAVITY
+from offpiste.core.conventions import GRAVITY
 from offpiste.simulation.vehicle.chassis import chassis_forces
 from offpiste.simulation.vehicle.drivetrain import braked_pressure, shifted_ratio, spin, steered, wheel_angles
 from offpiste.simulation.vehicle.tyre import (

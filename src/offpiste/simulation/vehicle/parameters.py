@@ -8,10 +8,10 @@ from typing import Annotated, Any
 import msgspec
 import numpy as np
 
-from offpiste.conventions import GRAVITY
-from offpiste.errors import OffpisteError
-from offpiste.field_names import suggestion
-from offpiste.limits import parsed, read_small
+from offpiste.core.conventions import GRAVITY
+from offpiste.core.errors import OffpisteError
+from offpiste.core.field_names import suggestion
+from offpiste.core.limits import parsed, read_small
 
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 Share = Annotated[float, msgspec.Meta(gt=0, lt=1)]

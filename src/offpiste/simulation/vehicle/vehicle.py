@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from offpiste.conventions import DT, GRAVITY
-from offpiste.errors import extra
+from offpiste.core.conventions import DT, GRAVITY
+from offpiste.core.errors import extra
 from offpiste.simulation.sample import VehicleSample, WheelTruth
 from offpiste.simulation.vehicle.chassis import nearby_obstacles
 from offpiste.simulation.vehicle.drivetrain import GearBox

@@ -4,7 +4,7 @@ import zlib
 
 import numpy as np
 
-from offpiste.errors import OffpisteError
+from offpiste.core.errors import OffpisteError
 from offpiste.simulation.world.forks import fork_trails, lay_forks
 from offpiste.simulation.world.ground import lay_grounds, mix_properties
 from offpiste.simulation.world.terrain import SPACING, carve_trails, make_hills, make_trails, trail_distance_grid

@@ -15,11 +15,11 @@ import msgspec
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.errors import OffpisteError
-from offpiste.field_names import suggestion
-from offpiste.limits import parsed, read_small
+from offpiste.core.errors import OffpisteError
+from offpiste.core.field_names import suggestion
+from offpiste.core.limits import parsed, read_small
+from offpiste.core.registry import Registry
 from offpiste.logs.ground_truth import GROUND_KINDS
-from offpiste.registry import Registry
 
 
 @dataclass(frozen=True)

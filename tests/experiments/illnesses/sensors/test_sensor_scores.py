@@ -13,7 +13,7 @@ from experiments.illnesses.sensors.score import SensorPatient, given_to, score
 from experiments.illnesses.sensors.table import report
 from experiments.illnesses.sensors.trial import SensorIllnesses
 from made_up_sensors import sensor_case
-from offpiste.errors import OffpisteError
+from offpiste.core.errors import OffpisteError
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.misfit import turned
 from offpiste.rig.edits import Edit

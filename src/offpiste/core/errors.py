@@ -55,7 +55,7 @@ class SeveralLogs(LogError):
 
 
 class TooLarge(LogError):
-    """A file asks for more memory than anything of its kind needs (`offpiste.limits`): it is damaged, or crafted."""
+    """A file asks for more memory than anything of its kind needs (`core.limits`): it is damaged, or crafted."""
 
 
 class NoClock(LogError):

@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from offpiste.conventions import ACTUATORS, STATE
+from offpiste.core.conventions import ACTUATORS, STATE
 
 
 def wrap_angle(angle: Tensor) -> Tensor:

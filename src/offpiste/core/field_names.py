@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import msgspec
 from msgspec import inspect
 
-from offpiste.errors import did_you_mean
+from offpiste.core.errors import did_you_mean
 
 _MISSPELLED = re.compile(r"unknown field `([^`]+)`|Invalid enum value '([^']+)'")
 _PATH = re.compile(r" - at `\$\.?(.*)`")

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any, Final
 
-from offpiste.errors import OffpisteError, installation_of
+from offpiste.core.errors import OffpisteError, installation_of
 
 logger = logging.getLogger(__name__)
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from offpiste.files import write_text
-from offpiste.limits import parsed, read_small
+from offpiste.core.files import write_text
+from offpiste.core.limits import parsed, read_small
 
 CHECKSUMS = "checksums.json"
 """File of SHA-256 digests beside the files that it names."""

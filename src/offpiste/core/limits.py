@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from safetensors import safe_open
 
-from offpiste.errors import TooLarge
+from offpiste.core.errors import TooLarge
 
 if sys.version_info >= (3, 14):
     from compression import zstd as zstd

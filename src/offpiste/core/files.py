@@ -9,8 +9,8 @@ from glob import escape
 from pathlib import Path
 from typing import TypeVar
 
-from offpiste.errors import OffpisteError
-from offpiste.object_store import refuse_url
+from offpiste.core.errors import OffpisteError
+from offpiste.core.object_store import refuse_url
 
 Made = TypeVar("Made")
 

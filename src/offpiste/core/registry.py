@@ -12,7 +12,7 @@ from importlib import import_module
 from importlib.metadata import entry_points
 from typing import Final, Generic, TypeVar
 
-from offpiste.errors import OffpisteError, did_you_mean
+from offpiste.core.errors import OffpisteError, did_you_mean
 
 Entry = TypeVar("Entry")
 

@@ -2,7 +2,7 @@
 
 from typing import Final
 
-from offpiste import channels
+from offpiste.core import channels
 
 DT: Final = 0.02
 """Time step of rows and of forward Euler [s]."""
@@ -17,7 +17,7 @@ STATE: Final = ("px", "py", "yaw", "vx", "vy", "yaw_rate")
 """[m, m, rad, m/s, m/s, rad/s]; vx, vy: horizontal world velocity turned by minus yaw."""
 
 ACTUATORS: Final = tuple(actuator.name for actuator in channels.ACTUATORS)
-"""Columns of `actuators` that every dataset has; `offpiste.channels` has their units and signs."""
+"""Columns of `actuators` that every dataset has; `offpiste.core.channels` has their units and signs."""
 
 CONTROL: Final = tuple(control.name for control in channels.CONTROLS)
 """Columns of `control` that every dataset has."""

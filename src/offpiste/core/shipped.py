@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from offpiste.errors import RunError, did_you_mean
+from offpiste.core.errors import RunError, did_you_mean
 
 PREFIX = "pretrained:"
 """What the name of a model that ships begins with, wherever a run folder or a PCA is expected."""
@@ -12,7 +12,7 @@ PREFIX = "pretrained:"
 PCA: Final = "pca.safetensors"
 """File of a family's visual features, beside the folders of its models."""
 
-_FOLDER = Path(__file__).parent / "pretrained_models"
+_FOLDER = Path(__file__).parents[1] / "pretrained_models"
 
 
 def pretrained_names() -> list[str]:

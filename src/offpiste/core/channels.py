@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Final
 from unicodedata import combining, normalize
 
-from offpiste.registry import Registry
+from offpiste.core.registry import Registry
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,8 @@ from pathlib import Path, PurePosixPath
 from queue import Empty
 from typing import Any, Final, TypeVar
 
-from offpiste.errors import OffpisteError
-from offpiste.progress import jobs_bar
+from offpiste.core.errors import OffpisteError
+from offpiste.core.progress import jobs_bar
 
 logger = logging.getLogger(__name__)
 

@@ -1,0 +1,1 @@
+"""What every stage uses: conventions, geometry, channels, state, errors, files and registries."""
