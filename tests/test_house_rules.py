@@ -16,7 +16,7 @@ LIMITS = {
     "tests": 56_100,
     "experiments": 8_800,
     "benchmarks": 2_600,
-    "docs [bytes]": 493_000,
+    "docs [bytes]": 370_000,
     "README [words]": 600,
     "CHANGELOG [bytes]": 8_000,
 }
