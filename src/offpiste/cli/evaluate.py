@@ -38,8 +38,6 @@ class Evaluate:
     """Feature sets read at recorded places: by the distance they were seen from [m], or the last there were."""
     min_speed: float | None = None
     """Windows start above it [m/s], 0: from standstills as well; by default as the dataset says, usually 1.5."""
-    context: bool = False
-    """Also with slow context: constants of the physics shifted by what the last seconds of each drive have shown."""
     device: str = "cpu"
     """Device of the models."""
 
@@ -58,7 +56,6 @@ class Evaluate:
             lookups=lookups if self.lookup == "both" else (self.lookup,),
             feature_sets=FEATURE_SETS if self.feature_set == "all" else (self.feature_set,),
             min_speed=self.min_speed,
-            context=self.context,
             device=self.device,
         )
         if spreads is not None:

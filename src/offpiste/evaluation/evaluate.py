@@ -3,18 +3,17 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor
 
 from offpiste.core.conventions import DT, EVALUATION_STRIDE
 from offpiste.dataset.assumptions import assumptions_of
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
-from offpiste.evaluation.context import errors_with_context
 from offpiste.evaluation.errors import Errors, Progress, no_progress, prediction_errors
 from offpiste.evaluation.evaluated_models import (
     NO_READING,
@@ -103,14 +102,14 @@ def evaluate_models(
     groups = by_split(models, dataset)
     datasets = [each for each, _ in groups]
     readings = readings_of(datasets, part, lookups, feature_sets)
-    compute = partial(_errors, scale=scale, weights=torch.tensor(weights.in_order()), track=track)
+    compute = partial(prediction_errors, scale=scale, weights=torch.tensor(weights.in_order()), track=track)
     predictions = [
         Prediction(
             case,
             model,
             windows,
             compute(
-                model,
+                model.dynamics,
                 windows,
                 windows.evaluation_indices(stride),
                 lookup=case.lookup,
@@ -139,13 +138,6 @@ def evaluate_models(
         bands=band_rows(together, windows, sampling),
     )
     return Evaluation(metrics, errors, windows, _shown_case(errors, models[0], starts[0]), predictions)
-
-
-def _errors(model: EvaluatedModel, windows: Windows, index: Int[np.ndarray, " n"], **settings: Any) -> Errors:
-    """Errors of a model as it is, or with slow context where it is given the noise."""
-    if model.noise is None:
-        return prediction_errors(model.dynamics, windows, index, **settings)
-    return errors_with_context(model.dynamics, windows, index, np.array(model.noise), **settings)[0]
 
 
 def _described(case: Case) -> str:

@@ -3,7 +3,6 @@
 import logging
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from shlex import join
 
@@ -35,9 +34,6 @@ from offpiste.training.run import Run, load_run
 
 logger = logging.getLogger(__name__)
 
-CONTEXT = "context"
-"""Variant of a model that predicts with slow context."""
-
 SLOWER = 0.2
 """Speed by which the slowest window with a map may be above what was asked for [m/s]."""
 
@@ -52,13 +48,11 @@ def evaluate_runs(
     lookups: Sequence[Lookup] = ("recorded", "map"),
     feature_sets: Sequence[str] = ("hindsight",),
     min_speed: float | None = None,
-    context: bool = False,
 ) -> Evaluation:
     """Evaluate runs on the test part of a dataset; write metrics.json, figures and report.html to `out`.
 
     Args:
         min_speed: windows start above it [m/s], 0: from standstills as well; None: as the dataset says.
-        context: each run also with slow context (`dynamics.slow_context`), as a variant of its model.
 
     Raises:
         RunError: none is given, a folder is no finished run, does not fit the dataset, or was trained on the test part.
@@ -86,8 +80,6 @@ def evaluate_runs(
             models.append(EvaluatedModel(run.model, run.dynamics, seed=run.seed, fold=fold, split=split))
             given.append(folder)
     models = named_apart(models, given)
-    if context:
-        models = [each for model, run in zip(models, runs, strict=True) for each in (model, _with_context(model, run))]
     _refuse_unseen(runs, dataset)
     _warn_of_slow(dataset, min_speed)
     warnings = [*_doubts(runs, models, dataset), *_other_assumptions(runs, models, dataset)]
@@ -124,23 +116,6 @@ def _other_assumptions(runs: Sequence[Run], models: Sequence[EvaluatedModel], da
     mine = assumptions_of(dataset)
     found = {f"{run.model} was trained with: {each}" for run in runs for each in run.assumptions if each not in mine}
     return sorted(found)
-
-
-def _with_context(model: EvaluatedModel, run: Run) -> EvaluatedModel:
-    return replace(model, variant=", ".join(filter(None, (model.variant, CONTEXT))), noise=_noise(run))
-
-
-def _noise(run: Run) -> tuple[float, float, float]:
-    """Errors of a run's short predictions.
-
-    Raises:
-        RunError: the run has none.
-    """
-    if run.noise is None:
-        lacks = run.dynamics.kernel_parts() is None
-        what = "has no physical constants to shift" if lacks else "does not say how good its short predictions are"
-        raise RunError(what, where=run.folder, how="leave out --context" if lacks else "train it again")
-    return run.noise
 
 
 def _folds(folder: Path, model: str, dataset: Dataset, path: Path) -> str:

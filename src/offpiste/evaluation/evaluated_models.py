@@ -69,7 +69,6 @@ class EvaluatedModel:
         variant: what tells it from other models of its name, e.g. "flat".
         seed, fold: of the run.
         split: whose test part it is evaluated on, when not the dataset's own (folds).
-        noise: of its short predictions, to predict with slow context (`dynamics.slow_context`); None: without.
     """
 
     name: str
@@ -78,7 +77,6 @@ class EvaluatedModel:
     seed: int | None = None
     fold: int | None = None
     split: Split | None = None
-    noise: tuple[float, float, float] | None = None
 
     @property
     def label(self) -> str:

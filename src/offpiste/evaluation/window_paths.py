@@ -10,7 +10,6 @@ from jaxtyping import Bool, Float, Int
 from offpiste.core.conventions import DT, HISTORY_STEPS, HORIZON_STEPS
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
-from offpiste.evaluation.context import trajectories_with_context
 from offpiste.evaluation.errors import Errors, in_start_frame, trajectories
 from offpiste.evaluation.evaluate import Evaluation, Prediction
 from offpiste.evaluation.ground_pictures import GroundPicture, ground_pictures
@@ -149,10 +148,7 @@ def _paths(
     """Numbers of the chosen windows that a run predicts, and its paths in them."""
     place, index = _located(chosen, prediction.windows)
     model, windows, lookup = prediction.model, prediction.windows, prediction.case.lookup
-    if model.noise is None:
-        states = trajectories(model.dynamics, windows, index, lookup=lookup)
-    else:
-        states = trajectories_with_context(model.dynamics, windows, index, np.array(model.noise), lookup=lookup)
+    states = trajectories(model.dynamics, windows, index, lookup=lookup)
     finite = np.where(np.isfinite(states[..., :2]), states[..., :2], np.nan)
     return place, in_start_frame(finite, poses[place, 2])
 

@@ -1,7 +1,7 @@
 """A trained model on disk: what it is, what it was trained on, and its weights."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final
@@ -61,7 +61,6 @@ class _Stated(msgspec.Struct):
     pca: str | None = None
     features: tuple[str, ...] = ()
     weights_sha256: str | None = None
-    noise: tuple[float, float, float] | None = None
     assumptions: tuple[str, ...] = ()
 
 
@@ -76,8 +75,6 @@ class Run:
         pca: of the visual features (`Dataset.pca`); None without, and of runs older than this entry.
         features: names of the dataset's terrain features; none without, and of runs older than this entry.
         assumptions: behind the dataset (`offpiste.dataset.assumptions`).
-        noise: of short predictions on the training drives (`short_errors.ShortErrors.noise`), for slow context; None of
-            models without physical constants, and of runs older than this entry.
     """
 
     folder: Path
@@ -90,7 +87,6 @@ class Run:
     seen: tuple[Stretch, ...]
     pca: str | None = None
     features: tuple[str, ...] = ()
-    noise: tuple[float, float, float] | None = None
     assumptions: tuple[str, ...] = ()
 
     def predict(self, windows: Windows, lookup: Lookup = "recorded") -> Trajectory:
@@ -161,7 +157,6 @@ def load_run(folder: str | Path, *, device: str = "cpu") -> Run:
         stated.seen,
         stated.pca,
         stated.features,
-        stated.noise,
         stated.assumptions,
     )
 
@@ -195,7 +190,6 @@ def _refuse_impossible(stated: _Stated) -> None:
         ("vehicle.codes", 1 <= vehicle.codes <= MOST_CODES),
         ("seed", 0 <= stated.seed < 1 << 63),
         ("loss.scale", {*scale} == {*COMPONENTS} and all(0 < value < _LARGEST for value in scale.values())),
-        ("noise", stated.noise is None or all(0 < value < _LARGEST for value in stated.noise)),
         ("loss.weights", all(0 <= value < _LARGEST for value in weights) and any(weights)),
     ):
         if not good:
@@ -209,7 +203,6 @@ def save_run(
     dataset: Dataset,
     scale: Float[Tensor, " 5"],
     kept: Mapping[str, KeptEpoch] | None = None,
-    noise: Sequence[float] | None = None,
 ) -> None:
     """Write model.safetensors and model.json, with the epoch that each stage kept; the latter finishes a run."""
     # The file of the last stage: a run that is killed here reads it back when it resumes.
@@ -228,7 +221,6 @@ def save_run(
         "seen": seen_stretches(dataset),
         "pca": dataset.pca,
         "features": list(dataset.features),
-        "noise": noise,
         "warnings": list(dataset.findings),
         "assumptions": list(assumptions_of(dataset)),
         "kept": {stage: asdict(epoch) for stage, epoch in (kept or {}).items()},

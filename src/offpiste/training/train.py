@@ -40,7 +40,6 @@ from offpiste.training.mirror import mirror_of
 from offpiste.training.optimise import REMEDY, Record, Stage, also_tensorboard, metrics_writer, run_stage
 from offpiste.training.prediction import predict
 from offpiste.training.run import check_device, save_run
-from offpiste.training.short_errors import noise_of
 from offpiste.training.terrain_sources import encoded
 
 logger = logging.getLogger(__name__)
@@ -117,7 +116,7 @@ def train(
     if any(p.requires_grad for p in dynamics.parameters()):
         fit(rolled_out("model", dynamics, config.epochs, draw), dynamics)
     if group.writes:
-        save_run(folder, dynamics, config, dataset, scale, kept, noise_of(dynamics, windows))
+        save_run(folder, dynamics, config, dataset, scale, kept)
     return dynamics
 
 
