@@ -6,7 +6,7 @@ are expressions from which kernels are derived. docs/method.md lists what differ
 The learned constants are bounded by construction to what physics and the stability of forward Euler allow.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import torch
@@ -232,11 +232,6 @@ _RANGES: dict[str, Range] = {
     "gravity_x": Range(0, 1.1 * GRAVITY, GRAVITY),
     "gravity_y": Range(0, 1.1 * GRAVITY, GRAVITY),
 }
-
-
-def parameter_rows(names: Sequence[str]) -> list[int]:
-    """Where parameters lie in `BicycleConstants.raw`, by their names."""
-    return [list(_RANGES).index(name) for name in names]
 
 
 class BicycleConstants(nn.Module):
