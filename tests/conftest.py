@@ -44,8 +44,8 @@ settings.load_profile("repeatable")
 
 
 WHOLE_PATHS = (
-    "golden/", "reproduction/", "evidence/test_collect.py", "inspection/test_inspect.py",
-    "inspection/test_late_poses.py", "inspection/test_recorded.py", "inspection/test_remedies.py",
+    "golden/", "reproduction/", "inspection/test_inspect.py", "inspection/test_late_poses.py",
+    "inspection/test_recorded.py", "inspection/test_remedies.py",
     "inspection/test_steering.py", "runtime/test_backing_out.py", "runtime/test_compiled_and_loaded.py",
     "simulation/test_recorder.py",
 )  # fmt: skip

@@ -5,7 +5,6 @@ from . import dataset as dataset
 from . import demo as demo
 from . import dynamics as dynamics
 from . import evaluation as evaluation
-from . import evidence as evidence
 from . import export as export
 from . import inspection as inspection
 from . import live as live

@@ -41,7 +41,6 @@ B = "pretrained:proving-ground/b"
         ("drive", B, "--out", "{out}"),
         ("simulate", "--drives", "2", "--out", "{out}"),
         ("reproduce", "fig4", "--out", "{out}"),
-        ("evidence", "--out", "{out}"),
         ("export", B, "--to", "{out}"),
         ("view", "{data}", "--out", "{out}"),
         ("merge", "{data}", "{data}", "--out", "{out}"),

@@ -22,7 +22,6 @@ from offpiste.reproduction.settings import (
 )
 from offpiste.reproduction.steps import claim_folder
 from offpiste.simulation.world.world import find_world_preset
-from offpiste.training.checkpoint import save_json
 
 sizes = pytest.mark.parametrize("size", SIZES.values(), ids=list(SIZES))
 
@@ -158,8 +157,3 @@ def test_a_dataset_is_known_by_its_content(tmp_path: Path):
     claim_folder(same.out, same.described())
     with pytest.raises(RunError, match=r"other settings \(dataset\)"):
         claim_folder(other.out, other.described())
-    # Folders of before know it by its path.
-    save_json(one.out / "settings.json", one.described() | one.formerly)
-    claim_folder(one.out, one.described(), formerly=one.formerly)
-    with pytest.raises(RunError, match=r"other settings \(dataset\)"):
-        claim_folder(other.out, other.described(), formerly=other.formerly)

@@ -58,12 +58,6 @@ def test_time_left_follows_the_pace_so_far_and_counts_what_comes_later():
     assert "[2/3] b; about 3 min left" in bench.logged  # 60 of cost at a third of the pace
 
 
-def test_time_left_says_what_it_is_of_where_more_follows():
-    bench = Bench()
-    bench.run([bench.step("a", 10.0, 30.0)], of="the features")
-    assert "[1/1] a; about 10 s left of the features" in bench.logged
-
-
 def test_what_is_there_takes_no_time():
     bench = Bench()
     bench.made = ["a"]

@@ -38,7 +38,6 @@ PIPELINE: Final = (
     "evaluate",
     "calibrate",
     "reproduce",
-    "evidence",
     "drive",
     "doctor",
     "live",
@@ -109,7 +108,7 @@ def _parsed(arguments: list[str], commands: dict[str, Callable[..., Command]]) -
 
 
 RESUMING: Final = {
-    "demo": (), "evidence": (), "extract": (), "merge": (), "reproduce": (), "simulate": (), "train": ("--resume",),
+    "demo": (), "extract": (), "merge": (), "reproduce": (), "simulate": (), "train": ("--resume",),
 }  # fmt: skip
 """Commands that resume where they were stopped, with the option that this takes."""
 

@@ -10,7 +10,7 @@ from offpiste.reproduction.report import write_figure
 from offpiste.reproduction.results import gather
 from offpiste.reproduction.runs import DrivenTime, EvaluationData, driven_time, figure_readings, mapped, model_stages
 from offpiste.reproduction.settings import ReproductionSettings, defaults, figure_models
-from offpiste.reproduction.steps import FEATURES, Step, append_time, claim_folder, run_steps
+from offpiste.reproduction.steps import Step, append_time, claim_folder, run_steps
 from offpiste.training.run import check_device
 
 logger = logging.getLogger(__name__)
@@ -33,7 +33,7 @@ def reproduce(settings: ReproductionSettings) -> Path:
         open_checked(settings)
     making_data = data_steps(settings)
     planned = _plan(settings, expected_features(settings), making_data)
-    claim_folder(settings.out, settings.described(), defaults=defaults(), formerly=settings.formerly, own=FEATURES)
+    claim_folder(settings.out, settings.described(), defaults=defaults(), own=("settings.json", "pca.safetensors"))
     record = partial(append_time, settings.times)
     run_steps([[step] for step in making_data], later=planned, record=record)
     data = EvaluationData(settings, open_checked(settings))

@@ -208,11 +208,6 @@ class ReproductionSettings:
             "contrast": self.contrast,
         }
 
-    @property
-    def formerly(self) -> dict[str, Any]:
-        """What versions before wrote for the same settings, by key: the path of the dataset."""
-        return {} if self.dataset is None else {"dataset": str(self.dataset.resolve())}
-
 
 def defaults() -> dict[str, Any]:
     """Values of settings that a folder which was begun by an older version lacks."""

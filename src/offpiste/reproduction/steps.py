@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import redirect_stderr
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from offpiste.core.errors import RunError
 from offpiste.core.files import check_folder
@@ -18,23 +18,17 @@ from offpiste.training.checkpoint import load_json, save_json
 logger = logging.getLogger(__name__)
 
 
-FEATURES: Final = ("settings.json", "pca.safetensors", "*/pca.safetensors")
-"""Files of a folder that features may have been put into beforehand."""
-
-
 def claim_folder(
     out: Path,
     settings: dict[str, Any],
     *,
     defaults: Mapping[str, Any] | None = None,
-    formerly: Mapping[str, Any] | None = None,
     own: Sequence[str] = ("settings.json",),
 ) -> None:
     """Write the settings of an experiment to `out/settings.json`, or check that they are the same.
 
     Args:
         defaults: values of settings that a folder from before there were such may lack.
-        formerly: by key, what older versions wrote for the same value.
         own: patterns of files, one of which a folder that is not empty holds.
 
     Raises:
@@ -47,8 +41,6 @@ def claim_folder(
         save_json(path, wanted)
         return
     there = _filled(load_json(path), wanted, json.loads(json.dumps(defaults or {})))
-    same = [key for key, value in (formerly or {}).items() if there.get(key) == value]
-    there |= {key: wanted[key] for key in same}
     other = list(_differing("", there, wanted))
     if other:
         more = f" and {len(other) - _NAMED} more" if len(other) > _NAMED else ""
@@ -115,7 +107,6 @@ def run_steps(
     before: int = 0,
     later: Sequence[Step] = (),
     processes: int = 1,
-    of: str = "",
     record: Record = nothing,
     clock: Callable[[], float] = time.perf_counter,
 ) -> None:
@@ -127,7 +118,6 @@ def run_steps(
         later: steps that come afterwards; they count for the time left.
         processes: number of steps of a stage that are done side by side; with more than one, `do` and `record` must
             be picklable.
-        of: what the time left is of, where more follows that is not among the steps.
         record: receives the time that each step took.
 
     Raises:
@@ -147,7 +137,7 @@ def run_steps(
             continue
         for step in missing:
             number = numbers[step.name]
-            logger.info(f"{number} {step.name}; about {pace.left()} left{of and f' of {of}'}")
+            logger.info(f"{number} {step.name}; about {pace.left()} left")
             seconds = _timed(step.do, clock)
             record(step.name, seconds)
             pace.spent += step.cost

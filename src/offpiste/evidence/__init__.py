@@ -1,1 +1,0 @@
-"""What seeing the ground is worth on a user's own drives, with controls, in one report."""
