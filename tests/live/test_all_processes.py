@@ -130,7 +130,7 @@ def test_processes_end_when_their_supervisor_is_killed(tmp_path, router):
         assert not list(Path("/dev/shm").glob(f"offpiste-live-{live.pid}-*"))
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT, signal.SIGTSTP])
 def test_a_signal_to_all_processes_at_once_is_an_orderly_end(tmp_path, number):
     said = tmp_path / "said.txt"
     with closing(Network()) as network, said.open("w") as file:

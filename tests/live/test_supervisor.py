@@ -33,8 +33,9 @@ RUN = "pretrained:proving-ground/parametric"
 class Drive:
     """Control and its watchdog, fed with what the other processes would hand over, and a vehicle that listens."""
 
-    def __init__(self, folder, more="", *, keys="rmw_zenoh", clock="system", names=("control", "watchdog")):
-        self.network, self.heard = Network(keys=keys), []
+    def __init__(self, folder, more="", *, keys="rmw_zenoh", clock="system", names=("control", "watchdog"),
+                 network=None):  # fmt: skip
+        self.network, self.heard = network or Network(keys=keys), []
         self.settings = LiveSettings(
             write_rig(folder, more), RUN, None, CourseRequest(write_course(folder)),
             robot=ZenohSettings(endpoint=self.network.endpoint, keys=keys), drive=True, clock=clock,

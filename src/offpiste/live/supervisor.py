@@ -9,12 +9,13 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
-from multiprocessing import connection, resource_tracker
+from multiprocessing import connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any, Final
 
 from offpiste.closed_loop.planner import Planner
+from offpiste.core.signals import BACKGROUND, ENDING, group_signals_blocked
 from offpiste.live.packing import layers_from, plan_from, unpacked
 from offpiste.live.parts.entry import run_part
 from offpiste.live.parts.setup import LOADING
@@ -51,7 +52,6 @@ _SAY: Final = 1.0
 """States of one process are logged no more often [s]."""
 _FRAME: Final = "map"
 """Frame of what is published, where the messages of the vehicle's position name none."""
-_ENDING: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP)
 
 
 class Supervisor:
@@ -145,12 +145,8 @@ class Supervisor:
         process = self._context.Process(
             target=run_part, args=(name, self._session, self._cameras), name=f"offpiste {name}", daemon=True
         )
-        resource_tracker.ensure_running()  # it would unblock them
-        blocked = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDING)
-        try:  # the server and its processes are born with these blocked, and outlive a signal to all at once
+        with group_signals_blocked():  # also in the server that forks them
             process.start()
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
         self._processes[name], self._started[name] = process, time.monotonic()
         with suppress(ProcessLookupError):  # it has ended already
             self._handles[name] = os.pidfd_open(process.pid or 0)
@@ -237,13 +233,16 @@ def supervise(settings: LiveSettings, planner: Planner, definitions: list[Path])
 def asked_to_end() -> Iterator[threading.Event]:
     """Set once a service manager (SIGTERM), a terminal that is gone (SIGHUP), SIGQUIT or Ctrl-Z ends the drive.
 
-    Ctrl-C raises. A drive is not suspended by Ctrl-Z: its processes would drive on without supervision.
+    Ctrl-C raises. A drive is not suspended, by Ctrl-Z or for what it prints in the background: its processes would
+    drive on without supervision.
     """
     asked = threading.Event()
-    before = {number: signal.getsignal(number) for number in _ENDING}
-    for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP):
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, *ENDING, *BACKGROUND)}
+    for number in ENDING:
         if before[number] != signal.SIG_IGN:  # as nohup sets it
             signal.signal(number, lambda *_: asked.set())
+    for number in BACKGROUND:
+        signal.signal(number, signal.SIG_IGN)
     try:
         yield asked
     finally:

@@ -3,15 +3,14 @@
 import json
 import multiprocessing
 import os
-import signal
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from typing import Any, Final, Literal
 
 from offpiste.core.errors import TransportError, extra
+from offpiste.core.signals import group_signals_blocked, ignore_group_signals
 
 ROUTER: Final = "tcp/127.0.0.1:7447"
 """Where rmw_zenoh's router listens by default, on the loopback."""
@@ -21,7 +20,6 @@ Mode = Literal["client", "router", "part"]
 """As `ZenohSettings` has it."""
 _STARTS: Final = 60.0
 """Longest time until a router's process serves [s]."""
-_ENDING: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 def opened_session(endpoint: str, mode: Mode, file: str) -> Any:
@@ -90,12 +88,8 @@ def router_process(endpoint: str, file: str) -> Iterator[str]:
     context = multiprocessing.get_context("spawn")
     ours, its = context.Pipe()
     process = context.Process(target=_serve, args=(endpoint, file, its), name="offpiste router", daemon=True)
-    resource_tracker.ensure_running()  # it would unblock them
-    blocked = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDING)
-    try:  # born with these blocked: a signal to all processes at once must not end it before the vehicle is stopped
+    with group_signals_blocked():  # one to all processes at once must not end it before the vehicle is stopped
         process.start()
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
     its.close()
     try:
         said = None
@@ -115,8 +109,7 @@ def router_process(endpoint: str, file: str) -> Iterator[str]:
 
 def _serve(endpoint: str, file: str, pipe: Connection) -> None:
     """Be the router until asked to end, or for some time after the parent is gone."""
-    for number in _ENDING:
-        signal.signal(number, signal.SIG_IGN)
+    ignore_group_signals()
     os.setsid()  # the stop goes through it, also where a signal to the whole group stops all others
     try:
         session = opened_session(endpoint, "router", file)

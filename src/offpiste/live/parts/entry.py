@@ -1,7 +1,6 @@
 """Where a process of a drive begins."""
 
 import os
-import signal
 import sys
 import threading
 import time
@@ -10,6 +9,7 @@ from multiprocessing import connection, parent_process
 from pathlib import Path
 
 from offpiste.core.errors import LiveError, OffpisteError
+from offpiste.core.signals import ignore_group_signals
 from offpiste.live.part import AFTER, Part
 from offpiste.live.session import Session
 
@@ -45,8 +45,7 @@ def _leave(name: str, session: Session, state: str) -> None:
 
 def _leave_ending_to_the_parent() -> None:
     """End only as the parent says: a signal to all at once (Ctrl-C, systemd, a lost terminal) must not end the stop."""
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP):
-        signal.signal(number, signal.SIG_IGN)
+    ignore_group_signals()
     if (parent := parent_process()) is not None:
         threading.Thread(target=_end_after, args=(parent.sentinel,), daemon=True).start()
 
