@@ -9,13 +9,20 @@ import pytest
 from offpiste.cli import main
 from offpiste.closed_loop.courses import choose_course
 from offpiste.live import simulated_robot
-from offpiste.live.simulated_robot import COURSE, RemoteCommands, SimulatedRobot
+from offpiste.live.simulated_robot import COURSE, RemoteCommands, SimulatedRobot, simulate_live
 from offpiste.logs.ros.writer import header, make
+from offpiste.simulation.recorder import stamp_ns
+from offpiste.simulation.rendering.scene import world_scene
+from offpiste.simulation.sensors import suite
+from offpiste.simulation.simulate import drive
+from offpiste.simulation.vehicle.parameters import load_vehicle
+from offpiste.simulation.vehicle.vehicle import VehicleSimulation
 from offpiste.simulation.world.build import make_world
 from offpiste.simulation.world.world import WorldSettings
 from offpiste.transport.interface import Received
 from offpiste.transport.message_types import MessageTypes
 from offpiste.transport.tally import Tally
+from offpiste.transport.zenoh_transport import ZenohSettings
 
 WORLD = WorldSettings("dunes", 5, size=200.0, resolution=0.5)
 
@@ -51,6 +58,36 @@ class Recorded:
 def place():
     world = make_world(WORLD)
     return world, choose_course(world, WORLD.seed)
+
+
+def test_it_waits_for_commands_only_once_its_kernels_are_ready(place, monkeypatch):
+    happened = []
+
+    def noted(name, called):
+        return lambda *args, **more: happened.append(name) or called(*args, **more)
+
+    monkeypatch.setattr(suite, "render", noted("image", suite.render))
+    monkeypatch.setattr(suite.Lidar, "scan", noted("scan", suite.Lidar.scan))
+    monkeypatch.setattr(VehicleSimulation, "step", noted("step", VehicleSimulation.step))
+    monkeypatch.setattr(simulated_robot.logger, "info", happened.append)
+    monkeypatch.setattr(simulated_robot, "ZenohTransport", lambda _: Recorded())
+    monkeypatch.setattr(simulated_robot, "make_world", lambda _: place[0])
+    monkeypatch.setattr(simulated_robot, "choose_course", lambda *_: place[1])
+    simulate_live(WORLD, ZenohSettings(), sensors="light", seconds=0.1, speed=2.0)
+    waits = next(k for k, what in enumerate(happened) if "waits for commands" in what)
+    assert {"step", "image", "scan"} <= set(happened[:waits])
+
+
+def test_measuring_once_before_a_drive_changes_nothing_of_it(place):
+    scene, light = world_scene(place[0]), suite.light_suite()
+    first, again = (suite.Sensing(place[0], light, np.random.default_rng(1), scene=scene) for _ in range(2))
+    samples = list(drive(place[0], load_vehicle(None), place[1].start, RemoteCommands(), steps=7))
+    again.warm_up(samples[0])
+    expected, found = ([m for s in samples for m in one.observe(s, stamp_ns)] for one in (first, again))
+    assert len(expected) > 2
+    assert [(topic, m.data.tobytes()) for topic, m in expected if hasattr(m, "data")] == [
+        (topic, m.data.tobytes()) for topic, m in found if hasattr(m, "data")
+    ]
 
 
 def threads():

@@ -97,6 +97,10 @@ class SimulatedSensors:
         self._thread = threading.Thread(target=self._work, daemon=True)
         self._thread.start()
 
+    def warm_up(self, sample: VehicleSample) -> None:
+        """Compile all kernels; nothing is published."""
+        self._sensing.warm_up(sample)
+
     def measure(self, sample: VehicleSample) -> None:
         """Measure, as soon as there is time."""
         self._latest = sample.time
@@ -145,6 +149,11 @@ class SimulatedRobot:
         mountings = mountings_message(self._sensors.suite.mountings(), stamp_ns(0.0))
         transport.publisher("/tf_static", "tf2_msgs/msg/TFMessage", keep=True)(mountings)
         transport.publisher(COURSE, "nav_msgs/msg/Path", keep=True)(_path(chosen))
+
+    def warm_up(self) -> None:
+        """Step the vehicle and measure with every sensor, so that real time does not begin with compiling."""
+        *_, sample = drive(self.world, self._parameters, self.chosen.start, RemoteCommands(), steps=2)
+        self._sensors.warm_up(sample)
 
     def drive(self, seconds: float) -> Driving:
         """Drive in real time until the course is driven, the vehicle cannot drive further, time is up, or Ctrl-C.
@@ -227,6 +236,7 @@ def simulate_live(
     keep_loaded()
     with closing(ZenohTransport(robot)) as transport:
         simulated = SimulatedRobot(transport, made, chosen, sensors, world.seed, vehicle=vehicle, pose_noise=pose_noise)
+        simulated.warm_up()
         logger.info(f"the vehicle waits for commands; its course is on {COURSE}")
         driving = simulated.drive(seconds)
     result = scores_of(driving, chosen.course, seconds, parameters)

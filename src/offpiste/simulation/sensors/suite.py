@@ -169,6 +169,15 @@ class Sensing:
         """All measurements that this sample completes."""
         return [message for measure in self.measurements(sample, stamp_ns) for message in measure()]
 
+    def warm_up(self, sample: VehicleSample) -> None:
+        """Measure once with every sensor, so that kernels are compiled; measurements of the drive do not change."""
+        for camera in self._cameras:
+            self._image(camera, Pose(sample.position, sample.orientation), 0, 0)
+        for lidar in self._lidars:
+            rows = range(round(1 / (lidar.settings.rate * DT)) + 1)
+            still = [replace(sample, time=sample.time + row * DT) for row in rows]
+            self._points(lidar, self._scan(lidar, still, np.random.default_rng(0)), 0)
+
     def pass_by(self, sample: VehicleSample) -> int:
         """Take note of a sample without measuring; the number of measurements that it would have completed."""
         self._past.append(sample)
