@@ -106,6 +106,20 @@ def test_an_optional_sensor_that_comes_too_late_is_named(part, network, tmp_path
     receiver.transport.close()
 
 
+def test_what_the_transport_refused_is_named_while_it_waits(part, network, tmp_path):
+    file = tmp_path / "my_msgs" / "msg" / "Odd.msg"
+    file.parent.mkdir(parents=True)
+    file.write_text("float64 data\n")
+    receiver, wrong = (
+        receive.Receiver(part, cameras=False),
+        network.session((file,)).publisher("/odom", "my_msgs/msg/Odd"),
+    )
+    assert until(
+        lambda: wrong(make("std_msgs/Float64", data=0.0)) or "; refused: /odom: unknown type my_" in receiver.state
+    )
+    receiver.transport.close()
+
+
 @pytest.mark.parametrize("clock", ["clock", "stamps"])
 def test_messages_without_a_header_are_of_the_robots_time(tmp_path, network, clock):
     file = Path(write_rig(tmp_path, HEADERLESS))

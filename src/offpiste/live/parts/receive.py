@@ -59,11 +59,16 @@ class Receiver:
 
     @property
     def state(self) -> str:
-        """What it waits for, or that it is ready, in words."""
+        """What it waits for and what was refused meanwhile, or that it is ready."""
         if waits := self.reception.waiting_for:
-            return f"waits for {waits}"
+            return "; ".join((f"waits for {waits}", *(f"refused: {what}" for what in self._refused())))
         late = ", ".join(self.reception.sensors.left_out)
         return f"ready, without {late}: optional, and first heard once the others were set up" if late else "ready"
+
+    def _refused(self) -> list[str]:
+        """The most frequent refusals of the transport, by topic and reason."""
+        refused = self.transport.refused.snapshot()
+        return sorted(refused, key=lambda what: -refused[what])[:3]
 
     def _deliver(self, received: Received) -> None:
         """Called in zenoh's thread."""
