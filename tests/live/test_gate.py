@@ -74,6 +74,56 @@ def test_a_switch_that_another_thread_heard_a_moment_later_is_heard():
     assert gate.blocked(0.5) == "the enable topic is not heard", "it is of another time"
 
 
+def test_a_switch_counts_from_its_stamp():
+    gate = Gate(LIMITS, Enable("/enable", timeout=0.3), 0.5)
+    gate.enabled(True, 1.0, age=0.2)
+    assert gate.blocked(1.09) == ""
+    assert gate.blocked(1.11) == "the enable topic is not heard"
+    gate.enabled(True, 2.0, age=-0.2)
+    assert gate.blocked(2.29) == "", "a clock that is a little ahead"
+    gate.enabled(False, 3.0, age=0.1)
+    gate.enabled(True, 3.01, age=0.2)
+    assert gate.blocked(3.02) == "not enabled", "it was pressed before it was released"
+    gate.enabled(False, 3.03, age=0.3)
+    gate.enabled(True, 3.04)
+    assert gate.blocked(3.04) == ""
+    gate.enabled(False, 3.05, age=5.0)
+    assert gate.blocked(3.05), "released, whatever its stamp"
+
+
+@pytest.mark.parametrize(
+    ("age", "why"),
+    [
+        (0.31, "stamped more than 0.3 s ago"),
+        (-0.31, "in the future"),
+        (np.nan, "no valid stamp"),
+        (-np.inf, "no valid"),
+    ],
+)
+def test_a_switch_with_a_wrong_stamp_does_not_count(age, why):
+    gate = Gate(LIMITS, Enable("/enable", timeout=0.3), 0.5)
+    gate.enabled(True, 0.9)
+    assert gate.blocked(1.0) == ""
+    for now in (1.0, 1.1, 1.3):
+        gate.enabled(True, now, age=age)
+    assert why in gate.blocked(1.31)
+    assert gate.passed(FULL, 1.0, 1.31, stopping=False).control[0] == 0
+
+
+def test_a_second_publisher_of_the_switch_is_a_stop():
+    gate = Gate(LIMITS, Enable("/enable", timeout=0.3), 0.5)
+    for tenth in range(19):
+        gate.enabled(True, tenth / 10, publisher=b"one")
+        if tenth == 9:
+            assert gate.blocked(0.9) == ""
+            gate.enabled(True, 0.91, publisher=b"other")
+    assert gate.blocked(1.85) == "more than one publisher of the enable topic"
+    gate.enabled(True, 2.0, publisher=b"one")
+    assert gate.blocked(2.01) == ""
+    gate.enabled(True, 3.1, publisher=b"one, started again")
+    assert gate.blocked(3.11) == "", "after a second of silence"
+
+
 def test_a_switch_without_its_field_is_named():
     gate = Gate(LIMITS, Enable("/enable", field="value", timeout=0.3), 0.5)
     gate.enabled(None, 1.0)

@@ -155,6 +155,8 @@ def test_a_clock_that_goes_back_makes_it_stop_and_the_switch_be_heard_again(tmp_
     assert back.controls.mode == "stopping"
     assert back.why == "the enable topic is not heard", "that it was pressed later is of another time"
     assert back.command.control[0] == 0
+    again = [Heard("/enable", pressed, first + 0.12, publisher) for publisher in (b"", b"another")]
+    assert driver.step(again, first + 0.12).why == "more than one publisher of the enable topic"
 
 
 def test_in_lockstep_another_publisher_makes_it_stop_and_a_frozen_clock_is_no_step(tmp_path, network, monkeypatch):

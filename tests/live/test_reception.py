@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from live.made_up_robot import START, odometry, rig
+from live.made_up_robot import ENABLE, START, odometry, rig
 from offpiste.live.reception import CourseRequest, Reception
 from offpiste.logs.ros.writer import header, make, quaternion, vector
 from offpiste.planning.course import Course
@@ -28,6 +28,8 @@ def test_a_path_in_another_frame_than_the_poses_is_refused(course_first):
     reception = Reception(rig(), CourseRequest(topic="/plan"), cameras=False)
     assert not courses(reception, *(heard if course_first else reversed(heard)))
     assert "a path in 'odom', the vehicle's poses are in 'map'" in reception.refusals[0]
+    reception.sensors.sensors = ({}, {})
+    assert reception.waiting_for == f"a course: {reception.refusals[0]}"
     assert reception.vehicle.frame == "map"
 
 
@@ -45,6 +47,19 @@ def test_the_same_path_again_is_no_new_course_whatever_its_stamp():
     later = path("map", START + 10**9)
     assert len(courses(reception, ("/odom", odometry(0.0)), ("/plan", path("map")), ("/plan", later))) == 1
     assert len(courses(reception, ("/plan", path("map", end=8.0)), ("/plan", later))) == 2
+
+
+@pytest.mark.parametrize(
+    ("stamp", "received", "age"),
+    [(START, START / 1e9 + 0.5, 0.5), (0, START / 1e9, 0.0), (START, -np.inf, -np.inf), (0, -np.inf, np.nan)],
+)
+def test_a_switch_has_the_age_of_its_stamp(stamp, received, age):
+    reception = Reception(rig(ENABLE + 'field = "buttons[0]"\n'), CourseRequest(topic="/plan"), cameras=False)
+    buttons, axes = np.ones(1, np.int32), np.zeros(0, np.float32)
+    joy = make("sensor_msgs/Joy", header=header(stamp, ""), axes=axes, buttons=buttons)
+    (taken,) = reception.take("/enable", joy, received)
+    assert taken.pressed
+    assert taken.age == pytest.approx(age, nan_ok=True)
 
 
 def test_a_goal_where_the_vehicle_is_waits_until_it_is_elsewhere():

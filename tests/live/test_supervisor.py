@@ -19,7 +19,7 @@ from offpiste.live.packing import pack_course, pack_measured, pack_plan, packed,
 from offpiste.live.reception import CourseRequest
 from offpiste.live.session import LiveSettings, new_session
 from offpiste.live.supervisor import Supervisor
-from offpiste.logs.ros.writer import make
+from offpiste.logs.ros.writer import header, make
 from offpiste.planning.course import Course
 from offpiste.runtime.estimator import VehicleReading
 from offpiste.runtime.prediction import Prediction
@@ -212,6 +212,26 @@ def test_a_dead_mans_switch_holds_it_until_it_is_pressed(tmp_path):
         assert drive.heard[-1][1].speed == pytest.approx(2.0)
         drive.run(0.6)
         assert drive.heard[-1][1].acceleration < 0, "it is not heard any more"
+        another = drive.network.session().publisher("/enable", "std_msgs/msg/Bool")
+        for _ in range(20):
+            switch(make("std_msgs/Bool", data=True))
+            another(make("std_msgs/Bool", data=True))
+            state = drive.run(0.05)["control"][1]
+            assert drive.heard[-1][1].acceleration < 0
+        assert state.endswith("more than one publisher of the enable topic")
+
+
+@pytest.mark.parametrize(("age", "moves"), [(0.0, True), (5.0, False)])
+def test_a_switch_with_an_old_stamp_does_not_enable(tmp_path, age, moves):
+    with closing(Drive(tmp_path, ENABLE + 'field = "buttons[0]"\n')) as drive:
+        assert until(lambda: (drive.run(0.1), len(drive.heard) > 20)[1], 60)
+        switch = drive.vehicle.publisher("/enable", "sensor_msgs/msg/Joy")
+        for _ in range(40):
+            head, pressed = header(time.time_ns() - round(age * 1e9), ""), np.ones(1, np.int32)
+            switch(make("sensor_msgs/Joy", header=head, axes=np.zeros(0, np.float32), buttons=pressed))
+            state = drive.run(0.05)["control"][1]
+        assert (drive.heard[-1][1].acceleration > 0) == moves
+        assert ("stamped more than 0.3 s ago" in state) != moves
 
 
 def test_the_vehicle_is_stopped_before_control_ends(drive):

@@ -80,9 +80,20 @@ def test_messages_arrive_as_they_were_sent_and_say_whether_they_are_ours(connect
     assert from_us.get(timeout=5).publisher[:8] == ours.identity == beside.identity
     assert ours.topics() == {"/odom": "nav_msgs/msg/Odometry"}, "of others"
     robot.publisher("/drive", STRING)
-    assert until(lambda: command(text()) or from_us.get(timeout=5).publisher == b""), (
+    assert until(lambda: command(text()) or from_us.get(timeout=5).publisher[:8] != ours.identity), (
         "it may have been another's message"
     )
+
+
+def test_messages_of_several_publishers_never_have_the_same_publisher(connect):
+    ours, heard = connect(), queue.SimpleQueue()
+    ours.subscribe("/enable", heard.put, msgtype=STRING)
+    switch = connect("robot").publisher("/enable", STRING)
+    connect("other").publisher("/enable", STRING)
+    assert until(lambda: len(ours._names["/enable"]) == 2)
+    switch(text())
+    switch(text())
+    assert heard.get(timeout=5).publisher != heard.get(timeout=5).publisher
 
 
 def test_who_publishes_is_not_asked_with_each_message(connect, graph, monkeypatch):

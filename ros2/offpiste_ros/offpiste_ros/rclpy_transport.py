@@ -10,6 +10,7 @@ import time
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
+from itertools import count
 from pathlib import Path
 from typing import Any, Final
 
@@ -77,6 +78,7 @@ class RclpyTransport:
         self._executor.add_node(self._node)
         self._waiting: list[tuple[str, Deliver, str, bool]] = []
         self._names: dict[str, list[str]] = {}
+        self._numbers = count()
         self._lock = threading.RLock()  # of both: they are used here and in the node's thread
         self._node.create_timer(LOOK, self._look)
         self._thread = threading.Thread(target=self._executor.spin, daemon=True)
@@ -176,7 +178,8 @@ class RclpyTransport:
                 self.refused.add(f"{topic}: too large")
                 return
             names = self._names[topic] or self._publishers(topic)
-            publisher = self.identity if self._ours(names) else b""
+            unknown = b"?%d" % next(self._numbers) if len(names) > 1 else b""
+            publisher = self.identity if self._ours(names) else unknown
             deliver(Received(topic, msgtype, bytes(data), time.time(), publisher=publisher))
 
         kind = _class_of(msgtype)
@@ -188,7 +191,7 @@ class RclpyTransport:
         """Whether a topic's publishers, of which there are some, are all of this drive.
 
         rclpy does not say who published a message; so with another publisher on the topic, or none that was found yet,
-        all its messages count as another's.
+        all its messages count as another's. Where there are several, each message counts as one of another publisher.
         """
         return bool(names) and all(name.startswith(self._settings.run) for name in names)
 

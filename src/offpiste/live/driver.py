@@ -33,11 +33,12 @@ from offpiste.runtime.settings import RuntimeSettings
 
 
 class Heard(NamedTuple):
-    """A decoded message, and when it came [s]."""
+    """A decoded message, when it came [s], and who published it, as far as the transport says so."""
 
     topic: str
     message: Any
     received: float
+    publisher: bytes = b""
 
 
 @dataclass(frozen=True)
@@ -96,9 +97,11 @@ class StepDriver:
         if now < self._now:
             self._gate.restart(now)
         self._now = now
-        for topic, message, received in self._in_order(heard):
+        for topic, message, received, publisher in self._in_order(heard):
             for taken in self._reception.take(topic, message, received):
-                self._pass_on(taken, now)
+                if isinstance(taken, Pressed):
+                    self._gate.enabled(taken.pressed, now, age=taken.age, publisher=publisher)
+                self._pass_on(taken)
         if self.runtime is None:
             return None
         passed: list[Passed] = []
@@ -141,9 +144,7 @@ class StepDriver:
 
         return sorted(heard, key=order)
 
-    def _pass_on(self, taken: Taken, now: float) -> None:
-        if isinstance(taken, Pressed):
-            self._gate.enabled(taken.pressed, now)
+    def _pass_on(self, taken: Taken) -> None:
         if self.runtime is None:
             sensors, course = self._reception.sensors.sensors, self._reception.course
             if sensors is None or course is None:

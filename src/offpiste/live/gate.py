@@ -9,7 +9,7 @@ from offpiste.core.conventions import DT
 from offpiste.rig.outputs import CommandLimits, Enable
 
 OTHERS_FOR = 1.0
-"""How long another's command keeps ours at a stop [s]."""
+"""How long another publisher of commands, or of the enable topic, keeps the vehicle at a stop [s]."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,8 @@ class Gate:
     ) -> None:
         self._limits, self._enable, self._stop = limits, enable, stop
         self._pressed: bool | None = False
-        self._pressed_at, self._other_at = -np.inf, -np.inf
+        self._pressed_at = self._other_at = self._heard_at = self._second_at = -np.inf
+        self._age, self._publisher = 0.0, b""
         self._last = np.array((0.0, stop, 0.0)) if last is None else np.asarray(last, np.float64)
 
     @property
@@ -47,23 +48,32 @@ class Gate:
         """Steering that was sent last [-1..1]."""
         return float(self._last[2])
 
-    def enabled(self, pressed: bool | None, now: float) -> None:
+    def enabled(self, pressed: bool | None, now: float, *, age: float = 0.0, publisher: bytes = b"") -> None:
         """The switch was heard.
 
         Args:
             pressed: None where its message has no such field.
             now: by the computer's steady clock [s], which no message sets; in lockstep, by its steps.
+            age: time since the message's stamp [s]: its time-out counts from there. It does not count where the stamp
+                is further in the future than the time-out, or is no time.
+            publisher: identity of its publisher.
         """
-        self._pressed, self._pressed_at = pressed, now
+        if publisher != self._publisher and now - self._heard_at < OTHERS_FOR:
+            self._second_at = now
+        self._publisher, self._heard_at, self._age = publisher, now, age
+        timely = self._enable is not None and age >= -self._enable.timeout
+        pressed_at = now - max(age, 0.0) if timely else -np.inf
+        if not pressed or pressed_at >= self._pressed_at:  # else a newer message has overtaken it
+            self._pressed, self._pressed_at = pressed, pressed_at
 
     def other(self, now: float) -> None:
         """A command of another publisher was heard."""
         self._other_at = now
 
     def restart(self, now: float) -> None:
-        """The clock went back: the switch has to be heard again, and another who commands counts from now on."""
-        self._pressed, self._pressed_at = False, -np.inf
-        self._other_at = min(self._other_at, now)
+        """The clock went back: the switch has to be heard again, and other publishers count from now on."""
+        self._pressed, self._pressed_at, self._heard_at = False, -np.inf, -np.inf
+        self._other_at, self._second_at = min(self._other_at, now), min(self._second_at, now)
 
     def blocked(self, now: float) -> str:
         """Why nothing but a stop may be sent; empty for nothing."""
@@ -71,11 +81,22 @@ class Gate:
             return "another publisher commands the vehicle"
         if self._enable is None:
             return ""
+        if now - self._second_at < OTHERS_FOR:
+            return "more than one publisher of the enable topic"
         if now - self._pressed_at > self._enable.timeout:
-            return "the enable topic is not heard"
+            return self._why_late(now, self._enable.timeout)
         if self._pressed is None:
             return f"the messages of the enable topic have no number '{self._enable.field}'"
         return "" if self._pressed else "not enabled"
+
+    def _why_late(self, now: float, timeout: float) -> str:
+        """Why no message of the switch counts any more."""
+        if now - self._heard_at > timeout or abs(self._age) <= timeout:
+            return "the enable topic is not heard"
+        if not np.isfinite(self._age):
+            return "the messages of the enable topic have no valid stamp"
+        when = f"{timeout:g} s {'ago' if self._age > 0 else 'in the future'}"
+        return f"the messages of the enable topic are stamped more than {when}: check the clocks"
 
     def passed(self, control: Float[np.ndarray, " 3"], speed: float, now: float, *, stopping: bool) -> Passed:
         """What may be sent of a command.

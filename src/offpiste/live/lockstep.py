@@ -130,8 +130,8 @@ class Lockstep:
         now = nanoseconds / 10**9
         if any(one.topic in self._publish and not one.data for one in batch):
             self._driver.other(now)
-        messages = [(one.topic, self._transport.decode(one)) for one in batch if one.type]
-        heard = [Heard(topic, message, now) for topic, message in messages if message is not None]
+        decoded = [(one, self._transport.decode(one)) for one in batch if one.type]
+        heard = [Heard(one.topic, message, now, one.publisher) for one, message in decoded if message is not None]
         step = self._driver.step(heard, now)
         if step is not None:
             self._send(step.command)

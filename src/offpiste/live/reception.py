@@ -13,7 +13,7 @@ from offpiste.live.course import course_from_message, course_to, is_same_course,
 from offpiste.live.sensor_messages import SensorMessages
 from offpiste.live.vehicle_messages import VehicleMessages
 from offpiste.logs.measurements import Cloud, Image
-from offpiste.logs.ros.bag_files import field_getter
+from offpiste.logs.ros.bag_files import field_getter, heard_at
 from offpiste.planning.course import Course
 from offpiste.rig.rig import Rig
 from offpiste.runtime.estimator import VehicleReading
@@ -58,9 +58,15 @@ class CourseRequest:
 
 @dataclass(frozen=True)
 class Pressed:
-    """The dead man's switch was heard; None where its message has no such field."""
+    """A message of the dead man's switch.
+
+    Attributes:
+        pressed: None where it has no such field.
+        age: time since its stamp by the robot's clock [s]; 0 without a stamp, not finite where either is no time.
+    """
 
     pressed: bool | None
+    age: float = 0.0
 
 
 Taken = VehicleReading | Image | Cloud | Course | Pressed
@@ -78,7 +84,7 @@ class Reception:
     Attributes:
         vehicle: reads the vehicle's messages.
         sensors: reads cameras and LiDARs.
-        refusals: the last courses that were refused, in words.
+        refusals: why the last courses were refused.
 
     Raises:
         LiveError, RigError: a setting, a file or the rig is wrong.
@@ -94,7 +100,7 @@ class Reception:
         self._first: float | None = None
         self._early: Any = None  # a course that came before the frame of the poses is known
         enable = rig.live.enable
-        self._enable = None if enable is None else (enable.topic, field_getter(enable.field))
+        self._enable_topic = "" if enable is None else enable.topic
         self.refusals: deque[str] = deque(maxlen=3)
 
     @property
@@ -104,8 +110,8 @@ class Reception:
         found |= dict.fromkeys(self._rig.frames.topics, True)
         if self._request.topic:
             found[self._request.topic] = True
-        if self._enable is not None:
-            found[self._enable[0]] = False
+        if self._enable_topic:
+            found[self._enable_topic] = False
         return found
 
     def type_of(self, topic: str) -> str:
@@ -122,7 +128,7 @@ class Reception:
             return self.sensors.waiting_for
         if self.course is not None:
             return ""
-        return f"a course on {self._request.topic}" if self._request.topic else f"a course: {self.refusals[-1]}"
+        return f"a course: {self.refusals[-1]}" if self.refusals else f"a course on {self._request.topic}"
 
     def take(self, topic: str, message: Any, received: float) -> list[Taken]:
         """What a message is.
@@ -131,8 +137,8 @@ class Reception:
             received: when it came by the robot's clock [s]; not finite before that is known.
         """
         taken: list[Taken] = []
-        if self._enable is not None and topic == self._enable[0]:
-            taken.append(Pressed(is_pressed(self._enable[1], message)))
+        if topic == self._enable_topic:
+            taken.append(read_switch(self._rig, message, received))
         if topic == self._request.topic:
             taken += self._new_course(message)
         if topic in self.vehicle.topics and (reading := self.vehicle.take(topic, message, received)) is not None:
@@ -172,6 +178,17 @@ class Reception:
             return []
         self.course = course
         return [course]
+
+
+def read_switch(rig: Rig, message: Any, received: float) -> Pressed:
+    """A message of a rig's dead man's switch.
+
+    Args:
+        received: when it came by the robot's clock [s]; not finite before that is known.
+    """
+    assert rig.live.enable is not None
+    pressed = is_pressed(field_getter(rig.live.enable.field), message)
+    return Pressed(pressed, received - heard_at(received, message, rig.clock.stamps))
 
 
 def is_pressed(get: Callable[[object], float], message: Any) -> bool | None:

@@ -22,7 +22,8 @@ class Received:
         type: as `nav_msgs/msg/Odometry`; "" where neither the key nor the rig says it.
         received: by this computer's clock [s since 1970].
         sequence: number that its publisher gave it; -1 without one.
-        publisher: identity of its publisher (GID); empty without one.
+        publisher: identity of its publisher (GID); empty without one. Where several publish and the transport cannot
+            tell them apart, it differs from message to message.
         steady: when it came, by the steady clock, which nobody sets [s].
     """
 

@@ -16,10 +16,9 @@ from offpiste.live.packing import packed, plan_from, unpacked
 from offpiste.live.part import Part, TrackFeed, keep_loaded
 from offpiste.live.parts.setup import NewestCourse, last_command
 from offpiste.live.parts.watchdog import ENDS, SILENCE
-from offpiste.live.reception import is_pressed
+from offpiste.live.reception import Pressed, read_switch
 from offpiste.live.session import Session
 from offpiste.live.steady_ages import SteadyAges
-from offpiste.logs.ros.bag_files import field_getter
 from offpiste.logs.ros.writer import header, make
 from offpiste.rig.rig import load_rig
 from offpiste.runtime.course_tracker import CourseTracker
@@ -61,13 +60,19 @@ class Controller:
         self._preview = self.transport.publisher(COMMAND, "sensor_msgs/msg/Joy")
         self._mode = self.transport.publisher(MODE, "std_msgs/msg/String", keep=True)
         self._said, self.late, self.ages = "", deque[float](maxlen=3000), deque[tuple[float, float]](maxlen=3000)
+        self._rig, self._switch = rig, deque[Received](maxlen=64)
         if enable is not None:
-            get, msgtype = field_getter(enable.field), rig.live.types.get(enable.topic, "")
-            self.transport.subscribe(enable.topic, lambda received: self._enable(received, get), msgtype=msgtype)
+            msgtype = rig.live.types.get(enable.topic, "")
+            self.transport.subscribe(enable.topic, self._switch.append, msgtype=msgtype)
 
-    def _enable(self, received: Received, get: Any) -> None:
-        message = self.transport.decode(received)
-        self._gate.enabled(message is not None and is_pressed(get, message), received.steady)
+    def _take_switch(self) -> None:
+        while self._switch:
+            received = self._switch.popleft()
+            message, at = self.transport.decode(received), received.steady
+            heard = Pressed(False)
+            if message is not None:
+                heard = read_switch(self._rig, message, self.part.now() - (time.monotonic() - at))
+            self._gate.enabled(heard.pressed, at, age=heard.age, publisher=received.publisher)
 
     def _other(self, received: Received) -> None:
         if received.publisher[:8] != self.transport.identity:
@@ -153,6 +158,7 @@ class Controller:
             return "the watchdog is not ready"
         if stops != before or time.monotonic() - self._sent_at > SILENCE:
             return "commands were interrupted"  # and the vehicle was stopped, or stopped by itself
+        self._take_switch()
         return self._gate.blocked(time.monotonic())
 
     def _publish(self, controls: Controls, passed: Passed, now: float) -> None:
