@@ -5,6 +5,7 @@ import json
 import re
 import shlex
 import shutil
+import signal
 import subprocess
 import tomllib
 from pathlib import Path
@@ -15,6 +16,7 @@ from packaging.requirements import Requirement
 
 from installation import wheels
 from offpiste.cli.entry import commands_in_order
+from offpiste.core.signals import GROUP_SIGNALS
 from offpiste.live.part import AFTER
 from offpiste.live.parts.watchdog import ENDS
 from offpiste.live.session import PARTS, RINGS
@@ -56,6 +58,17 @@ def test_ending_the_unit_lets_the_vehicle_be_stopped(unit):
     assert float(service["TimeoutStopSec"]) > AFTER + 2, "processes without their command have ended"
     assert float(service["TimeoutStopSec"]) > ENDS + 3 + 3, "the stop is completed"
     assert (service["Restart"], service["OOMPolicy"]) == ("on-failure", "continue")
+
+
+def test_the_unit_is_tried_until_the_router_is_there_and_started_again_where_it_hangs(unit):
+    service = unit["Service"]
+    assert unit["Unit"]["StartLimitIntervalSec"] == "0", "no number of failures is the last"
+    assert float(service["RestartSec"]) >= 1
+    assert service["Type"] == "notify"
+    assert float(service["WatchdogSec"]) >= 10
+    assert "WatchdogSignal" not in service, "SIGABRT, which the processes of a drive ignore"
+    assert signal.SIGABRT in GROUP_SIGNALS
+    assert service["WorkingDirectory"] == f"/var/lib/{service['StateDirectory']}"
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd here")

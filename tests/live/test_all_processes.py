@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from live.made_up_robot import START, cloud, odometry, small_settings, tree, write_course, write_rig
+from live.test_service_manager import listening
 from offpiste.cli import main
 from offpiste.live.log_steps import RecordedDrive
 from offpiste.live.part import AFTER
@@ -132,12 +133,13 @@ def test_processes_end_when_their_supervisor_is_killed(tmp_path, router):
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT, signal.SIGTSTP])
 def test_a_signal_to_all_processes_at_once_is_an_orderly_end(tmp_path, number):
-    said = tmp_path / "said.txt"
-    with closing(Network()) as network, said.open("w") as file:
+    said, notified = tmp_path / "said.txt", str(tmp_path / "notify")
+    with closing(Network()) as network, said.open("w") as file, listening(notified) as heard:
         options = ["--run", RUN, "--endpoint", network.endpoint, "--course", str(write_course(tmp_path)), "--drive"]
         heeding = ["env", "--default-signal=HUP,INT"]  # also where the tests run under nohup
         command = [*heeding, sys.executable, "-m", "offpiste", "live", write_rig(tmp_path, actuators=True), *options]
-        live = subprocess.Popen(command, stdout=file, stderr=subprocess.STDOUT, start_new_session=True)
+        environment = os.environ | {"NOTIFY_SOCKET": notified}
+        live = subprocess.Popen(command, stdout=file, stderr=subprocess.STDOUT, start_new_session=True, env=environment)
         assert until(lambda: "watchdog: ready" in said.read_text(), 60), said.read_text()
         children = _descendants(live.pid)
         os.killpg(live.pid, number)
@@ -145,6 +147,7 @@ def test_a_signal_to_all_processes_at_once_is_an_orderly_end(tmp_path, number):
         assert until(lambda: not any(runs(pid) for pid in children), AFTER + 5)
         assert not list(Path("/dev/shm").glob(f"offpiste-live-{live.pid}-*"))
         assert "Traceback" not in said.read_text()
+    assert [next(iter(heard[k][1])) for k in (0, 1, -1)] == ["READY", "WATCHDOG", "STOPPING"]
 
 
 def runs(pid):

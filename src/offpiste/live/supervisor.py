@@ -32,6 +32,7 @@ from offpiste.live.reports import (
     path_message,
 )
 from offpiste.live.ring import Ring
+from offpiste.live.service_manager import ServiceManager
 from offpiste.live.session import PARTS, LiveSettings, Session, new_session
 from offpiste.live.status_table import StatusTable
 from offpiste.mapping.terrain_map import TerrainLayers
@@ -212,9 +213,11 @@ def supervise(settings: LiveSettings, planner: Planner, definitions: list[Path])
         session = stack.enter_context(new_session(replace(settings, robot=robot)))
         table = stack.enter_context(StatusTable(settings.status))
         supervisor = Supervisor(session, transport, cameras=planner.extractor is not None)
+        manager = ServiceManager()
         began = looked = time.monotonic()
         try:
             supervisor.start()
+            manager.notify(READY=1)
             while time.monotonic() - began < settings.seconds and not asked.wait(PERIOD):
                 parts = supervisor.look()
                 supervisor.say(parts)
@@ -222,11 +225,19 @@ def supervise(settings: LiveSettings, planner: Planner, definitions: list[Path])
                     looked = time.monotonic()
                     supervisor.report(parts)
                     table.add(looked - began, parts)
+                    manager.notify(WATCHDOG=1, STATUS=summary(parts))  # here, as only this loop shows that it runs
         except KeyboardInterrupt:
             logger.info("the vehicle is stopped" if settings.drive else "the drive ends")
         finally:
             signal.signal(signal.SIGINT, signal.SIG_IGN)  # a second Ctrl-C would cut the stop short
+            manager.notify(STOPPING=1, STATUS="ends the drive")
             supervisor.end()
+
+
+def summary(parts: Mapping[str, tuple[int, str, Mapping[str, Any]]]) -> str:
+    """States of control and of the processes that are not as they should be, in one line."""
+    said = [f"{name}: {state}" for name, (level, state, _) in parts.items() if level != OK or name == "control"]
+    return "; ".join(said)[:500]
 
 
 @contextmanager
