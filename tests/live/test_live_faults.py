@@ -21,6 +21,7 @@ from live.test_supervisor import RUN, Drive, drove, first_stop
 from offpiste.closed_loop.planner import load_planner
 from offpiste.core.errors import LiveError, PlanningError, RigError
 from offpiste.core.shipped import run_folder
+from offpiste.core.signals import GROUP_SIGNALS
 from offpiste.live.commands import run_live
 from offpiste.live.driver import refuse_unmeasured
 from offpiste.live.packing import pack_measured, pack_plan, packed, unpacked
@@ -187,7 +188,7 @@ def test_before_the_first_command_none_counts_as_interrupted(tmp_path):
 
 def test_processes_leave_ending_to_their_parent(moving):
     assert moving.drives(), moving.supervisor.look()
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+    for number in GROUP_SIGNALS:
         for name in ("control", "watchdog"):
             os.kill(moving.pid(name), number)
     moment = time.monotonic()

@@ -11,7 +11,6 @@ from live.made_up_robot import START, cloud, odometry, small_settings, tree, wri
 from live.test_supervisor import RUN
 from offpiste.core.conventions import ACTUATORS
 from offpiste.core.errors import LiveError
-from offpiste.live.backlog import Backlog
 from offpiste.live.packing import unpacked
 from offpiste.live.part import Part
 from offpiste.live.parts import receive
@@ -20,8 +19,6 @@ from offpiste.live.session import LiveSettings, new_session
 from offpiste.live.vehicle_messages import NO_STAMP
 from offpiste.logs.ros.writer import header, make, vector
 from offpiste.planning.course import Course
-from offpiste.transport.interface import Received
-from offpiste.transport.tally import Tally
 from offpiste.transport.zenoh_transport import ZenohSettings
 from transport.routers import network, until
 
@@ -168,13 +165,3 @@ def test_all_that_waits_is_read_at_once(part, network):
     assert not waiting
     assert part.ring("readings").written >= before + 5
     receiver.transport.close()
-
-
-def test_the_oldest_give_way_and_are_counted():
-    dropped = Tally()
-    backlog = Backlog(2, dropped)
-    for number in range(5):
-        backlog.put(Received("/a", "", b"", 0.0, number))
-    assert [backlog.get(0.0).sequence, backlog.get(0.0).sequence] == [3, 4]
-    assert backlog.get(0.01) is None
-    assert dropped == {"/a: comes faster than it is decoded": 3}
