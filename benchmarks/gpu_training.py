@@ -19,8 +19,8 @@ from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.header.gpu import check_kernels
 from offpiste.dynamics.header.recorded import recorded_text, rollout_by_kernels
 from offpiste.training.config import TrainConfig
-from offpiste.training.run import kept_epochs
-from offpiste.training.terrain_sources import codes_of_cells
+from offpiste.training.prediction import codes_of_cells
+from offpiste.training.run import best_epochs
 from offpiste.training.train import train
 
 SAME = 0.02
@@ -57,7 +57,7 @@ def of_train(dynamics: Dynamics, device: torch.device, given: argparse.Namespace
                 )
                 run, began = Path(folder) / f"run-{batch}-{len(losses)}", time.perf_counter()
                 train(dataset, config, run)
-                validation = kept_epochs(run)["model"].validation_loss
+                validation = best_epochs(run)["model"].validation_loss
                 assert validation is not None
                 losses.append(validation)
                 took = time.perf_counter() - began

@@ -33,11 +33,11 @@ from offpiste.dynamics.header.gpu import gpu_kernels
 from offpiste.dynamics.header.recorded import rollout_by_kernels
 from offpiste.dynamics.kernels.autograd import rollout_recorded
 from offpiste.training.batches import draw_sets
-from offpiste.training.build import build, vehicle_of
 from offpiste.training.config import TrainConfig
+from offpiste.training.loop import keep_freed_memory
 from offpiste.training.losses import loss_scale, summed_loss
-from offpiste.training.optimise import keep_freed_memory
-from offpiste.training.terrain_sources import encoded
+from offpiste.training.prediction import encoded
+from offpiste.training.run import build, vehicle_of
 from offpiste.training.train import standardise
 
 Mark = Callable[[str], None]

@@ -17,7 +17,7 @@ import offpiste
 from offpiste.mapping.terrain_sampler import MapStack
 from offpiste.planning.mppi import PEDALS_AND_WHEEL, Settings, improve
 from offpiste.planning.rollouts import model_costs, spread_model_state
-from offpiste.training.terrain_sources import map_terrain
+from offpiste.training.prediction import map_terrain
 
 torch.set_num_threads(1)  # the tensors are small: threads cost more than they bring
 

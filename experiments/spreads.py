@@ -28,9 +28,8 @@ from offpiste.dataset.windows import Windows
 from offpiste.evaluation.evaluated_windows import EvaluatedWindows
 from offpiste.evaluation.intervals import Sampling
 from offpiste.evaluation.speed_bands import members
-from offpiste.training.fitness import refuse_seen, refuse_unfit
 from offpiste.training.prediction import in_parts
-from offpiste.training.run import Run, load_run
+from offpiste.training.run import Run, load_run, refuse_seen, refuse_unfit
 from offpiste.uncertainty.calibrate import kept_or_fitted
 from offpiste.uncertainty.calibration import CalibrationRow, ErrorsWithScales, calibration_rows, calibration_table
 from offpiste.uncertainty.fit import SpreadSettings, predictions_of

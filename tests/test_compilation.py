@@ -68,7 +68,7 @@ def test_sources_have_every_constant_that_is_compiled_in(name):
 
 def test_constants_are_found_where_they_are_defined():
     files = {file.relative_to(PACKAGE).as_posix() for file in compiled_from("PLANNING")}
-    assert {"dynamics/lstm.py", "channels.py", "conventions.py", "planning/kernel_rollout.py"} <= files
+    assert {"dynamics/lstm.py", "core/channels.py", "core/conventions.py", "planning/kernel_rollout.py"} <= files
 
 
 def linkages(caller):

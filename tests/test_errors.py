@@ -11,7 +11,7 @@ import torch
 
 from offpiste.core.errors import MissingExtra, OffpisteError, extra, is_installed, require
 from offpiste.perception.backbones.vision_transformer import load_vision_transformer
-from offpiste.training.optimise import also_tensorboard
+from offpiste.training.loop import also_tensorboard
 
 PYPROJECT = Path(__file__).parents[1] / "pyproject.toml"
 

@@ -15,9 +15,8 @@ from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import add_drive, create
 from offpiste.simulation.simulate import DriveSettings, simulate
 from offpiste.simulation.world.world import WorldSettings
-from offpiste.training.build import build, vehicle_of
 from offpiste.training.config import TrainConfig
-from offpiste.training.run import save_run
+from offpiste.training.run import build, save_run, vehicle_of
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 

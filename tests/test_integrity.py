@@ -21,10 +21,9 @@ from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import add_drive, create, open_dataset
 from offpiste.mapping.terrain_map import TerrainMap
 from offpiste.perception.pca import PrincipalComponents, load_pca, save_pca
-from offpiste.training.build import build, vehicle_of
 from offpiste.training.checkpoint import load_tensors, save_checkpoint, save_tensors
 from offpiste.training.config import TrainConfig
-from offpiste.training.run import load_run, save_run
+from offpiste.training.run import build, load_run, save_run, vehicle_of
 
 SEED = 0
 MUTATIONS = 60

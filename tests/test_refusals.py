@@ -20,10 +20,9 @@ from offpiste.core.checksums import sha256_of, sha256_of_json, write_checksums
 from offpiste.core.errors import RunError
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import add_drive, create, open_dataset
-from offpiste.training.build import build, vehicle_of
 from offpiste.training.checkpoint import load_json, save_json, save_tensors
 from offpiste.training.config import TrainConfig, Weights, refuse_impossible
-from offpiste.training.run import save_run
+from offpiste.training.run import build, save_run, vehicle_of
 
 QUICK = ("--epochs", "1", "--bicycle-epochs", "1", "--actuator-epochs", "1", "--stride", "100", "--batch", "64")
 

@@ -11,9 +11,8 @@ import torch
 
 from feature_datasets import dataset_with_features
 from offpiste.dataset.store import open_dataset
-from offpiste.training.build import build, vehicle_of
 from offpiste.training.config import TrainConfig
-from offpiste.training.run import save_run
+from offpiste.training.run import build, save_run, vehicle_of
 from tests.fuzz.recordings import driven, rig_text, write_csv
 
 ROOT = Path(__file__).parents[1]

@@ -91,10 +91,10 @@ from .simulation.world.world import WorldSettings as WorldSettings
 
 # Training.
 from .training.config import TrainConfig as TrainConfig
+from .training.prediction import encoded as encoded
 from .training.run import Run as Run
 from .training.run import load_run as load_run
 from .training.run import pretrained as pretrained
-from .training.terrain_sources import encoded as encoded
 from .training.train import train as train
 from .uncertainty.calibrate import calibrate as calibrate
 from .uncertainty.prediction import SpreadPrediction as SpreadPrediction

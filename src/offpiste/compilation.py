@@ -223,7 +223,7 @@ PLANNING: Final = Compiler(
     part="the planner's kernels",
     seconds=20,
 )
-PHYSICS: Final = Compiler(("simulation", "conventions.py"), part="the simulated vehicle", seconds=10)
+PHYSICS: Final = Compiler(("simulation", "core/conventions.py"), part="the simulated vehicle", seconds=10)
 """Compiler of the simulated vehicle: functions of scalars for Python and for each other, without fast math."""
 RAYS: Final = Compiler(
     ("simulation",),

@@ -51,7 +51,7 @@ def test_a_training_that_had_not_converged_says_how_to_go_on(
     quick = [*QUICK, "--model", "parametric", "--epochs", "2", "--constants-learning-rate", "1e-3", "--seed", "3"]
     assert run("train", dataset, "--out", out, *quick) == 0
     said = capsys.readouterr().out
-    assert "parametric is fitted as a whole: --epochs count, and --bicycle-epochs do not" in said
+    assert "parametric has no bicycle stage: --bicycle-epochs has no effect, --epochs has" in said
     (line,) = (line for line in said.splitlines() if line.startswith("not converged yet"))
     again = shlex.split(line.partition(": ")[2])
     assert again[:5] == ["offpiste", "train", dataset, "--out", f"{out}-longer"]
@@ -133,8 +133,8 @@ def test_extract_resumes_where_it_stopped(folder: Path, capsys: pytest.CaptureFi
         (("train", "{dataset}", "--out", "{tmp}/run", "--folds", "2"), "3 or more"),
         (("train", "{dataset}", "--out", "{tmp}/run", "--device", "abacus"), "no device 'abacus'"),
         (("train", "{dataset}", "--out", "{tmp}/run", "--device", "meta"), "no device 'meta'"),
-        (("train", "{dataset}", "--out", "{dataset}"), "is a folder of something else than a run"),
-        (("train", "{dataset}", "--out", "{dataset}", "--folds", "3"), "is a folder of something else than a run"),
+        (("train", "{dataset}", "--out", "{dataset}"), "holds files that are not of a run"),
+        (("train", "{dataset}", "--out", "{dataset}", "--folds", "3"), "holds files that are not of a run"),
         (("train", "{dataset}", "--out", "{tmp}/run", "--seed", "99999999999999999999"), "below 2^63"),
         (("extract", "{drive}", *RIG, "--out", "{tmp}/d.zarr", "--keyframe-metres", "nan"), "--keyframe-metres is nan"),
         (("fit-pca", "{drive}", "--rig", "kitti", "--images", "0"), "--images is 0; give 1 or more"),

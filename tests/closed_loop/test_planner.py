@@ -15,11 +15,10 @@ from offpiste.logs.ground_truth import GROUND_PROPERTIES
 from offpiste.perception.backbones import open_backbone
 from offpiste.perception.pca import PrincipalComponents, save_pca
 from offpiste.rig.rig import load_rig
-from offpiste.training.build import build
 from offpiste.training.checkpoint import load_json, save_beside_weights, save_json, save_tensors
 from offpiste.training.config import Weights
-from offpiste.training.fitness import differing_vehicle
 from offpiste.training.losses import COMPONENTS
+from offpiste.training.run import build, differing_vehicle
 from offpiste.uncertainty.prediction import FILE
 from offpiste.uncertainty.spread import Spread, inputs_of
 

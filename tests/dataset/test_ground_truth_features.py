@@ -14,8 +14,8 @@ from offpiste.dataset.splits import parse_split
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics import MODELS, Hybrid
 from offpiste.mapping.terrain_map import TerrainMap, wheel_positions
-from offpiste.training.build import build, vehicle_of
-from offpiste.training.terrain_sources import encoded, on_map
+from offpiste.training.prediction import encoded, on_map
+from offpiste.training.run import build, vehicle_of
 
 SPLIT = parse_split("blocks:0.5,0.25,0.25")
 NAMES = ("column", "row", "constant")

@@ -8,8 +8,8 @@ from offpiste.compilation import KERNELS
 from offpiste.dataset.windows import Windows
 from offpiste.demo.warm_up import compile_training
 from offpiste.dynamics.kernels import actuators, encoder, rollout
-from offpiste.training.build import build, vehicle_of
 from offpiste.training.prediction import predict
+from offpiste.training.run import build, vehicle_of
 
 ENTRIES = (
     rollout.forward, rollout.backward, encoder.encode_forward, encoder.encode_backward, encoder.add_by_cell,

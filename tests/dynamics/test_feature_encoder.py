@@ -10,7 +10,7 @@ from factories import VEHICLE
 from offpiste.core.errors import RunError
 from offpiste.dynamics import MODELS
 from offpiste.dynamics.feature_encoder import Compressor, Identity
-from offpiste.training.build import build
+from offpiste.training.run import build
 
 
 def test_the_identity_gives_features_and_a_flag():

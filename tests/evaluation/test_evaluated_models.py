@@ -14,7 +14,7 @@ from offpiste.dataset.store import Dataset
 from offpiste.dynamics import MODELS
 from offpiste.evaluation.evaluate import evaluate_models
 from offpiste.evaluation.evaluated_models import EvaluatedModel, by_split, named_apart, readings_of
-from offpiste.training.build import vehicle_of
+from offpiste.training.run import vehicle_of
 
 FOLDS = [parse_split(f"fold:{number}/3") for number in range(3)]
 

@@ -15,7 +15,7 @@ from offpiste.dataset.store import open_dataset
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics import MODELS
 from offpiste.dynamics.inputs import drive_train
-from offpiste.training.build import vehicle_of
+from offpiste.training.run import vehicle_of
 from offpiste.training.prediction import predict
 
 dataset = open_dataset(sys.argv[1])

@@ -14,9 +14,8 @@ from safetensors.numpy import save_file
 
 from feature_datasets import dataset_with_features
 from offpiste.cli import main
-from offpiste.training.build import build, vehicle_of
 from offpiste.training.config import TrainConfig
-from offpiste.training.run import save_run
+from offpiste.training.run import build, save_run, vehicle_of
 from sensor_bags import cloud, compressed, info, odometry, raw_image, transforms
 from sensor_drive import AROUND, SIDE, STATIC, clouds, good_drive, images, poses, written
 from tests.fuzz.mutations import Generator, mutate_values

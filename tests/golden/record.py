@@ -67,12 +67,10 @@ from offpiste.rig.rig import load_rig
 from offpiste.simulation.sensors.imperfections import Imperfections
 from offpiste.simulation.simulate import DriveSettings, simulate
 from offpiste.simulation.world.world import WorldSettings
-from offpiste.training.build import build
 from offpiste.training.config import TrainConfig
 from offpiste.training.losses import summed_loss
-from offpiste.training.prediction import predict
-from offpiste.training.run import load_run
-from offpiste.training.terrain_sources import encoded
+from offpiste.training.prediction import encoded, predict
+from offpiste.training.run import build, load_run
 from offpiste.training.train import standardise, train
 from planning_maps import layers, situation
 from runtime.stream import parametric, settings

@@ -15,11 +15,9 @@ from offpiste.dataset.windows import Windows
 from offpiste.dynamics import MODELS
 from offpiste.reproduction.gains import HINDSIGHT, MAP, errors_of, evaluation_index, same_windows
 from offpiste.reproduction.shift import ShiftedMap, other_ground, shift_gains, shifted
-from offpiste.training.build import vehicle_of
 from offpiste.training.config import TrainConfig
-from offpiste.training.fitness import Stretch
-from offpiste.training.run import Run, load_run, save_run
-from offpiste.training.terrain_sources import encoded, map_terrain, on_map
+from offpiste.training.prediction import encoded, map_terrain, on_map
+from offpiste.training.run import Run, Stretch, load_run, save_run, vehicle_of
 
 
 @pytest.fixture(scope="module")

@@ -19,9 +19,9 @@ from offpiste.dataset.windows import Windows
 from offpiste.dynamics.models import initial_actuators
 from offpiste.training import actuator_stage
 from offpiste.training.actuator_stage import stage_key
-from offpiste.training.build import vehicle_of
 from offpiste.training.config import TrainConfig
 from offpiste.training.losses import FITTED_STEPS, actuator_loss, actuator_variance
+from offpiste.training.run import vehicle_of
 from offpiste.training.train import train
 
 QUICK = TrainConfig("b", epochs=1, bicycle_epochs=1, actuator_epochs=2, stride=60, batch=32)
@@ -53,10 +53,10 @@ def test_a_second_run_takes_what_the_first_has_fitted(
 ) -> None:
     caplog.set_level(logging.INFO)
     train(dataset, QUICK, tmp_path / "fitted")
-    assert "actuators: fitted, and kept for other runs in" in caplog.text
+    assert "actuators: fitted, and cached for other runs in" in caplog.text
     caplog.clear()
     train(dataset, replace(QUICK, model="dc"), tmp_path / "other")
-    assert f"actuators: taken from {cache}" in caplog.text
+    assert f"actuators: read from {cache}" in caplog.text
     train(dataset, QUICK, tmp_path / "taken")
     assert files(tmp_path / "taken") == files(tmp_path / "fitted")
     assert [e for e in epochs(tmp_path / "taken") if e["stage"] == "actuators"] == epochs(tmp_path / "fitted")[:2]
@@ -87,7 +87,7 @@ def test_a_cache_that_cannot_be_written_is_done_without(
     (tmp_path / "file").write_text("no folder")
     monkeypatch.setenv(VARIABLE, str(tmp_path / "file"))
     train(dataset, QUICK, tmp_path / "run")
-    assert "actuators: fitted; not kept for other runs" in caplog.text
+    assert "actuators: fitted; not cached for other runs" in caplog.text
 
 
 def test_the_key_changes_with_all_that_the_fit_reads(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:

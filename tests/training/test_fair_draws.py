@@ -14,11 +14,11 @@ from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import MODELS
 from offpiste.dynamics.inputs import unknown_normals
-from offpiste.training import optimise
-from offpiste.training.build import build, vehicle_of
+from offpiste.training import loop
 from offpiste.training.config import TrainConfig
 from offpiste.training.distributed import ALONE
 from offpiste.training.prediction import predict
+from offpiste.training.run import build, vehicle_of
 
 CONFIG = TrainConfig(batch=16, stride=20, seed=5)
 
@@ -55,8 +55,8 @@ def windows_read_by(model: str, dataset: Dataset) -> list[tuple[np.ndarray, Batc
     def loss(batch: Batch) -> Tensor:
         return module.weight.sum().expand(len(batch.state))
 
-    stage = optimise.Stage("model", module, loss, 1, MODELS[model].draw)
-    optimise._train_epoch(stage, optimise._State(stage, CONFIG), Recording(dataset, "train"), CONFIG, 0, ALONE)
+    stage = loop.Stage("model", module, loss, 1, MODELS[model].draw)
+    loop._train_epoch(stage, loop._State(stage, CONFIG), Recording(dataset, "train"), CONFIG, 0, ALONE)
     return read
 
 

@@ -7,7 +7,7 @@ from fake_gpu import GPU, fake_gpu
 from feature_datasets import dataset_with_features, with_snapshots
 from host_kernels import HostKernels, needs_gcc
 from offpiste.training.config import TrainConfig
-from offpiste.training.run import kept_epochs
+from offpiste.training.run import best_epochs
 from offpiste.training.train import train
 
 
@@ -35,5 +35,5 @@ def test_a_training_there_is_the_one_here(model, maps, tmp_path, monkeypatch):
         else:
             with fake_gpu(monkeypatch, HostKernels):
                 train(dataset, config, tmp_path / device[:3])
-        losses.append(kept_epochs(tmp_path / device[:3])["model"].validation_loss)
+        losses.append(best_epochs(tmp_path / device[:3])["model"].validation_loss)
     assert losses[1] == pytest.approx(losses[0], rel=1e-3)

@@ -1,11 +1,18 @@
-"""The multi-step loss on errors whose loss is known."""
+"""Losses of errors whose loss is known, and weights of windows by speed."""
 
 import math
+from pathlib import Path
 
 import pytest
 import torch
 
-from offpiste.training.losses import COMPONENTS, robust, squared_errors, summed_loss
+from factories import circle_rows, small_rig
+from offpiste.core.conventions import MIN_EVALUATION_SPEED
+from offpiste.core.errors import RunError
+from offpiste.dataset.splits import parse_split
+from offpiste.dataset.store import add_drive, create, open_dataset
+from offpiste.dataset.windows import Windows
+from offpiste.training.losses import COMPONENTS, LOSSES, speed_weights, squared_errors, summed_loss
 
 ONES = torch.ones(5)
 
@@ -63,29 +70,27 @@ def test_windows_do_not_mix():
     assert loss[0] == 0 < loss[1]
 
 
-def test_a_robust_loss_is_the_loss_while_small_and_a_distance_where_large():
+def test_charbonnier_equals_small_losses_and_grows_as_the_root_of_large_ones():
     loss = torch.tensor([0.0, 1e-4, 0.75, 1e6, 4e6]).double()
-    bent = robust(loss, 0.5)
+    squared = torch.zeros(5, 3, 5).double()
+    squared[..., 0] = loss[:, None]
+    bent = LOSSES["charbonnier"](squared, ONES.double())
     assert bent[:3].tolist() == pytest.approx([0, 1e-4, 0.5], rel=1e-3)  # of 3/4: 1 * (sqrt(3/4 + 1/4) - 1/2)
     assert (bent[4] / bent[3]).item() == pytest.approx(2, rel=1e-3)
-    assert robust(loss, 0.0) is loss
 
 
-def test_a_robust_loss_is_least_near_the_median_and_a_squared_one_at_the_mean():
-    places = torch.tensor([0.0, 0.0, 0.0, 10.0])
-    target = torch.zeros(4, 3, 6)
-    target[..., 0] = places[:, None]
-    guesses = torch.linspace(0, 10, 1001)
+@pytest.mark.parametrize(("name", "least", "within"), [("squared", 2.5, 0.02), ("charbonnier", 0.12, 0.12)])
+def test_the_squared_loss_is_least_at_the_mean_and_charbonnier_near_the_median(name, least, within):
+    places, guesses = torch.tensor([0.0, 0.0, 0.0, 10.0]), torch.linspace(0, 10, 1001)
+    squared = torch.zeros(1001, 4, 3, 5)
+    squared[..., 0] = (guesses[:, None] - places).square()[..., None]
+    losses = torch.stack([LOSSES[name](each, ONES).mean() for each in squared])
+    assert guesses[losses.argmin()].item() == pytest.approx(least, abs=within)
 
-    def best(bend: float) -> float:
-        losses = [robust(summed_loss(target * 0 + _at(x), target, ONES, ONES), bend).mean() for x in guesses]
-        return guesses[torch.stack(losses).argmin()].item()
 
-    def _at(x: torch.Tensor) -> torch.Tensor:
-        return torch.cat((x.expand(1), torch.zeros(5)))
-
-    assert best(0.0) == pytest.approx(2.5, abs=0.02)
-    assert best(0.5) < 0.25
+def test_an_unknown_loss_lists_those_there_are():
+    with pytest.raises(RunError, match=r"no loss 'squares'; did you mean 'squared'\? there are: squared, charbonnier"):
+        LOSSES["squares"]
 
 
 def test_gradients_equal_finite_differences():
@@ -93,3 +98,35 @@ def test_gradients_equal_finite_differences():
     predicted = torch.randn(2, 3, 6).double().requires_grad_()
     scale = torch.tensor([1.0, 2.0, 3.0, 4.0, 5.0]).double()
     assert torch.autograd.gradcheck(lambda p: summed_loss(p, target, scale, ONES.double()), predicted)
+
+
+@pytest.fixture(scope="module")
+def windows(tmp_path_factory: pytest.TempPathFactory) -> Windows:
+    """Circles at 2 and at 8 m/s."""
+    path: Path = tmp_path_factory.mktemp("data") / "dataset.zarr"
+    split = parse_split("blocks:0.6,0.2,0.2")
+    create(path, small_rig(), split)
+    for number, speed in enumerate((2.0, 8.0)):
+        add_drive(path, f"drive{number}", circle_rows(2000, speed=speed, seed=number), split, ())
+    return Windows(open_dataset(path), "train")
+
+
+def test_without_a_setting_all_windows_count_alike(windows: Windows) -> None:
+    batch = windows.gather(windows.every(50))
+    assert torch.equal(speed_weights(windows, 0.0)(batch), torch.ones(len(batch.state)))
+
+
+def test_weights_have_a_mean_of_one_and_take_the_distance_out_of_squared_errors(windows: Windows) -> None:
+    weigh = speed_weights(windows, 1.0)
+    batch = windows.gather(windows.every(1))
+    weight, speed = weigh(batch), torch.hypot(*batch.state[:, 3:5].T)
+    assert weight.mean().item() == pytest.approx(1, rel=1e-4)
+    distance = speed + MIN_EVALUATION_SPEED * min(1.0, (windows.dataset.rig.vehicle.wheelbase / 1.5) ** 0.5)
+    assert (weight * distance.square()).std().item() == pytest.approx(0, abs=1e-4)
+    assert weight[speed < 5].mean() > 5 * weight[speed > 5].mean()
+
+
+def test_half_way_lies_between(windows: Windows) -> None:
+    batch = windows.gather(windows.every(50))
+    half, whole = (speed_weights(windows, relative)(batch) for relative in (0.5, 1.0))
+    assert torch.allclose(half.square() / half.square().mean(), whole / whole.mean(), rtol=1e-4)

@@ -16,15 +16,14 @@ from offpiste.core.state import Trajectory
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import MODELS, Dynamics
-from offpiste.training import map_loss as module
-from offpiste.training import optimise
-from offpiste.training.build import build, vehicle_of
+from offpiste.training import loop
+from offpiste.training import losses as module
 from offpiste.training.checkpoint import fold_folders
 from offpiste.training.config import TrainConfig
 from offpiste.training.distributed import ALONE, Group
-from offpiste.training.losses import summed_loss
-from offpiste.training.map_loss import map_loss
+from offpiste.training.losses import map_loss, summed_loss
 from offpiste.training.prediction import predict_windows, roll_out
+from offpiste.training.run import build, vehicle_of
 from offpiste.training.train import train, train_folds
 
 ROWS = tuple(range(20, 600, 40))
@@ -122,8 +121,8 @@ def test_the_epoch_that_is_best_on_the_map_is_kept(validation: Windows, tmp_path
         seen.append(line.weight.detach().clone())
         return next(scores)
 
-    stage = optimise.Stage("line", line, lambda batch: line(batch.state[:, 3:4])[:, 0].square(), 3, on_map=on_map)
-    optimise.run_stage(stage, validation, validation, QUICK, tmp_path, lines.append)
+    stage = loop.Stage("line", line, lambda batch: line(batch.state[:, 3:4])[:, 0].square(), 3, on_map=on_map)
+    loop.run_stage(stage, validation, validation, QUICK, tmp_path, lines.append)
     assert torch.equal(load_file(tmp_path / "line.safetensors")["weight"], seen[2])
     assert [(each["validation_loss"], each["validation_on"]) for each in lines] == [
         (3.0, "map"),

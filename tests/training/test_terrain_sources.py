@@ -16,9 +16,8 @@ from offpiste.dataset.store import Dataset, StoredDrive
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics import MODELS
 from offpiste.rig.rig import parse_rig
-from offpiste.training.build import vehicle_of
-from offpiste.training.prediction import predict_windows
-from offpiste.training.terrain_sources import codes_of_cells, path_terrain
+from offpiste.training.prediction import codes_of_cells, path_terrain, predict_windows
+from offpiste.training.run import vehicle_of
 
 SPEED = 5.0
 SPLIT = Split("all", "drives", drives=(("hill", "test"), ("valley", "test")))

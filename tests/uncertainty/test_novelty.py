@@ -9,10 +9,9 @@ from factories import VEHICLE
 from feature_datasets import FEATURES, dataset_with_features
 from offpiste.core.errors import DatasetError, RunError
 from offpiste.dynamics.feature_encoder import Compressor
-from offpiste.training.build import build
 from offpiste.training.checkpoint import WEIGHTS, load_tensors, save_tensors
 from offpiste.training.config import TrainConfig
-from offpiste.training.run import load_run
+from offpiste.training.run import build, load_run
 from offpiste.training.train import train
 from offpiste.uncertainty.novelty import (
     FILE,

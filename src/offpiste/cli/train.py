@@ -14,7 +14,7 @@ from offpiste.core.errors import RunError
 from offpiste.training.config import TrainConfig
 
 _COMPARED = 3
-"""Other runs that the next command names, at most."""
+"""Largest number of other runs in the next command."""
 
 
 @COMMANDS.register("train")
@@ -23,24 +23,24 @@ class Train:
     """Train a model on a dataset."""
 
     dataset: tyro.conf.Positional[Path]
-    """What `extract` wrote."""
+    """Dataset written by `extract`."""
     out: Path
     """Folder of the run."""
     train: Annotated[TrainConfig, tyro.conf.arg(name="")] = field(default_factory=TrainConfig)
     resume: bool = False
-    """Resume an interrupted run after its last whole epoch."""
+    """Resume an interrupted run after its last complete epoch."""
     folds: int = 0
-    """Blocked cross-validation: that many runs in OUT/fold-K, each with its own split, everything fitted anew."""
+    """Number of folds of a blocked cross-validation: a run each in OUT/fold-K, trained on its own split."""
     tensorboard: bool = False
     """Also write TensorBoard files (needs the extra `tensorboard`)."""
     ddp: bool = False
-    """One of several processes: `torchrun --nproc-per-node 2 -m offpiste train ... --ddp`. The batch is shared out."""
+    """Share each batch between processes: `torchrun --nproc-per-node 2 -m offpiste train ... --ddp`."""
 
     def run(self) -> int:
         """Open, train, save."""
         from offpiste.dataset.store import open_dataset
         from offpiste.training.distributed import ALONE, joined
-        from offpiste.training.optimise import check_tensorboard
+        from offpiste.training.loop import check_tensorboard
         from offpiste.training.train import train, train_folds
 
         if self.tensorboard:
@@ -48,7 +48,7 @@ class Train:
         dataset = open_dataset(self.dataset)
         if self.folds:
             if self.ddp:
-                raise RunError("--folds and --ddp exclude each other", how="train the folds one after the other")
+                raise RunError("--folds and --ddp exclude each other", how="leave out one of them")
             train_folds(dataset, self.train, self.out, folds=self.folds, resume=self.resume)
             self._say_next()
             return 0
@@ -66,13 +66,13 @@ class Train:
         return 0
 
     def _say_next(self) -> None:
-        """The command that evaluates the run, and before it the one that trains on where a stage had not converged."""
+        """Show the command that evaluates the run, and one with more epochs if a stage has not converged."""
         from offpiste.core.progress import show
 
         if (again := self._with_more_epochs()) is not None:
             show(f"not converged yet; with twice the epochs: {again}")
         if self._adds_nothing():
-            show("the network adds nothing here: this run is its physics alone, which more driving may change")
+            show("the network improves nothing here: this run predicts by its physics alone; more driving may help")
         if not self.folds and (network := self._with_a_network()) is not None:
             show(f"whether a network helps: {network}")
         command = ["offpiste", "evaluate", str(self.out), *self._beside(), "--dataset", str(self.dataset)]
@@ -81,14 +81,14 @@ class Train:
         show(f"next: {join(command)}")
 
     def _adds_nothing(self) -> bool:
-        """Whether the network kept the weights that it began with, which correct nothing."""
-        from offpiste.training.run import kept_epochs
+        """Whether the network kept its initial weights, which correct nothing."""
+        from offpiste.training.run import best_epochs
 
-        kept = {} if self.folds else kept_epochs(self.out)
-        return "bicycle" in kept and kept["model"].epoch == 0
+        best = {} if self.folds else best_epochs(self.out)
+        return "bicycle" in best and best["model"].epoch == 0
 
     def _with_a_network(self) -> str | None:
-        """The training of `b` beside a model of physics alone; None where there is one, or this has networks."""
+        """Return the command that trains `b` beside a model without a network; None if there is a run of it."""
         out = self.out.with_name("b")
         if self.train.model != "parametric" or out.exists():
             return None
@@ -96,7 +96,7 @@ class Train:
         return join([*command, *options(replace(self.train, model="b"))])
 
     def _beside(self) -> list[str]:
-        """Runs of other models of the same dataset in the same folder, which a report compares with this one."""
+        """Return runs of other models on the same dataset in the same folder, to compare this one with."""
         from offpiste.training.run import model_trained_on
 
         others: dict[str, str] = {}
@@ -107,21 +107,21 @@ class Train:
         return list(others.values())[:_COMPARED]
 
     def _with_more_epochs(self) -> str | None:
-        """The same training with twice the epochs of all stages that had not converged; None where all have."""
+        """Return the command with twice the epochs of the stages that have not converged; None if all have."""
         from offpiste.training.checkpoint import fold_folders
-        from offpiste.training.kept_epoch import SETTINGS
-        from offpiste.training.run import kept_epochs
+        from offpiste.training.loop import EPOCH_SETTINGS
+        from offpiste.training.run import best_epochs
 
         runs = fold_folders(self.out) if self.folds else [self.out]
         stages = {
             stage
             for run in runs
-            for stage, kept in kept_epochs(run).items()
-            if stage in SETTINGS and not kept.has_converged
+            for stage, best in best_epochs(run).items()
+            if stage in EPOCH_SETTINGS and not best.has_converged
         }
         if not stages or self.ddp:
             return None
-        more = {SETTINGS[stage]: 2 * getattr(self.train, SETTINGS[stage]) for stage in stages}
+        more = {name: 2 * getattr(self.train, name) for stage, name in EPOCH_SETTINGS.items() if stage in stages}
         command = ["offpiste", "train", str(self.dataset), "--out", f"{self.out}-longer"]
         command += options(replace(self.train, **more))
         command += ["--folds", str(self.folds)] if self.folds else []

@@ -37,7 +37,7 @@ from offpiste.simulation.sensors.suite import SensorSuite, sensor_suite
 from offpiste.simulation.vehicle.parameters import VehicleParameters, load_vehicle
 from offpiste.simulation.world.surface import read_grid
 from offpiste.simulation.world.world import World, WorldSettings
-from offpiste.training.fitness import differing_vehicle
+from offpiste.training.run import differing_vehicle
 
 logger = logging.getLogger(__name__)
 

@@ -21,8 +21,7 @@ from offpiste.core.state import wrap_angle
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics import Dynamics
 from offpiste.training.losses import summed_loss
-from offpiste.training.prediction import Lookup, MapSource, batch_for, in_parts, roll_batch_out, roll_out
-from offpiste.training.terrain_sources import on_map
+from offpiste.training.prediction import Lookup, MapSource, batch_for, in_parts, on_map, roll_batch_out, roll_out
 
 HORIZONS = (1, 2, 3, 4, 5)
 """Times at which errors are kept [s after the start]."""

@@ -28,9 +28,8 @@ from offpiste.evaluation.report_tables import terminal_table
 from offpiste.evaluation.result_rows import Start
 from offpiste.training.checkpoint import fold_folders, load_json
 from offpiste.training.config import TrainConfig
-from offpiste.training.fitness import differing_vehicle, refuse_seen, refuse_unfit
 from offpiste.training.prediction import Lookup
-from offpiste.training.run import Run, load_run
+from offpiste.training.run import Run, differing_vehicle, load_run, refuse_seen, refuse_unfit
 
 logger = logging.getLogger(__name__)
 

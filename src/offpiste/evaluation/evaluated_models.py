@@ -16,8 +16,8 @@ from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics import MODELS, Dynamics, Vehicle
 from offpiste.evaluation.metrics import label
-from offpiste.training.build import vehicle_of
 from offpiste.training.prediction import Lookup
+from offpiste.training.run import vehicle_of
 
 logger = logging.getLogger(__name__)
 

@@ -24,7 +24,7 @@ from offpiste.planning.caution import caution_of
 from offpiste.planning.gpu import require_device
 from offpiste.rig.rig import Rig, load_rig
 from offpiste.runtime.settings import keeping_to
-from offpiste.training.fitness import differing_vehicle
+from offpiste.training.run import differing_vehicle
 from offpiste.transport.message_types import MessageTypes
 from offpiste.transport.zenoh_transport import ZenohSettings, ZenohTransport
 

@@ -26,7 +26,7 @@ from offpiste.live.session import Source
 from offpiste.live.vehicle_messages import VehicleMessages
 from offpiste.logs.ros.bag_files import field_getter, heard_at
 from offpiste.rig.rig import Rig, load_rig
-from offpiste.training.fitness import differing_vehicle
+from offpiste.training.run import differing_vehicle
 from offpiste.transport.interface import Received
 from offpiste.transport.zenoh_transport import ZenohSettings, ZenohTransport
 

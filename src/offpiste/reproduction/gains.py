@@ -17,10 +17,8 @@ from offpiste.evaluation.intervals import Levels, PairedDifference, Resampling, 
 from offpiste.report.text_table import TextTable, interval, number
 from offpiste.reproduction.runs import PART, evaluation_windows, run_errors
 from offpiste.training.checkpoint import sha256_of_tensors
-from offpiste.training.fitness import refuse_seen
-from offpiste.training.prediction import MapSource
-from offpiste.training.run import Run
-from offpiste.training.terrain_sources import on_map
+from offpiste.training.prediction import MapSource, on_map
+from offpiste.training.run import Run, refuse_seen
 
 MAP: Reading = ("map", None)
 HINDSIGHT: Reading = ("recorded", "hindsight")

@@ -22,11 +22,9 @@ from offpiste.reproduction.settings import BASELINE, Figure, FigureModel, Reprod
 from offpiste.reproduction.steps import Step
 from offpiste.training.checkpoint import SHARED_STAGES
 from offpiste.training.distributed import ALONE
-from offpiste.training.fitness import refuse_seen
-from offpiste.training.map_loss import MapLoss, map_loss
-from offpiste.training.prediction import MapSource
-from offpiste.training.run import Run, kept_epochs, load_run
-from offpiste.training.terrain_sources import on_map
+from offpiste.training.losses import MapLoss, map_loss
+from offpiste.training.prediction import MapSource, on_map
+from offpiste.training.run import Run, best_epochs, load_run, refuse_seen
 from offpiste.training.train import train
 
 
@@ -222,7 +220,7 @@ def model_stages(
 
 def _kept(run: Path) -> str:
     """The epoch that a run's network kept, in words; "" of models without a network."""
-    kept = kept_epochs(run).get("model")
+    kept = best_epochs(run).get("model")
     return "" if kept is None else kept.line("network")
 
 

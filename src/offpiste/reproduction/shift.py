@@ -24,8 +24,8 @@ from offpiste.evaluation.evaluated_models import Reading
 from offpiste.evaluation.intervals import MIN_UNITS, Sampling
 from offpiste.mapping.terrain_sampler import MapTerrain
 from offpiste.reproduction.gains import HINDSIGHT, MAP, Gain, errors_of, evaluation_index, gain, same_windows
+from offpiste.training.prediction import map_terrain, on_map, with_past_on
 from offpiste.training.run import Run
-from offpiste.training.terrain_sources import map_terrain, on_map, with_past_on
 
 METRES: Final = 50.0
 """Patches of ground are 8 to 25 m long (`simulation.ground.PATCH_GRAIN`): so far on lies another one."""

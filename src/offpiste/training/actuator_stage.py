@@ -1,6 +1,6 @@
-"""Fits the actuators' delay models, once for all runs: they are stored under a digest of all that they follow from.
+"""Fit of the actuators' delay models, cached for all runs under a digest of its inputs.
 
-They follow from dataset, vehicle, settings of their stage and seed alone, whichever model is trained. An entry of the
+The result depends on dataset, vehicle, settings of the stage and seed, but not on the model to train. An entry of the
 user's cache is one safetensors file with its own digest, written whole or not at all.
 """
 
@@ -27,9 +27,8 @@ from offpiste.dynamics.models import initial_actuators
 from offpiste.training.checkpoint import load_tensors, save_tensors
 from offpiste.training.config import TrainConfig
 from offpiste.training.distributed import ALONE, Group
-from offpiste.training.kept_epoch import KeptEpoch
+from offpiste.training.loop import BestEpoch, Record, Stage, metrics_of, run_stage, write_metrics
 from offpiste.training.losses import FITTED_STEPS, actuator_loss
-from offpiste.training.optimise import Record, Stage, metrics_of, run_stage, write_metrics
 
 logger = logging.getLogger(__name__)
 
@@ -37,11 +36,10 @@ NAME: Final = "actuators"
 """Name of the stage, and stem of its files."""
 
 LARGEST_EPOCH: Final = 100_000
-"""Windows, or about as many: with more of them they lie further apart, since these models are small and neighbours
-are much alike."""
+"""Approximate largest number of windows per epoch; of more windows, only some are used, evenly spread."""
 
 LARGEST_BATCH: Final = 1024
-"""Windows in a step: with all that a GPU takes at once there would be few steps."""
+"""Largest batch; a GPU's larger batches would leave too few steps."""
 
 FORMAT: Final = 1
 """Version of an entry and of its digest."""
@@ -50,17 +48,17 @@ SETTINGS: Final = (
     "actuator_epochs", "batch", "stride", "learning_rate", "constants_learning_rate", "gradient_clip", "start", "seed",
     "device",
 )  # fmt: skip
-"""Settings of a training that the actuators' stage reads."""
+"""Settings that the result depends on."""
 
 SOURCES: Final = (
     "dynamics", "training", "dataset/windows.py", "dataset/window_starts.py", "dataset/columns",
-    "dataset/features_under_wheels.py", "channels.py", "conventions.py", "compilation.py",
+    "dataset/features_under_wheels.py", "core/channels.py", "core/conventions.py", "compilation.py",
 )  # fmt: skip
-"""Code that the fit runs through, relative to the package."""
+"""Code that the result depends on, relative to the package."""
 
 
 def actuators_to_fit(vehicle: Vehicle, config: TrainConfig, device: torch.device, group: Group) -> Actuators:
-    """Actuators before they are fitted: alone on the CPU, whose kernels are faster than a GPU that steps eagerly."""
+    """Return untrained actuators; on the CPU where its kernels support them, since a GPU would step eagerly."""
     lags = initial_actuators(vehicle, config.seed)
     alone = group.size == 1 and supports_actuators(lags, torch.device("cpu"), torch.float32)
     return lags if alone else lags.to(device)
@@ -74,8 +72,8 @@ def fit_actuators(
     folder: Path,
     record: Record,
     group: Group = ALONE,
-) -> KeptEpoch:
-    """Fit the actuators' models where they lie, or take those of an earlier run with the same digest: they are alike.
+) -> BestEpoch:
+    """Fit the actuators' models in place, or load the result of an earlier run with the same digest.
 
     Raises:
         TrainingError: as `run_stage`.
@@ -98,11 +96,11 @@ def fit_actuators(
 
 
 def stage_key(windows: Windows, validation: Windows, vehicle: Vehicle, config: TrainConfig, processes: int) -> str:
-    """Digest of all that fitted actuators follow from: recorded rows, channels, settings, code and machine.
+    """Digest of the inputs of the fit: recorded rows, channels, settings, code and machine.
 
     Args:
-        windows, validation: of the two parts, as the stage reads them.
-        processes: that train together; their sums are rounded otherwise.
+        windows, validation: windows of the two parts.
+        processes: number of processes that train together, on which rounding depends.
     """
     arrays = windows.motion() | {"rows to train": windows.rows, "rows to validate": validation.rows}
     settings = asdict(config)
@@ -126,44 +124,44 @@ def stage_key(windows: Windows, validation: Windows, vehicle: Vehicle, config: T
 
 
 def _code_of(function: Any) -> list[str]:
-    """What a function does, wherever an extension defines it."""
+    """Byte code of a function, which an extension may define."""
     code = function.__code__
     return [code.co_code.hex(), repr(code.co_names), repr([c for c in code.co_consts if not hasattr(c, "co_code")])]
 
 
 def stage_entry(key: str) -> Path:
-    """The file of an entry."""
+    """Path of a cache entry."""
     return cache_folder() / "stages" / f"{NAME}-{key[:32]}.safetensors"
 
 
 def take_stage(key: str, run: Path) -> bool:
-    """Put the stored stage into a run, as if it had been fitted there; False where there is none that can be read."""
+    """Copy a cached stage into a run, as if it had been fitted there; return False if there is none."""
     entry = stage_entry(key)
     if not entry.is_file():
         return False
     try:
         weights, about = load_tensors(entry)
         if about.get("key") != key:
-            raise RunError("is of another stage", where=entry)
+            raise RunError("belongs to another stage", where=entry)
         metrics, kept = about["metrics"], about["kept"]
     except (RunError, KeyError) as error:
-        logger.warning(f"{entry}: cannot be used, the actuators are fitted again ({error})")
+        logger.warning(f"{entry}: cannot be used, so the actuators are fitted again ({error})")
         return False
-    # The stage's own file comes last: with it, the stage is done.
+    # The stage's own file comes last: it marks the stage as done.
     write_metrics(run / "metrics.jsonl", metrics)
     save_tensors(run / f"{NAME}.safetensors", weights, **kept)
-    logger.info(f"{NAME}: taken from {entry}, fitted before on the same data with the same settings and seed")
+    logger.info(f"{NAME}: read from {entry}, fitted before on the same data with the same settings and seed")
     return True
 
 
 def store_stage(key: str, run: Path) -> None:
-    """Keep a run's fitted stage for other runs; a cache that cannot be written is left alone."""
+    """Add a run's fitted stage to the cache; a cache that cannot be written is ignored."""
     entry = stage_entry(key)
     weights, kept = load_tensors(run / f"{NAME}.safetensors")
     metrics = [line for line in metrics_of(run / "metrics.jsonl") if line["stage"] == NAME]
     try:
         save_tensors(entry, weights, key=key, kept=kept, metrics=metrics)
     except OSError as error:
-        logger.info(f"{NAME}: fitted; not kept for other runs ({error})")
+        logger.info(f"{NAME}: fitted; not cached for other runs ({error})")
     else:
-        logger.info(f"{NAME}: fitted, and kept for other runs in {entry}")
+        logger.info(f"{NAME}: fitted, and cached for other runs in {entry}")

@@ -1,4 +1,4 @@
-"""Files of runs: safetensors for numbers, JSON for everything else, no pickle; whole or not at all, with digests."""
+"""Files of runs: safetensors and JSON with digests, written whole or not at all; no pickle."""
 
 import json
 import logging
@@ -22,12 +22,12 @@ logger = logging.getLogger(__name__)
 REMEDY: Final = "train again, or restore the file"
 
 WEIGHTS: Final = "model.safetensors"
-"""File of a run's weights."""
+"""File with the weights of a run."""
 
 SHARED_STAGES: Final = ("bicycle",)
-"""Stages of training that do not read terrain features: fitted with one model, they serve all of a seed.
+"""Stages that do not read terrain features, so that all models of a seed can share their result.
 
-The actuators' stage does not either; every training shares that (`offpiste.training.actuator_stage`).
+The actuators' stage is shared by a cache (`offpiste.training.actuator_stage`).
 """
 
 _FOLD: Final = re.compile(r"fold-(\d+)")
@@ -35,7 +35,7 @@ _FOLD: Final = re.compile(r"fold-(\d+)")
 
 
 def save_tensors(path: Path, tensors: dict[str, Tensor], **about: Any) -> None:
-    """Write tensors, with a few JSON values and a SHA-256 of it all in the file's own header."""
+    """Write tensors, with JSON values and a SHA-256 of both in the file's header."""
     kept = {name: tensor.detach().cpu().contiguous().clone() for name, tensor in tensors.items()}
     # One entry: safetensors writes several in an order that differs from process to process.
     header = {"about": json.dumps({**about, "sha256": sha256_of_tensors(kept, about)})}
@@ -43,10 +43,10 @@ def save_tensors(path: Path, tensors: dict[str, Tensor], **about: Any) -> None:
 
 
 def load_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """Read what `save_tensors` wrote.
+    """Read tensors and JSON values written by `save_tensors`.
 
     Raises:
-        RunError: no such file, or a damaged one.
+        RunError: no such file, or it is damaged.
     """
     try:
         with open_tensors(path, "pt") as file:
@@ -60,15 +60,15 @@ def load_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
 
 
 def save_beside_weights(path: Path, tensors: dict[str, Tensor], **about: Any) -> None:
-    """Write tensors that belong to the weights of a run, into its folder, with the SHA-256 of these."""
+    """Write tensors into the folder of a run, with the SHA-256 of the weights they belong to."""
     save_tensors(path, tensors, weights_sha256=sha256_of(path.parent / WEIGHTS), **about)
 
 
 def load_beside_weights(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """Read what `save_beside_weights` wrote.
+    """Read tensors and JSON values written by `save_beside_weights`.
 
     Raises:
-        RunError: as `load_tensors`, or the weights are others now.
+        RunError: as `load_tensors`, or the weights have changed.
     """
     tensors, about = load_tensors(path)
     if about.pop("weights_sha256", None) != sha256_of(path.parent / WEIGHTS):
@@ -77,7 +77,7 @@ def load_beside_weights(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
 
 
 def sha256_of_tensors(tensors: Mapping[str, Tensor], about: Mapping[str, Any]) -> str:
-    """SHA-256 of named tensors, such as a `state_dict`, and of JSON values about them."""
+    """SHA-256 of named tensors, such as a `state_dict`, and of JSON values."""
     return sha256_of_arrays({name: tensor.cpu().numpy() for name, tensor in tensors.items()}, about)
 
 
@@ -89,16 +89,16 @@ def _refuse_changed(path: Path, written: object, found: str) -> None:
 
 
 def save_json(path: Path, content: dict[str, Any]) -> None:
-    """Write strict JSON, with a SHA-256 of what it says."""
+    """Write strict JSON with a SHA-256 of its content."""
     sealed = {**content, "sha256": sha256_of_json(json.loads(json.dumps(content)))}
     write_text(path, json.dumps(sealed, indent=2, allow_nan=False) + "\n")
 
 
 def load_json(path: Path) -> dict[str, Any]:
-    """Read what `save_json` wrote.
+    """Read a JSON object written by `save_json`.
 
     Raises:
-        RunError: no such file, not a JSON object, or a damaged one.
+        RunError: no such file, not a JSON object, or it is damaged.
     """
     try:
         content = parsed(read_small(path))
@@ -111,13 +111,13 @@ def load_json(path: Path) -> dict[str, Any]:
 
 
 def refuse_other_file(path: Path, digest: str | None) -> None:
-    """Raise if a file of a run is not the one that its JSON names.
+    """Check that a file of a run has the digest stated in its JSON.
 
     Args:
-        digest: its SHA-256; None where an older offpiste kept none.
+        digest: SHA-256; None if unknown.
 
     Raises:
-        RunError: it is missing, or has another one.
+        RunError: the file is missing, or its digest differs.
     """
     try:
         found = sha256_of(path)
@@ -127,7 +127,7 @@ def refuse_other_file(path: Path, digest: str | None) -> None:
 
 
 def load_weights(module: nn.Module, tensors: dict[str, Tensor], where: Path) -> None:
-    """Put weights into a module.
+    """Load weights into a module.
 
     Raises:
         RunError: they belong to another model.
@@ -144,7 +144,7 @@ def load_weights(module: nn.Module, tensors: dict[str, Tensor], where: Path) -> 
 def save_checkpoint(
     path: Path, weights: dict[str, dict[str, Tensor]], optimiser: torch.optim.Optimizer, **about: Any
 ) -> None:
-    """Write weights, and the optimiser's `state_dict`: its tensors beside the weights, the rest as JSON."""
+    """Write weights and an optimiser's state."""
     state = optimiser.state_dict()
     tensors = {f"{name}.{key}": value for name, result in weights.items() for key, value in result.items()}
     tensors |= {f"optimiser.{n}.{key}": value for n, result in state["state"].items() for key, value in result.items()}
@@ -154,10 +154,10 @@ def save_checkpoint(
 def load_checkpoint(
     path: Path, optimiser: torch.optim.Optimizer
 ) -> tuple[dict[str, dict[str, Tensor]], dict[str, Any]]:
-    """Read what `save_checkpoint` wrote: weights and the values beside them; the optimiser gets its state back.
+    """Read weights and JSON values written by `save_checkpoint`, and restore the optimiser's state.
 
     Raises:
-        RunError: no such file, a damaged one, or of another optimiser.
+        RunError: no such file, or it is damaged or belongs to another optimiser.
     """
     tensors, about = load_tensors(path)
     weights: dict[str, dict[str, Tensor]] = {}
@@ -177,25 +177,25 @@ def load_checkpoint(
 
 
 def fold_folders(folder: Path) -> list[Path]:
-    """The runs of a cross-validation, in the order of the folds; empty if the folder is a single run."""
+    """Return the runs of a cross-validation in the order of the folds; empty for a single run."""
     numbers = {int(named[1]): path for path in folder.glob("fold-*") if (named := _FOLD.fullmatch(path.name))}
     return [numbers[number] for number in sorted(numbers)]
 
 
 def refuse_other_folder(folder: Path) -> None:
-    """Check that a folder that holds no run may become one: it is not there, or holds nothing but folds or stages.
+    """Check that a folder may become a run: it does not exist, or holds only folds or stages.
 
     Raises:
-        RunError: it holds something else, which a run's files might overwrite.
+        RunError: it holds other files, which might be overwritten.
     """
     if not folder.exists():
         return
     if any(not _of_training(each.name) for each in folder.iterdir()):
-        raise RunError("is a folder of something else than a run", where=folder, how="give another one as --out")
+        raise RunError("holds files that are not of a run", where=folder, how="give another folder as --out")
     remove_partials(folder)
 
 
 def _of_training(name: str) -> bool:
-    """Whether a file or folder of this name is there before a run is: a fold, a stage of another run, what was cut."""
+    """Whether a name is that of a fold, a shared stage or a partial file."""
     stages = {f"{stage}.safetensors" for stage in SHARED_STAGES}
     return name in stages or name.endswith(PARTIAL) or _FOLD.fullmatch(name) is not None

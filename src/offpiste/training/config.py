@@ -1,4 +1,4 @@
-"""Settings of a training, with defaults that are right for a log of some minutes to some hours."""
+"""Settings of a training, with defaults for logs of some minutes to some hours."""
 
 import json
 import math
@@ -8,12 +8,12 @@ from typing import Any, Literal
 from offpiste.core.errors import RunError
 
 MOST_CODES = 256
-"""A longer code would not compress anything."""
+"""Largest length of a code: longer ones would not compress."""
 
 
 @dataclass(frozen=True)
 class Weights:
-    """Weights of the loss's components, after each is divided by the kinematic bicycle's mean square error."""
+    """Weights of the loss's components, each divided by the kinematic bicycle's mean square error."""
 
     position: float = 1.0
     yaw: float = 1.0
@@ -22,7 +22,7 @@ class Weights:
     yaw_rate: float = 1.0
 
     def in_order(self) -> tuple[float, float, float, float, float]:
-        """In the order of `offpiste.training.losses.COMPONENTS`."""
+        """Return the weights in the order of `offpiste.training.losses.COMPONENTS`."""
         return (self.position, self.yaw, self.vx, self.vy, self.yaw_rate)
 
 
@@ -31,26 +31,25 @@ class TrainConfig:
     """Settings of a training.
 
     Attributes:
-        model: name of a model; an unknown name lists those there are.
-        codes: length of the code that models with an encoder make of the features under a wheel (the paper's n).
+        model: name of the model; an unknown name lists all models.
+        codes: length of the code of the features under a wheel, in models with an encoder (the paper's n).
         pca: number of the dataset's features that models read, the first ones; 0: all.
         epochs: passes over the training windows for the model itself.
-        bicycle_epochs: passes that fit the bicycle's constants before the network joins in.
-        refit_constants: the bicycle's constants keep learning beside the network, as in the paper; otherwise they stay
-            those that fit without it.
+        bicycle_epochs: passes that fit the bicycle's constants before the network is added.
+        refit_constants: train the bicycle's constants together with the network, as in the paper; otherwise they stay
+            as fitted before.
         actuator_epochs: passes that fit the actuator models before they are frozen.
-        batch: windows in a step; more of them on a GPU, see docs/gpu.md.
+        batch: windows per step; use more on a GPU (docs/gpu.md).
         stride: rows between the windows of one epoch; the phase changes from epoch to epoch, so all rows are used.
         learning_rate: learning rate of Adam for networks.
-        constants_learning_rate: learning rate of Adam for the constants of physics.
+        constants_learning_rate: learning rate of Adam for physical constants.
         gradient_clip: largest norm of a gradient.
-        start: states that predictions start from, in training as in use.
-        min_speed: windows start above it [m/s], 0: from standstills as well; None: as the dataset says.
-        relative: 0: errors in metres count alike at any speed, as in the paper; 1: relative to the distance that is
+        start: estimate of the state that predictions start from.
+        min_speed: smallest speed at the start of a window [m/s]; 0: standstills as well; None: as in the dataset.
+        loss: name of the loss; an unknown name lists all losses.
+        relative: 0: errors in metres count alike at any speed, as in the paper; 1: errors relative to the distance
             driven, so that slow windows matter.
-        robust: 0: squared errors count, as in the paper; above: their root does in windows whose loss is well above the
-            square of this (`offpiste.training.losses.robust`), so that the few worst windows do not rule.
-        mirror: train on the mirror image of every second window, drawn anew each time; not the actuators.
+        mirror: train on the mirror image of a random half of the windows; not the actuators.
         weights: weights of the loss's components.
         seed: seed of the initial weights and the order of the windows.
         device: where to train: "cpu", "cuda", ...
@@ -70,8 +69,8 @@ class TrainConfig:
     gradient_clip: float = 1.0
     start: Literal["causal", "smoothed"] = "causal"
     min_speed: float | None = None
+    loss: str = "squared"
     relative: float = 0.0
-    robust: float = 0.0
     mirror: bool = False
     weights: Weights = field(default_factory=Weights)
     seed: int = 0
@@ -79,7 +78,7 @@ class TrainConfig:
 
 
 def refuse_impossible(config: TrainConfig) -> None:
-    """Raise unless every number of a training is one that it can work with.
+    """Check the numbers of a training.
 
     Raises:
         RunError: names the setting and its limit.
@@ -99,8 +98,6 @@ def refuse_impossible(config: TrainConfig) -> None:
         _refuse("min_speed", config.min_speed, "a speed of 0 or more [m/s]")
     if not 0 <= config.relative <= 1:
         _refuse("relative", config.relative, "a number from 0 to 1")
-    if not 0 <= config.robust < math.inf:
-        _refuse("robust", config.robust, "a number of 0 or more; 0.5 is tried")
     weights = config.weights.in_order()
     if not (all(0 <= weight < math.inf for weight in weights) and any(weights)):
         raise RunError(f"weights of the loss are {weights}", how="give numbers of 0 or more, and one above 0")
@@ -112,14 +109,14 @@ def _refuse(name: str, value: int | float, allowed: str) -> None:
 
 
 def other_settings(before: dict[str, Any], now: dict[str, Any]) -> str:
-    """What differs between the settings of two runs, in words."""
-    if isinstance(before.get("train"), dict):  # of runs that are older than a setting
+    """Describe how the settings of two runs differ; "" if they do not."""
+    if isinstance(before.get("train"), dict):  # a run may be older than a setting
         before["train"] = {**json.loads(json.dumps(asdict(TrainConfig()))), **before["train"]}
     for key in now:
         then, new = before.get(key), now[key]
         if then != new and isinstance(then, dict):
             other = [name for name in new if then.get(name) != new[name]]
-            if other:  # else an older run has a setting more
+            if other:  # else an older run has an additional setting
                 return ", ".join(f"{name} {then.get(name)} then, {new[name]} now" for name in other)
         elif then != new:
             return key

@@ -1,4 +1,4 @@
-"""One training on several processes or GPUs: each does a share of every batch, and all take the same step."""
+"""Training on several processes or GPUs: each computes a share of every batch, and all take the same step."""
 
 import os
 from collections.abc import Iterable, Iterator
@@ -15,7 +15,7 @@ from torch import Tensor
 from offpiste.core.errors import OffpisteError, RunError
 
 TIMEOUT = timedelta(minutes=30)
-"""Longest wait of processes for each other: one may be writing or reading a large file."""
+"""Longest time that processes wait for each other, e.g. while one reads a large file."""
 
 
 @dataclass(frozen=True)
@@ -23,8 +23,8 @@ class Group:
     """The processes of a training.
 
     Attributes:
-        rank: number of this one; 0 writes.
-        size: how many there are.
+        rank: number of this process; process 0 writes files.
+        size: number of processes.
     """
 
     rank: int = 0
@@ -36,16 +36,16 @@ class Group:
         return self.rank == 0
 
     def share(self, count: int) -> slice:
-        """The part of `count` things that is this process's."""
+        """Return this process's slice of `count` items."""
         edges = np.linspace(0, count, self.size + 1).round().astype(int)
         return slice(int(edges[self.rank]), int(edges[self.rank + 1]))
 
     def mine(self, parts: list[Int[np.ndarray, " n"]]) -> Iterator[tuple[int, Int[np.ndarray, " n"]]]:
-        """Those of some parts that this process works on, with their numbers."""
+        """Yield the parts that this process works on, with their numbers."""
         return ((number, part) for number, part in enumerate(parts) if number % self.size == self.rank)
 
     def sum(self, value: Tensor) -> Tensor:
-        """The sum of a value over all processes."""
+        """Return the sum of a value over all processes."""
         if self.size > 1:
             value = value.detach().clone()
             with _with_the_others():
@@ -53,7 +53,7 @@ class Group:
         return value
 
     def sum_gradients(self, parameters: Iterable[Tensor]) -> None:
-        """Add up the gradients of all processes; where one has none, it counts as zero."""
+        """Sum gradients over all processes; missing ones count as zero."""
         if self.size == 1:
             return
         result = list(parameters)
@@ -67,7 +67,7 @@ class Group:
             parameter.grad = part.view_as(parameter).clone()
 
     def together(self, error: OffpisteError | None) -> None:
-        """Raise in all processes what went wrong in the first; otherwise wait until all are here."""
+        """Wait for all processes, and raise in all of them the error of the first, if any."""
         if self.size > 1:
             message: list[OffpisteError | None] = [error]
             with _with_the_others():
@@ -82,13 +82,13 @@ ALONE = Group()
 
 @contextmanager
 def joined(device: str) -> Iterator[Group]:
-    """The group that `torchrun` started this process in.
+    """Join the group of processes started by `torchrun`.
 
     Args:
-        device: "cpu" talks through gloo, "cuda" through NCCL; each process has the GPU of its local rank.
+        device: "cpu" communicates by gloo, "cuda" by NCCL; each process uses the GPU of its local rank.
 
     Raises:
-        RunError: not started by `torchrun`, or another process is lost.
+        RunError: not started by `torchrun`, or another process was lost.
     """
     if not {"RANK", "WORLD_SIZE", "MASTER_ADDR"} <= set(os.environ):
         raise RunError(
@@ -106,9 +106,9 @@ def joined(device: str) -> Iterator[Group]:
 
 @contextmanager
 def _with_the_others() -> Iterator[None]:
-    """Turn the backend's error for a process that has gone into one line."""
+    """Turn the backend's error about a lost process into one line."""
     try:
         yield
     except RuntimeError as error:
-        how = "see what it said, then start all of them again with --resume"
+        how = "see its messages, then start all processes again with --resume"
         raise RunError("another process of this training was lost, or cannot be reached", how=how) from error

@@ -1,30 +1,84 @@
-"""Losses of training: errors along the whole horizon in units of the reference's errors, and the actuators' own."""
+"""Losses of training: registered by name, their units and weights, the validation loss on maps, the actuators' loss."""
 
 from collections.abc import Callable
+from copy import deepcopy
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from offpiste.core.conventions import min_evaluation_speed
-from offpiste.core.state import wrap_angle
+from offpiste.core.errors import RunError
+from offpiste.core.registry import Registry
+from offpiste.core.state import Trajectory, wrap_angle
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import Dynamics
 from offpiste.dynamics.actuators import Actuators
 from offpiste.dynamics.kernels.actuators import rollout_actuators, supports_actuators
+from offpiste.dynamics.kernels.map_rollout import predict_on
+from offpiste.mapping.terrain_sampler import CellStack, MapTerrain
 from offpiste.training.config import TrainConfig
-from offpiste.training.prediction import in_parts, predict
+from offpiste.training.distributed import Group
+from offpiste.training.prediction import in_parts, predict, with_past_on
 
-COMPONENTS = ("position", "yaw", "vx", "vy", "yaw_rate")
-"""[m, rad, m/s, m/s, rad/s]"""
+COMPONENTS: Final = ("position", "yaw", "vx", "vy", "yaw_rate")
+"""Components of the loss [m, rad, m/s, m/s, rad/s]."""
 
-SCALED = 100_000
-"""Windows, or about as many, that the units are taken from: with more of them they lie further apart."""
+SCALED: Final = 100_000
+"""Approximate largest number of windows that the loss's units are computed from."""
+
+BEND: Final = 0.5
+"""Root of the loss above which `charbonnier` grows linearly with the error."""
+
+MAP_WINDOWS: Final = 300
+"""Largest number of windows that an epoch is chosen by on maps."""
+
+CORRIDOR: Final = 10.0
+"""Distance from the recorded path within which cells of a map are kept in memory [m].
+
+Predictions further away find unknown ground. A window takes some 2 MB with 40 features.
+"""
+
+EVERY: Final = 10
+"""Rows between the points of the path around which the corridor is laid."""
+
+FITTED_STEPS: Final = 100
+"""Steps of the actuators' loss, 2 s: actuators settle within a second or two."""
+
+_SAMPLED: Final = 512
+"""Number of windows that the actuators' variances are computed from."""
+
+Loss = Callable[[Float[Tensor, "B T 5"], Float[Tensor, " 5"]], Float[Tensor, " B"]]
+"""Maps squared errors by window, step and component, and a weight for each component, to the loss of each window."""
+
+LOSSES: Final[Registry[Loss]] = Registry("loss", error=RunError)
+"""Losses by name (`train --loss NAME`)."""
+
+WindowLoss = Callable[[Trajectory, Batch], Float[Tensor, " B"]]
+"""Loss of each window, from its prediction."""
+
+
+@LOSSES.register("squared")
+def squared_loss(squared: Float[Tensor, "B T 5"], weights: Float[Tensor, " 5"]) -> Float[Tensor, " B"]:
+    """Mean over steps, weighted sum over components, as in the paper."""
+    return (squared.mean(dim=1) * weights).sum(dim=-1)
+
+
+@LOSSES.register("charbonnier")
+def charbonnier_loss(squared: Float[Tensor, "B T 5"], weights: Float[Tensor, " 5"]) -> Float[Tensor, " B"]:
+    """Squared loss x with its tail bent: 2 d (sqrt(x + d²) - d) with d = `BEND` (Charbonnier et al. 1994).
+
+    It equals x far below d² and grows as sqrt(x) far above, so that the few worst windows do not dominate.
+    """
+    return 2 * BEND * (torch.sqrt(squared_loss(squared, weights) + BEND**2) - BEND)
 
 
 def squared_errors(predicted: Float[Tensor, "B T 6"], target: Float[Tensor, "B T 6"]) -> Float[Tensor, "B T 5"]:
-    """Squared errors by component: of position as a vector, of yaw wrapped."""
+    """Squared errors by component (`COMPONENTS`): of position as a vector, of yaw wrapped."""
     difference = predicted - target
     position = difference[..., :2].square().sum(dim=-1)
     yaw = wrap_angle(difference[..., 2]).square()
@@ -37,26 +91,17 @@ def summed_loss(
     scale: Float[Tensor, " 5"],
     weights: Float[Tensor, " 5"],
 ) -> Float[Tensor, " B"]:
-    """The loss of each window: mean over its steps, summed over the components.
+    """Squared loss of each window, by which models are evaluated.
 
     Args:
-        scale: mean square error of the reference (`loss_scale`), in the components' units squared, on any device.
-        weights: weight of each component (`offpiste.training.config.Weights.in_order`), beside it.
+        scale: mean square error of the reference (`loss_scale`).
+        weights: weight of each component (`Weights.in_order`), on the same device.
     """
-    return (squared_errors(predicted, target).mean(dim=1) * (weights / scale).to(target.device)).sum(dim=-1)
-
-
-def robust(loss: Float[Tensor, " B"], bend: float) -> Float[Tensor, " B"]:
-    """Losses of windows as Charbonnier et al. (1994) take them: 2 d (sqrt(x + d²) - d), with the loss x and d `bend`.
-
-    Far below d² it is x, far above it grows as the root of x does, thus as a distance and not as its square: what may
-    happen one way or the other is predicted nearer to its median than to its mean. With d = 0 it is x everywhere.
-    """
-    return 2 * bend * (torch.sqrt(loss + bend**2) - bend) if bend else loss
+    return squared_loss(squared_errors(predicted, target), (weights / scale).to(target.device))
 
 
 def loss_scale(reference: Dynamics, windows: Windows, config: TrainConfig) -> Float[Tensor, " 5"]:
-    """Mean square error of the reference on the training windows by component: the units of the loss."""
+    """Mean square error of the reference model on training windows, by component: the units of the loss."""
     if not reference.reads_terrain:
         windows = windows.without_terrain()
     errors = []
@@ -69,14 +114,14 @@ def loss_scale(reference: Dynamics, windows: Windows, config: TrainConfig) -> Fl
 
 
 def speed_weights(windows: Windows, relative: float) -> Callable[[Batch], Float[Tensor, " B"]]:
-    """Weights (speed + least)^(-2 relative) of windows, with a mean of 1 over all that train.
+    """Return weights (speed + least)^(-2 relative) of windows, with a mean of 1 over the training windows.
 
-    Errors grow with the distance, so that slow windows hardly count without.
+    Errors grow with the distance, so that slow windows hardly count without such weights.
 
     Args:
-        windows: that train.
-        relative: 0: an error in metres counts as much at any speed, as in the paper; 1: relative to the distance that a
-            window goes, but for `least`, the speed from which windows are evaluated (`min_evaluation_speed`).
+        windows: training windows.
+        relative: 0: errors in metres count alike at any speed, as in the paper; 1: errors relative to the distance
+            driven. `least` is the speed from which windows are evaluated (`min_evaluation_speed`).
     """
     least = min_evaluation_speed(windows.dataset.rig.vehicle.wheelbase)
 
@@ -88,16 +133,69 @@ def speed_weights(windows: Windows, relative: float) -> Callable[[Batch], Float[
     return lambda batch: weigh(batch.state) / mean
 
 
-FITTED_STEPS = 100
-"""Steps of the actuators' loss: they settle within a second or two, so it reaches 2 s ahead, not 5."""
-_SAMPLED = 512
-"""Windows by which actuators are scaled."""
+@dataclass(frozen=True)
+class MapLoss:
+    """Mean loss over validation windows, each read on its own map at predicted places.
+
+    Maps are read from disk once, on first use; features are encoded as wheels reach them.
+
+    Attributes:
+        windows: validation windows, on the CPU, whose kernels read maps.
+        index: indices of the windows used.
+        group: processes that share the windows.
+    """
+
+    windows: Windows
+    index: Int[np.ndarray, " n"]
+    group: Group
+
+    @torch.no_grad()
+    def of(self, dynamics: Dynamics, loss: WindowLoss) -> float:
+        """Mean loss of a model."""
+        trained, here = next(dynamics.parameters()).device, self.windows.device
+        total = torch.zeros((), dtype=torch.float64, device=here)
+        if len(self._mine):
+            dynamics = dynamics if trained == here else deepcopy(dynamics).to(here)
+            batch, maps = self._kept
+            number = torch.arange(len(self._mine), device=self.windows.device)
+            places = self.windows.places(self._mine)
+            source = MapTerrain(maps, number, places, self.windows.wheels, dynamics.encoder)
+            batch = with_past_on(source, batch)
+            start = dynamics.start(batch.history, batch.state, batch.actuators)
+            total += loss(predict_on(dynamics, start, batch.control, source), batch).double().sum()
+        return float(self.group.sum(total.to(trained))) / len(self.index)
+
+    @cached_property
+    def _mine(self) -> Int[np.ndarray, " m"]:
+        return self.index[self.group.share(len(self.index))]
+
+    @cached_property
+    def _kept(self) -> tuple[Batch, CellStack]:
+        batch = replace(self.windows.gather(self._mine), ground=None)
+        path = torch.cat((batch.state[:, None, :2], batch.target[:, EVERY - 1 :: EVERY, :2]), dim=1)
+        places = path.double() + self.windows.places(self._mine)[:, None]
+        return batch, self.windows.maps.near(self._mine, places.cpu().numpy(), CORRIDOR)
+
+
+def map_loss(windows: Windows, group: Group, *, most: int = MAP_WINDOWS) -> MapLoss | None:
+    """Return the loss on `most` evenly spread windows with a map snapshot; None if there is no snapshot.
+
+    Args:
+        windows: all windows of a part; those on a GPU are opened again on the CPU.
+    """
+    snapped = np.flatnonzero(windows.maps.snapped)
+    if not len(snapped):
+        return None
+    if windows.device.type != "cpu":
+        windows = Windows(windows.dataset, windows.part, start=windows.start, horizon=windows.horizon)
+    chosen = np.unique(np.linspace(0, len(snapped) - 1, min(most, len(snapped))).round().astype(int))
+    return MapLoss(windows, snapped[chosen], group)
 
 
 def actuator_loss(actuators: Actuators, windows: Windows) -> Callable[[Batch], Float[Tensor, " B"]]:
-    """Squared errors of the recorded actuators over `FITTED_STEPS`, each over its variance on training rows.
+    """Return the squared errors of the recorded actuators over `FITTED_STEPS`, each over its variance in training.
 
-    The lags alone are rolled out, along the recorded speed: what the vehicle does is not yet predicted.
+    The actuators alone are rolled out, along the recorded speed.
     """
     vehicle = actuators.vehicle
     present = [index for index, name in enumerate(vehicle.actuator_columns) if name in vehicle.actuators]
@@ -112,13 +210,13 @@ def actuator_loss(actuators: Actuators, windows: Windows) -> Callable[[Batch], F
 
 
 def actuator_variance(windows: Windows) -> Float[Tensor, " A"]:
-    """Variance of each recorded actuator, over windows from all of the drives."""
+    """Variance of each recorded actuator, over evenly spread windows."""
     spread = np.unique(np.linspace(0, len(windows) - 1, min(len(windows), _SAMPLED)).astype(int))
     return windows.gather(spread).target_actuators.flatten(0, 1).var(dim=0).clamp(min=1e-6)
 
 
 def roll_actuators(actuators: Actuators, batch: Batch) -> Float[Tensor, "B S A"]:
-    """Actuators at the first `FITTED_STEPS` rows after t, along the recorded speed; by kernels where they can."""
+    """Predict the actuators over the first `FITTED_STEPS` steps along the recorded speed; by kernels if supported."""
     speed = torch.cat((batch.state[:, None, 3], batch.target[:, :-1, 3]), dim=1)[:, :FITTED_STEPS]
     control = batch.control[:, :FITTED_STEPS]
     start = batch.actuators, *actuators.start(batch.history)

@@ -1,40 +1,43 @@
-"""Predictions of windows: a batch over its recorded terrain, as training rolls out, or any windows of a dataset."""
+"""Predictions of windows, and the terrain they read: under recorded wheels, on a map, or along the driven path."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
-from typing import Final, Literal, get_args
+from dataclasses import dataclass, replace
+from typing import Any, Final, Literal, get_args
 
 import numpy as np
 import torch
-from jaxtyping import Int
+from jaxtyping import Float, Int
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from offpiste.core.channels import absent_value
 from offpiste.core.errors import DatasetError, OffpisteError, did_you_mean
-from offpiste.core.state import RecordedTerrain, TerrainSource, Trajectory
+from offpiste.core.state import RecordedTerrain, Terrain, TerrainSource, Trajectory
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import Dynamics, Vehicle, rollout
+from offpiste.dynamics.feature_encoder import Compressor
 from offpiste.dynamics.header.gpu import gpu_kernels
 from offpiste.dynamics.header.recorded import rollout_by_kernels
 from offpiste.dynamics.kernels.autograd import rollout_recorded, supports
+from offpiste.dynamics.kernels.encoder import codes_under_wheels, encode_cells, supports_encoder
 from offpiste.dynamics.kernels.map_rollout import predict_on
-from offpiste.training.terrain_sources import encoded, on_map
+from offpiste.mapping.terrain_sampler import MapTerrain
 
 Lookup = Literal["recorded", "map"]
 """Where a model reads the terrain: under the wheels' recorded future places, or on a map at predicted places."""
 
 MapSource = Callable[[Dynamics, Windows, np.ndarray, Batch], tuple[Batch, TerrainSource]]
-"""From a model, windows, their indices and their encoded batch to the batch and the map that the model reads."""
+"""Maps a model, windows, their indices and their encoded batch to the batch and the map that the model reads."""
 
 AT_ONCE: Final = 1024
-"""Windows that are rolled out side by side."""
+"""Number of windows that are rolled out together."""
 
 AT_ONCE_ON_SNAPSHOTS: Final = 32
-"""The same where each has a map of its own, some 10 MB each."""
+"""Number of windows that are rolled out together if each has its own map of some 10 MB."""
 
 
 def predict(dynamics: Dynamics, batch: Batch) -> Trajectory:
-    """Roll out a batch of windows over its recorded terrain, by the kernels where they can, with gradients."""
+    """Roll out a batch over its recorded terrain, with gradients; by kernels if they support the model."""
     batch = encoded(dynamics, batch)
     model_state = dynamics.start(batch.history, batch.state, batch.actuators)
     if supports(dynamics, batch.state.device, batch.state.dtype):
@@ -47,12 +50,12 @@ def predict(dynamics: Dynamics, batch: Batch) -> Trajectory:
 
 @torch.no_grad()
 def predict_windows(dynamics: Dynamics, windows: Windows, lookup: Lookup = "recorded") -> Trajectory:
-    """Predicted states and actuators of windows; positions are relative to each window's start.
+    """Predict states and actuators of windows; positions are relative to each window's start.
 
     Raises:
-        DatasetError: no window, the model reads features and the dataset has none, or the map is asked for and a
-            window does not start with one.
-        OffpisteError: no such lookup.
+        DatasetError: no window; the model reads features and the dataset has none; or the map is asked for and a window
+            starts without one.
+        OffpisteError: unknown lookup.
     """
     if lookup not in get_args(Lookup):
         how = f"{did_you_mean(lookup, get_args(Lookup))}there are: {', '.join(get_args(Lookup))}"
@@ -67,65 +70,37 @@ def predict_windows(dynamics: Dynamics, windows: Windows, lookup: Lookup = "reco
 def in_parts(
     index: Int[np.ndarray, " n"], windows: Windows, lookup: Lookup | None, size: int | None = None
 ) -> list[np.ndarray]:
-    """Indices of windows in parts that are rolled out side by side.
+    """Split indices of windows into parts that are rolled out together.
 
     Args:
-        size: of a part, where it is not the usual one.
+        size: of a part; None: as fits in memory.
     """
-    usual = AT_ONCE_ON_SNAPSHOTS if lookup == "map" and windows.maps.snapped.any() else AT_ONCE
-    size = size or usual
+    size = size or (AT_ONCE_ON_SNAPSHOTS if lookup == "map" and windows.maps.snapped.any() else AT_ONCE)
     return [index[first : first + size] for first in range(0, len(index), size)]
 
 
 def roll_out(
-    dynamics: Dynamics,
-    windows: Windows,
-    index: Int[np.ndarray, " B"],
-    lookup: Lookup | None,
-    map_source: MapSource = on_map,
+    dynamics: Dynamics, windows: Windows, index: Int[np.ndarray, " B"], lookup: Lookup | None
 ) -> tuple[Batch, Trajectory]:
-    """Some windows as one batch, and what the model predicts for them.
+    """Gather windows into a batch and predict them.
 
     Args:
         lookup: None for models that do not read the terrain.
-        map_source: the map that "map" reads, where it is not the windows' own.
     """
     batch = batch_for(dynamics, windows, windows.gather(index))
-    return batch, roll_batch_out(dynamics, windows, index, batch, lookup, map_source)
+    return batch, roll_batch_out(dynamics, windows, index, batch, lookup)
 
 
 def batch_for(dynamics: Dynamics, windows: Windows, batch: Batch) -> Batch:
-    """A batch of these windows in the columns that a model reads."""
+    """Return a batch of these windows in the columns that a model reads."""
     return in_columns_of(dynamics.vehicle, batch, [control.name for control in windows.dataset.rig.controls])
 
 
-def roll_batch_out(
-    dynamics: Dynamics,
-    windows: Windows,
-    index: Int[np.ndarray, " B"],
-    batch: Batch,
-    lookup: Lookup | None,
-    map_source: MapSource = on_map,
-) -> Trajectory:
-    """What a model predicts for a batch of windows.
-
-    Args:
-        index: of the windows in the batch.
-        batch: in the model's columns (`batch_for`).
-        lookup, map_source: as of `roll_out`.
-    """
-    if lookup != "map":
-        return predict(dynamics, batch)
-    batch, source = map_source(dynamics, windows, index, encoded(dynamics, batch))
-    start = dynamics.start(batch.history, batch.state, batch.actuators)
-    return predict_on(dynamics, start, batch.control, source)
-
-
 def in_columns_of(vehicle: Vehicle, batch: Batch, columns: Sequence[str]) -> Batch:
-    """A batch whose controls have the columns that models of a vehicle read; `Control.absent` where it lacks one.
+    """Return a batch with the control columns of a vehicle's models; `Control.absent` for those it lacks.
 
     Args:
-        columns: that the batch has.
+        columns: control columns of the batch.
     """
     wanted = vehicle.control_columns
     if wanted == tuple(columns):
@@ -138,3 +113,175 @@ def in_columns_of(vehicle: Vehicle, batch: Batch, columns: Sequence[str]) -> Bat
 
     past = replace(batch.history, control=chosen(batch.history.control))
     return replace(batch, history=past, control=chosen(batch.control))
+
+
+def roll_batch_out(
+    dynamics: Dynamics,
+    windows: Windows,
+    index: Int[np.ndarray, " B"],
+    batch: Batch,
+    lookup: Lookup | None,
+    map_source: MapSource | None = None,
+) -> Trajectory:
+    """Predict a batch of windows.
+
+    Args:
+        index: indices of the windows in the batch.
+        batch: in the model's columns (`batch_for`).
+        lookup: None for models that do not read the terrain.
+        map_source: map to read with the lookup "map"; None: the windows' own.
+    """
+    if lookup != "map":
+        return predict(dynamics, batch)
+    batch, source = (map_source or on_map)(dynamics, windows, index, encoded(dynamics, batch))
+    start = dynamics.start(batch.history, batch.state, batch.actuators)
+    return predict_on(dynamics, start, batch.control, source)
+
+
+def encoded(dynamics: Dynamics, batch: Batch) -> Batch:
+    """Return a batch with the recorded ground's features encoded by a model, each cell once.
+
+    Raises:
+        DatasetError: the model reads features and the dataset has none.
+    """
+    encoder = dynamics.encoder
+    if encoder is None:
+        return batch
+    if batch.ground is None:
+        raise DatasetError(
+            "the model reads terrain features and the dataset has none", how="extract with --pca (see fit-pca)"
+        )
+    features, valid = batch.ground.features, batch.ground.valid
+    if isinstance(encoder, Compressor) and supports_encoder(encoder, features):
+        codes = encode_cells(encoder, features, valid)
+    else:
+        codes = encoder(features, valid)
+    codes = codes.to(batch.state.dtype)
+    past = replace(batch.history.terrain, latent=codes_of_cells(codes, batch.ground.past))
+    return replace(
+        batch,
+        history=replace(batch.history, terrain=past),
+        terrain=replace(batch.terrain, latent=codes_of_cells(codes, batch.ground.ahead)),
+    )
+
+
+def codes_of_cells(codes: Float[Tensor, "M E"], cells: Int[Tensor, "*S"]) -> Float[Tensor, "*S E"]:
+    """Return `codes[cells]`, with a gradient that adds up in a fixed order, unlike that of indexing."""
+    if codes.device.type == "cpu" and codes.dtype == torch.float32:
+        return codes_under_wheels(codes, cells)
+    return _Codes.apply(codes, cells)  # type: ignore[no-untyped-call, no-any-return]
+
+
+class _Codes(torch.autograd.Function):
+    """Codes of cells; the adjoint sums over cells in the order of `cells`."""
+
+    @staticmethod
+    def forward(ctx: Any, codes: Tensor, cells: Tensor) -> Tensor:
+        """Codes [*S, E]."""
+        ctx.cells, ctx.count = cells, len(codes)
+        return _rows(codes, cells)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, bar: Tensor) -> tuple[Tensor, None]:
+        """Adjoint of the codes."""
+        if not ctx.cells.numel():
+            return bar.new_zeros(ctx.count, bar.shape[-1]), None
+        cells, order = torch.sort(ctx.cells.flatten().int(), stable=True)  # half the bits sort in half the time
+        first = torch.searchsorted(cells, torch.arange(ctx.count + 1, dtype=cells.dtype, device=cells.device))
+        by_cell = _rows(bar.reshape(-1, bar.shape[-1]), order)
+        return torch.segment_reduce(by_cell, "sum", offsets=first, axis=0, initial=0, unsafe=True), None
+
+
+def _rows(values: Float[Tensor, "M E"], index: Int[Tensor, "*S"]) -> Float[Tensor, "*S E"]:
+    """Return `values[index]`; rows of 16 bytes are read as one number each, 50 times faster on a GPU (docs/gpu.md)."""
+    if values.shape[1] * values.element_size() != 16:
+        return values[index]
+    numbers = values.contiguous().view(torch.complex128)[:, 0]
+    return numbers[index][..., None].view(values.dtype)
+
+
+@dataclass(frozen=True)
+class PathTerrain:
+    """Surface normals of the recorded path at its point nearest to the predicted place.
+
+    Reading the normal of row t at step t would give away how far the vehicle went.
+
+    Attributes:
+        position: points of the path relative to each window's start [m]; infinite where there is none.
+        normal: surface normals there in the world frame, the same under all wheels; NaN where unknown.
+    """
+
+    position: Float[Tensor, "B P 2"]
+    normal: Float[Tensor, "B P 3"]
+
+    def at(self, t: int, state: Float[Tensor, "B 6"]) -> Terrain:
+        """Return the ground at the predicted place; `t` is not used."""
+        squared = (self.position.to(state.dtype) - state[:, None, :2]).square().sum(dim=-1)
+        nearest = squared.argmin(dim=1)
+        normal = self.normal[torch.arange(len(nearest), device=nearest.device), nearest]
+        return Terrain.of(normal[:, None, :].expand(-1, 4, -1))
+
+
+def path_terrain(windows: Windows, index: Int[np.ndarray, " B"]) -> PathTerrain:
+    """Return the path around each window, from 1 s before its start to 8 s after, where its drive has valid rows."""
+    return PathTerrain(*windows.path(index))
+
+
+def on_map(
+    dynamics: Dynamics, windows: Windows, index: Int[np.ndarray, " B"], batch: Batch
+) -> tuple[Batch, TerrainSource]:
+    """Return the ground as a planner reads it: on the map, or without any the slope of the driven path.
+
+    The ground under the wheels before the start is read from the map as well: hindsight would know more.
+
+    Args:
+        batch: of the same windows, encoded.
+
+    Returns:
+        the batch with its past read on the map, and the source of the ground ahead.
+
+    Raises:
+        DatasetError: a drive has no map although the dataset has features or other maps, or a window starts without a
+            snapshot of it.
+    """
+    if not windows.dataset.features and not windows.maps.kept:
+        return batch, path_terrain(windows, index)
+    source = map_terrain(dynamics, windows, index)
+    return with_past_on(source, batch), source
+
+
+def map_terrain(dynamics: Dynamics, windows: Windows, index: Int[np.ndarray, " B"]) -> MapTerrain:
+    """Return the maps of windows, encoded by a model where wheels reach them.
+
+    Raises:
+        DatasetError: a drive has no map, or a window starts without a snapshot of it.
+    """
+    if windows.maps.snapped.any() or windows.maps.snapshots_elsewhere:
+        lacking = int((~windows.maps.snapped[index]).sum())
+        if lacking:
+            what = f"{lacking} of {len(index)} windows do not start with a snapshot of the map"
+            how = "choose windows of the validation or test part with `windows[windows.evaluation_indices(5)]`"
+            raise DatasetError(what, how=how)
+    maps, number = windows.maps.of(index)
+    if (number < 0).any():
+        name = windows.drive_names[windows.drive[index][number < 0][0]]
+        raise DatasetError(f"drive '{name}' has no map", how="extract it again")
+    return MapTerrain(
+        maps,
+        torch.as_tensor(number, device=windows.device),
+        windows.places(index),
+        windows.wheels,
+        dynamics.encoder,
+    )
+
+
+def with_past_on(source: TerrainSource, batch: Batch) -> Batch:
+    """Return a batch whose ground before the start is read from a terrain source."""
+    past = [source.at(0, state) for state in batch.history.state.unbind(dim=1)]
+    rows = Terrain(
+        torch.stack([t.normal for t in past], dim=1),
+        torch.stack([t.known for t in past], dim=1),
+        torch.stack([t.latent for t in past], dim=1),
+    )
+    return replace(batch, history=replace(batch.history, terrain=rows))

@@ -1,25 +1,29 @@
-"""A trained model on disk: what it is, what it was trained on, and its weights."""
+"""Trained models on disk (runs): building, loading and saving them, and whether one may be evaluated on a dataset."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import msgspec
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from offpiste.core.checksums import sha256_of
+from offpiste.core.channels import without_optional
+from offpiste.core.checksums import sha256_of, sha256_of_arrays
+from offpiste.core.conventions import DT
 from offpiste.core.errors import RunError
-from offpiste.core.shipped import PREFIX, alike, run_folder
+from offpiste.core.shipped import PREFIX, alike, named, run_folder
 from offpiste.core.state import Trajectory
 from offpiste.dataset.assumptions import assumptions_of
-from offpiste.dataset.store import Dataset
+from offpiste.dataset.splits import PARTS
+from offpiste.dataset.store import Dataset, StoredDrive
 from offpiste.dataset.windows import Windows
-from offpiste.dynamics import Dynamics, Vehicle
-from offpiste.training.build import build
+from offpiste.dynamics import MODELS, Dynamics, Vehicle
+from offpiste.rig.rig import Vehicle as RigVehicle
 from offpiste.training.checkpoint import (
     WEIGHTS,
     load_json,
@@ -30,18 +34,77 @@ from offpiste.training.checkpoint import (
     save_tensors,
 )
 from offpiste.training.config import MOST_CODES, TrainConfig, Weights
-from offpiste.training.fitness import Stretch, refuse_unfit, seen_stretches
-from offpiste.training.kept_epoch import KeptEpoch
+from offpiste.training.loop import BestEpoch
 from offpiste.training.losses import COMPONENTS
 from offpiste.training.prediction import Lookup, predict_windows
 
-SCHEMA = 2
-"""Version of a run: of what its files say, and of the physics that its weights belong to."""
+SCHEMA: Final = 2
+"""Version of a run: of its files, and of the physics that its weights belong to."""
+
+ALIKE: Final = 0.1
+"""Relative difference up to which measures of two vehicles count as the same."""
 
 _MOST_FEATURES: Final = 1 << 16
-"""More terrain features than any backbone has."""
+"""Largest number of terrain features; no backbone has as many."""
+
 _LARGEST: Final = 1e30
-"""Units and weights of the loss are less: float32 holds their product with an error."""
+"""Upper bound of units and weights of the loss: float32 holds their product with an error."""
+
+
+def vehicle_of(dataset: Dataset, config: TrainConfig | None = None) -> Vehicle:
+    """Return the vehicle of a dataset as models describe it.
+
+    Args:
+        config: with the number of features to read and the length of the code.
+    """
+    rig, config = dataset.rig, config or TrainConfig()
+    return Vehicle(
+        mass=rig.vehicle.mass,
+        wheelbase=rig.vehicle.wheelbase,
+        max_steer=rig.vehicle.max_steer,
+        control=rig.present_controls,
+        actuators=rig.present_actuators,
+        rear_axle=rig.vehicle.rear_axle,
+        features=len(dataset.features),
+        pca=config.pca,
+        codes=config.codes,
+        track=rig.vehicle.track,
+    )
+
+
+def build(model: str, vehicle: Vehicle, *, seed: int) -> Dynamics:
+    """Return an untrained model, whose initial weights follow from the seed.
+
+    Raises:
+        RunError: unknown model, or an impossible number of features or length of the code.
+    """
+    make = MODELS[model]
+    if vehicle.codes < 1:
+        raise RunError(f"a code of length {vehicle.codes}", how="give --codes 1 or more")
+    if vehicle.features and not 0 <= vehicle.pca <= vehicle.features:
+        raise RunError(
+            f"reads {vehicle.pca} terrain features; the dataset has {vehicle.features}", how="give a smaller --pca"
+        )
+    dynamics = make(vehicle, seed=seed)
+    if dynamics.encoder is not None and not vehicle.features:
+        raise RunError(
+            f"model '{model}' reads terrain features and the dataset has none",
+            how="extract with --pca (see fit-pca), or train b",
+        )
+    return dynamics
+
+
+class Stretch(NamedTuple):
+    """Stretch of a drive that a model was fitted to, from `first` to `last` [s].
+
+    Attributes:
+        rows: digest of the drive's rows, which identifies it under another name; empty if unknown.
+    """
+
+    drive: str
+    first: float
+    last: float
+    rows: str = ""
 
 
 class _Loss(msgspec.Struct):
@@ -66,15 +129,15 @@ class _Stated(msgspec.Struct):
 
 @dataclass(frozen=True)
 class Run:
-    """A trained model and what it was trained on.
+    """A trained model and the data it was trained on.
 
     Attributes:
-        scale: the loss's units (`losses.loss_scale`).
-        split: text of the split it was trained under.
-        seen: stretches of drives that training or validation used.
-        pca: of the visual features (`Dataset.pca`); None without, and of runs older than this entry.
-        features: names of the dataset's terrain features; none without, and of runs older than this entry.
-        assumptions: behind the dataset (`offpiste.dataset.assumptions`).
+        scale: units of the loss (`losses.loss_scale`).
+        split: text of the split it was trained on.
+        seen: stretches of drives used by training or validation.
+        pca: digest of the PCA of the visual features (`Dataset.pca`); None without.
+        features: names of the dataset's terrain features.
+        assumptions: of the dataset (`offpiste.dataset.assumptions`).
     """
 
     folder: Path
@@ -90,20 +153,20 @@ class Run:
     assumptions: tuple[str, ...] = ()
 
     def predict(self, windows: Windows, lookup: Lookup = "recorded") -> Trajectory:
-        """Predicted states and actuators of windows; positions are relative to each window's start.
+        """Predict states and actuators of windows; positions are relative to each window's start.
 
             moments = windows.evaluation_indices(5)
-            run.predict(windows[moments], "map").state[:, -1, :2]  # where the vehicle is after 5 s [m]
+            run.predict(windows[moments], "map").state[:, -1, :2]  # position after 5 s [m]
 
         Args:
-            lookup: "map" reads the ground at predicted places, on the map as it was when each window began: what a
-                planner can do. "recorded" reads it under the wheels' later, recorded places, which no planner knows.
+            lookup: "map" reads the ground at predicted places, on the map as it was when each window began, as a
+                planner does. "recorded" reads it under the wheels' later, recorded places, which no planner knows.
                 In a dataset without features, "map" reads the slope of the driven path at the nearest place.
 
         Raises:
             RunError: the run was trained with other features or channels than the dataset has.
             DatasetError: no window; or the map is asked for and a window does not start with one.
-            OffpisteError: no such lookup.
+            OffpisteError: unknown lookup.
         """
         refuse_unfit(self, windows.dataset)
         return predict_windows(self.dynamics, windows, lookup)
@@ -113,10 +176,10 @@ def load_run(folder: str | Path, *, device: str = "cpu") -> Run:
     """Read a finished run.
 
     Args:
-        folder: that `offpiste train` wrote, or `pretrained:NAME`.
+        folder: written by `offpiste train`, or `pretrained:NAME`.
 
     Raises:
-        RunError: no run there, not finished, damaged, or of another version.
+        RunError: there is no run, or it is unfinished, damaged, or of another version.
     """
     folder = run_folder(folder)
     check_device(device)
@@ -139,7 +202,6 @@ def load_run(folder: str | Path, *, device: str = "cpu") -> Run:
     except (ValueError, msgspec.ValidationError) as error:
         raise RunError(f"cannot be used ({error})", where=folder / "model.json", how="train again") from error
     dynamics = build(stated.model, stated.vehicle, seed=stated.seed).to(device)
-    scale = torch.tensor([stated.loss.scale[name] for name in COMPONENTS])
     refuse_other_file(folder / WEIGHTS, stated.weights_sha256)
     tensors = load_tensors(folder / WEIGHTS)[0]
     load_weights(dynamics, tensors, folder)
@@ -147,22 +209,22 @@ def load_run(folder: str | Path, *, device: str = "cpu") -> Run:
         if not torch.isfinite(values).all():
             raise RunError(f"weights '{name}' are not finite", where=folder, how="train again, or restore the file")
     return Run(
-        folder,
-        dynamics.eval(),
-        stated.model,
-        stated.seed,
-        stated.loss.weights,
-        scale,
-        stated.split,
-        stated.seen,
-        stated.pca,
-        stated.features,
-        stated.assumptions,
+        folder=folder,
+        dynamics=dynamics.eval(),
+        model=stated.model,
+        seed=stated.seed,
+        weights=stated.loss.weights,
+        scale=torch.tensor([stated.loss.scale[name] for name in COMPONENTS]),
+        split=stated.split,
+        seen=stated.seen,
+        pca=stated.pca,
+        features=stated.features,
+        assumptions=stated.assumptions,
     )
 
 
 def pretrained(name: str, *, device: str = "cpu") -> Run:
-    """A model that ships with offpiste, by its name, with or without "pretrained:": `pretrained("proving-ground/dc")`.
+    """Load a model that ships with offpiste: `pretrained("proving-ground/dc")`.
 
     Raises:
         RunError: no model of that name ships.
@@ -171,10 +233,10 @@ def pretrained(name: str, *, device: str = "cpu") -> Run:
 
 
 def _refuse_impossible(stated: _Stated) -> None:
-    """Raise unless the numbers and names of a model.json are possible, which types alone cannot say.
+    """Check the numbers and names of a model.json, beyond their types.
 
     Raises:
-        ValueError: which entry.
+        ValueError: names the entry.
     """
     vehicle, scale, weights = stated.vehicle, stated.loss.scale, stated.loss.weights.in_order()
     for what, good in (
@@ -202,11 +264,11 @@ def save_run(
     config: TrainConfig,
     dataset: Dataset,
     scale: Float[Tensor, " 5"],
-    kept: Mapping[str, KeptEpoch] | None = None,
+    best: Mapping[str, BestEpoch] | None = None,
 ) -> None:
-    """Write model.safetensors and model.json, with the epoch that each stage kept; the latter finishes a run."""
-    # The file of the last stage: a run that is killed here reads it back when it resumes.
-    last = kept["model"].about() if kept and "model" in kept else {}
+    """Write model.safetensors, and model.json with the best epoch of each stage; the latter marks a run as finished."""
+    # model.safetensors is also the file of the last stage: a run that is killed here reads it back when it resumes.
+    last = best["model"].about() if best and "model" in best else {}
     save_tensors(folder / WEIGHTS, dynamics.state_dict(), **last)
     about = {
         "schema": SCHEMA,
@@ -223,13 +285,13 @@ def save_run(
         "features": list(dataset.features),
         "warnings": list(dataset.findings),
         "assumptions": list(assumptions_of(dataset)),
-        "kept": {stage: asdict(epoch) for stage, epoch in (kept or {}).items()},
+        "kept": {stage: asdict(epoch) for stage, epoch in (best or {}).items()},
     }
     save_json(folder / "model.json", about)
 
 
 def model_trained_on(folder: Path, dataset: Path) -> str:
-    """The model of a finished run, where it was trained on a dataset; "" else."""
+    """Return the model of a finished run if it was trained on a dataset, else ""."""
     try:
         about = load_json(folder / "model.json")
     except RunError:
@@ -237,20 +299,20 @@ def model_trained_on(folder: Path, dataset: Path) -> str:
     return str(about.get("model", "")) if about.get("dataset") == str(dataset.resolve()) else ""
 
 
-def kept_epochs(folder: Path) -> dict[str, KeptEpoch]:
-    """The epoch that each stage of a finished run kept, by stage."""
-    return {stage: KeptEpoch(**kept) for stage, kept in load_json(folder / "model.json").get("kept", {}).items()}
+def best_epochs(folder: Path) -> dict[str, BestEpoch]:
+    """Return the best epoch of each stage of a finished run."""
+    return {stage: BestEpoch(**kept) for stage, kept in load_json(folder / "model.json").get("kept", {}).items()}
 
 
 def check_device(name: str) -> torch.device:
-    """The device of a name, with the number that "cuda" stands for in this thread: other threads may have another.
+    """Return the device of a name; "cuda" gets the number it stands for in this thread.
 
     Raises:
         RunError: no such device, or torch was built without it.
     """
     try:
         there = torch.zeros(1, device=name)
-        there.item()  # which tells devices that compute from those that only have a name
+        there.item()  # fails on devices that cannot compute
     except (RuntimeError, AssertionError) as error:
         reason = str(error).splitlines()[0]
         raise RunError(f"no device '{name}': {reason}", how="use --device cpu, or install torch for it") from error
@@ -258,3 +320,121 @@ def check_device(name: str) -> torch.device:
     if device.type == "cuda":
         torch.backends.cudnn.allow_tf32 = False  # LSTMs would round to 10 bits, and differ from the CPU's
     return device
+
+
+class Overlap(NamedTuple):
+    """A drive, and the time of it in a part that a model was fitted to."""
+
+    drive: str
+    seconds: float
+
+
+def refuse_seen(run: Run, dataset: Dataset, part: str) -> None:
+    """Check that a run was not trained or chosen on a part of a dataset.
+
+    Raises:
+        RunError: names the drive and the overlap.
+    """
+    if (overlap := overlap_with(run.seen, dataset, part)) is not None:
+        what = f"was trained on {overlap.seconds:.0f} s of the {part} part of drive '{overlap.drive}'"
+        how = "evaluate it on the dataset and split it was trained with, or on another drive"
+        raise RunError(what, where=run.folder, how=how)
+
+
+def overlap_with(seen: Sequence[Stretch], dataset: Dataset, part: str) -> Overlap | None:
+    """Return the first overlap of a part of a dataset with stretches that a model was fitted to; None if there is none.
+
+    Drives are compared by name, and by their rows, which also find a renamed log.
+    """
+    number, known = PARTS.index(part), {stretch.rows for stretch in seen} - {""}
+    for drive in dataset.drives:
+        evaluated = drive.rows.time[drive.part == number]
+        rows = _digest_of_rows(drive) if known and len(evaluated) else ""
+        for name, first, last, theirs in seen:
+            same = name == drive.name or (theirs and theirs == rows)
+            count = np.count_nonzero((evaluated >= first) & (evaluated <= last)) if same else 0
+            if count:
+                named_so = drive.name if name == drive.name else f"{drive.name} (there: {name})"
+                return Overlap(named_so, count * DT)
+    return None
+
+
+def seen_stretches(dataset: Dataset) -> list[Stretch]:
+    """Return the stretches of drives in the parts that training and validation read."""
+    stretches = []
+    for drive in dataset.drives:
+        used = np.isin(drive.part, (PARTS.index("train"), PARTS.index("validation")))
+        edges = np.flatnonzero(np.diff(np.concatenate(([False], used, [False])).astype(int)))
+        rows = _digest_of_rows(drive) if len(edges) else ""
+        for first, last in edges.reshape(-1, 2):
+            stretches.append(Stretch(drive.name, float(drive.rows.time[first]), float(drive.rows.time[last - 1]), rows))
+    return stretches
+
+
+def _digest_of_rows(drive: StoredDrive) -> str:
+    rows = drive.rows
+    return sha256_of_arrays(
+        {"time": rows.time, "state": rows.state, "control": rows.control, "origin": rows.origin}, {}
+    )
+
+
+def refuse_unfit(run: Run, dataset: Dataset) -> None:
+    """Check that a run's features and channels are those of a dataset.
+
+    Raises:
+        RunError: says what it was trained with.
+    """
+    needed, given, where = run.dynamics.vehicle, vehicle_of(dataset), named(run.folder)
+    reads = run.dynamics.encoder is not None
+    if reads and needed.features != given.features:
+        raise RunError(
+            f"reads {needed.features} terrain features; the dataset has {given.features}",
+            where=where,
+            how=f"use a dataset that was extracted with {_extracted_with(run)}",
+        )
+    if reads and run.pca is not None and dataset.pca is not None and run.pca != dataset.pca:
+        raise RunError(
+            f"reads features of the PCA {run.pca}; the dataset's are of {dataset.pca}",
+            where=where,
+            how="evaluate it on a dataset that was extracted with the PCA of its training",
+        )
+    if reads and run.features and run.features != dataset.features:
+        raise RunError(
+            f"reads the terrain features {_listed(run.features)}; the dataset has {_listed(dataset.features)}",
+            where=where,
+            how="evaluate it on a dataset with the same",
+        )
+    for kind in ("control", "actuators"):
+        if without_optional(getattr(needed, kind)) != without_optional(getattr(given, kind)):
+            raise RunError(
+                f"was trained with {kind} {', '.join(getattr(needed, kind)) or 'none'}; the dataset has "
+                f"{', '.join(getattr(given, kind)) or 'none'}",
+                where=where,
+                how="evaluate it on a dataset whose rig has the same channels",
+            )
+
+
+def _extracted_with(run: Run) -> str:
+    """Return the option of `extract` that gives the features that a run reads."""
+    if run.pca is None:
+        return "the same --features"
+    name = named(run.folder)
+    return f"--pca {name.rpartition('/')[0]}" if name.startswith(PREFIX) else "--pca and the PCA of its training"
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names[:4]) + (" …" if len(names) > 4 else "")
+
+
+def differing_vehicle(trained: Vehicle, driven: RigVehicle) -> str | None:
+    """Describe how a model's vehicle differs from the one that it drives; None if hardly."""
+    apart = [
+        f"{name} {mine:.4g} {unit}, not {its:.4g}"
+        for name, mine, its, unit in (
+            ("wheelbase", trained.wheelbase, driven.wheelbase, "m"),
+            ("mass", trained.mass, driven.mass, "kg"),
+            ("max_steer", trained.max_steer, driven.max_steer, "rad"),
+        )
+        if abs(mine - its) > ALIKE * its
+    ]
+    return ", ".join(apart) or None

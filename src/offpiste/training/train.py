@@ -1,8 +1,7 @@
-"""Trains a model on a dataset, once or by blocked cross-validation: actuators, bicycle, then the whole horizon."""
+"""Training of a model on a dataset, once or by blocked cross-validation: actuators, bicycle, then the whole model."""
 
 import json
 import logging
-from collections.abc import Callable
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -29,23 +28,37 @@ from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import MODELS, Dynamics
 from offpiste.dynamics.models import reference_of
 from offpiste.training.actuator_stage import actuators_to_fit, fit_actuators
-from offpiste.training.build import build, vehicle_of
+from offpiste.training.batches import mirror_of
 from offpiste.training.checkpoint import load_json, refuse_other_folder, save_json
 from offpiste.training.config import TrainConfig, other_settings, refuse_impossible
 from offpiste.training.distributed import ALONE, Group
-from offpiste.training.kept_epoch import FEW_WINDOWS, KeptEpoch
-from offpiste.training.losses import loss_scale, robust, speed_weights, summed_loss
-from offpiste.training.map_loss import MapLoss, map_loss
-from offpiste.training.mirror import mirror_of
-from offpiste.training.optimise import REMEDY, Record, Stage, also_tensorboard, metrics_writer, run_stage
-from offpiste.training.prediction import predict
-from offpiste.training.run import check_device, save_run
-from offpiste.training.terrain_sources import encoded
+from offpiste.training.loop import (
+    FEW_WINDOWS,
+    REMEDY,
+    BestEpoch,
+    Record,
+    Stage,
+    also_tensorboard,
+    metrics_writer,
+    run_stage,
+)
+from offpiste.training.losses import (
+    LOSSES,
+    Loss,
+    MapLoss,
+    WindowLoss,
+    loss_scale,
+    map_loss,
+    speed_weights,
+    squared_errors,
+)
+from offpiste.training.prediction import encoded, predict
+from offpiste.training.run import build, check_device, save_run, vehicle_of
 
 logger = logging.getLogger(__name__)
 
 STANDARDISED = 4096
-"""Windows that means and scales of a network's inputs are taken from."""
+"""Number of windows used to standardise a network's inputs."""
 
 
 def train(
@@ -61,16 +74,17 @@ def train(
     """Train one model and write its run folder: config.json, metrics.jsonl, model.safetensors, model.json.
 
     Args:
-        group: the processes that train together; only the first one writes and logs.
-        maps: those of the validation windows, where a training before has read them; otherwise they are read here.
+        group: processes that train together; only the first one writes and logs.
+        maps: maps of the validation windows if an earlier training has read them; None: they are read here.
 
     Raises:
-        RunError: a setting is out of range, or the folder holds a run: `resume` is false, or settings or data differ.
-        DatasetError: a part has no window, there are fewer to train than a batch takes, or no ground was ever seen.
-        TrainingError: something is not finite; the last good checkpoint stays.
+        RunError: a setting is out of range; or the folder holds a run and `resume` is false, settings or data differ.
+        DatasetError: a part has no window, fewer training windows than a batch, or no visible ground.
+        TrainingError: a value is not finite; the last good checkpoint stays.
         OffpisteError: the folder is a file.
     """
     refuse_impossible(config)
+    loss = LOSSES[config.loss]
     check_folder(folder)
     device, dataset = check_device(config.device), dataset.starting_above(config.min_speed)
     vehicle = vehicle_of(dataset, config)
@@ -84,11 +98,14 @@ def train(
     record = _recording(folder, tensorboard=tensorboard) if group.writes else _unrecorded
     if group.writes:
         _warn_beforehand(dataset, validation, config, dynamics)
-    kept: dict[str, KeptEpoch] = {}
+    best: dict[str, BestEpoch] = {}
 
-    def keep(name: str, epoch: KeptEpoch) -> None:
-        kept[name] = epoch
-        _log_kept(name, epoch, group)
+    def keep(name: str, epoch: BestEpoch) -> None:
+        best[name] = epoch
+        if group.writes:
+            logger.info(epoch.line(name))
+            for warning in epoch.warnings(name):
+                logger.warning(warning)
 
     def fit(stage: Stage, model: Dynamics) -> None:
         read = [w if model.encoder is not None else w.without_features() for w in (windows, validation)]
@@ -100,7 +117,7 @@ def train(
         keep("actuators", fit_actuators(lags, config, windows, validation, folder, record, group))
         _freeze(lags, reference, dynamics)
     scale = loss_scale(reference, windows, config)
-    window_loss = _window_loss(windows, config, scale)
+    window_loss = _window_loss(loss, windows, config, scale)
     maps, mirror = maps or map_loss(validation, group), mirror_of(windows) if config.mirror else None
 
     def rolled_out(name: str, model: Dynamics, epochs: int, draw: Draw) -> Stage:
@@ -110,61 +127,54 @@ def train(
     if (physics := dynamics.physics()) is not None:
         if physics.actuators is not None:
             physics.actuators.requires_grad_(False)
-        fit(rolled_out("bicycle", physics, config.bicycle_epochs, hindsight), physics)  # alike, whatever is drawn after
+        # Always on hindsight, so that all models of a seed share the result.
+        fit(rolled_out("bicycle", physics, config.bicycle_epochs, hindsight), physics)
         dynamics.adopt_physics(physics, learns=config.refit_constants)
     standardise(dynamics, windows)
     if any(p.requires_grad for p in dynamics.parameters()):
         fit(rolled_out("model", dynamics, config.epochs, draw), dynamics)
     if group.writes:
-        save_run(folder, dynamics, config, dataset, scale, kept)
+        save_run(folder, dynamics, config, dataset, scale, best)
     return dynamics
 
 
-def _window_loss(windows: Windows, config: TrainConfig, scale: Tensor) -> Callable[[Trajectory, Batch], Tensor]:
-    """Makes losses of windows, robust and weighted by speed as the settings say, in units of `scale` (`loss_scale`)."""
-    weights = torch.tensor(config.weights.in_order(), device=scale.device)
+def _window_loss(loss: Loss, windows: Windows, config: TrainConfig, scale: Tensor) -> WindowLoss:
+    """Return the loss of windows, weighted by component and speed, in units of `scale` (`loss_scale`)."""
+    weights = torch.tensor(config.weights.in_order(), device=scale.device) / scale
     weigh = speed_weights(windows, config.relative)
 
-    def loss(predicted: Trajectory, batch: Batch) -> Tensor:
-        squared = summed_loss(_checked(predicted, batch).state, batch.target, scale, weights)
-        return weigh(batch) * robust(squared, config.robust)
+    def of_windows(predicted: Trajectory, batch: Batch) -> Tensor:
+        squared = squared_errors(_checked(predicted, batch).state, batch.target)
+        return weigh(batch) * loss(squared, weights.to(squared.device))
 
-    return loss
-
-
-def _log_kept(stage: str, kept: KeptEpoch, group: Group) -> None:
-    if not group.writes:
-        return
-    logger.info(kept.line(stage))
-    for doubt in kept.doubts(stage):
-        logger.warning(doubt)
+    return of_windows
 
 
 def _warn_beforehand(dataset: Dataset, validation: Windows, config: TrainConfig, dynamics: Dynamics) -> None:
-    """Log what speaks against dataset and settings before time is spent; a fold is not to be split otherwise."""
+    """Log warnings about dataset and settings before the training starts; folds are not warned about their split."""
     logger.info(assumptions_block(assumptions_of(dataset)))
     if (line := warning_line(dataset.findings)) is not None:
         logger.warning(line)
     if dynamics.physics() is None and config.bicycle_epochs != TrainConfig.bicycle_epochs:
-        logger.warning(f"{config.model} is fitted as a whole: --epochs count, and --bicycle-epochs do not")
+        logger.warning(f"{config.model} has no bicycle stage: --bicycle-epochs has no effect, --epochs has")
     fold = dataset.split.kind == "fold"
     if not fold and (line := split_warning(dataset)) is not None:
         logger.warning(line)
     elif len(validation) < FEW_WINDOWS:
         logger.warning(
-            f"the validation part has only {len(validation)} windows, by which epochs are chosen: "
+            f"the validation part, by which epochs are chosen, has only {len(validation)} windows: "
             f"extract more or longer drives{'' if fold else ', or choose another --split'}"
         )
 
 
 def _recording(folder: Path, *, tensorboard: bool) -> Record:
-    """What writes a line of metrics."""
+    """Return the function that writes a line of metrics."""
     record = metrics_writer(folder / "metrics.jsonl")
     return also_tensorboard(record, folder / "tensorboard") if tensorboard else record
 
 
 def _unrecorded(line: dict[str, Any]) -> None:
-    """What processes do that do not write."""
+    """Discard the metrics in processes that do not write."""
 
 
 def _refusal(folder: Path, dataset: Dataset, config: TrainConfig, resume: bool) -> OffpisteError | None:
@@ -201,7 +211,7 @@ def _draw(model: str, windows: Windows) -> Draw:
 
 
 def standardise(dynamics: Dynamics, windows: Windows) -> None:
-    """Give the networks mean and scale of their inputs on training rows."""
+    """Standardise the networks' inputs on training rows."""
     index = windows.strided(25)
     index = index[np.unique(np.linspace(0, len(index) - 1, min(len(index), STANDARDISED)).astype(int))]
     with torch.no_grad():
@@ -211,7 +221,7 @@ def standardise(dynamics: Dynamics, windows: Windows) -> None:
 
 
 def _claim(folder: Path, dataset: Dataset, config: TrainConfig, resume: bool) -> None:
-    """Make the run folder, or check that the run in it is this one."""
+    """Create the run folder, or check that it holds this run."""
     described = {"train": asdict(config), "dataset": str(dataset.path.resolve()), "split": dataset.split.text}
     described, data = json.loads(json.dumps(described)), digest_of(dataset)
     path = folder / "config.json"
@@ -223,31 +233,29 @@ def _claim(folder: Path, dataset: Dataset, config: TrainConfig, resume: bool) ->
     if other := other_settings(before, described):
         how = "resume with the same, or choose another --out" if resume else "choose another --out"
         raise RunError(f"holds a run that was begun with other settings ({other})", where=folder, how=how)
-    if before.get("dataset_sha256", data) != data:
+    if before.get("dataset_sha256") != data:
         how = "restore the dataset, or choose another --out"
         raise RunError("holds a run that was begun before the dataset changed", where=folder, how=how)
     if not resume:
         raise RunError("holds a run already", where=folder, how="add --resume, or choose another --out")
-    if "dataset_sha256" not in before:
-        logger.warning(f"{path}: has no digest of the dataset, since an older offpiste wrote it: changes go unnoticed")
     remove_partials(folder)
 
 
 def digest_of(dataset: Dataset) -> str:
-    """SHA-256 of the checksums of the dataset's settings and drives, which other rows, parts or features change."""
+    """SHA-256 of the checksums of a dataset's settings and drives, which depend on rows, parts and features."""
     drives = [dataset.path / drive.name for drive in dataset.drives]
     files = [[file.parent.name, sha256_of(file)] for each in (dataset.path, *drives) for file in each.glob(CHECKSUMS)]
     return sha256_of_json(files + [[each.name, other] for each in drives if (other := changed_arrays(each))])
 
 
 def _refuse_ground(batch: Batch) -> None:
-    """Features are read from disk batch by batch, and not looked at when a dataset is opened."""
+    """Check features that a batch has read from disk; opening a dataset does not."""
     if batch.ground is not None and not torch.isfinite(batch.ground.features[batch.ground.valid]).all():
         raise TrainingError("valid terrain features of the dataset are not finite", how="extract it again")
 
 
 def _freeze(fitted: nn.Module, *models: Dynamics) -> None:
-    """Put the fitted actuator models into models and keep them from training."""
+    """Copy fitted actuators into models and freeze them."""
     for actuators in (model.actuators for model in models):
         if actuators is not None:
             actuators.load_state_dict(fitted.state_dict())
@@ -255,10 +263,10 @@ def _freeze(fitted: nn.Module, *models: Dynamics) -> None:
 
 
 def _checked(trajectory: Trajectory, batch: Batch) -> Trajectory:
-    """The same, if all of it is finite.
+    """Return the trajectory if it is finite.
 
     Raises:
-        TrainingError: names the first step and the state that is not, or what of the dataset made it so.
+        TrainingError: names the first step and state that is not finite, or the fault in the dataset.
     """
     broken = ~torch.isfinite(trajectory.state).all(dim=0)
     if broken.any():
@@ -279,19 +287,19 @@ def train_folds(
     folds: int,
     resume: bool = False,
 ) -> None:
-    """Train one run a fold, in `folder/fold-0`, `folder/fold-1`, ...
+    """Train one run per fold, in `folder/fold-0`, `folder/fold-1`, ...
 
-    All choose their epochs at recorded places: snapshots of the map are of the windows of the dataset's own split.
+    Epochs are chosen at recorded places, since snapshots of the map exist for the dataset's own split only.
 
     Raises:
-        RunError: fewer than three folds, which leave no row for each part; or the folder is one of something else.
+        RunError: fewer than three folds, or the folder holds other files.
     """
     check_folder(folder)
     refuse_other_folder(folder)
     if folds < 3:
         raise RunError(f"{folds} folds", how="cross-validation takes 3 or more")
     if any(drive.snapshots is not None for drive in dataset.drives):
-        logger.info("the map was kept for the dataset's own split: folds choose epochs, and are evaluated, without it")
+        logger.info("snapshots of the map are of the dataset's own split: folds are trained and evaluated without them")
     for number in range(folds):
         logger.info(f"fold {number + 1} of {folds}")
         relabelled = dataset.relabelled(parse_split(f"fold:{number}/{folds}"))

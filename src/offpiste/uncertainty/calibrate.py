@@ -19,8 +19,7 @@ from offpiste.evaluation.intervals import Sampling
 from offpiste.evaluation.speed_bands import members
 from offpiste.report.figure import write_png
 from offpiste.training.checkpoint import load_json, save_beside_weights
-from offpiste.training.fitness import overlap_with, refuse_seen, refuse_unfit, seen_stretches
-from offpiste.training.run import Run, load_run
+from offpiste.training.run import Run, load_run, overlap_with, refuse_seen, refuse_unfit, seen_stretches
 from offpiste.uncertainty.calibration import (
     CalibrationRow,
     calibration_rows,

@@ -16,9 +16,8 @@ from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import MODELS, Dynamics
 from offpiste.dynamics.kernels.map_rollout import predict_on
 from offpiste.dynamics.models import seeded
-from offpiste.training.prediction import Lookup, batch_for, in_parts, predict
+from offpiste.training.prediction import Lookup, batch_for, encoded, in_parts, on_map, predict
 from offpiste.training.run import Run
-from offpiste.training.terrain_sources import encoded, on_map
 from offpiste.uncertainty.spread import Spread, errors_in_heading, inputs_along, inputs_of
 from offpiste.uncertainty.student import negative_log_likelihood
 

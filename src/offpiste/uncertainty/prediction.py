@@ -14,9 +14,8 @@ from offpiste.core.state import Trajectory
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics.models import seeded
 from offpiste.training.checkpoint import load_beside_weights, load_tensors, load_weights
-from offpiste.training.fitness import Stretch, refuse_unfit
 from offpiste.training.prediction import Lookup
-from offpiste.training.run import Run
+from offpiste.training.run import Run, Stretch, refuse_unfit
 from offpiste.uncertainty.fit import predictions_of
 from offpiste.uncertainty.spread import Spread, inputs_of
 from offpiste.uncertainty.student import radius

@@ -13,8 +13,7 @@ from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
 from offpiste.evaluation.box_plots import RECORDED
 from offpiste.report.figure import BLUE, plain, write_png
-from offpiste.training.fitness import refuse_unfit
-from offpiste.training.run import load_run
+from offpiste.training.run import load_run, refuse_unfit
 from offpiste.uncertainty.calibration import AT, NOMINAL
 from offpiste.uncertainty.prediction import SpreadPrediction, predict_with_spread
 from offpiste.uncertainty.spread import EVERY

@@ -1,14 +1,14 @@
-"""One stage of training: Adam on a multi-step loss, metrics and a checkpoint an epoch, the best epoch by validation."""
+"""Training loop of one stage: Adam, a checkpoint after every epoch, and the epoch with the least validation loss."""
 
 import ctypes
 import json
 import logging
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import torch
@@ -21,39 +21,111 @@ from offpiste.core.files import write_text
 from offpiste.core.progress import track
 from offpiste.dataset.feature_sets import Draw
 from offpiste.dataset.windows import Batch, Windows
-from offpiste.training.batches import batches_of, draw_sets
+from offpiste.training.batches import Mirror, batches_of, draw_sets
 from offpiste.training.checkpoint import load_checkpoint, load_tensors, load_weights, save_checkpoint, save_tensors
 from offpiste.training.config import TrainConfig
 from offpiste.training.distributed import ALONE, Group
-from offpiste.training.kept_epoch import KeptEpoch
-from offpiste.training.mirror import Mirror
 
 logger = logging.getLogger(__name__)
 
+REMEDY: Final = "lower the learning rate; the last good checkpoint is kept, and --resume continues from it"
+
 EVALUATED_AT_ONCE: Final = 512
-"""Windows, where a batch is not larger."""
+"""Number of validation windows per batch, unless the training batch is larger."""
+
+FEW_WINDOWS: Final = 200
+"""Number of validation windows below which the choice of an epoch is unreliable (overlapping windows of about 10 s)."""
+
+_RECENT: Final = 3
+"""Number of last epochs whose improvement decides whether a stage has converged."""
+
+_CONVERGED: Final = 0.01
+"""Relative improvement of the validation loss below which a stage has converged."""
+
+EPOCH_SETTINGS: Final = {"bicycle": "bicycle_epochs", "model": "epochs"}
+"""Setting with the number of epochs, by name of the stage; the actuators always converge."""
 
 Metrics = dict[str, float | int | str]
-"""Numbers of one epoch, with the names of its stage and its number."""
+"""Numbers of one epoch, with the name of its stage and its number."""
 
 Record = Callable[[Metrics], None]
-"""Takes the metrics of one epoch."""
+"""Receives the metrics of one epoch."""
+
+
+@dataclass(frozen=True)
+class BestEpoch:
+    """The epoch with the least validation loss.
+
+    Attributes:
+        epoch: its number, from 1; 0: the initial weights.
+        epochs: number of epochs of the stage.
+        validation_loss: of that epoch.
+        gained: relative improvement over the last epochs; None if there were too few.
+    """
+
+    epoch: int
+    epochs: int
+    validation_loss: float
+    gained: float | None = None
+
+    @classmethod
+    def of(cls, about: dict[str, Any], epochs: int) -> "BestEpoch":
+        """Read from the values stored beside a stage's weights."""
+        return cls(about["kept_epoch"], epochs, about["validation_loss"], about["gained"])
+
+    @classmethod
+    def last_of(cls, epoch: int, losses: Sequence[float], epochs: int, best: float) -> "BestEpoch":
+        """Compute the improvement from the validation losses of all epochs."""
+        before = min(losses[:-_RECENT], default=None)
+        return cls(epoch, epochs, best, None if not before else max(1 - best / before, 0.0))
+
+    @property
+    def has_converged(self) -> bool:
+        """Whether an earlier epoch was better than the last one, or the last ones hardly improved."""
+        gains = self.gained is None or self.gained > _CONVERGED
+        return not (self.epoch == self.epochs > 1 and gains)
+
+    def about(self) -> dict[str, Any]:
+        """Values to store beside a stage's weights."""
+        return {"validation_loss": self.validation_loss, "kept_epoch": self.epoch, "gained": self.gained}
+
+    def line(self, stage: str) -> str:
+        """One line for the log."""
+        loss = f"validation {self.validation_loss:.4f}"
+        if self.epoch == 0:
+            return f"{stage}: kept the initial weights, {loss}: no epoch of {self.epochs} was better"
+        return f"{stage}: kept epoch {self.epoch} of {self.epochs}, {loss}"
+
+    def warnings(self, stage: str) -> Iterator[str]:
+        """Warnings about the choice of this epoch."""
+        if stage not in EPOCH_SETTINGS:
+            return
+        if not self.has_converged:
+            yield (
+                f"{stage}: the last epoch is the best: training may not have converged; train again, into another "
+                f"--out, with more than {self.epochs} --{EPOCH_SETTINGS[stage].replace('_', '-')}"
+            )
+        elif self.epoch == 1 and self.epochs > 1:
+            yield (
+                f"{stage}: the first epoch is the best: validation may differ from training, or the learning rate may "
+                "be too high"
+            )
 
 
 def metrics_of(path: Path) -> list[Metrics]:
-    """The epochs in a file of JSON lines; none where there is no file."""
+    """Read the epochs of a file of JSON lines; empty if there is no file."""
     return [json.loads(text) for text in path.read_text("utf-8").splitlines()] if path.exists() else []
 
 
 def write_metrics(path: Path, lines: Sequence[Metrics]) -> None:
-    """Add epochs to a file of JSON lines; one that is there already is replaced."""
+    """Add epochs to a file of JSON lines, replacing those already there."""
     new = {(line["stage"], line["epoch"]) for line in lines}
     others = [line for line in metrics_of(path) if (line["stage"], line["epoch"]) not in new]
     write_text(path, "".join(json.dumps(line) + "\n" for line in [*others, *lines]))
 
 
 def metrics_writer(path: Path) -> Record:
-    """A record that adds each epoch to a file of JSON lines (`write_metrics`) and logs it."""
+    """Return a function that adds an epoch to a file of JSON lines and logs it."""
 
     def record(line: Metrics) -> None:
         write_metrics(path, [line])
@@ -66,17 +138,17 @@ def metrics_writer(path: Path) -> Record:
 
 
 def check_tensorboard() -> None:
-    """Check that scalars can be written for TensorBoard.
+    """Check that TensorBoard is installed.
 
     Raises:
-        MissingExtra: it is not installed.
+        MissingExtra: it is not.
     """
     with extra("tensorboard"):
         import torch.utils.tensorboard  # noqa: F401
 
 
 def also_tensorboard(record: Record, folder: Path) -> Record:
-    """A record that also writes scalars for TensorBoard.
+    """Return a function that also writes scalars for TensorBoard.
 
     Raises:
         MissingExtra: TensorBoard is not installed.
@@ -95,22 +167,19 @@ def also_tensorboard(record: Record, folder: Path) -> Record:
     return both
 
 
-REMEDY: Final = "lower the learning rate; the last good checkpoint is kept, and --resume continues from it"
-
-
 @dataclass(frozen=True)
 class Stage:
-    """What one stage fits.
+    """One stage of a training.
 
     Attributes:
-        name: stage, and stem of its files.
-        module: holds the parameters; those that require no gradient stay.
+        name: of the stage, also the stem of its files.
+        module: whose parameters are fitted, unless they require no gradient.
         loss: loss of each window of a batch.
         epochs: passes over the training windows.
-        draw: feature sets that windows read; the windows' own where there is none.
-        on_map: mean loss of the module on maps of validation, by which epochs are chosen; None: by the mean of `loss`
-            over all validation windows, at recorded places.
-        mirror: of half of the windows that it trains on; None for none.
+        draw: draws the feature sets that windows read; None: the windows' own.
+        on_map: mean loss on the maps of validation windows, used to choose the epoch; None: mean of `loss` over all
+            validation windows, at recorded places.
+        mirror: mirrors half of the training windows; None: no window.
     """
 
     name: str
@@ -130,15 +199,12 @@ def run_stage(
     folder: Path,
     record: Record,
     group: Group = ALONE,
-) -> KeptEpoch:
+) -> BestEpoch:
     """Fit the stage's module and leave its best weights in it and in `<folder>/<stage>.safetensors`.
 
-    Returns:
-        which epoch that was.
-
-    The weights that it begins with compete: a network that no epoch improves leaves the physics as it is.
-    A finished stage is read back; an interrupted one resumes after its last whole epoch and comes to the same weights
-    as without the interruption. Several processes take the steps that one alone would, up to rounding.
+    The initial weights count as epoch 0. A finished stage is read back; an interrupted one resumes after its last
+    complete epoch and ends with the same weights as without the interruption. Several processes take the steps of a
+    single one, up to rounding.
 
     Raises:
         TrainingError: a loss or a gradient is not finite. The last good checkpoint stays.
@@ -150,7 +216,7 @@ def run_stage(
         load_weights(stage.module, weights, done)
         if group.writes:
             running.unlink(missing_ok=True)
-        return KeptEpoch.of(about, stage.epochs)
+        return BestEpoch.of(about, stage.epochs)
     state = _State(stage, config)
     if running.exists():
         state.restore(running)
@@ -177,32 +243,32 @@ def run_stage(
         if group.writes:
             state.save(running)
     load_weights(stage.module, state.best, done)
-    kept = KeptEpoch.last_of(state.best_epoch, state.losses, stage.epochs, state.best_score)
+    best = BestEpoch.last_of(state.best_epoch, state.losses, stage.epochs, state.best_score)
     if group.writes:
-        save_tensors(done, state.best, **kept.about())
+        save_tensors(done, state.best, **best.about())
         running.unlink(missing_ok=True)
     group.together(None)
-    return kept
+    return best
 
 
 def keep_freed_memory() -> None:
-    """Let the allocator keep large blocks for the next step, a tenth of which is spent on having their pages cleared.
+    """Let glibc's allocator reuse large blocks, which saves a tenth of each step (clearing pages).
 
-    Of the process; does nothing where the allocator is not glibc's.
+    Affects the whole process; does nothing with other allocators.
     """
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
     if mallopt is not None:
-        mallopt(-3, 1 << 30)  # M_MMAP_THRESHOLD: blocks below it come from the heap
-        mallopt(-1, (1 << 31) - 1)  # M_TRIM_THRESHOLD: so much of the heap stays
+        mallopt(-3, 1 << 30)  # M_MMAP_THRESHOLD: smaller blocks come from the heap
+        mallopt(-1, (1 << 31) - 1)  # M_TRIM_THRESHOLD: this much of the heap is kept
 
 
 def _score(stage: Stage, validation: Windows, config: TrainConfig, group: Group) -> float:
-    """What epochs are chosen by; the least is best."""
+    """Validation loss by which the epoch is chosen."""
     return stage.on_map() if stage.on_map is not None else mean_loss(stage, validation, config, group)
 
 
 def mean_loss(stage: Stage, windows: Windows, config: TrainConfig, group: Group = ALONE) -> float:
-    """Mean loss over the evaluation windows of a part, without gradients."""
+    """Mean loss over windows, `config.stride` rows apart, without gradients."""
     index, rng = windows.strided(config.stride), np.random.default_rng(config.seed)
     parts = np.array_split(index, math.ceil(len(index) / max(EVALUATED_AT_ONCE, config.batch)))
     feature_set_choice = [draw_sets(stage.draw, windows, part, rng) for part in parts]
@@ -214,7 +280,7 @@ def mean_loss(stage: Stage, windows: Windows, config: TrainConfig, group: Group 
 
 
 class _State:
-    """What a checkpoint holds: weights, now and the best so far, the optimiser's state, losses, the next epoch."""
+    """State of a running stage, as in its checkpoint: weights, best weights, optimiser, losses, next epoch."""
 
     def __init__(self, stage: Stage, config: TrainConfig) -> None:
         self.module = stage.module
@@ -225,7 +291,7 @@ class _State:
         groups = [(networks, config.learning_rate), (constants, config.constants_learning_rate)]
         self.optimiser = torch.optim.Adam([{"params": p, "lr": lr, "peak": lr} for p, lr in groups if p])
         self.best, self.best_score, self.epoch = self._weights(), math.inf, 0
-        self.best_epoch: int | None = 0
+        self.best_epoch = 0
         self.losses: list[float] = []
 
     def keep_if_best(self, score: float) -> None:
@@ -241,15 +307,14 @@ class _State:
         weights, about = load_checkpoint(path, self.optimiser)
         load_weights(self.module, weights["now"], path)
         self.best, self.best_score, self.epoch = weights["best"], about["best_score"], about["epoch"]
-        self.best_epoch = about.get("best_epoch")
-        self.losses = about.get("losses", [self.best_score] * self.epoch)  # an older checkpoint has the least one only
+        self.best_epoch, self.losses = about["best_epoch"], about["losses"]
 
     def _weights(self) -> dict[str, Tensor]:
         return {name: value.detach().clone() for name, value in self.module.state_dict().items()}
 
 
 def _train_epoch(stage: Stage, state: _State, train: Windows, config: TrainConfig, epoch: int, group: Group) -> float:
-    # The order follows from seed and epoch alone, so that a resumed run sees what an uninterrupted one would.
+    # The order follows from seed and epoch alone, so that a resumed run equals an uninterrupted one.
     rng = np.random.default_rng((config.seed, epoch))
     order = rng.permutation(train.strided(config.stride, phase=int(rng.integers(config.stride))))
     parts = np.array_split(order, math.ceil(len(order) / config.batch))
@@ -276,7 +341,7 @@ def _train_epoch(stage: Stage, state: _State, train: Windows, config: TrainConfi
 
 
 def _share_of_loss(stage: Stage, batch: Batch | None, count: int, device: torch.device) -> Float[Tensor, ""]:
-    """What this process's windows add to the mean loss of a batch of `count`."""
+    """Contribution of this process to the mean loss of a batch of `count` windows."""
     return torch.zeros((), device=device) if batch is None else stage.loss(batch).sum() / count
 
 
@@ -287,9 +352,8 @@ def _check_gradients(state: _State, where: str) -> None:
 
 
 def _set_learning_rate(optimiser: torch.optim.Adam, progress: float) -> None:
-    """Warm up over the first 5 %, then a half cosine down to a hundredth (Loshchilov and Hutter 2017)."""
-    # By the share of the stage that is done, not by steps: epochs differ in their number of batches, and torch's
-    # schedulers count steps.
+    """Warm up over the first 5 %, then follow a half cosine down to a hundredth (Loshchilov and Hutter 2017)."""
+    # By the share of the stage, not by steps: the number of batches differs between epochs.
     warm = min(1.0, progress / 0.05 + 0.1)
     factor = warm * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * progress)))
     for group in optimiser.param_groups:

@@ -1,0 +1,34 @@
+"""A loss added from outside the package, through the command line."""
+
+import json
+from pathlib import Path
+
+from extending.outside import offpiste, python
+from factories import circle_rows, small_rig
+from offpiste.dataset.splits import parse_split
+from offpiste.dataset.store import add_drive, create
+
+VALUES = """
+import torch
+from offpiste.training.losses import LOSSES
+
+squared = torch.zeros(2, 4, 5)
+squared[0, 0, 0] = squared[1, 3, 0] = 1.0
+print(LOSSES["late"](squared, torch.ones(5)).tolist())
+"""
+
+
+def test_late_errors_cost_more():
+    done = python("-c", VALUES, extension="late_loss")
+    early, late = json.loads(done.stdout)
+    assert (round(early, 6), round(late, 6)) == (0.1, 0.4)
+
+
+def test_a_model_is_trained_with_the_loss_of_an_extension(tmp_path: Path) -> None:
+    path, split = tmp_path / "circles.zarr", parse_split("blocks:0.4,0.3,0.3")
+    create(path, small_rig(), split)
+    add_drive(path, "circles", circle_rows(3000), split, ())
+    few = ("--model", "parametric", "--epochs", "1", "--actuator-epochs", "1", "--stride", "100", "--batch", "32")
+    done = offpiste("train", path, "--out", tmp_path / "run", "--loss", "late", *few, extension="late_loss")
+    assert done.returncode == 0, done.stderr
+    assert json.loads((tmp_path / "run" / "model.json").read_text("utf-8"))["train"]["loss"] == "late"
