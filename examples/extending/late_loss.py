@@ -2,6 +2,8 @@
 
     export PYTHONPATH=examples/extending OFFPISTE_EXTENSIONS=late_loss
     offpiste train dataset.zarr --out run --loss late
+
+Reports of `evaluate` show the squared loss, whichever loss a model was trained with.
 """
 
 import torch
