@@ -25,9 +25,8 @@ from offpiste.core.files import write_text
 from offpiste.core.geometry import planar_body_from_world
 from offpiste.dataset.store import Dataset, open_dataset
 from offpiste.dataset.windows import Windows
-from offpiste.evaluation.evaluated_windows import EvaluatedWindows
+from offpiste.evaluation.evaluated_windows import EvaluatedWindows, members
 from offpiste.evaluation.intervals import Sampling
-from offpiste.evaluation.speed_bands import members
 from offpiste.training.prediction import in_parts
 from offpiste.training.run import Run, load_run, refuse_seen, refuse_unfit
 from offpiste.uncertainty.calibrate import kept_or_fitted

@@ -14,8 +14,7 @@ from offpiste.dataset.fit_pca import fit_pca
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import open_dataset
 from offpiste.dynamics.lstm import Compensator
-from offpiste.evaluation.evaluate import evaluate_models
-from offpiste.evaluation.evaluated_models import EvaluatedModel
+from offpiste.evaluation.evaluate import EvaluatedModel, evaluate_models
 from offpiste.perception.backbones import open_backbone
 from offpiste.rig.rig import load_rig
 from offpiste.training.config import TrainConfig

@@ -12,7 +12,7 @@ from experiments.control_experiments.tables import percent, write_control
 from offpiste.core.conventions import FEATURE_SETS
 from offpiste.dataset.windows import Windows
 from offpiste.evaluation.errors import Errors
-from offpiste.evaluation.evaluated_models import Reading
+from offpiste.evaluation.evaluate import Reading
 from offpiste.evaluation.intervals import Sampling
 from offpiste.report.text_table import TextTable
 from offpiste.reproduction.gains import (

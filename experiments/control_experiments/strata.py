@@ -10,9 +10,8 @@ from experiments.control_experiments.reproduced import Reproduced
 from experiments.control_experiments.tables import write_control
 from offpiste.dataset.windows import Windows
 from offpiste.evaluation.errors import Errors, load_errors, save_errors
-from offpiste.evaluation.evaluated_models import Reading
-from offpiste.evaluation.evaluated_windows import EvaluatedWindows
-from offpiste.evaluation.speed_bands import members
+from offpiste.evaluation.evaluate import Reading
+from offpiste.evaluation.evaluated_windows import EvaluatedWindows, members
 from offpiste.reproduction.gains import HINDSIGHT, MAP, Gain, evaluation_index, gain, gain_table
 from offpiste.reproduction.runs import errors_of_runs, errors_path
 

@@ -18,15 +18,12 @@ from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import Dataset, add_drive, create, open_dataset
 from offpiste.dynamics import ConstantMotion, Kinematic, Parametric
 from offpiste.evaluation.errors import Errors
-from offpiste.evaluation.evaluate import Evaluation, evaluate_models
-from offpiste.evaluation.evaluated_models import EvaluatedModel
+from offpiste.evaluation.evaluate import EvaluatedModel, Evaluation, evaluate_models
 from offpiste.evaluation.intervals import Levels, Sampling
 from offpiste.evaluation.metrics import Headline, ResultRow, pooled_rows, read_metrics, run_rows
-from offpiste.evaluation.report import draw_figures, report_page, write_report
+from offpiste.evaluation.report import draw_figures, headline_text, report_page, terminal_table, write_report
 from offpiste.evaluation.report_figures import REPORT_FIGURES, ReportFigure
 from offpiste.evaluation.report_figures.windows import predict_typical, predict_worst
-from offpiste.evaluation.report_headlines import headline_text
-from offpiste.evaluation.report_tables import terminal_table
 from offpiste.evaluation.window_paths import typical_windows, worst_windows
 from offpiste.report.page import render
 from offpiste.rig.rig import parse_rig

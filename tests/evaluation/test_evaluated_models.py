@@ -12,8 +12,7 @@ from feature_datasets import dataset_with_features, with_snapshots
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import Dataset
 from offpiste.dynamics import MODELS
-from offpiste.evaluation.evaluate import evaluate_models
-from offpiste.evaluation.evaluated_models import EvaluatedModel, by_split, named_apart, readings_of
+from offpiste.evaluation.evaluate import EvaluatedModel, by_split, evaluate_models, named_apart, readings_of
 from offpiste.training.run import vehicle_of
 
 FOLDS = [parse_split(f"fold:{number}/3") for number in range(3)]
@@ -48,7 +47,7 @@ def test_folds_of_a_dataset_with_snapshots_are_evaluated_at_recorded_places(
     settings = {"scale": torch.ones(5), "starts": ("causal",), "stride": 50}
     found = evaluate_models(models(dataset, folds=True), dataset, **settings)
     assert {row.lookup for row in found.metrics.results if row.model == "parametric"} == {"recorded"}
-    assert "not evaluated on the map: windows of the split fold:0/3, fold:1/3, fold:2/3 have none" in caplog.text
+    assert "not evaluated on the map: windows of the split fold:0/3, fold:1/3, fold:2/3 have no map" in caplog.text
     assert found.windows.usual_step(0) == 50, "none is evaluated on its few windows with a snapshot instead"
     datasets = [each for each, _ in by_split(models(dataset, folds=True), dataset)]
     assert readings_of(datasets, "test", ("map",), ("10",)) == [("recorded", "10")]

@@ -1,14 +1,35 @@
+"""Speed, distance, bands and overlap with training of evaluated windows."""
+
 from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
+import torch
 
-from factories import RIG, circle_rows
+from factories import RIG, circle_rows, small_rig
+from offpiste.core.errors import DatasetError, OffpisteError, RunError
+from offpiste.dataset.resample import Rows
 from offpiste.dataset.splits import Split
-from offpiste.dataset.store import Dataset, StoredDrive
-from offpiste.evaluation.evaluated_windows import EvaluatedWindows, share_driven_in_training
+from offpiste.dataset.store import Dataset, StoredDrive, add_drive, create, open_dataset
+from offpiste.dataset.windows import Windows
+from offpiste.evaluation.evaluate import evaluate_models
+from offpiste.evaluation.evaluate_runs import evaluate_runs
+from offpiste.evaluation.evaluated_windows import (
+    BANDS,
+    REVERSE,
+    EvaluatedWindows,
+    in_reverse,
+    members,
+    share_driven_in_training,
+)
+from offpiste.evaluation.intervals import Sampling
+from offpiste.evaluation.metrics import read_metrics, write_metrics
+from offpiste.evaluation.report import band_table
+from offpiste.rig.channels import ChannelSource
 from offpiste.rig.rig import parse_rig
+from offpiste.training.config import TrainConfig, refuse_impossible
 
 SPLIT = Split("all", "drives", drives=(("line", "test"),))
 
@@ -22,13 +43,13 @@ def line(parts: dict[str, slice], *, rows: int = 1000, shift: tuple[float, float
     return StoredDrive("line", replace(drive, origin=np.array(shift)), part, ())
 
 
-def dataset(*drives: StoredDrive) -> Dataset:
+def made_of(*drives: StoredDrive) -> Dataset:
     return Dataset(Path("nowhere"), parse_rig(RIG, where="test"), SPLIT, drives)
 
 
 def test_a_path_after_training_was_not_driven_in_training() -> None:
     drive = line({"train": slice(0, 400), "test": slice(600, 1000)})
-    assert share_driven_in_training(dataset(drive)) == 0.0
+    assert share_driven_in_training(made_of(drive)) == 0.0
 
 
 def test_a_path_driven_before_was_driven_in_training_wherever_the_drives_origins_are() -> None:
@@ -36,20 +57,20 @@ def test_a_path_driven_before_was_driven_in_training_wherever_the_drives_origins
     again = replace(line({"test": slice(0, 1000)}), name="again")
     moved = replace(again, rows=replace(again.rows, origin=np.array([10.0, 4.0])))
     # Test runs from x = 10 to 109.9 m, 4 m beside training, which ends at 49.9 m: near until 49.9 + 3 m.
-    assert share_driven_in_training(dataset(trained, moved)) == pytest.approx(0.43, abs=0.005)
+    assert share_driven_in_training(made_of(trained, moved)) == pytest.approx(0.43, abs=0.005)
     aside = replace(again, rows=replace(again.rows, origin=np.array([10.0, 6.0])))
-    assert share_driven_in_training(dataset(trained, aside)) == 0.0
+    assert share_driven_in_training(made_of(trained, aside)) == 0.0
 
 
 def test_standing_still_is_no_path() -> None:
     drive = line({"train": slice(0, 300), "test": slice(300, 1000)})
     drive.rows.state[300:350, 3] = 0.0  # near training, but no metre is driven there
-    assert share_driven_in_training(dataset(drive)) == pytest.approx(0.0, abs=1e-3)
+    assert share_driven_in_training(made_of(drive)) == pytest.approx(0.0, abs=1e-3)
 
 
 def test_nothing_trained_and_nothing_tested() -> None:
-    assert share_driven_in_training(dataset(line({"test": slice(0, 1000)}))) == 0.0
-    assert np.isnan(share_driven_in_training(dataset(line({"train": slice(0, 1000)}))))
+    assert share_driven_in_training(made_of(line({"test": slice(0, 1000)}))) == 0.0
+    assert np.isnan(share_driven_in_training(made_of(line({"train": slice(0, 1000)}))))
 
 
 def test_speed_and_distance_of_windows() -> None:
@@ -57,7 +78,7 @@ def test_speed_and_distance_of_windows() -> None:
     drive.rows.state[:100, 3] = np.nan
     drive.rows.state[500:, 3] = 10.0
     drive.rows.state_causal[300, 3:5] = (3.0, 4.0)
-    windows = EvaluatedWindows(dataset(drive), np.zeros(3, dtype=int), np.array([100, 300, 400]))
+    windows = EvaluatedWindows(made_of(drive), np.zeros(3, dtype=int), np.array([100, 300, 400]))
     assert windows.driven_distance[[0, 2]] == pytest.approx([25.0, 0.02 * (100 * 5 + 150 * 10)])
     assert windows.start_speed[1] == pytest.approx(5.0)
     assert windows.at_start("control").shape == (3, 3)
@@ -66,6 +87,97 @@ def test_speed_and_distance_of_windows() -> None:
 def test_the_step_between_windows_is_what_it_is_where_only_some_are_evaluated() -> None:
     # Windows with a snapshot: 20 to 30 rows apart, and none between drives.
     drive, row = np.repeat([0, 1], 4), np.array([5, 25, 45, 75, 1000, 1020, 1045, 1065])
-    empty = dataset(line({}))
+    empty = made_of(line({}))
     assert EvaluatedWindows(empty, drive, row).usual_step(5) == 20
     assert EvaluatedWindows(empty, drive[[0, 4]], row[[0, 4]]).usual_step(5) == 5
+
+
+SPEEDS = {"standing": 1e-3, "crawling": 0.8, "slow": 2.0, "usual": 5.0, "fast": 12.0, "backwards": -2.0}
+
+
+def driven(speed: float) -> Rows:
+    """A circle at a speed, exactly known."""
+    rows = circle_rows(1000, speed=abs(speed), yaw_rate=0.2)
+    state = rows.state.copy()
+    state[:, 3] = speed
+    return replace(rows, state=state, state_causal=state.copy())
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    path = tmp_path_factory.mktemp("bands") / "data.zarr"
+    split = Split("all", "drives", drives=tuple((name, "test") for name in SPEEDS))
+    create(path, small_rig(), split)
+    for name, speed in SPEEDS.items():
+        add_drive(path, name, driven(speed), split, ())
+    return open_dataset(path)
+
+
+def of(dataset: Dataset) -> EvaluatedWindows:
+    windows = Windows(dataset, "test")
+    index = windows.every(50)
+    return EvaluatedWindows(dataset, windows.drive[index], windows.row_in_drive(index))
+
+
+def test_every_window_is_in_one_band(dataset: Dataset) -> None:
+    windows = of(dataset.starting_above(0.0))
+    names = [drive.name for drive in dataset.drives]
+    found = {band: {names[d] for d in windows.drive[mine]} for band, mine in members(windows).items()}
+    slow, crawl, usual, fast = (band.name for band in BANDS)
+    assert found == {
+        slow: {"standing", "crawling"},
+        crawl: {"slow"},
+        usual: {"usual"},
+        fast: {"fast"},
+        REVERSE: {"backwards"},
+    }
+    assert np.sum(list(members(windows).values()), axis=0).tolist() == [1] * len(windows.row)
+
+
+def test_by_default_windows_start_where_they_always_did(dataset: Dataset) -> None:
+    assert dataset.starting_above(None) is dataset
+    assert {dataset.drives[d].name for d in of(dataset).drive} == {"slow", "usual", "fast", "backwards"}
+    assert {dataset.drives[d].name for d in of(dataset.starting_above(3.0)).drive} == {"usual", "fast"}
+    with pytest.raises(DatasetError, match="starts above 20 m/s"):
+        Windows(dataset.starting_above(20.0), "test")
+
+
+def test_a_gear_says_what_is_in_reverse(dataset: Dataset) -> None:
+    """From a standstill the velocity does not; in neutral it does."""
+    gears = {"standing": -1.0, "backwards": 0.0, "slow": 0.0}
+
+    def geared(drive: StoredDrive) -> StoredDrive:
+        gear = np.full((len(drive.rows.time), 1), gears.get(drive.name, 1.0), np.float32)
+        columns = {name: np.hstack((getattr(drive.rows, name), gear)) for name in ("control", "control_causal")}
+        return replace(drive, rows=replace(drive.rows, **columns))
+
+    channels = {**dataset.rig.channels, "gear": ChannelSource(fields=("gear",))}
+    rig = msgspec.structs.replace(dataset.rig, channels=channels)
+    windows = of(replace(dataset, rig=rig, drives=tuple(map(geared, dataset.drives))).starting_above(0.0))
+    assert {dataset.drives[d].name for d in windows.drive[in_reverse(windows)]} == {"standing", "backwards"}
+
+
+def test_bands_are_in_the_metrics_and_the_report(dataset: Dataset, tmp_path: Path) -> None:
+    some = dataset.starting_above(0.0)
+    evaluation = evaluate_models([], some, scale=torch.ones(5), stride=100, sampling=Sampling(block_seconds=2.0))
+    bands = evaluation.metrics.bands
+    assert {row.band for row in bands} == {*(band.name for band in BANDS), REVERSE}
+    assert {row.model for row in bands} == {"ctrv", "kinematic"}
+    one = {(row.model, row.start, row.horizon_s): 0.0 for row in bands}
+    for row in bands:
+        one[row.model, row.start, row.horizon_s] += row.n * row.distance_error_m.mean
+    for row in evaluation.metrics.results:
+        assert one[row.model, row.start, row.horizon_s] == pytest.approx(row.n * row.distance_error_m.mean)
+    write_metrics(tmp_path / "metrics.json", evaluation.metrics)
+    assert read_metrics(tmp_path / "metrics.json").bands[0].band == bands[0].band
+    text = band_table(bands).text()
+    assert "reverse" in text
+    assert "0 to 1.5 m/s" in text
+
+
+@pytest.mark.parametrize("wrong", [-1.0, float("nan"), float("inf")])
+def test_impossible_speeds_are_refused(wrong: float, dataset: Dataset, tmp_path: Path) -> None:
+    with pytest.raises(RunError, match=r"--min-speed is .*; give a speed of 0 or more"):
+        refuse_impossible(TrainConfig(min_speed=wrong))
+    with pytest.raises(OffpisteError, match="--min-speed is"):
+        evaluate_runs([tmp_path / "run"], dataset.path, tmp_path / "out", min_speed=wrong)

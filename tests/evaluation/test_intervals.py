@@ -246,7 +246,7 @@ def test_blocks_of_one_drive_are_units_and_say_so() -> None:
     assert (sample.drives, sample.units, sample.blocks) == (1, 10, 10)
     assert (sample.draws.sum(axis=1) == 10).all()
     assert sample.levels(2).text() == "10 blocks of one drive, 2 seeds"
-    assert sample.levels().caveat == "Intervals are over blocks of one drive and say nothing of other drives."
+    assert sample.levels().caveat == "Intervals are over blocks of one drive and say nothing about other drives."
     assert nested(5, 5, 2).levels().caveat == ""
 
 

@@ -42,8 +42,7 @@ from offpiste.dataset.splits import parse_split
 from offpiste.dataset.windows import Batch, FeaturesUnderWheels, Windows
 from offpiste.dynamics import MODELS, Dynamics, Vehicle, as_callable, rollout
 from offpiste.dynamics.kernels.autograd import rollout_recorded, supports
-from offpiste.evaluation.evaluate import evaluate_models
-from offpiste.evaluation.evaluated_models import EvaluatedModel
+from offpiste.evaluation.evaluate import EvaluatedModel, evaluate_models
 from offpiste.inspection.draft_rig import draft_rig
 from offpiste.inspection.inspect import inspect_log
 from offpiste.logs import open_log

@@ -8,7 +8,7 @@ import pytest
 from feature_datasets import dataset_with_features
 from offpiste.evaluation.errors import COMPONENTS, Errors
 from offpiste.evaluation.intervals import PairedDifference, Sampling
-from offpiste.evaluation.result_rows import RunErrors
+from offpiste.evaluation.metrics import RunErrors
 from offpiste.reproduction.results import FigureResults, last_rows, seen_throughout
 from offpiste.reproduction.settings import figure_models
 from offpiste.reproduction.tables import distance_table, error_table, fig3_claims, fig4_claims, seed_table, verdict

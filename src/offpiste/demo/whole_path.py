@@ -23,7 +23,7 @@ from offpiste.evaluation.errors import Errors
 from offpiste.evaluation.evaluate import Evaluation
 from offpiste.evaluation.evaluate_runs import evaluate_runs
 from offpiste.evaluation.intervals import PairedDifference, Sampling, relative, summary
-from offpiste.evaluation.result_rows import REFERENCE
+from offpiste.evaluation.metrics import REFERENCE
 from offpiste.inspection.inspect import inspect_log
 from offpiste.inspection.render import render
 from offpiste.logs import open_log

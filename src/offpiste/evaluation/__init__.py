@@ -1,1 +1,1 @@
-"""Evaluation of models on windows they have not seen: errors, intervals, figures, a report."""
+"""Evaluation of models on unseen windows: errors, intervals, figures, report."""

@@ -1,4 +1,4 @@
-"""Errors of predictions after every whole second, and the files that keep them."""
+"""Errors of predictions after each whole second, and files with them."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -21,39 +21,37 @@ from offpiste.core.state import wrap_angle
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics import Dynamics
 from offpiste.training.losses import summed_loss
-from offpiste.training.prediction import Lookup, MapSource, batch_for, in_parts, on_map, roll_batch_out, roll_out
+from offpiste.training.prediction import Lookup, MapSource, batch_for, in_parts, roll_batch_out, roll_out
 
 HORIZONS = (1, 2, 3, 4, 5)
 """Times at which errors are kept [s after the start]."""
 
 COMPONENTS = ("distance_error_m", "yaw_error_rad", "vx_error_mps", "vy_error_mps", "yaw_rate_error_radps")
-"""Absolute errors that are kept: of the position as a distance, of the yaw angle wrapped."""
+"""Absolute errors: of position as a distance, of yaw wrapped."""
 
 Item = TypeVar("Item")
 
 
 @runtime_checkable
 class Progress(Protocol):
-    """Progress over items while they are worked on, as `offpiste.core.progress.track` shows it."""
+    """Shows progress over items, as `offpiste.core.progress.track`."""
 
     def __call__(self, items: Iterable[Item], description: str, /) -> Iterator[Item]:
-        """The same items."""
+        """Yield the items."""
         ...
 
 
 def no_progress(items: Iterable[Item], description: str, /) -> Iterator[Item]:
-    """The same items, without showing progress."""
+    """Yield the items without showing progress."""
     return iter(items)
 
 
 @dataclass(frozen=True)
 class Errors:
-    """Errors of predictions, window by window.
-
-    A prediction that is not finite is infinitely wrong: it stays in, and no mean or quantile can look good with it.
+    """Errors of predictions by window; infinite if the prediction is not finite.
 
     Attributes:
-        drive, row: what identifies a window: number of its drive in the dataset, and row t in that drive.
+        drive, row: identity of a window: index of its drive in the dataset, and row of its start.
         values: by horizon (`HORIZONS`) and component (`COMPONENTS`).
         loss: over all steps, in units of the kinematic bicycle's error (`offpiste.training.losses`).
     """
@@ -65,7 +63,7 @@ class Errors:
 
     @property
     def key(self) -> Int[np.ndarray, " n"]:
-        """One number per window, in the order of drives and rows."""
+        """One number per window, ordered by drive and row."""
         return np.asarray(self.drive.astype(np.int64) << 32 | self.row)
 
     @property
@@ -78,20 +76,20 @@ class Errors:
         return self.values[:, -1, 0]
 
     def component(self, name: str) -> Float[np.ndarray, " n"]:
-        """Error at the last horizon, of a component (`COMPONENTS`), or the "loss", which is over all steps."""
+        """Error of a component (`COMPONENTS`) at the last horizon, or the "loss" over all steps."""
         return self.loss if name == "loss" else self.values[:, -1, COMPONENTS.index(name)]
 
     def take(self, index: Int[np.ndarray, " m"]) -> "Errors":
-        """Errors of some of the windows."""
+        """Return the errors of some windows."""
         return Errors(self.drive[index], self.row[index], self.values[index], self.loss[index])
 
 
 def pool(runs: Sequence[Errors]) -> Errors:
     """Mean errors over the runs that predicted each window; windows in ascending order.
 
-    Seeds predict the same windows, so their errors are averaged window by window; folds predict disjoint ones, so
-    theirs are put together. Errors are averaged, never predictions: an ensemble would be another model. A window in
-    which one of the runs failed has failed.
+    Seeds predict the same windows, so that their errors are averaged by window; folds predict disjoint windows, which
+    are concatenated. Errors are averaged rather than predictions, which would be an ensemble. A window in which a run
+    failed has failed.
     """
     keys, place = np.unique(np.concatenate([run.key for run in runs]), return_inverse=True)
     count = np.bincount(place).astype(float)
@@ -104,10 +102,10 @@ def pool(runs: Sequence[Errors]) -> Errors:
 
 @dataclass(frozen=True)
 class SeededErrors:
-    """Errors of a model's runs on the same windows, in ascending order: one run for each seed.
+    """Errors of a model's runs on the same windows, in ascending order: one run per seed.
 
     Attributes:
-        seeds: of the runs; None where they are not known apart.
+        seeds: of the runs; None if unknown.
     """
 
     runs: tuple[Errors, ...]
@@ -115,25 +113,25 @@ class SeededErrors:
 
     @property
     def drive(self) -> Int[np.ndarray, " n"]:
-        """Number of each window's drive."""
+        """Index of each window's drive."""
         return self.runs[0].drive
 
     @property
     def row(self) -> Int[np.ndarray, " n"]:
-        """Row t of each window in its drive."""
+        """Row of each window's start in its drive."""
         return self.runs[0].row
 
     @property
     def mean(self) -> Errors:
-        """Each window's mean over the seeds."""
+        """Mean of each window over the seeds."""
         return pool(self.runs)
 
     def at(self, horizon: int, component: int) -> Float[np.ndarray, "S n"]:
-        """Errors by number of the horizon (`HORIZONS`) and of the component (`COMPONENTS`)."""
+        """Return the errors at an index of `HORIZONS` and an index of `COMPONENTS`."""
         return np.stack([run.values[:, horizon, component] for run in self.runs])
 
     def component(self, name: str) -> Float[np.ndarray, "S n"]:
-        """Error at the last horizon, of a component (`COMPONENTS`), or the "loss", which is over all steps."""
+        """Error of a component (`COMPONENTS`) at the last horizon, or the "loss" over all steps."""
         return np.stack([run.component(name) for run in self.runs])
 
     def distance(self) -> Float[np.ndarray, "S n"]:
@@ -146,19 +144,19 @@ class SeededErrors:
         return self.component("loss")
 
     def take(self, index: Int[np.ndarray, " m"]) -> "SeededErrors":
-        """Errors on some of the windows."""
+        """Return the errors of some windows."""
         return SeededErrors(tuple(run.take(index) for run in self.runs), self.seeds)
 
     def of_seed(self, seed: int | None) -> "SeededErrors":
-        """The run of a seed; all of them where there is none of it."""
+        """Return the run of a seed, or all runs if there is none."""
         alike = [number for number, own in enumerate(self.seeds) if own == seed and seed is not None]
         return SeededErrors((self.runs[alike[0]],), (seed,)) if alike else self
 
 
 def by_seed(runs: Sequence[Errors], seeds: Sequence[int | None]) -> SeededErrors:
-    """Runs of a model in the order of their seeds; folds of a seed are put together.
+    """Return the runs of a model in the order of their seeds; folds of a seed are concatenated.
 
-    Where seeds do not predict the same windows (as folds of one seed each), all are one run.
+    If seeds predict different windows (as folds of one seed each), all are one run.
     """
     different = sorted(set(seeds), key=lambda seed: (seed is not None, seed))
     together = [pool([run for run, own in zip(runs, seeds, strict=True) if own == seed]) for seed in different]
@@ -168,7 +166,7 @@ def by_seed(runs: Sequence[Errors], seeds: Sequence[int | None]) -> SeededErrors
 
 
 def positions(windows: Errors | SeededErrors, among: Errors | SeededErrors) -> Int[np.ndarray, " n"]:
-    """Indices of the windows in `among`, which has them all in ascending order."""
+    """Return the indices of windows in `among`, which contains all of them in ascending order."""
     have, wanted = (errors.drive.astype(np.int64) << 32 | errors.row for errors in (among, windows))
     result = np.searchsorted(have, wanted)
     assert np.array_equal(have[np.minimum(result, len(have) - 1)], wanted), "not the same windows"
@@ -177,7 +175,7 @@ def positions(windows: Errors | SeededErrors, among: Errors | SeededErrors) -> I
 
 @dataclass(frozen=True)
 class Predictor:
-    """A model, and the weights of the loss that its predictions are measured by."""
+    """A model, and the weights of the loss that measures its predictions."""
 
     dynamics: Dynamics
     weights: Float[Tensor, " 5"]
@@ -191,19 +189,19 @@ def errors_of_models(
     *,
     lookup: Lookup | None,
     scale: Float[Tensor, " 5"],
-    map_source: MapSource = on_map,
+    map_source: MapSource | None = None,
     chunk: int | None = None,
     track: Progress = no_progress,
     description: str = "evaluating",
 ) -> list[Errors]:
-    """Errors of each of some models on the same windows, which are read once for all of them.
+    """Compute the errors of models on the same windows, which are read once for all.
 
     Args:
-        index: numbers of the windows.
+        index: indices of the windows.
         lookup: "recorded" or "map" (`training.prediction.Lookup`); None for models that do not read the terrain.
         scale: of the loss (`offpiste.training.losses.summed_loss`).
-        map_source: the map that "map" reads, where it is not the windows' own.
-        chunk: windows rolled out side by side, when not as many as usual.
+        map_source: map to read with the lookup "map"; None: the windows' own.
+        chunk: number of windows rolled out together; None: as fits in memory.
         track: shows progress over the chunks.
     """
     steps = torch.tensor([round(seconds / DT) - 1 for seconds in HORIZONS], device=windows.device)
@@ -225,7 +223,7 @@ def errors_of_models(
 def prediction_errors(
     dynamics: Dynamics, windows: Windows, index: Int[np.ndarray, " n"], *, weights: Float[Tensor, " 5"], **settings: Any
 ) -> Errors:
-    """Errors of one model; `weights` are those of the loss, `settings` as for `errors_of_models`."""
+    """Compute the errors of one model; `weights` of the loss, `settings` as for `errors_of_models`."""
     return errors_of_models([Predictor(dynamics, weights)], windows, index, **settings)[0]
 
 
@@ -233,7 +231,7 @@ def prediction_errors(
 def trajectories(
     dynamics: Dynamics, windows: Windows, index: Int[np.ndarray, " n"], *, lookup: Lookup | None
 ) -> Float[np.ndarray, "n T 6"]:
-    """Predicted states after each step, positions relative to each window's start."""
+    """Predict the states after each step, with positions relative to each window's start."""
     if not len(index):
         return np.empty((0, windows.horizon, 6))
     states = [roll_out(dynamics, windows, part, lookup)[1].state for part in in_parts(index, windows, lookup)]
@@ -241,7 +239,7 @@ def trajectories(
 
 
 def in_start_frame(paths: Float[np.ndarray, "n T 2"], yaw: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n T 2"]:
-    """Displacements in the world as displacements ahead and to the left of each start's heading [m]."""
+    """Rotate displacements from the world to the heading at each start: ahead, left [m]."""
     return planar_body_from_world(paths, yaw[:, None])
 
 
@@ -253,7 +251,7 @@ def _absolute_errors(predicted: Float[Tensor, "B 5 6"], target: Float[Tensor, "B
 
 
 def _infinite_if_failed(values: Tensor) -> np.ndarray:
-    """Errors in double precision; where one component is not finite, all components of that horizon are infinite."""
+    """Return errors in double precision; all components of a horizon are infinite if one is not finite."""
     array = values.double().cpu().numpy()
     finite = np.isfinite(array)
     if array.ndim == 3:
@@ -269,10 +267,10 @@ def save_errors(path: Path, errors: Errors) -> None:
 
 
 def load_errors(path: Path) -> Errors:
-    """Read errors that `save_errors` wrote.
+    """Read errors written by `save_errors`.
 
     Raises:
-        RunError: there is no such file, or it is damaged.
+        RunError: no such file, or it is damaged.
     """
     try:
         with open_tensors(path, "numpy") as file:
@@ -282,7 +280,7 @@ def load_errors(path: Path) -> Errors:
 
 
 def saved_errors(path: Path, compute: Callable[[], Errors]) -> Errors:
-    """Errors from a file; without one, they are computed and written first.
+    """Read errors from a file; if there is none, compute and write them first.
 
     Raises:
         RunError: the file is damaged.

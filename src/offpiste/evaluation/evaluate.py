@@ -1,8 +1,10 @@
-"""Evaluate models on the same windows: the one place where models, windows and statistics meet."""
+"""Evaluation of models on the same windows: runs, the baselines beside them, and their terrain lookups."""
 
+import logging
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -10,31 +12,72 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from offpiste.core.channels import without_optional
 from offpiste.core.conventions import DT, EVALUATION_STRIDE
+from offpiste.core.errors import RunError
+from offpiste.core.shipped import names_apart
 from offpiste.dataset.assumptions import assumptions_of
+from offpiste.dataset.splits import Split
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
+from offpiste.dynamics import MODELS, Dynamics, Vehicle
 from offpiste.evaluation.errors import Errors, Progress, no_progress, prediction_errors
-from offpiste.evaluation.evaluated_models import (
-    NO_READING,
-    EvaluatedModel,
-    Reading,
-    by_split,
-    readings_of,
-    with_baselines,
-)
 from offpiste.evaluation.evaluated_windows import EvaluatedWindows, share_driven_in_training
 from offpiste.evaluation.intervals import Sampling
-from offpiste.evaluation.metrics import LossUnits, Metrics, WindowNumbers, provenance
-from offpiste.evaluation.result_rows import Case, Cases, RunErrors, Start, headlines, result_rows, seeded
-from offpiste.evaluation.speed_bands import band_rows
+from offpiste.evaluation.metrics import (
+    Case,
+    Cases,
+    LossUnits,
+    Metrics,
+    RunErrors,
+    Start,
+    WindowNumbers,
+    band_rows,
+    headlines,
+    label,
+    provenance,
+    result_rows,
+    seeded,
+)
 from offpiste.training.config import Weights
 from offpiste.training.losses import COMPONENTS
 from offpiste.training.prediction import Lookup
+from offpiste.training.run import vehicle_of
+
+logger = logging.getLogger(__name__)
+
+Reading = tuple[Lookup | None, str | None]
+"""Terrain lookup of a model, and its feature set at recorded places."""
+
+NO_READING: Reading = (None, None)
+
+
+@dataclass(frozen=True)
+class EvaluatedModel:
+    """Run of a model to evaluate.
+
+    Attributes:
+        name: in `offpiste.dynamics.MODELS`; runs of the same name and variant are one model.
+        variant: distinguishes models of the same name, e.g. "flat".
+        seed, fold: of the run.
+        split: split to evaluate it on, for folds; None: that of the dataset.
+    """
+
+    name: str
+    dynamics: Dynamics
+    variant: str = ""
+    seed: int | None = None
+    fold: int | None = None
+    split: Split | None = None
+
+    @property
+    def label(self) -> str:
+        """Name of the model, and its variant if any."""
+        return label(self.name, self.variant)
 
 
 class Prediction(NamedTuple):
-    """Errors of one run of a model, on the windows of one split and start, reading the terrain in one way."""
+    """Errors of one run of a model, on the windows of one split and start, with one terrain lookup."""
 
     case: Case
     model: EvaluatedModel
@@ -44,13 +87,13 @@ class Prediction(NamedTuple):
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Outcome of an evaluation; figures of the report (`report_figures`) draw from it.
+    """Result of an evaluation, from which figures of the report (`report_figures`) are drawn.
 
     Attributes:
         metrics: content of metrics.json.
-        errors: by case, over all runs; the same windows in the same order in each.
-        windows: these windows, with their speeds and whatever else the dataset knows of them.
-        shown: the case that decides about the model that was named first.
+        errors: by case, over all runs, on the same windows in the same order.
+        windows: these windows.
+        shown: the deciding case of the first model.
         predictions: each run in each case, with its model and its windows.
     """
 
@@ -78,23 +121,23 @@ def evaluate_models(
     warnings: Sequence[str] = (),
     track: Progress = no_progress,
 ) -> Evaluation:
-    """Evaluate models, and with them `ctrv` and `kinematic`, on the same windows.
+    """Evaluate models, and beside them the baselines `ctrv` and `kinematic`, on the same windows.
 
     Args:
-        models: runs; the first names the model whose worst windows are drawn.
-        scale: of the loss, one for all models so that their losses compare (`training.losses.loss_scale`).
+        models: runs; typical and worst windows of the first model are drawn.
+        scale: units of the loss, the same for all models (`training.losses.loss_scale`).
         weights: of the loss.
         starts: estimates of the state that predictions start from.
-        lookups: where models read the terrain; datasets without slope have only one way.
-        feature_sets: read at recorded places where there are features by distance (`conventions.FEATURE_SETS`).
-        stride: rows between windows; where the dataset keeps snapshots of the map, their windows are taken instead.
+        lookups: where models read the terrain; ignored for datasets without terrain.
+        feature_sets: read at recorded places if there are features by distance (`conventions.FEATURE_SETS`).
+        stride: rows between windows; if the dataset has snapshots of the map, their windows are used instead.
         sampling: settings of the intervals.
-        command: command line for the report; empty: this process's own.
-        warnings: for the report, beside those of the dataset.
+        command: command line for the report; empty: that of this process.
+        warnings: for the report, in addition to those of the dataset.
         track: shows progress, e.g. `offpiste.core.progress.track`.
 
     Raises:
-        RunError: models were trained under different splits, or two runs are the same one.
+        RunError: models were trained on different splits, or a run is given twice.
         DatasetError: the part has no windows.
     """
     weights, sampling = weights or Weights(), sampling or Sampling()
@@ -151,7 +194,7 @@ def _every_reading(
     readings: Sequence[Reading],
     device: torch.device | str,
 ) -> Iterator[tuple[Case, EvaluatedModel, Windows]]:
-    """Each model from each start, reading the terrain in each way, on the windows of its split."""
+    """Yield each model with each start and terrain lookup, on the windows of its split."""
     for dataset, models in groups:
         for start in starts:
             windows = Windows(dataset, part, start=start, device=device)
@@ -170,7 +213,7 @@ def _by_case(predictions: Sequence[Prediction]) -> Cases:
 
 
 def _shown_case(errors: dict[Case, Errors], model: EvaluatedModel, start: Start) -> Case:
-    """The case that decides about a model: from the first start, on the map where there is one."""
+    """Return the deciding case of a model: the first start, on the map if there is one."""
     result = [case for case in errors if case.label == model.label and case.start == start]
     return max(result, key=lambda case: case.lookup == "map")
 
@@ -196,3 +239,133 @@ def _window_numbers(
         median_speed_mps=float(np.median(windows.start_speed)),
         driven_in_training=float(np.mean(shares)),
     )
+
+
+def readings_of(
+    datasets: Sequence[Dataset], part: str, lookups: Sequence[Lookup], feature_sets: Sequence[str]
+) -> Sequence[Reading]:
+    """Return the possible terrain lookups; of features at recorded places only, unless every split has maps.
+
+    Args:
+        datasets: the same rows with each split.
+        part: of the splits, whose windows are evaluated.
+        lookups, feature_sets: wanted lookups and feature sets.
+    """
+    if not _has_terrain(datasets[0]):
+        return (NO_READING,)
+    sets: Sequence[str | None] = (None,)
+    bare: list[str] = []
+    for dataset in datasets:
+        windows = Windows(dataset, part)
+        sets = tuple(feature_sets) if windows.sets > 1 else (None,)
+        if dataset.features and not windows.maps.any:
+            bare.append(dataset.split.text)
+    if bare and "map" in lookups:
+        logger.info(f"models are not evaluated on the map: windows of the split {', '.join(bare)} have no map")
+    recorded: list[Reading] = [("recorded", chosen) for chosen in sets] if "recorded" in lookups or bare else []
+    on_map: list[Reading] = [("map", None)] if "map" in lookups and not bare else []
+    return recorded + on_map
+
+
+def _has_terrain(dataset: Dataset) -> bool:
+    """Whether the dataset has terrain features or slopes."""
+    return bool(dataset.features) or any(
+        bool(np.nanmax(np.abs(drive.rows.normal[..., :2]), initial=0) > 0) for drive in dataset.drives
+    )
+
+
+def named_apart(models: Sequence[EvaluatedModel], folders: Sequence[Path]) -> list[EvaluatedModel]:
+    """Distinguish models whose runs have the same seed and fold, by the names of their folders as variants.
+
+    A folder named as its model, or MODEL-SEED, gives no variant.
+
+    Args:
+        folders: of each run, as given; for folds, the folder of the cross-validation.
+    """
+    result = list(models)
+    for name in dict.fromkeys(model.name for model in models):
+        mine = [i for i, model in enumerate(models) if model.name == name]
+        own = list(dict.fromkeys(folders[i] for i in mine))
+        called = dict(zip(own, names_apart(own), strict=True))
+        for by_seed in (True, False):
+            if len({_identity(result[i]) for i in mine}) == len(mine):
+                break
+            for i in mine:
+                of_seed = called[folders[i]].removesuffix(f"-{models[i].seed}" if by_seed else "")
+                result[i] = replace(models[i], variant="" if of_seed == name else of_seed)
+    return result
+
+
+def _identity(model: EvaluatedModel) -> tuple[str, int | None, int | None, Split | None]:
+    return model.label, model.seed, model.fold, model.split
+
+
+def with_baselines(
+    models: Sequence[EvaluatedModel], dataset: Dataset, device: torch.device | str
+) -> list[EvaluatedModel]:
+    """Add the missing baselines to the models, once for every split.
+
+    Raises:
+        RunError: models were trained on different splits, or a run is given twice.
+    """
+    result = list(models)
+    vehicle = vehicle_of(dataset)
+    for name in (name for name, model in MODELS.items() if model.baseline and model.fits(vehicle)):
+        if any(model.label == name for model in models):
+            continue
+        for split in dict.fromkeys(model.split for model in models) or {None: None}:
+            beside = [model for model in models if model.split == split]
+            fold = beside[0].fold if beside else None
+            result.append(EvaluatedModel(name, _baseline(name, beside, vehicle).to(device), fold=fold, split=split))
+    _refuse_unlike(result, dataset)
+    return result
+
+
+def _baseline(name: str, beside: Sequence[EvaluatedModel], vehicle: Vehicle) -> Dynamics:
+    """Return a baseline; its actuators, if any, have the delays fitted by the first model beside it."""
+    baseline = MODELS[name](vehicle, seed=0)
+    fitted = [model.dynamics.actuators for model in beside if _channels(model.dynamics.vehicle) == _channels(vehicle)]
+    result = next((lags for lags in fitted if lags is not None), None)
+    if baseline.actuators is not None and result is not None:
+        baseline.actuators.load_state_dict(result.state_dict())
+    return baseline
+
+
+def _channels(vehicle: Vehicle) -> tuple[tuple[str, ...], ...]:
+    return without_optional(vehicle.control), vehicle.actuators
+
+
+def _refuse_unlike(models: Sequence[EvaluatedModel], dataset: Dataset) -> None:
+    """Check that all models are evaluated on the same windows, and no run twice."""
+    wanted = set(splits_of(models, dataset))
+    for name in dict.fromkeys(model.label for model in models):
+        runs = [model for model in models if model.label == name]
+        splits = {run.split or dataset.split for run in runs}
+        if splits != wanted:
+            missing = ", ".join(split.text for split in wanted - splits)
+            raise RunError(
+                f"model '{name}' has no run for split {missing}, which others have",
+                where=dataset.path,
+                how="models are compared on the same windows: give the same folds of each, or evaluate them separately",
+            )
+        if len({_identity(run) for run in runs}) < len(runs):
+            raise RunError(
+                f"two runs of model '{name}' have the same seed and fold",
+                where=dataset.path,
+                how="give each run once",
+            )
+
+
+def splits_of(models: Sequence[EvaluatedModel], dataset: Dataset) -> list[Split]:
+    """Return the splits that models are evaluated on."""
+    return list(dict.fromkeys(model.split or dataset.split for model in models)) or [dataset.split]
+
+
+def by_split(models: Sequence[EvaluatedModel], dataset: Dataset) -> list[tuple[Dataset, list[EvaluatedModel]]]:
+    """Return the dataset with each split, and the models evaluated on it.
+
+    With several splits there are no snapshots, so that windows are chosen in the same way for each.
+    """
+    splits = splits_of(models, dataset)
+    datasets = [dataset] if splits == [dataset.split] else [dataset.relabelled(split) for split in splits]
+    return [(each, [model for model in models if (model.split or dataset.split) == each.split]) for each in datasets]

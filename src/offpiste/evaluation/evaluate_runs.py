@@ -1,4 +1,4 @@
-"""Evaluate trained runs on a dataset and write the report: the logic of `offpiste evaluate`."""
+"""Evaluation of trained runs on a dataset, with the report: `offpiste evaluate`."""
 
 import logging
 import math
@@ -19,13 +19,10 @@ from offpiste.dataset.log_findings import warning_line
 from offpiste.dataset.split_balance import split_warning
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import Dataset, open_dataset
-from offpiste.evaluation.evaluate import Evaluation, evaluate_models
-from offpiste.evaluation.evaluated_models import EvaluatedModel, named_apart
+from offpiste.evaluation.evaluate import EvaluatedModel, Evaluation, evaluate_models, named_apart
 from offpiste.evaluation.intervals import MIN_UNITS, Levels
-from offpiste.evaluation.metrics import Metrics, read_metrics
-from offpiste.evaluation.report import write_report
-from offpiste.evaluation.report_tables import terminal_table
-from offpiste.evaluation.result_rows import Start
+from offpiste.evaluation.metrics import Metrics, Start, read_metrics
+from offpiste.evaluation.report import terminal_table, write_report
 from offpiste.training.checkpoint import fold_folders, load_json
 from offpiste.training.config import TrainConfig
 from offpiste.training.prediction import Lookup
@@ -34,7 +31,7 @@ from offpiste.training.run import Run, differing_vehicle, load_run, refuse_seen,
 logger = logging.getLogger(__name__)
 
 SLOWER = 0.2
-"""Speed by which the slowest window with a map may be above what was asked for [m/s]."""
+"""Tolerated difference between the requested speed and that of the slowest window with a map [m/s]."""
 
 
 def evaluate_runs(
@@ -51,12 +48,12 @@ def evaluate_runs(
     """Evaluate runs on the test part of a dataset; write metrics.json, figures and report.html to `out`.
 
     Args:
-        min_speed: windows start above it [m/s], 0: from standstills as well; None: as the dataset says.
+        min_speed: smallest speed at the start of a window [m/s]; 0: standstills as well; None: as in the dataset.
 
     Raises:
-        RunError: none is given, a folder is no finished run, does not fit the dataset, or was trained on the test part.
-        DatasetError: no dataset there, or no window in its test part.
-        OffpisteError: `out` is a file or holds something else, or a setting is impossible.
+        RunError: no run is given, or one is unfinished, does not fit the dataset, or was trained on the test part.
+        DatasetError: no such dataset, or no window in its test part.
+        OffpisteError: `out` is a file or holds other files, or a setting is impossible.
     """
     if not folders:
         raise RunError("no run is given", how="name one or more: offpiste evaluate RUN... --dataset DATASET")
@@ -99,8 +96,8 @@ def evaluate_runs(
     write_report(evaluation, out)
     logger.info(terminal_table(evaluation.metrics.results).text())
     if {"recorded", "map"} <= {row.lookup for row in evaluation.metrics.results}:
-        nearest = "" if dataset.features else ": without features, the slope of the driven path nearest to them"
-        logger.info(f"rows with the lookup 'map' decide: they read the ground where wheels are predicted{nearest}")
+        nearest = "" if dataset.features else ": without features, the slope of the nearest driven path"
+        logger.info(f"rows with the lookup 'map' decide: they read the ground under the predicted wheels{nearest}")
     levels = Levels(evaluation.metrics.windows.drives, evaluation.metrics.windows.blocks)
     if levels.caveat:
         more = _folds(folders[0], runs[0].model, dataset, dataset_path) if levels.units < MIN_UNITS else ""
@@ -111,19 +108,20 @@ def evaluate_runs(
 
 
 def _other_assumptions(runs: Sequence[Run], models: Sequence[EvaluatedModel], dataset: Dataset) -> list[str]:
-    """Assumptions that runs were trained with and that the dataset does not share."""
+    """Return assumptions of the runs' training data that the dataset does not share."""
     mine = assumptions_of(dataset)
     found = {f"{run.model} was trained with: {each}" for run in runs for each in run.assumptions if each not in mine}
     return sorted(found)
 
 
 def _folds(folder: Path, model: str, dataset: Dataset, path: Path) -> str:
-    """The command that tests a model on all of the driving; nothing for runs that are folds, or that ship.
+    """Return the command that tests a model on all of the driving by cross-validation.
 
-    Nor is there any for a dataset with snapshots: folds are evaluated at recorded places only, which do not decide.
+    Empty for folds, for models that ship, and for datasets with snapshots, whose folds are evaluated at recorded places
+    only.
 
     Args:
-        path: of the dataset, as it was given.
+        path: of the dataset, as given.
     """
     if not folder.is_dir() or fold_folders(folder) or any(drive.snapshots is not None for drive in dataset.drives):
         return ""
@@ -133,7 +131,7 @@ def _folds(folder: Path, model: str, dataset: Dataset, path: Path) -> str:
 
 
 def _settings(folder: Path) -> TrainConfig:
-    """Those that a run was trained with; the usual ones where it does not say."""
+    """Return the settings that a run was trained with; the defaults if unknown."""
     path = folder / "config.json"
     try:
         return msgspec.convert(load_json(path)["train"], TrainConfig) if path.exists() else TrainConfig()
@@ -142,7 +140,7 @@ def _settings(folder: Path) -> TrainConfig:
 
 
 def _doubts(runs: Sequence[Run], models: Sequence[EvaluatedModel], dataset: Dataset) -> tuple[str, ...]:
-    """Log what speaks against these models on this dataset; returns what the report does not know from the dataset."""
+    """Log warnings about these models on this dataset; return those that are not stored in the dataset."""
     if (line := warning_line(dataset.findings)) is not None:
         logger.warning(line)
     others = {named(run.folder): differing_vehicle(run.dynamics.vehicle, dataset.rig.vehicle) for run in runs}
@@ -160,7 +158,7 @@ def _doubts(runs: Sequence[Run], models: Sequence[EvaluatedModel], dataset: Data
 
 
 def _other_report(out: Path, metrics: Metrics) -> str | None:
-    """What a report that is there already was about, in words, if that was something else."""
+    """Describe the existing report in a folder if it is about other models or data."""
     try:
         there = read_metrics(out / "metrics.json")
     except RunError:
@@ -171,19 +169,19 @@ def _other_report(out: Path, metrics: Metrics) -> str | None:
 
 
 def _warn_of_slow(dataset: Dataset, min_speed: float | None) -> None:
-    """Say so where slow windows are asked for and the dataset has no map at their starts."""
+    """Warn if slow windows are requested and the dataset has no map at their starts."""
     kept = [(drive.rows.state_causal[drive.snapshots.row]) for drive in dataset.drives if drive.snapshots is not None]
     state = np.concatenate(kept) if kept else np.zeros((0, 6))
     slowest = float(np.hypot(state[:, 3], state[:, 4]).min(initial=np.inf))
     if min_speed is not None and np.isfinite(slowest) and slowest > min_speed + SLOWER:
         logger.warning(
-            f"windows are evaluated where the map was kept, above {slowest:.2g} m/s; "
+            f"windows are evaluated where the dataset has a map, above {slowest:.2g} m/s; "
             f"extract with --snapshot-speed {min_speed:g} for slower ones"
         )
 
 
 def _refuse_unseen(runs: Sequence[Run], dataset: Dataset) -> None:
-    """Raise if a model reads features and the dataset lacks all of them."""
+    """Check that the dataset has features if a model reads them."""
     reading = [run for run in runs if run.dynamics.encoder is not None]
     cells = [d.rows.cells for d in dataset.drives if d.rows.cells is not None]
     if reading and not any(bool(c.valid.any()) for c in cells):

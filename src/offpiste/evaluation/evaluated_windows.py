@@ -1,18 +1,42 @@
-"""Windows that models are evaluated on: speed, distance, and whether training has driven there before."""
+"""Windows that models are evaluated on: speed bands, driven distance, and overlap with the training path."""
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Final, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from offpiste.core.conventions import DT, HORIZON_STEPS
 from offpiste.dataset.splits import PARTS
 from offpiste.dataset.store import Dataset
 
-NEAR = 5.0
-"""A place counts as driven in training within this distance [m]."""
+NEAR: Final = 5.0
+"""Distance from the training path within which a place counts as driven in training [m]."""
+
+REVERSING: Final = 0.3
+"""Backward speed above which a window starts in reverse, if the log has no gear [m/s]."""
+
+
+class Band(NamedTuple):
+    """Range of speeds at the start of a window [m/s]."""
+
+    name: str
+    low: float
+    high: float
+
+
+BANDS: Final = (
+    Band("0 to 1.5 m/s", 0.0, 1.5),
+    Band("1.5 to 4 m/s", 1.5, 4.0),
+    Band("4 to 8 m/s", 4.0, 8.0),
+    Band("above 8 m/s", 8.0, np.inf),
+)
+"""Bands of windows that do not start in reverse."""
+
+REVERSE: Final = "reverse"
+"""Name of the band of windows that start in reverse gear, or backwards if the log has no gear."""
 
 
 @dataclass(frozen=True)
@@ -20,7 +44,7 @@ class EvaluatedWindows:
     """Quantities of windows, one value per window.
 
     Attributes:
-        drive, row: number of the window's drive in the dataset, and row of its start in that drive.
+        drive, row: index of the window's drive in the dataset, and row of its start in that drive.
     """
 
     dataset: Dataset
@@ -28,10 +52,10 @@ class EvaluatedWindows:
     row: Int[np.ndarray, " n"]
 
     def at_start(self, column: str) -> Float[np.ndarray, "n ..."]:
-        """Values of a column at the windows' starts.
+        """Return the values of a column at the windows' starts.
 
         Args:
-            column: of the dataset's rows (`offpiste.dataset.resample.Rows`), e.g. "control".
+            column: name of a column of the dataset's rows (`offpiste.dataset.resample.Rows`), e.g. "control".
         """
         drives = [drive.rows.column(column) for drive in self.dataset.drives]
         return np.array([drives[d][r] for d, r in zip(self.drive, self.row, strict=True)], dtype=float)
@@ -48,8 +72,8 @@ class EvaluatedWindows:
 
     @cached_property
     def driven_distance(self) -> Float[np.ndarray, " n"]:
-        """Length of the path driven in the window's 5 s [m]."""
-        # Rows outside of any window may be NaN and must not spoil the running sum.
+        """Length of the path driven during the window, 5 s [m]."""
+        # Rows outside of any window may be NaN.
         run = [
             np.concatenate(([0.0], np.cumsum(np.nan_to_num(np.hypot(*d.rows.state[:, 3:5].T.astype(float))) * DT)))
             for d in self.dataset.drives
@@ -58,17 +82,34 @@ class EvaluatedWindows:
         return np.array([run[d][r + HORIZON_STEPS] - run[d][r] for d, r in pairs], dtype=float)
 
     def usual_step(self, stride: int) -> float:
-        """Median rows between windows; `stride` where no drive has two of them."""
+        """Return the median number of rows between windows; `stride` if no drive has two windows."""
         key = np.unique(self.drive.astype(np.int64) << 32 | self.row)
         steps = np.diff(key & 0xFFFFFFFF)[np.diff(key >> 32) == 0]
         return float(np.median(steps)) if len(steps) else float(stride)
 
 
-def share_driven_in_training(dataset: Dataset, part: str = "test", *, near: float = NEAR) -> float:
-    """Share of a part's path (by metres) that training rows of any drive pass within `near` metres.
+def in_reverse(windows: EvaluatedWindows) -> Bool[np.ndarray, " n"]:
+    """Return which windows start in reverse: by the gear, or by the velocity if the dataset has no gear."""
+    columns = [control.name for control in windows.dataset.rig.controls]
+    backwards = windows.start_state[:, 3] < -REVERSING
+    if "gear" not in columns:
+        return np.asarray(backwards)
+    gear = windows.at_start("control")[:, columns.index("gear")]
+    return np.asarray(np.where(gear == 0, backwards, gear < 0))
 
-    Drives are compared by their positions in the log's world frame; where each drive has a world of its own, places of
-    different drives coincide by chance only. 0 where nothing is trained on, nan where the part has no path.
+
+def members(windows: EvaluatedWindows) -> dict[str, Bool[np.ndarray, " n"]]:
+    """Return which windows belong to each band; empty bands are left out."""
+    reverse, speed = in_reverse(windows), windows.start_speed
+    bands = {band.name: ~reverse & (speed >= band.low) & (speed < band.high) for band in BANDS} | {REVERSE: reverse}
+    return {name: mine for name, mine in bands.items() if mine.any()}
+
+
+def share_driven_in_training(dataset: Dataset, part: str = "test", *, near: float = NEAR) -> float:
+    """Share of a part's path, by length, that lies within `near` metres of training rows of any drive.
+
+    Drives are compared in the log's world frame; in drives of different worlds, places coincide by chance only. 0
+    without training rows, NaN if the part has no path.
     """
     trained = np.concatenate([_places(dataset, number, "train")[0] for number in range(len(dataset.drives))])
     evaluated = [_places(dataset, number, part) for number in range(len(dataset.drives))]
@@ -83,7 +124,7 @@ def share_driven_in_training(dataset: Dataset, part: str = "test", *, near: floa
 
 
 def _places(dataset: Dataset, number: int, part: str) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, " n"]]:
-    """World positions of a part's valid rows in one drive, and the metres driven in each."""
+    """Return world positions of a part's valid rows in one drive, and the distance driven in each [m]."""
     drive = dataset.drives[number]
     chosen = drive.rows.valid & (drive.part == PARTS.index(part))
     state = drive.rows.state[chosen].astype(float)

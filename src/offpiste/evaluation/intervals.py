@@ -1,13 +1,13 @@
-"""Statistics of errors, with intervals bootstrapped over worlds, blocks within them, and seeds.
+"""Statistics of errors, with intervals bootstrapped over drives, blocks within them, and seeds.
 
-Windows overlap, blocks of a world share its ground, and all windows share the runs that predict them: none of these is
-a sample of its own. Each resample draws drives (in the proving ground each has a world of its own), then blocks within
-each drawn drive, then seeds, all with replacement. Where drives do not differ this is conservative: two stages count
-the spread between blocks twice (Davison and Hinkley, Bootstrap Methods and their Application, 1997, section 3.8).
+Windows overlap, blocks of a drive share its ground, and all windows share the runs that predict them, so that they are
+not independent. Each resample draws drives, then blocks within each drawn drive, then seeds, all with replacement. If
+drives do not differ this is conservative: two stages count the spread between blocks twice (Davison and Hinkley,
+Bootstrap Methods and their Application, 1997, section 3.8).
 
-Independent units are drives. The blocks of a single drive count as units of that drive, and every interval over them
-says so. Fewer than `MIN_UNITS` units have no interval. All intervals are percentiles of resampled statistics, so that
-the interval of a distance has no negative bound.
+Drives are the independent units; of a single drive, its blocks, which every interval over them states. With fewer than
+`MIN_UNITS` units there is no interval. Intervals are percentiles of resampled statistics, so that the interval of a
+distance has no negative bound.
 """
 
 from dataclasses import dataclass
@@ -21,17 +21,17 @@ from scipy.special import ndtr, ndtri, stdtrit
 from offpiste.core.conventions import DT
 
 BLOCK_SECONDS = 10.0
-"""Default length of a block: twice a horizon, so that windows of one block and of the next but one share no row."""
+"""Default length of a block [s]: twice a horizon, so that windows of every other block share no row."""
 
 RESAMPLES = 2000
 MIN_UNITS = 5
-"""Least number of independent units for an interval."""
+"""Smallest number of independent units for an interval."""
 
 NO_INTERVAL = (np.nan, np.nan)
 
 
 class Levels(msgspec.Struct, frozen=True):
-    """Numbers of what an interval is drawn from: drives (worlds or recordings), blocks in all of them, seeds."""
+    """Numbers of drives (worlds or recordings), blocks in all of them, and seeds behind an interval."""
 
     drives: int
     blocks: int
@@ -39,11 +39,11 @@ class Levels(msgspec.Struct, frozen=True):
 
     @property
     def units(self) -> int:
-        """Number of independent units: drives, or the blocks of a single drive."""
+        """Number of independent units: drives, or blocks of a single drive."""
         return self.drives if self.drives > 1 else self.blocks
 
     def text(self) -> str:
-        """In words: "10 drives, 90 blocks, 3 seeds" or "40 blocks of one drive, 3 seeds"."""
+        """Return text such as "10 drives, 90 blocks, 3 seeds" or "40 blocks of one drive, 3 seeds"."""
         seeds = _count(self.seeds, "seed")
         if self.drives == 1:
             return f"{_count(self.blocks, 'block')} of one drive, {seeds}"
@@ -51,12 +51,12 @@ class Levels(msgspec.Struct, frozen=True):
 
     @property
     def caveat(self) -> str:
-        """Why there is no interval, or what it does not say; empty where nothing is missing."""
+        """Reason for a missing interval, or its limitation; "" if there is neither."""
         if self.units < MIN_UNITS:
             unit = "drive" if self.drives > 1 else "block"
             found = _count(self.units, unit) + " of one drive" * (self.drives == 1)
             return f"–: no interval, since there are only {found} and {MIN_UNITS} {unit}s are needed."
-        return "Intervals are over blocks of one drive and say nothing of other drives." if self.drives == 1 else ""
+        return "Intervals are over blocks of one drive and say nothing about other drives." if self.drives == 1 else ""
 
 
 def _count(number: int, name: str) -> str:
@@ -64,7 +64,7 @@ def _count(number: int, name: str) -> str:
 
 
 class Statistics(msgspec.Struct, frozen=True):
-    """Statistics of one error over windows; `ci95` is of the mean. Infinite where failed predictions make it so."""
+    """Statistics of an error over windows; `ci95` is of the mean. Infinite if predictions failed."""
 
     mean: float
     median: float
@@ -75,7 +75,7 @@ class Statistics(msgspec.Struct, frozen=True):
 
 
 class PairedDifference(msgspec.Struct, frozen=True):
-    """Mean of a difference (or of a ratio) over the same windows, and its 95 % interval."""
+    """Mean of a difference or ratio over the same windows, and its 95 % interval."""
 
     mean: float
     ci95: tuple[float, float]
@@ -83,11 +83,11 @@ class PairedDifference(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True)
 class Resampling:
-    """Drives, blocks and seeds drawn with replacement, once for all statistics on the same windows.
+    """Resamples of drives, blocks and seeds, the same for all statistics on the same windows.
 
     Attributes:
-        block: number of each window's block, 0 ... G - 1.
-        draws: how often each block was drawn in each resample.
+        block: index of each window's block, 0 ... G - 1.
+        draws: number of times that each block was drawn in each resample.
         drives: number of drives.
         units: number of independent units (`Levels.units`).
         seed: of the draws of seeds.
@@ -105,23 +105,23 @@ class Resampling:
         return int(self.draws.shape[1])
 
     def levels(self, seeds: int = 1) -> Levels:
-        """Numbers of what is drawn from."""
+        """Return the numbers of drives, blocks and seeds."""
         return Levels(self.drives, self.blocks, seeds)
 
     def seed_draws(self, seeds: int) -> Int[np.ndarray, "R S"]:
-        """How often each of some runs is drawn; the same for all models with as many, so that they are paired by seed.
+        """Return the number of times that each run is drawn, the same for all models, so that they are paired by seed.
 
-        One less than there are is drawn, which makes the variance of their mean unbiased (McCarthy and Snowden, The
+        One run less than available is drawn, which makes the variance of the mean unbiased (McCarthy and Snowden, The
         Bootstrap and Finite Population Sampling, 1985).
         """
         rng = np.random.default_rng((self.seed, seeds))
         return rng.multinomial(max(seeds - 1, 1), np.full(seeds, 1 / seeds), size=len(self.draws))
 
     def means(self, values: Float[np.ndarray, "*S n"]) -> Float[np.ndarray, " R"]:
-        """Mean over the windows, and over the seeds, of each resample.
+        """Return the mean over windows and seeds of each resample.
 
         Args:
-            values: of one run, or a row for each seed.
+            values: of one run, or one row per seed.
         """
         runs = values.reshape(-1, values.shape[-1])
         sums = np.stack([np.bincount(self.block, weights=run, minlength=self.blocks) for run in runs])
@@ -131,11 +131,10 @@ class Resampling:
         return np.asarray((of_seeds * seeds).sum(axis=1) / seeds.sum(axis=1))
 
     def interval(self, means: Float[np.ndarray, " R"]) -> tuple[float, float]:
-        """The middle 95 % of resampled means, a little more where units are few; NaN with fewer than `MIN_UNITS`.
+        """Return the 95 % interval of resampled means; NaN with fewer than `MIN_UNITS` units.
 
-        Plain percentiles are too narrow by sqrt((N-1)/N) and take the normal distribution for Student's; the
-        percentiles are moved out to make up for it (Hesterberg, The American Statistician 69, 2015, "expanded
-        percentile interval").
+        Plain percentiles are too narrow by sqrt((N-1)/N) and assume a normal distribution; they are expanded to match
+        Student's (Hesterberg, The American Statistician 69, 2015, "expanded percentile interval").
         """
         if self.units < MIN_UNITS or not np.isfinite(means).all():
             return NO_INTERVAL
@@ -147,9 +146,9 @@ class Resampling:
 def blocks(
     drive: Int[np.ndarray, " n"], row: Int[np.ndarray, " n"], *, seconds: float = BLOCK_SECONDS
 ) -> Int[np.ndarray, " n"]:
-    """Number of each window's block: consecutive windows of one drive that start within `seconds`.
+    """Return the index of each window's block: consecutive windows of one drive that start within `seconds`.
 
-    A drive's last block takes in the windows that are left over, if they start within half a block.
+    The last block of a drive includes the remaining windows if they start within half a block.
 
     Args:
         drive, row: of each window, in ascending order.
@@ -173,11 +172,11 @@ def blocks(
 def resampling(
     drive: Int[np.ndarray, " n"], block: Int[np.ndarray, " n"], seed: int, *, resamples: int = RESAMPLES
 ) -> Resampling:
-    """Draw as many drives as there are, and in each drawn one as many blocks as it has, many times.
+    """Draw, many times, as many drives as there are, and within each drawn drive as many blocks as it has.
 
     Args:
-        drive: of each window, or whatever else is independent of others.
-        block: number of each window's block, 0 ... G - 1; no block lies in two drives.
+        drive: drive of each window, or another independent unit.
+        block: index of each window's block, 0 ... G - 1; no block lies in two drives.
     """
     rng, total = np.random.default_rng(seed), int(block.max()) + 1
     names, inside = np.unique(drive, return_inverse=True)
@@ -194,11 +193,11 @@ def resampling(
 
 @runtime_checkable
 class Located(Protocol):
-    """Windows, or rows, by the number of their drive and the row in it."""
+    """Windows or rows, by drive and row."""
 
     @property
     def drive(self) -> Int[np.ndarray, " n"]:
-        """Number of the drive."""
+        """Index of the drive."""
         ...
 
     @property
@@ -209,13 +208,13 @@ class Located(Protocol):
 
 @dataclass(frozen=True)
 class Sampling:
-    """Settings of the intervals: blocks of `block_seconds`, drawn from a seeded generator."""
+    """Settings of the intervals: seed of the resamples and length of a block [s]."""
 
     seed: int = 0
     block_seconds: float = BLOCK_SECONDS
 
     def on(self, windows: Located) -> Resampling:
-        """Resamples of these windows, in any order. The same windows always get the same draws."""
+        """Return resamples of windows in any order; the same windows always get the same resamples."""
         order = np.lexsort((windows.row, windows.drive))
         block = np.empty(len(order), np.int64)
         block[order] = blocks(windows.drive[order], windows.row[order], seconds=self.block_seconds)
@@ -223,10 +222,10 @@ class Sampling:
 
 
 def summary(values: Float[np.ndarray, "*S n"], drawn: Resampling) -> Statistics:
-    """Statistics of one error over windows; quantiles are of each window's mean over the seeds.
+    """Compute statistics of an error over windows; quantiles are of each window's mean over the seeds.
 
     Args:
-        values: of one run, or a row for each seed.
+        values: of one run, or one row per seed.
     """
     over_seeds = values.reshape(-1, values.shape[-1]).mean(axis=0)
     q1, median, q3, p90 = _quantiles(over_seeds, (0.25, 0.5, 0.75, 0.9))
@@ -236,7 +235,7 @@ def summary(values: Float[np.ndarray, "*S n"], drawn: Resampling) -> Statistics:
 
 
 def paired(values: Float[np.ndarray, "*S n"], other: Float[np.ndarray, "*Q n"], drawn: Resampling) -> PairedDifference:
-    """Mean of `values - other` on the same windows: negative where `values` are the smaller errors."""
+    """Mean of `values - other` on the same windows; negative if `values` are smaller."""
     if not (np.isfinite(values).all() and np.isfinite(other).all()):
         return PairedDifference(float(values.mean()) - float(other.mean()), NO_INTERVAL)
     difference = drawn.means(values) - drawn.means(other)
@@ -246,7 +245,7 @@ def paired(values: Float[np.ndarray, "*S n"], other: Float[np.ndarray, "*Q n"], 
 def relative(
     values: Float[np.ndarray, "*S n"], other: Float[np.ndarray, "*Q n"], drawn: Resampling
 ) -> PairedDifference:
-    """`mean(values) / mean(other) - 1` on the same windows: -0.3 where the errors are 30 % smaller."""
+    """`mean(values) / mean(other) - 1` on the same windows: -0.3 if the errors are 30 % smaller."""
     if not (np.isfinite(values).all() and np.isfinite(other).all() and other.mean() > 0):
         return PairedDifference(np.nan, NO_INTERVAL)
     ratios = drawn.means(values) / np.maximum(drawn.means(other), 1e-300) - 1
@@ -254,7 +253,7 @@ def relative(
 
 
 def share_interval(hits: int, count: int) -> tuple[float, float]:
-    """95 % interval of the share of independent cases that are hits (Wilson 1927); NaN with fewer than `MIN_UNITS`."""
+    """95 % interval of the share of hits among independent cases (Wilson 1927); NaN with fewer than `MIN_UNITS`."""
     if count < MIN_UNITS:
         return NO_INTERVAL
     z, share = ndtri(0.975), hits / count
@@ -264,8 +263,8 @@ def share_interval(hits: int, count: int) -> tuple[float, float]:
 
 
 def _quantiles(values: Float[np.ndarray, " n"], at: tuple[float, ...]) -> list[float]:
-    """Quantiles, linear between values; infinite as soon as an infinite value has a part in them."""
+    """Quantiles, linear between values; infinite if an infinite value contributes."""
     huge = 1e300
     result = np.quantile(np.minimum(values, huge), at)
-    # Any share of 1e300 worth naming is far above any error in metres.
+    # Any noticeable share of 1e300 is far above any error in metres.
     return [float(value) if value < 1e200 else np.inf for value in result]

@@ -1,34 +1,56 @@
-"""Schema of metrics.json: the numbers of an evaluation, and what made them (docs/formats.md)."""
+"""Numbers of an evaluation and their provenance: the schema of metrics.json (docs/formats.md) and its rows."""
 
 import os
 import platform
 import shlex
 import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 import msgspec
+import numpy as np
 import torch
 
 from offpiste.core.errors import RunError
 from offpiste.core.files import write_text
 from offpiste.core.limits import parsed, read_small
-from offpiste.evaluation.intervals import Levels, PairedDifference, Statistics
+from offpiste.dynamics.models import is_baseline
+from offpiste.evaluation.errors import COMPONENTS, HORIZONS, Errors, SeededErrors, by_seed, positions
+from offpiste.evaluation.evaluated_windows import EvaluatedWindows, members
+from offpiste.evaluation.intervals import (
+    Levels,
+    PairedDifference,
+    Sampling,
+    Statistics,
+    paired,
+    relative,
+    summary,
+)
+from offpiste.training.prediction import Lookup
 
-SCHEMA = 2
+SCHEMA: Final = 2
+"""Version of metrics.json."""
+
+REFERENCE: Final = "kinematic"
+"""Model that headlines compare with."""
+
+Start = Literal["causal", "smoothed"]
+"""Estimate of the state that predictions start from."""
 
 
 class Minus(msgspec.Struct, frozen=True):
-    """Paired differences to another model on the same windows; negative where this one is better."""
+    """Paired differences to another model on the same windows; negative if this model is better."""
 
     distance_error_m: PairedDifference
     loss: PairedDifference
 
 
 class Labelled:
-    """Labels of a result in tables and figures."""
+    """Labels of a result for tables and figures."""
 
     __slots__ = ()
     model: str
@@ -38,27 +60,50 @@ class Labelled:
 
     @property
     def label(self) -> str:
-        """The model's name, and its variant if it has one."""
+        """Name of the model, and its variant if any."""
         return label(self.model, self.variant)
 
     @property
     def reading_label(self) -> str:
-        """The model's label, and where it reads the terrain."""
+        """Label of the model, and where it reads the terrain."""
         return reading_label(self.label, self.lookup, self.feature_set)
+
+
+@dataclass(frozen=True)
+class Case(Labelled):
+    """A model with the start of its predictions and its terrain lookup."""
+
+    model: str
+    variant: str
+    start: Start
+    lookup: Lookup | None
+    feature_set: str | None = None
+
+
+@dataclass(frozen=True)
+class RunErrors:
+    """Errors of one run of a model."""
+
+    seed: int | None
+    fold: int | None
+    errors: Errors
+
+
+Cases = Mapping[Case, list[RunErrors]]
 
 
 class ResultRow(Labelled, msgspec.Struct, frozen=True, kw_only=True):
     """Results of one model, start, terrain lookup and horizon.
 
     Attributes:
-        seed, fold: of the run; both None where several runs are taken together (`offpiste.evaluation.errors.pool`).
-        feature_set: read at recorded places, in datasets with features by distance; None otherwise.
+        seed, fold: of the run; both None for all runs of a model together (`offpiste.evaluation.errors.pool`).
+        feature_set: read at recorded places, in datasets with features by distance; else None.
         lookup: None for models that do not read the terrain.
         n: number of windows.
-        n_failed: number of predictions that are not finite at this horizon; any makes the mean infinite, null in JSON.
-        levels: numbers of drives, blocks and seeds that intervals are drawn from.
-        loss: over all steps up to 5 s, whatever the horizon of the row.
-        minus: paired differences by the other model's label (its name, and its variant if it has one).
+        n_failed: number of predictions that are not finite at this horizon; if any, the mean is infinite, null in JSON.
+        levels: numbers of drives, blocks and seeds behind the intervals.
+        loss: over all steps up to 5 s, at every horizon.
+        minus: paired differences by label of the other model.
     """
 
     model: str
@@ -86,9 +131,9 @@ class BandRow(Labelled, msgspec.Struct, frozen=True, kw_only=True):
     """Distance errors of one model, start, terrain lookup and horizon, on windows that start in a band of speeds.
 
     Attributes:
-        band: in words (`offpiste.evaluation.speed_bands`): speeds at the start, or "reverse".
-        n: number of windows in it.
-        levels: numbers of drives, blocks and seeds that intervals are drawn from; None in files that are older.
+        band: name of the band (`offpiste.evaluation.evaluated_windows.BANDS`), or "reverse".
+        n: number of windows in the band.
+        levels: numbers of drives, blocks and seeds behind the intervals; None in older files.
     """
 
     model: str
@@ -104,7 +149,7 @@ class BandRow(Labelled, msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Headline(msgspec.Struct, frozen=True, kw_only=True):
-    """A model's distance error at 5 s, and how it compares with `other`'s: -0.3 is 30 % below."""
+    """Distance error of a model at 5 s, and its relative difference to `other`: -0.3 is 30 % less."""
 
     model: str
     start: str
@@ -122,7 +167,7 @@ class WindowNumbers(msgspec.Struct, frozen=True, kw_only=True):
     """Numbers of the evaluated windows.
 
     Attributes:
-        driven_in_training: share of the part's path that training passes within 5 m.
+        driven_in_training: share of the part's path that lies within 5 m of the training path.
     """
 
     n: int
@@ -136,14 +181,14 @@ class WindowNumbers(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class LossUnits(msgspec.Struct, frozen=True):
-    """The loss's components: their weights, and the mean square errors they are divided by."""
+    """Weights of the loss's components, and the mean square errors they are divided by."""
 
     weights: dict[str, float]
     scale: dict[str, float]
 
 
 class Provenance(msgspec.Struct, frozen=True):
-    """When, where, by which command and with which versions the numbers were made."""
+    """Date, command, machine, versions and seed of an evaluation."""
 
     date: str
     command: str
@@ -153,11 +198,11 @@ class Provenance(msgspec.Struct, frozen=True):
 
 
 class Metrics(msgspec.Struct, frozen=True, kw_only=True):
-    """Everything in metrics.json.
+    """Content of metrics.json.
 
     Attributes:
-        bands: the same windows by the speed at which they start; empty in files that are older.
-        assumptions: of the dataset (`offpiste.dataset.assumptions`); empty in files that are older.
+        bands: results by the speed at the start; empty in older files.
+        assumptions: of the dataset (`offpiste.dataset.assumptions`); empty in older files.
         features: whether the dataset has terrain features.
     """
 
@@ -177,41 +222,183 @@ class Metrics(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def label(model: str, variant: str) -> str:
-    """Name of a model in tables and figures."""
+    """Return the name of a model, with its variant if any."""
     return f"{model} ({variant})" if variant else model
 
 
 def reading_label(model: str, lookup: str | None, feature_set: str | None = None) -> str:
-    """A model's label, its terrain lookup, and the distance of its feature set unless that is hindsight."""
+    """Return a model's label with its terrain lookup, and the distance of its feature set unless that is hindsight."""
     distance = "" if feature_set in (None, "hindsight") else f" {feature_set} m"
     return f"{model} · {lookup}{distance}" if lookup else model
 
 
+def seeded(cases: Cases) -> dict[Case, SeededErrors]:
+    """Return the errors of each case by seed."""
+    return {case: by_seed([run.errors for run in runs], [run.seed for run in runs]) for case, runs in cases.items()}
+
+
+def result_rows(cases: Cases, part: str, sampling: Sampling) -> list[ResultRow]:
+    """Return rows of every case and horizon; for a case with several runs, one over all runs and one for each.
+
+    `minus` of a single run compares with the other models' runs of the same seed, or with all their runs if there is
+    none, on the windows of that run.
+    """
+    together = seeded(cases)
+    rows = []
+    for case, runs in cases.items():
+        if len(runs) > 1:
+            rows += _rows(case, RunErrors(None, None, together[case].mean), together[case], together, part, sampling)
+        for run in runs:
+            rows += _rows(case, run, by_seed([run.errors], [run.seed]), together, part, sampling)
+    return rows
+
+
+def headlines(cases: Cases, sampling: Sampling) -> list[Headline]:
+    """Compare each model except baselines with `kinematic`, at 5 s."""
+    together = seeded(cases)
+    result = []
+    for case, errors in together.items():
+        reference = _counterpart(together, REFERENCE, case)
+        if is_baseline(case.model) or reference is None:
+            continue
+        drawn = sampling.on(errors)
+        ratio = relative(errors.distance(), reference.distance(), drawn)
+        result.append(
+            Headline(
+                model=case.label,
+                start=case.start,
+                lookup=case.lookup,
+                feature_set=case.feature_set,
+                runs=len(cases[case]),
+                levels=drawn.levels(len(errors.runs)),
+                distance_error_m=float(errors.distance().mean()),
+                other=REFERENCE,
+                relative=ratio.mean,
+                ci95=ratio.ci95,
+            )
+        )
+    return result
+
+
+def _rows(
+    case: Case,
+    run: RunErrors,
+    errors: SeededErrors,
+    together: Mapping[Case, SeededErrors],
+    part: str,
+    sampling: Sampling,
+) -> list[ResultRow]:
+    """Return the rows of a run, or of all runs of a case (`errors`, by seed)."""
+    drawn = sampling.on(errors)
+    loss = summary(errors.loss, drawn)
+    others: dict[str, SeededErrors] = {}
+    for other in dict.fromkeys(key.label for key in together):
+        counterpart = _counterpart(together, other, case)
+        if other != case.label and counterpart is not None:
+            others[other] = counterpart.take(positions(errors, counterpart)).of_seed(run.seed)
+    loss_minus = {other: paired(errors.loss, result.loss, drawn) for other, result in others.items()}
+    return [
+        ResultRow(
+            model=case.model,
+            variant=case.variant,
+            seed=run.seed,
+            fold=run.fold,
+            start=case.start,
+            feature_set=case.feature_set,
+            lookup=case.lookup,
+            part=part,
+            horizon_s=float(seconds),
+            n=len(errors.row),
+            n_failed=int(run.errors.failed[:, h].sum()),
+            levels=drawn.levels(len(errors.runs)),
+            **{name: summary(errors.at(h, c), drawn) for c, name in enumerate(COMPONENTS)},
+            loss=loss,
+            minus={
+                other: Minus(paired(errors.at(h, 0), result.at(h, 0), drawn), loss_minus[other])
+                for other, result in others.items()
+            },
+        )
+        for h, seconds in enumerate(HORIZONS)
+    ]
+
+
+def _counterpart(together: Mapping[Case, SeededErrors], other: str, case: Case) -> SeededErrors | None:
+    """Return the errors of another model with the same terrain lookup, or with none."""
+    readings = ((case.lookup, case.feature_set), (None, None))
+    for key, errors in together.items():
+        if key.label == other and key.start == case.start and (key.lookup, key.feature_set) in readings:
+            return errors
+    # A baseline that does not read the terrain is compared on the map, which decides.
+    for lookup in ("map", "recorded"):
+        for key, errors in together.items():
+            if key.label == other and key.start == case.start and key.lookup == lookup and case.lookup is None:
+                return errors
+    return None
+
+
+def by_reading(rows: Sequence[ResultRow]) -> list[list[ResultRow]]:
+    """Group rows that differ only in the horizon, in ascending order of it."""
+    result: dict[tuple[object, ...], list[ResultRow]] = {}
+    for row in rows:
+        key = (row.model, row.variant, row.seed, row.fold, row.start, row.feature_set, row.lookup)
+        result.setdefault(key, []).append(row)
+    return [sorted(group, key=lambda row: row.horizon_s) for group in result.values()]
+
+
+def band_rows(errors: Mapping[Case, SeededErrors], windows: EvaluatedWindows, sampling: Sampling) -> list[BandRow]:
+    """Return the distance errors of every case by speed band and horizon, over all its runs.
+
+    Args:
+        windows: windows of the errors, the same in each case.
+    """
+    rows = []
+    for name, mine in members(windows).items():
+        for case, every in errors.items():
+            some = every.take(np.flatnonzero(mine))
+            drawn = sampling.on(some)
+            rows += [
+                BandRow(
+                    model=case.model,
+                    variant=case.variant,
+                    start=case.start,
+                    feature_set=case.feature_set,
+                    lookup=case.lookup,
+                    band=name,
+                    horizon_s=float(seconds),
+                    n=int(mine.sum()),
+                    distance_error_m=summary(some.at(h, 0), drawn),
+                    levels=drawn.levels(len(some.runs)),
+                )
+                for h, seconds in enumerate(HORIZONS)
+            ]
+    return rows
+
+
 def pooled_rows(rows: list[ResultRow]) -> list[ResultRow]:
-    """One row per result: the row over all runs where a model has several."""
+    """Return one row per result: over all runs if a model has several."""
     several = {_case(row) for row in rows if row.seed is None and row.fold is None}
     return [row for row in rows if (row.seed is None and row.fold is None) or _case(row) not in several]
 
 
 def run_rows(rows: list[ResultRow]) -> list[ResultRow]:
-    """The single runs of models that have several."""
+    """Return the rows of single runs of models that have several."""
     pooled = {id(row) for row in pooled_rows(rows)}
     return [row for row in rows if id(row) not in pooled]
 
 
 def single_rows(rows: list[ResultRow]) -> list[ResultRow]:
-    """One row per run: each prediction counts in one of them, and not once more over all runs."""
+    """Return one row per run, so that each prediction counts once."""
     several = {_case(row) for row in run_rows(rows)}
     return [row for row in rows if row.seed is not None or row.fold is not None or _case(row) not in several]
 
 
 def write_metrics(path: Path, metrics: Metrics) -> None:
-    """Write metrics.json, whole or not at all: strict JSON, null for what is not finite."""
+    """Write metrics.json, whole or not at all, as strict JSON; numbers that are not finite become null."""
     write_text(path, msgspec.json.format(msgspec.json.encode(metrics), indent=2).decode() + "\n")
 
 
 def read_metrics(path: Path) -> Metrics:
-    """Read metrics.json; null in a statistic becomes nan.
+    """Read metrics.json; null in a statistic becomes NaN.
 
     Raises:
         RunError: no such file, not strict JSON, or of another version.
@@ -227,7 +414,7 @@ def read_metrics(path: Path) -> Metrics:
 
 
 def _with_nan(content: Any, names: tuple[str, ...] = ("model", "seed", "fold", "lookup", "feature_set")) -> Any:
-    """The same with nan for null, except where null has a meaning of its own."""
+    """Replace null by NaN, except in entries where null has a meaning."""
     if isinstance(content, dict):
         return {key: value if key in names else _with_nan(value, names) for key, value in content.items()}
     if isinstance(content, list):
@@ -240,12 +427,12 @@ def _case(row: ResultRow) -> tuple[str, str, str, str | None, str | None, float]
 
 
 def provenance(command: str, seed: int, device: torch.device | str) -> Provenance:
-    """Provenance of numbers made now on this machine.
+    """Return the provenance of numbers made now on this machine.
 
     Args:
-        command: as typed; empty: this process's own.
+        command: as typed; empty: that of this process.
         seed: of the resampling.
-        device: on which models ran.
+        device: of the models.
     """
     names = ("offpiste", "torch", "numpy", "scipy")
     return Provenance(
@@ -263,7 +450,7 @@ def _device(device: torch.device | str) -> str:
 
 
 def _processor() -> str:
-    """The processor's name where the system gives it, else its architecture."""
+    """Return the name of the processor, or its architecture if unknown."""
     try:
         lines = Path("/proc/cpuinfo").read_text("utf-8").splitlines()
     except OSError:

@@ -1,4 +1,4 @@
-"""Cards of trained models: what a model was trained on, how well it predicts, and what it must not be used for."""
+"""Cards of trained models: training data, accuracy, and limits of use."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -13,18 +13,18 @@ from offpiste.evaluation.intervals import Levels, PairedDifference
 from offpiste.report.text_table import TextTable, interval, number
 
 CARD, PAGE = "card.json", "card.md"
-"""Files in the run's folder: for programs, and for people."""
+"""Files in the run's folder, for programs and for readers."""
 
 
 class GroupFigures(msgspec.Struct, frozen=True):
     """Mean distance error after 5 s on a group of windows, on the map at predicted places.
 
     Attributes:
-        group: in words: "all", "5 to 7 m/s", "gravel".
-        windows: number of them.
-        levels: what the intervals are drawn from.
+        group: name, such as "all", "5 to 7 m/s" or "gravel".
+        windows: number of windows.
+        levels: numbers of drives, blocks and seeds behind the intervals.
         error_m: mean and 95 % interval [m].
-        against_b: relative to the `b` that ships beside it on the same windows: -0.1 is 10 % below.
+        against_b: relative difference to the shipped `b` on the same windows: -0.1 is 10 % less.
     """
 
     group: str
@@ -35,12 +35,12 @@ class GroupFigures(msgspec.Struct, frozen=True):
 
 
 class CourseFigures(msgspec.Struct, frozen=True):
-    """How a planner with the model drives the proving ground's courses.
+    """Driving cost of a planner with the model on the proving ground's courses.
 
     Attributes:
-        courses: number of them, each in a world of its own that no model has seen.
-        against_b: driven cost relative to that of the `b` that ships beside it, on the same courses.
-        commit, date: of the code that drove, several where drives were made again by later code; when the last was.
+        courses: number of courses, each in its own unseen world.
+        against_b: relative difference of the driving cost to that of the shipped `b` on the same courses.
+        commit, date: commits of the code that drove, and date of the last drive.
     """
 
     courses: int
@@ -54,16 +54,16 @@ class ModelCard(msgspec.Struct, frozen=True):
 
     Attributes:
         name: under which it ships.
-        about: what it is, in a sentence.
-        trained_on, evaluated_on: data, in words.
-        lookup: on which map the ground is read at predicted places.
-        seed: of this run; the one of the least validation loss among `seeds`.
-        commit, date: of the code that trained it, and when the card was written.
+        about: description in a sentence.
+        trained_on, evaluated_on: description of the data.
+        lookup: map that is read at predicted places.
+        seed: of this run, which has the least validation loss among `seeds`.
+        commit, date: commit of the code that trained it, and date of the card.
         figures: of this run, by group.
         over_seeds: of the runs of all seeds, on all windows.
-        not_for: what it must not be used for.
-        warnings: of `inspect` on the logs that it was trained on.
-        driving: on courses, where that was measured.
+        not_for: uses that are excluded.
+        warnings: of `inspect` on the training logs.
+        driving: on courses, if measured.
     """
 
     name: str
@@ -84,7 +84,7 @@ class ModelCard(msgspec.Struct, frozen=True):
 
 
 def load_card(folder: Path) -> ModelCard:
-    """The card in a run's folder.
+    """Read the card in a run's folder.
 
     Raises:
         RunError: there is none, or it is damaged.
@@ -103,7 +103,7 @@ def write_card(folder: Path, card: ModelCard) -> None:
 
 
 def card_page(card: ModelCard) -> str:
-    """The card as Markdown."""
+    """Return the card as Markdown."""
     facts = {
         "Trained on": card.trained_on,
         "Evaluated on": card.evaluated_on,
@@ -125,7 +125,7 @@ def card_page(card: ModelCard) -> str:
 
 
 def figures_table(card: ModelCard) -> TextTable:
-    """Figures by group, a line each; that of all seeds first."""
+    """Return the figures by group, all seeds first."""
     rows = [("all, over all seeds", card.over_seeds), *((figures.group, figures) for figures in card.figures)]
     lines = tuple((name, *_cells(figures)) for name, figures in rows)
     about = (
@@ -138,12 +138,12 @@ def figures_table(card: ModelCard) -> TextTable:
 
 
 def driving_words(driving: CourseFigures) -> str:
-    """Figures of courses in a sentence, and whether they show a difference."""
+    """Describe the figures of courses in a sentence."""
     mean, (low, high) = driving.against_b.mean, driving.against_b.ci95
     shown = "" if low > 0 or high < 0 else ", so no difference is shown"
     return (
-        f"On {driving.courses} courses in worlds that no model had seen, its driven cost is {_percent(mean)}"
-        f" {interval((100 * low, 100 * high), 0)} against that of `b`{shown}."
+        f"On {driving.courses} courses in unseen worlds, its driving cost differs from that of `b` by {_percent(mean)}"
+        f" {interval((100 * low, 100 * high), 0)}{shown}."
     )
 
 

@@ -1,4 +1,4 @@
-"""Report of an evaluation: report.html, its figures, and metrics.json."""
+"""Report of an evaluation: headlines, tables and figures in report.html, metrics.json, the table on the terminal."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -7,28 +7,48 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from offpiste.dynamics import MODELS
-from offpiste.evaluation.errors import HORIZONS
+from offpiste.dynamics.models import is_baseline
+from offpiste.evaluation.box_plots import colour_of
+from offpiste.evaluation.errors import COMPONENTS, HORIZONS
 from offpiste.evaluation.evaluate import Evaluation
-from offpiste.evaluation.intervals import MIN_UNITS
-from offpiste.evaluation.metrics import Metrics, pooled_rows, run_rows, single_rows, write_metrics
-from offpiste.evaluation.report_figures import REPORT_FIGURES
-from offpiste.evaluation.report_headlines import headline_texts, result_cards
-from offpiste.evaluation.report_tables import (
-    band_table,
-    component_table,
-    difference_table,
-    distribution_table,
-    horizon_table,
-    run_table,
+from offpiste.evaluation.intervals import MIN_UNITS, Levels, PairedDifference
+from offpiste.evaluation.metrics import (
+    REFERENCE,
+    BandRow,
+    Headline,
+    Metrics,
+    Minus,
+    ResultRow,
+    by_reading,
+    pooled_rows,
+    reading_label,
+    run_rows,
+    single_rows,
+    write_metrics,
 )
-from offpiste.evaluation.result_rows import REFERENCE
+from offpiste.evaluation.report_figures import REPORT_FIGURES
 from offpiste.report.chart import Drawing
 from offpiste.report.figure import png
-from offpiste.report.page import Page, Picture, Section, write_page
-from offpiste.report.text_table import TextTable, number
+from offpiste.report.page import Card, Page, Picture, Section, write_page
+from offpiste.report.text_table import Cell, TextTable, interval, number
 
 Pictures = dict[str, list[Picture]]
 """Pictures by the heading of their section."""
+
+MOST = 4
+"""Largest number of differences to other models among the headlines."""
+
+NAMES = {
+    "distance_error_m": "distance [m]",
+    "yaw_error_rad": "yaw [rad]",
+    "vx_error_mps": "vx [m/s]",
+    "vy_error_mps": "vy [m/s]",
+    "yaw_rate_error_radps": "yaw rate [rad/s]",
+    "loss": "loss",
+}
+"""Names of the errors in tables."""
+
+assert tuple(NAMES)[:-1] == COMPONENTS
 
 
 def write_report(evaluation: Evaluation, folder: Path) -> None:
@@ -38,7 +58,7 @@ def write_report(evaluation: Evaluation, folder: Path) -> None:
 
 
 def draw_figures(evaluation: Evaluation) -> Pictures:
-    """All registered figures for which there is something to draw."""
+    """Draw all registered figures that apply."""
     pictures: Pictures = {}
     for name, registered in REPORT_FIGURES.items():
         drawn = registered.draw(evaluation)
@@ -55,7 +75,7 @@ def _picture(name: str, drawn: Figure | Drawing, caption: str) -> Picture:
 
 
 def report_page(metrics: Metrics, pictures: Pictures) -> Page:
-    """The report as a page."""
+    """Return the report as a page."""
     models = ", ".join(dict.fromkeys(headline.model for headline in metrics.headlines)) or "baselines"
     notes = Section("How to read this", notes=_notes(metrics))
     return Page(
@@ -68,7 +88,7 @@ def report_page(metrics: Metrics, pictures: Pictures) -> Page:
 
 
 def _sections(metrics: Metrics, pictures: Pictures) -> list[Section]:
-    """Tables and figures; those of headings that only figures have come last."""
+    """Return tables and figures by section; sections with figures only come last."""
     rows, runs = pooled_rows(metrics.results), run_rows(metrics.results)
     several = len({row.band for row in metrics.bands}) > 1
     tables: dict[str, list[TextTable]] = {
@@ -112,7 +132,7 @@ def _facts(metrics: Metrics) -> dict[str, str]:
 
 
 def _map_reads(metrics: Metrics) -> str:
-    """Return what the lookup `map` reads."""
+    """Describe what the lookup `map` reads."""
     if metrics.features:
         return "reads it at the predicted place, as a planner does"
     return "reads the slope of the path driven later, at its point nearest to the predicted place, which no planner has"
@@ -142,3 +162,256 @@ def _notes(metrics: Metrics) -> Sequence[str]:
         f"{REFERENCE} in training (roots: {units}), weighted ({weights}) and summed.",
         "A prediction that is not finite counts as infinitely wrong.",
     )
+
+
+def headline_texts(metrics: Metrics) -> list[str]:
+    """Return the main number of the first model, and its differences to other trained models."""
+    deciding = deciding_headlines(metrics.headlines)
+    if not deciding:
+        return []
+    differences = _differences(metrics, deciding[0])
+    more = [f"{len(differences) - MOST} more are below."] if len(differences) > MOST else []
+    return [headline_text(deciding[0]), *differences[:MOST], *more]
+
+
+def headline_text(headline: Headline) -> str:
+    """Return a sentence with the main number."""
+    text = f"{headline.model}: {number(headline.distance_error_m)} m mean distance error after 5 s"
+    return f"{', '.join(filter(None, (text, _comparison(headline))))} ({', '.join(_conditions(headline))})"
+
+
+def result_cards(metrics: Metrics) -> list[Card]:
+    """Return a card for each trained model, and one for the reference."""
+    deciding = deciding_headlines(metrics.headlines)
+    cards = [_card(headline) for headline in deciding]
+    for row in pooled_rows(metrics.results):
+        if deciding and (row.label, row.start) == (deciding[0].other, deciding[0].start) and _last(row):
+            value = f"{number(row.distance_error_m.mean)} m"
+            about = "mean distance error after 5 s"
+            cards.append(Card(row.reading_label, value, about, note="without training", colour=colour_of(row.label)))
+    return cards
+
+
+def deciding_headlines(headlines: Sequence[Headline]) -> list[Headline]:
+    """Return one headline per model: the first start, with the deciding terrain lookup."""
+    first = [headline for headline in headlines if headline.start == headlines[0].start]
+    on_map = {headline.model for headline in first if headline.lookup == "map"}
+    return [headline for headline in first if headline.lookup == "map" or headline.model not in on_map]
+
+
+def _card(headline: Headline) -> Card:
+    low, high = headline.ci95
+    return Card(
+        name=reading_label(headline.model, headline.lookup, headline.feature_set),
+        value=f"{number(headline.distance_error_m)} m",
+        about="mean distance error after 5 s",
+        comparison=_comparison(headline),
+        tone="better" if high < 0 else "worse" if low > 0 else "",
+        note=", ".join(_conditions(headline)),
+        colour=colour_of(headline.model),
+    )
+
+
+def _comparison(headline: Headline) -> str:
+    """Return the error relative to the reference in words; empty if it is not finite."""
+    if not np.isfinite(headline.relative):
+        return ""
+    sign, side = (-1, "below") if headline.relative <= 0 else (1, "above")
+    low, high = sorted(100 * sign * bound for bound in headline.ci95)
+    bounds = f" {interval((low, high), 0)}" if np.isfinite(low) else ""
+    return f"{100 * abs(headline.relative):.0f} %{bounds} {side} {headline.other}"
+
+
+def _conditions(headline: Headline) -> list[str]:
+    conditions = [f"{headline.start} start"]
+    conditions += [f"{headline.lookup} lookup"] if headline.lookup else []
+    return conditions + ([f"mean of {headline.runs} runs"] if headline.runs > 1 else [])
+
+
+def _differences(metrics: Metrics, headline: Headline) -> list[str]:
+    """Return a sentence for each other trained model."""
+    case = (headline.model, headline.start, headline.lookup, headline.feature_set)
+    rows = [row for row in pooled_rows(metrics.results) if _last(row)]
+    trained = {row.label for row in rows if not is_baseline(row.model)}
+    return [
+        difference_text(headline.model, other, minus.distance_error_m, row.levels)
+        for row in rows
+        if (row.label, row.start, row.lookup, row.feature_set) == case
+        for other, minus in row.minus.items()
+        if other in trained
+    ]
+
+
+def difference_text(model: str, other: str, difference: PairedDifference, levels: Levels) -> str:
+    """Return a sentence with the difference between two models."""
+    (low, high), mean = difference.ci95, difference.mean
+    if not np.isfinite(mean):
+        return f"{model} and {other} are not compared: predictions failed, see below."
+    if not np.isfinite(low):
+        return f"{model} minus {other}: {number(mean)} m {levels.caveat}"
+    if low <= 0 <= high:
+        return f"No difference between {model} and {other} is shown: {number(mean)} m {interval(difference.ci95)}."
+    size, bounds = abs(mean), sorted((abs(low), abs(high)))
+    side = "less" if mean < 0 else "more"
+    return f"{model} errs {number(size)} m {interval((bounds[0], bounds[1]))} {side} than {other}."
+
+
+def _last(row: ResultRow) -> bool:
+    return row.horizon_s == HORIZONS[-1]
+
+
+def terminal_table(rows: Sequence[ResultRow]) -> TextTable:
+    """Mean distance error by horizon and its difference to `kinematic`, by model, start and terrain lookup."""
+    groups = by_reading(pooled_rows(list(rows)))
+    windows = ", ".join(str(n) for n in sorted({group[-1].n for group in groups}))
+    lines = []
+    for group in groups:
+        last = group[-1]
+        minus = last.minus.get(REFERENCE)
+        difference = minus.distance_error_m if minus else None
+        lines.append(
+            (
+                last.label + (f" ({last.n_failed} failed)" if last.n_failed else ""),
+                last.start,
+                " ".join(filter(None, (last.lookup, last.feature_set))),
+                *(number(row.distance_error_m.mean) for row in group),
+                interval(last.distance_error_m.ci95),
+                f"{number(difference.mean)} {interval(difference.ci95)}" if difference else "",
+            )
+        )
+    levels = ", or ".join(dict.fromkeys(group[-1].levels.text() for group in groups))
+    title = f"Mean distance error [m] on {windows} windows of the {rows[0].part} part, 95 % intervals: {levels}"
+    horizons = [f"{seconds} s" for seconds in HORIZONS]
+    return TextTable(title, ("model", "start", "lookup", *horizons, "at 5 s", f"minus {REFERENCE}"), lines, left=3)
+
+
+def horizon_table(rows: Sequence[ResultRow]) -> TextTable:
+    """Mean distance error by horizon: a line per model and terrain lookup, a group of columns per start."""
+    starts = list(dict.fromkeys(row.start for row in rows))
+    mean = {(row.reading_label, row.start, row.horizon_s): number(row.distance_error_m.mean) for row in rows}
+    columns = [(start, horizon) for start in starts for horizon in HORIZONS]
+    return TextTable(
+        "Mean distance error by horizon",
+        ("model", *(f"{horizon} s" for _, horizon in columns)),
+        [
+            (name, *(mean.get((name, start, float(horizon)), "") for start, horizon in columns))
+            for name in dict.fromkeys(name for name, _, _ in mean)
+        ],
+        groups=tuple(f"{start} start [m]" for start in starts),
+    )
+
+
+def component_table(rows: Sequence[ResultRow]) -> TextTable:
+    """Mean errors of all components after 5 s."""
+    lines: list[tuple[str | Cell, ...]] = [
+        (row.reading_label, row.start, *(_mean(row, name, 3) for name in NAMES)) for row in _at_last_horizon(rows)
+    ]
+    about = f"Mean absolute errors with 95 % intervals; the loss is over all steps. {drawn_from(rows)}"
+    return TextTable("All components after 5 s", ("model", "start", *NAMES.values()), lines, about, left=2)
+
+
+def distribution_table(rows: Sequence[ResultRow]) -> TextTable:
+    """Quantiles of the distance error after 5 s."""
+    lines = []
+    for row in _at_last_horizon(rows):
+        error = row.distance_error_m
+        numbers = (error.mean, error.q1, error.median, error.q3, error.p90)
+        windows = f"{row.n}" + (f" ({row.n_failed} failed)" if row.n_failed else "")
+        lines.append((row.reading_label, row.start, *map(number, numbers), windows))
+    names = ("model", "start", "mean [m]", "25 % [m]", "median [m]", "75 % [m]", "90 % [m]", "windows")
+    return TextTable("Distribution", names, lines, left=2)
+
+
+def difference_table(rows: Sequence[ResultRow]) -> TextTable:
+    """Paired differences after 5 s: a line per pair of models, columns per start."""
+    result: dict[tuple[str, str], dict[str, Minus]] = {}
+    learned = [row for row in _at_last_horizon(rows) if not is_baseline(row.model)]
+    order = list(dict.fromkeys(row.label for row in learned))
+    for row in learned:
+        for other, minus in row.minus.items():
+            if other not in order or order.index(other) > order.index(row.label):
+                result.setdefault((row.reading_label, other), {})[row.start] = minus
+    starts = list(dict.fromkeys(row.start for row in rows))
+    lines: list[tuple[str | Cell, ...]] = []
+    for (name, other), by_start in result.items():
+        minuses = [by_start[start] for start in starts]
+        cells = [cell for minus in minuses for cell in (_difference(minus.distance_error_m), _difference(minus.loss))]
+        lines.append((f"{name} minus {other}", *cells))
+    names = ("", *(f"{start}: {what}" for start in starts for what in ("distance [m]", "loss")))
+    about = (
+        "The same windows for both; negative: the first is better; bold: the 95 % interval excludes 0. "
+        + drawn_from(learned)
+    )
+    return TextTable("Paired differences after 5 s", names, lines, about)
+
+
+def drawn_from(rows: Sequence[ResultRow]) -> str:
+    """State the numbers of drives, blocks and seeds behind the intervals, by model if they differ."""
+    models: dict[str, list[str]] = {}
+    for row in rows:
+        models.setdefault(row.levels.text(), []).append(row.label)
+    if not models:
+        return ""
+    each = [f"{text} ({', '.join(dict.fromkeys(labels))})" for text, labels in models.items()]
+    text = "; ".join(each) if len(each) > 1 else next(iter(models))
+    bare = [row.distance_error_m.mean for row in rows if not np.isfinite(row.distance_error_m.ci95).all()]
+    failed = "" if np.isfinite(bare).all() else "–: no mean or interval, since predictions failed."
+    caveats = dict.fromkeys(row.levels.caveat for row in rows)
+    return " ".join(filter(None, (f"Intervals are over {text}.", failed, *caveats)))
+
+
+def band_table(rows: Sequence[BandRow]) -> TextTable:
+    """Mean distance error after 5 s by the speed at the start: a line per model, start and lookup."""
+    last = [row for row in rows if row.horizon_s == HORIZONS[-1]]
+    windows = {row.band: row.n for row in last}
+    cells = {(row.reading_label, row.start, row.band): _mean(row, "distance_error_m", 2) for row in last}
+    lines: list[tuple[str | Cell, ...]] = [
+        (name, start, *(cells.get((name, start, band), "") for band in windows))
+        for name, start in dict.fromkeys((name, start) for name, start, _ in cells)
+    ]
+    names = ("model", "start", *(f"{band} [m]" for band in windows))
+    about = "Windows: " + ", ".join(f"{n} {band}" for band, n in windows.items()) + "; with 95 % intervals. "
+    levels = {row.band: row.levels for row in last if row.levels is not None}
+    about += " ".join(f"{band}: {one.caveat}" for band, one in levels.items() if one.caveat)
+    return TextTable("Distance error after 5 s by the speed at the start", names, lines, about, left=2)
+
+
+def run_table(rows: Sequence[ResultRow]) -> TextTable:
+    """Errors of single runs after 5 s.
+
+    Args:
+        rows: of models with several runs (`metrics.run_rows`).
+    """
+    lines = []
+    for row in _at_last_horizon(rows):
+        minus = row.minus.get(REFERENCE)
+        lines.append(
+            (
+                row.reading_label,
+                row.start,
+                "" if row.seed is None else str(row.seed),
+                "" if row.fold is None else str(row.fold),
+                _mean(row, "distance_error_m", 2),
+                number(row.distance_error_m.median),
+                number(row.loss.mean, 3),
+                _difference(minus.distance_error_m) if minus else "",
+                str(row.n),
+            )
+        )
+    about_run = ("model", "start", "seed", "fold")
+    numbers = ("distance [m]", "median [m]", "loss", f"minus {REFERENCE} [m]", "windows")
+    return TextTable("Each run after 5 s", about_run + numbers, lines, left=2)
+
+
+def _at_last_horizon(rows: Sequence[ResultRow]) -> list[ResultRow]:
+    return [group[-1] for group in by_reading(rows)]
+
+
+def _mean(row: ResultRow | BandRow, name: str, digits: int) -> Cell:
+    error = getattr(row, name)
+    return Cell(number(error.mean, digits), interval(error.ci95, digits))
+
+
+def _difference(difference: PairedDifference) -> Cell:
+    low, high = difference.ci95
+    return Cell(number(difference.mean, 3), interval(difference.ci95, 3), bold=low > 0 or high < 0)

@@ -13,7 +13,7 @@ from offpiste.dataset.windows import Windows
 from offpiste.evaluation.errors import Errors, in_start_frame, trajectories
 from offpiste.evaluation.evaluate import Evaluation, Prediction
 from offpiste.evaluation.ground_pictures import GroundPicture, ground_pictures
-from offpiste.evaluation.result_rows import Case
+from offpiste.evaluation.metrics import Case
 
 APART: Final = HISTORY_STEPS + HORIZON_STEPS
 """Rows between windows that share none."""

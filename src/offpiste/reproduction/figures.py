@@ -14,7 +14,7 @@ from offpiste.dataset.windows import Windows
 from offpiste.dynamics import Dynamics
 from offpiste.evaluation.box_plots import grouped_box_plot, whisker_top
 from offpiste.evaluation.errors import in_start_frame, trajectories
-from offpiste.evaluation.evaluated_models import Reading
+from offpiste.evaluation.evaluate import Reading
 from offpiste.reproduction.results import FigureResults
 from offpiste.reproduction.settings import FigureModel, compression_sizes, feature_numbers, standard_model
 from offpiste.reproduction.tables import HINDSIGHT, MAP

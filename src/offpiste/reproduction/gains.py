@@ -12,7 +12,7 @@ from offpiste.core.checksums import sha256_of_folders, sha256_of_json
 from offpiste.core.errors import RunError
 from offpiste.dataset.windows import Windows
 from offpiste.evaluation.errors import Errors, SeededErrors, by_seed, pool, save_errors, saved_errors
-from offpiste.evaluation.evaluated_models import Reading
+from offpiste.evaluation.evaluate import Reading
 from offpiste.evaluation.intervals import Levels, PairedDifference, Resampling, Sampling, relative
 from offpiste.report.text_table import TextTable, interval, number
 from offpiste.reproduction.runs import PART, evaluation_windows, run_errors

@@ -12,10 +12,9 @@ from offpiste.core.conventions import HISTORY_STEPS, HORIZON_STEPS
 from offpiste.dataset.feature_sets import set_number
 from offpiste.dataset.store import Dataset
 from offpiste.evaluation.errors import HORIZONS, Errors, SeededErrors, by_seed, load_errors, pool
-from offpiste.evaluation.evaluated_models import Reading
+from offpiste.evaluation.evaluate import Reading
 from offpiste.evaluation.intervals import Levels, PairedDifference, Sampling, relative
-from offpiste.evaluation.metrics import LossUnits, Provenance, ResultRow
-from offpiste.evaluation.result_rows import Case, RunErrors, result_rows
+from offpiste.evaluation.metrics import Case, LossUnits, Provenance, ResultRow, RunErrors, result_rows
 from offpiste.reproduction.runs import PART, errors_path
 from offpiste.reproduction.settings import BASELINE, FigureModel, ReproductionSettings
 

@@ -16,7 +16,7 @@ from offpiste.dataset.splits import PARTS
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
 from offpiste.evaluation.errors import Errors, Predictor, errors_of_models, save_errors
-from offpiste.evaluation.evaluated_models import Reading
+from offpiste.evaluation.evaluate import Reading
 from offpiste.reproduction.data import opened
 from offpiste.reproduction.settings import BASELINE, Figure, FigureModel, ReproductionSettings, feature_sets
 from offpiste.reproduction.steps import Step

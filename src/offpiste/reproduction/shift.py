@@ -20,7 +20,7 @@ from offpiste.core.state import Terrain, TerrainSource
 from offpiste.dataset.store import Dataset, StoredDrive
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import Dynamics
-from offpiste.evaluation.evaluated_models import Reading
+from offpiste.evaluation.evaluate import Reading
 from offpiste.evaluation.intervals import MIN_UNITS, Sampling
 from offpiste.mapping.terrain_sampler import MapTerrain
 from offpiste.reproduction.gains import HINDSIGHT, MAP, Gain, errors_of, evaluation_index, gain, same_windows

@@ -6,7 +6,7 @@ import numpy as np
 
 from offpiste.core.conventions import FEATURE_SETS
 from offpiste.dataset.store import Dataset
-from offpiste.evaluation.evaluated_models import Reading
+from offpiste.evaluation.evaluate import Reading
 from offpiste.evaluation.intervals import PairedDifference
 from offpiste.evaluation.metrics import ResultRow
 from offpiste.report.text_table import TextTable, interval, number

@@ -14,9 +14,8 @@ from offpiste.core.files import check_folder, write_text
 from offpiste.core.shipped import names_apart, run_folder
 from offpiste.dataset.store import Dataset, open_dataset
 from offpiste.dataset.windows import Windows
-from offpiste.evaluation.evaluated_windows import EvaluatedWindows
+from offpiste.evaluation.evaluated_windows import EvaluatedWindows, members
 from offpiste.evaluation.intervals import Sampling
-from offpiste.evaluation.speed_bands import members
 from offpiste.report.figure import write_png
 from offpiste.training.checkpoint import load_json, save_beside_weights
 from offpiste.training.run import Run, load_run, overlap_with, refuse_seen, refuse_unfit, seen_stretches

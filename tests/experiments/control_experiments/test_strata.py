@@ -11,7 +11,7 @@ from experiments.control_experiments.runs import trained
 from experiments.control_experiments.strata import strata, strata_control
 from feature_datasets import dataset_with_features
 from offpiste.dataset.windows import Windows
-from offpiste.evaluation.speed_bands import BANDS, REVERSE
+from offpiste.evaluation.evaluated_windows import BANDS, REVERSE
 from offpiste.reproduction.runs import errors_path
 from offpiste.reproduction.settings import Size
 from offpiste.training.config import TrainConfig

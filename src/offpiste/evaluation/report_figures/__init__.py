@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from offpiste.core.conventions import FEATURE_SETS
 from offpiste.core.registry import Registry
 from offpiste.evaluation.evaluate import Evaluation
-from offpiste.evaluation.result_rows import Case
+from offpiste.evaluation.metrics import Case
 from offpiste.report.chart import Drawing
 
 Draw = Callable[[Evaluation], Figure | Drawing | None]

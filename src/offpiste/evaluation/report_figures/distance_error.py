@@ -8,9 +8,8 @@ from jaxtyping import Float
 from offpiste.evaluation.box_chart import BoxChart
 from offpiste.evaluation.box_plots import styles
 from offpiste.evaluation.evaluate import Evaluation
-from offpiste.evaluation.metrics import ResultRow, pooled_rows
+from offpiste.evaluation.metrics import ResultRow, by_reading, pooled_rows
 from offpiste.evaluation.report_figures import deciding_errors, distance_errors, main_start, report_figure, title_of
-from offpiste.evaluation.result_rows import by_reading
 from offpiste.report.line_chart import Line, LineChart
 
 CAPTION_BOX_PLOT = (

@@ -1,8 +1,8 @@
 """Windows where a model is as wrong as usual, and where it is most wrong, and what was predicted there."""
 
 from offpiste.evaluation.evaluate import Evaluation
+from offpiste.evaluation.metrics import Case
 from offpiste.evaluation.report_figures import deciding_cases, report_figure, title_of
-from offpiste.evaluation.result_rows import Case
 from offpiste.evaluation.window_chart import WindowChart
 from offpiste.evaluation.window_paths import WindowPaths, predict_paths, typical_windows, worst_windows
 

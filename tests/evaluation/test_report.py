@@ -1,13 +1,11 @@
-"""What reports say where there is no interval: too few blocks, or predictions that failed."""
+"""Reports without an interval: too few blocks, or failed predictions."""
 
 import numpy as np
 
 from offpiste.evaluation.errors import Errors
 from offpiste.evaluation.intervals import Sampling
-from offpiste.evaluation.metrics import ResultRow, pooled_rows, single_rows
-from offpiste.evaluation.report_headlines import _difference
-from offpiste.evaluation.report_tables import drawn_from
-from offpiste.evaluation.result_rows import Case, RunErrors, result_rows
+from offpiste.evaluation.metrics import Case, ResultRow, RunErrors, pooled_rows, result_rows, single_rows
+from offpiste.evaluation.report import difference_text, drawn_from
 
 NAMES = ("b", "dc")
 
@@ -33,10 +31,10 @@ def test_failed_predictions_are_not_called_few_blocks() -> None:
     assert "5 drives, 50 blocks" in drawn_from(found)
     assert "predictions failed" in drawn_from(found)
     assert "few blocks" not in drawn_from(found)
-    said = _difference("b", "dc", found[0].minus["dc"].distance_error_m, found[0].levels)
+    said = difference_text("b", "dc", found[0].minus["dc"].distance_error_m, found[0].levels)
     assert said == "b and dc are not compared: predictions failed, see below."
     both = rows([errors((3,))], [errors((3,))])
-    assert "not compared" in _difference("b", "dc", both[0].minus["dc"].distance_error_m, both[0].levels)
+    assert "not compared" in difference_text("b", "dc", both[0].minus["dc"].distance_error_m, both[0].levels)
 
 
 def test_few_blocks_are_not_called_failed() -> None:
@@ -44,7 +42,7 @@ def test_few_blocks_are_not_called_failed() -> None:
     (found, _) = rows([one], [one])
     assert "–: no interval, since there are only 2 blocks of one drive" in drawn_from([found])
     assert "failed" not in drawn_from([found])
-    assert "no interval" in _difference("b", "dc", found.minus["dc"].distance_error_m, found.levels)
+    assert "no interval" in difference_text("b", "dc", found.minus["dc"].distance_error_m, found.levels)
     assert "–" not in drawn_from(rows([errors()]))
 
 
