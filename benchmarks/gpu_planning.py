@@ -34,7 +34,7 @@ from offpiste.planning.pedal import PEDAL_AND_WHEEL
 from offpiste.planning.plan_graph import captured
 from offpiste.runtime.perception import codes_of, encoder_on
 from offpiste.training.run import pretrained
-from offpiste.uncertainty.prediction import load_spread
+from offpiste.uncertainty.fit import load_spread
 
 SAME_CODES = 1e-4
 """Largest difference of codes of an image on two devices."""

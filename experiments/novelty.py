@@ -28,8 +28,8 @@ from offpiste.dataset.store import Dataset, StoredDrive, open_dataset
 from offpiste.logs.ground_truth import GROUND_KINDS, GROUND_PROPERTIES
 from offpiste.report.text_table import TextTable, number
 from offpiste.simulation.world.ground import property_table
+from offpiste.uncertainty.calibration import area_under_curve
 from offpiste.uncertainty.novelty import NoveltySettings, fit_memory_bank
-from offpiste.uncertainty.student import area_under_curve
 
 PURE: Final = 0.05
 """Largest distance of a cell's properties from those of its kind, in standard deviations between kinds; cells further

@@ -38,10 +38,10 @@ from offpiste.reproduction.settings import ReproductionSettings, sized
 from offpiste.reproduction.steps import claim_folder
 from offpiste.training.checkpoint import WEIGHTS, load_json, save_json
 from offpiste.training.run import Run
-from offpiste.uncertainty.calibrate import kept_or_fitted
+from offpiste.uncertainty.calibration import kept_or_fitted
+from offpiste.uncertainty.fit import FILE as SPREAD
 from offpiste.uncertainty.novelty import FILE as MEMORY_BANK
 from offpiste.uncertainty.novelty import keep_memory_bank
-from offpiste.uncertainty.prediction import FILE as SPREAD
 
 FAMILY: Final = "proving-ground"
 BASELINE: Final = "b"

@@ -29,12 +29,16 @@ from offpiste.evaluation.evaluated_windows import EvaluatedWindows, members
 from offpiste.evaluation.intervals import Sampling
 from offpiste.training.prediction import in_parts
 from offpiste.training.run import Run, load_run, refuse_seen, refuse_unfit
-from offpiste.uncertainty.calibrate import kept_or_fitted
-from offpiste.uncertainty.calibration import CalibrationRow, ErrorsWithScales, calibration_rows, calibration_table
+from offpiste.uncertainty.calibration import (
+    CalibrationRow,
+    ErrorsWithScales,
+    calibration_rows,
+    calibration_table,
+    kept_or_fitted,
+)
 from offpiste.uncertainty.fit import SpreadSettings, predictions_of
 from offpiste.uncertainty.novelty import FILE, load_memory_bank
-from offpiste.uncertainty.spread import EVERY, Spread
-from offpiste.uncertainty.student import negative_log_likelihood
+from offpiste.uncertainty.spread import EVERY, Spread, negative_log_likelihood
 
 logger = logging.getLogger("experiments")
 

@@ -36,13 +36,13 @@ from offpiste.logs.ground_truth import GROUND_KINDS
 from offpiste.reproduction.gains import MAP, evaluation_index
 from offpiste.reproduction.steps import claim_folder
 from offpiste.training.run import Run
-from offpiste.uncertainty.calibrate import kept_or_fitted
 from offpiste.uncertainty.calibration import (
     CalibrationRow,
     ErrorsWithScales,
     calibration_rows,
     calibration_table,
     errors_with_scales,
+    kept_or_fitted,
 )
 from offpiste.uncertainty.fit import residuals_on_maps
 from offpiste.uncertainty.novelty import NoveltySettings, features_at_starts, fit_memory_bank, mask_novel_ground

@@ -20,8 +20,8 @@ from offpiste.rig.rig import load_rig
 from offpiste.training.config import TrainConfig
 from offpiste.training.run import load_run, pretrained
 from offpiste.training.train import train
+from offpiste.uncertainty.fit import load_spread
 from offpiste.uncertainty.novelty import load_memory_bank
-from offpiste.uncertainty.prediction import load_spread
 
 QUICK = {"epochs": 1, "bicycle_epochs": 1, "actuator_epochs": 1, "stride": 60, "batch": 32}
 

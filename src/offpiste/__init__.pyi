@@ -96,6 +96,6 @@ from .training.run import Run as Run
 from .training.run import load_run as load_run
 from .training.run import pretrained as pretrained
 from .training.train import train as train
-from .uncertainty.calibrate import calibrate as calibrate
-from .uncertainty.prediction import SpreadPrediction as SpreadPrediction
-from .uncertainty.prediction import predict_with_spread as predict_with_spread
+from .uncertainty.calibration import calibrate as calibrate
+from .uncertainty.fit import SpreadPrediction as SpreadPrediction
+from .uncertainty.fit import predict_with_spread as predict_with_spread

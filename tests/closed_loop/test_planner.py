@@ -19,7 +19,7 @@ from offpiste.training.checkpoint import load_json, save_beside_weights, save_js
 from offpiste.training.config import Weights
 from offpiste.training.losses import COMPONENTS
 from offpiste.training.run import build, differing_vehicle
-from offpiste.uncertainty.prediction import FILE
+from offpiste.uncertainty.fit import FILE
 from offpiste.uncertainty.spread import Spread, inputs_of
 
 BACKBONE = open_backbone("filterbank")

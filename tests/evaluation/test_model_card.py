@@ -66,9 +66,7 @@ def test_no_card_is_one_line(tmp_path, content):
 def test_the_page_says_how_a_planner_drives_and_whether_that_is_shown(high, shown):
     driving = CourseFigures(20, PairedDifference(-0.2, (-0.54, high)), "abc", "2026-11-23")
     page = card_page(msgspec.structs.replace(CARD_OF_ONE, driving=driving))
-    wanted = (
-        f"On 20 courses in unseen worlds, its driving cost differs from that of `b` by -20 % [-54, {100 * high:.0f}]"
-    )
-    assert wanted in page
+    assert "On 20 courses in unseen worlds, its driving cost differs from that of `b` by -20 %" in page
+    assert f"[-54, {100 * high:.0f}]" in page
     assert ("no difference is shown" in page) != shown
     assert "drives with it" not in card_page(CARD_OF_ONE)

@@ -13,7 +13,7 @@ from offpiste.evaluation.errors import Errors
 from offpiste.training.config import TrainConfig
 from offpiste.training.run import load_run
 from offpiste.training.train import train
-from offpiste.uncertainty.prediction import load_spread
+from offpiste.uncertainty.fit import load_spread
 
 
 def errors(distance):

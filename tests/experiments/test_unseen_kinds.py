@@ -27,7 +27,7 @@ from offpiste.simulation.world.ground import property_table
 from offpiste.training.config import TrainConfig
 from offpiste.training.run import load_run
 from offpiste.training.train import train
-from offpiste.uncertainty.calibrate import kept_or_fitted
+from offpiste.uncertainty.calibration import kept_or_fitted
 from offpiste.uncertainty.fit import SpreadSettings
 
 GRAVEL, MUD = GROUND_KINDS.index("gravel"), GROUND_KINDS.index("mud")

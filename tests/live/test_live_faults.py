@@ -37,7 +37,7 @@ from offpiste.runtime.prediction import Prediction
 from offpiste.runtime.schedule import TimedPlan
 from offpiste.runtime.settings import RuntimeSettings
 from offpiste.transport.zenoh_transport import ZenohSettings
-from offpiste.uncertainty.prediction import FILE as SPREAD
+from offpiste.uncertainty.fit import FILE as SPREAD
 from transport.routers import until
 
 

@@ -29,7 +29,7 @@ from offpiste.runtime.estimator import VehicleReading
 from offpiste.runtime.prediction import Prediction
 from offpiste.runtime.schedule import TimedPlan
 from offpiste.training.checkpoint import load_json, save_tensors
-from offpiste.uncertainty.prediction import FILE
+from offpiste.uncertainty.fit import FILE
 from offpiste.uncertainty.spread import Spread, inputs_of
 from planning_maps import WHEELS, layers
 

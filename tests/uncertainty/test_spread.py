@@ -1,15 +1,18 @@
-"""Spreads: how they grow, what they read, and that they are found again from errors that were drawn with them."""
+"""Spreads: their growth, their inputs, their fit to drawn errors, and the bivariate t against numerical integration."""
 
+import itertools
 import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
+from scipy import integrate, stats
 from torch.nn import functional
 
 from factories import VEHICLE
 from offpiste.core.state import Terrain, Trajectory
+from offpiste.uncertainty.calibration import area_under_curve, crps
 from offpiste.uncertainty.fit import Residuals, fit_factor, fit_network
 from offpiste.uncertainty.spread import (
     INTERVAL,
@@ -18,7 +21,11 @@ from offpiste.uncertainty.spread import (
     Spread,
     errors_in_heading,
     inputs_of,
+    negative_log_likelihood,
+    probability_within,
+    radius,
     spread_inputs,
+    squared_distance,
     states_at_moments,
 )
 
@@ -119,3 +126,48 @@ def test_what_errors_were_drawn_with_is_found_again():
     torch.testing.assert_close(found, wanted, rtol=0.15, atol=0)
     fit_factor(spread, Residuals(inputs, 2 * error))
     assert float(spread.factor) == pytest.approx(2, rel=0.1)
+
+
+FREEDOM = 4.5
+SCALE = torch.tensor([0.5, 2.0], dtype=torch.float64)
+
+
+def density(x: float, y: float) -> float:
+    error = torch.tensor([x, y], dtype=torch.float64)
+    return float(torch.exp(-negative_log_likelihood(error, SCALE, torch.tensor(FREEDOM))))
+
+
+def test_the_likelihood_is_scipys():
+    theirs = stats.multivariate_t(shape=np.diag(SCALE.numpy() ** 2), df=FREEDOM)
+    for x, y in ((0.0, 0.0), (0.3, -1.0), (-4.0, 9.0)):
+        assert density(x, y) == pytest.approx(theirs.pdf([x, y]), rel=1e-6)
+
+
+@pytest.mark.parametrize("probability", [0.5, 0.8, 0.95])
+def test_regions_hold_their_share(probability: float):
+    reach = radius(probability, FREEDOM)
+    assert probability_within(np.array(reach**2), FREEDOM) == pytest.approx(probability)
+    drawn = stats.multivariate_t(shape=np.diag(SCALE.numpy() ** 2), df=FREEDOM, seed=0).rvs(200_000)
+    squared = squared_distance(torch.from_numpy(drawn), SCALE.expand(200_000, 2)).numpy()
+    assert (squared <= reach**2).mean() == pytest.approx(probability, abs=0.004)
+
+
+@pytest.mark.parametrize("error", [0.0, 0.7, -6.0])
+def test_crps_is_the_integral_of_squared_differences(error: float):
+    scale = 1.3
+
+    def difference(x: float) -> float:
+        return float(stats.t.cdf(x / scale, FREEDOM) - (x >= error)) ** 2
+
+    below, _ = integrate.quad(difference, -np.inf, error)
+    above, _ = integrate.quad(difference, error, np.inf)
+    assert crps(np.array(error), np.array(scale), FREEDOM) == pytest.approx(below + above, rel=1e-6)
+
+
+def test_the_area_under_the_curve_counts_pairs():
+    rng = np.random.default_rng(0)
+    score, positive = rng.integers(0, 5, 60).astype(float), rng.random(60) < 0.3
+    pairs = list(itertools.product(score[positive], score[~positive]))
+    wanted = np.mean([1.0 if a > b else 0.5 if a == b else 0.0 for a, b in pairs])
+    assert area_under_curve(score, positive) == pytest.approx(wanted)
+    assert np.isnan(area_under_curve(score, np.zeros(60, bool)))

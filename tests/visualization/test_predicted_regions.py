@@ -6,7 +6,7 @@ import torch
 
 from offpiste.core.state import Trajectory
 from offpiste.uncertainty.calibration import NOMINAL
-from offpiste.uncertainty.prediction import SpreadPrediction
+from offpiste.uncertainty.fit import SpreadPrediction
 from offpiste.visualization.predicted_regions import draw_regions, ellipses
 
 

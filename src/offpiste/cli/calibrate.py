@@ -26,7 +26,7 @@ class Calibrate:
 
     def run(self) -> int:
         """Fit, evaluate, show the table."""
-        from offpiste.uncertainty.calibrate import calibrate
+        from offpiste.uncertainty.calibration import calibrate
 
         calibrate(self.runs, self.dataset, self.out)
         words = ["evaluate", *map(str, self.runs), "--dataset", str(self.dataset)]

@@ -44,7 +44,7 @@ class Evaluate:
     def run(self) -> int:
         """Load, evaluate, report."""
         from offpiste.evaluation.evaluate_runs import evaluate_runs
-        from offpiste.uncertainty.calibrate import evaluate_kept_spreads
+        from offpiste.uncertainty.calibration import evaluate_kept_spreads
 
         # First: it may refuse a run's spread, and the evaluation takes long.
         spreads = evaluate_kept_spreads(self.runs, self.dataset, self.min_speed)

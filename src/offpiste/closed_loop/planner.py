@@ -13,8 +13,8 @@ from offpiste.logs.ground_truth import GROUND_PROPERTIES
 from offpiste.perception.feature_extractor import FeatureExtractor, load_feature_extractor
 from offpiste.training.checkpoint import WEIGHTS, load_json
 from offpiste.training.run import Run, load_run
+from offpiste.uncertainty.fit import FILE, load_spread
 from offpiste.uncertainty.novelty import Novelty, load_memory_bank, mask_novel_ground
-from offpiste.uncertainty.prediction import FILE, load_spread
 from offpiste.uncertainty.spread import Spread
 
 
@@ -60,7 +60,7 @@ def load_planner(
 
     Raises:
         RunError: no such run, or its features are not available: no PCA is given, or not the one it was trained with;
-            its spread belongs to other weights; or it keeps no features to tell novel ground by, or reads none.
+            its spread belongs to other weights; or it has no memory bank of known ground, or reads no features.
         PerceptionError: not a PCA, or its backbone is not available.
     """
     run = load_run(folder)

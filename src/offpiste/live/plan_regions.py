@@ -12,8 +12,7 @@ from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.planning.pedal import complete
 from offpiste.runtime.prediction import Prediction, coded_area
 from offpiste.runtime.schedule import TimedPlan
-from offpiste.uncertainty.spread import EVERY, INTERVAL, Moments, Spread, spread_inputs
-from offpiste.uncertainty.student import radius
+from offpiste.uncertainty.spread import EVERY, INTERVAL, Moments, Spread, radius, spread_inputs
 
 WITHIN: Final = 0.8
 """Probability with which the vehicle is within a region."""

@@ -1,1 +1,1 @@
-"""How far predictions stray: spreads that grow along a rollout, and whether they are calibrated."""
+"""Uncertainty of predictions: spreads that grow along a rollout, their calibration, and novel ground."""

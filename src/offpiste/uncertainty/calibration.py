@@ -1,47 +1,72 @@
-"""Whether spreads are calibrated: how many errors lie in the regions that should hold half, 80 and 95 % of them."""
+"""Calibration of spreads: share of errors within their 50, 80 and 95 % regions; `offpiste calibrate`."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+import logging
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Final
 
 import msgspec
 import numpy as np
 from jaxtyping import Bool, Float
 from matplotlib.figure import Figure
+from scipy import special, stats
 
-from offpiste.evaluation.intervals import Resampling
-from offpiste.report.figure import plain
+from offpiste.core.errors import RunError
+from offpiste.core.files import check_folder, write_text
+from offpiste.core.shipped import names_apart, run_folder
+from offpiste.dataset.store import Dataset, open_dataset
+from offpiste.dataset.windows import Windows
+from offpiste.evaluation.evaluated_windows import EvaluatedWindows, members
+from offpiste.evaluation.intervals import Resampling, Sampling
+from offpiste.report.figure import plain, write_png
 from offpiste.report.text_table import TextTable, interval, number
-from offpiste.uncertainty.fit import Residuals
-from offpiste.uncertainty.spread import INTERVAL, Spread
-from offpiste.uncertainty.student import area_under_curve, crps, probability_within
+from offpiste.training.checkpoint import load_json, save_beside_weights
+from offpiste.training.run import Run, load_run, overlap_with, refuse_seen, refuse_unfit, seen_stretches
+from offpiste.uncertainty.fit import (
+    FILE,
+    Residuals,
+    SpreadSettings,
+    fit_spread,
+    load_spread,
+    residuals_on_maps,
+    spread_seen,
+)
+from offpiste.uncertainty.novelty import keep_memory_bank
+from offpiste.uncertainty.spread import INTERVAL, Spread, probability_within
+
+logger = logging.getLogger(__name__)
+
+PART: Final = "test"
+"""Part of the dataset on which calibration is evaluated."""
 
 HORIZONS: Final = (1.0, 3.0, 5.0)
-"""Moments that are evaluated [s]."""
+"""Times after the start that are evaluated [s]."""
 
 AT: Final = [round(horizon / INTERVAL) - 1 for horizon in HORIZONS]
-"""Numbers of these moments among those of a spread."""
+"""Indices of these times among the moments of a spread."""
 
 NOMINAL: Final = (0.5, 0.8, 0.95)
-"""Share of errors that each region should hold."""
+"""Nominal probability of each region."""
 
 WORST: Final = 0.1
-"""Share of windows, those with the largest errors, that a spread is to tell from the others."""
+"""Share of the windows with the largest errors, which a large spread should indicate."""
 
 ALL: Final = "all"
-"""Name of the row of all windows."""
+"""Name of the row for all windows."""
 
 ABOUT: Final = (
-    "Share of position errors within the regions that should hold 50, 80 and 95 % of them, with 95 % intervals over "
-    "drives and blocks of 10 s. CRPS: of the errors along and across the heading, less is better. AUROC: the "
-    "probability that a window among the tenth with the largest errors has a larger spread than another window (0.5 is "
-    "chance); beside it the same by the speed at the start alone."
+    "Share of position errors within the 50, 80 and 95 % regions, with 95 % intervals over drives and blocks of 10 s. "
+    "CRPS: of the errors along and across the heading, less is better. AUROC: probability that a window among "
+    "the tenth with the largest errors has a larger spread than another window (0.5 is chance); by speed: the same for "
+    "the speed at the start in place of the spread."
 )
 
 
 @dataclass(frozen=True)
 class ErrorsWithScales:
-    """Errors of position and the scales predicted for them, at the moments of a spread.
+    """Position errors and their predicted scales, at the moments of a spread.
 
     Attributes:
         error, scale: along and across the predicted heading [m].
@@ -56,28 +81,28 @@ class ErrorsWithScales:
 
     @property
     def within(self) -> Float[np.ndarray, "N H"]:
-        """Probability of the region that each error lies on, at each of `HORIZONS`."""
+        """Probability of the region that ends at each error, at each of `HORIZONS`."""
         squared = np.square(self.error[:, AT] / self.scale[:, AT]).sum(axis=-1)
         return probability_within(squared, self.freedom)
 
 
 def errors_with_scales(spread: Spread, residuals: Residuals) -> ErrorsWithScales:
-    """Residuals beside what a spread predicts of them."""
+    """Evaluate a spread on residuals."""
     scale, speed = spread(residuals.inputs).detach().numpy(), residuals.inputs[:, 0, 0].numpy()
     return ErrorsWithScales(residuals.error.numpy(), scale, float(spread.freedom.detach()), speed)
 
 
 class CalibrationRow(msgspec.Struct, frozen=True, kw_only=True):
-    """How well errors were predicted for some windows after some time.
+    """Calibration on a group of windows at a horizon.
 
     Attributes:
-        windows: which ones, by name; n: how many.
+        windows: name of the group; n: number of windows.
         horizon: [s].
-        error_m: mean distance [m].
-        scale_m: mean of the predicted scales, along and across together [m].
+        error_m: mean distance error [m].
+        scale_m: mean norm of the predicted scales [m].
         coverage, ci95: share within each region of `NOMINAL`, and its interval.
         crps_m: mean over both components [m].
-        auroc, auroc_by_speed: how well spread, and speed alone, tell the `WORST` windows from others (0.5: not at all).
+        auroc, auroc_by_speed: how well the spread, or the speed, separates the `WORST` windows (0.5: not at all).
     """
 
     run: str
@@ -96,13 +121,12 @@ class CalibrationRow(msgspec.Struct, frozen=True, kw_only=True):
 def calibration_rows(
     run: str, errors: ErrorsWithScales, groups: Mapping[str, Bool[np.ndarray, " N"]], drawn: Resampling
 ) -> list[CalibrationRow]:
-    """A row for all windows, and one for each group, at each horizon.
+    """Return a row for all windows and one for each group, at each horizon.
 
     Args:
         run: name of the run.
-        errors: of the windows.
-        groups: which windows belong to each.
-        drawn: of the same windows, for intervals of the row of all of them.
+        groups: windows of each group.
+        drawn: resamples of all windows, for the intervals of their row.
     """
     scale, error, within, rows = errors.scale, errors.error, errors.within, list[CalibrationRow]()
     for place, (horizon, k) in enumerate(zip(HORIZONS, AT, strict=True)):
@@ -134,7 +158,7 @@ def _intervals(covered: Bool[np.ndarray, "N R"], drawn: Resampling) -> tuple[tup
 
 
 def calibration_table(rows: list[CalibrationRow]) -> TextTable:
-    """A line a run, group of windows and horizon."""
+    """Return a table with a line per run, group and horizon."""
     names = ("run", "windows", "after", "n", "error [m]", "50 %", "80 %", "95 %", "CRPS [m]", "AUROC", "by speed")
     lines = [
         (
@@ -154,15 +178,15 @@ def calibration_table(rows: list[CalibrationRow]) -> TextTable:
 
 
 def _covered(share: float, bounds: tuple[float, float]) -> str:
-    """A share and its interval in percent."""
+    """Format a share and its interval in percent."""
     return f"{number(100 * share, 0)} {interval((100 * bounds[0], 100 * bounds[1]), 0)}"
 
 
 def draw_calibration(within: Mapping[str, Float[np.ndarray, "N H"]]) -> Figure:
-    """Share of errors within regions against what they should hold, a panel a run, a line a horizon.
+    """Draw the share of errors within regions against their probability: a panel per run, a line per horizon.
 
     Args:
-        within: by run, the probability of the region that each window's error lies on, at each of `HORIZONS`.
+        within: by run, the probability of the region that ends at each window's error, at each of `HORIZONS`.
     """
     figure = Figure(figsize=(3.6 * len(within), 3.6), layout="constrained")
     nominal = np.linspace(0, 1, 101)
@@ -172,6 +196,140 @@ def draw_calibration(within: Mapping[str, Float[np.ndarray, "N H"]]) -> Figure:
         for horizon, column, colour in zip(HORIZONS, values.T, ("#56b4e9", "#0072b2", "black"), strict=True):
             share = np.searchsorted(np.sort(column), nominal, side="right") / len(column)
             axes.plot(100 * nominal, 100 * share, color=colour, label=f"{horizon:g} s")
-        axes.set(xlabel="errors that should lie within [%]", ylabel="errors that do [%]", aspect="equal")
+        axes.set(xlabel="nominal share of errors [%]", ylabel="observed share [%]", aspect="equal")
         axes.legend(frameon=False)
     return figure
+
+
+def crps(error: Float[np.ndarray, "*B"], scale: Float[np.ndarray, "*B"], freedom: float) -> Float[np.ndarray, "*B"]:
+    """Continuous ranked probability score of a component [m]; 0 is perfect (Jordan et al. 2019, appendix A).
+
+    Args:
+        error, scale: of the component [m].
+        freedom: degrees of freedom, above 1.
+    """
+    z = error / scale
+    beta = special.beta(0.5, freedom - 0.5) / special.beta(0.5, freedom / 2) ** 2
+    density, below = stats.t.pdf(z, freedom), stats.t.cdf(z, freedom)
+    score = z * (2 * below - 1) + 2 * density * (freedom + z**2) / (freedom - 1)
+    return np.asarray(scale * (score - 2 * math.sqrt(freedom) / (freedom - 1) * beta))
+
+
+def area_under_curve(score: Float[np.ndarray, " N"], positive: Bool[np.ndarray, " N"]) -> float:
+    """Probability that a positive has a higher score than a negative, ties counting half; NaN without both."""
+    positives, others = int(positive.sum()), int((~positive).sum())
+    if not positives or not others:
+        return math.nan
+    ranks = stats.rankdata(score)
+    return float((ranks[positive].sum() - positives * (positives + 1) / 2) / (positives * others))
+
+
+@dataclass
+class SpreadReport:
+    """Calibration of the spreads of runs.
+
+    Attributes:
+        rows: of the table.
+        within: by run (`ErrorsWithScales.within`).
+    """
+
+    rows: list[CalibrationRow] = field(default_factory=list)
+    within: dict[str, np.ndarray] = field(default_factory=dict)
+
+    def add(self, name: str, run: Run, spread: Spread, dataset: Dataset) -> None:
+        """Evaluate a run's spread on the windows of the test part that have a map."""
+        windows = Windows(dataset, PART)
+        index = windows.evaluation_indices(5)
+        errors = errors_with_scales(spread, residuals_on_maps(run, windows, index))
+        located = EvaluatedWindows(dataset, windows.drive[index], windows.row_in_drive(index))
+        self.rows += calibration_rows(name, errors, members(located), Sampling().on(located))
+        self.within[name] = errors.within
+
+    def write(self, out: Path) -> Path:
+        """Write table, numbers and figure, log the table, and return the path of `calibration.md`."""
+        table = calibration_table(self.rows)
+        write_png(out / "calibration.png", draw_calibration(self.within), dpi=110)
+        content = {"schema": 1, "part": PART, "rows": self.rows}
+        write_text(out / "calibration.json", msgspec.json.encode(content).decode())
+        write_text(out / "calibration.md", table.markdown() + "\n![calibration](calibration.png)\n")
+        logger.info(table.text(width=150))
+        logger.info(f"written: {out / 'calibration.md'}")
+        return out / "calibration.md"
+
+
+def calibrate(folders: Sequence[Path], path: Path, out: Path, settings: SpreadSettings | None = None) -> Path:
+    """Fit the spread of each run that has none, and evaluate all on the windows of the test part that have a map.
+
+    For runs that read features, a memory bank of training features is stored as well (`novelty`).
+
+    Returns:
+        path of `calibration.md`, next to `calibration.json` and `calibration.png`.
+
+    Raises:
+        RunError: a run does not fit the dataset, it or its spread was fitted to test data, or the spread belongs to
+            other weights.
+        DatasetError: a part has no window.
+    """
+    check_folder(out, own=("calibration.md", "report.html"))
+    dataset, report = open_dataset(path), SpreadReport()
+    runs = [_fitting_run(folder, dataset) for folder in folders]
+    starting = [dataset.starting_above(_min_speed(run)) for run in runs]
+    for each in starting:
+        Windows(each, PART)  # raises before time is spent on a fit
+    for run, name, mine in zip(runs, names_apart(folders), starting, strict=True):
+        spread = kept_or_fitted(run, mine, settings)
+        if run.dynamics.encoder is not None:
+            keep_memory_bank(run, mine)
+        report.add(name, run, spread, mine)
+    return report.write(out)
+
+
+def evaluate_kept_spreads(folders: Sequence[Path], path: Path, min_speed: float | None = None) -> SpreadReport | None:
+    """Evaluate the spreads stored with runs, without fitting or writing.
+
+    Args:
+        min_speed: smallest speed at the start of a window [m/s]; None: as in the dataset.
+
+    Returns:
+        report to write; None if no run has a spread.
+
+    Raises:
+        RunError, DatasetError: as `calibrate`.
+    """
+    keeping = [folder for folder in folders if (run_folder(folder) / FILE).exists()]
+    if not keeping:
+        return None
+    dataset, report = open_dataset(path).starting_above(min_speed), SpreadReport()
+    for folder, name in zip(keeping, names_apart(keeping), strict=True):
+        run = _fitting_run(folder, dataset)
+        report.add(name, run, load_spread(run), dataset)
+    return report
+
+
+def _fitting_run(folder: Path, dataset: Dataset) -> Run:
+    run = load_run(folder)
+    refuse_unfit(run, dataset)
+    refuse_seen(run, dataset, PART)
+    kept = run.folder / FILE
+    if kept.exists() and (overlap := overlap_with(spread_seen(run), dataset, PART)) is not None:
+        what = f"was fitted to {overlap.seconds:.0f} s of the {PART} part of drive '{overlap.drive}'"
+        how = "delete it and run `offpiste calibrate` again, or evaluate it on other drives"
+        raise RunError(what, where=kept, how=how)
+    return run
+
+
+def kept_or_fitted(run: Run, dataset: Dataset, settings: SpreadSettings | None = None) -> Spread:
+    """Read the spread in a run's folder; if there is none, fit and store it."""
+    if (run.folder / FILE).exists():
+        return load_spread(run)
+    train, validation = Windows(dataset, "train"), Windows(dataset, "validation")
+    spread = fit_spread(run, train, validation, settings)
+    save_beside_weights(run.folder / FILE, spread.state_dict(), seen=seen_stretches(dataset))
+    return spread
+
+
+def _min_speed(run: Run) -> float | None:
+    """Return the smallest speed at the start of the run's training windows; None: that of the dataset."""
+    config = run.folder / "config.json"
+    speed = load_json(config)["train"].get("min_speed") if config.exists() else None
+    return None if speed is None else float(speed)

@@ -1,14 +1,17 @@
-"""Fitting a spread to a trained model: by likelihood on training windows, then one factor on validation's maps."""
+"""Spread of a trained run: fitted by likelihood, stored in the run's folder, and used in predictions."""
 
 import logging
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Final
 
+import msgspec
 import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from offpiste.core.errors import RunError
 from offpiste.core.progress import track
 from offpiste.core.state import RecordedTerrain, TerrainSource, Trajectory
 from offpiste.dataset.feature_sets import FeatureSetChoice, drawn
@@ -16,20 +19,30 @@ from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import MODELS, Dynamics
 from offpiste.dynamics.kernels.map_rollout import predict_on
 from offpiste.dynamics.models import seeded
+from offpiste.training.checkpoint import load_beside_weights, load_tensors, load_weights
 from offpiste.training.prediction import Lookup, batch_for, encoded, in_parts, on_map, predict
-from offpiste.training.run import Run
-from offpiste.uncertainty.spread import Spread, errors_in_heading, inputs_along, inputs_of
-from offpiste.uncertainty.student import negative_log_likelihood
+from offpiste.training.run import Run, Stretch, refuse_unfit
+from offpiste.uncertainty.spread import (
+    Spread,
+    errors_in_heading,
+    inputs_along,
+    inputs_of,
+    negative_log_likelihood,
+    radius,
+)
 
 logger = logging.getLogger(__name__)
+
+FILE: Final = "spread.safetensors"
+"""File with the spread, in the folder of a run."""
 
 
 @dataclass(frozen=True)
 class SpreadSettings:
-    """How a spread is fitted.
+    """Settings of the fit of a spread.
 
     Attributes:
-        windows: of training that it is fitted to, evenly spread.
+        windows: number of training windows, evenly spread.
         steps, batch, learning_rate: of Adam.
         seed: of initial weights, feature sets and order.
     """
@@ -43,27 +56,27 @@ class SpreadSettings:
 
 @dataclass(frozen=True)
 class Residuals:
-    """Predicted windows: what a spread reads, and the errors that it is to predict.
+    """Inputs of a spread for predicted windows, and the errors of the prediction.
 
     Attributes:
-        inputs: `spread_inputs`.
-        error: along and across the predicted heading, `INTERVAL` after each of them [m].
+        inputs: at each moment (`spread_inputs`).
+        error: along and across the predicted heading, `INTERVAL` after each moment [m].
     """
 
     inputs: Float[Tensor, "N K I"]
     error: Float[Tensor, "N K 2"]
 
     def take(self, index: np.ndarray) -> "Residuals":
-        """Some of the windows."""
+        """Return the residuals of some windows."""
         chosen = torch.from_numpy(index)
         return Residuals(self.inputs[chosen], self.error[chosen])
 
 
 def fit_spread(run: Run, train: Windows, validation: Windows, settings: SpreadSettings | None = None) -> Spread:
-    """The spread of a run's predictions.
+    """Fit the spread of a run's predictions.
 
-    The network learns on training windows at recorded places, from feature sets as the model drew them. Errors where
-    the model is used are larger: a factor for all scales is fitted on the map windows of validation.
+    The network is fitted to training windows at recorded places, with feature sets drawn as in the model's training.
+    Errors on maps are larger, so that a factor for all scales is fitted to validation windows with a map.
     """
     settings = settings or SpreadSettings()
     rng = np.random.default_rng(settings.seed)
@@ -82,7 +95,7 @@ def fit_spread(run: Run, train: Windows, validation: Windows, settings: SpreadSe
 def fit_network(
     spread: Spread, residuals: Residuals, rng: np.random.Generator, steps: int, batch: int, learning_rate: float
 ) -> None:
-    """Fit a spread to errors by likelihood: batches of windows, Adam, a cosine down to zero.
+    """Fit a spread to errors by likelihood, with Adam and a cosine schedule.
 
     Args:
         rng: draws the batches.
@@ -100,7 +113,7 @@ def fit_network(
 
 
 def fit_factor(spread: Spread, residuals: Residuals) -> None:
-    """Set the factor of all scales to the one under which these errors are likeliest."""
+    """Set the factor of all scales to its maximum likelihood."""
     candidates = torch.logspace(-1, 1, 201)
     losses = []
     for factor in candidates:
@@ -114,7 +127,7 @@ def _loss(spread: Spread, residuals: Residuals) -> Float[Tensor, ""]:
 
 
 def residuals_at_recorded(run: Run, windows: Windows, index: np.ndarray, rng: np.random.Generator) -> Residuals:
-    """Predictions along the recorded path, whose ground is seen as the model's training drew it."""
+    """Return residuals at recorded places, with feature sets drawn as in the model's training."""
     draw = MODELS[run.model].draw
 
     def choose(some: np.ndarray) -> FeatureSetChoice:
@@ -124,7 +137,7 @@ def residuals_at_recorded(run: Run, windows: Windows, index: np.ndarray, rng: np
 
 
 def residuals_on_maps(run: Run, windows: Windows, index: np.ndarray) -> Residuals:
-    """Predictions on the map as it was when each window started, read at predicted places."""
+    """Return residuals on the map at each window's start, read at predicted places."""
     return _joined([residuals for _, residuals in predictions_of(run, windows, index, "map")])
 
 
@@ -135,10 +148,10 @@ def predictions_of(
     lookup: Lookup,
     choose: Callable[[np.ndarray], FeatureSetChoice] | None = None,
 ) -> Iterator[tuple[Trajectory, Residuals]]:
-    """Some windows after the other: what is predicted, and what a spread reads of it.
+    """Yield predictions and residuals, part by part.
 
     Args:
-        choose: feature sets of some windows, read at recorded places; by default the windows' own.
+        choose: chooses feature sets at recorded places; None: the windows' own.
     """
     for some in track(in_parts(index, windows, lookup), f"predicting with {run.folder.name}"):
         yield _predictions_of(run.dynamics, windows, some, lookup, choose(some) if choose is not None else None)
@@ -166,3 +179,68 @@ def _residuals(dynamics: Dynamics, batch: Batch, trajectory: Trajectory, source:
 
 def _joined(parts: list[Residuals]) -> Residuals:
     return Residuals(torch.cat([part.inputs for part in parts]), torch.cat([part.error for part in parts]))
+
+
+@dataclass(frozen=True)
+class SpreadPrediction:
+    """Prediction of windows with its spread.
+
+    Attributes:
+        trajectory: predicted states and actuators, every `conventions.DT`.
+        scale: of position errors along and across the predicted heading, every `spread.INTERVAL` [m].
+        freedom: degrees of freedom of these errors.
+    """
+
+    trajectory: Trajectory
+    scale: Float[Tensor, "B K 2"]
+    freedom: float
+
+    def region(self, probability: float) -> Float[Tensor, "B K 2"]:
+        """Return half axes, along and across the heading, of the regions with a probability [m]."""
+        return self.scale * radius(probability, self.freedom)
+
+
+def predict_with_spread(run: Run, windows: Windows, lookup: Lookup = "map") -> SpreadPrediction:
+    """Predict states of windows with their spread.
+
+    Args:
+        lookup: where the ground is read (`Run.predict`).
+
+    Raises:
+        RunError: the run was trained with other features or channels than the dataset has; or its folder has no spread
+            (`offpiste calibrate` makes it), or one of other weights.
+        DatasetError: the map is asked for and a window does not start with one.
+    """
+    refuse_unfit(run, windows.dataset)
+    spread = load_spread(run)
+    parts = list(predictions_of(run, windows, np.arange(len(windows)), lookup))
+    trajectory = Trajectory(
+        torch.cat([each.state for each, _ in parts]), torch.cat([each.actuators for each, _ in parts])
+    )
+    scale = torch.cat([spread(residuals.inputs) for _, residuals in parts])
+    return SpreadPrediction(trajectory, scale, float(spread.freedom))
+
+
+def load_spread(run: Run) -> Spread:
+    """Read the spread in a run's folder.
+
+    Raises:
+        RunError: there is none, it is damaged, or it belongs to other weights.
+    """
+    path = run.folder / FILE
+    if not path.exists():
+        raise RunError("has no spread", where=run.folder, how="make it with `offpiste calibrate`")
+    tensors, _ = load_beside_weights(path)
+    with seeded(0):  # the weights are replaced
+        spread = Spread(inputs_of(run.dynamics.vehicle, run.dynamics.codes))
+    load_weights(spread, tensors, path)
+    return spread.requires_grad_(False)
+
+
+def spread_seen(run: Run) -> list[Stretch]:
+    """Return the stretches of drives that the spread in a run's folder was fitted to.
+
+    If the file does not state them, those of the run.
+    """
+    _, about = load_tensors(run.folder / FILE)
+    return msgspec.convert(about.get("seen", run.seen), list[Stretch])

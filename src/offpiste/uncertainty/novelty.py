@@ -1,4 +1,4 @@
-"""Novel ground, unlike any in training: recognised by its features, and treated as ground without any."""
+"""Novel ground, unlike any in training: detected by its features, and treated as ground without features."""
 
 import logging
 import math
@@ -22,23 +22,23 @@ from offpiste.training.run import Run
 logger = logging.getLogger(__name__)
 
 Novelty = Literal["ignored", "missing"]
-"""What novel ground is to a model: as its encoder sees it, or ground whose features are missing."""
+"""Treatment of novel ground: encoded like other ground, or as ground with missing features."""
 
 FILE: Final = "memory_bank.safetensors"
-"""In the folder of a run."""
+"""File with the memory bank, in the folder of a run."""
 
 
 @dataclass(frozen=True)
 class NoveltySettings:
-    """Which features are kept of training, and from which distance on ground is novel.
+    """Settings of the memory bank and the novelty threshold.
 
     Attributes:
-        size: cells of training whose features are kept.
-        neighbours: nearest kept features whose mean distance counts.
-        power: features are divided by their standard deviation to this power: 0 leaves them, 1 makes them all alike.
-        quantile: share of validation's cells that count as known.
-        candidates: cells of a part and feature set that are read at most.
-        seed: of the choice of the cells that are kept.
+        size: number of training cells whose features are stored.
+        neighbours: number of nearest stored features whose mean distance is used.
+        power: features are divided by their standard deviation to this power: 0 leaves them, 1 normalises them.
+        quantile: share of validation cells that count as known.
+        candidates: largest number of cells read per part and feature set.
+        seed: of the choice of stored cells.
     """
 
     size: int = 1024
@@ -50,11 +50,11 @@ class NoveltySettings:
 
 
 class MemoryBank(nn.Module):
-    """Features of training's ground, and how far from the nearest ground is still known (Roth et al., PatchCore, 2022).
+    """Features of training ground, with a distance threshold for novel ground (Roth et al., PatchCore, 2022).
 
     Args:
-        size: M, cells whose features are kept.
-        features: F of each; cells may have more (`FeatureEncoder`).
+        size: number of stored cells M.
+        features: number of features F; cells may have more (`FeatureEncoder`).
     """
 
     kept: Tensor
@@ -70,18 +70,18 @@ class MemoryBank(nn.Module):
         self.register_buffer("neighbours", torch.tensor(1))
 
     def distance(self, features: Float[Tensor, "N F"]) -> Float[Tensor, " N"]:
-        """Mean distance to the nearest kept features, scaled; NaN where a feature is."""
+        """Return the mean distance to the nearest stored features, scaled; NaN if a feature is NaN."""
         read = features[:, : len(self.scale)].to(self.scale.dtype) / self.scale
         apart = torch.cdist(read, self.kept, compute_mode="use_mm_for_euclid_dist")
         return apart.topk(int(self.neighbours), dim=1, largest=False).values.mean(dim=1)
 
     def novel(self, features: Float[Tensor, "N F"]) -> Bool[Tensor, " N"]:
-        """Whether they are further away than known ones; false where a feature is NaN."""
+        """Whether features are beyond the threshold; false if a feature is NaN."""
         return self.distance(features) > self.limit
 
 
 class NoveltyMask(FeatureEncoder):
-    """An encoder to which novel ground has no features."""
+    """Encoder that treats novel ground as ground without features."""
 
     def __init__(self, encoder: FeatureEncoder, bank: MemoryBank) -> None:
         super().__init__()
@@ -89,7 +89,7 @@ class NoveltyMask(FeatureEncoder):
         self.register_buffer("mean", encoder.mean)
 
     def forward(self, features: Float[Tensor, "M F"], valid: Bool[Tensor, " M"]) -> Float[Tensor, "M E"]:
-        """Codes of the encoder within."""
+        """Return the codes of the wrapped encoder."""
         known = valid.clone()
         known[valid] = ~self.bank.novel(features[valid])
         codes: Tensor = self.encoder(features, known)
@@ -99,10 +99,10 @@ class NoveltyMask(FeatureEncoder):
 def fit_memory_bank(
     training: Float[Tensor, "N F"], validation: Float[Tensor, "V F"], settings: NoveltySettings | None = None
 ) -> MemoryBank:
-    """Some features of training, and a limit that most of validation's are within.
+    """Choose features of training, and a threshold that most validation features are below.
 
     Raises:
-        DatasetError: either part has fewer cells than neighbours are compared.
+        DatasetError: a part has fewer cells than `neighbours`.
     """
     settings = settings or NoveltySettings()
     if min(len(training), len(validation)) < settings.neighbours:
@@ -119,10 +119,10 @@ def fit_memory_bank(
 
 
 def features_at_starts(dataset: Dataset, part: str, most: int) -> Float[Tensor, "N F"]:
-    """Features under the wheels at starts of windows, as they were seen from all distances.
+    """Return features under the wheels at the starts of windows, of all feature sets.
 
     Args:
-        most: cells of each feature set.
+        most: largest number of cells per feature set.
     """
     windows, seen = Windows(dataset, part), list[Tensor]()
     for name in FEATURE_SETS[: windows.sets]:
@@ -133,7 +133,7 @@ def features_at_starts(dataset: Dataset, part: str, most: int) -> Float[Tensor, 
 
 
 def keep_memory_bank(run: Run, dataset: Dataset, settings: NoveltySettings | None = None) -> MemoryBank:
-    """Features of the ground that a run trained on, as its folder keeps them, or chosen now and kept there."""
+    """Read the memory bank in a run's folder; if there is none, make and store it."""
     settings = settings or NoveltySettings()
     if (run.folder / FILE).exists():
         return load_memory_bank(run)
@@ -147,15 +147,15 @@ def keep_memory_bank(run: Run, dataset: Dataset, settings: NoveltySettings | Non
 
 
 def load_memory_bank(run: Run) -> MemoryBank:
-    """Features of the ground that a run trained on.
+    """Read the memory bank in a run's folder.
 
     Raises:
-        RunError: nothing is kept in its folder, or it is damaged, or it belongs to other weights.
+        RunError: there is none, it is damaged, or it belongs to other weights.
     """
     path = run.folder / FILE
     if not path.exists():
-        how = "make it with `offpiste calibrate RUN --dataset DATASET`, or ignore what is novel"
-        raise RunError("keeps no features to tell novel ground by", where=run.folder, how=how)
+        how = "make it with `offpiste calibrate RUN --dataset DATASET`, or ignore novel ground"
+        raise RunError("has no memory bank to detect novel ground", where=run.folder, how=how)
     tensors, _ = load_beside_weights(path)
     shape: Sequence[int] = tensors["kept"].shape if "kept" in tensors else (0, 0)
     bank = MemoryBank(*shape)
@@ -164,6 +164,6 @@ def load_memory_bank(run: Run) -> MemoryBank:
 
 
 def mask_novel_ground(dynamics: Dynamics, bank: MemoryBank) -> None:
-    """Let a model treat novel ground as ground without features; nothing changes where it reads none."""
+    """Make a model treat novel ground as ground without features; no effect if it reads no features."""
     if dynamics.encoder is not None:
         dynamics.encoder = NoveltyMask(dynamics.encoder, bank)

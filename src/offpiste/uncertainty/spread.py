@@ -1,13 +1,18 @@
-"""The spread of a prediction: how far its positions stray along and across the heading, grown along the rollout.
+"""Spread of a prediction: scales of its position errors along and across the heading, growing along the rollout.
 
-A network says at every 0.2 s, from what the vehicle does and what ground it is on, how fast the velocity becomes
-unsure. These variances add up to that of the velocity; errors of a velocity last, so their standard deviations add up
-to that of the position. It never shrinks, it costs next to nothing beside the rollout, and nothing in it looks ahead.
+Every 0.2 s a network maps motion and ground to the rate at which the variance of the velocity grows. Errors of the
+velocity persist, so that their standard deviations add up to that of the position. The spread never shrinks and does
+not look ahead.
+
+Errors are a bivariate Student t, whose heavy tails fit the few windows in which the vehicle slips. Standard deviations
+are those of the scale matrix, along and across the predicted heading, which share their degrees of freedom.
 """
 
+import math
 from dataclasses import dataclass, fields
 from typing import Final
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -18,27 +23,27 @@ from offpiste.core.state import Terrain, TerrainSource, Trajectory
 from offpiste.dynamics.vehicle import Vehicle
 
 EVERY: Final = 10
-"""Steps between two moments at which the spread is known."""
+"""Steps between the moments of a spread."""
 
 INTERVAL: Final = EVERY * DT
-"""Time between them [s]."""
+"""Time between the moments of a spread [s]."""
 
 MOTION: Final = ("speed", "yaw_rate", "lateral_acceleration", "slope_along", "slope_across", "unknown")
-"""Inputs beside commands and codes: speed [m/s], yaw rate [rad/s] and lateral acceleration [m/s²] without their signs,
-slopes as components of the normal (uphill positive, across without sign), and the share of wheels on unknown ground."""
+"""Inputs besides commands and codes: magnitudes of speed [m/s], yaw rate [rad/s] and lateral acceleration [m/s²];
+slopes as components of the normal (uphill positive, across as a magnitude); share of wheels on unknown ground."""
 
 LEAST_FREEDOM: Final = 2.0
-"""Degrees of freedom stay above it, so that a variance exists."""
+"""Lower bound of the degrees of freedom, so that a variance exists."""
 
 
 @dataclass(frozen=True)
 class Moments:
-    """A rollout at every `EVERY` steps from its start on.
+    """A rollout at every `EVERY` steps, from its start.
 
     Attributes:
         state: [m, rad, m/s, rad/s].
-        control: commanded from there on.
-        terrain: under the wheels there, with the model's codes.
+        control: command from each moment on.
+        terrain: under the wheels, with the model's codes.
     """
 
     state: Float[Tensor, "B K 6"]
@@ -47,15 +52,12 @@ class Moments:
 
 
 def states_at_moments(start: Float[Tensor, "B 6"], trajectory: Trajectory) -> Float[Tensor, "B K 6"]:
-    """States at which the spread's inputs are read: the start, and every `EVERY` steps after it but the last."""
+    """Return the states at the moments of a spread: the start, and every `EVERY` steps except the last."""
     return torch.cat((start[:, None], trajectory.state[:, EVERY - 1 : -1 : EVERY]), dim=1)
 
 
 def spread_inputs(vehicle: Vehicle, moments: Moments) -> Float[Tensor, "B K I"]:
-    """What the spread's network reads at every moment: `MOTION`, commands, the mean code under the wheels.
-
-    Commands that the log lacks are not read.
-    """
+    """Return the network's inputs at every moment: `MOTION`, present commands, mean code under the wheels."""
     _, _, yaw, vx, vy, yaw_rate = moments.state.unbind(dim=-1)
     known = moments.terrain.known.to(vx.dtype)
     share = known.mean(dim=-1)
@@ -73,7 +75,7 @@ def inputs_along(
     vehicle: Vehicle, start: Float[Tensor, "B 6"], trajectory: Trajectory, control: Float[Tensor, "B T U"],
     source: TerrainSource,
 ) -> Float[Tensor, "B K I"]:  # fmt: skip
-    """What the spread's network reads along a rollout.
+    """Return the network's inputs along a rollout.
 
     Args:
         start: state before the first step.
@@ -87,14 +89,11 @@ def inputs_along(
 
 
 class Spread(nn.Module):
-    """Scales and degrees of freedom of a model's errors of position (`student`).
+    """Scales and degrees of freedom of a model's position errors.
 
     Args:
-        inputs: I, how many (`inputs_of`).
+        inputs: number of inputs I (`inputs_of`).
         hidden: units of the network's layer.
-
-    Attributes:
-        hidden: as given.
     """
 
     mean: Tensor
@@ -117,21 +116,21 @@ class Spread(nn.Module):
         return LEAST_FREEDOM + functional.softplus(self.tail)
 
     def forward(self, inputs: Float[Tensor, "B K I"]) -> Float[Tensor, "B K 2"]:
-        """Scales along and across the heading, `INTERVAL` after each moment [m]."""
+        """Return scales along and across the heading, `INTERVAL` after each moment [m]."""
         return self._velocity(inputs).cumsum(dim=1) * INTERVAL
 
     def at_every_step(self, inputs: Float[Tensor, "B K I"]) -> Float[Tensor, "B _ 2"]:
-        """The same after every step [m], `EVERY` to a moment."""
+        """Return scales after every step, `EVERY` per moment [m]."""
         return self._velocity(inputs).repeat_interleave(EVERY, dim=1).cumsum(dim=1) * DT
 
     def _velocity(self, inputs: Float[Tensor, "B K I"]) -> Float[Tensor, "B K 2"]:
-        """Scales of the velocity during the interval after each moment [m/s]."""
+        """Return scales of the velocity in the interval after each moment [m/s]."""
         rate = functional.softplus(self.layers((inputs - self.mean) / self.deviation))  # m/s^1.5
         begin = functional.softplus(self.start).square()
         return self.factor * (begin + rate.square().cumsum(dim=1) * INTERVAL).sqrt()
 
     def standardise_on(self, inputs: Float[Tensor, "B K I"]) -> None:
-        """Take mean and deviation of training inputs; one that hardly varies keeps its unit."""
+        """Store mean and deviation of training inputs; an input that hardly varies is not scaled."""
         flat = inputs.flatten(0, 1).double()
         deviation = flat.std(dim=0)
         self.mean.copy_(flat.mean(dim=0))
@@ -139,7 +138,7 @@ class Spread(nn.Module):
 
 
 def inputs_of(vehicle: Vehicle, codes: int) -> int:
-    """How many inputs the spread of a vehicle's model has.
+    """Return the number of inputs for a vehicle.
 
     Args:
         codes: length of the model's code.
@@ -148,9 +147,36 @@ def inputs_of(vehicle: Vehicle, codes: int) -> int:
 
 
 def errors_in_heading(predicted: Float[Tensor, "B T 6"], target: Float[Tensor, "B T 6"]) -> Float[Tensor, "B K 2"]:
-    """Errors of position along and across the predicted heading, every `INTERVAL` [m]."""
+    """Return position errors along and across the predicted heading, every `INTERVAL` [m]."""
     at = slice(EVERY - 1, HORIZON_STEPS, EVERY)
     yaw, difference = predicted[:, at, 2], (target - predicted)[:, at, :2]
     cos, sin = torch.cos(yaw), torch.sin(yaw)
     x, y = difference.unbind(dim=-1)
     return torch.stack((cos * x + sin * y, cos * y - sin * x), dim=-1)
+
+
+def squared_distance(error: Float[Tensor, "*B 2"], scale: Float[Tensor, "*B 2"]) -> Float[Tensor, "*B"]:
+    """Squared distance of an error from zero, in units of the scales.
+
+    Args:
+        error, scale: along and across [m].
+    """
+    return (error / scale).square().sum(dim=-1)
+
+
+def negative_log_likelihood(
+    error: Float[Tensor, "*B 2"], scale: Float[Tensor, "*B 2"], freedom: Float[Tensor, ""]
+) -> Float[Tensor, "*B"]:
+    """Negative log-likelihood of errors under a bivariate t with `freedom` > 0 degrees of freedom."""
+    tail = (freedom / 2 + 1) * torch.log1p(squared_distance(error, scale) / freedom)
+    return math.log(2 * math.pi) + scale.log().sum(dim=-1) + tail
+
+
+def probability_within(squared: Float[np.ndarray, "*B"], freedom: float) -> Float[np.ndarray, "*B"]:
+    """Probability of the region up to a squared distance from zero."""
+    return np.asarray(1 - (1 + squared / freedom) ** (-freedom / 2))
+
+
+def radius(probability: float, freedom: float) -> float:
+    """Radius of the region with a probability, in units of the scales."""
+    return math.sqrt(freedom * ((1 - probability) ** (-2 / freedom) - 1))

@@ -15,7 +15,7 @@ from offpiste.evaluation.box_plots import RECORDED
 from offpiste.report.figure import BLUE, plain, write_png
 from offpiste.training.run import load_run, refuse_unfit
 from offpiste.uncertainty.calibration import AT, NOMINAL
-from offpiste.uncertainty.prediction import SpreadPrediction, predict_with_spread
+from offpiste.uncertainty.fit import SpreadPrediction, predict_with_spread
 from offpiste.uncertainty.spread import EVERY
 
 PART: Final = "test"

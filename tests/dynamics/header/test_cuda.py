@@ -11,7 +11,7 @@ from offpiste.dynamics.header.recorded import recorded_text
 from offpiste.planning.caution import Caution
 from offpiste.planning.header.cost_text import plan_text
 from offpiste.training.run import pretrained
-from offpiste.uncertainty.prediction import load_spread
+from offpiste.uncertainty.fit import load_spread
 from planning_maps import situation
 
 pytestmark = needs_nvcc

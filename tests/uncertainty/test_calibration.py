@@ -19,11 +19,15 @@ from offpiste.training.checkpoint import WEIGHTS, load_json, load_tensors, save_
 from offpiste.training.config import TrainConfig
 from offpiste.training.run import Run, load_run
 from offpiste.training.train import train
-from offpiste.uncertainty.calibrate import calibrate, evaluate_kept_spreads, kept_or_fitted
-from offpiste.uncertainty.calibration import CalibrationRow, calibration_table
-from offpiste.uncertainty.fit import SpreadSettings, residuals_on_maps
+from offpiste.uncertainty.calibration import (
+    CalibrationRow,
+    calibrate,
+    calibration_table,
+    evaluate_kept_spreads,
+    kept_or_fitted,
+)
+from offpiste.uncertainty.fit import FILE, SpreadSettings, load_spread, predict_with_spread, residuals_on_maps
 from offpiste.uncertainty.novelty import features_at_starts, load_memory_bank
-from offpiste.uncertainty.prediction import FILE, load_spread, predict_with_spread
 from offpiste.visualization.predicted_regions import view_regions
 
 QUICK = SpreadSettings(windows=64, steps=20, batch=32)
