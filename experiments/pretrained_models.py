@@ -32,8 +32,9 @@ from offpiste.dataset.windows import Windows
 from offpiste.evaluation.errors import Errors
 from offpiste.evaluation.intervals import PairedDifference, Sampling, relative, summary
 from offpiste.evaluation.model_card import GroupFigures, ModelCard, write_card
-from offpiste.reproduction.gains import MAP, errors_of, evaluation_index, runs_of, same_windows
 from offpiste.reproduction.reproduce import reproduce
+from offpiste.reproduction.results import MAP, errors_of, runs_of, same_windows
+from offpiste.reproduction.runs import evaluation_windows
 from offpiste.reproduction.settings import ReproductionSettings, sized
 from offpiste.reproduction.steps import claim_folder
 from offpiste.training.checkpoint import WEIGHTS, load_json, save_json
@@ -130,7 +131,7 @@ def candidates(of: Reproduced, controls: Path, epochs: int) -> Iterator[Candidat
         epochs: of each.
     """
     windows, size, folder = Windows(of.dataset, "test"), of.size, controls / "shipped"
-    index = evaluation_index(windows, MAP, size.stride)
+    index = evaluation_windows(windows, MAP, size.stride)
     truth = true_ground(of, controls / "oracle")
     true_windows = Windows(truth, "test")
     there = same_windows(windows, index, true_windows)
@@ -165,7 +166,7 @@ def validation_loss(folder: Path) -> float:
 def groups_of(of: Reproduced) -> Iterator[tuple[str, Bool[np.ndarray, " n"]]]:
     """Names of groups of the evaluated windows, and which windows are in each: all, by speed, by kind of world."""
     windows = Windows(of.dataset, "test")
-    index = evaluation_index(windows, MAP, of.size.stride)
+    index = evaluation_windows(windows, MAP, of.size.stride)
     yield "all", np.ones(len(index), bool)
     yield from strata(windows, index).items()
 

@@ -33,7 +33,8 @@ from offpiste.dataset.windows import Windows
 from offpiste.evaluation.evaluated_windows import EvaluatedWindows
 from offpiste.evaluation.intervals import Sampling
 from offpiste.logs.ground_truth import GROUND_KINDS
-from offpiste.reproduction.gains import MAP, evaluation_index
+from offpiste.reproduction.results import MAP
+from offpiste.reproduction.runs import evaluation_windows
 from offpiste.reproduction.steps import claim_folder
 from offpiste.training.run import Run
 from offpiste.uncertainty.calibration import (
@@ -94,7 +95,7 @@ class UnseenKinds:
         refuse_unlike(of.dataset, truth)
         kinds = [kinds_under_wheels(drive) for drive in truth.drives]
         windows = Windows(of.dataset, "test")
-        index = evaluation_index(windows, MAP, of.size.stride)
+        index = evaluation_windows(windows, MAP, of.size.stride)
         share = share_on_kinds(windows, index, kinds)
         knowing = of.runs(self.model)[self.seed]
         rows = list[CalibrationRow]()

@@ -27,7 +27,8 @@ from offpiste.dynamics import MODELS
 from offpiste.evaluation.errors import SeededErrors
 from offpiste.evaluation.intervals import PairedDifference, Resampling, Sampling, relative
 from offpiste.report.text_table import TextTable, interval, number
-from offpiste.reproduction.gains import MAP, errors_of, evaluation_index, runs_of, same_windows
+from offpiste.reproduction.results import MAP, errors_of, runs_of, same_windows
+from offpiste.reproduction.runs import evaluation_windows
 from offpiste.training.config import TrainConfig
 from offpiste.training.run import Run
 
@@ -91,7 +92,7 @@ def curve_control(of: Reproduced, out: Path, curve: Curve, seeds: int) -> Path:
     """
     claim_settings(out / "curve", {"seed": curve.seed})
     windows = Windows(of.dataset, "test")
-    index = evaluation_index(windows, MAP, of.size.stride)
+    index = evaluation_windows(windows, MAP, of.size.stride)
     truth = true_ground(of, out / "oracle") if curve.oracle else None
     whole = hours_of(of.dataset)
     errors: dict[tuple[str, float], SeededErrors] = {}

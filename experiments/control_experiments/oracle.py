@@ -15,17 +15,17 @@ from offpiste.evaluation.errors import Errors
 from offpiste.evaluation.evaluate import Reading
 from offpiste.evaluation.intervals import Sampling
 from offpiste.report.text_table import TextTable
-from offpiste.reproduction.gains import (
+from offpiste.reproduction.results import (
     HINDSIGHT,
     MAP,
     errors_of,
-    evaluation_index,
     gain,
     gain_table,
     runs_of,
     same_windows,
     share,
 )
+from offpiste.reproduction.runs import evaluation_windows
 
 ABOUT = (
     "The oracle is df on the true friction, cornering stiffness, rolling resistance and sinkage drag; its baseline is "
@@ -49,7 +49,7 @@ def oracle_control(of: Reproduced, out: Path, seeds: int) -> Path:
     gains, lines = [], []
     oracle: dict[tuple[str, Reading], list[Errors]] = {}
     for reading in [MAP, *(("recorded", name) for name in FEATURE_SETS)]:
-        index = evaluation_index(windows, reading, stride)
+        index = evaluation_windows(windows, reading, stride)
         there, of_truth = same_windows(windows, index, true_windows), MAP if reading == MAP else HINDSIGHT
         if ("b", of_truth) not in oracle:
             for model, runs in knowing.items():

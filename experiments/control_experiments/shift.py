@@ -5,7 +5,7 @@ from pathlib import Path
 
 from experiments.control_experiments.reproduced import Reproduced
 from experiments.control_experiments.tables import percent, write_control
-from offpiste.reproduction.gains import gain_table
+from offpiste.reproduction.results import gain_table
 from offpiste.reproduction.shift import shift_gains
 
 logger = logging.getLogger("experiments")

@@ -12,8 +12,8 @@ from offpiste.dataset.windows import Windows
 from offpiste.evaluation.errors import Errors, load_errors, save_errors
 from offpiste.evaluation.evaluate import Reading
 from offpiste.evaluation.evaluated_windows import EvaluatedWindows, members
-from offpiste.reproduction.gains import HINDSIGHT, MAP, Gain, evaluation_index, gain, gain_table
-from offpiste.reproduction.runs import errors_of_runs, errors_path
+from offpiste.reproduction.results import HINDSIGHT, MAP, Gain, gain, gain_table
+from offpiste.reproduction.runs import errors_of_runs, errors_path, evaluation_windows
 
 ABOUT = "Baseline b; below 0: better than b. By speed, world and seed: on the map as it was, read at predicted places."
 READINGS: tuple[Reading, ...] = (MAP, *(("recorded", name) for name in ("10", "20", "30")), HINDSIGHT)
@@ -23,7 +23,7 @@ def strata_control(of: Reproduced, out: Path) -> Path:
     """Compare the reproduction's runs of `dc` and `b`; errors that they lack are kept beside them."""
     windows, gains = Windows(of.dataset, "test"), list[Gain]()
     for reading in READINGS:
-        index = evaluation_index(windows, reading, of.size.stride)
+        index = evaluation_windows(windows, reading, of.size.stride)
         errors = _errors(of, ("b", "dc"), windows, index, reading)
         gains.append(gain("", "dc", errors["dc"], errors["b"], reading))
         if reading != MAP:

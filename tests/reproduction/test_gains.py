@@ -11,7 +11,7 @@ from experiments.control_experiments.tables import write_control
 from offpiste.evaluation.errors import Errors
 from offpiste.evaluation.intervals import PairedDifference, Sampling
 from offpiste.report.text_table import TextTable
-from offpiste.reproduction.gains import MAP, gain, gain_table, runs_of, share
+from offpiste.reproduction.results import MAP, gain, gain_table, runs_of, share
 from window_errors import BASE, ROW, errors
 
 

@@ -13,7 +13,8 @@ from offpiste.core.errors import RunError
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics import MODELS
-from offpiste.reproduction.gains import HINDSIGHT, MAP, errors_of, evaluation_index, same_windows
+from offpiste.reproduction.results import HINDSIGHT, MAP, errors_of, same_windows
+from offpiste.reproduction.runs import evaluation_windows
 from offpiste.reproduction.shift import ShiftedMap, other_ground, shift_gains, shifted
 from offpiste.training.config import TrainConfig
 from offpiste.training.prediction import encoded, map_terrain, on_map
@@ -83,7 +84,7 @@ def test_windows_without_ground_so_far_away_are_left_out_of_all_that_is_compared
     dataset = dataset_with_features(tmp_path / "dataset.zarr", rows=6000, yaw_rate=0.025)  # half a round
     runs = {model: [untrained(dataset, model, tmp_path / f"{model}-0")] for model in ("b", "df")}
     windows = Windows(dataset, "test")
-    mine = evaluation_index(windows, MAP, 25)
+    mine = evaluation_windows(windows, MAP, 25)
     place, every = windows.places(mine).numpy(), windows.places(np.arange(len(windows))).numpy()
     apart = np.hypot(*(place[:, None] - every).transpose(2, 0, 1)).max(axis=1)
     metres = 0.8 * apart.max()

@@ -1,4 +1,4 @@
-"""Simulated drives, and the dataset of a reproduction made from them; or an existing dataset that is fit for it."""
+"""Dataset of a reproduction: simulated and extracted, or an existing one after a check."""
 
 import math
 from collections.abc import Iterator
@@ -29,10 +29,10 @@ from offpiste.simulation.world.world import WorldSettings
 
 @dataclass(frozen=True)
 class PlannedDrive:
-    """A drive to be simulated.
+    """Drive to simulate.
 
     Attributes:
-        part: of the split; empty where each drive is cut into all parts.
+        part: of the split; empty if each drive is cut into all parts.
     """
 
     settings: DriveSettings
@@ -45,20 +45,20 @@ class PlannedDrive:
 
 
 MIX = {"mojave": 0.64, "halter-ranch": 0.28, "dunes": 0.04, "coastal-scrub": 0.04}
-"""Shares of the driving time by world (paper, section VI)."""
+"""Share of the driving time by world (paper, section VI)."""
 
 BLOCKS = "blocks:0.7,0.1,0.2"
-"""Split where training and test come from the same logs."""
+"""Split with training and test in the same logs."""
 
 SHORTEST_CUT = 2 * GAP * DT / 0.1 + 5.0
-"""Least length of a drive that is cut, so that its validation stretch holds two windows [s]."""
+"""Smallest length of a drive that is cut, so that its validation part holds two windows [s]."""
 
 
 def planned_drives(size: Size, *, same_logs: bool = False, contrast: float = 1.0) -> list[PlannedDrive]:
-    """Plan of all drives; no two have the same seed.
+    """Plan all drives, each with its own seed.
 
     Args:
-        same_logs: whether training and test come from the same logs.
+        same_logs: whether training and test share logs.
         contrast: grip contrast of the worlds.
     """
     seeds = count(size.first_seed)
@@ -72,12 +72,12 @@ def planned_drives(size: Size, *, same_logs: bool = False, contrast: float = 1.0
 
 
 def seconds_of(drives: list[PlannedDrive]) -> float:
-    """Length of all drives together [s]."""
+    """Return the total length of drives [s]."""
     return sum(drive.settings.seconds for drive in drives)
 
 
 def _shared(total: float, shortest: float, longest: float) -> Iterator[tuple[str, float]]:
-    """World and length of each drive [s]."""
+    """Yield world and length [s] of each drive."""
     for world, share in MIX.items():
         mine = max(share * total, shortest)
         number = max(1, min(math.ceil(mine / longest), math.floor(mine / shortest)))
@@ -86,7 +86,7 @@ def _shared(total: float, shortest: float, longest: float) -> Iterator[tuple[str
 
 
 def drive_settings(size: Size, world: str, seed: int, seconds: float, contrast: float) -> DriveSettings:
-    """Settings of a drive of a reproduction of some size.
+    """Return the settings of a drive.
 
     Args:
         world: preset.
@@ -98,19 +98,19 @@ def drive_settings(size: Size, world: str, seed: int, seconds: float, contrast: 
 
 
 def rig_of(size: Size) -> Rig:
-    """The rig of the simulated drives."""
+    """Return the rig of the simulated drives."""
     return load_rig("proving_ground_gear" if size.manoeuvres else "proving_ground")
 
 
 def expected_features(settings: ReproductionSettings) -> int:
-    """Number of features that the dataset has, or will have at most."""
+    """Return the number of features of the dataset, or its upper bound before the dataset exists."""
     if settings.dataset is not None:
         return len(open_dataset(settings.dataset).features)
     return min(max(PCA_SWEPT), open_backbone(settings.backbone, device=settings.device).channels)
 
 
 def data_steps(settings: ReproductionSettings) -> list[Step]:
-    """Steps that make the dataset; none where one is given."""
+    """Return the steps that make the dataset; none if one is given."""
     if settings.dataset is not None:
         return []
     drives = planned_drives(settings.size, same_logs=settings.split == "blocks", contrast=settings.contrast)
@@ -148,7 +148,7 @@ def _extracting(settings: ReproductionSettings, drives: list[PlannedDrive], pca:
 
 
 def _portion(settings: ReproductionSettings, drives: list[PlannedDrive], pca: Path, number: int, of: int) -> Step:
-    """Simulates and extracts the shard `number` of the drives, the true ground as well, and removes its logs."""
+    """Return the step that simulates and extracts a shard of the drives with its true ground, and removes its logs."""
     mine = sorted(drives, key=lambda drive: drive.name)[number - 1 :: of]
 
     def do() -> None:
@@ -168,15 +168,15 @@ def _processes(settings: ReproductionSettings, drives: list[PlannedDrive]) -> in
 
 
 def opened(settings: ReproductionSettings) -> Dataset:
-    """The dataset, whose windows start at the speeds of the size."""
+    """Open the dataset, with windows that start at the speeds of the size."""
     return open_dataset(settings.data).starting_above(settings.size.train.min_speed)
 
 
 def open_checked(settings: ReproductionSettings) -> Dataset:
-    """The dataset, checked that models can be trained and evaluated on it.
+    """Open the dataset and check that models can be trained and evaluated on it.
 
     Raises:
-        DatasetError: none there, or one without visual features by distance, with one drive, or too short.
+        DatasetError: no dataset, no visual features by distance, a single drive, or too short.
     """
     dataset = opened(settings)
     cells = [drive.rows.cells for drive in dataset.drives]
@@ -201,7 +201,7 @@ def open_checked(settings: ReproductionSettings) -> Dataset:
 
 
 def _missing(settings: ReproductionSettings, drives: list[PlannedDrive]) -> list[PlannedDrive]:
-    """Drives without a log that are not in the dataset either."""
+    """Return drives that have neither a log nor rows in the dataset."""
     there = _there(settings)
     return [d for d, log in zip(drives, _logs(settings, drives), strict=True) if not (log.exists() or d.name in there)]
 
@@ -248,7 +248,7 @@ def _extract(
 
 
 def _extract_truth(settings: ReproductionSettings, drives: list[PlannedDrive], shard: tuple[int, int]) -> None:
-    """The true ground under the wheels of the same drives: what an oracle reads, once the logs are gone."""
+    """Extract the true ground under the wheels, for an oracle, before the logs are removed."""
     make_dataset(
         _logs(settings, drives),
         rig_of(settings.size),
@@ -267,7 +267,7 @@ def _extracted(settings: ReproductionSettings, drives: list[PlannedDrive]) -> bo
 
 
 def _there(settings: ReproductionSettings) -> set[str]:
-    """Names of the drives that are extracted, with the true ground where that is kept."""
+    """Return the names of extracted drives, with their true ground if it is kept."""
     datasets = [settings.data, settings.truth] if settings.size.portion else [settings.data]
     return set.intersection(*(set(drive_names(path)) if path.exists() else set() for path in datasets))
 
@@ -283,7 +283,7 @@ def _split(settings: ReproductionSettings, drives: list[PlannedDrive]) -> str:
 
 
 def _of_pca(drives: list[PlannedDrive], most: int) -> list[PlannedDrive]:
-    """The first training drives of each world."""
+    """Return the first training drives of each world."""
     by_world: dict[str, list[PlannedDrive]] = {}
     for drive in drives:
         if drive.part in ("", "train"):

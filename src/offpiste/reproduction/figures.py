@@ -1,4 +1,4 @@
-"""The paper's figures 3 and 4 in its form, and ten windows predicted with features of every set."""
+"""The paper's figures 3 and 4, and ten windows predicted with features of every set."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -15,9 +15,8 @@ from offpiste.dynamics import Dynamics
 from offpiste.evaluation.box_plots import grouped_box_plot, whisker_top
 from offpiste.evaluation.errors import in_start_frame, trajectories
 from offpiste.evaluation.evaluate import Reading
-from offpiste.reproduction.results import FigureResults
+from offpiste.reproduction.results import HINDSIGHT, MAP, FigureResults
 from offpiste.reproduction.settings import FigureModel, compression_sizes, feature_numbers, standard_model
-from offpiste.reproduction.tables import HINDSIGHT, MAP
 
 CAPTION = (
     "Boxes: quartiles; whiskers: last value within 1.5 IQR, given by the values with arrows; green: median; orange: "
@@ -26,7 +25,7 @@ CAPTION = (
 
 
 def fig3(results: FigureResults, stored: int) -> dict[str, Figure]:
-    """Figures 3a, 3b and 3c: compression type and size, number of features; at recorded places and on the map."""
+    """Draw figures 3a, 3b and 3c (compression, code length, number of features), at recorded places and on the map."""
     named: dict[str, dict[str, FigureModel]] = {
         "a": {name.upper(): standard_model(name, stored) for name in ("b", "df", "cf")},
         "b": {f"C {n}": model for n, model in compression_sizes(stored).items()},
@@ -41,7 +40,7 @@ def fig3(results: FigureResults, stored: int) -> dict[str, Figure]:
             part: {name: {model.model: _distance(results, model, reading)} for name, model in models.items()}
             for part, models in named.items()
         }
-        top = max(whisker_top(group) for group in groups.values())  # the paper keeps the axis the same
+        top = max(whisker_top(group) for group in groups.values())  # the paper uses the same axis
         for part, group in groups.items():
             name = f"3{part}" if reading == HINDSIGHT else f"3{part} map"
             figures[name] = grouped_box_plot(group, title=f"{titles[part]}\n({where})", top=top)
@@ -49,7 +48,7 @@ def fig3(results: FigureResults, stored: int) -> dict[str, Figure]:
 
 
 def fig4(results: FigureResults) -> dict[str, Figure]:
-    """Figures 4a naive training, 4b `dc`, by the distance that features were seen from; and all of them on the map."""
+    """Draw figures 4a (naive training) and 4b (`dc`) by viewing distance, and all models on the map."""
     by_label = {model.label: model for model in results.models}
     sets = [name for name in FEATURE_SETS if ("recorded", name) in results.readings]
     groups: dict[str, dict[str, dict[str, np.ndarray]]] = {
@@ -78,11 +77,11 @@ def _distance(results: FigureResults, model: FigureModel, reading: Reading) -> n
 
 
 def caption(name: str, results: FigureResults) -> str:
-    """Text below a figure, with the numbers of drives, blocks and seeds."""
+    """Return the caption of a figure, with the numbers of drives, blocks and seeds."""
     about = {
         "3a": "B has no terrain features, DF reads features as they are, CF compresses them.",
         "3b": "CF by the length of its code; C 4 is CF.",
-        "3c": "CF by the number of features that it reads, the first ones of the PCA.",
+        "3c": "CF by the number of PCA features that it reads.",
         "4a": "DF and CF, trained on features of hindsight, B, and B trained on normals of hindsight alone as in the "
         "paper, by the distance that features and normals were seen from.",
         "4b": "DC, trained on a random distance per trajectory, and B.",
@@ -93,7 +92,7 @@ def caption(name: str, results: FigureResults) -> str:
 
 
 SHOWN = 10
-"""Number of windows."""
+"""Number of windows drawn."""
 
 
 @dataclass(frozen=True)
@@ -112,7 +111,7 @@ class SameWindows:
 
 
 def spaced_windows(windows: Windows, *, count: int = SHOWN) -> Int[np.ndarray, " n"]:
-    """Windows far apart from each other, no two of which share a row; fewer where there are not so many."""
+    """Return windows far apart, no two of which share a row; fewer if there are not enough."""
     chosen: list[int] = []
     row, apart = windows.row_in_drive(np.arange(len(windows))), HISTORY_STEPS + HORIZON_STEPS
     for i in np.linspace(0, len(windows) - 1, 20 * count).astype(int):
@@ -124,7 +123,7 @@ def spaced_windows(windows: Windows, *, count: int = SHOWN) -> Int[np.ndarray, "
 
 
 def predict_same(models: Mapping[str, Dynamics], windows: Windows) -> SameWindows:
-    """Paths of ten windows, predicted with features of every set read at recorded places."""
+    """Predict ten windows with features of every set, read at recorded places."""
     index = spaced_windows(windows)
     batch = windows.gather(index)
     yaw = batch.state[:, 2].cpu().numpy()
@@ -144,7 +143,7 @@ def predict_same(models: Mapping[str, Dynamics], windows: Windows) -> SameWindow
 
 
 def draw_same(same: SameWindows) -> Figure:
-    """Panels with a row per model and a column per window, heading up; the colour is the feature set."""
+    """Draw panels with a row per model and a column per window, heading up; the colour is the feature set."""
     labels, count = list(same.predicted), len(same.names)
     figure = Figure(figsize=(0.8 + 1.5 * count, 0.9 + 2.05 * len(labels)), dpi=110, layout="constrained")
     panels = figure.subplots(len(labels), count, squeeze=False)
@@ -152,7 +151,7 @@ def draw_same(same: SameWindows) -> Figure:
     for line, label in zip(panels, labels, strict=True):
         for number, axes in enumerate(line):
             paths = {name: path[number] for name, path in same.predicted[label].items()}
-            for name, path in reversed(paths.items()):  # hindsight lies on top
+            for name, path in reversed(paths.items()):  # hindsight on top
                 _path(axes, path, colours[name], 1.1, name if name == "hindsight" else f"{name} m")
             _path(axes, same.recorded[number], "black", 1.6, "recorded")
             axes.plot(0, 0, marker="^", color="black", markersize=5)
@@ -167,7 +166,7 @@ def draw_same(same: SameWindows) -> Figure:
 
 
 def _frame(axes: Axes, same: SameWindows, number: int) -> None:
-    """Give all panels of a window the same limits, around the recorded path, with equal scales."""
+    """Set the limits of a panel around the recorded path, the same for all models, with equal scales."""
     ahead, left = np.concatenate((np.zeros((1, 2)), same.recorded[number])).T
     tall = max(float(np.ptp(ahead)), 1.6 * float(np.ptp(left)), 6.0) * 1.35
     across, along = -(left.min() + left.max()) / 2, (ahead.min() + ahead.max()) / 2
@@ -184,6 +183,6 @@ def _path(axes: Axes, path: Float[np.ndarray, "T 2"], colour: object, width: flo
 
 
 def _colours(names: Sequence[str]) -> dict[str, object]:
-    """Colours by feature set: green for hindsight; the nearer, the darker."""
+    """Return colours by feature set: green for hindsight, else darker for nearer views."""
     scale = matplotlib.colormaps["plasma"](np.linspace(0, 0.9, max(len(names) - 1, 1)))
     return {"hindsight": "#1a7f37", **{name: tuple(c) for name, c in zip(names[1:], scale, strict=False)}}

@@ -1,4 +1,4 @@
-"""`offpiste reproduce`: drives, features, models, evaluation and report of a figure of the paper, resumable."""
+"""`offpiste reproduce`: drives, features, models, evaluation and report of a figure, in resumable steps."""
 
 import logging
 from functools import partial
@@ -19,10 +19,10 @@ REPORT_COST = 30.0
 
 
 def reproduce(settings: ReproductionSettings) -> Path:
-    """Make a figure in `settings.out`; results that are there from the same settings are used again.
+    """Make a figure in `settings.out`, reusing results of the same settings.
 
     Returns:
-        Path of report.html.
+        path of report.html.
 
     Raises:
         RunError: the folder was begun with other settings.
@@ -45,7 +45,7 @@ def reproduce(settings: ReproductionSettings) -> Path:
     def report() -> None:
         claims = write_figure(settings, data, gather(settings, chosen, chosen_readings))
         lines.extend(
-            f"{claim}: {here} (the paper: {paper}; as there: {same})" for claim, paper, here, same in claims.lines
+            f"{claim}: {here} (the paper: {paper}; agrees: {same})" for claim, paper, here, same in claims.lines
         )
 
     stages.append([Step("report", REPORT_COST, lambda: False, report)])
@@ -58,7 +58,7 @@ def reproduce(settings: ReproductionSettings) -> Path:
 
 
 def _plan(settings: ReproductionSettings, stored: int, making_data: list[Step]) -> list[Step]:
-    """Steps after the dataset, as far as they are known before it is made."""
+    """Return the steps after the dataset, as known before it exists."""
     driven = DrivenTime(*settings.size.seconds) if making_data else driven_time(open_checked(settings))
     chosen = figure_models(settings.figure, stored)
     stages = model_stages(settings, chosen, figure_readings(settings.figure, mapped=True), driven)

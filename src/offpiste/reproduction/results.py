@@ -1,36 +1,59 @@
-"""Numbers of a figure: errors with intervals, and the differences of each model to `b` on the same windows."""
+"""Errors of runs on the same windows, and the gains of models over a baseline, with intervals."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import Any, Final
 
 import msgspec
 import numpy as np
-from jaxtyping import Bool
+import torch
+from jaxtyping import Bool, Int
 
+from offpiste.core.checksums import sha256_of_folders, sha256_of_json
 from offpiste.core.conventions import HISTORY_STEPS, HORIZON_STEPS
+from offpiste.core.errors import RunError
 from offpiste.dataset.feature_sets import set_number
 from offpiste.dataset.store import Dataset
-from offpiste.evaluation.errors import HORIZONS, Errors, SeededErrors, by_seed, load_errors, pool
+from offpiste.dataset.windows import Windows
+from offpiste.evaluation.errors import (
+    HORIZONS,
+    Errors,
+    SeededErrors,
+    by_seed,
+    load_errors,
+    pool,
+    save_errors,
+    saved_errors,
+)
 from offpiste.evaluation.evaluate import Reading
-from offpiste.evaluation.intervals import Levels, PairedDifference, Sampling, relative
+from offpiste.evaluation.intervals import NO_INTERVAL, Levels, PairedDifference, Resampling, Sampling, relative
 from offpiste.evaluation.metrics import Case, LossUnits, Provenance, ResultRow, RunErrors, result_rows
-from offpiste.reproduction.runs import PART, errors_path
+from offpiste.report.text_table import TextTable, interval, number
+from offpiste.reproduction.runs import PART, errors_of_runs, errors_path
 from offpiste.reproduction.settings import BASELINE, FigureModel, ReproductionSettings
+from offpiste.training.checkpoint import sha256_of_tensors
+from offpiste.training.prediction import MapSource
+from offpiste.training.run import Run, refuse_seen
 
-SCHEMA = 2
-QUANTITIES = ("distance_error_m", "yaw_error_rad", "vx_error_mps", "vy_error_mps", "loss")
+SCHEMA: Final = 2
+"""Version of a figure's metrics.json."""
+
+MAP: Final[Reading] = ("map", None)
+HINDSIGHT: Final[Reading] = ("recorded", "hindsight")
+
+QUANTITIES: Final = ("distance_error_m", "yaw_error_rad", "vx_error_mps", "vy_error_mps", "loss")
 """Errors that are compared with the baseline's, at the last horizon; the loss is over all steps."""
 
 
 class Comparison(msgspec.Struct, frozen=True, kw_only=True):
-    """A model's mean errors relative to `b`'s, read in the same way on the same windows: -0.1 is 10 % below.
+    """Mean errors of a model relative to those of `b`, with the same lookup on the same windows: -0.1 is 10 % less.
 
     Attributes:
-        seed: of a single run, compared with the `b` of its seed; None over all.
-        seen: whether only windows count in which all wheels have features of the set all along.
+        seed: of a single run, compared with the `b` of the same seed; None: all runs.
+        seen: whether only windows with features under all wheels throughout are used.
         n: number of windows.
-        levels: numbers of drives, blocks and seeds that intervals are drawn from; None without windows.
+        levels: numbers of drives, blocks and seeds behind the intervals; None without windows.
     """
 
     model: str
@@ -45,7 +68,7 @@ class Comparison(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class FigureMetrics(msgspec.Struct, frozen=True, kw_only=True):
-    """Everything in the metrics.json of a figure."""
+    """Content of a figure's metrics.json."""
 
     schema: int = SCHEMA
     figure: str
@@ -67,7 +90,7 @@ class FigureResults:
     """Errors of all runs of a figure.
 
     Attributes:
-        runs: by model and terrain lookup, one run per seed.
+        runs: by model and terrain lookup, one per seed.
         sampling: settings of the intervals.
     """
 
@@ -81,45 +104,45 @@ class FigureResults:
 
     @property
     def models(self) -> list[FigureModel]:
-        """The models."""
+        """Models of the figure."""
         return list(dict.fromkeys(model for model, _ in self.runs))
 
     @property
     def baseline(self) -> FigureModel:
-        """The model that the others are compared with."""
+        """Model that the others are compared with."""
         return next(model for model in self.models if model.label == BASELINE)
 
     def over_seeds(self, model: FigureModel, reading: Reading) -> Errors:
-        """Errors of a model, each window's the mean over its seeds."""
+        """Return the errors of a model, averaged over its seeds."""
         return self.by_seed(model, reading).mean
 
     def by_seed(self, model: FigureModel, reading: Reading) -> SeededErrors:
-        """Errors of a model's runs."""
+        """Return the errors of a model by seed."""
         runs = self.runs[model, reading]
         return by_seed([run.errors for run in runs], [run.seed for run in runs])
 
     def levels(self, reading: Reading) -> Levels:
-        """Numbers of drives, blocks and seeds of the baseline's runs."""
+        """Return the numbers of drives, blocks and seeds of the baseline."""
         errors = self.by_seed(self.baseline, reading)
         return self.sampling.on(errors).levels(len(errors.runs))
 
     def rows(self) -> list[ResultRow]:
-        """The rows of metrics.json."""
+        """Return the rows of metrics.json."""
         return result_rows(
             {_case(model, reading): list(runs) for (model, reading), runs in self.runs.items()}, PART, self.sampling
         )
 
     def compare(self, model: FigureModel, reading: Reading, seen: Bool[np.ndarray, " n"] | None = None) -> Comparison:
-        """Comparison of a model with `b`, over all seeds.
+        """Compare a model with `b`, over all seeds.
 
         Args:
-            seen: whether each window counts; None: all do.
+            seen: windows to use; None: all.
         """
         mine, others = self.by_seed(model, reading), self.by_seed(self.baseline, reading)
         return self._compared(model, reading, mine, others, None, seen)
 
     def apart(self, first: FigureModel, second: FigureModel, readings: Sequence[Reading]) -> PairedDifference:
-        """Mean distance error of one model minus another's, relative to `b`'s; over lookups of the same windows."""
+        """Return the difference of two models' distance errors relative to that of `b`, averaged over lookups."""
         drawn = self.sampling.on(self.by_seed(self.baseline, readings[0]))
         mean, resampled = 0.0, np.zeros(len(drawn.draws))
         for reading in readings:
@@ -127,13 +150,13 @@ class FigureResults:
                 self.by_seed(model, reading).component("distance_error_m") for model in (first, second, self.baseline)
             )
             if not all(np.isfinite(errors).all() for errors in (one, other, b)):
-                return PairedDifference(np.nan, (np.nan, np.nan))
+                return PairedDifference(np.nan, NO_INTERVAL)
             mean += float((one.mean() - other.mean()) / b.mean()) / len(readings)
             resampled += (drawn.means(one) - drawn.means(other)) / drawn.means(b) / len(readings)
         return PairedDifference(mean, drawn.interval(resampled))
 
     def compare_seeds(self, model: FigureModel, reading: Reading) -> list[Comparison]:
-        """Comparison of each run of a model with the `b` of its seed."""
+        """Compare each run of a model with the `b` of the same seed."""
         mine, others = self.by_seed(model, reading), self.by_seed(self.baseline, reading)
         return [
             self._compared(model, reading, mine.of_seed(seed), others.of_seed(seed), seed, None)
@@ -151,7 +174,7 @@ class FigureResults:
         seen: Bool[np.ndarray, " n"] | None,
     ) -> Comparison:
         index = np.arange(len(mine.row)) if seen is None else np.flatnonzero(seen)
-        differences, levels = {name: PairedDifference(np.nan, (np.nan, np.nan)) for name in QUANTITIES}, None
+        differences, levels = {name: PairedDifference(np.nan, NO_INTERVAL) for name in QUANTITIES}, None
         if len(index):
             mine, others = mine.take(index), others.take(index)
             drawn = self.sampling.on(mine)
@@ -184,12 +207,10 @@ def gather(settings: ReproductionSettings, models: Sequence[FigureModel], readin
     return FigureResults(runs, Sampling())
 
 
-def last_rows(rows: Sequence[ResultRow], *, single: bool = False) -> list[ResultRow]:
-    """Rows at the last horizon: over all runs of a model, or those of single ones of several."""
+def last_rows(rows: Sequence[ResultRow]) -> list[ResultRow]:
+    """Return the rows at the last horizon, over all runs of a model."""
     at_end = [row for row in rows if row.horizon_s == HORIZONS[-1]]
     several = {row.reading_label for row in at_end if row.seed is None}
-    if single:
-        return [row for row in at_end if row.seed is not None and row.reading_label in several]
     return [row for row in at_end if row.seed is None or row.reading_label not in several]
 
 
@@ -198,11 +219,11 @@ def _case(model: FigureModel, reading: Reading) -> Case:
 
 
 def seen_throughout(dataset: Dataset, feature_set: str, windows: Errors) -> Bool[np.ndarray, " n"]:
-    """Whether each window's wheels are all on cells with features of the set, at rows t-10 ... t+249."""
+    """Return whether all wheels of each window are on cells with features of the set, at rows t-10 ... t+249."""
     throughout = np.zeros(len(windows.row), bool)
-    for number, drive in enumerate(dataset.drives):
+    for place, drive in enumerate(dataset.drives):
         cells = drive.rows.cells
-        mine = np.flatnonzero(windows.drive == number)
+        mine = np.flatnonzero(windows.drive == place)
         if cells is None or not len(mine):
             continue
         valid = cells.valid[set_number(feature_set, len(cells.valid))]
@@ -211,3 +232,153 @@ def seen_throughout(dataset: Dataset, feature_set: str, windows: Errors) -> Bool
         row = windows.row[mine]
         throughout[mine] = run[row + HORIZON_STEPS] - run[row - HISTORY_STEPS] == HORIZON_STEPS + HISTORY_STEPS
     return throughout
+
+
+class Gain(msgspec.Struct, frozen=True, kw_only=True):
+    """Gain of a model over a baseline on the same windows, as relative differences: -0.1 is 10 % less.
+
+    Attributes:
+        case: change of model, features or world.
+        model, baseline: their names.
+        n: number of windows.
+        levels: numbers of drives, blocks and seeds behind the intervals.
+        error_m, baseline_error_m: mean distance errors after 5 s.
+        distance, loss: relative differences with 95 % intervals over drives, blocks of 10 s and seeds.
+    """
+
+    case: str
+    model: str
+    baseline: str
+    lookup: str
+    feature_set: str | None
+    n: int
+    levels: Levels
+    error_m: float
+    baseline_error_m: float
+    distance: PairedDifference
+    loss: PairedDifference
+
+
+def same_windows(windows: Windows, index: Int[np.ndarray, " n"], among: Windows) -> Int[np.ndarray, " n"]:
+    """Return the indices of windows, by drive and row, in another dataset of the same drives.
+
+    Raises:
+        RunError: a window is missing.
+    """
+    numbers = [among.drive_names.index(name) if name in among.drive_names else -1 for name in windows.drive_names]
+    wanted = np.array(numbers)[windows.drive[index]].astype(np.int64) << 32 | windows.row_in_drive(index)
+    every = np.arange(len(among))
+    keys = among.drive.astype(np.int64) << 32 | among.row_in_drive(every)
+    result = np.searchsorted(keys, wanted).clip(max=len(keys) - 1)
+    if not np.array_equal(keys[result], wanted):
+        raise RunError("two datasets do not hold the same windows", how="extract both from the same logs")
+    return result
+
+
+def errors_of(
+    run: Run,
+    windows: Windows,
+    index: Int[np.ndarray, " n"],
+    reading: Reading,
+    *,
+    scale: torch.Tensor,
+    kept: Path,
+    map_source: MapSource | None = None,
+) -> Errors:
+    """Read the errors of a run from the folder `kept`; if they are missing or of other data, compute and store them.
+
+    Args:
+        scale: units of the loss, the same for all compared runs.
+        map_source: map to read with the lookup "map"; None: the windows' own.
+
+    Raises:
+        RunError: the windows are of the test part, and the run was trained or chosen on some of them.
+    """
+    if windows.part == PART:
+        refuse_seen(run, windows.dataset, PART)
+    weights = sha256_of_tensors(run.dynamics.state_dict(), {})
+    of = sha256_of_json([weights, sha256_of_folders(windows.dataset.path), scale.tolist()])[:12]
+    path = kept / run.folder.name / f"{'-'.join((*filter(None, reading), of))}.safetensors"
+
+    def compute() -> Errors:
+        return errors_of_runs([run], windows, index, reading, scale=scale, map_source=map_source)[0]
+
+    errors = saved_errors(path, compute)
+    if not (
+        np.array_equal(errors.drive, windows.drive[index]) and np.array_equal(errors.row, windows.row_in_drive(index))
+    ):
+        errors = compute()  # the stored ones are of other windows
+        save_errors(path, errors)
+    return errors
+
+
+def gain(
+    case: str, model: str, mine: Sequence[Errors], others: Sequence[Errors], reading: Reading, *, baseline: str = "b"
+) -> Gain:
+    """Compare a model with a baseline over the model's seeds; runs of both are in the order of their seeds."""
+    one, other = runs_of(mine), runs_of(others[: len(mine)])
+    drawn = Sampling().on(one)
+    return Gain(
+        case=case,
+        model=model,
+        baseline=baseline,
+        lookup=str(reading[0]),
+        feature_set=reading[1],
+        n=len(one.row),
+        levels=drawn.levels(len(mine)),
+        error_m=float(one.distance().mean()),
+        baseline_error_m=float(other.distance().mean()),
+        distance=relative(one.distance(), other.distance(), drawn),
+        loss=relative(one.loss, other.loss, drawn),
+    )
+
+
+def runs_of(errors: Sequence[Errors]) -> SeededErrors:
+    """Return the errors of a model's runs, given in the order of their seeds."""
+    return by_seed([pool([each]) for each in errors], range(len(errors)))
+
+
+def share(
+    mine: SeededErrors, base: SeededErrors, oracle: SeededErrors, oracle_base: SeededErrors, drawn: Resampling
+) -> PairedDifference:
+    """Share of an oracle's relative gain in distance that a model reaches: (1 - mine/base) / (1 - oracle/oracle_base).
+
+    Each gain is over a baseline with the same normals, on the same windows in the same order. NaN if the interval of
+    the oracle's gain includes zero.
+    """
+    values = [errors.distance() for errors in (mine, base, oracle, oracle_base)]
+    if not all(np.isfinite(value).all() for value in values):
+        return PairedDifference(np.nan, NO_INTERVAL)
+    a, b, c, d = (drawn.means(value) for value in values)
+    if not drawn.interval(1 - c / d)[0] > 0:
+        return PairedDifference(np.nan, NO_INTERVAL)
+    m, n, o, p = (value.mean() for value in values)
+    return PairedDifference(float((1 - m / n) / (1 - o / p)), drawn.interval((1 - a / b) / (1 - c / d)))
+
+
+def gain_table(title: str, gains: Sequence[Gain], about: str) -> TextTable:
+    """Return a table with a line per gain."""
+    lines = [
+        (
+            f"{g.model}, {g.case}" if g.case else g.model,
+            " ".join(filter(None, (g.lookup, g.feature_set))),
+            number(g.error_m),
+            number(g.baseline_error_m),
+            percent(g.distance),
+            percent(g.loss),
+            f"{g.n}",
+            g.levels.text(),
+        )
+        for g in gains
+    ]
+    names = ("model", "lookup", "error [m]", "baseline [m]", "distance error", "loss", "windows", "intervals over")
+    caveats = [caveat for caveat in dict.fromkeys(g.levels.caveat for g in gains) if caveat]
+    return TextTable(title, names, tuple(lines), " ".join((about, *caveats)))
+
+
+def percent(difference: PairedDifference) -> str:
+    """Format a relative difference and its interval in percent."""
+    if not np.isfinite(difference.mean):
+        return "–"
+    low, high = difference.ci95
+    return f"{100 * difference.mean:+.1f} % {interval((100 * low, 100 * high), 1)}"

@@ -1,4 +1,4 @@
-"""Training and evaluation of a figure's models: a step a run and a step a terrain lookup, shared by both figures."""
+"""Training and evaluation of a figure's models: a step per run and a step per terrain lookup."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,16 +23,16 @@ from offpiste.reproduction.steps import Step
 from offpiste.training.checkpoint import SHARED_STAGES
 from offpiste.training.distributed import ALONE
 from offpiste.training.losses import MapLoss, map_loss
-from offpiste.training.prediction import MapSource, on_map
+from offpiste.training.prediction import MapSource
 from offpiste.training.run import Run, best_epochs, load_run, refuse_seen
 from offpiste.training.train import train
 
 
 def reuse_stages(runs: Path, folder: Path, seed: int) -> None:
-    """Copy the stages that a run of the same seed has fitted already; folders are named NAME-SEED.
+    """Copy the stages that another run of the same seed has fitted; folders are named NAME-SEED.
 
     Args:
-        runs: folder of all runs, of one dataset and with the same settings of these stages.
+        runs: folder of all runs, on one dataset and with the same settings of these stages.
         folder: of the run.
     """
     for stage in SHARED_STAGES:
@@ -43,46 +43,27 @@ def reuse_stages(runs: Path, folder: Path, seed: int) -> None:
 
 
 PART = "test"
-"""Part of the split that models are evaluated on."""
+"""Part of the split for evaluation."""
 
 
 def figure_readings(figure: Figure, *, mapped: bool) -> list[Reading]:
-    """Terrain lookups of a figure's models: at recorded places by feature set, and on the map.
+    """Return the terrain lookups of a figure: at recorded places by feature set, and on the map.
 
     Args:
-        mapped: whether the dataset keeps maps.
+        mapped: whether the dataset has maps.
     """
     recorded: list[Reading] = [("recorded", name) for name in feature_sets(figure)]
     return recorded + ([("map", None)] if mapped else [])
 
 
 def errors_path(run: Path, reading: Reading) -> Path:
-    """Path of the errors of a run, in its own folder so that they move with it."""
+    """Return the path of the errors of a run, in its folder so that they move with it."""
     return run / "errors" / f"{'-'.join(filter(None, reading))}.safetensors"
 
 
 def evaluation_windows(windows: Windows, reading: Reading, stride: int) -> np.ndarray:
-    """Indices of the windows to evaluate: a stride apart, or those with a snapshot of the map."""
+    """Return the indices of the windows to evaluate: a stride apart, or those with a snapshot of the map."""
     return windows.evaluation_indices(stride) if reading[0] == "map" else windows.strided(stride)
-
-
-def run_errors(
-    run: Run,
-    windows: Windows,
-    index: np.ndarray,
-    reading: Reading,
-    *,
-    scale: torch.Tensor,
-    map_source: MapSource = on_map,
-) -> Errors:
-    """Errors of a run that reads the terrain in one way.
-
-    Args:
-        index: of the windows.
-        scale: of the loss, the same for all runs.
-        map_source: the map that is read, where it is not the windows' own.
-    """
-    return errors_of_runs([run], windows, index, reading, scale=scale, map_source=map_source)[0]
 
 
 def errors_of_runs(
@@ -92,9 +73,15 @@ def errors_of_runs(
     reading: Reading,
     *,
     scale: torch.Tensor,
-    map_source: MapSource = on_map,
+    map_source: MapSource | None = None,
 ) -> list[Errors]:
-    """The same of several runs, for which windows and maps are read once."""
+    """Compute the errors of runs with one terrain lookup; windows and maps are read once.
+
+    Args:
+        index: of the windows.
+        scale: units of the loss, the same for all runs.
+        map_source: map to read with the lookup "map"; None: the windows' own.
+    """
     lookup, chosen = reading
     return errors_of_models(
         [Predictor(run.dynamics, torch.tensor(run.weights.in_order())) for run in runs],
@@ -109,12 +96,12 @@ def errors_of_runs(
 
 
 def mapped(dataset: Dataset) -> bool:
-    """Whether windows of the test part have maps that can be read at predicted places."""
+    """Whether windows of the test part have maps."""
     return bool(Windows(dataset, PART).maps.any)
 
 
 WINDOW_SECONDS, READING = 0.5e-3, 1.8
-"""Rough time of the kernels per window [s], and its factor for models that read features."""
+"""Rough time of the kernels per window [s], and a factor for models that read features."""
 
 MAP_SECONDS = 0.02
 """Rough time to read a window's own map [s]."""
@@ -122,7 +109,7 @@ MAP_SECONDS = 0.02
 
 @dataclass(frozen=True)
 class DrivenTime:
-    """Seconds of driving to train, validate and test on, from which the steps' costs follow."""
+    """Seconds of driving by part, from which the cost of steps is estimated."""
 
     train: float
     validation: float
@@ -130,13 +117,13 @@ class DrivenTime:
 
 
 def driven_time(dataset: Dataset) -> DrivenTime:
-    """Seconds of driving in a dataset, by part."""
+    """Return the seconds of driving in a dataset, by part."""
     return DrivenTime(*(DT * sum(int((d.part == part).sum()) for d in dataset.drives) for part in range(len(PARTS))))
 
 
 @dataclass(frozen=True)
 class EvaluationData:
-    """Dataset, windows and loss units of an evaluation, each opened when it is first needed."""
+    """Dataset, windows and loss units of an evaluation, opened on first use."""
 
     settings: ReproductionSettings
     dataset: Dataset
@@ -148,16 +135,16 @@ class EvaluationData:
 
     @cached_property
     def scale(self) -> torch.Tensor:
-        """Units of the loss: those of the first `b`, the same for all runs."""
+        """Units of the loss of the first `b`, used for all runs."""
         return load_run(self.settings.runs / f"{BASELINE}-0").scale
 
 
 @lru_cache(maxsize=1)
 def _with_maps(settings: ReproductionSettings, start: str, version: tuple[int, ...]) -> tuple[Dataset, MapLoss | None]:
-    """The dataset and the maps of its validation windows, kept by a process for all runs that it trains.
+    """Open the dataset and the maps of its validation windows, cached for all runs that a process trains.
 
     Args:
-        version: differs where the dataset does.
+        version: changes with the dataset.
     """
     dataset = opened(settings)
     return dataset, map_loss(Windows(dataset, "validation", start=start), ALONE)
@@ -174,7 +161,7 @@ def train_run(settings: ReproductionSettings, model: FigureModel, seed: int) -> 
 
 
 def evaluate_all(settings: ReproductionSettings, runs: Sequence[Path], reading: Reading) -> None:
-    """Compute and save the errors of all runs that lack them, for one terrain lookup."""
+    """Compute and save the missing errors of runs with one terrain lookup."""
     missing = [folder for folder in runs if not errors_path(folder, reading).exists()]
     data = EvaluationData(settings, opened(settings))
     loaded = [load_run(folder, device=settings.device) for folder in missing]
@@ -188,10 +175,10 @@ def evaluate_all(settings: ReproductionSettings, runs: Sequence[Path], reading: 
 def model_stages(
     settings: ReproductionSettings, models: Sequence[FigureModel], readings: Sequence[Reading], driven: DrivenTime
 ) -> list[list[Step]]:
-    """Stages: training of the baseline, which fits what others reuse; training of the others; evaluation of all.
+    """Return the stages: training of the baseline, whose first stages others reuse; training of the others; evaluation.
 
     Args:
-        driven: seconds of driving that there are or will be.
+        driven: available seconds of driving.
     """
     first: list[Step] = []
     others: list[Step] = []
@@ -213,13 +200,13 @@ def model_stages(
             partial(_evaluated, runs, reading),
             partial(evaluate_all, settings, runs, reading),
         )
-        for reading in sorted(readings, key=lambda reading: reading[0] != "map")  # the longest one first
+        for reading in sorted(readings, key=lambda reading: reading[0] != "map")  # the longest first
     ]
     return [first, others, evaluations]
 
 
 def _kept(run: Path) -> str:
-    """The epoch that a run's network kept, in words; "" of models without a network."""
+    """Describe the best epoch of a run's network; "" for models without a network."""
     kept = best_epochs(run).get("model")
     return "" if kept is None else kept.line("network")
 
@@ -236,7 +223,7 @@ def _evaluated(runs: Sequence[Path], reading: Reading) -> bool:
 def _cost_of_training(settings: ReproductionSettings, model: FigureModel, driven: DrivenTime) -> float:
     train = settings.size.train
     windows = driven.train / DT / train.stride + driven.validation / DT / train.stride / 3
-    if model.model == BASELINE:  # the first of its seed: it fits what others reuse, and kernels are compiled
+    if model.model == BASELINE:  # fits the stages that others reuse, and compiles kernels
         return WINDOW_SECONDS * windows * (train.epochs + train.bicycle_epochs + train.actuator_epochs) + 10
     return WINDOW_SECONDS * windows * train.epochs * READING + 2
 

@@ -14,7 +14,7 @@ from offpiste.evaluation.metrics import label
 from offpiste.training.config import TrainConfig
 
 BASELINE = "b"
-"""Model that the others are compared with."""
+"""Model that others are compared with."""
 
 Figure = Literal["fig3", "fig4"]
 
@@ -26,17 +26,17 @@ class Size:
     Attributes:
         name: value of --size.
         seconds: of driving to train, validate and test on, over all worlds [s].
-        longest, shortest: of one drive [s]; a world whose share is less than `shortest` gets that much.
-        images: number of images that the PCA is fitted on.
-        pca_drives: number of drives of each world that the PCA is fitted on.
-        snapshot_seconds: least time between windows of validation and test for which the map is kept [s].
-        seeds: number of runs of every model.
-        stride: rows between windows evaluated at recorded places; on the map, those with a snapshot are evaluated.
+        longest, shortest: limits of the length of a drive [s]; each world gets at least `shortest`.
+        images: number of images for the PCA.
+        pca_drives: number of drives of each world for the PCA.
+        snapshot_seconds: smallest time between validation and test windows with a snapshot of the map [s].
+        seeds: number of runs per model.
+        stride: rows between windows evaluated at recorded places; on the map, windows with a snapshot are evaluated.
         train: settings of all trainings.
         world_size, world_resolution: extent and cell size of the worlds [m].
-        first_seed: of the worlds, which count up from it.
+        first_seed: seed of the first world; the others follow.
         manoeuvres: whether drivers also stop, crawl, reverse and drive fast, with a gear as a control.
-        portion: drives that are simulated and extracted together, and whose logs are removed then; 0: all stay.
+        portion: number of drives that are simulated and extracted together before their logs are removed; 0: keep logs.
         sensors: of the vehicle (`simulation.sensors.suite.sensor_suite`).
     """
 
@@ -119,13 +119,12 @@ SIZES = {
         train=TrainConfig(epochs=30, bicycle_epochs=5, batch=1024, stride=1),
     ),
 }
-"""Sizes by name: `smoke` takes minutes, `laptop` half an hour; `evening` and `day` have the whole range of speeds, in
-worlds that nothing else uses; `full` too, and four cameras and two LiDARs; `paper` has some 2M windows to train and
-250k to test."""
+"""Sizes by name: `smoke` takes minutes, `laptop` half an hour; `evening`, `day` and `full` have all speeds in their own
+worlds, `full` with four cameras and two LiDARs; `paper` has some 2M training and 250k test windows."""
 
 
 def sized(name: str, seconds: tuple[float, float, float] | None = None, seeds: int | None = None) -> Size:
-    """One of `SIZES`, with other lengths or another number of seeds where they are given.
+    """Return one of `SIZES`, with other lengths or number of seeds if given.
 
     Raises:
         OffpisteError: nothing to drive or train.
@@ -150,13 +149,13 @@ class ReproductionSettings:
         figure: of the paper; both share drives and runs in one folder.
         size: amount of driving, training and evaluation.
         out: folder for everything.
-        dataset: existing one with visual features; None: drives are simulated.
+        dataset: existing dataset with visual features; None: drives are simulated.
         backbone: of the visual features (`offpiste.perception.backbones.open_backbone`).
-        split: "drives": tests on drives of their own; "blocks": on stretches of the same logs, as the paper does.
+        split: "drives": test on separate drives; "blocks": test on stretches of the same logs, as in the paper.
         contrast: of grip in the simulated worlds.
-        device: on which backbone and models run.
-        processes: drives simulated or extracted, and runs trained or evaluated, at a time; 0: one per core.
-        cluster: address of a Ray cluster that simulates and extracts instead; "" for none.
+        device: of backbone and models.
+        processes: number of drives or runs processed in parallel; 0: one per core.
+        cluster: address of a Ray cluster that simulates and extracts; "": none.
     """
 
     figure: Figure
@@ -177,7 +176,7 @@ class ReproductionSettings:
 
     @property
     def truth(self) -> Path:
-        """Path of the dataset of the same drives with the true ground, where a size removes their logs."""
+        """Path of the dataset with the true ground of the same drives, for sizes that remove their logs."""
         return self.out / "truth.zarr"
 
     @property
@@ -187,7 +186,7 @@ class ReproductionSettings:
 
     @property
     def times(self) -> Path:
-        """File with the time that each step took, one line of JSON per step."""
+        """File with the duration of each step, one line of JSON per step."""
         return self.out / "steps.jsonl"
 
     @property
@@ -196,7 +195,7 @@ class ReproductionSettings:
         return at_a_time(self.processes, self.device)
 
     def described(self) -> dict[str, Any]:
-        """The settings that must be the same for results in `out` to be used again; the number of seeds may grow."""
+        """Return the settings that must stay the same to reuse results in `out`; the number of seeds may grow."""
         size = {key: value for key, value in asdict(self.size).items() if key != "seeds"}
         if self.dataset is not None:
             return {"size": size, "dataset": sha256_of_folders(self.dataset)}
@@ -210,7 +209,7 @@ class ReproductionSettings:
 
 
 def defaults() -> dict[str, Any]:
-    """Values of settings that a folder which was begun by an older version lacks."""
+    """Return the values of settings that are missing in folders of older versions."""
     return {"size": asdict(Size("", (0.0, 0.0, 0.0)))}
 
 
@@ -224,13 +223,13 @@ PCA_SWEPT = (5, 10, 20, 40, 80)
 
 @dataclass(frozen=True)
 class FigureModel:
-    """A model of a figure.
+    """Model of a figure.
 
     Attributes:
-        model: its name in `offpiste.dynamics.MODELS`.
+        model: name in `offpiste.dynamics.MODELS`.
         codes: length n of its code.
         pca: number of the dataset's features that it reads.
-        variant: what tells it from the standard one of its name; empty for that one.
+        variant: difference to the standard model of this name; empty for the standard model.
     """
 
     model: str
@@ -240,38 +239,38 @@ class FigureModel:
 
     @property
     def label(self) -> str:
-        """Name of the model, and its variant if it has one."""
+        """Name of the model, and its variant if any."""
         return label(self.model, self.variant)
 
     def folder(self, seed: int) -> str:
-        """Name of the folder of a run."""
+        """Return the name of a run's folder."""
         return "-".join((self.model, *filter(None, (self.variant.replace(" ", "-").replace("=", ""),)), str(seed)))
 
     def config(self, size: Size, seed: int, device: str) -> TrainConfig:
-        """Settings of its training."""
+        """Return the settings of its training."""
         return replace(size.train, model=self.model, codes=self.codes, pca=self.pca, seed=seed, device=device)
 
 
 def standard_model(model: str, stored: int) -> FigureModel:
-    """A model as in the paper, or with all features where the dataset has fewer."""
+    """Return a model as in the paper, with all features if the dataset has fewer."""
     return FigureModel(model, CODES, min(PCA, stored))
 
 
 def compression_sizes(stored: int) -> dict[int, FigureModel]:
-    """Models of Fig. 3b: `cf` by the length of its code."""
+    """Return the models of Fig. 3b: `cf` by the length of its code."""
     same = standard_model("cf", stored)
     return {n: same if n == CODES else replace(same, codes=n, variant=f"n={n}") for n in CODES_SWEPT}
 
 
 def feature_numbers(stored: int) -> dict[int, FigureModel]:
-    """Models of Fig. 3c: `cf` by the number of features that it reads, at most as many as the dataset stores."""
+    """Return the models of Fig. 3c: `cf` by the number of features it reads, up to those stored."""
     same = standard_model("cf", stored)
     numbers = sorted({min(n, stored) for n in PCA_SWEPT})
     return {n: same if n == same.pca else replace(same, pca=n, variant=f"pca={n}") for n in numbers}
 
 
 def figure_models(figure: Figure, stored: int) -> list[FigureModel]:
-    """The models of a figure, `b` first, each once.
+    """Return the models of a figure, each once, `b` first.
 
     Args:
         stored: number of features in the dataset.
@@ -283,5 +282,5 @@ def figure_models(figure: Figure, stored: int) -> list[FigureModel]:
 
 
 def feature_sets(figure: Figure) -> Sequence[str]:
-    """Feature sets that models read at recorded places."""
+    """Return the feature sets that models read at recorded places."""
     return FEATURE_SETS if figure == "fig4" else FEATURE_SETS[:1]

@@ -1,8 +1,7 @@
-"""Features of other ground: what is left of a gain when they are read at least 50 m away.
+"""Control with features of other ground: the gain that remains if features are read at least 50 m away.
 
-The shifted features look like those of any ground, as often missing at each distance, but say nothing of the ground
-driven on. What is left of the gain does not come from knowing the ground. Windows without ground so far away do not
-count, with any features.
+Shifted features have the same statistics but no information about the ground driven on, so that the remaining gain does
+not come from knowing the ground. Windows without ground that far away are left out.
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,26 +22,28 @@ from offpiste.dynamics import Dynamics
 from offpiste.evaluation.evaluate import Reading
 from offpiste.evaluation.intervals import MIN_UNITS, Sampling
 from offpiste.mapping.terrain_sampler import MapTerrain
-from offpiste.reproduction.gains import HINDSIGHT, MAP, Gain, errors_of, evaluation_index, gain, same_windows
-from offpiste.training.prediction import map_terrain, on_map, with_past_on
+from offpiste.reproduction.results import HINDSIGHT, MAP, Gain, errors_of, gain, same_windows
+from offpiste.reproduction.runs import evaluation_windows
+from offpiste.training.prediction import map_terrain, with_past_on
 from offpiste.training.run import Run
 
 METRES: Final = 50.0
-"""Patches of ground are 8 to 25 m long (`simulation.ground.PATCH_GRAIN`): so far on lies another one."""
+"""Smallest distance to other ground [m]; patches of ground are 8 to 25 m long (`simulation.ground.PATCH_GRAIN`)."""
 
 READINGS: Final[tuple[Reading, ...]] = (MAP, HINDSIGHT, *(("recorded", name) for name in ("10", "20", "30", "40")))
 
 SHIFTED, OWN_GROUND = "shifted", "as recorded against shifted"
-"""Cases beside "as recorded": features of other ground against `b`, and the model's own against them."""
+"""Cases besides "as recorded": shifted features against `b`, and recorded against shifted features."""
 
 
 class OtherGround(msgspec.Struct, frozen=True, kw_only=True):
-    """How far away the windows of a terrain lookup find other ground.
+    """Distance of the other ground for the windows of a terrain lookup.
 
     Attributes:
-        windows: that are evaluated; used: those that have other ground.
-        blocks: of 10 s that these lie in.
-        metres: least, median and largest distance in a straight line; NaN without any.
+        windows: number of evaluated windows.
+        used: number of windows with other ground.
+        blocks: number of blocks of 10 s with such windows.
+        metres: smallest, median and largest straight-line distance; NaN without any.
     """
 
     lookup: str
@@ -53,26 +54,26 @@ class OtherGround(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def enough(self) -> bool:
-        """Whether there are as many blocks as an interval over blocks takes."""
+        """Whether there are enough blocks for an interval."""
         return self.blocks >= MIN_UNITS
 
     def line(self, wanted: float) -> str:
-        """In words."""
+        """Return a line of text."""
         where = "on the map" if self.lookup == "map" else "at recorded places"
         used = f"{self.used} of {self.windows} windows {where} have ground at least {wanted:.0f} m away"
         if not self.enough:
-            return f"{where}: none, for only {used}, in {self.blocks} blocks of 10 s: drive farther"
+            return f"{where}: none, since only {used}, in {self.blocks} blocks of 10 s: drive farther"
         least, median, most = self.metres
         return f"{used} ({least:.0f} to {most:.0f} m, median {median:.0f} m)"
 
 
 @dataclass(frozen=True)
 class ShiftControl:
-    """Gains with features of other ground, and where it was found.
+    """Gains with features of other ground.
 
     Attributes:
         gains: for each terrain lookup and model, over `b` with features as recorded and `SHIFTED`, and of the first
-            over the second (`OWN_GROUND`); none of lookups with too few windows.
+            over the second (`OWN_GROUND`); lookups with too few windows are left out.
         ground: for each terrain lookup.
     """
 
@@ -82,11 +83,11 @@ class ShiftControl:
 
     @property
     def about(self) -> str:
-        """What the gains are, and how far away the other ground was."""
+        """Description of the gains and the distance of the other ground."""
         return (
             f"As recorded, and with features of ground at least {self.metres:.0f} m away on the driven path, ahead or "
-            "else behind (normals stay). 95 % intervals; baseline b, or the model itself with the shifted features. On "
-            "the map, features come from the map of the window that starts there, laid where this one's is. "
+            "else behind (normals stay). 95 % intervals; baseline b, or the model itself with shifted features. On the "
+            "map, features come from the map of the window that starts there, aligned with this window's start. "
             f"{'; '.join(one.line(self.metres) for one in self.ground)}."
         )
 
@@ -100,20 +101,20 @@ def shift_gains(
     kept: Path,
     metres: float = METRES,
 ) -> ShiftControl:
-    """Gains over `b` with features as recorded and from elsewhere, on the map and at recorded places of the test part.
+    """Compute gains over `b` with recorded and shifted features, on the map and at recorded places of the test part.
 
     Args:
         runs: of `b` and of models that read features.
-        stride: of the windows at recorded places [rows].
-        scale: of the loss.
+        stride: rows between windows at recorded places.
+        scale: units of the loss.
         kept: folder of the errors.
-        metres: least distance of the other ground, in a straight line [m].
+        metres: smallest straight-line distance of the other ground [m].
     """
     windows, elsewhere = Windows(dataset, "test"), Windows(shifted(dataset, metres), "test")
     gains: list[Gain] = []
     ground: dict[str, OtherGround] = {}
     for reading in READINGS:
-        index = evaluation_index(windows, reading, stride)
+        index = evaluation_windows(windows, reading, stride)
         if reading == MAP and not (len(index) and windows.maps.any):
             continue
         moved_map = ShiftedMap(windows, metres) if reading == MAP else None
@@ -124,13 +125,13 @@ def shift_gains(
         if not ground[lookup].enough:
             continue
         blind = [errors_of(run, windows, index, reading, scale=scale, kept=kept).take(far) for run in runs["b"]]
-        other, source = (windows, moved_map) if moved_map else (elsewhere, on_map)
+        other = windows if moved_map else elsewhere
         there, folder = same_windows(windows, index[far], other), kept / "other ground"
         for model in (name for name in runs if name != "b"):
             mine, moved = (
                 [errors_of(run, windows, index, reading, scale=scale, kept=kept).take(far) for run in runs[model]],
                 [
-                    errors_of(run, other, there, reading, scale=scale, kept=folder, map_source=source)
+                    errors_of(run, other, there, reading, scale=scale, kept=folder, map_source=moved_map)
                     for run in runs[model]
                 ],
             )
@@ -158,8 +159,8 @@ def _described(
 
 
 def shifted(dataset: Dataset, metres: float) -> Dataset:
-    """The dataset with the features of each row those of ground so far away; without any where there is none."""
-    # Windows are selected by their own ground, before, on the dataset itself.
+    """Return the dataset with the features of ground that far away in each row; missing where there is none."""
+    # Windows are selected on the dataset itself.
     return replace(dataset, drives=tuple(_shifted(drive, metres) for drive in dataset.drives), min_hindsight=0.0)
 
 
@@ -172,9 +173,9 @@ def _shifted(drive: StoredDrive, metres: float) -> StoredDrive:
 
 
 def other_ground(position: Float[np.ndarray, "N 2"], metres: float) -> Int[np.ndarray, " N"]:
-    """For each row, the first one ahead that lies so far away, in a straight line; else the last such one before.
+    """Return for each row the first row ahead at that straight-line distance, else the last one behind.
 
-    -1 where there is neither, or no position.
+    -1 if there is neither, or no position.
     """
     known = np.flatnonzero(np.isfinite(position).all(axis=1))
     path = position[known].astype(np.float64)
@@ -186,7 +187,7 @@ def other_ground(position: Float[np.ndarray, "N 2"], metres: float) -> Int[np.nd
 
 
 def _first_ahead(path: Float[np.ndarray, "N 2"], metres: float) -> Int[np.ndarray, " N"]:
-    """By sphere tracing: what lies `d` m too near is followed by nothing far enough within `d` m of path."""
+    """Sphere tracing: no point within the missing distance along the path can be far enough."""
     along = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))))
     result = np.full(len(path), -1)
     row = at = np.arange(len(path))
@@ -200,7 +201,7 @@ def _first_ahead(path: Float[np.ndarray, "N 2"], metres: float) -> Int[np.ndarra
 
 
 def away_along(windows: Windows, index: Int[np.ndarray, " n"], metres: float) -> Float[np.ndarray, " n"]:
-    """How far from their own the ground lies that `shifted` gives the starts of windows; NaN if a row has none [m]."""
+    """Return the distance of the ground that `shifted` gives the starts of windows [m]; NaN if a row has none."""
     result, span = np.full(len(index), np.nan), np.arange(-HISTORY_STEPS, windows.horizon)
     for number in np.unique(windows.drive[index]):
         position = windows.dataset.drives[number].rows.state[:, :2].astype(np.float64)
@@ -212,11 +213,11 @@ def away_along(windows: Windows, index: Int[np.ndarray, " n"], metres: float) ->
 
 
 class ShiftedMap:
-    """The ground of windows with the features of other windows' maps, for `training.prediction.predict`.
+    """Map source (`training.prediction.MapSource`) with the features of other windows' maps.
 
     Args:
-        windows: that have maps.
-        metres: at least so far away the other window starts (`other_ground`): snapshots are some metres apart.
+        windows: with maps.
+        metres: smallest distance of the other window's start (`other_ground`).
     """
 
     def __init__(self, windows: Windows, metres: float) -> None:
@@ -228,7 +229,7 @@ class ShiftedMap:
             self._other[mine] = np.where(other >= 0, mine[other], -1)
 
     def away(self, index: Int[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-        """How far away the other windows start [m]; NaN where there is none."""
+        """Return the distance of the other windows' starts [m]; NaN if there is none."""
         other = self._other[index]
         there, here = (self._windows.places(each).cpu().numpy() for each in (other, index))
         return np.where(other >= 0, np.hypot(*(there - here).T), np.nan)
@@ -236,12 +237,9 @@ class ShiftedMap:
     def __call__(
         self, dynamics: Dynamics, windows: Windows, index: Int[np.ndarray, " B"], batch: Batch
     ) -> tuple[Batch, TerrainSource]:
-        """The batch and its ground; features are read where the other window's map has what lies likewise ahead.
-
-        Models that hold the features of the start read them along the path here.
-        """
+        """Return the batch and its ground, with features from the same relative place of the other window's map."""
         other = self._other[index]
-        assert (other >= 0).all(), "windows without other ground are left out before"
+        assert (other >= 0).all(), "windows without other ground"
         start = windows.gather(other).state
         source = _OtherFeatures(
             map_terrain(dynamics, windows, index),
@@ -254,7 +252,7 @@ class ShiftedMap:
 
 @dataclass(frozen=True)
 class _OtherFeatures:
-    """Normals of one map; features of another, which lies turned and moved so that the windows' starts fall together.
+    """Normals of one map with features of another, aligned so that the windows' starts coincide.
 
     Attributes:
         start, other_start: px, py [m], yaw [rad] of the windows' starts, each in its own frame.

@@ -1,4 +1,4 @@
-"""Long experiments as resumable steps: each is done whole and once, and the log says how much time is left."""
+"""Resumable steps of long experiments, with an estimate of the time left."""
 
 import io
 import json
@@ -28,12 +28,12 @@ def claim_folder(
     """Write the settings of an experiment to `out/settings.json`, or check that they are the same.
 
     Args:
-        defaults: values of settings that a folder from before there were such may lack.
-        own: patterns of files, one of which a folder that is not empty holds.
+        defaults: values of settings that older folders may lack.
+        own: patterns of files; a non-empty folder must hold one of them.
 
     Raises:
         RunError: the folder was begun with other settings.
-        OffpisteError: it is a file, or holds something else.
+        OffpisteError: it is a file, or holds other files.
     """
     check_folder(out, own=own)
     path, wanted = out / "settings.json", json.loads(json.dumps(settings))
@@ -52,11 +52,11 @@ def claim_folder(
 
 
 _NAMED = 6
-"""Settings that a message names."""
+"""Largest number of settings named in a message."""
 
 
 def _filled(there: dict[str, Any], wanted: dict[str, Any], defaults: dict[str, Any]) -> dict[str, Any]:
-    """Settings of a folder, with the defaults of those that it lacks."""
+    """Return the settings of a folder, completed with defaults."""
     result = {**{key: value for key, value in defaults.items() if key in wanted}, **there}
     for key, value in result.items():
         if isinstance(value, dict) and isinstance(wanted.get(key), dict) and isinstance(defaults.get(key), dict):
@@ -65,7 +65,7 @@ def _filled(there: dict[str, Any], wanted: dict[str, Any], defaults: dict[str, A
 
 
 def _differing(name: str, there: Any, wanted: Any) -> Iterator[str]:
-    """Names of the settings that differ, inside of tables of settings by their own keys."""
+    """Yield the names of differing settings, nested ones with dots."""
     if not (isinstance(there, dict) and isinstance(wanted, dict)):
         if there != wanted:
             yield name
@@ -75,19 +75,19 @@ def _differing(name: str, there: Any, wanted: Any) -> Iterator[str]:
 
 
 Record = Callable[[str, float], None]
-"""Receives the name of a step and the time it took [s]."""
+"""Receives the name and duration [s] of a step."""
 
 
 @dataclass(frozen=True)
 class Step:
-    """A step of an experiment.
+    """Step of an experiment.
 
     Attributes:
         name: shown in the log.
-        cost: rough duration, in proportion to other steps [s].
-        done: whether its result is there.
-        do: makes the result, whole or not at all, or resumes making it.
-        result: what came out in a few words, for the log; steps that are done side by side log nothing themselves.
+        cost: rough duration relative to other steps [s].
+        done: whether its result exists.
+        do: makes the result, whole or not at all, or resumes.
+        result: describes the result in a few words, for the log of steps done in parallel.
     """
 
     name: str
@@ -110,18 +110,17 @@ def run_steps(
     record: Record = nothing,
     clock: Callable[[], float] = time.perf_counter,
 ) -> None:
-    """Do the steps that are not done yet, stage after stage.
+    """Do the missing steps, stage after stage.
 
     Args:
         stages: steps of one stage do not depend on each other.
-        before: number of steps that came first.
-        later: steps that come afterwards; they count for the time left.
-        processes: number of steps of a stage that are done side by side; with more than one, `do` and `record` must
-            be picklable.
-        record: receives the time that each step took.
+        before: number of earlier steps.
+        later: later steps, included in the time left.
+        processes: number of steps of a stage done in parallel; with more than one, `do` and `record` must be picklable.
+        record: receives the duration of each step.
 
     Raises:
-        OffpisteError: a step failed; others of its stage may have been done nevertheless.
+        OffpisteError: a step failed; others of its stage may have been done.
     """
     steps = [step for stage in stages for step in stage]
     pace = _Pace([*steps, *later], clock)
@@ -145,7 +144,7 @@ def run_steps(
 
 
 class _Pace:
-    """Estimate of the time left, from the time that the steps so far took."""
+    """Estimate of the time left, from the duration of earlier steps."""
 
     def __init__(self, steps: Sequence[Step], clock: Callable[[], float]) -> None:
         self._steps, self._clock, self._began = steps, clock, clock()
@@ -199,13 +198,13 @@ def _timed(do: Callable[[], None], clock: Callable[[], float]) -> float:
 
 
 def append_time(path: Path, name: str, seconds: float) -> None:
-    """Append the time that a step took; of a resumed step, only the time since it was resumed."""
+    """Append the duration of a step, since it was last resumed."""
     with path.open("a", encoding="utf-8") as file:
         file.write(json.dumps({"step": name, "seconds": round(seconds, 1)}) + "\n")
 
 
 def times_by_kind(path: Path) -> dict[str, float]:
-    """Time spent by the first word of steps' names: simulate, train, ... [s]."""
+    """Return the time spent by first word of the steps' names: simulate, train, ... [s]."""
     spent: dict[str, float] = {}
     lines = path.read_text("utf-8").splitlines() if path.exists() else []
     for line in lines:
@@ -216,7 +215,7 @@ def times_by_kind(path: Path) -> dict[str, float]:
 
 
 def format_duration(seconds: float) -> str:
-    """A duration in seconds, minutes or hours."""
+    """Format a duration in seconds, minutes or hours."""
     if seconds < 90:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
