@@ -14,15 +14,15 @@ from offpiste.core.progress import show
 @COMMANDS.register("calibrate")
 @dataclass(frozen=True)
 class Calibrate:
-    """Learn how far the predictions of trained runs stray, and check that on drives that neither was fitted to."""
+    """Fit the spread of trained runs' predictions, and check its calibration on held-out drives."""
 
     runs: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="RUN...")]
-    """Folders of `offpiste train`; each keeps its spread (spread.safetensors) and, if it reads features, some of
-    its training's ground (memory_bank.safetensors); what is kept already is used again."""
+    """Run folders. Each gets its spread (spread.safetensors) and, if it reads features, a memory bank of known ground
+    (memory_bank.safetensors); existing ones are reused."""
     dataset: Path
     """Dataset that the runs were trained on."""
     out: Path = Path("calibration")
-    """Folder of the table, the picture and the numbers."""
+    """Folder for table, figure and numbers."""
 
     def run(self) -> int:
         """Fit, evaluate, show the table."""

@@ -20,24 +20,24 @@ else:
 @COMMANDS.register("evaluate")
 @dataclass(frozen=True)
 class Evaluate:
-    """Evaluate runs on the test part of a dataset; writes metrics.json, pictures and report.html.
+    """Evaluate runs on the test part of a dataset; writes metrics.json, figures and report.html.
 
-    Of runs that `offpiste calibrate` has given a spread, how many errors lie in its regions (calibration.md).
+    For runs with a spread (`offpiste calibrate`), the calibration on these windows as well (calibration.md).
     """
 
     runs: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="RUN...")]
-    """Run folders, or `pretrained:NAME`; a folder of folds counts as its folds. The report is about the first. Runs of
-    one model are its seeds; where these repeat, the folders' names tell them apart: b and "b (b-longer)"."""
+    """Run folders, or `pretrained:NAME`; a folder of folds stands for its folds. The report is about the first. Runs of
+    one model are its seeds; runs of the same seed are named by their folders: b and "b (b-longer)"."""
     dataset: Path
-    """The dataset that they were trained on, or another one."""
+    """Dataset that they were trained on, or another one."""
     out: Path = Path("report")
-    """Folder of the report."""
+    """Folder for the report."""
     lookup: Literal["recorded", "map", "both"] = "both"
-    """Where models look the terrain up: at recorded wheels, or at predicted ones on the map, as a planner does."""
+    """Where models read the terrain: under recorded wheels, or on the map under predicted ones, as a planner does."""
     feature_set: FeatureSet = "hindsight"
-    """Feature sets read at recorded places: by the distance they were seen from [m], or the last there were."""
+    """Feature sets read at recorded places, by viewing distance [m]."""
     min_speed: float | None = None
-    """Windows start above it [m/s], 0: from standstills as well; by default as the dataset says, usually 1.5."""
+    """Smallest speed at the start of a window [m/s]; 0: standstills as well; by default that of the dataset."""
     device: str = "cpu"
     """Device of the models."""
 
@@ -46,7 +46,7 @@ class Evaluate:
         from offpiste.evaluation.evaluate_runs import evaluate_runs
         from offpiste.uncertainty.calibration import evaluate_kept_spreads
 
-        # First: it may refuse a run's spread, and the evaluation takes long.
+        # First, since it may refuse a run's spread and the evaluation takes long.
         spreads = evaluate_kept_spreads(self.runs, self.dataset, self.min_speed)
         lookups: tuple[Literal["recorded", "map"], ...] = ("recorded", "map")
         evaluate_runs(

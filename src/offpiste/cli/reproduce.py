@@ -12,30 +12,30 @@ from offpiste.cli.entry import COMMANDS
 @COMMANDS.register("reproduce")
 @dataclass(frozen=True)
 class Reproduce:
-    """Reproduce the paper's figures, from drives to pictures; resumes where it stopped (needs the extra `sim`)."""
+    """Reproduce the paper's figures, from simulated drives to the report; resumes (needs the extra `sim`)."""
 
     figure: tyro.conf.Positional[Literal["fig3", "fig4"]]
-    """fig3: error with features in hindsight; fig4: error by the distance that features were seen from."""
+    """fig3: error with features in hindsight; fig4: error by viewing distance of the features."""
     size: Literal["smoke", "laptop", "evening", "day", "full", "paper"] = "smoke"
-    """Ten minutes, half an hour, an evening, a day, a smaller set with all sensors, or as much as in the paper."""
+    """smoke: ten minutes; laptop: half an hour; evening; day; full: all sensors; paper: as much as in the paper."""
     seconds: tuple[float, float, float] | None = None
-    """Driving to train, validate and test on [s], instead of the size's."""
+    """Driving for training, validation and test [s], instead of the size's."""
     seeds: int | None = None
-    """Runs of each model of the figure, instead of the size's."""
+    """Runs per model, instead of the size's."""
     out: Path = Path("results")
-    """Folder for everything; both figures share it."""
+    """Folder for all results; both figures share it."""
     dataset: Path | None = None
-    """A dataset with visual features, used instead of simulating."""
+    """Dataset with visual features, used instead of simulated drives."""
     backbone: str = "filterbank"
     """Backbone, as in `fit-pca`."""
     split: Literal["drives", "blocks"] = "drives"
-    """Test on drives in worlds of their own, or on stretches of the same logs, as the paper does."""
+    """Test on separate drives and worlds, or on stretches of the same logs, as in the paper."""
     grip_contrast: float = 1.0
-    """Contrast of grip in the simulated worlds; 0: all ground drives alike."""
+    """Contrast of grip in the simulated worlds; 0: all ground has the same grip."""
     device: str = "cpu"
     """Device of the backbone and the models."""
     processes: int = 0
-    """Drives simulated or extracted, and runs trained or evaluated, at a time; 0: one a core."""
+    """Number of drives or runs processed in parallel; 0: one per core."""
     cluster: str = ""
     """Simulate and extract on a Ray cluster instead (extra `ray`): auto, or HOST:PORT of its head."""
 
