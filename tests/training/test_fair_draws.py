@@ -56,7 +56,7 @@ def windows_read_by(model: str, dataset: Dataset) -> list[tuple[np.ndarray, Batc
         return module.weight.sum().expand(len(batch.state))
 
     stage = loop.Stage("model", module, loss, 1, MODELS[model].draw)
-    loop._train_epoch(stage, loop._State(stage, CONFIG), Recording(dataset, "train"), CONFIG, 0, ALONE)
+    loop.train_epoch(stage, loop.StageState(stage, CONFIG), Recording(dataset, "train"), CONFIG, 0, ALONE)
     return read
 
 

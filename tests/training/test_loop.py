@@ -93,7 +93,7 @@ def test_a_stage_that_resumes_has_the_warnings_of_one_that_was_not_stopped(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, epochs: int
 ) -> None:
     """It has converged: the last epochs improve by a hundredth of a percent."""
-    monkeypatch.setattr(loop, "_train_epoch", lambda *arguments: 1.0)
+    monkeypatch.setattr(loop, "train_epoch", lambda *arguments: 1.0)
     losses = [0.4, 0.3, 0.2999, 0.29988, 0.29986, 0.29984]
 
     def kept(folder: Path, scores: Sequence[float]) -> BestEpoch:

@@ -74,7 +74,7 @@ def test_it_is_the_loss_that_evaluation_measures_on_the_map(
 def test_ground_is_kept_along_the_recorded_path(dataset: Dataset, validation: Windows) -> None:
     measured = map_loss(validation, ALONE)
     assert measured is not None
-    _, maps = measured._kept
+    _, maps = measured.kept
     whole, _ = validation.maps.of(measured.index)
     assert len(maps.features) < 0.5 * len(whole.features)
     dynamics = build("cf", vehicle_of(dataset, QUICK), seed=0)

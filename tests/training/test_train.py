@@ -53,7 +53,7 @@ class Killed(BaseException):
 
 
 def kill_after(epochs: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    real, seen = loop._train_epoch, []
+    real, seen = loop.train_epoch, []
 
     def train_epoch(*arguments: object) -> float:
         if len(seen) == epochs:
@@ -61,7 +61,7 @@ def kill_after(epochs: int, monkeypatch: pytest.MonkeyPatch) -> None:
         seen.append(1)
         return real(*arguments)
 
-    monkeypatch.setattr(loop, "_train_epoch", train_epoch)
+    monkeypatch.setattr(loop, "train_epoch", train_epoch)
 
 
 def test_a_stage_finds_what_its_loss_asks_for(dataset: Dataset, tmp_path: Path) -> None:
@@ -203,7 +203,7 @@ def test_a_gear_that_a_run_does_not_know_is_left_out(dataset: Dataset, run: Path
 def test_a_value_that_is_not_finite_stops_training_with_its_place_and_keeps_the_last_checkpoint(
     dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    real = loop._train_epoch
+    real = loop.train_epoch
 
     def poisoned(stage: loop.Stage, *rest: object) -> float:
         if stage.name == "model" and rest[-2] == 1:
@@ -212,7 +212,7 @@ def test_a_value_that_is_not_finite_stops_training_with_its_place_and_keeps_the_
                 stage.module.compensator.output[-1].bias[0] = torch.nan
         return real(stage, *rest)
 
-    monkeypatch.setattr(loop, "_train_epoch", poisoned)
+    monkeypatch.setattr(loop, "train_epoch", poisoned)
     with pytest.raises(
         TrainingError, match=r"model, epoch 2, batch 1: the predicted vx is not finite from step 1 \(0\.02"
     ):

@@ -100,7 +100,7 @@ def evaluate_runs(
         logger.info(f"rows with the lookup 'map' decide: they read the ground under the predicted wheels{nearest}")
     levels = Levels(evaluation.metrics.windows.drives, evaluation.metrics.windows.blocks)
     if levels.caveat:
-        more = _folds(folders[0], runs[0].model, dataset, dataset_path) if levels.units < MIN_UNITS else ""
+        more = folds_command(folders[0], runs[0].model, dataset, dataset_path) if levels.units < MIN_UNITS else ""
         logger.info(levels.caveat + more)
     logger.info(assumptions_block(evaluation.metrics.assumptions))
     logger.info(f"report: {out / 'report.html'}")
@@ -114,7 +114,7 @@ def _other_assumptions(runs: Sequence[Run], models: Sequence[EvaluatedModel], da
     return sorted(found)
 
 
-def _folds(folder: Path, model: str, dataset: Dataset, path: Path) -> str:
+def folds_command(folder: Path, model: str, dataset: Dataset, path: Path) -> str:
     """Return the command that tests a model on all of the driving by cross-validation.
 
     Empty for folds, for models that ship, and for datasets with snapshots, whose folds are evaluated at recorded places

@@ -217,7 +217,7 @@ def run_stage(
         if group.writes:
             running.unlink(missing_ok=True)
         return BestEpoch.of(about, stage.epochs)
-    state = _State(stage, config)
+    state = StageState(stage, config)
     if running.exists():
         state.restore(running)
     else:
@@ -225,7 +225,7 @@ def run_stage(
     for epoch in range(state.epoch, stage.epochs):
         began = time.perf_counter()
         with single_threaded_torch():
-            loss = _train_epoch(stage, state, train, config, epoch, group)
+            loss = train_epoch(stage, state, train, config, epoch, group)
             score = _score(stage, validation, config, group)
         state.epoch = epoch + 1
         state.keep_if_best(score)
@@ -279,7 +279,7 @@ def mean_loss(stage: Stage, windows: Windows, config: TrainConfig, group: Group 
     return float(group.sum(total)) / len(index)
 
 
-class _State:
+class StageState:
     """State of a running stage, as in its checkpoint: weights, best weights, optimiser, losses, next epoch."""
 
     def __init__(self, stage: Stage, config: TrainConfig) -> None:
@@ -295,15 +295,18 @@ class _State:
         self.losses: list[float] = []
 
     def keep_if_best(self, score: float) -> None:
+        """Keep the weights if their validation loss is the least so far."""
         if score < self.best_score:
             self.best, self.best_score, self.best_epoch = self._weights(), score, self.epoch
 
     def save(self, path: Path) -> None:
+        """Write the checkpoint."""
         weights = {"now": self._weights(), "best": self.best}
         best = {"best_score": self.best_score, "best_epoch": self.best_epoch}
         save_checkpoint(path, weights, self.optimiser, epoch=self.epoch, losses=self.losses, **best)
 
     def restore(self, path: Path) -> None:
+        """Continue from a checkpoint."""
         weights, about = load_checkpoint(path, self.optimiser)
         load_weights(self.module, weights["now"], path)
         self.best, self.best_score, self.epoch = weights["best"], about["best_score"], about["epoch"]
@@ -313,7 +316,10 @@ class _State:
         return {name: value.detach().clone() for name, value in self.module.state_dict().items()}
 
 
-def _train_epoch(stage: Stage, state: _State, train: Windows, config: TrainConfig, epoch: int, group: Group) -> float:
+def train_epoch(
+    stage: Stage, state: StageState, train: Windows, config: TrainConfig, epoch: int, group: Group
+) -> float:
+    """Take the steps of one epoch and return the mean training loss."""
     # The order follows from seed and epoch alone, so that a resumed run equals an uninterrupted one.
     rng = np.random.default_rng((config.seed, epoch))
     order = rng.permutation(train.strided(config.stride, phase=int(rng.integers(config.stride))))
@@ -345,7 +351,7 @@ def _share_of_loss(stage: Stage, batch: Batch | None, count: int, device: torch.
     return torch.zeros((), device=device) if batch is None else stage.loss(batch).sum() / count
 
 
-def _check_gradients(state: _State, where: str) -> None:
+def _check_gradients(state: StageState, where: str) -> None:
     for parameter, name in state.names.items():
         if parameter.grad is not None and not torch.isfinite(parameter.grad).all():
             raise TrainingError(f"the gradient of '{name}' is not finite", where=where, how=REMEDY)

@@ -156,7 +156,7 @@ class MapLoss:
         total = torch.zeros((), dtype=torch.float64, device=here)
         if len(self._mine):
             dynamics = dynamics if trained == here else deepcopy(dynamics).to(here)
-            batch, maps = self._kept
+            batch, maps = self.kept
             number = torch.arange(len(self._mine), device=self.windows.device)
             places = self.windows.places(self._mine)
             source = MapTerrain(maps, number, places, self.windows.wheels, dynamics.encoder)
@@ -170,7 +170,8 @@ class MapLoss:
         return self.index[self.group.share(len(self.index))]
 
     @cached_property
-    def _kept(self) -> tuple[Batch, CellStack]:
+    def kept(self) -> tuple[Batch, CellStack]:
+        """Batch of this process's windows, and their maps near the recorded path."""
         batch = replace(self.windows.gather(self._mine), ground=None)
         path = torch.cat((batch.state[:, None, :2], batch.target[:, EVERY - 1 :: EVERY, :2]), dim=1)
         places = path.double() + self.windows.places(self._mine)[:, None]
