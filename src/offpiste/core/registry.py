@@ -1,4 +1,4 @@
-"""Things that can be added by name: log formats, backbones, fusion rules, cost terms, models, worlds, figures.
+"""Things that can be added by name: log formats, backbones, fusion rules, cost terms, models, losses, worlds, figures.
 
 Each registers itself where it is defined. What ships with offpiste is found in one package; what others add comes from
 modules that `OFFPISTE_EXTENSIONS` names, or from entry points of the group `offpiste`.
