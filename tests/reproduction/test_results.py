@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from feature_datasets import dataset_with_features
+from offpiste.dataset.windows import Windows
 from offpiste.evaluation.errors import COMPONENTS, Errors
 from offpiste.evaluation.intervals import PairedDifference, Sampling
 from offpiste.evaluation.metrics import RunErrors
+from offpiste.reproduction.figures import spaced_windows
 from offpiste.reproduction.report import distance_table, error_table, fig3_claims, fig4_claims, seed_table, verdict
 from offpiste.reproduction.results import FigureResults, last_rows, seen_throughout
 from offpiste.reproduction.settings import figure_models
@@ -177,3 +179,15 @@ def test_seen_throughout_equals_a_slow_loop(name: str, tmp_path: Path) -> None:
         number = {"hindsight": 0, "20": 5}[name]
         assert found[i] == all(c >= 0 and cells.valid[number, c] for c in under.ravel())
     assert 0 < found.sum() < 300
+
+
+def test_ten_windows_share_no_row(tmp_path: Path) -> None:
+    dataset = dataset_with_features(tmp_path / "seen.zarr", ("test",) * 4, rows=1500)
+    windows = Windows(dataset, "test")
+    index = spaced_windows(windows)
+    assert len(index) == 10
+    row, drive = windows.row_in_drive(index), windows.drive[index]
+    assert set(drive) == {0, 1, 2, 3}
+    for i in range(10):
+        for j in range(i):
+            assert drive[i] != drive[j] or abs(row[i] - row[j]) > 260
