@@ -116,7 +116,7 @@ def _facts(metrics: Metrics) -> dict[str, str]:
         f"{windows.block_s:g} s on {windows.drives} drive(s)",
         "driving": f"median {number(windows.median_distance_m, 1)} m in 5 s, "
         f"{number(windows.median_speed_mps, 1)} m/s at the start",
-        "seen before": f"{number(100 * windows.driven_in_training, 0)} % of the path lies within 5 m of training's",
+        "seen before": f"{number(100 * windows.driven_in_training, 0)} % of the path lies within 5 m of training",
         "date": made.date,
         "machine": made.machine,
         "command": made.command,
@@ -127,7 +127,7 @@ def _facts(metrics: Metrics) -> dict[str, str]:
     if metrics.warnings:
         facts["warnings"] = "; ".join(metrics.warnings)
     if failed:
-        facts["failed"] = f"predictions that are not finite: {failed}; means over them are not either"
+        facts["failed"] = f"{failed} predictions are not finite, nor are means over them"
     return facts
 
 
@@ -135,7 +135,7 @@ def _map_reads(metrics: Metrics) -> str:
     """Describe what the lookup `map` reads."""
     if metrics.features:
         return "reads it at the predicted place, as a planner does"
-    return "reads the slope of the path driven later, at its point nearest to the predicted place, which no planner has"
+    return "reads the slope of the later driven path nearest to the predicted place, which no planner has"
 
 
 def _notes(metrics: Metrics) -> Sequence[str]:
@@ -146,21 +146,21 @@ def _notes(metrics: Metrics) -> Sequence[str]:
     first = metrics.headlines[0].model if metrics.headlines else ""
     return (
         *([f"Models: {known}."] if known else []),
-        *([f"The report is about {first}, which the command names first."] if first else []),
-        "Start: a causal start knows only what was known at the time; a smoothed one sees a little of the future, and "
-        "is shown beside it for comparison. The causal one is what a planner has.",
-        "Lookup: recorded reads the terrain under the recorded future path, as in the paper, which also gives away how "
-        f"far the vehicle went; map {_map_reads(metrics)}, and decides. Models without a lookup do not read the "
-        "terrain.",
+        *([f"The report is about {first}, the first model of the command."] if first else []),
+        "Start: a causal start uses only data available at the time, as a planner; a smoothed one also uses some of "
+        "the future and is shown for comparison.",
+        "Lookup: recorded reads the terrain under the recorded path, as in the paper, which also reveals how far "
+        f"the vehicle went; map {_map_reads(metrics)}, and decides. Models without a lookup do not read the terrain.",
         "Intervals are of the mean, bootstrapped over drives, then blocks within each drawn drive, then seeds: windows "
-        f"of one drive that start within {metrics.windows.block_s:g} s of each other stay together, since overlapping "
-        "windows are not independent, and windows of a drive share its ground. Of a single drive blocks are drawn, and "
-        f"nothing is said of other drives; a dash: fewer than {MIN_UNITS} drives, or blocks of a single drive.",
-        "A model with several runs: each window's error is the mean over seeds; folds are evaluated on different "
-        "windows, which are put together. It is the mean of errors, not the error of a mean prediction.",
+        f"of one drive that start within {metrics.windows.block_s:g} s of each other form a block, since overlapping "
+        "windows are not independent, and windows of a drive share its ground. Intervals of a single drive are over "
+        "its blocks and say nothing about other drives; a dash: fewer than "
+        f"{MIN_UNITS} drives, or blocks of a single drive.",
+        "A model with several runs: the error of a window is the mean over seeds; the windows of folds are combined. "
+        "Errors are averaged, not predictions.",
         f"The loss is the mean over all 250 steps of squared errors, each divided by the mean square error of "
         f"{REFERENCE} in training (roots: {units}), weighted ({weights}) and summed.",
-        "A prediction that is not finite counts as infinitely wrong.",
+        "The error of a prediction that is not finite is infinite.",
     )
 
 
@@ -253,7 +253,7 @@ def difference_text(model: str, other: str, difference: PairedDifference, levels
         return f"No difference between {model} and {other} is shown: {number(mean)} m {interval(difference.ci95)}."
     size, bounds = abs(mean), sorted((abs(low), abs(high)))
     side = "less" if mean < 0 else "more"
-    return f"{model} errs {number(size)} m {interval((bounds[0], bounds[1]))} {side} than {other}."
+    return f"The error of {model} is {number(size)} m {interval((bounds[0], bounds[1]))} {side} than that of {other}."
 
 
 def _last(row: ResultRow) -> bool:
