@@ -105,8 +105,8 @@ def members(windows: EvaluatedWindows) -> dict[str, Bool[np.ndarray, " n"]]:
     return {name: mine for name, mine in bands.items() if mine.any()}
 
 
-def share_driven_in_training(dataset: Dataset, part: str = "test", *, near: float = NEAR) -> float:
-    """Share of a part's path, by length, that lies within `near` metres of training rows of any drive.
+def share_driven_in_training(dataset: Dataset, part: str = "test") -> float:
+    """Share of a part's path, by length, that lies within `NEAR` of training rows of any drive.
 
     Drives are compared in the log's world frame; in drives of different worlds, places coincide by chance only. 0
     without training rows, NaN if the part has no path.
@@ -119,7 +119,7 @@ def share_driven_in_training(dataset: Dataset, part: str = "test", *, near: floa
         return float("nan")
     if not len(trained):
         return 0.0
-    distance, _ = cKDTree(trained).query(places, distance_upper_bound=near)
+    distance, _ = cKDTree(trained).query(places, distance_upper_bound=NEAR)
     return float(metres[np.isfinite(distance)].sum() / metres.sum())
 
 
