@@ -94,7 +94,7 @@ def test_the_words_say_how_it_drives_where_the_card_knows(monkeypatch: pytest.Mo
     driving = CourseFigures(20, PairedDifference(-0.2, (-0.5, 0.3)), "abc", "2026-11-23")
     monkeypatch.setattr("offpiste.demo.comparison.load_card", lambda _: msgspec.structs.replace(card, driving=driving))
     *_, drives = closing_words(predictions(4.0, 3.0))
-    wanted = "How dc drives: On 20 courses in unseen worlds, its driving cost differs from that of `b` by -20 %"
+    wanted = "How dc drives: On 20 courses in unseen worlds, its driving cost differs from that of b by -20 %"
     assert drives.startswith(wanted)
 
 

@@ -108,7 +108,7 @@ def test_too_few_windows_with_other_ground_are_none(tmp_path: Path, dataset: Dat
     found = shift_gains(dataset, runs, stride=25, scale=torch.ones(5), kept=tmp_path / "kept", metres=50.0)
     assert not found.gains
     assert [one.used for one in found.ground] == [0, 0]
-    assert "on the map: none, for only 0 of " in found.about
+    assert "on the map: none, since only 0 of " in found.about
 
 
 def test_errors_of_other_windows_are_not_taken_for_these(tmp_path: Path, dataset: Dataset) -> None:

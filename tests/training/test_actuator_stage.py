@@ -74,7 +74,7 @@ def test_a_damaged_entry_is_fitted_again(
         entry.write_bytes(damaged)
         caplog.clear()
         train(dataset, QUICK, tmp_path / f"again-{number}")
-        assert "cannot be used, the actuators are fitted again" in caplog.text
+        assert "cannot be used, so the actuators are fitted again" in caplog.text
         assert files(tmp_path / f"again-{number}") == files(tmp_path / "first")
         assert load_file(entry).keys() == load_file(tmp_path / "first" / "actuators.safetensors").keys()
     assert not other.exists()

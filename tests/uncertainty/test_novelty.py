@@ -89,7 +89,7 @@ def test_features_are_kept_with_its_run_and_belong_to_its_weights(tmp_path: Path
     config = TrainConfig(model="dc", epochs=1, bicycle_epochs=1, actuator_epochs=1, batch=64, stride=80)
     train(dataset, config, tmp_path / "dc")
     run = load_run(tmp_path / "dc")
-    with pytest.raises(RunError, match=r"no features to tell novel ground by.*offpiste calibrate"):
+    with pytest.raises(RunError, match=r"has no memory bank to detect novel ground.*offpiste calibrate"):
         load_memory_bank(run)
     bank = keep_memory_bank(run, dataset, NoveltySettings(size=64, candidates=200))
     assert bank.kept.shape == (64, FEATURES)
