@@ -27,6 +27,7 @@ from offpiste.evaluation.errors import (
     trajectories,
 )
 from offpiste.rig.rig import parse_rig
+from offpiste.training import prediction
 from window_errors import BASE
 
 UNITS = {"scale": torch.tensor([4.0, 1.0, 1.0, 1.0, 1.0]), "weights": torch.ones(5)}
@@ -104,40 +105,15 @@ def test_yaw_is_compared_around_the_circle() -> None:
     np.testing.assert_allclose(found.values[:, 3, 1], 2 * np.pi / 5, atol=1e-3)
 
 
-def test_chunks_do_not_matter_and_windows_keep_their_identity() -> None:
+def test_chunks_do_not_matter_and_windows_keep_their_identity(monkeypatch: pytest.MonkeyPatch) -> None:
     windows = circling("causal")
     index = windows.every(20)[::-1]
-    whole, pieces = (
-        prediction_errors(ConstantMotion(COMMANDED), windows, index, lookup=None, **UNITS, chunk=chunk)
-        for chunk in (1000, 3)
-    )
+    whole = prediction_errors(ConstantMotion(COMMANDED), windows, index, lookup=None, **UNITS)
+    monkeypatch.setattr(prediction, "AT_ONCE", 3)
+    pieces = prediction_errors(ConstantMotion(COMMANDED), windows, index, lookup=None, **UNITS)
     np.testing.assert_allclose(whole.values, pieces.values, rtol=1e-4, atol=1e-5)
     np.testing.assert_allclose(whole.loss, pieces.loss, rtol=1e-4)
     assert whole.row.tolist() == windows.row_in_drive(index).tolist()
-
-
-def test_progress_is_shown_by_chunk() -> None:
-    windows = circling()
-    shown = []
-
-    def track(items, description):
-        for item in items:
-            shown.append((description, len(item)))
-            yield item
-
-    index = windows.every(40)
-    prediction_errors(
-        ConstantMotion(COMMANDED),
-        windows,
-        index,
-        lookup=None,
-        **UNITS,
-        chunk=4,
-        track=track,
-        description="evaluating x",
-    )
-    assert {name for name, _ in shown} == {"evaluating x"}
-    assert sum(size for _, size in shown) == len(index)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])

@@ -21,8 +21,7 @@ from offpiste.core.channels import registered_actuators
 from offpiste.core.conventions import DT
 from offpiste.core.errors import OffpisteError
 from offpiste.core.files import check_folder, remove_partials, write_text, write_whole
-from offpiste.core.progress import track
-from offpiste.evaluation.errors import Progress
+from offpiste.core.progress import Track, track
 from offpiste.perception.camera import make_pinhole_camera
 from offpiste.planning.caution import caution_of
 from offpiste.planning.course import FASTEST
@@ -102,7 +101,7 @@ def drive_course(
     *,
     world: World | None = None,
     scene: Scene | None = None,
-    track: Progress = track,
+    track: Track = track,
     improver: MakeImprover = PlanImprover,
 ) -> Driven:
     """Drive a course; writes drive.mcap, drive.png and, last, result.json into a folder.

@@ -11,8 +11,7 @@ from jaxtyping import Float
 from offpiste.closed_loop.faults import Fault
 from offpiste.core.conventions import ACTUATORS, DT
 from offpiste.core.geometry import yaw_rate_from_body_rates
-from offpiste.core.progress import track
-from offpiste.evaluation.errors import Progress
+from offpiste.core.progress import Track, track
 from offpiste.logs.log import RawCloud
 from offpiste.logs.measurements import Camera, Cloud, Image, Lidar, cloud_from_records
 from offpiste.logs.ros.image_encodings import pixels_of
@@ -109,7 +108,7 @@ def drive_planned(
     seed: int,
     fault: Fault | None = None,
     scene: Scene | None = None,
-    track: Progress = track,
+    track: Track = track,
 ) -> Driving:
     """Let the run time drive, and log every message and every change of mode.
 

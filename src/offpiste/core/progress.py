@@ -3,7 +3,7 @@
 import logging
 from collections.abc import Callable, Generator, Iterable, Iterator, Sized
 from contextlib import contextmanager
-from typing import TypeVar
+from typing import Protocol, TypeVar, runtime_checkable
 
 from rich.console import Console
 from rich.progress import (
@@ -16,6 +16,15 @@ from rich.progress import (
 )
 
 Item = TypeVar("Item")
+
+
+@runtime_checkable
+class Track(Protocol):
+    """Shows progress over items, as `track`."""
+
+    def __call__(self, items: Iterable[Item], description: str, /) -> Iterator[Item]:
+        """Yield the items."""
+        ...
 
 
 def track(items: Iterable[Item], description: str, *, total: int | None = None) -> Generator[Item, None, None]:

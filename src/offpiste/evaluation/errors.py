@@ -1,9 +1,9 @@
 """Errors of predictions after each whole second, and files with them."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol, TypeVar, runtime_checkable
+from typing import Any
 
 import numpy as np
 import torch
@@ -17,6 +17,7 @@ from offpiste.core.errors import RunError
 from offpiste.core.files import write_whole
 from offpiste.core.geometry import planar_body_from_world
 from offpiste.core.limits import open_tensors
+from offpiste.core.progress import track
 from offpiste.core.state import wrap_angle
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics import Dynamics
@@ -28,22 +29,6 @@ HORIZONS = (1, 2, 3, 4, 5)
 
 COMPONENTS = ("distance_error_m", "yaw_error_rad", "vx_error_mps", "vy_error_mps", "yaw_rate_error_radps")
 """Absolute errors: of position as a distance, of yaw wrapped."""
-
-Item = TypeVar("Item")
-
-
-@runtime_checkable
-class Progress(Protocol):
-    """Shows progress over items, as `offpiste.core.progress.track`."""
-
-    def __call__(self, items: Iterable[Item], description: str, /) -> Iterator[Item]:
-        """Yield the items."""
-        ...
-
-
-def no_progress(items: Iterable[Item], description: str, /) -> Iterator[Item]:
-    """Yield the items without showing progress."""
-    return iter(items)
 
 
 @dataclass(frozen=True)
@@ -190,8 +175,6 @@ def errors_of_models(
     lookup: Lookup | None,
     scale: Float[Tensor, " 5"],
     map_source: MapSource | None = None,
-    chunk: int | None = None,
-    track: Progress = no_progress,
     description: str = "evaluating",
 ) -> list[Errors]:
     """Compute the errors of models on the same windows, which are read once for all.
@@ -201,14 +184,13 @@ def errors_of_models(
         lookup: "recorded" or "map" (`training.prediction.Lookup`); None for models that do not read the terrain.
         scale: of the loss (`offpiste.training.losses.summed_loss`).
         map_source: map to read with the lookup "map"; None: the windows' own.
-        chunk: number of windows rolled out together; None: as fits in memory.
-        track: shows progress over the chunks.
+        description: of the progress.
     """
     steps = torch.tensor([round(seconds / DT) - 1 for seconds in HORIZONS], device=windows.device)
     scale = scale.to(windows.device)
     values: list[list[Tensor]] = [[] for _ in predictors]
     losses: list[list[Tensor]] = [[] for _ in predictors]
-    for part in track(in_parts(index, windows, lookup, chunk), description):
+    for part in track(in_parts(index, windows, lookup), description):
         batch = windows.gather(part)
         for number, each in enumerate(predictors):
             own = batch_for(each.dynamics, windows, batch)

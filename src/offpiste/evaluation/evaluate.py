@@ -21,7 +21,7 @@ from offpiste.dataset.splits import Split
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics import MODELS, Dynamics, Vehicle
-from offpiste.evaluation.errors import Errors, Progress, no_progress, prediction_errors
+from offpiste.evaluation.errors import Errors, prediction_errors
 from offpiste.evaluation.evaluated_windows import EvaluatedWindows, share_driven_in_training
 from offpiste.evaluation.intervals import Sampling
 from offpiste.evaluation.metrics import (
@@ -119,7 +119,6 @@ def evaluate_models(
     device: torch.device | str = "cpu",
     command: str = "",
     warnings: Sequence[str] = (),
-    track: Progress = no_progress,
 ) -> Evaluation:
     """Evaluate models, and beside them the baselines `ctrv` and `kinematic`, on the same windows.
 
@@ -134,7 +133,6 @@ def evaluate_models(
         sampling: settings of the intervals.
         command: command line for the report; empty: that of this process.
         warnings: for the report, in addition to those of the dataset.
-        track: shows progress, e.g. `offpiste.core.progress.track`.
 
     Raises:
         RunError: models were trained on different splits, or a run is given twice.
@@ -145,7 +143,7 @@ def evaluate_models(
     groups = by_split(models, dataset)
     datasets = [each for each, _ in groups]
     readings = readings_of(datasets, part, lookups, feature_sets)
-    compute = partial(prediction_errors, scale=scale, weights=torch.tensor(weights.in_order()), track=track)
+    compute = partial(prediction_errors, scale=scale, weights=torch.tensor(weights.in_order()))
     predictions = [
         Prediction(
             case,

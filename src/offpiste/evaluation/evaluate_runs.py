@@ -12,7 +12,6 @@ import numpy as np
 from offpiste.core.command_line import options
 from offpiste.core.errors import OffpisteError, RunError
 from offpiste.core.files import check_folder
-from offpiste.core.progress import track
 from offpiste.core.shipped import named, run_folder
 from offpiste.dataset.assumptions import assumptions_block, assumptions_of
 from offpiste.dataset.log_findings import warning_line
@@ -89,7 +88,6 @@ def evaluate_runs(
         feature_sets=feature_sets,
         warnings=warnings,
         device=device,
-        track=track,
     )
     if (before := _other_report(out, evaluation.metrics)) is not None:
         logger.warning(f"{out} held the report of {before}; it is replaced")

@@ -11,7 +11,6 @@ import torch
 from offpiste.core.checksums import CHECKSUMS
 from offpiste.core.conventions import DT
 from offpiste.core.files import write_bytes
-from offpiste.core.progress import track
 from offpiste.dataset.splits import PARTS
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
@@ -90,7 +89,6 @@ def errors_of_runs(
         lookup=lookup,
         scale=scale,
         map_source=map_source,
-        track=track,
         description=f"evaluating {', '.join(run.folder.name for run in runs)}",
     )
 
