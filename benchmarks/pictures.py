@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from offpiste.core.conventions import DT
 from offpiste.simulation.rendering.appearance import make_appearance
 from offpiste.simulation.rendering.scene import world_scene
-from offpiste.simulation.sample import Pose, VehicleSample, motionless
+from offpiste.simulation.sample import Motion, Pose, VehicleSample
 from offpiste.simulation.sensors.camera import Camera, project_points, render
 from offpiste.simulation.sensors.lidar import Lidar
 from offpiste.simulation.sensors.suite import full_suite
@@ -49,7 +49,10 @@ def path(world: World, samples: list[VehicleSample]) -> Figure:
     figure = Figure(figsize=(8.6, 8), dpi=80, layout="constrained")
     xy = np.array([s.position[:2] for s in samples])
     speed = np.array([np.hypot(*s.velocity[:2]) for s in samples])
-    draw_top_view(world, figure.subplots(), xy, speed)
+    axes = figure.subplots()
+    draw_top_view(world, axes)
+    points = axes.scatter(*xy.T, c=speed, cmap="plasma", s=3, zorder=3)
+    figure.colorbar(points, ax=axes, shrink=0.7, label="speed [m/s]")
     return figure
 
 
@@ -58,8 +61,9 @@ def sensors(world: World, sample: VehicleSample) -> Figure:
     scene, suite, rng = world_scene(world), full_suite(), np.random.default_rng(0)
     appearance = make_appearance(world, scene, 0)
     pose = Pose(sample.position, sample.orientation)
+    motion = Motion(np.array((0.0, 1.0)), np.tile(pose.position, (2, 1)), np.tile(pose.orientation, (2, 1)))
     clouds = [
-        settings.body_from_lidar.apply(Lidar(settings).scan(scene, motionless(pose), 0.0, rng).points)
+        settings.body_from_lidar.apply(Lidar(settings).scan(scene, motion, 0.0, rng).points)
         for settings in (replace(lidar, dropout=0.0) for lidar in suite.lidars)
     ]
     points = np.concatenate(clouds)

@@ -18,13 +18,13 @@ import numpy as np
 
 from offpiste.core.conventions import DT
 from offpiste.logs.ros.writer import McapWriter
+from offpiste.simulation.messages import image_message
 from offpiste.simulation.recorder import Recorder
 from offpiste.simulation.rendering.appearance import make_appearance
 from offpiste.simulation.rendering.scene import BLOCK, Hits, Scene, world_scene
 from offpiste.simulation.sample import Motion, Pose
 from offpiste.simulation.sensors.camera import Camera, render
 from offpiste.simulation.sensors.lidar import Lidar
-from offpiste.simulation.sensors.messages import image_message
 from offpiste.simulation.sensors.suite import Sensing, observed, sensor_suite
 from offpiste.simulation.simulate import DriveSettings, drive, simulate, start_and_driver
 from offpiste.simulation.vehicle.parameters import load_vehicle
@@ -65,7 +65,7 @@ def whole(profile: str, seconds: float, seed: int, file: Path) -> float:
     """Real time over computing time of a drive whose world has to be built."""
     settings = DriveSettings(WorldSettings(preset="mojave", seed=seed), seconds, seed, profile)
     begin = time.perf_counter()
-    (driven,) = simulate(settings, file)
+    driven = simulate(settings, file)
     return driven.seconds / (time.perf_counter() - begin)
 
 

@@ -6,7 +6,7 @@ import pytest
 from beartype import beartype
 from jaxtyping import Float
 
-from offpiste.simulation.simulate import Replay
+from offpiste.simulation.sample import Pose
 from sampled_checks import EVERY, FIRST, begin_test, sampled
 
 
@@ -39,8 +39,8 @@ def test_each_test_begins_anew(run):
 
 
 def test_the_package_is_checked():
-    replay = Replay(np.zeros((2, 3)))
+    pose = Pose(np.zeros(3), np.array((0.0, 0.0, 0.0, 1.0)))
     with pytest.raises(jaxtyping.TypeCheckError):
-        replay.command("no sample")
+        pose.apply(np.zeros(3))
     with pytest.raises(jaxtyping.TypeCheckError):
-        Replay(np.zeros(2))
+        Pose(np.zeros(2), pose.orientation)

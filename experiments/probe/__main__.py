@@ -30,8 +30,7 @@ from offpiste.perception.backbones.filterbank import FILTERBANK
 from offpiste.perception.feature_extractor import FeatureExtractor, load_feature_extractor
 from offpiste.perception.pca import save_pca
 from offpiste.rig.rig import Rig, load_rig
-from offpiste.simulation.recordings import simulate_once
-from offpiste.simulation.simulate import DriveSettings
+from offpiste.simulation.simulate import DriveSettings, simulate_once
 from offpiste.simulation.world.world import WorldSettings
 
 logger = logging.getLogger("experiments")

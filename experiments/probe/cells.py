@@ -25,7 +25,7 @@ from offpiste.perception.backbones import Backbone
 from offpiste.perception.feature_extractor import FeatureExtractor
 from offpiste.perception.pca import PrincipalComponents
 from offpiste.rig.rig import Rig
-from offpiste.simulation.world.surface import read_grid
+from offpiste.simulation.world.grids import read_grid
 
 GROUND = (*GROUND_KINDS, "wetness")
 """What the ground is of: shares of each kind, and 0 dry to 1 wet."""

@@ -2,20 +2,23 @@
 
 import json
 from dataclasses import replace
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
+from rich.console import Console
 from scipy.spatial.transform import Rotation
 
 from experiments.closed_loop_table.drives import NEEDED
 from offpiste._version import commit, today
-from offpiste.closed_loop.courses import CourseSettings, choose_course
+from offpiste.cli.drive import Drive, drive_tables
+from offpiste.closed_loop.courses import CourseSettings, choose_course, surprise_along, traction_along
 from offpiste.closed_loop.drive_course import CourseDriveSettings, drive_course
 from offpiste.closed_loop.planner import Planner, load_planner
-from offpiste.closed_loop.stretches import surprise_along, traction_along
 from offpiste.core.channels import MORE_ACTUATORS, Actuator
-from offpiste.core.errors import OffpisteError, PlanningError, RunError
+from offpiste.core.errors import OffpisteError, PlanningError
 from offpiste.dynamics import Parametric
 from offpiste.logs.drive import read_drive
 from offpiste.logs.ground_truth import GROUND_PROPERTIES
@@ -138,16 +141,12 @@ def test_no_course_where_a_vehicle_would_be_stuck(driven):
         ({"fault_when": "backwards"}, "a fault cannot begin 'backwards'"),
         *(({"fault_start": start}, f"a fault from {start:g} s on") for start in (float("nan"), float("inf"), -1.0)),
         ({"sensors": "heavy"}, "no sensor profile"),
+        ({"fault": "late-image"}, r"a fault from 10 s on.*before the drive's end"),
     ],
 )
 def test_settings_out_of_range_are_refused_at_once(changed, message, tmp_path):
     with pytest.raises(OffpisteError, match=message):
         drive_course(PLANNER, replace(SETTINGS, **changed), tmp_path)
-
-
-def test_a_latency_between_steps_is_refused_at_once(tmp_path):
-    with pytest.raises(OffpisteError, match=r"a latency of 0\.03 s"):
-        drive_course(PLANNER, replace(SETTINGS, runtime=settings(latency=0.03)), tmp_path)
 
 
 def test_a_risk_without_a_spread_is_refused_before_a_world_is_built(tmp_path, monkeypatch):
@@ -164,17 +163,18 @@ def test_a_model_that_reads_what_the_simulator_does_not_measure_is_refused(tmp_p
         drive_course(replace(PLANNER, dynamics=model), SETTINGS, tmp_path)
 
 
-def test_a_file_instead_of_a_folder_is_refused(tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(OffpisteError, match="file: is a file"):
-        drive_course(PLANNER, SETTINGS, tmp_path / "file")
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
+def test_a_gpu_that_is_not_there_is_refused_before_a_world_is_built(tmp_path, monkeypatch):
+    monkeypatch.setattr("offpiste.closed_loop.drive_course.drive_course", None)
+    with pytest.raises(PlanningError, match="no GPU 'cuda' for planning"):
+        Drive(Path("pretrained:proving-ground/b"), device="cuda", out=tmp_path / "drive").run()
 
 
-def test_a_planner_needs_a_run(tmp_path):
-    with pytest.raises(RunError, match="no such folder"):
-        load_planner(tmp_path / "none")
-
-
-def test_a_fault_that_would_never_begin_is_refused(tmp_path):
-    with pytest.raises(OffpisteError, match=r"a fault from 10 s on.*before the drive's end"):
-        drive_course(PLANNER, replace(SETTINGS, fault="late-image"), tmp_path)
+def test_tables_have_their_units():
+    took = {"count": 3, "median_ms": 1.5, "p95_ms": 2.5, "total_s": 0.1}
+    result = {"stages": {"plan": took}, "modes": [(0.3, "driving", "")]}
+    console = Console(width=100, file=StringIO())
+    for table in drive_tables(result):
+        console.print(table)
+    text = console.file.getvalue()
+    assert all(unit in text for unit in ("median [ms]", "95 % [ms]", "total [s]", "at [s]"))

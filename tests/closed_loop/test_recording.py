@@ -15,11 +15,7 @@ from runtime.stream import parametric, settings
 
 WORLD = WorldSettings("dunes", seed=3, size=120.0, resolution=0.5)
 SETTINGS = CourseDriveSettings(
-    WORLD,
-    seconds=1.0,
-    course=CourseSettings(speed=5.0, length=60.0, candidates=2),
-    runtime=settings(),
-    keep_log=False,
+    WORLD, seconds=1.0, course=CourseSettings(speed=5.0, length=60.0, candidates=2), runtime=settings(), keep_log=False
 )
 PLANNER = Planner("parametric", Path("nowhere"), parametric())
 

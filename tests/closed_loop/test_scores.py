@@ -43,23 +43,6 @@ def test_the_driven_cost_by_hand():
     assert driven_cost(trace, n, 10.0, WEIGHTS, begin=n - 50) == pytest.approx(0.75 + 4.0 + 8 * 49.75)
 
 
-def test_a_drive_that_is_given_up_costs_what_it_costs_to_stay():
-    """And more than to come free and finish, late as it is."""
-    time = np.arange(0, 60, 0.02)
-    away, free = np.where(time < 10, 0.2, 6.0), np.where((time > 10) & (time < 30), 6.0, 0.2)
-
-    def cost(end: float, off: np.ndarray, speed: np.ndarray, limit: float | None) -> float:
-        still = np.zeros(len(time))
-        return driven_cost(
-            Trace(np.zeros((len(time), 2)), speed, off, still + 7, still, still), round(end / 0.02), limit, WEIGHTS
-        )
-
-    stays = np.where(time < 10, 7.0, 0.0)
-    given_up, stayed = cost(16, away, stays, 60.0), cost(60, away, stays, 60.0)
-    assert given_up == pytest.approx(stayed)
-    assert cost(45, free, np.where((time > 10) & (time < 30), 2.0, 7.0), None) < 0.7 * given_up
-
-
 def prediction(place, first, aside=0.0):
     """Plan that acts from a row on; its last state is `aside` metres to the left of the vehicle 5 s later."""
     state = np.zeros((HORIZON_STEPS, 6))
@@ -73,14 +56,6 @@ def test_a_plan_is_compared_with_where_the_vehicle_was_5_s_after_it_began_to_act
     assert found == pytest.approx([0.0, 3.0, 0.0], abs=1e-9)
     speeds_up = place + (np.maximum(np.arange(300) - 260, 0) ** 2)[:, None] * (0.01, 0)
     assert prediction_errors([prediction(place, 20)], speeds_up) == pytest.approx([1.0]), "row 270"
-
-
-def test_plans_beyond_the_drive_are_left_out():
-    place = 0.1 * np.arange(300)[:, None] * (1, 0)
-    beyond = prediction(place, 50)  # row 300 was not driven
-    none, short = Prediction(time_of(0.0), np.zeros((0, 6))), Prediction(time_of(0.0), np.zeros((100, 6)))
-    assert prediction_errors([beyond, none, short], place).shape == (0,)
-    assert prediction_errors([], place).shape == (0,)
 
 
 def hand_made(rows=10):
@@ -120,15 +95,6 @@ def test_the_trace_by_hand():
     np.testing.assert_allclose(trace.target, 7.0)
     np.testing.assert_allclose(trace.progress, np.arange(10))
     np.testing.assert_allclose(trace.slip, 0.5)
-
-
-def test_a_vehicle_that_has_backed_out_is_still_on_its_course():
-    driving = hand_made(7)
-    places = (0, 3, 6, 4, 2, 1, 3)
-    back = [replace(s, position=np.array((x, 0.5, 20.0))) for s, x in zip(driving.samples, places, strict=True)]
-    trace = trace_of(Driving(back, driving.controls), COURSE)
-    np.testing.assert_allclose(trace.off, 0.5)
-    np.testing.assert_allclose(trace.progress, [0, 3, 6, 6, 6, 6, 6])
 
 
 def test_the_summary_counts_until_the_course_is_driven():

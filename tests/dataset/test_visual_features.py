@@ -29,7 +29,7 @@ from offpiste.perception.feature_extractor import load_feature_extractor
 from offpiste.perception.pca import load_pca
 from offpiste.rig.rig import load_rig
 from offpiste.simulation.simulate import DriveSettings, simulate
-from offpiste.simulation.world.surface import read_grid
+from offpiste.simulation.world.grids import read_grid
 from offpiste.simulation.world.world import WorldSettings
 
 PARTS_OF_DRIVES = (("drive", "train"), ("other", "train"))

@@ -54,9 +54,9 @@ def test_again_nothing_is_driven_anew_and_it_says_the_same(shown: Path, caplog: 
     assert {file: file.stat().st_mtime_ns for file in shown.rglob("*.mcap")} == before
     text = "\n".join(caplog.messages)
     for said in (
-        "predicted place after 5 s, off by [m]",
-        "Here, from ",
-        "Usual is ",
+        "error of the predicted place after 5 s [m]",
+        "Here, dc's predictions from ",
+        "Typically ",
         str(shown / "demo.png"),
         "Next:",
     ):
@@ -82,11 +82,13 @@ def predictions(b: float, dc: float) -> Predictions:
 
 def test_the_words_say_who_was_nearer_here_and_what_is_usual() -> None:
     here, usual, *_ = closing_words(predictions(4.0, 3.0))
-    assert "dc's predictions end 25 % nearer to where" in here
-    assert "3.00 m off after 5 s instead of 4.00 m" in here
+    assert "dc's predictions from 1 times end 25 % closer" in here
+    assert "error after 5 s 3.00 m instead of 4.00 m" in here
     gain = load_card(run_folder(shipped("dc"))).over_seeds.against_b
-    assert usual.startswith(f"Usual is {-100 * gain.mean:.0f} % [{-100 * gain.ci95[1]:.0f}, {-100 * gain.ci95[0]:.0f}]")
-    assert "50 % farther from where" in next(iter(closing_words(predictions(2.0, 3.0))))
+    assert usual.startswith(
+        f"Typically {-100 * gain.mean:.0f} % [{-100 * gain.ci95[1]:.0f}, {-100 * gain.ci95[0]:.0f}]"
+    )
+    assert "50 % farther from" in next(iter(closing_words(predictions(2.0, 3.0))))
 
 
 def test_the_words_say_how_it_drives_where_the_card_knows(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -117,5 +119,5 @@ def test_the_table_has_both_models_side_by_side() -> None:
         for line in text.splitlines()
         if "│" in line
     }
-    assert lines["predicted place after 5 s, off by [m]"] == ["4.00", "3.00"]
+    assert lines["error of the predicted place after 5 s [m]"] == ["4.00", "3.00"]
     assert lines["end of the drive"] == ["after 40 of 90 m", "stuck"]

@@ -1,12 +1,17 @@
-"""What `offpiste warm-up` compiles is what training calls."""
+"""What `offpiste warm-up` compiles is what training calls, and its parts run."""
+
+from pathlib import Path
 
 import numpy as np
+import pytest
 import torch
 
 from feature_datasets import dataset_with_features
 from offpiste.compilation import KERNELS
+from offpiste.core.errors import RunError
 from offpiste.dataset.windows import Windows
-from offpiste.demo.warm_up import compile_training
+from offpiste.demo.first_minute import shipped
+from offpiste.demo.warm_up import PLAN, RECORD, compile_training, rehearse, rehearse_part
 from offpiste.dynamics.kernels import actuators, encoder, rollout
 from offpiste.training.prediction import predict
 from offpiste.training.run import build, vehicle_of
@@ -29,3 +34,14 @@ def test_training_compiles_nothing_more(tmp_path) -> None:
     with torch.no_grad():
         predict(model, windows.gather(np.arange(3)))
     assert [set(entry.signatures) for entry in ENTRIES] == compiled
+
+
+@pytest.mark.parametrize("part", [RECORD, PLAN])
+def test_each_part_is_done(part: str, tmp_path: Path) -> None:
+    assert rehearse_part(part, lambda share: None, run=shipped("dc"), folder=tmp_path) == part
+    assert (tmp_path / "drive.mcap").exists() == (part == RECORD)
+
+
+def test_what_goes_wrong_is_said() -> None:
+    with pytest.raises(RunError, match="no model 'proving-ground/none' ships"):
+        rehearse(shipped("none"), 1)

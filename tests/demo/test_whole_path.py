@@ -89,7 +89,7 @@ def test_the_gain_is_relative_to_b_on_the_same_windows() -> None:
     [
         (
             PairedDifference(-0.2, (-0.3, -0.1)),
-            "Here dc is 20 % below b, with 36 s of driving to learn from and 18 s to",
+            "Here dc is 20 % below b, with 36 s of driving for training and 18 s for",
         ),
         (PairedDifference(-0.2, (-0.5, 0.1)), "No difference between dc and b is shown here"),
         (PairedDifference(0.2, (0.1, 0.3)), "Here dc is 20 % above b: 36 s of driving"),

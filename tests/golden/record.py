@@ -17,7 +17,7 @@ import tempfile
 import time
 import tomllib
 from collections.abc import Callable, Iterable
-from dataclasses import astuple, fields, is_dataclass, replace
+from dataclasses import astuple, dataclass, field, fields, is_dataclass, replace
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -63,8 +63,11 @@ from offpiste.planning.kernel import encode_map, fused_costs, fused_rollout, ker
 from offpiste.planning.mppi import PEDALS_AND_WHEEL, Settings, improve, shift
 from offpiste.planning.rollouts import driving_costs, situation_terrain, spread_model_state
 from offpiste.rig.rig import load_rig
-from offpiste.simulation.sensors.imperfections import Imperfections
-from offpiste.simulation.simulate import DriveSettings, simulate
+from offpiste.simulation.recorder import Imperfections
+from offpiste.simulation.sample import VehicleSample
+from offpiste.simulation.simulate import Controller, DriveSettings, record, simulate, start_and_driver
+from offpiste.simulation.vehicle.parameters import load_vehicle
+from offpiste.simulation.world.build import make_world
 from offpiste.simulation.world.world import WorldSettings
 from offpiste.training.config import TrainConfig
 from offpiste.training.losses import summed_loss
@@ -113,8 +116,8 @@ def parts(name: str, thing: object, *, keep: int = SMALL) -> Results:
     """All arrays of a dataclass or named tuple, by their order: their names may change."""
     names = [f.name for f in fields(thing)] if is_dataclass(thing) else thing._fields  # type: ignore[attr-defined]
     found: Results = {}
-    for number, field in enumerate(names):
-        value = getattr(thing, field)
+    for number, attribute in enumerate(names):
+        value = getattr(thing, attribute)
         if isinstance(value, np.ndarray | torch.Tensor):
             found |= summarised(f"{name}.{number}", value, keep=keep)
         elif isinstance(value, float | int):
@@ -314,28 +317,64 @@ def messages(name: str, log: Path) -> Results:
 @cache
 def light_drive() -> tuple[Path, object]:
     out = temporary_folder() / "light" / "drive.mcap"
-    return out, simulate(DriveSettings(WORLD, 8.0, seed=1, sensors="light"), out)[0]
+    return out, simulate(DriveSettings(WORLD, 8.0, seed=1, sensors="light"), out)
 
 
 @cache
 def blind_drives() -> list[tuple[Path, object]]:
-    """Without cameras and LiDARs; the last is the twin of the one before it."""
+    """Drives without cameras and LiDARs; the last has the start and the commands of the one before on other ground."""
     found = []
     flaws = Imperfections(0.02, 0.1, 0.5, 20.0)
-    for name, settings_, twins in (
-        ("dunes", DriveSettings(replace(WORLD, preset="dunes", seed=5), 14.0, seed=2, sensors="none"), 0),
-        ("flaws", DriveSettings(WORLD, 3.0, seed=4, sensors="none", imperfections=flaws), 0),
-        ("ranch", DriveSettings(replace(WORLD, preset="halter-ranch", seed=6), 14.0, seed=3, sensors="none"), 1),
+    for name, settings_ in (
+        ("dunes", DriveSettings(replace(WORLD, preset="dunes", seed=5), 14.0, seed=2, sensors="none")),
+        ("flaws", DriveSettings(WORLD, 3.0, seed=4, sensors="none", imperfections=flaws)),
     ):
         out = temporary_folder() / "blind" / f"{name}.mcap"
-        found += [(driven.log, driven) for driven in simulate(settings_, out, twins=twins)]
+        found.append((out, simulate(settings_, out)))
+    asked = DriveSettings(replace(WORLD, preset="halter-ranch", seed=6), 14.0, seed=3, sensors="none")
+    world, other = make_world(asked.world), make_world(replace(asked.world, seed=asked.world.seed + 1_000_003))
+    ground = replace(world, kinds=other.kinds, wetness=other.wetness, properties=other.properties)
+    start, driver = start_and_driver(world, load_vehicle(), seed=3)
+    memory = Remembering(driver)
+    for name, driven_on, controller in (("ranch", world, memory), ("ranch-twin-1", ground, Replay(memory.commands))):
+        out = temporary_folder() / "blind" / f"{name}.mcap"
+        found.append((out, record(asked, driven_on, load_vehicle(), start, controller, out, steps=700)))
     return found
+
+
+@dataclass
+class Remembering:
+    """A driver whose commands are kept."""
+
+    driver: Controller
+    commands: list[np.ndarray] = field(default_factory=list)
+
+    @property
+    def stuck(self) -> bool:
+        return self.driver.stuck
+
+    def command(self, sample: VehicleSample) -> np.ndarray:
+        self.commands.append(self.driver.command(sample))
+        return self.commands[-1]
+
+
+@dataclass
+class Replay:
+    """Commands of another drive, open loop."""
+
+    commands: list[np.ndarray]
+    stuck: bool = False
+    row: int = 0
+
+    def command(self, sample: VehicleSample) -> np.ndarray:
+        self.row += 1
+        return self.commands[min(self.row, len(self.commands)) - 1]
 
 
 def simulated_log() -> Results:
     found: Results = {}
     full = temporary_folder() / "full.mcap"
-    (looked,) = simulate(DriveSettings(WORLD, 0.4, seed=7, sensors="full"), full)
+    looked = simulate(DriveSettings(WORLD, 0.4, seed=7, sensors="full"), full)
     for log, driven in [light_drive(), (full, looked), *blind_drives()]:
         name = log.stem if log != full else "full"
         found |= messages(name, log)

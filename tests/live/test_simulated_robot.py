@@ -131,7 +131,7 @@ def test_a_length_that_is_none_is_one_line(seconds, capsys):
     assert f"--seconds: a drive of {seconds} s" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("option", ["--out a.mcap", "--twins 1", "--pose-drift 1", "--manoeuvres", "--drives 2"])
+@pytest.mark.parametrize("option", ["--out a.mcap", "--pose-drift 1", "--manoeuvres", "--drives 2"])
 def test_options_of_recorded_drives_are_refused(option, capsys):
     with pytest.raises(SystemExit) as ended:
         main(["simulate", "--live", *option.split()])

@@ -11,7 +11,7 @@ from offpiste.core.geometry import local_from_geographic
 from offpiste.live.vehicle_messages import VehicleMessages
 from offpiste.logs.ros.writer import floats, header, make, vector
 from offpiste.rig.rig import load_rig, parse_rig, rig_text
-from offpiste.simulation.recorder import stamp_ns, vehicle_messages
+from offpiste.simulation.messages import stamp_ns, vehicle_messages
 from synthetic_drive import samples
 
 NOW = START / 1e9

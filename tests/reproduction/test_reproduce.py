@@ -198,7 +198,7 @@ def test_datasets_that_cannot_carry_a_figure_are_refused_in_one_line(
 
 
 def test_every_size_can_be_started(tmp_path: Path) -> None:
-    from offpiste.simulation import recordings
+    from offpiste.simulation import simulate
 
     class Begun(BaseException):
         pass
@@ -208,7 +208,7 @@ def test_every_size_can_be_started(tmp_path: Path) -> None:
 
     for name, size in SIZES.items():
         with pytest.MonkeyPatch.context() as patch, logged() as messages:
-            patch.setattr(recordings, "run_all", begin)
+            patch.setattr(simulate, "run_all", begin)
             with pytest.raises(Begun):
                 reproduce(ReproductionSettings("fig3", size, tmp_path / name))
         assert re.match(r"\[1/\d+\] simulate \d+ drives", str(messages[0]))

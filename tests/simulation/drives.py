@@ -1,5 +1,7 @@
 """Small worlds and short drives for tests of the vehicle."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from offpiste.logs.ground_truth import GROUND_KINDS
@@ -63,3 +65,10 @@ def cruise(speed, steer=0.0):
 def yaw_of(sample):
     x, y, z, w = sample.orientation
     return np.arctan2(2 * (x * y + z * w), 1 - 2 * (y * y + z * z))
+
+
+def with_tree_ahead(world, start, distance, radius=0.2):
+    """The world with a single tree ahead of a start, and the tree's place."""
+    ahead = np.array((start.x, start.y)) + distance * np.array((np.cos(start.yaw), np.sin(start.yaw)))
+    tree = Trees(np.array([[*ahead, 0.0]]), np.array([radius]), np.array([1.5]), np.array([6.0]))
+    return replace(world, trees=tree), ahead

@@ -3,6 +3,7 @@
 import numpy as np
 
 from offpiste.logs.ground_truth import GROUND_KINDS
+from offpiste.simulation.sample import Motion, Pose
 from offpiste.simulation.world.world import Bushes, Trees, World, WorldSettings
 
 NO_TREES = Trees(np.zeros((0, 3)), np.zeros(0), np.zeros(0), np.zeros(0))
@@ -48,3 +49,7 @@ def tree(x, y, *, radius=0.3, crown=1.5, height=6.0):
 
 def bush(x, y, *, radius=0.6, height=0.8):
     return Bushes(np.array([[x, y, 0.0]]), np.array([radius]), np.array([height]), np.array([100.0]))
+
+
+def motionless(pose: Pose) -> Motion:
+    return Motion(np.array((0.0, 1.0)), np.tile(pose.position, (2, 1)), np.tile(pose.orientation, (2, 1)))

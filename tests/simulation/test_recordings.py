@@ -7,8 +7,7 @@ import pytest
 from log_messages import logged
 from offpiste.cli import main
 from offpiste.core.errors import OffpisteError
-from offpiste.simulation.recordings import Recording, simulate_all
-from offpiste.simulation.simulate import DriveSettings
+from offpiste.simulation.simulate import DriveSettings, Recording, simulate_all
 from offpiste.simulation.world.world import WorldSettings
 
 WORLD = WorldSettings("uniform", size=150.0, resolution=0.5)
@@ -33,7 +32,7 @@ def test_processes_record_what_one_does_and_what_is_there_stays(tmp_path: Path) 
 def test_only_as_many_processes_record_as_memory_has_room_for(tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setattr("offpiste.core.parallel.free_memory", lambda: int(2e9))
     started = []
-    monkeypatch.setattr("offpiste.simulation.recordings.run_all", lambda *given, **_: started.append(given[2]) or [])
+    monkeypatch.setattr("offpiste.simulation.simulate.run_all", lambda *given, **_: started.append(given[2]) or [])
     with logged() as messages:
         simulate_all(recordings(tmp_path / "logs"), 16)
     assert started == [2]
@@ -52,8 +51,7 @@ def test_one_that_fails_does_not_keep_the_others(tmp_path: Path) -> None:
     ("words", "said"),
     [
         (["--drives", "0"], "0 drives"),
-        (["--drives", "2", "--twins", "1"], "goes with neither"),
-        (["--twins", "-1"], "--twins is -1; give a number of 0 or more"),
+        (["--drives", "2", "--drive-seed", "1"], "--drive-seed cannot be combined with --drives"),
         (["--drives", "2", "--processes", "-1"], "--processes is -1; give 1 or more, or 0"),
     ],
 )

@@ -1,10 +1,8 @@
-"""The loop of vehicle and commander: how drives begin and end, and what twins are.
+"""How drives begin and end; files with the same bytes again, readable after an interruption."""
 
-From settings to a file: the same bytes again, whole after an interruption, refused in one line if impossible.
-"""
-
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -12,26 +10,15 @@ import pytest
 from mcap.reader import make_reader
 
 from offpiste.cli import main
-from offpiste.core.errors import LogError, OffpisteError
+from offpiste.core.errors import OffpisteError
 from offpiste.dataset.extract import make_dataset
 from offpiste.logs import read_drive
 from offpiste.logs.ground_truth import read_truth
 from offpiste.rig.rig import load_rig
 from offpiste.simulation import simulate as simulation
-from offpiste.simulation.sample import VehicleSample
-from offpiste.simulation.sensors.imperfections import Imperfections
+from offpiste.simulation.recorder import Imperfections
 from offpiste.simulation.sensors.suite import SensorSuite, light_suite
-from offpiste.simulation.simulate import (
-    DriveSettings,
-    DriveSummary,
-    Replay,
-    Start,
-    drive,
-    on_other_ground,
-    record,
-    simulate,
-    start_and_driver,
-)
+from offpiste.simulation.simulate import DriveSettings, DriveSummary, Start, drive, record, simulate, start_and_driver
 from offpiste.simulation.vehicle.parameters import load_vehicle
 from offpiste.simulation.world.build import make_world
 from offpiste.simulation.world.world import WorldSettings
@@ -72,14 +59,6 @@ def test_another_suite_instead_of_the_settings(tmp_path):
     assert not [topic for topic in topics if "camera" in topic or "lidar_top" in topic]
 
 
-def test_every_step_is_one_sample_with_the_command_that_follows():
-    samples = list(drive(flat_world(), VEHICLE, Start(1.0, 2.0, 0.5, 4.0), Always((0.3, 0.0, 0.1)), steps=50))
-    np.testing.assert_allclose([s.time for s in samples], np.arange(50) * 0.02)
-    assert all((s.command == (0.3, 0.0, 0.1)).all() for s in samples)
-    np.testing.assert_allclose(samples[0].position[:2], (1.0, 2.0))
-    np.testing.assert_allclose(samples[0].velocity[:2], 4.0 * np.array((np.cos(0.5), np.sin(0.5))), atol=0.02)
-
-
 def test_a_rollover_ends_the_drive():
     # Full lock at 12 m/s on ground that holds: the outer wheels trip it.
     sticky = flat_world(properties=(1.6, 12.0, 0.02, 0.0))
@@ -110,37 +89,6 @@ def test_the_same_drive_twice():
     assert not np.array_equal(first[-1].position, other[-1].position)
 
 
-def test_twins_begin_alike_and_part():
-    world, other = small(1), small(2)
-    ground = on_other_ground(world, other)
-    np.testing.assert_array_equal(ground.elevation, world.elevation)
-    np.testing.assert_array_equal(ground.properties, other.properties)
-    start, driver = start_and_driver(world, VEHICLE, seed=5)
-    mine = list(drive(world, VEHICLE, start, driver, steps=400))
-    commands = np.stack([s.command for s in mine])
-    twin = list(drive(ground, VEHICLE, start, Replay(commands), steps=len(commands)))
-    # The springs settle a little differently on other ground.
-    np.testing.assert_allclose(mine[0].position, twin[0].position, atol=1e-4)
-    np.testing.assert_allclose(mine[0].velocity, twin[0].velocity, atol=1e-4)
-    np.testing.assert_array_equal([s.command for s in twin], commands[: len(twin)])
-    apart = [np.hypot(*(a.position - b.position)[:2]) for a, b in zip(mine, twin, strict=False)]
-    assert apart[10] < 0.1
-    assert max(apart) > 1.0
-
-
-def test_a_replay_on_the_same_ground_is_the_same_drive():
-    world = small(1)
-    mine = [*_driven(world, 5, 300)]
-    start, _ = start_and_driver(world, VEHICLE, seed=5)
-    again = list(drive(world, VEHICLE, start, Replay(np.stack([s.command for s in mine])), steps=len(mine)))
-    np.testing.assert_array_equal([s.position for s in mine], [s.position for s in again])
-
-
-def test_twins_need_worlds_of_one_size():
-    with pytest.raises(ValueError, match="one size"):
-        on_other_ground(flat_world(), flat_world(size=(100.0, 100.0)))
-
-
 def _driven(world, seed, steps):
     start, driver = start_and_driver(world, VEHICLE, seed=seed)
     return drive(world, VEHICLE, start, driver, steps=steps)
@@ -161,25 +109,23 @@ def messages(path: Path) -> dict[str, list[tuple[int, bytes]]]:
 
 
 @pytest.fixture(scope="module")
-def driven(tmp_path_factory: pytest.TempPathFactory) -> list[DriveSummary]:
-    """A drive and its twin."""
-    return simulate(SETTINGS, tmp_path_factory.mktemp("simulate") / "drive.mcap", twins=1)
+def driven(tmp_path_factory: pytest.TempPathFactory) -> DriveSummary:
+    return simulate(SETTINGS, tmp_path_factory.mktemp("simulate") / "drive.mcap")
 
 
 def test_the_same_settings_give_the_same_bytes_and_another_seed_others(driven, tmp_path):
-    again = simulate(SETTINGS, tmp_path / "again.mcap")[0]
-    assert messages(again.log) == messages(driven[0].log)
-    assert again.log.read_bytes() == driven[0].log.read_bytes()
-    other = simulate(replace(SETTINGS, seed=4), tmp_path / "other.mcap")[0]
-    mine, others = messages(driven[0].log), messages(other.log)
+    again = simulate(SETTINGS, tmp_path / "again.mcap")
+    assert messages(again.log) == messages(driven.log)
+    assert again.log.read_bytes() == driven.log.read_bytes()
+    other = simulate(replace(SETTINGS, seed=4), tmp_path / "other.mcap")
+    mine, others = messages(driven.log), messages(other.log)
     assert mine["/tf_static"] == others["/tf_static"]
     assert mine["/odometry"] != others["/odometry"]
     assert mine["/truth/map"] == others["/truth/map"]
 
 
 def test_what_is_told_is_what_was_driven(driven):
-    drive = read_drive(driven[0].log, RIG)
-    first = driven[0]
+    first, drive = driven, read_drive(driven.log, RIG)
     assert first.seconds == pytest.approx(6.0)
     assert first.path.shape == (300, 2)
     assert first.speed.shape == (300,)
@@ -189,22 +135,10 @@ def test_what_is_told_is_what_was_driven(driven):
     assert str(first).startswith(f"{first.log}: 6 s, ")
 
 
-def test_a_twin_has_the_same_start_and_commands_on_other_ground(driven):
-    first, twin = driven
-    assert twin.log.name == "drive-twin-1.mcap"
-    mine, others = messages(first.log), messages(twin.log)
-    count = min(len(mine["/command"]), len(others["/command"]))
-    assert mine["/command"][:count] == others["/command"][:count]
-    np.testing.assert_array_equal(first.path[0], twin.path[0])
-    assert first.speed[0] == pytest.approx(twin.speed[0], abs=1e-4)
-    assert mine["/truth/map"] != others["/truth/map"]
-    assert np.hypot(*(first.path[:count] - twin.path[:count]).T).max() > 0.3
-
-
 def test_ground_truth_features_are_the_world_under_the_wheels(driven, tmp_path):
-    dataset = make_dataset([driven[0].log], RIG, tmp_path / "truth.zarr", split="blocks:1,0,0", features="ground-truth")
+    dataset = make_dataset([driven.log], RIG, tmp_path / "truth.zarr", split="blocks:1,0,0", features="ground-truth")
     cells, world = dataset.drives[0].rows.cells, make_world(WORLD)
-    truth = read_truth(driven[0].log)
+    truth = read_truth(driven.log)
     rows = dataset.drives[0].rows.time
     # The truth's own record of each wheel's contact, next to the row.
     at = np.clip(np.searchsorted(truth.time, rows), 0, len(truth.time) - 1)
@@ -219,25 +153,16 @@ def test_ground_truth_features_are_the_world_under_the_wheels(driven, tmp_path):
     assert np.abs(found.astype(float) - truth.properties[at]).mean(axis=(0, 1))[0] < 0.03
 
 
-def test_ground_truth_is_only_in_simulated_logs(tmp_path):
-    (tmp_path / "log.csv").write_text("time,x,y\n0,0,0\n")
-    with pytest.raises(LogError):
-        read_truth(tmp_path / "log.csv")
-
-
 def test_ctrl_c_leaves_a_readable_file(tmp_path, monkeypatch):
-    def interrupted(samples: Iterator[VehicleSample], steps: int, name: str) -> Iterator[VehicleSample]:
-        for number, sample in enumerate(samples):
-            if number == 130:
-                raise KeyboardInterrupt
-            yield sample
+    def interrupted(steps: Iterable[int], _: str) -> Iterator[int]:
+        yield from islice(steps, 130)
+        raise KeyboardInterrupt
 
-    monkeypatch.setattr(simulation, "_with_progress", interrupted)
+    monkeypatch.setattr(simulation, "track", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        simulate(SETTINGS, tmp_path / "cut.mcap", twins=1)
+        simulate(SETTINGS, tmp_path / "cut.mcap")
     drive = read_drive(tmp_path / "cut.mcap", RIG)
     assert len(drive.channels["position"].time) == 130
-    assert not (tmp_path / "cut-twin-1.mcap").exists()
 
 
 @pytest.mark.parametrize(
@@ -263,11 +188,10 @@ def test_bad_settings_leave_no_file(settings, said, tmp_path):
 
 
 def test_an_existing_file_is_refused_before_anything_is_written(tmp_path):
-    (tmp_path / "drive-twin-2.mcap").write_bytes(b"mine")
-    with pytest.raises(OffpisteError, match=r"drive-twin-2\.mcap: exists already"):
-        simulate(SETTINGS, tmp_path / "drive.mcap", twins=2)
-    assert [file.name for file in tmp_path.iterdir()] == ["drive-twin-2.mcap"]
-    assert (tmp_path / "drive-twin-2.mcap").read_bytes() == b"mine"
+    (tmp_path / "drive.mcap").write_bytes(b"mine")
+    with pytest.raises(OffpisteError, match=r"drive\.mcap: exists already"):
+        simulate(SETTINGS, tmp_path / "drive.mcap")
+    assert (tmp_path / "drive.mcap").read_bytes() == b"mine"
 
 
 def run(*arguments: str) -> int:
@@ -296,10 +220,6 @@ def test_a_mistake_ends_in_one_line_and_exit_code_1(arguments, said, tmp_path, c
     assert error.startswith("offpiste: ")
     assert error.count("\n") == 1
     assert [file.name for file in tmp_path.iterdir()] == ["there.mcap"]
-
-
-def test_unknown_sensors_are_wrong_usage():
-    assert run("simulate", "--sensors", "sonar") == 2
 
 
 def test_the_command_line_records_what_can_be_extracted(tmp_path, capsys):

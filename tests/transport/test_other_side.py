@@ -8,8 +8,7 @@ import pytest
 
 from offpiste.logs.ros.sensor_messages import message_from_points
 from offpiste.logs.ros.writer import header, make
-from offpiste.simulation.recorder import odometry_message
-from offpiste.simulation.sensors.messages import Mounting, image_message, mountings_message
+from offpiste.simulation.messages import Mounting, image_message, mountings_message, odometry_message
 from offpiste.transport.message_types import MessageTypes
 from synthetic_drive import samples
 from transport.routers import network, until

@@ -1,13 +1,20 @@
 """`offpiste drive`."""
 
+import logging
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from shlex import join
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
 from offpiste.cli.entry import COMMANDS
 from offpiste.core.conventions import PERCEPTION_LATENCY
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+logger = logging.getLogger(__name__)
 
 
 @COMMANDS.register("drive")
@@ -16,64 +23,93 @@ class Drive:
     """Drive a course on the proving ground with a trained model, in simulated time (needs the extra `sim`)."""
 
     run_folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN")]
-    """A folder that `train` wrote, or `pretrained:NAME`, e.g. pretrained:proving-ground/dc;
+    """Folder written by `train`, or `pretrained:NAME`, e.g. pretrained:proving-ground/dc;
     runs on ground-truth features are given the true ground."""
     world: str = "mojave"
-    """Name of a world, or a TOML file of your own; an unknown name lists those there are."""
+    """Name of a world, or a TOML file; an unknown name lists the available worlds."""
     seed: int = 0
-    """Seed of the world, the course, the noise and the sampled controls."""
+    """Seed of world, course, noise and sampled controls."""
     seconds: float = 40.0
-    """Longest drive [s]; it ends earlier at the end of its course."""
+    """Longest drive [s]; it ends earlier at the end of the course."""
     out: Path = Path("closed-loop")
     """Folder of drive.mcap, result.json and drive.png."""
     pca: Path | None = None
-    """For runs with visual features: the file that their dataset was extracted with; shipped models have theirs."""
+    """PCA file of the run's dataset, for models with visual features; shipped models have their own."""
     course: str = "bends"
-    """Kind of course: bends, choices or passages; an unknown kind lists those there are."""
+    """Kind of course: bends, choices or passages."""
     speed: float = 7.0
-    """Wanted along the course [m/s]; the course is chosen for it, so another speed may have another course."""
+    """Target speed [m/s]; the course is chosen for it and may differ for another speed."""
     latency: float = PERCEPTION_LATENCY
-    """From the data of a plan to its first control [s]."""
+    """Time from the data of a plan to its first control [s]."""
     risk: str = "none"
-    """What counts in plans beside the prediction: none, spread:TIMES or cvar:SHARE, which need a spread (models that
-    ship have one, others by `offpiste calibrate`)."""
+    """Treatment of uncertainty in plans: none, spread:TIMES or cvar:SHARE. The latter need a spread, which shipped
+    models have and `offpiste calibrate` adds to others."""
     novelty: Literal["ignored", "missing"] = "ignored"
-    """What novel ground, unlike any in training, is to the model; missing needs features of training's (shipped with
-    models that see the ground, for others by `offpiste calibrate`)."""
+    """Treatment of ground unlike any in training; missing hides its features from the model, and needs features of
+    training, which shipped models have and `offpiste calibrate` adds to others."""
     device: str = "cpu"
-    """Device on which images are encoded and plans are made: cpu, or cuda (needs the extra `cuda`)."""
+    """Device for encoding images and planning: cpu, or cuda (needs the extra `cuda`)."""
     against: bool = False
-    """Start the vehicle against its course: it turns round first, backwards and forwards."""
+    """Start the vehicle against its course, so that it has to turn round."""
     fault: Literal["none", "camera-dropped", "lidar-dropped", "late-image", "nan-features", "map-empty"] = "none"
     """Fault of the sensors."""
     fault_start: float = 10.0
-    """When the fault begins [s]."""
+    """Start of the fault [s]."""
     fault_when: Literal["time", "reversing"] = "time"
-    """reversing: it begins when the vehicle first drives backwards after that."""
+    """Begin the fault at its start time, or when the vehicle first reverses after it."""
     recording: bool = False
     """Also write drive.rrd for the Rerun viewer (needs the extra `view`)."""
 
     def run(self) -> int:
         """Load, drive, evaluate, draw."""
-        from offpiste.closed_loop.command import run_drive
+        from offpiste.closed_loop.courses import CourseSettings
+        from offpiste.closed_loop.drive_course import CourseDriveSettings, drive_course
+        from offpiste.closed_loop.planner import load_planner
+        from offpiste.core.errors import require
+        from offpiste.planning.caution import risk_of
+        from offpiste.planning.gpu import require_device
+        from offpiste.runtime.settings import RuntimeSettings
+        from offpiste.simulation.world.world import WorldSettings
 
-        run_drive(
-            self.run_folder,
-            self.out,
-            world=self.world,
-            seed=self.seed,
-            seconds=self.seconds,
-            pca=self.pca,
-            course=self.course,
-            speed=self.speed,
-            latency=self.latency,
-            risk=self.risk,
-            novelty=self.novelty,
-            device=self.device,
+        if self.recording:
+            require("view", "rerun", otherwise="leave out --recording")
+        planner = load_planner(self.run_folder, self.pca, novelty=self.novelty, device=self.device)
+        risk = risk_of(self.risk)
+        require_device(self.device, planner.dynamics)
+        settings = CourseDriveSettings(
+            WorldSettings(self.world, self.seed),
+            self.seconds,
+            course=CourseSettings(self.course, self.speed),
+            runtime=RuntimeSettings(latency=self.latency, risk=risk, device=self.device),
             against=self.against,
             fault=self.fault,
             fault_start=self.fault_start,
             fault_when=self.fault_when,
-            recording=self.recording,
         )
+        driven = drive_course(planner, settings, self.out)
+        for table in drive_tables(driven.result):
+            logger.info(table)
+        written = ["drive.mcap", "drive.png", "result.json"]
+        if self.recording:
+            from offpiste.closed_loop.recording import record_drive
+
+            record_drive(driven, self.out / "drive.rrd")
+            written.append("drive.rrd")
+        logger.info(f"wrote {', '.join(str(self.out / name) for name in written)}")
+        logger.info(f"next: {join(['offpiste', 'view', str(self.out / 'drive.mcap'), '--rig', 'proving_ground_gear'])}")
         return 0
+
+
+def drive_tables(result: dict[str, Any]) -> "tuple[Table, Table]":
+    """Changes of mode with time and reason, and wall-clock times of the stages of the run time."""
+    from rich.table import Table
+
+    # Without a backslash, rich takes brackets for a style.
+    modes = Table(r"at \[s]", "mode", "reason", title="changes of mode")
+    for time, mode, why in result["modes"]:
+        modes.add_row(f"{time:.2f}", mode, why)
+    stages = Table("stage", "count", r"median \[ms]", r"95 % \[ms]", r"total \[s]", title="wall-clock times")
+    for stage, took in result["stages"].items():
+        numbers = (f"{took[key]:.1f}" for key in ("median_ms", "p95_ms", "total_s"))
+        stages.add_row(stage, f"{took['count']:.0f}", *numbers)
+    return modes, stages

@@ -14,10 +14,10 @@ if TYPE_CHECKING:
     from offpiste.simulation.simulate import DriveSettings
 
 _NOT_LIVE = (
-    "out", "drives", "drive_seed", "manoeuvres", "mounting_turn", "twins", "pose_drift", "extrinsic_error",
-    "stamp_offset", "processes", "cluster",
+    "out", "drives", "drive_seed", "manoeuvres", "mounting_turn", "pose_drift", "extrinsic_error", "stamp_offset",
+    "processes", "cluster",
 )  # fmt: skip
-"""Options of recorded drives alone."""
+"""Options of recorded drives only."""
 
 
 @COMMANDS.register("simulate")
@@ -26,50 +26,48 @@ class Simulate:
     """Record a drive on the proving ground, in a world made from a seed, as an MCAP log (needs the extra `sim`)."""
 
     out: Path = Path("drive.mcap")
-    """The log, with twins beside it; or the folder of several drives."""
+    """The log; with several --drives, their folder."""
     world: str = "mojave"
-    """Name of a world, or a TOML file of your own; an unknown name lists those there are."""
+    """Name of a world, or a TOML file; an unknown name lists the available worlds."""
     seconds: float = 60.0
-    """Length of the drive [s]; one that rolls over or gets stuck ends early."""
+    """Length of the drive [s]; it ends early if the vehicle rolls over or gets stuck."""
     seed: int = 0
     """Seed of the world, the driver and all noise."""
     drives: int = 1
-    """Drives to record; several have the seeds from --seed on, each a world of its own. It resumes."""
+    """Number of drives, with seeds from --seed on and a world each; existing drives are kept."""
     drive_seed: int | None = None
-    """Seed of the driver and the noise, for another drive in the same world."""
+    """Seed of the driver and the noise, for a different drive in the same world."""
     sensors: Literal["full", "light", "none"] = "light"
-    """Four cameras and two LiDARs; one of each, slower; or none."""
+    """full: four cameras and two LiDARs; light: one of each at lower rate and resolution."""
     manoeuvres: bool = False
-    """The driver also stops, crawls, reverses, rocks free and drives fast stretches (rig proving_ground_gear)."""
+    """The driver also stops, crawls, reverses, rocks the vehicle free and drives fast (rig proving_ground_gear)."""
     vehicle: str = ""
-    """A TOML file of another vehicle than the side-by-side (docs/proving-ground.md); its rig is written beside."""
+    """TOML file of another vehicle (docs/proving-ground.md); its rig is written next to the log."""
     mounting_turn: float = 0.0
-    """Angle by which each sensor is turned about a random axis from its usual mounting; the log says so [degrees]."""
-    twins: int = 0
-    """Further drives with the same start and commands on other ground."""
+    """Rotation of each sensor from its usual mounting about a random axis, as the log states [degrees]."""
     grip_contrast: float = 1.0
-    """1: ground as tables have it; 0: all ground drives alike."""
+    """Contrast of grip between kinds of ground; at 0 all ground drives the same."""
     appearance_noise: float = 1.0
-    """How far looks vary without any effect on grip."""
+    """Scale of variations in appearance that are unrelated to grip."""
     pose_noise: float = 0.0
-    """White noise of recorded positions [m]."""
+    """Additional white noise of recorded positions [m]."""
     pose_drift: float = 0.0
-    """Drift of recorded poses in a minute [m and degrees]."""
+    """Drift of recorded poses per minute [m and degrees]."""
     extrinsic_error: float = 0.0
-    """Angle between recorded and true mountings of sensors [degrees]."""
+    """Angle between recorded and true mounting of each sensor [degrees]."""
     stamp_offset: float = 0.0
-    """How much too late cameras and LiDARs are stamped [ms]."""
+    """Delay of the stamps of cameras and LiDARs [ms]."""
     processes: int = 0
-    """How many of several drives are recorded at a time; 0: one a core."""
+    """Number of drives recorded in parallel; 0: one per core."""
     cluster: str = ""
-    """Record several drives on a Ray cluster instead (extra `ray`): auto, or HOST:PORT of its head."""
+    """Record several drives on a Ray cluster (extra `ray`): auto, or HOST:PORT of its head."""
 
     live: bool = False
-    """In real time, as a robot: `offpiste live proving_ground --drive` drives it along a course (extra `live`).
+    """Simulate a robot in real time, to be driven by `offpiste live proving_ground --drive` (extra `live`).
 
-    Only world, seconds, seed, sensors, vehicle, pose noise, contrast and appearance of the above apply."""
+    Of the options above, only world, seconds, seed, sensors, vehicle, pose noise, contrast and appearance apply."""
     speed: float = 5.0
-    """Speed that the course of --live is chosen for [m/s]."""
+    """Speed for which the course of --live is chosen [m/s]."""
     robot: Annotated[RobotOptions, tyro.conf.OmitArgPrefixes] = field(default_factory=RobotOptions)
 
     def run(self) -> int:
@@ -82,14 +80,14 @@ class Simulate:
 
         if self.drives == 1:
             seed = self.seed if self.drive_seed is None else self.drive_seed
-            simulate(self._settings(self.seed, seed), self.out, twins=self.twins)
+            simulate(self._settings(self.seed, seed), self.out)
             rig = self._rig(self.out.with_suffix(".rig.toml"))
             show(f"next: offpiste inspect {quote(str(self.out))} --rig {rig}")
             return 0
         if self.drives < 1:
             raise OffpisteError(f"{self.drives} drives", where="--drives", how="give 1 or more")
-        if self.twins or self.drive_seed is not None:
-            raise OffpisteError("--drives goes with neither --twins nor --drive-seed", how="leave them out")
+        if self.drive_seed is not None:
+            raise OffpisteError("--drive-seed cannot be combined with --drives", how="leave out one of them")
         self._record_all()
         return 0
 
@@ -113,7 +111,7 @@ class Simulate:
         from offpiste.core.files import check_folder
         from offpiste.core.parallel import at_a_time
         from offpiste.core.progress import show
-        from offpiste.simulation.recordings import Recording, simulate_all
+        from offpiste.simulation.simulate import Recording, simulate_all
 
         check_folder(self.out, own=("*.mcap",))
         processes = at_a_time(self.processes)
@@ -126,19 +124,19 @@ class Simulate:
         show(f"next: offpiste inspect {quote(str(self.out))}/*.mcap --rig {rig}")
 
     def _rig(self, path: Path) -> str:
-        """The rig that reads the drives: a preset, or a file that is written for another vehicle."""
+        """Rig that reads the drives: a preset, or a file written for another vehicle."""
         preset = "proving_ground_gear" if self.manoeuvres else "proving_ground"
         if not self.vehicle:
             return preset
         from offpiste.core.files import write_text
-        from offpiste.simulation.vehicle.vehicle_rig import vehicle_rig
+        from offpiste.simulation.vehicle.parameters import vehicle_rig
 
         write_text(path, vehicle_rig(preset, Path(self.vehicle)))
         return quote(str(path))
 
     def _settings(self, world_seed: int, seed: int) -> "DriveSettings":
         from offpiste.simulation.driver.driver import WITH_MANOEUVRES, DriverSettings
-        from offpiste.simulation.sensors.imperfections import Imperfections
+        from offpiste.simulation.recorder import Imperfections
         from offpiste.simulation.simulate import DriveSettings
         from offpiste.simulation.world.world import WorldSettings
 

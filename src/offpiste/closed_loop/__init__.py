@@ -1,1 +1,1 @@
-"""Closed loop on the proving ground: courses, drives by learned models, and their evaluation."""
+"""Driving courses on the proving ground with trained models, and scores of the drives."""

@@ -1,37 +1,72 @@
-"""Courses on the proving ground, by kind (`closed_loop.kinds`): how one is declared, and the choice of the best."""
+"""Courses on the proving ground: stretches of trail that can be driven, by kind, and the best of a kind."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any, Final, NamedTuple
 
-from offpiste.closed_loop.stretches import CourseSettings
+import numpy as np
+from jaxtyping import Float
+from scipy.ndimage import gaussian_filter1d
+from scipy.spatial import cKDTree
+
+from offpiste.core.conventions import GRAVITY
 from offpiste.core.errors import CourseError
 from offpiste.core.registry import Registry
+from offpiste.logs.ground_truth import GROUND_PROPERTIES
 from offpiste.planning.course import Course
+from offpiste.simulation.driver.route import VisibleTerrain
 from offpiste.simulation.simulate import Start
 from offpiste.simulation.world.build import make_world
-from offpiste.simulation.world.world import World, WorldSettings
+from offpiste.simulation.world.forks import unevenness
+from offpiste.simulation.world.grids import Line, read_grid
+from offpiste.simulation.world.world import Fork, World, WorldSettings
 
-__all__ = ["KINDS", "Candidate", "ChosenCourse", "CourseKind", "CourseSettings", "choose_course", "course_world"]
+STEP = 1.0
+"""Spacing of the points of a course [m]."""
+SMOOTH = 1.5
+"""Standard deviation for smoothing friction and curvature, about a vehicle's length [m]."""
+APART = 20.0
+"""Smallest gap between end and beginning of a path on a closed trail [m]."""
+RUN_OUT = 60.0
+"""Length of path beyond the end of a course, so that plans do not brake for a tree straight ahead [m]."""
+SHORTEST_SHARE = 0.7
+"""Smallest share of the course in its path, where the trail is short."""
+RUN_IN, BEHIND = 40.0, 30.0
+"""Lengths of a choice before the ways part, to get up to speed and see both, and after they meet [m]."""
+RELIEF = 2.0
+"""Factor on the height of hills in worlds for passages."""
+PASSAGE_TRACTION = 0.05
+"""Smallest traction on a passage, which lets the vehicle drive away at 0.5 m/s^2 by full throttle."""
+PASSAGE_LENGTH, PASSAGE_CANDIDATES = 120.0, 400
+"""Longest passage, as longer stretches are rarely passable [m], and number of compared stretches."""
+
+
+@dataclass(frozen=True)
+class CourseSettings:
+    """Requirements on a course."""
+
+    kind: str = "bends"  # kind of course (`KINDS`)
+    speed: float = 7.0  # target speed [m/s]; the sharpest bends allow it only on ground of high friction
+    length: float = 180.0  # longest course [m]
+    clearance: float = 1.7  # smallest distance from a trunk [m]
+    steepest: float = 0.3  # largest slope along or across (rise over run)
+    radius: float = 5.0  # smallest radius of a bend [m]
+    traction: float = 0.02  # smallest traction (`traction_along`); with less, a stopped vehicle is stuck
+    candidates: int = 100  # number of compared stretches of trail
 
 
 @dataclass(frozen=True)
 class ChosenCourse:
-    """A course and the vehicle's start on it.
-
-    Attributes:
-        surprise: error of the allowed speed without knowledge of the ground [m/s] (`stretches.surprise_along`).
-        firm: index of the firm way (`Course.ways`); None where there is one way.
-    """
+    """A course and the vehicle's start."""
 
     course: Course
     start: Start
-    surprise: float
-    firm: int | None = None
+    surprise: float  # error of the allowed speed without knowledge of the ground (`surprise_along`) [m/s]
+    firm: int | None = None  # index of the firm way (`Course.ways`); None if there is one way
 
 
 class Candidate(NamedTuple):
-    """A course that could be chosen; the one with the greatest score is."""
+    """A candidate course; the one with the highest score is chosen."""
 
     score: float
     chosen: ChosenCourse
@@ -39,35 +74,32 @@ class Candidate(NamedTuple):
 
 @dataclass(frozen=True)
 class CourseKind:
-    """A kind of course.
+    """A kind of course."""
 
-    Attributes:
-        candidates: courses in a world by a seed that meet the settings, with their scores.
-        world: settings of worlds that have such courses, where they are not those of any world.
-    """
-
+    # Courses with scores that meet the settings in a world, by a seed
     candidates: Callable[[World, int, CourseSettings], Iterator[Candidate]]
+    # Settings of worlds with such courses, where special ones are needed
     world: dict[str, Any] = field(default_factory=dict)
 
 
-KINDS: Final[Registry[CourseKind]] = Registry("kind of course", package="offpiste.closed_loop.kinds")
+KINDS: Final[Registry[CourseKind]] = Registry("kind of course")
 
 
 def course_world(settings: WorldSettings, kind: str) -> World:
     """World for a kind of course.
 
     Raises:
-        OffpisteError: no such kind or preset, or a setting out of range.
+        OffpisteError: unknown kind or preset, or a setting out of range.
     """
     return make_world(replace(settings, **KINDS[kind].world))
 
 
 def choose_course(world: World, seed: int, settings: CourseSettings | None = None) -> ChosenCourse:
-    """Best course of the wanted kind in a world (of `course_world`); the same seed gives the same course.
+    """Best course of the wanted kind in a world of `course_world`; the same seed gives the same course.
 
     Raises:
         CourseError: no candidate can be driven.
-        OffpisteError: no such kind.
+        OffpisteError: unknown kind.
     """
     settings = settings or CourseSettings()
     candidates = list(KINDS[settings.kind].candidates(world, seed, settings))
@@ -77,3 +109,135 @@ def choose_course(world: World, seed: int, settings: CourseSettings | None = Non
             f"no stretch of its trails makes a course ({settings.kind})", where=place, how="take another seed"
         )
     return max(candidates, key=lambda candidate: candidate.score).chosen
+
+
+def _bends(world: World, seed: int, settings: CourseSettings) -> Iterator[Candidate]:
+    """Bends at the limit of grip: stretches of trail with their surprise as score."""
+    for chosen in _trail_courses(world, seed, settings):
+        yield Candidate(chosen.surprise, chosen)
+
+
+def _passages(world: World, seed: int, settings: CourseSettings) -> Iterator[Candidate]:
+    """Soft and steep passages over high hills: stretches of trail with their mean resistance as score."""
+    wanted = replace(
+        settings,
+        traction=max(settings.traction, PASSAGE_TRACTION),
+        length=min(settings.length, PASSAGE_LENGTH),
+        candidates=max(settings.candidates, PASSAGE_CANDIDATES),
+    )
+    for chosen in _trail_courses(world, seed, wanted):
+        resistance = gaussian_filter1d(_resistance_along(world, chosen.course.driven), SMOOTH / STEP, mode="nearest")
+        yield Candidate(float(np.maximum(resistance, 0.0).mean()), chosen)
+
+
+def _choices(world: World, seed: int, settings: CourseSettings) -> Iterator[Candidate]:
+    """Two ways around an island, one through mud: both directions through each fork, by the similarity of its ways."""
+    terrain = VisibleTerrain.of(world)
+    for fork in world.forks:
+        for backwards in (False, True):
+            course = _course_of_fork(world, fork, settings.speed, backwards=backwards)
+            driven = [way[course.before_end] for way in course.ways]
+            enough_traction = min(traction_along(world, way).min() for way in driven) >= settings.traction
+            if enough_traction and all(_drivable(terrain, way, settings) for way in course.ways):
+                surprise = float(np.mean([surprise_along(world, way, settings.speed) for way in driven]))
+                chosen = ChosenCourse(course, _start_of(course.path), surprise, 1 - fork.muddy)
+                yield Candidate(-unevenness(*driven), chosen)
+
+
+KINDS.register("bends")(CourseKind(_bends))
+KINDS.register("choices")(CourseKind(_choices, {"forks": True}))
+KINDS.register("passages")(CourseKind(_passages, {"relief": RELIEF}))
+
+
+def _trail_courses(world: World, seed: int, settings: CourseSettings) -> Iterator[ChosenCourse]:
+    """Random stretches of the world's trails that can be driven."""
+    terrain = VisibleTerrain.of(world)
+    for number in range(settings.candidates):
+        path = _stretch(world.trails, np.random.default_rng([seed, 0xC0, number]), settings.length + RUN_OUT)
+        length = (len(path) - 1) * STEP  # a closed trail may be shorter than wanted
+        end = min(settings.length, max(length - RUN_OUT, SHORTEST_SHARE * length))
+        course = Course(path, np.full(len(path), settings.speed), end)
+        enough_traction = traction_along(world, course.driven).min() >= settings.traction
+        if enough_traction and _drivable(terrain, path, settings):
+            yield ChosenCourse(course, _start_of(path), surprise_along(world, course.driven, settings.speed))
+
+
+def _course_of_fork(world: World, fork: Fork, speed: float, *, backwards: bool) -> Course:
+    """Course through a fork, with the left way in the direction of the trail as its path."""
+    loop, count = world.trails[fork.loop], len(fork.left)
+    ways = [loop, np.concatenate((fork.right, loop[count:]))]
+    if backwards:
+        ways = [np.roll(way[::-1], count, axis=0) for way in ways]
+    # Distances along the mean of both ways, twice around: equal indices lie side by side.
+    arc = _arc(np.tile((ways[0] + ways[1]) / 2, (2, 1)))
+    parted = arc[len(loop)]
+    at = np.arange(parted - RUN_IN, parted + arc[count - 1] + BEHIND + RUN_OUT, STEP)
+    path, other = (np.stack([np.interp(at, arc, axis) for axis in np.tile(way, (2, 1)).T], axis=1) for way in ways)
+    length = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+    return Course(path, np.full(len(path), speed), length - RUN_OUT, other)
+
+
+def _stretch(trails: tuple[Line, ...], rng: np.random.Generator, length: float) -> Float[np.ndarray, "P 2"]:
+    """Stretch of a random closed trail in either direction; a shorter trail is used up to its last metres."""
+    trail = trails[int(rng.integers(len(trails)))]
+    turned = np.roll(trail, -int(rng.integers(len(trail))), axis=0)[:: int(rng.choice((-1, 1)))]
+    arc = _arc(turned)
+    at = np.arange(0.0, min(arc[-1] - APART, length), STEP)
+    return np.stack([np.interp(at, arc, axis) for axis in turned.T], axis=1)
+
+
+def _arc(path: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, " P"]:
+    """Distance along a path [m]."""
+    return np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))))
+
+
+def _start_of(path: Float[np.ndarray, "P 2"]) -> Start:
+    """Start at a standstill at the beginning of a path, heading along it."""
+    heading = np.arctan2(*(path[2] - path[0])[::-1])
+    return Start(float(path[0, 0]), float(path[0, 1]), float(heading), 0.0)
+
+
+def _drivable(terrain: VisibleTerrain, path: Float[np.ndarray, "P 2"], settings: CourseSettings) -> bool:
+    """Whether a path avoids trunks, steep slopes and sharp bends."""
+    if len(terrain.trees):
+        away, nearest = cKDTree(terrain.trees[:, :2]).query(path)
+        if (away - terrain.trees[nearest, 2]).min() < settings.clearance:
+            return False
+    if max(terrain.max_slope(path[i : i + 3 : 2]) for i in range(len(path) - 2)) > settings.steepest:
+        return False
+    return bool(np.abs(_turn(path)).max() / STEP < 1 / settings.radius)
+
+
+def surprise_along(world: World, path: Float[np.ndarray, "P 2"], speed: float) -> float:
+    """Mean difference between the speeds allowed by the local and by the world's mean friction, both capped [m/s]."""
+    friction = world.properties[..., GROUND_PROPERTIES.index("friction")]
+    under = gaussian_filter1d(read_grid(friction, world.origin, world.resolution, path), SMOOTH / STEP, mode="nearest")
+    bend = np.abs(gaussian_filter1d(_turn(path), SMOOTH / STEP, mode="nearest")) / STEP
+    bend = np.concatenate((bend[:1], bend, bend[-1:]))
+    allowed, expected = (
+        np.minimum(speed, np.sqrt(mu * GRAVITY / np.maximum(bend, 1e-6))) for mu in (under, friction.mean())
+    )
+    return float(np.abs(allowed - expected).mean())
+
+
+def traction_along(world: World, path: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, " P"]:
+    """Force left to accelerate, over the weight: friction less rolling resistance, sinkage drag and climb."""
+    left = _property_along(world, path, "friction") - _resistance_along(world, path)
+    return gaussian_filter1d(left, SMOOTH / STEP, mode="nearest")
+
+
+def _resistance_along(world: World, path: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, " P"]:
+    """Resisting force over the weight: rolling resistance, sinkage drag and climb."""
+    height = read_grid(world.elevation, world.origin, world.resolution, path)
+    climb = np.gradient(height) / np.linalg.norm(np.gradient(path, axis=0), axis=1)
+    return sum((_property_along(world, path, name) for name in ("rolling_resistance", "sinkage_drag")), climb)
+
+
+def _property_along(world: World, path: Float[np.ndarray, "P 2"], name: str) -> Float[np.ndarray, " P"]:
+    return read_grid(world.properties[..., GROUND_PROPERTIES.index(name)], world.origin, world.resolution, path)
+
+
+def _turn(path: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, " P-2"]:
+    """Change of heading from each piece of a path to the next [rad]."""
+    reading = np.diff(path, axis=0)
+    return np.diff(np.unwrap(np.arctan2(reading[:, 1], reading[:, 0])))

@@ -1,9 +1,10 @@
-"""A drive of one course by one planner: simulated, evaluated, drawn and written."""
+"""Drive a course with a planner: simulate, evaluate, draw and write."""
 
 import json
 import logging
 import math
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +13,7 @@ import numpy as np
 from offpiste._version import commit, today
 from offpiste.closed_loop.courses import KINDS as COURSE_KINDS
 from offpiste.closed_loop.courses import ChosenCourse, CourseSettings, choose_course, course_world
-from offpiste.closed_loop.faults import KINDS, WHENS, Fault, Kind, When
-from offpiste.closed_loop.lockstep import Driving, cameras_of, drive_planned, lidars_of
+from offpiste.closed_loop.lockstep import KINDS, WHENS, Driving, Fault, Kind, When, cameras_of, drive_planned, lidars_of
 from offpiste.closed_loop.pictures import course_picture
 from offpiste.closed_loop.planner import Planner
 from offpiste.closed_loop.scores import Trace, firm_way, prediction_errors, summary, trace_of
@@ -28,20 +28,19 @@ from offpiste.planning.course import FASTEST
 from offpiste.rig.rig import Rig, load_rig
 from offpiste.runtime.perception import SensorSetup
 from offpiste.runtime.plan_improvement import MakeImprover, PlanImprover
-from offpiste.runtime.prediction import KnownGround
 from offpiste.runtime.runtime import Runtime
 from offpiste.runtime.settings import RuntimeSettings
 from offpiste.simulation.rendering.scene import Scene
 from offpiste.simulation.sensors.suite import SensorSuite, sensor_suite
 from offpiste.simulation.vehicle.parameters import VehicleParameters, load_vehicle
-from offpiste.simulation.world.surface import read_grid
+from offpiste.simulation.world.grids import read_grid
 from offpiste.simulation.world.world import World, WorldSettings
 from offpiste.training.run import differing_vehicle
 
 logger = logging.getLogger(__name__)
 
 EVERY = 10
-"""Rows from one place of the driven path in result.json to the next."""
+"""Rows between places of the driven path in result.json."""
 
 
 @dataclass(frozen=True)
@@ -49,12 +48,12 @@ class CourseDriveSettings:
     """Settings of a drive of a course; the same settings and planner give the same drive.
 
     Attributes:
-        world: its seed also chooses the course.
+        world: world, whose seed also chooses the course.
         seconds: longest drive [s].
         sensors: profile of `simulation.sensors`.
-        against: whether the vehicle starts against its course, and so turns round, backwards and forwards.
-        fault: fault of the sensors, from `fault_start` on [s], or from when the vehicle next drives backwards.
-        keep_log: whether drive.mcap is kept, 4 MB a second; without it, cameras are simulated only for planners that
+        against: whether the vehicle starts against its course and has to turn round.
+        fault: fault of the sensors from `fault_start` on [s], or from the next reversing on.
+        keep_log: whether to keep drive.mcap, 4 MB per second; without it, cameras are simulated only for planners that
             read visual features.
     """
 
@@ -72,11 +71,7 @@ class CourseDriveSettings:
 
 @dataclass(frozen=True)
 class Driven:
-    """A finished drive.
-
-    Attributes:
-        result: contents of result.json.
-    """
+    """A finished drive, with the contents of result.json as `result`."""
 
     world: World
     chosen: ChosenCourse
@@ -86,12 +81,9 @@ class Driven:
     result: dict[str, Any]
 
     def __repr__(self) -> str:
-        """What the drive came to; its arrays are attributes."""
-        return f"Driven(result={ {key: value for key, value in self.result.items() if _is_short(value)} })"
-
-
-def _is_short(value: Any) -> bool:
-    return isinstance(value, bool | int | float) or (isinstance(value, str) and len(value) < 60)
+        """Scalar results."""
+        short = {key: value for key, value in self.result.items() if isinstance(value, int | float | str)}
+        return f"Driven(result={ {key: value for key, value in short.items() if len(str(value)) < 60} })"
 
 
 def drive_course(
@@ -104,24 +96,24 @@ def drive_course(
     track: Track = track,
     improver: MakeImprover = PlanImprover,
 ) -> Driven:
-    """Drive a course; writes drive.mcap, drive.png and, last, result.json into a folder.
+    """Drive a course; writes drive.mcap, drive.png and finally result.json to a folder.
 
         planner = offpiste.load_planner("pretrained:proving-ground/dc")
         driven = offpiste.drive_course(planner, offpiste.CourseDriveSettings(offpiste.WorldSettings("dunes")), "drive")
         driven.result["mean_path_error_m"]
 
     Args:
-        world, scene: of `courses.course_world`; None to make them here.
+        world, scene: world of `courses.course_world` and its scene, if already made.
         track: shows progress over the steps.
-        improver: makes what improves the plans, MPPI unless another planner is tried.
+        improver: makes the object that improves plans; MPPI by default.
 
     Raises:
         OffpisteError: a setting is out of range, the risk needs a spread that the run lacks, the model reads actuators
-            that others have added, or there is a drive in the folder already.
+            added by extensions, or the folder holds a drive already.
     """
     check_settings(settings)
     _refuse_unmeasured(planner)
-    caution_of(settings.runtime.risk, planner.spread)  # complains itself, before a world is built
+    caution_of(settings.runtime.risk, planner.spread)  # raises before a world is built
     out = Path(out)
     check_folder(out, own=("drive.mcap", "result.json"))
     for name in ("drive.mcap", "result.json"):
@@ -135,6 +127,7 @@ def drive_course(
         suite = SensorSuite((), suite.lidars)
     if (apart := differing_vehicle(planner.dynamics.vehicle, rig.vehicle)) is not None:
         logger.warning(f"{planner.folder} was trained on another vehicle than the proving ground's: {apart}")
+    grid = (world.properties, world.origin, world.resolution)
     fault = Fault(settings.fault, settings.fault_start, when=settings.fault_when)
     runtime = Runtime(
         planner.dynamics,
@@ -142,7 +135,7 @@ def drive_course(
         rig.wheel_positions(),
         chosen.course,
         replace(settings.runtime, remember=remember),
-        ground=_truth(world) if planner.knows_ground else None,
+        ground=partial(read_grid, *grid) if planner.knows_ground else None,
         seed=settings.world.seed,
         spread=planner.spread,
         improver=improver,
@@ -169,11 +162,11 @@ def drive_course(
 
 
 def described(result: dict[str, Any]) -> str:
-    """Summary of a drive in one line."""
+    """One-line summary of a drive."""
     incidents = [name for name in ("rollover", "collision", "stuck", "left_world") if result[name]]
     ending = "finished" if result["finished"] else f"{result['progress_m']:.0f} of {result['course_m']:.0f} m"
     if not result["finished"] and not incidents and result["time_s"] >= result["limit_s"] - 1:
-        incidents = ["the time was up"]
+        incidents = ["time limit reached"]
     error = result["plan_error_5s_m"]["mean"]
     return (
         f"{result['world']} {result['seed']}, {result['planner']}: {ending} in {result['time_s']:.1f} s, "
@@ -185,11 +178,7 @@ def described(result: dict[str, Any]) -> str:
 
 
 def check_settings(settings: CourseDriveSettings) -> None:
-    """Check the settings of a drive before it starts.
-
-    Raises:
-        OffpisteError: a setting is out of range.
-    """
+    """Raise `OffpisteError` for the first setting out of range."""
     if not 1.0 <= settings.seconds <= 3600:
         raise OffpisteError(f"a drive of {settings.seconds:g} s", how="give --seconds from 1 to 3600")
     if not 0 < settings.course.speed <= FASTEST:
@@ -203,11 +192,11 @@ def check_settings(settings: CourseDriveSettings) -> None:
     if not 0 <= settings.fault_start < (settings.seconds if settings.fault != "none" else math.inf):
         how = f"give --fault-start of 0 or more, before the drive's end at {settings.seconds:g} s"
         raise OffpisteError(f"a fault from {settings.fault_start:g} s on", how=how)
-    COURSE_KINDS[settings.course.kind], sensor_suite(settings.sensors)  # complain themselves
+    COURSE_KINDS[settings.course.kind], sensor_suite(settings.sensors)  # raise for unknown names
 
 
 def _refuse_unmeasured(planner: Planner) -> None:
-    """Refuse a model that would wait for readings without an end."""
+    """Raise for a model that would wait for readings forever."""
     lacks = [one.name for one in registered_actuators() if one.name in planner.dynamics.vehicle.actuators]
     if lacks:
         what = f"the model reads {', '.join(lacks)}, which the simulated vehicle does not measure"
@@ -215,11 +204,7 @@ def _refuse_unmeasured(planner: Planner) -> None:
 
 
 def sensor_setup(planner: Planner, suite: SensorSuite, rig: Rig, fault: Fault | None = None) -> SensorSetup:
-    """Sensors of the proving ground's vehicle as a planner's run time reads them.
-
-    Args:
-        fault: what happens to the features of images.
-    """
+    """Sensors of the proving ground's vehicle as a planner's run time reads them, with a fault of the features."""
     lidars = lidars_of(suite, rig)
     if planner.extractor is None:
         return SensorSetup(lidars)
@@ -227,13 +212,6 @@ def sensor_setup(planner: Planner, suite: SensorSuite, rig: Rig, fault: Fault | 
     cameras = {name: make_pinhole_camera(camera, patch) for name, camera in cameras_of(suite, rig).items()}
     extract = planner.extractor.extract
     return SensorSetup(lidars, cameras, extract if fault is None else fault.extractor(extract))
-
-
-def _truth(world: World) -> KnownGround:
-    def ground(places: np.ndarray) -> np.ndarray:
-        return read_grid(world.properties, world.origin, world.resolution, places)
-
-    return ground
 
 
 def _result(
@@ -274,7 +252,7 @@ def _result(
 
 
 def settings_of(planner: Planner, settings: CourseDriveSettings) -> dict[str, Any]:
-    """Settings that identify a drive on a course, as result.json holds them; without the noise, which is a function."""
+    """Settings that identify a drive in result.json, without the noise, which is a function."""
     runtime = asdict(settings.runtime)
     runtime["sampling"].pop("noise")
     runtime["weights"] = settings.runtime.weights.values()

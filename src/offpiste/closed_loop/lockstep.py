@@ -1,14 +1,13 @@
-"""The proving ground and the run time in lockstep: a drive by the planner, recorded like any drive."""
+"""The proving ground and the run time in lockstep, with faults of the sensors: a recorded drive by the planner."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.closed_loop.faults import Fault
 from offpiste.core.conventions import ACTUATORS, DT
 from offpiste.core.geometry import yaw_rate_from_body_rates
 from offpiste.core.progress import Track, track
@@ -17,57 +16,118 @@ from offpiste.logs.measurements import Camera, Cloud, Image, Lidar, cloud_from_r
 from offpiste.logs.ros.image_encodings import pixels_of
 from offpiste.logs.ros.sensor_messages import points_from_message
 from offpiste.logs.ros.writer import McapWriter
+from offpiste.mapping.replay import ExtractFeatures
 from offpiste.rig.rig import Rig
 from offpiste.runtime.estimator import VehicleReading
 from offpiste.runtime.modes import Controls
 from offpiste.runtime.runtime import Runtime
-from offpiste.simulation.recorder import START_NS, Recorder, events_message, stamp_ns
+from offpiste.simulation.messages import START_NS, events_message, stamp_ns
+from offpiste.simulation.recorder import Imperfections, Recorder, with_noise
 from offpiste.simulation.rendering.scene import Scene
 from offpiste.simulation.sample import Pose, VehicleSample
-from offpiste.simulation.sensors.imperfections import Imperfections, Noise, with_noise
 from offpiste.simulation.sensors.suite import Sensing, SensorSuite
 from offpiste.simulation.simulate import Start, drive
 from offpiste.simulation.vehicle.parameters import VehicleParameters
 from offpiste.simulation.world.world import World
 
+Kind = Literal["none", "camera-dropped", "lidar-dropped", "late-image", "nan-features", "map-empty"]
+KINDS: tuple[Kind, ...] = get_args(Kind)
+When = Literal["time", "reversing"]
+WHENS: tuple[When, ...] = get_args(When)
+LATE = 0.8
+"""Delay of late images [s]."""
+BACKWARDS = 0.5
+"""Rolling speed of the wheels at which the vehicle counts as reversing [m/s]."""
 PLANNER_EVENTS = "/planner/events"
 GAVE_UP = ("stopped", "stuck")
-"""Mode, and why, once backing out was given up."""
+"""Mode and reason after backing out was given up."""
 WITHOUT_PROGRESS = 12.0
 """Time without progress along the course after which a vehicle counts as stuck [s]."""
 
 
 @dataclass
-class PlannerController:
-    """Passes readings to the run time and its controls to the vehicle (a `simulation.simulate.Controller`).
+class Fault:
+    """A lasting fault of the sensors, injected into a drive: lost or late messages, broken features or scans.
 
     Attributes:
-        rng: noise of the readings.
-        timeout: the drive ends after this time without progress, unless the vehicle is stopped or backs out [s].
+        start: earliest time of the fault since the start of the drive [s].
+        when: "time" to begin then, "reversing" to begin when the vehicle next reverses.
     """
+
+    kind: Kind = "none"
+    start: float = 10.0
+    when: When = "time"
+    _waiting: list[tuple[float, Image]] = field(default_factory=list)
+    _began: bool = False
+    _struck: bool = False
+
+    def notice(self, time: float, rolling: float) -> None:
+        """Begin the fault if due, at a time since the start [s] and forward rolling speed of the wheels [m/s]."""
+        self._began |= time >= self.start and (self.when == "time" or rolling < -BACKWARDS)
+
+    def passed(self, measured: Image | Cloud | None, time: float) -> list[Image | Cloud]:
+        """Messages that reach the run time now."""
+        arrived: list[Image | Cloud] = []
+        while self._waiting and self._waiting[0][0] <= time + 1e-6:  # sums of tenths are not tenths
+            arrived.append(self._waiting.pop(0)[1])
+        if measured is None:
+            return arrived
+        if not self._began:
+            return [*arrived, measured]
+        if isinstance(measured, Image):
+            if self.kind == "camera-dropped":
+                return arrived
+            if self.kind == "late-image":
+                self._waiting.append((time + LATE, measured))
+                return arrived
+        elif self.kind == "lidar-dropped":
+            return arrived
+        elif self.kind == "map-empty":
+            # echoes far above the map
+            return [*arrived, replace(measured, points=measured.points + np.array((0.0, 0.0, 1000.0)))]
+        return [*arrived, measured]
+
+    def strike(self, runtime: Runtime) -> None:
+        """Apply the fault to the run time itself: clear the map."""
+        if self.kind == "map-empty" and self._began and not self._struck:
+            self._struck = True
+            runtime.forget_map()
+
+    def extractor(self, extract: ExtractFeatures) -> ExtractFeatures:
+        """Feature extractor with the fault."""
+
+        def faulty(pixels: np.ndarray) -> np.ndarray:
+            features = extract(pixels)
+            return np.full_like(features, np.nan) if self.kind == "nan-features" and self._began else features
+
+        return faulty
+
+
+@dataclass
+class PlannerController:
+    """Passes readings with noise to the run time and its controls to the vehicle (a `simulate.Controller`)."""
 
     runtime: Runtime
     rng: np.random.Generator
-    timeout: float = WITHOUT_PROGRESS
     controls: list[Controls] = field(default_factory=list)
     _best: float = 0.0
     _since: float = 0.0
 
     @property
     def arrived(self) -> bool:
-        """Whether the vehicle is at a standstill at the end of its course."""
+        """Whether the vehicle has stopped at the end of its course."""
         last = self.controls[-1] if self.controls else None
         return last is not None and last.mode == "stopped" and last.why == "end of the course"
 
     @property
     def stuck(self) -> bool:
-        """Whether the vehicle has made no progress for `timeout`, or backing out was given up."""
+        """Whether backing out was given up, or progress is missing although the vehicle neither waits nor backs out."""
         last = self.controls[-1] if self.controls else None
-        return last is not None and (last.time - self._since > self.timeout or (last.mode, last.why) == GAVE_UP)
+        return last is not None and (last.time - self._since > WITHOUT_PROGRESS or (last.mode, last.why) == GAVE_UP)
 
     def command(self, sample: VehicleSample) -> Float[np.ndarray, " 4"]:
         """Throttle, brake, steering and gear for the next `conventions.DT`."""
-        self.runtime.vehicle(reading_of(with_noise(sample, Noise(), Imperfections(), self.rng)))
+        self.runtime.vehicle(reading_of(with_noise(sample, Imperfections(), self.rng)))
         controls = self.runtime.command(time_of(sample.time))
         waits = controls.mode == "stopped" or controls.gear < 0
         if not self.controls or waits or self.runtime.course_tracker.progress > self._best + 1.0:
@@ -90,7 +150,7 @@ class Driving:
 
     @property
     def from_first_throttle(self) -> "Driving":
-        """What follows the first throttle, or all: before it, what makes the plans may still be loading."""
+        """The drive from the first throttle on, as the planner may still be loading before."""
         first = next((row for row, each in enumerate(self.controls) if each.command[0] > 0), 0)
         return Driving(self.samples[first:], self.controls[first:])
 
@@ -113,9 +173,9 @@ def drive_planned(
     """Let the run time drive, and log every message and every change of mode.
 
     Args:
-        fault: applied to what the run time receives; the log has what the sensors sent.
         seed: seed of noise and light.
-        scene: built from the world; None to build it here.
+        fault: applied to what the run time receives, not to the log.
+        scene: scene of the world, if already built.
         track: shows progress over the steps.
     """
     noise, light, own = (np.random.default_rng([seed, stream]) for stream in (1, 2, 3))
@@ -147,7 +207,7 @@ def drive_planned(
 
 
 def measurement_of(message: Any, lidars: Mapping[str, Lidar]) -> Image | Cloud | None:
-    """Image or cloud of a camera's or LiDAR's message; None for calibrations."""
+    """Image or cloud of a message; None for calibrations."""
     name = message.header.frame_id
     stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
     if hasattr(message, "format"):

@@ -1,4 +1,4 @@
-"""Picture of a drive along a course, from above."""
+"""Top view of a drive along a course."""
 
 from typing import Any
 
@@ -19,26 +19,17 @@ from offpiste.simulation.world.world import World
 
 MARGIN = 15.0
 """Margin around course and driven path [m]."""
-
 SLIP_COLOURS, SLIP_LIMIT = "plasma", 0.4
-"""Colour map of the driven path, and the slip at the upper end of its colour bar."""
+"""Colour map of the driven path, and its upper limit of slip."""
 
 
 def course_picture(
-    world: World,
-    course: Course,
-    trace: Trace,
-    predictions: list[Prediction],
-    title: str,
-    *,
-    scored: int,
-    every: int = 30,
+    world: World, course: Course, trace: Trace, predictions: list[Prediction], title: str, *, scored: int
 ) -> Figure:
     """Course, driven path coloured by slip, and predicted trajectories of some plans.
 
     Args:
-        scored: rows of the trace until the course was driven, or the drive ended; the vehicle stops in the others.
-        every: one in this many plans is drawn.
+        scored: number of rows until the end of the course or drive, after which the vehicle stops.
     """
     shown = np.concatenate((*(way[course.before_end] for way in course.ways), trace.place))
     (left, bottom), (right, top) = shown.min(axis=0) - MARGIN, shown.max(axis=0) + MARGIN
@@ -50,19 +41,15 @@ def course_picture(
     for number, way in enumerate(course.ways):
         label = None if number else "course"
         axes.plot(*way[course.before_end].T, color="white", linewidth=1.2, path_effects=outlined, label=label)
-    for number, prediction in enumerate(predictions[::every]):
+    for number, prediction in enumerate(predictions[::30]):
         label = "plans, 5 s" if not number else None
         axes.plot(*prediction.state[:, :2].T, color="#00d5ff", linewidth=1.0, label=label)
     if len(trace.place) - scored > 1:
         axes.plot(*trace.place[scored - 1 :].T, color="#909090", linewidth=1.6, label="after the end, not scored")
-    steps = slice(0, scored)
-    pieces = LineCollection(
-        list(np.stack((trace.place[steps][:-1], trace.place[steps][1:]), axis=1)),
-        cmap=SLIP_COLOURS,
-        linewidths=2.4,
-        zorder=4,
-    )
-    pieces.set_array((trace.slip[steps][:-1] + trace.slip[steps][1:]) / 2)
+    place, slip = trace.place[:scored], trace.slip[:scored]
+    lines = list(np.stack((place[:-1], place[1:]), axis=1))
+    pieces = LineCollection(lines, cmap=SLIP_COLOURS, linewidths=2.4, zorder=4)
+    pieces.set_array((slip[:-1] + slip[1:]) / 2)
     pieces.set_clim(0.0, SLIP_LIMIT)
     axes.add_collection(pieces)
     figure.colorbar(pieces, ax=axes, shrink=0.7, extend="max", label="slip of the driven path")
@@ -84,7 +71,7 @@ def course_picture(
 
 
 def _legend(axes: Axes) -> tuple[list[Any], list[str]]:
-    """Handles and labels; the driven path is shown in several of its colours."""
+    """Handles and labels; the driven path shows several colours."""
     handles, names = axes.get_legend_handles_labels()
     colours = colormaps[SLIP_COLOURS](np.linspace(0.1, 0.9, 5))
     driven = tuple(Line2D([], [], color=colour, linewidth=2.4, solid_capstyle="butt") for colour in colours)

@@ -1,4 +1,4 @@
-"""A trained run as a planner: its model, and the feature extractor with the PCA that it was trained with."""
+"""A trained run as a planner: its model and feature extractor."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,26 +20,16 @@ from offpiste.uncertainty.spread import Spread
 
 @dataclass(frozen=True)
 class Planner:
-    """A trained model, with what it needs to drive.
+    """A trained model and what it needs to drive."""
 
-    Attributes:
-        name: name of the model; "ceiling" for one that is given the simulator's own ground properties.
-        folder: folder of the run.
-        extractor: backbone and PCA; None where the model reads no visual features.
-        weights: hash of the file of weights, since a run may be trained again in its folder.
-        seed: of the training.
-        novelty: what ground is to it that looks like none in training.
-        spread: of its predictions; None where `offpiste calibrate` has made none.
-    """
-
-    name: str
-    folder: Path
+    name: str  # name of the model; "ceiling" if it is given the simulator's ground properties
+    folder: Path  # folder of the run
     dynamics: Dynamics
-    extractor: FeatureExtractor | None = None
-    weights: str = ""
-    seed: int = 0
-    novelty: Novelty = "ignored"
-    spread: Spread | None = None
+    extractor: FeatureExtractor | None = None  # backbone and PCA; None if the model reads no visual features
+    weights: str = ""  # hash of the weights, as a run may be trained again in its folder
+    seed: int = 0  # seed of the training
+    novelty: Novelty = "ignored"  # treatment of ground unlike any in training
+    spread: Spread | None = None  # spread of the predictions; None without `offpiste calibrate`
 
     @property
     def knows_ground(self) -> bool:
@@ -53,14 +43,14 @@ def load_planner(
     """Load a run and, if its model reads visual features, its feature extractor.
 
     Args:
-        folder: of the run, or `pretrained:NAME`.
-        pca: the file that the run's dataset was extracted with; models that ship have theirs beside them.
-        novelty: "missing" treats ground that looks like none in training as ground without features.
-        device: of the feature extractor; the model is on the CPU.
+        folder: folder of the run, or `pretrained:NAME`.
+        pca: PCA file of the run's dataset; shipped models have their own.
+        novelty: "missing" treats ground unlike any in training as ground without features.
+        device: device of the feature extractor; the model is on the CPU.
 
     Raises:
-        RunError: no such run, or its features are not available: no PCA is given, or not the one it was trained with;
-            its spread belongs to other weights; or it has no memory bank of known ground, or reads no features.
+        RunError: no such run; the PCA is missing or differs from that of training; the spread belongs to other weights;
+            or novelty needs features or a memory bank that the run lacks.
         PerceptionError: not a PCA, or its backbone is not available.
     """
     run = load_run(folder)
@@ -105,7 +95,7 @@ def _without_features(run: Run) -> Planner:
 
 
 def _of_dataset(folder: Path) -> tuple[str | None, tuple[str, ...]]:
-    """Identity of the PCA and names of the features of a run's dataset, for runs too old to name them."""
+    """Identity of the PCA and feature names of a run's dataset, for old runs that do not store them."""
     about: dict[str, Any] = load_json(folder / "model.json")
     if about.get("pca") is not None:
         return str(about["pca"]), ()
@@ -122,10 +112,10 @@ def _of_dataset(folder: Path) -> tuple[str | None, tuple[str, ...]]:
 
 
 def _refuse_unknown(features: tuple[str, ...], folder: Path) -> None:
-    """Raise unless features without a PCA are the ground's true properties."""
+    """Raise unless features without a PCA are the true properties of the ground."""
     if features != GROUND_PROPERTIES:
         raise RunError(
-            f"reads features that no camera gives: {', '.join(features[:4])} …",
+            f"reads features that cameras do not provide: {', '.join(features[:4])} …",
             where=folder,
             how="give a run trained on visual features, on ground-truth ones, or on none",
         )

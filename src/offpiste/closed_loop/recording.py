@@ -1,4 +1,4 @@
-"""A driven course as a Rerun recording: world, course, plans and vehicle, by time, with speed, slip and mode."""
+"""A driven course as a Rerun recording: world, course, plans, vehicle, speed, slip and mode over time."""
 
 from pathlib import Path
 from typing import Any, Final
@@ -16,19 +16,17 @@ from offpiste.core.files import write_whole
 from offpiste.core.geometry import rotation_from_quaternion
 from offpiste.runtime.modes import Mode
 from offpiste.simulation.top_view import shaded_colours
-from offpiste.simulation.world.surface import read_grid
+from offpiste.simulation.world.grids import read_grid
 from offpiste.visualization.mesh import grid_triangles
 from offpiste.visualization.rerun_recording import following_eye
 
 LIFT = 0.3
 """Height of lines above the ground [m]."""
-
 EVERY = 5
-"""Rows from one drawn pose of the vehicle to the next."""
+"""Rows between drawn poses of the vehicle."""
 
 STEP = 4
-"""Nodes of the world's grid from one drawn node to the next."""
-
+"""Step in nodes of the drawn grid."""
 TIMELINE: Final = "drive"
 """Name of the timeline, in seconds since the start."""
 
@@ -43,17 +41,12 @@ PLOTS: Final = {
 
 GREY, ORANGE, GREEN, RED, BLUE = [160, 160, 160], [230, 80, 30], [60, 170, 80], [215, 50, 60], [0, 160, 230]
 """Colours of lines in plots."""
-
 LEVEL: dict[Mode, int] = {"stopped": 0, "stopping": 1, "degraded": 2, "driving": 3}
 """Mode as a number to plot."""
 
 
 def record_drive(driven: Driven, path: Path) -> None:
-    """Write a drive as a Rerun recording, whole or not at all.
-
-    Raises:
-        MissingExtra: the extra `view` is not installed.
-    """
+    """Write a drive as a Rerun recording (needs the extra `view`)."""
     write_whole(path, lambda partial: _write(driven, partial))
 
 
@@ -78,7 +71,7 @@ def _write(driven: Driven, path: Path) -> None:
 
 
 def _blueprint(start: Float[np.ndarray, " 3"]) -> Any:
-    """Layout of the viewer: the world from above the vehicle, plots and changes of mode beside it."""
+    """Layout of the viewer: the world, plots and changes of mode."""
     import rerun.blueprint as rrb
 
     world = rrb.Spatial3DView(
@@ -95,7 +88,7 @@ def _blueprint(start: Float[np.ndarray, " 3"]) -> Any:
 
 
 def _add_paths(stream: Any, rr: Any, driven: Driven) -> None:
-    """Add the course, and the driven path in colours of slip."""
+    """Add the course, and the driven path coloured by slip."""
     course = driven.chosen.course
     ways = [_lifted(driven, way[course.before_end]) for way in course.ways]
     stream.log("world/course", rr.LineStrips3D(ways, radii=0.06, colors=[255, 255, 255]), static=True)
@@ -123,7 +116,7 @@ def _add_vehicle(stream: Any, rr: Any, driven: Driven) -> None:
 
 
 def _add_numbers(stream: Any, rr: Any, driven: Driven) -> None:
-    """Add motion and commands of the vehicle as plots."""
+    """Add plots of motion and commands."""
     trace, controls = driven.trace, driven.driving.controls[: len(driven.driving.samples)]
     command = np.array([given.command for given in controls])
     numbers = {

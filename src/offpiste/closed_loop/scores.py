@@ -1,4 +1,4 @@
-"""Scores of a drive along a course: time, errors of path and speed, cost, energy, damage, and errors of the plans."""
+"""Scores of a drive along a course: time, path and speed errors, cost, energy, damage, and errors of the plans."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,41 +23,28 @@ from offpiste.simulation.vehicle.parameters import VehicleParameters
 
 DAMAGE = {"rollover", "collision with a tree"}
 """Events that damage the vehicle."""
-
 OTHER_ENDS = {*DAMAGE, "left the world"}
-"""What ends a drive, or explains that it does not finish, beside being stuck."""
-
+"""Reasons for not finishing other than being stuck."""
 RUN_UP = 20.0
-"""Length of a course on which a vehicle gets up to its speed [m]: what a standing start costs is the same for all, and
-most of what a drive costs that goes well."""
-
+"""Length of course for getting up to speed, which costs all planners the same [m]."""
 FINISH = 3.0
-"""Distance from its end at which a course counts as driven [m]."""
+"""Distance from the end at which a course counts as driven [m]."""
 
 
 @dataclass(frozen=True)
 class Trace:
-    """A drive, row by row.
+    """Time series of a drive compared with its course."""
 
-    Attributes:
-        place: x, y of the pose point [m].
-        speed: horizontal speed [m/s].
-        off: distance from the course [m].
-        target: target speed there [m/s].
-        progress: distance along the course [m].
-        slip: mean over the wheels of hypot(slip ratio, tan of slip angle).
-    """
-
-    place: Float[np.ndarray, "N 2"]
-    speed: Float[np.ndarray, " N"]
-    off: Float[np.ndarray, " N"]
-    target: Float[np.ndarray, " N"]
-    progress: Float[np.ndarray, " N"]
-    slip: Float[np.ndarray, " N"]
+    place: Float[np.ndarray, "N 2"]  # x, y of the pose point [m]
+    speed: Float[np.ndarray, " N"]  # horizontal speed [m/s]
+    off: Float[np.ndarray, " N"]  # distance from the course [m]
+    target: Float[np.ndarray, " N"]  # target speed [m/s]
+    progress: Float[np.ndarray, " N"]  # distance along the course [m]
+    slip: Float[np.ndarray, " N"]  # mean over the wheels of hypot(slip ratio, tan(slip angle))
 
 
 def trace_of(driving: Driving, course: Course) -> Trace:
-    """Drive compared with its course, row by row."""
+    """Compare a drive with its course."""
     tracker = CourseTracker(course)
     place = np.stack([s.position[:2] for s in driving.samples])
     off, target, progress = np.array([(tracker.move(xy), tracker.target, tracker.progress) for xy in place]).T
@@ -69,31 +56,19 @@ def trace_of(driving: Driving, course: Course) -> Trace:
 
 
 def scores_of(driving: Driving, course: Course, limit: float, parameters: VehicleParameters) -> dict[str, Any]:
-    """What a drive of a course came to, with the costs of the run time (see `summary`).
-
-    Args:
-        limit: time limit of the drive [s].
-        parameters: of the vehicle.
-    """
+    """`summary` of a drive with a time limit [s] and the default cost weights."""
     length = float(np.linalg.norm(np.diff(course.driven, axis=0), axis=1).sum())
     return summary(driving, trace_of(driving, course), length, limit, RuntimeSettings().weights, parameters)
 
 
 def summary(
-    driving: Driving,
-    trace: Trace,
-    length: float,
-    limit: float,
-    weights: CostWeights,
-    parameters: VehicleParameters,
+    driving: Driving, trace: Trace, length: float, limit: float, weights: CostWeights, parameters: VehicleParameters
 ) -> dict[str, Any]:
-    """Scores, with units in their names; all but `vehicle_events` and the final speed are until the course was driven.
+    """Scores with units in their names, until the end of the course but for `vehicle_events` and the final speed.
 
     Args:
         length: length of the course [m].
         limit: time limit of the drive [s].
-        weights: cost weights of the planner.
-        parameters: of the vehicle.
     """
     events = [(round(s.time, 2), event) for s in driving.samples for event in s.events]
     there = np.flatnonzero(trace.progress >= length - FINISH)
@@ -132,7 +107,7 @@ def summary(
 
 
 def engine_energy(samples: Sequence[VehicleSample], parameters: VehicleParameters) -> float:
-    """Energy that the engine gives to clutch and wheels [J]: its torque times its speed, where it does not brake."""
+    """Energy delivered by the engine, without engine braking [J]."""
     record = parameters.as_record()
     speed = np.array([sample.engine_speed for sample in samples]) * 2 * np.pi / 60
     torque = [engine_torque(v, s.command[0], record) for v, s in zip(speed, samples, strict=True)]
@@ -140,28 +115,18 @@ def engine_energy(samples: Sequence[VehicleSample], parameters: VehicleParameter
 
 
 def interventions(controls: Sequence[Controls], happened: set[str]) -> int:
-    """Number of times that a person would have had to see to the vehicle.
+    """Number of interventions a person would have made: stops by the run time, and one per kind of event.
 
-    Counted are stops by the run time while it drove, and once each rollover, collision, being stuck and leaving the
-    world. The stop of a vehicle that is stuck counts as that.
-
-    Args:
-        controls: row by row, until the course was driven or the drive ended.
-        happened: to the vehicle.
+    The stop of a stuck vehicle counts as the event only.
     """
     drives = [_drives(one) or one.why == STUCK for one in controls]
     return sum(before and not now for before, now in pairwise(drives)) + len(happened)
 
 
 def is_stuck(trace: Trace, controls: Sequence[Controls], happened: set[str]) -> bool:
-    """Whether a drive that does not finish is stuck: it gave up, or its time was up before it came free.
+    """Whether an unfinished drive is stuck: it gave up, backed out, or made no progress at the end.
 
-    A vehicle counts as free that never backed out and made progress until the end. What has another reason is not
-    stuck: other events, or a stop because inputs were missing.
-
-    Args:
-        controls: row by row.
-        happened: events of the vehicle.
+    A drive with another reason is not stuck: other events, or a stop for missing inputs.
     """
     if STUCK in happened:
         return True
@@ -174,7 +139,7 @@ def is_stuck(trace: Trace, controls: Sequence[Controls], happened: set[str]) -> 
 
 
 def backed_out(controls: Sequence[Controls]) -> bool:
-    """Whether the vehicle was driven in reverse, as it is to get out of a place where it is stuck."""
+    """Whether the vehicle was driven in reverse, as it is when stuck."""
     return any(_drives(one) and one.gear < 0 for one in controls)
 
 
@@ -183,12 +148,9 @@ def _drives(controls: Controls) -> bool:
 
 
 def firm_way(trace: Trace, course: Course, firm: int | None) -> bool | None:
-    """Whether the vehicle took the firm one of two ways; None if there is one, or it did not get to their middle.
+    """Whether the vehicle took the firm way, by its index; None with a single way, or if it did not get that far.
 
-    The way is the nearer one where the vehicle passes the point at which they are farthest apart.
-
-    Args:
-        firm: index of the firm way.
+    The taken way is the nearer one where the ways are farthest apart.
     """
     if firm is None:
         return None
@@ -202,21 +164,18 @@ def firm_way(trace: Trace, course: Course, firm: int | None) -> bool | None:
 
 
 def _run_up(trace: Trace, rows: slice) -> int:
-    """The first row behind the run-up; 0 where the vehicle did not get there."""
+    """First row after the run-up; 0 if the vehicle did not get there."""
     return int(np.argmax(trace.progress[rows] >= RUN_UP))
 
 
 def driven_cost(trace: Trace, rows: int, limit: float | None, weights: CostWeights, *, begin: int = 0) -> float:
-    """Squared distance from the course and squared error of the speed, weighted and summed over time.
+    """Weighted squared distance from the course and squared speed error, integrated over rows `begin` to `rows`.
 
-    These are the planners' path and speed terms, but with the vehicle's speed in any direction, where planners take
-    its component along the course. Overspeed, slide, hazard, rollover, effort and jerk are left out.
+    These are the path and speed terms of the planner, with the total speed instead of its component along the course.
 
     Args:
-        rows: end of the rows that count.
-        begin: the first of them.
-        limit: where the end was not reached, the vehicle counts as at a standstill where it was last from `rows` until
-            this time [s], so that giving up is no better than staying; None where it was.
+        limit: for an unfinished drive, time until which the vehicle counts as standing at its last place [s], so that
+            giving up is no better than staying; None for a finished one.
     """
     left = max((limit or 0.0) - rows * DT, 0.0)
     path = weights.path * trace.off[begin:rows] ** 2
@@ -226,9 +185,9 @@ def driven_cost(trace: Trace, rows: int, limit: float | None, weights: CostWeigh
 
 
 def prediction_errors(predictions: list[Prediction], place: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, " P"]:
-    """Distance between the predicted place after 5 s and the vehicle's place then [m], of plans that the drive covers.
+    """Distance between predicted and true place after 5 s [m], for plans within the drive.
 
-    The vehicle did not follow a plan to its end: a new one was made ten times a second.
+    The vehicle does not follow a plan to its end, as plans are made ten times a second.
     """
     errors = []
     for prediction in predictions:

@@ -1,1 +1,1 @@
-"""`offpiste demo`: shipped models at work on new ground in a minute, or the whole path from driving to driving."""
+"""`offpiste demo`: shipped models in a new world, or the whole path from simulation to driving."""

@@ -1,4 +1,4 @@
-"""What both models predicted on the demo's drive, what happened, and how to say it."""
+"""Predictions of both models on the demo's drive: table, sentences and picture."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -8,46 +8,61 @@ from typing import Any, Final
 import numpy as np
 import torch
 from jaxtyping import Float, Int
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
+from offpiste.core.conventions import DT
 from offpiste.core.errors import DatasetError
-from offpiste.dataset.store import Dataset
+from offpiste.dataset.store import Dataset, StoredDrive
 from offpiste.dataset.windows import Windows
+from offpiste.evaluation.errors import in_start_frame
 from offpiste.evaluation.model_card import driving_words, load_card
+from offpiste.logs.drive import Drive
+from offpiste.logs.measurements import Image
+from offpiste.logs.opening import open_log
+from offpiste.logs.sensor_log import open_sensors
+from offpiste.mapping.terrain_map import TerrainMap
+from offpiste.report.feature_colours import colour_limits, colours
 from offpiste.report.text_table import TextTable, interval, number
+from offpiste.simulation.top_view import draw_top_view
+from offpiste.simulation.world.world import World
 from offpiste.training.prediction import in_parts, roll_out
 from offpiste.training.run import load_run
 
 WHAT: Final = {"b": "b, does not see the ground", "dc": "dc, sees it"}
-"""What the models are called in tables and pictures."""
+"""Names of the models in tables and pictures."""
+COLOURS: Final = {"b": "#0072b2", "dc": "#d55e00"}
+MOMENTS: Final = 3
+"""Number of drawn predictions, evenly spread over the drive."""
+MARGIN: Final = 12.0
+"""Margin around the driven paths [m]."""
+AHEAD, REACH, LATER = 14.0, 13.0, 8
+"""Distance ahead [m] and half size [m] of the shown map, and number of snapshots until it is shown again."""
+UNKNOWN: Final = 235
+"""Grey of unknown ground."""
 
 
 @dataclass(frozen=True)
 class Predictions:
-    """Predictions of models from the same moments, on the map as it was.
+    """Predictions of models from the same times, on the map as it was."""
 
-    Attributes:
-        row: of the drive at each moment.
-        recorded: where the vehicle went in the next 5 s: x, y from its place at the start, in the world's axes [m].
-        paths: where each model saw it go, likewise [m].
-        folders: of the models.
-    """
-
-    row: Int[np.ndarray, " n"]
+    row: Int[np.ndarray, " n"]  # row of the drive at each time
+    # Path of the vehicle in the next 5 s, relative to its place, in the world's axes [m]
     recorded: Float[np.ndarray, "n T 2"]
-    paths: Mapping[str, Float[np.ndarray, "n T 2"]]
-    folders: Mapping[str, Path]
+    paths: Mapping[str, Float[np.ndarray, "n T 2"]]  # predicted path by model, likewise [m]
+    folders: Mapping[str, Path]  # folders of the models
 
     def errors(self, model: str) -> Float[np.ndarray, " n"]:
-        """Distance between prediction and record after 5 s [m]."""
+        """Distance between predicted and recorded place after 5 s [m]."""
         return np.asarray(np.linalg.norm(self.paths[model][:, -1] - self.recorded[:, -1], axis=1))
 
 
 @torch.no_grad()
 def predict(dataset: Dataset, folders: Mapping[str, Path]) -> Predictions:
-    """Predictions of shipped models at every moment of which the dataset keeps the map.
+    """Predictions of shipped models at all times with a stored map.
 
     Raises:
-        DatasetError: the drive ended before there was a moment to predict from.
+        DatasetError: the drive is too short.
     """
     try:
         windows = Windows(dataset, "test", start="causal")
@@ -66,19 +81,16 @@ def predict(dataset: Dataset, folders: Mapping[str, Path]) -> Predictions:
 
 
 def comparison_table(predictions: Predictions, results: Mapping[str, Mapping[str, Any]], speed: float) -> TextTable:
-    """How both models predicted, and how they drove.
-
-    Args:
-        results: of the course, by model.
-        speed: wanted along it [m/s].
-    """
+    """Prediction errors of both models and their results on the course with a wanted speed [m/s]."""
     models = tuple(results)
-    rows = [("predicted place after 5 s, off by [m]", *(number(float(predictions.errors(m).mean())) for m in models))]
+    rows = [
+        ("error of the predicted place after 5 s [m]", *(number(float(predictions.errors(m).mean())) for m in models))
+    ]
     for text, key, digits in (
         ("time for the course [s]", "time_s", 1),
-        ("off the course, mean [m]", "mean_path_error_m", 2),
-        ("off the course, at worst [m]", "worst_path_error_m", 2),
-        (f"off the wanted {speed:g} m/s, mean [m/s]", "mean_speed_error_mps", 2),
+        ("path error, mean [m]", "mean_path_error_m", 2),
+        ("path error, worst [m]", "worst_path_error_m", 2),
+        (f"speed error from {speed:g} m/s, mean [m/s]", "mean_speed_error_mps", 2),
     ):
         rows.append((text, *(number(float(results[m][key]), digits) for m in models)))
     rows.append(("end of the drive", *(ending(results[m]) for m in models)))
@@ -86,34 +98,146 @@ def comparison_table(predictions: Predictions, results: Mapping[str, Mapping[str
 
 
 def closing_words(predictions: Predictions) -> Iterator[str]:
-    """What was gained here and what is usual, in sentences."""
+    """Sentences on the gain here and in general."""
     b, dc = (predictions.errors(model).mean() for model in ("b", "dc"))
     gain = 1 - dc / b
-    nearer = "nearer to" if gain >= 0 else "farther from"
+    closer = "closer to" if gain >= 0 else "farther from"
     yield (
-        f"Here, from {len(predictions.row)} moments of the drive, dc's predictions end {abs(100 * gain):.0f} %"
-        f" {nearer} where the vehicle then was: {dc:.2f} m off after 5 s instead of {b:.2f} m;"
-        f" dc is nearer at {int((predictions.errors('dc') < predictions.errors('b')).sum())} of them."
+        f"Here, dc's predictions from {len(predictions.row)} times end {abs(100 * gain):.0f} % {closer} the vehicle's"
+        f" true place: error after 5 s {dc:.2f} m instead of {b:.2f} m;"
+        f" dc is closer at {int((predictions.errors('dc') < predictions.errors('b')).sum())} of them."
     )
     card = load_card(predictions.folders["dc"])
     figures = card.over_seeds
     if figures.against_b is not None:
         low, high = (-100 * bound for bound in reversed(figures.against_b.ci95))
         yield (
-            f"Usual is {-100 * figures.against_b.mean:.0f} % {interval((low, high), 0)} nearer (95 % interval):"
-            f" {figures.windows} windows in {figures.levels.drives} worlds that no model had seen,"
-            f" {figures.levels.seeds} training{'s' * (figures.levels.seeds > 1)} each."
-            " A single drive may say otherwise."
+            f"Typically {-100 * figures.against_b.mean:.0f} % {interval((low, high), 0)} closer (95 % interval):"
+            f" {figures.windows} windows in {figures.levels.drives} worlds unseen in training,"
+            f" {figures.levels.seeds} training{'s' * (figures.levels.seeds > 1)} each. A single drive may differ."
         )
     if card.driving is not None:
         yield f"How dc drives: {driving_words(card.driving).replace('`', '')}"
 
 
 def ending(result: Mapping[str, Any]) -> str:
-    """How a drive along the course ended."""
+    """End of a drive along the course."""
     for key, text in (("rollover", "rolled over"), ("collision", "collided"), ("stuck", "stuck")):
         if result[key]:
             return text
     return (
         "reached the end" if result["finished"] else f"after {result['progress_m']:.0f} of {result['course_m']:.0f} m"
     )
+
+
+def demo_picture(
+    world: World, dataset: Dataset, predictions: Predictions, log: Path, courses: Mapping[str, Drive], title: str
+) -> Figure:
+    """One page on the demo.
+
+    Args:
+        dataset, log: the predicted drive.
+        courses: drives of the course by model.
+    """
+    figure = Figure(figsize=(14, 9.2), dpi=110, layout="constrained")
+    figure.suptitle(title, x=0.01, ha="left", fontsize=12)
+    grid = figure.add_gridspec(3, 4, height_ratios=(1.0, 1.0, 1.25))
+    (drive,) = dataset.drives
+    assert drive.snapshots is not None
+    count = len(drive.snapshots.row)
+    number = max(0, min(count // 2, count - 1 - LATER))
+    time = float(np.asarray(drive.rows.time)[drive.snapshots.row[number]])
+    _camera(figure.add_subplot(grid[0, :2]), dataset, log, time)
+    _ground(figure.add_subplot(grid[1, 0]), figure.add_subplot(grid[1, 1]), drive, number)
+    _courses(figure.add_subplot(grid[:2, 2:]), world, courses)
+    chosen = np.linspace(0, len(predictions.row) - 1, MOMENTS + 2).round().astype(int)[1:-1]
+    for column, moment in enumerate(chosen):
+        _prediction(figure.add_subplot(grid[2, column]), drive, predictions, int(moment))
+    _errors(figure.add_subplot(grid[2, 3]), predictions)
+    return figure
+
+
+def _courses(axes: Axes, world: World, courses: Mapping[str, Drive]) -> None:
+    draw_top_view(world, axes)
+    paths = {model: drive.channels["position"].values[:, :2] for model, drive in courses.items()}
+    for (model, path), width in zip(paths.items(), (5.0, 2.0), strict=True):
+        axes.plot(*path.T, color=COLOURS[model], linewidth=width, label=f"driven with {WHAT[model]}")
+        axes.plot(*path[-1], marker="o", color=COLOURS[model], markeredgecolor="white", markersize=2 + 2 * width)
+    axes.plot(*paths["dc"][0], marker="o", color="white", markeredgecolor="black", linestyle="", label="start")
+    every = np.concatenate(list(paths.values()))
+    (left, bottom), (right, top) = every.min(axis=0) - MARGIN, every.max(axis=0) + MARGIN
+    axes.set_xlim(left, right, auto=True)
+    axes.set_ylim(bottom, top, auto=True)
+    axes.set_aspect("equal", adjustable="datalim")  # fills the axes with more of the world
+    axes.set_title("The same course, driven with both models", fontsize=10, loc="left")
+    axes.legend(loc="best", fontsize=8)
+
+
+def _camera(axes: Axes, dataset: Dataset, log: Path, time: float) -> None:
+    sensors = open_sensors(open_log(log, clock=dataset.rig.clock), dataset.rig)
+    images = [m for m in sensors.stream(sensors.cameras, start=time - 1.0, end=time) if isinstance(m, Image)]
+    if images:
+        axes.imshow(images[-1].pixels)
+    axes.set_title("Camera image", fontsize=10, loc="left")
+    axes.set_axis_off()
+
+
+def _ground(far: Axes, near: Axes, drive: StoredDrive, number: int) -> None:
+    """Features of the same ground on the map, first from afar and later from nearby, with the driven path."""
+    assert drive.snapshots is not None
+    later = min(number + LATER, len(drive.snapshots.row) - 1)
+    state = np.asarray(drive.rows.state)
+    path = drive.rows.origin + state[:, :2]
+    row = drive.snapshots.row[number]
+    centre = path[row] + AHEAD * np.array([np.cos(state[row, 2]), np.sin(state[row, 2])])
+    maps = [drive.snapshots.load(n).cropped(centre - REACH, centre + REACH) for n in (number, later)]
+    limits = colour_limits(maps[-1].features)
+    for axes, shown, until in ((far, maps[0], row), (near, maps[1], drive.snapshots.row[later])):
+        _features(axes, shown, limits)
+        axes.set_facecolor((UNKNOWN / 255,) * 3)
+        axes.plot(*path[: until + 1].T, color="black", linewidth=1.5)
+        axes.plot(*path[until], marker="^", color="white", markeredgecolor="black", markersize=7)
+        axes.set(
+            xlim=centre[0] + np.array([-REACH, REACH]), ylim=centre[1] + np.array([-REACH, REACH]), xticks=[], yticks=[]
+        )
+    seconds = DT * float(drive.snapshots.row[later] - row)
+    far.set_title("Ground ahead in the map", fontsize=10, loc="left")
+    near.set_title(f"{seconds:.0f} s later, from nearby", fontsize=10, loc="left")
+
+
+def _features(axes: Axes, shown: TerrainMap, limits: Float[np.ndarray, "2 3"]) -> None:
+    picture = colours(shown.features.astype(np.float32), limits)
+    picture[~np.isfinite(shown.features).all(axis=-1)] = UNKNOWN
+    ny, nx = shown.elevation.shape
+    (x, y), half = shown.origin, shown.resolution / 2
+    extent = (x - half, x + nx * shown.resolution - half, y - half, y + ny * shown.resolution - half)
+    axes.imshow(picture, origin="lower", extent=extent, interpolation="nearest")
+
+
+def _prediction(axes: Axes, drive: StoredDrive, predictions: Predictions, moment: int) -> None:
+    """Predictions of both models and the recorded path over 5 s from one time."""
+    row = int(predictions.row[moment])
+    yaw = np.asarray(drive.rows.state)[[row], 2]
+    for name, path in (("recorded", predictions.recorded), *predictions.paths.items()):
+        ahead, left = in_start_frame(path[[moment]], yaw)[0].T
+        colour = COLOURS.get(name, "black")
+        axes.plot(-left, ahead, color=colour, linewidth=2, label=name)
+        axes.plot(-left[-1], ahead[-1], marker="o", color=colour)
+    axes.plot(0, 0, marker="^", color="black")
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.grid(alpha=0.3)
+    axes.set_title(f"5 s ahead [m], predicted {DT * row:.0f} s into the drive", fontsize=10, loc="left")
+    axes.legend(fontsize=8, loc="lower right")
+
+
+def _errors(axes: Axes, predictions: Predictions) -> None:
+    """Errors after 5 s of both models at all times."""
+    models = list(predictions.paths)
+    most = max(float(predictions.errors(model).max()) for model in models)
+    axes.axline((0, 0), slope=1, color="black", linewidth=0.8)
+    b, dc = (predictions.errors(model) for model in models)
+    axes.scatter(b, dc, s=22, color=np.where(dc < b, COLOURS["dc"], COLOURS["b"]), zorder=3)
+    limits = (0, 1.05 * most)
+    axes.set(xlabel="error of b [m]", ylabel="error of dc [m]", xlim=limits, ylim=limits, aspect="equal")
+    axes.set_title(f"dc closer in {(dc < b).sum()} of {len(b)} (orange)", fontsize=10, loc="left")
+    axes.grid(alpha=0.3)

@@ -1,8 +1,7 @@
-"""The first minute: models that ship, at work in a world that they have never seen.
+"""The first minute: shipped models in a new world.
 
-A vehicle with a camera and a LiDAR is driven through it for some seconds. At every half second, `b`, which does not
-see the ground, and `dc`, which does, predict the next 5 s on the map as the vehicle had it, and what happened decides.
-Then each of them drives the same course.
+A vehicle with a camera and a LiDAR is driven for some seconds. Every half second, `b`, which does not see the ground,
+and `dc`, which does, predict the next 5 s on the map of that time. Then each of them drives the same course.
 """
 
 import io
@@ -27,15 +26,13 @@ from offpiste.dataset.map_snapshots import SnapshotSettings
 from offpiste.dataset.place import drive_names
 from offpiste.dataset.splits import write_drives
 from offpiste.dataset.store import open_dataset
-from offpiste.demo.comparison import closing_words, comparison_table, ending, predict
-from offpiste.demo.picture import demo_picture
-from offpiste.demo.rehearsal import rehearse
+from offpiste.demo.comparison import closing_words, comparison_table, demo_picture, ending, predict
+from offpiste.demo.warm_up import rehearse
 from offpiste.logs import read_drive
 from offpiste.report.figure import write_png
 from offpiste.reproduction.steps import claim_folder
 from offpiste.rig.rig import load_rig
-from offpiste.simulation.recordings import simulate_once
-from offpiste.simulation.simulate import DriveSettings
+from offpiste.simulation.simulate import DriveSettings, simulate_once
 from offpiste.simulation.world.build import make_world
 from offpiste.simulation.world.world import WorldSettings
 
@@ -49,45 +46,34 @@ DRIVE: Final = "drive"
 RIG: Final = "proving_ground"
 
 FIRST_WORLD: Final = 5000
-"""Seed of the demo's first world; no training, test or course of the project uses seeds from here on."""
+"""Seed of the demo's first world; trainings, tests and courses of the project use smaller seeds."""
 
 
 @dataclass(frozen=True)
 class FirstMinuteSettings:
-    """Settings of the first minute.
+    """Settings of the first minute."""
 
-    Attributes:
-        seed: the world is that of seed 5000 + `seed`.
-        world: preset.
-        seconds: length of the drive that is predicted [s].
-        snapshot_seconds: between moments that predictions start from [s].
-        course_seconds: longest drive along the course [s].
-        course_speed: target speed there [m/s].
-        course_length: longest course [m].
-        size, resolution: extent and cell size of the world [m].
-    """
-
-    seed: int = 0
-    world: str = "mojave"
-    seconds: float = 20.0
-    snapshot_seconds: float = 0.5
-    course_seconds: float = 20.0
-    course_speed: float = 7.0
-    course_length: float = 90.0
-    size: float = 180.0
-    resolution: float = 0.25
+    seed: int = 0  # offset of the world's seed from `FIRST_WORLD`
+    world: str = "mojave"  # preset
+    seconds: float = 20.0  # length of the predicted drive [s]
+    snapshot_seconds: float = 0.5  # time between predictions [s]
+    course_seconds: float = 20.0  # time limit of the course [s]
+    course_speed: float = 7.0  # target speed [m/s]
+    course_length: float = 90.0  # longest course [m]
+    size: float = 180.0  # extent of the world [m]
+    resolution: float = 0.25  # cell size of the world [m]
 
     @property
     def place(self) -> WorldSettings:
-        """The world that is driven."""
+        """The world."""
         return WorldSettings(self.world, FIRST_WORLD + self.seed, size=self.size, resolution=self.resolution)
 
 
 def run_first_minute(out: Path, settings: FirstMinuteSettings, *, processes: int = 0) -> None:
-    """Drive, predict, compare and draw in `out`; finished steps of the same settings are used again.
+    """Drive, predict, compare and draw in `out`; finished steps with the same settings are reused.
 
     Args:
-        processes: drives at a time; 0: one per core.
+        processes: number of parallel drives; 0: one per core.
 
     Raises:
         OffpisteError: a step failed, or `out` holds a demo with other settings.
@@ -95,11 +81,11 @@ def run_first_minute(out: Path, settings: FirstMinuteSettings, *, processes: int
     claim_folder(out, {"demo": asdict(settings)})
     place, processes = settings.place, at_a_time(processes)
     if processes > 1 and not (out / "dataset.zarr").exists():
-        logger.info("0/3  A rehearsal, which compiles what is not compiled yet: it takes half a minute the first time.")
+        logger.info("0/3  Compile kernels that are not cached yet; this takes half a minute the first time.")
         rehearse(shipped("dc"), processes)
     logger.info(
-        f"1/3  In a world that no model has seen ({place.preset}, seed {place.seed}): a drive with camera and LiDAR,"
-        " and one course\n     driven twice, with a model that sees the ground (dc) and with one that does not (b)."
+        f"1/3  In a world unseen in training ({place.preset}, seed {place.seed}): a drive with camera and LiDAR, and"
+        " a course\n     driven twice, with a model that sees the ground (dc) and with one that does not (b)."
     )
     work = partial(do_part, out=out, settings=settings)
     failed = run_all(work, (DRIVE, *reversed(MODELS)), processes, "drive")
@@ -108,8 +94,8 @@ def run_first_minute(out: Path, settings: FirstMinuteSettings, *, processes: int
     logger.info(f"2/3  Both models predict 5 s ahead from every {settings.snapshot_seconds:g} s of the first drive.")
     dataset = open_dataset(out / "dataset.zarr")
     predictions = predict(dataset, {model: run_folder(shipped(model)) for model in MODELS})
-    logger.info("3/3  What came of it.\n")
-    title = f"offpiste demo: {place.preset}, seed {place.seed}, a world that no model has seen"
+    logger.info("3/3  Results.\n")
+    title = f"offpiste demo: {place.preset}, seed {place.seed}, a world unseen in training"
     rig = load_rig(RIG)
     courses = {model: read_drive(out / model / "drive.mcap", rig) for model in MODELS}
     figure = demo_picture(make_world(place), dataset, predictions, _log(out), courses, title)
@@ -123,13 +109,13 @@ def run_first_minute(out: Path, settings: FirstMinuteSettings, *, processes: int
 
 
 def do_part(part: str, report: Report, *, out: Path, settings: FirstMinuteSettings) -> str:
-    """Record and extract the drive, or drive the course with a model, unless that is done."""
-    with redirect_stderr(io.StringIO()):  # bars of their own would run into each other
+    """Record and extract the drive, or drive the course with a model, unless already done."""
+    with redirect_stderr(io.StringIO()):  # progress bars would overlap
         return _drive(out, settings) if part == DRIVE else _course(part, report, out, settings)
 
 
 def _drive(out: Path, settings: FirstMinuteSettings) -> str:
-    """Record the drive, and extract it as a dataset whose test part is all of it."""
+    """Record the drive, and extract it as a dataset for testing."""
     log = _log(out)
     log.parent.mkdir(exist_ok=True)
     summary = simulate_once(DriveSettings(settings.place, settings.seconds, settings.seed, sensors="light"), log)
@@ -154,7 +140,7 @@ def _course(model: str, report: Report, out: Path, settings: FirstMinuteSettings
     folder = out / model
     if (folder / "result.json").exists():
         return _driven(model, _results(out)[model])
-    shutil.rmtree(folder, ignore_errors=True)  # what an interrupted drive left
+    shutil.rmtree(folder, ignore_errors=True)  # left by an interrupted drive
     course = CourseSettings(speed=settings.course_speed, length=settings.course_length)
     drive = CourseDriveSettings(settings.place, settings.course_seconds, course=course)
     driven = drive_course(load_planner(Path(shipped(model))), drive, folder, track=partial(_reported, report=report))
@@ -166,7 +152,7 @@ def _driven(model: str, result: Mapping[str, Any]) -> str:
 
 
 def _reported(items: Iterable[Item], description: str, *, report: Report) -> Iterator[Item]:
-    """The same items, with the share that is done reported."""
+    """Items, with a report of the finished share."""
     listed: Sequence[Item] = list(items)
     for number, item in enumerate(listed):
         report(number / len(listed))
@@ -174,7 +160,7 @@ def _reported(items: Iterable[Item], description: str, *, report: Report) -> Ite
 
 
 def shipped(model: str) -> str:
-    """Name of a model that ships, as the command line takes it."""
+    """Name of a shipped model on the command line."""
     return f"{PREFIX}{FAMILY}/{model}"
 
 

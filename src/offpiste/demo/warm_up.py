@@ -1,11 +1,12 @@
-"""Compiles everything ahead: each part of offpiste once, on as little data as it takes."""
+"""Compile all kernels ahead: run each part of offpiste once on minimal data."""
 
 import io
 import logging
 import tempfile
 import time
 from collections.abc import Callable
-from contextlib import redirect_stdout
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import replace
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -13,12 +14,15 @@ from typing import Final
 
 import torch
 
+from offpiste.closed_loop.drive_course import CourseDriveSettings, sensor_setup
+from offpiste.closed_loop.planner import load_planner
 from offpiste.core.cache import KEPT_DAYS, cache_folder, forget_unused
 from offpiste.core.conventions import ACTUATORS, CONTROL
+from offpiste.core.parallel import Report, run_all
 from offpiste.core.progress import show
 from offpiste.core.shipped import PREFIX
 from offpiste.core.state import ModelState, Terrain
-from offpiste.demo.rehearsal import EXTRACT, PLAN, RECORD, rehearse_part
+from offpiste.dataset.extract import make_dataset
 from offpiste.dynamics import Vehicle
 from offpiste.dynamics.actuators import Actuators
 from offpiste.dynamics.feature_encoder import Compressor
@@ -28,35 +32,42 @@ from offpiste.dynamics.kernels.autograd import rollout_recorded
 from offpiste.dynamics.kernels.encoder import codes_under_wheels, encode_cells
 from offpiste.dynamics.kernels.map_rollout import predict_on
 from offpiste.mapping.terrain_sampler import CellStack, MapTerrain
+from offpiste.rig.rig import load_rig
+from offpiste.runtime.warm_up import warm_up
+from offpiste.simulation.sensors.suite import sensor_suite
+from offpiste.simulation.simulate import DriveSettings, simulate
+from offpiste.simulation.world.world import WorldSettings
 
 MODEL: Final = f"{PREFIX}proving-ground/dc"
 STEPS: Final = 2
+RECORD, PLAN, EXTRACT = "record", "plan", "extract"
+SMALL: Final = DriveSettings(WorldSettings("uniform", size=100.0, resolution=1.0), 1.2, sensors="light")
 
 
 def warm_up_all() -> None:
-    """Compile what training, planning, mapping and simulation call, and print how long each part took."""
-    logging.getLogger("offpiste.kernel_cache").setLevel(logging.WARNING)  # it would advise what is being done
+    """Compile the kernels of training, planning, mapping and simulation, and print the time of each part."""
+    logging.getLogger("offpiste.kernel_cache").setLevel(logging.WARNING)  # it would advise to warm up
     with tempfile.TemporaryDirectory() as folder:
         parts: dict[str, Callable[[], object]] = {
             "training": compile_training,
-            "mapping and planning": partial(rehearse_part, PLAN, _unreported, run=MODEL, folder=Path(folder)),
+            "mapping and planning": partial(rehearse_part, PLAN, lambda _: None, run=MODEL, folder=Path(folder)),
         }
         if find_spec("mujoco") is not None:
             for name, part in (("simulation", RECORD), ("extraction", EXTRACT)):
-                parts[name] = partial(rehearse_part, part, _unreported, run=MODEL, folder=Path(folder))
+                parts[name] = partial(rehearse_part, part, lambda _: None, run=MODEL, folder=Path(folder))
         for number, (name, compile_part) in enumerate(parts.items(), start=1):
             show(f"[{number}/{len(parts)}] {name} ...")
             began = time.perf_counter()
-            with redirect_stdout(io.StringIO()):  # results of a drive that nobody asked for
+            with redirect_stdout(io.StringIO()):  # results of a drive
                 compile_part()
             show(f"[{number}/{len(parts)}] {name}: {time.perf_counter() - began:.0f} s")
-    show(f"kept in {cache_folder() / 'kernels'}")
+    show(f"stored in {cache_folder() / 'kernels'}")
     if forgotten := forget_unused(cache_folder()):
-        show(f"removed {len(forgotten)} of its entries that nothing has used for {KEPT_DAYS:.0f} days")
+        show(f"removed {len(forgotten)} entries unused for {KEPT_DAYS:.0f} days")
 
 
 def compile_training() -> None:
-    """Roll a model and its actuators out and back, with codes of two cells; and the model over a map of one."""
+    """Run model and actuators forward and backward with codes of two cells, and the model over a map of one cell."""
     vehicle = Vehicle(1000.0, 2.0, 0.5, CONTROL, ACTUATORS, features=2)
     encoder = Compressor(vehicle.features)
     model, lags = Hybrid(vehicle, encoder=encoder), Actuators(vehicle)
@@ -75,18 +86,43 @@ def compile_training() -> None:
         torch.zeros(1, 2, dtype=torch.float16),
         torch.zeros(1, vehicle.features, dtype=torch.float16),
     )
-    terrain = MapTerrain(
-        maps,
-        torch.zeros(1, dtype=torch.int64),
-        torch.zeros(1, 2, dtype=torch.float64),
-        torch.zeros(4, 2),
-        encoder,
-    )
+    origin = torch.zeros(1, 2, dtype=torch.float64)
+    terrain = MapTerrain(maps, torch.zeros(1, dtype=torch.int64), origin, torch.zeros(4, 2), encoder)
     with torch.no_grad():
         predict_on(model, ModelState(state, actuators, recurrent, recurrent), controls, terrain)
     units = torch.zeros(1, lags.hidden)
     rollout_actuators(lags, controls, torch.zeros(1, STEPS), actuators, units, units).sum().backward()
 
 
-def _unreported(share: float) -> None:
-    """No progress within a part."""
+def rehearse(run: str, processes: int) -> None:
+    """Record a short drive and plan with a model in processes that end, to fill the cache of kernels.
+
+    Parallel processes would otherwise each compile the same kernels and keep 300 MB of compiler memory.
+
+    Args:
+        run: model, as in `load_planner`.
+
+    Raises:
+        OffpisteError: a part failed.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        work = partial(rehearse_part, run=run, folder=Path(folder))
+        failed = run_all(work, (PLAN, RECORD), processes, "rehearsal", finished=lambda _: None)
+    if failed:
+        raise failed[0]
+
+
+def rehearse_part(part: str, report: Report, *, run: str, folder: Path) -> str:
+    """Record, extract or plan."""
+    with redirect_stderr(io.StringIO()):
+        if part == RECORD:
+            simulate(SMALL, folder / "drive.mcap")
+        elif part == EXTRACT:
+            simulate(replace(SMALL, seconds=8.0), folder / "extracted.mcap")
+            rig, pca = load_rig("proving_ground"), Path(f"{PREFIX}proving-ground")
+            make_dataset([folder / "extracted.mcap"], rig, folder / "data.zarr", pca=pca, processes=1, force=True)
+        else:
+            planner, rig, drive = load_planner(Path(run)), load_rig("proving_ground"), CourseDriveSettings(SMALL.world)
+            setup = sensor_setup(planner, sensor_suite(drive.sensors), rig)
+            warm_up(planner.dynamics, setup, rig.wheel_positions(), drive.runtime, spread=planner.spread)
+    return part

@@ -1,4 +1,4 @@
-"""The whole path on simulated drives: simulate, inspect, extract, train, evaluate `b` against `dc`, drive a course."""
+"""The whole path on simulated drives: simulate, inspect, extract, train, compare `b` and `dc`, drive a course."""
 
 import json
 import logging
@@ -34,8 +34,7 @@ from offpiste.report.text_table import TextTable, interval, number
 from offpiste.reproduction.runs import reuse_stages
 from offpiste.reproduction.steps import claim_folder
 from offpiste.rig.rig import Rig, load_rig
-from offpiste.simulation.recordings import Recording, simulate_all
-from offpiste.simulation.simulate import DriveSettings
+from offpiste.simulation.simulate import DriveSettings, Recording, simulate_all
 from offpiste.simulation.world.world import WorldSettings
 from offpiste.training.config import TrainConfig
 from offpiste.training.train import train
@@ -46,7 +45,7 @@ BASELINE, MODEL = "b", "dc"
 MAP = "map, predicted places"
 
 ErrorsByReading = dict[str, dict[str, Errors]]
-"""Errors by where the terrain is read, and by model."""
+"""Errors by terrain reading and by model."""
 
 
 def report_result(evaluation: Evaluation, dataset: Dataset, folder: Path) -> None:
@@ -61,11 +60,9 @@ def report_result(evaluation: Evaluation, dataset: Dataset, folder: Path) -> Non
     logger.info(conclusion(gain_of(errors[MAP]) if MAP in errors else gain_of(next(iter(errors.values()))), dataset))
     reference = next(e for case, e in evaluation.errors.items() if case.label == REFERENCE)
     logger.info(
-        f"For scale: '{REFERENCE}', a bicycle at constant speed, is off by {reference.distance().mean():.2f} m."
+        f"For reference: '{REFERENCE}', a bicycle at constant speed, errs by {reference.distance().mean():.2f} m."
     )
-    logger.info(
-        "More driving: `offpiste reproduce fig4 --size laptop` (hours); measured results are in docs/results.md."
-    )
+    logger.info("With more driving: `offpiste reproduce fig4 --size laptop` (hours); see docs/results.md for results.")
     logger.info(f"picture: {picture}")
     logger.info(f"report: {folder / 'report.html'}")
 
@@ -81,13 +78,13 @@ def errors_by_reading(evaluation: Evaluation) -> ErrorsByReading:
 
 
 def gain_of(models: dict[str, Errors]) -> PairedDifference:
-    """Mean distance error of `dc` relative to `b`'s on the same windows: -0.1 is 10 % below."""
+    """Mean distance error of `dc` relative to `b` on the same windows; -0.1 is 10 % below."""
     mine, other = models[MODEL], models[BASELINE]
     return relative(mine.distance(), other.distance(), Sampling().on(mine))
 
 
 def comparison_table(errors: ErrorsByReading) -> TextTable:
-    """Mean distance errors after 5 s of both models, a line per place where the terrain is read."""
+    """Mean distance errors of both models after 5 s, a line per terrain reading."""
     lines = []
     for place, models in errors.items():
         means = [summary(e.distance(), Sampling().on(e)) for e in models.values()]
@@ -103,9 +100,9 @@ def comparison_table(errors: ErrorsByReading) -> TextTable:
     first = next(iter(errors.values()))[MODEL]
     windows, levels = len(first.row), Sampling().on(first).levels()
     about = (
-        f"Intervals: 95 %, over {levels.text()}. {levels.caveat}\nBoth models read the slope as seen from"
-        " there. All lines but the last read the terrain under the wheels'\nrecorded future places, which gives away"
-        " how far the vehicle went. The last one reads the map where predictions go, as a\nplanner does: it decides."
+        f"Intervals: 95 %, over {levels.text()}. {levels.caveat}\nBoth models read the slope as seen from that"
+        " distance. All lines but the last read the terrain at recorded future\nplaces, which reveals how far the"
+        " vehicle went. The last line reads the map at predicted places, as a planner does;\nit is the one that counts."
     )
     title = f"Mean distance error after 5 s [m] on {windows} windows of the test drives"
     return TextTable(
@@ -114,16 +111,16 @@ def comparison_table(errors: ErrorsByReading) -> TextTable:
 
 
 def conclusion(gain: PairedDifference, dataset: Dataset) -> str:
-    """Sentence on `dc` against `b` that claims no more than the interval allows."""
+    """Sentence on `dc` against `b`, within the limits of the interval."""
     train, test = _seconds(dataset, "train"), _seconds(dataset, "test")
-    driven = f"{train:.0f} s of driving to learn from and {test:.0f} s to evaluate on"
+    driven = f"{train:.0f} s of driving for training and {test:.0f} s for testing"
     low, high = gain.ci95
     if not np.isfinite([low, high]).all():
         return f"No conclusion on dc against b here: {driven} are too few for an interval."
     if high < 0:
-        return f"Here dc is {-100 * gain.mean:.0f} % below b, with {driven}; another seed or world may say otherwise."
+        return f"Here dc is {-100 * gain.mean:.0f} % below b, with {driven}; another seed or world may differ."
     if low > 0:
-        return f"Here dc is {100 * gain.mean:.0f} % above b: {driven} are too little for it."
+        return f"Here dc is {100 * gain.mean:.0f} % above b: {driven} are too little."
     return f"No difference between dc and b is shown here: the interval holds zero, with {driven}."
 
 
@@ -136,47 +133,34 @@ WORLD = "mojave"
 BACKBONE = "filterbank"
 
 PCA_DRIVES = 2
-"""Number of training drives that the PCA is fitted on."""
-
+"""Number of training drives for fitting the PCA."""
 STEPS = 8
-"""Number of steps, as shown in the log."""
+"""Number of steps in the log."""
 
 
 @dataclass(frozen=True)
 class DemoSettings:
-    """Settings of the demo: so little is simulated and trained that it takes ten minutes on two cores.
+    """Settings of the demo, which by default takes ten minutes on two cores."""
 
-    Attributes:
-        seconds: length of each drive [s].
-        epochs: passes over the training windows.
-        seed: of everything.
-        size, resolution: extent and cell size of the worlds [m].
-        images: number of images that the PCA is fitted on.
-        batch: windows per step; small, so that there are some steps.
-        snapshot_seconds: least time between windows that are evaluated [s].
-        parts: parts of the split, one per drive; each drive has a world of its own.
-        course_seconds: time after which the driven course ends, wherever the vehicle is [s].
-        course_speed: wanted speed along the course [m/s].
-    """
-
-    seconds: float = 60.0
-    epochs: int = 12
-    seed: int = 0
-    size: float = 200.0
-    resolution: float = 0.25
-    images: int = 60
-    batch: int = 64
-    snapshot_seconds: float = 0.5
+    seconds: float = 60.0  # length of each drive [s]
+    epochs: int = 12  # passes over the training windows
+    seed: int = 0  # random seed
+    size: float = 200.0  # extent of the worlds [m]
+    resolution: float = 0.25  # cell size of the worlds [m]
+    images: int = 60  # number of images for fitting the PCA
+    batch: int = 64  # windows per step
+    snapshot_seconds: float = 0.5  # shortest time between evaluated windows [s]
+    # Part of the split for each drive; each drive has its own world
     parts: tuple[str, ...] = ("train", "train", "train", "train", "validation", "test", "test")
-    course_seconds: float = 30.0
-    course_speed: float = 6.0
+    course_seconds: float = 30.0  # time limit of the course [s]
+    course_speed: float = 6.0  # target speed [m/s]
 
 
 def run_demo(out: Path, settings: DemoSettings, *, processes: int = 0) -> None:
-    """Run the demo in `out`; results of an earlier demo with the same settings are used again.
+    """Run the demo in `out`; finished steps with the same settings are reused.
 
     Args:
-        processes: drives that are simulated or extracted at a time; 0: one per core.
+        processes: number of drives simulated or extracted in parallel; 0: one per core.
 
     Raises:
         OffpisteError: a stage failed, or `out` holds a demo with other settings.
@@ -187,7 +171,7 @@ def run_demo(out: Path, settings: DemoSettings, *, processes: int = 0) -> None:
     logs = [recording.log for recording in recordings]
     logger.info(
         f"1/{STEPS}  offpiste simulate: {len(logs)} drives of {settings.seconds:g} s (no real vehicle),"
-        " each in a world of its own, with one camera and one LiDAR"
+        " each in its own world, with a camera and a LiDAR"
     )
     simulate_all(recordings, processes)
     logger.info(f"2/{STEPS}  offpiste inspect {logs[0]} --rig proving_ground")
@@ -203,7 +187,7 @@ def run_demo(out: Path, settings: DemoSettings, *, processes: int = 0) -> None:
 
 
 def _recordings(out: Path, settings: DemoSettings) -> list[Recording]:
-    """Drives to simulate; no two have the same seed."""
+    """Drives to simulate, each with its own seed."""
     recordings = []
     for seed in range(settings.seed, settings.seed + len(settings.parts)):
         world = WorldSettings(WORLD, seed, size=settings.size, resolution=settings.resolution)
@@ -233,7 +217,7 @@ def _extracted(logs: list[Path], rig: Rig, out: Path, settings: DemoSettings, pr
 
 
 def _trained(model: str, dataset: Dataset, out: Path, settings: DemoSettings) -> Path:
-    """Train a model and return its folder; stages that all models share are fitted with the first."""
+    """Train a model and return its folder; stages shared by all models are fitted once."""
     folder = out / "runs" / f"{model}-{settings.seed}"
     logger.info(f"5/{STEPS}  offpiste train {dataset.path} --model {model} --out {folder}")
     reuse_stages(folder.parent, folder, settings.seed)
@@ -261,7 +245,7 @@ def _drive(run: Path, out: Path, settings: DemoSettings) -> None:
     if (result := folder / "result.json").exists():
         logger.info(described(json.loads(result.read_text("utf-8"))))
     else:
-        shutil.rmtree(folder, ignore_errors=True)  # what an interrupted drive left
+        shutil.rmtree(folder, ignore_errors=True)  # left by an interrupted drive
         world = WorldSettings(WORLD, seed, size=settings.size, resolution=settings.resolution)
         course = CourseSettings(speed=settings.course_speed)
         drive = CourseDriveSettings(world, settings.course_seconds, course=course)

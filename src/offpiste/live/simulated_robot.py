@@ -23,10 +23,9 @@ from offpiste.live.play import clock_message
 from offpiste.logs.ros.writer import header, make, quaternion, vector
 from offpiste.rig.rig import Rig, load_rig
 from offpiste.runtime.modes import Controls
-from offpiste.simulation.recorder import MAP, stamp_ns, vehicle_messages
+from offpiste.simulation.messages import MAP, mountings_message, stamp_ns, vehicle_messages
+from offpiste.simulation.recorder import Imperfections, with_noise
 from offpiste.simulation.sample import VehicleSample
-from offpiste.simulation.sensors.imperfections import Imperfections, Noise, with_noise
-from offpiste.simulation.sensors.messages import mountings_message
 from offpiste.simulation.sensors.suite import Sensing, sensor_suite
 from offpiste.simulation.simulate import drive
 from offpiste.simulation.vehicle.parameters import load_vehicle
@@ -196,7 +195,7 @@ class SimulatedRobot:
 
     def _publish_vehicle(self, sample: VehicleSample) -> None:
         stamp = stamp_ns(sample.time)
-        measured = with_noise(sample, Noise(), self._imperfections, self._rng)
+        measured = with_noise(sample, self._imperfections, self._rng)
         messages = vehicle_messages(measured, stamp, wheel_radius=self._parameters.rolling_radius)
         del messages[_command_topic(self._rig)]
         odometry = messages.pop("/odometry")  # last: a reading is made when it comes

@@ -22,8 +22,7 @@ from offpiste.reproduction.settings import PCA_SWEPT, ReproductionSettings, Size
 from offpiste.reproduction.steps import Step
 from offpiste.rig.rig import Rig, load_rig
 from offpiste.simulation.driver.driver import WITH_MANOEUVRES, DriverSettings
-from offpiste.simulation.recordings import Recording, simulate_all
-from offpiste.simulation.simulate import DriveSettings
+from offpiste.simulation.simulate import DriveSettings, Recording, simulate_all
 from offpiste.simulation.world.world import WorldSettings
 
 

@@ -1,1 +1,1 @@
-"""The proving ground: a world, a vehicle whose physics is not the model's, and sensors that record real logs."""
+"""The proving ground: worlds, a vehicle with its own physics, and sensors, recorded as logs."""

@@ -1,57 +1,63 @@
-"""Simulates drives: vehicle and controller in lockstep, from settings to a recorded log."""
+"""Simulate drives: vehicle and controller in lockstep, from settings to a recorded log."""
 
+import io
 import logging
 from array import array
 from collections.abc import Iterator, Sequence
+from contextlib import redirect_stderr
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import Final, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
 
+from offpiste.cluster import engine_at
 from offpiste.core.conventions import DT
 from offpiste.core.errors import OffpisteError
+from offpiste.core.parallel import Report, run_all, within_memory
 from offpiste.core.progress import track
 from offpiste.logs.ros.writer import McapWriter
 from offpiste.simulation.driver.driver import Driver, DriverSettings
 from offpiste.simulation.driver.manoeuvres import ManoeuvringDriver
-from offpiste.simulation.recorder import Recorder
+from offpiste.simulation.recorder import Imperfections, Recorder
 from offpiste.simulation.sample import VehicleSample
-from offpiste.simulation.sensors.imperfections import Imperfections
 from offpiste.simulation.sensors.suite import Sensing, SensorSuite, observed, remounted, sensor_suite
 from offpiste.simulation.vehicle.parameters import VehicleParameters, load_vehicle
 from offpiste.simulation.vehicle.vehicle import VehicleSimulation
 from offpiste.simulation.world.build import make_world
 from offpiste.simulation.world.world import World, WorldSettings
 
+logger = logging.getLogger(__name__)
+
 FINAL_EVENTS = ("rollover", "left the world")
 """Events that end a drive."""
-
 STUCK = "stuck"
 """Event of a controller that gives up."""
+MEMORY: Final = {"none": 0.7e9, "light": 1.3e9, "full": 1.3e9}
+"""Memory of a process that records a drive, by sensors [bytes]: the largest measured plus a third."""
 
 
 @runtime_checkable
 class Controller(Protocol):
-    """A driver, a planner, or recorded commands."""
+    """Driver of a vehicle, e.g. a simulated person or a planner."""
 
     @property
     def stuck(self) -> bool:
-        """Whether it has given up."""
+        """Whether the controller has given up."""
         ...
 
     def command(self, sample: VehicleSample) -> Float[np.ndarray, " U"]:
-        """Throttle [0..1], brake [0..1], steer [-1..1, + left] for the next `conventions.DT`.
+        """Throttle [0..1], brake [0..1], steer [-1..1, positive left] for the next `conventions.DT`.
 
-        A fourth number is the gear (1, 0, -1), which is shifted at a standstill; without it the gear stays.
+        An optional fourth number is the gear (1, 0, -1), shifted at a standstill.
         """
         ...
 
 
 @dataclass(frozen=True)
 class Start:
-    """Start of a drive: x, y [m], yaw [rad], speed forwards [m/s]."""
+    """Start of a drive: x, y [m], yaw [rad], forward speed [m/s]."""
 
     x: float
     y: float
@@ -59,25 +65,10 @@ class Start:
     speed: float
 
 
-@dataclass
-class Replay:
-    """Commands of another drive, open loop."""
-
-    commands: Float[np.ndarray, "N U"]
-    stuck: bool = False
-    _row: int = 0
-
-    def command(self, sample: VehicleSample) -> Float[np.ndarray, " U"]:
-        """The next recorded command; the last one is held."""
-        command = self.commands[self._row]
-        self._row = min(self._row + 1, len(self.commands) - 1)
-        return command
-
-
 def drive(
     world: World, parameters: VehicleParameters, start: Start, controller: Controller, *, steps: int
 ) -> Iterator[VehicleSample]:
-    """Samples of a drive; it ends early after a rollover, at the world's border, or if the controller gives up."""
+    """Samples of a drive, which ends early at a rollover, at the world's border, or if the controller gives up."""
     vehicle = VehicleSimulation(world, parameters, x=start.x, y=start.y, yaw=start.yaw, speed=start.speed)
     for _ in range(steps):
         sample = vehicle.sample()
@@ -92,7 +83,7 @@ def drive(
 def start_and_driver(
     world: World, parameters: VehicleParameters, *, seed: int, settings: DriverSettings | None = None
 ) -> tuple[Start, Driver | ManoeuvringDriver]:
-    """A driver on a trail of a world; one that also does manoeuvres if the settings say so."""
+    """A driver on a trail of a world, with manoeuvres if the settings ask for them."""
     settings = settings or DriverSettings()
     driver = Driver(world, parameters, np.random.default_rng([seed, 0xD21]), settings)
     start = Start(*driver.start())
@@ -103,32 +94,17 @@ def start_and_driver(
     return start, manoeuvring
 
 
-def on_other_ground(world: World, other: World) -> World:
-    """A world's hills, trails and plants on the ground of another world of the same size: for twins.
-
-    Raises:
-        ValueError: the worlds' grids differ.
-    """
-    if world.elevation.shape != other.elevation.shape or world.resolution != other.resolution:
-        raise ValueError("twins need worlds of one size and resolution")
-    return replace(world, kinds=other.kinds, wetness=other.wetness, properties=other.properties)
-
-
-logger = logging.getLogger(__name__)
-
-
 @dataclass(frozen=True)
 class DriveSettings:
     """Settings of a simulated drive; the same settings give the same bytes.
 
     Attributes:
-        world: the world to drive in.
-        seconds: duration [s]; a drive that rolls over or gets stuck ends early.
+        seconds: duration [s]; a drive ends early if the vehicle rolls over or gets stuck.
         seed: seed of driver, noise and light; the world has its own.
         sensors: "full", "light" or "none".
-        mounting_turn: angle by which each sensor is rotated from its usual mounting, about a random axis of the seed
-            [deg]; the log records the mounting as it is.
-        vehicle: a TOML file (`vehicle.parameters.VehicleParameters`); "" for the side-by-side that is shipped.
+        mounting_turn: rotation of each sensor from its usual mounting about a random axis [deg]; the log contains the
+            rotated mounting.
+        vehicle: TOML file (`vehicle.parameters.VehicleParameters`), or "" for the shipped side-by-side.
     """
 
     world: WorldSettings = field(default_factory=WorldSettings)
@@ -143,23 +119,14 @@ class DriveSettings:
 
 @dataclass(frozen=True)
 class DriveSummary:
-    """Summary of a simulated drive.
+    """Summary of a simulated drive."""
 
-    Attributes:
-        log: the recorded file.
-        seconds: recorded time [s].
-        metres: driven distance [m].
-        events: events with their times [s].
-        path: x, y of the pose point [m], every `conventions.DT`.
-        speed: horizontal speed in the same rows [m/s].
-    """
-
-    log: Path
-    seconds: float
-    metres: float
-    events: tuple[tuple[float, str], ...]
-    path: np.ndarray
-    speed: np.ndarray
+    log: Path  # recorded file
+    seconds: float  # recorded time [s]
+    metres: float  # driven distance [m]
+    events: tuple[tuple[float, str], ...]  # times [s] and events
+    path: np.ndarray  # x, y of the pose point every `conventions.DT` [m]
+    speed: np.ndarray  # horizontal speed in the same rows [m/s]
 
     def __str__(self) -> str:
         events = "".join(f"; {event} at {time:.1f} s" for time, event in self.events)
@@ -167,35 +134,25 @@ class DriveSummary:
         return f"{self.log}: {self.seconds:.0f} s, {self.metres:.0f} m, median {median:.1f} m/s{events}"
 
 
-def simulate(settings: DriveSettings, out: Path, *, twins: int = 0) -> list[DriveSummary]:
-    """Record a drive, and `twins` of it: the same start and the same commands, open loop, on other ground.
-
-    Args:
-        out: an .mcap file; the k-th twin's is called NAME-twin-k.mcap.
+def simulate(settings: DriveSettings, out: Path) -> DriveSummary:
+    """Record a drive in an .mcap file.
 
     Raises:
-        OffpisteError: a setting is out of range, or a file exists already.
+        OffpisteError: a setting is out of range, or the file exists already.
     """
-    if twins < 0:
-        raise OffpisteError(f"--twins is {twins}", how="give a number of 0 or more")
-    files = [out, *(out.with_name(f"{out.stem}-twin-{k}{out.suffix}") for k in range(1, twins + 1))]
-    steps = _check(settings, files)
+    check_settings(settings)
+    if out.exists():
+        raise OffpisteError("exists already", where=out, how="remove it, or give another name")
     parameters = load_vehicle(settings.vehicle or None)
     world = make_world(settings.world)
     start, driver = start_and_driver(world, parameters, seed=settings.seed, settings=settings.driver)
-    commands: list[np.ndarray] = []
-    drives = [record(settings, world, parameters, start, driver, files[0], steps=steps, commands=commands)]
-    logger.info(str(drives[0]))
-    for k, file in enumerate(files[1:], start=1):
-        other = make_world(replace(settings.world, seed=settings.world.seed + 1_000_003 * k))
-        ground, replay = on_other_ground(world, other), Replay(np.stack(commands))
-        drives.append(record(settings, ground, parameters, start, replay, file, steps=len(commands)))
-        logger.info(str(drives[-1]))
-    return drives
+    summary = record(settings, world, parameters, start, driver, out, steps=round(settings.seconds / DT))
+    logger.info(str(summary))
+    return summary
 
 
-def _check(settings: DriveSettings, files: Sequence[Path]) -> int:
-    """Number of steps of `DT`; refuses wrong settings before minutes are spent."""
+def check_settings(settings: DriveSettings) -> None:
+    """Raise `OffpisteError` for the first setting out of range."""
     if not DT / 2 < settings.seconds < np.inf:
         raise OffpisteError(f"a drive of {settings.seconds:g} s", how="give --seconds above zero")
     amounts = {**vars(settings.imperfections), "mounting_turn": settings.mounting_turn}
@@ -205,10 +162,6 @@ def _check(settings: DriveSettings, files: Sequence[Path]) -> int:
     if settings.seed < 0:
         raise OffpisteError(f"the drive's seed is {settings.seed}", how="choose 0 or more")
     sensor_suite(settings.sensors)
-    for file in files:
-        if file.exists():
-            raise OffpisteError("exists already", where=file, how="remove it, or give another name")
-    return round(settings.seconds / DT)
 
 
 def record(
@@ -220,44 +173,72 @@ def record(
     out: Path,
     *,
     steps: int,
-    commands: list[np.ndarray] | None = None,
-    seen: World | None = None,
     suite: SensorSuite | None = None,
 ) -> DriveSummary:
     """Drive and write every message; an interruption leaves a readable file.
 
     Args:
-        commands: the controller's commands are appended to it.
-        seen: the world that the sensors and the true map show, where it differs from the one driven in.
-        suite: instead of the sensors that the settings name.
+        suite: sensors to use instead of those in the settings.
     """
     noise, light, mountings = (np.random.default_rng([settings.seed, stream]) for stream in (1, 2, 3))
-    suite = suite or sensor_suite(settings.sensors)
-    suite, seen = remounted(suite, settings.mounting_turn, mountings), seen or world
-    sensing = Sensing(seen, suite, light) if suite.cameras or suite.lidars else None
+    suite = remounted(suite or sensor_suite(settings.sensors), settings.mounting_turn, mountings)
+    sensing = Sensing(world, suite, light) if suite.cameras or suite.lidars else None
     events: list[tuple[float, str]] = []
-    path, speed = array("d"), array("d")  # compact: drives can be long
+    motion = array("d")  # x, y, speed; compact, as drives can be long
     with McapWriter(out) as writer:
         recorder = Recorder(
             writer, wheel_radius=parameters.rolling_radius, rng=noise, imperfections=settings.imperfections
         )
-        recorder.start(seen, suite.mountings())
+        recorder.start(world, suite.mountings())
         samples = drive(world, parameters, start, controller, steps=steps)
-        for sample, seen_there in observed(_with_progress(samples, steps, out.name), sensing, recorder.sensor_stamp_ns):
+        shown = (sample for _, sample in zip(track(range(steps), f"simulate {out.name}"), samples, strict=False))
+        for sample, messages in observed(shown, sensing, recorder.sensor_stamp_ns):
             recorder.vehicle(sample)
-            for topic, message in seen_there:
+            for topic, message in messages:
                 recorder.sensor(topic, message)
             events += [(sample.time, event) for event in sample.events]
-            path.extend(sample.position[:2].tolist())
-            speed.append(float(np.hypot(*sample.velocity[:2])))
-            if commands is not None:
-                commands.append(sample.command)
-    xy = np.array(path).reshape(-1, 2)
-    metres = float(np.hypot(*np.diff(xy, axis=0).T).sum())
-    return DriveSummary(out, len(speed) * DT, metres, tuple(events), xy, np.array(speed))
+            motion.extend((*sample.position[:2].tolist(), float(np.hypot(*sample.velocity[:2]))))
+    rows = np.array(motion).reshape(-1, 3)
+    metres = float(np.hypot(*np.diff(rows[:, :2], axis=0).T).sum())
+    return DriveSummary(out, len(rows) * DT, metres, tuple(events), rows[:, :2], rows[:, 2])
 
 
-def _with_progress(samples: Iterator[VehicleSample], steps: int, name: str) -> Iterator[VehicleSample]:
-    """The same samples, with a progress bar over the drive."""
-    for _, sample in zip(track(range(steps), f"simulate {name}"), samples, strict=False):
-        yield sample
+@dataclass(frozen=True)
+class Recording:
+    """A drive to simulate, and the path of its log."""
+
+    settings: DriveSettings
+    log: Path
+
+
+def simulate_all(recordings: Sequence[Recording], processes: int, cluster: str = "") -> None:
+    """Record missing drives, `processes` at a time or on a Ray cluster.
+
+    Raises:
+        OffpisteError: the first failure; the other drives are recorded.
+    """
+    missing = [recording for recording in recordings if not recording.log.exists()]
+    if kept := len(recordings) - len(missing):
+        logger.warning(f"{kept} of {len(recordings)} drives exist already and are kept")
+    if not cluster and missing:
+        wanted = min(processes, len(missing))
+        processes = within_memory(wanted, max(MEMORY.get(one.settings.sensors, 0.0) for one in missing))
+    failed = run_all(_record, missing, processes, "simulate", engine=engine_at(cluster))
+    if failed:
+        raise failed[0]
+
+
+def simulate_once(settings: DriveSettings, log: Path) -> str:
+    """Record a drive unless it exists, and return its summary; an interrupted drive is recorded anew."""
+    if log.exists():
+        return f"{log}: exists"
+    partial = log.with_name(f"{log.stem}.partial{log.suffix}")
+    partial.unlink(missing_ok=True)
+    driven = simulate(settings, partial)
+    partial.rename(log)
+    return str(driven).replace(partial.name, log.name)
+
+
+def _record(recording: Recording, report: Report) -> str:
+    with redirect_stderr(io.StringIO()):  # progress bars of parallel drives would overlap
+        return simulate_once(recording.settings, recording.log)

@@ -1,28 +1,23 @@
-"""A world from above, as a map for people: natural colours, hillshade, trails, plants and a driven path."""
+"""Top view of a world: natural colours, hillshade, trails and plants."""
 
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
-from matplotlib.collections import EllipseCollection, LineCollection
+from matplotlib.collections import EllipseCollection
 
+from offpiste.simulation.world.grids import normals_of
 from offpiste.simulation.world.ground import colour_table
-from offpiste.simulation.world.surface import normals_of
 from offpiste.simulation.world.world import World
 
 SUN = np.array([-0.5, 0.45, 0.74])
-"""Direction to the light: the upper left, as on maps."""
+"""Direction to the light, from the upper left as on maps."""
 
 _GRASS = np.array([0.62, 0.60, 0.30]), np.array([0.33, 0.43, 0.17])
 _CROWN, _BUSH, _SHADOW = "#3d5a2a", "#6f7a4a", "#2a2418"
 
 
-def draw_top_view(
-    world: World,
-    axes: Axes,
-    path: Float[np.ndarray, "n 2"] | None = None,
-    speed: Float[np.ndarray, " n"] | None = None,
-) -> None:
-    """Draw a world and a drive into given axes."""
+def draw_top_view(world: World, axes: Axes) -> None:
+    """Draw a world into given axes."""
     x0, y0 = world.origin
     ny, nx = world.elevation.shape
     extent = (x0, x0 + (nx - 1) * world.resolution, y0, y0 + (ny - 1) * world.resolution)
@@ -31,8 +26,6 @@ def draw_top_view(
         axes.plot(*np.concatenate((loop, loop[:1])).T, color="white", linewidth=0.6, alpha=0.55, dashes=(6, 6))
     _discs(axes, world.bushes.foot[:, :2], world.bushes.radius, _BUSH)
     _discs(axes, world.trees.foot[:, :2], world.trees.crown_radius, _CROWN)
-    if path is not None:
-        _draw_path(axes, path, speed)
     axes.set(xlim=extent[:2], ylim=extent[2:], aspect="equal", xlabel="x [m]", ylabel="y [m]")
 
 
@@ -66,15 +59,3 @@ def _discs(axes: Axes, centre: Float[np.ndarray, "n 2"], radius: Float[np.ndarra
                 alpha=alpha,
             )
         )
-
-
-def _draw_path(axes: Axes, path: Float[np.ndarray, "n 2"], speed: Float[np.ndarray, " n"] | None) -> None:
-    axes.plot(*path.T, color="black", linewidth=2.4)
-    axes.plot(*path[0], marker="o", markersize=6, color="white", markeredgecolor="black")
-    if speed is None:
-        axes.plot(*path.T, color="#ff8c1a", linewidth=1.4)
-        return
-    pieces = LineCollection(list(np.stack((path[:-1], path[1:]), axis=1)), cmap="plasma", linewidths=1.6, zorder=3)
-    pieces.set_array((speed[:-1] + speed[1:]) / 2)
-    axes.add_collection(pieces)
-    axes.figure.colorbar(pieces, ax=axes, shrink=0.7, label="speed [m/s]")

@@ -10,7 +10,7 @@ from experiments.closed_loop_table import faults
 from experiments.closed_loop_table.drives import places
 from experiments.closed_loop_table.faults import MOMENTS, drive_faults
 from offpiste.closed_loop.drive_course import CourseDriveSettings
-from offpiste.closed_loop.faults import KINDS
+from offpiste.closed_loop.lockstep import KINDS
 from offpiste.closed_loop.planner import Planner
 from runtime.stream import parametric
 

@@ -1,11 +1,9 @@
 """Hazards along arcs on shapes whose slopes are known."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from offpiste.simulation.driver.lookahead import FAR, VisibleTerrain, hazards_along_arcs
+from offpiste.simulation.driver.route import FAR, VisibleTerrain, hazards_along_arcs
 from simulation.drives import flat_world
 
 SIZE = (2.0, 1.2, 1.5)
@@ -75,15 +73,6 @@ def test_trees_and_the_border_count():
         hazards_from(world, y=45.0, yaw=np.pi / 2).border_overlap, [3.0], atol=0.01
     )  # border at 60 m
     np.testing.assert_allclose(hazards_from(world, x=-100.0, yaw=np.pi, length=20.0).border_overlap, [8.0], atol=0.01)
-
-
-def test_the_visible_terrain_has_no_properties_of_the_ground():
-    world = flat_world(slope=0.1)
-    other = replace(world, kinds=world.kinds[::-1], wetness=1 - world.wetness, properties=world.properties * 0.5)
-    mine, others = VisibleTerrain.of(world), VisibleTerrain.of(other)
-    for name in ("elevation", "trees"):
-        np.testing.assert_array_equal(getattr(mine, name), getattr(others, name))
-    assert not {"kinds", "wetness", "properties", "grass_height"} & set(mine.__dataclass_fields__)
 
 
 def test_slopes_along_a_line():

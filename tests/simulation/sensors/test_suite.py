@@ -54,10 +54,6 @@ def test_each_sample_comes_with_its_own_measurements_in_order(count):
     assert threading.current_thread() not in threads
 
 
-def test_without_sensors_samples_pass_as_they_are():
-    assert [messages for _, messages in observed(samples(3), None, int)] == [[], [], []]
-
-
 def test_an_error_of_a_sensor_reaches_the_drive():
     def broken(time):
         if time == 2:

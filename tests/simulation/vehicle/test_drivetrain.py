@@ -5,7 +5,6 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from offpiste.simulation.vehicle.drivetrain import (
-    braked_pressure,
     clutch_rate,
     engine_torque,
     shifted_ratio,
@@ -34,26 +33,6 @@ def test_engine_has_its_power_and_its_limiter():
     assert engine_torque(P.engine_torque_speed, 1.0, P) == pytest.approx(P.engine_torque)
     assert engine_torque(P.limiter_speed, 1.0, P) < 0
     assert engine_torque(500.0, 0.0, P) == pytest.approx(-(P.engine_drag + 500 * P.engine_drag_slope))
-
-
-@settings(deadline=None)  # the first call compiles
-@given(st.floats(0, 800), st.floats(0, 1), st.floats(0, 0.5))
-def test_more_throttle_never_gives_less_torque_above_idle(speed, throttle, more):
-    speed = max(speed, P.idle_speed)
-    assert engine_torque(speed, min(throttle + more, 1.0), P) >= engine_torque(speed, throttle, P) - 1e-9
-
-
-def test_engine_idles():
-    engine = turned([P.idle_speed, 0, 0, 0, 0], seconds=5)[0]
-    assert 0.85 * P.idle_speed < engine <= P.idle_speed
-
-
-@settings(deadline=None)  # the first call compiles
-@given(st.floats(0, 2000), st.floats(0, 1), st.floats(0.72, 3.4))
-def test_ratio_stays_between_its_limits(shaft, throttle, ratio):
-    for _ in range(20):
-        ratio = shifted_ratio(ratio, shaft, throttle, 0.1, P)
-        assert P.ratio_high - 1e-9 <= ratio <= P.ratio_low + 1e-9
 
 
 def test_ratio_settles_where_the_engine_has_its_wanted_speed():
@@ -101,13 +80,6 @@ def test_differentials_front_open_rear_limited_centre_locked():
     assert wheels[0] - wheels[1] > 0.5 * 20
     assert wheels[2] - wheels[3] < 0.1 * 10
     assert wheels[:2].mean() == pytest.approx(wheels[2:].mean(), abs=0.1)
-
-
-def test_brake_pressure_lags():
-    pressure = 0.0
-    for _ in range(round(P.brake_time / DT)):
-        pressure = braked_pressure(pressure, 1.0, DT, P)
-    assert pressure == pytest.approx(1 - np.exp(-1), abs=0.02)
 
 
 def test_steering_rings_like_its_second_order():

@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 from offpiste.logs.ground_truth import GROUND_KINDS
 from offpiste.simulation.world.build import make_world
 from offpiste.simulation.world.forks import ASIDE, HALF_WIDTH, LENGTH, MUD, WAVE, WEAVE, WETNESS, fork_trails
-from offpiste.simulation.world.surface import read_grid
+from offpiste.simulation.world.grids import read_grid
 from offpiste.simulation.world.world import WorldSettings
 
 SPACING = 0.5
@@ -54,12 +54,6 @@ def test_no_fork_beside_another_trail_or_on_a_short_one():
         assert all(one is other for one, other in zip(same, trails, strict=True))
 
 
-def test_the_muddy_side_is_drawn():
-    loop = ring(30.0, straight=100.0)
-    sides = [fork_trails(np.random.default_rng(seed), (loop,), SPACING)[1][0].muddy for seed in range(40)]
-    assert 10 < sum(sides) < 30
-
-
 def test_one_way_is_mud_and_the_other_firm():
     world = make_world(SETTINGS)
     assert len(world.forks) > 1
@@ -89,10 +83,3 @@ def test_far_from_the_trails_all_stays_as_it_was():
     again = make_world(SETTINGS)
     for name in ("elevation", "kinds", "wetness", "properties"):
         assert getattr(again, name).tobytes() == getattr(world, name).tobytes()
-
-
-def test_relief_makes_hills_higher():
-    low, high = (make_world(replace(SETTINGS, forks=False, relief=relief)) for relief in (0.0, 2.0))
-    usual = make_world(replace(SETTINGS, forks=False))
-    assert low.elevation.std() < 0.2 * usual.elevation.std()
-    assert high.elevation.std() == pytest.approx(2 * usual.elevation.std(), rel=0.1)

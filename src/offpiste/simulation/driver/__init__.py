@@ -1,1 +1,1 @@
-"""The simulated driver: route, look-ahead and behaviour."""
+"""The simulated driver: routes, behaviour and manoeuvres."""

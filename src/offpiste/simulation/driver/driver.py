@@ -1,22 +1,19 @@
-"""A driver that excites the vehicle: it follows trails, cuts across open ground, and drives until the tyres slip.
+"""A driver that excites the vehicle's dynamics: it follows trails, crosses open ground, and makes the tyres slip.
 
-It knows slopes, trees and trails (`lookahead.VisibleTerrain`) but not the grip. Ten times a second it picks the arc
-that leads best to a point ahead on its route. Its speed follows a random intent, with bursts of throttle, brake and
-steering, as fast as the bends, bumps and banks ahead allow.
+It knows slopes, trees and trails (`route.VisibleTerrain`) but not the grip. Ten times a second it selects the best arc
+towards a point ahead on its route. Its speed follows a random intent with bursts of throttle, brake and steering, as
+far as the bends, bumps and banks ahead allow.
 """
 
 import math
 from dataclasses import dataclass
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.core.conventions import GRAVITY
-from offpiste.simulation.driver.intent import Intent, RandomIntent
-from offpiste.simulation.driver.lookahead import ArcHazards, VisibleTerrain, hazards_along_arcs
-from offpiste.simulation.driver.pedal_control import TractionControl
-from offpiste.simulation.driver.route import Route
-from offpiste.simulation.driver.stuck import StuckRecovery
+from offpiste.core.conventions import DT, GRAVITY
+from offpiste.simulation.driver.route import ArcHazards, Route, VisibleTerrain, hazards_along_arcs
 from offpiste.simulation.sample import VehicleSample
 from offpiste.simulation.vehicle.parameters import VehicleParameters
 from offpiste.simulation.world.world import World
@@ -24,79 +21,230 @@ from offpiste.simulation.world.world import World
 
 @dataclass(frozen=True)
 class DriverSettings:
-    """Driving style.
+    """Driving style."""
 
-    Attributes:
-        median_speed: median of the intended speed [m/s].
-        speed_spread: standard deviation of the logarithm of the intended speed.
-        top_speed: highest speed [m/s].
-        cornering: lateral acceleration that is accepted, lowest and highest over time [m/s^2].
-        pause: mean time between manoeuvres (`intent.RandomIntent`) [s].
-        off_trail: probability of leaving a trail across open ground at its next stretch.
-        max_slope: climb and lean that are avoided (rise over run).
-        max_tilt_speed: speed times lean that is accepted [m/s].
-        max_bump: vertical acceleration that is accepted [m/s^2].
-        standing_start: probability of starting at rest.
-        timeout: how long a stuck vehicle tries to get going again [s].
-        manoeuvres: mean number of stops, slow, fast and reverse stretches in a minute of driving between them
-            (`manoeuvres.ManoeuvringDriver`); 0 for none, and no reverse gear.
-    """
-
-    median_speed: float = 6.2
-    speed_spread: float = 0.75
-    top_speed: float = 12.0
+    median_speed: float = 6.2  # median of the intended speed [m/s]
+    speed_spread: float = 0.75  # standard deviation of the logarithm of the intended speed
+    top_speed: float = 12.0  # highest speed [m/s]
+    # Range of the accepted lateral acceleration, which varies over time [m/s^2]
     cornering: tuple[float, float] = (3.0, 7.0)
-    pause: float = 3.5
-    off_trail: float = 0.35
-    max_slope: float = 0.18
-    max_tilt_speed: float = 0.8
-    max_bump: float = 6.0
-    standing_start: float = 0.25
-    timeout: float = 15.0
+    pause: float = 3.5  # mean time between the manoeuvres of `RandomIntent` [s]
+    off_trail: float = 0.35  # probability of leaving a trail across open ground at its next stretch
+    max_slope: float = 0.18  # climb and lean that are avoided (rise over run)
+    max_tilt_speed: float = 0.8  # accepted product of speed and lean [m/s]
+    max_bump: float = 6.0  # accepted vertical acceleration [m/s^2]
+    standing_start: float = 0.25  # probability of starting at rest
+    timeout: float = 15.0  # time after which a stuck vehicle gives up [s]
+    # Mean number of stops, slow, fast and reverse stretches (`manoeuvres.ManoeuvringDriver`) per minute of driving
+    # between them; 0 for none, and no reverse gear
     manoeuvres: float = 0.0
 
 
 WITH_MANOEUVRES = DriverSettings(top_speed=16.0, max_tilt_speed=1.1, manoeuvres=8.0)
-"""The whole range of speeds: standing, crawling, reverse, and as fast as trails allow."""
+"""Settings for the whole range of speeds, standing and reverse included."""
+
+Manoeuvre = Literal["", "throttle", "brake", "coast", "swerve", "brake and swerve", "stop"]
+
+_CORRELATION_TIMES = (7.0, 6.0, 0.7)
+"""Correlation times of speed, cornering and steering [s]."""
+_KEEP = [(math.exp(-DT / time), math.sqrt(1 - math.exp(-2 * DT / time))) for time in _CORRELATION_TIMES]
+"""Weights of the old value and of new noise in a step of `DT`."""
+
+_MANOEUVRES: dict[Manoeuvre, tuple[float, float, float]] = {
+    "throttle": (0.24, 0.6, 2.0),
+    "brake": (0.14, 0.4, 1.4),
+    "coast": (0.12, 0.6, 2.0),
+    "swerve": (0.28, 0.8, 2.4),
+    "brake and swerve": (0.16, 0.6, 1.6),
+    "stop": (0.06, 2.0, 5.0),
+}
+"""Probability, shortest and longest duration [s]; a stop includes slowing down."""
+_PROPORTIONAL, _INTEGRAL, _MOST = 0.35, 0.4, 0.8
+"""Speed control: throttle per lack of speed [s/m], its integral gain [1/m] and limit."""
+_BRAKE, _TOLERANCE = 0.35, 0.15
+"""Speed control: brake per excess speed [s/m], and tolerated excess [m/s]."""
+
+_LAG = 0.1
+"""Time constant of the throttle [s]."""
+_SPIN_LAG = 0.05
+"""Time constant over which spin is measured [s]."""
+
+_GAIN, _LEARNING_RATE = 0.2, 0.15
+"""Throttle reduction per excess spin [s/m], and its integral gain [1/m]."""
+_USUAL_THROTTLE, _FORGETTING_TIME = 0.8, 2.0
+"""Expected throttle at which wheels spin, and time constant of the return to it while they grip [s]."""
+_PROGRESS = 2.0
+"""Distance from the place where it got stuck at which the vehicle is free [m]."""
+_DETECTION_TIME = 1.5
+"""Time without progress after which the vehicle counts as stuck [s]."""
+
+_ATTEMPT = 7.0
+"""Duration of an attempt [s]: dig gently, roll back, charge."""
+
+
+class Intent(NamedTuple):
+    """Intent of the driver at a time."""
+
+    speed: float  # Gauss-Markov processes of mean 0 and standard deviation 1
+    cornering: float
+    steering: float
+    manoeuvre: Manoeuvre  # current manoeuvre, mostly ""
+    strength: float  # strength of the manoeuvre, 0..1
+    side: float  # side of the manoeuvre, -1 or 1
+    time_left: float  # remaining time of the manoeuvre [s]
+
+
+class RandomIntent:
+    """Random intents every `DT`, independent of the ground: wandering speed, cornering and steering, and manoeuvres.
+
+    Args:
+        pause: mean time between manoeuvres [s].
+    """
+
+    def __init__(self, rng: np.random.Generator, *, pause: float) -> None:
+        self._rng, self._pause = rng, pause
+        self._processes = rng.standard_normal(3).tolist()
+        self._manoeuvre: Manoeuvre = ""
+        self._strength, self._side = 0.0, 1.0
+        self._time_left, self._until_next = 0.0, float(rng.exponential(pause))
+
+    def advance(self) -> Intent:
+        """The next intent."""
+        noise = self._rng.standard_normal(3).tolist()
+        self._processes = [k * old + r * new for (k, r), old, new in zip(_KEEP, self._processes, noise, strict=True)]
+        self._time_left -= DT
+        self._until_next -= DT
+        if self._until_next <= 0:
+            self._begin_manoeuvre()
+        elif self._time_left <= 0:
+            self._manoeuvre = ""
+        speed, cornering, steering = self._processes
+        return Intent(speed, cornering, steering, self._manoeuvre, self._strength, self._side, self._time_left)
+
+    def _begin_manoeuvre(self) -> None:
+        probabilities = [probability for probability, _, _ in _MANOEUVRES.values()]
+        self._manoeuvre = list(_MANOEUVRES)[int(self._rng.choice(len(_MANOEUVRES), p=probabilities))]
+        _, shortest, longest = _MANOEUVRES[self._manoeuvre]
+        self._time_left = float(self._rng.uniform(shortest, longest))
+        self._strength, self._side = float(self._rng.random()), float(self._rng.choice((-1.0, 1.0)))
+        self._until_next = self._time_left + float(self._rng.exponential(self._pause))
+
+
+class SpeedControl:
+    """Proportional-integral control of a low speed."""
+
+    def __init__(self) -> None:
+        self._held = 0.1
+
+    def pedals(self, lack: float) -> tuple[float, float]:
+        """Throttle and brake for the next `DT`, 0..1.
+
+        Args:
+            lack: wanted speed minus speed, both in the direction of the gear [m/s].
+        """
+        self._held = min(max(self._held + _INTEGRAL * lack * DT, 0.0), _MOST)
+        throttle = min(max(self._held + _PROPORTIONAL * lack, 0.0), 1.0)
+        brake = min(max(-_BRAKE * (lack + _TOLERANCE), 0.0), 1.0)
+        return (0.0, brake) if brake > 0 else (throttle, 0.0)
+
+
+class TractionControl:
+    """Limits the requested throttle by the wheels' spin.
+
+    A sliding wheel integrates excess torque; a proportional-integral controller holds its spin.
+    """
+
+    def __init__(self) -> None:
+        self._throttle, self._spin, self._held = 0.0, 0.0, _USUAL_THROTTLE
+
+    def throttle(self, requested: float, spin: float, allowed_spin: float) -> float:
+        """Throttle for the next `DT`, 0..1, for a requested throttle, measured and allowed spin.
+
+        Spin is the rolling speed of the wheels minus the vehicle's speed [m/s].
+        """
+        self._spin += (spin - self._spin) * DT / (_SPIN_LAG + DT)
+        margin = allowed_spin - self._spin
+        most = self._held + _GAIN * margin
+        if most < requested:
+            self._held = min(max(self._held + _LEARNING_RATE * DT * margin, 0.15), 1.0)
+        else:
+            self._held += (_USUAL_THROTTLE - self._held) * DT / _FORGETTING_TIME
+        self._throttle += (min(requested, max(most, 0.0)) - self._throttle) * DT / (_LAG + DT)
+        return self._throttle
+
+
+class StuckRecovery:
+    """Detects a lack of progress and tries to free the vehicle without reverse gear, up to a timeout [s]."""
+
+    def __init__(self, timeout: float) -> None:
+        self._timeout = timeout
+        self._place: tuple[float, float] | None = None
+        self._time = 0.0
+        self._attempt_time = 0.0
+
+    @property
+    def stuck(self) -> bool:
+        """Whether the vehicle makes no progress."""
+        return self._time > _DETECTION_TIME
+
+    @property
+    def timed_out(self) -> bool:
+        """Whether the recovery has taken too long."""
+        return self._time > self._timeout
+
+    def advance(self, x: float, y: float, *, speed: float, stop_intended: bool) -> None:
+        """Update with the vehicle's position [m] and speed [m/s] after another `DT`."""
+        if self._place is None or math.dist((x, y), self._place) > _PROGRESS or (speed > 1.0 and not self.stuck):
+            self._place, self._time, self._attempt_time = (x, y), 0.0, 0.0
+        elif not stop_intended:
+            self._time += DT
+
+    def recover(self, speed: float, leans_left: float) -> tuple[float, float, float]:
+        """Throttle, allowed spin of the wheels [m/s], and steering while the vehicle is stuck.
+
+        Args:
+            speed: forward speed [m/s].
+            leans_left: downward slope to the left, where driving is easier.
+        """
+        # Do not interrupt a vehicle that begins to move.
+        self._attempt_time += DT if speed < 0.25 else 0.0
+        phase = self._attempt_time % _ATTEMPT
+        downhill = min(max(10.0 * leans_left, -1.0), 1.0)
+        if phase < 0.6 * _ATTEMPT:
+            # A little slip pulls best; spinning wheels dig in.
+            return 1.0, 0.15 + 0.2 * abs(speed), 0.3 * math.sin(2.5 * self._attempt_time)
+        if phase < 0.8 * _ATTEMPT:
+            # Roll back for a run-up on a climb; steering uphill turns the nose downhill.
+            return 0.0, 1.0, -0.8 * downhill if speed < -0.1 else 0.0
+        return 1.0, 2.0, downhill
+
 
 _CALM = Intent(0.0, 0.0, 0.0, "", 0.0, 1.0, 0.0)
-"""Intent of a driver who keeps to a given speed."""
-
+"""Intent of a driver who keeps a given speed."""
 _CURVATURES = np.linspace(-0.22, 0.22, 23)
-"""Curvatures of the arcs to choose from [1/m]."""
+"""Curvatures of the candidate arcs [1/m]."""
 
 _REPLAN_STEPS = 5
-"""Steps between two choices of an arc."""
-
+"""Steps between selections of an arc."""
 _LEVEL = 0.04
-"""Climb on which a vehicle at a standstill can be expected to drive away (rise over run)."""
+"""Climb on which a stopped vehicle can be expected to drive away (rise over run)."""
 
 _TIPPING = 0.3
-"""Sine of the roll beyond which nothing but staying upright counts."""
-
+"""Sine of the roll beyond which the driver only prevents a rollover."""
 _NEIGHBOURS = 2
-"""Number of arcs to either side onto which a vehicle may slide."""
+"""Number of arcs on either side onto which the vehicle may slide."""
 
 _BRAKING = 3.5
-"""Deceleration that is assumed before bends [m/s^2]."""
-
+"""Assumed deceleration before bends [m/s^2]."""
 _MARGIN = 9.0
 """Distance kept from the world's border [m]."""
 
 
 class Driver:
-    """Commands for a vehicle in a world.
-
-    Args:
-        rng: random numbers of the route, the intent and the start.
-    """
+    """Commands for a vehicle in a world, with random numbers for the route, the intent and the start."""
 
     def __init__(
-        self,
-        world: World,
-        vehicle: VehicleParameters,
-        rng: np.random.Generator,
-        settings: DriverSettings | None = None,
+        self, world: World, vehicle: VehicleParameters, rng: np.random.Generator, settings: DriverSettings | None = None
     ) -> None:
         self._vehicle, self._settings = vehicle, settings or DriverSettings()
         self._terrain, self._rng = VisibleTerrain.of(world), rng
@@ -109,20 +257,20 @@ class Driver:
 
     @property
     def stuck(self) -> bool:
-        """Whether it has given up: nothing that it tried has moved the vehicle."""
+        """Whether the driver has given up after failing to move the vehicle."""
         return self._recovery.timed_out
 
     @property
     def recovering(self) -> bool:
-        """Whether the vehicle makes no progress, and it tries to get it going again."""
+        """Whether the driver tries to move a vehicle that makes no progress."""
         return self._recovery.stuck
 
     def forget_spin(self) -> None:
-        """Begin anew with the throttle at which wheels are expected to spin: after others have spun them."""
+        """Reset the traction control, after another controller has spun the wheels."""
         self._traction = TractionControl()
 
     def start(self) -> tuple[float, float, float, float]:
-        """Start of a drive: x, y [m], yaw [rad] along a trail, speed [m/s]."""
+        """Start of a drive along a trail: x, y [m], yaw [rad], speed [m/s]."""
         chance, speed = self._rng.random(), float(self._rng.uniform(2.0, 7.0))
         x, y, yaw, climb = self.route.start()
         return x, y, yaw, 0.0 if chance < self._settings.standing_start and climb < _LEVEL else speed
@@ -131,8 +279,8 @@ class Driver:
         """Throttle, brake and steering for the next `conventions.DT`.
 
         Args:
-            keep: speed to keep to, as far as the ground ahead allows, instead of the random intent [m/s]; the vehicle
-                never counts as stuck then.
+            keep: speed to keep instead of the random intent, as far as the ground ahead allows [m/s]; the vehicle then
+                never counts as stuck.
         """
         x, y, yaw, speed = pose_and_speed(sample)
         i, j, k, w = sample.orientation.tolist()
@@ -141,7 +289,7 @@ class Driver:
         if self._steps % _REPLAN_STEPS == 0:
             self._choose_arc(x, y, yaw, max(speed, 0.0), intent.cornering)
         self._steps += 1
-        # A vehicle that stops uphill may not drive away again.
+        # A vehicle that stops uphill may not be able to drive away.
         stopping = intent.manoeuvre == "stop" and self._climb < _LEVEL
         was_stuck = self._recovery.stuck
         self._recovery.advance(x, y, speed=speed, stop_intended=stopping or keep is not None)
@@ -149,7 +297,7 @@ class Driver:
         if self._recovery.stuck and keep is None:
             if not was_stuck:
                 self.route.rejoin(np.array((x, y)), np.array((math.cos(yaw), math.sin(yaw))))
-            # With one wheel in the air, only a fast one passes torque on through a limited-slip differential.
+            # With a wheel in the air, a limited-slip differential only transmits torque if that wheel spins fast.
             airborne = float(np.ptp(sample.wheel_speed)) > 2.0
             throttle, allowed_spin, steer = self._recovery.recover(speed, leans_left)
             return np.array((self._traction.throttle(throttle, spin, allowed_spin + 12.0 * airborne), 0.0, steer))
@@ -160,39 +308,33 @@ class Driver:
             allowed_spin += 3.0 + 6.0 * intent.strength
         tips_left = leans_left - 0.25 * float(sample.angular_velocity[0])
         if abs(tips_left) > _TIPPING and speed > 3.0:
-            # About to roll over: steer into the fall, and off the pedals.
+            # About to roll over: steer into the fall and release the pedals.
             throttle, brake = 0.3 * throttle, 0.0
             steer = _clip(steer + 5 * (tips_left - math.copysign(_TIPPING, tips_left)), -1.0, 1.0)
         return np.array((self._traction.throttle(throttle, spin, allowed_spin), brake, steer))
 
     def _choose_arc(self, x: float, y: float, yaw: float, speed: float, cornering: float) -> None:
-        """Choose the arc that ends nearest to the goal, with little risk, and the speed that it allows."""
+        """Select an arc that ends near the goal at little risk, and the speed it allows."""
         length = _clip(1.6 * speed, 5.0, 14.0)
         goal = self.route.ahead(np.array((x, y)), length)
         vehicle = self._vehicle
+        size = (vehicle.wheelbase, vehicle.track, vehicle.length / 2)
         hazards = hazards_along_arcs(
-            self._terrain,
-            _CURVATURES,
-            x=x,
-            y=y,
-            yaw=yaw,
-            length=length,
-            size=(vehicle.wheelbase, vehicle.track, vehicle.length / 2),
-            margin=_MARGIN,
+            self._terrain, _CURVATURES, x=x, y=y, yaw=yaw, length=length, size=size, margin=_MARGIN
         )
         detour = np.hypot(hazards.end[:, 0] - goal[0], hazards.end[:, 1] - goal[1])
         steadiness = 6.0 * np.abs(_CURVATURES - self._curvature)
         risk = self._risk(hazards)
         best = int(np.argmin(detour + steadiness + risk))
         self._curvature = float(_CURVATURES[best])
-        # A vehicle that slides does not stay on its arc.
+        # A sliding vehicle does not stay on its arc.
         beside = slice(max(best - _NEIGHBOURS, 0), best + _NEIGHBOURS + 1)
         self._climb = float(hazards.climb[best])
         self._lean = 0.5 * float(hazards.lean[best] + hazards.lean[beside].max())
         self._speed_limit = self._limit_speed(hazards, best, float(risk[best]), cornering)
 
     def _limit_speed(self, hazards: ArcHazards, arc: int, risk: float, cornering: float) -> float:
-        """Speed that the chosen arc and the bends behind it allow [m/s]."""
+        """Speed allowed by the selected arc and the bends beyond it [m/s]."""
         settings = self._settings
         gentle, hard = settings.cornering
         lateral = gentle + (hard - gentle) * _clip(0.5 + 0.4 * cornering, 0.0, 1.0)
@@ -205,12 +347,12 @@ class Driver:
             settings.max_tilt_speed / max(self._lean, 1e-3),
             settings.top_speed - 0.5 * risk,
         )
-        # On a climb, speed that is lost cannot be regained.
+        # Speed lost on a climb cannot be regained.
         level = float(hazards.lean[arc]) < settings.max_slope
         return max(min(limits), 2.5 + 20 * min(self._climb, 0.15) * level)
 
     def _risk(self, hazards: ArcHazards) -> Float[np.ndarray, " A"]:
-        """Risk of each arc, as the detour that it is worth [m]."""
+        """Risk of each arc, expressed as a detour [m]."""
         max_slope = self._settings.max_slope
         belly = self._vehicle.rest_height + self._vehicle.belly_height
         return np.asarray(
@@ -242,19 +384,19 @@ class Driver:
         return throttle, _clip(-0.25 * (lack + 1), 0.0, 1.0)
 
     def _steering(self, speed: float, yaw_rate: float, intent: Intent) -> float:
-        """Steering for the arc's curvature, corrected by the vehicle's yaw rate, with some random steering."""
+        """Steering for the arc's curvature with yaw-rate feedback and some random steering."""
         vehicle = self._vehicle
         curvature = self._curvature + 0.02 * intent.steering
         angle = math.atan(vehicle.wheelbase * curvature) + 0.12 * (curvature * speed - yaw_rate)
         if "swerve" in intent.manoeuvre and self._lean < 0.6 * self._settings.max_slope:
             angle += (0.3 + 0.7 * intent.strength) * vehicle.max_steer * intent.side * math.sin(4 * intent.time_left)
-        # Beyond this, on any ground, more steering only rolls the vehicle over.
+        # On any ground, more steering would only roll the vehicle over.
         most = math.atan(vehicle.wheelbase * 1.1 * GRAVITY / max(speed, 1.0) ** 2)
         return _clip(_clip(angle, -most, most) / vehicle.max_steer, -1.0, 1.0)
 
 
 def pose_and_speed(sample: VehicleSample) -> tuple[float, float, float, float]:
-    """Pose x, y [m] and yaw [rad], and the horizontal speed forwards, below zero in reverse [m/s]."""
+    """Pose x, y [m] and yaw [rad], and horizontal forward speed, negative in reverse [m/s]."""
     i, j, k, w = sample.orientation.tolist()
     yaw = math.atan2(2 * (i * j + k * w), 1 - 2 * (j * j + k * k))
     x, y, _ = sample.position.tolist()

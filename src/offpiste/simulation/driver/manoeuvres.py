@@ -1,7 +1,6 @@
 """Manoeuvres between stretches of trail: stops, crawling, reverse, fast stretches, digging in and rocking free.
 
-The driver on trails (`driver.Driver`) rarely stands and never reverses; with this one around it, a drive covers the
-whole range of speeds. It knows no more of the ground than that driver does.
+They extend `driver.Driver`, which rarely stops and never reverses, to the whole range of speeds.
 """
 
 import math
@@ -12,8 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from offpiste.core.conventions import DT
-from offpiste.simulation.driver.driver import Driver, pose_and_speed
-from offpiste.simulation.driver.pedal_control import SpeedControl
+from offpiste.simulation.driver.driver import Driver, SpeedControl, pose_and_speed
 from offpiste.simulation.sample import VehicleSample
 from offpiste.simulation.vehicle.parameters import VehicleParameters
 
@@ -21,42 +19,36 @@ Pedals = tuple[float, float, float]
 """Throttle, brake and steering."""
 
 _STANDING_TIME, _CRAWLING_TIME, _REVERSING_TIME, _FAST_TIME = (1.0, 8.0), (4.0, 10.0), (3.0, 10.0), (6.0, 12.0)
-"""Shortest and longest duration [s]; slowing down and shifting come before it."""
-
+"""Range of durations, without slowing down and shifting [s]."""
 _DIGGING_TIME, _ROCKING_TIME = (0.8, 2.5), (1.5, 3.5)
-"""Shortest and longest duration of full throttle without traction control, and of reverse between attempts [s]."""
+"""Range of durations of full throttle without traction control, and of reverse between attempts [s]."""
 
 _CRAWLING, _REVERSING = (0.3, 1.5), (0.8, 3.0)
-"""Lowest and highest speed [m/s]."""
-
+"""Range of speeds [m/s]."""
 _CHANCES = (0.2, 0.2, 0.3, 0.3)
 """Probabilities of a stop, crawling, reverse and a fast stretch."""
 
 _DIGGING = 0.3
-"""Probability that a vehicle starts again with full throttle after a stop."""
-
+"""Probability of starting with full throttle after a stop."""
 _ATTEMPT = 3.0
-"""Time in which a stuck vehicle tries to drive on before it rocks [s]."""
+"""Time in which a stuck vehicle tries to drive on before it is rocked free [s]."""
 
 _STANDSTILL = 0.1
 """Speed below which gears are changed [m/s]."""
-
 _SPACING, _MEMORY = 0.3, 200
-"""Spacing of the points of the rear axle's remembered path [m], and their number."""
+"""Spacing [m] and number of the remembered positions of the rear axle."""
 
 _REVERSE_LOOKAHEAD = 3.0
-"""Distance of the point on the path that is steered to in reverse [m]."""
-
+"""Distance of the target on the path in reverse [m]."""
 _STEERING_RATE = 2.5
-"""How fast the wheel is turned in reverse [1/s]."""
+"""Steering rate in reverse [1/s]."""
 
 
 class ManoeuvringDriver:
-    """A driver on trails, and its manoeuvres at random moments.
+    """A driver on trails with random manoeuvres.
 
     Args:
-        rng: random numbers of the manoeuvres; the driver has its own.
-        rate: mean number of manoeuvres in a minute of driving between them.
+        rate: mean number of manoeuvres per minute of driving between them.
         fastest: speed of fast stretches, as far as the trail allows [m/s].
     """
 
@@ -71,7 +63,7 @@ class ManoeuvringDriver:
 
     @property
     def stuck(self) -> bool:
-        """Whether it has given up: neither driving on nor rocking has moved the vehicle."""
+        """Whether the driver has given up after failing to move the vehicle."""
         return self._driver.stuck
 
     def command(self, sample: VehicleSample) -> Float[np.ndarray, " 4"]:
@@ -82,14 +74,14 @@ class ManoeuvringDriver:
         return np.array((throttle, brake, self._steer, self._gear))
 
     def _drive(self) -> Iterator[Pedals]:
-        """All commands of the drive, one for each sample."""
+        """Commands of the whole drive, one per sample."""
         kinds: tuple[Callable[[], Iterator[Pedals]], ...] = (self._stand, self._crawl, self._reverse, self._rush)
         while True:
             yield from self._follow_trail(float(self._rng.exponential(self._pause)))
             yield from kinds[int(self._rng.choice(len(kinds), p=_CHANCES))]()
 
     def _follow_trail(self, seconds: float) -> Iterator[Pedals]:
-        """The driver on trails, who also rocks free with the reverse gear, for a time and until nothing is stuck."""
+        """Drive on trails for a time and until the vehicle is free; rock a stuck vehicle with the reverse gear."""
         left, attempt = seconds, 0.0
         while left > 0 or self._driver.recovering:
             yield self._remembered(self._driver.command(self._sample))
@@ -101,7 +93,7 @@ class ManoeuvringDriver:
                 attempt = 0.0
 
     def _stand(self) -> Iterator[Pedals]:
-        """Stop, stand, and start again: as the driver does, or with full throttle."""
+        """Stop, stand, and start again, in some cases with full throttle."""
         strength = self._between((0.2, 1.0))
         yield from self._stop(strength)
         yield from self._pressing(0.0, max(strength, 0.4), self._between(_STANDING_TIME))
@@ -109,7 +101,7 @@ class ManoeuvringDriver:
             yield from self._dig()
 
     def _crawl(self) -> Iterator[Pedals]:
-        """Follow the route hardly faster than a pedestrian."""
+        """Follow the route at walking speed."""
         wanted, control = self._between(_CRAWLING), SpeedControl()
         until = self._sample.time + self._between(_CRAWLING_TIME)
         while self._sample.time < until:
@@ -117,18 +109,18 @@ class ManoeuvringDriver:
             yield *control.pedals(wanted - self._speed), steer
 
     def _rush(self) -> Iterator[Pedals]:
-        """Follow the route as fast as bends, bumps and banks ahead allow."""
+        """Follow the route as fast as bends, bumps and banks allow."""
         until = self._sample.time + self._between(_FAST_TIME)
         while self._sample.time < until:
             yield self._remembered(self._driver.command(self._sample, keep=self._fastest))
 
     def _reverse(self) -> Iterator[Pedals]:
-        """Back along the path that was driven."""
+        """Reverse along the driven path."""
         yield from self._stop(self._between((0.15, 0.4)))
         yield from self._back_up(self._between(_REVERSING_TIME), self._between(_REVERSING))
 
     def _dig(self) -> Iterator[Pedals]:
-        """Full throttle without traction control: wheels spin where the ground is soft."""
+        """Full throttle without traction control, which spins the wheels on soft ground."""
         until = self._sample.time + self._between(_DIGGING_TIME)
         while self._sample.time < until and self._speed < 3.0:
             yield 1.0, 0.0, self._remembered(self._driver.command(self._sample, keep=3.0))[2]
@@ -141,7 +133,7 @@ class ManoeuvringDriver:
         yield from self._pressing(0.0, max(strength, 0.4), 0.3)
 
     def _back_up(self, seconds: float, wanted: float, *, beyond_path: bool = False) -> Iterator[Pedals]:
-        """Reverse for a time, as far as the path is remembered or straight beyond it, between two changes of gear."""
+        """Reverse for a time along the remembered path, and if requested straight beyond it."""
         if self._steering_back() is None and not beyond_path:
             return
         yield from self._shift(-1)
@@ -154,7 +146,7 @@ class ManoeuvringDriver:
         yield from self._shift(1)
 
     def _shift(self, gear: int) -> Iterator[Pedals]:
-        """Change gear at a standstill; the brake holds the vehicle until it is engaged."""
+        """Change gear at a standstill, holding the brake."""
         while self._sample.gear != gear:
             if math.hypot(*self._sample.velocity[:2]) < _STANDSTILL:
                 self._gear = gear
@@ -166,7 +158,7 @@ class ManoeuvringDriver:
             yield throttle, brake, self._steer
 
     def _steering_back(self) -> float | None:
-        """Steering along the remembered path, which gets shorter; None where it ends, or is not behind the vehicle."""
+        """Steering along the remembered path, which is consumed; None if it ends or is not behind the vehicle."""
         rear, path = self._rear_axle(), self._path
         while path and math.dist(path[-1], rear) < _REVERSE_LOOKAHEAD:
             path.pop()
@@ -176,13 +168,13 @@ class ManoeuvringDriver:
         c, s = math.cos(self._yaw), math.sin(self._yaw)
         behind, left = -(dx * c + dy * s), dy * c - dx * s
         if behind < abs(left):
-            return None  # it slid off its path, and does not know what is behind it
-        # The circle through the rear axle and that point, tangential to the vehicle.
+            return None  # the vehicle slid off its path
+        # Circle through the rear axle and the target, tangential to the vehicle.
         steer = math.atan(self._vehicle.wheelbase * 2 * left / (dx * dx + dy * dy)) / self._vehicle.max_steer
         return self._turned_to(min(max(steer, -1.0), 1.0))
 
     def _turned_to(self, steer: float) -> float:
-        """Steering one step later, on its way to another, as fast as the wheel is turned."""
+        """Steering after one step towards a target at the limited rate."""
         return self._steer + min(max(steer - self._steer, -_STEERING_RATE * DT), _STEERING_RATE * DT)
 
     def _rear_axle(self) -> tuple[float, float]:
@@ -190,7 +182,7 @@ class ManoeuvringDriver:
         return self._x - half * math.cos(self._yaw), self._y - half * math.sin(self._yaw)
 
     def _remembered(self, command: Float[np.ndarray, " 3"]) -> Pedals:
-        """The same command; the place is kept as a part of the path."""
+        """Remember the current position as part of the path; returns the command."""
         here = self._rear_axle()
         if self._speed > 0 and (not self._path or math.dist(self._path[-1], here) > _SPACING):
             self._path.append(here)

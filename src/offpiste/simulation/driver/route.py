@@ -1,48 +1,183 @@
-"""The driver's route: along trails, and straight across open ground from one stretch of trail to another."""
+"""Terrain as a driver sees it, hazards along candidate arcs, and routes along trails and across open ground."""
+
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
 from offpiste.compilation import PHYSICS
-from offpiste.simulation.driver.lookahead import VisibleTerrain
+from offpiste.simulation.world.grids import Grid, Line, height, read_grid
 from offpiste.simulation.world.terrain import SPACING
+from offpiste.simulation.world.world import World
 
+ARC_STEP = 0.6
+"""Spacing of the points along a candidate arc [m]."""
+_HALF_TRACK = 0.65
+"""Half the approximate track of a side-by-side [m]."""
+FAR = 99.0
+"""Clearance without any tree [m]."""
 _STRETCH = (40.0, 140.0)
-"""Shortest and longest stretch of a trail that is followed at a time [m]."""
-
+"""Range of the length of trail followed at a time [m]."""
 _CROSSING = (25.0, 90.0)
-"""Least and greatest distance to the next stretch of trail [m]."""
+"""Range of the distance across open ground to the next stretch of trail [m]."""
 
 _REJOINING = (6.0, 50.0)
-"""Least and greatest distance to the next trail of a vehicle that has left its route or is stuck [m]."""
-
+"""Range of the distance to the next trail after leaving the route or getting stuck [m]."""
 _LOST = 8.0
-"""Distance from its route beyond which the vehicle looks for another one [m]."""
+"""Distance from the route beyond which a new route is sought [m]."""
 
 _CANDIDATES = 16
-"""Number of lines across open ground that are compared."""
-
+"""Number of compared lines across open ground."""
 _STEEP_TRAIL = 0.13
-"""Climb (rise over run) of a trail beyond which the route leaves it."""
+"""Climb at which the route leaves a trail (rise over run)."""
 
 _TOO_STEEP = 0.25
-"""Slope (rise over run) of open ground beyond which it is not crossed."""
-
+"""Slope at which open ground is not crossed (rise over run)."""
 _STRIDE = 6
-"""Points between two at which bends are measured."""
+"""Step in points for measuring bends."""
 
 _GETAWAY = 24
-"""Points from the start whose climb decides whether a vehicle at a standstill drives away."""
-
+"""Number of points from the start whose climb decides whether a stopped vehicle can drive away."""
 _WINDOW = 60
-"""Points of the route among which the vehicle is searched for: it never skips further ahead at once."""
+"""Number of points ahead among which the vehicle is located."""
+
+
+@dataclass(frozen=True)
+class VisibleTerrain:
+    """Part of a world that a driver sees: shapes, trees and trails, but no properties of the ground.
+
+    Attributes:
+        elevation, origin, resolution, trails: as in `World`.
+        trees: x, y, trunk radius [m].
+    """
+
+    elevation: Grid
+    origin: tuple[float, float]
+    resolution: float
+    trees: Float[np.ndarray, "n 3"]
+    trails: tuple[Line, ...]
+
+    @classmethod
+    def of(cls, world: World) -> "VisibleTerrain":
+        """Visible part of a world."""
+        trees = np.column_stack((world.trees.foot[:, :2], world.trees.trunk_radius)).astype(np.float64)
+        return cls(np.ascontiguousarray(world.elevation), world.origin, world.resolution, trees, world.trails)
+
+    def max_slope(self, line: Float[np.ndarray, "n 2"]) -> float:
+        """Steepest slope of a straight line (rise over run): climbs over 2 m, half of descents, and lean.
+
+        The lean over a vehicle's width matters as a vehicle that crosses a ditch at a small angle tips into it.
+        """
+        span = line[-1] - line[0]
+        length = max(float(np.hypot(*span)), 1e-6)
+        heading = span / length
+        places = line[0] + np.arange(0, length + 1, 1.0)[:, None] * heading
+        left = np.array((-heading[1], heading[0])) * _HALF_TRACK
+        sides = [read_grid(self.elevation, self.origin, self.resolution, places + side) for side in (left, -left)]
+        lean = np.abs(sides[0] - sides[1]) / (2 * _HALF_TRACK)
+        heights = (sides[0] + sides[1]) / 2
+        slope = (heights[2:] - heights[:-2]) / 2
+        return float(max(lean.max(), slope.max(initial=0.0), -slope.min(initial=0.0) / 2))
+
+    def first_climb(self, line: Float[np.ndarray, "n 2"], limit: float) -> int:
+        """Index of the first point before a climb of more than `limit` (rise over run) over 2 m; n if none."""
+        heights = read_grid(self.elevation, self.origin, self.resolution, line)
+        apart = max(1, round(2 / max(float(np.hypot(*(line[1] - line[0]))), 1e-3))) if len(line) > 1 else 1
+        steep = np.flatnonzero(heights[apart:] - heights[:-apart] > 2 * limit)
+        return int(steep[0]) if len(steep) else len(line)
+
+
+@dataclass(frozen=True)
+class ArcHazards:
+    """Worst hazards along each of A arcs."""
+
+    end: Float[np.ndarray, "A 2"]  # x, y of the arc's end [m]
+    climb: Float[np.ndarray, " A"]  # upward and downward slope along the vehicle (rise over run, both positive)
+    descent: Float[np.ndarray, " A"]
+    lean: Float[np.ndarray, " A"]  # slope across the vehicle, to either side (rise over run)
+    # Height of the ground below the belly or ahead of the nose above the plane of the wheels [m]
+    protrusion: Float[np.ndarray, " A"]
+    vertical_curvature: Float[np.ndarray, " A"]  # curvature of the path in the vertical plane [1/m]
+    clearance: Float[np.ndarray, " A"]  # distance from the vehicle's centre to the surface of the nearest trunk [m]
+    border_overlap: Float[np.ndarray, " A"]  # reach of the arc into the margin at the border [m]
+
+
+def hazards_along_arcs(
+    terrain: VisibleTerrain,
+    curvatures: Float[np.ndarray, " A"],
+    *,
+    x: float,
+    y: float,
+    yaw: float,
+    length: float,
+    size: tuple[float, float, float],
+    margin: float,
+) -> ArcHazards:
+    """Hazards along arcs from a pose.
+
+    Args:
+        curvatures: curvature of each arc, positive left [1/m].
+        x, y, yaw: pose of the vehicle [m, rad].
+        length: length of the arcs [m].
+        size: wheelbase, track and distance from the vehicle's centre to its nose [m].
+        margin: distance to keep from the border [m].
+    """
+    out = np.empty((9, len(curvatures)))
+    near = np.hypot(terrain.trees[:, 0] - x, terrain.trees[:, 1] - y) < length + 5
+    _scan_arcs(
+        terrain.elevation, *terrain.origin, terrain.resolution, terrain.trees[near],
+        curvatures, x, y, yaw, length, *size, margin, out,
+    )  # fmt: skip
+    return ArcHazards(out[:2].T, *out[2:])
+
+
+@PHYSICS.entry
+def _scan_arcs(  # type: ignore[no-untyped-def]
+    elevation, x0, y0, resolution, trees, curvatures, x, y, yaw, length, wheelbase, track, nose, margin, out
+):
+    high_x = x0 + (elevation.shape[1] - 1) * resolution - margin
+    high_y = y0 + (elevation.shape[0] - 1) * resolution - margin
+    count = max(int(length / ARC_STEP), 4)
+    step = length / count
+    for a in range(len(curvatures)):
+        climb, descent, lean, protrusion, curvature, clearance, overlap = 0.0, 0.0, 0.0, 0.0, 0.0, FAR, 0.0
+        px, py, heading, slope_before = x, y, yaw, 0.0
+        for number in range(count):
+            # Step along the mean heading, which is exact but for the length of the chord.
+            heading += 0.5 * curvatures[a] * step
+            c, s = np.cos(heading), np.sin(heading)
+            px, py = px + step * c, py + step * s
+            heading += 0.5 * curvatures[a] * step
+            forward_x, forward_y = 0.5 * wheelbase * c, 0.5 * wheelbase * s
+            left_x, left_y = -0.5 * track * s, 0.5 * track * c
+            fl = height(elevation, x0, y0, resolution, px + forward_x + left_x, py + forward_y + left_y)
+            fr = height(elevation, x0, y0, resolution, px + forward_x - left_x, py + forward_y - left_y)
+            rl = height(elevation, x0, y0, resolution, px - forward_x + left_x, py - forward_y + left_y)
+            rr = height(elevation, x0, y0, resolution, px - forward_x - left_x, py - forward_y - left_y)
+            below = height(elevation, x0, y0, resolution, px, py)
+            ahead = height(elevation, x0, y0, resolution, px + nose * c, py + nose * s)
+            mean = 0.25 * (fl + fr + rl + rr)
+            slope = (fl + fr - rl - rr) / (2.0 * wheelbase)
+            climb, descent = max(climb, slope), max(descent, -slope)
+            # A wheel in a hole tips a vehicle as much as a slope.
+            lean = max(lean, max(abs(fl - fr), abs(rl - rr)) / track)
+            protrusion = max(protrusion, max(below - mean, ahead - mean - nose * slope))
+            if number > 0:
+                curvature = max(curvature, abs(slope - slope_before) / step)
+            slope_before = slope
+            overlap = max(overlap, max(max(x0 + margin - px, px - high_x), max(y0 + margin - py, py - high_y)))
+            for t in range(len(trees)):
+                gap = np.sqrt((trees[t, 0] - px) ** 2 + (trees[t, 1] - py) ** 2) - trees[t, 2]
+                clearance = min(clearance, gap)
+        out[0, a], out[1, a] = px, py
+        out[2, a], out[3, a], out[4, a], out[5, a] = climb, descent, lean, protrusion
+        out[6, a], out[7, a], out[8, a] = curvature, clearance, overlap
 
 
 class Route:
-    """An endless path that is extended as it is driven.
+    """An endless path, extended while it is driven.
 
     Args:
-        rng: random numbers of all choices.
         off_trail: probability of leaving a trail across open ground instead of continuing along it.
     """
 
@@ -61,13 +196,13 @@ class Route:
         return float(first[0]), float(first[1]), float(np.arctan2(*(then - first)[::-1])), climb
 
     def ahead(self, xy: Float[np.ndarray, " 2"], distance: float) -> Float[np.ndarray, " 2"]:
-        """First point of the route at least this far away, beyond what was driven already [m]."""
+        """First point of the route ahead at least this far away [m]."""
         away = _distance(self._points[self._next : self._next + _WINDOW], xy)
         nearest = int(np.argmin(away))
         if away[nearest] > _LOST:
             self.rejoin(xy, self._points[self._next + nearest] - xy)
         else:
-            # The nearest point counts as driven, also where the vehicle cut a corner.
+            # The nearest point counts as driven, even if the vehicle cut a corner.
             self._next += nearest
         while True:
             far = np.flatnonzero(_distance(self._points[self._next :], xy) >= distance)
@@ -76,7 +211,7 @@ class Route:
             self._extend()
 
     def rejoin(self, xy: Float[np.ndarray, " 2"], heading: Float[np.ndarray, " 2"]) -> None:
-        """Drop the route, and continue from a place on the least steep line to any trail, rather ahead than back.
+        """Replace the route by the least steep line from a place to any trail, preferably ahead.
 
         Args:
             heading: direction of the vehicle, of any length.
@@ -89,11 +224,7 @@ class Route:
             self._points, self._next = kept
 
     def bend_speed(self, lateral: float, braking: float) -> float:
-        """Highest speed at which the bends ahead can be taken [m/s].
-
-        Args:
-            lateral, braking: accelerations that are assumed [m/s^2].
-        """
+        """Highest speed for the bends ahead [m/s] with given lateral acceleration and braking [m/s^2]."""
         while len(self._points) - self._next <= _WINDOW:
             self._extend()
         return float(_bend_speed(self._points[self._next : self._next + _WINDOW + 1 : _STRIDE], lateral, braking))
@@ -106,11 +237,11 @@ class Route:
         self._follow(*self._at)
 
     def _cross(self, heading: Float[np.ndarray, " 2"], reach: tuple[float, float], limit: float) -> bool:
-        """Go straight to another stretch of trail on the least difficult of some lines, if there is one.
+        """Extend the route straight to another stretch of trail by the easiest of some lines; return whether it exists.
 
         Args:
-            reach: least and greatest distance to that stretch [m].
-            limit: greatest difficulty that is accepted: slope (rise over run), plus 0.15 for turning back.
+            reach: range of the distance to that stretch [m].
+            limit: largest accepted difficulty: slope (rise over run), plus 0.15 for turning back.
         """
         here = self._points[-1]
         best, least = None, limit
@@ -143,11 +274,11 @@ class Route:
             direction = 1 if coming @ along >= 0 else -1
         elif self._rng.random() < 0.5:
             direction = -1
-        # The first point is where the route ends already.
+        # The first point is already the end of the route.
         skipped = 1 if len(self._points) else 0
         index_along = (index + direction * np.arange(skipped, count + 1)) % len(trail)
         steep = self._terrain.first_climb(trail[index_along], _STEEP_TRAIL)
-        # The route leaves the trail before a steep place, unless there was no other line.
+        # Leave the trail before a steep place unless there was no other line.
         self._blocked = _GETAWAY < steep < len(index_along) and not self._blocked
         if self._blocked:
             index_along = index_along[: steep - _GETAWAY // 2]
@@ -168,6 +299,6 @@ def _bend_speed(points, lateral, braking):  # type: ignore[no-untyped-def]
         length, after = np.sqrt(ax * ax + ay * ay), np.sqrt(bx * bx + by * by)
         turn = abs(np.arctan2(ax * by - ay * bx, ax * bx + ay * by))
         distance += length
-        # v^2 = lateral / curvature in the bend, and braking before it
+        # v^2 = lateral / curvature in the bend, plus braking before it
         lowest = min(lowest, lateral * max(after, 1e-3) / (turn + 1e-3) + 2.0 * braking * distance)
     return np.sqrt(lowest)

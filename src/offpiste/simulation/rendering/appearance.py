@@ -1,6 +1,6 @@
-"""Appearance of a world on one drive: colours and textures of its ground, sun, sky, clouds, haze and exposure.
+"""Appearance of a world during a drive: colours and textures of the ground, sun, sky, clouds, haze and exposure.
 
-The light varies from drive to drive and is independent of grip.
+The light varies between drives and is independent of grip.
 """
 
 from dataclasses import dataclass
@@ -11,7 +11,8 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from offpiste.logs.ground_truth import GROUND_KINDS
-from offpiste.simulation.rendering.ground_shading import (
+from offpiste.simulation.rendering.scene import BOXES, Scene
+from offpiste.simulation.rendering.shading import (
     BLADES,
     BUMPS,
     CHANNELS,
@@ -28,56 +29,40 @@ from offpiste.simulation.rendering.ground_shading import (
     TRAIL,
     TRAIL_REACH,
     GroundTexture,
-)
-from offpiste.simulation.rendering.scene import BOXES, Scene
+)  # fmt: skip
 from offpiste.simulation.rendering.texture_noise import WAVELENGTHS, octave_turns, random_lattice
+from offpiste.simulation.world.grids import Axis, Grid, normals_of, smooth_noise, smooth_step
 from offpiste.simulation.world.ground import colour_table
-from offpiste.simulation.world.noise import smooth_noise, smooth_step
-from offpiste.simulation.world.surface import normals_of
 from offpiste.simulation.world.world import World
 
 WARMER, GREENER = np.array((1.0, 0.0, -1.0)), np.array((-0.5, 1.0, -0.5))
-"""Directions of white balance errors: mostly along the colours of daylight."""
+"""Directions of white balance errors, mostly along the colours of daylight."""
 
 
 class Light(NamedTuple):
-    """Light of one drive; colours are linear RGB, and white ground in full sun has about 1.
+    """Light of a drive; colours are linear RGB, with about 1 for white ground in full sun."""
 
-    Attributes:
-        sun: unit vector to it, in the world frame.
-        sun_colour, sky_colour: light of the sun on a surface that faces it, and of the whole sky on a level one.
-        horizon_colour, zenith_colour: visible colours of the sky.
-        haze: share of light lost per metre [1/m].
-        overcast: share of the sky with clouds [0..1].
-        clouds: offset of their pattern.
-        exposure: factor on the automatic exposure.
-        balance: white balance factors of red, green and blue.
-    """
-
-    sun: Float[np.ndarray, " 3"]
+    sun: Float[np.ndarray, " 3"]  # unit vector to the sun in the world frame
+    # Light of the sun on a surface facing it, and of the whole sky on a level surface
     sun_colour: Float[np.ndarray, " 3"]
     sky_colour: Float[np.ndarray, " 3"]
-    horizon_colour: Float[np.ndarray, " 3"]
-    zenith_colour: Float[np.ndarray, " 3"]
-    haze: float
-    overcast: float
-    clouds: Float[np.ndarray, " 2"]
-    exposure: float
-    balance: Float[np.ndarray, " 3"]
+    horizon_colour: Float[np.ndarray, " 3"]  # visible colours of the sky
+    zenith_colour: Float[np.ndarray, " 3"]  # visible colours of the sky
+    haze: float  # share of light lost per metre [1/m]
+    overcast: float  # share of clouds in the sky [0..1]
+    clouds: Float[np.ndarray, " 2"]  # offset of the pattern of clouds
+    exposure: float  # factor on the automatic exposure
+    balance: Float[np.ndarray, " 3"]  # white balance factors of red, green and blue
 
 
 def draw_light(rng: np.random.Generator, noise: float) -> Light:
-    """Random light of a drive.
-
-    Args:
-        noise: 0: always the same clear afternoon; 1: any weather without rain, sun 20 to 70 degrees high.
-    """
+    """Random light: a fixed clear afternoon at noise 0; any dry weather, sun 20 to 70 degrees high, at 1."""
     azimuth = 2.3 + noise * rng.uniform(-np.pi, np.pi)
     elevation = np.radians(np.clip(48 + noise * rng.uniform(-26, 22), 15, 80))
     overcast = float(np.clip(0.15 + noise * rng.uniform(-0.15, 0.75) * rng.uniform(), 0.0, 0.95))
     visibility = 1500 * np.exp(noise * rng.uniform(-1.2, 1.2))
     sun = np.array((np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)))
-    # The lower the sun, the redder (the path through the air grows with 1 / sin), and the weaker.
+    # A low sun is redder and weaker, as its path through the air grows with 1 / sin.
     red = np.exp(-np.array((0.06, 0.10, 0.17)) / np.sin(elevation))
     sun_colour = 0.95 * red * (1 - 0.9 * overcast)
     grey, blue = np.array((0.75, 0.78, 0.82)), np.array((0.30, 0.50, 0.90))
@@ -96,10 +81,8 @@ def draw_light(rng: np.random.Generator, noise: float) -> Light:
     )
 
 
-def sunlit_ground(
-    world: World, scene: Scene, light: Light, rng: np.random.Generator
-) -> tuple[Float[np.ndarray, "ny nx"], Float[np.ndarray, "ny nx"]]:
-    """Share of the sun at each node [0..1]: on the ground, with its slope and all shadows, and on plants above it."""
+def sunlit_ground(world: World, scene: Scene, light: Light, rng: np.random.Generator) -> tuple[Grid, Grid]:
+    """Share of sunlight [0..1] at each node: on the ground, with slope and all shadows, and on plants above it."""
     nodes = world.elevation.shape
     x, y = (origin + world.resolution * np.arange(n) for origin, n in zip(world.origin, nodes[::-1], strict=True))
     clouds = smooth_noise(rng, x, y, 40.0) + 0.4 * smooth_noise(rng, x, y, 15.0)
@@ -115,20 +98,13 @@ def sunlit_ground(
 
 @dataclass(frozen=True)
 class Texture:
-    """Texture of one kind of ground; chosen after photographs, not measured.
+    """Texture of a kind of ground, modelled on photographs."""
 
-    Attributes:
-        fine, coarse: share of brightness of each octave of noise up to 5 cm, and from 80 cm; half of both between.
-        accent: colour that large noise adds, linear RGB.
-        relief: contrast of bumps against the sun.
-        stones, blades, ripples: shares of brightness of pebbles, short grass and wind ripples.
-    """
-
-    fine: float
+    fine: float  # brightness share of each octave of noise up to 5 cm and from 80 cm; half of both in between
     coarse: float
-    accent: tuple[float, float, float]
-    relief: float
-    stones: float = 0.0
+    accent: tuple[float, float, float]  # linear RGB colour added by large noise
+    relief: float  # contrast of bumps against the sun
+    stones: float = 0.0  # brightness shares of pebbles, short grass and wind ripples
     blades: float = 0.0
     ripples: float = 0.0
 
@@ -144,23 +120,20 @@ TEXTURES: Final[dict[str, Texture]] = {
 }
 
 COMMON_ROCK: Final = 0.3
-"""Similarity in colour of one world's kinds of ground, at `appearance_noise` 1."""
-
+"""Similarity in colour of the kinds of ground of a world, at `appearance_noise` 1."""
 SOIL: Final = (0.20, 0.14, 0.09)
 PLANTS: Final = ((0.14, 0.11, 0.08), (0.12, 0.17, 0.06), (0.20, 0.22, 0.13), (1.1, 1.15, 1.0))
-"""Linear RGB of the soil between blades, and of trunks, crowns and bushes; blades as a factor on the ground below."""
-
+"""Linear RGB of soil between blades, and of trunks, crowns and bushes; factor of blades on the ground below."""
 PAINT: Final = {"hood": (0.25, 0.03, 0.02), "fender": (0.25, 0.03, 0.02), "roof": (0.05, 0.05, 0.06)}
 PLASTIC: Final = (0.03, 0.03, 0.033)
-"""Linear RGB of the vehicle's boxes whose names contain a key, and of all others."""
-
+"""Linear RGB of the vehicle's boxes whose name contains a key, and of all others."""
 SHADOWS: Final = ("roof", "hood", "cargo bed", "seats", "chassis")
 """Boxes of the vehicle that cast a shadow on the ground."""
 
 
 @dataclass(frozen=True)
 class Appearance:
-    """Inputs of shading beside the hits of rays; `shadow_boxes` and `paint` as in `Vehicle`."""
+    """Inputs of shading besides hits; `shadow_boxes` and `paint` as in `shading.Vehicle`."""
 
     ground: GroundTexture
     light: Light
@@ -168,15 +141,11 @@ class Appearance:
     paint: Float[np.ndarray, "m 3"]
 
 
-def make_appearance(world: World, scene: Scene, drive_seed: int, *, ragged: float = 0.12) -> Appearance:
-    """Appearance of a world on one drive; takes about half a second, most of it for the shadows.
+def make_appearance(world: World, scene: Scene, drive_seed: int) -> Appearance:
+    """Appearance of a world with its scene during a drive; takes about half a second, mostly for the shadows.
 
-    The world's seed decides on textures, tints and colours of plants, the drive's on light and clouds.
-    `WorldSettings.appearance_noise` scales all of it.
-
-    Args:
-        scene: the world's scene, which casts the shadows.
-        ragged: amplitude of the borders between kinds of ground in the texture [m].
+    The world's seed decides textures, tints and colours of plants, the drive's seed light and clouds.
+    `WorldSettings.appearance_noise` scales all of them.
     """
     noise = world.settings.appearance_noise
     of_world, of_drive = np.random.default_rng([world.settings.seed, 5]), np.random.default_rng([drive_seed, 6])
@@ -185,7 +154,7 @@ def make_appearance(world: World, scene: Scene, drive_seed: int, *, ragged: floa
     around = np.stack((boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)))
     paint = [next((colour for part, colour in PAINT.items() if part in name), PLASTIC) for name in BOXES]
     return Appearance(
-        ground=_ground(world, scene, light, of_world, of_drive, ragged),
+        ground=_ground(world, scene, light, of_world, of_drive),
         light=light,
         shadow_boxes=np.concatenate((around[None], boxes)),
         paint=np.array(paint),
@@ -193,16 +162,11 @@ def make_appearance(world: World, scene: Scene, drive_seed: int, *, ragged: floa
 
 
 def _ground(
-    world: World,
-    scene: Scene,
-    light: Light,
-    of_world: np.random.Generator,
-    of_drive: np.random.Generator,
-    ragged: float,
+    world: World, scene: Scene, light: Light, of_world: np.random.Generator, of_drive: np.random.Generator
 ) -> GroundTexture:
     turn = octave_turns(of_world)
     unit = turn * WAVELENGTHS[:, None]
-    # x' = cos x + sin y, y' = cos y - sin x: the sun's direction turned the same way.
+    # The sun's direction, rotated like each octave: x' = cos x + sin y, y' = cos y - sin x.
     sun = np.stack((unit @ light.sun[:2], unit @ np.array((light.sun[1], -light.sun[0]))), axis=1)
     leaves = np.exp(np.clip(world.settings.appearance_noise * of_world.normal(0, 0.08, (len(PLANTS), 3)), -0.4, 0.4))
     return GroundTexture(
@@ -215,7 +179,6 @@ def _ground(
         turn=turn,
         sun=sun.astype(np.float32),
         soil=np.array(SOIL, np.float32),
-        ragged=ragged,
         plants=(np.array(PLANTS) * leaves).astype(np.float32),
     )
 
@@ -229,7 +192,7 @@ def _nodes(
     shares = np.square(world.kinds, dtype=np.float32)
     shares /= shares.sum(axis=0)
 
-    # Colour: of the kinds, dry and wet, and from place to place for no reason.
+    # Colours of the kinds, dry and wet, with random patches.
     x, y = (resolution * np.arange(n) for n in world.elevation.shape[::-1])
     bright, warm = (0.12 * noise * _patches(of_world, x, y) for _ in range(2))
     for channel, (dry, wet) in enumerate(_colours(of_world, noise).transpose(2, 0, 1, 3)):
@@ -256,29 +219,27 @@ def _nodes(
 
 
 def _colours(rng: np.random.Generator, noise: float) -> Float[np.ndarray, "2 2 3 K"]:
-    """Linear RGB: dry and wet, either side of the accent. Soils differ from world to world, whatever their grip."""
+    """Linear RGB, dry and wet, on either side of the accent; soils differ between worlds independently of grip."""
     colour = linear_from_srgb(colour_table())
     local = noise * (rng.normal(0, 0.10, (len(GROUND_KINDS), 1)) + rng.normal(0, 0.04, (len(GROUND_KINDS), 3)))
     colour = colour * np.exp(np.clip(local, -0.6, 0.6))
-    # All soils of one world are made of much the same rock.
+    # Soils of one world share a parent rock.
     colour += min(COMMON_ROCK * noise, 0.6) * (colour.mean(axis=1, keepdims=True) - colour)
     accent = np.array([TEXTURES[kind].accent for kind in GROUND_KINDS])
     sides = np.stack((colour - accent, colour + accent), axis=1)
     return np.clip(sides, 0.01, 1.0).transpose(0, 1, 3, 2)
 
 
-def _patches(
-    rng: np.random.Generator, x: Float[np.ndarray, " nx"], y: Float[np.ndarray, " ny"]
-) -> Float[np.ndarray, "ny nx"]:
+def _patches(rng: np.random.Generator, x: Axis, y: Axis) -> Grid:
     return np.clip(smooth_noise(rng, x, y, 11.0) + 0.5 * smooth_noise(rng, x, y, 3.0), -3, 3)
 
 
-def _mix(shares: Float[np.ndarray, "K ny nx"], values: Float[np.ndarray, " K"]) -> Float[np.ndarray, "ny nx"]:
+def _mix(shares: Float[np.ndarray, "K ny nx"], values: Float[np.ndarray, " K"]) -> Grid:
     return np.einsum("kji,k->ji", shares, values.astype(np.float32))
 
 
-def _distance_to_trails(world: World) -> Float[np.ndarray, "ny nx"]:
-    """To the nearest centre line, to about half a node [m]."""
+def _distance_to_trails(world: World) -> Grid:
+    """Distance to the nearest centre line, to about half a node [m]."""
     free = np.full(world.elevation.shape, 255, np.uint8)
     for trail in world.trails:
         pixels = np.rint((trail - np.array(world.origin)) / world.resolution).astype(np.int32)
@@ -288,9 +249,9 @@ def _distance_to_trails(world: World) -> Float[np.ndarray, "ny nx"]:
 
 
 def linear_from_srgb(colour: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
-    """IEC 61966-2-1, both in [0..1]."""
+    """Linear from sRGB values (IEC 61966-2-1), both in [0..1]."""
     return np.where(colour <= 0.04045, colour / 12.92, ((colour + 0.055) / 1.055) ** 2.4)
 
 
-def _byte(share: Float[np.ndarray, "ny nx"]) -> UInt8[np.ndarray, "ny nx"]:
+def _byte(share: Grid) -> UInt8[np.ndarray, "ny nx"]:
     return np.clip(255 * share + 0.5, 0, 255).astype(np.uint8)

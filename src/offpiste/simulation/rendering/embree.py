@@ -1,15 +1,15 @@
-"""Rays cast at meshes by Embree, in packets of neighbouring rays through its C interface.
+"""Ray casting by Embree: packets of neighbouring rays through its C interface, or single rays through embreex.
 
-Packets take a quarter of the time of single rays, and sharing meshes instead of copying them, a quarter of the time of
-building a scene. `SingleRays`, embreex's own interface, is the plain reference, and takes over where embreex's wheel
-does not bring Embree's library as a file.
+Packets take a quarter of the time of single rays, and shared meshes a quarter of the time to build a scene.
+`SingleRays` is the reference, and the fallback where embreex's wheel does not contain Embree's library as a file.
 """
 
 import ctypes
 import weakref
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -23,56 +23,37 @@ with extra("sim"):
     from embreex.rtcore_scene import EmbreeScene
 
 
-class Part(NamedTuple):
-    """Triangles, or quadrilaterals abcd that stand for the triangles abd and cdb; single precision [m]."""
+Points = Float[np.ndarray, "_ 3"]
+Numbers = Float[np.ndarray, " n"]
+Indices = Int[np.ndarray, " n"]
 
-    vertices: Float[np.ndarray, "v 3"]
+
+@dataclass(frozen=True)
+class Mesh:
+    """Triangles or quadrilaterals of one surface."""
+
+    surface: str  # name in `scene.SURFACES`
+    vertices: Float[np.ndarray, "v 3"]  # [m]
+    # Indices of vertices; quadrilaterals are folded along the diagonal of corners 1 and 3
     faces: Int[np.ndarray, "f corners"]
+    item: Int[np.ndarray, " f"]  # plant or box of each face
 
 
-class FirstHits(NamedTuple):
-    """First hits of rays; where nothing is hit, all but `part` stay as they were.
+def ray_caster(parts: Sequence[Mesh]) -> "SingleRays | RayPackets":
+    """Fastest ray caster available on this machine.
 
-    Attributes:
-        distance: in lengths of the direction; hits that are farther than before are none.
-        part: number of the part that is hit, -1 where nothing is.
-        face: number of the face.
-        normal: normal of any length, on the side from which corners go round counter-clockwise.
+    Both cast rays in single precision with one origin each, or a common origin. `intersect` updates distance, face and
+    normal where a hit is nearer than `distance`, in lengths of the direction; `part` is -1 without a hit. Normals have
+    any length and point to the side from which corners are counter-clockwise.
     """
-
-    distance: Float[np.ndarray, " n"]
-    part: Int[np.ndarray, " n"]
-    face: Int[np.ndarray, " n"]
-    normal: Float[np.ndarray, "n 3"]
-
-
-@runtime_checkable
-class RayCaster(Protocol):
-    """Casts rays, given by one origin a ray or one for all, and directions; single precision."""
-
-    def intersect(
-        self, origins: Float[np.ndarray, "m 3"], directions: Float[np.ndarray, "n 3"], hits: FirstHits
-    ) -> None:
-        """Overwrite first hits that are nearer than `hits.distance`."""
-        ...
-
-    def occluded(
-        self, origins: Float[np.ndarray, "m 3"], directions: Float[np.ndarray, "n 3"]
-    ) -> Bool[np.ndarray, " n"]:
-        """Whether each ray hits anything."""
-        ...
-
-
-def ray_caster(parts: Sequence[Part]) -> RayCaster:
-    """The fastest ray caster that there is on this machine."""
     library = _library()
     return SingleRays(parts) if library is None else RayPackets(parts, library)
 
 
 class SingleRays:
-    """Rays one after the other, by embreex."""
+    """Single rays, by embreex."""
 
-    def __init__(self, parts: Sequence[Part]) -> None:
+    def __init__(self, parts: Sequence[Mesh]) -> None:
         self._scene = EmbreeScene(robust=True)
         self._split = np.array([part.faces.shape[1] - 2 for part in parts], np.int32)
         triangles = [
@@ -81,23 +62,21 @@ class SingleRays:
         ]
         pairs = zip(parts, triangles, strict=True)
         self._meshes = [TriangleMesh(self._scene, part.vertices, np.ascontiguousarray(faces)) for part, faces in pairs]
-        self.occluded(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32))  # Embree builds its tree here
+        self.occluded(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32))  # builds the tree
 
     def intersect(
-        self, origins: Float[np.ndarray, "m 3"], directions: Float[np.ndarray, "n 3"], hits: FirstHits
+        self, origins: Points, directions: Points, distance: Numbers, part: Indices, face: Indices, normal: Points
     ) -> None:
-        """As in `RayCaster`."""
+        """First hits of rays."""
         each = np.ascontiguousarray(np.broadcast_to(origins, directions.shape))
-        result = self._scene.run(each, directions, output=True, dists=hits.distance.copy())
-        hits.part[:] = result["geomID"]
-        hit = hits.part >= 0
-        hits.distance[hit], hits.normal[hit] = result["tfar"][hit], result["Ng"][hit]
-        hits.face[hit] = result["primID"][hit] // self._split[hits.part[hit]]
+        result = self._scene.run(each, directions, output=True, dists=distance.copy())
+        part[:] = result["geomID"]
+        hit = part >= 0
+        distance[hit], normal[hit] = result["tfar"][hit], result["Ng"][hit]
+        face[hit] = result["primID"][hit] // self._split[part[hit]]
 
-    def occluded(
-        self, origins: Float[np.ndarray, "m 3"], directions: Float[np.ndarray, "n 3"]
-    ) -> Bool[np.ndarray, " n"]:
-        """As in `RayCaster`."""
+    def occluded(self, origins: Points, directions: Points) -> Bool[np.ndarray, " n"]:
+        """Whether each ray hits anything."""
         each = np.ascontiguousarray(np.broadcast_to(origins, directions.shape))
         return np.asarray(self._scene.run(each, directions, query="OCCLUDED") == 0)
 
@@ -106,7 +85,7 @@ _ADDRESS = ctypes.c_void_p
 _RAY8_NATIVE, _RAY16_NATIVE = 33, 34
 _TRIANGLES, _QUADRILATERALS, _INDEX, _VERTEX, _UINT3, _UINT4, _FLOAT3 = 0, 1, 0, 1, 0x5003, 0x5004, 0x9003
 _ROBUST, _COHERENT, _ALL_FEATURES = 4, 1 << 16, 0xFFFFFFFF
-"""Numbers of enumerations of Embree 4, from RTCDeviceProperty to RTCRayQueryFlags (rtcore_device.h and others)."""
+"""Enumeration values of Embree 4, from RTCDeviceProperty to RTCRayQueryFlags (rtcore_device.h and others)."""
 
 
 class _Arguments(ctypes.Structure):
@@ -123,13 +102,9 @@ class _Arguments(ctypes.Structure):
 
 
 class RayPackets:
-    """Rays in packets as wide as the processor's registers.
+    """Rays in packets as wide as the processor's registers, by Embree's library."""
 
-    Args:
-        library: Embree's.
-    """
-
-    def __init__(self, parts: Sequence[Part], library: ctypes.CDLL) -> None:
+    def __init__(self, parts: Sequence[Mesh], library: ctypes.CDLL) -> None:
         device = _ADDRESS(library.rtcNewDevice(None))
         scene = _ADDRESS(library.rtcNewScene(device))
         weakref.finalize(self, _release, library, device, scene)
@@ -146,22 +121,20 @@ class RayPackets:
         self._occluded = (ctypes.cast(occluded, _ADDRESS).value, *rest)
 
     def intersect(
-        self, origins: Float[np.ndarray, "m 3"], directions: Float[np.ndarray, "n 3"], hits: FirstHits
+        self, origins: Points, directions: Points, distance: Numbers, part: Indices, face: Indices, normal: Points
     ) -> None:
-        """As in `RayCaster`."""
-        _first_hits(*self._intersect, *_packet(self._lanes), origins, directions, *hits)
+        """First hits of rays."""
+        _first_hits(*self._intersect, *_packet(self._lanes), origins, directions, distance, part, face, normal)
 
-    def occluded(
-        self, origins: Float[np.ndarray, "m 3"], directions: Float[np.ndarray, "n 3"]
-    ) -> Bool[np.ndarray, " n"]:
-        """As in `RayCaster`."""
+    def occluded(self, origins: Points, directions: Points) -> Bool[np.ndarray, " n"]:
+        """Whether each ray hits anything."""
         blocked = np.empty(len(directions), np.bool_)
         _any_hits(*self._occluded, *_packet(self._lanes), origins, directions, blocked)
         return blocked
 
 
 def _library() -> ctypes.CDLL | None:
-    """Embree's library in the wheel of embreex, if it is there and of version 4."""
+    """Embree 4 library in the wheel of embreex, if present."""
     folder = Path(embreex.__file__).parent
     files = [file for place in (folder.with_name("embreex.libs"), folder) for file in place.glob("libembree4*")]
     if not files:
@@ -173,10 +146,10 @@ def _library() -> ctypes.CDLL | None:
     return library
 
 
-def _attach(library: ctypes.CDLL, device: Any, scene: Any, part: Part) -> tuple[np.ndarray, np.ndarray]:
-    """Add a part to a scene; returns the arrays that Embree reads from now on."""
+def _attach(library: ctypes.CDLL, device: Any, scene: Any, part: Mesh) -> tuple[np.ndarray, np.ndarray]:
+    """Add a part to a scene; returns the arrays that Embree reads from then on."""
     corners = part.faces.shape[1]
-    # Embree reads vertices by 16 bytes, the last one too.
+    # Embree reads 16 bytes per vertex, also for the last one.
     vertices = np.append(part.vertices.astype(np.float32, copy=False).reshape(-1), np.float32(0))
     faces = np.ascontiguousarray(part.faces, np.int32)
     geometry = _ADDRESS(library.rtcNewGeometry(device, _TRIANGLES if corners == 3 else _QUADRILATERALS))
@@ -198,11 +171,11 @@ def _release(library: ctypes.CDLL, device: Any, scene: Any) -> None:
 
 
 _DIRECTION, _FAR, _MASK, _NORMAL, _FACE, _PART, _ROWS = 4, 8, 9, 12, 17, 18, 21
-"""Rows of a packet, four bytes a lane: RTCRayHit16 or RTCRayHit8."""
+"""Rows of a packet (RTCRayHit16 or RTCRayHit8), four bytes per lane."""
 
 
 def _packet(lanes: int) -> tuple[Float[np.ndarray, "rows lanes"], Int[np.ndarray, "rows lanes"]]:
-    """A packet, as numbers and as integers, and below it the mask of lanes in use; aligned as Embree demands."""
+    """Views of an aligned packet as floats and as integers, followed by the mask of used lanes."""
     size = 4 * (_ROWS + 1) * lanes
     memory = np.zeros(size + 64, np.uint8)
     start = -memory.ctypes.data % 64
@@ -212,8 +185,7 @@ def _packet(lanes: int) -> tuple[Float[np.ndarray, "rows lanes"], Int[np.ndarray
 
 @RAYS.inlined
 def _start(numbers, integers, origins):  # type: ignore[no-untyped-def]
-    # What is the same in all packets: every lane is in use, and the origin, if there is one for all rays. Returns the
-    # addresses of the packet and of its mask of lanes in use.
+    # Set what all packets share: used lanes and a common origin. Returns the addresses of packet and mask.
     lanes = numbers.shape[1]
     for lane in range(lanes):
         integers[_ROWS, lane] = integers[_MASK, lane] = -1
@@ -225,7 +197,7 @@ def _start(numbers, integers, origins):  # type: ignore[no-untyped-def]
 
 @RAYS.inlined
 def _fill(numbers, integers, first, origins, directions):  # type: ignore[no-untyped-def]
-    # The rays of a packet, without their distances; returns how many there are.
+    # Write the rays of a packet without their distances; returns their number.
     lanes = numbers.shape[1]
     count = min(lanes, len(directions) - first)
     last = first + count - 1
@@ -275,4 +247,4 @@ def _any_hits(function, scene, arguments, numbers, integers, origins, directions
             numbers[_FAR, lane] = np.inf
         call_address(function, (valid, scene, packet, arguments))  # type: ignore[call-arg]
         for lane in range(count):
-            blocked[first + lane] = numbers[_FAR, lane] < 0  # Embree's mark
+            blocked[first + lane] = numbers[_FAR, lane] < 0  # set by Embree on a hit

@@ -1,8 +1,8 @@
-"""Noise that ground is drawn with: a function of the place in the world, in octaves from centimetres to metres.
+"""Noise of ground textures: a function of the place in the world, in octaves from centimetres to metres.
 
-Value noise (Ebert et al., Texturing and Modeling, 2003, ch. 2) reads one small table of random numbers, each octave
-turned by another angle, so that its period does not show. Octaves finer than a pixel are left out: near and far images
-of the same ground differ as real ones do.
+Value noise (Ebert et al., Texturing and Modeling, 2003, ch. 2) reads one small table of random numbers. Each octave is
+rotated by another angle to hide the period. Octaves finer than a pixel are left out, so that the same ground looks
+different from near and far.
 """
 
 from typing import Final
@@ -23,19 +23,19 @@ _ZERO, _ONE, _TWO, _THREE, _SIX = np.float32(0), np.float32(1), np.float32(2), n
 
 
 def random_lattice(rng: np.random.Generator) -> Float[np.ndarray, "n n"]:
-    """Random numbers in [-1, 1], periodic; the first row and column are repeated at the end."""
+    """Periodic random numbers in [-1, 1], with the first row and column repeated at the end."""
     return np.pad(rng.uniform(-1, 1, (PERIOD, PERIOD)).astype(np.float32), ((0, 1), (0, 1)), mode="wrap")
 
 
 def octave_turns(rng: np.random.Generator) -> Float[np.ndarray, "O 2"]:
-    """Cosine and sine of each octave's angle, over its wavelength [1/m]."""
+    """Cosine and sine of each octave's angle, divided by its wavelength [1/m]."""
     angle = rng.uniform(0, 2 * np.pi, len(WAVELENGTHS))
     return (np.stack((np.cos(angle), np.sin(angle)), axis=1) / WAVELENGTHS[:, None]).astype(np.float32)
 
 
 @RAYS.inlined
 def hashed(i, j, seed):  # type: ignore[no-untyped-def]
-    """A number in [0, 1) that looks random (after the finaliser of MurmurHash3)."""
+    """Pseudorandom number in [0, 1) (after the finaliser of MurmurHash3)."""
     h = np.uint64(i) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(j) * np.uint64(0xC2B2AE3D27D4EB4F) + np.uint64(seed)
     h = (h ^ (h >> np.uint64(33))) * np.uint64(0xFF51AFD7ED558CCD)
     h = (h ^ (h >> np.uint64(29))) * np.uint64(0xC4CEB9FE1A85EC53)
@@ -53,7 +53,7 @@ def value_noise(lattice, x, y):  # type: ignore[no-untyped-def]
 
 @RAYS.inlined
 def blended(corner, right, far, opposite, u, v):  # type: ignore[no-untyped-def]
-    """Noise between the four corners of a cell, and its slopes, at (u, v) of the way from the first."""
+    """Noise and its slopes at (u, v) in a cell with given values at its corners."""
     along_x, along_y = right - corner, far - corner
     twist = opposite - corner - along_x - along_y
     s, t = u * u * (_THREE - _TWO * u), v * v * (_THREE - _TWO * v)
@@ -65,17 +65,17 @@ def blended(corner, right, far, opposite, u, v):  # type: ignore[no-untyped-def]
 
 @RAYS.loop
 def octaves(lattice, turn, sun, x, y, finest, cells, work, value, slope):  # type: ignore[no-untyped-def]
-    """Noise of each octave at many places, faded where a pixel is too large for it, and how much it faces the sun.
+    """Noise of each octave at many places and its slope towards the sun, faded where a pixel cannot resolve it.
 
-    Places are taken together, so that all but reading the table runs in vectors.
+    Places are processed in batches, so that all but table look-ups run in vectors.
 
     Args:
         turn: `octave_turns`.
         sun: horizontal direction to the sun in each octave's lattice [O, 2].
-        x, y: places [n], in double precision [m].
-        finest: highest frequency that a pixel can show (Nyquist), over the distance between pixels [n] [1/m].
-        cells, work: buffers of integers and numbers [2, n or more], [6, n or more].
-        value, slope: [O, n or more], overwritten.
+        x, y: places in double precision [n] [m].
+        finest: highest frequency that a pixel resolves (Nyquist) [n] [1/m].
+        cells, work: integer and float buffers [2, >= n], [6, >= n].
+        value, slope: results [O, >= n].
     """
     places, sharpest = len(x), _ZERO
     column, row, off_x, off_y = cells[0], cells[1], work[0], work[1]
@@ -90,9 +90,9 @@ def octaves(lattice, turn, sun, x, y, finest, cells, work, value, slope):  # typ
                 for n in range(places):
                     value[finer, n] = slope[finer, n] = 0
             break
-        # Lattices are shifted against each other: no place in the world is the origin of all.
+        # Shift the lattices so that they share no origin.
         shift_x, shift_y = float(o * 17), float(o * 29)
-        # Loops over more arrays than these are not compiled to vectors: one axis, one result after the other.
+        # LLVM does not vectorise loops over more arrays than these.
         for n in range(places):
             at = cos * x[n] + sin * y[n] + shift_x
             low = np.floor(at)
@@ -118,7 +118,7 @@ def octaves(lattice, turn, sun, x, y, finest, cells, work, value, slope):  # typ
 
 @RAYS.inlined
 def pebbles(lattice, x, y):  # type: ignore[no-untyped-def]
-    """Brightness of round stones about one unit apart, dark between them (Worley, SIGGRAPH 1996; four cells)."""
+    """Brightness of round stones about one unit apart (Worley noise, SIGGRAPH 1996, over four cells)."""
     low_x, low_y = np.floor(x - 0.5), np.floor(y - 0.5)
     nearest, tone = np.float32(9.0), np.float32(0.0)
     for n in range(4):
@@ -129,6 +129,6 @@ def pebbles(lattice, x, y):  # type: ignore[no-untyped-def]
         distance = off_x * off_x + off_y * off_y
         if distance < nearest:
             nearest, tone = distance, lattice[(j + 64) & _WRAP, i]
-    # Large stones are rarer than small ones; round ones are brightest in the middle.
+    # Large stones are rarer than small ones; stones are brightest in the middle.
     size = np.float32(0.16) + np.float32(0.10) * tone
     return np.float32(0.5) * tone + np.float32(0.45) - nearest if nearest < size else np.float32(-0.3)

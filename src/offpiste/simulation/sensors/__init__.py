@@ -1,1 +1,1 @@
-"""Simulated cameras and LiDARs, their imperfections, and the messages that they record."""
+"""Simulated cameras and LiDARs."""

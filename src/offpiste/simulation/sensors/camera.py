@@ -1,4 +1,4 @@
-"""A camera with lens distortion: rays through the distorted pixels, so that images are like those of a real lens."""
+"""A camera with lens distortion, rendered by rays through the distorted pixels."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -11,19 +11,17 @@ from jaxtyping import Bool, Float, Int, UInt8
 from offpiste.compilation import RAYS
 from offpiste.rig.camera import CameraModel
 from offpiste.simulation.rendering.appearance import Appearance
-from offpiste.simulation.rendering.own_shadow import Vehicle
-from offpiste.simulation.rendering.scene import Hits, Scene, body_hits, cast_rays, nearest
-from offpiste.simulation.rendering.shading import shade_rays, shading_buffers
+from offpiste.simulation.rendering.scene import Hits, Scene, body_hits
+from offpiste.simulation.rendering.shading import Vehicle, shade_rays, shading_buffers
 from offpiste.simulation.rendering.texture_noise import hashed
 from offpiste.simulation.sample import Pose
 
 LENS_BLUR = 0.6
 """Standard deviation of the blur by lens and demosaicing [px]."""
-
 MIDDLE_GREY = 0.20
-"""Linear brightness that automatic exposure aims at; photographers' 18 %."""
-
-
+"""Target brightness of automatic exposure, linear; photographers use 18 %."""
+TILE: Final = 4
+"""Side of the tiles of pixels whose rays are cast as one packet."""
 MODEL: Final = CameraModel(
     width=960,
     height=594,
@@ -35,38 +33,23 @@ MODEL: Final = CameraModel(
 
 @dataclass(frozen=True)
 class CameraSettings:
-    """Settings of one camera.
+    """Settings of one camera."""
 
-    Attributes:
-        name: name of the frame and the topic.
-        body_from_camera: optical frame: z forward, x right, y down.
-        rate: images [1/s].
-        model: image size, intrinsics and distortion.
-        vignetting: share of light lost in the corners.
-        full_well: electrons at full brightness; their square root is the shot noise.
-        read_noise: standard deviation over full brightness.
-    """
-
-    name: str
-    body_from_camera: Pose
-    rate: float = 10.0
-    model: CameraModel = MODEL
-    vignetting: float = 0.25
-    full_well: float = 8000.0
-    read_noise: float = 0.002
-
-
-TILE: Final = 4
-"""Side of the tiles of pixels whose rays are cast together, as one packet."""
+    name: str  # name of the frame and the topic
+    body_from_camera: Pose  # pose of the optical frame (z forward, x right, y down)
+    rate: float = 10.0  # image rate [1/s]
+    model: CameraModel = MODEL  # image size, intrinsics and distortion
+    vignetting: float = 0.25  # share of light lost in the corners
+    full_well: float = 8000.0  # electrons at full brightness, which determine the shot noise
+    read_noise: float = 0.002  # standard deviation relative to full brightness
 
 
 class Camera:
-    """A camera on its vehicle, with its rays and those of them that end on the vehicle itself.
+    """A camera on a vehicle, with its rays.
 
     Attributes:
-        settings: the camera's settings.
         origin: origin of the rays in the body frame [m].
-        pixels: number of each ray's pixel, counted row after row; rays come in tiles of `TILE` x `TILE` pixels.
+        pixels: row-major pixel index of each ray; rays are ordered in tiles of `TILE` x `TILE` pixels.
         rays: unit vectors in the body frame.
         own: hits of the rays on the vehicle itself.
     """
@@ -78,16 +61,15 @@ class Camera:
         self.pixels: Int[np.ndarray, " n"] = tiled(*settings.model.size)
         rays = pixel_rays(settings.model) @ mount.rotation.T
         self.rays: Float[np.ndarray, "n 3"] = rays.astype(np.float32)[self.pixels]
-        self.own = body_hits(np.broadcast_to(self.origin, self.rays.shape), self.rays)
+        self.own = body_hits(self.origin, self.rays)
 
     def hits(self, scene: Scene, world_from_body: Pose) -> Hits:
-        """True hit of the ray through each pixel's middle, row after row."""
-        origin = world_from_body.apply(self.origin[None])
+        """True hit of the ray through each pixel's centre, row-major."""
         rays = self.rays @ world_from_body.rotation.T.astype(np.float32)
-        return self.in_rows(nearest(self.own, cast_rays(scene, np.broadcast_to(origin, rays.shape), rays)))
+        return self.in_rows(scene.cast(world_from_body.apply(self.origin[None]), rays, self.own))
 
     def in_rows(self, hits: Hits) -> Hits:
-        """Hits of `rays`, row after row of the image."""
+        """Hits of `rays` in row-major order of the image."""
         rows = Hits(*(np.empty_like(values) for values in vars(hits).values()))
         for name, values in vars(hits).items():
             getattr(rows, name)[self.pixels] = values
@@ -95,7 +77,7 @@ class Camera:
 
 
 def tiled(width: int, height: int) -> Int[np.ndarray, " n"]:
-    """Numbers of an image's pixels, counted row after row, in the order of its tiles."""
+    """Row-major pixel indices of an image in the order of its tiles."""
     down, across = -(-height // TILE), -(-width // TILE)
     number = np.full((down * TILE, across * TILE), -1, np.int32)
     number[:height, :width] = np.arange(width * height, dtype=np.int32).reshape(height, width)
@@ -104,7 +86,7 @@ def tiled(width: int, height: int) -> Int[np.ndarray, " n"]:
 
 
 def pixel_rays(model: CameraModel) -> Float[np.ndarray, "n 3"]:
-    """Unit vectors in the optical frame through the middles of the pixels of the distorted image, row after row."""
+    """Unit vectors in the optical frame through the pixel centres of the distorted image, row-major."""
     u, v = np.meshgrid(np.arange(model.width, dtype=float), np.arange(model.height, dtype=float))
     flat = model.unproject(np.column_stack((u.ravel(), v.ravel())))
     rays = np.column_stack((flat, np.ones(len(flat))))
@@ -114,7 +96,7 @@ def pixel_rays(model: CameraModel) -> Float[np.ndarray, "n 3"]:
 def project_points(
     points_camera: Float[np.ndarray, "n 3"], model: CameraModel
 ) -> tuple[Float[np.ndarray, "n 2"], Bool[np.ndarray, " n"]]:
-    """Pixels of points in the optical frame in the distorted image, and whether they lie inside the image."""
+    """Distorted pixels of points in the optical frame, and whether they lie inside the image."""
     x, y, z = points_camera.T
     ahead = z > 0.1
     pixels = np.full((len(points_camera), 2), -1.0)
@@ -130,11 +112,7 @@ def project_points(
 def render(
     scene: Scene, appearance: Appearance, camera: Camera, world_from_body: Pose, seed: int
 ) -> UInt8[np.ndarray, "height width 3"]:
-    """One distorted RGB image, with exposure, noise and tone curve of a real camera.
-
-    Args:
-        seed: of the noise.
-    """
+    """Distorted RGB image with exposure, noise (by `seed`) and tone curve of a real camera."""
     s, (width, height) = camera.settings, camera.settings.model.size
     linear = np.empty((height, width, 3), np.float32)
     _shade(scene, appearance, camera, world_from_body, linear.reshape(-1, 3))
@@ -152,17 +130,13 @@ def render(
 
 
 def exposure(linear: Float[np.ndarray, "height width 3"]) -> float:
-    """Gain that brings the lower two thirds of an image to middle grey, nearly: real ones lag and stop short."""
+    """Gain that brings the lower two thirds of an image close to middle grey; real exposure also falls short."""
     green = linear[linear.shape[0] // 3 :: 8, ::8, 1]
     return float((MIDDLE_GREY / max(float(np.minimum(green, 1.5).mean()), 1e-3)) ** 0.8)
 
 
 def _shade(
-    scene: Scene,
-    appearance: Appearance,
-    camera: Camera,
-    world_from_body: Pose,
-    linear: Float[np.ndarray, "n 3"],
+    scene: Scene, appearance: Appearance, camera: Camera, world_from_body: Pose, linear: Float[np.ndarray, "n 3"]
 ) -> None:
     """Compute the light that reaches each pixel, linear RGB."""
     position, rotation = world_from_body.position, world_from_body.rotation
@@ -187,7 +161,7 @@ def _shade(
 
 @RAYS.entry
 def _put(light, pixels, linear):  # type: ignore[no-untyped-def]
-    """Write the light of rays where their pixels are; NumPy takes ten times as long."""
+    """Scatter the light of rays to their pixels; NumPy takes ten times as long."""
     for n in range(len(pixels)):
         for channel in range(3):
             linear[pixels[n], channel] = light[n, channel]
@@ -195,7 +169,7 @@ def _put(light, pixels, linear):  # type: ignore[no-untyped-def]
 
 @cache
 def _tone_curve() -> UInt8[np.ndarray, " n"]:
-    """Tone curve of a camera: bytes for brightness 0 ... 2, sRGB (IEC 61966-2-1) with a soft shoulder."""
+    """Tone curve for brightness 0 ... 2: sRGB (IEC 61966-2-1) with a soft shoulder."""
     value = np.linspace(0, 2, 4096)
     value = np.where(value < 0.6, value, 0.6 + 0.4 * (1 - np.exp(-(value - 0.6) / 0.4)))
     value = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
@@ -204,22 +178,21 @@ def _tone_curve() -> UInt8[np.ndarray, " n"]:
 
 @RAYS.entry
 def develop(linear, first, last, gain, vignetting, full_well, read_noise, curve, seed, buffers, image):  # type: ignore[no-untyped-def]
-    """Develop rows of an image from their light: fall-off, shot and read noise (EMVA 1288), tone curve.
+    """Develop rows of an image from linear light: vignetting, shot and read noise (EMVA 1288), tone curve.
 
-    Noise depends on the seed and the pixel alone, not on how rows are split over threads. Each loop does so little that
-    it is compiled to vectors.
+    Noise depends only on seed and pixel, not on the split over threads. Loops are short so that LLVM vectorises them.
 
     Args:
-        linear, image: [height, 3 * width], red, green and blue of one pixel after the other.
+        linear, image: interleaved RGB [height, 3 * width].
         gain: [3 * width].
-        buffers: of numbers and integers, [3 * width] each.
+        buffers: float and integer buffers [3 * width].
     """
     height, values = linear.shape
     width = values // 3
     noise, level = buffers
     for v in range(first, last):
         for k in range(values):
-            # A sum of four even numbers is nearly normal; its variance is 1/3.
+            # A sum of four uniform numbers is nearly normal, with variance 1/3.
             even = hashed(k, v, seed) + hashed(k, v, seed + 1)
             noise[k] = even + (hashed(v, k, seed) + hashed(v, k, seed + 1))
         for k in range(values):

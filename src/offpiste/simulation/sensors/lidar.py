@@ -1,4 +1,4 @@
-"""A spinning LiDAR: all rings fire at once, column after column, while the vehicle moves."""
+"""A spinning LiDAR whose rings fire together, column by column, while the vehicle moves."""
 
 from dataclasses import dataclass, replace
 
@@ -10,61 +10,42 @@ from offpiste.simulation.rendering.scene import BLOCK, Hits, Scene, body_hits
 from offpiste.simulation.sample import Motion, Pose
 
 REFLECTIVITY = np.array([0.0, 0.30, 0.25, 0.50, 0.45, 0.50, 0.35], np.float32)
-"""Reflectivity of `SURFACES` near 900 nm [1]; soil 0.2 to 0.4, green leaves about 0.5 (ASTER library, rounded)."""
+"""Reflectivity of `SURFACES` near 900 nm; soil 0.2 to 0.4, green leaves about 0.5 (ASTER library, rounded)."""
 
 
 @dataclass(frozen=True)
 class LidarSettings:
-    """Settings of one LiDAR; the defaults follow the data sheet of an Ouster OS1-64 (1024 x 10).
+    """Settings of one LiDAR; the defaults follow the data sheet of an Ouster OS1-64 (1024 x 10)."""
 
-    Attributes:
-        name: name of the frame and the topic.
-        body_from_lidar: x forward, y left, z up.
-        rate: revolutions [1/s].
-        rings, columns: rays per revolution.
-        highest, lowest: elevation of the first and the last ring [rad].
-        min_range, max_range: [m].
-        range_noise: standard deviation [m].
-        dropout: share of rays lost at random.
-        lost: share of rays lost at the largest range on a surface of reflectivity 0.1 that faces the LiDAR; it sets how
-            fast returns fade with range and grazing angle.
-    """
-
-    name: str
-    body_from_lidar: Pose
-    rate: float = 10.0
-    rings: int = 64
-    columns: int = 1024
-    highest: float = np.deg2rad(12.0)
-    lowest: float = np.deg2rad(-33.0)
-    min_range: float = 0.5
-    max_range: float = 80.0
-    range_noise: float = 0.02
-    dropout: float = 0.01
+    name: str  # name of the frame and the topic
+    body_from_lidar: Pose  # pose (x forward, y left, z up)
+    rate: float = 10.0  # revolutions [1/s]
+    rings: int = 64  # rays from top to bottom
+    columns: int = 1024  # rays per ring and revolution
+    highest: float = np.deg2rad(12.0)  # elevation of the first ring [rad]
+    lowest: float = np.deg2rad(-33.0)  # elevation of the last ring [rad]
+    min_range: float = 0.5  # [m]
+    max_range: float = 80.0  # [m]
+    range_noise: float = 0.02  # standard deviation [m]
+    dropout: float = 0.01  # share of rays lost at random
+    # Share of rays lost at `max_range` on a surface of reflectivity 0.1 facing the LiDAR; it determines how returns
+    # fade with range and grazing angle
     lost: float = 0.5
 
 
 @dataclass(frozen=True)
 class Scan:
-    """Points of one revolution, each in the LiDAR's frame at the moment it was measured.
+    """Points of one revolution, each in the LiDAR's frame at its time of measurement."""
 
-    Attributes:
-        points: [m].
-        intensity: reflectivity times the cosine of incidence [1].
-        ring: number of the ring, 0 is the highest.
-        time: since the start of the revolution [s].
-        surface: index into `SURFACES`; ground truth, not recorded.
-    """
-
-    points: Float[np.ndarray, "n 3"]
-    intensity: Float[np.ndarray, " n"]
-    ring: Int[np.ndarray, " n"]
-    time: Float[np.ndarray, " n"]
-    surface: Int[np.ndarray, " n"]
+    points: Float[np.ndarray, "n 3"]  # [m]
+    intensity: Float[np.ndarray, " n"]  # reflectivity times the cosine of incidence
+    ring: Int[np.ndarray, " n"]  # number of the ring, 0 is the highest
+    time: Float[np.ndarray, " n"]  # time since the start of the revolution [s]
+    surface: Int[np.ndarray, " n"]  # index into `SURFACES`; ground truth, not recorded
 
 
 class Lidar:
-    """A LiDAR on its vehicle, with its rays and those of them that end on the vehicle itself."""
+    """A LiDAR on a vehicle, with its rays and their hits on the vehicle itself."""
 
     def __init__(self, settings: LidarSettings) -> None:
         self.settings = settings
@@ -73,31 +54,25 @@ class Lidar:
         azimuth = np.pi - 2 * np.pi * np.arange(columns) / columns  # clockwise from behind, seam at the back
         horizontal = np.stack((np.cos(azimuth), np.sin(azimuth), np.zeros(columns)), axis=1)[:, None]
         upright = np.array([0.0, 0.0, 1.0])
-        self._ray = (
-            np.cos(elevation)[:, None] * horizontal + np.sin(elevation)[:, None] * upright
-        )  # [columns, rings, 3]
+        # [columns, rings, 3]
+        self._ray = np.cos(elevation)[:, None] * horizontal + np.sin(elevation)[:, None] * upright
         self._time = np.arange(columns) / columns / settings.rate
         mount = settings.body_from_lidar
-        # Cast ring after ring: neighbours of a ring end near each other, which halves the time of their packets.
+        # Cast ring by ring: neighbours in a ring hit close to each other, which halves the time of their packets.
         self._origin = mount.position
         self._ray_body = np.ascontiguousarray((self._ray @ mount.rotation.T).transpose(1, 0, 2))
         rays = self._ray_body.reshape(-1, 3)
-        own = body_hits(np.broadcast_to(mount.position, rays.shape), rays)
+        own = body_hits(mount.position, rays)
         self._own = replace(own, distance=np.minimum(own.distance, np.float32(settings.max_range)))
 
     def scan(self, scene: Scene, motion: Motion, start: float, rng: np.random.Generator) -> Scan:
-        """Points of one revolution.
-
-        Args:
-            scene: in the world frame.
-            motion: `world_from_body` during the revolution.
-            start: time of the first column [s].
-        """
+        """Points of one revolution, from the motion `world_from_body` and the time of the first column [s]."""
         distance, echo, surface = self._echoes(scene, *motion.at(start + self._time))
-        n, rings = len(distance), self.settings.rings
-        random, noise = rng.random(n), self.settings.range_noise * rng.standard_normal(n)
+        n, rings, s = len(distance), self.settings.rings, self.settings
+        random, noise = rng.random(n), s.range_noise * rng.standard_normal(n)
         returned = np.empty(n, np.int32)
-        returned = returned[: _returned(*_limits(self.settings), distance, echo, random, returned)]
+        limits = (np.float32(limit) for limit in (s.min_range, s.max_range, s.dropout, s.lost))
+        returned = returned[: _returned(*limits, distance, echo, random, returned)]
         points = np.empty((len(returned), 3), np.float32)
         _place(self._ray.reshape(-1, 3), distance, noise, returned, points)
         return Scan(
@@ -111,7 +86,7 @@ class Lidar:
     def _echoes(
         self, scene: Scene, position: Float[np.ndarray, "columns 3"], rotation: Float[np.ndarray, "columns 3 3"]
     ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-        """Distance, reflectivity times the cosine of incidence, and surface of each ray's end, column after column."""
+        """Distance, reflectivity times the cosine of incidence, and surface of each hit, column by column."""
         rings, columns = self._ray_body.shape[:2]
         origin = (position + rotation @ self._origin).astype(np.float32)
         distance, echo = (np.empty((columns, rings), np.float32) for _ in range(2))
@@ -131,7 +106,7 @@ class Lidar:
 
 @RAYS.entry
 def _turn(rotation, ray_body, ray_world):  # type: ignore[no-untyped-def]
-    """Rays [rings, columns, 3] turned by each column's rotation, one ring after the other."""
+    """Rotate rays [rings, columns, 3] by the rotation of each column, ring by ring."""
     rings, columns = ray_body.shape[:2]
     for r in range(rings):
         for c in range(columns):
@@ -142,7 +117,7 @@ def _turn(rotation, ray_body, ray_world):  # type: ignore[no-untyped-def]
 
 @RAYS.entry
 def _reflect(reflectivity, distances, surfaces, normal, ray, first, distance, echo, surface):  # type: ignore[no-untyped-def]
-    """Ends of the rays of rings from `first` on, sorted by column, and reflectivity times the cosine of incidence."""
+    """Sort hits of the rings from `first` on by column, and compute reflectivity times the cosine of incidence."""
     columns = len(distance)
     for n in range(len(ray)):
         c, r = n % columns, first + n // columns
@@ -151,15 +126,12 @@ def _reflect(reflectivity, distances, surfaces, normal, ray, first, distance, ec
         echo[c, r] = reflectivity[surfaces[n]] * abs(facing)
 
 
-def _limits(settings: LidarSettings) -> tuple[np.float32, np.float32, np.float32, np.float32]:
-    """Settings that decide which rays return a point."""
-    s = settings
-    return np.float32(s.min_range), np.float32(s.max_range), np.float32(s.dropout), np.float32(s.lost)
-
-
 @RAYS.entry
 def _returned(nearest, farthest, dropout, lost, distance, echo, random, returned):  # type: ignore[no-untyped-def]
-    """Numbers of the rays that return a point, by `lost_share` and even random numbers; returns how many there are."""
+    """Write the indices of rays that return a point, given uniform random numbers; returns their number.
+
+    The share lost is `dropout`, and more as the echo fades with the square of the range.
+    """
     count, one = 0, np.float32(1)
     for n in range(len(distance)):
         if not (nearest < distance[n] < farthest) or random[n] <= dropout:
@@ -174,23 +146,9 @@ def _returned(nearest, farthest, dropout, lost, distance, echo, random, returned
 
 @RAYS.entry
 def _place(ray, distance, noise, returned, points):  # type: ignore[no-untyped-def]
-    """Measured points of the rays that return one."""
+    """Compute the measured points."""
     for k in range(len(returned)):
         n = returned[k]
         measured = distance[n] + noise[n]
         for axis in range(3):
             points[k, axis] = ray[n, axis] * measured
-
-
-def lost_share(
-    settings: LidarSettings, distance: Float[np.ndarray, " n"], echo: Float[np.ndarray, " n"]
-) -> Float[np.ndarray, " n"]:
-    """Probability that a ray returns no point: `dropout`, and more as the echo fades with the square of the range.
-
-    Args:
-        echo: reflectivity times the cosine of incidence [1].
-    """
-    with np.errstate(divide="ignore", invalid="ignore"):
-        strength = echo / 0.1 * (settings.max_range / distance) ** 2  # 1 where `lost` holds
-        faded = settings.lost ** np.maximum(strength, 0.0)
-    return settings.dropout + (1 - settings.dropout) * faded

@@ -1,4 +1,4 @@
-"""Which sensors the vehicle carries, and what they record along a drive."""
+"""Sensors of the vehicle, and their measurements during a drive."""
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
@@ -12,16 +12,21 @@ from scipy.spatial.transform import Rotation
 
 from offpiste.core.conventions import DT
 from offpiste.core.errors import OffpisteError
+from offpiste.simulation.messages import Mounting, camera_info_message, image_message, points_message
+from offpiste.simulation.recorder import random_turn
 from offpiste.simulation.rendering.appearance import make_appearance
 from offpiste.simulation.rendering.scene import Scene, world_scene
 from offpiste.simulation.sample import Motion, Pose, VehicleSample
 from offpiste.simulation.sensors.camera import Camera, CameraSettings, render
 from offpiste.simulation.sensors.lidar import Lidar, LidarSettings, Scan
-from offpiste.simulation.sensors.messages import Mounting, camera_info_message, image_message, points_message
 from offpiste.simulation.world.world import World
 
 _OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-"""Rotation to body axes from those of a camera that looks ahead: z forward, x right, y down."""
+"""Rotation to body axes from those of a camera that looks ahead (z forward, x right, y down)."""
+AHEAD: Final = 25
+"""Samples that the vehicle may be ahead of its sensors; their messages wait in memory."""
+THREADS: Final = 2
+"""Threads that measure, besides those that cast rays: one encodes while the other casts."""
 
 
 @dataclass(frozen=True)
@@ -32,16 +37,16 @@ class SensorSuite:
     lidars: tuple[LidarSettings, ...]
 
     def mountings(self) -> tuple[Mounting, ...]:
-        """Mountings of all sensors, for the recorder."""
+        """Mountings of all sensors."""
         poses = [(camera.name, camera.body_from_camera) for camera in self.cameras]
         poses += [(lidar.name, lidar.body_from_lidar) for lidar in self.lidars]
         return tuple(Mounting(n, tuple(p.position.tolist()), tuple(p.orientation.tolist())) for n, p in poses)
 
 
 def full_suite() -> SensorSuite:
-    """Four cameras around the roof, a LiDAR above it and one low over the tail, which sees the ground just driven over.
+    """Four cameras around the roof, a LiDAR above it, and a LiDAR at the tail that sees the ground just driven over.
 
-    Rates and image sizes are the paper's (section "Visual features"); its lenses and mountings are not published.
+    Rates and image sizes follow the paper (section "Visual features"), which gives no lenses and mountings.
     """
     front = CameraSettings("camera_front", mounted((0.60, 0.0, 1.54), pitch=17.0, optical=True))
     return SensorSuite(
@@ -64,27 +69,25 @@ def full_suite() -> SensorSuite:
 
 
 def light_suite() -> SensorSuite:
-    """The front camera at 2 Hz and the upper LiDAR with 32 x 512 rays: simulated faster than it happens."""
+    """The front camera at 2 Hz and the upper LiDAR with 32 x 512 rays; simulated faster than real time."""
     full = full_suite()
     return SensorSuite(
-        cameras=(replace(full.cameras[0], rate=2.0),),
-        lidars=(replace(full.lidars[0], rings=32, columns=512),),
+        cameras=(replace(full.cameras[0], rate=2.0),), lidars=(replace(full.lidars[0], rings=32, columns=512),)
     )
 
 
-def no_sensors() -> SensorSuite:
-    """A drive without cameras and LiDAR."""
-    return SensorSuite((), ())
-
-
-PROFILES: Final[dict[str, Callable[[], SensorSuite]]] = {"full": full_suite, "light": light_suite, "none": no_sensors}
+PROFILES: Final[dict[str, Callable[[], SensorSuite]]] = {
+    "full": full_suite,
+    "light": light_suite,
+    "none": lambda: SensorSuite((), ()),
+}
 
 
 def sensor_suite(profile: str) -> SensorSuite:
-    """The sensors of a profile: `full`, `light`, or `none`.
+    """Sensors of a profile: `full`, `light` or `none`.
 
     Raises:
-        OffpisteError: there is no such profile.
+        OffpisteError: unknown profile.
     """
     if profile not in PROFILES:
         raise OffpisteError(f"no sensor profile is called {profile!r}", how=f"choose one of {', '.join(PROFILES)}")
@@ -92,12 +95,10 @@ def sensor_suite(profile: str) -> SensorSuite:
 
 
 def remounted(suite: SensorSuite, degrees: float, rng: np.random.Generator) -> SensorSuite:
-    """The sensors where they are, each rotated by an angle [deg] about a random axis of its own."""
+    """Sensors rotated in place by an angle [deg], each about a random axis."""
 
     def rotated(pose: Pose) -> Pose:
-        axis = rng.standard_normal(3)
-        turn = Rotation.from_rotvec(np.radians(degrees) * axis / np.linalg.norm(axis))
-        return Pose(pose.position, (turn * Rotation.from_quat(pose.orientation)).as_quat())
+        return Pose(pose.position, (random_turn(degrees, rng) * Rotation.from_quat(pose.orientation)).as_quat())
 
     if degrees == 0:
         return suite
@@ -110,11 +111,10 @@ def remounted(suite: SensorSuite, degrees: float, rng: np.random.Generator) -> S
 def mounted(
     position: tuple[float, float, float], *, yaw: float = 0.0, pitch: float = 0.0, optical: bool = False
 ) -> Pose:
-    """`body_from_sensor` of a sensor that looks to the left by `yaw` and down by `pitch` [deg].
+    """`body_from_sensor` of a sensor at a position [m] that looks left by `yaw` and down by `pitch` [deg].
 
     Args:
-        position: in the body frame [m].
-        optical: axes of a camera (z forward, x right, y down) instead of x forward, y left, z up.
+        optical: whether the sensor has the axes of a camera (z forward, x right, y down).
     """
     turn = Rotation.from_euler("ZY", (yaw, pitch), degrees=True)
     axes = turn * Rotation.from_matrix(_OPTICAL) if optical else turn
@@ -126,8 +126,7 @@ def _side(yaw: float) -> Pose:
 
 
 StampNs = Callable[[float], int]
-"""The stamp [ns] of a measurement at a time since the start of the drive [s]."""
-
+"""Stamp [ns] of a measurement at a time since the start of the drive [s]."""
 Messages = list[tuple[str, Any]]
 """Topics and messages."""
 
@@ -136,11 +135,10 @@ class Sensing:
     """All cameras and LiDARs of a moving vehicle.
 
     Args:
-        suite: the sensors; their rates must divide 50 Hz.
-        rng: random numbers of noise and of the drive's light.
-        scene: the world's scene, if it has been built already.
-        apart: each sensor draws from random numbers of its own, so that LiDARs measure the same with and without
-            cameras.
+        suite: the sensors, with rates that divide 50 Hz.
+        rng: random numbers of noise and light.
+        scene: scene of the world, if already built.
+        apart: whether each sensor has its own random numbers, so that LiDARs measure the same without cameras.
     """
 
     def __init__(
@@ -166,7 +164,7 @@ class Sensing:
         self._past: deque[VehicleSample] = deque(maxlen=max(turns, default=0) + 1)
 
     def observe(self, sample: VehicleSample, stamp_ns: StampNs) -> Messages:
-        """All measurements that this sample completes."""
+        """All measurements completed by a sample."""
         return [message for measure in self.measurements(sample, stamp_ns) for message in measure()]
 
     def warm_up(self, sample: VehicleSample) -> None:
@@ -179,16 +177,16 @@ class Sensing:
             self._points(lidar, self._scan(lidar, still, np.random.default_rng(0)), 0)
 
     def pass_by(self, sample: VehicleSample) -> int:
-        """Take note of a sample without measuring; the number of measurements that it would have completed."""
+        """Skip the measurements of a sample, and return their number."""
         self._past.append(sample)
         row = round(sample.time / DT)
         rates = [*(c.settings.rate for c in self._cameras), *(one.settings.rate for one in self._lidars)]
         return sum(row % round(1 / (rate * DT)) == 0 for rate in rates)
 
     def measurements(self, sample: VehicleSample, stamp_ns: StampNs) -> Iterator[Callable[[], Messages]]:
-        """All measurements that this sample completes, as functions that may be called at any time, in any thread.
+        """All measurements completed by a sample, as functions to be called at any time and in any thread.
 
-        Random numbers are drawn here, in the order of the measurements.
+        Random numbers are drawn before, in the order of the measurements.
         """
         self._past.append(sample)
         row = round(sample.time / DT)
@@ -222,20 +220,10 @@ class Sensing:
         return [(f"/{name}/points", points_message(scan.points, scan.intensity, scan.ring, scan.time, stamp, name))]
 
 
-AHEAD: Final = 25
-"""Samples that a vehicle may be ahead of its sensors; their messages wait in memory."""
-
-THREADS: Final = 2
-"""Threads that measure, beside those that rays are split over: one encodes while the other casts."""
-
-
 def observed(
     samples: Iterable[VehicleSample], sensing: Sensing | None, stamp_ns: StampNs
 ) -> Iterator[tuple[VehicleSample, Messages]]:
-    """Samples of a drive, each with the measurements that it completes.
-
-    Sensors are simulated in threads of their own, while the vehicle drives on.
-    """
+    """Samples of a drive with the measurements they complete; sensors run in threads while the vehicle drives on."""
     if sensing is None:
         yield from ((sample, []) for sample in samples)
         return
@@ -244,7 +232,7 @@ def observed(
         return [workers.submit(measure) for measure in sensing.measurements(sample, stamp_ns)]
 
     waiting: deque[tuple[VehicleSample, Future[list[Future[Messages]]]]] = deque()
-    drawing = ThreadPoolExecutor(1, thread_name_prefix="offpiste-draws")  # one sample after the other
+    drawing = ThreadPoolExecutor(1, thread_name_prefix="offpiste-draws")  # in the order of the samples
     workers = ThreadPoolExecutor(THREADS, thread_name_prefix="offpiste-sensors")
     try:
         for sample in samples:

@@ -1,1 +1,1 @@
-"""The simulated side-by-side: rigid bodies, tyres, drivetrain and chassis."""
+"""The simulated side-by-side: bodies, tyres, drive train and chassis."""

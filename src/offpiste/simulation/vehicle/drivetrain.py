@@ -1,11 +1,8 @@
-"""Drive train from commands to the wheels: engine, CVT, gear box, four-wheel drive, brakes and steering.
+"""Drive train: engine, CVT, gear box, four-wheel drive, brakes and steering; compiled scalars but for the gear box.
 
-All but the gear box are compiled scalars.
-
-Engine and wheels are five inertias (engine, then wheels in the order of `WHEELS`) joined by couplings that turn slip
-into torque: a centrifugal clutch behind which the belt's ratio applies, a centre coupling (four-wheel drive without
-centre differential), and both differentials (front open, rear viscous). One implicit step solves them all; couplings
-and brakes are passive in it, so that a stiff one only slows things down, never rings.
+Engine and wheels are five inertias (engine, then wheels in the order of `WHEELS`). Couplings convert slip into torque:
+a centrifugal clutch with the belt's ratio behind it, a rigid centre coupling, an open front and a viscous rear
+differential. One implicit step solves all of them; couplings and brakes are passive, so stiff ones do not oscillate.
 """
 
 import numpy as np
@@ -13,17 +10,12 @@ import numpy as np
 from offpiste.compilation import PHYSICS
 
 COULOMB_SPEED = 1e-4
-"""Wheel speed below which a brake holds like stiff oil instead of like dry friction [rad/s]."""
+"""Wheel speed below which a brake acts like stiff viscous friction instead of dry friction [rad/s]."""
 
 
 @PHYSICS.entry
 def engine_torque(speed, throttle, p):  # type: ignore[no-untyped-def]
-    """Torque of the engine with limiter and idle governor [N m].
-
-    Args:
-        speed: [rad/s].
-        throttle: 0..1: between friction alone and the full curve.
-    """
+    """Torque of the engine with limiter and idle governor at a speed [rad/s] and throttle 0..1 [N m]."""
     bend = (speed - p.engine_torque_speed) / p.engine_torque_speed
     full = p.engine_torque * max(1.0 - p.engine_torque_bend * bend * bend, 0.0)
     open_share = throttle * min(max((p.limiter_speed - speed) / p.limiter_band, 0.0), 1.0)
@@ -34,11 +26,10 @@ def engine_torque(speed, throttle, p):  # type: ignore[no-untyped-def]
 
 @PHYSICS.entry
 def shifted_ratio(ratio, shaft_speed, throttle, dt, p):  # type: ignore[no-untyped-def]
-    """The belt's ratio one step later: it follows, with a lag, the ratio that holds the engine at its wanted speed.
+    """Belt ratio (engine over secondary shaft) one step later: lags behind the ratio for the wanted engine speed.
 
     Args:
-        ratio: engine over secondary shaft.
-        shaft_speed: of the secondary shaft [rad/s].
+        shaft_speed: speed of the secondary shaft [rad/s].
     """
     wanted_speed = p.cruise_speed + (p.power_speed - p.cruise_speed) * throttle
     wanted = min(max(wanted_speed / max(shaft_speed, 1.0), p.ratio_high), p.ratio_low)
@@ -47,11 +38,11 @@ def shifted_ratio(ratio, shaft_speed, throttle, dt, p):  # type: ignore[no-untyp
 
 @PHYSICS.entry
 def clutch_rate(engine_speed, slip, p):  # type: ignore[no-untyped-def]
-    """Torque over slip of the centrifugal clutch, so that its capacity is not exceeded [N m s/rad].
+    """Torque over slip of the centrifugal clutch, limited by its capacity [N m s/rad].
 
     Args:
         engine_speed: [rad/s].
-        slip: engine speed minus the speed behind the clutch; the faster side engages it (a sprag gives engine braking).
+        slip: engine speed minus the speed behind the clutch; the faster side engages it, as a sprag clutch does.
     """
     speed = max(engine_speed, engine_speed - slip)
     capacity = p.clutch_gain * max(speed * speed - p.clutch_speed * p.clutch_speed, 0.0)
@@ -63,12 +54,11 @@ def spin(speeds, ratio, throttle, brake, tyre_torque, dt, p, matrix):  # type: i
     """Engine and wheels one step later.
 
     Args:
-        speeds: [5], overwritten [rad/s].
-        ratio: of the belt, below zero in reverse; 0 in neutral.
-        throttle: 0..1.
-        brake: pressure, 0..1.
-        tyre_torque: [4], of the ground on the wheels [N m].
-        matrix: [5, 6], a buffer.
+        speeds: [5], updated in place [rad/s].
+        ratio: belt ratio, negative in reverse, 0 in neutral.
+        throttle, brake: throttle and brake pressure, 0..1.
+        tyre_torque: torque of the ground on the wheels [4] [N m].
+        matrix: buffer [5, 6].
     """
     total = ratio * p.final_ratio
     matrix[:] = 0.0
@@ -102,7 +92,7 @@ def _couple(matrix, rate, engine, front_left, front_right, rear_left, rear_right
 
 @PHYSICS.entry
 def _solve(matrix, solution):  # type: ignore[no-untyped-def]
-    # Gauss without pivoting: the matrix is symmetric and positive definite.
+    # Gaussian elimination without pivoting: the matrix is symmetric and positive definite.
     for k in range(5):
         for i in range(k + 1, 5):
             factor = matrix[i, k] / matrix[k, k]
@@ -117,17 +107,13 @@ def _solve(matrix, solution):  # type: ignore[no-untyped-def]
 
 @PHYSICS.entry
 def braked_pressure(pressure, command, dt, p):  # type: ignore[no-untyped-def]
-    """Brake pressure one step later, a first-order lag behind the (delayed) command [0..1]."""
+    """Brake pressure one step later: a first-order lag behind the (delayed) command [0..1]."""
     return pressure + (command - pressure) * dt / (p.brake_time + dt)
 
 
 @PHYSICS.entry
 def steered(angle, rate, command, dt, p):  # type: ignore[no-untyped-def]
-    """Steering angle [rad] and its rate [rad/s] one step later: second order, both limited.
-
-    Args:
-        command: -1..1, + left, of the largest angle.
-    """
+    """Steering angle [rad] and rate [rad/s] one step later, both limited; command -1..1, positive left."""
     frequency = p.steer_frequency
     pull = frequency * frequency * (command * p.max_steer - angle) - 2.0 * p.steer_damping * frequency * rate
     rate = min(max(rate + pull * dt, -p.max_steer_rate), p.max_steer_rate)
@@ -139,18 +125,14 @@ def steered(angle, rate, command, dt, p):  # type: ignore[no-untyped-def]
 
 @PHYSICS.entry
 def wheel_angles(angle, p):  # type: ignore[no-untyped-def]
-    """Angles of the front-left and front-right wheel after Ackermann, for the angle of one wheel between them [rad]."""
+    """Ackermann angles of the front-left and front-right wheel for the angle of a wheel midway between them [rad]."""
     curvature = np.tan(angle) / p.wheelbase
     side = 0.5 * p.track * curvature
     return np.arctan(p.wheelbase * curvature / (1.0 - side)), np.arctan(p.wheelbase * curvature / (1.0 + side))
 
 
 class GearBox:
-    """Forward, neutral and reverse, shifted at a standstill, neutral while it shifts; forward at first.
-
-    Args:
-        steps: `conventions.DT` that a shift takes.
-    """
+    """Forward, neutral and reverse gear; a shift needs a standstill and takes `steps` of `DT` in neutral."""
 
     def __init__(self, steps: int) -> None:
         self._steps, self._lever, self._left = steps, 1.0, 0
@@ -161,11 +143,7 @@ class GearBox:
         return 0.0 if self._left else self._lever
 
     def shift(self, wanted: float | None, *, moving: bool) -> None:
-        """One step on, with the lever where it is wanted, unless the vehicle moves.
-
-        Args:
-            wanted: 1, 0 or -1; None leaves the lever.
-        """
+        """Advance by one step and shift to a gear (1, 0 or -1; None keeps it) unless the vehicle moves."""
         self._left = max(self._left - 1, 0)
         if wanted is not None and wanted != self._lever and not moving:
             self._lever, self._left = float(wanted), self._steps

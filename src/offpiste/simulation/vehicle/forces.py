@@ -1,16 +1,15 @@
-"""All forces on the vehicle, and one small step of its internal states (compiled).
+"""Forces on the vehicle's bodies, and one small step of its internal states (compiled).
 
-MuJoCo holds the rigid bodies; this writes the forces on them: tyres, suspension, air, plants, and the chassis where
-it touches ground or a tree. Newton's law for a wheel and its spin: the spin turns with J dw/dt = drive - brake - F r,
-and the body feels the whole ground force at the contact less J dw/dt about the axle and the gyroscopic torque. Drive
-and brake torque react inside the vehicle, wherever their housings hang.
+MuJoCo integrates the rigid bodies under the forces computed here: tyres, suspension, air, plants, and chassis contact
+with ground and trees. A wheel's spin follows J dw/dt = drive - brake - F r. The body receives the ground force at the
+contact, less J dw/dt about the axle and the gyroscopic torque; drive and brake torques are internal to the vehicle.
+Chassis contact is a soft penalty that keeps the vehicle above ground; it does not model crashes.
 """
 
 import numpy as np
 
 from offpiste.compilation import PHYSICS, call_address
 from offpiste.core.conventions import GRAVITY
-from offpiste.simulation.vehicle.chassis import chassis_forces
 from offpiste.simulation.vehicle.drivetrain import braked_pressure, shifted_ratio, spin, steered, wheel_angles
 from offpiste.simulation.vehicle.tyre import (
     add,
@@ -28,16 +27,18 @@ from offpiste.simulation.vehicle.tyre import (
     touch,
     turned,
 )
-from offpiste.simulation.world.surface import properties_at
+from offpiste.simulation.world.grids import height, properties_at
 
 RATIO, PRESSURE, STEER, STEER_RATE = range(4)
 """Columns of the actuator states."""
-
-CONTACT, PROPERTIES, LOAD, SLIP_RATIO, SLIP_ANGLE = 0, 3, 7, 8, 9
-"""First columns of each quantity in a wheel's truth."""
-
 MIN_SLIP_SPEED = 0.5
-"""Least ground speed in slip ratios and angles [m/s]; of all forces only sinkage drag depends on it."""
+"""Smallest ground speed in slip ratios and angles [m/s]; among the forces, only sinkage drag depends on it."""
+TOUCH_STIFFNESS, TOUCH_DAMPING, TOUCH_FRICTION = 80e3, 4e3, 0.5
+"""Contact of a chassis point with the ground [N/m, N s/m, 1]."""
+TREE_STIFFNESS, TREE_DAMPING = 300e3, 30e3
+"""Contact of a trunk with the body [N/m, N s/m]."""
+PUSH_SPEED = 0.3
+"""Speed below which the drag of plants and the friction of the body fade out [m/s]."""
 
 
 @PHYSICS.entry
@@ -47,19 +48,21 @@ def substep(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     """Advance actuators, engine, wheel spins and tyres by dt, and write the forces on the bodies.
 
+    All arrays from `actuators` on are updated in place.
+
     Args:
         q: `VehicleParameters.as_record()`.
-        command: [4] throttle, (delayed) brake, steer, engaged gear.
-        around: `chassis.nearby_obstacles`.
-        elevation, properties, x0, y0, resolution: of the world.
-        qpos, qvel: [11], [10] of MuJoCo.
-        actuators: [4], overwritten.
-        speeds: [5] engine, wheels [rad/s], overwritten.
-        deflection: [4, 2] of the tyres [m], overwritten.
-        truth: [4, 10], overwritten.
-        touched: [2] roof, tree: set to 1 where the chassis touched.
-        body_forces: [6, 6] force and torque on each body, world frame, overwritten.
-        joint_forces: [10], overwritten.
+        command: throttle, (delayed) brake, steer, engaged gear [4].
+        around: result of `look_around`.
+        elevation, properties, x0, y0, resolution: grids of the world.
+        qpos, qvel: MuJoCo's state [11], [10].
+        actuators: belt ratio, brake pressure, steering angle and rate [4].
+        speeds: engine, wheels [5] [rad/s].
+        deflection: tyres [4, 2] [m].
+        truth: contact (3), properties (4), load, slip ratio, slip angle of each wheel [4, 10].
+        touched: roof, tree [2]; set to 1 if the chassis touched.
+        body_forces: force and torque on each body in the world frame [6, 6].
+        joint_forces: [10].
         buffers: [6, 6].
     """
     body = axes(qpos[3], qpos[4], qpos[5], qpos[6])
@@ -92,13 +95,11 @@ def substeps(  # type: ignore[no-untyped-def]
     q, dt, command, around, elevation, properties, x0, y0, resolution,
     qpos, qvel, actuators, speeds, deflection, truth, touched, body_forces, joint_forces, buffers,
 ):  # fmt: skip
-    """Small steps, each of which MuJoCo ends: less than half the time of calling both from Python.
+    """Run `substep` and MuJoCo's step `count` times; twice as fast as calling both from Python.
 
     Args:
-        count: number of steps.
         mj_step: address of MuJoCo's function.
         bodies: addresses of its model and data.
-        q: this and what follows as in `substep`.
     """
     for _ in range(count):
         substep(
@@ -120,7 +121,7 @@ def _wheel_forces(  # type: ignore[no-untyped-def]
     q, dt, i, angle, body, qpos, qvel, elevation, properties, x0, y0, resolution,
     speed, deflection, truth, body_forces,
 ):  # fmt: skip
-    # Ground force on wheel i, its moment about the wheel's centre, and the torque that it turns the wheel with.
+    # Add the ground force on wheel i and its moment about the wheel's centre; return the torque on the wheel's spin.
     forward, left, up = body
     arm = (0.5 * q.wheelbase * (1.0 if i < 2 else -1.0), 0.5 * q.track * (1.0 if i % 2 == 0 else -1.0), qpos[7 + i])
     rates = (qvel[3], qvel[4], qvel[5])
@@ -143,10 +144,10 @@ def _wheel_forces(  # type: ignore[no-untyped-def]
         return 0.0
 
     ahead, side = contact_axes(normal, axle)
-    lean = dot(turned(rates, forward, left, up), ahead)  # of the wheel plane: moves the patch sideways
+    lean = dot(turned(rates, forward, left, up), ahead)  # rotation of the wheel plane moves the contact sideways
     along, across = dot(velocity, ahead), dot(velocity, side) + lean * max(q.wheel_radius - compression, 0.0)
     x, y, rolling_x, rolling_y = _tyre(q, dt, i, along, across, speed, load, deflection, row)
-    # Friction bounds the whole horizontal force: a locked wheel that plows does not brake better than its ground holds.
+    # Friction limits the whole horizontal force, including that of a locked wheel that plows.
     total_x, total_y = limit_force(x + rolling_x, y + rolling_y, row[3] * load)
     force = add(add(add((0.0, 0.0, 0.0), ahead, total_x), side, total_y), normal, load)
     torque = cross(add(contact, centre, -1.0), force)
@@ -158,7 +159,7 @@ def _wheel_forces(  # type: ignore[no-untyped-def]
 
 @PHYSICS.entry
 def _tyre(q, dt, i, along, across, speed, load, deflection, row):  # type: ignore[no-untyped-def]
-    # Force of the bristles and resistance of the ground, both (forward, left) in the contact plane.
+    # Force of the bristles and resistance of the ground, each (forward, left) in the contact plane.
     friction, stiffness = row[3], row[4]
     rolling = speed * q.rolling_radius
     sliding = along - rolling
@@ -180,7 +181,7 @@ def _tyre(q, dt, i, along, across, speed, load, deflection, row):  # type: ignor
 
 @PHYSICS.entry
 def _react(q, i, angle, body, qvel, acceleration, speed, body_forces):  # type: ignore[no-untyped-def]
-    # The spin's angular momentum is not MuJoCo's: its change and its turning act back on the body.
+    # MuJoCo has no wheel spin: apply the change and the precession of its angular momentum to the body.
     axle = _axle(body, angle)
     rates = turned((qvel[3], qvel[4], qvel[5]), body[0], body[1], body[2])
     gyroscopic = cross(rates, axle)
@@ -190,12 +191,12 @@ def _react(q, i, angle, body, qvel, acceleration, speed, body_forces):  # type: 
 
 @PHYSICS.entry
 def suspension_force(travel, rate, other, spring, damper, anti_roll, load, p):  # type: ignore[no-untyped-def]
-    """Force of spring, damper, anti-roll bar and stops that pushes a wheel down and the chassis up [N].
+    """Force of spring, damper, anti-roll bar and stops, pushing the wheel down and the chassis up [N].
 
     Args:
-        travel: of the wheel from rest, + up [m]; rate: [m/s].
-        other: travel of the wheel across the axle [m].
-        load: of the spring at rest [N].
+        travel, rate: travel of the wheel from rest, positive up [m], and its rate [m/s].
+        other: travel of the opposite wheel [m].
+        load: load of the spring at rest [N].
     """
     damping = damper * (1.0 - p.damper_asymmetry if rate > 0.0 else 1.0 + p.damper_asymmetry)
     force = max(load + spring * travel, 0.0) + damping * rate + anti_roll * (travel - other)
@@ -219,3 +220,111 @@ def _suspend(q, qpos, qvel, joint_forces):  # type: ignore[no-untyped-def]
             q.anti_roll_front if front else q.anti_roll_rear,
             load, q,
         )  # fmt: skip
+
+
+@PHYSICS.entry
+def look_around(  # type: ignore[no-untyped-def]
+    trees, trunk_radius, bushes, bush_radius, drag, x, y, cos_yaw, sin_yaw, length, width, around
+):  # fmt: skip
+    """Find obstacles near the body, given its centre, heading and size [m].
+
+    Args:
+        around: result [4], zero before: x, y, radius of the nearest trunk [m]; drag of the bushes under the body [N].
+    """
+    nearest = length
+    for n in range(len(trees)):
+        dx, dy = trees[n, 0] - x, trees[n, 1] - y
+        gap = np.sqrt(dx * dx + dy * dy) - trunk_radius[n]
+        if gap < nearest:
+            nearest = gap
+            around[0], around[1], around[2] = trees[n, 0], trees[n, 1], trunk_radius[n]
+    for n in range(len(bushes)):
+        dx, dy = bushes[n, 0] - x, bushes[n, 1] - y
+        ahead = max(abs(cos_yaw * dx + sin_yaw * dy) - 0.5 * length, 0.0)
+        aside = max(abs(cos_yaw * dy - sin_yaw * dx) - 0.5 * width, 0.0)
+        if np.sqrt(ahead * ahead + aside * aside) < bush_radius[n]:
+            around[3] += drag[n]
+
+
+@PHYSICS.entry
+def chassis_forces(q, around, body, qpos, qvel, elevation, x0, y0, resolution, touched, body_forces):  # type: ignore[no-untyped-def]
+    """Add the forces on the chassis to row 1 of `body_forces`; arguments as in `substep`."""
+    velocity = (qvel[0], qvel[1], qvel[2])
+    com = (q.sprung_com_x, q.sprung_com_y, q.sprung_com_z)
+    speed = np.sqrt(dot(velocity, velocity))
+    planar = np.sqrt(qvel[0] * qvel[0] + qvel[1] * qvel[1])
+    air = 0.5 * q.air_density * q.drag_area * speed
+    bush = around[3] * np.tanh(planar / PUSH_SPEED) / (planar + 1e-9)
+    pull = (-(air + bush) * qvel[0], -(air + bush) * qvel[1], -air * qvel[2])
+    _push(pull, com, com, body, body_forces)
+
+    half, side = 0.5 * q.length, 0.5 * q.width
+    for number in range(12):
+        sx, sy = 1.0 if number % 2 == 0 else -1.0, 1.0 if number % 4 < 2 else -1.0
+        if number < 4:
+            point = (sx * half, sy * side, q.bumper_height)
+        elif number < 8:
+            point = (sx * 0.25 * q.wheelbase, sy * 0.5 * side, q.belly_height)
+        else:
+            point = (sx * 0.2 * q.length - 0.1 * q.length, sy * 0.85 * side, q.roof_height)
+        if _touch_ground(point, com, body, qpos, qvel, elevation, x0, y0, resolution, body_forces) and number >= 8:
+            touched[0] = 1.0
+    if around[2] > 0.0:
+        _touch_tree(q, around, com, body, qpos, qvel, touched, body_forces)
+
+
+@PHYSICS.entry
+def _push(force, point, com, body, body_forces):  # type: ignore[no-untyped-def]
+    # Apply a world-frame force at a body-frame point; MuJoCo expects the torque about the centre of mass.
+    torque = cross(turned(add(point, com, -1.0), body[0], body[1], body[2]), force)
+    for k in range(3):
+        body_forces[1, k] += force[k]
+        body_forces[1, 3 + k] += torque[k]
+
+
+@PHYSICS.entry
+def _moving(point, body, qvel):  # type: ignore[no-untyped-def]
+    turn = turned(cross((qvel[3], qvel[4], qvel[5]), point), body[0], body[1], body[2])
+    return add((qvel[0], qvel[1], qvel[2]), turn, 1.0)
+
+
+@PHYSICS.entry
+def _touch_ground(point, com, body, qpos, qvel, elevation, x0, y0, resolution, body_forces):  # type: ignore[no-untyped-def]
+    place = add((qpos[0], qpos[1], qpos[2]), turned(point, body[0], body[1], body[2]), 1.0)
+    depth = height(elevation, x0, y0, resolution, place[0], place[1]) - place[2]
+    if depth <= 0.0:
+        return False
+    velocity = _moving(point, body, qvel)
+    load = max(TOUCH_STIFFNESS * depth - TOUCH_DAMPING * velocity[2], 0.0)
+    planar = np.sqrt(velocity[0] * velocity[0] + velocity[1] * velocity[1])
+    drag = TOUCH_FRICTION * load * np.tanh(planar / PUSH_SPEED) / (planar + 1e-9)
+    _push((-drag * velocity[0], -drag * velocity[1], load), point, com, body, body_forces)
+    return True
+
+
+@PHYSICS.entry
+def _touch_tree(q, around, com, body, qpos, qvel, touched, body_forces):  # type: ignore[no-untyped-def]
+    # Contact of a circle with the body's footprint in the plane, at bumper height.
+    forward = body[0]
+    size = np.sqrt(forward[0] * forward[0] + forward[1] * forward[1]) + 1e-9
+    c, s = forward[0] / size, forward[1] / size
+    dx, dy = around[0] - qpos[0], around[1] - qpos[1]
+    x, y = c * dx + s * dy, c * dy - s * dx
+    half, side = 0.5 * q.length, 0.5 * q.width
+    near_x, near_y = min(max(x, -half), half), min(max(y, -side), side)
+    gap_x, gap_y = x - near_x, y - near_y
+    gap = np.sqrt(gap_x * gap_x + gap_y * gap_y)
+    depth = around[2] - gap
+    if depth <= 0.0:
+        return
+    touched[1] = 1.0
+    if gap > 1e-6:
+        nx, ny = gap_x / gap, gap_y / gap
+    else:  # the trunk's centre is inside: push out through the nearer end
+        nx, ny = (1.0 if x > 0.0 else -1.0), 0.0
+        depth += half - abs(x)
+    normal = (c * nx - s * ny, s * nx + c * ny, 0.0)
+    point = (near_x, near_y, q.bumper_height)
+    closing = dot(_moving(point, body, qvel), normal)
+    load = max(TREE_STIFFNESS * depth + TREE_DAMPING * closing, 0.0)
+    _push((-load * normal[0], -load * normal[1], 0.0), point, com, body, body_forces)

@@ -1,9 +1,10 @@
-"""Parameters of the simulated vehicle: numbers with their sources in a TOML file, validated when they are read."""
+"""Parameters of the simulated vehicle, read from TOML and validated, and the rig of a vehicle."""
 
+import re
 import tomllib
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Final
 
 import msgspec
 import numpy as np
@@ -12,6 +13,7 @@ from offpiste.core.conventions import GRAVITY
 from offpiste.core.errors import OffpisteError
 from offpiste.core.field_names import suggestion
 from offpiste.core.limits import parsed, read_small
+from offpiste.rig.rig import rig_text
 
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 Share = Annotated[float, msgspec.Meta(gt=0, lt=1)]
@@ -19,14 +21,14 @@ Height = float
 
 
 class VehicleError(OffpisteError):
-    """A vehicle's file is wrong."""
+    """Invalid vehicle file."""
 
 
 class VehicleParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A side-by-side; side_by_side.toml has meaning, unit and source of every value.
+    """Parameters of a side-by-side; side_by_side.toml documents meaning, unit and source of each.
 
-    The pose point is the centre of the wheel base at the height of the wheel centres at rest; wheels stand at
-    x = +-wheelbase / 2, y = +-track / 2 of it.
+    The pose point is the centre of the wheel base at the height of the wheel centres at rest, with wheels at
+    x = +-wheelbase / 2, y = +-track / 2.
     """
 
     wheelbase: Positive
@@ -121,7 +123,7 @@ class VehicleParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
 
     @property
     def rest_height(self) -> float:
-        """Height of the pose point above flat ground at rest [m]: mean of the loaded radii."""
+        """Height of the pose point above flat ground at rest: mean loaded radius [m]."""
         return self.wheel_radius - self.mass * GRAVITY / 4 / self.tyre_stiffness
 
     @property
@@ -131,16 +133,12 @@ class VehicleParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
 
     @property
     def sprung_com(self) -> tuple[float, float, float]:
-        """Centre of the sprung mass relative to the pose point, in the body frame [m]."""
+        """Centre of the sprung mass in the body frame, from the pose point [m]."""
         scale = self.mass / self.sprung_mass
-        return (
-            scale * self.wheelbase * (self.front_share - 0.5),
-            0.0,
-            scale * (self.com_height - self.rest_height),
-        )
+        return scale * self.wheelbase * (self.front_share - 0.5), 0.0, scale * (self.com_height - self.rest_height)
 
     def as_record(self) -> np.record:
-        """The parameters for compiled code: a record with a float64 field for each name."""
+        """Record of float64 fields by name, for compiled code."""
         values: dict[str, Any] = msgspec.structs.asdict(self)
         values |= {name: getattr(self, name) for name in ("static_load_front", "static_load_rear", "rest_height")}
         values |= dict(zip(("sprung_com_x", "sprung_com_y", "sprung_com_z"), self.sprung_com, strict=True))
@@ -148,10 +146,10 @@ class VehicleParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
 
 
 def load_vehicle(path: str | Path | None = None) -> VehicleParameters:
-    """Read a vehicle's TOML; None: the side-by-side that is shipped.
+    """Read a vehicle's TOML file; None for the shipped side-by-side.
 
     Raises:
-        VehicleError: the file is missing, no TOML, or a key is unknown, missing or out of its range.
+        VehicleError: the file is missing or not TOML, or a key is unknown, missing or out of range.
     """
     file = resources.files("offpiste.simulation.vehicle") / "side_by_side.toml" if path is None else Path(path)
     try:
@@ -172,3 +170,42 @@ def load_vehicle(path: str | Path | None = None) -> VehicleParameters:
         what = f"{largest} is {moments[largest]:g}, more than the other two together: no body has that"
         raise VehicleError(what, where=str(file), how="give moments of inertia about the centre of mass [kg m^2]")
     return vehicle
+
+
+_HEADER: Final = """\
+# Rig `{preset}` with the mass, axles, wheels and steering of {vehicle}.
+# own_body of cameras and LiDARs is that of the side-by-side: adapt it to another body.
+"""
+
+
+def vehicle_rig(preset: str, vehicle: Path) -> str:
+    """TOML text of a rig that reads drives of `simulate --vehicle`.
+
+    Args:
+        preset: rig of the proving ground for the side-by-side.
+        vehicle: TOML file of the vehicle.
+
+    Raises:
+        VehicleError: the file cannot be read.
+    """
+    text = rig_text(preset)
+    for entry, value in _entries(load_vehicle(vehicle), vehicle.stem).items():
+        found = re.search(entry, text, re.MULTILINE | re.DOTALL)
+        assert found is not None, f"rig {preset} has no {entry}"
+        text = f"{text[: found.start(1)]}{value}{text[found.end(1) :]}"
+    return _HEADER.format(preset=preset, vehicle=vehicle.name) + text.partition("\n")[2]
+
+
+def _entries(vehicle: VehicleParameters, name: str) -> dict[str, str]:
+    """Patterns of the entries that differ between vehicles, with the value as a group, and the new values."""
+    x, y = vehicle.wheelbase / 2, vehicle.track / 2
+    plain = re.sub(r"[^\w -]", "_", name)
+    return {
+        r"^name = ([^\n]*)": f'"{plain}"',
+        r"^description = ([^\n]*)": '"Another vehicle on the proving ground"',
+        r"^mass = ([^\n]*)": f"{vehicle.mass!r}",
+        r"^max_steer = ([^\n]*)": f"{vehicle.max_steer!r}",
+        r"^wheel_positions = ([^\n]*)": f"[[{x!r}, {y!r}], [{x!r}, {-y!r}], [{-x!r}, {y!r}], [{-x!r}, {-y!r}]]",
+        r"^source = ([^\n]*)": '"its file of `simulate --vehicle`"',
+        r"\[channels\.wheel_speed\].*?^scale = ([^\n]*)": f"{vehicle.rolling_radius!r}",
+    }

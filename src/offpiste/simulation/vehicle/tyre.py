@@ -1,14 +1,14 @@
-"""Tyres: where a wheel meets the ground, how hard, and the combined slip of a brush model (compiled scalars).
+"""Tyres: contact with the ground, load, and combined slip by a brush model (compiled scalars).
 
-Pacejka, Tire and Vehicle Dynamics, 3rd ed.: the brush model with parabolic pressure (ch. 3.2, 3.3; Fiala 1954 in its
-lateral part) and its transient form with a relaxation length (ch. 7.2, 8.6). Forces stay on a plateau beyond full
-sliding, as they do on soft ground; a tyre on asphalt would lose force again.
+Pacejka, Tire and Vehicle Dynamics, 3rd ed.: the brush model with parabolic pressure (ch. 3.2, 3.3; Fiala 1954 for the
+lateral part) and its transient form with a relaxation length (ch. 7.2, 8.6). Beyond full sliding the force stays
+constant, as on soft ground; on asphalt it would decrease.
 """
 
 import numpy as np
 
 from offpiste.compilation import PHYSICS
-from offpiste.simulation.world.surface import height
+from offpiste.simulation.world.grids import height
 
 
 @PHYSICS.entry
@@ -31,14 +31,14 @@ def add(a, b, scale):  # type: ignore[no-untyped-def]
 
 @PHYSICS.entry
 def unit(a):  # type: ignore[no-untyped-def]
-    """The vector at length 1."""
+    """Unit vector."""
     scale = 1.0 / np.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2] + 1e-300)
     return a[0] * scale, a[1] * scale, a[2] * scale
 
 
 @PHYSICS.entry
 def axes(w, x, y, z):  # type: ignore[no-untyped-def]
-    """Forward, left and up of a body with the quaternion (w, x, y, z), MuJoCo's order, in the world frame."""
+    """Forward, left and up axes in the world frame of a body with quaternion (w, x, y, z)."""
     forward = 1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)
     left = 2 * (x * y - z * w), 1 - 2 * (x * x + z * z), 2 * (y * z + x * w)
     up = 2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y)
@@ -47,7 +47,7 @@ def axes(w, x, y, z):  # type: ignore[no-untyped-def]
 
 @PHYSICS.entry
 def turned(v, forward, left, up):  # type: ignore[no-untyped-def]
-    """A body-frame vector in the world frame."""
+    """Body-frame vector in the world frame."""
     return (
         v[0] * forward[0] + v[1] * left[0] + v[2] * up[0],
         v[0] * forward[1] + v[1] * left[1] + v[2] * up[1],
@@ -57,16 +57,13 @@ def turned(v, forward, left, up):  # type: ignore[no-untyped-def]
 
 @PHYSICS.entry
 def brush_force(slip_x, slip_y, stiffness_x, stiffness_y, friction, load):  # type: ignore[no-untyped-def]
-    """Force on the tyre in the contact plane (eqs. 3.36, 3.37): opposes slip, at most friction * load.
+    """Force (forward, left) on the tyre, opposite to slip and at most friction * load (eqs. 3.36, 3.37) [N].
 
     Args:
-        slip_x, slip_y: sliding velocity over rolling velocity [1]; forwards and left, of the tyre over the ground.
-        stiffness_x, stiffness_y: force over load at small slip [1].
+        slip_x, slip_y: sliding over rolling velocity, of the tyre over the ground [1].
+        stiffness_x, stiffness_y: force over load per slip, at small slip [1].
         friction: largest force over load [1].
         load: [N].
-
-    Returns:
-        forwards, left [N].
     """
     x, y = stiffness_x * slip_x, stiffness_y * slip_y
     size = np.sqrt(x * x + y * y)
@@ -81,7 +78,7 @@ def brush_force(slip_x, slip_y, stiffness_x, stiffness_y, friction, load):  # ty
 
 @PHYSICS.entry
 def limit_deflection(slip_x, slip_y, stiffness_x, stiffness_y, friction):  # type: ignore[no-untyped-def]
-    """Slip shrunk to where the whole patch slides: bristles that slide store no more deflection."""
+    """Slip limited to the onset of full sliding, as sliding bristles store no further deflection."""
     x, y = stiffness_x * slip_x, stiffness_y * slip_y
     excess = np.sqrt(x * x + y * y) / (3.0 * friction + 1e-12)
     if excess <= 1.0:
@@ -91,23 +88,21 @@ def limit_deflection(slip_x, slip_y, stiffness_x, stiffness_y, friction):  # typ
 
 @PHYSICS.entry
 def relax(deflection, sliding, rolling, length, dt):  # type: ignore[no-untyped-def]
-    """Deflection of the bristles one step later, implicit in its decay (eq. 7.9): stable at any speed.
+    """Deflection u of the bristles one step later: du/dt = sliding - |rolling| u / length (eq. 7.9).
 
-    du/dt = sliding - |rolling| u / length; u / length is the transient slip. At standstill u is a spring that
-    holds a parked vehicle.
+    The decay is implicit. u / length is the transient slip; at standstill, u is a spring that holds a parked vehicle.
 
     Args:
-        deflection: u [m].
+        deflection, length: u and relaxation length [m].
         sliding: velocity of the tyre over the ground [m/s].
         rolling: wheel rotation times rolling radius [m/s].
-        length: relaxation length [m].
     """
     return (deflection + sliding * dt) / (1.0 + abs(rolling) * dt / length)
 
 
 @PHYSICS.entry
 def standstill_fade(speed, fade_speed):  # type: ignore[no-untyped-def]
-    """1 at standstill, 0 from `fade_speed` on: damping of a stopped tyre (ch. 8.6)."""
+    """Weight of a stopped tyre's damping: 1 at standstill, 0 from `fade_speed` on (ch. 8.6)."""
     if abs(speed) >= fade_speed:
         return 0.0
     return 0.5 * (1.0 + np.cos(np.pi * speed / fade_speed))
@@ -115,7 +110,7 @@ def standstill_fade(speed, fade_speed):  # type: ignore[no-untyped-def]
 
 @PHYSICS.entry
 def limit_force(x, y, limit):  # type: ignore[no-untyped-def]
-    """A force shortened to `limit` [N]."""
+    """Force limited in size [N]."""
     size = np.sqrt(x * x + y * y)
     if size <= limit or size == 0.0:
         return x, y
@@ -124,15 +119,11 @@ def limit_force(x, y, limit):  # type: ignore[no-untyped-def]
 
 @PHYSICS.entry
 def ground_under(elevation, x0, y0, resolution, centre, forward, p):  # type: ignore[no-untyped-def]
-    """Effective plane under a tyre: five heights, averaged as the tyre envelops unevenness.
+    """Height under the wheel's centre [m] and unit normal of the plane under a tyre, averaged over five points.
 
     Args:
-        elevation, x0, y0, resolution: as in `surface.height`.
-        centre: centre of the wheel, world frame [m].
-        forward: heading of the wheel, world frame.
-
-    Returns:
-        height of the plane under the centre [m]; its unit normal, world frame.
+        elevation, x0, y0, resolution: as in `grids.height`.
+        centre, forward: centre [m] and heading of the wheel in the world frame.
     """
     length = np.sqrt(forward[0] * forward[0] + forward[1] * forward[1]) + 1e-9
     c, s = forward[0] / length, forward[1] / length
@@ -150,28 +141,26 @@ def ground_under(elevation, x0, y0, resolution, centre, forward, p):  # type: ig
 
 @PHYSICS.entry
 def touch(centre, ground, normal, axle, radius):  # type: ignore[no-untyped-def]
-    """Compression of the tyre along its plane [m], negative in the air, and the point of contact, world frame.
+    """Compression of the tyre in its plane, negative in the air, and point of contact in the world frame [m].
 
     Args:
         centre: centre of the wheel [m].
-        ground: height of the plane under the centre [m].
-        normal: unit normal of that plane.
-        axle: unit vector of the wheel's spin, to the left.
+        ground, normal: result of `ground_under`.
+        axle: unit vector along the wheel's axle, to the left.
         radius: free radius of the tyre [m].
     """
     radial = unit(add(normal, axle, -dot(normal, axle)))
-    upright = max(dot(radial, normal), 0.2)  # a wheel that lies flat has no tread on the ground
+    upright = max(dot(radial, normal), 0.2)  # limits a wheel that lies flat
     reach = (centre[2] - ground) * normal[2] / upright
     return radius - reach, add(centre, radial, -reach)
 
 
 @PHYSICS.entry
 def normal_load(compression, closing, p):  # type: ignore[no-untyped-def]
-    """Load of a tyre: spring, damper and rim, never pulling [N].
+    """Load of a tyre from spring, damper and rim, at least 0 [N].
 
     Args:
-        compression: compression of the tyre [m].
-        closing: rate of the compression [m/s].
+        compression, closing: compression [m] and its rate [m/s].
     """
     if compression <= 0.0:
         return 0.0
@@ -181,6 +170,6 @@ def normal_load(compression, closing, p):  # type: ignore[no-untyped-def]
 
 @PHYSICS.entry
 def contact_axes(normal, axle):  # type: ignore[no-untyped-def]
-    """Forward and left of a tyre in the contact plane, world frame."""
+    """Forward and left axes of a tyre in the contact plane, in the world frame."""
     forward = unit(cross(axle, normal))
     return forward, cross(normal, forward)

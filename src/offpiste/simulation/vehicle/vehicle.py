@@ -1,14 +1,12 @@
-"""A side-by-side that drives in a `World`: MuJoCo's rigid bodies under our own tyres, drive train and ground.
+"""A side-by-side in a `World`: rigid bodies by MuJoCo; tyres, drive train and ground contact by `vehicle.forces`.
 
-The bodies are a free chassis and four wheels that slide up and down on it. MuJoCo integrates them; every force on them
-is ours (`offpiste.simulation.vehicle.forces`), so contacts and constraints are off. Wheels do not spin in MuJoCo: their
-spin is a state of its own, and its reaction acts as a torque.
+The bodies are a free chassis and four wheels that slide up and down on it. MuJoCo integrates them without contacts and
+constraints. Wheels do not spin in MuJoCo: their spin is a separate state whose reaction acts as a torque.
 """
 
 import ctypes
 from collections import deque
 from contextlib import suppress
-from copy import deepcopy
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -18,18 +16,25 @@ import numpy as np
 from offpiste.core.conventions import DT, GRAVITY
 from offpiste.core.errors import extra
 from offpiste.simulation.sample import VehicleSample, WheelTruth
-from offpiste.simulation.vehicle.chassis import nearby_obstacles
 from offpiste.simulation.vehicle.drivetrain import GearBox
-from offpiste.simulation.vehicle.forces import PRESSURE, RATIO, STEER, STEER_RATE, substep, substeps
+from offpiste.simulation.vehicle.forces import PRESSURE, RATIO, STEER, STEER_RATE, look_around, substep, substeps
 from offpiste.simulation.vehicle.parameters import VehicleParameters
-from offpiste.simulation.world.surface import height, main_kind
+from offpiste.simulation.world.grids import height, main_kind
 from offpiste.simulation.world.world import World
 
 with extra("sim"):
     import mujoco
 
-CHASSIS, FIRST_WHEEL = 1, 2
-"""Body numbers in MuJoCo; wheels follow in the order of `WHEELS`."""
+SUBSTEPS = 10
+"""Substeps in one step of `DT`; the fastest oscillation, a wheel's spin on its tyre, has about 100 rad/s."""
+SETTLING_STEPS = 40
+"""Steps after which a vehicle placed on the ground rests on its springs."""
+TILT_LIMIT = np.cos(np.radians(70))
+"""Cosine of the tilt beyond which the vehicle has rolled over."""
+BORDER = 3.0
+"""Distance from the world's edge at which the vehicle leaves it [m]."""
+STANDSTILL = 0.3
+"""Speed below which gears can be shifted [m/s]."""
 
 _MODEL = """
 <mujoco model="side-by-side">
@@ -53,20 +58,16 @@ _WHEEL = """
       </body>"""
 
 
-def build_bodies(parameters: VehicleParameters, timestep: float) -> Any:
-    """The `mujoco.MjModel` of a vehicle: qpos = pose point (3), quaternion wxyz (4), travel of the wheels, + up (4).
-
-    Args:
-        timestep: duration of one `mj_step` [s].
-    """
+def build_bodies(parameters: VehicleParameters) -> Any:
+    """`mujoco.MjModel` of a vehicle; qpos: pose point (3), quaternion wxyz (4), upward travel of the wheels (4)."""
     p = parameters
     x, y = p.wheelbase / 2, p.track / 2
     places = ((x, y), (x, -y), (-x, y), (-x, -y))
-    # A wheel is a ring about as wide as half its radius: its inertia across is a bit over half of that about its axis.
+    # A ring about half as wide as its radius: the transverse inertia is slightly over half the axial one.
     inertia = {"mass": p.unsprung_mass, "spin": p.wheel_inertia, "tilt": 0.6 * p.wheel_inertia}
     wheels = "".join(_WHEEL.format(number=i, x=x, y=y, **inertia) for i, (x, y) in enumerate(places))
     xml = _MODEL.format(
-        timestep=timestep,
+        timestep=DT / SUBSTEPS,
         gravity=GRAVITY,
         com=p.sprung_com,
         mass=p.sprung_mass,
@@ -80,41 +81,19 @@ def build_bodies(parameters: VehicleParameters, timestep: float) -> Any:
 
 @cache
 def mj_step_address() -> int | None:
-    """Address of MuJoCo's `mj_step` for compiled code, if its library is where its wheels have it."""
+    """Address of MuJoCo's `mj_step` for compiled code; None if its library is not found in the package."""
     for file in Path(mujoco.__file__).parent.glob("*mujoco.*"):
         with suppress(OSError, AttributeError):
             return ctypes.cast(ctypes.CDLL(str(file)).mj_step, ctypes.c_void_p).value
     return None
 
 
-SUBSTEPS = 10
-"""Substeps of 2 ms in one step of `DT`; the fastest oscillation (a wheel's spin on its tyre) has about 100 rad/s."""
-
-SETTLING_STEPS = 40
-"""Steps after which a vehicle that is put on the ground rests on its springs."""
-
-TILT_LIMIT = np.cos(np.radians(70))
-"""Cosine of the tilt beyond which the vehicle has rolled over."""
-
-BORDER = 3.0
-"""Distance from the world's edge at which the vehicle leaves it [m]."""
-
-
-STANDSTILL = 0.3
-"""Below this speed gears can be shifted [m/s]."""
-
-
 class VehicleSimulation:
-    """A vehicle put on the ground of a world and driven by commands.
-
-    The pose point is the centre of the wheel base at the height of the wheel centres at rest. Same inputs, same bytes.
+    """A vehicle placed on the ground of a world and driven by commands; the same inputs give the same bytes.
 
     Args:
-        world: the ground, trees and bushes.
-        parameters: parameters of the vehicle.
-        x, y: pose point at the start [m].
-        yaw: heading at the start [rad].
-        speed: speed forwards at the start [m/s].
+        x, y, yaw: pose at the start [m, rad].
+        speed: forward speed at the start [m/s].
     """
 
     def __init__(
@@ -123,8 +102,10 @@ class VehicleSimulation:
         self._world, self._parameters = world, parameters
         self._record = parameters.as_record()
         self._grid = _grid_of(world)
-        self._model = build_bodies(parameters, DT / SUBSTEPS)
-        self._view_state(mujoco.MjData(self._model))
+        self._model = build_bodies(parameters)
+        self._data = data = mujoco.MjData(self._model)
+        self._qpos, self._qvel = data.qpos, data.qvel  # views of MuJoCo's memory
+        self._body_forces, self._joint_forces = data.xfrc_applied, data.qfrc_applied
         self._actuators, self._speeds = np.zeros(4), np.zeros(5)
         self._deflection, self._truth = np.zeros((4, 2)), np.zeros((4, 10))
         self._touched, self._buffers = np.zeros(2), np.zeros((6, 6))
@@ -137,26 +118,17 @@ class VehicleSimulation:
         self._put(x, y, yaw)
         self._start(speed)
 
-    def branch(self, world: World) -> "VehicleSimulation":
-        """A second vehicle in the same state, in a world of the same shape whose ground may differ; this one stays."""
-        other = deepcopy(
-            self, {id(shared): shared for shared in (self._world, self._grid, self._model, self._parameters)}
-        )
-        other._world, other._grid = world, _grid_of(world)
-        other._view_state(other._data)
-        return other
-
     @property
     def time(self) -> float:
         """Time since the start [s]."""
         return self._steps * DT
 
     def step(self, throttle: float, brake: float, steer: float, gear: float | None = None) -> None:
-        """Advance by `DT` under one command, held.
+        """Advance by `DT` under a constant command.
 
         Args:
             throttle, brake: 0..1.
-            steer: -1..1, + left.
+            steer: -1..1, positive left.
             gear: 1, 0 or -1, shifted at a standstill (`GearBox`); None keeps it.
         """
         self._gears.shift(gear, moving=bool(np.hypot(*self._qvel[:2]) > STANDSTILL))
@@ -169,7 +141,7 @@ class VehicleSimulation:
         self._report_events()
 
     def sample(self) -> VehicleSample:
-        """Measurements and ground truth of this moment; each event is reported once."""
+        """Current measurements and ground truth; each event is reported once."""
         quaternion = self._qpos[[4, 5, 6, 3]]
         events, self._events = tuple(self._events), []
         return VehicleSample(
@@ -190,12 +162,6 @@ class VehicleSimulation:
             gear=self._gears.engaged,
         )
 
-    def _view_state(self, data: mujoco.MjData) -> None:
-        # Views into MuJoCo's memory: they move with it.
-        self._data = data
-        self._qpos, self._qvel = data.qpos, data.qvel
-        self._body_forces, self._joint_forces = data.xfrc_applied, data.qfrc_applied
-
     def _substeps(self, count: int, command: np.ndarray, around: np.ndarray) -> None:
         given = (
             self._record, DT / SUBSTEPS, command, around, *self._grid,
@@ -212,13 +178,15 @@ class VehicleSimulation:
     def _obstacles(self) -> np.ndarray:
         w, x, y, z = self._qpos[3:7]
         yaw = np.arctan2(2 * (x * y + z * w), 1 - 2 * (y * y + z * z))
-        p = self._parameters
-        return nearby_obstacles(
-            self._world, self._qpos[0], self._qpos[1], float(np.cos(yaw)), float(np.sin(yaw)), p.length, p.width
-        )
+        trees, bushes, p, around = self._world.trees, self._world.bushes, self._parameters, np.zeros(4)
+        look_around(
+            trees.foot, trees.trunk_radius, bushes.foot, bushes.radius, bushes.drag,
+            self._qpos[0], self._qpos[1], float(np.cos(yaw)), float(np.sin(yaw)), p.length, p.width, around,
+        )  # fmt: skip
+        return around
 
     def _put(self, x: float, y: float, yaw: float) -> None:
-        # On the plane through the ground under the wheels, then down onto the springs without moving sideways.
+        # Place on the plane through the ground under the wheels, then settle on the springs without moving sideways.
         p = self._parameters
         c, s = np.cos(yaw), np.sin(yaw)
         offsets = np.array([(i * p.wheelbase / 2, j * p.track / 2) for i in (1, -1) for j in (1, -1)])
@@ -289,7 +257,7 @@ class VehicleSimulation:
 
 
 def _grid_of(world: World) -> tuple[np.ndarray, np.ndarray, float, float, float]:
-    """The world's grids as `substep` reads them: elevation, properties, origin and resolution."""
+    """Elevation, properties, origin and resolution of a world, as `substep` reads them."""
     return (
         np.ascontiguousarray(world.elevation, dtype=np.float64),
         np.ascontiguousarray(world.properties, dtype=np.float64),

@@ -1,1 +1,1 @@
-"""Worlds of the proving ground: terrain, kinds of ground, plants and appearance, from a seed."""
+"""Worlds of the proving ground: terrain, kinds of ground and plants, from a seed."""

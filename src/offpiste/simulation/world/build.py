@@ -6,34 +6,29 @@ import numpy as np
 
 from offpiste.core.errors import OffpisteError
 from offpiste.simulation.world.forks import fork_trails, lay_forks
-from offpiste.simulation.world.ground import lay_grounds, mix_properties
+from offpiste.simulation.world.ground import grow_grass, lay_grounds, mix_properties, plant_bushes, plant_trees
 from offpiste.simulation.world.terrain import SPACING, carve_trails, make_hills, make_trails, trail_distance_grid
-from offpiste.simulation.world.vegetation import grow_grass, plant_bushes, plant_trees
 from offpiste.simulation.world.world import BareTerrain, Fork, World, WorldSettings, find_world_preset
 
 MIN_SIZE = 60.0
-"""Smallest side of a world [m]: a smaller one has no room for a trail."""
-
+"""Smallest side of a world [m]; a smaller one has no room for a trail."""
 _PARTS = ("trails", "hills", "carving", "grounds", "trees", "bushes", "grass", "forks")
-"""Parts of a world; each draws from its own random stream, so that changing one leaves the others as they are."""
+"""Parts of a world with a random stream each, so that a change of one does not affect the others."""
 
 
 def make_world(settings: WorldSettings) -> World:
     """Build a world; the same settings give the same bytes on the same machine.
 
     Raises:
-        OffpisteError: a setting is out of its range, or there is no such preset.
+        OffpisteError: a setting is out of range, or the preset does not exist.
     """
     preset = find_world_preset(settings.preset)
     _check(settings)
     of_preset = zlib.crc32(settings.name.encode())
     random = {part: np.random.default_rng([settings.seed, of_preset, i]) for i, part in enumerate(_PARTS)}
 
-    # A square of nodes around the origin.
     nodes = round(settings.size / settings.resolution) + 1
     x = y = (np.arange(nodes) - (nodes - 1) / 2) * settings.resolution
-
-    # Trails and the heightfield.
     trails = make_trails(random["trails"], float(x[-1] - x[0]))
     forks: tuple[Fork, ...] = ()
     if settings.forks:
@@ -41,14 +36,10 @@ def make_world(settings: WorldSettings) -> World:
     trail_distance = trail_distance_grid(trails, x, y)
     hills = np.float32(settings.relief) * make_hills(random["hills"], preset, x, y)
     elevation = carve_trails(random["carving"], preset, x, y, hills, trails, trail_distance)
-
-    # Kinds of ground, and their properties.
     bare = BareTerrain(x, y, elevation, trail_distance)
     kinds, wetness = lay_grounds(random["grounds"], preset, bare)
     lay_forks(random["forks"], forks, trails, bare, (kinds, wetness))
     properties = mix_properties(kinds, wetness, settings.grip_contrast * preset.grip)
-
-    # Plants.
     return World(
         settings=settings,
         origin=(float(x[0]), float(y[0])),
@@ -66,7 +57,7 @@ def make_world(settings: WorldSettings) -> World:
 
 
 def _check(settings: WorldSettings) -> None:
-    """Refuse the first setting out of its range."""
+    """Raise for the first setting out of range."""
     allowed = {
         "seed": (settings.seed >= 0, "0 or more"),
         "size": (MIN_SIZE <= settings.size <= 2000, f"{MIN_SIZE:g} to 2000 m"),

@@ -1,9 +1,8 @@
-"""Forks: places where a trail parts into two ways that meet again, one of them through mud.
+"""Forks: a trail splits into two ways around an island of open ground, one of them through mud.
 
-The ways lie on either side of where the trail ran, around an island of open ground, and are alike: about equally long,
-and winding as trails do. Which of them is muddy is drawn. The other way is firm, like the trail before and behind: of
-the ground, only the mud is hard to drive, since its bends hold half of the lateral acceleration. Its look shows it, as
-that of any ground.
+Both ways have about the same length and bends, on either side of the former trail; a random draw decides which is
+muddy. The other way is firm, like the trail before and behind, so that only the mud is hard to drive: it supports half
+the lateral acceleration in bends. Mud is visible like any other ground.
 """
 
 import numpy as np
@@ -11,56 +10,44 @@ from jaxtyping import Float
 from scipy.spatial import cKDTree
 
 from offpiste.logs.ground_truth import GROUND_KINDS
-from offpiste.simulation.world.noise import smooth_noise, smooth_step
+from offpiste.simulation.world.grids import Grid, Line, smooth_noise, smooth_step
 from offpiste.simulation.world.world import BareTerrain, Fork
 
 LENGTH = 60.0
 """Length of trail that becomes two ways [m]."""
-
 ASIDE = 8.0
-"""Distance of either way from where the trail ran, in the middle [m]."""
-
-WEAVE = 1.2
-"""Amplitude of the bends of both ways, to either side [m]."""
-
-WAVE = 24.0
-"""Length of two of these bends [m]: their radii are down to 7 m, about as those of the trails' own bends."""
-
+"""Distance of either way from the former trail, in the middle [m]."""
+WEAVE, WAVE = 1.2, 24.0
+"""Amplitude and wavelength of the bends of both ways [m]; their smallest radii, 7 m, are like those of the trails."""
 FREE = 12.0
-"""Least distance of both ways from other trails [m]."""
-
+"""Smallest distance of both ways from other trails [m]."""
 TIGHTEST = 7.0
 """Smallest radius of a bend of either way [m]."""
-
 MUD = (0.22, 0.78)
-"""Part of the muddy way that is mud; before and behind it the ways are too near to each other."""
-
+"""Section of the muddy way with mud; outside it, the ways are too close to each other."""
 FIRM = 45.0
-"""Length of trail before and behind a fork that is firm [m]."""
-
+"""Length of firm trail before and behind a fork [m]."""
 HALF_WIDTH = 4.0
-"""Half the width of the mud, and of firm ground [m]."""
-
+"""Half the width of the mud and of firm ground [m]."""
 KINDS = ("dirt_trail", "mud")
 """Kinds of firm ground and of mud."""
-
 WETNESS = 0.6
 """Wetness of the mud."""
 
 
 def fork_trails(
-    rng: np.random.Generator, trails: tuple[Float[np.ndarray, "_ 2"], ...], spacing: float
-) -> tuple[tuple[Float[np.ndarray, "_ 2"], ...], tuple[Fork, ...]]:
-    """Trails with a fork in each one, far from the others, where both ways are most alike in length and bends.
+    rng: np.random.Generator, trails: tuple[Line, ...], spacing: float
+) -> tuple[tuple[Line, ...], tuple[Fork, ...]]:
+    """Add a fork to each trail, far from other trails, where both ways are most alike in length and bends.
 
-    A trail without such a place stays as it is.
+    A trail without a suitable place is unchanged.
 
     Args:
         trails: closed loops.
-        spacing: of their points [m].
+        spacing: spacing of their points [m].
 
     Returns:
-        the loops, which begin with the left ways, and behind them a closed loop of both ways for each fork.
+        the loops, starting with the left ways, then a closed loop of both ways for each fork.
     """
     count, forks = round(LENGTH / spacing), []
     for number, loop in enumerate(trails):
@@ -86,14 +73,14 @@ def fork_trails(
 def lay_forks(
     rng: np.random.Generator,
     forks: tuple[Fork, ...],
-    trails: tuple[Float[np.ndarray, "_ 2"], ...],
+    trails: tuple[Line, ...],
     bare: BareTerrain,
-    ground: tuple[Float[np.ndarray, "K ny nx"], Float[np.ndarray, "ny nx"]],
+    ground: tuple[Float[np.ndarray, "K ny nx"], Grid],
 ) -> None:
-    """Lay firm ground on both ways of each fork and around it, and mud on one of them, in place.
+    """Lay firm ground on and around both ways of each fork, and mud on one of them, in place.
 
     Args:
-        trails: of `fork_trails`.
+        trails: result of `fork_trails`.
         ground: kinds and wetness.
     """
     kinds, wetness = ground
@@ -117,14 +104,14 @@ def lay_forks(
 def _around(
     line: Float[np.ndarray, "n 2"], bare: BareTerrain
 ) -> tuple[tuple[slice, slice], Float[np.ndarray, "ny nx 2"]]:
-    """Rows and columns of the nodes around a line, and their places [m]."""
+    """Slices of the rows and columns around a line, and the places of their nodes [m]."""
     low, high = line.min(axis=0) - 2 * HALF_WIDTH, line.max(axis=0) + 2 * HALF_WIDTH
     columns, rows = (slice(*np.searchsorted(at, (low[k], high[k]))) for k, at in enumerate((bare.x, bare.y)))
     return (rows, columns), np.stack(np.meshgrid(bare.x[columns], bare.y[rows]), axis=-1)
 
 
 def _ways(trail: Float[np.ndarray, "n 2"]) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2"]]:
-    """The two ways beside a piece of trail, mirror images where it is straight, winding, and leaving it gently."""
+    """Two winding ways beside a piece of trail, which leave it gently; mirror images where it is straight."""
     ahead = np.gradient(trail, axis=0)
     left = np.stack((-ahead[:, 1], ahead[:, 0]), axis=1) / np.linalg.norm(ahead, axis=1, keepdims=True)
     share = np.linspace(0, 1, len(trail))
@@ -134,7 +121,7 @@ def _ways(trail: Float[np.ndarray, "n 2"]) -> tuple[Float[np.ndarray, "n 2"], Fl
 
 
 def unevenness(left: Float[np.ndarray, "n 2"], right: Float[np.ndarray, "n 2"]) -> float:
-    """How far two ways differ in length [m] and in how much they turn, a radian as 5 m."""
+    """Difference of two ways in length [m] and total turning, where one radian counts as 5 m."""
     step, other = np.diff(left, axis=0), np.diff(right, axis=0)
     longer = np.linalg.norm(step, axis=1).sum() - np.linalg.norm(other, axis=1).sum()
     return float(abs(longer) + 5.0 * abs(_turning(step) - _turning(other)))

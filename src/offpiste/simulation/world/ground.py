@@ -1,4 +1,4 @@
-"""Kinds of ground: where they lie, and their properties (grounds.toml)."""
+"""Ground cover: kinds of ground with their properties (grounds.toml), trees, bushes and tall grass."""
 
 import tomllib
 from functools import cache
@@ -6,26 +6,33 @@ from importlib import resources
 
 import msgspec
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.ndimage import gaussian_filter
+from scipy.spatial import cKDTree
 
 from offpiste.logs.ground_truth import GROUND_KINDS, GROUND_PROPERTIES
-from offpiste.simulation.world.noise import smooth_noise, smooth_step
+from offpiste.simulation.world.grids import Axis, Grid, read_grid, smooth_noise, smooth_step
 from offpiste.simulation.world.terrain import HALF_WIDTH
-from offpiste.simulation.world.world import BareTerrain, WorldPreset
+from offpiste.simulation.world.world import BareTerrain, Bushes, Trees, WorldPreset
 
 PATCH_GRAIN = 13.0
-"""Grain of the patches [m]: the ground changes every 8 to 25 m."""
-
+"""Grain of the patches [m]; the ground changes every 8 to 25 m."""
 SHARPNESS = 20.0
 """Sharpness of the borders between kinds, which are about 1 m wide."""
+TREE_CLEARANCE = 3.0
+"""Distance of tree trunks from the edge of a trail [m]."""
+BUSH_DRAG = (100.0, 500.0)
+"""Force on a vehicle that drives through the smallest and the largest bush [N].
 
+An estimate, as no published value was found for single bushes; 500 N is a twentieth of the vehicle's weight.
+"""
 _GUMBEL = np.sqrt(6) / np.pi
-"""Scale of the Gumbel distribution with variance 1: with it, the largest of noise + scale log(w) has share about w."""
+"""Scale of a Gumbel distribution of variance 1; adding `scale log(w)` to its noise gives a kind a share of about w."""
+_GRASSY = {"dry_grass": 1.0, "wet_grass": 1.0, "loose_sand": 0.15, "packed_sand": 0.1, "dirt_trail": 0.25}
 
 
 class Property(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One property of one kind of ground at wetness 0 and 1, with the source of the numbers."""
+    """Property of a kind of ground at wetness 0 and 1, with the source of the numbers."""
 
     dry: float
     wet: float
@@ -40,7 +47,7 @@ class Colour(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class GroundKind(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One kind of ground: a table of grounds.toml, which explains the entries."""
+    """Kind of ground: a table of grounds.toml, which explains the entries."""
 
     friction: Property
     cornering_stiffness: Property
@@ -70,14 +77,12 @@ def colour_table() -> Float[np.ndarray, "2 K 3"]:
 
 
 def lay_grounds(
-    rng: np.random.Generator,
-    preset: WorldPreset,
-    bare: BareTerrain,
-) -> tuple[Float[np.ndarray, "K ny nx"], Float[np.ndarray, "ny nx"]]:
-    """Shares of the kinds at each node (they sum to 1), and wetness 0..1.
+    rng: np.random.Generator, preset: WorldPreset, bare: BareTerrain
+) -> tuple[Float[np.ndarray, "K ny nx"], Grid]:
+    """Shares of the kinds at each node, which sum to 1, and wetness 0..1.
 
-    Every kind has its own smooth noise; at each place the strongest wins, softly. Open ground and trails differ in how
-    often a kind wins, not in where its patches lie.
+    Each kind has its own smooth noise, and a soft maximum picks the strongest. A kind is more or less frequent on
+    trails than on open ground, but its patches continue across.
     """
     x, y, elevation, trail_distance = bare
     water = _water(rng, preset, x, y, elevation)
@@ -97,18 +102,16 @@ def lay_grounds(
     return kinds, np.clip(wetness, 0, 1).astype(np.float32)
 
 
-def mix_properties(
-    kinds: Float[np.ndarray, "K ny nx"], wetness: Float[np.ndarray, "ny nx"], contrast: float
-) -> Float[np.ndarray, "ny nx 4"]:
+def mix_properties(kinds: Float[np.ndarray, "K ny nx"], wetness: Grid, contrast: float) -> Float[np.ndarray, "ny nx 4"]:
     """Properties of mixed ground.
 
     Args:
-        kinds: shares; sum to 1.
-        contrast: 1 as in the table; 0: everywhere the mean over the table's kinds, half wet; between, in proportion.
+        kinds: shares, which sum to 1.
+        contrast: 1 uses the table; 0 uses its mean over kinds and wetness everywhere; interpolated in between.
     """
     table = property_table()
     mean = table.mean(axis=(0, 1))
-    # Deviations from the mean are mixed, so that without contrast not even rounding tells the kinds apart.
+    # Mix deviations from the mean, so that kinds are exactly equal without contrast.
     dry, wet = (contrast * (table - mean)).astype(np.float32)
     mixed = np.empty((*wetness.shape, len(GROUND_PROPERTIES)), np.float32)
     for p in range(len(GROUND_PROPERTIES)):
@@ -117,22 +120,16 @@ def mix_properties(
     return mixed
 
 
-def weighted_sum(kinds: Float[np.ndarray, "K ny nx"], weights: Float[np.ndarray, " K"]) -> Float[np.ndarray, "ny nx"]:
-    """Sum over the kinds, in their order: a matrix product's last bits would depend on the number of threads."""
+def weighted_sum(kinds: Float[np.ndarray, "K ny nx"], weights: Float[np.ndarray, " K"]) -> Grid:
+    """Weighted sum over the kinds in a fixed order; rounding in a matrix product depends on the number of threads."""
     total = np.zeros(kinds.shape[1:], np.float32)
     for share, weight in zip(kinds, weights, strict=True):
         total += np.float32(weight) * share
     return total
 
 
-def _water(
-    rng: np.random.Generator,
-    preset: WorldPreset,
-    x: Float[np.ndarray, " nx"],
-    y: Float[np.ndarray, " ny"],
-    elevation: Float[np.ndarray, "ny nx"],
-) -> Float[np.ndarray, "ny nx"]:
-    """Wetness before the ground is known, around the preset's: more where the terrain is low and level."""
+def _water(rng: np.random.Generator, preset: WorldPreset, x: Axis, y: Axis, elevation: Grid) -> Grid:
+    """Wetness before the effect of the kinds: the preset's on average, higher where the terrain is low and level."""
     step = x[1] - x[0]
     low = (elevation.mean() - elevation) / (elevation.std() + np.float32(0.1))
     slope = np.hypot(*np.gradient(gaussian_filter(elevation, 2.0 / step), step))
@@ -141,8 +138,79 @@ def _water(
 
 
 def _soft_maximum(strength: Float[np.ndarray, "K ny nx"]) -> None:
-    """Strengths to shares that sum to 1, in place."""
+    """Convert strengths to shares that sum to 1, in place."""
     strength -= strength.max(axis=0)
     strength *= np.float32(SHARPNESS)
     np.exp(strength, out=strength)
     strength /= strength.sum(axis=0)
+
+
+def plant_trees(rng: np.random.Generator, preset: WorldPreset, bare: BareTerrain) -> Trees:
+    """Trees in groves, at least `TREE_CLEARANCE` from trails and 3 m from each other."""
+    x, y, elevation, trail_distance = bare
+    place = _scatter(rng, preset.trees, x, y, grain=14.0, clumping=1.2)
+    away = _read(trail_distance, x, y, place) - (HALF_WIDTH + TREE_CLEARANCE)
+    place = place[away > 0.05 + (x[1] - x[0])]
+    place = place[_apart(place, 3.0)]
+    low, high = preset.tree_height
+    height = rng.uniform(low, high, len(place))
+    return Trees(
+        foot=np.column_stack((place, _read(elevation, x, y, place))),
+        trunk_radius=0.022 * height + rng.uniform(0.02, 0.08, len(place)),
+        crown_radius=height * rng.uniform(0.28, 0.45, len(place)),
+        height=height,
+    )
+
+
+def plant_bushes(rng: np.random.Generator, preset: WorldPreset, bare: BareTerrain) -> Bushes:
+    """Bushes in thickets; a few grow at the edges of trails, none in the middle."""
+    x, y, elevation, trail_distance = bare
+    place = _scatter(rng, preset.bushes, x, y, grain=9.0, clumping=0.9)
+    tolerated = smooth_step(_read(trail_distance, x, y, place), 0.6 * HALF_WIDTH, 2.0 * HALF_WIDTH)
+    place = place[rng.uniform(size=len(place)) < tolerated]
+    size = rng.beta(1.5, 3.0, len(place))
+    radius = 0.25 + 0.75 * size
+    least, most = BUSH_DRAG
+    return Bushes(
+        foot=np.column_stack((place, _read(elevation, x, y, place))),
+        radius=radius,
+        height=radius * rng.uniform(0.9, 1.7, len(place)),
+        drag=least + (most - least) * size,
+    )
+
+
+def grow_grass(
+    rng: np.random.Generator, preset: WorldPreset, bare: BareTerrain, kinds: Float[np.ndarray, "K ny nx"]
+) -> Grid:
+    """Height of tall grass in patches [m]: mostly on grassy ground, worn short on trails."""
+    x, y, _, trail_distance = bare
+    grassy = weighted_sum(kinds, np.array([_GRASSY.get(kind, 0.0) for kind in GROUND_KINDS]))
+    threshold = 1.2 - 2.4 * preset.grass  # of normal noise: the share above it is about `grass`
+    patches = smooth_step(smooth_noise(rng, x, y, 5.0) + 0.3 * smooth_noise(rng, x, y, 1.0), threshold, threshold + 1.0)
+    worn = smooth_step(trail_distance, 0.5 * HALF_WIDTH, 1.4 * HALF_WIDTH)
+    height = np.float32(preset.grass_height) * patches * smooth_step(grassy, 0.05, 0.9) * worn
+    return np.where(height < 0.05, 0, height).astype(np.float32)
+
+
+def _scatter(
+    rng: np.random.Generator, per_hectare: float, x: Axis, y: Axis, grain: float, clumping: float
+) -> Float[np.ndarray, "n 2"]:
+    """Random places with a smooth log-normal density and a given mean number per hectare."""
+    low, high = np.array([x[0], y[0]]), np.array([x[-1], y[-1]])
+    largest = 4.0
+    candidates = rng.poisson(per_hectare * np.prod(high - low) / 1e4 * largest)
+    place = rng.uniform(low, high, (candidates, 2))
+    density = np.exp(clumping * smooth_noise(rng, x, y, grain) - clumping**2 / 2)
+    return place[rng.uniform(0, largest, candidates) < _read(density, x, y, place)]
+
+
+def _apart(place: Float[np.ndarray, "n 2"], distance: float) -> Bool[np.ndarray, " n"]:
+    """Mask that drops places within `distance` of an earlier kept place."""
+    keep = np.ones(len(place), bool)
+    for first, second in sorted(cKDTree(place).query_pairs(distance)) if len(place) else ():
+        keep[second] &= not keep[first]
+    return keep
+
+
+def _read(grid: Grid, x: Axis, y: Axis, place: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
+    return read_grid(grid, (float(x[0]), float(y[0])), float(x[1] - x[0]), place)

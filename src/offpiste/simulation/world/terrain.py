@@ -6,32 +6,30 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial import cKDTree
 
 from offpiste.compilation import PHYSICS
-from offpiste.simulation.world.noise import smooth_noise, smooth_step
+from offpiste.simulation.world.grids import Axis, Grid, Line, smooth_noise, smooth_step
 from offpiste.simulation.world.world import WorldPreset
 
 SPACING = 0.5
 """Spacing of the points of a centre line [m]."""
-
 MARGIN = 15.0
-"""Least distance of a trail from the world's border [m]."""
-
+"""Smallest distance of a trail from the world's border [m]."""
 HALF_WIDTH = 2.0
 """Half the width of the driven surface [m]."""
-
 NEAR = 8.0
-"""Largest distance to a trail that is computed [m]."""
-
+"""Upper limit of computed distances to a trail [m]."""
 SHARPEST = (8.3, 11.0)
-"""Least and greatest radius of a loop's tightest bend, drawn uniformly [m]."""
+"""Range of the radius of a loop's tightest bend, drawn uniformly [m]."""
+STEEPEST = np.radians(39.0)
+"""Slope beyond which ground slumps [rad]."""
+RUT_OFFSET = 0.65
+"""Distance of each rut from the centre line: half the track of a side-by-side [m]."""
 
 
-def make_trails(rng: np.random.Generator, size: float) -> tuple[Float[np.ndarray, "_ 2"], ...]:
+def make_trails(rng: np.random.Generator, size: float) -> tuple[Line, ...]:
     """Centre lines of a connected network in a square of `size` metres around the origin.
 
-    One loop around the world, and smaller ones between its centre and its border, each of which crosses an earlier one.
-
-    Returns:
-        closed loops, counter-clockwise, points about `SPACING` apart, the first not repeated at the end.
+    One loop runs around the world; smaller loops between its centre and its border each cross an earlier one. Loops
+    are closed and counter-clockwise, with points about `SPACING` apart and the first not repeated at the end.
     """
     reach = size / 2 - MARGIN
     loops = [_loop(rng, np.zeros(2), reach)]
@@ -40,7 +38,7 @@ def make_trails(rng: np.random.Generator, size: float) -> tuple[Float[np.ndarray
     for i in range(smaller):
         extent = reach * rng.uniform(0.42, 0.5)
         angle = first + 2 * np.pi * i / smaller + rng.uniform(-0.3, 0.3)
-        # Drawn again, ever nearer to the border, until it crosses what is there.
+        # Draw again, each time nearer to the border, until it crosses an earlier loop.
         for away in np.linspace(0.5, 1.0, 26):
             direction = np.array([np.cos(angle), np.sin(angle)])
             centre = np.clip(away * reach * direction, extent - reach, reach - extent)
@@ -51,34 +49,20 @@ def make_trails(rng: np.random.Generator, size: float) -> tuple[Float[np.ndarray
     return tuple(loops)
 
 
-def distance_to_trails(
-    trails: tuple[Float[np.ndarray, "_ 2"], ...], places: Float[np.ndarray, "m 2"]
-) -> Float[np.ndarray, " m"]:
-    """Distance to the nearest centre line, `NEAR` where it is farther [m]."""
-    distance, _ = cKDTree(_dense(trails)).query(places, distance_upper_bound=NEAR)
-    return np.minimum(distance, NEAR).astype(np.float32)
-
-
-def trail_distance_grid(
-    trails: tuple[Float[np.ndarray, "_ 2"], ...], x: Float[np.ndarray, " nx"], y: Float[np.ndarray, " ny"]
-) -> Float[np.ndarray, "ny nx"]:
-    """`distance_to_trails` of the nodes of a grid [m]: from each point of the lines to the nodes around it.
+def trail_distance_grid(trails: tuple[Line, ...], x: Axis, y: Axis) -> Grid:
+    """Distance from the nodes of a grid to the nearest centre line, at most `NEAR` [m].
 
     Args:
         x, y: evenly spaced coordinates of the columns and rows [m].
     """
     square = np.full((len(y), len(x)), NEAR * NEAR)
-    _nearest_squares(_dense(trails), x, y, NEAR, square)
+    _nearest_squares(np.concatenate([resample(loop, 0.1) for loop in trails]), x, y, NEAR, square)
     return np.sqrt(square).astype(np.float32)
-
-
-def _dense(trails: tuple[Float[np.ndarray, "_ 2"], ...]) -> Float[np.ndarray, "n 2"]:
-    return np.concatenate([resample(loop, 0.1) for loop in trails])
 
 
 @PHYSICS.entry
 def _nearest_squares(points, x, y, reach, square):  # type: ignore[no-untyped-def]
-    """Lower each node's squared distance to that of the nearest point, if it lies within reach."""
+    """Squared distance of each node to the nearest point within reach, in place."""
     step_x, step_y = x[1] - x[0], y[1] - y[0]
     for p in range(len(points)):
         first = max(int((points[p, 0] - reach - x[0]) / step_x), 0)
@@ -93,7 +77,7 @@ def _nearest_squares(points, x, y, reach, square):  # type: ignore[no-untyped-de
 
 
 def resample(loop: Float[np.ndarray, "n 2"], spacing: float) -> Float[np.ndarray, "m 2"]:
-    """A closed loop with points evenly spaced along it, about `spacing` apart [m]."""
+    """Closed loop with evenly spaced points, about `spacing` apart [m]."""
     closed = np.concatenate((loop, loop[:1]))
     arc = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(closed, axis=0), axis=1))))
     at = np.linspace(0, arc[-1], max(round(arc[-1] / spacing), 8), endpoint=False)
@@ -101,15 +85,15 @@ def resample(loop: Float[np.ndarray, "n 2"], spacing: float) -> Float[np.ndarray
 
 
 def curvature(loop: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
-    """Curvature of a closed, evenly spaced loop, + to the left, from central differences [1/m]."""
+    """Curvature of a closed, evenly spaced loop by central differences, positive to the left [1/m]."""
     ahead, behind = np.roll(loop, -1, axis=0) - loop, loop - np.roll(loop, 1, axis=0)
     turn = np.arctan2(ahead[:, 0] * -behind[:, 1] + ahead[:, 1] * behind[:, 0], (ahead * behind).sum(axis=1))
     return turn / ((np.linalg.norm(ahead, axis=1) + np.linalg.norm(behind, axis=1)) / 2)
 
 
 def _loop(rng: np.random.Generator, centre: Float[np.ndarray, " 2"], extent: float) -> Float[np.ndarray, "n 2"]:
-    """r(angle) = 1 + a sum of waves, as wavy as the sharpest bend allows, scaled to the square +-extent."""
-    # Waves down to about 40 m long, whatever the loop's length.
+    """Loop r(angle) = 1 + sum of waves, as wavy as the sharpest bend allows, scaled to the square +-extent."""
+    # The shortest waves are about 40 m long.
     orders = np.arange(2, int(np.clip(extent / 6, 3, 24)) + 1)
     amplitude = rng.uniform(0.2, 1.0, len(orders)) / orders**0.9
     phase = rng.uniform(0, 2 * np.pi, len(orders))
@@ -136,16 +120,7 @@ def _cross(loop: Float[np.ndarray, "n 2"], others: Float[np.ndarray, "m 2"]) -> 
     return bool(near.any())
 
 
-STEEPEST = np.radians(39.0)
-"""Slope beyond which ground slumps [rad]."""
-
-RUT_OFFSET = 0.65
-"""Distance of each rut from the centre line: half the track of a side-by-side [m]."""
-
-
-def make_hills(
-    rng: np.random.Generator, preset: WorldPreset, x: Float[np.ndarray, " nx"], y: Float[np.ndarray, " ny"]
-) -> Float[np.ndarray, "ny nx"]:
+def make_hills(rng: np.random.Generator, preset: WorldPreset, x: Axis, y: Axis) -> Grid:
     """Elevation of the landscape without trails [m]."""
     elevation = np.zeros((len(y), len(x)), np.float32)
     for grain, height in preset.hills:
@@ -158,13 +133,13 @@ def make_hills(
 def carve_trails(
     rng: np.random.Generator,
     preset: WorldPreset,
-    x: Float[np.ndarray, " nx"],
-    y: Float[np.ndarray, " ny"],
-    elevation: Float[np.ndarray, "ny nx"],
-    trails: tuple[Float[np.ndarray, "_ 2"], ...],
-    trail_distance: Float[np.ndarray, "ny nx"],
-) -> Float[np.ndarray, "ny nx"]:
-    """Elevation with trails: level across, smooth along, in places with ditch and bank; ruts and roughness on top."""
+    x: Axis,
+    y: Axis,
+    elevation: Grid,
+    trails: tuple[Line, ...],
+    trail_distance: Grid,
+) -> Grid:
+    """Elevation with trails, level across and smooth along, with ditches and banks in places, ruts and roughness."""
     step = x[1] - x[0]
     bed = _trail_bed(gaussian_filter(elevation, 7.0 / step), trails, float(x[0]), float(y[0]), float(step))
     on_trail = smooth_step(trail_distance, HALF_WIDTH + 4.5, HALF_WIDTH + 0.2)
@@ -181,30 +156,26 @@ def carve_trails(
     return carved.astype(np.float32)
 
 
-def _dunes(
-    rng: np.random.Generator, x: Float[np.ndarray, " nx"], y: Float[np.ndarray, " ny"], height: float
-) -> Float[np.ndarray, "ny nx"]:
-    """Ridges across the wind (along y), sharp at the crest, where the noise is zero."""
+def _dunes(rng: np.random.Generator, x: Axis, y: Axis, height: float) -> Grid:
+    """Ridges along y with a sharp crest where the noise is zero."""
     noise = smooth_noise(rng, x, y, (16.0, 34.0))
     strength = 0.5 + smooth_step(smooth_noise(rng, x, y, 30.0), -1.0, 1.5) / 2
     return np.float32(height) * strength * np.exp(-np.sqrt(2.5 * noise**2 + np.float32(0.02)))
 
 
-def _banks(
-    rng: np.random.Generator, x: Float[np.ndarray, " nx"], y: Float[np.ndarray, " ny"], height: float
-) -> Float[np.ndarray, "ny nx"]:
-    """Steps along the zero line of a noise, about as steep as earth stands, in some places only."""
+def _banks(rng: np.random.Generator, x: Axis, y: Axis, height: float) -> Grid:
+    """Steps along the zero line of a noise, about as steep as earth stands, in some places."""
     noise = smooth_noise(rng, x, y, 22.0)
     slope_y, slope_x = np.gradient(noise, x[1] - x[0])
     from_line = noise / np.maximum(np.hypot(slope_x, slope_y), np.float32(0.02))
     present = smooth_step(smooth_noise(rng, x, y, 16.0), 0.2, 1.0)
-    half = 0.75 * height / np.tan(STEEPEST)  # smooth_step is 1.5 times as steep in its middle as on average
+    half = 0.75 * height / np.tan(STEEPEST)  # smooth_step is 1.5 times as steep in the middle as on average
     return np.float32(height) * present * (smooth_step(from_line, -half, half) - np.float32(0.5))
 
 
 @PHYSICS.entry
 def _slump(elevation, rise):  # type: ignore[no-untyped-def]
-    """Lower nodes that are more than `rise` above a neighbour, in place, until none is (a chamfer sweep)."""
+    """Lower nodes in place until none is more than `rise` above a neighbour (chamfer sweeps)."""
     ny, nx = elevation.shape
     diagonal = rise * np.float32(np.sqrt(2.0))
     changed = True
@@ -229,17 +200,11 @@ def _slump(elevation, rise):  # type: ignore[no-untyped-def]
                         changed = True
 
 
-def _trail_bed(
-    smoothed: Float[np.ndarray, "ny nx"],
-    trails: tuple[Float[np.ndarray, "_ 2"], ...],
-    x0: float,
-    y0: float,
-    step: float,
-) -> Float[np.ndarray, "ny nx"]:
-    """Mean elevation of the centre lines around each place, weighted by a Gaussian.
+def _trail_bed(smoothed: Grid, trails: tuple[Line, ...], x0: float, y0: float, step: float) -> Grid:
+    """Gaussian-weighted mean elevation of the centre lines around each place.
 
-    Beside a straight trail the weights along it do not depend on the distance, so the bed is level across;
-    where trails cross it passes smoothly from one to the other.
+    The bed is level across a straight trail, since the weights along it do not depend on the distance, and smooth where
+    trails cross.
     """
     lines = np.concatenate([resample(loop, step / 2) for loop in trails])
     column, row = np.round((lines - [x0, y0]) / step).astype(int).T
@@ -250,5 +215,5 @@ def _trail_bed(
     return np.where(weight > 1e-7, total / np.maximum(weight, np.float32(1e-7)), smoothed)
 
 
-def _bump(distance: Float[np.ndarray, "ny nx"], at: float, width: float) -> Float[np.ndarray, "ny nx"]:
+def _bump(distance: Grid, at: float, width: float) -> Grid:
     return np.exp(np.float32(-0.5) * ((distance - np.float32(at)) / np.float32(width)) ** 2)

@@ -1,7 +1,6 @@
-"""A world: its settings and presets, and the grids, trails and plants that everything drives on and looks at.
+"""A world: its settings and presets, and its grids, trails and plants.
 
-The shipped worlds follow the sites where the paper's vehicle drove. They are made to look and drive like such country;
-nothing was measured there.
+The shipped worlds resemble the sites where the paper's vehicle drove; they are not based on measurements.
 """
 
 import tomllib
@@ -20,6 +19,7 @@ from offpiste.core.field_names import suggestion
 from offpiste.core.limits import parsed, read_small
 from offpiste.core.registry import Registry
 from offpiste.logs.ground_truth import GROUND_KINDS
+from offpiste.simulation.world.grids import Axis, Grid, Line
 
 
 @dataclass(frozen=True)
@@ -27,14 +27,14 @@ class WorldSettings:
     """Settings of a world; the same settings make the same world.
 
     Attributes:
-        preset: a world's name (`preset.WORLDS`), or the path of a TOML file.
-        seed: seed of everything random in it.
-        grip_contrast: 1: ground as in grounds.toml; 0: all of it drives like the mean; between, in proportion.
-        appearance_noise: how far light, shade, colour and texture vary for reasons that have nothing to do with grip.
+        preset: name of a world in `WORLDS`, or path of a TOML file.
+        seed: random seed.
+        grip_contrast: 1 uses grounds.toml; 0 uses the mean properties everywhere; interpolated in between.
+        appearance_noise: scale of variations of light, colour and texture that are unrelated to grip.
         size: side of the square [m].
         resolution: distance between nodes [m].
-        relief: factor of the height of hills.
-        forks: whether trails part into two ways, one of them through mud (`world.forks`).
+        relief: factor on the height of hills.
+        forks: whether trails have forks (`world.forks`).
     """
 
     preset: str = "mojave"
@@ -48,100 +48,65 @@ class WorldSettings:
 
     @property
     def name(self) -> str:
-        """The world's name: that of its preset, or its file's without folder and suffix."""
+        """Name of the preset, or of its file without folder and suffix."""
         return Path(self.preset).stem if self.preset.endswith(".toml") else self.preset
 
 
 class BareTerrain(NamedTuple):
-    """Terrain before anything grows on it.
+    """Terrain without plants."""
 
-    Attributes:
-        x, y: places of the nodes [m].
-        elevation: of each node [m].
-        trail_distance: from each node to the middle of the nearest trail [m].
-    """
-
-    x: Float[np.ndarray, " nx"]
-    y: Float[np.ndarray, " ny"]
-    elevation: Float[np.ndarray, "ny nx"]
-    trail_distance: Float[np.ndarray, "ny nx"]
+    x: Axis  # coordinates of the columns and rows [m]
+    y: Axis  # coordinates of the columns and rows [m]
+    elevation: Grid  # elevation of each node [m]
+    trail_distance: Grid  # distance from each node to the centre line of the nearest trail [m]
 
 
 @dataclass(frozen=True)
 class Trees:
-    """Trees: obstacles.
+    """Trees, which are obstacles."""
 
-    Attributes:
-        foot: where the trunk leaves the ground, in the world frame [m].
-        trunk_radius, crown_radius, height: [m].
-    """
-
-    foot: Float[np.ndarray, "n 3"]
-    trunk_radius: Float[np.ndarray, " n"]
-    crown_radius: Float[np.ndarray, " n"]
-    height: Float[np.ndarray, " n"]
+    foot: Float[np.ndarray, "n 3"]  # foot of the trunk in the world frame [m]
+    trunk_radius: Float[np.ndarray, " n"]  # [m]
+    crown_radius: Float[np.ndarray, " n"]  # [m]
+    height: Float[np.ndarray, " n"]  # [m]
 
 
 @dataclass(frozen=True)
 class Bushes:
-    """Bushes: plants that a vehicle can drive through with a little drag.
+    """Bushes, which slow a vehicle that drives through them."""
 
-    Attributes:
-        foot: where they stand, in the world frame [m].
-        radius, height: [m].
-        drag: force on a vehicle that drives through one [N].
-    """
-
-    foot: Float[np.ndarray, "n 3"]
-    radius: Float[np.ndarray, " n"]
-    height: Float[np.ndarray, " n"]
-    drag: Float[np.ndarray, " n"]
+    foot: Float[np.ndarray, "n 3"]  # foot in the world frame [m]
+    radius: Float[np.ndarray, " n"]  # [m]
+    height: Float[np.ndarray, " n"]  # [m]
+    drag: Float[np.ndarray, " n"]  # force on a vehicle that drives through the bush [N]
 
 
 @dataclass(frozen=True)
 class Fork:
-    """Two ways of a trail between the same two points (`world.forks`).
+    """Two ways of a trail between the same end points (`world.forks`)."""
 
-    Attributes:
-        loop: index of the trail that begins with the left way.
-        left, right: points of the ways, the first and the last in common [m].
-        muddy: the way through mud: 0 left, 1 right.
-    """
-
-    loop: int
-    left: Float[np.ndarray, "n 2"]
+    loop: int  # index of the trail that begins with the left way
+    left: Float[np.ndarray, "n 2"]  # points of the ways [m]; the first and last points are shared
     right: Float[np.ndarray, "n 2"]
-    muddy: int
+    muddy: int  # way through mud: 0 left, 1 right
 
 
 @dataclass(frozen=True)
 class World:
-    """A square of ground; node [j, i] of its grids lies at (origin[0] + i resolution, origin[1] + j resolution).
-
-    Attributes:
-        origin: x, y of node [0, 0] in the world frame [m].
-        resolution: distance between nodes [m].
-        elevation: height of the ground [m].
-        kinds: share of each of `logs.ground_truth.GROUND_KINDS`; they sum to 1.
-        wetness: 0 dry ... 1 wet.
-        properties: values of `logs.ground_truth.GROUND_PROPERTIES`, mixed from kinds and wetness, contrast applied.
-        grass_height: height of tall grass, 0 where there is none [m].
-        trails: centre lines, in the order of driving [m].
-        forks: where trails part into two ways.
-    """
+    """Square of ground; node [j, i] of its grids lies at (origin[0] + i resolution, origin[1] + j resolution)."""
 
     settings: WorldSettings
-    origin: tuple[float, float]
-    resolution: float
-    elevation: Float[np.ndarray, "ny nx"]
-    kinds: Float[np.ndarray, "K ny nx"]
-    wetness: Float[np.ndarray, "ny nx"]
-    properties: Float[np.ndarray, "ny nx 4"]
-    grass_height: Float[np.ndarray, "ny nx"]
+    origin: tuple[float, float]  # x, y of node [0, 0] in the world frame [m]
+    resolution: float  # distance between nodes [m]
+    elevation: Grid  # height of the ground [m]
+    kinds: Float[np.ndarray, "K ny nx"]  # shares of `logs.ground_truth.GROUND_KINDS`, which sum to 1
+    wetness: Grid  # 0 dry ... 1 wet
+    properties: Float[np.ndarray, "ny nx 4"]  # values of `logs.ground_truth.GROUND_PROPERTIES` after grip contrast
+    grass_height: Grid  # height of tall grass, 0 where there is none [m]
     trees: Trees
     bushes: Bushes
-    trails: tuple[Float[np.ndarray, "_ 2"], ...]
-    forks: tuple[Fork, ...] = ()
+    trails: tuple[Line, ...]  # centre lines in driving order [m]
+    forks: tuple[Fork, ...] = ()  # forks of the trails
 
 
 _RANGES: Final = {
@@ -151,27 +116,27 @@ _RANGES: Final = {
     "grass_height": (0.0, 10.0),
     "grip": (0.0, 5.0),
 }
-"""Smallest and largest values of a preset, in its units."""
+"""Allowed ranges of a preset's values, in its units."""
 
 
 class WorldPreset(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What a world's landscape is made of; the seed decides on everything else.
+    """Landscape of a world; the seed decides everything else.
 
     Attributes:
         hills: (grain [m], height [m]) of layers of smooth noise; a bump is about three grains wide.
         dunes: height of ridges with sharp crests [m].
-        bank: height of steep steps in the open ground [m].
-        ditch: depth of the ditches beside trails [m].
-        rut: depth of the ruts [m].
-        roughness: standard deviation of the open ground's unevenness [m].
-        open_ground, trail_ground: approximate shares of the kinds of ground; they need not sum to 1.
-        wetness: mean, 0..1.
+        bank: height of steep steps in open ground [m].
+        ditch: depth of ditches beside trails [m].
+        rut: depth of ruts [m].
+        roughness: standard deviation of unevenness in open ground [m].
+        open_ground, trail_ground: approximate shares of kinds of ground; they need not sum to 1.
+        wetness: mean wetness, 0..1.
         wetness_spread: approximate standard deviation of the wetness.
         trees, bushes: number per hectare.
-        tree_height: lowest, highest [m].
-        grass: share of the grassy ground with tall grass.
+        tree_height: lowest and highest [m].
+        grass: share of grassy ground with tall grass.
         grass_height: height of the tallest grass [m].
-        grip: factor of the grip contrast; 0: ground looks different but drives the same.
+        grip: factor on the grip contrast; at 0, kinds of ground look different but drive the same.
     """
 
     hills: tuple[tuple[float, float], ...]
@@ -200,19 +165,19 @@ class WorldPreset(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             if not low <= value <= high:
                 raise ValueError(f"{name} is {value:g}, not between {low:g} and {high:g}")
         if not all(1 <= grain <= 1000 and abs(height) <= 100 for grain, height in self.hills):
-            raise ValueError("hills are pairs of a grain from 1 to 1000 m and a height of at most 100 m")
+            raise ValueError("hills must be pairs of a grain (1 to 1000 m) and a height (at most 100 m)")
         if not 0 < self.tree_height[0] <= self.tree_height[1] <= 100:
-            raise ValueError("tree_height is not a lowest and a highest from 0 to 100 m")
+            raise ValueError("tree_height must be a lowest and a highest value from 0 to 100 m")
         for shares in (self.open_ground, self.trail_ground):
             if not (all(0 <= share <= 1e3 for share in shares.values()) and sum(shares.values()) > 0):
-                raise ValueError("shares of open_ground and trail_ground are numbers from 0 on, and not all 0")
+                raise ValueError("shares of open_ground and trail_ground must be non-negative and not all 0")
 
 
 def read_world_preset(file: Path | Traversable) -> WorldPreset:
-    """A world preset from a TOML file.
+    """Read a world preset from a TOML file.
 
     Raises:
-        OffpisteError: the file is missing, is not TOML, or a key is missing, unknown or wrong.
+        OffpisteError: the file is missing or not TOML, or a key is missing, unknown or wrong.
     """
     try:
         return msgspec.convert(parsed(read_small(file), tomllib.loads), WorldPreset)
@@ -234,10 +199,10 @@ for _file in sorted(resources.files(__package__).joinpath("presets").iterdir(), 
 
 
 def find_world_preset(world: str) -> WorldPreset:
-    """The preset of a world that is given by its name, or by the path of a TOML file.
+    """Preset of a world, given by name or by the path of a TOML file.
 
     Raises:
-        OffpisteError: there is no such name or file, or the file is wrong.
+        OffpisteError: the name or file does not exist, or the file is wrong.
     """
     if world.endswith(".toml"):
         return read_world_preset(Path(world))

@@ -4,7 +4,7 @@ import numpy as np
 from offpiste.logs.ros.sensor_messages import points_from_message
 from offpiste.logs.ros.writer import message_types
 from offpiste.rig.camera import CameraModel
-from offpiste.simulation.sensors.messages import camera_info_message, image_message, points_message
+from offpiste.simulation.messages import camera_info_message, image_message, points_message
 
 STAMP = 1_700_000_000_250_000_000
 

@@ -1,1 +1,0 @@
-"""Kinds of courses; each registers where it is defined."""
