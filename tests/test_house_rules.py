@@ -12,8 +12,8 @@ SOURCES = sorted(
 SHARED_LINES = 6
 LONGEST_FUNCTION = 80
 LIMITS = {
-    "src": 75_600,
-    "tests": 55_800,
+    "src": 74_700,
+    "tests": 55_200,
     "experiments": 8_800,
     "benchmarks": 2_600,
     "docs [bytes]": 370_000,
