@@ -9,18 +9,18 @@ from offpiste.cli.entry import COMMANDS
 @COMMANDS.register("demo")
 @dataclass(frozen=True)
 class Demo:
-    """Show shipped models at work in a new world, in a minute or two; or train some (needs the extra `sim`)."""
+    """Show shipped models in a new world, in a minute or two; or train new ones (needs the extra `sim`)."""
 
     out: Path = Path("demo")
-    """Folder for everything that it makes."""
+    """Folder for all results."""
     seed: int = 0
-    """Seed of the world; with --train of the worlds, the drives and the training."""
+    """Seed of the world; with --train, of worlds, drives and training."""
     train: bool = False
-    """Instead walk the whole path: simulate, inspect, fit-pca, extract, train, evaluate, drive; ten minutes."""
+    """Run the whole path instead: simulate, inspect, fit-pca, extract, train, evaluate, drive; ten minutes."""
     seconds: float = 60.0
-    """For --train: length of each of seven drives [s]."""
+    """With --train: length of each of the seven drives [s]."""
     epochs: int = 12
-    """For --train: passes over the training windows."""
+    """With --train: passes over the training windows."""
 
     def run(self) -> int:
         """Drive, predict, compare; or simulate, train, evaluate, drive."""

@@ -8,7 +8,7 @@ from offpiste.cli.entry import COMMANDS
 @COMMANDS.register("warm-up")
 @dataclass(frozen=True)
 class WarmUp:
-    """Compile all kernels ahead, about a minute after an installation; what is compiled already is only loaded."""
+    """Compile all kernels in advance, in about a minute after an installation; cached kernels are only loaded."""
 
     def run(self) -> int:
         """Compile, part by part."""
