@@ -143,21 +143,6 @@ def test_other_files_are_refused_in_one_line(tmp_path: Path, content: str | None
     assert "\n" not in str(caught.value)
 
 
-def test_an_interrupted_write_leaves_what_was_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = tmp_path / "metrics.json"
-    write_metrics(path, metrics(row()))
-    before = path.read_bytes()
-
-    def interrupted(*_: object, **__: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(Path, "write_bytes", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        write_metrics(path, metrics(row(seed=1)))
-    assert path.read_bytes() == before
-    assert [file.name for file in tmp_path.iterdir()] == ["metrics.json"]
-
-
 def test_rows_over_all_runs_are_told_from_single_runs() -> None:
     over_all, first, second = row(seed=None), row(seed=0), row(seed=1)
     alone = row(model="parametric", seed=0)

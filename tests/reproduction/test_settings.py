@@ -22,6 +22,7 @@ from offpiste.reproduction.settings import (
 )
 from offpiste.reproduction.steps import claim_folder
 from offpiste.simulation.world.world import find_world_preset
+from offpiste.training.checkpoint import save_json
 
 sizes = pytest.mark.parametrize("size", SIZES.values(), ids=list(SIZES))
 
@@ -154,6 +155,9 @@ def test_a_dataset_is_known_by_its_content(tmp_path: Path):
         for name in ("one", "elsewhere", "other")
     )
     claim_folder(one.out, one.described())
+    claim_folder(same.out, same.described())
+    before = one.described()
+    save_json(one.out / "settings.json", {**before, "size": {**before["size"], "removed": 0.0}})
     claim_folder(same.out, same.described())
     with pytest.raises(RunError, match=r"other settings \(dataset\)"):
         claim_folder(other.out, other.described())

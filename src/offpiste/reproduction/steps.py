@@ -65,12 +65,12 @@ def _filled(there: dict[str, Any], wanted: dict[str, Any], defaults: dict[str, A
 
 
 def _differing(name: str, there: Any, wanted: Any) -> Iterator[str]:
-    """Yield the names of differing settings, nested ones with dots."""
+    """Yield the names of differing settings, nested ones with dots; settings that no longer exist are ignored."""
     if not (isinstance(there, dict) and isinstance(wanted, dict)):
         if there != wanted:
             yield name
         return
-    for key in sorted({*there, *wanted}):
+    for key in sorted(wanted):
         yield from _differing(f"{name}.{key}".lstrip("."), there.get(key), wanted.get(key))
 
 

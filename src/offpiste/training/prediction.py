@@ -231,7 +231,7 @@ def path_terrain(windows: Windows, index: Int[np.ndarray, " B"]) -> PathTerrain:
 def on_map(
     dynamics: Dynamics, windows: Windows, index: Int[np.ndarray, " B"], batch: Batch
 ) -> tuple[Batch, TerrainSource]:
-    """Return the ground as a planner reads it: on the map, or without any the slope of the driven path.
+    """Return the ground as a planner reads it: on the map or, without a map, the slope of the driven path.
 
     The ground under the wheels before the start is read from the map as well: hindsight would know more.
 
