@@ -358,7 +358,7 @@ def test_a_model_that_diverges_is_reported_as_failed_not_dropped(dataset: Datase
 def test_the_report_counts_each_failed_prediction_once(dataset: Dataset) -> None:
     runs = [EvaluatedModel("b", Broken(COMMANDED), seed=seed) for seed in (0, 1)]
     found = evaluate_models(runs, dataset, **QUICK, starts=("causal",), lookups=("map",)).metrics
-    assert report_page(found, {}).facts["failed"].startswith(f"predictions that are not finite: {2 * found.windows.n};")
+    assert report_page(found, {}).facts["failed"].startswith(f"{2 * found.windows.n} predictions are not finite")
 
 
 def test_folds_cover_every_window_once_and_all_together(dataset: Dataset) -> None:
