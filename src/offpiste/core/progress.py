@@ -1,9 +1,11 @@
 """What a person sees: progress bars with the time left on a terminal, log messages, results on standard output."""
 
 import logging
+import sys
 from collections.abc import Callable, Generator, Iterable, Iterator, Sized
 from contextlib import contextmanager
-from typing import Protocol, TypeVar, runtime_checkable
+from time import monotonic
+from typing import Final, Protocol, TypeVar, runtime_checkable
 
 from rich.console import Console
 from rich.progress import (
@@ -16,6 +18,8 @@ from rich.progress import (
 )
 
 Item = TypeVar("Item")
+EVERY: Final = 15.0
+"""Time between two lines of progress where standard error is no terminal [s]."""
 
 
 @runtime_checkable
@@ -27,14 +31,36 @@ class Track(Protocol):
         ...
 
 
+class _Lines:
+    """Occasional lines of progress on standard error, for output that goes to a file."""
+
+    def __init__(self, description: str) -> None:
+        self._description, self._begun = description, monotonic()
+        self._next = self._begun + EVERY
+
+    def update(self, done: float, total: float | None, *, in_percent: bool = False) -> None:
+        """Print a line if `EVERY` seconds have passed since the last one, or since the beginning."""
+        now = monotonic()
+        if now < self._next:
+            return
+        self._next, spent = now + EVERY, now - self._begun
+        what = f"{done:.0f}" if total is None else f"{done:.0f} of {total:.0f} ({done / total:.0%})"
+        what = f"{done / total:.0%}" if in_percent and total else what
+        left = f", {spent * (total / done - 1):.0f} s left" if total and done else ""
+        print(f"{self._description}: {what} after {spent:.0f} s{left}", file=sys.stderr, flush=True)  # noqa: T201
+
+
 def track(items: Iterable[Item], description: str, *, total: int | None = None) -> Generator[Item, None, None]:
-    """Yield the items, with a progress bar on standard error while it is a terminal."""
+    """Yield the items, with progress on standard error: a bar on a terminal, elsewhere a line now and then."""
     console = Console(stderr=True)
-    if not console.is_terminal:
-        yield from items
-        return
     if total is None and isinstance(items, Sized):
         total = len(items)
+    if not console.is_terminal:
+        lines = _Lines(description)
+        for done, item in enumerate(items):
+            lines.update(done, total)
+            yield item
+        return
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True) as progress:
         yield from progress.track(items, total=total, description=description)
@@ -42,12 +68,21 @@ def track(items: Iterable[Item], description: str, *, total: int | None = None) 
 
 @contextmanager
 def jobs_bar(total: int, description: str) -> Iterator[Callable[[int, float], None]]:
-    """One progress bar over jobs that run side by side; the function it gives takes a job's number and share done."""
+    """Progress of jobs that run side by side, as `track` shows it.
+
+    The function it gives takes a job's number and share done.
+    """
     console = Console(stderr=True)
-    if not console.is_terminal:
-        yield lambda number, share: None
-        return
     done = [0.0] * total
+    if not console.is_terminal:
+        lines = _Lines(description)
+
+        def report(number: int, share: float) -> None:
+            done[number] = share
+            lines.update(sum(done), total, in_percent=True)
+
+        yield report
+        return
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True) as progress:
         task = progress.add_task(description, total=float(total))
