@@ -9,7 +9,7 @@ from offpiste.core.channels import ACTUATORS, CONTROLS, all_actuators, all_contr
 from offpiste.inspection.commanded_motion import COMMANDED, is_asked_for, motion_commands
 from offpiste.inspection.field_groups import are_quaternions, field_groups, fours
 from offpiste.logs.log import Log, Topic
-from offpiste.logs.transforms import frame_pair
+from offpiste.logs.transforms import STAMPED, frame_pair
 from offpiste.rig.labels import (
     COURSE_NAMES,
     PRESSURES,
@@ -165,6 +165,12 @@ class Guess:
     in_hand: bool = False
 
 
+def _is_of_a_body(part: Topic) -> bool:
+    """Whether a part of a topic is the transform of a body; of senders that take turns, the whole topic is guessed."""
+    pair = frame_pair(part.name)
+    return part.type == STAMPED and pair is not None and pair.is_of_a_body
+
+
 def guess_channels(log: Log) -> list[Guess]:
     """All guesses that names, units and types suggest, in the log's order, the nearest names first.
 
@@ -172,7 +178,7 @@ def guess_channels(log: Log) -> list[Guess]:
     comes `_SELDOM` as often as another of its channel is last, as from a monitor of the vehicle's state.
     Transforms are guessed from where their frames are named like a body in a world.
     """
-    topics = [one for one in log.topics.values() if (pair := frame_pair(one.name)) is None or pair.is_of_a_body]
+    topics = [one for one in log.topics.values() if not one.part_of or _is_of_a_body(one)]
     guesses = [guess for topic in topics if topic.count > 1 for guess in _of_topic(log, topic)]
     count = {name: topic.count for name, topic in log.topics.items()}
     most = {g.channel: max(count[other.topic] for other in guesses if other.channel == g.channel) for g in guesses}

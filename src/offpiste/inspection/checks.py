@@ -1,7 +1,7 @@
 """The list of all checks of channels: a new check is a function in a file of its own, and an entry here."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Final
 
@@ -26,13 +26,16 @@ from offpiste.inspection.ranges import check_ranges
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.inspection.resolution import check_resolution
 from offpiste.inspection.saturation import check_saturation
+from offpiste.inspection.senders import check_senders
+from offpiste.inspection.several_clocks import check_rates, check_steps
 from offpiste.inspection.signals import channel_signals, check_signals, other_signals
-from offpiste.inspection.stamps import check_headers, check_stamps
+from offpiste.inspection.stamps import MISSING, check_headers, check_stamps
 from offpiste.inspection.steering import check_steering, check_upside_down
 from offpiste.inspection.steering_copies import check_computed_pose, check_copies
 from offpiste.inspection.steering_fit import SteeringFit, steering_fits
 from offpiste.inspection.velocity import check_linear_velocity, check_turn_rate, check_wheel_speed
 from offpiste.logs.drive import Drive
+from offpiste.logs.log import SetBack, Topic
 from offpiste.rig.channels import Clock
 from offpiste.rig.rig import Rig
 
@@ -45,11 +48,15 @@ class Topics:
         recorded: all topics with numbers, by name.
         rig: the one that is given, or a drafted one; None where none could be drafted.
         given: whether the rig is given.
+        listed: all topics of the log, and parts of them.
+        set_back: step back of the recorder's clock.
     """
 
     recorded: dict[str, Recorded]
     rig: Rig | None
     given: bool
+    listed: Mapping[str, Topic] = field(default_factory=dict)
+    set_back: SetBack | None = None
 
     @property
     def clock(self) -> Clock:
@@ -69,6 +76,11 @@ class Topics:
         """Topics that are silent while what they say stays, as the rig has it."""
         channels = self.rig.channels.values() if self.rig else ()
         return {source.topic for source in channels} - {s.topic for s in channels if s.interpolation != "on change"}
+
+    @cached_property
+    def senders(self) -> list[Finding]:
+        """Findings on topics with several senders, which other checks read."""
+        return check_senders(self.listed, self.inspected, self.rig, used=self.used)
 
     @property
     def inspected(self) -> dict[str, Recorded]:
@@ -145,16 +157,27 @@ def _unread(topics: Topics) -> list[Finding]:
     return check_unread(topics.recorded, topics.rig) if topics.rig is not None else []
 
 
+def _senders(topics: Topics) -> list[Finding]:
+    return topics.senders
+
+
 def _stamps(topics: Topics) -> list[Finding]:
     changing = _on_change(topics)
     silent = topics.silent | {finding.where for finding in changing}
     channels = topics.rig.channels if topics.rig else {}
     alone = check_stamps(topics.inspected, topics.clock, used=topics.used, silent=silent, channels=channels)
-    return changing + alone + check_headers(topics.inspected, topics.clock, used=topics.used)
+    several = {finding.where for finding in topics.senders} | {part.part_of for part in topics.listed.values()}
+    alone = [f for f in alone if f.what != MISSING or f.where not in several]
+    between = check_steps(topics.inspected, topics.clock, used=topics.used, set_back=topics.set_back)
+    if topics.rig is not None:
+        pose = topics.rig.channels["position"].topic
+        between += check_rates(topics.inspected, pose, topics.clock, used=topics.used)
+    return changing + alone + between + check_headers(topics.inspected, topics.clock, used=topics.used)
 
 
 TOPIC_CHECKS: Final[tuple[Callable[[Topics], list[Finding]], ...]] = (
     _missing,
+    _senders,
     _signals,
     _ranges,
     _dropped,

@@ -33,7 +33,8 @@ from offpiste.inspection.draft_values import (
 from offpiste.inspection.driven_path import driven_path
 from offpiste.inspection.gear import reverses_by_pedal
 from offpiste.inspection.missing import no_pose
-from offpiste.inspection.recorded_log import is_bulk
+from offpiste.inspection.recorded_log import ReceivedLog, is_bulk
+from offpiste.inspection.several_clocks import read_by_arrival
 from offpiste.inspection.steering_scale import MAX_STEERS
 from offpiste.inspection.velocity import fit_frames
 from offpiste.logs.channel import read_channel
@@ -130,6 +131,9 @@ def draft_rig(log: Log) -> str:
     """
     text = _text(log, _Seen())
     rig = parse_rig(text, where="the drafted rig")
+    if read_by_arrival(log, rig):  # as the remedy has it
+        log = ReceivedLog(log)
+        rig = parse_rig(text := _text(log, _Seen()), where="the drafted rig")
     posed = pose_cure(log, rig)
     plain = _is_plain(log, edited(rig, posed))
     if plain:

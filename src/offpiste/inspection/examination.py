@@ -61,7 +61,7 @@ def examine(log: RememberedLog, rig: Rig | None, *, given: bool, again: bool = F
     """
     log = log.by(rig.clock) if rig else log
     recorded, findings = read_topics(log, rig, again=again)
-    topics = Topics(recorded, rig, given=given)
+    topics = Topics(recorded, rig, given=given, listed=log.topics, set_back=log.set_back)
     if given:
         findings = [f for f in findings if f.where in {name or "table" for name in topics.used}]
     for check in TOPIC_CHECKS:
@@ -79,7 +79,7 @@ def _check_driving(log: Log, topics: Topics, rig: Rig) -> tuple[list[Finding], D
     findings: list[Finding] = []
     if pose in topics.inspected:
         spans = topics.inspected, pose
-        findings += check_spans(*spans, used=topics.given, channels=rig.channels, silent=topics.silent)
+        findings += check_spans(*spans, rig.clock, used=topics.given, channels=rig.channels, silent=topics.silent)
     tilted = _check_orientation(topics.recorded, rig)
     findings += tilted
     try:

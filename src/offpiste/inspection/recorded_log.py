@@ -16,8 +16,8 @@ from offpiste.core.errors import LogError
 from offpiste.core.progress import track
 from offpiste.inspection.findings import Finding
 from offpiste.logs.kept_rows import increasing
-from offpiste.logs.log import Log, Samples, Topic
-from offpiste.logs.transforms import frame_pair, listed
+from offpiste.logs.log import Log, Samples, SetBack, Topic
+from offpiste.logs.transforms import STAMPED, frame_pair, listed
 from offpiste.rig.channels import SECONDS_PER_UNIT, Clock
 from offpiste.rig.labels import is_array_entry
 from offpiste.rig.rig import Rig
@@ -85,13 +85,19 @@ class RememberedLog(Log):
         self._opened, self._per_stamp = log.clock, 1.0
         read = {source.topic for source in self._sources}
         self.near = _nearest(read - set(log.topics), [name for name, topic in log.topics.items() if topic.part_of])
-        kept = {*listed(log.topics), *read, *self.near}
+        senders = [name for name, topic in log.topics.items() if topic.part_of and topic.type != STAMPED]
+        kept = {*listed(log.topics), *read, *self.near, *senders}
         self._topics = {name: topic for name, topic in log.topics.items() if name in kept}
 
     @property
     def clock(self) -> Clock:
         """The other log's clock."""
         return self._opened
+
+    @property
+    def set_back(self) -> SetBack | None:
+        """The other log's step back."""
+        return self._log.set_back
 
     def by(self, clock: Clock) -> "RememberedLog":
         """The same samples, their stamps in the unit of another clock where the format has no unit of its own.
@@ -147,6 +153,23 @@ class RememberedLog(Log):
 
     def _in_unit(self, samples: Samples) -> Samples:
         return Samples(samples.time * self._per_stamp, samples.values)
+
+
+class ReceivedLog(Log):
+    """Another log, whose samples are read by their times of arrival, whatever is asked for."""
+
+    def __init__(self, log: Log) -> None:
+        self._log = log
+        for name in ("path", "warnings", "has_sensors", "has_messages", "messages", "transforms", "images", "clouds"):
+            setattr(self, name, getattr(log, name))
+
+    @property
+    def topics(self) -> dict[str, Topic]:
+        """The other log's topics."""
+        return self._log.topics
+
+    def _read(self, topic: Topic, fields: Sequence[str], stamps: str) -> Samples:
+        return self._log.read(topic.name, fields, stamps="receive")
 
 
 def _nearest(lacking: Collection[str], transforms: Sequence[str]) -> set[str]:

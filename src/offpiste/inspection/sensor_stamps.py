@@ -12,6 +12,7 @@ from offpiste.core.errors import OffpisteError
 from offpiste.inspection.findings import Finding, Severity
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.inspection.sensor_samples import Grey
+from offpiste.inspection.several_clocks import ORIGINS
 from offpiste.inspection.stamps import check_spans, check_stamps
 from offpiste.logs.clock_drift import clock_difference
 from offpiste.logs.log import Log
@@ -60,12 +61,13 @@ def check_sensor_stamps(log: Log, sensors: SensorLog) -> list[Finding]:
     clocks = [f for topic, key in named.items() for f in _clock(key, sources[key], recorded[topic], pose, rig)]
     apart = unordered | {finding.where for finding in clocks}  # whose spans say nothing
     spans = {place.topic: pose} | {topic: r for topic, r in recorded.items() if topic not in apart}
-    for finding in check_spans(spans, place.topic, used=True):
+    for finding in check_spans(spans, place.topic, rig.clock, used=True):
         # Where a sensor is silent, rows lack visual features and no more: as long as half of the drive has them.
         severity: Severity = "note" if finding.score < _HALF else "warning"
         result.append(replace(finding, severity=severity))
         if finding.severity == "fatal":
             remedy = f"fix {named[finding.where]}.delay, or remove the sensor from the rig"
+            remedy = f"{finding.remedy}; or remove the sensor from the rig" if "origins" in finding.what else remedy
             result[-1] = replace(result[-1], remedy=remedy, cures=())
     return result + clocks
 
@@ -129,7 +131,7 @@ def _clock(key: str, source: Source, sensor: Recorded, pose: Recorded, rig: Rig)
     if rig.clock.stamps != "header" or sensor.other is None or pose.other is None:
         return []
     result = clock_difference(sensor.time, sensor.other, pose.time, pose.other)
-    if result is None:
+    if result is None or abs(result.offset) > ORIGINS:
         return []
     offset, drift = result
     if abs(drift) > _DRIFT and min(len(sensor.time), len(pose.time)) >= _STAMPS:

@@ -9,19 +9,20 @@ from jaxtyping import Float
 
 from offpiste.inspection.findings import Finding, Severity, merged
 from offpiste.inspection.recorded_log import Recorded, beginning
+from offpiste.inspection.several_clocks import ORIGINS, RECEIVE, arrivals, has_arrivals, other_origin
 from offpiste.inspection.timing import Timing, timing
 from offpiste.logs.channel import LEAST_KEPT
 from offpiste.rig.channels import ChannelSource, Clock
 from offpiste.rig.edits import Edit
 from offpiste.rig.labels import PER_SECOND, unit_by_rate
 
+MISSING: Final = "samples are missing"
 _LATE = 2.0
 """A topic that starts this much after the pose, or stops this much before it, is reported [s]."""
 _ZONE: Final = 900.0
 """Time zones differ by multiples of a quarter of an hour [s]."""
 _APART = 0.5
 """Messages that arrive this much later after their header than others do have another clock [s]."""
-_RECEIVE: Final = Edit("clock.stamps", "receive")
 _SORT: Final = Edit("clock.sort", True)
 _REPEATED: Final = 0.05
 """Share of repeated stamps from which they cost data: a warning."""
@@ -64,6 +65,7 @@ def check_stamps(
 def check_spans(
     recorded: Mapping[str, Recorded],
     pose: str,
+    clock: Clock,
     *,
     used: bool,
     channels: Mapping[str, ChannelSource] | None = None,
@@ -84,9 +86,11 @@ def check_spans(
     }
     findings = []
     for name, own in tuple(others.items()):
-        if own[1] < span[0] or own[0] > span[1]:
+        if (origin := other_origin(recorded, name, pose, clock, used=used or name in delays)) is not None:
+            findings.append(origin)
+        elif own[1] < span[0] or own[0] > span[1]:
             other_clock = recorded[name].other is not None
-            cure = (_RECEIVE,) if other_clock else _other_clock(name, own[0] - span[0], channels or {})
+            cure = (RECEIVE,) if other_clock else _other_clock(name, own[0] - span[0], channels or {})
             findings.append(
                 Finding(
                     "fatal" if used else "note",
@@ -165,8 +169,8 @@ def _order(
     with np.errstate(invalid="ignore"):  # between stamps that are infinite
         step, later = np.diff(topic.time), np.diff(arrives) > 0
     receives = later.size > 0 and bool(later.mean() > 0.99)
-    remedy = str(_RECEIVE) if receives else "nothing: those samples are dropped on reading"
-    cures: tuple[tuple[Edit, ...], ...] = ((_RECEIVE,),) if receives else ()
+    remedy = str(RECEIVE) if receives else "nothing: those samples are dropped on reading"
+    cures: tuple[tuple[Edit, ...], ...] = ((RECEIVE,),) if receives else ()
     if seen.count < total:
         share = 1 - seen.count / total
         evidence = f"{total - seen.count} of {total}"
@@ -242,7 +246,7 @@ def _intervals(where: str, seen: Timing, origin: float, clock: Clock, *, used: b
             f"{seen.lost:.1%} at a rate of {seen.rate:.1f} Hz",
         )
         how = "record with a larger queue; short holes are interpolated"
-        findings.append(Finding(severity, where, "samples are missing", evidence, how, seen.lost))
+        findings.append(Finding(severity, where, MISSING, evidence, how, seen.lost))
     return findings
 
 
@@ -252,16 +256,16 @@ def check_headers(recorded: Mapping[str, Recorded], clock: Clock, *, used: Colle
     Args:
         used: topics that a rig reads, if there is one; those of the others are but a note.
     """
-    both = {name: r for name, r in recorded.items() if r.other is not None and len(r.time) > 2}
-    if clock.stamps != "header" or not both:
+    both = {name: r for name, r in recorded.items() if len(r.time) > 2}
+    if not has_arrivals(recorded, clock):
         return []
-    late = {name: float(np.nanmedian(r.other - r.time)) for name, r in both.items() if r.other is not None}
+    late = {name: float(np.nanmedian(arrivals(r) - r.time)) for name, r in both.items()}
     usual = float(np.median(list(late.values())))
     findings = []
     for name, r in both.items():
-        if np.ptp(r.time) == 0:
+        if r.other is not None and np.ptp(r.time) == 0:
             what, message, score = "all header stamps are equal", f"{r.time[0]:.3f} s in {len(r.time)} messages", 1.0
-        elif abs(late[name] - usual) > _APART and len(both) > 1:
+        elif _APART < abs(late[name] - usual) < ORIGINS and len(both) > 1:
             what, score = "its header's clock is apart from the others'", 0.6
             message = f"arrival is {late[name]:.2f} s after the header, {usual:.2f} s for the topic in the middle"
         else:
@@ -269,5 +273,5 @@ def check_headers(recorded: Mapping[str, Recorded], clock: Clock, *, used: Colle
         if used and name not in used:
             findings.append(Finding("note", name, what, message, "none: no channel reads it", score))
         else:
-            findings.append(Finding("warning", name, what, message, str(_RECEIVE), score, ((_RECEIVE,),)))
+            findings.append(Finding("warning", name, what, message, str(RECEIVE), score, ((RECEIVE,),)))
     return findings

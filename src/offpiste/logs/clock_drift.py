@@ -5,6 +5,7 @@ early and 1.5 s late, changing within seconds: no constant delay corrects that, 
 Cameras and LiDARs do not measure the speed; their clocks are compared by when their messages reach the recorder.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
@@ -14,7 +15,7 @@ from jaxtyping import Float, Int
 from offpiste.core.errors import LogError
 from offpiste.core.geometry import local_polynomial
 from offpiste.logs.channel import Channel, read_channel, refuse_long
-from offpiste.logs.log import Log
+from offpiste.logs.log import Log, SetBack
 from offpiste.rig.channels import Alignment
 from offpiste.rig.rig import Rig
 
@@ -26,6 +27,10 @@ _DRIFTS: Final = 0.02
 """Drift above which a clock is reported [s]: 0.2 m at 10 m/s."""
 DRIFT_LIMIT: Final = 0.2
 """Drift above which images and scans are refused [s]."""
+_STEP: Final = 0.1
+"""Least step back of all clocks [s]."""
+_BESIDE: Final = 5
+"""Samples on either side of a step that lie before or after it."""
 _OFFSET: Final = 0.5
 """Offset above which a clock is reported [s]; no sensor takes so long to send."""
 
@@ -167,7 +172,7 @@ def clock_difference(
     if not end > start:
         return None
     edges = np.linspace(start, end, _BLOCKS + 1)
-    own, poses = (_quickest(a, a - s, edges) for s, a in ((stamps, arrivals), (pose_stamps, pose_arrivals)))
+    own, poses = (least_delays(a, a - s, edges) for s, a in ((stamps, arrivals), (pose_stamps, pose_arrivals)))
     apart, middle = own - poses, (edges[1:] + edges[:-1]) / 2 - (start + end) / 2
     known = np.isfinite(apart)
     if known.sum() < _BLOCKS // 2:
@@ -187,7 +192,7 @@ def clock_note(name: str, difference: ClockDifference) -> list[str]:
     return []
 
 
-def _quickest(
+def least_delays(
     arrivals: Float[np.ndarray, " n"], delay: Float[np.ndarray, " n"], edges: Float[np.ndarray, " e"]
 ) -> Float[np.ndarray, " b"]:
     """Least delay of each block of time; NaN where no message arrived."""
@@ -196,3 +201,27 @@ def _quickest(
     least = np.full(len(edges) - 1, np.inf)
     np.minimum.at(least, block[inside], delay[inside])
     return np.where(np.isfinite(least), least, np.nan)
+
+
+def steps_back(time: Float[np.ndarray, " n"]) -> list[SetBack]:
+    """Steps back of a clock, by its stamps in the order in which they were recorded; single late samples are none."""
+    time = time[np.isfinite(time)]
+    result = []
+    for at in np.flatnonzero(np.diff(time) < -_STEP):
+        before, after = time[max(at + 1 - _BESIDE, 0) : at + 1], time[at + 1 : at + 1 + _BESIDE]
+        rising = (np.diff(before) >= 0).all() and (np.diff(after) >= 0).all()
+        if rising and len(before) == len(after) == _BESIDE and after[0] < before[-1] - _STEP:
+            result.append(SetBack(float(time[at]), float(time[at] - time[at + 1] + np.median(np.diff(before)))))
+    return result
+
+
+def common_step(topics: Iterable[Float[np.ndarray, " _"]]) -> SetBack | None:
+    """The step back that the clocks of two topics and more have at one moment, and all that go on beyond it."""
+    stamps = sorted((time for time in topics if len(time) > 4 * _BESIDE), key=len, reverse=True)
+    for step in steps_back(stamps[0]) if stamps else []:
+        near = step.by / 2
+        beyond = [time for time in stamps if time[0] < step.time - step.by and time[-1] > step.time]
+        own = [[s for s in steps_back(t) if abs(s.time - step.time) < near > abs(s.by - step.by)] for t in beyond]
+        if len(own) > 1 and all(own):
+            return step
+    return None

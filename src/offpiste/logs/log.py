@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar, Final, TypeVar
+from typing import Any, ClassVar, Final, NamedTuple, TypeVar
 
 import numpy as np
 from jaxtyping import Float, UInt8, UInt16
@@ -120,6 +120,18 @@ class RawCloud:
     points: np.ndarray
 
 
+class SetBack(NamedTuple):
+    """A step back of a clock.
+
+    Attributes:
+        time: last stamp before it [s].
+        by: how far [s].
+    """
+
+    time: float
+    by: float
+
+
 _Raw = TypeVar("_Raw", RawImage, RawCloud)
 
 
@@ -167,6 +179,11 @@ class Log(ABC):
     @abstractmethod
     def topics(self) -> dict[str, Topic]:
         """Topics by name."""
+
+    @property
+    def set_back(self) -> SetBack | None:
+        """Step back of the recorder's clock, which puts samples before and after it in one order of arrival."""
+        return None
 
     @property
     def clock(self) -> Clock:

@@ -236,6 +236,9 @@ def open_sensors(log: Log, rig: Rig, *, poses: Poses | None = None, rough: bool 
     present: dict[str, CameraSource | LidarSource] = {}
     for name, entry in entries.items():
         result = log.topics.get(entry.topic)
+        if parts := [topic.name for topic in log.topics.values() if topic.part_of == entry.topic]:
+            how = f"give its topic in the rig as one of: {', '.join(parts)}"
+            raise LogError(f"'{name}': topic '{entry.topic}' has {len(parts)} senders", where=log.path, how=how)
         if result is not None and result.count:
             present[name] = entry
         elif entry.optional:

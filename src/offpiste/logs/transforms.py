@@ -1,6 +1,7 @@
 """Transforms of a log: the chain of fixed ones between two frames, and each pair of frames of `/tf` as a topic.
 
-Such a topic is called `/tf odom -> base_link`, and its fields are those of geometry_msgs/TransformStamped.
+Such a topic is called `/tf odom -> base_link`, and its fields are those of geometry_msgs/TransformStamped. Messages of
+several senders on one topic are topics of their own as well, by their frames: `/odom odom -> base_link`, `/imu @ imu`.
 """
 
 import re
@@ -29,11 +30,12 @@ _SOUGHT, _MORE = 10_000, 500
 """Messages in which a first body is sought, and those from there on that are asked for other frames."""
 _LISTED = 5
 """Transforms that messages list besides those of a body in a world: a robot may have one for each of its joints."""
-_NAME = re.compile(r"(\S+) (\S+) -> (\S+)")
+_NAME = re.compile(r"(\S+) (?:(\S+) -> (\S+)|@ (\S+))")
+_UNNAMED = "(none)"
 
 
 class FramePair(NamedTuple):
-    """Two frames whose transforms a topic has among others."""
+    """Two frames whose transforms, or messages, a topic has among others; or one frame, and "" for the child."""
 
     topic: str
     parent: str
@@ -42,7 +44,8 @@ class FramePair(NamedTuple):
     @property
     def name(self) -> str:
         """What its own topic is called."""
-        return f"{self.topic} {self.parent} -> {self.child}"
+        parent, child = self.parent or _UNNAMED, self.child or _UNNAMED
+        return f"{self.topic} {parent} -> {child}" if self.child else f"{self.topic} @ {parent}"
 
     @property
     def is_of_a_body(self) -> bool:
@@ -62,7 +65,10 @@ class FramePair(NamedTuple):
 def frame_pair(name: str) -> FramePair | None:
     """The frames whose topic is called so; None where it is the name of any other topic."""
     found = _NAME.fullmatch(name)
-    return None if found is None else FramePair(*found.groups())
+    if found is None:
+        return None
+    topic, parent, child, only = found.groups()
+    return FramePair(topic, *("" if one in (None, _UNNAMED) else one for one in (parent or only, child)))
 
 
 def listed(topics: Iterable[str]) -> list[str]:

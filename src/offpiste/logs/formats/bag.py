@@ -2,22 +2,26 @@
 
 import weakref
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, suppress
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from jaxtyping import Float
+from rosbags.interfaces import Connection
 
 from offpiste.core.errors import LogError, SeveralLogs
-from offpiste.logs.log import LOG_FORMATS, Log, RawCloud, RawImage, Samples, Topic
+from offpiste.logs.clock_drift import common_step
+from offpiste.logs.log import LOG_FORMATS, Log, RawCloud, RawImage, Samples, SetBack, Topic
 from offpiste.logs.ros.bag_files import (
     MAGIC,
     MakeDecoder,
     Reader,
     fields_of,
+    frames_reader,
     headers_only,
     open_readers,
     reported,
@@ -27,6 +31,7 @@ from offpiste.logs.ros.bag_files import (
     typestore_of,
     whole_messages,
 )
+from offpiste.logs.ros.bounds import Rosbag1
 from offpiste.logs.ros.mcap_columns import Columns, columns_of
 from offpiste.logs.ros.mcap_recovery import StreamedMcap
 from offpiste.logs.ros.sensor_messages import Joints, clouds_of, frame_of, has_joints, images_of
@@ -74,6 +79,7 @@ class BagLog(Log):
         self.path = path
         self._kept: dict[int, dict[int, Columns]] = {}
         self._joints: dict[str, Joints] = {}
+        self._told_apart = False
         notes: list[str] = []
         with ExitStack() as stack:
             self._readers = open_readers(path, notes)
@@ -96,7 +102,24 @@ class BagLog(Log):
     @property
     def topics(self) -> dict[str, Topic]:
         """One topic for each ROS topic; where a type cannot be decoded, it is the reason, and there are no fields."""
+        if not self._told_apart:
+            self._told_apart = True
+            self._topics |= {topic.name: topic for topic in self._senders_as_topics()}
         return self._topics
+
+    @property
+    def set_back(self) -> SetBack | None:
+        """By the order in which a .bag or an .mcap file holds its messages; files of other kinds do not show it."""
+        for k, reader in enumerate(self._readers):
+            filed = [one.filed for one in self._columns_of(k).values()]
+            if isinstance(reader, Rosbag1):
+                indexes = (
+                    sorted(index, key=lambda one: (one.chunk_pos, one.offset)) for index in reader.indexes.values()
+                )
+                filed = [np.array([one.time for one in index], np.int64) for index in indexes]
+            if (step := common_step([one / 1e9 for one in filed])) is not None:
+                return step
+        return None
 
     def messages(self, topic: str, *, stamps: str = "header") -> Iterator[tuple[float, Any]]:
         """Stamps [s] and decoded messages of a topic, in the order of the file, one at a time (see `Log`)."""
@@ -159,9 +182,37 @@ class BagLog(Log):
                     result.append(Topic(one.name, STAMPED, counts[one], STAMPED_FIELDS, part_of=topic.name))
         return result
 
-    def _messages(self, name: str, msgtype: str, decoder: MakeDecoder | None = None) -> Iterator[tuple[int, object]]:
+    def _senders_as_topics(self) -> list[Topic]:
+        """A topic for each of several senders that take turns on one topic, by the frames of their messages."""
+        result: list[Topic] = []
+        for topic in list(self._topics.values()):
+            frames = [] if topic.part_of or not topic.fields else self._frames(topic)
+            counts = Counter(frames)
+            turns = sum(one != other for one, other in pairwise(frames))
+            if turns > len(frames) - max(counts.values(), default=0):  # one after the other, they are one at a time
+                pairs = ((FramePair(topic.name, *each), count) for each, count in counts.items())
+                result += [replace(topic, name=one.name, count=count, part_of=topic.name) for one, count in pairs]
+        return result
+
+    def _frames(self, topic: Topic) -> list[tuple[str, str]]:
+        """Frames of each message of a topic, in the order of arrival; none where it has no headers, or is damaged."""
+        columns = self._columns(topic)
+        if columns is not None:
+            known = {frames for one in columns for frames in one.frames}
+            return [one.frames[k] for one in columns for k in one.sender.tolist()] if len(known) > 1 else []
+        with suppress(LogError):
+            return [frames for _, frames in self._messages(topic.name, topic.type, _frames_only)]
+        return []
+
+    def _messages(self, name: str, msgtype: str, decoder: MakeDecoder | None = None) -> Iterator[tuple[int, Any]]:
         """Time of arrival [ns] and decoded message."""
-        if (one := frame_pair(name)) is not None:
+        one = frame_pair(name)
+        if one is not None and self._topics[one.topic].type not in TRANSFORMS:
+            decode = decoder or whole_messages
+            both = self._messages(one.topic, msgtype, lambda c, path: _with_frames(c, path, decode(c, path)))
+            yield from ((received, message) for received, (frames, message) in both if frames == one[1:])
+            return
+        if one is not None:
             for received, message in self._messages(one.topic, self._topics[one.topic].type):
                 yield from ((received, stamped) for stamped in one.of(message))
             return
@@ -185,13 +236,17 @@ class BagLog(Log):
             wanted = [c for c in reader.connections if c.topic == topic.name and c.msgtype == topic.type]
             if not sum(c.msgcount for c in wanted):
                 continue
-            if k not in self._kept:
-                self._kept[k] = columns_of(reader, self.path)
-            kept = [self._kept[k][c.id] for c in wanted if c.id in self._kept[k]]
+            columns = self._columns_of(k)
+            kept = [columns[c.id] for c in wanted if c.id in columns]
             if len(kept) != 1 or len(wanted) != 1:
                 return None
             result += kept
         return result or None
+
+    def _columns_of(self, file: int) -> dict[int, Columns]:
+        if file not in self._kept:
+            self._kept[file] = columns_of(self._readers[file], self.path)
+        return self._kept[file]
 
     def _read(self, topic: Topic, fields: Sequence[str], stamps: str) -> Samples:
         columns, joints = self._columns(topic), self._joints.get(topic.name)
@@ -283,6 +338,21 @@ class BagLog(Log):
             wanted = " or ".join(types)
             raise LogError(f"topic '{topic}' is {result.type}, not {wanted}", where=self.path, how="fix the rig")
         return self.messages(topic, stamps=stamps) if times is None else self._at(self._find(topic), times, stamps)
+
+
+def _frames_only(connection: Connection, path: Path) -> Callable[[bytes], tuple[str, str]]:
+    """Decoder of the frames of a message; raises LogError where it has none."""
+    read = frames_reader(connection, path)
+    if read is None:
+        raise LogError("no header", where=path)
+    return lambda raw: read(raw)[:2]
+
+
+def _with_frames(
+    connection: Connection, path: Path, decode: Callable[[bytes], object]
+) -> Callable[[bytes], tuple[tuple[str, str], object]]:
+    frames = _frames_only(connection, path)
+    return lambda raw: (frames(raw), decode(raw))
 
 
 def _refuse_several(readers: Sequence[Reader], path: Path) -> None:

@@ -140,6 +140,29 @@ def headers_only(connection: Connection, path: Path) -> Callable[[bytes], object
     return decode
 
 
+def frames_reader(connection: Connection, path: Path) -> Callable[[bytes], tuple[str, str, int]] | None:
+    """Function that reads the frames of a message (its header's, and a child's beside it or "") and where they end.
+
+    None where messages have no header.
+    """
+    fields = typestore_of(connection, path).get_msgdef(connection.msgtype).fields
+    if not fields or fields[0][1] != (Nodetype.NAME, "std_msgs/msg/Header"):
+        return None
+    count = 1 + (len(fields) > 1 and fields[1][0] == "child_frame_id" and fields[1][1][0] == Nodetype.BASE)
+    is_ros1 = _encoding(connection) == "ros1"
+
+    def read(raw: bytes) -> tuple[str, str, int]:
+        order, at, texts = "<" if is_ros1 or raw[1] & 1 else ">", 12, ["", ""]
+        for k in range(count):
+            at += 0 if is_ros1 else -at % 4
+            (length,) = struct.unpack_from(f"{order}I", raw, at)
+            texts[k] = bytes(raw[at + 4 : at + 4 + length]).rstrip(b"\0").decode(errors="replace").lstrip("/")
+            at += 4 + length
+        return texts[0], texts[1], at
+
+    return read
+
+
 def typestore_of(connection: Connection, path: Path) -> Typestore:
     """Definitions that decode a connection's messages.
 

@@ -22,7 +22,7 @@ from rosbags.typesys.store import Typestore
 
 from offpiste.core.errors import LogError
 from offpiste.core.limits import LARGEST
-from offpiste.logs.ros.bag_files import reported, typestore_of
+from offpiste.logs.ros.bag_files import frames_reader, reported, typestore_of
 from offpiste.logs.ros.message_layout import LONGEST, Layout, layout, numbers_at
 
 _AHEAD: Final = 4
@@ -38,11 +38,17 @@ class Columns:
 
     Attributes:
         arrival, stamp: by the recorder's clock, and by the message, 0 where it has none [ns].
+        filed: `arrival` in the order of the file [ns].
+        frames: the different ones that messages have (`frames_reader`); none without a header.
+        sender: index into `frames` of each message.
         fields, values: one column each; none for messages that are long or change their layout.
     """
 
     arrival: Int[np.ndarray, " n"]
     stamp: Int[np.ndarray, " n"]
+    filed: Int[np.ndarray, " n"]
+    frames: tuple[tuple[str, str], ...]
+    sender: Int[np.ndarray, " n"]
     fields: tuple[str, ...]
     values: Float[np.ndarray, "n k"]
 
@@ -59,11 +65,14 @@ class _Topic:
     store: Typestore
     msgtype: str
     headed: bool
+    frames_of: Callable[[bytes], tuple[str, str, int]] | None
     layout: Layout | None = None
     regular: bool = True
     arrival: list[np.ndarray] = field(default_factory=list)
     stamp: list[np.ndarray] = field(default_factory=list)
     values: list[np.ndarray] = field(default_factory=list)
+    frames: dict[tuple[str, str], int] = field(default_factory=dict)
+    sender: list[np.ndarray] = field(default_factory=list)
 
 
 def columns_of(reader: object, path: Path) -> dict[int, Columns]:
@@ -111,7 +120,7 @@ def _topic(connection: Connection, store_of: Callable[[Connection], Typestore]) 
     headed = bool(fields) and fields[0][1] == (Nodetype.NAME, _HEADS.get(fields[0][0]))
     if set(_HEADS) & {name for name, _ in fields[headed:]}:
         return None
-    return _Topic(store, connection.msgtype, headed)
+    return _Topic(store, connection.msgtype, headed, frames_reader(connection, Path()))
 
 
 _Index = dict[int, Int[np.ndarray, "_ 2"]]
@@ -145,7 +154,7 @@ def _content(record: bytes, chunk: ChunkInfo) -> UInt8[np.ndarray, " n"]:
 
 
 def _message_index(records: memoryview) -> _Index:
-    """Time of arrival [ns] and place in the chunk of the messages of each channel, in the order of arrival."""
+    """Time of arrival [ns] and place in the chunk of the messages of each channel, in the order of the file."""
     result: _Index = {}
     at = 0
     while at + 9 <= len(records):
@@ -154,7 +163,7 @@ def _message_index(records: memoryview) -> _Index:
             channel, size = struct.unpack_from("<HI", records, at + 9)
             entries = np.frombuffer(records[at + 15 : at + 15 + size], "<i8").reshape(-1, 2)
             if len(entries):
-                result[channel] = entries[np.lexsort((entries[:, 1], entries[:, 0]))]
+                result[channel] = entries[np.argsort(entries[:, 1], kind="stable")]
         at += 9 + length
     return result
 
@@ -167,6 +176,7 @@ def _gather(topic: _Topic, data: UInt8[np.ndarray, " n"], index: Int[np.ndarray,
     if head is not None and (size.min() < 12 or not (head[:, 1] == 1).all()):
         raise ValueError("messages without a little-endian header")
     topic.stamp.append(np.zeros(len(index), np.int64) if head is None else _stamps(head))
+    topic.sender.append(_senders(topic, data, begin, size))
     if not topic.regular:
         return
     if topic.layout is None:
@@ -187,14 +197,30 @@ def _gather(topic: _Topic, data: UInt8[np.ndarray, " n"], index: Int[np.ndarray,
         column[:] = numbers_at(rows, at, kind)
 
 
+def _senders(
+    topic: _Topic, data: UInt8[np.ndarray, " n"], begin: Int[np.ndarray, " m"], size: Int[np.ndarray, " m"]
+) -> Int[np.ndarray, " m"]:
+    """Index into the topic's frames of each message."""
+    if topic.frames_of is None:
+        return np.zeros(len(begin), np.int64)
+    first, child, end = topic.frames_of(data[begin[0] : begin[0] + size[0]].tobytes())
+    number = topic.frames.setdefault((first, child), len(topic.frames))
+    if size.min() >= end:
+        rows = _rows(data, begin + 12, end - 12)
+        if (rows == rows[0]).all():
+            return np.full(len(begin), number)
+    each = (topic.frames_of(data[at : at + n].tobytes())[:2] for at, n in zip(begin, size, strict=True))
+    return np.array([topic.frames.setdefault(frames, len(topic.frames)) for frames in each])
+
+
 def _joined(topic: _Topic) -> Columns:
     arrival, stamp = np.concatenate(topic.arrival), np.concatenate(topic.stamp)
-    order = np.argsort(arrival, kind="stable")
+    order, filed, sender = np.argsort(arrival, kind="stable"), arrival, np.concatenate(topic.sender)
     fields = tuple(topic.layout.fields) if topic.regular and topic.layout is not None else ()
     values = np.concatenate(topic.values) if fields else np.zeros((len(arrival), 0))
     if not (np.diff(order) == 1).all():
-        arrival, stamp, values = arrival[order], stamp[order], values[order]
-    return Columns(arrival, stamp, fields, values)
+        arrival, stamp, values, sender = arrival[order], stamp[order], values[order], sender[order]
+    return Columns(arrival, stamp, filed, tuple(topic.frames), sender, fields, values)
 
 
 def _rows(data: UInt8[np.ndarray, " n"], begin: Int[np.ndarray, " m"], size: int) -> UInt8[np.ndarray, "m k"]:

@@ -1,0 +1,85 @@
+"""Check of topics on which several senders take turns, by the frames of their messages or by values that alternate."""
+
+from collections.abc import Collection, Mapping
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float
+
+from offpiste.inspection.findings import Finding
+from offpiste.inspection.recorded_log import Recorded
+from offpiste.logs.log import Topic
+from offpiste.logs.transforms import frame_pair
+from offpiste.rig.edits import Edit
+from offpiste.rig.rig import Rig
+
+_BEFORE: Final = 4
+"""Samples before one, the nearest of which is of the same sender."""
+_TURNS: Final = 0.3
+"""Share of samples that continue an earlier one than the last from which senders take turns."""
+_NEARER: Final = 0.1
+"""Distance to the sample that is continued, over that to the last one."""
+_LARGE: Final = 0.1
+"""Least distance to the last sample, over the range of the values ..."""
+_LARGE_STEP: Final = 0.002
+"""... and of positions, over the extent of the path."""
+
+
+def check_senders(
+    topics: Mapping[str, Topic], recorded: Mapping[str, Recorded], rig: Rig | None, *, used: Collection[str]
+) -> list[Finding]:
+    """A finding for each topic with several senders, and the part of it that the rig's body sends as the remedy.
+
+    Args:
+        used: topics that the rig reads.
+    """
+    findings = []
+    for name, r in recorded.items():
+        parts = [one for one in topics.values() if one.part_of == name and one.type == r.topic.type]
+        if any(part.name in used for part in parts):
+            continue
+        if parts:
+            findings.append(_by_frames(name, parts, rig, used=name in used))
+        elif rig is not None and name in used and (share := _alternating(r, rig)) > _TURNS:
+            what = "has several senders: its values alternate between two series"
+            evidence = f"{share:.0%} of its samples continue one before the last, and lie far from the last"
+            how = "stop one of the senders, or give it a topic of its own, and record it again"
+            findings.append(Finding("fatal", name, what, evidence, how, 1.0))
+    return findings
+
+
+def _by_frames(name: str, parts: list[Topic], rig: Rig | None, *, used: bool) -> Finding:
+    body = rig.frames.body if rig is not None else ""
+
+    def order(part: Topic) -> tuple[bool, bool, int]:
+        pair = frame_pair(part.name)
+        return pair is None or body not in pair[1:], pair is None or not pair.is_of_a_body, -part.count
+
+    parts = sorted(parts, key=order)
+    what = f"has {len(parts)} senders: {', '.join(part.name.removeprefix(name).strip() for part in parts)}"
+    evidence = f"{', '.join(str(part.count) for part in parts)} messages, which take turns"
+    readers = [channel for channel, source in rig.channels.items() if source.topic == name] if rig is not None else []
+    cures = tuple(tuple(Edit(f"channels.{channel}.topic", part.name) for channel in readers) for part in parts)
+    if not used or not readers:
+        return Finding("note", name, what, evidence, "none: no channel reads it", 0.5)
+    return Finding("fatal", name, what, evidence, ", ".join(map(str, cures[0])), 1.0, cures)
+
+
+def _alternating(topic: Recorded, rig: Rig) -> float:
+    """Largest share of samples, over the channels of a topic, that continue an earlier sample than the last one."""
+    shares = [0.0]
+    for name, source in rig.channels.items():
+        if source.topic == topic.topic.name and {*source.fields} <= {*topic.fields}:
+            values = topic.values[:, [topic.fields.index(field) for field in source.fields]]
+            least = _LARGE_STEP if name == "position" else _LARGE
+            shares.append(_turns(values[np.isfinite(values).all(axis=1)], least))
+    return max(shares)
+
+
+def _turns(values: Float[np.ndarray, "n k"], least: float) -> float:
+    if len(values) < 20 * _BEFORE:
+        return 0.0
+    last = np.linalg.norm(values[_BEFORE:] - values[_BEFORE - 1 : -1], axis=1)
+    earlier = [np.linalg.norm(values[_BEFORE:] - values[_BEFORE - k : -k], axis=1) for k in range(2, _BEFORE + 1)]
+    spread = float(np.linalg.norm(np.subtract(*np.percentile(values, (95, 5), axis=0))))
+    return float(np.mean((last > least * spread) & (np.min(earlier, axis=0) < _NEARER * last)))

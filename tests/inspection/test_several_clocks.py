@@ -1,0 +1,203 @@
+"""Logs with several clocks, or several senders on one topic: each is named for what it is, and spoils no numbers."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from rosbags import rosbag1
+from simulated import RIG, START, drive_log
+
+from bag_files import ROS1
+from offpiste.core.errors import LogError
+from offpiste.dataset.log_findings import UnusableLog, findings_on, refuse_unusable
+from offpiste.inspection.inspect import inspect_log
+from offpiste.inspection.recorded_log import Recorded
+from offpiste.inspection.sensor_stamps import check_sensor_stamps
+from offpiste.inspection.several_clocks import check_rates
+from offpiste.logs import open_log
+from offpiste.logs.drive import read_drive
+from offpiste.logs.log import Topic
+from offpiste.logs.ros.writer import McapWriter, header, make, quaternion, vector
+from offpiste.logs.sensor_log import open_sensors
+from offpiste.rig.edits import Edit, edited
+from offpiste.rig.rig import parse_rig
+from sensor_bags import cloud, record, sensor_rig, transforms, tree
+
+POSE = {
+    "position": [f"pose.pose.position.{axis}" for axis in "xyz"],
+    "orientation": [f"pose.pose.orientation.{axis}" for axis in "xyzw"],
+    "linear_velocity": [f"twist.twist.linear.{axis}" for axis in "xyz"],
+    "angular_velocity": [f"twist.twist.angular.{axis}" for axis in "xyz"],
+}
+RECEIVE, SORT = (Edit("clock.stamps", "receive"),), (Edit("clock.sort", True),)
+RIGHT = tuple(Edit(f"channels.{name}.topic", "/odom odom -> base_link") for name in POSE)
+JOY = tuple(Edit(f"channels.{name}.topic", "/command @ joy") for name in ("throttle", "brake", "steer"))
+ORIGINS = "has another clock than /odom: they count from different origins"
+STEP = "all clocks step back by 1.50 s"
+ALTERNATE = "has several senders: its values alternate between two series"
+
+
+def rig(frame):
+    text = RIG.split("[channels")[0].replace("absent = [", 'absent = ["steer_angle", ')
+    for name, fields in POSE.items():
+        body = 'frame = "body"\n' if "velocity" in name else ""
+        text += f'[channels.{name}]\ntopic = "/odom"\nfields = {fields}\n{body}'
+    for name, axis in zip(("throttle", "brake", "steer"), "xyz", strict=True):
+        text += f'[channels.{name}]\ntopic = "/command"\nfields = ["{"vector." * bool(frame)}{axis}"]\n'
+    return parse_rig(text, where="test")
+
+
+def odometry(stamp, row, child):
+    v, w = vector(row[7:10]), vector(row[10:13])
+    x, q = vector(row[:3], "geometry_msgs/Point"), quaternion(row[3:7])
+    pose, twist = (
+        make("geometry_msgs/Pose", position=x, orientation=q),
+        make("geometry_msgs/Twist", linear=v, angular=w),
+    )
+    pose = make("geometry_msgs/PoseWithCovariance", pose=pose, covariance=np.zeros(36))
+    twist = make("geometry_msgs/TwistWithCovariance", twist=twist, covariance=np.zeros(36))
+    return make(
+        "nav_msgs/Odometry", header=header(round(stamp * 1e9), "odom"), child_frame_id=child, pose=pose, twist=twist
+    )
+
+
+def command(stamp, values, frame):
+    headed = {"header": header(round(stamp * 1e9), frame), "vector": vector(values)} if frame else {}
+    return make("geometry_msgs/Vector3Stamped", **headed) if frame else vector(values)
+
+
+def in_ros1(message):
+    kind = getattr(message, "__msgtype__", "")
+    fields = {name: in_ros1(value) for name, value in vars(message).items() if name != "__msgtype__"} if kind else {}
+    return ROS1.types[kind](**fields, **({"seq": 0} if kind.endswith("/Header") else {})) if kind else message
+
+
+@cache
+def driven():
+    data = drive_log(seconds=40.0).data
+    (time, odom), (stamps, pedals), (steering, angles) = data["odom"], data["pedals"], data["steering"]
+    steer = np.interp(stamps, steering, angles["command"])
+    return time, np.stack(list(odom.values()), axis=1), stamps, np.stack((*pedals.values(), steer), axis=1)
+
+
+def same(time):
+    return time
+
+
+def write(path, pose=same, command_clock=same, recorder=same, frame="joy", second_pose="", second_command=None):
+    """A recording of 40 s; clocks are functions of the true time, second senders take turns with the first ones."""
+    time, rows, stamps, values = driven()
+    sent = [(t + 0.01, "/odom", odometry(pose(t), row, "base_link")) for t, row in zip(time, rows, strict=True)]
+    sent += [(t + 4e-3, "/command", command(command_clock(t), v, frame)) for t, v in zip(stamps, values, strict=True)]
+    aside = rows[::2] + np.eye(rows.shape[1])[0]
+    others = zip(time[::2] + 0.006, aside, strict=True) if second_pose else ()
+    sent += [(t + 0.012, "/odom", odometry(pose(t), row, second_pose)) for t, row in others]
+    others = stamps + 0.007 if second_command is not None else ()
+    sent += [(t + 4e-3, "/command", command(command_clock(t), (0, 0, 0), second_command)) for t in others]
+    arrived = [(round(recorder(t) * 1e9), topic, message) for t, topic, message in sorted(sent, key=lambda one: one[0])]
+    if path.suffix == ".mcap":
+        with McapWriter(path) as writer:
+            for t, topic, message in arrived:
+                writer.write(topic, message, t)
+        return path
+    with rosbag1.Writer(path) as bag:
+        kinds = {topic: message.__msgtype__ for _, topic, message in arrived}
+        connections = {topic: bag.add_connection(topic, kind, typestore=ROS1) for topic, kind in kinds.items()}
+        for t, topic, message in arrived:
+            bag.write(connections[topic], t, ROS1.serialize_ros1(in_ros1(message), kinds[topic]))
+    return path
+
+
+def back(time):
+    return time - 1.5 * (time > START + 20)
+
+
+def simulated(time):
+    return time - START + 12.0
+
+
+def at(rate):
+    return lambda time: START + rate * (time - START)
+
+
+CASES = {
+    "healthy": ({}, None, ()),
+    "healthy, without headers": ({"frame": ""}, None, ()),
+    "wall clock beside simulated time": ({"pose": simulated}, ORIGINS, RECEIVE),
+    "the same without headers": ({"pose": simulated, "frame": ""}, ORIGINS, RECEIVE),
+    "slow simulation": ({"pose": lambda t: 0.9 * simulated(t), "frame": ""}, ORIGINS, ()),
+    "all clocks step": ({"pose": back, "command_clock": back, "recorder": back}, STEP, ()),
+    "all but commands have headers, and all step": ({"pose": back, "recorder": back, "frame": ""}, STEP, ()),
+    "headers step": ({"pose": back, "command_clock": back}, STEP, RECEIVE),
+    "recorder steps": ({"recorder": back}, "stamps go back", SORT),
+    "fast commands": ({"command_clock": at(1.01)}, "its clock runs 1.00% faster than that of /odom", RECEIVE),
+    "fast pose": ({"pose": at(1.008)}, "its clock runs 0.79% slower than that of /odom", RECEIVE),
+    "two poses": ({"second_pose": "lidar_odom"}, "has 2 senders: odom -> base_link, odom -> lidar_odom", RIGHT),
+    "names of one length": ({"second_pose": "wheelbase"}, "has 2 senders: odom -> base_link, odom -> wheelbase", RIGHT),
+    "two poses of one frame": ({"second_pose": "base_link"}, ALTERNATE, ()),
+    "two commanders": ({"second_command": "nav"}, "has 2 senders: @ joy, @ nav", JOY),
+    "the same of no frame": ({"frame": "", "second_command": ""}, ALTERNATE, ()),
+}
+
+
+@pytest.mark.parametrize("ending", ["mcap", "bag"])
+@pytest.mark.parametrize("case", CASES)
+def test_what_is_wrong_with_clocks_and_senders(tmp_path, case, ending):
+    faults, what, cure = CASES[case]
+    path, of = write(tmp_path / f"drive.{ending}", **faults), rig(faults.get("frame", "joy"))
+    found = inspect_log(open_log(path), of)
+    if what is None:
+        assert found.findings == ()
+        assert [f for f in inspect_log(open_log(path)).findings if f.severity != "note"] == []
+        return
+    assert found.findings[0].what == what
+    assert not [f for f in found.findings if "missing" in f.what or "jumps" in f.what]
+    if what != "stamps go back":
+        with pytest.raises(UnusableLog, match=r"\A[^\n]*\Z"):
+            refuse_unusable(findings_on(open_log(path), of), path)
+        assert what in {f.what for f in inspect_log(open_log(path)).findings}  # without a rig
+    if cure:
+        assert found.cure == cure
+        assert inspect_log(open_log(path), edited(of, cure)).findings == ()
+
+
+def test_a_sender_is_read_as_if_it_were_alone(tmp_path):
+    drive = read_drive(write(tmp_path / "two.mcap", second_pose="lidar_odom"), edited(rig("joy"), RIGHT))
+    for name, channel in read_drive(write(tmp_path / "one.mcap"), rig("joy")).channels.items():
+        np.testing.assert_array_equal(drive.channels[name].time, channel.time)
+        np.testing.assert_array_equal(drive.channels[name].values, channel.values)
+
+
+def test_senders_one_after_the_other_are_one_topic(tmp_path):
+    with McapWriter(tmp_path / "drive.mcap") as writer:
+        for t in np.arange(1, 41, 0.02):
+            writer.write("/command", command(t, (0, 0, 0), "joy" if t % 20 > 10 else "nav"), round(t * 1e9))
+    assert set(open_log(tmp_path / "drive.mcap").topics) == {"/command"}
+
+
+def test_a_small_drift_is_told_in_parts_per_million():
+    topic, arrived = Topic("", "", 0, ()), START + np.arange(0, 600, 0.02)
+    late = 0.004 + 0.02 * np.random.default_rng(0).random(len(arrived))
+    stamps = {"/odom": arrived, "/command": arrived + 2e-4 * (arrived - START), "/other": arrived}
+    recorded = {name: Recorded(topic, time - late, arrived, (), np.zeros((0, 0))) for name, time in stamps.items()}
+    (found,) = check_rates(recorded, "/odom", rig("").clock, used={"/command"})
+    assert (found.severity, found.what) == ("warning", "its clock runs 200 ppm faster than that of /odom")
+
+
+def test_two_lidars_on_one_topic_are_not_mixed(tmp_path):
+    messages = [(0, "/tf_static", transforms(*(("base_link", side, (0, 0, 2), (0, 0, 0, 1)) for side in "lr")))]
+    for k in range(20):
+        messages.append((0.05 * k, "/points", cloud(0.05 * k)))
+        messages[-1][2].header.frame_id = "lr"[k % 2]
+    log, lidar = open_log(record(tmp_path / "drive.mcap", messages)), '[lidars.top]\ntopic = "{}"\n'
+    with pytest.raises(LogError, match=r"'/points' has 2 senders; .* /points @ l, /points @ r"):
+        open_sensors(log, sensor_rig(lidar.format("/points")))
+    sensors = open_sensors(log, sensor_rig(lidar.format("/points @ r")))
+    assert [one.time for one in sensors.stream()] == pytest.approx(100.05 + 0.1 * np.arange(10))
+
+
+def test_a_lidar_of_another_origin_gets_no_delay_of_decades(tmp_path):
+    messages = [(0, "/tf_static", tree()), *((t, "/points", cloud(t + 1.7e9)) for t in np.arange(0.05, 3, 0.1))]
+    log = open_log(record(tmp_path / "drive.mcap", messages, until=3.0))
+    (found,) = check_sensor_stamps(log, open_sensors(log, sensor_rig('[lidars.top]\ntopic = "/points"\n')))
+    assert (found.what, found.remedy) == (ORIGINS, 'clock.stamps = "receive"; or remove the sensor from the rig')
