@@ -1,4 +1,5 @@
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -10,15 +11,23 @@ from matplotlib.figure import Figure
 from rich.console import Console
 
 from factories import COMMANDED, RIG, circle_rows
+from feature_datasets import dataset_with_features, with_snapshots
 from offpiste.core.conventions import DT
 from offpiste.core.errors import RunError
 from offpiste.core.state import ModelState
 from offpiste.dataset.resample import Rows
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import Dataset, add_drive, create, open_dataset
-from offpiste.dynamics import ConstantMotion, Kinematic, Parametric
+from offpiste.dynamics import MODELS, ConstantMotion, Kinematic, Parametric
 from offpiste.evaluation.errors import Errors
-from offpiste.evaluation.evaluate import EvaluatedModel, Evaluation, evaluate_models
+from offpiste.evaluation.evaluate import (
+    EvaluatedModel,
+    Evaluation,
+    by_split,
+    evaluate_models,
+    named_apart,
+    readings_of,
+)
 from offpiste.evaluation.intervals import Levels, Sampling
 from offpiste.evaluation.metrics import Headline, ResultRow, pooled_rows, read_metrics, run_rows
 from offpiste.evaluation.report import draw_figures, headline_text, report_page, terminal_table, write_report
@@ -27,6 +36,7 @@ from offpiste.evaluation.report_figures.windows import predict_typical, predict_
 from offpiste.evaluation.window_paths import typical_windows, worst_windows
 from offpiste.report.page import render
 from offpiste.rig.rig import parse_rig
+from offpiste.training.run import vehicle_of
 
 SCALE = torch.ones(5)
 QUICK = {"scale": SCALE, "stride": 50, "sampling": Sampling(block_seconds=6.0)}
@@ -397,3 +407,70 @@ def test_flat_ground_has_nothing_to_look_up_and_short_parts_no_interval(tmp_path
     assert {(r.model, r.lookup) for r in found.metrics.results} == {("ctrv", None), ("kinematic", None)}
     assert np.isnan(row(found.metrics.results, "ctrv").distance_error_m.ci95).all()
     write_report(found, tmp_path / "report")
+
+
+FOLDS = [parse_split(f"fold:{number}/3") for number in range(3)]
+
+
+@pytest.fixture(scope="module")
+def snapped(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    """Maps as they were at some windows of every drive, and no other maps."""
+    folder = tmp_path_factory.mktemp("data")
+    parts = ("train", "validation", "test")
+    whole = dataset_with_features(folder / "seen.zarr", parts, rows=3300, speeds=(2.5, 3.0))
+    kept = with_snapshots(whole, folder / "snapshots", [300, 600, 900])
+    return replace(kept, drives=tuple(replace(drive, load_map=None) for drive in kept.drives))
+
+
+def parametric(dataset: Dataset, folds: bool) -> Sequence[EvaluatedModel]:
+    dynamics = MODELS["parametric"](vehicle_of(dataset), seed=0)
+    if not folds:
+        return [EvaluatedModel("parametric", dynamics)]
+    return [EvaluatedModel("parametric", dynamics, fold=n, split=split) for n, split in enumerate(FOLDS)]
+
+
+def test_windows_with_snapshots_are_read_on_them(snapped: Dataset) -> None:
+    (group,) = by_split(parametric(snapped, folds=False), snapped)
+    assert readings_of([group[0]], "test", ("recorded", "map"), ("10",)) == [("recorded", "10"), ("map", None)]
+
+
+def test_folds_of_a_dataset_with_snapshots_are_evaluated_at_recorded_places(
+    snapped: Dataset, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("INFO")
+    settings = {"scale": torch.ones(5), "starts": ("causal",), "stride": 50}
+    found = evaluate_models(parametric(snapped, folds=True), snapped, **settings)
+    assert {row.lookup for row in found.metrics.results if row.model == "parametric"} == {"recorded"}
+    assert "not evaluated on the map: windows of the split fold:0/3, fold:1/3, fold:2/3 have no map" in caplog.text
+    assert found.windows.usual_step(0) == 50, "none is evaluated on its few windows with a snapshot instead"
+    datasets = [each for each, _ in by_split(parametric(snapped, folds=True), snapped)]
+    assert readings_of(datasets, "test", ("map",), ("10",)) == [("recorded", "10")]
+
+
+@pytest.mark.parametrize(
+    ("runs", "labels"),
+    [
+        ({"runs/b": 0, "runs/b-longer": 0}, ["b", "b (b-longer)"]),
+        ({"runs/b-0": 0, "runs/b-1": 1}, ["b", "b"]),
+        ({"any": 0, "other": 1}, ["b", "b"]),
+        ({"b-0": 0, "b-1": 1, "long-0": 0, "long-1": 1}, ["b", "b", "b (long)", "b (long)"]),
+        ({"s/b": 0, "t/b": 0}, ["b (s/b)", "b (t/b)"]),
+        ({"b": 0, "b-0": 0}, ["b", "b (b-0)"]),
+    ],
+)
+def test_runs_of_one_seed_are_named_by_their_folders(runs: dict[str, int], labels: list[str]) -> None:
+    dynamics = MODELS["b"](COMMANDED, seed=0)
+    models = [EvaluatedModel("b", dynamics, seed=seed) for seed in runs.values()]
+    beside = EvaluatedModel("parametric", dynamics, seed=0)
+    found = named_apart([*models, beside], [*map(Path, runs), Path("b")])
+    assert [model.label for model in found] == [*labels, "parametric"]
+    assert [model.seed for model in found] == [*runs.values(), 0]
+
+
+def test_a_run_that_is_given_twice_stays_one_and_folds_stay_together() -> None:
+    dynamics = MODELS["b"](COMMANDED, seed=0)
+    twice = [EvaluatedModel("b", dynamics, seed=0)] * 2
+    assert [model.label for model in named_apart(twice, [Path("b")] * 2)] == ["b", "b"], "refused later"
+    folds = [EvaluatedModel("b", dynamics, seed=0, fold=n, split=split) for n, split in enumerate(FOLDS)]
+    labels = [model.label for model in named_apart([*folds, *folds], [Path("cv")] * 3 + [Path("cv2")] * 3)]
+    assert labels == 3 * ["b (cv)"] + 3 * ["b (cv2)"]
