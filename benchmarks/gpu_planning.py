@@ -11,7 +11,6 @@ import torch
 from gpu_timing import Row, by_events, open_kernels, timed
 from torch import Tensor
 
-from offpiste.closed_loop.planner import load_planner
 from offpiste.core.conventions import HORIZON_STEPS
 from offpiste.core.state import ModelState
 from offpiste.dynamics.base import Dynamics
@@ -33,6 +32,7 @@ from offpiste.planning.mppi import PEDALS_AND_WHEEL, Settings, limited, sample
 from offpiste.planning.pedal import PEDAL_AND_WHEEL
 from offpiste.planning.plan_graph import captured
 from offpiste.runtime.perception import codes_of, encoder_on
+from offpiste.runtime.planner import load_planner
 from offpiste.training.run import pretrained
 from offpiste.uncertainty.fit import load_spread
 

@@ -228,7 +228,7 @@ def encoding(model: Hybrid, at: Situation) -> None:
 def cycle(run: Path, pca: Path | None, seconds: float) -> None:
     """Drive a course and print the stages of the run time; the simulator's own sensors are listed too."""
     from offpiste.closed_loop.drive_course import CourseDriveSettings, drive_course
-    from offpiste.closed_loop.planner import load_planner
+    from offpiste.runtime.planner import load_planner
 
     with TemporaryDirectory() as folder:
         driven = drive_course(load_planner(run, pca), CourseDriveSettings(seconds=seconds), Path(folder) / "drive")

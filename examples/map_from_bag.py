@@ -12,7 +12,10 @@ import numpy as np
 from matplotlib import pyplot as plt
 
 import offpiste
+from offpiste.logs.sensor_log import open_sensors
 from offpiste.mapping.replay import pinhole_cameras
+from offpiste.mapping.terrain_map import TerrainLayers
+from offpiste.perception.feature_extractor import load_feature_extractor
 
 
 def no_features(pixels: np.ndarray) -> np.ndarray:
@@ -20,13 +23,11 @@ def no_features(pixels: np.ndarray) -> np.ndarray:
     raise NotImplementedError
 
 
-def build_map(
-    log: str, rig: str, *, pca: str = "", seconds: float = np.inf
-) -> tuple[offpiste.TerrainLayers, np.ndarray]:
+def build_map(log: str, rig: str, *, pca: str = "", seconds: float = np.inf) -> tuple[TerrainLayers, np.ndarray]:
     """Layers of the map after some seconds, and the vehicle's position then [m]."""
-    sensors = offpiste.open_sensors(offpiste.open_log(log), offpiste.load_rig(rig))
+    sensors = open_sensors(offpiste.open_log(log), offpiste.load_rig(rig))
     if pca:
-        extractor = offpiste.load_feature_extractor(Path(pca))
+        extractor = load_feature_extractor(Path(pca))
         cameras, features, channels = pinhole_cameras(sensors, extractor.patch), extractor.extract, extractor.channels
     else:
         cameras, features, channels = {}, no_features, 0
@@ -36,7 +37,7 @@ def build_map(
     return layers, position
 
 
-def draw(layers: offpiste.TerrainLayers, position: np.ndarray, out: str) -> None:
+def draw(layers: TerrainLayers, position: np.ndarray, out: str) -> None:
     """A picture of the layers from above."""
     ny, nx = layers.known.shape
     x, y = layers.origin

@@ -14,10 +14,10 @@ import offpiste
 
 def predict_windows(run_folder: str, dataset_folder: str, count: int = 64) -> tuple[torch.Tensor, torch.Tensor]:
     """Predicted and recorded states of windows across the test part [B, 250, 6], relative to each window's start."""
-    run = offpiste.load_run(run_folder)
+    run = offpiste.load(run_folder)
     windows = offpiste.Windows(offpiste.open_dataset(dataset_folder), "test")
     chosen = np.linspace(0, len(windows) - 1, min(count, len(windows))).astype(int)
-    return run.predict(windows[chosen]).state, windows.gather(chosen).target
+    return offpiste.predict(run, windows[chosen]).state, windows.gather(chosen).target
 
 
 def draw(predicted: torch.Tensor, recorded: torch.Tensor, out: str) -> None:

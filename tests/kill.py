@@ -66,7 +66,7 @@ def drive_closed_loop(inputs: Path, out: Path) -> None:
     """A short drive with a plan; what a killed one left has to be removed, as its message says."""
     from offpiste.closed_loop.courses import CourseSettings
     from offpiste.closed_loop.drive_course import CourseDriveSettings, drive_course
-    from offpiste.closed_loop.planner import Planner
+    from offpiste.runtime.planner import Planner
     from offpiste.simulation.world.world import WorldSettings
     from runtime.stream import parametric, settings
 

@@ -9,10 +9,7 @@ import cv2
 import pytest
 import torch
 
-from factories import circle_rows, small_rig
 from feature_datasets import dataset_with_features
-from offpiste.dataset.splits import parse_split
-from offpiste.dataset.store import add_drive, create
 from offpiste.simulation.simulate import DriveSettings, simulate
 from offpiste.simulation.world.world import WorldSettings
 from offpiste.training.config import TrainConfig
@@ -47,30 +44,36 @@ def test_predict_and_plot(folder: Path, model: str) -> None:
     assert cv2.imread(str(out)) is not None
 
 
-def test_plan_on_map(folder: Path) -> None:
-    out = folder / "plan.png"
-    said = run("plan_on_map.py", folder / "dc", folder / "dataset.zarr", "--out", out)
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A simulated drive of a few seconds."""
+    log = tmp_path_factory.mktemp("drive") / "drive.mcap"
+    world = WorldSettings("mojave", seed=3, size=60.0, resolution=0.5)
+    simulate(DriveSettings(world, 2.5, seed=1, sensors="light"), log)
+    return log
+
+
+def test_plan_on_map(drive: Path, tmp_path: Path) -> None:
+    out = tmp_path / "plan.png"
+    said = run(
+        "plan_on_map.py", "pretrained:proving-ground/dc", drive, "proving_ground", "--seconds", "2", "--out", out
+    )
     away = float(said.split(" s ")[1].split(" m ")[0])
     assert away < 7, "10.8 m at the start"
     assert cv2.imread(str(out)) is not None
 
 
-def test_plan_without_a_map_ends_in_one_line(folder: Path) -> None:
-    path, split = folder / "blind.zarr", parse_split("blocks:0.4,0.2,0.4")
-    create(path, small_rig(), split)
-    add_drive(path, "one", circle_rows(4000), split, ())
-    command = [sys.executable, EXAMPLES / "plan_on_map.py", folder / "b", path, "--out", folder / "blind.png"]
+def test_plan_before_the_first_scan_ends_in_one_line(drive: Path) -> None:
+    given = ["pretrained:proving-ground/b", str(drive), "proving_ground", "--seconds", "0"]
+    command = [sys.executable, EXAMPLES / "plan_on_map.py", *given]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 1
     assert done.stderr.startswith("plan_on_map.py: ")
-    assert "drive 'one' has no map" in done.stderr
     assert done.stderr.count("\n") == 1
 
 
-def test_map_from_bag(tmp_path: Path) -> None:
-    world = WorldSettings("mojave", seed=3, size=60.0, resolution=0.5)
-    simulate(DriveSettings(world, 1.0, seed=1, sensors="light"), tmp_path / "drive.mcap")
-    said = run("map_from_bag.py", tmp_path / "drive.mcap", "--rig", "proving_ground", "--out", tmp_path / "map.png")
+def test_map_from_bag(drive: Path, tmp_path: Path) -> None:
+    said = run("map_from_bag.py", drive, "--rig", "proving_ground", "--out", tmp_path / "map.png")
     assert float(said.split(": ")[1].split(" m2")[0]) > 200
     assert cv2.imread(str(tmp_path / "map.png")) is not None
 

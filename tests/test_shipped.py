@@ -5,11 +5,11 @@ from pathlib import Path
 import pytest
 
 import offpiste
-from offpiste.closed_loop.planner import load_planner
 from offpiste.core.errors import RunError
 from offpiste.core.shipped import PREFIX, names_apart, pca_file, pretrained_names, run_folder
 from offpiste.file_check import check_paths
 from offpiste.perception.pca import load_pca
+from offpiste.runtime.planner import load_planner
 
 NAMES = pretrained_names()
 SHIPPED_BYTES = 1_000_000
@@ -21,7 +21,7 @@ def test_the_models_of_the_proving_ground_ship():
 
 @pytest.mark.parametrize("name", NAMES)
 def test_each_is_the_model_that_its_name_says(name):
-    run = offpiste.pretrained(name)
+    run = offpiste.load(f"pretrained:{name}")
     assert run.model == {"oracle": "df"}.get(Path(name).name, Path(name).name)
     assert not Path(run.split.removeprefix("drives:")).is_absolute(), "no path of the machine it was trained on"
 
@@ -51,7 +51,7 @@ def test_an_unknown_name_lists_those_there_are(name):
     with pytest.raises(
         RunError, match=r"no model '.*' ships; (did you mean 'proving-ground/b'\? )?there are: .*proving-ground/dc"
     ):
-        offpiste.pretrained(name)
+        offpiste.load(f"pretrained:{name}")
 
 
 def test_a_path_stays_one():
@@ -60,7 +60,7 @@ def test_a_path_stays_one():
 
 
 def test_the_features_of_a_family_ship_under_its_name():
-    assert load_pca("pretrained:proving-ground").identity == offpiste.pretrained("proving-ground/dc").pca
+    assert load_pca("pretrained:proving-ground").identity == offpiste.load("pretrained:proving-ground/dc").pca
     with pytest.raises(
         RunError, match=r"no PCA 'proving-ground/dc' ships; did you mean 'proving-ground'\? there are: proving-ground$"
     ):

@@ -16,9 +16,9 @@ from experiments.command import run
 from offpiste.closed_loop.courses import KINDS as KINDS_OF_COURSE
 from offpiste.closed_loop.courses import CourseSettings
 from offpiste.closed_loop.drive_course import CourseDriveSettings
-from offpiste.closed_loop.planner import load_planner
 from offpiste.core.errors import OffpisteError
 from offpiste.core.parallel import usable_cores
+from offpiste.runtime.planner import load_planner
 
 logger = logging.getLogger("experiments")
 

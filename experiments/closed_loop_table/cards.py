@@ -7,9 +7,9 @@ import msgspec
 
 from experiments.closed_loop_table.drives import entries
 from experiments.closed_loop_table.table import by_row, driven_cost_against
-from offpiste.closed_loop.planner import Planner
 from offpiste.core.errors import RunError
 from offpiste.evaluation.model_card import CARD, CourseFigures, load_card, write_card
+from offpiste.runtime.planner import Planner
 
 
 def write_driving(planners: Sequence[Planner], results: Sequence[dict[str, Any]], limit: float) -> None:

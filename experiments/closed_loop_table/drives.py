@@ -19,11 +19,11 @@ from offpiste.closed_loop.drive_course import (
     drive_course,
     settings_of,
 )
-from offpiste.closed_loop.planner import Planner
 from offpiste.core.errors import CourseError, OffpisteError, RunError
 from offpiste.core.files import check_folder
 from offpiste.core.parallel import run_all
 from offpiste.planning.caution import AsPredicted, risk_of
+from offpiste.runtime.planner import Planner
 from offpiste.simulation.rendering.scene import Scene, world_scene
 from offpiste.simulation.world.world import World, WorldSettings
 

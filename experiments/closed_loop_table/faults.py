@@ -10,9 +10,9 @@ from typing import Any, Final
 from experiments.closed_loop_table.drives import Place, drive_all, entries
 from offpiste.closed_loop.drive_course import CourseDriveSettings
 from offpiste.closed_loop.lockstep import KINDS
-from offpiste.closed_loop.planner import Planner
 from offpiste.core.files import write_text
 from offpiste.report.text_table import TextTable, number
+from offpiste.runtime.planner import Planner
 
 logger = logging.getLogger("experiments")
 

@@ -20,13 +20,13 @@ from experiments.live_faults.network import Router
 from experiments.live_faults.programs import started
 from offpiste.closed_loop.courses import CourseSettings
 from offpiste.closed_loop.drive_course import CourseDriveSettings, drive_course
-from offpiste.closed_loop.planner import load_planner
 from offpiste.closed_loop.scores import scores_of
 from offpiste.core.conventions import PERCEPTION_LATENCY
 from offpiste.core.errors import LiveError
 from offpiste.core.files import write_text
 from offpiste.report.figure import write_png
 from offpiste.report.text_table import TextTable, number
+from offpiste.runtime.planner import load_planner
 from offpiste.simulation.vehicle.parameters import load_vehicle
 from offpiste.simulation.world.world import WorldSettings
 

@@ -1,6 +1,33 @@
 """offpiste learns how an off-road vehicle will move on the ground ahead, and plans with what it learned."""
 
-import lazy_loader
+import ast
+from importlib import import_module
+from pathlib import Path
+from typing import Any
 
-# Public names stand in __init__.pyi; each is imported on first use, so that `import offpiste` and `--help` stay quick.
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+_STUB = ast.parse(Path(__file__).with_suffix(".pyi").read_text("utf-8"))
+_PUBLIC = {
+    alias.asname or alias.name: (f"{__name__}.{node.module}", alias.name)
+    for node in _STUB.body
+    if isinstance(node, ast.ImportFrom)
+    for alias in node.names
+}
+"""Module and attribute of each public name, imported on first use: `import offpiste` and `--help` stay quick."""
+
+__all__ = sorted(_PUBLIC)
+
+
+def __getattr__(name: str) -> Any:
+    if name in _PUBLIC:
+        module, attribute = _PUBLIC[name]
+        globals()[name] = value = getattr(import_module(module), attribute)
+        return value
+    from offpiste.core.moved_names import MOVED
+
+    if name in MOVED:
+        raise ImportError(f"offpiste.{name} is now {MOVED[name]}")
+    raise AttributeError(f"module 'offpiste' has no attribute '{name}'")
+
+
+def __dir__() -> list[str]:
+    return __all__

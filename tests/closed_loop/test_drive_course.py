@@ -16,7 +16,6 @@ from offpiste._version import commit, today
 from offpiste.cli.drive import Drive, drive_tables
 from offpiste.closed_loop.courses import CourseSettings, choose_course, surprise_along, traction_along
 from offpiste.closed_loop.drive_course import CourseDriveSettings, drive_course
-from offpiste.closed_loop.planner import Planner, load_planner
 from offpiste.core.channels import MORE_ACTUATORS, Actuator
 from offpiste.core.errors import OffpisteError, PlanningError
 from offpiste.dynamics import Parametric
@@ -24,6 +23,7 @@ from offpiste.logs.drive import read_drive
 from offpiste.logs.ground_truth import GROUND_PROPERTIES
 from offpiste.planning.caution import AddSpread
 from offpiste.rig.rig import load_rig
+from offpiste.runtime.planner import Planner, load_planner
 from offpiste.simulation.world.build import make_world
 from offpiste.simulation.world.world import WorldSettings
 from runtime.stream import parametric, settings

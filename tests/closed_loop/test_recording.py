@@ -9,7 +9,7 @@ import pytest
 from offpiste.closed_loop import recording
 from offpiste.closed_loop.courses import CourseSettings
 from offpiste.closed_loop.drive_course import CourseDriveSettings, drive_course
-from offpiste.closed_loop.planner import Planner
+from offpiste.runtime.planner import Planner
 from offpiste.simulation.world.world import WorldSettings
 from runtime.stream import parametric, settings
 

@@ -13,7 +13,7 @@ from offpiste.dataset.windows import Windows
 from offpiste.demo.first_minute import shipped
 from offpiste.demo.warm_up import PLAN, RECORD, compile_training, rehearse, rehearse_part
 from offpiste.dynamics.kernels import actuators, encoder, rollout
-from offpiste.training.prediction import predict
+from offpiste.training.prediction import predict_batch
 from offpiste.training.run import build, vehicle_of
 
 ENTRIES = (
@@ -30,9 +30,9 @@ def test_training_compiles_nothing_more(tmp_path) -> None:
     dataset = dataset_with_features(tmp_path / "data.zarr")
     model, windows = build("dc", vehicle_of(dataset), seed=0), Windows(dataset, "train")
     model.actuators.requires_grad_(False)
-    predict(model, windows.gather(np.arange(3))).state.sum().backward()
+    predict_batch(model, windows.gather(np.arange(3))).state.sum().backward()
     with torch.no_grad():
-        predict(model, windows.gather(np.arange(3)))
+        predict_batch(model, windows.gather(np.arange(3)))
     assert [set(entry.signatures) for entry in ENTRIES] == compiled
 
 

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import pytest
 
-import offpiste
 from documentation.pages import ROOT, difference, run_page
 from test_public_api import public_names
 
@@ -14,9 +13,7 @@ DESCRIBED = [name for page in PAGES for name in re.findall(r"^::: (\S+)$", page.
 
 
 def test_every_public_name_is_described_once():
-    modules = {path.parent.name for path in (ROOT / "src" / "offpiste").glob("*/__init__.py")}
-    modules |= {path.stem for path in (ROOT / "src" / "offpiste").glob("*.py")}
-    wanted = {f"offpiste.{name}" for name in public_names() if name not in modules and name != "__version__"}
+    wanted = {f"offpiste.{name}" for name in public_names() if name != "__version__"}
     assert len(DESCRIBED) == len(set(DESCRIBED))
     assert wanted <= set(DESCRIBED)
 
@@ -25,7 +22,7 @@ def test_the_first_page_names_what_there_is():
     first = (ROOT / "docs" / "api" / "index.md").read_text("utf-8")
     stages = set(re.findall(r"`offpiste\.(\w+)`", first))
     assert {"rig", "logs", "dataset", "dynamics", "planning", "runtime"} <= stages
-    assert all(hasattr(offpiste, name) for name in stages)
+    assert all((ROOT / "src" / "offpiste" / name).is_dir() for name in stages)
 
 
 def test_the_example_prints_what_is_shown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,7 +16,7 @@ from offpiste.dataset.windows import Windows
 from offpiste.dynamics import MODELS
 from offpiste.dynamics.inputs import drive_train
 from offpiste.training.run import vehicle_of
-from offpiste.training.prediction import predict
+from offpiste.training.prediction import predict_batch
 
 dataset = open_dataset(sys.argv[1])
 vehicle = vehicle_of(dataset)
@@ -30,7 +30,7 @@ for name in ("parametric", "b"):
     model = MODELS[name](vehicle, seed=0)
     rate = model.actuators.constant_names.index(("throttle", "rate"))
     model.actuators.raw.data[rate] = torch.logit(torch.tensor(1.9 / 39.9))  # 2 / s
-    predicted = predict(model, batch).actuators[..., 4]
+    predicted = predict_batch(model, batch).actuators[..., 4]
     torch.testing.assert_close(predicted, batch.target_actuators[..., 4], atol=0.02, rtol=0)
 print(len(batch.state))
 """
@@ -40,7 +40,7 @@ DRIVE = """
 from pathlib import Path
 import numpy as np
 from live.made_up_robot import RIG, START, odometry
-from offpiste.closed_loop.planner import Planner
+from offpiste.runtime.planner import Planner
 from offpiste.core.conventions import CONTROL
 from offpiste.dynamics import Parametric, Vehicle
 from offpiste.live.driver import refuse_unmeasured

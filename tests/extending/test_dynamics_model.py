@@ -30,14 +30,14 @@ import numpy as np
 from offpiste.dataset.store import open_dataset
 from offpiste.dataset.windows import Windows
 from offpiste.training.run import load_run
-from offpiste.training.prediction import predict
+from offpiste.training.prediction import predict_batch
 
 dataset, run = open_dataset(sys.argv[1]), load_run(sys.argv[2])
 assert run.dynamics.vehicle.control_columns[-2:] == ("left_track", "right_track")
 assert abs(run.dynamics.vehicle.track - 1.4) < 1e-9
 windows = Windows(dataset, "test")
 batch = windows.gather(windows.every(50))
-predicted = predict(run.dynamics, batch).state
+predicted = predict_batch(run.dynamics, batch).state
 print(float((predicted - batch.target)[:, -1, :2].norm(dim=-1).mean()))
 """
 

@@ -12,7 +12,7 @@ from offpiste.dataset.store import open_dataset
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics import rollout
 from offpiste.core.state import RecordedTerrain
-from offpiste.training.prediction import predict
+from offpiste.training.prediction import predict_batch
 from offpiste.training.run import load_run
 
 run = load_run(sys.argv[2])
@@ -21,7 +21,7 @@ batch = windows.gather(windows.every(100))
 with torch.no_grad():
     start = run.dynamics.start(batch.history, batch.state, batch.actuators)
     eager = rollout(run.dynamics, start, batch.control, RecordedTerrain(batch.terrain)).state
-    assert torch.equal(predict(run.dynamics, batch).state, eager)
+    assert torch.equal(predict_batch(run.dynamics, batch).state, eager)
 assert type(run.dynamics.compensator.cell).__name__ == "GatedCell"
 """
 

@@ -31,7 +31,6 @@ from factories import COMMANDED, VEHICLE, Situation
 from feature_datasets import dataset_with_features
 from offpiste.closed_loop.courses import CourseSettings
 from offpiste.closed_loop.drive_course import CourseDriveSettings, drive_course
-from offpiste.closed_loop.planner import Planner
 from offpiste.core.conventions import ACTUATORS, CONTROL, FEATURE_SETS
 from offpiste.core.errors import OffpisteError
 from offpiste.core.state import History, ModelState, RecordedTerrain, Terrain
@@ -63,6 +62,7 @@ from offpiste.planning.kernel import encode_map, fused_costs, fused_rollout, ker
 from offpiste.planning.mppi import PEDALS_AND_WHEEL, Settings, improve, shift
 from offpiste.planning.rollouts import driving_costs, situation_terrain, spread_model_state
 from offpiste.rig.rig import load_rig
+from offpiste.runtime.planner import Planner
 from offpiste.simulation.recorder import Imperfections
 from offpiste.simulation.sample import VehicleSample
 from offpiste.simulation.simulate import Controller, DriveSettings, record, simulate, start_and_driver
@@ -71,7 +71,7 @@ from offpiste.simulation.world.build import make_world
 from offpiste.simulation.world.world import WorldSettings
 from offpiste.training.config import TrainConfig
 from offpiste.training.losses import summed_loss
-from offpiste.training.prediction import encoded, predict
+from offpiste.training.prediction import encoded, predict_batch
 from offpiste.training.run import build, load_run
 from offpiste.training.train import standardise, train
 from planning_maps import layers, situation
@@ -263,7 +263,7 @@ def models() -> Results:
             f"{label}.kernel", dynamics, rollout_recorded(dynamics, model_state, read.control, read.terrain), read
         )
         with torch.no_grad():
-            found |= summarised(f"{label}.predict", predict(dynamics, batch).state, keep=60)
+            found |= summarised(f"{label}.predict", predict_batch(dynamics, batch).state, keep=60)
     return found
 
 

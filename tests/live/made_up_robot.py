@@ -4,13 +4,13 @@ from pathlib import Path
 
 import numpy as np
 
-from offpiste.closed_loop.planner import Planner
 from offpiste.logs.ros.sensor_messages import message_from_points
 from offpiste.logs.ros.writer import McapWriter, header, make, quaternion, vector
 from offpiste.planning import mppi
 from offpiste.planning.pedal import PEDAL_AND_WHEEL
 from offpiste.rig.rig import parse_rig
 from offpiste.runtime.backing_out import BackingOutSettings
+from offpiste.runtime.planner import Planner
 from runtime.stream import parametric, settings
 
 ACKERMANN = "ackermann_msgs/msg/AckermannDriveStamped"

@@ -18,7 +18,6 @@ import torch
 from live.made_up_robot import ENABLE, write_course, write_rig
 from live.test_all_processes import runs
 from live.test_supervisor import RUN, Drive, drove, first_stop
-from offpiste.closed_loop.planner import load_planner
 from offpiste.core.errors import LiveError, PlanningError, RigError
 from offpiste.core.shipped import run_folder
 from offpiste.core.signals import GROUP_SIGNALS
@@ -33,6 +32,7 @@ from offpiste.logs.ros.writer import make
 from offpiste.planning.caution import AddSpread
 from offpiste.rig.rig import load_rig
 from offpiste.runtime.estimator import VehicleReading
+from offpiste.runtime.planner import load_planner
 from offpiste.runtime.prediction import Prediction
 from offpiste.runtime.schedule import TimedPlan
 from offpiste.runtime.settings import RuntimeSettings

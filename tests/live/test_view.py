@@ -13,7 +13,6 @@ import torch
 
 from live.made_up_robot import write_course, write_rig
 from offpiste.cli import main
-from offpiste.closed_loop.planner import load_planner
 from offpiste.closed_loop.recording import LIFT
 from offpiste.core.errors import LiveError
 from offpiste.live.packing import pack_course, pack_layers, pack_measured, pack_plan, packed
@@ -26,6 +25,7 @@ from offpiste.live.viewers.viewer import VIEWERS, listening_at
 from offpiste.logs.measurements import Image
 from offpiste.planning.course import Course
 from offpiste.runtime.estimator import VehicleReading
+from offpiste.runtime.planner import load_planner
 from offpiste.runtime.prediction import Prediction
 from offpiste.runtime.schedule import TimedPlan
 from offpiste.training.checkpoint import load_json, save_tensors

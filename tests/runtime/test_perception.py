@@ -5,8 +5,8 @@ import pytest
 import torch
 
 from fake_gpu import GPU, Faking, FromNumbers
-from offpiste.closed_loop.planner import load_planner
 from offpiste.runtime.perception import Stopwatch, codes_of, encoder_on
+from offpiste.runtime.planner import load_planner
 
 RUN = "pretrained:proving-ground/dc"
 

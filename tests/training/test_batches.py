@@ -17,7 +17,7 @@ from offpiste.dataset.windows import Batch, Windows
 from offpiste.training.batches import OPPOSITE, STATE_SIGNS, Mirror, batches_of, mirror_of, one_ahead
 from offpiste.training.config import TrainConfig
 from offpiste.training.distributed import Group
-from offpiste.training.prediction import predict
+from offpiste.training.prediction import predict_batch
 from offpiste.training.run import build, vehicle_of
 from offpiste.training.train import train
 
@@ -95,7 +95,7 @@ def test_the_bicycle_predicts_the_image_of_what_it_predicts(dataset: Dataset, wi
     batch, mirror, every = gathered(windows)
     bicycle = build("parametric", vehicle_of(dataset), seed=0)
     with torch.no_grad():
-        before, image = (predict(bicycle, each).state for each in (batch, mirror.of(batch, every)))
+        before, image = (predict_batch(bicycle, each).state for each in (batch, mirror.of(batch, every)))
     assert (before[..., 4].abs().amax(dim=1) > 0.05).all(), "the vehicle is pushed sideways"
     torch.testing.assert_close(image, before * torch.tensor(STATE_SIGNS), atol=1e-4, rtol=1e-4)
 

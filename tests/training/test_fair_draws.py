@@ -17,7 +17,7 @@ from offpiste.dynamics.inputs import unknown_normals
 from offpiste.training import loop
 from offpiste.training.config import TrainConfig
 from offpiste.training.distributed import ALONE
-from offpiste.training.prediction import predict
+from offpiste.training.prediction import predict_batch
 from offpiste.training.run import build, vehicle_of
 
 CONFIG = TrainConfig(batch=16, stride=20, seed=5)
@@ -115,8 +115,8 @@ def test_what_is_unknown_reaches_no_network_and_is_counted(dataset: Dataset, mod
     with torch.no_grad():
         for parameter in dynamics.parameters():
             parameter += 0.1
-        states = predict(dynamics, batch).state
+        states = predict_batch(dynamics, batch).state
         known = replace(batch, terrain=replace(batch.terrain, known=torch.ones_like(batch.terrain.known)))
-        if_known = predict(dynamics, known).state
+        if_known = predict_batch(dynamics, known).state
     assert torch.isfinite(states).all()
     assert not torch.equal(states, if_known)

@@ -23,8 +23,8 @@ from offpiste.rig.channels import ChannelSource
 from offpiste.training import loop, prediction
 from offpiste.training.checkpoint import fold_folders, load_json, load_tensors, save_json, save_tensors
 from offpiste.training.config import TrainConfig, other_settings
-from offpiste.training.prediction import Lookup, predict, predict_windows, roll_out
-from offpiste.training.run import check_device, load_run, refuse_seen
+from offpiste.training.prediction import Lookup, predict_batch, predict_windows, roll_out
+from offpiste.training.run import check_device, load_run, predict, refuse_seen
 from offpiste.training.train import train, train_folds
 
 QUICK = TrainConfig(model="b", epochs=2, bicycle_epochs=1, stride=200, batch=64)
@@ -141,21 +141,21 @@ def test_a_loaded_run_predicts_as_the_trained_model(dataset: Dataset, run: Path,
     windows = Windows(dataset, "test")
     batch = windows.gather(np.arange(3))
     with torch.no_grad():
-        assert torch.equal(predict(trained, batch).state, predict(loaded.dynamics, batch).state)
+        assert torch.equal(predict_batch(trained, batch).state, predict_batch(loaded.dynamics, batch).state)
     assert (loaded.model, loaded.seed, loaded.split) == ("b", 0, "blocks:0.6,0.2,0.2")
 
 
 def test_a_run_predicts_windows_in_one_call(dataset: Dataset, run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     windows, loaded = Windows(dataset, "test"), load_run(run)
     with torch.no_grad():
-        wanted = predict(loaded.dynamics, windows.gather(np.arange(10))).state
-    predicted = loaded.predict(windows[:10])
+        wanted = predict_batch(loaded.dynamics, windows.gather(np.arange(10))).state
+    predicted = predict(loaded, windows[:10])
     assert not predicted.state.requires_grad
     torch.testing.assert_close(predicted.state, wanted)
-    torch.testing.assert_close(loaded.predict(windows[3]).state, wanted[3:4], atol=1e-5, rtol=1e-5)
+    torch.testing.assert_close(predict(loaded, windows[3]).state, wanted[3:4], atol=1e-5, rtol=1e-5)
     monkeypatch.setattr(prediction, "AT_ONCE", 4)
-    torch.testing.assert_close(loaded.predict(windows[:10]).state, wanted, atol=1e-5, rtol=1e-5)
-    assert loaded.predict(windows[:3], lookup="map").state.shape == wanted[:3].shape
+    torch.testing.assert_close(predict(loaded, windows[:10]).state, wanted, atol=1e-5, rtol=1e-5)
+    assert predict(loaded, windows[:3], lookup="map").state.shape == wanted[:3].shape
 
 
 def test_what_cannot_be_predicted_is_refused_in_one_line(dataset: Dataset, run: Path) -> None:
@@ -163,7 +163,7 @@ def test_what_cannot_be_predicted_is_refused_in_one_line(dataset: Dataset, run: 
     with pytest.raises(OffpisteError, match="no lookup 'maps'; did you mean 'map'"):
         inspect.unwrap(predict_windows)(loaded.dynamics, windows[:3], "maps")
     with pytest.raises(DatasetError, match="no window to predict"):
-        loaded.predict(windows[:0])
+        predict(loaded, windows[:0])
     with pytest.raises(DatasetError, match="no part 'tst'; did you mean 'test'"):
         Windows(dataset, "tst")
 
@@ -172,7 +172,7 @@ def test_a_run_refuses_windows_of_another_rig(dataset: Dataset, run: Path) -> No
     channels = {name: source for name, source in dataset.rig.channels.items() if name != "brake"}
     other = replace(dataset, rig=msgspec.structs.replace(dataset.rig, channels=channels))
     with pytest.raises(RunError, match="was trained with control throttle, brake, steer; the dataset has throttle"):
-        load_run(run).predict(Windows(other, "test")[:2])
+        predict(load_run(run), Windows(other, "test")[:2])
 
 
 @pytest.mark.parametrize("lookup", ["recorded", "map"])
@@ -189,7 +189,7 @@ def test_a_gear_that_a_run_does_not_know_is_left_out(dataset: Dataset, run: Path
 
     other = replace(dataset, rig=rig, drives=tuple(map(geared, dataset.drives)))
     loaded = load_run(run)
-    one, two = (loaded.predict(Windows(each, "test")[:3], lookup) for each in (dataset, other))
+    one, two = (predict(loaded, Windows(each, "test")[:3], lookup) for each in (dataset, other))
     torch.testing.assert_close(one.state, two.state, rtol=0, atol=0)
     vehicle = replace(loaded.dynamics.vehicle, control=(*CONTROL, "gear"))
     knows = Parametric(vehicle)

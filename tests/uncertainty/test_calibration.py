@@ -17,7 +17,7 @@ from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
 from offpiste.training.checkpoint import WEIGHTS, load_json, load_tensors, save_json, save_tensors
 from offpiste.training.config import TrainConfig
-from offpiste.training.run import Run, load_run
+from offpiste.training.run import Run, load_run, predict
 from offpiste.training.train import train
 from offpiste.uncertainty.calibration import (
     CalibrationRow,
@@ -77,13 +77,13 @@ def test_predictions_come_with_the_regions_that_hold_the_vehicle(dataset: Datase
     kept_or_fitted(run, dataset, QUICK)
     windows = Windows(dataset, "test")[:7]
     found = predict_with_spread(run, windows)
-    assert torch.equal(found.trajectory.state, run.predict(windows, "map").state)
+    assert torch.equal(found.trajectory.state, predict(run, windows, "map").state)
     half, most = found.region(0.5), found.region(0.95)
     assert half.shape == (7, 25, 2)
     assert (half > 0).all()
     assert (half < most).all()
     recorded = predict_with_spread(run, windows, "recorded")
-    assert torch.equal(recorded.trajectory.state, run.predict(windows, "recorded").state)
+    assert torch.equal(recorded.trajectory.state, predict(run, windows, "recorded").state)
 
 
 def test_a_run_refuses_windows_of_another_dataset(dataset: Dataset, run: Run) -> None:

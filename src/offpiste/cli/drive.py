@@ -64,10 +64,10 @@ class Drive:
         """Load, drive, evaluate, draw."""
         from offpiste.closed_loop.courses import CourseSettings
         from offpiste.closed_loop.drive_course import CourseDriveSettings, drive_course
-        from offpiste.closed_loop.planner import load_planner
         from offpiste.core.errors import require
         from offpiste.planning.caution import risk_of
         from offpiste.planning.gpu import require_device
+        from offpiste.runtime.planner import load_planner
         from offpiste.runtime.settings import RuntimeSettings
         from offpiste.simulation.world.world import WorldSettings
 

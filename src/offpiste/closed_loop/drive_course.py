@@ -15,7 +15,6 @@ from offpiste.closed_loop.courses import KINDS as COURSE_KINDS
 from offpiste.closed_loop.courses import ChosenCourse, CourseSettings, choose_course, course_world
 from offpiste.closed_loop.lockstep import KINDS, WHENS, Driving, Fault, Kind, When, cameras_of, drive_planned, lidars_of
 from offpiste.closed_loop.pictures import course_picture
-from offpiste.closed_loop.planner import Planner
 from offpiste.closed_loop.scores import Trace, firm_way, prediction_errors, summary, trace_of
 from offpiste.core.channels import registered_actuators
 from offpiste.core.conventions import DT
@@ -28,6 +27,7 @@ from offpiste.planning.course import FASTEST
 from offpiste.rig.rig import Rig, load_rig
 from offpiste.runtime.perception import SensorSetup
 from offpiste.runtime.plan_improvement import MakeImprover, PlanImprover
+from offpiste.runtime.planner import Planner
 from offpiste.runtime.runtime import Runtime
 from offpiste.runtime.settings import RuntimeSettings
 from offpiste.simulation.rendering.scene import Scene
@@ -99,7 +99,7 @@ def drive_course(
     """Drive a course; writes drive.mcap, drive.png and finally result.json to a folder.
 
         planner = offpiste.load_planner("pretrained:proving-ground/dc")
-        driven = offpiste.drive_course(planner, offpiste.CourseDriveSettings(offpiste.WorldSettings("dunes")), "drive")
+        driven = offpiste.drive(planner, offpiste.CourseDriveSettings(offpiste.WorldSettings("dunes")), "drive")
         driven.result["mean_path_error_m"]
 
     Args:

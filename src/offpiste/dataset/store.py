@@ -90,9 +90,13 @@ class Dataset:
     min_speed: float = MIN_EVALUATION_SPEED
 
     def __repr__(self) -> str:
-        """What is in it, in a line; its arrays would fill hundreds of screens."""
+        """Path, rig, drives, features and split in three lines."""
         minutes = sum(len(drive.rows.time) for drive in self.drives) * DT / 60
-        return f"<Dataset {self.path}: {len(self.drives)} drives, {minutes:.1f} min, {len(self.features)} features>"
+        return (
+            f"<Dataset {self.path}, rig '{self.rig.name}'\n"
+            f"  {len(self.drives)} drives, {minutes:.1f} min, {len(self.features)} features of the ground\n"
+            f"  split {self.split.text}>"
+        )
 
     @property
     def findings(self) -> tuple[str, ...]:

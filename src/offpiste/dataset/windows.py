@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from offpiste.core.conventions import HISTORY_STEPS, HORIZON_STEPS
+from offpiste.core.conventions import DT, HISTORY_STEPS, HORIZON_STEPS
 from offpiste.core.errors import DatasetError
 from offpiste.core.state import History, Terrain, wrap_angle
 from offpiste.dataset.columns import COLUMNS, Segment
@@ -131,6 +131,15 @@ class Windows:
 
     def __len__(self) -> int:
         return len(self.rows)
+
+    def __repr__(self) -> str:
+        """Part, number of windows and what they hold in three lines."""
+        maps = int(self.maps.snapped.sum())
+        return (
+            f"<{len(self)} windows of part '{self.part}' of {self.dataset.path}\n"
+            f"  {self.horizon} steps of {DT} s after {HISTORY_STEPS} rows of the past, {self.start} starts\n"
+            f"  in {len(np.unique(self.drive))} drives; {maps} begin with the map as it was>"
+        )
 
     def __getitem__(self, chosen: int | slice | Sequence[int] | np.ndarray) -> "Windows":
         """Some of the windows, by number, slice, list or mask; nothing is copied.

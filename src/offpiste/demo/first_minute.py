@@ -17,7 +17,6 @@ from typing import Any, Final, TypeVar
 
 from offpiste.closed_loop.courses import CourseSettings
 from offpiste.closed_loop.drive_course import CourseDriveSettings, drive_course
-from offpiste.closed_loop.planner import load_planner
 from offpiste.core.files import write_text
 from offpiste.core.parallel import Report, at_a_time, run_all
 from offpiste.core.shipped import PREFIX, run_folder
@@ -32,6 +31,7 @@ from offpiste.logs import read_drive
 from offpiste.report.figure import write_png
 from offpiste.reproduction.steps import claim_folder
 from offpiste.rig.rig import load_rig
+from offpiste.runtime.planner import load_planner
 from offpiste.simulation.simulate import DriveSettings, simulate_once
 from offpiste.simulation.world.build import make_world
 from offpiste.simulation.world.world import WorldSettings

@@ -15,7 +15,6 @@ from typing import Final
 import torch
 
 from offpiste.closed_loop.drive_course import CourseDriveSettings, sensor_setup
-from offpiste.closed_loop.planner import load_planner
 from offpiste.core.cache import KEPT_DAYS, cache_folder, forget_unused
 from offpiste.core.conventions import ACTUATORS, CONTROL
 from offpiste.core.parallel import Report, run_all
@@ -33,6 +32,7 @@ from offpiste.dynamics.kernels.encoder import codes_under_wheels, encode_cells
 from offpiste.dynamics.kernels.map_rollout import predict_on
 from offpiste.mapping.terrain_sampler import CellStack, MapTerrain
 from offpiste.rig.rig import load_rig
+from offpiste.runtime.planner import load_planner
 from offpiste.runtime.warm_up import warm_up
 from offpiste.simulation.sensors.suite import sensor_suite
 from offpiste.simulation.simulate import DriveSettings, simulate

@@ -10,7 +10,6 @@ import numpy as np
 
 from offpiste.closed_loop.courses import CourseSettings
 from offpiste.closed_loop.drive_course import CourseDriveSettings, described, drive_course
-from offpiste.closed_loop.planner import load_planner
 from offpiste.core.conventions import DT, FEATURE_SETS
 from offpiste.core.parallel import at_a_time
 from offpiste.dataset.extract import make_dataset
@@ -34,6 +33,7 @@ from offpiste.report.text_table import TextTable, interval, number
 from offpiste.reproduction.runs import reuse_stages
 from offpiste.reproduction.steps import claim_folder
 from offpiste.rig.rig import Rig, load_rig
+from offpiste.runtime.planner import load_planner
 from offpiste.simulation.simulate import DriveSettings, Recording, simulate_all
 from offpiste.simulation.world.world import WorldSettings
 from offpiste.training.config import TrainConfig

@@ -14,7 +14,6 @@ from typing import Final, Literal, NamedTuple
 
 import numpy as np
 
-from offpiste.closed_loop.planner import load_planner
 from offpiste.core.channels import OPTIONAL_CONTROLS
 from offpiste.core.errors import LiveError, OffpisteError, did_you_mean, require
 from offpiste.core.parallel import free_memory, usable_cores
@@ -26,6 +25,7 @@ from offpiste.live.session import Source
 from offpiste.live.vehicle_messages import VehicleMessages
 from offpiste.logs.ros.bag_files import field_getter, heard_at
 from offpiste.rig.rig import Rig, load_rig
+from offpiste.runtime.planner import load_planner
 from offpiste.training.run import differing_vehicle
 from offpiste.transport.interface import Received
 from offpiste.transport.zenoh_transport import ZenohSettings, ZenohTransport

@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from offpiste.closed_loop.planner import Planner
 from offpiste.core.channels import all_actuators
 from offpiste.core.conventions import DT
 from offpiste.core.errors import LiveError
@@ -28,6 +27,7 @@ from offpiste.runtime.course_tracker import CourseTracker
 from offpiste.runtime.estimator import VehicleReading
 from offpiste.runtime.modes import Controls
 from offpiste.runtime.perception import SensorSetup
+from offpiste.runtime.planner import Planner
 from offpiste.runtime.runtime import Runtime
 from offpiste.runtime.settings import RuntimeSettings
 

@@ -11,10 +11,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, Literal
 
-from offpiste.closed_loop.planner import Planner, load_planner
 from offpiste.core.errors import LiveError
 from offpiste.live.reception import CourseRequest
 from offpiste.live.ring import Ring
+from offpiste.runtime.planner import Planner, load_planner
 from offpiste.runtime.settings import RuntimeSettings
 from offpiste.transport.interface import RobotSettings
 from offpiste.transport.zenoh_transport import ZenohSettings
@@ -89,7 +89,7 @@ class LiveSettings:
             device: of the feature extractor; only a process that encodes images wants another than the CPU.
 
         Raises:
-            RunError, PerceptionError: it cannot be loaded (`closed_loop.planner.load_planner`).
+            RunError, PerceptionError: it cannot be loaded (`runtime.planner.load_planner`).
         """
         return load_planner(self.run, self.pca, novelty=self.novelty, device=device)
 

@@ -14,7 +14,6 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any, Final
 
-from offpiste.closed_loop.planner import Planner
 from offpiste.core.signals import BACKGROUND, ENDING, group_signals_blocked
 from offpiste.live.packing import layers_from, plan_from, unpacked
 from offpiste.live.parts.entry import run_part
@@ -36,6 +35,7 @@ from offpiste.live.service_manager import ServiceManager
 from offpiste.live.session import PARTS, LiveSettings, Session, new_session
 from offpiste.live.status_table import StatusTable
 from offpiste.mapping.terrain_map import TerrainLayers
+from offpiste.runtime.planner import Planner
 from offpiste.transport.interface import Transport
 
 logger = logging.getLogger(__name__)

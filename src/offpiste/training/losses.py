@@ -23,7 +23,7 @@ from offpiste.dynamics.kernels.map_rollout import predict_on
 from offpiste.mapping.terrain_sampler import CellStack, MapTerrain
 from offpiste.training.config import TrainConfig
 from offpiste.training.distributed import Group
-from offpiste.training.prediction import in_parts, predict, with_past_on
+from offpiste.training.prediction import in_parts, predict_batch, with_past_on
 
 COMPONENTS: Final = ("position", "yaw", "vx", "vy", "yaw_rate")
 """Components of the loss [m, rad, m/s, m/s, rad/s]."""
@@ -109,7 +109,7 @@ def loss_scale(reference: Dynamics, windows: Windows, config: TrainConfig) -> Fl
     with torch.no_grad():
         for part in in_parts(windows.strided(stride), windows, None, size=size):
             batch = windows.gather(part)
-            errors.append(squared_errors(predict(reference, batch).state, batch.target))
+            errors.append(squared_errors(predict_batch(reference, batch).state, batch.target))
     return torch.cat(errors).mean(dim=(0, 1)).clamp(min=1e-8)
 
 

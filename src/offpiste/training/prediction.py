@@ -36,7 +36,7 @@ AT_ONCE_ON_SNAPSHOTS: Final = 32
 """Number of windows that are rolled out together if each has its own map of some 10 MB."""
 
 
-def predict(dynamics: Dynamics, batch: Batch) -> Trajectory:
+def predict_batch(dynamics: Dynamics, batch: Batch) -> Trajectory:
     """Roll out a batch over its recorded terrain, with gradients; by kernels if they support the model."""
     batch = encoded(dynamics, batch)
     model_state = dynamics.start(batch.history, batch.state, batch.actuators)
@@ -132,7 +132,7 @@ def roll_batch_out(
         map_source: map to read with the lookup "map"; None: the windows' own.
     """
     if lookup != "map":
-        return predict(dynamics, batch)
+        return predict_batch(dynamics, batch)
     batch, source = (map_source or on_map)(dynamics, windows, index, encoded(dynamics, batch))
     start = dynamics.start(batch.history, batch.state, batch.actuators)
     return predict_on(dynamics, start, batch.control, source)

@@ -127,7 +127,7 @@ class _Stated(msgspec.Struct):
     assumptions: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Run:
     """A trained model and the data it was trained on.
 
@@ -152,24 +152,34 @@ class Run:
     features: tuple[str, ...] = ()
     assumptions: tuple[str, ...] = ()
 
-    def predict(self, windows: Windows, lookup: Lookup = "recorded") -> Trajectory:
-        """Predict states and actuators of windows; positions are relative to each window's start.
+    def __repr__(self) -> str:
+        """Model, folder, size and training data in three lines."""
+        parameters = sum(each.numel() for each in self.dynamics.parameters())
+        return (
+            f"<Run of '{self.model}' in {self.folder}, seed {self.seed}\n"
+            f"  {parameters} parameters, {len(self.features)} features of the ground\n"
+            f"  split {self.split}, {len(self.assumptions)} assumptions>"
+        )
 
-            moments = windows.evaluation_indices(5)
-            run.predict(windows[moments], "map").state[:, -1, :2]  # position after 5 s [m]
 
-        Args:
-            lookup: "map" reads the ground at predicted places, on the map as it was when each window began, as a
-                planner does. "recorded" reads it under the wheels' later, recorded places, which no planner knows.
-                In a dataset without features, "map" reads the slope of the driven path at the nearest place.
+def predict(run: Run, windows: Windows, lookup: Lookup = "recorded") -> Trajectory:
+    """Predict states and actuators of windows; positions are relative to each window's start.
 
-        Raises:
-            RunError: the run was trained with other features or channels than the dataset has.
-            DatasetError: no window; or the map is asked for and a window does not start with one.
-            OffpisteError: unknown lookup.
-        """
-        refuse_unfit(self, windows.dataset)
-        return predict_windows(self.dynamics, windows, lookup)
+        moments = windows.evaluation_indices(5)
+        predict(run, windows[moments], "map").state[:, -1, :2]  # position after 5 s [m]
+
+    Args:
+        lookup: "map" reads the ground at predicted places, on the map as it was when each window began, as a
+            planner does. "recorded" reads it under the wheels' later, recorded places, which no planner knows.
+            In a dataset without features, "map" reads the slope of the driven path at the nearest place.
+
+    Raises:
+        RunError: the run was trained with other features or channels than the dataset has.
+        DatasetError: no window; or the map is asked for and a window does not start with one.
+        OffpisteError: unknown lookup.
+    """
+    refuse_unfit(run, windows.dataset)
+    return predict_windows(run.dynamics, windows, lookup)
 
 
 def load_run(folder: str | Path, *, device: str = "cpu") -> Run:

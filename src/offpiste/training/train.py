@@ -52,7 +52,7 @@ from offpiste.training.losses import (
     speed_weights,
     squared_errors,
 )
-from offpiste.training.prediction import encoded, predict
+from offpiste.training.prediction import encoded, predict_batch
 from offpiste.training.run import build, check_device, save_run, vehicle_of
 
 logger = logging.getLogger(__name__)
@@ -122,7 +122,11 @@ def train(
 
     def rolled_out(name: str, model: Dynamics, epochs: int, draw: Draw) -> Stage:
         on_map = None if maps is None else partial(maps.of, model, window_loss)
-        return Stage(name, model, lambda batch: window_loss(predict(model, batch), batch), epochs, draw, on_map, mirror)
+
+        def loss(batch: Batch) -> Tensor:
+            return window_loss(predict_batch(model, batch), batch)
+
+        return Stage(name, model, loss, epochs, draw, on_map, mirror)
 
     if (physics := dynamics.physics()) is not None:
         if physics.actuators is not None:

@@ -20,7 +20,7 @@ from offpiste.dynamics import MODELS, Dynamics
 from offpiste.dynamics.kernels.map_rollout import predict_on
 from offpiste.dynamics.models import seeded
 from offpiste.training.checkpoint import load_beside_weights, load_tensors, load_weights
-from offpiste.training.prediction import Lookup, batch_for, encoded, in_parts, on_map, predict
+from offpiste.training.prediction import Lookup, batch_for, encoded, in_parts, on_map, predict_batch
 from offpiste.training.run import Run, Stretch, refuse_unfit
 from offpiste.uncertainty.spread import (
     Spread,
@@ -168,7 +168,7 @@ def _predictions_of(
         start = dynamics.start(batch.history, batch.state, batch.actuators)
         trajectory = predict_on(dynamics, start, batch.control, source)
     else:
-        trajectory = predict(dynamics, batch)
+        trajectory = predict_batch(dynamics, batch)
     return trajectory, _residuals(dynamics, batch, trajectory, source)
 
 
@@ -204,7 +204,7 @@ def predict_with_spread(run: Run, windows: Windows, lookup: Lookup = "map") -> S
     """Predict states of windows with their spread.
 
     Args:
-        lookup: where the ground is read (`Run.predict`).
+        lookup: where the ground is read (`training.run.predict`).
 
     Raises:
         RunError: the run was trained with other features or channels than the dataset has; or its folder has no spread

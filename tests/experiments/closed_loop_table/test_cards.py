@@ -6,10 +6,10 @@ from dataclasses import replace
 import pytest
 
 from experiments.closed_loop_table.cards import write_driving
-from offpiste.closed_loop.planner import load_planner
 from offpiste.core.errors import RunError
 from offpiste.core.shipped import run_folder
 from offpiste.evaluation.model_card import load_card
+from offpiste.runtime.planner import load_planner
 
 
 def results(costs, **about):

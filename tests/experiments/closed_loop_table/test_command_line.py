@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from experiments.closed_loop_table import __main__ as command
-from offpiste.closed_loop.planner import Planner
 from offpiste.core.errors import OffpisteError
+from offpiste.runtime.planner import Planner
 from runtime.stream import parametric
 
 

@@ -11,9 +11,9 @@ from experiments.closed_loop_table import drives
 from experiments.closed_loop_table.drives import NEEDED, NEWER, Entry, drive_all, entries, places
 from offpiste.closed_loop.courses import CourseSettings
 from offpiste.closed_loop.drive_course import CourseDriveSettings, settings_of
-from offpiste.closed_loop.planner import Planner
 from offpiste.core.errors import CourseError, OffpisteError, RunError
 from offpiste.planning.costs.layers import Hazards
+from offpiste.runtime.planner import Planner
 from offpiste.runtime.settings import RuntimeSettings
 from offpiste.simulation.world.build import make_world
 from offpiste.simulation.world.world import WorldSettings

@@ -11,7 +11,7 @@ from experiments.closed_loop_table.drives import places
 from experiments.closed_loop_table.faults import MOMENTS, drive_faults
 from offpiste.closed_loop.drive_course import CourseDriveSettings
 from offpiste.closed_loop.lockstep import KINDS
-from offpiste.closed_loop.planner import Planner
+from offpiste.runtime.planner import Planner
 from runtime.stream import parametric
 
 RESULT = {"row": "b-100ms", "world": "mojave", "seed": 1, "course_m": 100.0, "left_world": False}

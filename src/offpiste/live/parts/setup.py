@@ -6,7 +6,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from offpiste.closed_loop.planner import Planner
 from offpiste.live.driver import sensor_setup_of
 from offpiste.live.packing import course_from, sensors_from, unpacked
 from offpiste.live.part import Part
@@ -17,6 +16,7 @@ from offpiste.rig.rig import load_rig
 from offpiste.rig.sensors import OPTICAL, CameraSource
 from offpiste.runtime.course_tracker import CourseTracker
 from offpiste.runtime.perception import SensorSetup
+from offpiste.runtime.planner import Planner
 from offpiste.runtime.warm_up import warm_up
 
 LOADING: Final = "loads its kernels"

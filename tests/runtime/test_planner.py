@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import torch
 
-from offpiste.closed_loop.planner import load_planner
 from offpiste.core.conventions import CONTROL
 from offpiste.core.errors import RunError
 from offpiste.dynamics import Vehicle
@@ -15,6 +14,7 @@ from offpiste.logs.ground_truth import GROUND_PROPERTIES
 from offpiste.perception.backbones import open_backbone
 from offpiste.perception.pca import PrincipalComponents, save_pca
 from offpiste.rig.rig import load_rig
+from offpiste.runtime.planner import load_planner
 from offpiste.training.checkpoint import load_json, save_beside_weights, save_json, save_tensors
 from offpiste.training.config import Weights
 from offpiste.training.losses import COMPONENTS
