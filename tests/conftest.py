@@ -54,6 +54,38 @@ WHOLE_PATHS = (
 the time here."""
 
 
+SLOW = (
+    "documentation/test_tutorials.py::test_a_tutorial_runs_as_it_stands[log-to-model]",
+    "experiments/illnesses/", "experiments/closed_loop_table/", "experiments/control_experiments/",
+    "experiments/probe/", "experiments/test_live_", "experiments/test_sensor_faults.py", "experiments/test_spreads.py",
+    "experiments/test_unseen_kinds.py", "experiments/test_novelty.py",
+    "export/test_onnx_files.py::", "fuzz/test_fuzz.py::test_forty_cases_of_a_new_seed",
+    "live/test_all_processes.py::test_a_signal_to_all_processes", "live/test_live_faults.py::test_",
+    "reproduction/test_reproduce.py", "runtime/test_compiled_and_loaded.py",
+    "test_cluster.py::test_a_worker_and_a_node_that_are_killed",
+    "test_kill.py::test_a_killed_training_and_simulation", "test_object_store.py::test_a_bucket_that_is_not_there",
+    "training/test_distributed.py::test_on_two_hosts",
+)  # fmt: skip
+"""Tests that only `.ci/full` runs, but for those in `SMOKE`."""
+
+SMOKE = (
+    "export/test_onnx_files.py::test_images_become_the_codes", "live/test_live_faults.py::test_a_clock_that_",
+    "live/test_live_faults.py::test_options_that_", "live/test_live_faults.py::test_types_and_fields",
+    "live/test_live_faults.py::test_a_risk_that", "live/test_live_faults.py::test_a_model_that_reads",
+    "reproduction/test_reproduce.py::test_every_size_can_be_started",
+    "experiments/closed_loop_table/test_command_line.py",
+)  # fmt: skip
+"""One test or so of each slow group."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark slow tests."""
+    for item in items:
+        name = item.nodeid.removeprefix("tests/")
+        if name.startswith(SLOW) and not name.startswith(SMOKE):
+            item.add_marker("slow")
+
+
 @pytest.fixture(scope="module", autouse=True)
 def shapes_checked(request: pytest.FixtureRequest) -> Iterator[None]:
     """Check shapes and types, but for tests of whole paths."""
