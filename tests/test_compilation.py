@@ -21,6 +21,7 @@ from offpiste.compilation import (
     RAYS,
     Compiler,
     single_threaded_torch,
+    sources_digest,
     spread_blocks,
     spread_kernel,
 )
@@ -148,3 +149,8 @@ def test_torch_has_its_threads_back_after_an_error(two_torch_threads):
     assert torch.get_num_threads() == 2
     torch.set_num_threads(1)
     assert parts(4) == [(0, 4)]
+
+
+def test_a_source_that_does_not_exist_is_an_error() -> None:
+    with pytest.raises(FileNotFoundError, match="no_such_module"):
+        sources_digest(["no_such_module.py"])

@@ -106,9 +106,13 @@ class Compiler:
 
 
 def sources_digest(sources: Iterable[str]) -> str:
-    """SHA-256 of the code in files and folders, relative to the package."""
+    """SHA-256 of the code in files and folders, relative to the package.
+
+    Raises:
+        FileNotFoundError: a source does not exist.
+    """
     roots = [Path(__file__).parent / source for source in sources]
-    files = [file for root in roots for file in ([root] if root.is_file() else sorted(root.rglob("*.py")))]
+    files = [file for root in roots for file in (sorted(root.rglob("*.py")) if root.is_dir() else [root])]
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
 
 
