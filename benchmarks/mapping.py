@@ -1,19 +1,15 @@
-"""The map: insertion and flattening, against plain NumPy and against copying the bytes touched; and torch's lookups.
+"""Times of inserting a scan into the map, flattening it, and reading the ground under wheels.
 
-`python benchmarks/mapping.py [--threads 2]`: everything side by side in one run. A vehicle drives 0.5 m
-between scans of 100,000 points over rolling ground, a third of the view ending at walls of bushes; the map is +-60 m
-in cells of 0.2 m.
-Times are medians, in brackets the best one and the processor time that all threads together took, median and best: on
-a busy machine that divided by the threads says what a free one would take.
+`python benchmarks/mapping.py [--threads 2]`. A vehicle drives 0.5 m between scans of 100,000 points over rolling
+ground, a third of the view ending at walls of bushes; the map is +-60 m in cells of 0.2 m. Times are medians, in
+brackets the best one and the processor time of all threads, median and best.
 """
 
 import argparse
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import fields
 from functools import partial
 
-import mapping_reference
 import numpy as np
 import torch
 
@@ -53,21 +49,11 @@ def summary(name: str, times: list[np.ndarray]) -> str:
     return f"{name:24} {clock:6.1f} ms (best {best:5.1f}; processor {busy:5.1f}, best {least:5.1f})"
 
 
-def report(name: str, times: list[np.ndarray], plain: np.ndarray, touched: int) -> None:
-    """A line: times, the plain version's, and the time that copying the bytes touched takes."""
-    source = np.ones(touched // 2 // 8)  # read and written
-    target = np.ones_like(source)
-    copying = min(timed(lambda: np.copyto(target, source))[0] for _ in range(5))
-    ratio = plain[1] / np.median(times, axis=0)[1]
-    plainly = f"plain {plain[1]:5.0f} ms of processor time: {ratio:3.0f} x"
-    print(f"{summary(name, times)}   {plainly}   copying {touched / 1e6:5.1f} MB: {copying:4.1f} ms")
-
-
 def mapping(channels: int, threads: int, scans: int) -> None:
     """Insertion, flattening and lookup."""
     rng = np.random.default_rng(0)
     settings, flat = VoxelSettings(threads=threads), FlattenSettings()
-    held, plain = VoxelMap(channels, settings), mapping_reference.empty_reference(channels, settings)
+    held = VoxelMap(channels, settings)
     flattener, layers = Flattener(held, flat), None
     points, distance = scan(rng)
     features, has = rng.normal(size=(len(points), channels)).astype(np.float32), rng.random(len(points)) < 0.8
@@ -80,21 +66,12 @@ def mapping(channels: int, threads: int, scans: int) -> None:
         inserting.append(timed(partial(held.insert, seen, features, has, distance)))
         layers = flattener.layers(layers) if number == 0 else layers
         flattening.append(timed(partial(flattener.layers, layers)))
-        plain = mapping_reference.recentred(plain, place, 0.0)
-        if number % 5 == 4:  # NumPy gets every fifth scan, to keep this short
-            plainly = timed(partial(mapping_reference.inserted, plain, seen, features, has, distance))
-            plain = mapping_reference.inserted(plain, seen, features, has, distance)
     assert layers is not None
     layers = flattener.layers(layers)
-    voxel = held.voxels.seen.strides[0]
-    outputs = sum(getattr(layers, f.name).nbytes for f in fields(layers) if f.name not in ("origin", "resolution"))
-    columns = int(layers.observed.sum())
     about = f"{layers.observed.mean():.0%} of the cells observed, {layers.known.mean():.0%} known"
     print(f"\n{channels} features, {len(points)} points; {held.occupied} voxels, {about}, {held.nbytes / 1e6:.0f} MB")
-    touched = points.nbytes + features.nbytes + distance.nbytes + len(points) * (64 + voxel)
-    report("insert", inserting[2:], plainly, touched)
-    plainly = timed(partial(mapping_reference.flattened, plain, flat))
-    report("flatten 600 x 600", flattening[2:], plainly, outputs + columns * (64 + 2 * voxel))
+    print(summary("insert", inserting[2:]))
+    print(summary("flatten 600 x 600", flattening[2:]))
     both = [a + b for a, b in zip(inserting, flattening, strict=True)][2:]
     print(summary("insert + flatten", both))
     wheels(layers)

@@ -1,16 +1,15 @@
-"""How sure are models of ground that training never had? Each kind of ground is held out in turn.
+"""How certain are models on ground that training never had? Each kind of ground is held out in turn.
 
-Of a reproduction's training and validation drives all windows are left out whose wheels ever touch that kind. A model
-and its spread are trained on the rest, and evaluated on test windows that are mostly on it and on those that never
-touch it, beside the reproduction's own model, which knows it; also where ground that looks unlike training's counts as
-ground without features, and by several models of other seeds together. The PCA has seen the kind.
+All training and validation windows whose wheels touch that kind are left out. A model and its spread are trained on the
+rest and evaluated on test windows that are mostly on the kind and on those that never touch it, beside the
+reproduction's own model, which knows the kind. The PCA has seen it.
 """
 
 import json
 import logging
 from collections.abc import Mapping, Sequence
-from copy import deepcopy
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Final
 
@@ -22,8 +21,6 @@ from experiments.command import run
 from experiments.control_experiments.data import true_ground
 from experiments.control_experiments.reproduced import open_reproduction
 from experiments.control_experiments.runs import trained
-from experiments.novelty import nearest_kinds, refuse_unlike
-from experiments.spreads import errors_by_ways, members_of, validated_ways
 from offpiste.core.conventions import HORIZON_STEPS
 from offpiste.core.errors import DatasetError
 from offpiste.core.files import write_text
@@ -32,21 +29,20 @@ from offpiste.dataset.store import Dataset, StoredDrive
 from offpiste.dataset.windows import Windows
 from offpiste.evaluation.evaluated_windows import EvaluatedWindows
 from offpiste.evaluation.intervals import Sampling
-from offpiste.logs.ground_truth import GROUND_KINDS
+from offpiste.logs.ground_truth import GROUND_KINDS, GROUND_PROPERTIES
 from offpiste.reproduction.results import MAP
 from offpiste.reproduction.runs import evaluation_windows
 from offpiste.reproduction.steps import claim_folder
+from offpiste.simulation.world.ground import property_table
 from offpiste.training.run import Run
 from offpiste.uncertainty.calibration import (
     CalibrationRow,
-    ErrorsWithScales,
     calibration_rows,
     calibration_table,
     errors_with_scales,
     kept_or_fitted,
 )
 from offpiste.uncertainty.fit import residuals_on_maps
-from offpiste.uncertainty.novelty import NoveltySettings, features_at_starts, fit_memory_bank, mask_novel_ground
 from offpiste.uncertainty.spread import Spread
 
 logger = logging.getLogger("experiments")
@@ -63,6 +59,9 @@ ELSEWHERE: Final = 300
 OUTSIDE: Final = -1
 """The part of rows that belong to none."""
 
+AT_ONCE: Final = 10_000
+"""Cells compared with all kinds at once, to bound memory."""
+
 
 @dataclass(frozen=True)
 class UnseenKinds:
@@ -74,14 +73,10 @@ class UnseenKinds:
     """Folder of all outputs; runs in it are used again."""
     model: str = "dc"
     """Model of the reproduction that is trained anew."""
-    known: tuple[float, ...] = (0.99, 0.9)
-    """Shares of validation's cells that count as known, each a row: what is further away is missing."""
     kinds: tuple[str, ...] = ()
     """To hold out; default: all that enough test windows are on."""
     seed: int = 0
     """Seed of the runs."""
-    ensemble: int = 1
-    """Runs without the kind, with seeds from that one on; two or more are also evaluated together (as in `spreads`)."""
 
     def run(self) -> str:
         """Train without each kind, evaluate, and show the table.
@@ -105,22 +100,44 @@ class UnseenKinds:
             chosen = {"on it": index[share[:, kind] >= MOSTLY], "never on it": index[away]}
             without, name = without_kind(of.dataset, kinds, kind), GROUND_KINDS[kind]
             config = of.member(self.model).config(of.size, self.seed, "cpu")
-            seeds = range(self.seed, self.seed + self.ensemble)
-            runs = [trained(without, replace(config, seed=seed), self.out / name / "runs") for seed in seeds]
-            spreads = [kept_or_fitted(each, without) for each in runs]
-            held = runs[0]
-            rows += rows_of(f"{name} held out", held, spreads[0], windows, chosen)
-            if len(runs) > 1:
-                rows += rows_together(f"{name} held out", runs, spreads, without, windows, chosen)
-            for known in self.known if held.dynamics.encoder is not None else ():
-                masked = with_novelty_masked(held, without, known)
-                rows += rows_of(f"{name} held out, {100 * known:g} % known", masked, spreads[0], windows, chosen)
+            held = trained(without, config, self.out / name / "runs")
+            rows += rows_of(f"{name} held out", held, kept_or_fitted(held, without), windows, chosen)
             rows += rows_of(f"{name} known", knowing, kept_or_fitted(knowing, of.dataset), windows, chosen)
         table = calibration_table(rows)
         content = {"schema": 1, "about": __doc__, "rows": msgspec.to_builtins(rows)}
         write_text(self.out / "unseen_kinds.json", json.dumps(content, indent=1))
         write_text(self.out / "unseen_kinds.md", table.markdown())
         return f"{table.text(width=150)}\nwritten: {self.out / 'unseen_kinds.md'}"
+
+
+def refuse_unlike(dataset: Dataset, truth: Dataset) -> None:
+    """Raise unless `truth` has the true ground of the drives of `dataset`."""
+    if truth.features != GROUND_PROPERTIES:
+        raise DatasetError("has no true ground", where=truth.path, how="extract it with `--features ground-truth`")
+    pairs = zip(dataset.drives, truth.drives, strict=False)
+    alike = len(dataset.drives) == len(truth.drives)
+    if not alike or any(a.name != b.name or not np.array_equal(a.rows.time, b.rows.time) for a, b in pairs):
+        raise DatasetError(f"has other drives than {dataset.path}", where=truth.path, how="extract both of one folder")
+
+
+@cache
+def _of_kinds() -> Float[np.ndarray, "W K 4"]:
+    """Properties of the kinds from dry to wet."""
+    dry, wet = property_table()
+    wetness = np.linspace(0, 1, 41)[:, None, None]
+    return np.asarray((1 - wetness) * dry + wetness * wet)
+
+
+def nearest_kinds(properties: Float[np.ndarray, "N 4"]) -> Int[np.ndarray, " N"]:
+    """Number of the kind with the nearest properties at any wetness."""
+    parts = np.array_split(properties, len(properties) // AT_ONCE + 1)
+    return np.concatenate([_distances(part).argmin(axis=1) for part in parts])
+
+
+def _distances(properties: Float[np.ndarray, "N 4"]) -> Float[np.ndarray, "N K"]:
+    kinds = _of_kinds()
+    apart = (properties[:, None, None] - kinds) / kinds.std(axis=(0, 1))
+    return np.asarray(np.linalg.norm(apart, axis=-1).min(axis=1))
 
 
 def kinds_under_wheels(truth: StoredDrive) -> Int[np.ndarray, "N 4"]:
@@ -177,19 +194,6 @@ def chosen_kinds(names: Sequence[str], mostly: Bool[np.ndarray, "n K"]) -> list[
     return chosen
 
 
-def with_novelty_masked(run: Run, dataset: Dataset, known: float) -> Run:
-    """The same run, to which ground has no features that is unlike the dataset's training ground.
-
-    Args:
-        known: share of validation's cells that count as known.
-    """
-    settings = NoveltySettings(quantile=known)
-    training, validation = (features_at_starts(dataset, part, settings.candidates) for part in ("train", "validation"))
-    dynamics = deepcopy(run.dynamics)
-    mask_novel_ground(dynamics, fit_memory_bank(training, validation, settings))
-    return replace(run, dynamics=dynamics)
-
-
 def rows_of(
     name: str, run: Run, spread: Spread, windows: Windows, chosen: Mapping[str, Int[np.ndarray, " n"]]
 ) -> list[CalibrationRow]:
@@ -203,35 +207,10 @@ def rows_of(
     for which, index in chosen.items():
         if len(index):
             errors = errors_with_scales(spread, residuals_on_maps(run, windows, index))
-            rows += _rows(name, which, errors, windows, index)
+            located = EvaluatedWindows(windows.dataset, windows.drive[index], windows.row_in_drive(index))
+            found = calibration_rows(name, errors, {}, Sampling().on(located))
+            rows += [msgspec.structs.replace(row, windows=which) for row in found]
     return rows
-
-
-def rows_together(
-    name: str,
-    runs: Sequence[Run],
-    spreads: Sequence[Spread],
-    without: Dataset,
-    windows: Windows,
-    chosen: Mapping[str, Int[np.ndarray, " n"]],
-) -> list[CalibrationRow]:
-    """The same of several runs together, by each way of `spreads`, fitted to validation without the kind."""
-    ways, rows = validated_ways(runs, spreads, without), list[CalibrationRow]()
-    for which, index in chosen.items():
-        if len(index):
-            found = members_of(runs, spreads, windows, index)
-            for way, errors in errors_by_ways(found, ways, float(spreads[0].freedom)).items():
-                if way in ways:
-                    rows += _rows(f"{name}, {len(runs)} runs, {way}", which, errors, windows, index)
-    return rows
-
-
-def _rows(
-    name: str, which: str, errors: ErrorsWithScales, windows: Windows, index: Int[np.ndarray, " n"]
-) -> list[CalibrationRow]:
-    located = EvaluatedWindows(windows.dataset, windows.drive[index], windows.row_in_drive(index))
-    found = calibration_rows(name, errors, {}, Sampling().on(located))
-    return [msgspec.structs.replace(row, windows=which) for row in found]
 
 
 if __name__ == "__main__":

@@ -10,7 +10,6 @@ from types import ModuleType
 import pytest
 
 from feature_datasets import dataset_with_features
-from offpiste.core.shipped import pca_file
 from offpiste.simulation.simulate import DriveSettings, simulate
 
 ROOT = Path(__file__).parents[1]
@@ -69,11 +68,6 @@ def test_training_steps_are_timed(script, dataset, capsys):
     assert "16 windows" in capsys.readouterr().out
 
 
-def test_extraction_is_timed(script, log, capsys):
-    script("extract").main(log, pca_file("pretrained:proving-ground"), smoke=True)
-    assert "windows with features" in capsys.readouterr().out
-
-
 def test_inspection_is_timed(script, log, tmp_path, capsys):
     script("inspect_log").main(log, scratch=tmp_path / "long.mcap", smoke=True)
     assert "exit code 0" in capsys.readouterr().out
@@ -97,11 +91,10 @@ def test_every_script_is_tried_and_none_imports_tests():
         "pictures",
         "demo",
         "train",
-        "extract",
         "inspect_log",
         "gpu",
     }
-    parts = {"gpu_planning", "gpu_stages", "gpu_timing", "gpu_training", "mapping_reference"}
+    parts = {"gpu_planning", "gpu_stages", "gpu_timing", "gpu_training"}
     assert {path.stem for path in BENCHMARKS.glob("*.py")} == tried | parts
     for folder in ("benchmarks", "examples", "experiments", "src"):
         for path in (ROOT / folder).rglob("*.py"):

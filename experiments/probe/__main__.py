@@ -1,7 +1,7 @@
 """Do visual features know the friction? Linear probes to the true friction, by viewing distance.
 
 Drives of some seeds train the probe (and the PCA), drives of others test it, each in a world of its own. Its ceiling is
-the true ground kind, its floor brightness. Wrong mountings and stamps of the camera are tested as well.
+the true ground kind, its floor brightness.
 """
 
 import json
@@ -16,10 +16,9 @@ from typing import Any
 import numpy as np
 
 from experiments.command import run
-from experiments.perturbed_sensors import Flaw
 from experiments.probe.cells import see_cells_once
-from experiments.probe.figures import distance_picture, distance_table, flaw_picture, flaw_table
-from experiments.probe.scores import Pooled, flaw_rows, pool, probe_rows
+from experiments.probe.figures import distance_picture, distance_table
+from experiments.probe.scores import Pooled, pool, probe_rows
 from offpiste.core.errors import PerceptionError
 from offpiste.core.files import write_bytes, write_text
 from offpiste.core.progress import track
@@ -59,31 +58,18 @@ class Probe:
     """Backbone whose features are probed."""
     images: int = 175
     """Number of images that the PCA is fitted on."""
-    flaw_worlds: tuple[str, ...] = ("mojave", "halter-ranch")
-    """Worlds in which flaws are tried; none leaves that out."""
-    flaw_seconds: float = 60.0
-    """Time from the start of each drive in which flaws are tested [s]."""
-    degrees: tuple[float, ...] = (0.5, 1.0, 2.0)
-    """Errors of the camera's mounting."""
-    directions: int = 2
-    """Axes of that error that are drawn; one is the same in all drives, as of one vehicle."""
-    late: tuple[float, ...] = (20.0, 50.0, 100.0)
-    """Offsets of the image stamps [ms]."""
 
     def run(self) -> None:
         """The whole experiment."""
         if both := set(self.seeds) & set(self.test_seeds):
             raise PerceptionError(f"seed {min(both)} is in training and test", how="give other --test-seeds")
         rows = self.by_distance()
-        flaws = self.by_flaw() if self.flaw_worlds else []
         made = {"numpy": np.__version__, "python": platform.python_version(), "pca": self.extractor.identity}
         result = {"settings": json.loads(json.dumps(asdict(self), default=str)), "made_with": made}
-        write_text(self.out / "probe.json", json.dumps(result | {"probes": rows, "flaws": flaws}, indent=1))
+        write_text(self.out / "probe.json", json.dumps(result | {"probes": rows}, indent=1))
         for worlds in dict.fromkeys(row["worlds"] for row in rows):
             picture = distance_picture([row for row in rows if row["worlds"] == worlds], title=worlds)
             write_bytes(self.out / f"probe_{worlds}.png", picture)
-        if flaws:
-            write_bytes(self.out / "probe_flaws.png", flaw_picture(flaws, title=", ".join(self.flaw_worlds)))
         logger.info(f"{self.out / 'probe.json'}, and pictures beside it")
 
     def by_distance(self) -> list[dict[str, Any]]:
@@ -98,31 +84,17 @@ class Probe:
             logger.info(distance_table([row for row in rows if row["worlds"] == name], name))
         return rows
 
-    def by_flaw(self) -> list[dict[str, Any]]:
-        """Probes under flaws of the camera."""
-        turned = [Flaw(degrees=d, direction=k) for d in self.degrees for k in range(self.directions)]
-        flaws = [Flaw(), *turned, *(Flaw(late=ms / 1000) for ms in self.late)]
-        train, test = (
-            {str(flaw): self.pooled(self.flaw_worlds, seeds, flaw=flaw) for flaw in flaws}
-            for seeds in (self.seeds, self.test_seeds)
-        )
-        rows = flaw_rows(train, test, str(Flaw()), {str(flaw): asdict(flaw) for flaw in flaws})
-        logger.info(flaw_table(rows))
-        return rows
-
-    def pooled(self, worlds: Sequence[str], seeds: Sequence[int], *, flaw: Flaw | None = None) -> Pooled:
-        """Cells of drives; with a flaw (which may be none) those of the stretch on which flaws are compared."""
+    def pooled(self, worlds: Sequence[str], seeds: Sequence[int]) -> Pooled:
+        """Cells of drives."""
         seen = []
         names = [(number, world, seed) for number, world in enumerate(worlds) for seed in seeds]
-        for number, world, seed in track(names, f"extract, {flaw or 'as recorded'}"):
+        for number, world, seed in track(names, "extract"):
             drive = f"{world}-{seed}"
-            piece = drive if flaw is None else f"{drive}-{self.flaw_seconds:g}s-{flaw}"
-            path = self.out / "cells" / self.extractor.identity / f"{piece}.npz"
-            seconds = None if flaw is None else self.flaw_seconds
+            path = self.out / "cells" / self.extractor.identity / f"{drive}.npz"
             new = not path.exists()
-            cells = see_cells_once(path, self.log(world, seed), self.rig, self.extractor, flaw=flaw, seconds=seconds)
+            cells = see_cells_once(path, self.log(world, seed), self.rig, self.extractor)
             if new:
-                logger.info(f"{piece}: {len(cells.row)} cells, {cells.valid[0].mean():.0%} valid in hindsight")
+                logger.info(f"{drive}: {len(cells.row)} cells, {cells.valid[0].mean():.0%} valid in hindsight")
             seen.append((number, cells))
         return pool(seen)
 

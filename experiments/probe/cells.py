@@ -1,6 +1,6 @@
 """Ground under the wheels of a simulated drive: what it looked like from each distance, and what it truly is."""
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, final
 
@@ -10,10 +10,9 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn import functional
 
-from experiments.perturbed_sensors import Flaw, perturbed, stretch
 from offpiste.core.conventions import WHEELS
 from offpiste.core.files import write_whole
-from offpiste.dataset.resample import Rows, extract_rows
+from offpiste.dataset.resample import extract_rows
 from offpiste.dataset.visual_features import with_visual_features
 from offpiste.logs import read_drive
 from offpiste.logs.ground_truth import GROUND_KINDS, GROUND_PROPERTIES, read_truth_map
@@ -91,23 +90,14 @@ def with_colour(extractor: FeatureExtractor) -> FeatureExtractor:
     return FeatureExtractor(backbone, extended)
 
 
-def see_cells(
-    log: Path, rig: Rig, extractor: FeatureExtractor, *, flaw: Flaw | None = None, seconds: float | None = None
-) -> SeenCells:
+def see_cells(log: Path, rig: Rig, extractor: FeatureExtractor) -> SeenCells:
     """Play a simulated drive back, and read the truth at the cells that its wheels touched.
-
-    Args:
-        flaw: calibration error of the cameras.
-        seconds: of the drive, from its start; all of it by default.
 
     Raises:
         LogError: the log has no cameras, LiDARs or ground truth, or they are damaged.
     """
     truth = read_truth_map(log)
     rows, sensors = extract_rows(read_drive(log, rig)), open_sensors(open_log(log), rig)
-    if seconds is not None:
-        rows, sensors = _first(rows, seconds), stretch(sensors, rows.time[0], rows.time[0] + seconds)
-    sensors = perturbed(sensors, flaw or Flaw())
     settings = MapperSettings()
     seen = with_visual_features(rows, sensors, rig, with_colour(extractor), settings).cells
     assert seen is not None
@@ -129,19 +119,10 @@ def see_cells(
     )
 
 
-def see_cells_once(
-    piece: Path,
-    log: Path,
-    rig: Rig,
-    extractor: FeatureExtractor,
-    *,
-    flaw: Flaw | None = None,
-    seconds: float | None = None,
-) -> SeenCells:
+def see_cells_once(piece: Path, log: Path, rig: Rig, extractor: FeatureExtractor) -> SeenCells:
     """`see_cells`, kept in a file: written whole, and read where it is there already."""
     if not piece.exists():
-        cells = see_cells(log, rig, extractor, flaw=flaw, seconds=seconds)
-        save_cells(piece, cells)
+        save_cells(piece, see_cells(log, rig, extractor))
     return load_cells(piece)
 
 
@@ -160,10 +141,3 @@ def load_cells(path: Path) -> SeenCells:
     """What `save_cells` wrote."""
     with np.load(path, allow_pickle=False) as arrays:
         return SeenCells(**{field.name: arrays[field.name] for field in fields(SeenCells)})
-
-
-def _first(rows: Rows, seconds: float) -> Rows:
-    """The same rows, the vehicle's place unknown after so many seconds: no cell is passed then."""
-    state = rows.state.copy()
-    state[rows.time > rows.time[0] + seconds] = np.nan
-    return replace(rows, state=state)

@@ -1,7 +1,4 @@
-"""What the probes found, as pictures.
-
-What the probes found, as tables.
-"""
+"""Picture and table of the probes' scores."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -48,32 +45,6 @@ def distance_picture(rows: Rows, *, title: str) -> bytes:
     return png(figure)
 
 
-def flaw_picture(rows: Rows, *, title: str) -> bytes:
-    """R² of friction against the camera's turn and delay, for the probe as it was and one refitted; PNG."""
-    figure = Figure(figsize=(11, 4.2), dpi=120, layout="constrained")
-    axes = figure.subplots(1, 2, sharey=True)
-    sets = list(dict.fromkeys(row["feature_set"] for row in rows))
-    friction = [row for row in rows if row["target"] == "friction"]
-    for plot, key, scale, label in (
-        (axes[0], "degrees", 1.0, "camera turned by [degrees], mean over axes"),
-        (axes[1], "late", 1000.0, "images stamped late by [ms]"),
-    ):
-        _bare(plot)
-        other = "late" if key == "degrees" else "degrees"
-        for colour, name in zip(("#0072b2", "#d55e00", "#009e73"), sets, strict=False):
-            for line, probe in (("-", "clean"), ("--", "refitted")):
-                mine = [r for r in friction if r["feature_set"] == name and r["probe"] == probe and not r[other]]
-                at = sorted({row[key] for row in mine})
-                r2 = [np.mean([row["r2"] for row in mine if row[key] == x]) for x in at]
-                what = "hindsight" if name == "hindsight" else f"{name} m"
-                plot.plot(scale * np.array(at), r2, line, color=colour, marker="o", label=f"{what}, probe {probe}")
-        plot.set(xlabel=label)
-    axes[0].set(ylabel="friction: R²")
-    axes[1].legend(frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    figure.suptitle(f"{title}: visual probe under errors of the camera's mounting and stamps")
-    return png(figure)
-
-
 def _lines(plot: Axes, rows: Rows, quantity: str) -> None:
     _bare(plot)
     for name, (colour, line, label) in _STYLES.items():
@@ -97,10 +68,7 @@ def _bare(plot: Axes) -> None:
     plot.axhline(0, color="#999999", linewidth=0.8)
 
 
-Rows_probe_tables = Sequence[dict[str, Any]]
-
-
-def distance_table(rows: Rows_probe_tables, title: str) -> Table:
+def distance_table(rows: Rows, title: str) -> Table:
     """R² and rank correlation by input and feature set."""
     table = Table("target", "trained on", "cells", "from", *FEATURE_SETS, title=f"{title}: R² (rank correlation)")
     lines: dict[tuple[str, ...], dict[str, str]] = {}
@@ -111,19 +79,4 @@ def distance_table(rows: Rows_probe_tables, title: str) -> Table:
         lines.setdefault(key, {})[row["feature_set"]] = f"{row['r2']:.2f} ({row['rank']:.2f})"
     for key, result in lines.items():
         table.add_row(*key, *(result.get(name, "") for name in FEATURE_SETS))
-    return table
-
-
-def flaw_table(rows: Rows_probe_tables) -> Table:
-    """R² by flaw, probe and feature set."""
-    sets = list(dict.fromkeys(row["feature_set"] for row in rows))
-    names = ("target", "probe", "degrees", "axis", r"late \[ms]", *sets)
-    table = Table(*names, title="Under flaws: R² (rank correlation)")
-    lines: dict[tuple[str, ...], dict[str, str]] = {}
-    for row in rows:
-        numbers = (f"{row['degrees']:g}", str(row["direction"]), f"{1000 * row['late']:g}")
-        key: tuple[str, ...] = (row["target"], row["probe"], *numbers)
-        lines.setdefault(key, {})[row["feature_set"]] = f"{row['r2']:.2f} ({row['rank']:.2f})"
-    for key, result in sorted(lines.items(), key=lambda item: item[0][:2]):
-        table.add_row(*key, *(result.get(name, "") for name in sets))
     return table

@@ -186,34 +186,3 @@ def _training_sets(trained: str) -> dict[str, tuple[str, ...]]:
     """Training sets by test set."""
     whole = {"hindsight": ("hindsight",), "all": FEATURE_SETS}
     return {name: whole.get(trained, (name,)) for name in FEATURE_SETS}
-
-
-DEGRADED = ("hindsight", "10", "20")
-"""Feature sets on which flaws are tested."""
-
-
-def flaw_rows(
-    train: Mapping[str, Pooled], test: Mapping[str, Pooled], clean: str, about: Mapping[str, dict[str, Any]]
-) -> list[dict[str, Any]]:
-    """Probes from visual features under flaws: the one fitted without flaw (`clean`), and one fitted anew (`refitted`).
-
-    All are trained on hindsight, and tested on the cells that are valid under every flaw.
-
-    Args:
-        train, test: the same cells, seen under each flaw.
-        clean: the name of none.
-        about: what else is written of each flaw.
-    """
-    rows: list[dict[str, Any]] = []
-    for target, feature_set in product(TARGETS, DEGRADED):
-        number = FEATURE_SETS.index(feature_set)
-        chosen = np.asarray(np.stack([seen.cells.valid[number] for seen in test.values()]).all(axis=0))
-        first = fit_probe(train[clean], target, "visual", ("hindsight",))
-        for flaw in test:
-            on = held_out_cells(test[flaw], feature_set, chosen)
-            again = fit_probe(train[flaw], target, "visual", ("hindsight",))
-            for probe, ridge in (("clean", first), ("refitted", again)):
-                if ridge is not None and on is not None:
-                    row = {"flaw": flaw, **about[flaw], "target": target, "probe": probe, "feature_set": feature_set}
-                    rows.append(row | asdict(score_probe(ridge, target, "visual", on)))
-    return rows

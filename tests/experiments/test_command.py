@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import pytest
 
 from experiments.command import run
-from experiments.novelty import HeldOut
+from experiments.unseen_kinds import UnseenKinds
 
 
 @dataclass(frozen=True)
@@ -28,5 +28,5 @@ def test_messages_and_the_result_are_printed(capsys):
 
 def test_settings_of_an_experiment_are_its_options(capsys):
     with pytest.raises(SystemExit):
-        run(HeldOut, ["--help"])
-    assert "--truth PATH" in capsys.readouterr().out
+        run(UnseenKinds, ["--help"])
+    assert "--reproduction PATH" in capsys.readouterr().out

@@ -5,15 +5,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
 from experiments.unseen_kinds import (
     chosen_kinds,
     kinds_under_wheels,
+    nearest_kinds,
+    refuse_unlike,
     rows_of,
-    rows_together,
     share_on_kinds,
-    with_novelty_masked,
     without_kind,
 )
 from feature_datasets import dataset_with_features, with_snapshots
@@ -111,26 +110,15 @@ def test_a_run_without_the_kind_is_evaluated_where_it_is(dataset: Dataset, tmp_p
     rows = rows_of("gravel held out", run, spread, windows, {"on it": index, "never on it": index[:0]})
     assert [(row.windows, row.horizon) for row in rows] == [("on it", h) for h in (1, 3, 5)]
     assert all(row.n == len(index) and row.run == "gravel held out" and row.error_m > 0 for row in rows)
-    train(without, replace(config, seed=1), tmp_path / "dc-1")
-    runs = [run, load_run(tmp_path / "dc-1")]
-    both = [spread, kept_or_fitted(runs[1], without, SpreadSettings(windows=40, steps=3, batch=16))]
-    together = rows_together(
-        "gravel held out", runs, both, without, windows, {"on it": index, "never on it": index[:0]}
-    )
-    ways = ("gravel held out, 2 runs, ensemble", "gravel held out, 2 runs, both")
-    assert [(row.run, row.horizon) for row in together] == [(way, h) for way in ways for h in (1, 3, 5)]
-    alone = rows_of("", runs[1], both[1], windows, {"on it": index})
-    for row, one, other in zip(together, rows * 2, alone * 2, strict=True):
-        assert row.n == len(index)
-        assert row.error_m <= max(one.error_m, other.error_m), "the mean of two lies no further away than both"
-    features, valid = windows.features_at_starts()
-    encoder = run.dynamics.encoder
-    nothing_known, all_known = (with_novelty_masked(run, without, share).dynamics.encoder for share in (0.0, 1.0))
-    missing = torch.zeros_like(valid)
-    far = nothing_known.bank.distance(features[valid]) > nothing_known.bank.limit
-    torch.testing.assert_close(
-        nothing_known(features[valid], valid[valid])[far], encoder(features, missing)[valid][far]
-    )
-    assert far.float().mean() > 0.9
-    assert (all_known(features[valid], valid[valid]) == encoder(features, valid)[valid]).all(dim=1).float().mean() > 0.5
-    assert run.dynamics.encoder is encoder, "the run itself still reads all ground"
+
+
+def test_kinds_are_found_at_any_wetness() -> None:
+    dry, wet = property_table()
+    for wetness in (0.0, 0.33, 1.0):
+        found = nearest_kinds((1 - wetness) * dry + wetness * wet)
+        np.testing.assert_array_equal(found, np.arange(len(GROUND_KINDS)))
+
+
+def test_a_dataset_without_the_true_ground_is_refused(dataset: Dataset) -> None:
+    with pytest.raises(DatasetError, match="has no true ground"):
+        refuse_unlike(dataset, dataset)

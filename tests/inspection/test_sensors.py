@@ -13,10 +13,10 @@ from scipy.spatial.transform import Rotation
 from simulated import MemoryLog
 
 import textured_world as world
-from experiments.sensor_faults import planted
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.inspect import Inspection, inspect_log
 from offpiste.inspection.misfit import Misfit
+from offpiste.inspection.misfit import turned as turned_mounting
 from offpiste.inspection.own_body import check_own_body
 from offpiste.inspection.sensor_samples import Gathered, gather, small_camera
 from offpiste.inspection.sensor_stamps import check_sensor_stamps
@@ -138,8 +138,10 @@ def test_kitti(data_folder):
     assert [f for f in findings if f.severity != "note"] == []
 
     turn = np.deg2rad([0.0, 2.0, 0.0])
-    _, turned, same = planted(sensors.lidars, cameras, gathered, "image_02", turn, 0.0)
-    (camera,) = camera_misfits(turned, lidars, same, sensors.poses)
+    small = cameras["image_02"]
+    mounting = turned_mounting(small.camera.body_from_camera, np.append(turn, 0.0))
+    wrong = {"image_02": replace(small, camera=replace(small.camera, body_from_camera=mounting))}
+    (camera,) = camera_misfits(wrong, lidars, gathered, sensors.poses)
     assert camera.is_turned
     assert camera.misfit is not None
     np.testing.assert_allclose(np.rad2deg(camera.misfit.parameters[1]), -2.0, atol=0.4)

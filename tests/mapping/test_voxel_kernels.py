@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import mapping_reference
+from mapping import plain_map
 from offpiste.mapping.fusion import FUSION_RULES
 from offpiste.mapping.voxel_map import VoxelMap, VoxelSettings
 from offpiste.mapping.voxels_to_layers import Flattener, FlattenSettings
@@ -45,20 +45,20 @@ def compare(rule="closest", features=3, threads=2, seed=0, far=0.0, flat=None, s
     rng = np.random.default_rng(seed)
     settings = VoxelSettings(size=0.2, reach=4.0, height_reach=20.0, rule=rule, capacity=40_000, threads=threads)
     flat = flat or FlattenSettings()
-    found, wanted = VoxelMap(features, settings), mapping_reference.empty_reference(features, settings)
+    found, wanted = VoxelMap(features, settings), plain_map.empty_reference(features, settings)
     flattener, layers = Flattener(found, flat), None
     centre = np.array([far, -far, 0.5 * far / 1e4])
     for step in range(scans):
         centre = centre + rng.normal(0, [1.0, 1.0, 0.3]) * (20 if step == 5 else 1)
         found.recentre(centre[:2], centre[2])
-        wanted = mapping_reference.recentred(wanted, centre[:2], float(centre[2]))
+        wanted = plain_map.recentred(wanted, centre[:2], float(centre[2]))
         cloud = scan(rng, centre, 1500, features)
         found.insert(*cloud)
-        wanted = mapping_reference.inserted(wanted, *cloud)
+        wanted = plain_map.inserted(wanted, *cloud)
         assert found.lost == 0
         assert found.occupied == len(wanted.places.cell)
         layers = flattener.layers(layers)
-        assert_same(layers, mapping_reference.flattened(wanted, flat), 3e-5)
+        assert_same(layers, plain_map.flattened(wanted, flat), 3e-5)
     assert 0.1 < layers.observed.mean() < 0.95
     assert layers.valid.any()
 
