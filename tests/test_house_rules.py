@@ -16,7 +16,7 @@ LIMITS = {
     "tests": 55_200,
     "experiments": 8_000,
     "benchmarks": 2_200,
-    "docs [bytes]": 270_000,
+    "docs [bytes]": 220_000,
     "README [words]": 600,
     "CHANGELOG [bytes]": 8_000,
 }
