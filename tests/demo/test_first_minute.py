@@ -12,7 +12,7 @@ import pytest
 
 from offpiste.core.errors import OffpisteError
 from offpiste.core.shipped import run_folder
-from offpiste.demo.comparison import Predictions, closing_words, comparison_table
+from offpiste.demo.comparison import Predictions, closing_words
 from offpiste.demo.first_minute import FIRST_WORLD, MODELS, FirstMinuteSettings, run_first_minute, shipped
 from offpiste.evaluation.intervals import PairedDifference
 from offpiste.evaluation.model_card import CourseFigures, load_card
@@ -98,26 +98,3 @@ def test_the_words_say_how_it_drives_where_the_card_knows(monkeypatch: pytest.Mo
     *_, drives = closing_words(predictions(4.0, 3.0))
     wanted = "How dc drives: On 20 courses in unseen worlds, its driving cost differs from that of b by -20 %"
     assert drives.startswith(wanted)
-
-
-def test_the_table_has_both_models_side_by_side() -> None:
-    result = {
-        "time_s": 20.0,
-        "mean_path_error_m": 0.5,
-        "worst_path_error_m": 1.0,
-        "mean_speed_error_mps": 2.0,
-        "rollover": False,
-        "collision": False,
-        "stuck": False,
-        "finished": False,
-        "progress_m": 40.0,
-        "course_m": 90.0,
-    }
-    text = comparison_table(predictions(4.0, 3.0), {"b": result, "dc": result | {"stuck": True}}, 7.0).text()
-    lines = {
-        line.split("│")[1].strip(): [c.strip() for c in line.split("│")[2:4]]
-        for line in text.splitlines()
-        if "│" in line
-    }
-    assert lines["error of the predicted place after 5 s [m]"] == ["4.00", "3.00"]
-    assert lines["end of the drive"] == ["after 40 of 90 m", "stuck"]

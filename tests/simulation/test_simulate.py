@@ -18,7 +18,7 @@ from offpiste.rig.rig import load_rig
 from offpiste.simulation import simulate as simulation
 from offpiste.simulation.recorder import Imperfections
 from offpiste.simulation.sensors.suite import SensorSuite, light_suite
-from offpiste.simulation.simulate import DriveSettings, DriveSummary, Start, drive, record, simulate, start_and_driver
+from offpiste.simulation.simulate import DriveSettings, DriveSummary, Start, drive, record, simulate
 from offpiste.simulation.vehicle.parameters import load_vehicle
 from offpiste.simulation.world.build import make_world
 from offpiste.simulation.world.world import WorldSettings
@@ -77,21 +77,6 @@ def test_giving_up_is_told_once_and_ends_the_drive():
     samples = list(drive(flat_world(), VEHICLE, Start(0.0, 0.0, 0.0, 0.0), Always((0.0, 1.0, 0.0), 30), steps=500))
     assert len(samples) == 30
     assert [s.events for s in samples if s.events] == [("stuck",)]
-
-
-def test_the_same_drive_twice():
-    world = small(1)
-    first, second = ([*_driven(world, 3, 250)] for _ in range(2))
-    for a, b in zip(first, second, strict=True):
-        np.testing.assert_array_equal(a.position, b.position)
-        np.testing.assert_array_equal(a.command, b.command)
-    other = [*_driven(world, 4, 250)]
-    assert not np.array_equal(first[-1].position, other[-1].position)
-
-
-def _driven(world, seed, steps):
-    start, driver = start_and_driver(world, VEHICLE, seed=seed)
-    return drive(world, VEHICLE, start, driver, steps=steps)
 
 
 RIG = load_rig("proving_ground")

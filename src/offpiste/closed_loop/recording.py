@@ -24,12 +24,10 @@ LIFT = 0.3
 """Height of lines above the ground [m]."""
 EVERY = 5
 """Rows between drawn poses of the vehicle."""
-
 STEP = 4
 """Step in nodes of the drawn grid."""
 TIMELINE: Final = "drive"
 """Name of the timeline, in seconds since the start."""
-
 PLOTS: Final = {
     "speed": "speed [m/s]",
     "slip": "slip",
@@ -38,7 +36,6 @@ PLOTS: Final = {
     "mode": "mode: 3 driving, 2 degraded, 1 stopping, 0 stopped",
 }
 """Titles of the plots by entity."""
-
 GREY, ORANGE, GREEN, RED, BLUE = [160, 160, 160], [230, 80, 30], [60, 170, 80], [215, 50, 60], [0, 160, 230]
 """Colours of lines in plots."""
 LEVEL: dict[Mode, int] = {"stopped": 0, "stopping": 1, "degraded": 2, "driving": 3}

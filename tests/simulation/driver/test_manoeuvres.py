@@ -101,12 +101,6 @@ def test_it_reverses_along_its_own_path(drives):
     assert np.quantile(away, 0.75) < 0.8
 
 
-def test_the_ground_shows_in_no_command(drives, world):
-    blind = [replace(s, truth=replace(s.truth, properties=np.zeros((4, 4)))) for s in drives["mojave", 3]]
-    _, driver = start_and_driver(world, VEHICLE, seed=3, settings=WITH_MANOEUVRES)
-    np.testing.assert_array_equal([driver.command(s) for s in blind], [s.command for s in drives["mojave", 3]])
-
-
 @pytest.fixture
 def pinned(world) -> Callable[[float], tuple[ManoeuvringDriver, list[VehicleSample]]]:
     """A driver after some trail, whose vehicle is held in place from then on until it gives up; its gear box works."""

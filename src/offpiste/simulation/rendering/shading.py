@@ -41,47 +41,32 @@ TOGETHER = 128
 
 
 class GroundTexture(NamedTuple):
-    """Appearance of the ground at the nodes of the world.
+    """Appearance of the ground at the nodes of the world."""
 
-    Attributes:
-        nodes: [ny, nx, CHANNELS], 0..255: square roots of the two colours that large noise blends (3 each), brightness
-            shares of fine and coarse noise, relief, stones, blades and ripples, gloss of water, distance to the trail's
-            centre line, direct sun on the ground, sun on plants.
-        x0, y0, resolution: origin and spacing of the nodes [m].
-        elevation: [ny, nx] [m].
-        lattice, turn: tables of the noise (`texture_noise`).
-        sun: horizontal direction to the sun in each octave's lattice [O, 2].
-        soil: colour between blades [3].
-        plants: colours of trunks, crowns and bushes, and factor of blades on the colour of the ground below [4, 3].
-    """
-
+    # [ny, nx, CHANNELS], 0..255: square roots of the two colours blended by large noise (3 each), brightness shares
+    # of fine and coarse noise, relief, stones, blades and ripples, gloss of water, distance to the trail's centre
+    # line, direct sun on the ground, sun on plants
     nodes: np.ndarray
-    x0: float
-    y0: float
-    resolution: float
-    elevation: np.ndarray
-    lattice: np.ndarray
-    turn: np.ndarray
-    sun: np.ndarray
-    soil: np.ndarray
+    x0: float  # x of node [0, 0] [m]
+    y0: float  # y of node [0, 0] [m]
+    resolution: float  # spacing of the nodes [m]
+    elevation: np.ndarray  # [ny, nx] [m]
+    lattice: np.ndarray  # tables of the noise (`texture_noise`)
+    turn: np.ndarray  # tables of the noise (`texture_noise`)
+    sun: np.ndarray  # horizontal direction to the sun in each octave's lattice [O, 2]
+    soil: np.ndarray  # colour between blades [3]
+    # Colours of trunks, crowns and bushes, and factor of blades on the colour of the ground below [4, 3]
     plants: np.ndarray
 
 
 class Vehicle(NamedTuple):
-    """The vehicle in an image, with its own shadow.
+    """The vehicle in an image, with its own shadow."""
 
-    Attributes:
-        position, rotation: `world_from_body`.
-        sun: direction to the sun in the body frame, not exactly along an axis.
-        shadow: a bounding box, then the boxes that cast shadows, in the body frame [n, 2, 3].
-        paint: colour of each box [m, 3].
-    """
-
-    position: np.ndarray
-    rotation: np.ndarray
-    sun: np.ndarray
-    shadow: np.ndarray
-    paint: np.ndarray
+    position: np.ndarray  # `world_from_body`
+    rotation: np.ndarray  # `world_from_body`
+    sun: np.ndarray  # direction to the sun in the body frame, not exactly along an axis
+    shadow: np.ndarray  # a bounding box, then the boxes that cast shadows, in the body frame [n, 2, 3]
+    paint: np.ndarray  # colour of each box [m, 3]
 
 
 @RAYS.inlined

@@ -120,41 +120,25 @@ _RANGES: Final = {
 
 
 class WorldPreset(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Landscape of a world; the seed decides everything else.
+    """Landscape of a world; the seed decides everything else."""
 
-    Attributes:
-        hills: (grain [m], height [m]) of layers of smooth noise; a bump is about three grains wide.
-        dunes: height of ridges with sharp crests [m].
-        bank: height of steep steps in open ground [m].
-        ditch: depth of ditches beside trails [m].
-        rut: depth of ruts [m].
-        roughness: standard deviation of unevenness in open ground [m].
-        open_ground, trail_ground: approximate shares of kinds of ground; they need not sum to 1.
-        wetness: mean wetness, 0..1.
-        wetness_spread: approximate standard deviation of the wetness.
-        trees, bushes: number per hectare.
-        tree_height: lowest and highest [m].
-        grass: share of grassy ground with tall grass.
-        grass_height: height of the tallest grass [m].
-        grip: factor on the grip contrast; at 0, kinds of ground look different but drive the same.
-    """
-
+    # Layers of smooth noise: (grain [m], height [m]); a bump is about three grains wide
     hills: tuple[tuple[float, float], ...]
-    dunes: float
-    bank: float
-    ditch: float
-    rut: float
-    roughness: float
-    open_ground: dict[str, float]
+    dunes: float  # height of ridges with sharp crests [m]
+    bank: float  # height of steep steps in open ground [m]
+    ditch: float  # depth of ditches beside trails [m]
+    rut: float  # depth of ruts [m]
+    roughness: float  # standard deviation of unevenness in open ground [m]
+    open_ground: dict[str, float]  # approximate shares of kinds of ground; they need not sum to 1
     trail_ground: dict[str, float]
-    wetness: float
-    wetness_spread: float
-    trees: float
-    bushes: float
-    tree_height: tuple[float, float]
-    grass: float
-    grass_height: float
-    grip: float = 1.0
+    wetness: float  # mean wetness, 0..1
+    wetness_spread: float  # approximate standard deviation of the wetness
+    trees: float  # number per hectare
+    bushes: float  # number per hectare
+    tree_height: tuple[float, float]  # lowest and highest [m]
+    grass: float  # share of grassy ground with tall grass
+    grass_height: float  # height of the tallest grass [m]
+    grip: float = 1.0  # factor on the grip contrast; at 0, kinds of ground look different but drive the same
 
     def __post_init__(self) -> None:
         unknown = {*self.open_ground, *self.trail_ground} - {*GROUND_KINDS}
