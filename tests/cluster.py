@@ -99,7 +99,7 @@ def _workers() -> list[int]:
     found = []
     for process in Path("/proc").iterdir():
         with suppress(OSError):
-            if process.name.isdigit() and b"ray::_reporting" in (process / "cmdline").read_bytes():
+            if process.name.isdigit() and b"ray::_attempt" in (process / "cmdline").read_bytes():
                 found.append(int(process.name))
     return found
 

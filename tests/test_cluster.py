@@ -9,7 +9,6 @@ import pytest
 
 import cluster
 from log_messages import logged
-from offpiste.cluster import engine_at
 from offpiste.core.errors import OffpisteError
 from offpiste.core.parallel import run_all
 from offpiste.inspection.survey import inspect_logs
@@ -35,7 +34,7 @@ def test_jobs_that_fail_are_not_begun_again_and_those_that_kill_their_workers_ar
     logs: list[Path], three: Any
 ) -> None:
     with logged() as messages:
-        failed = run_all(square, [3, -1, 13, 5], 1, "squares", engine=engine_at(three.address))
+        failed = run_all(square, [3, -1, 13, 5], 1, "squares", cluster=three.address).failed
         survey = inspect_logs([str(log) for log in logs[6:9]], load_rig("proving_ground"), cluster=three.address)
     assert [one["log"] for one in survey.inspections] == [str(logs[6]), str(logs[8])]
     assert [error.where for error in survey.failed] == [str(logs[7])]
@@ -51,7 +50,7 @@ def test_a_cluster_that_does_not_answer_is_an_error_in_one_line(address: str) ->
         free.bind(("127.0.0.1", 0))
         address = address.format(free=free.getsockname()[1])
         with pytest.raises(OffpisteError, match="no Ray cluster answers; start one with `ray start --head`"):
-            run_all(square, [1, 2], 1, "squares", engine=engine_at(address))
+            run_all(square, [1, 2], 1, "squares", cluster=address)
 
 
 def test_a_worker_and_a_node_that_are_killed_change_nothing(logs: list[Path], three: Any, tmp_path: Path) -> None:

@@ -11,14 +11,16 @@ import pytest
 
 from log_messages import logged
 from offpiste.core.errors import LogError, OffpisteError
-from offpiste.core.parallel import free_memory, run_all, within_memory
+from offpiste.core.machine import free_memory, within_memory
+from offpiste.core.parallel import run_all
 from parallel_jobs import square, variable
 
 
 @pytest.mark.parametrize("processes", [1, 2])
 def test_all_jobs_are_done_even_if_one_fails(processes):
     with logged() as messages:
-        failed = run_all(square, [3, -1, 4, 5], processes, "squares")
+        results, failed = run_all(square, [3, -1, 4, 5], processes, "squares")
+    assert results == ["9", "16", "25"]
     assert sorted(messages) == ["16", "25", "9", "failed: here: -1 is negative; give another"]
     assert [(type(error), str(error)) for error in failed] == [(LogError, "here: -1 is negative; give another")]
 
@@ -33,12 +35,12 @@ def test_workers_have_the_environment_of_now_and_not_of_when_the_first_of_them_b
 
 def test_a_single_job_leaves_its_failure_to_the_caller():
     with logged() as messages:
-        assert len(run_all(square, [-1], 4, "squares")) == 1
+        assert len(run_all(square, [-1], 4, "squares").failed) == 1
     assert not messages
 
 
 def test_a_process_that_is_killed_is_reported_and_does_not_hang():
-    failed = run_all(square, [13, 13], 2, "squares")
+    failed = run_all(square, [13, 13], 2, "squares").failed
     assert len(failed) == 2
     assert all("killed" in str(error) and "--processes" in str(error) for error in failed)
 
@@ -48,16 +50,6 @@ def test_errors_come_back_from_other_processes_as_they_were():
     assert type(error) is LogError
     assert str(error) == "a.mcap: broken; fix it"
     assert str(pickle.loads(pickle.dumps(OffpisteError("x")))) == "x"  # noqa: S301
-
-
-def test_work_that_processes_could_not_import_is_refused_before_any_starts(tmp_path: Path) -> None:
-    package = tmp_path / "study"
-    package.mkdir()
-    (package / "__init__.py").touch()
-    code = "from offpiste.core.parallel import run_all\ndef work(job, report): return ''\nrun_all(work, [1, 2], 2, '')"
-    (package / "__main__.py").write_text(code)
-    ran = subprocess.run([sys.executable, "-m", "study"], cwd=tmp_path, capture_output=True, text=True)
-    assert "ValueError: put work in a module of its own" in ran.stderr
 
 
 def test_processes_end_when_their_parent_is_killed():
@@ -124,9 +116,9 @@ def test_free_memory_is_no_more_than_the_container_has_left(tmp_path, group, pla
 
 
 def test_fewer_processes_are_started_where_memory_is_short(monkeypatch):
-    monkeypatch.setattr("offpiste.core.parallel.free_memory", lambda: int(4.5e9))
+    monkeypatch.setattr("offpiste.core.machine.free_memory", lambda: int(4.5e9))
     with logged() as messages:
         assert [within_memory(wanted, 1.3e9) for wanted in (1, 3, 16)] == [1, 3, 3]
     assert messages == ["3 of 16 processes at a time: 4.5 GB of memory are free, and each takes 1.3 GB"]
-    monkeypatch.setattr("offpiste.core.parallel.free_memory", lambda: 0)
+    monkeypatch.setattr("offpiste.core.machine.free_memory", lambda: 0)
     assert within_memory(4, 1.3e9) == 1

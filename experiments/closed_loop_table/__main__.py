@@ -17,7 +17,7 @@ from offpiste.closed_loop.courses import KINDS as KINDS_OF_COURSE
 from offpiste.closed_loop.courses import CourseSettings
 from offpiste.closed_loop.drive_course import CourseDriveSettings
 from offpiste.core.errors import OffpisteError
-from offpiste.core.parallel import usable_cores
+from offpiste.core.machine import usable_cores
 from offpiste.runtime.planner import load_planner
 
 logger = logging.getLogger("experiments")

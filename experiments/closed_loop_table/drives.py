@@ -151,7 +151,7 @@ def drive_all(
     ]
     failed = run_all(
         partial(_drive_rows, out=out, settings=settings), [c for c in courses if c[1]], processes, "courses"
-    )
+    ).failed
     found = [(row, _finished_result(row, world, out, settings)) for world in worlds for row in rows]
     results = [{**result, "row": row.row, "run_seed": row.planner.seed} for row, result in found if result is not None]
     fatal = [error for error in failed if not results or not isinstance(error, CourseError)]

@@ -34,7 +34,7 @@ def reported(
     """
     done = read(path, kind)
     missing = [seed for seed in seeds if seed not in done]
-    failed = run_all(work, missing, processes, path.parent.name)
+    failed = run_all(work, missing, processes, path.parent.name).failed
     if failed:
         raise OffpisteError(f"{len(failed)} of {len(missing)} logs could not be made", where=path.parent)
     done = read(path, kind)

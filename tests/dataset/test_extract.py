@@ -8,6 +8,7 @@ import pytest
 
 from factories import circle_rows, small_rig
 from offpiste.core.errors import DatasetError
+from offpiste.core.parallel import Outcome
 from offpiste.dataset import extract
 from offpiste.dataset.extract import Job, _seen_by_pca, _starts, make_dataset
 from offpiste.dataset.map_snapshots import SnapshotSettings
@@ -31,14 +32,14 @@ ROWS = 6000
     ],
 )
 def test_a_part_that_stays_empty_is_warned_of(split, warnings, tmp_path, monkeypatch, caplog):
-    monkeypatch.setattr(extract, "run_all", lambda *arguments, **settings: [])
+    monkeypatch.setattr(extract, "run_all", lambda *arguments, **settings: Outcome([], []))
     with caplog.at_level(logging.INFO, "offpiste"), pytest.raises(DatasetError, match="not a dataset"):
         make_dataset(["one.csv"], small_rig(), tmp_path / "d.zarr", split=split)
     assert [(record.levelname, record.getMessage()) for record in caplog.records] == [("WARNING", w) for w in warnings]
 
 
 def test_drives_of_a_split_that_are_no_log_are_warned_of(tmp_path, monkeypatch, caplog):
-    monkeypatch.setattr(extract, "run_all", lambda *arguments, **settings: [])
+    monkeypatch.setattr(extract, "run_all", lambda *arguments, **settings: Outcome([], []))
     (tmp_path / "split.txt").write_text("one train\ntow test\nthree validation\n")
     for logs, warned in ((["one.csv", "two.csv", "three.csv"], ["'tow'"]), (["one.csv", "tow.csv", "three.csv"], [])):
         caplog.clear()

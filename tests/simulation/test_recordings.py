@@ -7,6 +7,7 @@ import pytest
 from log_messages import logged
 from offpiste.cli import main
 from offpiste.core.errors import OffpisteError
+from offpiste.core.parallel import Outcome
 from offpiste.simulation.simulate import DriveSettings, Recording, simulate_all
 from offpiste.simulation.world.world import WorldSettings
 
@@ -30,9 +31,11 @@ def test_processes_record_what_one_does_and_what_is_there_stays(tmp_path: Path) 
 
 
 def test_only_as_many_processes_record_as_memory_has_room_for(tmp_path: Path, monkeypatch) -> None:
-    monkeypatch.setattr("offpiste.core.parallel.free_memory", lambda: int(2e9))
+    monkeypatch.setattr("offpiste.core.machine.free_memory", lambda: int(2e9))
     started = []
-    monkeypatch.setattr("offpiste.simulation.simulate.run_all", lambda *given, **_: started.append(given[2]) or [])
+    monkeypatch.setattr(
+        "offpiste.simulation.simulate.run_all", lambda *given, **_: started.append(given[2]) or Outcome([], [])
+    )
     with logged() as messages:
         simulate_all(recordings(tmp_path / "logs"), 16)
     assert started == [2]

@@ -1,103 +1,237 @@
-"""Independent jobs in processes of their own, with one progress bar over all of them."""
+"""Independent jobs, in processes of this machine or as tasks of a Ray cluster, with one progress bar over all of them.
+
+Jobs write their results themselves, whole or not at all, so all nodes of a cluster have to see the same files.
+"""
 
 import logging
 import multiprocessing
 import os
+import re
 import signal
-import sys
+import socket
 import threading
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from collections.abc import Callable, Generator, Iterator, MutableSequence, Sequence
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager
 from functools import partial
-from multiprocessing.context import BaseContext
-from pathlib import Path, PurePosixPath
-from queue import Empty
-from typing import Any, Final, TypeVar
+from typing import Any, Final, Generic, NamedTuple, TypeVar
 
-from offpiste.core.errors import OffpisteError
+from offpiste.core.errors import OffpisteError, extra
+from offpiste.core.machine import usable_cores
 from offpiste.core.progress import jobs_bar
 
 logger = logging.getLogger(__name__)
 
 Job = TypeVar("Job")
+Result = TypeVar("Result")
 Report = Callable[[float], None]
 """Takes the share of a job that is done, from 0 to 1."""
 
-Work = Callable[[Job, Report], str]
-"""Does a job, reports the share that is done, and returns its result in one line."""
+Work = Callable[[Job, Report], Result]
+"""Does a job, reports the share that is done, and returns the job's result."""
 
-Engine = Callable[[Work[Any], Sequence[Any], str], Iterator[str | OffpisteError]]
-"""Does all jobs under a description, and gives the result or the error of each as it ends."""
+Ended = Generator[tuple[int, Result | OffpisteError], None, None]
+"""Number and result or error of each job, in the order in which jobs end."""
 
-_CGROUP_2: Final = ("sys/fs/cgroup", "memory.max", "memory.current", "inactive_file")
-_CGROUP_1: Final = ("sys/fs/cgroup/memory", "memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file")
-"""Where Linux keeps the limits of a group of processes, and the files of a group: limit, use, and caches in it."""
-_SPARE: Final = 5e8
-"""Memory that is left to others [bytes]."""
-POLL = 0.3
+POLL: Final = 0.3
 """Interval at which the bar is updated [s]."""
+RETRIES: Final = 4
+"""Times that a job on a cluster is started again after its worker or its node was lost."""
+MEMORY: Final = 2 * 2**30
+"""Memory that a node of a cluster reserves for a job, if it has as much [bytes]: a drive is extracted in less."""
 
 
-def usable_cores() -> int:
-    """Number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+class Outcome(NamedTuple, Generic[Result]):
+    """Results and errors of jobs, both in the order of the jobs."""
+
+    results: list[Result]
+    failed: list[OffpisteError]
+
+    def checked(self) -> list[Result]:
+        """Return the results, or raise the first error."""
+        if self.failed:
+            raise self.failed[0]
+        return self.results
 
 
-def free_memory(root: Path = Path("/")) -> int:
-    """Memory that this process and its children can still have [bytes]: what the machine has, and its container.
-
-    Memory that holds files for now counts as free, where the system says how much that is.
+def run_all(
+    work: Work[Job, Result],
+    jobs: Sequence[Job],
+    processes: int,
+    description: str,
+    *,
+    cluster: str = "",
+    finished: Callable[[Result], None] = logger.info,
+) -> Outcome[Result]:
+    """Do all jobs, also if some of them fail.
 
     Args:
-        root: of /proc and /sys.
+        work: a function of a module that workers can import.
+        processes: largest number of jobs at a time; 1 works in this process.
+        cluster: do them on a Ray cluster instead: "auto", or HOST:PORT of its head.
+        finished: called with the result of each job when it ends.
+
+    Raises:
+        OffpisteError: the extra `ray` is not installed, or no cluster answers there.
     """
-    free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    with suppress(OSError):
-        for line in root.joinpath("proc/meminfo").read_text("ascii").splitlines():
-            if line.startswith("MemAvailable:"):
-                free = 1024 * int(line.split()[1])
-    with suppress(OSError):
-        for line in root.joinpath("proc/self/cgroup").read_text("utf-8").splitlines():
-            number, controllers, group = line.split(":", 2)
-            place, *names = _CGROUP_2 if number == "0" else _CGROUP_1
-            if number == "0" or "memory" in controllers.split(","):
-                groups = [root / place / part.lstrip("/") for part in (group, *map(str, PurePosixPath(group).parents))]
-                free = min(free, *(_left_in(folder, *names) for folder in groups))
-    return free
+    ended: dict[int, Result | OffpisteError] = {}
+    processes = min(processes, len(jobs))
+    with jobs_bar(len(jobs), description) as update:
+        outcomes: Ended[Result]
+        if cluster:
+            outcomes = _on_cluster(cluster, work, jobs, update)
+        elif processes > 1:
+            outcomes = _side_by_side(processes, work, jobs, update)
+        else:
+            outcomes = ((number, _attempt(work, job, partial(update, number))) for number, job in enumerate(jobs))
+        with closing(outcomes):
+            for number, result in outcomes:
+                update(number, 1.0)
+                ended[number] = result
+                if not isinstance(result, OffpisteError):
+                    finished(result)
+                elif len(jobs) > 1:
+                    logger.warning(f"failed: {result}")
+    ordered = [ended[number] for number in range(len(jobs))]
+    return Outcome(
+        [result for result in ordered if not isinstance(result, OffpisteError)],
+        [result for result in ordered if isinstance(result, OffpisteError)],
+    )
 
 
-def _left_in(folder: Path, limit: str, used: str, cached: str) -> int:
-    """Memory left in a group of processes [bytes]; endless where it has no limit."""
+def _attempt(work: Work[Job, Result], job: Job, report: Report) -> Result | OffpisteError:
     try:
-        most = int((folder / limit).read_text("ascii"))
-        held = int((folder / used).read_text("ascii"))
-        lines = (line.split() for line in (folder / "memory.stat").read_text("ascii").splitlines())
-        return max(0, most - held + sum(int(size) for name, size in lines if name == cached))
-    except (OSError, ValueError):  # none there, or "max"
-        return sys.maxsize
+        return work(job, report)
+    except OffpisteError as error:
+        return error
 
 
-def within_memory(processes: int, each: float) -> int:
-    """As many processes as are wanted, or as have room in memory, at least one; says so if these are fewer.
+def _side_by_side(
+    processes: int, work: Work[Job, Result], jobs: Sequence[Job], update: Callable[[int, float], None]
+) -> Ended[Result]:
+    can_fork = "forkserver" in multiprocessing.get_all_start_methods()
+    context = multiprocessing.get_context("forkserver" if can_fork else "spawn")
+    if can_fork:
+        context.set_forkserver_preload([getattr(work, "func", work).__module__])
+    shares = context.RawArray("d", len(jobs))
+    started = (usable_cores() // processes, dict(os.environ), shares)
+    pool = ProcessPoolExecutor(processes, context, _start_worker, started)
+    try:
+        numbers = {pool.submit(_attempt, work, job, partial(_share, number)): number for number, job in enumerate(jobs)}
+        waiting = {*numbers}
+        while waiting:
+            done, waiting = wait(waiting, POLL, FIRST_COMPLETED)
+            for future in waiting:
+                update(numbers[future], shares[numbers[future]])
+            for future in done:
+                try:
+                    yield numbers[future], future.result()
+                except BrokenProcessPool:
+                    how = "use fewer --processes; finished drives are kept"
+                    yield numbers[future], OffpisteError("a process was killed, perhaps for want of memory", how=how)
+    except BaseException:
+        pool.shutdown(wait=False, cancel_futures=True)
+        for child in multiprocessing.active_children():
+            child.terminate()
+        raise
+    pool.shutdown()
+
+
+_shares: MutableSequence[float] = []
+"""In a worker: the share of each job that is done, in memory shared with the parent."""
+
+
+def _share(number: int, share: float) -> None:
+    _shares[number] = share
+
+
+def _start_worker(threads: int, environment: dict[str, str], shares: MutableSequence[float]) -> None:
+    """Prepare a worker: the environment of now, Ctrl-C left to the parent, and no more threads than its share of cores.
 
     Args:
-        each: memory that one takes [bytes].
+        environment: of the parent; the server that forks workers knows only what it was when the server started.
     """
-    free = free_memory()
-    fitting = max(1, int((free - _SPARE) / max(each, 1.0)))
-    if fitting < processes:
-        room = f"{free / 1e9:.1f} GB of memory are free, and each takes {each / 1e9:.1f} GB"
-        logger.warning(f"{fitting} of {processes} processes at a time: {room}")
-    return min(processes, fitting)
+    global _shares
+    import torch
+
+    _shares = shares
+    os.environ.update(environment)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    torch.set_num_threads(max(1, threads))
+
+
+def _end_with_parent() -> None:
+    """Exit once the parent is gone: a parent that is killed cannot end its workers."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(1)
+
+
+def _on_cluster(
+    address: str, work: Work[Job, Result], jobs: Sequence[Job], update: Callable[[int, float], None]
+) -> Ended[Result]:
+    with _connected(address) as ray:
+        from ray.util.queue import Queue
+        from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
+
+        # The queue stays on this node, whose loss ends this process as well.
+        here = NodeAffinitySchedulingStrategy(ray.get_runtime_context().get_node_id(), soft=False)
+        queue = Queue(actor_options={"num_cpus": 0, "scheduling_strategy": here})
+        largest = max((node["Resources"].get("memory", 0) for node in ray.nodes() if node["Alive"]), default=0)
+        task = ray.remote(num_cpus=1, memory=int(min(MEMORY, largest)), max_retries=RETRIES)(_attempt)
+        waiting = {
+            task.remote(work, job, lambda share, number=number: queue.put((number, share))): number
+            for number, job in enumerate(jobs)
+        }
+        try:
+            while waiting:
+                done, _ = ray.wait([*waiting], num_returns=len(waiting), timeout=POLL)
+                for number, share in queue.get_nowait_batch(queue.size()):
+                    update(number, share)
+                for reference in done:
+                    yield waiting.pop(reference), _result_of(ray, reference)
+        finally:
+            for reference in waiting:
+                ray.cancel(reference, force=True)
+            queue.shutdown(force=True)
+
+
+def _result_of(ray: Any, reference: Any) -> Any:
+    try:
+        return ray.get(reference)
+    except ray.exceptions.RayTaskError:
+        raise  # a defect of offpiste, with its traceback
+    except ray.exceptions.RayError as error:
+        lost = f"its worker or its node was lost {RETRIES + 1} times ({type(error).__name__})"
+        return OffpisteError(lost, how="look at Ray's logs for why, e.g. want of memory; finished drives are kept")
+
+
+@contextmanager
+def _connected(address: str) -> Iterator[Any]:
+    """Ray, connected to a cluster; an earlier connection is used and kept."""
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    with extra("ray"):
+        import ray
+    if ray.is_initialized():
+        yield ray
+        return
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    try:
+        if host:  # Ray would wait for a minute
+            socket.create_connection((host, int(port)), timeout=5.0).close()
+        connection = ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
+    except (OSError, ValueError, RuntimeError) as error:
+        how = "start one with `ray start --head`, or give HOST:PORT of its head"
+        raise OffpisteError("no Ray cluster answers", where=f"--cluster {address}", how=how) from error
+    with connection:
+        yield ray
 
 
 def at_a_time(processes: int, device: str = "cpu") -> int:
-    """Number of processes to start: as many as asked for; 0: one a core, or one where they would share an accelerator.
-
-    Args:
-        device: that each computes on.
+    """Number of processes to start: as many as asked for; 0: one per core, or one in all if they share an accelerator.
 
     Raises:
         OffpisteError: a number below 0.
@@ -113,168 +247,7 @@ def parse_shard(text: str) -> tuple[int, int]:
     Raises:
         OffpisteError: not two whole numbers, K from 1 to N.
     """
-    number, _, count = text.partition("/")
-    if not (number.isascii() and number.isdecimal() and count.isascii() and count.isdecimal()) or not (
-        1 <= int(number) <= int(count)
-    ):
+    found = re.fullmatch(r"([0-9]+)/([0-9]+)", text)
+    if not found or not 1 <= int(found[1]) <= int(found[2]):
         raise OffpisteError(f"'{text}' is no shard", where="--shard", how="give K/N with K from 1 to N, as 2/4")
-    return int(number), int(count)
-
-
-def run_all(
-    work: Work[Job],
-    jobs: Sequence[Job],
-    processes: int,
-    description: str,
-    *,
-    engine: Engine | None = None,
-    finished: Callable[[str], None] = logger.info,
-) -> list[OffpisteError]:
-    """Do all jobs; those that remain even if one fails.
-
-    Args:
-        work: a function of a module, so that processes can import it.
-        processes: jobs at a time, at most; 1 works in this process.
-        engine: does the jobs elsewhere (`cluster.engine_at`); None: processes of this machine do.
-        finished: called with the result of each job.
-
-    Returns:
-        The errors of jobs that failed.
-
-    Raises:
-        ValueError: processes could not import the work: it stands in the `__main__.py` of a package.
-    """
-    if _module_of(work) == "__main__" and _main_cannot_be_imported():
-        name = _function_of(work).__name__
-        raise ValueError(f"put {name} in a module of its own: processes do not import __main__.py")
-    failed = []
-    for result in (engine or partial(_on_this_machine, processes))(work, jobs, description):
-        if isinstance(result, str):
-            finished(result)
-            continue
-        failed.append(result)
-        if len(jobs) > 1:
-            logger.warning(f"failed: {result}")
-    return failed
-
-
-def _on_this_machine(
-    processes: int, work: Work[Job], jobs: Sequence[Job], description: str
-) -> Iterator[str | OffpisteError]:
-    count = min(processes, len(jobs))
-    return _one_by_one(work, jobs, description) if count <= 1 else _side_by_side(work, jobs, count, description)
-
-
-def _one_by_one(work: Work[Job], jobs: Sequence[Job], description: str) -> Iterator[str | OffpisteError]:
-    with jobs_bar(len(jobs), description) as update:
-        for number, job in enumerate(jobs):
-            try:
-                result: str | OffpisteError = work(job, partial(update, number))
-            except OffpisteError as error:
-                result = error
-            update(number, 1.0)
-            yield result
-
-
-def _side_by_side(
-    work: Work[Job], jobs: Sequence[Job], processes: int, description: str
-) -> Iterator[str | OffpisteError]:
-    with _pool(processes, work) as (pool, queue), jobs_bar(len(jobs), description) as update:
-        numbers = {pool.submit(_reporting, work, job, number, queue): number for number, job in enumerate(jobs)}
-        waiting: set[Future[str | OffpisteError]] = set(numbers)
-        while waiting:
-            done, waiting = wait(waiting, timeout=POLL, return_when=FIRST_COMPLETED)
-            for number, share in _drained(queue):
-                update(number, share)
-            for future in done:
-                update(numbers[future], 1.0)
-                yield _result(future)
-
-
-@contextmanager
-def _pool(processes: int, work: Work[Job]) -> Iterator[tuple[ProcessPoolExecutor, Any]]:
-    context = _context(work)
-    with context.Manager() as manager:
-        started = (processes, dict(os.environ))
-        pool = ProcessPoolExecutor(processes, mp_context=context, initializer=_start_worker, initargs=started)
-        try:
-            yield pool, manager.Queue()
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            for child in multiprocessing.active_children():
-                child.terminate()
-            raise
-        pool.shutdown()
-
-
-def _context(work: Work[Job]) -> BaseContext:
-    """Workers that begin with the modules of their work, imported once for all of them where the system can fork."""
-    if "forkserver" not in multiprocessing.get_all_start_methods():
-        return multiprocessing.get_context("spawn")
-    context = multiprocessing.get_context("forkserver")
-    module = _module_of(work)
-    if module != "__main__":  # a script under `python -m` has another name in the workers
-        context.set_forkserver_preload([module])  # of no effect once the server runs
-    return context
-
-
-def _function_of(work: Work[Job]) -> Work[Job]:
-    while isinstance(work, partial):
-        work = work.func
-    return work
-
-
-def _module_of(work: Work[Job]) -> str:
-    return _function_of(work).__module__
-
-
-def _main_cannot_be_imported() -> bool:
-    """Whether this program is the `__main__.py` of a package, which `multiprocessing` leaves out."""
-    spec = sys.modules["__main__"].__spec__
-    return spec is not None and (spec.name == "__main__" or spec.name.endswith(".__main__"))
-
-
-def _start_worker(processes: int, environment: dict[str, str]) -> None:
-    """Leave Ctrl-C to the parent process, and the other cores to the other workers.
-
-    Args:
-        environment: the parent's, which a server that forks workers knows only as it was when it started.
-    """
-    import torch
-
-    os.environ.update(environment)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    torch.set_num_threads(max(1, usable_cores() // processes))
-
-
-def _end_with_parent() -> None:
-    """Exit once the parent is gone: a parent that is killed cannot end its workers."""
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-    parent.join()
-    os._exit(1)
-
-
-def _reporting(work: Work[Job], job: Job, number: int, queue: Any) -> str | OffpisteError:
-    try:
-        return work(job, lambda share: queue.put((number, share)))
-    except OffpisteError as error:
-        return error
-
-
-def _result(future: "Future[str | OffpisteError]") -> str | OffpisteError:
-    try:
-        return future.result()
-    except BrokenProcessPool:
-        return OffpisteError(
-            "a process was killed, perhaps for want of memory", how="use fewer --processes; finished drives are kept"
-        )
-
-
-def _drained(queue: Any) -> Iterator[tuple[int, float]]:
-    while True:
-        try:
-            yield queue.get_nowait()
-        except Empty:
-            return
+    return int(found[1]), int(found[2])

@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool
 
-from offpiste.cluster import engine_at
 from offpiste.core.conventions import DT, FEATURE_SETS, MIN_EVALUATION_SPEED, min_evaluation_speed
 from offpiste.core.errors import DatasetError, OffpisteError
 from offpiste.core.files import remove_partials, temporary_folder
@@ -199,7 +198,7 @@ def make_dataset(
         snapshots, replay: of visual features.
         shard: (K, N): only every Nth of the logs, in the order of their names, beginning with the Kth.
         processes: drives that are extracted at a time; 0: one a core, or one where the backbone runs on a GPU.
-        cluster: address of a Ray cluster that extracts instead (`cluster.run_on_cluster`); "" for none.
+        cluster: address of a Ray cluster that extracts instead (`parallel.run_all`); "" for none.
         force: extract logs with fatal findings of `inspect`, too.
 
     Raises:
@@ -237,7 +236,7 @@ def make_dataset(
         if name not in done and name in mine
     ]
     try:
-        failed = run_all(extract_drive, jobs, at_a_time(processes, device), "extract", engine=engine_at(cluster))
+        failed = run_all(extract_drive, jobs, at_a_time(processes, device), "extract", cluster=cluster).failed
         remove_partials(out)  # of workers that were lost
     finally:
         remove_if_empty(out)  # all logs failed

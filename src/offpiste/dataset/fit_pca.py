@@ -1,23 +1,21 @@
 """Fits the PCA of patch features on images of the training stretches of logs (paper, "Dimensionality Reduction")."""
 
-import base64
 import logging
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
-from safetensors.numpy import load, save
 
-from offpiste.cluster import engine_at
 from offpiste.core.errors import PerceptionError
 from offpiste.core.files import write_text
 from offpiste.core.limits import read_small
 from offpiste.core.object_store import brought, expanded
-from offpiste.core.parallel import Report, Work, at_a_time, run_all
+from offpiste.core.parallel import Report, at_a_time, run_all
 from offpiste.dataset.resample import Rows, extract_rows
 from offpiste.dataset.splits import Split, refuse_places_without_origin
 from offpiste.logs.drive import drive_from_log, drive_name
@@ -139,7 +137,7 @@ def fit_pca(
     Args:
         images: how many are chosen; or the images themselves, which must lie in the training part too.
         processes: logs that are read at a time; 0: one a core.
-        cluster: address of a Ray cluster that reads them instead (`cluster.run_on_cluster`); "" for none.
+        cluster: address of a Ray cluster that reads them instead (`parallel.run_all`); "" for none.
 
     Raises:
         LogError, RigError: a log cannot be read, or has no cameras and LiDARs.
@@ -149,12 +147,9 @@ def fit_pca(
     logs = sorted(expanded(logs), key=drive_name)  # whatever order they are given in, the same images are chosen
     spacing = SPACING if isinstance(images, int) else 0.0  # listed images need not lie apart
     jobs = [Job(number, log, rig, split, spacing, backbone) for number, log in enumerate(logs)]
-    processes = at_a_time(processes)
-    result = [
-        Candidate(number, list(rig.cameras)[camera], float(time), statistics)
-        for number, found in _of_each(_find_images, jobs, processes, "finding images", cluster)
-        for camera, time, statistics in zip(found["camera"], found["time"], found["statistics"], strict=True)
-    ]
+    do = partial(run_all, processes=at_a_time(processes), cluster=cluster, finished=lambda _: None)
+    found = do(_find_images, jobs, description="finding images").checked()
+    result = [candidate for candidates in found for candidate in candidates]
     if not result:
         raise PerceptionError("no image in the training part", how="give logs with cameras, or another --split")
     names = [drive_name(log) for log in logs]
@@ -167,8 +162,8 @@ def fit_pca(
     ]
     jobs = [replace(job, times=mine) for job, mine in zip(jobs, times, strict=True) if mine]
     moments = Moments.none(backbone.channels)
-    for _, found in _of_each(_read_features, jobs, processes, "features of the chosen images", cluster):
-        moments += Moments(int(found["count"]), found["mean"], found["scatter"])
+    for part in do(_read_features, jobs, description="features of the chosen images").checked():
+        moments += part
     about = {"logs": names, "split": split.text, "split_drives": [list(pair) for pair in split.drives]}
     pca = fit(moments, backbone, components=components, **about)
     logger.info(f"{len(chosen)} of {len(result)} images, {moments.count:.0f} patches of ground")
@@ -186,44 +181,22 @@ def _listed(image: ListedImage, result: Sequence[Candidate], names: Sequence[str
     )
 
 
-def _of_each(
-    work: Work[Job], jobs: Sequence[Job], processes: int, description: str, cluster: str
-) -> list[tuple[int, dict[str, np.ndarray]]]:
-    """Arrays that the work finds in each log, in the order of the logs; raises what the first of them fails with."""
-    texts: list[str] = []
-    failed = run_all(work, jobs, processes, description, engine=engine_at(cluster), finished=texts.append)
-    if failed:
-        raise failed[0]
-    result = []
-    for text in texts:
-        found = load(base64.b64decode(text))
-        result.append((int(found.pop("number")), found))
-    return sorted(result, key=lambda pair: pair[0])
-
-
-def _text(arrays: dict[str, np.ndarray | int]) -> str:
-    """Arrays as text, which is what jobs give back."""
-    return base64.b64encode(save({name: np.asarray(values) for name, values in arrays.items()})).decode()
-
-
 def _moment(stamp: float) -> float:
     """A stamp as lists of images hold it [s]; NumPy's own rounding is another one, of every eighth stamp."""
     return round(float(stamp), 6)
 
 
-def _find_images(job: Job, report: Report) -> str:
+def _find_images(job: Job, report: Report) -> list[Candidate]:
     with brought(job.log) as path:
         log = open_log(path, clock=job.rig.clock)
         sensors = open_sensors(log, job.rig)
         sensors.coverage()  # refuses clocks that are not the poses'
         rows = extract_rows(drive_from_log(log, job.rig))
         training = job.split.label(drive_name(path), rows.state[:, :2] + rows.origin) == 0
-        found = [
-            (list(job.rig.cameras).index(image.camera), _moment(image.time), image_statistics(image.pixels))
+        return [
+            Candidate(job.number, image.camera, _moment(image.time), image_statistics(image.pixels))
             for image in _spaced_images(sensors, rows, training, job.spacing, report)
         ]
-    camera, time, statistics = (np.array([one[part] for one in found]) for part in range(3))
-    return _text({"number": job.number, "camera": camera, "time": time, "statistics": statistics})
 
 
 def _spaced_images(
@@ -240,11 +213,10 @@ def _spaced_images(
                 yield image
 
 
-def _read_features(job: Job, report: Report) -> str:
+def _read_features(job: Job, report: Report) -> Moments:
     with brought(job.log) as path:
         sensors = open_sensors(open_log(path, clock=job.rig.clock), job.rig)
-        moments = _moments(sensors, job.backbone, job.times, report)
-    return _text({"number": job.number, "count": moments.count, "mean": moments.mean, "scatter": moments.scatter})
+        return _moments(sensors, job.backbone, job.times, report)
 
 
 def _share(time: float, log: SensorLog) -> float:

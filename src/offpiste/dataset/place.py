@@ -1,4 +1,4 @@
-"""Where a dataset lies: in a folder of this machine, or in an object store, which is read from a copy in the cache."""
+"""Location of a dataset: a folder of this machine, or an object store, which is read from a copy in the cache."""
 
 import hashlib
 import os
@@ -6,14 +6,14 @@ import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
-from typing import Final
+from pathlib import Path, PurePosixPath
+from typing import Any, Final
 
 from offpiste.core.cache import cache_folder, forget_unused
 from offpiste.core.checksums import CHECKSUMS
 from offpiste.core.errors import DatasetError
-from offpiste.core.files import write_bytes, write_folder
-from offpiste.core.object_store import Store, store_at, url_of
+from offpiste.core.files import temporary_folder, write_bytes
+from offpiste.core.object_store import download, opened, url_of
 from offpiste.core.progress import track
 
 _SETTINGS: Final = ("zarr.json", CHECKSUMS)
@@ -21,9 +21,10 @@ _SETTINGS: Final = ("zarr.json", CHECKSUMS)
 
 
 def drive_names(path: Path) -> list[str]:
-    """Names of the drives that a dataset holds whole."""
+    """Names of the complete drives of a dataset."""
     if (url := url_of(path)) is not None:
-        return _uploaded(store_at(url))
+        with opened(url) as (files, root):
+            return _uploaded(files, root)
     return sorted(f.name for f in path.iterdir() if f.is_dir() and not f.name.startswith("."))
 
 
@@ -31,28 +32,30 @@ def drive_names(path: Path) -> list[str]:
 def working_copy(path: Path) -> Iterator[Path]:
     """Folder to add drives in: the dataset, or for one in an object store a copy of its settings.
 
-    Drives that are in the store already are empty folders of the copy. Those that are added are uploaded at the end;
-    they count as there once their checksums are, which come last.
+    Drives that are in the store already are empty folders of the copy. Added drives are uploaded at the end, their
+    checksums last: a drive counts as complete once these are there.
     """
     url = url_of(path)
     if url is None:
         yield path
         return
-    store = store_at(url)
     with tempfile.TemporaryDirectory(prefix="offpiste-") as folder:
         copy = Path(folder) / path.name
-        before = _settings_in(store)
+        with opened(url) as (files, root):
+            before = _settings_in(files, root)
+            uploaded = _uploaded(files, root) if before else []
         for name, content in before.items():
             write_bytes(copy / name, content)
-        for name in _uploaded(store) if before else ():
+        for name in uploaded:
             (copy / name).mkdir()
         yield copy
-        for drive in sorted(copy.iterdir()):
-            if drive.is_dir() and not drive.name.startswith(".") and any(drive.iterdir()):
-                store.upload(drive, drive.name, last=CHECKSUMS)
-        for name in _SETTINGS:
-            if (copy / name).read_bytes() != before.get(name):
-                store.put(copy / name, name)
+        with opened(url) as (files, root):
+            for drive in sorted(copy.iterdir()):
+                if drive.is_dir() and not drive.name.startswith(".") and any(drive.iterdir()):
+                    _upload(files, drive, f"{root}/{drive.name}")
+            for name in _SETTINGS:
+                if (copy / name).read_bytes() != before.get(name):
+                    files.put_file(str(copy / name), f"{root}/{name}")
 
 
 def mirrored(path: Path) -> Path:
@@ -64,19 +67,23 @@ def mirrored(path: Path) -> Path:
     url = url_of(path)
     if url is None:
         return path
-    store = store_at(url)
-    settings = _settings_in(store)
+    with opened(url) as (files, root):
+        settings, drives = _settings_in(files, root), _uploaded(files, root)
+        checksums = {name: files.cat_file(f"{root}/{name}/{CHECKSUMS}") for name in drives}
     if not settings:
         raise DatasetError("not a dataset", where=url, how="make one with `offpiste extract`")
     copy = cache_folder() / "datasets" / hashlib.sha256(url.encode()).hexdigest()[:16] / path.name
     for name, content in settings.items():
         write_bytes(copy / name, content)
-    drives = _uploaded(store)
-    for gone in {*drive_names(copy)} - {*drives}:
-        shutil.rmtree(copy / gone)
-    for name in track(drives, f"bring {path.name}"):
-        _bring(store, name, copy / name)
-    os.utime(copy.parent)  # it is used now
+    for name in drive_names(copy):
+        if not (copy / name / CHECKSUMS).exists() or (copy / name / CHECKSUMS).read_bytes() != checksums.get(name):
+            shutil.rmtree(copy / name)
+    for name in track(drives, f"copy {path.name}"):
+        if not (copy / name).exists():
+            with temporary_folder(copy / name) as partial:
+                download(f"{url}/{name}", partial / name)
+                (partial / name).replace(copy / name)
+    os.utime(copy.parent)  # `forget_unused` keeps it for 30 days from now
     forget_unused(cache_folder())
     return copy
 
@@ -85,33 +92,34 @@ def remove_if_empty(path: Path) -> None:
     """Remove a dataset that no drive was written into."""
     if drive_names(path):
         return
-    url = url_of(path)
-    if url is None:
+    if (url := url_of(path)) is None:
         shutil.rmtree(path)
-    else:
-        store_at(url).remove()
-
-
-def _uploaded(store: Store) -> list[str]:
-    found = [name.partition("/")[0] for name in store.names(f"*/{CHECKSUMS}")]
-    return [name for name in found if not name.startswith(".")]  # nor any that leads out of the dataset
-
-
-def _settings_in(store: Store) -> dict[str, bytes]:
-    """Settings of a dataset in a store; none where there is no whole one."""
-    found = {name: store.read(name) for name in _SETTINGS}
-    settings = {name: content for name, content in found.items() if content is not None}
-    return settings if len(settings) == len(_SETTINGS) else {}
-
-
-def _bring(store: Store, name: str, copy: Path) -> None:
-    """Copy a drive, unless it is there already."""
-    checksums = store.read(f"{name}/{CHECKSUMS}")
-    if copy.exists() and checksums == (copy / CHECKSUMS).read_bytes():
         return
+    with opened(url) as (files, root):
+        _remove(files, root)
 
-    def write(partial: Path) -> None:
-        store.bring(partial, name)
 
-    shutil.rmtree(copy, ignore_errors=True)
-    write_folder(copy, write)
+def _uploaded(files: Any, root: str) -> list[str]:
+    found = [PurePosixPath(name).parent.name for name in files.glob(f"{root}/*/{CHECKSUMS}")]
+    return sorted(name for name in found if not name.startswith("."))  # a name ".." leads out of the dataset
+
+
+def _settings_in(files: Any, root: str) -> dict[str, bytes]:
+    """Settings of a dataset in a store; none if it is not complete."""
+    try:
+        return {name: files.cat_file(f"{root}/{name}") for name in _SETTINGS}
+    except FileNotFoundError:
+        return {}
+
+
+def _upload(files: Any, drive: Path, to: str) -> None:
+    """Replace a drive in the store."""
+    _remove(files, to)
+    names = [str(file.relative_to(drive)) for file in drive.rglob("*") if file.is_file() and file.name != CHECKSUMS]
+    files.put([str(drive / name) for name in names], [f"{to}/{name}" for name in names])
+    files.put_file(str(drive / CHECKSUMS), f"{to}/{CHECKSUMS}")
+
+
+def _remove(files: Any, folder: str) -> None:
+    if found := files.find(folder):
+        files.rm(found)

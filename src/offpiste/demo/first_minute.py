@@ -88,9 +88,7 @@ def run_first_minute(out: Path, settings: FirstMinuteSettings, *, processes: int
         " a course\n     driven twice, with a model that sees the ground (dc) and with one that does not (b)."
     )
     work = partial(do_part, out=out, settings=settings)
-    failed = run_all(work, (DRIVE, *reversed(MODELS)), processes, "drive")
-    if failed:
-        raise failed[0]
+    run_all(work, (DRIVE, *reversed(MODELS)), processes, "drive").checked()
     logger.info(f"2/3  Both models predict 5 s ahead from every {settings.snapshot_seconds:g} s of the first drive.")
     dataset = open_dataset(out / "dataset.zarr")
     predictions = predict(dataset, {model: run_folder(shipped(model)) for model in MODELS})

@@ -107,9 +107,7 @@ def rehearse(run: str, processes: int) -> None:
     """
     with tempfile.TemporaryDirectory() as folder:
         work = partial(rehearse_part, run=run, folder=Path(folder))
-        failed = run_all(work, (PLAN, RECORD), processes, "rehearsal", finished=lambda _: None)
-    if failed:
-        raise failed[0]
+        run_all(work, (PLAN, RECORD), processes, "rehearsal", finished=lambda _: None).checked()
 
 
 def rehearse_part(part: str, report: Report, *, run: str, folder: Path) -> str:

@@ -1,7 +1,6 @@
 """Many logs inspected side by side, and what was found in each, a row a log."""
 
 import io
-import json
 from collections.abc import Sequence
 from contextlib import redirect_stderr
 from dataclasses import dataclass, replace
@@ -10,7 +9,6 @@ from typing import Any
 
 from rich.table import Table
 
-from offpiste.cluster import engine_at
 from offpiste.core.errors import OffpisteError
 from offpiste.core.object_store import brought
 from offpiste.core.parallel import Report, at_a_time, run_all
@@ -56,12 +54,10 @@ def inspect_logs(logs: Sequence[str], rig: Rig | None, *, processes: int = 1, cl
 
     Args:
         processes: logs that are inspected at a time; 0: one a core.
-        cluster: address of a Ray cluster that inspects them instead (`cluster.run_on_cluster`); "" for none.
+        cluster: address of a Ray cluster that inspects them instead (`parallel.run_all`); "" for none.
     """
-    jobs, texts = [Job(log, rig) for log in logs], list[str]()
-    processes = at_a_time(processes)
-    failed = run_all(_inspect, jobs, processes, "inspect", engine=engine_at(cluster), finished=texts.append)
-    found = sorted((json.loads(text) for text in texts), key=lambda one: logs.index(one["log"]))
+    jobs = [Job(log, rig) for log in logs]
+    found, failed = run_all(_inspect, jobs, at_a_time(processes), "inspect", cluster=cluster, finished=lambda _: None)
     return Survey(tuple(found), tuple(failed))
 
 
@@ -88,7 +84,7 @@ def _words(findings: Sequence[dict[str, Any]]) -> str:
     return "; ".join([*serious, *([f"{notes} note{'s' if notes > 1 else ''}"] if notes else [])])
 
 
-def _inspect(job: Job, report: Report) -> str:
+def _inspect(job: Job, report: Report) -> dict[str, Any]:
     with redirect_stderr(io.StringIO()), brought(job.log) as path:  # bars of its own would run into those of others
         log = open_log(path, clock=job.rig.clock if job.rig else None)
-        return json.dumps(replace(inspect_log(log, job.rig, sensors=True), log=job.log).as_dict())
+        return replace(inspect_log(log, job.rig, sensors=True), log=job.log).as_dict()

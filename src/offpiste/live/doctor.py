@@ -16,7 +16,7 @@ import numpy as np
 
 from offpiste.core.channels import OPTIONAL_CONTROLS
 from offpiste.core.errors import LiveError, OffpisteError, did_you_mean, require
-from offpiste.core.parallel import free_memory, usable_cores
+from offpiste.core.machine import free_memory, usable_cores
 from offpiste.live.command_messages import CommandMessages
 from offpiste.live.driver import refuse_unmeasured
 from offpiste.live.reception import check_types, is_pressed

@@ -166,16 +166,12 @@ def _side_by_side(
     logger.info(f"{len(steps)} steps, {min(processes, len(steps))} at a time: {', '.join(named)}")
 
     def done(name: str) -> None:
-        if name not in named:  # the message of a failure
-            logger.info(name)
-            return
         pace.spent += named[name].cost
         result = named[name].result()
         logger.info(f"{numbers[name]} {name}: done{result and f', {result}'}; about {pace.left()} left")
 
-    failed = run_all(_alone, [_Job(step.name, step.do, record) for step in steps], processes, "steps", finished=done)
-    if failed:
-        raise failed[0]
+    jobs = [_Job(step.name, step.do, record) for step in steps]
+    run_all(_alone, jobs, processes, "steps", finished=done).checked()
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,10 @@ from typing import Final, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.cluster import engine_at
 from offpiste.core.conventions import DT
 from offpiste.core.errors import OffpisteError
-from offpiste.core.parallel import Report, run_all, within_memory
+from offpiste.core.machine import within_memory
+from offpiste.core.parallel import Report, run_all
 from offpiste.core.progress import track
 from offpiste.logs.ros.writer import McapWriter
 from offpiste.simulation.driver.driver import Driver, DriverSettings
@@ -223,9 +223,7 @@ def simulate_all(recordings: Sequence[Recording], processes: int, cluster: str =
     if not cluster and missing:
         wanted = min(processes, len(missing))
         processes = within_memory(wanted, max(MEMORY.get(one.settings.sensors, 0.0) for one in missing))
-    failed = run_all(_record, missing, processes, "simulate", engine=engine_at(cluster))
-    if failed:
-        raise failed[0]
+    run_all(_record, missing, processes, "simulate", cluster=cluster).checked()
 
 
 def simulate_once(settings: DriveSettings, log: Path) -> str:

@@ -1,0 +1,72 @@
+"""Cores and memory that this process may use."""
+
+import logging
+import os
+import re
+import sys
+from contextlib import suppress
+from pathlib import Path, PurePosixPath
+from typing import Final
+
+logger = logging.getLogger(__name__)
+
+_SPARE: Final = 5e8
+"""Memory that is left to others [bytes]."""
+_CGROUPS: Final = {
+    r"^0::(.*)$": ("sys/fs/cgroup", "memory.max", "memory.current", "inactive_file"),
+    r"^\d+:[\w,]*\bmemory\b[\w,]*:(.*)$": (
+        "sys/fs/cgroup/memory",
+        "memory.limit_in_bytes",
+        "memory.usage_in_bytes",
+        "total_inactive_file",
+    ),
+}
+"""Line of a control group, version 2 and 1: its folder, and the files or keys of its limit, use and cached files."""
+
+
+def usable_cores() -> int:
+    """Number of cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def within_memory(processes: int, each: float) -> int:
+    """Number of processes that fit into free memory, from 1 to `processes`; logs a warning if they are fewer.
+
+    Args:
+        each: memory of a process [bytes].
+    """
+    free = free_memory()
+    fitting = max(1, int((free - _SPARE) / max(each, 1.0)))
+    if fitting < processes:
+        room = f"{free / 1e9:.1f} GB of memory are free, and each takes {each / 1e9:.1f} GB"
+        logger.warning(f"{fitting} of {processes} processes at a time: {room}")
+    return min(processes, fitting)
+
+
+def free_memory(root: Path = Path("/")) -> int:
+    """Memory that this process and its children can still take from the machine and its container [bytes].
+
+    Memory that caches files counts as free, if the system reports it.
+
+    Args:
+        root: of /proc and /sys.
+    """
+    free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    with suppress(OSError):
+        free = _number(root / "proc/meminfo", "MemAvailable:", free // 1024) * 1024
+    with suppress(OSError):
+        text = root.joinpath("proc/self/cgroup").read_text("utf-8")
+        for line, (place, limit, used, cached) in _CGROUPS.items():
+            for found in re.finditer(line, text, re.MULTILINE):
+                for part in (found[1], *map(str, PurePosixPath(found[1]).parents)):
+                    group = root / place / part.lstrip("/")
+                    with suppress(OSError):
+                        left = _number(group / limit) - _number(group / used) + _number(group / "memory.stat", cached)
+                        free = min(free, max(0, left))
+    return free
+
+
+def _number(file: Path, name: str = "", otherwise: int = sys.maxsize) -> int:
+    """Number after a name in a file of the system, e.g. endless for a limit "max"."""
+    found = re.search(rf"^{name}\s*(\d+)", file.read_text("ascii"), re.MULTILINE)
+    return int(found[1]) if found else otherwise
