@@ -10,7 +10,7 @@ import numpy as np
 from offpiste.evaluation.evaluate import Evaluation
 from offpiste.evaluation.report_figures import deciding_errors, report_figure, title_of
 from offpiste.evaluation.report_figures.distance_error import binned_plot
-from offpiste.report.line_chart import LineChart
+from offpiste.report.chart import Chart
 
 CAPTION = "Mean distance error after 5 s by the yaw rate at the start; every bin holds as many windows."
 TURNING = 1e-3
@@ -18,7 +18,7 @@ TURNING = 1e-3
 
 
 @report_figure("yaw_rate", section="Error by yaw rate", caption=CAPTION)
-def draw(evaluation: Evaluation) -> LineChart | None:
+def draw(evaluation: Evaluation) -> Chart | None:
     """Error by the magnitude of the yaw rate; None where no window turns."""
     yaw_rate = np.abs(evaluation.windows.start_state[:, 5])
     if yaw_rate.max() < TURNING:

@@ -6,8 +6,9 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from offpiste.evaluation.box_chart import LINE_PIXELS, BoxChart
-from offpiste.evaluation.box_plots import MEAN, MEDIAN
+from offpiste.evaluation.box_plots import MEAN, MEDIAN, box_chart
+from offpiste.report.chart import Chart, draw
+from offpiste.report.plotly_charts import LINE_PIXELS, charts_of
 
 VALUES = np.array([0.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 11.0, 30.0])
 """Quartiles 3, 5, 7; IQR 4; whiskers reach to the last values within -3 ... 13: 0 and 11."""
@@ -15,18 +16,19 @@ VALUES = np.array([0.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 11.0, 30.0])
 FAILING = {"b · map": np.append(VALUES, [np.inf, np.inf]), "c": np.full(3, np.inf)}
 
 
-def drawn(figure: Figure) -> Figure:
+def drawn(chart: Chart) -> Figure:
+    figure = draw(chart)
     FigureCanvasAgg(figure).draw()
     return figure
 
 
-def plotly(chart: BoxChart) -> go.Figure:
-    (one,) = chart.charts()
-    return go.Figure({"data": list(one.traces), "layout": dict(one.layout)})
+def plotly(chart: Chart) -> go.Figure:
+    (one,) = charts_of(chart)
+    return go.Figure({"data": one["traces"], "layout": one["layout"]})
 
 
 def test_picture_has_quartiles_whiskers_median_and_mean() -> None:
-    axes = drawn(BoxChart({"b": VALUES}).figure()).axes[0]
+    axes = drawn(box_chart({"b": VALUES})).axes[0]
     box = axes.patches[0].get_path().vertices[:, 0]
     assert (box.min(), box.max()) == (3.0, 7.0)
     lines = {(line.get_color(), tuple(line.get_xdata())) for line in axes.lines if len(line.get_xdata()) == 2}
@@ -38,17 +40,19 @@ def test_picture_has_quartiles_whiskers_median_and_mean() -> None:
 
 
 def test_chart_has_the_same_numbers() -> None:
-    figure = plotly(BoxChart({"b": VALUES}))
+    figure = plotly(box_chart({"b": VALUES}))
     box, means = figure.data
     assert (box.q1, box.median, box.q3, box.lowerfence, box.upperfence) == ((3,), (5,), (7,), (0,), (11,))
     assert means.x == (pytest.approx(VALUES.mean(), abs=1e-3),)
-    assert list(means.customdata[0]) == ["5.00", f"{VALUES.mean():.2f}", "3.00", "7.00", "0.00", "11.00"]
-    assert figure.layout.yaxis.categoryarray == ("b",)
+    assert means.hovertext == (
+        f"median 5.00, mean {VALUES.mean():.2f}<br>quartiles 3.00 and 7.00<br>whiskers 0.00 and 11.00",
+    )
+    assert figure.layout.yaxis.ticktext == ("b",)
 
 
 def test_failed_predictions_are_counted() -> None:
-    chart = BoxChart(FAILING)
-    axes = drawn(chart.figure()).axes[0]
+    chart = box_chart(FAILING)
+    axes = drawn(chart).axes[0]
     assert [text.get_text() for text in axes.get_yticklabels()] == ["b\nmap\n2 failed", "c\n3 failed"]
     means = [line.get_xdata()[0] for line in axes.lines if line.get_color() == MEAN and len(line.get_xdata())]
     assert np.isnan(means).all(), "a model that fails has no mean"
@@ -56,17 +60,17 @@ def test_failed_predictions_are_counted() -> None:
     assert (box.min(), box.max()) == (3.5, 20.5), "failed windows count in the quartiles"
     assert np.isnan(axes.patches[1].get_path().vertices[:, 0]).all(), "and, where most fails, there is no box"
     figure = plotly(chart)
-    assert [trace.type for trace in figure.data] == ["box", "scatter"], "one box, and the markers"
-    assert [text.text for text in figure.layout.annotations] == ["mean", "–", "–"]
+    assert [trace.type for trace in figure.data] == ["box", "scatter"], "one box, and its mean"
+    assert [text.text for text in figure.layout.annotations] == ["median", "6.00", "–", "mean", "–", "–"]
 
 
 @pytest.mark.parametrize("count", [1, 6, 18, 60])
 def test_every_box_has_room_at_any_number(count: int) -> None:
-    chart = BoxChart({f"model-{i} · recorded -20 m": VALUES * (1 + i % 3) for i in range(count)})
-    figure = drawn(chart.figure())
+    chart = box_chart({f"model-{i} · recorded -20 m": VALUES * (1 + i % 3) for i in range(count)})
+    figure = drawn(chart)
     axes = figure.axes[0]
     assert axes.get_window_extent().height / count > 40, "dots at 150 dots an inch"
-    assert chart.charts()[0].height >= LINE_PIXELS * count
+    assert charts_of(chart)[0]["height"] >= LINE_PIXELS * count
     renderer = figure.canvas.get_renderer()
     for group in (axes.get_yticklabels(), axes.texts):
         boxes = [text.get_window_extent(renderer) for text in group]

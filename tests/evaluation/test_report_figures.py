@@ -1,27 +1,28 @@
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
-from offpiste.evaluation.box_chart import BoxChart
-from offpiste.evaluation.box_plots import styles
+from offpiste.evaluation.box_plots import box_chart, styles
 from offpiste.evaluation.intervals import Levels, Statistics
 from offpiste.evaluation.metrics import ResultRow
 from offpiste.evaluation.report_figures.distance_error import binned_plot, distribution_plot, growth_plot
+from offpiste.report.chart import Chart, draw
 
 VALUES = np.array([0.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 11.0, 30.0])
 SPEED = "Speed at the start [m/s]"
 
 
-def drawn(figure: Figure) -> Figure:
+def drawn(chart: Chart) -> Axes:
+    figure = draw(chart)
     FigureCanvasAgg(figure).draw()
-    return figure
+    return figure.axes[0]
 
 
 def test_axes_have_names_and_units() -> None:
     errors = {"b": VALUES, "kinematic": VALUES}
     by_speed = binned_plot(errors, np.linspace(2, 9, len(VALUES)), axis=SPEED)
-    figures = [drawing.figure() for drawing in (BoxChart(errors), distribution_plot(errors), by_speed)]
-    names = [(figure.axes[0].get_xlabel(), figure.axes[0].get_ylabel()) for figure in figures]
+    shown = [drawn(chart) for chart in (box_chart(errors), distribution_plot(errors), by_speed)]
+    names = [(axes.get_xlabel(), axes.get_ylabel()) for axes in shown]
     assert all("[m]" in x for x, _ in names[:2])
     assert "[m/s]" in names[2][0]
     assert all("[" in y for _, y in names[1:])
@@ -29,17 +30,17 @@ def test_axes_have_names_and_units() -> None:
 
 def test_binned_plot_has_bins_of_equal_size_worked_by_hand() -> None:
     speed = np.arange(12.0)
-    (line,) = binned_plot({"b": 2 * speed}, speed, axis=SPEED).lines
+    (line,) = binned_plot({"b": 2 * speed}, speed, axis=SPEED).panels[0].lines
     assert line.x.tolist() == [0.5, 2.5, 4.5, 6.5, 8.5, 10.5]
     assert line.y.tolist() == [1.0, 5.0, 9.0, 13.0, 17.0, 21.0]
 
 
 def test_binned_plot_of_one_speed() -> None:
-    assert drawn(binned_plot({"b": VALUES}, np.full(len(VALUES), 3.0), axis=SPEED).figure()).axes[0].lines
+    assert drawn(binned_plot({"b": VALUES}, np.full(len(VALUES), 3.0), axis=SPEED)).lines
 
 
 def test_distribution_of_a_failing_model_never_reaches_the_top() -> None:
-    (line,) = distribution_plot({"b": np.array([1.0, 2.0, np.inf, np.inf])}).lines
+    (line,) = distribution_plot({"b": np.array([1.0, 2.0, np.inf, np.inf])}).panels[0].lines
     assert line.y[np.isfinite(line.x)].max() == 50.0
 
 
@@ -62,16 +63,16 @@ def row(seconds: float, mean: float) -> ResultRow:
 def test_growth_has_a_line_and_a_band_a_model() -> None:
     rows = [row(float(s), 1.0 * s) for s in range(1, 6)]
     worse = [row(float(s), 2.0 * s) for s in range(1, 6)]
-    axes = drawn(growth_plot({"b": rows, "kinematic": worse}).figure()).axes[0]
-    assert axes.lines[0].get_ydata().tolist() == [1, 2, 3, 4, 5]
-    band = axes.collections[0].get_paths()[0].vertices[:, 1]
+    axes = drawn(growth_plot({"b": rows, "kinematic": worse}))
+    assert axes.lines[1].get_ydata().tolist() == [1, 2, 3, 4, 5]
+    band = axes.collections[1].get_paths()[0].vertices[:, 1]
     assert (band.min(), band.max()) == (0.5, 5.5)
-    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["kinematic", "b"], "as the eye meets them"
+    assert [text.get_text() for text in axes.figure.legends[0].get_texts()] == ["kinematic", "b"], "from top to bottom"
 
 
 def test_growth_of_a_failed_model_draws_what_is_finite() -> None:
     chart = growth_plot({"b": [row(1.0, 1.0), row(2.0, np.inf)], "c": [row(1.0, np.nan), row(2.0, np.nan)]})
-    assert len(drawn(chart.figure()).axes[0].lines) == 2
+    assert len(drawn(chart).lines) == 2
 
 
 def test_models_keep_their_colours_and_variants_differ() -> None:

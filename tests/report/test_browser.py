@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from offpiste.report.line_chart import Line, LineChart
+from offpiste.report.chart import Chart, Line, Panel
 from offpiste.report.page import Page, Picture, Section, write_page
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -20,8 +20,8 @@ HEADLESS += ("--disable-component-update", "--disable-sync", "--disable-quic", "
 @pytest.mark.parametrize("width", [500, 1600])
 def test_charts_replace_pictures_and_fit_the_window(tmp_path: Path, width: int) -> None:
     x = np.linspace(0, 1, 20)
-    charts = LineChart([Line("a <b>", x, x, "#0072b2"), Line("c", x, 1 - x, "#d55e00")], "x [m]", "y [m]").charts()
-    pictures = [Picture("one", b"\x89PNG", "one", charts), Picture("two", b"\x89PNG", "two", [*charts, *charts])]
+    panel = Panel("x [m]", "y [m]", [Line("a <b>", x, x, "#0072b2"), Line("c", x, 1 - x, "#d55e00")])
+    pictures = [Picture(name, b"\x89PNG", name, Chart([panel] * n)) for n, name in ((1, "one"), (2, "two"))]
     write_page(Page("t", ["first"], {}, [Section("s", pictures=pictures)]), tmp_path)
     assert CHROMIUM is not None
     command = [CHROMIUM, *HEADLESS, f"--user-data-dir={tmp_path / 'profile'}", f"--window-size={width},3000"]

@@ -1,4 +1,4 @@
-"""Charts of pages: what Plotly is given is valid, small and cannot end the script that holds it."""
+"""Figures drawn from one description: by Matplotlib, and by Plotly, whose charts are valid and end no script."""
 
 import base64
 import gzip
@@ -9,24 +9,29 @@ import plotly.graph_objects as go
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from offpiste.report.chart import Chart, charts_json, escaped, layout, plotly_base64, translucent
-from offpiste.report.line_chart import MOST_POINTS, Line, LineChart
+from offpiste.report.chart import Chart, Line, Panel, by_end, draw
+from offpiste.report.plotly_charts import MOST_POINTS, charts_json, charts_of, plotly_base64
 
 X = np.linspace(1, 5, 5)
 
 
 def valid(chart: Chart) -> go.Figure:
-    """The chart as Plotly's package knows it, which raises for a name or value that is not Plotly's."""
-    return go.Figure({"data": list(chart.traces), "layout": dict(chart.layout)})
+    """The first panel as Plotly's package knows it, which raises for a name or value that is not Plotly's."""
+    first = charts_of(chart)[0]
+    return go.Figure({"data": first["traces"], "layout": first["layout"]})
+
+
+def one(x: np.ndarray, y: np.ndarray) -> Chart:
+    return Chart([Panel("", lines=[Line("b", x, y, "#0072b2")])])
 
 
 def test_text_of_a_chart_ends_no_script_and_keeps_its_meaning() -> None:
-    chart = Chart(100, [{"name": "</script><b> & 'x'", "y": [1.0, np.nan, np.inf]}], title="<t>")
-    text = charts_json([chart])
+    text = charts_json(Chart([Panel("</script><b> & 'x'", "", [Line("<b>", X, X * np.inf, "#0072b2")], title="<t>")]))
     assert not {"<", ">", "&"} & set(text)
     (again,) = json.loads(text)
-    assert again["traces"] == [{"name": "</script><b> & 'x'", "y": [1.0, None, None]}]
-    assert (again["height"], again["title"]) == (100, "<t>")
+    assert again["layout"]["xaxis"]["title"]["text"] == "&lt;/script&gt;&lt;b&gt; &amp; 'x'"
+    assert again["traces"][0]["name"] == "&lt;b&gt;", "Plotly takes < for markup"
+    assert (again["traces"][0]["y"], again["title"]) == ([None] * 5, "<t>")
 
 
 def test_plotly_is_whole_and_compressed() -> None:
@@ -36,50 +41,40 @@ def test_plotly_is_whole_and_compressed() -> None:
     assert len(plotly_base64()) < 0.5 * len(script)
 
 
-def test_colours_and_markup() -> None:
-    assert translucent("#0a1420", 0.25) == "rgba(10,20,32,0.25)"
-    assert escaped('<a href="x">') == '&lt;a href="x"&gt;'
-
-
-def test_layout_has_the_look_and_the_settings() -> None:
-    look = layout(x={"range": (0, 1)}, y={}, hovermode="y")
-    assert (look["xaxis"]["range"], look["hovermode"]) == ((0, 1), "y")
-    assert look["font"]["color"] == "var(--op-ink)"
-
-
-def lines(**settings) -> LineChart:
-    band = {"low": X - 1, "high": X + 1}
+def lines() -> Chart:
     failing = np.array([1.0, 2.0, np.inf, np.inf, np.inf])
     shown = [
-        Line("<low>", X, X, "#0072b2", **band),
-        Line("high", X, 2 * X, "#d55e00", "--"),
-        Line("f", X, failing, "#000000"),
+        Line("<low>", X, X, "#0072b2", marker="o", low=X - 1, high=X + 1),
+        Line("high", X, 2 * X, "#d55e00", "--", marker="o"),
+        Line("f", X, failing, "#000000", marker="o"),
     ]
-    return LineChart(shown, "Horizon [s]", "Error [m]", **settings)
+    return Chart([Panel("Horizon [s]", "Error [m]", by_end(shown))])
 
 
 def test_lines_are_drawn_alike_as_picture_and_as_chart() -> None:
-    figure, (chart,) = lines().figure(), lines().charts()
+    figure, drawn = draw(lines()), valid(lines())
     FigureCanvasAgg(figure).draw()
-    drawn = valid(chart)
     named = {trace.name: trace for trace in drawn.data if trace.showlegend is None}
-    assert list(named) == ["high", "&lt;low&gt;", "f"], "as the eye meets their ends"
+    assert list(named) == ["high", "&lt;low&gt;", "f"], "in the order of their ends"
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["high", "<low>", "f"]
     assert named["high"].y == (2, 4, 6, 8, 10)
     assert named["high"].line.dash == "dash"
+    assert named["f"].line.color == "var(--op-ink)", "readable on a dark page"
     (band,) = (trace for trace in drawn.data if trace.fill)
     assert (min(band.y), max(band.y)) == (0, 6)
+    assert band.fillcolor == "rgba(0,114,178,0.15)"
     assert drawn.layout.xaxis.title.text == figure.axes[0].get_xlabel() == "Horizon [s]"
     assert drawn.layout.yaxis.range == (0, pytest.approx(10.5))
 
 
 def test_long_lines_are_thinned_between_their_ends() -> None:
     x = np.linspace(0, 1, 5000)
-    (trace,) = LineChart([Line("b", x, x**2, "#0072b2")], "", "", markers=False).charts()[0].traces
-    assert len(trace["x"]) == MOST_POINTS
-    assert (trace["x"][0], trace["x"][-1]) == (0, 1)
+    (trace,) = valid(one(x, x**2)).data
+    assert len(trace.x) == MOST_POINTS
+    assert (trace.x[0], trace.x[-1]) == (0, 1)
 
 
 def test_lines_of_nothing_but_failures() -> None:
-    chart = LineChart([Line("b", X, np.full(5, np.inf), "#0072b2")], "", "")
-    FigureCanvasAgg(chart.figure()).draw()
-    assert valid(chart.charts()[0]).layout.yaxis.range[1] > 0
+    chart = one(X, np.full(5, np.inf))
+    FigureCanvasAgg(draw(chart)).draw()
+    assert valid(chart).layout.yaxis.range[1] > 0

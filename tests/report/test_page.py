@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from offpiste.report.chart import Chart
+from offpiste.report.chart import Chart, Panel
 from offpiste.report.page import Card, Page, Picture, Section, render, table_section, write_page
 from offpiste.report.text_table import Cell, TextTable
 
@@ -59,7 +59,7 @@ CHARTS = Page(
     "charts",
     ["first"],
     {},
-    [Section("a", pictures=[Picture("a", b"\x89PNG", "a", [Chart(100, [{"name": "</script>"}])]), PICTURE])],
+    [Section("a", pictures=[Picture("a", b"\x89PNG", "a", Chart([Panel("</script>")])), PICTURE])],
     [Card("<b>", "1.2 m", "error", "3 % below", "better", "mean", "#0072b2")],
 )
 

@@ -1,17 +1,16 @@
 """Box plots in the paper's form, and the colour of each model in every figure."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from matplotlib import cbook
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from offpiste.dynamics import MODELS
+from offpiste.report.chart import MEAN, MEDIAN, Box, Chart, box_panel, box_statistics, draw_boxes
 from offpiste.report.figure import single
 
 RECORDED = "#000000"
@@ -39,19 +38,23 @@ def styles(labels: Sequence[str]) -> dict[str, tuple[str, str]]:
     return result
 
 
-MEDIAN, MEAN = "#1a7f37", "#d95f02"
+def box_chart(
+    errors: Mapping[str, Float[np.ndarray, " n"]], *, title: str = "", quantity: str = "Distance error after 5 s [m]"
+) -> Chart:
+    """Box plot of errors with a line for each model.
 
+    Boxes reach from the lower to the upper quartile, whiskers to the last value within 1.5 IQR of them. Failed
+    predictions are counted beside the name; they are in the quartiles, and a model that has any has no mean.
 
-def box_statistics(label: str, values: Float[np.ndarray, " n"]) -> dict[str, Any]:
-    """Statistics that `bxp` draws. Failed predictions count as huge errors; what they make huge is not drawn."""
-    failed = int((~np.isfinite(values)).sum())
-    name = label.replace(" · ", "\n") + (f"\n{failed} failed" if failed else "")
-    box: dict[str, Any] = cbook.boxplot_stats(np.minimum(values, 1e300), whis=1.5)[0]
-    if failed:
-        box["mean"] = np.nan
-    if box["q3"] > 1e200:
-        box.update(dict.fromkeys(("q1", "med", "q3", "whislo", "whishi"), np.nan))
-    return {**box, "label": name}
+    Args:
+        errors: by label, from top to bottom; infinite if a prediction failed.
+    """
+    boxes = []
+    for label, values in errors.items():
+        failed = int((~np.isfinite(values)).sum())
+        name = label.replace(" · ", "\n") + (f"\n{failed} failed" if failed else "")
+        boxes.append(Box(name, colour_of(label), box_statistics(values)))
+    return Chart([box_panel(boxes, quantity)], title)
 
 
 Groups = Mapping[str, Mapping[str, Float[np.ndarray, " _"]]]
@@ -60,7 +63,7 @@ Groups = Mapping[str, Mapping[str, Float[np.ndarray, " _"]]]
 
 def whisker_top(groups: Groups) -> float:
     """Highest end of a whisker; figures that are given the same one share their axis."""
-    tops = [box_statistics("", values)["whishi"] for models in groups.values() for values in models.values()]
+    tops = [box_statistics(values)["whishi"] for models in groups.values() for values in models.values()]
     return max((float(top) for top in tops if np.isfinite(top)), default=0.0) or 1.0
 
 
@@ -98,22 +101,9 @@ def grouped_box_plot(
     return figure
 
 
-def _draw(axes: Axes, models: Mapping[str, np.ndarray], places: Sequence[float] | np.ndarray, top: float) -> None:
-    boxes = [{**box_statistics(name, values), "label": ""} for name, values in models.items()]
-    drawn = axes.bxp(
-        boxes,
-        positions=list(places),
-        widths=0.62,
-        showfliers=False,
-        showmeans=True,
-        meanline=True,
-        patch_artist=True,
-        manage_ticks=False,
-        medianprops={"color": MEDIAN, "linewidth": 1.5, "zorder": 4},
-        meanprops={"color": MEAN, "linewidth": 3.2, "linestyle": "-", "zorder": 3},
-    )
-    for patch, name in zip(drawn["boxes"], models, strict=True):
-        patch.set(facecolor=colour_of(name), alpha=0.4, edgecolor="none")
+def _draw(axes: Axes, models: Mapping[str, np.ndarray], places: Float[np.ndarray, " n"], top: float) -> None:
+    boxes = [box_statistics(values) for values in models.values()]
+    draw_boxes(axes, boxes, [colour_of(name) for name in models], places, orientation="vertical")
     for at, box in zip(places, boxes, strict=True):
         if np.isnan(box["whishi"]):
             axes.annotate("failed", (float(at), 0.5 * top), rotation=90, ha="center", fontsize=8)

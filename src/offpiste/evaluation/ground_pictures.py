@@ -1,10 +1,8 @@
 """The ground of windows as pictures: the map's features as colours, as it was at each window's start."""
 
-import base64
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
@@ -17,9 +15,6 @@ PIXELS = 240
 
 GREY = 150
 """Shade of ground that no camera has seen."""
-
-QUALITY = 70
-"""JPEG quality of the pictures in a browser, 1 to 100."""
 
 Square = tuple[tuple[float, float], float]
 """Middle (ahead, to the left) and half the width of a square in the frame of a window's start [m]."""
@@ -36,13 +31,6 @@ class GroundPicture:
 
     rgba: UInt8[np.ndarray, "h w 4"]
     at_start: bool
-
-    @property
-    def address(self) -> str:
-        """The picture as a data address."""
-        done, data = cv2.imencode(".webp", self.rgba[..., [2, 1, 0, 3]], [cv2.IMWRITE_WEBP_QUALITY, QUALITY])
-        assert done, "OpenCV encodes every image"
-        return "data:image/webp;base64," + base64.b64encode(data.tobytes()).decode("ascii")
 
 
 def ground_pictures(

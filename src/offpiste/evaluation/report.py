@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from offpiste.dynamics import MODELS
 from offpiste.dynamics.models import is_baseline
@@ -27,9 +26,7 @@ from offpiste.evaluation.metrics import (
     write_metrics,
 )
 from offpiste.evaluation.report_figures import REPORT_FIGURES
-from offpiste.report.chart import Drawing
-from offpiste.report.figure import png
-from offpiste.report.page import Card, Page, Picture, Section, write_page
+from offpiste.report.page import Card, Page, Picture, Section, picture, write_page
 from offpiste.report.text_table import Cell, TextTable, interval, number
 
 Pictures = dict[str, list[Picture]]
@@ -63,15 +60,8 @@ def draw_figures(evaluation: Evaluation) -> Pictures:
     for name, registered in REPORT_FIGURES.items():
         drawn = registered.draw(evaluation)
         if drawn is not None:
-            picture = _picture(name, drawn, registered.caption)
-            pictures.setdefault(registered.section, []).append(picture)
+            pictures.setdefault(registered.section, []).append(picture(name, drawn, registered.caption))
     return pictures
-
-
-def _picture(name: str, drawn: Figure | Drawing, caption: str) -> Picture:
-    if isinstance(drawn, Figure):
-        return Picture(name, png(drawn), caption)
-    return Picture(name, png(drawn.figure()), caption, drawn.charts())
 
 
 def report_page(metrics: Metrics, pictures: Pictures) -> Page:

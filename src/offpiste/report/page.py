@@ -7,9 +7,12 @@ from functools import cache
 from pathlib import Path
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
+from matplotlib.figure import Figure
 
 from offpiste.core.files import write_bytes, write_text
-from offpiste.report.chart import Chart, charts_json, plotly_base64
+from offpiste.report.chart import Chart, draw
+from offpiste.report.figure import png
+from offpiste.report.plotly_charts import charts_json, plotly_base64
 from offpiste.report.text_table import TextTable
 
 
@@ -21,13 +24,13 @@ class Picture:
         name: of its file beside the page, without the ending.
         png: content of that file.
         caption: text below the picture.
-        charts: what a browser that runs scripts shows in its place.
+        chart: shown instead by a browser that runs scripts.
     """
 
     name: str
     png: bytes
     caption: str
-    charts: Sequence[Chart] = ()
+    chart: Chart | None = None
 
     @property
     def base64(self) -> str:
@@ -36,8 +39,15 @@ class Picture:
 
     @property
     def json(self) -> str:
-        """The charts as text, which the page holds."""
-        return charts_json(self.charts)
+        """The chart as text, which the page holds."""
+        return "" if self.chart is None else charts_json(self.chart)
+
+
+def picture(name: str, drawn: Chart | Figure, caption: str) -> Picture:
+    """A picture of a chart, or of a figure without interaction."""
+    if isinstance(drawn, Figure):
+        return Picture(name, png(drawn), caption)
+    return Picture(name, png(draw(drawn)), caption, drawn)
 
 
 @dataclass(frozen=True)
@@ -94,7 +104,7 @@ class Page:
     @property
     def interactive(self) -> bool:
         """Whether the page has charts."""
-        return any(picture.charts for section in self.sections for picture in section.pictures)
+        return any(picture.chart for section in self.sections for picture in section.pictures)
 
 
 def table_section(table: TextTable, *pictures: Picture) -> Section:

@@ -6,7 +6,6 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from matplotlib.figure import Figure
 
 from offpiste.core.conventions import FEATURE_SETS
 from offpiste.core.files import write_text
@@ -15,8 +14,7 @@ from offpiste.evaluation.evaluate import Reading
 from offpiste.evaluation.evaluated_windows import share_driven_in_training
 from offpiste.evaluation.intervals import PairedDifference
 from offpiste.evaluation.metrics import LossUnits, ResultRow, provenance
-from offpiste.report.figure import png
-from offpiste.report.page import Page, Picture, Section, table_section, write_page
+from offpiste.report.page import Page, Picture, Section, picture, table_section, write_page
 from offpiste.report.text_table import TextTable, interval, number
 from offpiste.reproduction import figures
 from offpiste.reproduction.figures import draw_same, predict_same
@@ -59,7 +57,9 @@ def write_figure(settings: ReproductionSettings, data: EvaluationData, results: 
     metrics = _metrics(settings, data, results, seen)
     compared = fig4_claims(results) if is_fig4 else fig3_claims(results, stored)
     drawn = figures.fig4(results) if is_fig4 else figures.fig3(results, stored)
-    pictures = [_picture(name, figure, figures.caption(name, results)) for name, figure in drawn.items()]
+    pictures = [
+        picture(name.replace(" ", "-"), figure, figures.caption(name, results)) for name, figure in drawn.items()
+    ]
     sections = [table_section(compared, *pictures)]
     sections += [table_section(table) for table in _error_tables(results, metrics, dataset) if table.lines]
     if is_fig4:
@@ -82,13 +82,9 @@ def _error_tables(results: FigureResults, metrics: FigureMetrics, dataset: Datas
     return [*common, *by_distance, seen_table(results, dataset)]
 
 
-def _picture(name: str, figure: Figure, caption: str) -> Picture:
-    return Picture(name.replace(" ", "-"), png(figure), caption)
-
-
 def _same_windows(settings: ReproductionSettings, data: EvaluationData, models: Sequence[FigureModel]) -> Picture:
     dynamics = {m.label: load_run(settings.runs / m.folder(0), device=settings.device).dynamics for m in models}
-    return _picture("same windows", draw_same(predict_same(dynamics, data.windows)), SAME)
+    return picture("same-windows", draw_same(predict_same(dynamics, data.windows)), SAME)
 
 
 def _metrics(

@@ -19,8 +19,8 @@ from offpiste.dataset.store import Dataset, StoredDrive, open_dataset
 from offpiste.logs.log import Log
 from offpiste.logs.opening import open_log
 from offpiste.perception.feature_extractor import load_feature_extractor
-from offpiste.report.figure import BLUE, INK, ORANGE, PURPLE, SOFT, plain, png
-from offpiste.report.page import Page, Picture, Section, write_page
+from offpiste.report.figure import BLUE, INK, ORANGE, PURPLE, SOFT, plain
+from offpiste.report.page import Page, Section, picture, write_page
 from offpiste.rig.channels import Clock
 from offpiste.rig.rig import load_rig
 from offpiste.visualization.coverage_figures import coverage_sections
@@ -129,7 +129,7 @@ def dataset_page(dataset: Dataset, result: FeatureCoverage | None) -> Page:
     caption = "Left: parts of the split. Right: speed. Drives start at the white dot."
     sheets = pages(dataset.drives)
     names = [f"paths-{number}" for number in range(1, len(sheets) + 1)] if len(sheets) > 1 else ["paths"]
-    paths = [Picture(name, png(draw_paths(drives)), caption) for name, drives in zip(names, sheets, strict=True)]
+    paths = [picture(name, draw_paths(drives), caption) for name, drives in zip(names, sheets, strict=True)]
     sections = [*(coverage_sections(result) if result else []), Section("Drives from above", pictures=paths)]
     notes = [f"{drive.name}: {note}" for drive in dataset.drives for note in drive.notes]
     if notes:

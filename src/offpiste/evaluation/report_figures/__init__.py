@@ -12,10 +12,10 @@ from offpiste.core.conventions import FEATURE_SETS
 from offpiste.core.registry import Registry
 from offpiste.evaluation.evaluate import Evaluation
 from offpiste.evaluation.metrics import Case
-from offpiste.report.chart import Drawing
+from offpiste.report.chart import Chart
 
-Draw = Callable[[Evaluation], Figure | Drawing | None]
-"""From an evaluation to a figure, or to what is also drawn in a browser; None where there is nothing to draw."""
+Draw = Callable[[Evaluation], Chart | Figure | None]
+"""Draws a figure of an evaluation: a chart, or a Matplotlib figure without interaction; None: nothing to draw."""
 
 
 @dataclass(frozen=True)

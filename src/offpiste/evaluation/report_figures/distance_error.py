@@ -5,12 +5,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.evaluation.box_chart import BoxChart
-from offpiste.evaluation.box_plots import styles
+from offpiste.evaluation.box_plots import box_chart, styles
 from offpiste.evaluation.evaluate import Evaluation
 from offpiste.evaluation.metrics import ResultRow, by_reading, pooled_rows
 from offpiste.evaluation.report_figures import deciding_errors, distance_errors, main_start, report_figure, title_of
-from offpiste.report.line_chart import Line, LineChart
+from offpiste.report.chart import Chart, Line, Panel, by_end
 
 CAPTION_BOX_PLOT = (
     "Distance error after 5 s. Boxes: quartiles; whiskers: last value within 1.5 IQR; line in the box: median; orange: "
@@ -19,21 +18,21 @@ CAPTION_BOX_PLOT = (
 
 
 @report_figure("box", section="Mean distance error by horizon", caption=CAPTION_BOX_PLOT)
-def draw_box_plot(evaluation: Evaluation) -> BoxChart:
+def draw_box_plot(evaluation: Evaluation) -> Chart:
     """Distance errors after 5 s by model and terrain lookup."""
-    return BoxChart(distance_errors(evaluation), title=title_of(evaluation))
+    return box_chart(distance_errors(evaluation), title=title_of(evaluation))
 
 
 CAPTION_DISTRIBUTION = "Share of windows whose distance error after 5 s stays below a value."
 
 
 @report_figure("distribution", section="Distribution", caption=CAPTION_DISTRIBUTION)
-def draw_distribution(evaluation: Evaluation) -> LineChart:
+def draw_distribution(evaluation: Evaluation) -> Chart:
     """Distribution of each model's errors, with the terrain lookup that decides."""
     return distribution_plot(deciding_errors(evaluation), title=title_of(evaluation))
 
 
-def distribution_plot(errors: Mapping[str, Float[np.ndarray, " n"]], *, title: str = "") -> LineChart:
+def distribution_plot(errors: Mapping[str, Float[np.ndarray, " n"]], *, title: str = "") -> Chart:
     """Share of windows whose distance error after 5 s stays below a value."""
     shown = [values[np.isfinite(values)] for values in errors.values()]
     limit = max((float(np.quantile(values, 0.98)) for values in shown if len(values)), default=1.0)
@@ -42,22 +41,29 @@ def distribution_plot(errors: Mapping[str, Float[np.ndarray, " n"]], *, title: s
         # Failed windows are in the count, so that a curve of a model that fails never reaches the top.
         share = 100 * np.arange(1, len(values) + 1) / len(values)
         lines.append(Line(label, np.sort(values), share, colour, line))
-    axes = ("Distance error after 5 s [m]", "Windows below [%]")
-    return LineChart(lines, *axes, title, (0.0, limit), (0.0, 101.0), markers=False, hover="y")
+    panel = Panel(
+        "Distance error after 5 s [m]",
+        "Windows below [%]",
+        lines,
+        x_range=(0.0, limit),
+        y_range=(0.0, 101.0),
+        hover="y unified",
+    )
+    return Chart([panel], title)
 
 
 CAPTION_GROWTH = "Mean distance error against the horizon; bands: 95 % intervals of the mean."
 
 
 @report_figure("growth", section="Growth of the error", caption=CAPTION_GROWTH)
-def draw_growth(evaluation: Evaluation) -> LineChart:
+def draw_growth(evaluation: Evaluation) -> Chart:
     """Mean distance error by horizon, for each model with the terrain lookup that decides."""
     groups = by_reading(pooled_rows(evaluation.metrics.results))
     by_label = {group[0].reading_label: group for group in groups if group[0].start == main_start(evaluation)}
     return growth_plot({label: by_label[label] for label in deciding_errors(evaluation)}, title=title_of(evaluation))
 
 
-def growth_plot(rows: Mapping[str, Sequence[ResultRow]], *, title: str = "") -> LineChart:
+def growth_plot(rows: Mapping[str, Sequence[ResultRow]], *, title: str = "") -> Chart:
     """Mean distance error against the horizon, with the 95 % interval as a band.
 
     Args:
@@ -68,8 +74,9 @@ def growth_plot(rows: Mapping[str, Sequence[ResultRow]], *, title: str = "") -> 
         seconds = np.array([row.horizon_s for row in rows[label]])
         mean = np.array([row.distance_error_m.mean for row in rows[label]])
         low, high = np.array([row.distance_error_m.ci95 for row in rows[label]]).T
-        lines.append(Line(label, seconds, mean, colour, line, low, high))
-    return LineChart(lines, "Horizon [s]", "Mean distance error [m]", title, (0.8, 5.2))
+        lines.append(Line(label, seconds, mean, colour, line, marker="o", low=low, high=high))
+    panel = Panel("Horizon [s]", "Mean distance error [m]", by_end(lines), x_range=(0.8, 5.2))
+    return Chart([panel], title)
 
 
 BINS = 6
@@ -79,7 +86,7 @@ CAPTION_START_SPEED = "Mean distance error after 5 s by the speed at the start; 
 
 
 @report_figure("speed", section="Distribution", caption=CAPTION_START_SPEED)
-def draw_start_speed(evaluation: Evaluation) -> LineChart:
+def draw_start_speed(evaluation: Evaluation) -> Chart:
     """Error by the speed at the start, for each model with the terrain lookup that decides."""
     speed = evaluation.windows.start_speed
     return binned_plot(deciding_errors(evaluation), speed, axis="Speed at the start [m/s]", title=title_of(evaluation))
@@ -87,7 +94,7 @@ def draw_start_speed(evaluation: Evaluation) -> LineChart:
 
 def binned_plot(
     errors: Mapping[str, Float[np.ndarray, " n"]], values: Float[np.ndarray, " n"], *, axis: str, title: str = ""
-) -> LineChart:
+) -> Chart:
     """Mean distance error after 5 s against a quantity of the windows, in bins of as many windows each.
 
     Args:
@@ -101,5 +108,6 @@ def binned_plot(
     centres = np.array([float(np.median(values[which == k])) for k in bins])
     lines = []
     for (label, error), (colour, line) in zip(errors.items(), styles(list(errors)).values(), strict=True):
-        lines.append(Line(label, centres, np.array([float(error[which == k].mean()) for k in bins]), colour, line))
-    return LineChart(lines, axis, "Mean distance error after 5 s [m]", title)
+        means = np.array([float(error[which == k].mean()) for k in bins])
+        lines.append(Line(label, centres, means, colour, line, marker="o"))
+    return Chart([Panel(axis, "Mean distance error after 5 s [m]", by_end(lines))], title)

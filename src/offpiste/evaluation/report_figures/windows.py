@@ -3,8 +3,9 @@
 from offpiste.evaluation.evaluate import Evaluation
 from offpiste.evaluation.metrics import Case
 from offpiste.evaluation.report_figures import deciding_cases, report_figure, title_of
-from offpiste.evaluation.window_chart import WindowChart
+from offpiste.evaluation.window_chart import window_chart
 from offpiste.evaluation.window_paths import WindowPaths, predict_paths, typical_windows, worst_windows
+from offpiste.report.chart import Chart
 
 QUARTILES = {0.25: "lower quartile", 0.5: "median", 0.75: "upper quartile"}
 
@@ -27,7 +28,7 @@ PANELS = (
     section="Typical windows",
     caption=f"Windows at the quartiles of the error, as far as there are some that do not overlap. {PANELS}",
 )
-def draw_typical(evaluation: Evaluation) -> WindowChart | None:
+def draw_typical(evaluation: Evaluation) -> Chart | None:
     """Paths in windows at the quartiles of the error of the model that was named first."""
     return _chart(predict_typical(evaluation), f"Windows at the quartiles of {_shown(evaluation)}")
 
@@ -37,7 +38,7 @@ def draw_typical(evaluation: Evaluation) -> WindowChart | None:
     section="Worst windows",
     caption=f"The windows of largest distance error after 5 s, no two of which overlap, of the worst quarter. {PANELS}",
 )
-def draw_worst(evaluation: Evaluation) -> WindowChart | None:
+def draw_worst(evaluation: Evaluation) -> Chart | None:
     """Paths in the worst windows of the model that was named first."""
     return _chart(predict_worst(evaluation), f"Worst windows of {_shown(evaluation)}")
 
@@ -64,8 +65,8 @@ def _cases(evaluation: Evaluation) -> list[Case]:
     return [*others, shown]
 
 
-def _chart(windows: tuple[WindowPaths, ...], title: str) -> WindowChart | None:
-    return WindowChart(windows, title) if windows else None
+def _chart(windows: tuple[WindowPaths, ...], title: str) -> Chart | None:
+    return window_chart(windows, title) if windows else None
 
 
 def _shown(evaluation: Evaluation) -> str:

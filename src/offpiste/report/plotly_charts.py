@@ -1,0 +1,210 @@
+"""Interactive charts of pages: what Plotly draws of a figure's description, and Plotly itself as a page holds it."""
+
+import base64
+import gzip
+import html
+from collections.abc import Mapping, Sequence
+from functools import cache
+from typing import Any, Final
+
+import cv2
+import msgspec
+import numpy as np
+from jaxtyping import Float
+
+from offpiste.report.chart import MEAN, MEDIAN, Box, Chart, Line, Panel, Raster, two_decimals
+
+DASHES: Final = {"-": "solid", "--": "dash", ":": "dot", "-.": "dashdot"}
+"""Plotly's line styles by Matplotlib's."""
+INK, SOFT, LINE, SHADE = (f"var(--op-{name})" for name in ("ink", "soft", "line", "shade"))
+"""Colours of look.css, which charts.js resolves, light or dark."""
+BLACK: Final = "#000000"
+"""Colour that is replaced by the page's ink."""
+MOST_POINTS, MOST_POINTS_SMALL = 200, 26
+"""Points of a line in a chart alone and in one of several; longer lines are thinned."""
+LINE_PIXELS: Final = 46
+"""Height of a box and the space around it."""
+QUALITY: Final = 70
+"""WebP quality of images, 1 to 100."""
+
+Traces = list[dict[str, Any]]
+
+
+def charts_of(chart: Chart) -> list[dict[str, Any]]:
+    """A chart for each panel: its title, height [px], and Plotly's traces and layout."""
+    small = len(chart.panels) > 1
+    return [_chart(panel, small) for panel in chart.panels]
+
+
+def charts_json(chart: Chart) -> str:
+    """Charts as JSON that can stand inside a script element; null for what is not finite."""
+    text = msgspec.json.encode(charts_of(chart)).decode()
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
+@cache
+def plotly_base64() -> str:
+    """Plotly's script, which comes with its Python package, compressed: gzip in base64, 2 MB."""
+    from plotly.offline import get_plotlyjs
+
+    return base64.b64encode(gzip.compress(get_plotlyjs().encode(), mtime=0)).decode("ascii")
+
+
+def _chart(panel: Panel, small: bool) -> dict[str, Any]:
+    most = MOST_POINTS_SMALL if small else MOST_POINTS
+    traces = [trace for line in panel.lines for trace in _line_traces(line, panel, most)]
+    x: dict[str, Any] = {"title": {"text": _text(panel.x_axis)}, **({"range": panel.x_range} if panel.x_range else {})}
+    y: dict[str, Any] = {"title": {"text": _text(panel.y_axis)}, "range": panel.y_range or (0.0, 1.05 * _top(panel))}
+    others: dict[str, Any] = {"hovermode": panel.hover, "showlegend": not small and not panel.boxes}
+    if panel.equal:
+        x, y = {**x, "constrain": "domain"}, {**y, "constrain": "domain", "scaleanchor": "x"}
+    if panel.raster is not None:
+        others["images"] = [_image(panel.raster)]
+    if panel.boxes:
+        traces += _box_traces(panel.boxes)
+        y |= {
+            "showgrid": False,
+            "tickvals": [*range(len(panel.boxes))],
+            "ticktext": [_text(b.label) for b in panel.boxes],
+        }
+        others |= {"boxgap": 0.45, "annotations": _box_numbers(panel.boxes)}
+    margin = (
+        {"l": 36, "r": 6, "t": 6, "b": 36} if small else {"l": 48, "r": 100 if panel.boxes else 12, "t": 48, "b": 44}
+    )
+    height = 330 if small else 106 + LINE_PIXELS * len(panel.boxes) if panel.boxes else 430
+    look = _layout(x, y, margin=margin, **others)
+    return {"title": panel.title, "height": height, "traces": traces, "layout": look}
+
+
+def _layout(x: Mapping[str, Any], y: Mapping[str, Any], **others: Any) -> dict[str, Any]:
+    """Plotly's layout in the look of the page."""
+    axis = {"gridcolor": LINE, "linecolor": LINE, "zeroline": False, "automargin": True}
+    return {
+        "font": {"size": 12.5, "color": INK},
+        "paper_bgcolor": "rgba(0,0,0,0)",
+        "plot_bgcolor": "rgba(0,0,0,0)",
+        "hoverlabel": {"bgcolor": SHADE, "bordercolor": LINE, "font": {"color": INK, "size": 12.5}, "align": "left"},
+        "modebar": {"bgcolor": "rgba(0,0,0,0)", "color": SOFT, "activecolor": INK},
+        "legend": {"orientation": "h", "x": 0, "y": 1.02, "yanchor": "bottom", "bgcolor": "rgba(0,0,0,0)"},
+        "xaxis": {**axis, **x},
+        "yaxis": {**axis, **y},
+        **others,
+    }
+
+
+def _text(text: str) -> str:
+    """Text of a trace or layout, in which Plotly takes "<" for markup."""
+    return html.escape(text, quote=False).replace("\n", "<br>")
+
+
+def _rounded(values: Float[np.ndarray, " n"]) -> list[float]:
+    return [round(float(value), 3) for value in values]
+
+
+def _translucent(colour: str, opacity: float) -> str:
+    red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
+    return f"rgba({red},{green},{blue},{opacity:g})"
+
+
+def _top(panel: Panel) -> float:
+    values = [part[np.isfinite(part)] for line in panel.lines for part in (line.y, line.high) if part is not None]
+    return max((float(part.max()) for part in values if len(part)), default=1.0) or 1.0
+
+
+def _line_traces(line: Line, panel: Panel, most: int) -> Traces:
+    thin = np.unique(np.linspace(0, len(line.x) - 1, min(most, len(line.x))).astype(int))
+    colour = INK if line.colour == BLACK else line.colour
+    size = 9 if line.marked == "last" else 7
+    name = {"name": _text(line.label), "legendgroup": _text(line.label)} if line.label else {"showlegend": False}
+    trace: dict[str, Any] = {
+        "mode": "lines+markers" if line.marker else "lines",
+        "x": _rounded(line.x[thin]),
+        "y": _rounded(line.y[thin]),
+        "line": {"color": colour, "dash": DASHES[line.style], "width": 1.4 * line.width},
+        "marker": {
+            "color": colour,
+            "symbol": "triangle-up" if line.marker == "^" else "circle",
+            "size": [0] * (len(thin) - 1) + [size] if line.marked == "last" else size,
+        },
+        "opacity": line.opacity,
+        "hoverinfo": "text" if line.label else "skip",
+        **name,
+    }
+    if line.hover:
+        trace["hovertext"] = [_text(line.hover[place]) for place in thin]
+    elif line.label:
+        trace["hovertemplate"] = "%{x:.2f}" if panel.hover == "y unified" else "%{y:.2f}"
+    if line.low is None or line.high is None:
+        return [trace]
+    known = np.isfinite(line.low) & np.isfinite(line.high)
+    band = {
+        "mode": "lines",
+        "x": _rounded(np.concatenate((line.x[known], line.x[known][::-1]))),
+        "y": _rounded(np.concatenate((line.high[known], line.low[known][::-1]))),
+        "fill": "toself",
+        "fillcolor": _translucent(line.colour, 0.15),
+        "line": {"width": 0},
+        "hoverinfo": "skip",
+        **name,
+        "showlegend": False,
+    }
+    return [band, trace]
+
+
+def _image(raster: Raster) -> dict[str, Any]:
+    left, right, bottom, top = raster.extent
+    done, data = cv2.imencode(".webp", raster.rgba[..., [2, 1, 0, 3]], [cv2.IMWRITE_WEBP_QUALITY, QUALITY])
+    assert done, "OpenCV encodes every image"
+    source = "data:image/webp;base64," + base64.b64encode(data.tobytes()).decode("ascii")
+    place = {"xref": "x", "yref": "y", "x": left, "y": top, "sizex": right - left, "sizey": top - bottom}
+    return {"source": source, **place, "sizing": "stretch", "layer": "below", "opacity": raster.opacity}
+
+
+def _box_traces(boxes: Sequence[Box]) -> Traces:
+    """Boxes, and markers at their means, or at the median if there is none, whose text has all numbers."""
+    traces: Traces = []
+    drawn = {place: box for place, box in enumerate(boxes) if np.isfinite(box.numbers["whishi"])}
+    for place, box in drawn.items():
+        numbers = {name: [round(value, 3)] for name, value in box.numbers.items()}
+        traces.append(
+            {
+                "type": "box",
+                "orientation": "h",
+                "y": [place],
+                "q1": numbers["q1"],
+                "median": numbers["med"],
+                "q3": numbers["q3"],
+                "lowerfence": numbers["whislo"],
+                "upperfence": numbers["whishi"],
+                "fillcolor": _translucent(box.colour, 0.45),
+                "line": {"color": INK, "width": 1.3},
+                "hoverinfo": "skip",
+            }
+        )
+    means: dict[str, Any] = {
+        "mode": "markers",
+        "x": [round(box.numbers["mean" if np.isfinite(box.numbers["mean"]) else "med"], 3) for box in drawn.values()],
+        "y": [*drawn],
+        "marker": {"color": MEAN, "symbol": "diamond", "size": 9},
+        "hoverinfo": "text",
+        "hovertext": [_BOX_TEXT.format(**_shown(box)) for box in drawn.values()],
+    }
+    return [*traces, means]
+
+
+def _shown(box: Box) -> dict[str, str]:
+    return {name: two_decimals(value) for name, value in box.numbers.items()}
+
+
+_BOX_TEXT: Final = "median {med}, mean {mean}<br>quartiles {q1} and {q3}<br>whiskers {whislo} and {whishi}"
+
+
+def _box_numbers(boxes: Sequence[Box]) -> Traces:
+    """Medians and means in two columns to the right of the boxes."""
+    result: Traces = []
+    for shift, name, key, colour in ((52, "median", "med", MEDIAN), (96, "mean", "mean", MEAN)):
+        shared = {"xref": "paper", "x": 1, "xshift": shift, "xanchor": "right", "showarrow": False}
+        shared["font"] = {"color": colour}
+        result.append({"text": name, "yref": "paper", "y": 1, "yanchor": "bottom", **shared})
+        result += [{"text": two_decimals(box.numbers[key]), "y": i, **shared} for i, box in enumerate(boxes)]
+    return result
