@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.legend_handler import HandlerTuple
 from matplotlib.lines import Line2D
@@ -13,14 +12,15 @@ from matplotlib.patheffects import Normal, Stroke
 
 from offpiste.closed_loop.scores import Trace
 from offpiste.planning.course import Course
+from offpiste.report.figure import coloured_path
 from offpiste.runtime.prediction import Prediction
 from offpiste.simulation.top_view import draw_top_view
 from offpiste.simulation.world.world import World
 
 MARGIN = 15.0
 """Margin around course and driven path [m]."""
-SLIP_COLOURS, SLIP_LIMIT = "plasma", 0.4
-"""Colour map of the driven path, and its upper limit of slip."""
+SLIP_LIMIT = 0.4
+"""Slip at the upper end of the colour bar of the driven path."""
 
 
 def course_picture(
@@ -46,12 +46,8 @@ def course_picture(
         axes.plot(*prediction.state[:, :2].T, color="#00d5ff", linewidth=1.0, label=label)
     if len(trace.place) - scored > 1:
         axes.plot(*trace.place[scored - 1 :].T, color="#909090", linewidth=1.6, label="after the end, not scored")
-    place, slip = trace.place[:scored], trace.slip[:scored]
-    lines = list(np.stack((place[:-1], place[1:]), axis=1))
-    pieces = LineCollection(lines, cmap=SLIP_COLOURS, linewidths=2.4, zorder=4)
-    pieces.set_array((slip[:-1] + slip[1:]) / 2)
+    pieces = coloured_path(axes, trace.place[:scored], trace.slip[:scored], width=2.4)
     pieces.set_clim(0.0, SLIP_LIMIT)
-    axes.add_collection(pieces)
     figure.colorbar(pieces, ax=axes, shrink=0.7, extend="max", label="slip of the driven path")
     axes.plot(
         *trace.place[0], marker="o", color="white", markeredgecolor="black", linestyle="", zorder=5, label="start"
@@ -73,6 +69,6 @@ def course_picture(
 def _legend(axes: Axes) -> tuple[list[Any], list[str]]:
     """Handles and labels; the driven path shows several colours."""
     handles, names = axes.get_legend_handles_labels()
-    colours = colormaps[SLIP_COLOURS](np.linspace(0.1, 0.9, 5))
+    colours = colormaps["plasma"](np.linspace(0.1, 0.9, 5))
     driven = tuple(Line2D([], [], color=colour, linewidth=2.4, solid_capstyle="butt") for colour in colours)
     return [*handles, driven], [*names, "driven"]

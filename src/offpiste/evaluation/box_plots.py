@@ -11,7 +11,7 @@ from matplotlib.patches import Patch
 
 from offpiste.dynamics import MODELS
 from offpiste.report.chart import MEAN, MEDIAN, Box, Chart, box_panel, box_statistics, draw_boxes
-from offpiste.report.figure import single
+from offpiste.report.figure import plain
 
 RECORDED = "#000000"
 """Colour of what was driven."""
@@ -88,7 +88,9 @@ def grouped_box_plot(
     top = top or whisker_top(groups)
     names = list(dict.fromkeys(name for models in groups.values() for name in models))
     wide = sum(len(models) for models in groups.values())
-    figure, axes = single(1.6 + (0.62 if wide < 8 else 0.46) * wide + 0.3 * len(groups), 4.4, title)
+    width = 1.6 + (0.62 if wide < 8 else 0.46) * wide + 0.3 * len(groups)
+    figure = Figure(figsize=(width, 4.4), dpi=150, layout="constrained")
+    axes = plain(figure.add_subplot(), title, grid="y")
     place, ticks = 0.0, []
     for models in groups.values():
         places = place + np.arange(len(models))

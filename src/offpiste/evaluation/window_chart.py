@@ -1,6 +1,7 @@
 """Recorded and predicted paths of windows on their ground, a panel for each."""
 
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 from jaxtyping import Float
@@ -13,6 +14,8 @@ from offpiste.report.figure import SOFT
 
 FADED = 0.55
 """Opacity of the ground, on which lines have to be visible."""
+START: Final = Line("", np.zeros(1), np.zeros(1), RECORDED, marker="^")
+"""Triangle at the start of a window."""
 
 
 def window_chart(windows: Sequence[WindowPaths], title: str = "") -> Chart:
@@ -32,11 +35,11 @@ def _panel(window: WindowPaths) -> Panel:
         raster = Raster(window.ground.rgba, (*x_range, *y_range), FADED)
     elif window.driven is not None:
         lines.append(Line("", -window.driven[:, 1], window.driven[:, 0], SOFT, width=5.0, opacity=0.3))
-    lines.append(_line("recorded", RECORDED, window.recorded, window.recorded))
+    lines.append(path_line("recorded", RECORDED, window.recorded, window.recorded))
     for label, runs in window.predicted.items():
         width = 1.0 if len(runs) > 1 else 1.6
-        lines += [_line(label, colour_of(label), path, window.recorded, width) for path in runs]
-    lines.append(Line("", np.zeros(1), np.zeros(1), RECORDED, marker="^"))
+        lines += [path_line(label, colour_of(label), path, window.recorded, width) for path in runs]
+    lines.append(START)
     return Panel(
         "to the right [m]",
         "ahead [m]",
@@ -50,7 +53,7 @@ def _panel(window: WindowPaths) -> Panel:
     )
 
 
-def _line(
+def path_line(
     label: str, colour: str, path: Float[np.ndarray, "T 2"], recorded: Float[np.ndarray, "T 2"], width: float = 1.6
 ) -> Line:
     """A path as far as it is finite; its points show the time and the distance to the recorded path at that time."""

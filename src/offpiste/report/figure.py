@@ -4,7 +4,10 @@ import io
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+from jaxtyping import Float
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from offpiste.core.files import write_bytes
@@ -38,7 +41,11 @@ def plain(axes: Axes, title: str = "", *, grid: Literal["both", "x", "y"] = "bot
     return axes
 
 
-def single(width: float, height: float, title: str) -> tuple[Figure, Axes]:
-    """A figure of this size [inch] with one pair of axes and horizontal grid lines."""
-    figure = Figure(figsize=(width, height), dpi=150, layout="constrained")
-    return figure, plain(figure.add_subplot(), title, grid="y")
+def coloured_path(
+    axes: Axes, path: Float[np.ndarray, "n 2"], value: Float[np.ndarray, " n"], *, width: float = 1.8
+) -> LineCollection:
+    """Draw a path whose colour follows a value at its points; it is interrupted where places are unknown."""
+    pieces = LineCollection(list(np.stack((path[:-1], path[1:]), axis=1)), cmap="plasma", linewidths=width, zorder=3)
+    pieces.set_array((value[:-1] + value[1:]) / 2)
+    axes.add_collection(pieces)
+    return pieces

@@ -6,15 +6,17 @@ from dataclasses import dataclass
 import matplotlib
 import numpy as np
 from jaxtyping import Float, Int
-from matplotlib.axes import Axes
+from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
 from offpiste.core.conventions import FEATURE_SETS, HISTORY_STEPS, HORIZON_STEPS
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics import Dynamics
-from offpiste.evaluation.box_plots import grouped_box_plot, whisker_top
+from offpiste.evaluation.box_plots import RECORDED, grouped_box_plot, whisker_top
 from offpiste.evaluation.errors import in_start_frame, trajectories
 from offpiste.evaluation.evaluate import Reading
+from offpiste.evaluation.window_chart import START, path_line
+from offpiste.report.chart import Chart, Line, Panel, draw
 from offpiste.reproduction.results import HINDSIGHT, MAP, FigureResults
 from offpiste.reproduction.settings import FigureModel, compression_sizes, feature_numbers, standard_model
 
@@ -143,46 +145,30 @@ def predict_same(models: Mapping[str, Dynamics], windows: Windows) -> SameWindow
 
 
 def draw_same(same: SameWindows) -> Figure:
-    """Draw panels with a row per model and a column per window, heading up; the colour is the feature set."""
-    labels, count = list(same.predicted), len(same.names)
-    figure = Figure(figsize=(0.8 + 1.5 * count, 0.9 + 2.05 * len(labels)), dpi=110, layout="constrained")
-    panels = figure.subplots(len(labels), count, squeeze=False)
+    """Panels with a row per model and a column per window, heading up; the colour is the feature set."""
     colours = _colours(list(next(iter(same.predicted.values()))))
-    for line, label in zip(panels, labels, strict=True):
-        for number, axes in enumerate(line):
-            paths = {name: path[number] for name, path in same.predicted[label].items()}
-            for name, path in reversed(paths.items()):  # hindsight on top
-                _path(axes, path, colours[name], 1.1, name if name == "hindsight" else f"{name} m")
-            _path(axes, same.recorded[number], "black", 1.6, "recorded")
-            axes.plot(0, 0, marker="^", color="black", markersize=5)
-            _frame(axes, same, number)
-        line[0].set_ylabel(f"{label}\nahead [m]", fontsize=9)
-    for axes, name in zip(panels[0], same.names, strict=True):
-        axes.set_title(name, fontsize=7)
-    handles, names = panels[0, 0].get_legend_handles_labels()
-    columns = min(len(names), count + 1)
-    figure.legend(handles, names, loc="outside lower center", ncols=columns, frameon=False, fontsize=8)
-    return figure
+    first, panels = next(iter(same.predicted)), []
+    for label, predicted in same.predicted.items():
+        for number, (name, recorded) in enumerate(zip(same.names, same.recorded, strict=True)):
+            lines = [
+                path_line(each if each == "hindsight" else f"{each} m", colours[each], paths[number], recorded, 1.1)
+                for each, paths in reversed([*predicted.items()])  # hindsight lies on top
+            ]
+            lines += [path_line("recorded", RECORDED, recorded, recorded), START]
+            panels.append(_panel(f"{label}\nahead [m]", lines, recorded, name if label == first else ""))
+    return draw(Chart(panels, columns=len(same.names)))
 
 
-def _frame(axes: Axes, same: SameWindows, number: int) -> None:
-    """Set the limits of a panel around the recorded path, the same for all models, with equal scales."""
-    ahead, left = np.concatenate((np.zeros((1, 2)), same.recorded[number])).T
+def _panel(y_axis: str, lines: Sequence[Line], recorded: Float[np.ndarray, "T 2"], title: str) -> Panel:
+    """A panel around the recorded path, the same for all models."""
+    ahead, left = np.concatenate((np.zeros((1, 2)), recorded)).T
     tall = max(float(np.ptp(ahead)), 1.6 * float(np.ptp(left)), 6.0) * 1.35
-    across, along = -(left.min() + left.max()) / 2, (ahead.min() + ahead.max()) / 2
-    axes.set(xlim=(across - 0.36 * tall, across + 0.36 * tall), ylim=(along - tall / 2, along + tall / 2))
-    axes.set_aspect("equal")
-    axes.tick_params(labelsize=6)
-    axes.grid(color="#e5e5e5", linewidth=0.5)
+    across, along = -float(left.min() + left.max()) / 2, float(ahead.min() + ahead.max()) / 2
+    x_range, y_range = (across - 0.36 * tall, across + 0.36 * tall), (along - tall / 2, along + tall / 2)
+    return Panel("", y_axis, lines, title=title, x_range=x_range, y_range=y_range, equal=True, hover="closest")
 
 
-def _path(axes: Axes, path: Float[np.ndarray, "T 2"], colour: object, width: float, name: str) -> None:
-    ahead, left = np.concatenate((np.zeros((1, 2)), path)).T
-    axes.plot(-left, ahead, color=colour, linewidth=width, label=name)
-    axes.plot(-left[-1], ahead[-1], "o", color=colour, markersize=3)
-
-
-def _colours(names: Sequence[str]) -> dict[str, object]:
-    """Return colours by feature set: green for hindsight, else darker for nearer views."""
+def _colours(names: Sequence[str]) -> dict[str, str]:
+    """Colours by feature set: green for hindsight; the nearer, the darker."""
     scale = matplotlib.colormaps["plasma"](np.linspace(0, 0.9, max(len(names) - 1, 1)))
-    return {"hindsight": "#1a7f37", **{name: tuple(c) for name, c in zip(names[1:], scale, strict=False)}}
+    return {"hindsight": "#1a7f37", **{name: to_hex(c) for name, c in zip(names[1:], scale, strict=False)}}

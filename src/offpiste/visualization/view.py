@@ -5,10 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
-from matplotlib.colors import Colormap
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
@@ -19,7 +16,7 @@ from offpiste.dataset.store import Dataset, StoredDrive, open_dataset
 from offpiste.logs.log import Log
 from offpiste.logs.opening import open_log
 from offpiste.perception.feature_extractor import load_feature_extractor
-from offpiste.report.figure import BLUE, INK, ORANGE, PURPLE, SOFT, plain
+from offpiste.report.figure import BLUE, INK, ORANGE, PURPLE, SOFT, coloured_path, plain
 from offpiste.report.page import Page, Section, picture, write_page
 from offpiste.rig.channels import Clock
 from offpiste.rig.rig import load_rig
@@ -60,7 +57,7 @@ def draw_paths(drives: Sequence[StoredDrive]) -> Figure:
         path = path_of(drive)
         _draw_parts(left, drive)
         speed = np.hypot(*drive.rows.state[:, 3:5].T).astype(np.float64)
-        pieces = coloured_path(right, path, speed, "plasma")
+        pieces = coloured_path(right, path, speed)
         if (known := speed[drive.rows.valid & np.isfinite(speed)]).size:
             pieces.set_clim(known.min(), np.quantile(known, FASTEST))
         figure.colorbar(pieces, ax=right, shrink=0.8, extend="max", label="speed [m/s]")
@@ -91,18 +88,6 @@ def _draw_parts(axes: Axes, drive: StoredDrive) -> None:
         handles.append(Line2D([], [], color="#cc0000", marker=".", linestyle=""))
         shares.append(f"incomplete {np.mean(~drive.rows.valid):.1%}")
     axes.legend(handles, shares, frameon=False, fontsize=8)
-
-
-def coloured_path(
-    axes: Axes, path: Float[np.ndarray, "N 2"], value: Float[np.ndarray, " N"], cmap: str | Colormap, **kwargs: float
-) -> LineCollection:
-    """Draw a path whose colour follows a value; broken where places are unknown."""
-    pieces = LineCollection(list(np.stack((path[:-1], path[1:]), axis=1)), cmap=cmap, linewidths=1.8)
-    pieces.set_array(value[:-1])
-    if kwargs:
-        pieces.set_clim(kwargs["low"], kwargs["high"])
-    axes.add_collection(pieces)
-    return pieces
 
 
 def view_dataset(dataset: Dataset, out: Path) -> list[Path]:
