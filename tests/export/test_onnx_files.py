@@ -12,9 +12,8 @@ from dynamics.kernels.test_rollout import CHANNELS, example
 from offpiste.core.errors import OffpisteError, RunError
 from offpiste.dynamics import Hybrid
 from offpiste.export.formats import ImageOptions, export_run, size_of
-from offpiste.export.onnx_files import checked_graph, encoder_of, extractor_of, past_inputs
+from offpiste.export.onnx_files import checked_graph, encoder_of, extractor_of, past_inputs, read_images
 from offpiste.export.onnx_graphs import PastToMemory, run_graph, sample_images
-from offpiste.export.onnx_precision import read_images
 from offpiste.training.run import pretrained
 
 onnx = pytest.importorskip("onnx", reason="the extra onnx is not installed")

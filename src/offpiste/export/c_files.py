@@ -1,6 +1,7 @@
 """Exports as C and CUDA, and for MPPI-Generic: one header with the weights, examples, a parity file, a README."""
 
 import shutil
+import textwrap
 from importlib.resources import as_file, files
 from pathlib import Path
 from string import Template
@@ -76,15 +77,7 @@ def _number(value: np.float32) -> str:
 
 
 def _wrapped(numbers: list[str]) -> str:
-    lines, line = [], "{"
-    for place, number in enumerate(numbers):
-        part = number + ("," if place < len(numbers) - 1 else "}")
-        if len(line) + len(part) + 1 > WIDTH:
-            lines.append(line)
-            line = part
-        else:
-            line = f"{line} {part}" if line != "{" else f"{{{part}"
-    return "\n".join((*lines, line))
+    return textwrap.fill("{" + ", ".join(numbers) + "}", WIDTH, break_on_hyphens=False)
 
 
 @FORMATS.register("c")

@@ -1,16 +1,15 @@
-"""Parts of a model as modules that ONNX graphs are traced from, and how a graph is written and run (extra `onnx`)."""
+"""Parts of a model as modules for ONNX graphs; graphs are written, reduced in precision, and run (extra `onnx`)."""
 
 import logging
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor, nn
 
-from offpiste.core.errors import extra
 from offpiste.core.state import History, Terrain
 from offpiste.dynamics.base import Dynamics
 from offpiste.perception.feature_extractor import FeatureExtractor
@@ -21,6 +20,12 @@ SIZE: Final = (640, 360)
 OPSET: Final = 18
 
 LARGEST_BATCH: Final = 64
+
+TENSORRT: Final = {"ActivationSymmetric": True, "WeightSymmetric": True, "QuantizeBias": False}
+"""TensorRT refuses zero points other than 0, and biases of 32 bits."""
+
+QUANTISED: Final = ["Conv", "Gemm", "MatMul"]
+"""Operations whose numbers become bytes; the others stay float32."""
 
 
 class ImageToCodes(nn.Module):
@@ -75,26 +80,59 @@ class PastToMemory(nn.Module):
 
 
 def write_graph(module: nn.Module, inputs: Mapping[str, Tensor], outputs: tuple[str, ...], path: Path) -> None:
-    """Trace a module into an ONNX file; the first axis of all inputs is the batch, and stays free."""
-    logging.getLogger("torch.onnx").setLevel(logging.ERROR)  # it warns of packages that these graphs do not need
+    """Write a module as an ONNX file; the first axis of all inputs is the batch, whose size stays free."""
     batch = torch.export.Dim("batch", max=LARGEST_BATCH)
     with warnings.catch_warnings(), torch.no_grad():
         warnings.simplefilter("ignore")
+        logging.getLogger("torch.onnx").setLevel(logging.ERROR)  # it warns of packages that these graphs do not need
         torch.onnx.export(
-            module.eval(), tuple(inputs.values()), str(path), input_names=list(inputs), output_names=list(outputs),
-            opset_version=OPSET, dynamic_shapes=tuple({0: batch} for _ in inputs), dynamo=True, external_data=False,
-            verbose=False,
+            module.eval(), tuple(inputs.values()), path, input_names=list(inputs), output_names=list(outputs),
+            opset_version=OPSET, dynamic_shapes=tuple({0: batch} for _ in inputs), external_data=False, verbose=False,
         )  # fmt: skip
 
 
 def run_graph(path: Path, inputs: Mapping[str, Tensor]) -> list[Tensor]:
-    """The outputs of a graph by onnxruntime on the CPU; inputs that it does not read are left out."""
-    with extra("onnx"):
-        import onnxruntime
+    """Outputs of a graph by onnxruntime on the CPU; inputs that it does not read are left out."""
+    import onnxruntime
+
     session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
     read = {each.name for each in session.get_inputs()}
     given = {name: value.numpy() for name, value in inputs.items() if name in read}
     return [torch.from_numpy(output) for output in session.run(None, given)]
+
+
+def write_float16(graph: Path, to: Path) -> None:
+    """Write a graph that computes in float16; images and codes stay as they are."""
+    import onnx
+    from onnxruntime.transformers.float16 import convert_float_to_float16
+
+    onnx.save(convert_float_to_float16(onnx.load(graph), keep_io_types=True), to)
+
+
+def write_int8(graph: Path, to: Path, images: UInt8[Tensor, "N h w 3"]) -> None:
+    """Write a graph whose products take bytes (with QDQ nodes, as TensorRT reads them).
+
+    Args:
+        images: these define the ranges of all numbers.
+    """
+    from onnxruntime.quantization import CalibrationDataReader, quantize_static
+
+    class Images(CalibrationDataReader):  # type: ignore[misc]
+        """One image at a time."""
+
+        def __init__(self) -> None:
+            self._rest = iter(images[:, None].unbind())
+
+        def get_next(self) -> dict[str, Any] | None:
+            """Return the next image; None at the end."""
+            image = next(self._rest, None)
+            return None if image is None else {"images": image.numpy()}
+
+    logging.disable(logging.WARNING)  # it recommends a step of its own that these graphs do not need
+    try:
+        quantize_static(graph, to, Images(), per_channel=True, op_types_to_quantize=QUANTISED, extra_options=TENSORRT)
+    finally:
+        logging.disable(logging.NOTSET)
 
 
 def sample_images(size: tuple[int, int] = SIZE) -> UInt8[Tensor, "2 h w 3"]:
