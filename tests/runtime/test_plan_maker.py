@@ -11,7 +11,7 @@ import torch
 
 from offpiste.core.errors import PlanningError
 from offpiste.planning.caution import AddSpread, AsPredicted, WorstShare
-from offpiste.runtime.plan_improvement import PlanImprover
+from offpiste.runtime.plan_maker import PlanImprover
 from offpiste.uncertainty.spread import MOTION, Spread, inputs_of
 from runtime.stream import parametric, straight_drive
 

@@ -45,7 +45,8 @@ def test_the_cheaper_plan_acts_and_each_way_continues_its_own(cheaper, monkeypat
         return made[-1]
 
     there = parted(8.0)
-    runtime = Runtime(parametric(), sensor_setup(), WHEELS, there, settings(), improver=make)
+    monkeypatch.setattr("offpiste.runtime.plan_maker.PlanImprover", make)
+    runtime = Runtime(parametric(), sensor_setup(), WHEELS, there, settings())
     controls = Stream(runtime).run(0.6)
     assert controls[-1].command[2] == pytest.approx((-0.2, 0.3)[cheaper])
     later = made[0].begun[2:]
@@ -55,7 +56,8 @@ def test_the_cheaper_plan_acts_and_each_way_continues_its_own(cheaper, monkeypat
 
 def test_a_way_is_kept_where_the_other_costs_hardly_less(monkeypatch):
     monkeypatch.setattr(Priced, "prices", (9.0, 1.0))
-    runtime = Runtime(parametric(), sensor_setup(), WHEELS, parted(8.0), settings(), improver=Priced)
+    monkeypatch.setattr("offpiste.runtime.plan_maker.PlanImprover", Priced)
+    runtime = Runtime(parametric(), sensor_setup(), WHEELS, parted(8.0), settings())
     stream = Stream(runtime)
     assert stream.run(0.6)[-1].command[2] == pytest.approx(0.3)
     monkeypatch.setattr(Priced, "prices", (0.5, 1.0))

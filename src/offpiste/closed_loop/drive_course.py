@@ -26,7 +26,6 @@ from offpiste.planning.caution import caution_of
 from offpiste.planning.course import FASTEST
 from offpiste.rig.rig import Rig, load_rig
 from offpiste.runtime.perception import SensorSetup
-from offpiste.runtime.plan_improvement import MakeImprover, PlanImprover
 from offpiste.runtime.planner import Planner
 from offpiste.runtime.runtime import Runtime
 from offpiste.runtime.settings import RuntimeSettings
@@ -94,7 +93,6 @@ def drive_course(
     world: World | None = None,
     scene: Scene | None = None,
     track: Track = track,
-    improver: MakeImprover = PlanImprover,
 ) -> Driven:
     """Drive a course; writes drive.mcap, drive.png and finally result.json to a folder.
 
@@ -105,7 +103,6 @@ def drive_course(
     Args:
         world, scene: world of `courses.course_world` and its scene, if already made.
         track: shows progress over the steps.
-        improver: makes the object that improves plans; MPPI by default.
 
     Raises:
         OffpisteError: a setting is out of range, the risk needs a spread that the run lacks, the model reads actuators
@@ -138,7 +135,6 @@ def drive_course(
         ground=partial(read_grid, *grid) if planner.knows_ground else None,
         seed=settings.world.seed,
         spread=planner.spread,
-        improver=improver,
     )
     start = replace(chosen.start, yaw=chosen.start.yaw + math.pi) if settings.against else chosen.start
     out.mkdir(parents=True, exist_ok=True)
@@ -149,7 +145,7 @@ def drive_course(
     )  # fmt: skip
     trace = trace_of(driving, chosen.course)
     result = _result(planner, settings, chosen, runtime, driving, trace, parameters)
-    result |= {"improver": getattr(improver, "__name__", repr(improver)), "commit": commit(), "date": today()}
+    result |= {"commit": commit(), "date": today()}
     title = f"{settings.world.preset}, seed {settings.world.seed}: {planner.name}, {result['time_s']:.1f} s"
     scored = round(result["time_s"] / DT)
     figure = course_picture(world, chosen.course, trace, runtime.predictions, title, scored=scored)

@@ -14,21 +14,24 @@ from offpiste.core.errors import NoPlan
 from offpiste.core.state import ModelState
 from offpiste.dynamics.base import Dynamics
 from offpiste.mapping.terrain_map import TerrainLayers
+from offpiste.planning import mppi
 from offpiste.planning.caution import caution_of
 from offpiste.planning.cost_map import CostMap, cost_map
 from offpiste.planning.course import Course, Way, ways_from
+from offpiste.planning.device_planner import DevicePlanner
 from offpiste.planning.driving_cost import Situation
-from offpiste.planning.pedal import controls_of
+from offpiste.planning.gpu import check_planner, gpu_planner, require_device
+from offpiste.planning.pedal import controls_of, pedals_of, with_pedal
 from offpiste.runtime.backing_out import BackingOut
 from offpiste.runtime.estimator import TrackRows
 from offpiste.runtime.follower import Follower
 from offpiste.runtime.perception import Stopwatch
-from offpiste.runtime.plan_improvement import MakeImprover, PlanImprover
 from offpiste.runtime.prediction import (
     Area,
     KnownGround,
     Prediction,
     coded_area,
+    costs_from,
     model_state_after,
     model_state_of,
     predicted,
@@ -50,6 +53,42 @@ class Planned(NamedTuple):
     cost: float
 
 
+class PlanImprover:
+    """Improves plans by MPPI, on the CPU or on a GPU.
+
+    Args:
+        seed: seed of the sampled controls.
+
+    Raises:
+        PlanningError: no such GPU, or no GPU kernels for the model.
+    """
+
+    def __init__(self, dynamics: Dynamics, settings: RuntimeSettings, seed: int) -> None:
+        self._dynamics, self._settings, self._seed = dynamics, settings, seed
+        self._generator = torch.Generator().manual_seed(seed)
+        self._on_gpu: DevicePlanner | None = None
+        require_device(settings.device, dynamics)
+
+    def improve(
+        self, controls: Float[torch.Tensor, "T 3"], model_state: ModelState, area: Area, at: Situation
+    ) -> mppi.Plan:
+        """Plan of pedal and steering from a plan of throttle, brake and steering.
+
+        Raises:
+            NoPlan: no sample has a finite cost.
+            PlanningError: results on the GPU differ from those on the CPU.
+        """
+        settings, before, previous = self._settings, pedals_of(controls), pedals_of(at.control)
+        if settings.device == "cpu":
+            cost_of = with_pedal(costs_from(self._dynamics, model_state, area, at, settings.weights))
+            return mppi.improve(before, cost_of, settings.sampling, self._generator, previous=previous)
+        if self._on_gpu is None:
+            planner = gpu_planner(self._dynamics, settings.sampling, at, settings.device, self._seed)
+            check_planner(planner, before, model_state, at, settings.weights, area.codes)
+            self._on_gpu = planner
+        return self._on_gpu.improve(before, model_state, at, settings.weights, area.codes, previous=previous)
+
+
 class PlanMaker:
     """Makes plans.
 
@@ -61,7 +100,6 @@ class PlanMaker:
         seed: of the sampled controls.
         reverses: whether the vehicle's gear can be commanded; no model that does not know a gear backs out.
         watch: times of the stages.
-        improver: makes what improves the plans.
 
     Attributes:
         map_empty: whether the map held no ground within reach of the last plan.
@@ -82,12 +120,11 @@ class PlanMaker:
         seed: int = 0,
         reverses: bool = True,
         watch: Stopwatch | None = None,
-        improver: MakeImprover = PlanImprover,
     ) -> None:
         self._dynamics, self._settings, self._ground = dynamics, settings, ground
         self._wheels = torch.as_tensor(wheels, dtype=torch.float32)
         self._caution = caution_of(settings.risk, spread)
-        self._improver = improver(dynamics, settings, seed)
+        self._improver = PlanImprover(dynamics, settings, seed)
         self._watch = watch or Stopwatch()
         backs_out = reverses and "gear" in dynamics.vehicle.control_columns
         chosen = settings.backing_out

@@ -23,7 +23,6 @@ from offpiste.runtime.follower import Applied, Follower
 from offpiste.runtime.intake import Intake
 from offpiste.runtime.modes import Controls, Event, ModeDecision
 from offpiste.runtime.perception import OnlineMapper, SensorSetup, Stopwatch, encoder_on
-from offpiste.runtime.plan_improvement import MakeImprover, PlanImprover
 from offpiste.runtime.plan_maker import PlanMaker
 from offpiste.runtime.prediction import KnownGround, Prediction
 from offpiste.runtime.settings import RuntimeSettings
@@ -40,7 +39,6 @@ class Runtime:
         seed: seed of the sampled controls.
         spread: of the model's predictions, for risks that need one.
         reverses: as of `PlanMaker`.
-        improver: makes what improves the plans, MPPI unless another planner is tried.
 
     Attributes:
         follower: plans and modes.
@@ -63,7 +61,6 @@ class Runtime:
         seed: int = 0,
         spread: Spread | None = None,
         reverses: bool = True,
-        improver: MakeImprover = PlanImprover,
     ) -> None:
         self._settings = settings or RuntimeSettings()
         self._dynamics = dynamics.eval().requires_grad_(False)
@@ -76,7 +73,7 @@ class Runtime:
         self.follower = Follower(self._settings, self._track, CourseTracker(course))
         self._maker = PlanMaker(
             dynamics, wheels, self._settings,
-            ground=ground, spread=spread, seed=seed, reverses=reverses, watch=self.watch, improver=improver,
+            ground=ground, spread=spread, seed=seed, reverses=reverses, watch=self.watch,
         )  # fmt: skip
         encoder = None if ground is not None else encoder_on(self._settings.device, dynamics.encoder)
         self._mapper = OnlineMapper(sensors, encoder, self._track, self._settings.replay, self.watch)
