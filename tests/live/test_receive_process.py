@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from live.made_up_robot import START, cloud, odometry, small_settings, tree, write_course, write_rig
+from live.test_reception import path
 from live.test_supervisor import RUN
 from offpiste.core.conventions import ACTUATORS
 from offpiste.core.errors import LiveError
@@ -38,9 +39,9 @@ fields = ["data"]
 
 
 @contextmanager
-def receiving(folder, network, clock="system"):
+def receiving(folder, network, clock="system", request=None):
     """The part of a session, whose rig is in the folder."""
-    robot, request = ZenohSettings(endpoint=network.endpoint), CourseRequest(write_course(folder))
+    robot, request = ZenohSettings(endpoint=network.endpoint), request or CourseRequest(write_course(folder))
     rig = str(folder / "rig.toml")
     with new_session(LiveSettings(rig, RUN, None, request, small_settings(), robot, clock=clock)) as session:
         yield Part("receive", session)
@@ -157,7 +158,7 @@ def test_messages_without_a_header_are_of_the_robots_time(tmp_path, network, clo
 def test_all_that_waits_is_read_at_once(part, network):
     receiver, publish = receive.Receiver(part, cameras=False), network.session().publisher("/odom", ODOMETRY)
     assert until(lambda: publish(odometry(0.0)) or (receiver.read(), part.ring("readings").written)[1])
-    before, waiting = part.ring("readings").written, receiver._small._waiting
+    before, waiting = part.ring("readings").written, receiver._small
     for row in range(1, 6):
         publish(odometry(row / 50))
     assert until(lambda: len(waiting) >= 5)
@@ -165,3 +166,20 @@ def test_all_that_waits_is_read_at_once(part, network):
     assert not waiting
     assert part.ring("readings").written >= before + 5
     receiver.transport.close()
+
+
+def test_a_course_that_is_published_once_outlives_a_spike_at_the_start(tmp_path, network):
+    write_rig(tmp_path)
+    robot = network.session(patient=True)
+    with receiving(tmp_path, network, request=CourseRequest(topic="/course")) as part:
+        receiver, odom = receive.Receiver(part, cameras=False), robot.publisher("/odom", ODOMETRY)
+        assert until(lambda: odom(odometry(0.0)) or len(receiver._small))
+        robot.publisher("/course", "nav_msgs/msg/Path", keep=True)(path("map"))
+        assert until(lambda: "/course" in receiver._small._waiting)
+        for row in range(1000):
+            odom(odometry(row / 50))
+        assert until(lambda: part.dropped.total() > 500), part.dropped
+        receiver.read()
+        assert part.ring("course").written == 1, part.dropped
+        assert list(part.dropped) == ["/odom: comes faster than it is decoded"]
+        receiver.transport.close()

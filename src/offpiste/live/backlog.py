@@ -1,70 +1,63 @@
-"""Messages that wait in a process: a bounded number and size, of which the oldest give way."""
+"""Messages that wait in a process: a bounded number and size, shared fairly by their topics."""
 
 import threading
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Collection
-from typing import Final
+from itertools import count
 
 from offpiste.transport.interface import Received
 from offpiste.transport.tally import Tally
-
-LATCHED: Final = 16
-"""Messages of a latched topic that may wait: each publisher of `/tf_static` sends its own."""
 
 
 class Backlog:
     """Messages from the transport's thread for another one.
 
+    Where too many wait, the topic that takes the most room loses its oldest message: a topic keeps its only message,
+    whatever comes on others.
+
     Args:
         most: number of messages that may wait.
-        dropped: counts those that gave way.
-        size: of all that may wait [bytes].
-        why: they gave way.
-        latched: topics that are published once or rarely; their newest messages wait apart, so that others never
-            drop them.
+        dropped: counts dropped messages by topic.
+        size: of all messages that may wait [bytes].
+        why: reason for dropping messages, in words.
     """
 
     def __init__(
-        self,
-        most: int,
-        dropped: Tally,
-        *,
-        size: int = 1 << 62,
-        why: str = "comes faster than it is decoded",
-        latched: Collection[str] = (),
+        self, most: int, dropped: Tally, *, size: int = 1 << 62, why: str = "comes faster than it is decoded"
     ) -> None:
         self._most, self._size, self._dropped, self._why = most, size, dropped, why
-        self._held = 0
-        self._waiting: deque[Received] = deque()
-        self._latched = {topic: deque[Received](maxlen=LATCHED) for topic in latched}
+        self._waiting: dict[str, deque[tuple[int, Received]]] = {}  # with a number in the order of arrival
+        self._bytes, self._numbers = Counter[str](), count()
         self._changed = threading.Condition()
+
+    def __len__(self) -> int:
+        return sum(map(len, self._waiting.values()))
 
     def put(self, received: Received) -> None:
         """Add a message."""
         with self._changed:
-            if (apart := self._latched.get(received.topic)) is not None:
-                apart.append(received)
-                self._changed.notify()
-                return
-            self._waiting.append(received)
-            self._held += len(received.data)
-            while len(self._waiting) > self._most or self._held > self._size:
-                self._dropped.add(f"{self._taken().topic}: {self._why}")
+            self._waiting.setdefault(received.topic, deque()).append((next(self._numbers), received))
+            self._bytes[received.topic] += len(received.data)
+            while (many := len(self) > self._most) or self._bytes.total() > self._size:
+                room = {topic: len(of) if many else self._bytes[topic] for topic, of in self._waiting.items()}
+                fullest = max(room, key=lambda topic: (len(self._waiting[topic]) > 1, room[topic]))
+                self._dropped.add(f"{self._taken(fullest).topic}: {self._why}")
             self._changed.notify()
 
     def get(self, timeout: float) -> Received | None:
-        """The oldest that waits, those of latched topics first; None where none has come within some time [s]."""
+        """The oldest message; None where none has come within some time [s]."""
         with self._changed:
-            if not (self._waiting or any(self._latched.values())):
+            if not self._waiting:
                 self._changed.wait(timeout)
-            for apart in self._latched.values():
-                if apart:
-                    return apart.popleft()
-            return self._taken() if self._waiting else None
+            if not self._waiting:
+                return None
+            return self._taken(min(self._waiting, key=lambda topic: self._waiting[topic][0][0]))
 
-    def _taken(self) -> Received:
-        received = self._waiting.popleft()
-        self._held -= len(received.data)
+    def _taken(self, topic: str) -> Received:
+        _, received = self._waiting[topic].popleft()
+        self._bytes[topic] -= len(received.data)
+        if not self._waiting[topic]:
+            del self._waiting[topic], self._bytes[topic]
         return received
 
 

@@ -2,15 +2,15 @@
 
 import threading
 import time
-from collections import defaultdict, deque
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from offpiste.core.errors import LiveError
-from offpiste.live.backlog import LATCHED, Backlog
+from offpiste.live.backlog import Backlog
 from offpiste.live.packing import pack_course, pack_measured, pack_sensors
 from offpiste.live.part import RUNS_ON, STAMP, Part, keep_loaded
 from offpiste.live.reception import Reception
@@ -25,7 +25,7 @@ CLOCK = "/clock"
 DEAF: Final = 5.0
 """Where nothing has come for so long, the connection is made anew [s]: its thread may have ended for want of memory."""
 _WAITING: Final = 256
-"""Readings that may wait to be decoded; where more do, the oldest are dropped, and counted."""
+"""Readings that may wait to be decoded; the same number of calibrations and transforms may wait beside."""
 
 
 class Receiver:
@@ -36,10 +36,8 @@ class Receiver:
         self.reception = Reception(self.rig, part.settings.course, cameras=cameras)
         definitions = [Path(name) for name in self.rig.live.definitions]
         self.transport = part.settings.robot.connect(definitions)
-        latched = [topic for topic, history in self.reception.topics.items() if history]
-        self._small = Backlog(_WAITING, part.dropped, latched=latched)
+        self._small, self._calibrations = Backlog(_WAITING, part.dropped), Backlog(_WAITING, part.dropped)
         self._newest: dict[str, Received] = {}
-        self._calibrations: defaultdict[str, deque[Received]] = defaultdict(lambda: deque(maxlen=LATCHED))
         self._stamp, self._heard_at = -1.0, np.inf
         clock = part.settings.clock  # what has no header is stamped with its arrival, by the clock of all that has one
         self._by_robot, self._sets_clock = clock != "system", ""
@@ -82,9 +80,8 @@ class Receiver:
                     self.part.dropped.add(f"{received.topic}: replaced by a newer one")
                 self._newest[received.topic] = received
             self._any.set()
-        elif received.topic in self.reception.sensors.topics:
-            with self._lock:
-                self._calibrations[received.topic].append(received)
+        elif received.topic in self.reception.sensors.topics and self.reception.sensors.sensors is None:
+            self._calibrations.put(received)
             self._any.set()
         if received.topic not in self.reception.sensors.topics or received.topic in self.reception.vehicle.topics:
             self._small.put(received)
@@ -145,12 +142,10 @@ class Receiver:
         while not self.part.ending:
             self._any.wait(0.1)
             self._any.clear()
+            waiting = list(iter(partial(self._calibrations.get, 0.0), None))
             with self._lock:
-                waiting = [each for held in self._calibrations.values() for each in held]
-                waiting += self._newest.values()
-                self._newest = {}
-                self._calibrations.clear()
-            for received in waiting:
+                newest, self._newest = self._newest, {}
+            for received in (*waiting, *newest.values()):
                 message = self.transport.decode(received)
                 taken = message and self.reception.sensors.take(received.topic, message, received.received)
                 if isinstance(taken, Image):
