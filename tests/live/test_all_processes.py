@@ -17,7 +17,7 @@ from offpiste.cli import main
 from offpiste.live.log_steps import RecordedDrive
 from offpiste.live.part import AFTER
 from offpiste.live.reception import CourseRequest
-from offpiste.live.session import LiveSettings, new_session
+from offpiste.live.session import LiveSettings, RecordSettings, new_session
 from offpiste.live.supervisor import Supervisor
 from offpiste.logs import open_log
 from offpiste.transport.zenoh_transport import ZenohSettings
@@ -52,7 +52,7 @@ class Live:
         self.log = folder / "drive.mcap"
         settings = LiveSettings(
             write_rig(folder, actuators=True), RUN, None, CourseRequest(write_course(folder)), small_settings(),
-            ZenohSettings(endpoint=self.network.endpoint), drive=True, record=self.log,
+            ZenohSettings(endpoint=self.network.endpoint), drive=True, record=RecordSettings(self.log),
         )  # fmt: skip
         self._new = new_session(settings)
         self.supervisor = Supervisor(self._new.__enter__(), self.network.session(), cameras=False)

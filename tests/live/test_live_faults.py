@@ -27,7 +27,7 @@ from offpiste.live.packing import pack_measured, pack_plan, packed, unpacked
 from offpiste.live.part import STAMP
 from offpiste.live.parts.control import MODE
 from offpiste.live.reception import CourseRequest
-from offpiste.live.session import LiveSettings, new_session
+from offpiste.live.session import LiveSettings, RecordSettings, new_session
 from offpiste.logs.ros.writer import make
 from offpiste.planning.caution import AddSpread
 from offpiste.rig.rig import load_rig
@@ -241,7 +241,7 @@ def test_the_switch_is_heard_over_the_bridge_by_the_type_in_the_rig(tmp_path):
     ("changed", "options", "what"),
     [
         ({"robot": ZenohSettings(keys="bridge"), "drive": True}, {}, r"type of the enable topic /enable.*live.types"),
-        ({"record": Path("a.mcap")}, {"lockstep": True}, "--record would do nothing"),
+        ({"record": RecordSettings(Path("a.mcap"))}, {"lockstep": True}, "--record would do nothing"),
         ({"status": Path("a.csv")}, {"replay": Path("a.mcap")}, "--status would do nothing"),
         ({"clock": "stamps"}, {"lockstep": True}, "--clock stamps would do nothing"),
         ({"clock": "clock"}, {"replay": Path("a.mcap")}, "--clock clock would do nothing"),

@@ -58,7 +58,13 @@ class Live:
     commands: Path | None = None
     """Write each command to this table (.csv), of --lockstep and --replay."""
     record: Path | None = None
-    """Record what is received and what is sent as a log (.mcap)."""
+    """Record all that the rig names, and what is sent, as a log (.mcap)."""
+    record_free: float = 2.0
+    """Stop recording, but not driving, where less space is free on the disk [GB]."""
+    record_size: float = float("inf")
+    """Begin a new, numbered file where one has become larger [GB]."""
+    record_seconds: float = float("inf")
+    """Begin a new, numbered file where one has become longer [s]."""
     status: Path | None = None
     """Write how all processes are, twice a second, to this table (.csv)."""
     view: str = ""
@@ -76,12 +82,15 @@ class Live:
         from offpiste.core.errors import LiveError
         from offpiste.live.commands import run_live
         from offpiste.live.reception import CourseRequest
-        from offpiste.live.session import LiveSettings, ViewSettings
+        from offpiste.live.session import LiveSettings, RecordSettings, ViewSettings
         from offpiste.planning.caution import risk_of
         from offpiste.runtime.settings import RuntimeSettings
 
         if self.view_at and not self.view:
             raise LiveError(f"{self.view_at} would show nothing", where="--view-at", how="give --view, too")
+        of_records = (self.record_free, self.record_size, self.record_seconds)
+        if self.record is None and of_records != (Live.record_free, Live.record_size, Live.record_seconds):
+            raise LiveError("nothing is recorded", where="--record-free, -size and -seconds", how="give --record, too")
         run_live(
             LiveSettings(
                 self.rig,
@@ -94,7 +103,7 @@ class Live:
                 clock=self.clock,
                 seed=self.seed,
                 seconds=self.seconds,
-                record=self.record,
+                record=None if self.record is None else RecordSettings(self.record, *of_records),
                 status=self.status,
                 view=ViewSettings(self.view, self.view_at) if self.view else None,
                 novelty=self.novelty,

@@ -18,7 +18,8 @@ from offpiste.live.log_steps import OnStep, RecordedDrive, replayed
 from offpiste.live.part import keep_loaded
 from offpiste.live.play import LogPlayer
 from offpiste.live.reception import Reception, check_types
-from offpiste.live.session import LiveSettings, ViewSettings
+from offpiste.live.recording import refuse_full_disk
+from offpiste.live.session import LiveSettings, RecordSettings, ViewSettings
 from offpiste.live.supervisor import asked_to_end, supervise
 from offpiste.planning.caution import caution_of
 from offpiste.planning.gpu import require_device
@@ -110,12 +111,16 @@ def _refuse_driving(settings: LiveSettings, rig: Rig) -> None:
         raise LiveError(f"the type of the enable topic {enable.topic} is not known", where=settings.rig, how=how)
 
 
-def _refuse_recording(path: Path) -> None:
+def _refuse_recording(settings: RecordSettings) -> None:
     """Refuse a log that could not be written, before anything drives.
 
     Raises:
-        LiveError: why.
+        LiveError, LogError: why.
     """
+    path = settings.path
+    if not (settings.free >= 0 and settings.size > 0 and settings.seconds > 0):
+        given = f"--record-free {settings.free:g} --record-size {settings.size:g} --record-seconds {settings.seconds:g}"
+        raise LiveError(given, where=path, how="give 0 GB or more to stay free, and a size and a time above 0")
     if path.suffix != ".mcap":
         raise LiveError("a recording is an MCAP file", where=path, how="give it the ending .mcap")
     if path.exists():
@@ -126,6 +131,7 @@ def _refuse_recording(path: Path) -> None:
         raise LiveError(f"cannot be written: {error.strerror}", where=path, how="give another name") from error
     if not os.access(path.parent, os.W_OK):
         raise LiveError("cannot be written: the folder is read-only", where=path, how="give another name")
+    refuse_full_disk(settings)
 
 
 def _refuse_showing(view: ViewSettings, *, lockstep: bool, replay: Path | None) -> None:
@@ -202,8 +208,7 @@ def play_log(
         raise LiveError(f"{seconds:g} seconds", where="--seconds", how="give more than 0")
     require("live", "zenoh")
     known = load_rig(rig) if rig else None
-    topics = None if known is None else _topics(known)
-    drive = RecordedDrive(log, known, topics)
+    drive = RecordedDrive(log, known, None if known is None else known.topics)
     with closing(ZenohTransport(robot)) as transport:
         player = LogPlayer(drive, transport, without)
         if player.left_out:
@@ -212,10 +217,3 @@ def play_log(
         played = player.play_in_lockstep(seconds) if lockstep else player.play(rate, seconds)
     late = f", {1e3 * played.late:.0f} ms late at worst" if not lockstep else ""
     logger.info(f"played {played.messages} messages in {played.steps} steps{late}")
-
-
-def _topics(rig: Rig) -> tuple[str, ...]:
-    """Topics of a rig."""
-    sensors = [*(camera.topic for camera in rig.cameras.values()), *(lidar.topic for lidar in rig.lidars.values())]
-    infos = [camera.info for camera in rig.cameras.values() if camera.info]
-    return tuple(dict.fromkeys([*(c.topic for c in rig.channels.values()), *sensors, *infos, *rig.frames.topics]))

@@ -64,6 +64,23 @@ class ViewSettings:
 
 
 @dataclass(frozen=True)
+class RecordSettings:
+    """How a drive is recorded.
+
+    Attributes:
+        path: of the first file (.mcap); the next ones have numbers.
+        free: space that stays free on the disk [GB].
+        size: of a file, after which a new one begins [GB].
+        seconds: length of a file, after which a new one begins [s].
+    """
+
+    path: Path
+    free: float = 2.0
+    size: float = float("inf")
+    seconds: float = float("inf")
+
+
+@dataclass(frozen=True)
 class LiveSettings:
     """Settings of a drive on a vehicle (options as in `cli.live.Live`); timeouts and limits are those of the rig."""
 
@@ -77,7 +94,7 @@ class LiveSettings:
     clock: Source = "system"
     seed: int = 0
     seconds: float = float("inf")
-    record: Path | None = None
+    record: RecordSettings | None = None
     status: Path | None = None
     view: ViewSettings | None = None
     novelty: Novelty = "ignored"

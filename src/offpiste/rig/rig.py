@@ -135,6 +135,14 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         have = {actuator.name for actuator in self.actuators if actuator.channel in self.channels}
         return tuple(actuator.name for actuator in self.actuators if {actuator.name, actuator.rate_of} & have)
 
+    @property
+    def topics(self) -> tuple[str, ...]:
+        """Topics that the rig reads: of channels, cameras with their calibrations, LiDARs and transforms."""
+        sources = [*self.channels.values(), *self.cameras.values(), *self.lidars.values()]
+        infos = [camera.info for camera in self.cameras.values() if camera.info]
+        aligned = () if self.alignment is None else self.alignment.topics
+        return tuple(dict.fromkeys([*(source.topic for source in sources), *infos, *self.frames.topics, *aligned]))
+
     def without_slope(self) -> "Rig":
         """The same rig with flat ground in place of the driven path's slope (an ablation)."""
         return msgspec.structs.replace(self, motion=msgspec.structs.replace(self.motion, normals="flat"))

@@ -86,7 +86,7 @@ def _run(name: str, session: Session, cameras: bool) -> None:
     elif name == "record":
         from offpiste.live.parts.record import record
 
-        record(session, cameras=cameras)
+        record(session)
     else:
         from offpiste.live.parts.view import view
 
