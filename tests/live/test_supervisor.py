@@ -17,7 +17,8 @@ import torch
 from live.made_up_robot import ACKERMANN, ENABLE, write_course, write_rig
 from offpiste.live.packing import pack_course, pack_measured, pack_plan, packed, unpacked
 from offpiste.live.reception import CourseRequest
-from offpiste.live.session import LiveSettings, new_session
+from offpiste.live.reports import DIAGNOSTICS, ERROR
+from offpiste.live.session import LiveSettings, RecordSettings, new_session
 from offpiste.live.supervisor import Supervisor
 from offpiste.logs.ros.writer import header, make
 from offpiste.planning.course import Course
@@ -34,11 +35,12 @@ class Drive:
     """Control and its watchdog, fed with what the other processes would hand over, and a vehicle that listens."""
 
     def __init__(self, folder, more="", *, keys="rmw_zenoh", clock="system", names=("control", "watchdog"),
-                 network=None):  # fmt: skip
+                 network=None, record=None):  # fmt: skip
         self.network, self.heard = network or Network(keys=keys), []
         self.settings = LiveSettings(
             write_rig(folder, more), RUN, None, CourseRequest(write_course(folder)),
             robot=ZenohSettings(endpoint=self.network.endpoint, keys=keys), drive=True, clock=clock,
+            record=record,
         )  # fmt: skip
         self.vehicle = self.network.session()
         self.vehicle.subscribe("/drive", self._commanded, msgtype=ACKERMANN)
@@ -142,6 +144,26 @@ def test_the_stop_is_sent_when_control_is_killed_or_hangs_and_driving_resumes(dr
         os.kill(pid, signal.SIGCONT)
     del drive.heard[:]
     assert drive.drives(), "once it is back"
+
+
+def test_the_vehicle_drives_on_when_recording_ends_for_want_of_space(tmp_path):
+    with closing(Network()) as network:
+        record, diagnostics, listener = RecordSettings(tmp_path / "a.mcap", free=1e6), [], network.session()
+        listener.subscribe(DIAGNOSTICS, diagnostics.append)
+        names = ("control", "watchdog", "record")
+        with closing(Drive(tmp_path, network=network, names=names, record=record)) as drive:
+            assert drive.drives(), drive.supervisor.look()
+            assert until(lambda: drive.run(0.1)["record"][1].startswith("ended"), 60)
+            moment = time.monotonic()
+            level, state, _ = drive.run(1.0)["record"]
+            assert drove(drive, moment)
+            assert level == ERROR
+            assert "and 1e+06 GB have to stay free" in state
+            assert drive.supervisor.restarts == dict.fromkeys(names, 0)
+            drive.supervisor.report(drive.supervisor.look())
+            assert until(lambda: diagnostics)
+            said = {status.name: status for status in listener.decode(diagnostics[-1]).status}["offpiste: record"]
+            assert (said.level, said.message) == (level, state)
 
 
 def test_the_vehicle_drives_on_when_the_watchdog_dies_and_it_is_started_again(drive):

@@ -4,7 +4,7 @@ import shutil
 import time
 from collections.abc import Collection
 from functools import cache
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -54,6 +54,7 @@ class Recording:
         self._definition = cache(types.definition)
         self._newest: dict[tuple[str, ...], Received] = {}
         self.messages, self._looked = 0, -np.inf
+        self._began: int | None = None  # first stamp in the file [ns]
         self._open()
 
     def add(self, received: Received) -> None:
@@ -90,7 +91,7 @@ class Recording:
     def _open(self) -> None:
         self._writer = McapWriter(free_file(self._settings.path))
         self.path = self._writer.path
-        self._began: int | None = None  # first stamp in the file [ns]
+        self._began = None
 
     def _next(self) -> None:
         self.close()
@@ -102,7 +103,8 @@ class Recording:
 
     def _keep(self, received: Received) -> None:
         of = [received.topic]
-        if received.type in TRANSFORMS and (message := decoded(self._types, received.type, received.data)) is not None:
+        message: Any = decoded(self._types, received.type, received.data) if received.type in TRANSFORMS else None
+        if message is not None:
             of += [f"{parent} {child}" for parent, child in map(frames, message.transforms)]
         self._newest.pop(tuple(of), None)  # the order is that of arrival
         self._newest[tuple(of)] = received

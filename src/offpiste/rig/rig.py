@@ -138,10 +138,11 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     @property
     def topics(self) -> tuple[str, ...]:
         """Topics that the rig reads: of channels, cameras with their calibrations, LiDARs and transforms."""
-        sources = [*self.channels.values(), *self.cameras.values(), *self.lidars.values()]
-        infos = [camera.info for camera in self.cameras.values() if camera.info]
+        cameras = [topic for camera in self.cameras.values() for topic in (camera.topic, camera.info) if topic]
+        read = [*(channel.topic for channel in self.channels.values()), *cameras]
+        lidars = [lidar.topic for lidar in self.lidars.values()]
         aligned = () if self.alignment is None else self.alignment.topics
-        return tuple(dict.fromkeys([*(source.topic for source in sources), *infos, *self.frames.topics, *aligned]))
+        return tuple(dict.fromkeys([*read, *lidars, *self.frames.topics, *aligned]))
 
     def without_slope(self) -> "Rig":
         """The same rig with flat ground in place of the driven path's slope (an ablation)."""
