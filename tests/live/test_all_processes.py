@@ -13,7 +13,6 @@ import pytest
 
 from live.made_up_robot import START, cloud, odometry, small_settings, tree, write_course, write_rig
 from live.test_service_manager import listening
-from offpiste.cli import main
 from offpiste.live.log_steps import RecordedDrive
 from offpiste.live.part import AFTER
 from offpiste.live.reception import CourseRequest
@@ -164,22 +163,3 @@ def _descendants(pid):
         border += new
         found += new
     return found
-
-
-def test_a_log_is_not_recorded_over_another(tmp_path, capsys):
-    log, course = tmp_path / "a.mcap", str(write_course(tmp_path))
-    log.write_text("x")
-    with pytest.raises(SystemExit) as ended:
-        main(["live", write_rig(tmp_path), "--record", str(log), "--course", course])
-    assert ended.value.code == 1
-    assert "exists already" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(("name", "what"), [("file/a.mcap", "cannot be written"), ("a.csv", "ending .mcap")])
-def test_a_log_that_cannot_be_written_is_refused_before_anything_starts(tmp_path, capsys, name, what):
-    (tmp_path / "file").write_text("x")
-    course = str(write_course(tmp_path))
-    with pytest.raises(SystemExit) as ended:
-        main(["live", write_rig(tmp_path), "--run", RUN, "--record", str(tmp_path / name), "--course", course])
-    assert ended.value.code == 1
-    assert what in capsys.readouterr().err
