@@ -1,5 +1,6 @@
 """Files of object stores: copied whole, patterns of URLs, and what is refused; in memory, and on a real S3 server."""
 
+import json
 from pathlib import Path
 
 import fsspec
@@ -8,6 +9,7 @@ import s3fs
 from fsspec.implementations.memory import MemoryFile
 
 from object_stores import s3_server
+from offpiste.cli import main
 from offpiste.core.errors import LogError, OffpisteError
 from offpiste.core.files import check_folder
 from offpiste.core.object_store import brought, download, expanded, opened, url_of
@@ -58,6 +60,16 @@ def test_a_file_and_a_folder_are_brought_and_removed_again(bucket: str) -> None:
 def test_errors_name_the_url_and_not_the_copy(bucket: str) -> None:
     with pytest.raises(LogError, match=r"^memory://b/folder: no known log format"), brought(f"{bucket}/folder") as here:
         open_log(here)
+
+
+def test_a_folder_of_logs_is_inspected_log_by_log(bucket: str, capsys: pytest.CaptureFixture[str]) -> None:
+    rows = "t,x,y,yaw\n" + "".join(f"{k / 20},{k / 10},0,0\n" for k in range(900))
+    for name in ("monday", "tuesday"):
+        fsspec.filesystem("memory").pipe_file(f"/b/drives/{name}.csv", rows.encode())
+    with pytest.raises(SystemExit):
+        main(["inspect", f"{bucket}/drives", "--processes", "1", "--json"])
+    survey = json.loads("\n".join(line for line in capsys.readouterr().out.splitlines() if "brought here" not in line))
+    assert [one["log"] for one in survey["logs"]] == [f"{bucket}/drives/{name}.csv" for name in ("monday", "tuesday")]
 
 
 def test_patterns(bucket: str) -> None:

@@ -79,14 +79,19 @@ def _options(*given: str) -> list[str]:
 
 def test_evaluate_writes_report_and_metrics(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     report = folder / "report"
+    report.mkdir()
+    for name in (".offpiste-report", "growth.png"):  # of an evaluation that was killed
+        (report / name).touch()
     assert run("evaluate", str(folder / "b"), "--dataset", str(folder / "dataset.zarr"), "--out", str(report)) == 0
     metrics = json.loads((report / "metrics.json").read_text())
     assert metrics["schema"] == 2
     assert {row["model"] for row in metrics["results"]} == {"b", "ctrv", "kinematic"}
     assert {row["start"] for row in metrics["results"]} == {"causal", "smoothed"}
     assert (report / "report.html").stat().st_size > 10_000
+    assert not (report / ".offpiste-report").exists()
     message = capsys.readouterr().out
     assert "kinematic" in message
+    assert message.splitlines()[-1] == f"next: offpiste calibrate {folder / 'b'} --dataset {folder / 'dataset.zarr'}"
     assert ("–: no interval" in message) == (metrics["windows"]["blocks"] < 3)
 
 

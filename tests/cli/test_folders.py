@@ -8,7 +8,8 @@ from factories import RIG
 from feature_datasets import dataset_with_features
 from offpiste.cli import entry, main
 from offpiste.cli.entry import COMMANDS
-from offpiste.core.errors import RigError
+from offpiste.core.errors import OffpisteError, RigError
+from offpiste.core.files import check_folder, unfinished
 from offpiste.dataset.split_balance import is_for_tests, lacks_windows, next_split
 from offpiste.dataset.splits import parse_split
 from offpiste.rig.rig import parse_rig
@@ -47,15 +48,28 @@ B = "pretrained:proving-ground/b"
     ],
     ids=lambda words: words[0],
 )
-def test_a_folder_with_other_files_is_refused_and_left_alone(words, dataset, tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize("name", ["mine.txt", "mine.png"])
+def test_a_folder_with_other_files_is_refused_and_left_alone(words, name, dataset, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "drive.csv").write_text("t,x\n0,1\n")
     out = tmp_path / "out"
     out.mkdir()
-    (out / "mine.txt").write_text("mine")
+    (out / name).write_text("mine")
     assert ended(*(word.format(out=out, data=dataset) for word in words)) == 1
     assert capsys.readouterr().err.count("\n") == 1
-    assert [path.name for path in out.iterdir()] == ["mine.txt"]
+    assert [path.name for path in out.iterdir()] == [name]
+
+
+def test_a_folder_that_was_not_written_whole_is_written_again(dataset, tmp_path):
+    out = tmp_path / "out"
+    with pytest.raises(FileNotFoundError), unfinished(out, ".mark"):
+        (out / "half.png").rename(out / "whole.png")
+    (out / "half.png").touch()
+    check_folder(out, own=(".mark",))
+    with unfinished(out, ".mark"):
+        pass
+    with pytest.raises(OffpisteError, match="holds something else"):
+        check_folder(out, own=(".mark",))
 
 
 def test_demo_leaves_a_folder_of_runs_alone(tmp_path, capsys):

@@ -39,7 +39,8 @@ PLANNER = Planner("parametric", Path("nowhere"), parametric())
 def driven(tmp_path_factory):
     out = tmp_path_factory.mktemp("closed-loop") / "drive"
     out.mkdir()
-    (out / ".drive.png.left.partial").write_bytes(b"of a drive that was killed")
+    for name in (".drive.png.left.partial", ".offpiste-drive", "drive.mcap"):
+        (out / name).write_bytes(b"of a drive that was killed")
     return drive_course(PLANNER, SETTINGS, out), out
 
 

@@ -2,12 +2,12 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from shlex import join
 from typing import Annotated
 
 import tyro
 
 from offpiste.cli.entry import COMMANDS
+from offpiste.cli.next_steps import next_line
 from offpiste.core.progress import show
 
 
@@ -29,6 +29,5 @@ class Calibrate:
         from offpiste.uncertainty.calibration import calibrate
 
         calibrate(self.runs, self.dataset, self.out)
-        words = ["evaluate", *map(str, self.runs), "--dataset", str(self.dataset)]
-        show(f"next: {join(['offpiste', *words])}")
+        show(next_line("evaluate", *self.runs, "--dataset", self.dataset))
         return 0

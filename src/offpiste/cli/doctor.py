@@ -7,7 +7,9 @@ from typing import Annotated, Literal
 import tyro
 
 from offpiste.cli.entry import COMMANDS
+from offpiste.cli.next_steps import next_line
 from offpiste.cli.robot_options import RUN, RobotOptions
+from offpiste.core.command_line import options
 
 
 @COMMANDS.register("doctor")
@@ -37,4 +39,10 @@ class Doctor:
         for level, what in examined(self.rig, self.run_folder, self.pca, robot, self.seconds, self.clock):
             show(f"{level}: {what}")
             wrong += level == "error"
+        run = ["--run", self.run_folder] if self.run_folder != RUN else []
+        words = [self.rig, *run, *options(self, "rig", "run_folder", "seconds", "robot"), *options(self.robot)]
+        if wrong:
+            show(next_line("doctor", *words, first=["correct what the errors say"]))
+        else:
+            show(next_line("live", *words, "--goal", "50", "0", "--speed", "3"))
         return 1 if wrong else 0

@@ -3,12 +3,12 @@
 import logging
 from dataclasses import dataclass
 from pathlib import Path
-from shlex import join
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
 from offpiste.cli.entry import COMMANDS
+from offpiste.cli.next_steps import next_line
 from offpiste.core.conventions import PERCEPTION_LATENCY
 
 if TYPE_CHECKING:
@@ -65,6 +65,7 @@ class Drive:
         from offpiste.closed_loop.courses import CourseSettings
         from offpiste.closed_loop.drive_course import CourseDriveSettings, drive_course
         from offpiste.core.errors import require
+        from offpiste.core.progress import show
         from offpiste.planning.caution import risk_of
         from offpiste.planning.gpu import require_device
         from offpiste.runtime.planner import load_planner
@@ -96,7 +97,7 @@ class Drive:
             record_drive(driven, self.out / "drive.rrd")
             written.append("drive.rrd")
         logger.info(f"wrote {', '.join(str(self.out / name) for name in written)}")
-        logger.info(f"next: {join(['offpiste', 'view', str(self.out / 'drive.mcap'), '--rig', 'proving_ground_gear'])}")
+        show(next_line("view", self.out / "drive.mcap", "--rig", "proving_ground_gear"))
         return 0
 
 

@@ -2,12 +2,12 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from shlex import join
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from offpiste.cli.entry import COMMANDS
+from offpiste.cli.next_steps import after_evaluation
 from offpiste.core.conventions import FEATURE_SETS
 from offpiste.core.progress import show
 
@@ -60,7 +60,5 @@ class Evaluate:
         )
         if spreads is not None:
             spreads.write(self.out)
-        else:
-            words = ["calibrate", *map(str, self.runs), "--dataset", str(self.dataset)]
-            show(f"next: {join(['offpiste', *words])}")
+        show(after_evaluation(self.runs, self.dataset))
         return 0

@@ -3,19 +3,15 @@
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from shlex import join, quote
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import tyro
 
 from offpiste.cli.entry import COMMANDS
-from offpiste.core.command_line import command_line
+from offpiste.cli.next_steps import after_extraction
 from offpiste.core.conventions import PERCEPTION_LATENCY
 from offpiste.core.errors import PerceptionError
 from offpiste.core.progress import show
-
-if TYPE_CHECKING:
-    from offpiste.dataset.splits import Split
 
 
 @COMMANDS.register("extract")
@@ -65,7 +61,6 @@ class Extract:
         from offpiste.dataset.assumptions import assumptions_block, assumptions_of
         from offpiste.dataset.extract import make_dataset
         from offpiste.dataset.map_snapshots import SnapshotSettings
-        from offpiste.dataset.split_balance import has_little_driving, is_for_tests, lacks_windows, next_split
         from offpiste.mapping.replay import MapperSettings
         from offpiste.rig.rig import load_rig
 
@@ -89,24 +84,5 @@ class Extract:
             force=self.force,
         )
         show(assumptions_block(assumptions_of(dataset)))
-        if not self.shard:
-            split = next_split(dataset)
-            if is_for_tests(dataset.split):
-                show(f"next: offpiste evaluate RUN --dataset {quote(str(self.out))}")
-            elif split is None and lacks_windows(dataset):
-                show(
-                    "next: record more, or longer drives: a part of the split has no window, so nothing can be trained"
-                )
-            else:
-                show(f"next: {self._next(split, has_little_driving(dataset))}")
+        show(after_extraction(self, dataset))
         return 0
-
-    def _next(self, split: "Split | None", little: bool) -> str:
-        """The next command: a training, or the same extraction with a split that suits the driving better."""
-        if split is not None:
-            other = self.out.with_name(f"{self.out.stem}-2{self.out.suffix}")
-            return command_line("extract", self, "logs", split=split.text, out=other)
-        model = "dc" if self.pca else "parametric" if little else "b"
-        runs = (f"runs/{model}{more}" for more in ("", *(f"-{number}" for number in range(2, 1000))))
-        out = next((run for run in runs if not Path(run).exists()), f"runs/{model}")
-        return join(["offpiste", "train", str(self.out), "--model", model, "--out", out])

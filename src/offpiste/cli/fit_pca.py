@@ -2,12 +2,12 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from shlex import join
 from typing import Annotated
 
 import tyro
 
 from offpiste.cli.entry import COMMANDS
+from offpiste.cli.next_steps import after_logs
 from offpiste.core.errors import LogError, PerceptionError
 from offpiste.core.progress import show
 
@@ -74,8 +74,5 @@ class FitPca:
         save_pca(self.out, pca)
         write_image_list(self.out.with_suffix(".images.txt"), fitted.images)
         show(f"{self.out}: {pca.components} components, {pca.variance.sum() / pca.total_variance:.1%} of the variance")
-        logs = [str(log) for log in self.logs]
-        words = ["extract", *logs, "--rig", self.rig, "--pca", str(self.out), "--split", self.split]
-        words += ["--out", "dataset.zarr"]
-        show(f"next: {join(['offpiste', *words])}")
+        show(after_logs(self.logs, self.rig, "--pca", self.out, "--split", self.split))
         return 0

@@ -2,18 +2,16 @@
 
 import sys
 from dataclasses import dataclass, replace
-from itertools import chain, count
 from pathlib import Path
-from shlex import join
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from offpiste.cli.entry import COMMANDS
+from offpiste.cli.next_steps import after_inspection, after_survey
 from offpiste.core.progress import show
 
 if TYPE_CHECKING:
-    from offpiste.inspection.inspect import Inspection
     from offpiste.rig.rig import Rig
 
 
@@ -43,8 +41,7 @@ class Inspect:
     def run(self) -> int:
         """Inspect, write the cured rig, print, name the next command."""
         from offpiste.core.errors import LogError, SeveralLogs
-        from offpiste.core.object_store import expanded
-        from offpiste.logs.ros.bag_files import storage_files
+        from offpiste.core.object_store import expanded, url_of
         from offpiste.rig.rig import load_rig
 
         logs = [str(log) for log in expanded(self.logs)]
@@ -58,8 +55,11 @@ class Inspect:
             return self._estimate(logs[0])
         try:
             return self._inspect(logs[0], load_rig(self.rig) if self.rig else None)
-        except SeveralLogs:
-            return self._survey([str(file) for file in storage_files(Path(logs[0]))])
+        except SeveralLogs as error:
+            if error.others:
+                print(f"not looked at in {logs[0]}: {', '.join(error.others)}", file=sys.stderr)  # noqa: T201
+            inside = [str(Path(logs[0]) / name) for name in error.logs]
+            return self._survey([url_of(log) or log for log in inside])
 
     def _inspect(self, path: str, rig: "Rig | None") -> int:
         from json import dumps
@@ -89,46 +89,8 @@ class Inspect:
             lines = [f"wrote {self.write_rig}", *cured, *(f"  missing: {what}" for what in lacking)]
             print(*lines, sep="\n", file=sys.stderr)  # noqa: T201
         if not self.json:
-            show(self._next(path, inspection))
+            show(after_inspection(self, path, inspection))
         return 0 if inspection.usable else 1
-
-    def _next(self, log: str, inspection: "Inspection") -> str:
-        """The command that comes next, as a line to paste, and before it what to do first."""
-        from offpiste.inspection.draft_values import DRAFTED
-        from offpiste.inspection.inspect import UNDRAFTED
-        from offpiste.inspection.missing import BY_HAND
-        from offpiste.rig.rig import rig_text
-
-        rig = str(self.write_rig) if self.write_rig else self.rig
-        undrafted = [finding.remedy for finding in inspection.findings if finding.evidence == UNDRAFTED]
-        if undrafted and BY_HAND in undrafted[0]:
-            own = _another("my.toml")
-            by_hand = f"write {own} by hand, with the fields of a position and a heading (docs/rig.md)"
-            return f"first: {by_hand}\nnext: {join(['offpiste', 'inspect', log, '--rig', own])}"
-        if undrafted:
-            return (
-                f"first: make the log one that can be read, as said above\nnext: {join(['offpiste', 'inspect', log])}"
-            )
-        if not rig:
-            time = ["--time", self.time] if self.time else []
-            return "next: " + join(["offpiste", "inspect", log, *time, "--write-rig", "my.toml"])
-        again = ["offpiste", "inspect", log, "--rig", rig]
-        vehicle = f"give {rig} the numbers of your vehicle ([vehicle])"
-        if "?" in rig_text(rig):
-            vehicle += ", and answer what its comments ask"
-        if self.write_rig and not self.rig:
-            return f"first: {vehicle}\nnext: {join(again)}"
-        if inspection.cure:
-            return "next: " + join(again if self.write_rig else [*again, "--write-rig", _another(rig)])
-        if not inspection.usable:
-            if not rig.endswith(".toml"):  # a preset, of another vehicle
-                return "next: " + join(["offpiste", "inspect", log, "--write-rig", _another(rig)])
-            return f"first: correct {rig} as said above\nnext: {join(again)}"
-        extract = "next: " + join(["offpiste", "extract", log, "--rig", rig, "--out", _dataset(rig)])
-        before = [vehicle] if any(finding.what == DRAFTED for finding in inspection.findings) else []
-        if any(finding.severity == "warning" for finding in inspection.findings):
-            before.append("fix what the warnings say, or leave it where the log has no better")
-        return "\n".join([*(f"first: {what}" for what in before), extract])
 
     def _survey(self, logs: list[str]) -> int:
         """Inspect several logs, print a row each; exit code 1 if one of them is unusable."""
@@ -145,9 +107,7 @@ class Inspect:
         survey = inspect_logs(logs, rig, processes=self.processes, cluster=self.cluster)
         show(dumps(survey.as_dict(), indent=2) if self.json else survey_table(survey))
         if not self.json:
-            again = ["inspect", logs[0], *(["--rig", self.rig] if self.rig else []), "--write-rig", _another("my.toml")]
-            extract = ["extract", *logs, "--rig", str(self.rig), "--out", _dataset(str(self.rig))]
-            show(f"next: {join(['offpiste', *(extract if self.rig and survey.usable else again)])}")
+            show(after_survey(logs, self.rig, usable=survey.usable))
         return 0 if survey.usable else 1
 
     def _estimate(self, log: str) -> int:
@@ -170,28 +130,3 @@ class Inspect:
         as_json = {"schema": 1, "mountings": [one.as_dict() for one in result]}
         show(dumps(as_json, indent=2) if self.json else render_mountings(result))
         return 1 if any(one.refused for one in result) else 0
-
-
-def _another(rig: str) -> str:
-    """A name for an edited rig that is not there yet."""
-    path = Path(rig if rig.endswith(".toml") else "my.toml")
-    others = (path.with_name(f"{path.stem}-{number}.toml") for number in count(2))
-    return str(next(name for name in chain([path], others) if not name.exists()))
-
-
-def _dataset(rig: str) -> str:
-    """A name for a dataset that is not there yet, or was made with this rig."""
-    names = chain(["dataset.zarr"], (f"dataset-{number}.zarr" for number in count(2)))
-    return next(name for name in names if not Path(name).exists() or _is_of(name, rig))
-
-
-def _is_of(dataset: str, rig: str) -> bool:
-    """Whether a dataset can be read, and was made with a rig."""
-    from offpiste.core.errors import OffpisteError
-    from offpiste.dataset.store import open_dataset  # takes a second, and is needed where there is one
-    from offpiste.rig.rig import load_rig
-
-    try:
-        return open_dataset(dataset).rig == load_rig(rig)
-    except OffpisteError:
-        return False

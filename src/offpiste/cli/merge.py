@@ -2,12 +2,12 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from shlex import join
 from typing import Annotated
 
 import tyro
 
 from offpiste.cli.entry import COMMANDS
+from offpiste.cli.next_steps import after_dataset
 from offpiste.core.progress import show
 
 
@@ -25,7 +25,5 @@ class Merge:
         """Check, copy, open."""
         from offpiste.merge import merge_datasets
 
-        dataset = merge_datasets(self.parts, self.out)
-        model = "dc" if dataset.features else "b"
-        show(f"next: {join(['offpiste', 'train', str(self.out), '--model', model, '--out', f'runs/{model}'])}")
+        show(after_dataset(merge_datasets(self.parts, self.out), self.out))
         return 0

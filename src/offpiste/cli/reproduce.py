@@ -7,6 +7,7 @@ from typing import Literal
 import tyro
 
 from offpiste.cli.entry import COMMANDS
+from offpiste.cli.next_steps import after_reproduction
 
 
 @COMMANDS.register("reproduce")
@@ -41,6 +42,7 @@ class Reproduce:
 
     def run(self) -> int:
         """Drive, extract, train, evaluate, draw."""
+        from offpiste.core.progress import show
         from offpiste.reproduction.reproduce import reproduce
         from offpiste.reproduction.settings import ReproductionSettings, sized
 
@@ -57,4 +59,5 @@ class Reproduce:
             cluster=self.cluster,
         )
         reproduce(config)
+        show(after_reproduction(self))
         return 0

@@ -2,12 +2,12 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from offpiste.cli.entry import COMMANDS
+from offpiste.cli.next_steps import next_line
 from offpiste.cli.robot_options import RobotOptions
 
 if TYPE_CHECKING:
@@ -82,7 +82,7 @@ class Simulate:
             seed = self.seed if self.drive_seed is None else self.drive_seed
             simulate(self._settings(self.seed, seed), self.out)
             rig = self._rig(self.out.with_suffix(".rig.toml"))
-            show(f"next: offpiste inspect {quote(str(self.out))} --rig {rig}")
+            show(next_line("inspect", self.out, "--rig", rig))
             return 0
         if self.drives < 1:
             raise OffpisteError(f"{self.drives} drives", where="--drives", how="give 1 or more")
@@ -121,7 +121,7 @@ class Simulate:
         recordings = [Recording(self._settings(seed, seed), self.out / f"{name}-{seed}.mcap") for seed in seeds]
         simulate_all(recordings, processes, self.cluster)
         rig = self._rig(self.out / "rig.toml")
-        show(f"next: offpiste inspect {quote(str(self.out))}/*.mcap --rig {rig}")
+        show(next_line("inspect", self.out, "--rig", rig))
 
     def _rig(self, path: Path) -> str:
         """Rig that reads the drives: a preset, or a file written for another vehicle."""
@@ -132,7 +132,7 @@ class Simulate:
         from offpiste.simulation.vehicle.parameters import vehicle_rig
 
         write_text(path, vehicle_rig(preset, Path(self.vehicle)))
-        return quote(str(path))
+        return str(path)
 
     def _settings(self, world_seed: int, seed: int) -> "DriveSettings":
         from offpiste.simulation.driver.driver import WITH_MANOEUVRES, DriverSettings

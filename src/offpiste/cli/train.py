@@ -9,6 +9,7 @@ from typing import Annotated
 import tyro
 
 from offpiste.cli.entry import COMMANDS
+from offpiste.cli.next_steps import next_line
 from offpiste.core.command_line import options
 from offpiste.core.errors import RunError
 from offpiste.training.config import TrainConfig
@@ -75,10 +76,9 @@ class Train:
             show("the network improves nothing here: this run predicts by its physics alone; more driving may help")
         if not self.folds and (network := self._with_a_network()) is not None:
             show(f"whether a network helps: {network}")
-        command = ["offpiste", "evaluate", str(self.out), *self._beside(), "--dataset", str(self.dataset)]
-        if Path("report").exists():  # the default, which may hold another run's
-            command += ["--out", f"report-{self.out.name}"]
-        show(f"next: {join(command)}")
+        # The default folder may hold the report of another run.
+        out = ["--out", f"report-{self.out.name}"] if Path("report").exists() else []
+        show(next_line("evaluate", self.out, *self._beside(), "--dataset", self.dataset, *out))
 
     def _adds_nothing(self) -> bool:
         """Whether the network kept its initial weights, which correct nothing."""

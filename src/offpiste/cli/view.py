@@ -7,6 +7,7 @@ from typing import Annotated
 import tyro
 
 from offpiste.cli.entry import COMMANDS
+from offpiste.cli.next_steps import after_view
 from offpiste.core.progress import show
 
 
@@ -16,13 +17,13 @@ class View:
     """Look at a log or a dataset: pictures, a Rerun recording of a log, and the report of a dataset's features."""
 
     path: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="LOG|DATASET")]
-    """A drive with LiDARs, or what `extract` wrote."""
+    """The file or folder of a drive with LiDARs, or a dataset that `extract` wrote."""
     rig: str | None = None
     """For a log: name of a preset, or a rig file."""
     pca: Path | None = None
     """For a log: a file of `fit-pca`, or pretrained:proving-ground; without one, ground is grey."""
     out: Path = Path("view")
-    """Folder of the pictures."""
+    """Folder of the pictures: empty, not there yet, or of an earlier `view`."""
     run_folder: Annotated[Path | None, tyro.conf.arg(name="run", metavar="RUN")] = None
     """For a dataset: a run with a spread (`offpiste calibrate`); regions.png shows where it predicts the vehicle."""
     seconds: str = ""
@@ -47,4 +48,5 @@ class View:
             device=self.device,
         )
         show(f"wrote {', '.join(map(str, written))}")
+        show(after_view(self))
         return 0

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from offpiste.cli.entry import COMMANDS
+from offpiste.cli.next_steps import next_line
 
 
 @COMMANDS.register("warm-up")
@@ -12,7 +13,9 @@ class WarmUp:
 
     def run(self) -> int:
         """Compile, part by part."""
+        from offpiste.core.progress import show
         from offpiste.demo.warm_up import warm_up_all
 
         warm_up_all()
+        show(next_line("demo"))
         return 0

@@ -19,7 +19,7 @@ from offpiste.closed_loop.scores import Trace, firm_way, prediction_errors, summ
 from offpiste.core.channels import registered_actuators
 from offpiste.core.conventions import DT
 from offpiste.core.errors import OffpisteError
-from offpiste.core.files import check_folder, remove_partials, write_text, write_whole
+from offpiste.core.files import check_folder, remove_partials, unfinished, write_text, write_whole
 from offpiste.core.progress import Track, track
 from offpiste.perception.camera import make_pinhole_camera
 from offpiste.planning.caution import caution_of
@@ -38,6 +38,8 @@ from offpiste.training.run import differing_vehicle
 
 logger = logging.getLogger(__name__)
 
+_UNFINISHED = ".offpiste-drive"
+"""Hidden file of a drive's folder that is not written whole."""
 EVERY = 10
 """Rows between places of the driven path in result.json."""
 
@@ -112,10 +114,9 @@ def drive_course(
     _refuse_unmeasured(planner)
     caution_of(settings.runtime.risk, planner.spread)  # raises before a world is built
     out = Path(out)
-    check_folder(out, own=("drive.mcap", "result.json"))
-    for name in ("drive.mcap", "result.json"):
-        if (out / name).exists():
-            raise OffpisteError("exists already", where=out / name, how="give another folder, or remove it")
+    check_folder(out, own=(_UNFINISHED, "result.json"))
+    if (out / "result.json").exists():
+        raise OffpisteError("exists already", where=out / "result.json", how="give another folder, or remove it")
     remember = max(settings.seconds, settings.runtime.remember)
     rig, parameters = load_rig("proving_ground"), load_vehicle()
     world = world or course_world(settings.world, settings.course.kind)
@@ -137,22 +138,23 @@ def drive_course(
         spread=planner.spread,
     )
     start = replace(chosen.start, yaw=chosen.start.yaw + math.pi) if settings.against else chosen.start
-    out.mkdir(parents=True, exist_ok=True)
-    remove_partials(out)
-    driving = drive_planned(
-        runtime, world, parameters, start, suite, rig, out / "drive.mcap",
-        seconds=settings.seconds, seed=settings.world.seed, fault=fault, scene=scene, track=track,
-    )  # fmt: skip
-    trace = trace_of(driving, chosen.course)
-    result = _result(planner, settings, chosen, runtime, driving, trace, parameters)
-    result |= {"commit": commit(), "date": today()}
-    title = f"{settings.world.preset}, seed {settings.world.seed}: {planner.name}, {result['time_s']:.1f} s"
-    scored = round(result["time_s"] / DT)
-    figure = course_picture(world, chosen.course, trace, runtime.predictions, title, scored=scored)
-    write_whole(out / "drive.png", lambda partial: figure.savefig(partial, format="png"))
-    if not settings.keep_log:
-        (out / "drive.mcap").unlink()
-    write_text(out / "result.json", json.dumps(result, indent=2, allow_nan=False) + "\n")
+    with unfinished(out, _UNFINISHED):
+        remove_partials(out)
+        (out / "drive.mcap").unlink(missing_ok=True)
+        driving = drive_planned(
+            runtime, world, parameters, start, suite, rig, out / "drive.mcap",
+            seconds=settings.seconds, seed=settings.world.seed, fault=fault, scene=scene, track=track,
+        )  # fmt: skip
+        trace = trace_of(driving, chosen.course)
+        result = _result(planner, settings, chosen, runtime, driving, trace, parameters)
+        result |= {"commit": commit(), "date": today()}
+        title = f"{settings.world.preset}, seed {settings.world.seed}: {planner.name}, {result['time_s']:.1f} s"
+        scored = round(result["time_s"] / DT)
+        figure = course_picture(world, chosen.course, trace, runtime.predictions, title, scored=scored)
+        write_whole(out / "drive.png", lambda partial: figure.savefig(partial, format="png"))
+        if not settings.keep_log:
+            (out / "drive.mcap").unlink()
+        write_text(out / "result.json", json.dumps(result, indent=2, allow_nan=False) + "\n")
     logger.info(described(result))
     return Driven(world, chosen, driving, trace, runtime, result)
 

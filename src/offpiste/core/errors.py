@@ -1,6 +1,6 @@
 """Errors that a user can cause: what is wrong, where, and how to fix it, in one line; missing extras."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from difflib import get_close_matches
 from functools import partial
@@ -51,7 +51,21 @@ class LogError(OffpisteError):
 
 
 class SeveralLogs(LogError):
-    """A folder holds several recordings, each of which is a log."""
+    """A folder holds several recordings, each of which is a log.
+
+    Attributes:
+        logs, others: names of the recordings, and of everything else in the folder.
+    """
+
+    def __init__(
+        self, what: str, *, where: str | Path = "", how: str = "", logs: Sequence[str] = (), others: Sequence[str] = ()
+    ) -> None:
+        super().__init__(what, where=where, how=how)
+        self.logs, self.others = logs, others
+
+    def __reduce__(self) -> tuple[Callable[[str], OffpisteError], tuple[str]]:
+        make, what = super().__reduce__()
+        return partial(make, logs=self.logs, others=self.others), what
 
 
 class TooLarge(LogError):

@@ -118,6 +118,18 @@ def check_folder(out: Path, *, option: str = "--out", own: Sequence[str] | None 
         raise OffpisteError(f"holds something else ({other[0]})", where=out, how=how)
 
 
+@contextmanager
+def unfinished(out: Path, mark: str) -> Iterator[None]:
+    """Keep a hidden file in a folder until it is written whole: with it among `own`, `check_folder` accepts the rest.
+
+    Args:
+        mark: name of the file, which begins with a dot.
+    """
+    write_bytes(out / mark, b"")
+    yield
+    (out / mark).unlink(missing_ok=True)
+
+
 def remove_partials(folder: Path, name: str = "") -> None:
     """Remove what killed processes left half written; what a process still writes stays.
 

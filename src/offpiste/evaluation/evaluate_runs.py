@@ -11,7 +11,7 @@ import numpy as np
 
 from offpiste.core.command_line import options
 from offpiste.core.errors import OffpisteError, RunError
-from offpiste.core.files import check_folder
+from offpiste.core.files import check_folder, unfinished
 from offpiste.core.shipped import named, run_folder
 from offpiste.dataset.assumptions import assumptions_block, assumptions_of
 from offpiste.dataset.log_findings import warning_line
@@ -21,7 +21,7 @@ from offpiste.dataset.store import Dataset, open_dataset
 from offpiste.evaluation.evaluate import EvaluatedModel, Evaluation, evaluate_models, named_apart
 from offpiste.evaluation.intervals import MIN_UNITS, Levels
 from offpiste.evaluation.metrics import Metrics, Start, read_metrics
-from offpiste.evaluation.report import terminal_table, write_report
+from offpiste.evaluation.report import REPORT_FILES, UNFINISHED, terminal_table, write_report
 from offpiste.training.checkpoint import fold_folders, load_json
 from offpiste.training.config import TrainConfig
 from offpiste.training.prediction import Lookup
@@ -56,7 +56,7 @@ def evaluate_runs(
     """
     if not folders:
         raise RunError("no run is given", how="name one or more: offpiste evaluate RUN... --dataset DATASET")
-    check_folder(out, own=("report.html", "calibration.md"))
+    check_folder(out, own=REPORT_FILES)
     if min_speed is not None and not 0 <= min_speed < math.inf:
         raise OffpisteError(f"--min-speed is {min_speed:g}", how="give a speed of 0 or more [m/s]")
     dataset = open_dataset(dataset_path).starting_above(min_speed)
@@ -91,7 +91,8 @@ def evaluate_runs(
     )
     if (before := _other_report(out, evaluation.metrics)) is not None:
         logger.warning(f"{out} held the report of {before}; it is replaced")
-    write_report(evaluation, out)
+    with unfinished(out, UNFINISHED):
+        write_report(evaluation, out)
     logger.info(terminal_table(evaluation.metrics.results).text())
     if {"recorded", "map"} <= {row.lookup for row in evaluation.metrics.results}:
         nearest = "" if dataset.features else ": without features, the slope of the nearest driven path"

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
@@ -28,6 +29,11 @@ from offpiste.evaluation.metrics import (
 from offpiste.evaluation.report_figures import REPORT_FIGURES
 from offpiste.report.page import Card, Page, Picture, Section, picture, write_page
 from offpiste.report.text_table import Cell, TextTable, interval, number
+
+UNFINISHED: Final = ".offpiste-report"
+"""Hidden file of a report's folder that is not written whole."""
+REPORT_FILES: Final = (UNFINISHED, "metrics.json", "calibration.md")
+"""Files one of which the folder of a report holds."""
 
 Pictures = dict[str, list[Picture]]
 """Pictures by the heading of their section."""

@@ -303,6 +303,14 @@ class Log(ABC):
         return result
 
 
+def contents_of(folder: Path) -> tuple[list[str], list[str]]:
+    """Return the names of the logs directly in a folder, and of everything else that is not hidden."""
+    formats = [kind for _, kind in LOG_FORMATS.items()]
+    names = sorted(path.name for path in folder.iterdir() if not path.name.startswith("."))
+    logs = [name for name in names if any(kind.recognises(folder / name) for kind in formats)]
+    return logs, [name for name in names if name not in logs]
+
+
 def _picked(raw: Iterator[_Raw], times: Float[np.ndarray, " n"]) -> Iterator[_Raw]:
     wanted, left = set(times.tolist()), len(times)
     for one in raw:

@@ -1,12 +1,11 @@
 """Opening a log of any format."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from shlex import quote
 
-from offpiste.core.errors import LogError
+from offpiste.core.errors import LogError, SeveralLogs
 from offpiste.core.object_store import refuse_url
-from offpiste.logs.log import LOG_FORMATS, Log
+from offpiste.logs.log import LOG_FORMATS, Log, contents_of
 from offpiste.rig.channels import Clock
 
 _LISTED = 5
@@ -22,12 +21,6 @@ _EXPORTED_BY = {
 """What reads logs of other formats, by their ending."""
 
 
-def _logs_in(folder: Path, formats: Sequence[type[Log]]) -> list[Path]:
-    """Logs of any format directly in a folder."""
-    inside = sorted(path for path in folder.iterdir() if not path.name.startswith(".")) if folder.is_dir() else []
-    return [path for path in inside if any(kind.recognises(path) for kind in formats)]
-
-
 def open_log(path: str | Path, *, clock: Clock | None = None) -> Log:
     """Open a recorded drive of any registered format.
 
@@ -36,6 +29,7 @@ def open_log(path: str | Path, *, clock: Clock | None = None) -> Log:
         clock: time column of a table and its unit; without one the column is guessed.
 
     Raises:
+        SeveralLogs: a folder of logs.
         LogError: no such path, unknown format, or a file that cannot be read.
     """
     refuse_url(path)
@@ -48,15 +42,12 @@ def open_log(path: str | Path, *, clock: Clock | None = None) -> Log:
     for kind in (*(kind for kind in formats if kind not in shipped), *reversed(shipped)):
         if kind.recognises(path):
             return kind.open(path, clock or Clock())
-    inside = _logs_in(path, formats)
-    if inside:
-        more = f" and {len(inside) - _LISTED} more" if len(inside) > _LISTED else ""
-        names = ", ".join(log.name for log in inside[:_LISTED])
-        raise LogError(
-            f"a folder of logs: {names}{more}",
-            where=path,
-            how=f"give one of them: offpiste inspect {quote(str(inside[0]))}",
-        )
+    logs, others = contents_of(path) if path.is_dir() else ([], [])
+    if logs:
+        more = f" and {len(logs) - _LISTED} more" if len(logs) > _LISTED else ""
+        what = f"a folder of logs: {', '.join(logs[:_LISTED])}{more}"
+        how = f"give one of them, or inspect all: offpiste inspect {quote(str(path))}"
+        raise SeveralLogs(what, where=path, how=how, logs=logs, others=others)
     how = f"give {', '.join(kind.description for kind in formats)}"
     if by := _EXPORTED_BY.get(path.suffix.lower()):
         how = f"export it by {by}"

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from offpiste.core.errors import LogError, RigError
-from offpiste.core.files import check_folder
+from offpiste.core.files import check_folder, unfinished
 from offpiste.dataset.splits import PARTS
 from offpiste.dataset.store import Dataset, StoredDrive, open_dataset
 from offpiste.logs.log import Log
@@ -39,6 +39,9 @@ PART_COLOURS = {-1: SOFT, 0: BLUE, 1: ORANGE, 2: PURPLE}
 
 FASTEST = 0.995
 """Share of the rows whose speeds the colours cover: beside gaps a few smoothed ones are far off."""
+
+_UNFINISHED = ".offpiste-view"
+"""Hidden file of a folder of pictures that is not written whole."""
 
 DRIVES_A_PAGE = 6
 """Number of drives in one picture."""
@@ -162,7 +165,7 @@ def view(
     rrd: bool = True,
     device: str = "cpu",
 ) -> list[Path]:
-    """Write pictures of a log or a dataset into a folder; other files in it are left alone.
+    """Write pictures of a log or a dataset into a folder that is empty, not there yet, or of an earlier view.
 
     Args:
         rig, pca, seconds, rrd, device: of a log: a preset's name or a file, a file of `fit-pca` (None: no features),
@@ -175,21 +178,23 @@ def view(
     Raises:
         LogError, RigError, PerceptionError, DatasetError, RunError: the path is neither, or cannot be viewed.
     """
-    check_folder(out, own=("*.png", "*.rrd", "report.html"))
+    check_folder(out, own=(_UNFINISHED, "sensors.png", "paths*.png"))
     if (path / "zarr.json").exists():
         if rig or pca or seconds:
             logger.info(
                 "a dataset is viewed whole, with the rig that it was made with: --rig, --pca and --seconds do nothing"
             )
         dataset = open_dataset(path)
-        return view_dataset(dataset, out) + ([] if run is None else [view_regions(run, dataset, out)])
+        with unfinished(out, _UNFINISHED):
+            return view_dataset(dataset, out) + ([] if run is None else [view_regions(run, dataset, out)])
     stretch = parse_stretch(seconds)
     if rig is None:
         raise _without_rig(path)
     vehicle = load_rig(rig)
     extractor = load_feature_extractor(pca, device) if pca is not None else None
     log = _open(path, vehicle.clock)
-    return view_log(log, vehicle, out, extractor=extractor, stretch=stretch, rrd=rrd)
+    with unfinished(out, _UNFINISHED):
+        return view_log(log, vehicle, out, extractor=extractor, stretch=stretch, rrd=rrd)
 
 
 def _without_rig(path: Path) -> RigError:
@@ -205,4 +210,7 @@ def _open(path: Path, clock: Clock | None = None) -> Log:
     except LogError as error:
         if error.what != "no known log format":
             raise
-        raise LogError("neither a log of a known format nor a dataset", where=path, how=error.how) from error
+        how = f"{error.how}, or a dataset that `offpiste extract` wrote"
+        if (path / "report.html").exists():
+            how = "open its report.html in a browser"
+        raise LogError("neither a log of a known format nor a dataset", where=path, how=how) from error

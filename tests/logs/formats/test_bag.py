@@ -1,5 +1,6 @@
 """ROS 1 and ROS 2 bags: recorded ones, and small ones of every storage, encoding and field type."""
 
+import copy
 from pathlib import Path
 
 import numpy as np
@@ -180,6 +181,22 @@ def test_a_folder_of_several_drives_is_none(tmp_path: Path) -> None:
     ) as caught:
         BagLog(tmp_path)
     assert caught.value.how == "give each file by itself"
+    assert copy.copy(caught.value).logs == ["monday.mcap", "tuesday.mcap"]
+
+
+def test_logs_beside_the_files_of_a_bag_are_named(tmp_path: Path) -> None:
+    folder = ros2_folder(tmp_path / "drive", StoragePlugin.MCAP, twists(3))
+    mcap_file(folder / "other.mcap", twists(9))
+    (folder / "params.csv").write_text("t,x\n0,1\n1,2\n")
+    (folder / "notes.pdf").touch()
+    for name in ("other.mcap", "params.csv"):
+        assert f"not read: {name}, which is not part of this bag" in BagLog(folder).warnings
+    assert len(BagLog(folder).warnings) == 2
+    (folder / "metadata.yaml").unlink()
+    (folder / "other.mcap").unlink()
+    assert [name for name in BagLog(folder).warnings if "not read" in name] == [
+        "not read: params.csv, which is not part of this bag"
+    ]
 
 
 def test_metadata_cannot_point_outside_its_folder(tmp_path: Path) -> None:

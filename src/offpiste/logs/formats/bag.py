@@ -15,7 +15,7 @@ from rosbags.interfaces import Connection
 
 from offpiste.core.errors import LogError, SeveralLogs
 from offpiste.logs.clock_drift import common_step
-from offpiste.logs.log import LOG_FORMATS, Log, RawCloud, RawImage, Samples, SetBack, Topic
+from offpiste.logs.log import LOG_FORMATS, Log, RawCloud, RawImage, Samples, SetBack, Topic, contents_of
 from offpiste.logs.ros.bag_files import (
     MAGIC,
     MakeDecoder,
@@ -86,6 +86,7 @@ class BagLog(Log):
             for reader in self._readers:
                 stack.callback(reader.close)
             _refuse_several(self._readers, path)
+            notes += [f"not read: {name}, which is not part of this bag" for name in _others(self._readers, path)]
             names = {connection.topic for reader in self._readers for connection in reader.connections}
             self._topics = {name: self._describe(name, notes) for name in sorted(names)}
             self._topics |= {topic.name: topic for topic in self._transforms_as_topics()}
@@ -355,6 +356,16 @@ def _with_frames(
     return lambda raw: (frames(raw), decode(raw))
 
 
+def _others(readers: Sequence[Reader], path: Path) -> list[str]:
+    """Return the names of the logs in a bag's folder that are not files of the bag."""
+    if not path.is_dir():
+        return []
+    own = {file.name for file in storage_files(path)}
+    if Path(str(readers[0].path)) == path:  # by its metadata
+        own = {Path(str(part.path)).name for part in readers[0].storage.storages}
+    return [name for name in contents_of(path)[0] if name not in own]
+
+
 def _refuse_several(readers: Sequence[Reader], path: Path) -> None:
     """Raise where the files of a folder are no pieces of one recording: one begins before another ends."""
     known = [reader for reader in readers if not isinstance(reader, StreamedMcap) and reader.message_count]
@@ -362,4 +373,5 @@ def _refuse_several(readers: Sequence[Reader], path: Path) -> None:
         if before.end_time - after.start_time > _OVERLAP:
             first, second = (Path(str(reader.path)).name for reader in (before, after))
             what = f"holds several recordings: {second} begins before {first} ends"
-            raise SeveralLogs(what, where=path, how="give each file by itself")
+            logs, others = contents_of(path)
+            raise SeveralLogs(what, where=path, how="give each file by itself", logs=logs, others=others)

@@ -1,0 +1,210 @@
+"""The command that comes after each command, as lines to paste."""
+
+import re
+from collections.abc import Sequence
+from itertools import chain, count
+from pathlib import Path
+from shlex import join
+from typing import TYPE_CHECKING
+
+from offpiste.core.command_line import options as options_of
+from offpiste.core.object_store import url_of
+
+if TYPE_CHECKING:
+    from offpiste.cli.extract import Extract
+    from offpiste.cli.inspect import Inspect
+    from offpiste.cli.reproduce import Reproduce
+    from offpiste.cli.view import View
+    from offpiste.dataset.store import Dataset
+    from offpiste.inspection.inspect import Inspection
+
+
+def next_line(*words: object, first: Sequence[str] = ()) -> str:
+    """Return the line that names the next command.
+
+    Args:
+        words: of the command, without `offpiste`.
+        first: what to do before it, a line each.
+    """
+    command = join(["offpiste", *(url_of(str(word)) or str(word) for word in words)])
+    return "\n".join([*(f"first: {what}" for what in first), f"next: {command}"])
+
+
+def after_inspection(options: "Inspect", log: str, inspection: "Inspection") -> str:
+    """Return the command that gives a better rig for a log, or that extracts it."""
+    from offpiste.inspection.draft_values import DRAFTED
+    from offpiste.inspection.inspect import UNDRAFTED
+    from offpiste.inspection.missing import BY_HAND
+    from offpiste.rig.rig import rig_text
+
+    rig = str(options.write_rig) if options.write_rig else options.rig
+    undrafted = [finding.remedy for finding in inspection.findings if finding.evidence == UNDRAFTED]
+    if undrafted and BY_HAND in undrafted[0]:
+        own = _another("my.toml")
+        by_hand = f"write {own} by hand, with the fields of a position and a heading (docs/rig.md)"
+        return next_line("inspect", log, "--rig", own, first=[by_hand])
+    if undrafted:
+        return next_line("inspect", log, first=["make the log one that can be read, as said above"])
+    if not rig:
+        time = ["--time", options.time] if options.time else []
+        return next_line("inspect", log, *time, "--write-rig", "my.toml")
+    again = ("inspect", log, "--rig", rig)
+    vehicle = f"give {rig} the numbers of your vehicle ([vehicle])"
+    if "?" in rig_text(rig):
+        vehicle += ", and answer what its comments ask"
+    if options.write_rig and not options.rig:
+        return next_line(*again, first=[vehicle])
+    if inspection.cure:
+        return next_line(*again, *(() if options.write_rig else ("--write-rig", _another(rig))))
+    if not inspection.usable:
+        if not rig.endswith(".toml"):  # a preset, of another vehicle
+            return next_line("inspect", log, "--write-rig", _another(rig))
+        return next_line(*again, first=[f"correct {rig} as said above"])
+    before = [vehicle] if any(finding.what == DRAFTED for finding in inspection.findings) else []
+    if any(finding.severity == "warning" for finding in inspection.findings):
+        before.append("fix what the warnings say, or leave it where the log has no better")
+    return after_logs([log], rig, first=before)
+
+
+def after_logs(logs: Sequence[object], rig: str, *more: object, first: Sequence[str] = ()) -> str:
+    """Return the command that extracts logs."""
+    return next_line("extract", *logs, "--rig", rig, *more, "--out", _dataset(rig), first=first)
+
+
+def after_survey(logs: Sequence[str], rig: str | None, *, usable: bool) -> str:
+    """Return the command that extracts inspected logs, or that drafts a rig for the first."""
+    if rig and usable:
+        return after_logs(logs, rig)
+    return next_line("inspect", logs[0], *(("--rig", rig) if rig else ()), "--write-rig", _another("my.toml"))
+
+
+def after_extraction(options: "Extract", dataset: "Dataset") -> str:
+    """Return the command that trains on a dataset, or the extraction that gives one that can be trained on."""
+    from offpiste.core.parallel import parse_shard
+    from offpiste.dataset.split_balance import is_for_tests, next_split
+
+    if options.shard and (shard := parse_shard(options.shard)) != (1, 1):
+        return _after_shard(options, *shard)
+    if is_for_tests(dataset.split):
+        return next_line("evaluate", "RUN", "--dataset", options.out)
+    if (split := next_split(dataset)) is not None:
+        other = options.out.with_name(f"{options.out.stem}-2{options.out.suffix}")
+        return next_line("extract", *options.logs, *options_of(options, "logs", split=split.text, out=other))
+    return after_dataset(dataset, options.out)
+
+
+def _after_shard(options: "Extract", number: int, shards: int) -> str:
+    """Return the extraction of the next shard, or after the last one the command that merges all."""
+    parts = [_part(options.out, number, other) for other in range(1, shards + 1)]
+    if number == shards:
+        return next_line("merge", *parts, "--out", _dataset(options.rig))
+    following = options_of(options, "logs", shard=f"{number + 1}/{shards}", out=parts[number])
+    return next_line("extract", *options.logs, *following)
+
+
+def _part(out: Path, number: int, other: int) -> Path:
+    """Return the name of another shard's dataset: with its number in place of this one's, or after the name."""
+    named = re.fullmatch(rf"(.*?)0*{number}", out.stem)
+    return out if other == number else out.with_name(f"{named[1] if named else f'{out.stem}-'}{other}{out.suffix}")
+
+
+def after_dataset(dataset: "Dataset", path: Path) -> str:
+    """Return the command that trains the model to begin with on a dataset."""
+    from offpiste.dataset.split_balance import has_little_driving, lacks_windows
+
+    if lacks_windows(dataset):
+        return "next: record more, or longer drives: a part of the split has no window, so nothing can be trained"
+    return _training(path, "dc" if dataset.pca else "parametric" if has_little_driving(dataset) else "b")
+
+
+def after_evaluation(runs: Sequence[Path], path: Path) -> str:
+    """Return the calibration of runs without a spread, where it is possible, or what comes after that.
+
+    Args:
+        path: of the dataset that they were evaluated on.
+    """
+    from offpiste.core.shipped import run_folder
+    from offpiste.training.checkpoint import fold_folders
+    from offpiste.training.run import load_run, model_trained_on
+    from offpiste.uncertainty.prediction import FILE
+
+    if folds := next((folds for run in runs if (folds := fold_folders(run_folder(run)))), None):
+        return _training(path, load_run(folds[0]).model)
+    without = [folder for run in runs if not ((folder := run_folder(run)) / FILE).exists()]
+    if without and all(model_trained_on(folder, path) for folder in without):
+        return next_line("calibrate", *runs, "--dataset", path)
+    return after_runs(runs, path)
+
+
+def after_runs(runs: Sequence[Path], dataset: Path) -> str:
+    """Return the command that uses one of some runs: a drive with a model that ships, or else an export."""
+    from offpiste.core.shipped import PREFIX
+    from offpiste.dynamics.kernels.coverage import uncovered, uncovered_encoder
+    from offpiste.training.run import load_run
+
+    for run in runs:
+        if str(run).startswith(PREFIX):
+            return next_line("drive", run, "--out", _free("closed-loop"))
+        dynamics = load_run(run).dynamics
+        if not (uncovered(dynamics) or uncovered_encoder(dynamics.encoder)):
+            return next_line("export", run, "--to", _free(f"{run.name}-c"))
+    return _training(dataset, "b")
+
+
+def after_view(options: "View") -> str:
+    """Return the command that extracts a viewed log, trains on a viewed dataset, or uses the run viewed on it."""
+    from offpiste.dataset.store import open_dataset
+
+    if options.rig is not None and not (options.path / "zarr.json").exists():
+        return after_logs([options.path], options.rig, *(("--pca", options.pca) if options.pca else ()))
+    if options.run_folder is not None:
+        return after_runs([options.run_folder], options.path)
+    return after_dataset(open_dataset(options.path), options.path)
+
+
+def after_reproduction(options: "Reproduce") -> str:
+    """Return the reproduction of the other figure, which shares drives and runs, or of the next size."""
+    from offpiste.reproduction.settings import SIZES
+
+    other = "fig4" if options.figure == "fig3" else "fig3"
+    if not (options.out / other / "report.html").exists():
+        return next_line("reproduce", other, *options_of(options, "figure"))
+    sizes = list(SIZES)
+    larger = sizes[min(sizes.index(options.size) + 1, len(sizes) - 1)]
+    out = _free(f"{options.out}-{larger}")
+    return next_line("reproduce", options.figure, *options_of(options, "figure", size=larger, out=out))
+
+
+def _training(path: Path, model: str) -> str:
+    return next_line("train", path, "--model", model, "--out", _free(f"runs/{model}"))
+
+
+def _free(name: str) -> str:
+    """Return a path, or with a number after it, that is not there yet."""
+    names = chain([name], (f"{name}-{number}" for number in count(2)))
+    return next(each for each in names if not Path(each).exists())
+
+
+def _another(rig: str) -> str:
+    """Return a name for an edited rig that is not there yet."""
+    path = Path(rig if rig.endswith(".toml") else "my.toml")
+    others = (path.with_name(f"{path.stem}-{number}.toml") for number in count(2))
+    return str(next(name for name in chain([path], others) if not name.exists()))
+
+
+def _dataset(rig: str) -> str:
+    """Return a name for a dataset that is not there yet, or was made with this rig."""
+    names = chain(["dataset.zarr"], (f"dataset-{number}.zarr" for number in count(2)))
+    return next(name for name in names if not Path(name).exists() or _is_of(name, rig))
+
+
+def _is_of(dataset: str, rig: str) -> bool:
+    """Return whether a dataset can be read, and was made with a rig."""
+    from offpiste.core.errors import OffpisteError
+    from offpiste.dataset.store import open_dataset  # takes a second, and is needed where there is one
+    from offpiste.rig.rig import load_rig
+
+    try:
+        return open_dataset(dataset).rig == load_rig(rig)
+    except OffpisteError:
+        return False

@@ -1,0 +1,106 @@
+"""Each command names the next one, which the command line accepts."""
+
+import shlex
+import shutil
+from pathlib import Path
+
+import pytest
+
+from feature_datasets import dataset_with_features
+from offpiste.cli import next_steps
+from offpiste.cli.entry import _parsed, commands_in_order
+from offpiste.cli.extract import Extract
+from offpiste.cli.reproduce import Reproduce
+from offpiste.cli.view import View
+from offpiste.core.shipped import run_folder
+from offpiste.dataset.store import Dataset
+from offpiste.training.checkpoint import load_json, save_json
+from offpiste.uncertainty.prediction import FILE
+
+B = Path("pretrained:proving-ground/b")
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture
+def dataset(tmp_path: Path) -> Dataset:
+    return dataset_with_features(tmp_path / "data.zarr", rows=4000)
+
+
+def command_of(line: str) -> str:
+    """The command that a line names, after a check that the command line accepts it."""
+    command = line.splitlines()[-1].removeprefix("next: offpiste ")
+    _parsed(shlex.split(command), commands_in_order())
+    return command
+
+
+def trained(to: Path, *, spread: bool, on: str = "elsewhere.zarr") -> Path:
+    """A run as `offpiste train` writes it."""
+    shutil.copytree(run_folder(B), to)
+    if not spread:
+        (to / FILE).unlink()
+    save_json(to / "model.json", load_json(to / "model.json") | {"dataset": str(Path(on).resolve())})
+    return to
+
+
+def test_an_evaluation_leads_to_a_calibration_only_where_that_is_possible() -> None:
+    data = Path("data.zarr")
+    mine, other = trained(Path("runs/mine"), spread=False, on="data.zarr"), trained(Path("runs/other"), spread=False)
+    ready = trained(Path("runs/ready"), spread=True)
+    trained(Path("runs/cv/fold-0"), spread=False, on="data.zarr")
+    for runs, expected in (
+        ([mine], "calibrate runs/mine --dataset data.zarr"),
+        ([mine, ready], "calibrate runs/mine runs/ready --dataset data.zarr"),
+        ([other], "export runs/other --to other-c"),
+        ([mine, other], "export runs/mine --to mine-c"),
+        ([ready], "export runs/ready --to ready-c"),
+        ([Path("runs/cv")], "train data.zarr --model b --out runs/b"),
+        ([B], f"drive {B} --out closed-loop"),
+    ):
+        assert command_of(next_steps.after_evaluation(runs, data)) == expected
+
+
+def test_runs_that_cannot_be_exported_lead_to_one_that_can(monkeypatch: pytest.MonkeyPatch) -> None:
+    ready = trained(Path("runs/ready"), spread=True)
+    monkeypatch.setattr("offpiste.dynamics.kernels.coverage.uncovered", lambda dynamics: "another network")
+    assert command_of(next_steps.after_runs([ready], Path("d.zarr"))) == "train d.zarr --model b --out runs/b"
+
+
+def test_shards_lead_to_each_other_and_then_to_their_merge(dataset: Dataset) -> None:
+    for out, first, others in (("part-1.zarr", 1, "part-2.zarr"), ("part.zarr", 1, "part-2.zarr")):
+        options = Extract(("a.csv", "b 2.csv"), "dart", Path(out), shard=f"{first}/2", processes=3)
+        following = command_of(next_steps.after_extraction(options, dataset))
+        assert following == f"extract a.csv 'b 2.csv' --rig dart --out {others} --shard 2/2 --processes 3"
+    options = Extract(("a.csv",), "dart", Path("part-3.zarr"), shard="3/3")
+    merge = "merge part-1.zarr part-2.zarr part-3.zarr --out dataset.zarr"
+    assert command_of(next_steps.after_extraction(options, dataset)) == merge
+
+
+def test_a_dataset_leads_to_the_same_training_after_merge_and_view(dataset: Dataset) -> None:
+    viewed = next_steps.after_view(View(dataset.path, rig="dart"))
+    for line in (next_steps.after_dataset(dataset, dataset.path), viewed):
+        model = "dc" if dataset.pca else "parametric"
+        assert command_of(line) == f"train {dataset.path} --model {model} --out runs/{model}"
+    assert command_of(next_steps.after_view(View(dataset.path, run_folder=B))).startswith(f"drive {B}")
+
+
+def test_a_viewed_log_leads_to_its_extraction() -> None:
+    line = next_steps.after_view(View(Path("drive.mcap"), rig="dart", pca=Path("pca.safetensors")))
+    assert command_of(line) == "extract drive.mcap --rig dart --pca pca.safetensors --out dataset.zarr"
+
+
+def test_a_reproduction_leads_to_the_other_figure_and_then_to_a_larger_one() -> None:
+    options = Reproduce("fig3", "laptop", processes=2)
+    assert command_of(next_steps.after_reproduction(options)) == "reproduce fig4 --size laptop --processes 2"
+    Path("results/fig4").mkdir(parents=True)
+    Path("results/fig4/report.html").touch()
+    larger = command_of(next_steps.after_reproduction(options))
+    assert larger == "reproduce fig3 --size evening --out results-evening --processes 2"
+
+
+def test_places_in_object_stores_keep_their_slashes() -> None:
+    line = next_steps.next_line("merge", Path("s3://b/part-1.zarr"), "s3://b/part-2.zarr", "--out", "d.zarr")
+    assert command_of(line) == "merge s3://b/part-1.zarr s3://b/part-2.zarr --out d.zarr"
