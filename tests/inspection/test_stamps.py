@@ -1,6 +1,7 @@
 """Stamps with known faults."""
 
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from offpiste.inspection.inspect import inspect_log
 from offpiste.inspection.recorded_log import RememberedLog, read_topics
 from offpiste.inspection.stamps import check_headers
 from offpiste.inspection.timing import timing
+from offpiste.logs import open_log
 from offpiste.rig.edits import Edit, edited
 
 CLEAN = drive_log(seconds=60)
@@ -170,6 +172,18 @@ def test_stamps_that_change_more_seldom_than_the_rows_are_one_finding() -> None:
     assert (finding.severity, finding.remedy) == (
         "note", "nothing: they are copies of the sample before, and one of each is kept",
     )  # fmt: skip
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("stamp", ["1e-300", "1e9", "-1e308", "inf"])
+def test_stamps_that_are_one_time_or_none_are_a_finding(tmp_path: Path, stamp: str) -> None:
+    rows = (f"{stamp},{k / 5},{k / 9},{k / 99},{k % 7 / 9},{k % 9 / 9}\n" for k in range(300))
+    (tmp_path / "a.csv").write_text("time,x,y,yaw,throttle,steer\n" + "".join(rows))
+    found = {finding.what: finding for finding in inspect_log(open_log(tmp_path / "a.csv")).findings}
+    if float(stamp) in (1e-300, 1e9):
+        assert found["stamps repeat"].evidence == "299 of 300 (99.7%): 3e+02 samples for each"
+    else:
+        assert found["stamps are not finite"].evidence == "300 of 300"
 
 
 def test_a_gap_of_two_minutes() -> None:

@@ -198,8 +198,9 @@ def _order(
             return [*findings, Finding("note", where, "stamps repeat", evidence, how, share)]
         if refused and not receives and not seen.backward:
             kept = len(topic.rising)
-            often = (kept - 1) / (seen.end - seen.start)
-            evidence += f": {total / kept:.2g} samples for each, of which there are {often:.3g} a second"
+            evidence += f": {total / kept:.2g} samples for each"
+            if kept > 1:
+                evidence += f", of which there are {(kept - 1) / (seen.end - seen.start):.3g} a second"
             how = "take another clock.column; or export the stamps with all their decimals, or one row for each"
             return [*findings, Finding("fatal", where, "stamps repeat", evidence, how, share)]
         bunches = remedy if share <= 0.02 or receives else "nothing: one sample a stamp is kept"

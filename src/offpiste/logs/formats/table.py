@@ -33,6 +33,8 @@ _TIME_NAME = re.compile(
 )
 _WHOLE_SECONDS: Final = re.compile(r"^(|.*[^a-z])secs?$", re.IGNORECASE)
 _SPLIT: Final = "export fewer columns, or the drive in parts"
+_NO_TIME = 1e20
+"""Numbers that are no time in any unit: nanoseconds since 1970 are below 1e19."""
 _EVENLY = 0.2
 """Spread of a clock's steps over their median (5 to 95 %), at most, where its name does not say what it is."""
 
@@ -179,7 +181,7 @@ class TableLog(Log):
             return -1.0
 
     def _stamps(self, name: str) -> Float[np.ndarray, " n"]:
-        """A column of stamps [s]."""
+        """A column of stamps [s]; NaN where a number is too large to be a time."""
         column = self._table[name]
         if pa.types.is_string(column.type):
             if name not in self._dates:
@@ -195,7 +197,8 @@ class TableLog(Log):
         if nanoseconds := self._beside(name):
             return self._numbers(name) + self._numbers(nanoseconds) / 1e9
         per_second = 1.0 if _has_time_unit(column.type) else PER_SECOND[self._unit_of_stamps(name)]
-        numbers = self._numbers(name) / per_second
+        numbers = self._numbers(name)
+        numbers = np.where(np.abs(numbers) < _NO_TIME, numbers, np.nan) / per_second
         return seconds_of_the_day(numbers) if shows_clock_face(numbers) else numbers
 
     def _numbers(self, name: str) -> Float[np.ndarray, " n"]:
