@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from simulated import MemoryLog, drive_log, rig
+from scipy.signal import lfilter
+from simulated import START, MemoryLog, drive_log, rig
 
 from offpiste.inspection.driven_path import driven_path
 from offpiste.inspection.dropouts import check_dropouts
@@ -56,6 +57,24 @@ def test_a_wheel_is_turned_as_far_as_it_goes_once_but_not_twice(times: int) -> N
         return values
 
     assert len(_found(CLEAN.change("steering", "command", turned))) == times - 1
+
+
+def test_a_wheel_that_the_vehicle_follows_was_turned() -> None:
+    """A driver who steers against a rollover again and again, as the yaw rate shows; a lost value moves nothing."""
+    time = np.arange(3000) / 50
+    driven = 0.3 * np.sin(time / 2)
+    turned = driven.copy()
+    for first in (700, 1300, 2100):
+        turned[first : first + 35] = -0.5
+    for moved, found in ((turned, []), (driven, ["steer", "steer_angle"])):
+        angle = lfilter([0.2], [1, -0.8], moved)
+        yaw = np.cumsum(4 * np.tan(angle) / 2) / 50
+        columns = {"x": np.cumsum(4 * np.cos(yaw)) / 50, "y": np.cumsum(4 * np.sin(yaw)) / 50, "z": 0 * yaw}
+        columns |= {"qx": 0 * yaw, "qy": 0 * yaw, "qz": np.sin(yaw / 2), "qw": np.cos(yaw / 2)}
+        columns |= {"vx": 0 * yaw + 4, "vy": 0 * yaw, "vz": 0 * yaw, "wx": 0 * yaw, "wy": 0 * yaw, "wz": 0 * yaw}
+        steering = {"command": 2 * turned, "angle": turned}
+        log = MemoryLog({**CLEAN.data, "odom": (START + time, columns), "steering": (START + time, steering)})
+        assert [finding.where for finding in _found(log)] == found
 
 
 def test_a_wheel_that_is_turned_at_once_again_and_again_is_driven_so() -> None:

@@ -1,13 +1,15 @@
 """Check of channels that fall to one value for a while and come back, as a connection that is lost does."""
 
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from offpiste.core.channels import control_of
-from offpiste.inspection.driven_path import MOVING, DrivenPath
+from offpiste.inspection.driven_path import MOVING, DrivenPath, on_path
 from offpiste.inspection.findings import Finding
+from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
 
 _CHECKED: Final = ("steer", "steer_angle", "linear_velocity", "angular_velocity", "yaw_rate", "wheel_speed")
@@ -22,6 +24,12 @@ _LARGEST: Final = 1.5
 """... and this many times as large as the largest of all others: a driver may turn the wheel at once, too ..."""
 _SHARE: Final = 0.05
 """... and at least this share of what the channel spans."""
+_RESPONSES: Final = {"steer": 0.1, "steer_angle": 0.0}
+"""Usual times after which a vehicle turns as its steering does [s]."""
+_AFTER: Final = 0.3
+"""Time after a fall in which the vehicle still turns by it [s]."""
+_EXPLAINED: Final = 0.5
+"""Share of the squared error of the yaw rate, without the fall, that is left with it where the vehicle follows."""
 
 
 def check_dropouts(drive: Drive, path: DrivenPath) -> list[Finding]:
@@ -37,6 +45,8 @@ def check_dropouts(drive: Drive, path: DrivenPath) -> list[Finding]:
         runs = _falls(channel.values)
         if len(runs) == 1 and _at_its_end(name, channel.values[runs[0, 0]]):
             continue  # a wheel that was turned as far as it goes, in an emergency
+        if name in _RESPONSES and not drive.rig.channels[name].turns:
+            runs = runs[~_followed(channel, runs, path, _RESPONSES[name])]
         begin, end = channel.time[runs[:, 0]], channel.time[runs[:, 1]]
         moving = np.interp(begin, path.time, np.nan_to_num(path.speed)) > MOVING
         for after, until in drive.faults.unknown():
@@ -53,6 +63,30 @@ def check_dropouts(drive: Drive, path: DrivenPath) -> list[Finding]:
         share = min(float(lasts.sum()) / max(path.driving, 1.0), 1.0)
         findings.append(Finding("warning", name, "falls to one value and comes back", evidence, how, share))
     return findings
+
+
+def _followed(
+    channel: Channel, runs: Int[np.ndarray, "r 2"], path: DrivenPath, response: float
+) -> Bool[np.ndarray, " r"]:
+    """Return for each fall of a steering whether the vehicle turned by it, so that the wheel really was turned."""
+    fallen = np.zeros(len(channel.time), bool)
+    for first, last in runs:
+        fallen[first : last + 1] = True
+    bridged = np.interp(channel.time, channel.time[~fallen], channel.values[~fallen, 0])[:, None]
+    late = channel.time + response
+    both = (replace(channel, time=late, values=values) for values in (channel.values, bridged))
+    turns = [path.forward * on_path(path, steering)[:, 0] for steering in both]
+    known = np.isfinite(np.stack((path.yaw_rate, *turns))).all(axis=0)
+    result = []
+    for first, last in runs:
+        during = known & (path.time >= late[first]) & (path.time <= late[last] + _AFTER)
+        others = known & ~during
+        errors = []
+        for turn in turns:
+            gain = (turn[others] @ path.yaw_rate[others]) / max(float(turn[others] @ turn[others]), 1e-12)
+            errors.append(float(np.sum((path.yaw_rate[during] - gain * turn[during]) ** 2)))
+        result.append(errors[0] < _EXPLAINED * errors[1])
+    return np.array(result, bool)
 
 
 def _at_its_end(name: str, value: Float[np.ndarray, " k"]) -> bool:

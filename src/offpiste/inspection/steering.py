@@ -42,8 +42,8 @@ _LEAST_TURNING: Final = 10.0
 """Time in motion that shows how a vehicle turns [s]."""
 _UNSIGNED: Final = 0.85
 """Correlation with the size of the yaw rate from which a steering without a clear effect has lost its sign."""
-_CENTRED: Final = {"steer": 0.05, "steer_angle": 0.0}
-"""Steering at which a healthy vehicle may go straight: trims, and roads that slope to one side."""
+_CENTRED: Final = {"steer": 0.05, "steer_angle": 0.01}
+"""Steering at which a healthy vehicle may go straight: trims, and roads that slope to one side; of an angle [rad]."""
 
 _LEANS: Final = 0.4
 """Correlation with which a body leans into its curves where nothing but that speaks against a pose."""
