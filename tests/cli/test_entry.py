@@ -31,7 +31,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("cli")
     world = WorldSettings("uniform", size=150.0, resolution=0.5)
     driven = simulate(DriveSettings(world, 120.0, seed=1, sensors="none"), folder / "drive.mcap")
-    assert driven[0].seconds == 120.0
+    assert driven.seconds == 120.0
     dataset = str(folder / "dataset.zarr")
     assert run("extract", str(folder / "drive.mcap"), *RIG, "--out", dataset) == 0
     assert run("train", dataset, "--out", str(folder / "b"), *QUICK) == 0

@@ -128,7 +128,7 @@ def after_evaluation(runs: Sequence[Path], path: Path) -> str:
     from offpiste.training.run import load_run, model_trained_on
     from offpiste.uncertainty.prediction import FILE
 
-    if folds := next((folds for run in runs if (folds := fold_folders(run_folder(run)))), None):
+    if folds := [fold for run in runs for fold in fold_folders(run_folder(run))]:
         return _training(path, load_run(folds[0]).model)
     without = [folder for run in runs if not ((folder := run_folder(run)) / FILE).exists()]
     if without and all(model_trained_on(folder, path) for folder in without):

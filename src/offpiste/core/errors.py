@@ -64,8 +64,8 @@ class SeveralLogs(LogError):
         self.logs, self.others = logs, others
 
     def __reduce__(self) -> tuple[Callable[[str], OffpisteError], tuple[str]]:
-        make, what = super().__reduce__()
-        return partial(make, logs=self.logs, others=self.others), what
+        make = partial(SeveralLogs, where=self.where, how=self.how, logs=self.logs, others=self.others)
+        return make, (self.what,)
 
 
 class TooLarge(LogError):

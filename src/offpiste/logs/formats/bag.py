@@ -362,7 +362,8 @@ def _others(readers: Sequence[Reader], path: Path) -> list[str]:
         return []
     own = {file.name for file in storage_files(path)}
     if Path(str(readers[0].path)) == path:  # by its metadata
-        own = {Path(str(part.path)).name for part in readers[0].storage.storages}
+        storages = getattr(getattr(readers[0], "storage", None), "storages", ())
+        own = {Path(str(part.path)).name for part in storages}
     return [name for name in contents_of(path)[0] if name not in own]
 
 
