@@ -15,7 +15,7 @@ from offpiste.cli.view import View
 from offpiste.core.shipped import run_folder
 from offpiste.dataset.store import Dataset
 from offpiste.training.checkpoint import load_json, save_json
-from offpiste.uncertainty.prediction import FILE
+from offpiste.uncertainty.fit import FILE
 
 B = Path("pretrained:proving-ground/b")
 

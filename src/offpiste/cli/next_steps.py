@@ -1,20 +1,16 @@
-"""The command that comes after each command, as lines to paste."""
+"""The command that comes after each command, as lines to paste; `options` are the dataclass of a command."""
 
 import re
 from collections.abc import Sequence
 from itertools import chain, count
 from pathlib import Path
 from shlex import join
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from offpiste.core.command_line import options as options_of
 from offpiste.core.object_store import url_of
 
 if TYPE_CHECKING:
-    from offpiste.cli.extract import Extract
-    from offpiste.cli.inspect import Inspect
-    from offpiste.cli.reproduce import Reproduce
-    from offpiste.cli.view import View
     from offpiste.dataset.store import Dataset
     from offpiste.inspection.inspect import Inspection
 
@@ -30,7 +26,7 @@ def next_line(*words: object, first: Sequence[str] = ()) -> str:
     return "\n".join([*(f"first: {what}" for what in first), f"next: {command}"])
 
 
-def after_inspection(options: "Inspect", log: str, inspection: "Inspection") -> str:
+def after_inspection(options: Any, log: str, inspection: "Inspection") -> str:
     """Return the command that gives a better rig for a log, or that extracts it."""
     from offpiste.inspection.draft_values import DRAFTED
     from offpiste.inspection.inspect import UNDRAFTED
@@ -78,7 +74,7 @@ def after_survey(logs: Sequence[str], rig: str | None, *, usable: bool) -> str:
     return next_line("inspect", logs[0], *(("--rig", rig) if rig else ()), "--write-rig", _another("my.toml"))
 
 
-def after_extraction(options: "Extract", dataset: "Dataset") -> str:
+def after_extraction(options: Any, dataset: "Dataset") -> str:
     """Return the command that trains on a dataset, or the extraction that gives one that can be trained on."""
     from offpiste.core.parallel import parse_shard
     from offpiste.dataset.split_balance import is_for_tests, next_split
@@ -93,7 +89,7 @@ def after_extraction(options: "Extract", dataset: "Dataset") -> str:
     return after_dataset(dataset, options.out)
 
 
-def _after_shard(options: "Extract", number: int, shards: int) -> str:
+def _after_shard(options: Any, number: int, shards: int) -> str:
     """Return the extraction of the next shard, or after the last one the command that merges all."""
     parts = [_part(options.out, number, other) for other in range(1, shards + 1)]
     if number == shards:
@@ -126,7 +122,7 @@ def after_evaluation(runs: Sequence[Path], path: Path) -> str:
     from offpiste.core.shipped import run_folder
     from offpiste.training.checkpoint import fold_folders
     from offpiste.training.run import load_run, model_trained_on
-    from offpiste.uncertainty.prediction import FILE
+    from offpiste.uncertainty.fit import FILE
 
     if folds := [fold for run in runs for fold in fold_folders(run_folder(run))]:
         return _training(path, load_run(folds[0]).model)
@@ -151,7 +147,7 @@ def after_runs(runs: Sequence[Path], dataset: Path) -> str:
     return _training(dataset, "b")
 
 
-def after_view(options: "View") -> str:
+def after_view(options: Any) -> str:
     """Return the command that extracts a viewed log, trains on a viewed dataset, or uses the run viewed on it."""
     from offpiste.dataset.store import open_dataset
 
@@ -162,7 +158,7 @@ def after_view(options: "View") -> str:
     return after_dataset(open_dataset(options.path), options.path)
 
 
-def after_reproduction(options: "Reproduce") -> str:
+def after_reproduction(options: Any) -> str:
     """Return the reproduction of the other figure, which shares drives and runs, or of the next size."""
     from offpiste.reproduction.settings import SIZES
 

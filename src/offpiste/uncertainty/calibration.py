@@ -14,12 +14,13 @@ from matplotlib.figure import Figure
 from scipy import special, stats
 
 from offpiste.core.errors import RunError
-from offpiste.core.files import check_folder, write_text
+from offpiste.core.files import check_folder, unfinished, write_text
 from offpiste.core.shipped import names_apart, run_folder
 from offpiste.dataset.store import Dataset, open_dataset
 from offpiste.dataset.windows import Windows
 from offpiste.evaluation.evaluated_windows import EvaluatedWindows, members
 from offpiste.evaluation.intervals import Resampling, Sampling
+from offpiste.evaluation.report import REPORT_FILES, UNFINISHED
 from offpiste.report.figure import plain, write_png
 from offpiste.report.text_table import TextTable, interval, number
 from offpiste.training.checkpoint import load_json, save_beside_weights
@@ -248,10 +249,11 @@ class SpreadReport:
     def write(self, out: Path) -> Path:
         """Write table, numbers and figure, log the table, and return the path of `calibration.md`."""
         table = calibration_table(self.rows)
-        write_png(out / "calibration.png", draw_calibration(self.within), dpi=110)
         content = {"schema": 1, "part": PART, "rows": self.rows}
-        write_text(out / "calibration.json", msgspec.json.encode(content).decode())
-        write_text(out / "calibration.md", table.markdown() + "\n![calibration](calibration.png)\n")
+        with unfinished(out, UNFINISHED):
+            write_png(out / "calibration.png", draw_calibration(self.within), dpi=110)
+            write_text(out / "calibration.json", msgspec.json.encode(content).decode())
+            write_text(out / "calibration.md", table.markdown() + "\n![calibration](calibration.png)\n")
         logger.info(table.text(width=150))
         logger.info(f"written: {out / 'calibration.md'}")
         return out / "calibration.md"
@@ -270,7 +272,7 @@ def calibrate(folders: Sequence[Path], path: Path, out: Path, settings: SpreadSe
             other weights.
         DatasetError: a part has no window.
     """
-    check_folder(out, own=("calibration.md", "report.html"))
+    check_folder(out, own=REPORT_FILES)
     dataset, report = open_dataset(path), SpreadReport()
     runs = [_fitting_run(folder, dataset) for folder in folders]
     starting = [dataset.starting_above(_min_speed(run)) for run in runs]
