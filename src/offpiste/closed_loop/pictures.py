@@ -12,7 +12,7 @@ from matplotlib.patheffects import Normal, Stroke
 
 from offpiste.closed_loop.scores import Trace
 from offpiste.planning.course import Course
-from offpiste.report.figure import coloured_path
+from offpiste.report.figure import PATH_COLOURS, coloured_path
 from offpiste.runtime.prediction import Prediction
 from offpiste.simulation.top_view import draw_top_view
 from offpiste.simulation.world.world import World
@@ -69,6 +69,6 @@ def course_picture(
 def _legend(axes: Axes) -> tuple[list[Any], list[str]]:
     """Handles and labels; the driven path shows several colours."""
     handles, names = axes.get_legend_handles_labels()
-    colours = colormaps["plasma"](np.linspace(0.1, 0.9, 5))
+    colours = colormaps[PATH_COLOURS](np.linspace(0.1, 0.9, 5))
     driven = tuple(Line2D([], [], color=colour, linewidth=2.4, solid_capstyle="butt") for colour in colours)
     return [*handles, driven], [*names, "driven"]

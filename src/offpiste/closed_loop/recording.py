@@ -9,11 +9,12 @@ from matplotlib import colormaps
 
 from offpiste.closed_loop.drive_course import Driven
 from offpiste.closed_loop.lockstep import time_of
-from offpiste.closed_loop.pictures import SLIP_COLOURS, SLIP_LIMIT
+from offpiste.closed_loop.pictures import SLIP_LIMIT
 from offpiste.core.conventions import DT
 from offpiste.core.errors import extra
 from offpiste.core.files import write_whole
 from offpiste.core.geometry import rotation_from_quaternion
+from offpiste.report.figure import PATH_COLOURS
 from offpiste.runtime.modes import Mode
 from offpiste.simulation.top_view import shaded_colours
 from offpiste.simulation.world.grids import read_grid
@@ -91,7 +92,7 @@ def _add_paths(stream: Any, rr: Any, driven: Driven) -> None:
     stream.log("world/course", rr.LineStrips3D(ways, radii=0.06, colors=[255, 255, 255]), static=True)
     trace = driven.trace
     places, slip = _lifted(driven, trace.place[::EVERY]), trace.slip[::EVERY][:-1]
-    shade = (255 * colormaps[SLIP_COLOURS](slip / SLIP_LIMIT)[:, :3]).astype(np.uint8)
+    shade = (255 * colormaps[PATH_COLOURS](slip / SLIP_LIMIT)[:, :3]).astype(np.uint8)
     pieces = np.stack((places[:-1], places[1:]), axis=1)
     stream.log("world/driven", rr.LineStrips3D(pieces, radii=0.08, colors=shade), static=True)
 
