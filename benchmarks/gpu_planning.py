@@ -18,6 +18,7 @@ from offpiste.dynamics.feature_encoder import FeatureEncoder
 from offpiste.mapping.replay import ExtractFeatures
 from offpiste.mapping.terrain_sampler import stack_maps
 from offpiste.planning.caution import Caution
+from offpiste.planning.controls import PEDAL_AND_WHEEL
 from offpiste.planning.cost_map import cost_map
 from offpiste.planning.costs.layers import Hazards
 from offpiste.planning.costs.weights import CostWeights
@@ -29,7 +30,6 @@ from offpiste.planning.header.cost_text import plan_text
 from offpiste.planning.header.costs import costs_by_kernels
 from offpiste.planning.kernel import encode_map
 from offpiste.planning.mppi import PEDALS_AND_WHEEL, Settings, limited, sample
-from offpiste.planning.pedal import PEDAL_AND_WHEEL
 from offpiste.planning.plan_graph import captured
 from offpiste.runtime.perception import codes_of, encoder_on
 from offpiste.runtime.planner import load_planner

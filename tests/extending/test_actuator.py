@@ -50,7 +50,7 @@ from offpiste.logs.ros.writer import make
 from offpiste.rig.outputs import Timeouts
 from offpiste.rig.rig import parse_rig
 from offpiste.runtime.estimator import VehicleTrack
-from offpiste.runtime.intake import Intake
+from offpiste.runtime.estimator import Intake
 from offpiste.runtime.runtime import Runtime
 from offpiste.runtime.warm_up import warm_up
 from offpiste.transport.tally import Tally

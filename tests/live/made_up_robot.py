@@ -7,7 +7,7 @@ import numpy as np
 from offpiste.logs.ros.sensor_messages import message_from_points
 from offpiste.logs.ros.writer import McapWriter, header, make, quaternion, vector
 from offpiste.planning import mppi
-from offpiste.planning.pedal import PEDAL_AND_WHEEL
+from offpiste.planning.controls import PEDAL_AND_WHEEL
 from offpiste.rig.rig import parse_rig
 from offpiste.runtime.backing_out import BackingOutSettings
 from offpiste.runtime.planner import Planner

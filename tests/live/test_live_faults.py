@@ -32,9 +32,9 @@ from offpiste.logs.ros.writer import make
 from offpiste.planning.caution import AddSpread
 from offpiste.rig.rig import load_rig
 from offpiste.runtime.estimator import VehicleReading
+from offpiste.runtime.follower import TimedPlan
 from offpiste.runtime.planner import load_planner
 from offpiste.runtime.prediction import Prediction
-from offpiste.runtime.schedule import TimedPlan
 from offpiste.runtime.settings import RuntimeSettings
 from offpiste.transport.zenoh_transport import ZenohSettings
 from offpiste.uncertainty.fit import FILE as SPREAD

@@ -27,8 +27,8 @@ from offpiste.planning.course import Course
 from offpiste.rig.camera import CameraModel
 from offpiste.rig.rig import parse_rig
 from offpiste.runtime.estimator import VehicleReading
+from offpiste.runtime.follower import TimedPlan
 from offpiste.runtime.prediction import Prediction
-from offpiste.runtime.schedule import TimedPlan
 
 
 def same(a, b):

@@ -22,9 +22,9 @@ from offpiste.planning.course import Course
 from offpiste.rig.rig import load_rig
 from offpiste.runtime.course_tracker import CourseTracker
 from offpiste.runtime.estimator import VehicleReading
+from offpiste.runtime.follower import TimedPlan
 from offpiste.runtime.plan_maker import Planned
 from offpiste.runtime.prediction import Prediction
-from offpiste.runtime.schedule import TimedPlan
 from offpiste.transport.zenoh_transport import ZenohSettings
 from transport.routers import Network
 

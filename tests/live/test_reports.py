@@ -14,8 +14,8 @@ from offpiste.live.reception import CourseRequest
 from offpiste.live.reports import MAP, PLAN, path_message
 from offpiste.live.session import LiveSettings, new_session
 from offpiste.live.supervisor import Supervisor
+from offpiste.runtime.follower import TimedPlan
 from offpiste.runtime.prediction import Prediction
-from offpiste.runtime.schedule import TimedPlan
 from transport.routers import Network
 
 AHEAD = np.zeros((20, 6))

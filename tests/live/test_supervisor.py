@@ -23,8 +23,8 @@ from offpiste.live.supervisor import Supervisor
 from offpiste.logs.ros.writer import header, make
 from offpiste.planning.course import Course
 from offpiste.runtime.estimator import VehicleReading
+from offpiste.runtime.follower import TimedPlan
 from offpiste.runtime.prediction import Prediction
-from offpiste.runtime.schedule import TimedPlan
 from offpiste.transport.zenoh_transport import ZenohSettings
 from transport.routers import Network, until
 

@@ -25,9 +25,9 @@ from offpiste.live.viewers.viewer import VIEWERS, listening_at
 from offpiste.logs.measurements import Image
 from offpiste.planning.course import Course
 from offpiste.runtime.estimator import VehicleReading
+from offpiste.runtime.follower import TimedPlan
 from offpiste.runtime.planner import load_planner
 from offpiste.runtime.prediction import Prediction
-from offpiste.runtime.schedule import TimedPlan
 from offpiste.training.checkpoint import load_json, save_tensors
 from offpiste.uncertainty.fit import FILE
 from offpiste.uncertainty.spread import Spread, inputs_of

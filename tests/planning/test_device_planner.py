@@ -10,6 +10,7 @@ import torch
 
 from host_kernels import HostKernels, needs_gcc
 from offpiste.core.errors import PlanningError
+from offpiste.planning.controls import PEDAL_AND_WHEEL, with_pedal
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.device_planner import DevicePlanner, power_of_two
 from offpiste.planning.gpu import check_planner, gpu_planner
@@ -17,7 +18,6 @@ from offpiste.planning.header.cost_text import plan_text
 from offpiste.planning.kernel import encode_map, fused_costs
 from offpiste.planning.mppi import PEDALS_AND_WHEEL, Settings, improve
 from offpiste.planning.noise import coloured, gaussian
-from offpiste.planning.pedal import PEDAL_AND_WHEEL, with_pedal
 from planning.test_kernel import STEPS, ground, model, start
 from planning.test_kernel_stray import caution
 from planning_maps import layers, situation

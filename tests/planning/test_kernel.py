@@ -16,13 +16,13 @@ from offpiste.core.state import ModelState
 from offpiste.dynamics import Hybrid, Parametric, rollout
 from offpiste.dynamics.feature_encoder import Compressor, Identity
 from offpiste.mapping.terrain_sampler import MapTerrain, as_codes
+from offpiste.planning.controls import complete
 from offpiste.planning.costs.layers import Hazards
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.driving_cost import driving_terms
 from offpiste.planning.kernel import coded_map, encode_map, fused_costs, fused_rollout, kernel_model_state
 from offpiste.planning.mppi import PEDALS_AND_WHEEL, Settings, improve
 from offpiste.planning.noise import coloured
-from offpiste.planning.pedal import complete
 from offpiste.planning.rollouts import driving_costs, situation_terrain, spread_model_state
 from planning_maps import layers, situation
 

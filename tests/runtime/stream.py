@@ -16,8 +16,8 @@ from offpiste.mapping.replay import MapperSettings
 from offpiste.mapping.voxel_map import VoxelSettings
 from offpiste.perception.camera import make_pinhole_camera
 from offpiste.planning import mppi
+from offpiste.planning.controls import PEDAL_AND_WHEEL
 from offpiste.planning.course import Course
-from offpiste.planning.pedal import PEDAL_AND_WHEEL
 from offpiste.rig.camera import CameraModel
 from offpiste.rig.sensors import CameraSource, LidarSource
 from offpiste.runtime.estimator import VehicleReading

@@ -4,7 +4,7 @@ import numpy as np
 import torch
 
 from offpiste.core.conventions import DT
-from offpiste.runtime.schedule import Schedule, TimedPlan
+from offpiste.runtime.follower import Schedule, TimedPlan
 
 REST = np.array((9.0, 9.0, 9.0))
 

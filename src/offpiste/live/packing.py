@@ -15,8 +15,8 @@ from offpiste.planning.course import Course
 from offpiste.rig.camera import CameraModel
 from offpiste.rig.rig import Rig
 from offpiste.runtime.estimator import VehicleReading
+from offpiste.runtime.follower import TimedPlan
 from offpiste.runtime.prediction import Prediction
-from offpiste.runtime.schedule import TimedPlan
 
 _ARRAY: Final = "__array__"
 Values = Mapping[str, Any]

@@ -16,8 +16,7 @@ import numpy as np
 from offpiste.live.packing import packed, reading_from, unpacked
 from offpiste.live.ring import Ring
 from offpiste.live.session import Session
-from offpiste.runtime.estimator import Given, VehicleTrack
-from offpiste.runtime.intake import Intake
+from offpiste.runtime.estimator import Given, Intake, VehicleTrack
 from offpiste.transport.tally import Tally
 
 BEAT: Final = 0.2

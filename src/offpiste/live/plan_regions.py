@@ -9,9 +9,9 @@ from jaxtyping import Float
 from offpiste.core.state import Terrain
 from offpiste.dynamics.base import Dynamics
 from offpiste.mapping.terrain_map import TerrainLayers
-from offpiste.planning.pedal import complete
+from offpiste.planning.controls import complete
+from offpiste.runtime.follower import TimedPlan
 from offpiste.runtime.prediction import Prediction, coded_area
-from offpiste.runtime.schedule import TimedPlan
 from offpiste.uncertainty.spread import EVERY, INTERVAL, Moments, Spread, radius, spread_inputs
 
 WITHIN: Final = 0.8

@@ -8,9 +8,8 @@ from collections import deque
 
 import numpy as np
 
-from offpiste.runtime.follower import MapState
+from offpiste.runtime.follower import MapState, TimedPlan
 from offpiste.runtime.modes import Ages
-from offpiste.runtime.schedule import TimedPlan
 
 
 class SteadyAges:

@@ -19,14 +19,13 @@ from offpiste.core.state import ModelState
 from offpiste.cuda_kernels import Kernels
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.header.networks import packed_parameters
-from offpiste.planning.constraints import bounds
+from offpiste.planning.controls import bounds, controls_of
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.driving_cost import Situation
 from offpiste.planning.header.costs import Maps, packed_maps, packed_situation
 from offpiste.planning.kernel import Codes
 from offpiste.planning.mppi import Plan, Settings, limited, no_finite_cost, rest_of, sample_groups, smoothed
 from offpiste.planning.noise import Noise, coefficient_sizes, coloured, from_coefficients, function_and_options
-from offpiste.planning.pedal import controls_of
 from offpiste.planning.plan_graph import Buffers, Capture, is_same, outcome
 
 _Versions = tuple[tuple[Tensor | None, int | None], ...]

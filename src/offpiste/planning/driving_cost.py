@@ -27,7 +27,7 @@ class Situation:
         offset: origin of the trajectories' frame in the world frame [m] (float64).
         state: state at the start.
         control: control of the step before the start.
-        gear: held during the plan, for models that know one (`planning.pedal`).
+        gear: held during the plan, for models that know one (`planning.controls`).
         caution: how far errors of position reach for the cost; None for nowhere.
     """
 

@@ -30,13 +30,13 @@ from offpiste.dynamics.kernels.model_arrays import (
     recorded_channels,
 )
 from offpiste.mapping.terrain_sampler import MapStack
+from offpiste.planning.controls import complete
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.driving_cost import Situation
 from offpiste.planning.kernel_costs import kernel_costs
 from offpiste.planning.kernel_stray import stray_weights
 from offpiste.planning.kernel_terrain import CostCells, Grid, GroundCells
 from offpiste.planning.mppi import CostOf
-from offpiste.planning.pedal import complete
 
 Codes = tuple[Float[Tensor, "ny nx E"], Float[Tensor, " E"]]
 """Codes of the cells of a map, and of a cell without features."""

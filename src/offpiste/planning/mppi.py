@@ -18,7 +18,7 @@ from torch import Generator, Tensor
 from offpiste.compilation import single_threaded_torch
 from offpiste.core.conventions import DT
 from offpiste.core.errors import NoPlan
-from offpiste.planning.constraints import PEDALS_AND_WHEEL, Limits, keep_within
+from offpiste.planning.controls import PEDALS_AND_WHEEL, Limits, keep_within
 from offpiste.planning.noise import Noise, coloured, covariance
 
 __all__ = ["PEDALS_AND_WHEEL", "CostOf", "Limits", "Plan", "Settings", "improve", "limited", "sample", "shift"]
@@ -196,7 +196,7 @@ def _fresh_and_wide(settings: Settings) -> tuple[slice, slice]:
 def limited(
     controls: Float[Tensor, "K T U"], settings: Settings, previous: Float[Tensor, " U"] | None = None
 ) -> Float[Tensor, "K T U"]:
-    """Controls moved into the limits of the settings (`constraints.keep_within`).
+    """Controls moved into the limits of the settings (`controls.keep_within`).
 
     Args:
         previous: the control before the first step; None leaves that one free.

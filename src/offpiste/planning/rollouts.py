@@ -11,10 +11,10 @@ from offpiste.core.state import ModelState, TerrainSource, Trajectory
 from offpiste.dynamics.base import Dynamics, rollout
 from offpiste.mapping.terrain_sampler import Encode, MapTerrain
 from offpiste.planning.caution import strays
+from offpiste.planning.controls import complete
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.driving_cost import Situation, driving_cost
 from offpiste.planning.mppi import CostOf
-from offpiste.planning.pedal import complete
 
 
 def model_costs(

@@ -1,9 +1,9 @@
 """State of the vehicle over the last seconds, from its readings: rows at 50 Hz for planning, poses for mapping."""
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -16,6 +16,7 @@ from offpiste.dataset.resample import OWN_COLUMNS
 from offpiste.logs.channel import Channel
 from offpiste.logs.motion import extrapolated, planar_state
 from offpiste.logs.poses import Poses
+from offpiste.rig.outputs import Timeouts
 
 JUMP = 1.0
 """Distance of a pose from the one that speed and time predict, above which it counts as a jump [m]."""
@@ -190,3 +191,46 @@ class VehicleTrack:
 def _past_columns() -> list[str]:
     """Columns of extensions that a model's history holds."""
     return [name for name, column in COLUMNS.items() if name not in OWN_COLUMNS and "past" in column.segments]
+
+
+class Intake:
+    """Checks readings and stamps before they enter a track, and counts what it drops.
+
+    Args:
+        actuators: actuators that the model reads.
+        dropped: counter of dropped messages by reason, updated in place.
+
+    Attributes:
+        now: the clock [s]; infinite before it is known.
+    """
+
+    def __init__(
+        self, track: VehicleTrack, actuators: Collection[str], timeouts: Timeouts, dropped: Counter[str]
+    ) -> None:
+        self._track, self._timeouts, self.dropped = track, timeouts, dropped
+        self._needed = tuple(actuators)
+        self.now = np.inf
+
+    def vehicle(self, reading: VehicleReading) -> Literal["dropped", "taken", "jumped"]:
+        """Add a reading; "jumped" if the pose jumped, which invalidates the map."""
+        latest = self._track.latest
+        if self.ahead("readings of the vehicle", reading.time):
+            return "dropped"
+        if not reading.finite:
+            self.dropped["readings of the vehicle that are not finite"] += 1
+            return "dropped"
+        known = np.isfinite(reading.measured(self._needed))
+        if lacks := [name for name, is_known in zip(self._needed, known, strict=True) if not is_known]:
+            self.dropped[f"readings of the vehicle without {', '.join(lacks)}, which the model reads"] += 1
+            return "dropped"
+        if latest is not None and reading.time <= latest.time:
+            self.dropped["readings of the vehicle whose stamps repeat or go back"] += 1
+            return "dropped"
+        return "jumped" if self._track.add(reading) else "taken"
+
+    def ahead(self, what: str, time: float) -> bool:
+        """Return whether a stamp is ahead of the clock, and count it: later messages would count as old after it."""
+        ahead = time > self.now + self._timeouts.ahead
+        if ahead:
+            self.dropped[f"{what}: stamps ahead of the clock"] += 1
+        return ahead

@@ -1,23 +1,109 @@
-"""Which control is due: that of the plan that acts, or of a controlled stop; and what is committed until the next plan.
+"""Schedule of plans, and the control that is due: from the acting plan or from a controlled stop.
 
-This is the part of the run time that runs at 50 Hz whatever becomes of the others: it needs no map and no model.
+This part of the run time runs at 50 Hz independently of the others and needs neither a map nor a model.
 """
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from jaxtyping import Float
+from torch import Tensor
 
 from offpiste.core.conventions import DT
+from offpiste.planning.mppi import shift
 from offpiste.runtime.course_tracker import CourseTracker
 from offpiste.runtime.estimator import Given, TrackRows, VehicleTrack
 from offpiste.runtime.modes import NO_AGES, Ages, Controls, Event, ModeDecision, decide_mode
-from offpiste.runtime.schedule import Schedule
 from offpiste.runtime.settings import RuntimeSettings
 
 Applied = Callable[[Controls], Float[np.ndarray, " 3"]]
 """From a command to the control that the vehicle is given, which limits may make another one."""
+
+
+@dataclass(frozen=True)
+class TimedPlan:
+    """A plan and the time at which it acts.
+
+    Attributes:
+        start: when its first control is commanded [s].
+        made: when it was made [s].
+        controls: one for each step of `conventions.DT`.
+        gear: gear of the plan: 1 forward, -1 reverse.
+    """
+
+    start: float
+    made: float
+    controls: Float[Tensor, "T 3"]
+    gear: float = 1.0
+
+
+class Schedule:
+    """Plans in the order of their starts; each replaces the one before it from its start."""
+
+    def __init__(self) -> None:
+        self._plans: deque[TimedPlan] = deque()
+
+    @property
+    def latest(self) -> TimedPlan | None:
+        """Most recent plan; None before the first."""
+        return self._plans[-1] if self._plans else None
+
+    def add(self, plan: TimedPlan) -> None:
+        """Add a plan; it must not start before the plans in the schedule."""
+        self._plans.append(plan)
+
+    def clear(self) -> None:
+        """Forget all plans."""
+        self._plans.clear()
+
+    def acting(self, time: float) -> TimedPlan | None:
+        """Plan that acts at `time` [s], dropping the plans before it; None before the first."""
+        while len(self._plans) > 1 and self._plans[1].start <= time + 1e-6:
+            self._plans.popleft()
+        return self._plans[0] if self._plans and self._plans[0].start <= time + 1e-6 else None
+
+    def at(self, time: float) -> TimedPlan | None:
+        """Plan that acts at a present or future `time` [s]; None before the first."""
+        return next((p for p in reversed(self._plans) if p.start <= time + 1e-6), None)
+
+    def control(self, time: float) -> Float[np.ndarray, " 3"] | None:
+        """Control at `time` [s]; the last control of a plan is held. None before the first plan."""
+        plan = self.at(time)
+        return None if plan is None else plan.controls[_step(plan, time)].numpy().astype(np.float64)
+
+    def committed(self, now: float, steps: int, otherwise: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "steps 3"]:
+        """Controls of the next steps from the plans made so far.
+
+        Args:
+            otherwise: control used until the first plan acts.
+        """
+        due = (self.control(now + DT * step) for step in range(steps))
+        return np.array([otherwise if control is None else control for control in due]).reshape(steps, 3)
+
+    def continued(
+        self, start: float, steps: int, rest: Float[np.ndarray, " 3"], gear: float = 1.0
+    ) -> Float[Tensor, "steps 3"]:
+        """Latest plan from `start` on [s], its last control held: the initial guess of the next plan.
+
+        Args:
+            rest: control of all steps if there is no plan in this gear.
+            gear: of the next plan.
+        """
+        if self.latest is None or self.latest.gear != gear:
+            return torch.as_tensor(rest, dtype=torch.float32).repeat(steps, 1)
+        return continued(self.latest, start)
+
+
+def continued(plan: TimedPlan, start: float) -> Float[Tensor, "T 3"]:
+    """Plan from `start` on [s], its last control held."""
+    return shift(plan.controls, max(round((start - plan.start) / DT), 0))
+
+
+def _step(plan: TimedPlan, time: float) -> int:
+    return min(max(int((time - plan.start) / DT + 1e-4), 0), len(plan.controls) - 1)
 
 
 @dataclass(frozen=True)

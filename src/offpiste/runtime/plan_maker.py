@@ -16,15 +16,15 @@ from offpiste.dynamics.base import Dynamics
 from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.planning import mppi
 from offpiste.planning.caution import caution_of
+from offpiste.planning.controls import controls_of, pedals_of, with_pedal
 from offpiste.planning.cost_map import CostMap, cost_map
 from offpiste.planning.course import Course, Way, ways_from
 from offpiste.planning.device_planner import DevicePlanner
 from offpiste.planning.driving_cost import Situation
 from offpiste.planning.gpu import check_planner, gpu_planner, require_device
-from offpiste.planning.pedal import controls_of, pedals_of, with_pedal
 from offpiste.runtime.backing_out import BackingOut
 from offpiste.runtime.estimator import TrackRows
-from offpiste.runtime.follower import Follower
+from offpiste.runtime.follower import Follower, TimedPlan, continued
 from offpiste.runtime.perception import Stopwatch
 from offpiste.runtime.prediction import (
     Area,
@@ -37,7 +37,6 @@ from offpiste.runtime.prediction import (
     predicted,
     reachable,
 )
-from offpiste.runtime.schedule import TimedPlan, continued
 from offpiste.runtime.settings import RuntimeSettings
 from offpiste.uncertainty.spread import Spread
 

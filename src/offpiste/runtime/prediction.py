@@ -18,11 +18,11 @@ from offpiste.dynamics.feature_encoder import FeatureEncoder
 from offpiste.dynamics.kernels.autograd import supports
 from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.mapping.terrain_sampler import Encode, MapStack, MapTerrain, as_codes, stack_maps
+from offpiste.planning.controls import complete
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.driving_cost import Situation
 from offpiste.planning.kernel import Codes, coded_map, fused_costs, fused_rollout, kernel_model_state
 from offpiste.planning.mppi import CostOf
-from offpiste.planning.pedal import complete
 from offpiste.planning.rollouts import driving_costs, situation_terrain
 from offpiste.runtime.estimator import TrackRows
 

@@ -18,9 +18,8 @@ from offpiste.dynamics.base import Dynamics
 from offpiste.logs.measurements import Cloud, Image
 from offpiste.planning.course import Course
 from offpiste.runtime.course_tracker import CourseTracker
-from offpiste.runtime.estimator import VehicleReading, VehicleTrack
+from offpiste.runtime.estimator import Intake, VehicleReading, VehicleTrack
 from offpiste.runtime.follower import Applied, Follower
-from offpiste.runtime.intake import Intake
 from offpiste.runtime.modes import Controls, Event, ModeDecision
 from offpiste.runtime.perception import OnlineMapper, SensorSetup, Stopwatch, encoder_on
 from offpiste.runtime.plan_maker import PlanMaker

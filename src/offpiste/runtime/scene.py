@@ -16,12 +16,12 @@ from offpiste.logs.sensor_log import open_sensors
 from offpiste.mapping.replay import MapperSettings, pinhole_cameras, replay
 from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.planning import mppi
+from offpiste.planning.controls import PEDAL_AND_WHEEL, controls_of, pedals_of, with_pedal
 from offpiste.planning.cost_map import cost_map
 from offpiste.planning.costs.layers import Hazards
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.course import Course, Goal
 from offpiste.planning.driving_cost import Situation
-from offpiste.planning.pedal import PEDAL_AND_WHEEL, controls_of, pedals_of, with_pedal
 from offpiste.rig.rig import Rig
 from offpiste.runtime.estimator import TrackRows
 from offpiste.runtime.perception import codes_of

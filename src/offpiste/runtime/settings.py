@@ -9,10 +9,9 @@ from offpiste.core.errors import PlanningError
 from offpiste.mapping.replay import MapperSettings
 from offpiste.planning import mppi
 from offpiste.planning.caution import AsPredicted, Risk
-from offpiste.planning.constraints import Limits
+from offpiste.planning.controls import PEDAL_AND_WHEEL, Limits
 from offpiste.planning.costs.layers import Hazards
 from offpiste.planning.costs.weights import CostWeights
-from offpiste.planning.pedal import PEDAL_AND_WHEEL
 from offpiste.rig.outputs import CommandLimits, Timeouts
 from offpiste.runtime.backing_out import BackingOutSettings
 
@@ -24,7 +23,7 @@ class RuntimeSettings:
     Attributes:
         plan_rate: plans per second [Hz].
         latency: from the data of a plan to its first control [s]; a multiple of `conventions.DT`.
-        sampling: of pedal and steering (`planning.pedal`).
+        sampling: of pedal and steering (`planning.controls`).
         weights, hazards: of the planner's costs.
         risk: what counts in the costs beside the prediction itself (`planning.caution`).
         replay: how images and scans enter the map, as in the model's dataset.

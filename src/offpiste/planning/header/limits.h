@@ -1,4 +1,4 @@
-/* Sampled controls moved into bounds and rates, in place: constraints.keep_within, an item for each sample and control.
+/* Sampled controls moved into bounds and rates, in place: controls.keep_within, an item for each sample and control.
    controls: [steps, count, samples], items = count * samples. bounds: low, high, largest change of a step and control
    before the first, [4, count]; a control before that is NaN leaves the first step free. NaN stays, and spreads to all
    later steps. */

@@ -1,9 +1,17 @@
-"""Bounds and rates: the compiled pass against the reference in torch, which is checked by hand."""
+"""Bounds and rates against hand-worked values and the torch reference; throttle and brake as one pedal."""
 
 import pytest
 import torch
 
-from offpiste.planning.constraints import PEDALS_AND_WHEEL, Limits, keep_within, keep_within_stepwise
+from offpiste.planning.controls import (
+    PEDALS_AND_WHEEL,
+    Limits,
+    controls_of,
+    keep_within,
+    keep_within_stepwise,
+    pedals_of,
+    with_pedal,
+)
 
 STEERING = Limits((-1.0,), (1.0,), (5.0,))
 
@@ -41,3 +49,16 @@ def test_controls_within_limits_stay():
 def test_without_rates_only_bounds_apply():
     wanted = torch.tensor([5.0, -5.0, 0.3])[None, :, None]
     assert keep_within(Limits((-1.0,), (1.0,)), 0.1, wanted)[0, :, 0].tolist() == pytest.approx([1, -1, 0.3])
+
+
+def test_throttle_and_brake_are_never_pressed_together():
+    feet = torch.tensor([[0.7, 0.1], [-0.4, -1.0], [0.0, 0.5]])
+    assert controls_of(feet).tolist() == [[*p] for p in torch.tensor([[0.7, 0, 0.1], [0, 0.4, -1], [0, 0, 0.5]])]
+    random = torch.rand(5, 7, 2) * 2 - 1
+    torch.testing.assert_close(pedals_of(controls_of(random)), random)
+    assert (controls_of(random)[..., :2].prod(dim=-1) == 0).all()
+
+
+def test_costs_are_those_of_the_controls():
+    cost = with_pedal(lambda controls: controls.sum(dim=(1, 2)))
+    torch.testing.assert_close(cost(torch.tensor([[[-0.5, 0.2]], [[0.5, 0.2]]])), torch.tensor([0.7, 0.7]))

@@ -1,6 +1,13 @@
-"""Constraints on controls: bounds and rates."""
+"""Controls that a planner samples: bounds, rates, and one pedal in place of two.
 
+The single pedal is throttle minus brake, from -1 to +1. A planner with two independent pedals presses both at once,
+which no training data show, so that predictions are unreliable. Gears are not sampled: the run time chooses the gear
+of a plan.
+"""
+
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 import torch
@@ -8,7 +15,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from offpiste.compilation import PLANNING, spread_kernel
-from offpiste.core.channels import CONTROLS
+from offpiste.core.channels import CONTROLS, OPTIONAL_CONTROLS
+from offpiste.core.conventions import CONTROL
+from offpiste.core.errors import PlanningError
+from offpiste.dynamics.vehicle import Vehicle
 
 
 @dataclass(frozen=True)
@@ -32,17 +42,65 @@ PEDALS_AND_WHEEL = Limits(
 )
 """Limits of the controls in `offpiste.core.channels.CONTROLS`."""
 
+PEDAL_AND_WHEEL: Final = Limits(low=(-1.0, -1.0), high=(1.0, 1.0), rate=(6.0, 4.0))
+"""Bounds [1] and rates [1/s] of pedal and steer."""
+
+COMPLETED: Final = (*CONTROL, *(control.name for control in OPTIONAL_CONTROLS))
+"""Columns of controls with a gear."""
+
+
+def controls_of(pedal_and_steer: Float[Tensor, "*P 2"]) -> Float[Tensor, "*P 3"]:
+    """Throttle, brake and steer from pedal and steer."""
+    pedal, steer = pedal_and_steer.unbind(-1)
+    return torch.stack((pedal.clamp(min=0), (-pedal).clamp(min=0), steer), dim=-1)
+
+
+def pedals_of(controls: Float[Tensor, "*P 3"]) -> Float[Tensor, "*P 2"]:
+    """Pedal (throttle minus brake) and steer from throttle, brake and steer."""
+    throttle, brake, steer = controls.unbind(-1)
+    return torch.stack((throttle - brake, steer), dim=-1)
+
+
+def with_pedal(cost_of: Callable[[Tensor], Tensor]) -> Callable[[Tensor], Tensor]:
+    """Costs of sequences of pedal and steer [K, T, 2], from costs of throttle, brake and steer."""
+
+    def cost(pedal_and_steer: Tensor) -> Tensor:
+        return cost_of(controls_of(pedal_and_steer))
+
+    return cost
+
+
+def complete(
+    vehicle: Vehicle, controls: Float[Tensor, "*P 3"] | Float[Tensor, "*P U"], gear: float | Float[Tensor, "*P 1"]
+) -> Float[Tensor, "*P U"]:
+    """Controls in the columns of a vehicle (`Vehicle.control_columns`).
+
+    Args:
+        controls: throttle, brake and steer; or all columns, which are returned unchanged.
+        gear: gear of all rows, or of each row.
+
+    Raises:
+        PlanningError: the vehicle has controls other than these and a gear.
+    """
+    columns, given = vehicle.control_columns, controls.shape[-1]
+    if given == len(columns):
+        return controls
+    if given != len(CONTROL) or columns != COMPLETED:
+        what = f"controls of {given} columns for a model of {', '.join(columns)}"
+        raise PlanningError(what, how="plan throttle, brake and steer; a gear is held")
+    return torch.cat((controls, gear * torch.ones_like(controls[..., :1])), dim=-1)
+
 
 def keep_within(
     limits: Limits, dt: float, controls: Float[Tensor, "K T U"], previous: Float[Tensor, " U"] | None = None
 ) -> Float[Tensor, "K T U"]:
-    """Controls moved into bounds and rates, step after step, each as near to the given one as they allow.
+    """Clip controls to bounds and rates, step by step, each to the nearest allowed value.
 
-    On the CPU one compiled pass, elsewhere `keep_within_stepwise`.
+    One compiled pass on the CPU, `keep_within_stepwise` elsewhere.
 
     Args:
         dt: duration of a step [s].
-        previous: the control before the first step; None leaves that one free.
+        previous: control before the first step; None does not limit the rate of the first step.
     """
     if limits.rate is None or controls.device.type != "cpu" or controls.dtype not in (torch.float32, torch.float64):
         return keep_within_stepwise(limits, dt, controls, previous)
