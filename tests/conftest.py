@@ -102,6 +102,13 @@ def first_calls_checked() -> None:
     sampled_checks.begin_test()
 
 
+@pytest.fixture(autouse=True)
+def no_lines_of_progress(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Print no lines of progress, however slow the machine is, but in their own test."""
+    if request.path.name != "test_progress.py":
+        monkeypatch.setattr("offpiste.core.progress.EVERY", float("inf"))
+
+
 @pytest.fixture(scope="session")
 def bounds_checked() -> dict[str, str]:
     """Environment of a process that compiles kernels with bounds checks, and keeps them apart from those without."""

@@ -20,10 +20,11 @@ os.environ |= LIBRARIES  # as the command line does before libraries are importe
 
 import torch  # noqa: E402
 
-from offpiste.core.progress import track  # noqa: E402
+from offpiste.core import progress  # noqa: E402
 from tests.fuzz.cases import GOOD, Case, run_case  # noqa: E402
 from tests.fuzz.corpus import make_corpus, run_command  # noqa: E402
 
+progress.EVERY = float("inf")  # lines of progress depend on the machine
 VERDICTS = (*GOOD, "wrong message", "traceback", "hang", "memory", "killed")
 
 
@@ -38,7 +39,7 @@ def main() -> None:
         corpus = make_corpus(work / "corpus", data)
         _warm_up(work, corpus)
         keep = Path(options.keep or (options.out.with_suffix("") if options.out else "fuzz-cases"))
-        for number in track(numbers, "cases"):
+        for number in progress.track(numbers, "cases"):
             case = run_case(number, options.seed, corpus, work / "case")
             done[number] = case
             if options.out and not options.case:

@@ -20,6 +20,8 @@ from rich.progress import (
 Item = TypeVar("Item")
 EVERY: Final = 15.0
 """Time between two lines of progress where standard error is no terminal [s]."""
+FORETOLD: Final = 0.02
+"""Share done from which on lines say the time left: the start of work is slower than the rest."""
 
 
 @runtime_checkable
@@ -46,7 +48,7 @@ class _Lines:
         self._next, spent = now + EVERY, now - self._begun
         what = f"{done:.0f}" if total is None else f"{done:.0f} of {total:.0f} ({done / total:.0%})"
         what = f"{done / total:.0%}" if in_percent and total else what
-        left = f", {spent * (total / done - 1):.0f} s left" if total and done else ""
+        left = f", {spent * (total / done - 1):.0f} s left" if total and done >= FORETOLD * total else ""
         print(f"{self._description}: {what} after {spent:.0f} s{left}", file=sys.stderr, flush=True)  # noqa: T201
 
 
