@@ -1,4 +1,4 @@
-"""The command line: one subcommand a stage, no logic."""
+"""Command-line interface: one subcommand per stage, no logic."""
 
 from offpiste.cli.entry import main
 

@@ -17,7 +17,7 @@ from offpiste.core.progress import show
 @COMMANDS.register("extract")
 @dataclass(frozen=True)
 class Extract:
-    """Bring logs to 50 Hz, split them once, and write a dataset."""
+    """Resample logs to 50 Hz, assign the split, and write a dataset."""
 
     logs: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="LOG...")]
     """Logs of one vehicle; URLs of an object store, too, and patterns of them."""

@@ -1,1 +1,1 @@
-"""Driving courses on the proving ground with trained models, and scores of the drives."""
+"""Closed-loop driving on the proving ground with trained models, and its scores."""

@@ -69,7 +69,7 @@ def _write(driven: Driven, path: Path) -> None:
 
 
 def _blueprint(start: Float[np.ndarray, " 3"]) -> Any:
-    """Layout of the viewer: the world, plots and changes of mode."""
+    """Viewer layout: world view, plots and mode changes."""
     import rerun.blueprint as rrb
 
     world = rrb.Spatial3DView(

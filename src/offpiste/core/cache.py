@@ -1,4 +1,4 @@
-"""Where offpiste keeps what it can make again: machine code, fitted stages of training, copies of datasets."""
+"""Cache of reproducible files: compiled code, fitted training stages, copies of datasets."""
 
 import os
 import shutil

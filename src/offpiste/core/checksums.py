@@ -67,7 +67,7 @@ def check_files(folder: Path) -> None:
 
 
 def damaged_files(folder: Path) -> Iterator[DamagedFile]:
-    """Files below a folder that are missing or differ from the digests in it, or the digests if they do."""
+    """Yield files that are missing or do not match their digest; only the list of digests if that is damaged."""
     list_file = folder / CHECKSUMS
     if not list_file.is_file():
         yield DamagedFile(list_file, "is missing")

@@ -53,7 +53,7 @@ class _Lines:
 
 
 def track(items: Iterable[Item], description: str, *, total: int | None = None) -> Generator[Item, None, None]:
-    """Yield the items, with progress on standard error: a bar on a terminal, elsewhere a line now and then."""
+    """Yield the items, with progress on standard error: a bar on a terminal, occasional lines elsewhere."""
     console = Console(stderr=True)
     if total is None and isinstance(items, Sized):
         total = len(items)

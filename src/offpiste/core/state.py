@@ -108,7 +108,7 @@ class TerrainSource(Protocol):
 
 @dataclass(frozen=True)
 class RecordedTerrain:
-    """The ground that was under the recorded wheels: uses the step, not the predicted place."""
+    """Terrain under the recorded wheels, looked up by time step instead of predicted position."""
 
     terrain: Terrain
 

@@ -38,7 +38,7 @@ def reduced_throttle(commands: Commands, vx: Scalar, max_steer: Scalar, f: Eleme
 
 
 def reduced_brake(commands: Commands, vx: Scalar, max_steer: Scalar, f: Elementary) -> Scalar:
-    """Without brake pressure, the brake's command acts at once."""
+    """Brake input of models without brake pressure: the command, without delay."""
     return commands("brake")
 
 

@@ -136,7 +136,7 @@ def write_int8(graph: Path, to: Path, images: UInt8[Tensor, "N h w 3"]) -> None:
 
 
 def sample_images(size: tuple[int, int] = SIZE) -> UInt8[Tensor, "2 h w 3"]:
-    """Two images of blurred noise, always the same for a width and height [px]."""
+    """Two images of blurred noise, deterministic for a width and height [px]."""
     draw = torch.Generator().manual_seed(0)
     width, height = size
     coarse = torch.rand(2, 3, max(height // 8, 1), max(width // 8, 1), generator=draw)

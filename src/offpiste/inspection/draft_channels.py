@@ -1,4 +1,4 @@
-"""Channels of a first rig: which guesses it takes, with units, scales and signs by names and numbers."""
+"""Channels of a draft rig: selected guesses, with units, scales and signs inferred from names and values."""
 
 import re
 from collections.abc import Mapping

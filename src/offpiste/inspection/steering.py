@@ -156,7 +156,7 @@ def _sign(name: str, fit: SteeringFit, drive: Drive, path: DrivenPath) -> list[F
 
 
 def leans_inward(drive: Drive, path: DrivenPath, least: float = 0.2) -> bool:
-    """Whether the body surely leans into its curves, as no four-wheeled vehicle does: the axes may point down."""
+    """Whether the body clearly leans into turns, which four-wheeled vehicles do not do; z may point down."""
     if "orientation" not in drive.channels:
         return False
     orientation = drive.channels["orientation"].linear(path.time, max_gap=np.inf)

@@ -43,7 +43,7 @@ _MIDDLE: Final = 0.15
 
 @dataclass(frozen=True)
 class WindowDelays:
-    """How late the turning is in each stretch that turns enough.
+    """Steering delay in each segment with sufficient yaw rate.
 
     Attributes:
         time: middle of the stretch [s].

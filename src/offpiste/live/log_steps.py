@@ -137,7 +137,7 @@ class RecordedDrive:
 
 
 def _with_times(rig: Rig | None) -> dict[str, LidarSource]:
-    """LiDARs whose points have times since the cloud's stamp, by topic."""
+    """LiDARs with point times relative to the stamp of the cloud, by topic."""
     lidars = () if rig is None else rig.lidars.values()
     return {one.topic: one for one in lidars if one.time_field and one.time_origin == "stamp"}
 

@@ -74,7 +74,7 @@ def cloud_from(values: Values) -> Cloud:
 
 
 def pack_course(course: Course) -> bytes:
-    """A course."""
+    """Unpack a course."""
     return packed(_fields(course))
 
 

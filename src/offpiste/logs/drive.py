@@ -70,7 +70,7 @@ def drive_from_log(log: Log, rig: Rig) -> Drive:
 
 
 def _kept_up(channels: dict[str, Channel], rig: Rig, path: Path) -> dict[str, Channel]:
-    """Channels, of which those that are published only when they change have samples all along the poses."""
+    """Fill on-change channels with repeated samples up to the last pose; other channels are unchanged."""
     until, result = float(channels["position"].time[-1]), dict(channels)
     every = min(0.9 * rig.clock.max_gap, rig.motion.window / KEPT_UP)
     for name, channel in channels.items():

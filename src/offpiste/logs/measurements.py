@@ -137,7 +137,7 @@ def in_eight_bits(pixels: Pixels, camera: Camera) -> UInt8[np.ndarray, "h w 3"]:
 
 
 def used_bits(highest: int) -> int:
-    """Bits of a camera whose values reach `highest`: 8, 10, 12, 14 or 16."""
+    """Bit depth of a camera whose largest value is `highest`: 8, 10, 12, 14 or 16."""
     return max(8, highest.bit_length() + highest.bit_length() % 2)
 
 

@@ -40,7 +40,7 @@ def distinct(tick: Float[np.ndarray, " n"]) -> tuple[Float[np.ndarray, " k"], In
 
 @MOTION.entry
 def number_ticks(tick, first, place, which):  # type: ignore[no-untyped-def]
-    """Number the whole numbers that there are, rising.
+    """Assign consecutive indices to the distinct ticks, in ascending order.
 
     Args:
         tick: whole numbers from `first` on, none of which lies beyond the end of `place` [n].

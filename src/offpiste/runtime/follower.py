@@ -238,7 +238,7 @@ class Follower:
         return np.inf if latest is None else float(np.hypot(*latest.velocity[:2]))
 
     def at_standstill(self) -> bool:
-        """Whether the vehicle does not move."""
+        """Whether the vehicle is at a standstill."""
         return self.speed < self._settings.standstill
 
     def restart(self) -> None:

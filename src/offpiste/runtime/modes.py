@@ -1,4 +1,4 @@
-"""Mode in which the vehicle is driven, from the age of its inputs: what is done when one is late or missing."""
+"""Driving mode as a function of the age of inputs: fallbacks for late or missing ones."""
 
 from dataclasses import dataclass
 from typing import Final, Literal

@@ -75,7 +75,7 @@ def clock_times(cells: pa.ChunkedArray) -> Float[np.ndarray, " n"] | None:
 
 
 def past_midnight(times: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """Seconds of the day that count on where a step beyond half a day crosses midnight."""
+    """Unwrap seconds of the day; a step of more than half a day is a crossing of midnight."""
     known, result = np.isfinite(times), times.copy()
     result[known] = np.unwrap(times[known], period=_DAY)
     return result

@@ -53,7 +53,7 @@ class Columns:
     values: Float[np.ndarray, "n k"]
 
     def seconds(self, stamps: str) -> Float[np.ndarray, " n"]:
-        """Times by "header" or "receive" [s], rounded as `stamp_of` does."""
+        """Header or receive times [s], rounded as by `stamp_of`."""
         chosen = np.where(self.stamp != 0, self.stamp, self.arrival) if stamps == "header" else self.arrival
         return np.array([time / 10**9 for time in chosen.tolist()])
 

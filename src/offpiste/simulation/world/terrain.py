@@ -164,7 +164,7 @@ def _dunes(rng: np.random.Generator, x: Axis, y: Axis, height: float) -> Grid:
 
 
 def _banks(rng: np.random.Generator, x: Axis, y: Axis, height: float) -> Grid:
-    """Steps along the zero line of a noise, about as steep as earth stands, in some places."""
+    """Local banks along the zero contour of a noise field, about as steep as `STEEPEST`."""
     noise = smooth_noise(rng, x, y, 22.0)
     slope_y, slope_x = np.gradient(noise, x[1] - x[0])
     from_line = noise / np.maximum(np.hypot(slope_x, slope_y), np.float32(0.02))
