@@ -68,7 +68,8 @@ def test_a_folder_of_logs_is_inspected_log_by_log(bucket: str, capsys: pytest.Ca
         fsspec.filesystem("memory").pipe_file(f"/b/drives/{name}.csv", rows.encode())
     with pytest.raises(SystemExit):
         main(["inspect", f"{bucket}/drives", "--processes", "1", "--json"])
-    survey = json.loads("\n".join(line for line in capsys.readouterr().out.splitlines() if "brought here" not in line))
+    said = capsys.readouterr().out.splitlines()
+    survey = json.loads("\n".join(line for line in said if "copied to this machine" not in line))
     assert [one["log"] for one in survey["logs"]] == [f"{bucket}/drives/{name}.csv" for name in ("monday", "tuesday")]
 
 

@@ -1,10 +1,8 @@
 """Ground of windows: the right cells, turned to the heading, from the map as it was at the start."""
 
-import base64
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
@@ -71,15 +69,3 @@ def test_without_features_or_maps_there_is_no_ground(dataset: Dataset) -> None:
     assert pictures(replace(dataset, features=()), 100) == [None]
     drives = tuple(replace(drive, load_map=None) for drive in dataset.drives)
     assert pictures(replace(dataset, drives=drives), 100) == [None]
-
-
-def test_the_address_holds_the_picture_and_what_is_transparent() -> None:
-    rgba = np.zeros((40, 40, 4), np.uint8)
-    rgba[:, :20] = (250, 20, 20, 255)
-    address = GroundPicture(rgba, at_start=True).address
-    kind, _, data = address.partition(",")
-    assert kind == "data:image/webp;base64"
-    again = cv2.imdecode(np.frombuffer(base64.b64decode(data), np.uint8), cv2.IMREAD_UNCHANGED)
-    assert again[20, 5, 2] > 200, "red, which OpenCV has last"
-    assert again[20, 5, 0] < 80
-    assert (again[20, 5, 3], again[20, 35, 3]) == (255, 0)

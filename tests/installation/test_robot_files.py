@@ -115,9 +115,8 @@ def test_the_container_installs_what_there_is():
 
 
 def test_commands_of_the_page_are_understood(monkeypatch):
-    lines = [
-        line.split("#")[0] for block in re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL) for line in block.split("\n")
-    ]
+    blocks = re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL)
+    lines = [line.split("#")[0].removeprefix("/opt/offpiste/bin/") for block in blocks for line in block.split("\n")]
     runs = [shlex.split(line) for line in lines if line.startswith(("docker run", "offpiste "))]
     assert len(runs) >= 4
     for words in runs:

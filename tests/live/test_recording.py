@@ -60,7 +60,7 @@ def test_files_of_a_length_are_whole_and_one_drive_together(tmp_path):
 def test_a_file_of_the_largest_size_is_followed_by_another(tmp_path, monkeypatch):
     monkeypatch.setattr(recording, "_LOOKS", 0.0)
     recorded(tmp_path / "drive.mcap", size=1e-5)
-    assert len(list(tmp_path.iterdir())) > 2
+    assert len(list(tmp_path.iterdir())) >= 2
     assert open_log(tmp_path).topics["/odom"].count == 500
 
 

@@ -4,12 +4,13 @@ import base64
 import gzip
 import json
 
+import cv2
 import numpy as np
 import plotly.graph_objects as go
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from offpiste.report.chart import Chart, Line, Panel, by_end, draw
+from offpiste.report.chart import Chart, Line, Panel, Raster, by_end, draw
 from offpiste.report.plotly_charts import MOST_POINTS, charts_json, charts_of, plotly_base64
 
 X = np.linspace(1, 5, 5)
@@ -78,3 +79,15 @@ def test_lines_of_nothing_but_failures() -> None:
     chart = one(X, np.full(5, np.inf))
     FigureCanvasAgg(draw(chart)).draw()
     assert valid(chart).layout.yaxis.range[1] > 0
+
+
+def test_an_image_below_the_lines_keeps_its_colours_and_what_is_transparent() -> None:
+    rgba = np.zeros((40, 40, 4), np.uint8)
+    rgba[:, :20] = (250, 20, 20, 255)
+    (image,) = charts_of(Chart([Panel("", raster=Raster(rgba, (0.0, 4.0, -2.0, 2.0)))]))[0]["layout"]["images"]
+    kind, _, data = image["source"].partition(",")
+    again = cv2.imdecode(np.frombuffer(base64.b64decode(data), np.uint8), cv2.IMREAD_UNCHANGED)
+    assert kind == "data:image/webp;base64"
+    assert again[20, 5, 2] > 200, "red, which OpenCV has last"
+    assert (again[20, 5, 3], again[20, 35, 3]) == (255, 0)
+    assert (image["x"], image["y"], image["sizex"], image["sizey"]) == (0.0, 2.0, 4.0, 4.0)

@@ -55,7 +55,8 @@ def test_without_pca_and_without_rerun_there_are_pictures_and_a_line(
     out = tmp_path / "out"
     out.mkdir()
     (out / "mine.txt").write_text("mine")
-    (out / "map.png").write_text("an old one")
+    for name in ("map.png", "sensors.png"):
+        (out / name).write_text("an old one")
     assert (
         run("view", str(drive / "drive.mcap"), "--rig", "proving_ground", "--out", str(out), "--seconds", ":0.6") == 0
     )
@@ -78,10 +79,11 @@ def test_an_interrupted_view_leaves_no_recording(
         raise KeyboardInterrupt
 
     monkeypatch.setattr(module.Recorder, "add", interrupted)
-    (tmp_path / "drive.rrd").write_text("the one before")
+    for name in ("drive.rrd", "sensors.png"):
+        (tmp_path / name).write_text("the one before")
     options = ("--rig", "proving_ground", "--out", str(tmp_path))
     assert run("view", str(drive / "drive.mcap"), *options) == 1
-    assert names(tmp_path) == {"drive.rrd", "sensors.png"}
+    assert names(tmp_path) == {"drive.rrd", "sensors.png", ".offpiste-view"}, "and the mark of an unfinished view"
     assert (tmp_path / "drive.rrd").read_text() == "the one before"
     assert "interrupted" in capsys.readouterr().err
 
