@@ -1,4 +1,4 @@
-"""Where messages of ROS 2 are found on zenoh, and what goes with them: conventions of rmw_zenoh and of its bridge.
+"""Keys and attachments of ROS 2 messages on zenoh, by the conventions of rmw_zenoh and of zenoh-bridge-ros2dds.
 
 `rmw_zenoh` (ros2/rmw_zenoh): `DOMAIN/TOPIC/TYPE/HASH`; who is there is said by liveliness tokens under
 `@ros2_lv`. The bridge (eclipse-zenoh/zenoh-plugin-ros2dds): `NAMESPACE/TOPIC`, types by tokens of the bridge alone.
@@ -7,15 +7,15 @@ With each message of rmw_zenoh go its number, the time it was sent, and the iden
 
 import struct
 from dataclasses import dataclass
-from typing import Final, NamedTuple, Protocol, runtime_checkable
+from typing import Final, NamedTuple
 
 NO_HASH: Final = "TypeHashNotSupported"
-"""What stands for the hash where the robot's ROS has none (Humble)."""
+"""Hash in keys of a robot whose ROS computes none (Humble)."""
 
 
 @dataclass(frozen=True)
 class Address:
-    """What a key says of a message; "" where it does not."""
+    """Topic, type and hash in a key; "" for parts that the key lacks."""
 
     topic: str
     type: str = ""
@@ -24,12 +24,12 @@ class Address:
 
 @dataclass(frozen=True)
 class Endpoint:
-    """A publisher or a subscription of ours, as others list it.
+    """A publisher or a subscription of this process.
 
     Attributes:
-        number: of it in the session.
+        number: unique in the session.
         publishes: whether it is a publisher.
-        keep: whether it keeps its last message for those who come later.
+        keep: whether it keeps its last message for later subscribers.
     """
 
     number: int
@@ -40,39 +40,11 @@ class Endpoint:
     keep: bool = False
 
 
-@runtime_checkable
-class Keys(Protocol):
-    """A convention of keys."""
-
-    def publication(self, address: Address) -> str:
-        """Key on which a topic is published."""
-        ...
-
-    def subscription(self, topic: str) -> str:
-        """Key expression of a topic, whatever type and hash it has."""
-        ...
-
-    def parsed(self, key: str) -> Address | None:
-        """What a key says; None for one of another convention."""
-        ...
-
-    def tokens(self, session: str, node: str, endpoint: Endpoint) -> list[str]:
-        """Liveliness tokens by which others list us."""
-        ...
-
-    @property
-    def publishers(self) -> str:
-        """Key expression of the tokens of all publishers."""
-        ...
-
-    def announced(self, token: str) -> Address | None:
-        """Topic and type of a publisher's token."""
-        ...
-
-
 @dataclass(frozen=True)
 class RmwZenohKeys:
     """Keys of rmw_zenoh.
+
+    Methods that parse return None for a key or a token of another convention.
 
     Attributes:
         domain: ROS_DOMAIN_ID.
@@ -81,11 +53,11 @@ class RmwZenohKeys:
     domain: int = 0
 
     def publication(self, address: Address) -> str:
-        """`DOMAIN/TOPIC/TYPE/HASH`."""
+        """Key on which a topic is published: `DOMAIN/TOPIC/TYPE/HASH`."""
         return f"{self.domain}/{address.topic.strip('/')}/{dds_type(address.type)}/{address.hash}"
 
     def subscription(self, topic: str) -> str:
-        """`DOMAIN/TOPIC/*/*`: what comes is compared with what is known, so that it can be said why it is refused."""
+        """Key expression of a topic with any type and hash, so that a mismatch is refused with its reason."""
         return f"{self.domain}/{topic.strip('/')}/*/*"
 
     def parsed(self, key: str) -> Address | None:
@@ -97,7 +69,7 @@ class RmwZenohKeys:
         return Address(f"/{parts[0]}", ros_type(parts[1]), parts[2])
 
     def tokens(self, session: str, node: str, endpoint: Endpoint) -> list[str]:
-        """One of the node, and one of the endpoint."""
+        """Liveliness tokens of the node and of one endpoint, by which others list them."""
         begin, named = f"@ros2_lv/{self.domain}/{session}/0", f"%/%/{node}"
         kind = "MP" if endpoint.publishes else "MS"
         quality = f":{1 if endpoint.keep else ''}:,{1 if endpoint.keep else 10}:,:,:,,"
@@ -106,11 +78,11 @@ class RmwZenohKeys:
 
     @property
     def publishers(self) -> str:
-        """All tokens with the kind MP."""
+        """Key expression of the tokens of all publishers (kind MP)."""
         return f"@ros2_lv/{self.domain}/*/*/*/MP/**"
 
     def announced(self, token: str) -> Address | None:
-        """From the token's last four parts: topic, type, hash, quality of service."""
+        """Topic, type and hash of a publisher's token."""
         parts = token.split("/")
         if len(parts) != 13:
             return None
@@ -128,11 +100,11 @@ class BridgeKeys:
     namespace: str = ""
 
     def publication(self, address: Address) -> str:
-        """The topic's name."""
+        """Key on which a topic is published: its name."""
         return self.subscription(address.topic)
 
     def subscription(self, topic: str) -> str:
-        """The topic's name."""
+        """Key expression of a topic: its name."""
         return "/".join(part for part in (self.namespace.strip("/"), topic.strip("/")) if part)
 
     def parsed(self, key: str) -> Address | None:
@@ -141,12 +113,12 @@ class BridgeKeys:
         return Address(f"/{key.removeprefix(begin)}") if key.startswith(begin) else None
 
     def tokens(self, session: str, node: str, endpoint: Endpoint) -> list[str]:
-        """None: the bridge declares tokens of what it finds on DDS, and carries what has its key."""
+        """No tokens: the bridge declares tokens of the endpoints on DDS."""
         return []
 
     @property
     def publishers(self) -> str:
-        """Tokens of the publishers that bridges found on DDS."""
+        """Key expression of the tokens of publishers on DDS."""
         return "@/*/@ros2_lv/MP/**"
 
     def announced(self, token: str) -> Address | None:
@@ -156,6 +128,9 @@ class BridgeKeys:
             return None
         topic = self.parsed(parts[4].replace("§", "/"))
         return topic and Address(topic.topic, parts[5].replace("§", "/"))
+
+
+Keys = RmwZenohKeys | BridgeKeys
 
 
 def dds_type(msgtype: str) -> str:

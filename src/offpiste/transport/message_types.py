@@ -7,11 +7,10 @@ from typing import Any, Final
 
 import numpy as np
 from rosbags.interfaces import Nodetype
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-from rosbags.typesys.store import Typestore
+from rosbags.typesys import get_types_from_msg
 
 from offpiste.core.errors import TransportError
-from offpiste.logs.ros.writer import DEFINITIONS
+from offpiste.logs.ros.writer import new_typestore
 
 _LONGEST: Final = 1 << 20
 """Largest file of a definition [bytes]."""
@@ -28,9 +27,7 @@ class MessageTypes:
     """
 
     def __init__(self, definitions: Sequence[Path] = ()) -> None:
-        self.store: Typestore = get_typestore(Stores.ROS2_JAZZY)
-        for name, text in DEFINITIONS.items():
-            self.store.register(get_types_from_msg(text, name))
+        self.store = new_typestore()
         for file in definitions:
             self._register(file)
         self.hash_of = cache(self._hash_of)

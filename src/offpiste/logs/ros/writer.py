@@ -45,13 +45,16 @@ DEFINITIONS: Final = {
 (ros-drivers/ackermann_msgs), both of their branches ros2."""
 
 
-@functools.cache
-def message_types() -> Typestore:
-    """All message types that offpiste writes; classes are in `.types`, by names like `nav_msgs/msg/Odometry`."""
+def new_typestore() -> Typestore:
+    """Message types of ROS 2 and of `DEFINITIONS`; classes are in `.types`, by names like `nav_msgs/msg/Odometry`."""
     store = get_typestore(Stores.ROS2_JAZZY)
     for name, text in DEFINITIONS.items():
         store.register(get_types_from_msg(text, name))
     return store
+
+
+message_types = functools.cache(new_typestore)
+"""The types that offpiste writes."""
 
 
 def make(msgtype: str, **fields: Any) -> Any:
