@@ -21,6 +21,8 @@ from offpiste.rig.rig import Rig
 
 _BIN: Final = 0.1
 """Time step of the lag [s]."""
+_LAG_STEP: Final = 0.05
+"""Step between candidate lags [s]."""
 _BLOCKS: Final = 12
 """Number of blocks of time; the quickest arrival of each counts, as a message can only be delayed."""
 _DRIFTS: Final = 0.02
@@ -98,9 +100,7 @@ def pose_speed(channels: dict[str, Channel]) -> Channel:
     return Channel("speed", "m/s", place.time[known], speed)
 
 
-def estimate_lag(
-    reference: Channel, recorded: Channel, *, max_lag: float, step: float = 0.05, stiffness: float = 2.0
-) -> ClockLag:
+def estimate_lag(reference: Channel, recorded: Channel, *, max_lag: float, stiffness: float = 2.0) -> ClockLag:
     """Lag of `recorded` behind `reference`, piecewise constant, by dynamic programming.
 
     Minimises the sum over bins of |recorded(t + lag) - reference(t)| + stiffness |change of lag|, so that the lag
@@ -110,11 +110,10 @@ def estimate_lag(
         reference: speed by the pose's clock [m/s].
         recorded: the same speed by the other clock [m/s].
         max_lag: lags from -max_lag/2 to max_lag are tried [s].
-        step: between tried lags [s].
         stiffness: cost of a change by 1 s, in m/s lasting one second.
     """
     time = np.arange(reference.time[0], reference.time[-1], _BIN)
-    lags = np.arange(-max_lag / 2, max_lag + step / 2, step)
+    lags = np.arange(-max_lag / 2, max_lag + _LAG_STEP / 2, _LAG_STEP)
     known = np.interp(time, reference.time, reference.values[:, 0])
     misfit = np.stack([np.interp(time + lag, recorded.time, recorded.values[:, 0]) - known for lag in lags], axis=1)
 

@@ -88,9 +88,13 @@ class SensorLog:
         yield from heapq.merge(*streams, key=lambda measured: measured.time)
 
     def _measured(self, name: str, times: Float[np.ndarray, " n"] | None) -> Iterator[Image | Cloud]:
-        """What one sensor measured; at some stamps as recorded, if they are given."""
-        camera = self.cameras.get(name)
-        return self._clouds(self.lidars[name], times) if camera is None else self._images(camera, times)
+        """Images or clouds of a sensor; only those with some recorded stamps, if `times` are given."""
+        log, topic, stamps = self._log, self._sensor(name).source.topic, self.rig.clock.stamps
+        if name in self.lidars:
+            clouds = log.clouds(topic, stamps=stamps) if times is None else log.clouds_at(topic, times, stamps=stamps)
+            return self._clouds(self.lidars[name], clouds)
+        images = log.images(topic, stamps=stamps) if times is None else log.images_at(topic, times, stamps=stamps)
+        return self._images(self.cameras[name], images)
 
     def stamps(self, name: str) -> Float[np.ndarray, " n"]:
         """Times of a sensor's messages in the order of the file [s], without decoding them."""
@@ -149,7 +153,7 @@ class SensorLog:
     def _sensor(self, name: str) -> Camera | Lidar:
         return self.cameras[name] if name in self.cameras else self.lidars[name]
 
-    def _images(self, camera: Camera, times: Float[np.ndarray, " n"] | None) -> Iterator[Image]:
+    def _images(self, camera: Camera, images: Iterator[RawImage]) -> Iterator[Image]:
         def convert(raw: RawImage) -> Image | str:
             if raw.pixels is None:
                 return "images cannot be decoded and were dropped"
@@ -160,15 +164,9 @@ class SensorLog:
                 raise LogError(f"{what} {size}", where=self.path, how="give the calibration of these images in the rig")
             return Image(raw.time - camera.source.delay, camera.name, in_eight_bits(raw.pixels, camera))
 
-        topic, stamps = camera.source.topic, self.rig.clock.stamps
-        raw = (
-            self._log.images(topic, stamps=stamps)
-            if times is None
-            else self._log.images_at(topic, times, stamps=stamps)
-        )
-        return self._converted(camera.name, raw, convert)
+        return self._converted(camera.name, images, convert)
 
-    def _clouds(self, lidar: Lidar, times: Float[np.ndarray, " n"] | None) -> Iterator[Cloud]:
+    def _clouds(self, lidar: Lidar, clouds: Iterator[RawCloud]) -> Iterator[Cloud]:
         period, timed = self.period(lidar.name), lidar.source.time_field
 
         def convert(raw: RawCloud) -> Cloud | str:
@@ -179,13 +177,7 @@ class SensorLog:
                 return f"clouds have points whose '{timed}' is far from the stamp and were dropped"
             return "clouds have no usable point and were dropped"
 
-        topic, stamps = lidar.source.topic, self.rig.clock.stamps
-        raw = (
-            self._log.clouds(topic, stamps=stamps)
-            if times is None
-            else self._log.clouds_at(topic, times, stamps=stamps)
-        )
-        return self._converted(lidar.name, raw, convert)
+        return self._converted(lidar.name, clouds, convert)
 
     def _converted(
         self, name: str, raw: Iterator[RawImage | RawCloud], convert: Callable[..., _T | str]

@@ -81,11 +81,11 @@ class KittiLog(Log):
             files[int(path.stem)] = path
         return files
 
-    def times(self, topic: str, name: str = "timestamps.txt") -> Float[np.ndarray, " n"]:
-        """Stamps of all frames of a folder [s since 1970, as if local time were UTC].
+    def frame_times(self, topic: str, name: str = "timestamps.txt") -> Float[np.ndarray, " n"]:
+        """Stamps of the frames that have a file [s since 1970, as if local time were UTC].
 
         Raises:
-            LogError: no such file, or no stamps in it.
+            LogError: no such file of stamps, no stamps in it, or more frames than stamps.
         """
         path = self.path / topic / name
         try:
@@ -94,15 +94,7 @@ class KittiLog(Log):
                 stamps = [np.datetime64(line.strip().replace(" ", "T"), "ns") for line in lines if line.strip()]
         except (OSError, ValueError, UserWarning) as error:
             raise LogError(f"no stamps: {error}", where=path, how="download the drive again") from error
-        return np.array(stamps, dtype="datetime64[ns]").astype(np.int64) / 10**9
-
-    def frame_times(self, topic: str, name: str = "timestamps.txt") -> Float[np.ndarray, " n"]:
-        """Stamps of those frames of a folder that there are files of [s].
-
-        Raises:
-            LogError: there are more frames than stamps.
-        """
-        times, frames = self.times(topic, name), list(self.files(topic))
+        times, frames = np.array(stamps, dtype="datetime64[ns]").astype(np.int64) / 10**9, list(self.files(topic))
         if frames and frames[-1] >= len(times):
             what = f"{len(times)} stamps, but a frame {frames[-1]}"
             raise LogError(what, where=self.path / topic, how="the folder was cut short or mixed; download it again")
@@ -146,7 +138,7 @@ class KittiLog(Log):
         return topic
 
     def stamps(self, topic: str, *, stamps: str = "header") -> Float[np.ndarray, " n"]:
-        """Stamps of those frames of a folder that there are files of [s]."""
+        """Stamps of the frames that have a file [s]."""
         return self.frame_times(topic)
 
     def images(self, topic: str, *, stamps: str = "header") -> Iterator[RawImage]:
