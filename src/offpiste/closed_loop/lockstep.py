@@ -105,7 +105,7 @@ class Fault:
 
 @dataclass
 class PlannerController:
-    """Passes readings with noise to the run time and its controls to the vehicle (a `simulate.Controller`)."""
+    """Feeds noisy measurements to the run time and applies its controls to the vehicle (a `simulate.Controller`)."""
 
     runtime: Runtime
     rng: np.random.Generator

@@ -1,4 +1,4 @@
-"""Logs in, dataset out: the split is made once, every drive is extracted by itself, several at a time.
+"""Extract a dataset from logs: the split is made once, every drive is extracted by itself, several at a time.
 
 A drive is read, brought to 50 Hz, given its ground, and written whole or not at all.
 """

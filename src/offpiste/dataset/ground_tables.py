@@ -14,7 +14,7 @@ from offpiste.dataset.store import Dataset
 
 
 class ResidentCells:
-    """`CellTable` whose cells all lie on the device, where batches are chosen from them.
+    """`CellTable` with all cells resident on the device; batches are selected there.
 
     Args:
         cells: of the drives, in the order of their rows.

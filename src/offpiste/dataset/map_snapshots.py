@@ -29,7 +29,7 @@ _MOST_CELLS: Final = 1 << 22
 
 @dataclass(frozen=True)
 class SnapshotSettings:
-    """Which windows get a snapshot, and how far it reaches.
+    """Selection of windows with map snapshots, and extent of the snapshots.
 
     Attributes:
         seconds: least time between two snapshots of a part [s].

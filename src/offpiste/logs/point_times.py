@@ -25,7 +25,7 @@ _ORIGINS: Final = {"stamp": "the stamp", "epoch": "1970"}
 
 @dataclass(frozen=True)
 class MisreadTimes:
-    """Times that cannot be what the rig says.
+    """Point times that are inconsistent with the rig.
 
     Attributes:
         what: the fault, in words.

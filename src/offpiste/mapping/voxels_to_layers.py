@@ -62,7 +62,7 @@ Layers = namedtuple("Layers", [layer.name for layer in LAYERS])  # type: ignore[
 
 
 class Surface(NamedTuple):
-    """The ground of each column, from one flattening to the next, wrapped around as the voxels are.
+    """Ground surface per column, kept between flattenings and indexed like the voxels.
 
     Attributes:
         level: of the lowest voxel, counted from the world's zero [n, n].

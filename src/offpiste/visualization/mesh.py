@@ -15,7 +15,7 @@ TILE: Final = 100
 
 @dataclass(frozen=True)
 class Tile:
-    """A part of a map.
+    """Tile of a map.
 
     Attributes:
         place: x and y of the tile, in tiles.

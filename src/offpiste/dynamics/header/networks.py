@@ -80,7 +80,7 @@ def sized(template: str, sizes: Mapping[str, object]) -> str:
 
 
 def printed_networks(dynamics: Dynamics, *, apart: bool = False) -> tuple[PrintedNetwork, ...]:
-    """The networks that a model has, in the order of their recurrent states.
+    """Return the networks of a model in the order of their recurrent states.
 
     Args:
         apart: whether `terms_of_codes` are added instead of reading codes.

@@ -84,7 +84,7 @@ def unknown_words(cells: pa.ChunkedArray) -> list[str]:
 
 
 def read_csv(path: Path, notes: list[str], units: dict[str, str]) -> tuple[pa.Table, int]:
-    """All columns as text: what a column is, and which cell is wrong, is decided from the text.
+    """Read all columns as text; column types and invalid cells are determined from it later.
 
     Args:
         notes, units: filled with what was guessed, and with a row of units below the header.
