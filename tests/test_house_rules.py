@@ -12,8 +12,8 @@ SOURCES = sorted(
 SHARED_LINES = 6
 LONGEST_FUNCTION = 80
 LIMITS = {
-    "src": 74_300,
-    "tests": 55_300,
+    "src": 74_600,
+    "tests": 55_400,
     "experiments": 8_000,
     "benchmarks": 2_200,
     "docs [bytes]": 220_000,
