@@ -68,7 +68,12 @@ def test_wheels_that_run_ahead_slip_and_those_that_come_late_have_a_clock_that_d
 
 @pytest.mark.parametrize(
     ("late", "what"),
-    [(lambda t: -0.8 * np.sin(t / 5) ** 2, None), (lambda t: 0.8 * np.sin(t / 5) ** 2, "drifts"), (0.5, "is late")],
+    [
+        (lambda t: -0.8 * np.sin(t / 5) ** 2, None),
+        (lambda t: 0.4 * np.sin(t / 5), None),
+        (lambda t: 0.8 * np.sin(t / 5) ** 2, "drifts"),
+        (0.5, "is late"),
+    ],
 )
 def test_what_has_the_stamps_of_the_pose_is_not_late_with_it(
     late: float | Callable[[Float[np.ndarray, " n"]], Float[np.ndarray, " n"]], what: str | None

@@ -78,9 +78,10 @@ def check_clocks(recorded: dict[str, Recorded], path: DrivenPath, rig: Rig, *, b
         readers = {name for name, source in rig.channels.items() if source.topic in shared}
         if all(map(control_of, readers)) and _LEADS < low <= high < _LATE:
             continue  # a commanded speed, which the vehicle's follows
-        # With the pose's own stamps, wheels that run ahead slip, however far: a clock does not drift against itself.
-        least = -np.inf if together & besides else _SLIP[0]
-        if high - low > _CHANGE and least < low <= high < _SLIP[1]:
+        slips = _SLIP[0] < low <= high < _SLIP[1]
+        if together & besides:  # a clock is not ahead of itself, however far wheels run ahead
+            slips = low < -_LATE or high < _SLIP[1]
+        if high - low > _CHANGE and slips:
             continue
         evidence = f"{field} follows the speed (correlation {wheel.correlation:.2f}), "
         evidence += f"{low:+.2f} to {high:+.2f} s late (5 to 95 %)"
