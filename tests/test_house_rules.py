@@ -13,7 +13,7 @@ SHARED_LINES = 6
 LONGEST_FUNCTION = 80
 LIMITS = {
     "src": 74_600,
-    "tests": 55_500,
+    "tests": 55_600,
     "experiments": 8_000,
     "benchmarks": 2_200,
     "docs [bytes]": 220_000,

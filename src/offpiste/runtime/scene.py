@@ -1,5 +1,6 @@
 """One plan on a recorded scene: the map and the vehicle's past as they were known at a moment of a log."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,9 +8,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from offpiste.core.conventions import HISTORY_STEPS
+from offpiste.core.conventions import CONTROL, HISTORY_STEPS
 from offpiste.core.errors import LogError, PlanningError
-from offpiste.dataset.resample import extract_rows
+from offpiste.dataset.resample import Rows, extract_rows
 from offpiste.logs.drive import drive_from_log
 from offpiste.logs.log import Log
 from offpiste.logs.sensor_log import open_sensors
@@ -34,9 +35,9 @@ class Scene:
     """The map and the vehicle's last rows at a moment.
 
     Attributes:
-        time: of the last row [s].
-        layers: of the map, with the planner's codes of the ground as features.
-        rows: of the vehicle until `time`.
+        time: stamp of the last row [s].
+        layers: map layers, with the planner's codes of the ground as features.
+        rows: states, actuators and controls of the vehicle up to `time`.
         wheels: positions in the body frame, from the pose point [m].
     """
 
@@ -51,7 +52,7 @@ class Scene:
         return np.asarray(self.rows.state[-1])
 
     def ahead(self, forward: float, left: float = 0.0) -> Float[np.ndarray, " 2"]:
-        """Place in the world frame from distances in the vehicle's frame [m]."""
+        """Position x, y in the world frame of a point given in the body frame [m]."""
         x, y, yaw = self.state[:3]
         cos, sin = np.cos(yaw), np.sin(yaw)
         return np.array((x + cos * forward - sin * left, y + sin * forward + cos * left))
@@ -59,13 +60,13 @@ class Scene:
 
 @dataclass(frozen=True)
 class DrivingPlan:
-    """A plan and where the model predicts that it leads.
+    """A plan and its predicted trajectory.
 
     Attributes:
         controls: throttle, brake and steer of each step of `conventions.DT`.
-        states: predicted state after each step, in the world frame.
+        states: predicted state after each step (`conventions.STATE`), in the world frame.
         cost: predicted cost of the plan.
-        cost_before: of the controls that were improved.
+        cost_before: predicted cost of the initial controls.
     """
 
     controls: Float[Tensor, "T 3"]
@@ -75,13 +76,16 @@ class DrivingPlan:
 
 
 def read_scene(log: Log, rig: Rig, planner: Planner, seconds: float, settings: MapperSettings | None = None) -> Scene:
-    """Replay the start of a log, as on the vehicle, and return the scene that a planner has then.
+    """Replay a log up to a moment, as on the vehicle, and return the scene that a planner has then.
+
+    The vehicle's rows end with the first one after the last measurement in the map, so that the map holds nothing from
+    later. Delays and clock alignments of the rig are known from the whole log.
 
     Args:
-        seconds: since the first pose.
+        seconds: time since the first pose.
 
     Raises:
-        LogError: the log has no scan or no complete history by then.
+        LogError: there is no scan, or no complete history of the vehicle, at that time.
         PlanningError: the planner reads features that no camera gives.
     """
     model, extractor = planner.dynamics.requires_grad_(False), planner.extractor
@@ -91,6 +95,9 @@ def read_scene(log: Log, rig: Rig, planner: Planner, seconds: float, settings: M
         )
     sensors = open_sensors(log, rig)
     now = sensors.poses.span[0] + seconds
+    if now > sensors.poses.span[1]:
+        last = sensors.poses.span[1] - sensors.poses.span[0]
+        raise LogError(f"its poses end before {seconds:g} s", where=log.path, how=f"choose a time up to {last:.1f} s")
     cameras = {} if extractor is None else pinhole_cameras(sensors, extractor.patch)
 
     def codes(pixels: np.ndarray) -> np.ndarray:
@@ -103,18 +110,27 @@ def read_scene(log: Log, rig: Rig, planner: Planner, seconds: float, settings: M
     for moment in replay(sensors, cameras, codes, size, settings, end=now):  # noqa: B007
         pass
     if moment is None:
-        raise LogError(f"no scan in the first {seconds:g} s", where=log.path, how="choose a later moment")
+        raise LogError(f"no scan in the first {seconds:g} s", where=log.path, how="choose a later time")
     rows = extract_rows(drive_from_log(log, rig))
-    t = int(np.searchsorted(rows.time, now, side="right")) - 1
-    last = slice(t - HISTORY_STEPS, t + 1)
-    if last.start < 0 or not rows.valid[last].all():
-        raise LogError(
-            f"no complete history at {seconds:g} s", where=log.path, how="choose a moment where all channels are there"
-        )
-    state = rows.state_causal[last].astype(float)
-    state[:, :2] += rows.origin
-    track = TrackRows(state, rows.actuators_causal[last], rows.control_causal[last], np.ones(HISTORY_STEPS + 1))
+    t = int(np.searchsorted(rows.time, max(now, moment.placed)))
+    if not HISTORY_STEPS <= t < len(rows.time) or not rows.valid[t - HISTORY_STEPS : t + 1].all():
+        how = "choose a time at which all channels are there"
+        raise LogError(f"no complete history of the vehicle at {seconds:g} s", where=log.path, how=how)
+    track = track_of(rows, [control.name for control in rig.controls], t)
     return Scene(float(rows.time[t]), moment.layers, track, np.asarray(rig.wheel_positions()))
+
+
+def track_of(rows: Rows, controls: Sequence[str], t: int) -> TrackRows:
+    """Rows t-10 ... t of a drive as a planner knows them: causal estimates, in the world frame.
+
+    Args:
+        controls: columns of the rows' controls; without a gear the vehicle drives forward.
+    """
+    last = slice(t - HISTORY_STEPS, t + 1)
+    state, control = rows.state_causal[last].astype(float), rows.control_causal[last]
+    state[:, :2] += rows.origin
+    gear = control[:, list(controls).index("gear")] if "gear" in controls else np.ones(len(control))
+    return TrackRows(state, rows.actuators_causal[last], control[:, : len(CONTROL)], gear.astype(float))
 
 
 @torch.no_grad()
@@ -129,9 +145,10 @@ def plan(
     before: Float[Tensor, "T 3"] | int = 150,
     seed: int = 0,
 ) -> DrivingPlan:
-    """Plan controls along a course or to a goal by MPPI, from a scene.
+    """Plan controls along a course or to a goal by MPPI, from a scene; the vehicle drives forward.
 
     Args:
+        course: in the world frame.
         sampling: of pedal and steering; by default five rounds of 512 samples.
         before: controls to improve; a number of steps begins with doing nothing.
         seed: of the sampled controls.
