@@ -10,8 +10,10 @@ from pathlib import Path
 import pytest
 import torch
 
+from offpiste.core.errors import RunError
 from offpiste.dataset.windows import Windows
 from offpiste.training import loop
+from offpiste.training.checkpoint import save_tensors
 from offpiste.training.config import TrainConfig
 from offpiste.training.loop import BestEpoch
 
@@ -106,3 +108,11 @@ def test_a_stage_that_resumes_has_the_warnings_of_one_that_was_not_stopped(
         kept(tmp_path / "stopped", [1.0, *losses[:epochs]])
     assert kept(tmp_path / "stopped", losses[epochs:]) == whole
     assert whole.has_converged
+
+
+def test_a_finished_stage_of_another_version_ends_in_one_line(tmp_path: Path) -> None:
+    line, unread = torch.nn.Linear(1, 1), Windows.__new__(Windows)
+    save_tensors(tmp_path / "line.safetensors", line.state_dict(), validation_loss=1.0)
+    stage = loop.Stage("line", line, lambda batch: line.weight[0], 1)
+    with pytest.raises(RunError, match=r"another version of offpiste \(no 'kept_epoch'\); delete the file"):
+        loop.run_stage(stage, unread, unread, TrainConfig(), tmp_path, lambda metrics: None)

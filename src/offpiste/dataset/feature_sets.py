@@ -165,12 +165,12 @@ class FeatureSetRecorder:
 
 
 class KeptValues(NamedTuple):
-    """What is kept of the cells of passes for each feature set, or what a map holds of some cells now.
+    """Values of the cells of passes for each feature set, or of K cells of the current map.
 
     Attributes:
         features: float16, as their bits [sets, P, F] or [K, F].
-        valid, distance, elevation: [sets, P] or [K].
-        normal: [sets, P, 3] or [K, 3].
+        valid, distance, elevation: whether there are features, and metres; [sets, P] or [K].
+        normal: unit vectors in the world frame, [sets, P, 3] or [K, 3].
     """
 
     features: np.ndarray

@@ -60,7 +60,7 @@ class Topics:
 
     @property
     def clock(self) -> Clock:
-        """The clock that the rig asks for."""
+        """Clock settings of the rig, or the default ones."""
         return self.rig.clock if self.rig else Clock()
 
     @property

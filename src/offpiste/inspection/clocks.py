@@ -1,4 +1,4 @@
-"""Check of clocks that drift against the pose's, where a topic holds the speed of the wheels."""
+"""Check for clocks that drift against the pose's clock, by the speed of the wheels."""
 
 from dataclasses import dataclass
 

@@ -174,7 +174,7 @@ class _Sums:
         return _Sums(*(np.asarray(part.sum(axis=0)) for part in vars(self).values()))
 
     def without_each(self) -> "_Sums":
-        """Sums of all blocks but one, for each."""
+        """Leave-one-out sums: for each block, the sum of all others."""
         return _Sums(*map(_without_each, vars(self).values()))
 
     def solve(self) -> tuple[Float[np.ndarray, "*B L"], Float[np.ndarray, "*B L"], Bool[np.ndarray, "*B"]]:

@@ -205,9 +205,9 @@ def _without_effect(name: str, fit: LagFit, drive: Drive, path: DrivenPath) -> F
 
 
 def _acts_alone(name: str, drive: Drive, path: DrivenPath) -> bool:
-    """Whether a pedal acts while the other one is released, gravity taken out.
+    """Whether a pedal changes the acceleration while the other is released, after gravity is removed.
 
-    Brakes are pressed seldom, and downhill: over a whole drive, throttle and slope explain away what they do.
+    Brakes are pressed rarely, and downhill: over a whole drive, throttle and slope would account for their effect.
     """
     other = drive.channels.get("brake" if name == "throttle" else "throttle")
     if other is None:

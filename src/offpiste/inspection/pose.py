@@ -162,7 +162,7 @@ def check_pose(drive: Drive, path: DrivenPath, origin: float) -> list[Finding]:
 
 
 def _noise(drive: Drive, path: DrivenPath) -> list[Finding]:
-    """A finding if the positions are too noisy to start from, or, where the log has no velocity, to differentiate."""
+    """Report positions too noisy for the start of predictions or, if the log has no velocity, for differentiation."""
     velocity = drive.rig.channels.get("linear_velocity")
     place = drive.channels["position"]
     if len(place.time) < 100:

@@ -1,4 +1,4 @@
-"""Check of topics on which several senders take turns, by the frames of their messages or by values that alternate."""
+"""Check for topics with several senders, recognised by different frames or by alternating values."""
 
 from collections.abc import Collection, Mapping
 from typing import Final
@@ -14,7 +14,7 @@ from offpiste.rig.edits import Edit
 from offpiste.rig.rig import Rig
 
 _BEFORE: Final = 4
-"""Samples before one, the nearest of which is of the same sender."""
+"""Number of previous samples among which the nearest is taken to be of the same sender."""
 _TURNS: Final = 0.3
 """Share of samples that continue an earlier one than the last from which senders take turns."""
 _NEARER: Final = 0.1
@@ -28,7 +28,7 @@ _LARGE_STEP: Final = 0.002
 def check_senders(
     topics: Mapping[str, Topic], recorded: Mapping[str, Recorded], rig: Rig | None, *, used: Collection[str]
 ) -> list[Finding]:
-    """A finding for each topic with several senders, and the part of it that the rig's body sends as the remedy.
+    """Report topics with several senders; the remedy selects the sender of the rig's body frame.
 
     Args:
         used: topics that the rig reads.
@@ -66,7 +66,7 @@ def _by_frames(name: str, parts: list[Topic], rig: Rig | None, *, used: bool) ->
 
 
 def _alternating(topic: Recorded, rig: Rig) -> float:
-    """Largest share of samples, over the channels of a topic, that continue an earlier sample than the last one."""
+    """Largest share of samples, over a topic's channels, that are closer to an earlier sample than to the last one."""
     shares = [0.0]
     for name, source in rig.channels.items():
         if source.topic == topic.topic.name and {*source.fields} <= {*topic.fields}:

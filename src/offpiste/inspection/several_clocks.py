@@ -1,4 +1,4 @@
-"""Checks of clocks against each other: other origins, other rates, a step of all of them at once."""
+"""Checks of clocks against each other: different origins, different rates, a simultaneous step of all."""
 
 from collections.abc import Collection, Mapping
 from contextlib import suppress
@@ -33,12 +33,12 @@ _BLOCKS: Final = 12
 
 
 class Pace(NamedTuple):
-    """Rate of a topic's clock by the recorder's.
+    """Rate of a topic's clock relative to the recorder's.
 
     Attributes:
-        rate: seconds of the clock in a second of the recorder's.
+        rate: seconds of the clock per second of the recorder's clock.
         drift: how much later messages arrive after their stamps at the end than at the beginning [s].
-        straight: whether the delay changes along a line.
+        straight: whether the delay changes linearly.
     """
 
     rate: float
@@ -47,12 +47,12 @@ class Pace(NamedTuple):
 
 
 def arrivals(topic: Recorded) -> Float[np.ndarray, " n"]:
-    """Times of arrival of a topic's messages, where `time` is their headers' [s]."""
+    """Arrival times of a topic's messages, whose `time` is the header stamp [s]."""
     return topic.time if topic.other is None else topic.other
 
 
 def pace(topic: Recorded) -> Pace | None:
-    """Rate of a topic's clock by its messages' arrivals; None for too few messages."""
+    """Estimate the rate of a topic's clock from arrival times; None if there are too few messages."""
     known = np.isfinite(topic.time) & np.isfinite(arrivals(topic))
     stamps, arrived = topic.time[known], arrivals(topic)[known]
     if len(stamps) < 2 * _BLOCKS or not arrived.max() > arrived.min():
@@ -69,14 +69,14 @@ def pace(topic: Recorded) -> Pace | None:
 
 
 def has_arrivals(recorded: Mapping[str, Recorded], clock: Clock) -> bool:
-    """Whether topics have times of arrival beside the stamps by which they are read."""
+    """Whether arrival times are known in addition to header stamps."""
     return clock.stamps == "header" and any(topic.other is not None for topic in recorded.values())
 
 
 def other_origin(
     recorded: Mapping[str, Recorded], topic: str, pose: str, clock: Clock, *, used: bool
 ) -> Finding | None:
-    """A finding if the clocks of a topic and of the pose's count from different origins."""
+    """Report a topic whose clock has another origin than the pose's clock."""
     if not _other_origin(recorded[topic], recorded[pose]):
         return None
     own, other = (float(recorded[name].rising[0]) for name in (topic, pose))
@@ -104,7 +104,7 @@ def _origin(start: float) -> str:
 
 
 def check_rates(recorded: Mapping[str, Recorded], pose: str, clock: Clock, *, used: Collection[str]) -> list[Finding]:
-    """Findings on topics whose clock runs at another rate than the pose's, by the arrivals of their messages.
+    """Report topics whose clock runs at another rate than the pose's clock, relative to arrival times.
 
     Args:
         used: topics that a rig reads, if there is one.
@@ -133,7 +133,7 @@ def check_rates(recorded: Mapping[str, Recorded], pose: str, clock: Clock, *, us
 
 
 def read_by_arrival(log: Log, rig: Rig) -> bool:
-    """Whether topics have other clocks than the drafted pose, so that controls are found by times of arrival only."""
+    """Whether clocks differ so much from that of the drafted pose that controls must be matched by arrival times."""
     pose, clock = rig.channels["position"].topic, rig.clock
     recorded = {}
     for name, topic in log.topics.items():
@@ -153,11 +153,11 @@ def read_by_arrival(log: Log, rig: Rig) -> bool:
 def check_steps(
     recorded: Mapping[str, Recorded], clock: Clock, *, used: Collection[str], set_back: SetBack | None
 ) -> list[Finding]:
-    """A finding if the clocks of all topics step back at one moment.
+    """Report a step back of the clocks of all topics at the same time.
 
     Args:
-        used: topics that a rig reads; of those alone the steps count if there is one.
-        set_back: step of the recorder's clock, in whose order samples are read.
+        used: topics that the rig reads; without a rig (empty) all topics count.
+        set_back: step of the recorder's clock, if any; samples are read in the order of that clock.
     """
     topics = {name: r for name, r in recorded.items() if (name in used or not used) and len(r.rising) > 20}
     if set_back is not None:
@@ -170,7 +170,7 @@ def check_steps(
 
 
 def _steady(topic: Recorded, set_back: SetBack) -> bool:
-    """Whether headers went on while the recorder's clock stepped back: the delay is smaller by the step after it."""
+    """Whether header stamps continued when the recorder's clock stepped back: the delay drops by the step."""
     arrived = arrivals(topic)
     before, after = arrived < set_back.time - set_back.by, arrived > set_back.time
     if not before.any() or not after.any():

@@ -1,4 +1,4 @@
-"""A recording in numbered files, each of which can be read by itself, on a disk that keeps some space free."""
+"""Recording into numbered files that can each be read alone; it ends before the disk is full."""
 
 import shutil
 import time
@@ -24,10 +24,10 @@ _MOST, _SIZE = 256, 64 << 20
 
 
 def refuse_full_disk(settings: RecordSettings) -> None:
-    """Refuse to write where the space that has to stay free is used.
+    """Check that more disk space is free than has to stay free.
 
     Raises:
-        LogError: how much is free.
+        LogError: it is not.
     """
     if (free := shutil.disk_usage(settings.path.parent).free / 1e9) < settings.free:
         what = f"{free:.3g} GB of the disk are free, and {settings.free:g} GB have to stay free"
@@ -35,15 +35,15 @@ def refuse_full_disk(settings: RecordSettings) -> None:
 
 
 class Recording:
-    """Writes messages, and begins a new file where one has reached its size or length.
+    """Writes messages and begins a new file when one reaches its maximum size or duration.
 
     Args:
         types: definitions of messages.
-        repeated: topics whose newest message each file begins with; of transforms, the newest of each set of frames.
+        repeated: topics whose newest message is written first in each file; of transforms, one for each set of frames.
 
     Attributes:
-        path: of the present file.
-        messages: number of messages in all files.
+        path: path of the current file.
+        messages: number of messages written to all files.
 
     Raises:
         LogError: a file cannot be written.
@@ -58,7 +58,7 @@ class Recording:
         self._open()
 
     def add(self, received: Received) -> None:
-        """Write a message; one of a repeated topic that comes before the time is known is written once it is."""
+        """Write a message; messages of repeated topics that arrive before the clock is known are written afterwards."""
         if np.isfinite(received.received):
             stamp = round(received.received * 1e9)
             if self._began is not None and abs(stamp - self._began) > self._settings.seconds * 1e9:
@@ -72,10 +72,10 @@ class Recording:
             self._keep(received)
 
     def look(self) -> None:
-        """Look at the disk and at the size of the file, now and then.
+        """Check disk space and file size at most every `_LOOKS` seconds.
 
         Raises:
-            LogError: the space that has to stay free is used.
+            LogError: less space is free than has to stay free.
         """
         if time.monotonic() - self._looked < _LOOKS:
             return
@@ -85,7 +85,7 @@ class Recording:
             self._next()
 
     def close(self) -> None:
-        """End the file."""
+        """Close the current file."""
         self._writer.close()
 
     def _open(self) -> None:

@@ -106,7 +106,7 @@ class CameraModel:
         return np.where(seen[:, None], directions, np.nan)
 
     def edges(self) -> tuple[Float[np.ndarray, "_ 2"], ...]:
-        """Directions of the pixels along the edges of the image: left, right, top, bottom."""
+        """Normalised image coordinates x/z, y/z of the pixels along the left, right, top and bottom edge."""
         columns, rows = np.arange(self.width, dtype=np.float64), np.arange(self.height, dtype=np.float64)
         return (
             self.unproject(np.column_stack((np.zeros_like(rows), rows))),

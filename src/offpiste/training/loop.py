@@ -16,7 +16,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from offpiste.compilation import single_threaded_torch
-from offpiste.core.errors import TrainingError, extra
+from offpiste.core.errors import RunError, TrainingError, extra
 from offpiste.core.files import write_text
 from offpiste.core.progress import track
 from offpiste.dataset.feature_sets import Draw
@@ -208,6 +208,7 @@ def run_stage(
 
     Raises:
         TrainingError: a loss or a gradient is not finite. The last good checkpoint stays.
+        RunError: the file of a finished stage is damaged or of another version.
     """
     keep_freed_memory()
     done, running = folder / f"{stage.name}.safetensors", folder / f"{stage.name}.checkpoint.safetensors"
@@ -216,7 +217,11 @@ def run_stage(
         load_weights(stage.module, weights, done)
         if group.writes:
             running.unlink(missing_ok=True)
-        return BestEpoch.of(about, stage.epochs)
+        try:
+            return BestEpoch.of(about, stage.epochs)
+        except KeyError as error:
+            how = "delete the file and resume: the stage is trained again"
+            raise RunError(f"was written by another version of offpiste (no {error})", where=done, how=how) from error
     state = StageState(stage, config)
     if running.exists():
         state.restore(running)

@@ -25,7 +25,7 @@ def beside(
 
 
 def sheet(pictures: Sequence[UInt8[np.ndarray, "h w 3"]], *, columns: int = 2) -> UInt8[np.ndarray, "H W 3"]:
-    """Pictures of one size in rows and columns."""
+    """Tile pictures of equal size in `columns` columns; unused tiles are black."""
     blank = [np.zeros_like(pictures[0])] * (-len(pictures) % columns)
     filled = [*pictures, *blank]
     rows = [np.concatenate(filled[start : start + columns], axis=1) for start in range(0, len(filled), columns)]

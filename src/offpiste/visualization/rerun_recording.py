@@ -1,4 +1,4 @@
-"""A drive as a Rerun recording (rerun.io): images, features, scans, the growing map and the wheels' tracks, by time.
+"""Rerun recordings (rerun.io) of a drive: images, features, scans, map and wheel tracks over time.
 
 Data is streamed to the file, so memory does not grow with the drive. Places are relative to where the vehicle was
 first, because viewers count in float32.

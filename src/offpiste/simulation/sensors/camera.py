@@ -45,7 +45,7 @@ class CameraSettings:
 
 
 class Camera:
-    """A camera on a vehicle, with its rays.
+    """Camera on a vehicle, with precomputed rays.
 
     Attributes:
         origin: origin of the rays in the body frame [m].
