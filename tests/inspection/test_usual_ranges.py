@@ -150,3 +150,8 @@ def test_a_pedal_that_is_released_between_its_ends_goes_both_ways() -> None:
     for trigger in (presses(-1, 1, rest=1.0), presses(-1, 1, rest=-1.0), presses(0, 1, rest=0.0)):
         assert not rests_between(trigger)
     assert not rests_between(presses(1000, 2000, rest=1000.0), 1500.0)
+
+
+@pytest.mark.parametrize("value", [0.0, 1500.0, 1e9])
+def test_a_steering_that_is_never_turned_has_no_middle(value: float) -> None:
+    assert steering_middle(np.full(500, value), named=True) is None

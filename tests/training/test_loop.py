@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from offpiste.core.errors import RunError
+from offpiste.core.errors import RunError, TrainingError
 from offpiste.dataset.windows import Windows
 from offpiste.training import loop
 from offpiste.training.checkpoint import save_tensors
@@ -116,3 +116,12 @@ def test_a_finished_stage_of_another_version_ends_in_one_line(tmp_path: Path) ->
     stage = loop.Stage("line", line, lambda batch: line.weight[0], 1)
     with pytest.raises(RunError, match=r"another version of offpiste \(no 'kept_epoch'\); delete the file"):
         loop.run_stage(stage, unread, unread, TrainConfig(), tmp_path, lambda metrics: None)
+
+
+def test_a_stage_without_a_finite_validation_loss_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(loop, "train_epoch", lambda *arguments: 1.0)
+    line, unread = torch.nn.Linear(1, 1), Windows.__new__(Windows)
+    stage = loop.Stage("line", line, lambda batch: line.weight[0], 2, on_map=lambda: float("inf"))
+    with pytest.raises(TrainingError, match="line: no epoch has a finite validation loss"):
+        loop.run_stage(stage, unread, unread, TrainConfig(), tmp_path, lambda metrics: None)
+    assert not (tmp_path / "line.safetensors").exists()

@@ -1,6 +1,7 @@
 """Losses of errors whose loss is known, and weights of windows by speed."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -8,11 +9,14 @@ import torch
 
 from factories import circle_rows, small_rig
 from offpiste.core.conventions import MIN_EVALUATION_SPEED
-from offpiste.core.errors import RunError
+from offpiste.core.errors import RunError, TrainingError
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import add_drive, create, open_dataset
 from offpiste.dataset.windows import Windows
-from offpiste.training.losses import COMPONENTS, LOSSES, speed_weights, squared_errors, summed_loss
+from offpiste.dynamics import ConstantMotion
+from offpiste.training.config import TrainConfig
+from offpiste.training.losses import COMPONENTS, LOSSES, loss_scale, speed_weights, squared_errors, summed_loss
+from offpiste.training.run import vehicle_of
 
 ONES = torch.ones(5)
 
@@ -130,3 +134,12 @@ def test_half_way_lies_between(windows: Windows) -> None:
     batch = windows.gather(windows.every(50))
     half, whole = (speed_weights(windows, relative)(batch) for relative in (0.5, 1.0))
     assert torch.allclose(half.square() / half.square().mean(), whole / whole.mean(), rtol=1e-4)
+
+
+def test_impossible_motion_is_refused_before_a_training_begins(tmp_path: Path) -> None:
+    split, rows = parse_split("blocks:1,0,0"), circle_rows(600)
+    create(tmp_path / "data.zarr", small_rig(), split)
+    add_drive(tmp_path / "data.zarr", "one", replace(rows, state=rows.state * 1e20), split, ())
+    windows = Windows(open_dataset(tmp_path / "data.zarr"), "train")
+    with pytest.raises(TrainingError, match=r"mean square error .* in position is .*: the motion is impossible"):
+        loss_scale(ConstantMotion(vehicle_of(windows.dataset)), windows, TrainConfig())

@@ -175,6 +175,8 @@ def steering_middle(
 def _usual_middle(values: Float[np.ndarray, " n"], *, named: bool) -> tuple[float, float, str] | None:
     """The same by the numbers alone."""
     low, high = (float(end) for end in np.percentile(values, (0.5, 99.5)))
+    if low == high:  # a steering that is never turned shows no full lock
+        return None
     seen = f"{low:.4g}..{high:.4g} seen"
     if are_pulses(values, named=named):
         turned = values[~find_spikes(values)]

@@ -207,7 +207,7 @@ def run_stage(
     single one, up to rounding.
 
     Raises:
-        TrainingError: a loss or a gradient is not finite. The last good checkpoint stays.
+        TrainingError: a loss or a gradient is not finite, or all validation losses. The last good checkpoint stays.
         RunError: the file of a finished stage is damaged or of another version.
     """
     keep_freed_memory()
@@ -247,6 +247,9 @@ def run_stage(
         )
         if group.writes:
             state.save(running)
+    if not math.isfinite(state.best_score):
+        how = "inspect the logs of the validation part, and leave out damaged drives"
+        raise TrainingError("no epoch has a finite validation loss", where=stage.name, how=how)
     load_weights(stage.module, state.best, done)
     best = BestEpoch.last_of(state.best_epoch, state.losses, stage.epochs, state.best_score)
     if group.writes:

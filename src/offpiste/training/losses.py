@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from offpiste.core.conventions import min_evaluation_speed
-from offpiste.core.errors import RunError
+from offpiste.core.errors import RunError, TrainingError
 from offpiste.core.registry import Registry
 from offpiste.core.state import Trajectory, wrap_angle
 from offpiste.dataset.windows import Batch, Windows
@@ -24,6 +24,9 @@ from offpiste.mapping.terrain_sampler import CellStack, MapTerrain
 from offpiste.training.config import TrainConfig
 from offpiste.training.distributed import Group
 from offpiste.training.prediction import in_parts, predict_batch, with_past_on
+
+LARGEST_SCALE: Final = 1e30
+"""Units and weights of the loss are less: float32 holds their product with an error."""
 
 COMPONENTS: Final = ("position", "yaw", "vx", "vy", "yaw_rate")
 """Components of the loss [m, rad, m/s, m/s, rad/s]."""
@@ -101,7 +104,11 @@ def summed_loss(
 
 
 def loss_scale(reference: Dynamics, windows: Windows, config: TrainConfig) -> Float[Tensor, " 5"]:
-    """Mean square error of the reference model on training windows, by component: the units of the loss."""
+    """Mean square error of the reference model on training windows, by component: the units of the loss.
+
+    Raises:
+        TrainingError: an error is so large that no vehicle moved so.
+    """
     if not reference.reads_terrain:
         windows = windows.without_terrain()
     errors = []
@@ -110,7 +117,12 @@ def loss_scale(reference: Dynamics, windows: Windows, config: TrainConfig) -> Fl
         for part in in_parts(windows.strided(stride), windows, None, size=size):
             batch = windows.gather(part)
             errors.append(squared_errors(predict_batch(reference, batch).state, batch.target))
-    return torch.cat(errors).mean(dim=(0, 1)).clamp(min=1e-8)
+    scale = torch.cat(errors).mean(dim=(0, 1)).clamp(min=1e-8)
+    for name, value in zip(COMPONENTS, scale.tolist(), strict=True):
+        if not value < LARGEST_SCALE:
+            what = f"the mean square error of the reference model in {name} is {value:g}: the motion is impossible"
+            raise TrainingError(what, where=windows.dataset.path, how="inspect the logs, and leave out damaged drives")
+    return scale
 
 
 def speed_weights(windows: Windows, relative: float) -> Callable[[Batch], Float[Tensor, " B"]]:

@@ -35,7 +35,7 @@ from offpiste.training.checkpoint import (
 )
 from offpiste.training.config import MOST_CODES, TrainConfig, Weights
 from offpiste.training.loop import BestEpoch
-from offpiste.training.losses import COMPONENTS
+from offpiste.training.losses import COMPONENTS, LARGEST_SCALE
 from offpiste.training.prediction import Lookup, predict_windows
 
 SCHEMA: Final = 2
@@ -46,9 +46,6 @@ ALIKE: Final = 0.1
 
 _MOST_FEATURES: Final = 1 << 16
 """Largest number of terrain features; no backbone has as many."""
-
-_LARGEST: Final = 1e30
-"""Upper bound of units and weights of the loss: float32 holds their product with an error."""
 
 
 def vehicle_of(dataset: Dataset, config: TrainConfig | None = None) -> Vehicle:
@@ -261,8 +258,8 @@ def _refuse_impossible(stated: _Stated) -> None:
         ("vehicle.pca", 0 <= vehicle.pca <= (vehicle.features or _MOST_FEATURES)),
         ("vehicle.codes", 1 <= vehicle.codes <= MOST_CODES),
         ("seed", 0 <= stated.seed < 1 << 63),
-        ("loss.scale", {*scale} == {*COMPONENTS} and all(0 < value < _LARGEST for value in scale.values())),
-        ("loss.weights", all(0 <= value < _LARGEST for value in weights) and any(weights)),
+        ("loss.scale", {*scale} == {*COMPONENTS} and all(0 < value < LARGEST_SCALE for value in scale.values())),
+        ("loss.weights", all(0 <= value < LARGEST_SCALE for value in weights) and any(weights)),
     ):
         if not good:
             raise ValueError(f"{what} is impossible")
