@@ -22,7 +22,7 @@ HERE = Path(__file__).resolve().parent
 WHOLE = 590.0
 """Seconds of all stages together."""
 
-TESTS: tuple[str, ...] = ("tests/dynamics/header/test_cuda.py", "tests/test_cuda_kernels.py")
+TESTS: tuple[str, ...] = ("tests/dynamics/header/test_cuda.py", "tests/native/test_cuda_kernels.py")
 TESTS += ("tests/dynamics/test_base.py",)
 TESTS += ("tests/perception/backbones/test_backbone.py", "tests/planning/test_mppi.py")
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import torch
 
-from offpiste.cuda_kernels import Kernels, cuda_kernels
+from offpiste.native.cuda_kernels import Kernels, cuda_kernels
 
 Row = dict[str, Any]
 

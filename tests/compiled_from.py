@@ -7,11 +7,11 @@ import ast
 from functools import cache
 from pathlib import Path
 
-from offpiste import compilation
-from offpiste.compilation import Compiler
+from offpiste.native import compilation
+from offpiste.native.compilation import Compiler
 
-PACKAGE = Path(compilation.__file__).parent
-MACHINERY = {"offpiste.compilation", "offpiste.core.registry", "offpiste.core.errors"}
+PACKAGE = Path(compilation.__file__).parents[1]
+MACHINERY = {"offpiste.native.compilation", "offpiste.core.registry", "offpiste.core.errors"}
 """Modules whose values are in no compiled code, or, of the first, in every digest."""
 
 METHODS = {"inlined", "loop", "summing_loop", "maker", "entry"}

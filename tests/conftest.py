@@ -62,8 +62,8 @@ SLOW = (
     "export/test_onnx_files.py::", "fuzz/test_fuzz.py::test_forty_cases_of_a_new_seed",
     "live/test_all_processes.py::test_a_signal_to_all_processes", "live/test_live_faults.py::test_",
     "reproduction/test_reproduce.py", "runtime/test_compiled_and_loaded.py",
-    "test_cluster.py::test_a_worker_and_a_node_that_are_killed",
-    "test_kill.py::test_a_killed_training_and_simulation", "test_object_store.py::test_a_bucket_that_is_not_there",
+    "core/test_cluster.py::test_a_worker_and_a_node_that_are_killed",
+    "test_kill.py::test_a_killed_training_and_simulation", "core/test_object_store.py::test_a_bucket_that_is_not_there",
     "training/test_distributed.py::test_on_two_hosts",
 )  # fmt: skip
 """Tests that only `.ci/full` runs, but for those in `SMOKE`."""

@@ -12,7 +12,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from offpiste.cuda_kernels import lanes_of
+from offpiste.native.cuda_kernels import lanes_of
 
 LACKING = [name for name in ("gcc", "g++") if shutil.which(name) is None]
 needs_gcc = pytest.mark.skipif(

@@ -14,9 +14,9 @@ from offpiste.core.checksums import CHECKSUMS
 from offpiste.core.errors import DatasetError, OffpisteError
 from offpiste.core.object_store import opened
 from offpiste.dataset.extract import make_dataset
+from offpiste.dataset.merge import merge_datasets
 from offpiste.dataset.place import drive_names
 from offpiste.dataset.store import open_dataset
-from offpiste.merge import merge_datasets
 from offpiste.rig.rig import load_rig
 from offpiste.simulation.simulate import DriveSettings, simulate
 from offpiste.simulation.world.world import WorldSettings

@@ -7,12 +7,12 @@ import pytest
 import torch
 
 from feature_datasets import dataset_with_features
-from offpiste.compilation import KERNELS
 from offpiste.core.errors import RunError
 from offpiste.dataset.windows import Windows
 from offpiste.demo.first_minute import shipped
 from offpiste.demo.warm_up import PLAN, RECORD, compile_training, rehearse, rehearse_part
 from offpiste.dynamics.kernels import actuators, encoder, rollout
+from offpiste.native.compilation import KERNELS
 from offpiste.training.prediction import predict_batch
 from offpiste.training.run import build, vehicle_of
 

@@ -50,7 +50,7 @@ def test_every_module_imports_only_core_dependencies_at_its_top() -> None:
         "dynamics/kernels/dialects.py: sympy",  # which only who changes the physics runs
         "dynamics/kernels/generate.py: sympy",
         "dynamics/kernels/tape.py: sympy",
-        "compilation.py: llvmlite",  # Numba's own compiler, never without it
+        "native/compilation.py: llvmlite",  # Numba's own compiler, never without it
         "dynamics/kernels/vectors.py: llvmlite",
     }
 

@@ -20,7 +20,7 @@ class Check:
 
     def run(self) -> int:
         """Look for them, compare, say what is damaged."""
-        from offpiste.file_check import check_paths
+        from offpiste.training.file_check import check_paths
 
         if not self.paths:
             raise OffpisteError("nothing to check is given", how="name runs, datasets or PCA files")

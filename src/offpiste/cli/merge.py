@@ -23,7 +23,7 @@ class Merge:
 
     def run(self) -> int:
         """Check, copy, open."""
-        from offpiste.merge import merge_datasets
+        from offpiste.dataset.merge import merge_datasets
 
         show(after_dataset(merge_datasets(self.parts, self.out), self.out))
         return 0

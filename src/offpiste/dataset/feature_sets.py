@@ -7,10 +7,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from offpiste.compilation import FEATURE_SETS_KEPT, single_threaded_torch
 from offpiste.core.conventions import FEATURE_SETS
 from offpiste.core.errors import DatasetError
 from offpiste.dataset.wheel_passes import Passes
+from offpiste.native.compilation import FEATURE_SETS_KEPT, single_threaded_torch
 
 TOLERANCE = 5.0
 """Largest difference between a feature set's distance and the vehicle's when it is recorded [m]."""

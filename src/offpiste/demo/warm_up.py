@@ -46,7 +46,7 @@ SMALL: Final = DriveSettings(WorldSettings("uniform", size=100.0, resolution=1.0
 
 def warm_up_all() -> None:
     """Compile the kernels of training, planning, mapping and simulation, and print the time of each part."""
-    logging.getLogger("offpiste.kernel_cache").setLevel(logging.WARNING)  # it would advise to warm up
+    logging.getLogger("offpiste.native.kernel_cache").setLevel(logging.WARNING)  # it would advise to warm up
     with tempfile.TemporaryDirectory() as folder:
         parts: dict[str, Callable[[], object]] = {
             "training": compile_training,

@@ -7,11 +7,11 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.ndimage import median_filter
 
-from offpiste.compilation import POSES
 from offpiste.core.errors import RigError
 from offpiste.core.geometry import rotation_from_quaternion
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
+from offpiste.native.compilation import POSES
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from offpiste.compilation import CLOUDS, FUSED_CLOUDS
+from offpiste.native.compilation import CLOUDS, FUSED_CLOUDS
 
 
 @FUSED_CLOUDS.inlined

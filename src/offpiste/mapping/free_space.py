@@ -10,10 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from offpiste.compilation import MAPPING
 from offpiste.core.errors import MapError
 from offpiste.mapping.voxel_kernels import BASE, FEATURED, OCCUPIED, PARTS, PASSED, STRIPE, X, Y, Z, release
 from offpiste.mapping.voxel_map import VoxelMap
+from offpiste.native.compilation import MAPPING
 
 STEEPEST, SLOPE, ROWS, COLUMNS = -1.0, 0.025, 64, 256
 """Slope of the lowest row, slope of a row [m per m], rows and columns: pixels of 1.4 degrees at the horizon."""

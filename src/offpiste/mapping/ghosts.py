@@ -20,8 +20,8 @@ from typing import Final
 import numpy as np
 from jaxtyping import Bool, Float
 
-from offpiste.compilation import MAPPING, spread_blocks
 from offpiste.core.errors import MapError
+from offpiste.native.compilation import MAPPING, spread_blocks
 
 HALF_OF_RINGS: Final = 20.0
 """Distance within which half of the rings lie [m]: they are 0.3 m wide at the sensor, 1.3 m there and 5 m at 60 m."""

@@ -11,9 +11,9 @@ from typing import Final
 
 import numpy as np
 
-from offpiste.compilation import MAPPING
 from offpiste.mapping.normals import put
 from offpiste.mapping.voxel_kernels import BASE, FEATURE_DISTANCE, FEATURED, FEATURES, LEVELS, LOWEST, OCCUPIED, X, Y, Z
+from offpiste.native.compilation import MAPPING
 
 BLOCK: Final = 32
 """Columns that are looked through at once for those that changed."""

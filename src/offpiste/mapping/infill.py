@@ -9,8 +9,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from offpiste.compilation import MAPPING
 from offpiste.mapping.normals import SUMS, add_columns, put, put_moments, solve, sum_rows
+from offpiste.native.compilation import MAPPING
 
 CHUNK: Final = 256
 """Cells whose windows are gathered at a time: their sums stay in the processor's cache."""

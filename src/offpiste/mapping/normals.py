@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from offpiste.compilation import MAPPING
+from offpiste.native.compilation import MAPPING
 
 N, SX, SY, SZ, SXX, SXY, SYY, SXZ, SYZ = range(9)
 """Sums over a window's points: their number, x, y, z and products."""

@@ -14,8 +14,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from offpiste.compilation import MAPPING, Function
 from offpiste.mapping.fusion import FUSION_RULES
+from offpiste.native.compilation import MAPPING, Function
 
 BASE, OCCUPIED, FEATURED, LOWEST = range(4)
 """Fields of a column's head: level of its lowest voxel, counted from the world's zero; bits of the levels from there up

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from offpiste.compilation import spread_blocks
 from offpiste.core.errors import MapError
 from offpiste.mapping.fusion import FUSION_RULES
 from offpiste.mapping.voxel_kernels import (
@@ -23,6 +22,7 @@ from offpiste.mapping.voxel_kernels import (
     forget_left_behind,
     point_inserter,
 )
+from offpiste.native.compilation import spread_blocks
 
 
 @dataclass(frozen=True)

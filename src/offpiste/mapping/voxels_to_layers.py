@@ -16,7 +16,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Int
 
-from offpiste.compilation import spread_blocks
 from offpiste.core.errors import MapError
 from offpiste.mapping.ground import BLOCK, drop_overhangs, put_spans, read_columns, see_columns
 from offpiste.mapping.infill import (
@@ -30,6 +29,7 @@ from offpiste.mapping.infill import (
 from offpiste.mapping.normals import SUMS, fit_planes, smooth_residuals
 from offpiste.mapping.terrain_map import LAYERS, TerrainLayers, empty_layers, nothing_known
 from offpiste.mapping.voxel_map import VoxelMap, check_positive
+from offpiste.native.compilation import spread_blocks
 
 
 @dataclass(frozen=True)

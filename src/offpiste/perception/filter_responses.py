@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from jaxtyping import Float32, UInt8
 
-from offpiste.compilation import FILTER_SUMS, FILTERS
+from offpiste.native.compilation import FILTER_SUMS, FILTERS
 
 TAPS: Final = 7
 """Taps of a line that are added at a time; longer lines are filled up with zeros."""

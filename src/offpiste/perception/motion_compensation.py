@@ -5,9 +5,9 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float, Int
 
-from offpiste.compilation import MOTION
 from offpiste.logs.measurements import Cloud, Lidar
 from offpiste.logs.poses import Poses
+from offpiste.native.compilation import MOTION
 
 MOMENT = 1e-4
 """Time within which points share a pose [s]: 2 mm at 20 m/s."""

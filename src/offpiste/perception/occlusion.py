@@ -15,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from offpiste.compilation import OCCLUSION
+from offpiste.native.compilation import OCCLUSION
 
 SECTORS: Final = 8
 FREE: Final = 2

@@ -12,8 +12,8 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from offpiste.compilation import FUSED_PROJECTION, PROJECTION
 from offpiste.core.errors import PerceptionError
+from offpiste.native.compilation import FUSED_PROJECTION, PROJECTION
 from offpiste.perception.camera import PinholeCamera
 from offpiste.perception.motion_compensation import inverse
 from offpiste.perception.occlusion import occluded_points

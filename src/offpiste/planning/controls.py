@@ -14,11 +14,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from offpiste.compilation import PLANNING, spread_kernel
 from offpiste.core.channels import CONTROLS, OPTIONAL_CONTROLS
 from offpiste.core.conventions import CONTROL
 from offpiste.core.errors import PlanningError
 from offpiste.dynamics.vehicle import Vehicle
+from offpiste.native.compilation import PLANNING, spread_kernel
 
 
 @dataclass(frozen=True)

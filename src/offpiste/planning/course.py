@@ -8,9 +8,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Float32
 
-from offpiste.compilation import PLANNING, spread_kernel
 from offpiste.core.errors import PlanningError
 from offpiste.mapping.terrain_map import TerrainLayers
+from offpiste.native.compilation import PLANNING, spread_kernel
 
 BLOCK = 4
 """Side of a block [cells]; far from the path, the cells of a block share their nearest point."""

@@ -16,9 +16,9 @@ from torch import Generator, Tensor
 from offpiste.core.conventions import CONTROL
 from offpiste.core.errors import PlanningError
 from offpiste.core.state import ModelState
-from offpiste.cuda_kernels import Kernels
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.header.networks import packed_parameters
+from offpiste.native.cuda_kernels import Kernels
 from offpiste.planning.controls import bounds, controls_of
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.driving_cost import Situation

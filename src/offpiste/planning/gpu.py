@@ -8,10 +8,10 @@ from torch import Tensor
 
 from offpiste.core.errors import PlanningError, extra
 from offpiste.core.state import ModelState
-from offpiste.cuda_kernels import cuda_kernels
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.kernels.autograd import supports
 from offpiste.dynamics.kernels.coverage import uncovered
+from offpiste.native.cuda_kernels import cuda_kernels
 from offpiste.planning import mppi
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.device_planner import DevicePlanner, bounds_of, model_controls

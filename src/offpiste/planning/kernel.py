@@ -1,7 +1,7 @@
 """Costs of control sequences by one kernel: what `rollouts.driving_costs` computes, several times as fast, on the CPU.
 
 The first call compiles for some 20 seconds; the machine code is kept in the user's cache folder
-(`offpiste.kernel_cache`).
+(`offpiste.native.kernel_cache`).
 """
 
 import math
@@ -15,7 +15,6 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn.functional import pad
 
-from offpiste.compilation import spread_kernel
 from offpiste.core.conventions import ACTUATORS, CONTROL
 from offpiste.core.state import ModelState
 from offpiste.dynamics.base import Dynamics
@@ -30,6 +29,7 @@ from offpiste.dynamics.kernels.model_arrays import (
     recorded_channels,
 )
 from offpiste.mapping.terrain_sampler import MapStack
+from offpiste.native.compilation import spread_kernel
 from offpiste.planning.controls import complete
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.driving_cost import Situation

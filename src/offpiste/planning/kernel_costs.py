@@ -14,7 +14,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from offpiste.compilation import PLANNING
 from offpiste.core.conventions import CONTROL as CONTROLS
 from offpiste.core.conventions import DT, GRAVITY
 from offpiste.dynamics.kernels import elementary
@@ -22,6 +21,7 @@ from offpiste.dynamics.kernels.elementary import Lane, f4
 from offpiste.dynamics.kernels.layout import LANES
 from offpiste.dynamics.kernels.rollout import NORMAL_ROW
 from offpiste.dynamics.kernels.vectors import read_fours
+from offpiste.native.compilation import PLANNING
 from offpiste.planning.costs.declaration import (
     CONSTANTS,
     ELEMENTARY,

@@ -6,7 +6,6 @@ step is read once (`kernel_terrain`): the step's cost reads it, and so does the 
 
 import numpy as np
 
-from offpiste.compilation import PLANNING
 from offpiste.core.conventions import CONTROL
 from offpiste.dynamics.kernels.elementary import copy, f4
 from offpiste.dynamics.kernels.lanes import ACTUATED
@@ -21,6 +20,7 @@ from offpiste.dynamics.kernels.rollout import (
     make_workspace,
 )
 from offpiste.dynamics.kernels.vectors import read_fours
+from offpiste.native.compilation import PLANNING
 from offpiste.planning.kernel_stray import EVERY, StrayWeights, begin_stray, make_stray, move_stray, sense_stray
 from offpiste.planning.kernel_terrain import CostCells, GroundCells, make_samples, sample_terrain
 

@@ -9,13 +9,13 @@ import numpy as np
 import torch
 from torch import nn
 
-from offpiste.compilation import PLANNING
 from offpiste.core.conventions import DT
 from offpiste.dynamics.kernels.elementary import Lane, add_product, f4, tanh
 from offpiste.dynamics.kernels.lanes import COMMANDED
 from offpiste.dynamics.kernels.layout import COMMANDS, LANES
 from offpiste.dynamics.kernels.rollout import CODES, CONTROL_ROW, NORMAL_ROW, UNKNOWN_ROW
 from offpiste.dynamics.vehicle import Vehicle
+from offpiste.native.compilation import PLANNING
 from offpiste.planning.caution import Caution
 from offpiste.planning.kernel_terrain import ACROSS, ALONG, COS, SIN
 from offpiste.uncertainty.spread import EVERY, INTERVAL, MOTION

@@ -10,12 +10,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from offpiste.compilation import PLANNING
 from offpiste.dynamics.kernels.elementary import Lane, cos, f4, sin
 from offpiste.dynamics.kernels.layout import LANES
 from offpiste.dynamics.kernels.rollout import CODES, NORMAL_ROW, UNKNOWN_ROW
 from offpiste.dynamics.kernels.vectors import read_fours
 from offpiste.mapping import terrain_map
+from offpiste.native.compilation import PLANNING
 
 on_map = PLANNING.inlined(terrain_map.on_map)
 wheel_position = PLANNING.inlined(terrain_map.wheel_position)

@@ -15,9 +15,9 @@ from jaxtyping import Float
 from scipy.signal import savgol_coeffs
 from torch import Generator, Tensor
 
-from offpiste.compilation import single_threaded_torch
 from offpiste.core.conventions import DT
 from offpiste.core.errors import NoPlan
+from offpiste.native.compilation import single_threaded_torch
 from offpiste.planning.controls import PEDALS_AND_WHEEL, Limits, keep_within
 from offpiste.planning.noise import Noise, coloured, covariance
 

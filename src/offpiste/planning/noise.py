@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Float
 from torch import Generator, Tensor
 
-from offpiste.compilation import single_threaded_torch, spread_kernel
+from offpiste.native.compilation import single_threaded_torch, spread_kernel
 
 Shape = tuple[int, int, int]
 """Samples K, steps T, controls U."""

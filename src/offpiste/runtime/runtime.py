@@ -12,10 +12,10 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from offpiste.compilation import single_threaded_torch
 from offpiste.core.errors import PlanningError
 from offpiste.dynamics.base import Dynamics
 from offpiste.logs.measurements import Cloud, Image
+from offpiste.native.compilation import single_threaded_torch
 from offpiste.planning.course import Course
 from offpiste.runtime.course_tracker import CourseTracker
 from offpiste.runtime.estimator import Intake, VehicleReading, VehicleTrack

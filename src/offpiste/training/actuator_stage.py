@@ -14,7 +14,6 @@ import numba
 import numpy as np
 import torch
 
-from offpiste.compilation import sources_digest, target_machine
 from offpiste.core.cache import cache_folder
 from offpiste.core.checksums import sha256_of_arrays
 from offpiste.core.errors import RunError
@@ -24,6 +23,7 @@ from offpiste.dynamics.actuator_lags import lagging_of
 from offpiste.dynamics.actuators import Actuators
 from offpiste.dynamics.kernels.actuators import supports_actuators
 from offpiste.dynamics.models import initial_actuators
+from offpiste.native.compilation import sources_digest, target_machine
 from offpiste.training.checkpoint import load_tensors, save_tensors
 from offpiste.training.config import TrainConfig
 from offpiste.training.distributed import ALONE, Group
@@ -52,7 +52,7 @@ SETTINGS: Final = (
 
 SOURCES: Final = (
     "dynamics", "training", "dataset/windows.py", "dataset/window_starts.py", "dataset/columns",
-    "dataset/features_under_wheels.py", "core/channels.py", "core/conventions.py", "compilation.py",
+    "dataset/features_under_wheels.py", "core/channels.py", "core/conventions.py", "native/compilation.py",
 )  # fmt: skip
 """Code that the result depends on, relative to the package."""
 

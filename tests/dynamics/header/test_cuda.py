@@ -6,8 +6,8 @@ import subprocess
 import pytest
 
 from host_kernels import needs_nvcc
-from offpiste.cuda_kernels import machine_code
 from offpiste.dynamics.header.recorded import recorded_text
+from offpiste.native.cuda_kernels import machine_code
 from offpiste.planning.caution import Caution
 from offpiste.planning.header.cost_text import plan_text
 from offpiste.training.run import pretrained

@@ -8,11 +8,11 @@ from weakref import WeakKeyDictionary
 import torch
 
 from offpiste.core.errors import OffpisteError, installation_of, is_installed
-from offpiste.cuda_kernels import Kernels, cuda_kernels
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.header.recorded import recorded_text, rollout_by_kernels
 from offpiste.dynamics.kernels.autograd import has_kernels
 from offpiste.dynamics.kernels.parity import APART, largest_difference
+from offpiste.native.cuda_kernels import Kernels, cuda_kernels
 
 logger = logging.getLogger(__name__)
 

@@ -15,7 +15,6 @@ from torch.nn.functional import pad
 
 from offpiste.core.conventions import STATE
 from offpiste.core.state import ModelState, Terrain, Trajectory
-from offpiste.cuda_kernels import Kernels
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.header.networks import packed_parameters
 from offpiste.dynamics.header.step_text import shipped_text, step_text
@@ -28,6 +27,7 @@ from offpiste.dynamics.kernels.model_arrays import (
     learned_constants,
     terms_of_codes,
 )
+from offpiste.native.cuda_kernels import Kernels
 
 MOVED = len(layout.STEPPED)
 GATES = 4 * layout.HIDDEN

@@ -11,7 +11,6 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from offpiste.compilation import KERNELS, spread_kernel
 from offpiste.core.conventions import ACTUATORS, STATE
 from offpiste.dynamics.actuators import Actuators
 from offpiste.dynamics.kernels import layout
@@ -21,6 +20,7 @@ from offpiste.dynamics.kernels.generated import actuate, actuate_adjoint
 from offpiste.dynamics.kernels.layout import LANES, ROW
 from offpiste.dynamics.kernels.model_arrays import recorded_channels, residual_networks, switches
 from offpiste.dynamics.kernels.network import Network, compensate, compensate_adjoint, make_buffers, weights
+from offpiste.native.compilation import KERNELS, spread_kernel
 
 ACTUATED = len(ACTUATORS)
 MOVED = ACTUATED * LANES

@@ -1,7 +1,7 @@
 """Rollouts over recorded terrain by kernels, with gradients: what training calls instead of `dynamics.rollout`.
 
 The first call compiles for some 20 seconds; the machine code is kept in the user's cache folder
-(`offpiste.kernel_cache`).
+(`offpiste.native.kernel_cache`).
 """
 
 from typing import Any
@@ -13,7 +13,6 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from offpiste.compilation import spread_kernel
 from offpiste.core.conventions import ACTUATORS, STATE
 from offpiste.core.state import ModelState, Terrain, Trajectory
 from offpiste.dynamics.base import Dynamics
@@ -32,6 +31,7 @@ from offpiste.dynamics.kernels.model_arrays import (
 )
 from offpiste.dynamics.kernels.parity import APART, largest_difference
 from offpiste.dynamics.kernels.rollout import backward, forward
+from offpiste.native.compilation import spread_kernel
 
 _agrees: WeakKeyDictionary[Dynamics, bool] = WeakKeyDictionary()
 """Whether the kernels agree with each model that was compared with them in this process."""

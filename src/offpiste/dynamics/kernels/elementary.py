@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from offpiste.compilation import KERNELS
 from offpiste.dynamics.kernels.layout import LANES
 from offpiste.dynamics.kernels.vectors import WIDTH, load, store
+from offpiste.native.compilation import KERNELS
 
 f4 = np.float32
 

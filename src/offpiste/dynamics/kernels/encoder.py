@@ -14,10 +14,10 @@ from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 from torch.nn.functional import pad
 
-from offpiste.compilation import KERNELS, spread_kernel
 from offpiste.dynamics.feature_encoder import Compressor, FeatureEncoder
 from offpiste.dynamics.kernels.coverage import uncovered_encoder
 from offpiste.dynamics.kernels.elementary import Lane, f4, matrix_products, tanh
+from offpiste.native.compilation import KERNELS, spread_kernel
 
 CELLS = 128
 """Cells that go through the layers side by side."""

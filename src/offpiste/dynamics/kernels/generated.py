@@ -8,7 +8,7 @@ loops overwrite the rows that they compute; adjoint loops add to the rows of w_b
 """
 
 from offpiste.dynamics.kernels.elementary import atan, cos, f4, maximum, sin, step, tanh
-from offpiste.compilation import KERNELS
+from offpiste.native.compilation import KERNELS
 
 
 @KERNELS.loop

@@ -4,10 +4,10 @@ from typing import Final
 
 import numpy as np
 
-from offpiste.compilation import KERNELS
 from offpiste.core.conventions import ACTUATORS
 from offpiste.dynamics.kernels.elementary import f4
 from offpiste.dynamics.kernels.layout import ABSENT, CONTROLS, LANES
+from offpiste.native.compilation import KERNELS
 
 ACTUATED: Final = len(ACTUATORS)
 COMMANDED: Final = len(CONTROLS)

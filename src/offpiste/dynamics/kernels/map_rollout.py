@@ -8,7 +8,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from offpiste.compilation import KERNELS, spread_kernel
 from offpiste.core.conventions import ACTUATORS, STATE
 from offpiste.core.state import ModelState, TerrainSource, Trajectory
 from offpiste.dynamics.base import Dynamics, rollout
@@ -36,6 +35,7 @@ from offpiste.dynamics.kernels.rollout import (
     make_workspace,
 )
 from offpiste.mapping.terrain_sampler import CellStack, MapTerrain
+from offpiste.native.compilation import KERNELS, spread_kernel
 
 
 def predict_on(

@@ -4,13 +4,13 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from offpiste.compilation import KERNELS
 from offpiste.dynamics.kernels import layout
 from offpiste.dynamics.kernels.elementary import Lane, cos, f4, sin
 from offpiste.dynamics.kernels.encoder import Layers
 from offpiste.dynamics.kernels.layout import LANES
 from offpiste.dynamics.kernels.rollout import NORMAL_ROW, UNKNOWN_ROW
 from offpiste.mapping import terrain_map
+from offpiste.native.compilation import KERNELS
 
 WHEELS: Final = 4
 YAW: Final = layout.ROW["yaw"]

@@ -9,7 +9,6 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional
 
-from offpiste.compilation import spread_kernel
 from offpiste.core.conventions import ACTUATORS
 from offpiste.core.state import Terrain
 from offpiste.dynamics.actuator_lags import Lagging
@@ -20,6 +19,7 @@ from offpiste.dynamics.kernels.lanes import GIVEN, pack
 from offpiste.dynamics.kernels.network import Network, Weights, network, weights, weights_apart
 from offpiste.dynamics.kernels.rollout import Networks, Record
 from offpiste.dynamics.vehicle import Vehicle
+from offpiste.native.compilation import spread_kernel
 
 
 class Given(NamedTuple):

@@ -11,12 +11,12 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn.functional import pad
 
-from offpiste.compilation import KERNELS
 from offpiste.dynamics.kernels.elementary import Lane, add_outer, add_product, copy, copy_or_zero, f4, tanh
 from offpiste.dynamics.kernels.generated import cell, cell_adjoint
 from offpiste.dynamics.kernels.layout import CELL_ROW, CELL_ROWS, HIDDEN, LANES
 from offpiste.dynamics.kernels.vectors import WIDTH, clamp, load, store
 from offpiste.dynamics.lstm import FADE, Compensator
+from offpiste.native.compilation import KERNELS
 
 
 class Weights(NamedTuple):

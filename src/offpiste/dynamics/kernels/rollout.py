@@ -8,13 +8,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from offpiste.compilation import KERNELS
 from offpiste.core.conventions import STATE
 from offpiste.dynamics.kernels.elementary import Lane, copy, f4
 from offpiste.dynamics.kernels.generated import advance, advance_adjoint, sense, sense_adjoint
 from offpiste.dynamics.kernels.lanes import ACTUATED, COMMANDED, GIVEN
 from offpiste.dynamics.kernels.layout import ABSENT, CONTROLS, LANES, LEARNED, NORMAL, ROW, ROWS, STEPPED, UNKNOWN
 from offpiste.dynamics.kernels.network import Buffers, Network, compensate, compensate_adjoint, make_buffers
+from offpiste.native.compilation import KERNELS
 
 MOVED = len(STEPPED) * LANES
 STATES = len(STATE)

@@ -14,8 +14,8 @@ from numba.core.typeconv import Conversion  # type: ignore[attr-defined]
 from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, lower_cast, models, register_model
 
-from offpiste.compilation import target_machine
 from offpiste.dynamics.kernels.layout import LANES
+from offpiste.native.compilation import target_machine
 
 WIDTH: Final = 32 if "+avx512f" in target_machine()[2] else 16
 """Numbers in a vector: four of these, and what is added to them, fit into the registers."""

@@ -5,12 +5,12 @@ import time
 import numpy as np
 import torch
 
-from offpiste.compilation import single_threaded_torch
 from offpiste.live.packing import layers_from, pack_plan, packed, unpacked
 from offpiste.live.part import FreedMemory, Part, TrackFeed, keep_loaded
 from offpiste.live.parts.setup import NewestCourse, load_kernels
 from offpiste.live.session import Session
 from offpiste.mapping.terrain_map import TerrainLayers
+from offpiste.native.compilation import single_threaded_torch
 from offpiste.rig.outputs import can_reverse
 from offpiste.rig.rig import load_rig
 from offpiste.runtime.estimator import Given

@@ -17,9 +17,9 @@ import torch
 from jaxtyping import Float, Shaped
 from torch import Tensor
 
-from offpiste.compilation import single_threaded_torch
 from offpiste.core.errors import PerceptionError
 from offpiste.core.registry import Registry
+from offpiste.native.compilation import single_threaded_torch
 from offpiste.perception.patch_grid import PatchGrid
 
 DINOV2_SMALL: Final = "facebook/dinov2-small"

@@ -10,11 +10,11 @@ from torch import Tensor
 
 from offpiste.core.conventions import CONTROL
 from offpiste.core.state import ModelState
-from offpiste.cuda_kernels import Kernels
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.header.networks import LANE, packed_parameters
 from offpiste.dynamics.kernels.layout import COMMANDS
 from offpiste.mapping.terrain_sampler import MapStack
+from offpiste.native.cuda_kernels import Kernels
 from offpiste.planning.caution import Caution
 from offpiste.planning.cost_map import CostMap
 from offpiste.planning.costs.declaration import CONSTANTS, cost_terms

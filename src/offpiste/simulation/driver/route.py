@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.compilation import PHYSICS
+from offpiste.native.compilation import PHYSICS
 from offpiste.simulation.world.grids import Grid, Line, height, read_grid
 from offpiste.simulation.world.terrain import SPACING
 from offpiste.simulation.world.world import World

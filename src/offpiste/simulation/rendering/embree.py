@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from offpiste.compilation import RAYS, call_address
 from offpiste.core.errors import extra
+from offpiste.native.compilation import RAYS, call_address
 
 with extra("sim"):
     import embreex

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from offpiste.compilation import RAYS
+from offpiste.native.compilation import RAYS
 from offpiste.simulation.rendering.embree import Mesh, ray_caster
 from offpiste.simulation.world.grids import read_grid
 from offpiste.simulation.world.world import Bushes, Trees, World

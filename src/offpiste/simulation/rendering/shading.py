@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy import float32 as f32
 
-from offpiste.compilation import RAYS
+from offpiste.native.compilation import RAYS
 from offpiste.simulation.rendering.texture_noise import hashed, octaves, pebbles, value_noise
 
 SKY, GROUND, TRUNK, CROWN, BUSH, GRASS, BODY = range(7)

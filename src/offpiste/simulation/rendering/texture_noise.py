@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.compilation import RAYS
+from offpiste.native.compilation import RAYS
 
 WAVELENGTHS: Final = 0.0125 * 2.0 ** np.arange(10)
 """Wavelengths of the octaves, 1.25 cm to 6.4 m [m]."""

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
-from offpiste.compilation import RAYS
+from offpiste.native.compilation import RAYS
 from offpiste.rig.camera import CameraModel
 from offpiste.simulation.rendering.appearance import Appearance
 from offpiste.simulation.rendering.scene import Hits, Scene, body_hits

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float, Int
 
-from offpiste.compilation import RAYS
+from offpiste.native.compilation import RAYS
 from offpiste.simulation.rendering.scene import BLOCK, Hits, Scene, body_hits
 from offpiste.simulation.sample import Motion, Pose
 

@@ -7,7 +7,7 @@ differential. One implicit step solves all of them; couplings and brakes are pas
 
 import numpy as np
 
-from offpiste.compilation import PHYSICS
+from offpiste.native.compilation import PHYSICS
 
 COULOMB_SPEED = 1e-4
 """Wheel speed below which a brake acts like stiff viscous friction instead of dry friction [rad/s]."""

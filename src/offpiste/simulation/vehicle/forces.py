@@ -8,8 +8,8 @@ Chassis contact is a soft penalty that keeps the vehicle above ground; it does n
 
 import numpy as np
 
-from offpiste.compilation import PHYSICS, call_address
 from offpiste.core.conventions import GRAVITY
+from offpiste.native.compilation import PHYSICS, call_address
 from offpiste.simulation.vehicle.drivetrain import braked_pressure, shifted_ratio, spin, steered, wheel_angles
 from offpiste.simulation.vehicle.tyre import (
     add,

@@ -7,7 +7,7 @@ constant, as on soft ground; on asphalt it would decrease.
 
 import numpy as np
 
-from offpiste.compilation import PHYSICS
+from offpiste.native.compilation import PHYSICS
 from offpiste.simulation.world.grids import height
 
 

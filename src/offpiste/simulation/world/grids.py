@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int, Shaped
 from scipy.ndimage import gaussian_filter
 
-from offpiste.compilation import PHYSICS
+from offpiste.native.compilation import PHYSICS
 
 Axis = Float[np.ndarray, " _"]
 """Evenly spaced coordinates of the columns or rows of a grid [m]."""

@@ -5,7 +5,7 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import gaussian_filter
 from scipy.spatial import cKDTree
 
-from offpiste.compilation import PHYSICS
+from offpiste.native.compilation import PHYSICS
 from offpiste.simulation.world.grids import Axis, Grid, Line, smooth_noise, smooth_step
 from offpiste.simulation.world.world import WorldPreset
 

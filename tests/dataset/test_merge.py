@@ -10,8 +10,8 @@ import pytest
 from offpiste.core.errors import DatasetError, OffpisteError
 from offpiste.core.parallel import parse_shard
 from offpiste.dataset.extract import make_dataset
+from offpiste.dataset.merge import merge_datasets
 from offpiste.dataset.place import drive_names
-from offpiste.merge import merge_datasets
 from offpiste.rig.rig import load_rig
 from offpiste.simulation.simulate import DriveSettings, simulate
 from offpiste.simulation.world.world import WorldSettings

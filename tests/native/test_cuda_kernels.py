@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from offpiste.core.errors import OffpisteError
-from offpiste.cuda_kernels import CudaKernels, argument_of, machine_code
+from offpiste.native.cuda_kernels import CudaKernels, argument_of, machine_code
 
 
 class CUDAError(Exception):

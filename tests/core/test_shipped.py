@@ -7,9 +7,9 @@ import pytest
 import offpiste
 from offpiste.core.errors import RunError
 from offpiste.core.shipped import PREFIX, names_apart, pca_file, pretrained_names, run_folder
-from offpiste.file_check import check_paths
 from offpiste.perception.pca import load_pca
 from offpiste.runtime.planner import load_planner
+from offpiste.training.file_check import check_paths
 
 NAMES = pretrained_names()
 SHIPPED_BYTES = 1_000_000

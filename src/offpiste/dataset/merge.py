@@ -1,4 +1,4 @@
-"""Datasets made in shards, on several machines, brought together: what one process would have made, to the bit."""
+"""Merging of datasets that were extracted in shards, equal to the bit to one extraction of all logs."""
 
 import filecmp
 import logging
@@ -10,22 +10,22 @@ from offpiste.core.checksums import CHECKSUMS
 from offpiste.core.errors import DatasetError
 from offpiste.core.files import check_folder, remove_partials, write_folder
 from offpiste.core.progress import track
+from offpiste.dataset.integrity import dataset_checks
 from offpiste.dataset.place import drive_names, mirrored
 from offpiste.dataset.split_balance import split_warning
 from offpiste.dataset.store import Dataset, open_dataset
 from offpiste.dataset.store_validation import attributes_of, refuse_unlike
-from offpiste.file_check import check_paths
 
 logger = logging.getLogger(__name__)
 
 
 def merge_datasets(parts: Sequence[Path], out: Path) -> Dataset:
-    """Copy the drives of datasets that were made alike into one; an interrupted merge resumes.
+    """Copy the drives of datasets with equal settings into one; an interrupted merge resumes.
 
-    Every file is compared with its checksum first. Drives that `out` holds already must be the same.
+    Every file is compared with its checksum first. Drives that `out` already contains must be the same.
 
     Raises:
-        DatasetError: fewer than two datasets, one that is damaged or was made otherwise, two drives of one name.
+        DatasetError: fewer than two datasets, a damaged one, different settings, or two drives of the same name.
     """
     if len(parts) < 2:
         raise DatasetError(f"{len(parts)} dataset to merge", how="name two or more")
@@ -34,8 +34,9 @@ def merge_datasets(parts: Sequence[Path], out: Path) -> Dataset:
     first = attributes_of(parts[0])
     for part in parts[1:]:
         refuse_unlike(part, attributes_of(part), first)
-    if damaged := check_paths(parts):
-        raise DatasetError(damaged[0], how="restore or extract that dataset again; nothing was merged")
+    for check in track([check for part in parts for check in dataset_checks(part)], "check"):
+        if damage := check.damage():
+            raise DatasetError(damage[0], how="restore or extract that dataset again; nothing was merged")
     check_folder(out)
     remove_partials(out.parent, out.name)
     if not out.exists():
@@ -56,7 +57,7 @@ def merge_datasets(parts: Sequence[Path], out: Path) -> Dataset:
 def _refuse_twice(parts: Sequence[Path]) -> None:
     where: dict[str, Path] = {}
     for part in parts:
-        attributes_of(part)  # complains where there is no dataset
+        attributes_of(part)  # raises unless there is a dataset
         for name in drive_names(part):
             if name in where:
                 how = "give each dataset once; drives are identified by their names"
@@ -70,21 +71,18 @@ def _copy_settings(part: Path, to: Path) -> None:
 
 
 def _add(drive: Path, to: Path) -> None:
+    def copy(partial: Path) -> None:
+        shutil.copytree(drive, partial, dirs_exist_ok=True)
+
     if not to.exists():
-        write_folder(to, lambda partial: _copy(drive, partial))
+        write_folder(to, copy)
     elif not _same(filecmp.dircmp(drive, to, ignore=[], hide=[])):
         how = "choose another --out, or delete it"
         raise DatasetError(f"holds another drive '{drive.name}' than {drive.parent}", where=to.parent, how=how)
 
 
-def _copy(drive: Path, to: Path) -> None:
-    shutil.copytree(drive, to, dirs_exist_ok=True)
-
-
 def _same(compared: "filecmp.dircmp[str]") -> bool:
-    """Whether two folders hold the same files with the same bytes."""
-    folders = compared.left, compared.right
-    differ = filecmp.cmpfiles(*folders, compared.common_files, shallow=False)
-    return not (compared.left_only or compared.right_only or compared.common_funny or differ[1] or differ[2]) and all(
-        _same(below) for below in compared.subdirs.values()
-    )
+    """Return whether two folders contain the same files with the same bytes."""
+    _, differ, unreadable = filecmp.cmpfiles(compared.left, compared.right, compared.common_files, shallow=False)
+    different = compared.left_only or compared.right_only or compared.common_funny or differ or unreadable
+    return not different and all(_same(below) for below in compared.subdirs.values())

@@ -11,8 +11,8 @@ import pytest
 import torch
 
 from compiled_from import PACKAGE, compiled_from
-from offpiste import compilation
-from offpiste.compilation import (
+from offpiste.native import compilation
+from offpiste.native.compilation import (
     Compiler,
     single_threaded_torch,
     sources_digest,

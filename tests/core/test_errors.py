@@ -13,7 +13,7 @@ from offpiste.core.errors import MissingExtra, OffpisteError, extra, is_installe
 from offpiste.perception.backbones.vision_transformer import load_vision_transformer
 from offpiste.training.loop import also_tensorboard
 
-PYPROJECT = Path(__file__).parents[1] / "pyproject.toml"
+PYPROJECT = Path(__file__).parents[2] / "pyproject.toml"
 
 
 def run_without(module: str, *arguments: str) -> "subprocess.CompletedProcess[str]":

@@ -25,7 +25,7 @@ from numba.core.compiler import Compiler as NumbaCompiler
 from numba.core.registry import cpu_target
 from numba.extending import intrinsic
 
-from offpiste.kernel_cache import KernelCache
+from offpiste.native.kernel_cache import KernelCache
 
 Function = Callable[..., Any]
 
@@ -102,7 +102,7 @@ class Compiler:
     @cached_property
     def _digest(self) -> str:
         # This file, too: options are no part of the key of Numba's cache.
-        return sources_digest((Path(__file__).name, *self.sources))[:16]
+        return sources_digest(("native/compilation.py", *self.sources))[:16]
 
 
 def sources_digest(sources: Iterable[str]) -> str:
@@ -111,7 +111,7 @@ def sources_digest(sources: Iterable[str]) -> str:
     Raises:
         FileNotFoundError: a source does not exist.
     """
-    roots = [Path(__file__).parent / source for source in sources]
+    roots = [Path(__file__).parents[1] / source for source in sources]
     files = [file for root in roots for file in (sorted(root.rglob("*.py")) if root.is_dir() else [root])]
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from offpiste import kernel_cache
+from offpiste.native import kernel_cache
 
 CODE = """
 import logging, sys
@@ -18,7 +18,7 @@ import called
 print(called.double(3.0))
 """
 MODULE = """
-from offpiste.compilation import Compiler
+from offpiste.native.compilation import Compiler
 
 COMPILER = Compiler((), part="the doubling", seconds=7)
 
@@ -60,7 +60,7 @@ def called(module: Path, cache: Path) -> str:
 
 SLOW = """
 import time
-from offpiste.compilation import SelfContained
+from offpiste.native.compilation import SelfContained
 
 passes = SelfContained.define_pipelines
 

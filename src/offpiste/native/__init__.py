@@ -1,0 +1,1 @@
+"""Compiled loops on the CPU, their cache on disk, and kernels on GPUs."""
