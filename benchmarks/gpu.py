@@ -1,10 +1,9 @@
-"""Parity and times on an NVIDIA GPU; `gpu.sh` runs all stages, each in a process of its own (gpu_stages.py).
+"""Parity and times on an NVIDIA GPU; `gpu.sh` runs every stage in a process of its own.
 
 `python benchmarks/gpu.py [STAGE ...] [--device cuda] [--out FILE] [--small]`. Stages: `plans` (rollouts with map and
-cost, whole plans, and the packing and copying in them), `spread` (both where the spread counts), `images` (images to
-codes), `training` (rollouts forward and back), `pytorch-mppi` (the same rollouts by it, eager and compiled), `train`
-(trainings on the CPU and on the device, whose validation losses must agree; with `--alone` on the device only). Rows
-are written as they come.
+cost, whole plans, and the packing and copying in them), `spread` (both with the predictions' spread), `images`
+(features of images), `training` (rollouts forward and back), `train` (trainings on the CPU and on the device, whose
+validation losses must agree; with `--alone` on the device only). Without a stage it prints the device.
 """
 
 import argparse
@@ -14,7 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import torch
-from gpu_planning import of_images, of_plans, of_pytorch_mppi, of_spread
+from gpu_planning import of_images, of_plans, of_spread
 from gpu_timing import Row
 from gpu_training import of_train, of_training
 
@@ -26,7 +25,6 @@ STAGES = {
     "spread": of_spread,
     "images": of_images,
     "training": of_training,
-    "pytorch-mppi": of_pytorch_mppi,
     "train": of_train,
 }
 
@@ -43,7 +41,9 @@ def opened(name: str) -> torch.device:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Check, time, write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("stages", nargs="*", metavar="STAGE", help=f"of {', '.join(STAGES)}; none: names the device")
+    parser.add_argument(
+        "stages", nargs="*", metavar="STAGE", help=f"any of {', '.join(STAGES)}; without one, print the device"
+    )
     parser.add_argument("--device", default="cuda")
     parser.add_argument("--out", type=Path, default=Path("gpu.json"))
     small = "few samples, no graph: for memcheck, or without a GPU"

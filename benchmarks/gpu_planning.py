@@ -1,4 +1,4 @@
-"""Stages of gpu.py: what the run time does on a GPU, and what other software takes for the same."""
+"""Stages of gpu.py: plans and features of images on a GPU."""
 
 import argparse
 from collections.abc import Callable, Iterator
@@ -29,7 +29,7 @@ from offpiste.planning.gpu import check_planner
 from offpiste.planning.header.cost_text import plan_text
 from offpiste.planning.header.costs import costs_by_kernels
 from offpiste.planning.kernel import encode_map
-from offpiste.planning.mppi import PEDALS_AND_WHEEL, Settings, limited, sample
+from offpiste.planning.mppi import Settings
 from offpiste.planning.plan_graph import captured
 from offpiste.runtime.perception import codes_of, encoder_on
 from offpiste.runtime.planner import load_planner
@@ -149,48 +149,3 @@ def of_images(dynamics: Dynamics, device: torch.device, given: argparse.Namespac
     if not apart < SAME_CODES:
         raise SystemExit(f"codes of an image differ by {apart:.1e} between the CPU and {device}")
     yield {"what": f"codes are within {apart:.0e} of the CPU's"}
-
-
-def moved(at: Situation, codes: tuple[Tensor, Tensor], device: torch.device) -> Situation:
-    """A situation with a map of codes, on a device."""
-    at = on_cpu.codes_first(at, codes)
-    ground, costs = at.ground, at.costs
-    there = {
-        "origin": ground.origin.to(device),
-        "slope": ground.slope.to(device),
-        "features": ground.features.to(device),
-    }
-    return replace(
-        at, ground=replace(ground, **there), costs=replace(costs, **on_device(costs, device)), **on_device(at, device)
-    )
-
-
-def on_device(item: object, device: torch.device) -> dict[str, Tensor]:
-    """The fields of a dataclass that are tensors, on a device."""
-    return {name: value.to(device) for name, value in vars(item).items() if isinstance(value, Tensor)}
-
-
-def of_pytorch_mppi(dynamics: Dynamics, device: torch.device, given: argparse.Namespace) -> Iterator[Row]:
-    """The same rollouts with map and cost by the kernels and by pytorch_mppi, step by step and compiled."""
-    small, turns = given.small, given.turns
-    samples, weights = 90 if small else 1024, CostWeights()
-    at, model = situation(), on_cpu.network("dc")
-    codes = encode_map(at.ground, model.encoder)
-    settings = Settings(PEDALS_AND_WHEEL, (0.3, 0.1, 0.3), samples=samples)
-    drawn = sample(torch.tensor([0.3, 0.0, 0.0]).repeat(HORIZON_STEPS, 1), settings, torch.Generator().manual_seed(0))
-    controls = limited(drawn, settings, at.control).to(device)
-    begin = on_cpu.start(model, at)
-    there = ModelState(*(part.to(device) for part in vars(begin).values()))
-    kernels = open_kernels(plan_text(model, at.costs.table, lanes=device.type == "cuda"), device)
-    cost_of = costs_by_kernels(kernels, model, there, at, weights, codes)
-    yield timed(f"kernels, {samples} x {HORIZON_STEPS}", lambda: cost_of(controls), device, turns)
-    wanted, size = cost_of(controls), f"{samples} x {HORIZON_STEPS}"
-    coded, model = moved(at, codes, device), model.to(device)
-    for compiled in (False, True):
-        name = "pytorch_mppi, " + ("compiled" if compiled else "eager")
-        with torch.device(device):
-            roll = on_cpu.pytorch_mppi(model, coded, weights, controls, compiled=compiled)
-            yield timed(f"{name}, {size}", roll, device, min(turns, 5))
-            yield {
-                "what": f"{name}: {on_cpu.agreement(roll(), wanted):.2f} of the costs are within 1 % of the kernels'"
-            }

@@ -1,8 +1,6 @@
 """Every script in benchmarks/ runs with --smoke."""
 
 import importlib.util
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
@@ -52,10 +50,9 @@ def test_a_benchmark_without_input_runs(script, name, capsys):
     assert "ms" in (shown := capsys.readouterr().out) or "real time" in shown
 
 
-@pytest.mark.parametrize(("name", "made"), [("cost_pictures", {"planning-costs.png"}), ("pictures", {"drive.jpg"})])
-def test_a_script_of_pictures_writes_them(script, name, made, tmp_path):
-    script(name).main([str(tmp_path), "--smoke"])
-    assert made <= {path.name for path in tmp_path.iterdir()}
+def test_the_pictures_of_the_proving_ground_are_written(script, tmp_path):
+    script("pictures").main([str(tmp_path), "--smoke"])
+    assert "drive.jpg" in {path.name for path in tmp_path.iterdir()}
 
 
 def test_demo_measures_time_and_memory(script, tmp_path, capsys):
@@ -73,29 +70,7 @@ def test_inspection_is_timed(script, log, tmp_path, capsys):
     assert "exit code 0" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("name", ["gpu", "gpu_stages"])
-def test_without_a_gpu_the_gpu_scripts_end_in_one_line(name, tmp_path):
-    command = [sys.executable, str(BENCHMARKS / f"{name}.py"), "--smoke"]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=False)
-    assert done.returncode == 1
-    assert "no GPU 'cuda'" in done.stderr
-    assert done.stderr.count("\n") == 1
-
-
-def test_every_script_is_tried_and_none_imports_tests():
-    tried = {
-        "plan",
-        "mapping",
-        "simulate",
-        "cost_pictures",
-        "pictures",
-        "demo",
-        "train",
-        "inspect_log",
-        "gpu",
-    }
-    parts = {"gpu_planning", "gpu_stages", "gpu_timing", "gpu_training"}
-    assert {path.stem for path in BENCHMARKS.glob("*.py")} == tried | parts
+def test_benchmarks_and_package_do_not_import_tests():
     for folder in ("benchmarks", "examples", "experiments", "src"):
         for path in (ROOT / folder).rglob("*.py"):
             assert "feature_datasets" not in path.read_text()

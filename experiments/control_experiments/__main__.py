@@ -2,23 +2,21 @@
 
 import logging
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
 from experiments.command import run
-from experiments.control_experiments.curve import Curve, curve_control
 from experiments.control_experiments.oracle import oracle_control
 from experiments.control_experiments.reproduced import open_reproduction
-from experiments.control_experiments.shift import shift_control
 from experiments.control_experiments.strata import strata_control
 from offpiste.reproduction.steps import claim_folder
 
 logger = logging.getLogger("experiments")
 
-What = Literal["oracle", "shift", "strata", "curve"]
+What = Literal["oracle", "strata"]
 
 
 @dataclass(frozen=True)
@@ -33,8 +31,6 @@ class ControlExperiment:
     """Folder of all outputs."""
     seeds: int = 3
     """Number of runs of each model that is trained."""
-    curve: Curve = field(default_factory=Curve)
-    """For `curve`: hours of driving and models."""
 
     def run(self) -> None:
         """Run the experiment, and show its tables."""
@@ -44,9 +40,7 @@ class ControlExperiment:
         claim_folder(self.out, {"reproduction": str(self.reproduction.resolve()), **size}, defaults=size)
         experiments: dict[What, Callable[[], Path]] = {
             "oracle": lambda: oracle_control(of, self.out, self.seeds),
-            "shift": lambda: shift_control(of, self.out),
             "strata": lambda: strata_control(of, self.out),
-            "curve": lambda: curve_control(of, self.out, self.curve, self.seeds),
         }
         page = experiments[self.what]()
         logger.info(page.read_text("utf-8"))

@@ -1,31 +1,15 @@
 """Datasets and folders of control experiments."""
 
-import logging
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from experiments.control_experiments.reproduced import Reproduced
 from offpiste.dataset.extract import make_dataset
 from offpiste.dataset.store import Dataset, open_dataset
-from offpiste.reproduction.steps import claim_folder
 from offpiste.rig.rig import Rig, load_rig
-
-logger = logging.getLogger("experiments")
 
 RIG = "proving_ground"
 ELSEWHERE = "give the same again, or choose another --out"
-
-
-def claim_settings(folder: Path, settings: dict[str, Any]) -> None:
-    """`claim_folder` of one experiment's folder; one from before experiments did so is reused with a warning.
-
-    Raises:
-        RunError: it was begun with other settings.
-    """
-    if (folder / "control.json").exists() and not (folder / "settings.json").exists():
-        logger.warning(f"{folder}: does not say what it was made with, since an older version made it: it is reused")
-    claim_folder(folder, settings)
 
 
 def oracle_dataset(logs: Sequence[Path], split: str, out: Path, rig: Rig | None = None) -> Dataset:

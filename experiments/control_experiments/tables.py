@@ -1,35 +1,24 @@
-"""What a control ends with: tables as Markdown for a person, JSON for a program, pictures beside them."""
+"""Results of a control experiment as Markdown and JSON."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import msgspec
-from matplotlib.figure import Figure
 
 from offpiste.core.files import write_text
 from offpiste.evaluation.intervals import PairedDifference
-from offpiste.report.figure import write_png
 from offpiste.report.text_table import TextTable, interval, number
 
 
-def write_control(
-    folder: Path,
-    tables: Sequence[TextTable],
-    results: Mapping[str, Any],
-    figures: Mapping[str, Figure] | None = None,
-) -> Path:
-    """Write control.md, control.json and pictures.
+def write_control(folder: Path, tables: Sequence[TextTable], results: Mapping[str, Any]) -> Path:
+    """Write control.md and control.json.
 
     Returns:
         control.md.
     """
-    parts = [table.markdown() for table in tables]
-    for name, figure in (figures or {}).items():
-        write_png(folder / f"{name}.png", figure, dpi=110)
-        parts.append(f"![{name}]({name}.png)\n")
     write_text(folder / "control.json", msgspec.json.format(msgspec.json.encode({"schema": 1, **results})).decode())
-    write_text(folder / "control.md", "\n".join(parts))
+    write_text(folder / "control.md", "\n".join(table.markdown() for table in tables))
     return folder / "control.md"
 
 

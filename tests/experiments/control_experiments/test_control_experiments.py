@@ -11,11 +11,9 @@ import torch
 from experiments.control_experiments.__main__ import ControlExperiment
 from experiments.control_experiments.reproduced import open_reproduction
 from experiments.control_experiments.runs import trained
-from experiments.control_experiments.shift import shift_control
 from feature_datasets import dataset_with_features
 from offpiste.core.errors import RunError
 from offpiste.reproduction.settings import Size
-from offpiste.reproduction.shift import OWN_GROUND, SHIFTED
 from offpiste.training.checkpoint import load_json, save_json
 from offpiste.training.config import TrainConfig
 from offpiste.training.run import save_run
@@ -37,23 +35,6 @@ def reproduction(tmp_path_factory: pytest.TempPathFactory) -> Path:
                 parameter.data += 0.1 * torch.randn(parameter.shape, generator=torch.Generator().manual_seed(0))
             save_run(run.folder, run.dynamics, config, of.dataset, run.scale)
     return folder
-
-
-@pytest.fixture(scope="module")
-def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """One folder, so that the evaluations of one experiment serve the other."""
-    return tmp_path_factory.mktemp("controls")
-
-
-def test_shifted_features_are_evaluated_on_the_same_windows(reproduction: Path, out: Path) -> None:
-    of = open_reproduction(reproduction)
-    page = shift_control(of, out)
-    gains = json.loads((page.parent / "control.json").read_text("utf-8"))["gains"]
-    assert {(g["case"], g["model"]) for g in gains} == {(case, "dc") for case in ("as recorded", SHIFTED, OWN_GROUND)}
-    for before, after, own in zip(gains[::3], gains[1::3], gains[2::3], strict=True):
-        assert (before["n"], before["baseline_error_m"]) == (after["n"], after["baseline_error_m"])
-        assert before["error_m"] != after["error_m"]
-        assert (own["error_m"], own["baseline_error_m"]) == (before["error_m"], after["error_m"])
 
 
 def test_what_is_no_reproduction_is_said_in_a_line(tmp_path: Path, reproduction: Path) -> None:
@@ -91,14 +72,14 @@ def test_a_finished_run_of_other_settings_or_data_is_not_reused(reproduction: Pa
 def test_experiments_refuse_a_reproduction_that_was_made_anew_with_another_size(reproduction: Path, tmp_path) -> None:
     folder, out = tmp_path / "reproduced", tmp_path / "controls"
     shutil.copytree(reproduction, folder)
-    ControlExperiment("shift", folder, out).run()
+    ControlExperiment("strata", folder, out).run()
     older = load_json(out / "settings.json")
     more_seeds = {"size": asdict(replace(TINY, seeds=5)), "dataset": "simulated"}
     (folder / "settings.json").write_text(json.dumps(more_seeds))
-    ControlExperiment("shift", folder, out).run()
+    ControlExperiment("strata", folder, out).run()
     size = older.pop("size")
     save_json(out / "settings.json", older)
-    ControlExperiment("shift", folder, out).run()
+    ControlExperiment("strata", folder, out).run()
     save_json(out / "settings.json", older | {"size": size | {"stride": 7}})
     with pytest.raises(RunError, match=r"was begun with other settings \(size.stride\)"):
-        ControlExperiment("shift", folder, out).run()
+        ControlExperiment("strata", folder, out).run()
