@@ -51,5 +51,5 @@ stage memcheck 200 compute-sanitizer env PYTORCH_NO_CUDA_MEMORY_CACHING=1 comput
   --report-api-errors no --error-exitcode 1 "$python" "$here/gpu.py" plans spread training --small --out "$folder/memcheck.json"
 cd "$here/.." || exit 1
 stage pytest 150 "" "$python" -m pytest -q -rs -k "nvrtc or a_gpu or cuda_gives or test_cuda_kernels" \
-  tests/dynamics tests/test_cuda_kernels.py tests/perception/backbones tests/planning
+  tests/dynamics tests/native tests/perception/backbones tests/planning
 exit $failed
