@@ -59,7 +59,7 @@ SLOW = (
     "experiments/illnesses/", "experiments/closed_loop_table/", "experiments/control_experiments/",
     "experiments/probe/", "experiments/test_live_",
     "experiments/test_unseen_kinds.py",
-    "export/test_onnx_files.py::", "fuzz/test_fuzz.py::test_forty_cases_of_a_new_seed",
+    "exports/test_onnx_files.py::", "fuzz/test_fuzz.py::test_forty_cases_of_a_new_seed",
     "live/test_all_processes.py::test_a_signal_to_all_processes", "live/test_live_faults.py::test_",
     "reproduction/test_reproduce.py", "runtime/test_compiled_and_loaded.py",
     "core/test_cluster.py::test_a_worker_and_a_node_that_are_killed",
@@ -69,7 +69,7 @@ SLOW = (
 """Tests that only `.ci/full` runs, but for those in `SMOKE`."""
 
 SMOKE = (
-    "export/test_onnx_files.py::test_images_become_the_codes", "live/test_live_faults.py::test_a_clock_that_",
+    "exports/test_onnx_files.py::test_images_become_the_codes", "live/test_live_faults.py::test_a_clock_that_",
     "live/test_live_faults.py::test_options_that_", "live/test_live_faults.py::test_types_and_fields",
     "live/test_live_faults.py::test_a_risk_that", "live/test_live_faults.py::test_a_model_that_reads",
     "reproduction/test_reproduce.py::test_every_size_can_be_started",

@@ -11,7 +11,7 @@ from .dataset.store import Dataset, open_dataset
 from .dataset.windows import Windows
 from .dynamics import MODELS
 from .evaluation.evaluate_runs import evaluate_runs as evaluate
-from .export.formats import export_run
+from .exports.formats import export
 from .inspection.draft_rig import draft_rig
 from .inspection.inspect import inspect_log as inspect
 from .logs import open_log, read_drive
@@ -52,7 +52,7 @@ __all__ = [
     "draft_rig",
     "drive",
     "evaluate",
-    "export_run",
+    "export",
     "extract",
     "fit_pca",
     "inspect",

@@ -30,9 +30,9 @@ class Export:
 
     def run(self) -> int:
         """Read the run, write the folder."""
-        from offpiste.export.formats import ImageOptions, export_run, size_of
+        from offpiste.exports.formats import ImageOptions, export, size_of
 
         size = None if self.size is None else size_of(self.size)
-        export_run(self.model, self.to, self.format, ImageOptions(self.images, size))
+        export(self.model, self.to, self.format, ImageOptions(self.images, size))
         show(f"{self.to}: see README.md there")
         return 0

@@ -23,6 +23,7 @@ MOVED: Final = {
     "cost_map": "offpiste.planning.cost_map.cost_map",
     "drive_course": "offpiste.drive",
     "encoded": "offpiste.training.prediction.encoded",
+    "export_run": "offpiste.export",
     "evaluate_runs": "offpiste.evaluate",
     "extract_rows": "offpiste.dataset.resample.extract_rows",
     "improve": "offpiste.planning.mppi.improve",

@@ -21,7 +21,7 @@ from offpiste.dynamics.kernels.coverage import uncovered, uncovered_encoder
 from offpiste.dynamics.kernels.encoder import supports_encoder
 from offpiste.dynamics.lstm import Compensator
 from offpiste.dynamics.vehicle import Vehicle
-from offpiste.export.formats import refuse_without_kernels
+from offpiste.exports.formats import refuse_without_kernels
 
 CPU = torch.device("cpu")
 

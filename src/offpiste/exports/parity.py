@@ -1,4 +1,4 @@
-"""Parity files: inputs, and what a model predicts from them, to run on the machine that an export is for."""
+"""Parity files: inputs and predictions of a model, for checking an export on its target machine."""
 
 import zlib
 from dataclasses import dataclass
@@ -19,31 +19,30 @@ from offpiste.training.checkpoint import sha256_of_tensors
 
 CELLS: Final = 80
 RESOLUTION: Final = 1.0
-"""Size of a cell of the made-up map [m]."""
+"""Cell size of the synthetic map [m]."""
 
 TRACK: Final = 1.5
-"""Distance between left and right wheels of vehicles that were declared without [m]."""
+"""Default track width [m]."""
 
 HEADER: Final = b"opar"
 VERSION: Final = 3
 
 DIGEST: Final = 16
-"""Characters of a digest of a model."""
+"""Length of the digest of a model [characters]."""
 
 
 @dataclass(frozen=True)
 class ParityCase:
-    """Drives over made-up ground: waves, unknown slopes, missing features, and a border that some drive over.
+    """Drives over synthetic ground with waves, unknown slopes, missing features and a border that some drives cross.
 
     Attributes:
-        ground: a stack of one map.
-        wheels: in the body frame [m].
+        ground: stack of one map.
+        wheels: positions in the body frame [m].
         past_states: states and actuators before the start.
         past_controls: in the columns of the vehicle.
         start: state and actuators.
-        controls: of each step.
-        expected: states and actuators after each step, by `rollout` in torch.
-        model: digest of the model (`digest_of`).
+        expected: states and actuators after each step (`rollout` in torch).
+        model: `digest_of` the model.
     """
 
     ground: MapStack
@@ -58,7 +57,7 @@ class ParityCase:
 
 @torch.no_grad()
 def parity_case(dynamics: Dynamics, *, drives: int = 16, steps: int = HORIZON_STEPS, seed: int = 0) -> ParityCase:
-    """A case for a model, always the same for a seed."""
+    """Return the case of a model; deterministic for a seed."""
     draw = torch.Generator().manual_seed(seed)
     vehicle, ground, wheels = dynamics.vehicle, _ground(dynamics, draw), _wheels(dynamics.vehicle)
     past, start = _drives(vehicle, drives, draw)
@@ -73,7 +72,7 @@ def parity_case(dynamics: Dynamics, *, drives: int = 16, steps: int = HORIZON_ST
 
 
 def past_of(dynamics: Dynamics, case: ParityCase) -> History:
-    """What the drives of a model's case had before their start."""
+    """Return the history of the drives before their start."""
     return _history(dynamics, case.ground, case.wheels, case.past_states, case.past_controls)
 
 
@@ -85,18 +84,17 @@ def _history(dynamics: Dynamics, ground: MapStack, wheels: Tensor, past: Tensor,
 
 
 def digest_of(dynamics: Dynamics) -> str:
-    """Digest of a model's weights and channels, by which an export knows its own parity file."""
-    about = {"vehicle": repr(dynamics.vehicle)}
-    return sha256_of_tensors(dynamics.state_dict(), about)[:DIGEST]
+    """Return the digest of weights and channels, by which an export recognises its parity file."""
+    return sha256_of_tensors(dynamics.state_dict(), {"vehicle": repr(dynamics.vehicle)})[:DIGEST]
 
 
 def features_of(dynamics: Dynamics) -> int:
-    """Number of terrain features that a model reads of a cell."""
+    """Return the number of terrain features that a model reads per cell."""
     return 0 if dynamics.encoder is None else len(dynamics.encoder.mean)
 
 
 def parity_bytes(case: ParityCase) -> bytes:
-    """A case as the file that parity.h reads."""
+    """Serialise a case in the format of parity.h."""
     _, rows, columns, features = case.ground.features.shape
     drives, past, controls = case.past_controls.shape
     sizes = (VERSION, rows, columns, features, drives, past, case.controls.shape[1], controls)
@@ -123,7 +121,7 @@ def _wheels(vehicle: Vehicle) -> Float[Tensor, "4 2"]:
 
 
 def _ground(dynamics: Dynamics, draw: torch.Generator) -> MapStack:
-    """Waves of slopes and features, smooth: where rounding chooses another cell, that one hardly differs."""
+    """Return smooth waves of slopes and features, so that neighbouring cells differ little."""
     half = RESOLUTION * (CELLS - 1) / 2
     y, x = torch.meshgrid(*(torch.linspace(-half, half, CELLS),) * 2, indexing="ij")
     slope = torch.stack((0.1 * torch.sin(x / 6), 0.08 * torch.cos(y / 8)), dim=-1)
@@ -144,7 +142,7 @@ def _ground(dynamics: Dynamics, draw: torch.Generator) -> MapStack:
 
 
 def _drives(vehicle: Vehicle, drives: int, draw: torch.Generator) -> tuple[Tensor, Tensor]:
-    """States and actuators of straight or curved arcs that end at the starts."""
+    """Return past states and actuators along circular arcs, and the start at their end."""
     place = 40 * torch.rand(drives, 2, generator=draw) - 20
     yaw, speed = 6 * torch.rand(drives, generator=draw) - 3, 3 + 5 * torch.rand(drives, generator=draw)
     rate = 0.3 * torch.randn(drives, generator=draw)
@@ -162,7 +160,7 @@ def _drives(vehicle: Vehicle, drives: int, draw: torch.Generator) -> tuple[Tenso
 
 
 def _commands(vehicle: Vehicle, drives: int, steps: int, draw: torch.Generator) -> Tensor:
-    """Smooth commands within their limits; NaN where the vehicle has none."""
+    """Return smooth commands within their limits; NaN for controls that the vehicle lacks."""
     columns = control_columns(vehicle.control)
     knots = torch.rand(drives, len(columns), 12, generator=draw)
     smooth = torch.nn.functional.interpolate(knots, steps, mode="linear").transpose(1, 2)

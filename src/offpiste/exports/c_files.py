@@ -1,4 +1,4 @@
-"""Exports as C and CUDA, and for MPPI-Generic: one header with the weights, examples, a parity file, a README."""
+"""Export of models as C and CUDA source, and as dynamics for MPPI-Generic."""
 
 import shutil
 import textwrap
@@ -16,21 +16,21 @@ from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.header.networks import parameter_constants, printed_networks
 from offpiste.dynamics.header.start_text import encoder_members, encoder_text, start_members, start_text
 from offpiste.dynamics.header.step_text import shipped_text, step_text
-from offpiste.export.formats import FORMATS, ImageOptions, refuse_images, refuse_without_kernels, write_about
-from offpiste.export.parity import digest_of, features_of, parity_bytes, parity_case
+from offpiste.exports.formats import FORMATS, ImageOptions, refuse_images, refuse_without_kernels, write_about
+from offpiste.exports.parity import digest_of, features_of, parity_bytes, parity_case
 from offpiste.training.run import Run
 
 HEADER: Final = "offpiste.h"
 
 WIDTH: Final = 118
-"""Longest line of numbers."""
+"""Maximum length of lines of numbers."""
 
 
 def model_header(dynamics: Dynamics, about: str) -> str:
-    """The header: step, ground, start, encoder and weights of a model.
+    """Return the C header of a model: step, ground, start, encoder and weights.
 
     Args:
-        about: comment at its top.
+        about: comment at the top.
     """
     parts = [step_text(dynamics), shipped_text("terrain.h"), shipped_text("ground.h"), start_text(dynamics)]
     if dynamics.encoder is not None:
@@ -43,7 +43,7 @@ def model_header(dynamics: Dynamics, about: str) -> str:
 
 
 def _weights_text(dynamics: Dynamics) -> str:
-    """C definitions of `offpiste_model`, `offpiste_starts` and, of models with an encoder, `offpiste_features`."""
+    """Return the C definitions of `offpiste_model`, `offpiste_starts` and, with an encoder, `offpiste_features`."""
     networks = {of.name: of.members for of in printed_networks(dynamics)}
     starts = start_members(dynamics)
     parts = [
@@ -56,7 +56,7 @@ def _weights_text(dynamics: Dynamics) -> str:
 
 
 def _struct(kind: str, name: str, members: object) -> str:
-    # C++ compilers warn of a static constant that a program does not use; C's attribute is theirs, too.
+    # OFFPISTE_CONSTANT suppresses warnings about constants that a program does not use.
     return f"OFFPISTE_CONSTANT {kind} {name} = {_initialiser(members) if members else '{0.0f}'};\n"
 
 
@@ -82,14 +82,14 @@ def _wrapped(numbers: list[str]) -> str:
 
 @FORMATS.register("c")
 def write_c(run: Run, folder: Path, images: ImageOptions) -> None:
-    """C99: `offpiste.h`, and `example.c`, which drives over the map of the parity file."""
+    """Write C99: `offpiste.h` and `example.c`, which checks it on the parity file."""
     refuse_images(images)
     _write(run, folder, ("example.c",), command="cc -std=c99 -O2 example.c -o example -lm", language="C99 and C++")
 
 
 @FORMATS.register("cuda")
 def write_cuda(run: Run, folder: Path, images: ImageOptions) -> None:
-    """CUDA: the same header, and `example.cu`, a drive a thread."""
+    """Write CUDA: the same header, and `example.cu` with one drive per thread."""
     refuse_images(images)
     write_text(folder / "kernels.h", shipped_text("kernels.h"))
     command = "nvcc -std=c++17 -O3 -arch=native example.cu -o example"
@@ -98,7 +98,7 @@ def write_cuda(run: Run, folder: Path, images: ImageOptions) -> None:
 
 @FORMATS.register("mppi-generic")
 def write_mppi_generic(run: Run, folder: Path, images: ImageOptions) -> None:
-    """C++ for ACDSLab's MPPI-Generic: `OffpisteDynamics` over the same header, an example of a cost, a planner."""
+    """Write C++ for ACDSLab's MPPI-Generic: `OffpisteDynamics`, an example cost and a planner."""
     refuse_images(images)
     names = ("offpiste_dynamics.cuh", "offpiste_cost.cuh", "drive.cu", "planner.cu")
     _write(run, folder, names, readme="README-mppi-generic.md")
@@ -110,19 +110,14 @@ def _write(run: Run, folder: Path, names: tuple[str, ...], *, readme: str = "REA
     first = f"Vehicle model {run.model} of offpiste {about['offpiste']}, weights {about['weights_sha256']}."
     write_text(folder / HEADER, model_header(run.dynamics, first))
     write_bytes(folder / "parity.bin", parity_bytes(parity_case(run.dynamics)))
-    copy_files(folder, *names, "parity.h")
+    for name in (*names, "parity.h"):
+        with as_file(files(__package__) / "files" / name) as source:
+            shutil.copyfile(source, folder / name)
     write_readme(folder, readme, about, **text)
 
 
-def copy_files(folder: Path, *names: str) -> None:
-    """Copy files that ship for exports."""
-    for name in names:
-        with as_file(files(__package__) / "files" / name) as source:
-            shutil.copyfile(source, folder / name)
-
-
 def write_readme(folder: Path, template: str, about: dict[str, Any], **text: str) -> None:
-    """Write README.md from a template, `about` (model.json) and other texts."""
+    """Write README.md from a template, the contents of model.json (`about`) and other texts."""
     shown = {name: ", ".join(map(str, value)) if isinstance(value, list) else value for name, value in about.items()}
     absent = shown["absent_actuators"] or "none"
     template = (files(__package__) / "files" / template).read_text("utf-8")

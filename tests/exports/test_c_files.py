@@ -18,9 +18,9 @@ from offpiste.core.errors import OffpisteError, RunError
 from offpiste.core.registry import Registry
 from offpiste.dynamics import ConstantMotion, Hybrid
 from offpiste.dynamics.feature_encoder import Compressor, FeatureEncoder, Identity
-from offpiste.export.c_files import model_header
-from offpiste.export.formats import export_run, refuse_without_kernels
-from offpiste.export.parity import parity_bytes, parity_case
+from offpiste.exports.c_files import model_header
+from offpiste.exports.formats import ImageOptions, export, refuse_without_kernels
+from offpiste.exports.parity import parity_bytes, parity_case
 from offpiste.training.run import pretrained
 
 SANITIZED = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
@@ -48,20 +48,8 @@ def test_a_c_program_drives_5_s_and_agrees_with_predictions(name, option, tmp_pa
     assert about["weights_sha256"] in (tmp_path / "out" / "README.md").read_text()
 
 
-@needs_gcc
-def test_the_example_fails_where_a_drive_is_not_a_number_or_turns_otherwise(tmp_path):
-    case = parity_case(pretrained("proving-ground/parametric").dynamics)
-    export_run("pretrained:proving-ground/parametric", tmp_path / "out", "c")
-    assert compiled_and_run(tmp_path / "out").returncode == 0
-    for column, value in ((0, torch.nan), (2, 9.0)):
-        expected = case.expected.clone()
-        expected[0, :, column] = value
-        (tmp_path / "out" / "parity.bin").write_bytes(parity_bytes(replace(case, expected=expected)))
-        assert compiled_and_run(tmp_path / "out").returncode == 1
-
-
 def made_up(kind):
-    """Models with what the shipped ones lack: absent channels, a gear, features as they are."""
+    """Models unlike the shipped ones: absent channels, a gear, uncompressed features."""
     vehicle = replace(VEHICLE, wheelbase=2.2)
     torch.manual_seed(0)
     model = {
@@ -75,68 +63,85 @@ def made_up(kind):
     return unsettled(model.float(), scale=0.05).requires_grad_(False)
 
 
-@needs_gcc
-@pytest.mark.parametrize("kind", ["no actuators", "gear without throttle", "features as they are", "features"])
-def test_every_kind_of_model_agrees(kind, tmp_path):
+def write_example(kind, folder, names=("example.c", "parity.h"), **options):
+    """Write the parts of an export that its example needs; returns the parity case."""
     dynamics = made_up(kind)
-    header = model_header(dynamics, "Made up.")
+    (folder / "offpiste.h").write_text(model_header(dynamics, "Made up."))
+    case = parity_case(dynamics, **options)
+    (folder / "parity.bin").write_bytes(parity_bytes(case))
+    for name in names:
+        shutil.copy(str(files("offpiste.exports") / "files" / name), folder)
+    return case
+
+
+@needs_gcc
+@pytest.mark.parametrize("kind", ["no actuators", "gear without throttle", "features as they are"])
+def test_every_kind_of_model_agrees(kind, tmp_path):
+    write_example(kind, tmp_path, steps=100)
+    header = (tmp_path / "offpiste.h").read_text()
     assert ("gear, which is -1 (reverse), 0 (neutral) or 1 (forward)" in header) == ("gear" in kind)
-    (tmp_path / "offpiste.h").write_text(header)
-    case = parity_case(dynamics, steps=100)
-    (tmp_path / "parity.bin").write_bytes(parity_bytes(case))
-    for name in ("example.c", "parity.h"):
-        shutil.copy(str(files("offpiste.export") / "files" / name), tmp_path)
     ran = compiled_and_run(tmp_path)
     assert ran.returncode == 0, ran.stdout
-    shifted = replace(case, expected=case.expected + 0.01)
-    (tmp_path / "parity.bin").write_bytes(parity_bytes(shifted))
-    assert subprocess.run(["./example"], cwd=tmp_path, capture_output=True).returncode == 1
-    (tmp_path / "parity.bin").write_bytes(parity_bytes(case)[:-4])
-    cut = subprocess.run(["./example"], cwd=tmp_path, capture_output=True, text=True)
-    assert (cut.returncode, cut.stderr) == (1, "parity.bin: is damaged or cut short; export it again\n")
-    for at in (5, 30, 40, 60, len(parity_bytes(case)) // 2, len(parity_bytes(case)) - 10):
-        flipped = bytearray(parity_bytes(case))
+
+
+@needs_gcc
+def test_the_example_fails_for_wrong_numbers_and_for_damaged_or_foreign_files(tmp_path):
+    case = write_example("features", tmp_path, steps=100)
+    assert compiled_and_run(tmp_path).returncode == 0
+
+    def fails(content):
+        (tmp_path / "parity.bin").write_bytes(content)
+        ran = subprocess.run(["./example"], cwd=tmp_path, capture_output=True, text=True)
+        assert ran.returncode == 1
+        return ran.stderr
+
+    for column, value in ((0, torch.nan), (2, 9.0), (4, 0.01)):
+        expected = case.expected.clone()
+        expected[0, :, column] += value
+        fails(parity_bytes(replace(case, expected=expected)))
+    whole = parity_bytes(case)
+    assert fails(whole[:-4]) == "parity.bin: is damaged or cut short; export it again\n"
+    for at in (5, 30, 40, 60, len(whole) // 2, len(whole) - 10):
+        flipped = bytearray(whole)
         flipped[at] ^= 1
-        (tmp_path / "parity.bin").write_bytes(flipped)
-        assert subprocess.run(["./example"], cwd=tmp_path, capture_output=True).returncode == 1
-    other = parity_case(unsettled(made_up(kind), scale=0.01), steps=100)
-    (tmp_path / "parity.bin").write_bytes(parity_bytes(other))
-    alien = subprocess.run(["./example"], cwd=tmp_path, capture_output=True, text=True)
-    assert (alien.returncode, alien.stderr) == (1, "parity.bin: belongs to another model than offpiste.h\n")
+        fails(flipped)
+    other = parity_case(unsettled(made_up("features"), scale=0.01), steps=100)
+    assert fails(parity_bytes(other)) == "parity.bin: belongs to another model than offpiste.h\n"
 
 
 @needs_nvcc
 def test_the_cuda_example_compiles_without_spills(tmp_path):
-    export_run("pretrained:proving-ground/dc", tmp_path / "out", "cuda")
+    export("pretrained:proving-ground/dc", tmp_path / "out", "cuda")
     command = ["nvcc", "-std=c++17", "-arch=sm_90", "-Xptxas", "-v", "example.cu", "-o", "example"]
     made = subprocess.run(command, cwd=tmp_path / "out", capture_output=True, text=True)
     assert made.returncode == 0, made.stderr[:2000]
     assert "0 bytes spill stores, 0 bytes spill loads" in made.stderr
 
 
-def test_what_cannot_be_exported_is_refused(tmp_path):
+def test_what_cannot_be_exported_is_refused(tmp_path, monkeypatch):
     (tmp_path / "mine.txt").write_text("mine")
     with pytest.raises(OffpisteError, match="has files already"):
-        export_run("pretrained:proving-ground/dc", tmp_path, "c")
+        export("pretrained:proving-ground/dc", tmp_path, "c")
     with pytest.raises(OffpisteError, match="no export format 'cuba'; did you mean 'cuda'"):
-        export_run("pretrained:proving-ground/dc", tmp_path / "new", "cuba")
-    run = replace(pretrained("proving-ground/dc"), dynamics=ConstantMotion(VEHICLE), model="ctrv")
-    with pytest.raises(RunError, match="'ctrv' has no kernels"):
-        refuse_without_kernels(run)
+        export("pretrained:proving-ground/dc", tmp_path / "new", "cuba")
+    for images, option in ((ImageOptions(tmp_path), "--images"), (ImageOptions(size=(640, 360)), "--size")):
+        with pytest.raises(OffpisteError, match=f"{option} is for --format onnx"):
+            export("pretrained:proving-ground/dc", tmp_path / "new", "c", images)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["mine.txt"]
-
-
-def test_a_control_that_kernels_do_not_know_is_refused(monkeypatch):
+    run = pretrained("proving-ground/b")
+    run.dynamics.requires_grad_(True)
+    refuse_without_kernels(run)  # a model that still learns its actuators is accepted
+    with pytest.raises(RunError, match="'ctrv' has no kernels"):
+        refuse_without_kernels(replace(run, dynamics=ConstantMotion(VEHICLE), model="ctrv"))
     monkeypatch.setattr(channels, "MORE_CONTROLS", Registry("control"))
     channels.register_control(channels.Control("diff_lock", low=0.0, high=1.0))
-    dynamics = Hybrid(replace(VEHICLE, control=(*VEHICLE.control, "diff_lock")))
-    run = replace(pretrained("proving-ground/b"), dynamics=dynamics)
+    locked = Hybrid(replace(VEHICLE, control=(*VEHICLE.control, "diff_lock")))
     with pytest.raises(RunError, match="'b' has no kernels: they do not know diff_lock; export"):
-        refuse_without_kernels(run)
+        refuse_without_kernels(replace(run, dynamics=locked))
 
 
 class Scaled(FeatureEncoder):
-    """An encoder of somebody else."""
+    """An encoder of an extension."""
 
     def __init__(self, features):
         super().__init__()
@@ -148,16 +153,10 @@ class Scaled(FeatureEncoder):
         return torch.tanh(3 * features)
 
 
-def test_an_encoder_that_the_text_does_not_know_is_refused():
+def test_an_encoder_without_c_code_is_refused():
     dynamics = Hybrid(replace(VEHICLE, features=3), encoder=Scaled(3))
     run = replace(pretrained("proving-ground/b"), dynamics=dynamics)
     with pytest.raises(RunError, match="'b' has no kernels: its encoder is a Scaled"):
         refuse_without_kernels(run)
     with pytest.raises(ValueError, match="no C code of this encoder: its encoder is a Scaled"):
         model_header(dynamics, "Made up.")
-
-
-def test_a_model_that_still_learns_its_actuators_is_not_refused():
-    run = pretrained("proving-ground/b")
-    run.dynamics.requires_grad_(True)
-    refuse_without_kernels(run)

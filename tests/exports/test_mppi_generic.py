@@ -1,18 +1,15 @@
 """Exports for MPPI-Generic, compiled by g++ with a stand-in for that library, Eigen and CUDA (`stand_in/`)."""
 
-import shutil
 import subprocess
 from dataclasses import replace
-from importlib.resources import files
 from pathlib import Path
 
 import pytest
 
-from export.test_c_files import made_up
+from exports.test_c_files import write_example
 from host_kernels import needs_gcc
-from offpiste.export.c_files import model_header
-from offpiste.export.formats import export_run
-from offpiste.export.parity import parity_bytes, parity_case
+from offpiste.exports.formats import export
+from offpiste.exports.parity import parity_bytes
 
 STAND_IN = Path(__file__).parent / "stand_in"
 
@@ -27,19 +24,8 @@ def compiled_and_run(folder, source="drive.cu"):
     return subprocess.run(["./program", "parity.bin"], cwd=folder, capture_output=True, text=True)
 
 
-def made_up_export(kind, folder):
-    """What an export of a made-up model has that a drive needs."""
-    dynamics = made_up(kind)
-    (folder / "offpiste.h").write_text(model_header(dynamics, "Made up."))
-    case = parity_case(dynamics, drives=4, steps=60)
-    (folder / "parity.bin").write_bytes(parity_bytes(case))
-    for name in ("offpiste_dynamics.cuh", "offpiste_cost.cuh", "drive.cu", "parity.h"):
-        shutil.copy(str(files("offpiste.export") / "files" / name), folder)
-    return case
-
-
 def test_the_exported_dynamics_drives_5_s_and_agrees_with_predictions(tmp_path):
-    export_run("pretrained:proving-ground/dc", tmp_path / "out", "mppi-generic")
+    export("pretrained:proving-ground/dc", tmp_path / "out", "mppi-generic")
     ran = compiled_and_run(tmp_path / "out")
     assert ran.returncode == 0, ran.stdout
     assert float(ran.stdout.split("at most ")[1].split()[0]) < 2e-4
@@ -51,7 +37,8 @@ def test_the_exported_dynamics_drives_5_s_and_agrees_with_predictions(tmp_path):
 
 @pytest.mark.parametrize("kind", ["gear without throttle", "features"])
 def test_every_kind_of_model_drives_on_the_host_and_as_a_gpu_would(kind, tmp_path):
-    case = made_up_export(kind, tmp_path)
+    names = ("offpiste_dynamics.cuh", "offpiste_cost.cuh", "drive.cu", "parity.h")
+    case = write_example(kind, tmp_path, names, drives=4, steps=60)
     ran = compiled_and_run(tmp_path)
     assert ran.returncode == 0, ran.stdout
     (tmp_path / "parity.bin").write_bytes(parity_bytes(replace(case, expected=case.expected + 0.01)))

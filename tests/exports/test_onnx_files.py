@@ -11,9 +11,17 @@ import torch
 from dynamics.kernels.test_rollout import CHANNELS, example
 from offpiste.core.errors import OffpisteError, RunError
 from offpiste.dynamics import Hybrid
-from offpiste.export.formats import ImageOptions, export_run, size_of
-from offpiste.export.onnx_files import checked_graph, encoder_of, extractor_of, past_inputs, read_images
-from offpiste.export.onnx_graphs import PastToMemory, run_graph, sample_images
+from offpiste.exports.formats import ImageOptions, export, size_of
+from offpiste.exports.onnx_files import (
+    PastToMemory,
+    checked_graph,
+    encoder_of,
+    extractor_of,
+    past_inputs,
+    read_images,
+    run_graph,
+    sample_images,
+)
 from offpiste.training.run import pretrained
 
 onnx = pytest.importorskip("onnx", reason="the extra onnx is not installed")
@@ -37,7 +45,7 @@ def test_images_become_the_codes_that_the_run_time_computes(tmp_path):
     pictures.mkdir()
     for number, image in enumerate(sample_images().numpy()):
         cv2.imwrite(str(pictures / f"{number}.png"), image[..., ::-1])
-    export_run("pretrained:proving-ground/dc", tmp_path / "out", "onnx", ImageOptions(pictures))
+    export("pretrained:proving-ground/dc", tmp_path / "out", "onnx", ImageOptions(pictures))
     run = pretrained("proving-ground/dc")
     images = sample_images()[[1, 0, 1]]
     found = run_graph(tmp_path / "out" / "codes.onnx", {"images": images})[0]
@@ -65,7 +73,7 @@ def test_images_become_the_codes_that_the_run_time_computes(tmp_path):
 
 def test_images_of_another_size_have_a_graph_of_their_own(tmp_path):
     run, size = pretrained("proving-ground/dc"), (203, 121)
-    export_run("pretrained:proving-ground/dc", tmp_path / "out", "onnx", ImageOptions(size=size))
+    export("pretrained:proving-ground/dc", tmp_path / "out", "onnx", ImageOptions(size=size))
     about = json.loads((tmp_path / "out" / "model.json").read_text())
     assert about["image"] == [121, 203, 3]
     assert "[cameras, 121, 203, 3]" in (tmp_path / "out" / "README.md").read_text()
@@ -103,10 +111,6 @@ def test_a_graph_that_computes_something_else_and_pictures_of_another_size_are_r
     cv2.imwrite(str(tmp_path / "small.png"), np.zeros((4, 5, 3), np.uint8))
     with pytest.raises(OffpisteError, match="a picture of 5 x 4"):
         read_images(tmp_path, (640, 360))
-    with pytest.raises(OffpisteError, match="--images is for --format onnx"):
-        export_run("pretrained:proving-ground/dc", tmp_path / "new", "c", ImageOptions(tmp_path))
-    with pytest.raises(OffpisteError, match=r"--size is for --format onnx"):
-        export_run("pretrained:proving-ground/dc", tmp_path / "new", "c", ImageOptions(size=(640, 360)))
 
 
 def test_runs_without_features_or_with_those_of_another_pca_are_refused():

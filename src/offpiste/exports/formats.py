@@ -1,4 +1,4 @@
-"""Formats of exports: each writes its files into a folder, and registers where it is defined."""
+"""Registry of export formats, and the parts that all of them share."""
 
 import re
 from collections.abc import Callable
@@ -21,11 +21,11 @@ from offpiste.training.run import Run, load_run
 
 @dataclass(frozen=True)
 class ImageOptions:
-    """What a user says of a format's images.
+    """Options of formats that read images.
 
     Attributes:
-        folder: of rectified pictures, which formats with less precision are calibrated with.
-        size: width and height of rectified images [px]; None: the format's own.
+        folder: rectified images for the calibration of int8 graphs.
+        size: width and height of rectified images [px]; None for the default of the format.
     """
 
     folder: Path | None = None
@@ -33,24 +33,25 @@ class ImageOptions:
 
 
 Format = Callable[[Run, Path, ImageOptions], None]
-"""Writes an export of a run into a folder that is there."""
+"""Function that writes the export of a run into an existing folder."""
 
 FORMATS: Final[Registry[Format]] = Registry("export format", package=__package__)
 
 
-def export_run(run: str | Path, to: Path, kind: str, images: ImageOptions = ImageOptions()) -> None:
+def export(run: str | Path, to: str | Path, kind: str = "c", images: ImageOptions = ImageOptions()) -> None:
     """Export a run; the folder is written whole or not at all.
 
+        offpiste.export("pretrained:proving-ground/dc", "model-c")
+
     Args:
-        run: folder that `offpiste train` wrote, or `pretrained:NAME`.
-        to: folder to write, which is not there yet, or empty.
-        kind: name of a format.
-        images: of formats that read any.
+        run: folder of the run, or `pretrained:NAME`.
+        to: folder to write; absent or empty.
+        kind: "c", "cuda", "mppi-generic" or "onnx".
 
     Raises:
-        OffpisteError: no such format, no such run, a folder with files, or a model that the format cannot hold.
+        OffpisteError: unknown format or run, a folder with files, or a model that the format does not support.
     """
-    write = FORMATS[kind]
+    write, to = FORMATS[kind], Path(to)
     check_folder(to, option="--to")
     if to.exists() and any(to.iterdir()):
         raise OffpisteError("has files already", where=to, how="give a folder that is empty or not there yet")
@@ -61,22 +62,17 @@ def export_run(run: str | Path, to: Path, kind: str, images: ImageOptions = Imag
 
 
 def refuse_images(images: ImageOptions) -> None:
-    """Raise where something is said of images to a format that reads none.
-
-    Raises:
-        OffpisteError: names the option.
-    """
-    if images.folder is not None:
-        raise OffpisteError("--images is for --format onnx", where=images.folder, how="leave it out")
-    if images.size is not None:
-        raise OffpisteError("--size is for --format onnx", how="leave it out")
+    """Raise `OffpisteError` if image options were given to a format without images."""
+    for option, value in (("--images", images.folder), ("--size", images.size)):
+        if value is not None:
+            raise OffpisteError(f"{option} is for --format onnx", how="leave it out")
 
 
 def size_of(text: str) -> tuple[int, int]:
-    """Width and height [px] of "WIDTHxHEIGHT".
+    """Parse "WIDTHxHEIGHT" [px].
 
     Raises:
-        OffpisteError: it is none.
+        OffpisteError: the text has another form.
     """
     numbers = re.fullmatch(r"([1-9]\d{0,3})x([1-9]\d{0,3})", text)
     if numbers is None:
@@ -85,20 +81,15 @@ def size_of(text: str) -> tuple[int, int]:
 
 
 def refuse_without_kernels(run: Run) -> None:
-    """Raise unless the model can be printed.
-
-    Raises:
-        RunError: no kernels can step it, or its encoder cannot be printed.
-    """
+    """Raise `RunError` if no C code can be generated for the model or its encoder."""
     if reason := uncovered(run.dynamics) or uncovered_encoder(run.dynamics.encoder):
         how = "export a model with a bicycle, as b or dc, or call `predict` from Python"
         raise RunError(f"'{run.model}' has no kernels: {reason}", where=run.folder, how=how)
 
 
 def write_about(run: Run, folder: Path, **more: Any) -> dict[str, Any]:
-    """Write model.json: which run this is, and in which frames, units and order its numbers are."""
+    """Write model.json with the run's identity and the units, frames and order of its numbers."""
     dynamics = run.dynamics
-    absent = [layout.STEPPED[row] for row in absent_actuators(dynamics)]
     about = {
         "offpiste": __version__,
         "model": run.model,
@@ -108,7 +99,7 @@ def write_about(run: Run, folder: Path, **more: Any) -> dict[str, Any]:
         "pca": run.pca,
         "step": DT,
         "state": list(layout.STEPPED),
-        "absent_actuators": absent,
+        "absent_actuators": [layout.STEPPED[row] for row in absent_actuators(dynamics)],
         "recurrent_units": dynamics.recurrent_size,
         "controls": list(dynamics.vehicle.control_columns),
         "wheels": list(WHEELS),

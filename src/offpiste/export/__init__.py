@@ -1,1 +1,0 @@
-"""Models for use without Python: C and CUDA, other people's planners, ONNX."""
