@@ -32,13 +32,14 @@ from offpiste.dynamics.feature_encoder import Compressor
 from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.mapping.terrain_sampler import MapTerrain, as_codes, stack_maps
 from offpiste.planning.caution import Caution
+from offpiste.planning.controls import CONTROL_LIMITS
 from offpiste.planning.cost_map import cost_map
 from offpiste.planning.costs.layers import Hazards
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.course import Course
 from offpiste.planning.driving_cost import Situation, terms_after
 from offpiste.planning.kernel import coded_map, encode_map, fused_costs
-from offpiste.planning.mppi import PEDALS_AND_WHEEL, Settings, improve, limited, sample, weigh
+from offpiste.planning.mppi import Settings, improve, limited, sample, weigh
 from offpiste.planning.rollouts import driving_costs
 from offpiste.uncertainty.spread import Spread, inputs_of
 
@@ -259,7 +260,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         return cycle(options.cycle, options.pca, options.seconds)
     horizon = 5 if options.smoke else HORIZON_STEPS
     layers = ground(100 if options.smoke else 600)
-    settings = Settings(PEDALS_AND_WHEEL, (0.3, 0.1, 0.3), samples=16 if options.smoke else 1024)
+    settings = Settings(CONTROL_LIMITS, (0.3, 0.1, 0.3), samples=16 if options.smoke else 1024)
     at = Situation(
         stack_maps([layers.terrain_map()]),
         cost_map(layers, Course(np.array([[-50.0, 0], [50.0, 0]]), np.full(2, 6.0)), Hazards()),

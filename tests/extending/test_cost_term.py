@@ -18,7 +18,8 @@ import numpy as np, torch
 from offpiste import CostWeights
 from offpiste.planning.driving_cost import driving_terms
 from offpiste.planning.kernel import encode_map, fused_costs, fused_rollout
-from offpiste.planning.mppi import PEDALS_AND_WHEEL, Settings, improve
+from offpiste.planning.controls import CONTROL_LIMITS
+from offpiste.planning.mppi import Settings, improve
 from offpiste.planning.rollouts import driving_costs
 from offpiste.core.state import Trajectory
 from planning.test_kernel import commands, model, start
@@ -39,7 +40,7 @@ terms = driving_terms(Trajectory(states, torch.zeros(*states.shape[:2], 4)), con
 torch.testing.assert_close(costs - without, 0.02 * terms["shaking"].sum(dim=1), rtol=1e-2, atol=1e-2)
 assert (terms["shaking"] > 0).any() and (terms["shaking"] == 0).any()
 
-settings = Settings(PEDALS_AND_WHEEL, (0.3, 0.1, 0.3), samples=64)
+settings = Settings(CONTROL_LIMITS, (0.3, 0.1, 0.3), samples=64)
 plan = improve(torch.zeros(60, 3), fused_costs(dynamics, model_state, at, shaken, codes), settings,
                torch.Generator().manual_seed(0), previous=torch.zeros(3))
 assert plan.controls.isfinite().all()

@@ -26,6 +26,7 @@ import msgspec
 import numpy as np
 import torch
 from mcap.reader import make_reader
+from scipy.signal import savgol_filter
 
 from factories import COMMANDED, VEHICLE, Situation
 from feature_datasets import dataset_with_features
@@ -55,11 +56,12 @@ from offpiste.mapping.voxel_map import VoxelSettings
 from offpiste.perception.backbones import open_backbone
 from offpiste.perception.feature_extractor import FeatureExtractor, load_feature_extractor
 from offpiste.perception.pca import save_pca
+from offpiste.planning.controls import CONTROL_LIMITS, keep_within
 from offpiste.planning.costs.layers import Hazards
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.driving_cost import driving_terms
 from offpiste.planning.kernel import encode_map, fused_costs, fused_rollout, kernel_model_state
-from offpiste.planning.mppi import PEDALS_AND_WHEEL, Settings, improve, shift
+from offpiste.planning.mppi import Settings, improve, shift
 from offpiste.planning.rollouts import driving_costs, situation_terrain, spread_model_state
 from offpiste.rig.rig import load_rig
 from offpiste.runtime.planner import Planner
@@ -547,9 +549,7 @@ def plan() -> Results:
     """Three updates of MPPI, and the costs of one set of samples, by the kernel and without it."""
     found: Results = {}
     weights = CostWeights(lateral_limit=0.25, rollover=20.0)
-    planned = Settings(
-        PEDALS_AND_WHEEL, (0.3, 0.1, 0.3), samples=96, temperature=3.0, rest=(0.3, 0.0, 0.0), smoothing=9
-    )
+    planned = Settings(CONTROL_LIMITS, (0.3, 0.1, 0.3), samples=96, temperature=3.0, rest=(0.3, 0.0, 0.0))
     at = situation(rough(), hazards=Hazards(obstacle=50.0), state=(-3.0, 1, 0.3, 8, 0.2, 0.1))
     found |= parts("prices", at.costs) | {"prices.3": np.array(at.costs.outside[0])}
     for name, vehicle in (
@@ -569,16 +569,19 @@ def plan() -> Results:
             controls = torch.tensor([0.4, 0.0, 0.0]).repeat(50, 1)
             generator = torch.Generator().manual_seed(5)
             for update in range(3):
-                better = improve(controls, cost_of, planned, generator, previous=torch.tensor([0.3, 0.0, 0.0]))
-                found[f"{label}.{reading}.{update}.controls"] = better.controls.double().numpy()[::3]
+                previous = torch.tensor([0.3, 0.0, 0.0])
+                better = improve(controls, cost_of, planned, generator, previous=previous)
+                smooth = savgol_filter(better.controls.numpy(), 9, 3, axis=0, mode="nearest")  # as recorded
+                controls = keep_within(CONTROL_LIMITS, planned.dt, torch.from_numpy(smooth)[None], previous)[0]
+                found[f"{label}.{reading}.{update}.controls"] = controls.double().numpy()[::3]
                 found |= summarised(f"{label}.{reading}.{update}.costs", better.costs, keep=24)
-                controls = shift(better.controls, 5)
+                controls = shift(controls, 5)
         draw = torch.Generator().manual_seed(9)
         drawn = torch.rand(24, 40, 3, generator=draw) * torch.tensor([0.8, 0.2, 1.0]) - torch.tensor([0.0, 0.0, 0.5])
         price, states = fused_rollout(dynamics, past, drawn, at, weights, codes)
         found[f"{label}.fused.price"] = price.double().numpy()
         found |= summarised(f"{label}.fused.states", states, keep=150)
-        source = situation_terrain(dynamics, at, len(drawn), encoder)
+        source = situation_terrain(at, len(drawn), encoder)
         trajectory = rollout(dynamics, spread_model_state(past, len(drawn)), drawn, source)
         found |= summarised(f"{label}.eager.states", trajectory.state, keep=150)
         terms = driving_terms(trajectory, drawn, at, weights)

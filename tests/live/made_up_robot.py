@@ -7,7 +7,7 @@ import numpy as np
 from offpiste.logs.ros.sensor_messages import message_from_points
 from offpiste.logs.ros.writer import McapWriter, header, make, quaternion, vector
 from offpiste.planning import mppi
-from offpiste.planning.controls import PEDAL_AND_WHEEL
+from offpiste.planning.controls import PEDAL_LIMITS
 from offpiste.rig.rig import parse_rig
 from offpiste.runtime.backing_out import BackingOutSettings
 from offpiste.runtime.planner import Planner
@@ -90,7 +90,7 @@ def planner():
 
 def small_settings():
     """Settings with which a plan takes a few milliseconds."""
-    sampling = mppi.Settings(PEDAL_AND_WHEEL, (0.35, 0.3), samples=32, rest=(0.2, 0.0))
+    sampling = mppi.Settings(PEDAL_LIMITS, (0.35, 0.3), samples=32, rest=(0.2, 0.0))
     return settings(sampling=sampling, backing_out=BackingOutSettings(attempts=0))  # it never moves, and is not stuck
 
 

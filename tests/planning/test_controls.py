@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from offpiste.planning.controls import (
-    PEDALS_AND_WHEEL,
+    CONTROL_LIMITS,
     Limits,
     controls_of,
     keep_within,
@@ -34,8 +34,8 @@ def test_the_compiled_pass_equals_the_reference(dtype, previous):
     before = None if previous is None else torch.tensor(previous, dtype=dtype)
     asked = wanted.clone()
     for dt in (0.02, 0.1):
-        found = keep_within(PEDALS_AND_WHEEL, dt, wanted, before)
-        reference = keep_within_stepwise(PEDALS_AND_WHEEL, dt, wanted, before)
+        found = keep_within(CONTROL_LIMITS, dt, wanted, before)
+        reference = keep_within_stepwise(CONTROL_LIMITS, dt, wanted, before)
         assert torch.equal(found.nan_to_num(9), reference.nan_to_num(9))
         assert found[3, 10:, 1].isnan().all()
     assert torch.equal(wanted.nan_to_num(9), asked.nan_to_num(9))
@@ -43,7 +43,7 @@ def test_the_compiled_pass_equals_the_reference(dtype, previous):
 
 def test_controls_within_limits_stay():
     slow = torch.linspace(0, 0.5, 50)[None, :, None].expand(2, -1, 3)
-    assert torch.equal(keep_within(PEDALS_AND_WHEEL, 0.02, slow, torch.zeros(3)), slow)
+    assert torch.equal(keep_within(CONTROL_LIMITS, 0.02, slow, torch.zeros(3)), slow)
 
 
 def test_without_rates_only_bounds_apply():

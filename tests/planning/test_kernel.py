@@ -16,12 +16,12 @@ from offpiste.core.state import ModelState
 from offpiste.dynamics import Hybrid, Parametric, rollout
 from offpiste.dynamics.feature_encoder import Compressor, Identity
 from offpiste.mapping.terrain_sampler import MapTerrain, as_codes
-from offpiste.planning.controls import complete
+from offpiste.planning.controls import CONTROL_LIMITS, complete
 from offpiste.planning.costs.layers import Hazards
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.driving_cost import driving_terms
 from offpiste.planning.kernel import coded_map, encode_map, fused_costs, fused_rollout, kernel_model_state
-from offpiste.planning.mppi import PEDALS_AND_WHEEL, Settings, improve
+from offpiste.planning.mppi import Settings, improve
 from offpiste.planning.noise import coloured
 from offpiste.planning.rollouts import driving_costs, situation_terrain, spread_model_state
 from planning_maps import layers, situation
@@ -85,7 +85,7 @@ def both(dynamics, at, controls, weights):
     """Costs, states: eager, fused; and the eager terms."""
     encoder = getattr(dynamics, "encoder", None)
     model_state = start(dynamics, at)
-    source = situation_terrain(dynamics, at, len(controls), encoder)
+    source = situation_terrain(at, len(controls), encoder)
     completed = complete(dynamics.vehicle, controls, at.gear)
     trajectory = rollout(dynamics, spread_model_state(model_state, len(controls)), completed, source)
     eager = driving_costs(dynamics, model_state, at, weights, encoder)(controls), trajectory.state
@@ -251,7 +251,7 @@ def test_the_first_steps_are_the_same_in_a_shorter_plan(steps, geared):
 def test_a_plan_is_the_same_on_any_number_of_threads():
     at, dynamics = situation(ground()), model("dc")
     cost_of = fused_costs(dynamics, start(dynamics, at), at, CostWeights(), encode_map(at.ground, dynamics.encoder))
-    settings, plans, threads = Settings(PEDALS_AND_WHEEL, (0.3, 0.1, 0.3), samples=100), [], torch.get_num_threads()
+    settings, plans, threads = Settings(CONTROL_LIMITS, (0.3, 0.1, 0.3), samples=100), [], torch.get_num_threads()
     for count in (1, 2):
         torch.set_num_threads(count)
         draw = torch.Generator().manual_seed(0)
@@ -287,7 +287,7 @@ def test_inputs_that_the_kernel_does_not_support_are_refused():
 def test_a_plan_with_it_is_better_than_doing_nothing():
     at, dynamics = situation(layers(), state=(-10.0, 3, 0, 3, 0, 0)), model("parametric")
     cost_of = fused_costs(dynamics, start(dynamics, at), at, CostWeights(), encode_map(at.ground, None))
-    settings = Settings(PEDALS_AND_WHEEL, (0.3, 0.1, 0.3), samples=128, iterations=4)
+    settings = Settings(CONTROL_LIMITS, (0.3, 0.1, 0.3), samples=128, iterations=4)
     nothing = torch.zeros(STEPS, 3)
     plan = improve(nothing, cost_of, settings, torch.Generator().manual_seed(0), previous=torch.zeros(3))
     assert cost_of(plan.controls[None]).item() < 0.8 * cost_of(nothing[None]).item()

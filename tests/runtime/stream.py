@@ -16,7 +16,7 @@ from offpiste.mapping.replay import MapperSettings
 from offpiste.mapping.voxel_map import VoxelSettings
 from offpiste.perception.camera import make_pinhole_camera
 from offpiste.planning import mppi
-from offpiste.planning.controls import PEDAL_AND_WHEEL
+from offpiste.planning.controls import PEDAL_LIMITS
 from offpiste.planning.course import Course
 from offpiste.rig.camera import CameraModel
 from offpiste.rig.sensors import CameraSource, LidarSource
@@ -41,7 +41,7 @@ def feature_model():
 
 
 def settings(**changed):
-    sampling = mppi.Settings(PEDAL_AND_WHEEL, (0.35, 0.3), samples=64, rest=(0.2, 0.0))
+    sampling = mppi.Settings(PEDAL_LIMITS, (0.35, 0.3), samples=64, rest=(0.2, 0.0))
     small = MapSettings(VoxelSettings(reach=24.0, capacity=200_000, threads=1))
     return RuntimeSettings(**{"sampling": sampling, "replay": MapperSettings(map=small), "margin": 2.0, **changed})
 

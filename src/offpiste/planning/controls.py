@@ -1,8 +1,7 @@
-"""Controls that a planner samples: bounds, rates, and one pedal in place of two.
+"""Sampled controls: bounds, rates, and a single pedal in place of throttle and brake.
 
-The single pedal is throttle minus brake, from -1 to +1. A planner with two independent pedals presses both at once,
-which no training data show, so that predictions are unreliable. Gears are not sampled: the run time chooses the gear
-of a plan.
+The single pedal is throttle minus brake, from -1 to +1. Two independent pedals would be pressed together, which does
+not occur in training data. Gears are not sampled.
 """
 
 from collections.abc import Callable
@@ -23,10 +22,9 @@ from offpiste.native.compilation import PLANNING, spread_kernel
 
 @dataclass(frozen=True)
 class Limits:
-    """Bounds and rates, one number for each control.
+    """Bounds and rates of controls.
 
     Attributes:
-        low, high: bounds.
         rate: largest change per second; None for no limit.
     """
 
@@ -35,52 +33,48 @@ class Limits:
     rate: tuple[float, ...] | None = None
 
 
-PEDALS_AND_WHEEL = Limits(
+CONTROL_LIMITS: Final = Limits(
     low=tuple(control.low for control in CONTROLS),
     high=tuple(control.high for control in CONTROLS),
     rate=tuple(control.rate for control in CONTROLS),
 )
-"""Limits of the controls in `offpiste.core.channels.CONTROLS`."""
+"""Limits of throttle, brake and steer."""
 
-PEDAL_AND_WHEEL: Final = Limits(low=(-1.0, -1.0), high=(1.0, 1.0), rate=(6.0, 4.0))
-"""Bounds [1] and rates [1/s] of pedal and steer."""
+PEDAL_LIMITS: Final = Limits(low=(-1.0, -1.0), high=(1.0, 1.0), rate=(6.0, 4.0))
+"""Limits of pedal and steer; rates in 1/s."""
 
 COMPLETED: Final = (*CONTROL, *(control.name for control in OPTIONAL_CONTROLS))
-"""Columns of controls with a gear."""
+"""Columns of controls of models with a gear."""
 
 
 def controls_of(pedal_and_steer: Float[Tensor, "*P 2"]) -> Float[Tensor, "*P 3"]:
-    """Throttle, brake and steer from pedal and steer."""
+    """Convert pedal and steer to throttle, brake and steer."""
     pedal, steer = pedal_and_steer.unbind(-1)
     return torch.stack((pedal.clamp(min=0), (-pedal).clamp(min=0), steer), dim=-1)
 
 
 def pedals_of(controls: Float[Tensor, "*P 3"]) -> Float[Tensor, "*P 2"]:
-    """Pedal (throttle minus brake) and steer from throttle, brake and steer."""
+    """Convert throttle, brake and steer to pedal (throttle minus brake) and steer."""
     throttle, brake, steer = controls.unbind(-1)
     return torch.stack((throttle - brake, steer), dim=-1)
 
 
 def with_pedal(cost_of: Callable[[Tensor], Tensor]) -> Callable[[Tensor], Tensor]:
-    """Costs of sequences of pedal and steer [K, T, 2], from costs of throttle, brake and steer."""
-
-    def cost(pedal_and_steer: Tensor) -> Tensor:
-        return cost_of(controls_of(pedal_and_steer))
-
-    return cost
+    """Return a function of pedal and steer [K, T, 2] from a function of throttle, brake and steer."""
+    return lambda pedal_and_steer: cost_of(controls_of(pedal_and_steer))
 
 
 def complete(
     vehicle: Vehicle, controls: Float[Tensor, "*P 3"] | Float[Tensor, "*P U"], gear: float | Float[Tensor, "*P 1"]
 ) -> Float[Tensor, "*P U"]:
-    """Controls in the columns of a vehicle (`Vehicle.control_columns`).
+    """Return controls in the columns of a vehicle (`Vehicle.control_columns`).
 
     Args:
-        controls: throttle, brake and steer; or all columns, which are returned unchanged.
-        gear: gear of all rows, or of each row.
+        controls: throttle, brake and steer, or all columns, which are returned unchanged.
+        gear: common gear, or the gear of each row.
 
     Raises:
-        PlanningError: the vehicle has controls other than these and a gear.
+        PlanningError: the vehicle has other controls.
     """
     columns, given = vehicle.control_columns, controls.shape[-1]
     if given == len(columns):
@@ -94,13 +88,11 @@ def complete(
 def keep_within(
     limits: Limits, dt: float, controls: Float[Tensor, "K T U"], previous: Float[Tensor, " U"] | None = None
 ) -> Float[Tensor, "K T U"]:
-    """Clip controls to bounds and rates, step by step, each to the nearest allowed value.
-
-    One compiled pass on the CPU, `keep_within_stepwise` elsewhere.
+    """Clip controls step by step to bounds and rates; compiled on the CPU, `keep_within_stepwise` elsewhere.
 
     Args:
         dt: duration of a step [s].
-        previous: control before the first step; None does not limit the rate of the first step.
+        previous: control before the first step; None does not limit the first step.
     """
     if limits.rate is None or controls.device.type != "cpu" or controls.dtype not in (torch.float32, torch.float64):
         return keep_within_stepwise(limits, dt, controls, previous)
@@ -115,7 +107,7 @@ def keep_within(
 def keep_within_stepwise(
     limits: Limits, dt: float, controls: Float[Tensor, "K T U"], previous: Float[Tensor, " U"] | None = None
 ) -> Float[Tensor, "K T U"]:
-    """Reference of `keep_within` in torch, step after step, on any device."""
+    """Clip controls as `keep_within`, in torch on any device."""
     low, high, change = bounds(limits, dt, controls)
     controls = controls.clamp(low, high)
     if limits.rate is None:
@@ -128,7 +120,7 @@ def keep_within_stepwise(
 
 
 def bounds(limits: Limits, dt: float, controls: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Low and high bounds, and the largest change in a step [U], in the type and on the device of controls."""
+    """Return low and high bounds and the largest change per step [U], in the type and on the device of controls."""
     low, high = controls.new_tensor(limits.low), controls.new_tensor(limits.high)
     change = torch.full_like(low, torch.inf) if limits.rate is None else controls.new_tensor(limits.rate) * dt
     return low, high, change
@@ -146,11 +138,7 @@ def _walk(
     free: bool,
     kept: np.ndarray,
 ) -> None:
-    """Constrain samples `first` ... `last - 1`; NaN stays, and spreads to all later steps.
-
-    Args:
-        free: whether the first step is limited by bounds only.
-    """
+    """Clip samples `first` ... `last - 1`; NaN propagates to all later steps; `free`: no rate limit in the first."""
     _, steps, count = controls.shape
     before = np.empty_like(previous)
     for k in range(first, last):

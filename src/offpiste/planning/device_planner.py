@@ -1,8 +1,7 @@
-"""MPPI whose samples never leave a GPU: noise, limits, rollouts with costs, weights and mean, as one CUDA graph.
+"""MPPI on a GPU as one CUDA graph: noise, limits, rollouts with costs, weights and mean; reference: `mppi.improve`.
 
-`mppi.improve` is its reference. What a plan depends on lies in buffers that stay where they are, so that the graph,
-captured once, serves all plans; a map that is larger than the room for it means new buffers, and another graph, which
-is checked before it gives a plan.
+The inputs of a plan are copied to fixed buffers, so that one captured graph serves all plans. A map larger than its
+buffer requires new buffers and another graph, which is checked before its first plan.
 """
 
 from collections.abc import Callable
@@ -14,7 +13,6 @@ from jaxtyping import Float
 from torch import Generator, Tensor
 
 from offpiste.core.conventions import CONTROL
-from offpiste.core.errors import PlanningError
 from offpiste.core.state import ModelState
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.header.networks import packed_parameters
@@ -24,7 +22,7 @@ from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.driving_cost import Situation
 from offpiste.planning.header.costs import Maps, packed_maps, packed_situation
 from offpiste.planning.kernel import Codes
-from offpiste.planning.mppi import Plan, Settings, limited, no_finite_cost, rest_of, sample_groups, smoothed
+from offpiste.planning.mppi import Plan, Settings, limited, no_finite_cost, rest_of, sample_groups
 from offpiste.planning.noise import Noise, coefficient_sizes, coloured, from_coefficients, function_and_options
 from offpiste.planning.plan_graph import Buffers, Capture, is_same, outcome
 
@@ -35,35 +33,29 @@ _NOTHING: Final[_Versions] = ((None, None),) * 3
 
 @final
 class DevicePlanner:
-    """Plans of one model on one device.
+    """MPPI for one model on one device.
 
     Args:
         kernels: of `plan_text`, for this model and the layers of the cost map.
-        settings: of pedal and steering, or of throttle, brake and steering.
-        generator: source of the noise, on the device where the kernels run.
-        capture: makes one graph of a plan's work, where its noise allows that; None: the work runs as it is.
+        settings: for pedal and steer, or for throttle, brake and steer.
+        generator: source of the noise, on the device of the kernels.
+        capture: captures the work of a plan as a graph, if its noise allows that; None for no graph.
 
     Attributes:
-        kernels, dynamics, settings: as given.
-        device: that plans are computed on.
-
-    Raises:
-        PlanningError: a control cost, which only `mppi.improve` has.
+        device: device of the computation.
     """
 
     def __init__(
         self, kernels: Kernels, dynamics: Dynamics, settings: Settings, generator: Generator,
         capture: Capture | None = None,
     ) -> None:  # fmt: skip
-        if settings.control_cost:
-            raise PlanningError("a control cost is not computed on a GPU", how="set it to 0, or plan on the CPU")
         self.kernels, self.dynamics, self.settings, self._generator = kernels, dynamics, settings, generator
         self.device, self._capture = generator.device, capture
         self._params = packed_parameters(dynamics).to(self.device)
         self._scale, self._fresh, self._rest = (part.to(self.device) for part in _groups(settings))
         self._buffers: Buffers | None = None
         self._copied: _Versions = _NOTHING
-        # The graph reads memory that only the work holds, such as the spectrum of the noise: both live alike.
+        # The graph reads memory owned by the work, such as the spectrum of the noise, so both are kept.
         self._work: Callable[[], None] = lambda: None
         self._graph: Callable[[], None] | None = None
         self._unchecked = False
@@ -79,11 +71,11 @@ class DevicePlanner:
         *,
         previous: Float[Tensor, " U"] | None = None,
     ) -> Plan:
-        """Improve a plan, as `mppi.improve`; all that is given and returned lies on the CPU.
+        """Improve a plan, as `mppi.improve`; all arguments and results are on the CPU.
 
         Raises:
             NoPlan: no sample has a finite cost.
-            PlanningError: a new graph computes something else than its work.
+            PlanningError: a new graph differs from its work.
         """
         self.load(controls, model_state, situation, weights, codes, previous=previous)
         assert self._buffers is not None
@@ -93,7 +85,7 @@ class DevicePlanner:
         plan, costs, shares = outcome(self._buffers)
         if not costs.isfinite().any():
             raise no_finite_cost(len(costs))
-        plan = limited(smoothed(plan, self.settings.smoothing)[None], self.settings, previous)[0]
+        plan = limited(plan[None], self.settings, previous)[0]
         return Plan(plan, costs, shares)
 
     @torch.no_grad()
@@ -101,10 +93,7 @@ class DevicePlanner:
         self, controls: Float[Tensor, "T U"], model_state: ModelState, situation: Situation, weights: CostWeights,
         codes: Codes, *, previous: Float[Tensor, " U"] | None = None,
     ) -> None:  # fmt: skip
-        """Copy to the device what a plan depends on; cells of maps that are those of the last call are there already.
-
-        Maps are the same where their tensors are, unless torch changed them since.
-        """
+        """Copy the inputs of a plan to the device, except maps whose tensors are unchanged since the last call."""
         packed = packed_situation(self.dynamics, model_state, situation, weights, codes)
         maps = packed_maps(situation, codes, torch.device("cpu"))
         buffers = self._buffers_for(controls, packed, maps)
@@ -112,7 +101,7 @@ class DevicePlanner:
         into(buffers.bounds, bounds_of(self.settings, previous))
         into(buffers.situation, packed)
         rooms = buffers.slope, buffers.codes, buffers.layers
-        # Tensors of inference mode have no version that says whether they changed: they are never those of before.
+        # Tensors of inference mode have no version and are always copied.
         given = tuple(
             (cells, None if cells.is_inference() else cells._version)
             for cells in (situation.ground.slope, codes[0], situation.costs.layers)
@@ -123,7 +112,7 @@ class DevicePlanner:
         self._copied = given
 
     def _buffers_for(self, controls: Tensor, packed: Tensor, maps: Maps) -> Buffers:
-        """The buffers, where the plan and its maps fit; else new ones, and what runs on them."""
+        """Return the buffers, or new ones with new work if the plan or its maps do not fit."""
         held = self._buffers
         rooms = () if held is None else (held.slope, held.codes, held.layers)
         fits = all(part.numel() <= room.numel() for part, room in zip(maps, rooms, strict=False))
@@ -131,8 +120,7 @@ class DevicePlanner:
             return held
         new = partial(torch.zeros, device=self.device)
         samples, held_sizes = self.settings.samples, [room.numel() for room in rooms] or [0] * len(maps)
-        # As large as any map so far, so that maps that are large in different ways do not take turns; and larger, so
-        # that a map that grows by a row at a time does not mean a graph each time.
+        # Buffers never shrink, so that maps of different shapes share them, and have spare room for growing maps.
         sizes = (max(power_of_two(part.numel()), size) for part, size in zip(maps, held_sizes, strict=True))
         slope, code, layers = (new(size) for size in sizes)
         costs, shares = (new(samples, dtype=torch.float64) for _ in range(2))
@@ -143,11 +131,11 @@ class DevicePlanner:
         self._buffers, self._graph, self._copied = None, None, _NOTHING
         if noise and self._capture is not None:
             self._graph, self._unchecked = self._capture(self._work, self._generator), True
-        self._buffers = buffers  # not before the graph is there: the next plan would do without one
+        self._buffers = buffers  # only after a successful capture
         return buffers
 
     def _iterate(self, b: Buffers, noise: Noise) -> None:
-        """All iterations of a plan, from buffers to buffers, without waiting for the device."""
+        """Run all iterations of a plan on the buffers, without synchronisation."""
         settings, (steps, count) = self.settings, b.plan.shape
         for _ in range(settings.iterations):
             drawn = noise((settings.samples, steps, count), self._generator, torch.float32) * self._scale
@@ -168,12 +156,12 @@ class DevicePlanner:
 
 
 def model_controls(sampled: Float[Tensor, "K T U"]) -> Float[Tensor, "K T 3"]:
-    """Throttle, brake and steer, from those or from pedal and steer."""
+    """Return throttle, brake and steer from those or from pedal and steer."""
     return sampled if sampled.shape[-1] == len(CONTROL) else controls_of(sampled)
 
 
 def prepared(noise: Noise, steps: int, device: torch.device) -> Noise | None:
-    """`coloured` noise without copies from the CPU, which a graph cannot hold; None for other noise."""
+    """Return `coloured` noise without copies from the CPU, which a graph cannot hold; None for other noise."""
     function, options = function_and_options(noise)
     if function is not coloured:
         return None
@@ -183,7 +171,7 @@ def prepared(noise: Noise, steps: int, device: torch.device) -> Noise | None:
 
 
 def into(buffer: Tensor, values: Tensor) -> None:
-    """Copy values from the CPU; to a GPU by pinned memory, so that nothing waits."""
+    """Copy values from the CPU; asynchronously to a GPU."""
     if buffer.device.type == "cuda":
         buffer.copy_(values.pin_memory(), non_blocking=True)
     else:
@@ -191,12 +179,12 @@ def into(buffer: Tensor, values: Tensor) -> None:
 
 
 def power_of_two(count: int) -> int:
-    """The smallest power of two that is not below a count."""
+    """Return the smallest power of two not below a count."""
     return 1 << max(count - 1, 0).bit_length()
 
 
 def _groups(settings: Settings) -> tuple[Float[Tensor, "K 1 U"], Float[Tensor, "K 1 1"], Float[Tensor, " U"]]:
-    """Factors of the noise of each sample, which samples are fresh, and what those lie around (`mppi.sample`)."""
+    """Return the noise factors of the samples, whether they are fresh, and the controls at rest (`mppi.sample`)."""
     factor, is_fresh = torch.ones(settings.samples), torch.zeros(settings.samples)
     for group in sample_groups(settings):
         factor[group.samples], is_fresh[group.samples] = group.factor, float(group.fresh)
@@ -206,7 +194,7 @@ def _groups(settings: Settings) -> tuple[Float[Tensor, "K 1 U"], Float[Tensor, "
 
 
 def bounds_of(settings: Settings, previous: Tensor | None) -> Float[Tensor, "4 U"]:
-    """Low and high bounds, largest change of a step, control before the first; NaN leaves that one free."""
+    """Return low and high bounds, the largest change per step, and the previous control (NaN for none)."""
     low, high, change = bounds(settings.limits, settings.dt, torch.empty(0))
     before = torch.full_like(low, torch.nan) if previous is None else previous.float()
     return torch.stack((low, high, change, before))

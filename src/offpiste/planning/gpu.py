@@ -1,4 +1,4 @@
-"""Planning on an NVIDIA GPU (extra `cuda`): kernels for a model, checked against the CPU's before the first plan."""
+"""Planning on an NVIDIA GPU (extra `cuda`), checked against the CPU before the first plan."""
 
 from typing import Final
 
@@ -19,23 +19,23 @@ from offpiste.planning.driving_cost import Situation
 from offpiste.planning.header.cost_text import plan_text
 from offpiste.planning.header.costs import costs_by_kernels
 from offpiste.planning.kernel import Codes, fused_costs
-from offpiste.planning.plan_graph import APART, HOW, captured
+from offpiste.planning.plan_graph import HOW, TOLERANCE, captured
 
 CHECKED: Final = 64
-"""Samples whose costs are compared."""
+"""Number of samples for the comparison."""
 
 
 def gpu_planner(
     dynamics: Dynamics, settings: mppi.Settings, situation: Situation, device: str, seed: int
 ) -> DevicePlanner:
-    """A planner on a GPU.
+    """Return a planner on a GPU.
 
     Args:
-        situation: any one with the layers of the cost maps to come, and with their caution.
+        situation: example of the situations to come, with their cost layers and caution.
 
     Raises:
         MissingExtra: cuda-core is not installed.
-        PlanningError: no such GPU, or settings that it cannot plan with.
+        PlanningError: there is no such GPU.
     """
     place = gpu_of(device)
     kernels = cuda_kernels(plan_text(dynamics, situation.costs.table, situation.caution, lanes=True), place)
@@ -43,10 +43,10 @@ def gpu_planner(
 
 
 def require_device(name: str, dynamics: Dynamics) -> None:
-    """Refuse a device that cannot plan with a model before anything is begun; the CPU can.
+    """Check early that a device can plan with a model.
 
     Raises:
-        PlanningError: there is no such GPU, or no kernels can step the model there.
+        PlanningError: there is no such GPU, or the kernels do not support the model.
         MissingExtra: cuda-core is not installed.
     """
     if name == "cpu":
@@ -61,10 +61,10 @@ def require_device(name: str, dynamics: Dynamics) -> None:
 
 
 def gpu_of(name: str) -> torch.device:
-    """The GPU of a name.
+    """Return the GPU of a name.
 
     Raises:
-        PlanningError: there is none.
+        PlanningError: there is no such GPU.
     """
     try:
         place = torch.device(name)
@@ -83,7 +83,7 @@ def check_planner(
     weights: CostWeights,
     codes: Codes,
 ) -> None:
-    """Compare limits and costs of samples around a plan with those of the CPU.
+    """Compare limits and costs of samples around a plan with the CPU's.
 
     Raises:
         PlanningError: they differ.
@@ -98,19 +98,21 @@ def check_planner(
     cost_of = costs_by_kernels(planner.kernels, dynamics, there, situation, weights, codes)
     found = cost_of(controls.to(device)).cpu()
     finite = wanted.isfinite()
-    apart = float(((found - wanted).abs() / wanted.abs().clamp(min=1e-6))[finite].median())  # NaN where none is
-    if not torch.equal(found.isfinite(), finite) or not apart < APART:
-        what = f"costs on {device} differ from those on the CPU, by {apart:.1e} in the median"
+    difference = float(
+        ((found - wanted).abs() / wanted.abs().clamp(min=1e-6))[finite].median()
+    )  # NaN if none is finite
+    if not torch.equal(found.isfinite(), finite) or not difference < TOLERANCE:
+        what = f"costs on {device} differ from those on the CPU, by {difference:.1e} in the median"
         raise PlanningError(what, how=HOW)
 
 
 def _check_limits(planner: DevicePlanner, draws: Float[Tensor, "K T U"], limited: Float[Tensor, "K T U"]) -> None:
-    """Compare the kernel's bounds and rates with those of `mppi.limited`."""
+    """Compare the bounds and rates of the kernel with `mppi.limited`."""
     samples, steps, count = draws.shape
     by_step = draws.permute(1, 2, 0).contiguous().to(planner.device)
     bounds = bounds_of(planner.settings, None).to(planner.device)
     planner.kernels.launch("offpiste_keep_within", count * samples, by_step, bounds, count, steps)
-    apart = float((by_step.permute(2, 0, 1).cpu() - limited).abs().max())
-    if not apart < APART:
-        what = f"limits of controls on {planner.device} differ from those on the CPU, by {apart:.1e}"
+    difference = float((by_step.permute(2, 0, 1).cpu() - limited).abs().max())
+    if not difference < TOLERANCE:
+        what = f"limits of controls on {planner.device} differ from those on the CPU, by {difference:.1e}"
         raise PlanningError(what, how=HOW)

@@ -1,4 +1,4 @@
-"""The work of a plan as one CUDA graph, and its check against the same work without one."""
+"""Capture of the work of a plan as a CUDA graph, and its check against the same work without a graph."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,25 +10,26 @@ from torch import Generator, Tensor
 from offpiste.core.errors import PlanningError
 
 Capture = Callable[[Callable[[], None], Generator], Callable[[], None]]
-"""Turns a function into one that repeats its work, new random numbers of the generator each time (`captured`)."""
+"""Function that captures work with random numbers of a generator (`captured`)."""
 
-APART: Final = 1e-3
-"""Largest difference of plans, and median of the relative differences of costs: single samples part where rounding
-chooses another cell."""
+TOLERANCE: Final = 1e-3
+"""Largest accepted difference of plans, and of the median relative difference of costs.
+
+Single samples diverge where rounding selects another cell."""
 
 HOW: Final = "plan on the CPU, and report GPU, driver and this line"
 
 
 @dataclass(frozen=True)
 class Buffers:
-    """Where the graph finds a plan's inputs, and leaves its outcome.
+    """Inputs and results of a plan.
 
     Attributes:
         plan: mean of the samples [T, U].
-        bounds: low, high, largest change of a step and control before the first [4, U].
-        situation: see `packed_situation`.
-        slope, codes, layers: cells of the maps, and room for larger ones.
-        costs, weights: of the samples.
+        bounds: low, high, largest change per step and previous control [4, U].
+        situation: `packed_situation`.
+        slope, codes, layers: cells of the maps, with spare room.
+        costs, weights: costs and weights of the samples.
     """
 
     plan: Tensor
@@ -42,16 +43,16 @@ class Buffers:
 
 
 def captured(run: Callable[[], None], generator: Generator) -> Callable[[], None]:
-    """What replays a function's work on the GPU as one graph, new random numbers each time.
+    """Capture the work of a function as a graph that draws new random numbers at each replay.
 
     Raises:
-        PlanningError: the GPU makes no graph of it.
+        PlanningError: the capture fails.
     """
     device, graph = generator.device, torch.cuda.CUDAGraph()
     try:
         warm = torch.cuda.Stream(device)
         warm.wait_stream(torch.cuda.current_stream(device))
-        with torch.cuda.stream(warm):  # libraries allocate and compile at their first call, which a graph cannot hold
+        with torch.cuda.stream(warm):  # libraries allocate and compile in their first call, outside the graph
             for _ in range(2):
                 run()
         torch.cuda.current_stream(device).wait_stream(warm)
@@ -65,18 +66,16 @@ def captured(run: Callable[[], None], generator: Generator) -> Callable[[], None
 
 
 def outcome(buffers: Buffers) -> tuple[Tensor, Tensor, Tensor]:
-    """Mean, costs and weights of a plan, copied to the CPU."""
+    """Copy mean, costs and weights of a plan to the CPU."""
     plan, costs, shares = (part.to("cpu", copy=True) for part in (buffers.plan, buffers.costs, buffers.weights))
     return plan, costs, shares
 
 
 def is_same(work: Callable[[], None], graph: Callable[[], None], generator: Generator, buffers: Buffers) -> bool:
-    """Compare a graph with the work it was made of, twice, and write over free memory in between.
-
-    Plan and generator are afterwards as they were before.
+    """Compare a graph twice with its work, overwriting free memory in between; plan and generator are restored.
 
     Returns:
-        False where no sample has a finite cost, which leaves nothing to compare.
+        False if no sample has a finite cost, and nothing can be compared.
 
     Raises:
         PlanningError: they differ.
@@ -87,27 +86,27 @@ def is_same(work: Callable[[], None], graph: Callable[[], None], generator: Gene
         buffers.plan.copy_(plan)
         run()
         outcomes.append(outcome(buffers))
-        _write_over_free_memory(plan.device)
+        _overwrite_free_memory(plan.device)
     generator.set_state(drawn)
     buffers.plan.copy_(plan)
     wanted, *found = outcomes
     if not wanted[1].isfinite().any():
         return False
-    apart = float(torch.tensor([_apart(each, wanted) for each in found]).max())  # NaN where one is
-    if not apart < APART:
-        what = f"a CUDA graph on {plan.device} plans otherwise than the kernels that it is made of, by {apart:.1e}"
+    difference = float(torch.tensor([_difference(each, wanted) for each in found]).max())  # NaN where one is
+    if not difference < TOLERANCE:
+        what = f"a CUDA graph on {plan.device} plans differently from its kernels, by {difference:.1e}"
         raise PlanningError(what, how=HOW)
     return True
 
 
-def _write_over_free_memory(device: torch.device) -> None:
-    """Fill what was freed with NaN, in sizes up to 2 MB: a graph that still reads it comes to nothing."""
+def _overwrite_free_memory(device: torch.device) -> None:
+    """Fill free memory with NaN in blocks of up to 2 MB, to expose graphs that read freed memory."""
     free = [torch.full((1 << size,), torch.nan, device=device) for size in range(6, 20) for _ in range(4)]
     del free
 
 
-def _apart(found: tuple[Tensor, Tensor, Tensor], wanted: tuple[Tensor, Tensor, Tensor]) -> float:
-    """Largest difference of plans and weights, and the median of the relative one of costs; NaN where one has it."""
+def _difference(found: tuple[Tensor, Tensor, Tensor], wanted: tuple[Tensor, Tensor, Tensor]) -> float:
+    """Return the largest difference of plans, weights and (median, relative) costs; NaN propagates."""
     plans, costs, shares = zip(found, wanted, strict=True)
     finite = costs[1].isfinite()
     if not torch.equal(costs[0].isfinite(), finite):

@@ -1,13 +1,10 @@
-"""Costs of control sequences by rollouts of a model in torch: the reference of the kernel, for any model and cost."""
-
-from collections.abc import Callable
+"""Costs of control sequences by rollouts in torch, for any model; the reference of the kernel."""
 
 import torch
-from jaxtyping import Float
 from torch import Tensor
 
 from offpiste.core.conventions import CONTROL
-from offpiste.core.state import ModelState, TerrainSource, Trajectory
+from offpiste.core.state import ModelState, TerrainSource
 from offpiste.dynamics.base import Dynamics, rollout
 from offpiste.mapping.terrain_sampler import Encode, MapTerrain
 from offpiste.planning.caution import strays
@@ -17,23 +14,6 @@ from offpiste.planning.driving_cost import Situation, driving_cost
 from offpiste.planning.mppi import CostOf
 
 
-def model_costs(
-    dynamics: Dynamics, model_state: ModelState, source: TerrainSource, cost: Callable[[Trajectory, Tensor], Tensor]
-) -> CostOf:
-    """Costs of the trajectories that a model predicts.
-
-    Args:
-        model_state: model state at the start, a batch of one.
-        source: terrain for K rollouts.
-        cost: costs [K] of predicted trajectories and their controls [K, T, U], e.g. `driving_cost`.
-    """
-
-    def cost_of(controls: Tensor) -> Tensor:
-        return cost(rollout(dynamics, spread_model_state(model_state, len(controls)), controls, source), controls)
-
-    return cost_of
-
-
 def driving_costs(
     dynamics: Dynamics,
     model_state: ModelState,
@@ -41,74 +21,34 @@ def driving_costs(
     weights: CostWeights,
     encode: Encode | None = None,
 ) -> CostOf:
-    """Costs of driving on the situation's map.
+    """Return a function that computes the costs of driving on the map of a situation.
 
     Args:
-        model_state: model state at the start, a batch of one, in `situation.state`.
-        encode: encoder of the map's features; None for models without features; `terrain_sampler.as_codes` where the
-            map holds codes.
+        model_state: model state at the start, a batch of one.
+        encode: encoder of the map's features, `terrain_sampler.as_codes` for a map of codes, or None for models
+            without features.
     """
 
     def cost_of(controls: Tensor) -> Tensor:
-        source = situation_terrain(dynamics, situation, len(controls), encode)
-        caution, start = situation.caution, situation.state.expand(len(controls), 6)
-
-        def cost(trajectory: Trajectory, controls: Tensor) -> Tensor:
-            reach = None
-            if caution is not None:
-                reach = strays(caution, dynamics.vehicle, start, trajectory, controls, source)
-            return driving_cost(trajectory, controls[..., : len(CONTROL)], situation, weights, reach)
-
-        completed = complete(dynamics.vehicle, controls, situation.gear)
-        return model_costs(dynamics, model_state, source, cost)(completed)
+        count, reach = len(controls), None
+        source = situation_terrain(situation, count, encode)
+        controls = complete(dynamics.vehicle, controls, situation.gear)
+        trajectory = rollout(dynamics, spread_model_state(model_state, count), controls, source)
+        if situation.caution is not None:
+            start = situation.state.expand(count, 6)
+            reach = strays(situation.caution, dynamics.vehicle, start, trajectory, controls, source)
+        return driving_cost(trajectory, controls[..., : len(CONTROL)], situation, weights, reach)
 
     return cost_of
 
 
-def situation_terrain(
-    dynamics: Dynamics, situation: Situation, samples: int, encode: Encode | None = None
-) -> TerrainSource:
-    """Terrain of the situation's map for `samples` rollouts.
-
-    Args:
-        encode: as in `driving_costs`.
-    """
+def situation_terrain(situation: Situation, samples: int, encode: Encode | None = None) -> TerrainSource:
+    """Return the terrain of a situation's map for `samples` rollouts."""
     number = torch.zeros(samples, dtype=torch.long, device=situation.state.device)
     offset = situation.offset.expand(samples, 2)
     return MapTerrain(situation.ground, number, offset, situation.wheels, encode)
 
 
 def spread_model_state(model_state: ModelState, samples: int) -> ModelState:
-    """Model state of one rollout, repeated for `samples` rollouts."""
-    return ModelState(
-        *(
-            part.expand(samples, -1)
-            for part in (model_state.state, model_state.actuators, model_state.hidden, model_state.cell)
-        )
-    )
-
-
-def callable_costs(
-    dynamics: Callable[[Tensor, Tensor], Tensor],
-    running_cost: Callable[[Tensor, Tensor], Tensor],
-    state: Float[Tensor, " S"],
-    *,
-    terminal_cost: Callable[[Tensor], Tensor] | None = None,
-) -> CostOf:
-    """Costs by plain functions, as pytorch_mppi and similar planners take them.
-
-    Args:
-        dynamics: next states from states [K, S] and controls [K, U].
-        running_cost: costs [K] of the states after a step and its controls.
-        state: state at the start.
-        terminal_cost: costs [K] of the last states.
-    """
-
-    def cost_of(controls: Tensor) -> Tensor:
-        states, total = state.expand(len(controls), -1), controls.new_zeros(len(controls))
-        for control in controls.unbind(dim=1):
-            states = dynamics(states, control)
-            total = total + running_cost(states, control).reshape(-1)
-        return total if terminal_cost is None else total + terminal_cost(states).reshape(-1)
-
-    return cost_of
+    """Repeat the model state of one rollout for `samples` rollouts."""
+    return ModelState(*(part.expand(samples, -1) for part in vars(model_state).values()))

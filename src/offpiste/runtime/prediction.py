@@ -23,7 +23,7 @@ from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.driving_cost import Situation
 from offpiste.planning.kernel import Codes, coded_map, fused_costs, fused_rollout, kernel_model_state
 from offpiste.planning.mppi import CostOf
-from offpiste.planning.rollouts import driving_costs, situation_terrain
+from offpiste.planning.rollouts import driving_costs
 from offpiste.runtime.estimator import TrackRows
 
 KnownGround = Callable[[Float[np.ndarray, "M 2"]], Float[np.ndarray, "M F"]]
@@ -176,7 +176,7 @@ def predicted(
     if _by_kernel(model, model_state):
         rolled = fused_rollout(model, model_state, controls[None], at, weights, area.codes)[1][0]
     else:
-        ground = situation_terrain(model, at, 1, area.encode)
+        ground = area.terrain(at.offset, at.wheels, 1)
         rolled = torch.cat([after.state for after in _stepped(model, model_state, controls, ground, at)])
     states = rolled.double().numpy()
     states[:, :2] += at.offset.numpy()

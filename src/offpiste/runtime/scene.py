@@ -17,7 +17,7 @@ from offpiste.logs.sensor_log import open_sensors
 from offpiste.mapping.replay import MapperSettings, pinhole_cameras, replay
 from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.planning import mppi
-from offpiste.planning.controls import PEDAL_AND_WHEEL, controls_of, pedals_of, with_pedal
+from offpiste.planning.controls import PEDAL_LIMITS, controls_of, pedals_of, with_pedal
 from offpiste.planning.cost_map import cost_map
 from offpiste.planning.costs.layers import Hazards
 from offpiste.planning.costs.weights import CostWeights
@@ -157,7 +157,7 @@ def plan(
         NoPlan: no sample has a finite cost.
     """
     model, weights = planner.dynamics.eval().requires_grad_(False), weights or CostWeights()
-    sampling = sampling or mppi.Settings(PEDAL_AND_WHEEL, (0.3, 0.3), samples=512, temperature=3.0, iterations=5)
+    sampling = sampling or mppi.Settings(PEDAL_LIMITS, (0.3, 0.3), samples=512, temperature=3.0, iterations=5)
     area = coded_area(scene.layers, model.encoder)
     wheels = torch.as_tensor(scene.wheels, dtype=torch.float32)
     offset = torch.tensor(scene.state[:2])

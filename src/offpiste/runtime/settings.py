@@ -9,7 +9,7 @@ from offpiste.core.errors import PlanningError
 from offpiste.mapping.replay import MapperSettings
 from offpiste.planning import mppi
 from offpiste.planning.caution import AsPredicted, Risk
-from offpiste.planning.controls import PEDAL_AND_WHEEL, Limits
+from offpiste.planning.controls import PEDAL_LIMITS, Limits
 from offpiste.planning.costs.layers import Hazards
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.rig.outputs import CommandLimits, Timeouts
@@ -49,7 +49,7 @@ class RuntimeSettings:
     latency: float = PERCEPTION_LATENCY
     sampling: mppi.Settings = field(
         default_factory=lambda: mppi.Settings(
-            PEDAL_AND_WHEEL,
+            PEDAL_LIMITS,
             (0.15, 0.15),
             samples=512,
             temperature=3.0,
