@@ -33,8 +33,7 @@ from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.mapping.terrain_sampler import MapTerrain, as_codes, stack_maps
 from offpiste.planning.caution import Caution
 from offpiste.planning.controls import CONTROL_LIMITS
-from offpiste.planning.cost_map import cost_map
-from offpiste.planning.costs.layers import Hazards
+from offpiste.planning.costs.layers import Hazards, cost_map
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.course import Course
 from offpiste.planning.driving_cost import Situation, terms_after

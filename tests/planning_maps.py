@@ -5,8 +5,7 @@ import torch
 
 from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.mapping.terrain_sampler import stack_maps
-from offpiste.planning.cost_map import cost_map
-from offpiste.planning.costs.layers import Hazards
+from offpiste.planning.costs.layers import Hazards, cost_map
 from offpiste.planning.course import Course
 from offpiste.planning.driving_cost import Situation
 

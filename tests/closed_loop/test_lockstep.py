@@ -21,7 +21,7 @@ def commanded(seconds, mode="driving", why="", progress=lambda t: 0.0, gear=1.0)
     def command(now):
         return Controls(now, np.array((0.3, 0.0, 0.1)), mode, why, gear)
 
-    runtime = Mock(spec=Runtime, course_tracker=tracker, vehicle=readings.append, command=command)
+    runtime = Mock(spec=Runtime, course_tracker=tracker, vehicle=readings.append, step=command)
     controller = PlannerController(runtime, np.random.default_rng(0))
     assert not controller.stuck
     assert not controller.arrived

@@ -40,7 +40,7 @@ DRIVE = """
 from pathlib import Path
 import numpy as np
 from live.made_up_robot import RIG, START, odometry
-from offpiste.runtime.planner import Planner
+from offpiste.runtime.planner import Planner, warm_up
 from offpiste.core.conventions import CONTROL
 from offpiste.dynamics import Parametric, Vehicle
 from offpiste.live.driver import refuse_unmeasured
@@ -52,7 +52,6 @@ from offpiste.rig.rig import parse_rig
 from offpiste.runtime.estimator import VehicleTrack
 from offpiste.runtime.estimator import Intake
 from offpiste.runtime.runtime import Runtime
-from offpiste.runtime.warm_up import warm_up
 from offpiste.transport.tally import Tally
 from runtime.stream import WHEELS, sensor_setup, settings
 

@@ -18,9 +18,8 @@ from offpiste.live.reception import CourseRequest, Reception
 from offpiste.live.session import LiveSettings, new_session
 from offpiste.live.vehicle_messages import VehicleMessages
 from offpiste.mapping.terrain_map import TerrainLayers
-from offpiste.planning.course import Course
+from offpiste.planning.course import Course, CourseTracker
 from offpiste.rig.rig import load_rig
-from offpiste.runtime.course_tracker import CourseTracker
 from offpiste.runtime.estimator import VehicleReading
 from offpiste.runtime.follower import TimedPlan
 from offpiste.runtime.plan_maker import Planned

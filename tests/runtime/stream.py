@@ -100,7 +100,7 @@ class Stream:
             self.runtime.image(Image(t, "eye", np.full((98, 140, 3), 120, np.uint8)))
         if row % 5 == 0 and self.scans(t):
             self.runtime.scan(scan(t, self.height))
-        self.controls.append(self.runtime.command(t))
+        self.controls.append(self.runtime.step(t))
         due = self.controls[-1]
         given = np.append(due.command, due.gear) if self.geared else due.command
         command = torch.as_tensor(given, dtype=torch.float32)

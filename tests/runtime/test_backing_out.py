@@ -378,7 +378,7 @@ def test_plans_begin_from_what_another_driver_gives_and_in_their_gear(monkeypatc
     follower, given = stream.runtime.follower, np.array((0.0, 0.6, -0.5))
     assert follower.engaged == 1.0
     follower.driver = Given(given, -1.0)
-    commanded = stream.runtime.command(1.0)
+    commanded = stream.runtime.step(1.0)
     assert (gears[-2], gears[-1]) == (1.0, -1.0)
     follower.stopping = True  # ours, which they do not make
     rows = stream.runtime._track.rows(1.0)

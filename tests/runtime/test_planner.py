@@ -1,6 +1,5 @@
-"""Features that a run reads, and whether they are available."""
+"""Loading of planners and their warm-up."""
 
-import json
 from dataclasses import asdict
 
 import numpy as np
@@ -8,19 +7,22 @@ import pytest
 import torch
 
 from offpiste.core.conventions import CONTROL
-from offpiste.core.errors import RunError
+from offpiste.core.errors import PlanningError, RunError
 from offpiste.dynamics import Vehicle
 from offpiste.logs.ground_truth import GROUND_PROPERTIES
 from offpiste.perception.backbones import open_backbone
 from offpiste.perception.pca import PrincipalComponents, save_pca
 from offpiste.rig.rig import load_rig
-from offpiste.runtime.planner import load_planner
-from offpiste.training.checkpoint import load_json, save_beside_weights, save_json, save_tensors
+from offpiste.runtime.perception import SensorSetup
+from offpiste.runtime.planner import load_planner, warm_up
+from offpiste.runtime.runtime import Runtime
+from offpiste.training.checkpoint import save_beside_weights, save_json, save_tensors
 from offpiste.training.config import Weights
 from offpiste.training.losses import COMPONENTS
 from offpiste.training.run import build, differing_vehicle
 from offpiste.uncertainty.fit import FILE
 from offpiste.uncertainty.spread import Spread, inputs_of
+from runtime.stream import WHEELS, feature_model, parametric, sensor_setup, settings
 
 BACKBONE = open_backbone("filterbank")
 
@@ -40,8 +42,8 @@ def pca_file(path, seed):
     return pca.identity
 
 
-def run_folder(folder, model, names, dataset_pca, **more):
-    """Folder of an untrained run, with more entries of model.json, and the part of its dataset that is read."""
+def run_folder(folder, model, names, pca=None, **more):
+    """Folder of an untrained run, with more entries of model.json."""
     vehicle = Vehicle(1150.0, 2.06, 0.5, CONTROL, (), features=len(names))
     save_tensors(folder / "model.safetensors", build(model, vehicle, seed=0).state_dict())
     about = {
@@ -52,12 +54,11 @@ def run_folder(folder, model, names, dataset_pca, **more):
         "dataset": str(folder / "dataset.zarr"),
         "split": "blocks:0.7,0.1,0.2",
         "seen": [],
+        "features": names,
+        "pca": pca,
         **more,
     }
     save_json(folder / "model.json", about)
-    (folder / "dataset.zarr").mkdir()
-    attributes = {"attributes": {"features": list(names), "pca": dataset_pca}}
-    (folder / "dataset.zarr" / "zarr.json").write_text(json.dumps(attributes))
     return folder
 
 
@@ -73,36 +74,17 @@ def test_a_run_of_visual_features_needs_its_own_pca(tmp_path):
     planner = load_planner(run, mine)
     assert (planner.name, planner.knows_ground) == ("dc", False)
     assert planner.extractor.channels == 4
-    (run / "dataset.zarr" / "zarr.json").unlink()
-    with pytest.raises(RunError, match="cannot be read"):
-        load_planner(run, mine)
-
-
-def test_a_run_that_names_its_pca_needs_no_dataset(tmp_path):
-    identity = pca_file(tmp_path / "mine.safetensors", 0)
-    run = run_folder(tmp_path / "dc", "dc", [f"pca_{i}" for i in range(4)], "of another dataset", pca=identity)
-    (run / "dataset.zarr" / "zarr.json").unlink()
-    assert load_planner(run, tmp_path / "mine.safetensors").extractor.identity == identity
 
 
 def test_a_ceiling_is_recognised_by_its_features(tmp_path):
-    ceiling = load_planner(run_folder(tmp_path / "df", "df", GROUND_PROPERTIES, None))
+    ceiling = load_planner(run_folder(tmp_path / "df", "df", GROUND_PROPERTIES))
     assert (ceiling.name, ceiling.knows_ground) == ("ceiling", True)
-    with pytest.raises(RunError, match="cameras do not provide"):
-        load_planner(run_folder(tmp_path / "kinds", "df", ("mud", "gravel"), None))
-
-
-def test_a_run_that_names_its_features_needs_no_dataset(tmp_path):
-    run = run_folder(tmp_path / "df", "df", GROUND_PROPERTIES, "of another dataset", features=GROUND_PROPERTIES)
-    (run / "dataset.zarr" / "zarr.json").unlink()
-    assert load_planner(run).knows_ground
     with pytest.raises(RunError, match="cameras do not provide: mud, gravel"):
-        load_planner(run_folder(tmp_path / "kinds", "df", ("mud", "gravel"), "x", features=("mud", "gravel")))
+        load_planner(run_folder(tmp_path / "kinds", "df", ("mud", "gravel")))
 
 
 def test_a_spread_is_loaded_with_its_model(tmp_path):
-    folder = run_folder(tmp_path / "b", "b", [], None)  # as older versions wrote runs: model.json names no weights
-    assert "weights_sha256" not in load_json(folder / "model.json")
+    folder = run_folder(tmp_path / "b", "b", [])
     assert load_planner(folder).spread is None
     spread = Spread(inputs_of(load_planner(folder).dynamics.vehicle, 0))
     save_beside_weights(folder / FILE, spread.state_dict())
@@ -115,7 +97,7 @@ def test_a_spread_is_loaded_with_its_model(tmp_path):
 
 def test_a_run_that_never_saw_a_throttle_is_refused(tmp_path):
     vehicle = Vehicle(1150.0, 2.06, 0.5, ("brake", "steer"), ())
-    folder = run_folder(tmp_path, "b", (), None, vehicle=asdict(vehicle))
+    folder = run_folder(tmp_path, "b", (), vehicle=asdict(vehicle))
     save_tensors(folder / "model.safetensors", build("b", vehicle, seed=0).state_dict())
     with pytest.raises(RunError, match="without the throttle that a planner would choose"):
         load_planner(folder)
@@ -127,3 +109,27 @@ def test_another_vehicle_is_described_and_a_similar_one_is_not():
     assert differing_vehicle(same, own) is None
     other = Vehicle(2 * own.mass, own.wheelbase, own.max_steer, CONTROL, ())
     assert differing_vehicle(other, own) == f"mass {2 * own.mass:.4g} kg, not {own.mass:.4g}"
+
+
+@pytest.mark.parametrize(("make", "with_camera"), [(parametric, False), (feature_model, True)])
+def test_a_warm_up_plans_with_any_model(monkeypatch, make, with_camera):
+    made, plan = [], Runtime._plan
+
+    def keep(self, *given):
+        plan(self, *given)
+        made.append(self)
+
+    monkeypatch.setattr(Runtime, "_plan", keep)
+    model = make()
+    before = {name: weights.clone() for name, weights in model.state_dict().items()}
+    warm_up(model, sensor_setup(with_camera=with_camera), WHEELS, settings())
+    assert made
+    assert made[0].predictions
+    assert not made[0].failures
+    assert made[0].dropped == {}
+    assert all(torch.equal(weights, before[name]) for name, weights in model.state_dict().items())
+
+
+def test_a_warm_up_without_a_scan_is_refused():
+    with pytest.raises(PlanningError, match=r"no plan was made on flat ground: .*; change the settings"):
+        warm_up(parametric(), SensorSetup({}), WHEELS, settings())

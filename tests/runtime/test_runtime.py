@@ -11,10 +11,9 @@ from offpiste.core.errors import NoPlan, PlanningError
 from offpiste.dynamics import Parametric, Vehicle
 from offpiste.logs.measurements import Image
 from offpiste.planning import mppi
-from offpiste.planning.course import Course
+from offpiste.planning.course import Course, CourseTracker
 from offpiste.rig.outputs import Timeouts
 from offpiste.runtime import plan_maker, prediction
-from offpiste.runtime.course_tracker import CourseTracker
 from runtime.stream import Stream, extract_features, feature_model, reading, scan, settings, straight_drive
 
 
@@ -117,7 +116,7 @@ def test_a_clock_that_goes_back_restarts_everything():
         stream.runtime.vehicle(reading(t, *stream.states[-1][:3], 0.0, 0.0, 0.0))
         if row % 5 == 0:
             stream.runtime.scan(scan(t))
-        stream.runtime.command(t)
+        stream.runtime.step(t)
     modes = stream.modes()
     assert ("stopping", "the clock went back") in modes
     assert modes[-1] == ("driving", "")
@@ -127,7 +126,7 @@ def test_after_a_clock_that_goes_back_the_vehicle_may_be_anywhere_on_its_course(
     stream = straight_drive()
     stream.run(1.5)
     before = stream.runtime.course_tracker.progress
-    stream.runtime.command(0.5)
+    stream.runtime.step(0.5)
     stream.runtime.vehicle(reading(0.5, *stream.states[0][:3], 0.0, 0.0, 0.0))
     assert stream.runtime.course_tracker.progress < before - 1.0
 

@@ -128,7 +128,7 @@ class PlannerController:
     def command(self, sample: VehicleSample) -> Float[np.ndarray, " 4"]:
         """Throttle, brake, steering and gear for the next `conventions.DT`."""
         self.runtime.vehicle(reading_of(with_noise(sample, Imperfections(), self.rng)))
-        controls = self.runtime.command(time_of(sample.time))
+        controls = self.runtime.step(time_of(sample.time))
         waits = controls.mode == "stopped" or controls.gear < 0
         if not self.controls or waits or self.runtime.course_tracker.progress > self._best + 1.0:
             self._best, self._since = self.runtime.course_tracker.progress, controls.time

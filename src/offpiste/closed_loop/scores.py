@@ -11,8 +11,7 @@ from jaxtyping import Float
 from offpiste.closed_loop.lockstep import WITHOUT_PROGRESS, Driving, time_of
 from offpiste.core.conventions import DT, HORIZON_STEPS
 from offpiste.planning.costs.weights import CostWeights
-from offpiste.planning.course import Course
-from offpiste.runtime.course_tracker import CourseTracker
+from offpiste.planning.course import Course, CourseTracker
 from offpiste.runtime.modes import Controls
 from offpiste.runtime.prediction import Prediction
 from offpiste.runtime.settings import RuntimeSettings

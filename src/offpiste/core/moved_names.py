@@ -3,7 +3,7 @@
 from typing import Final
 
 MOVED: Final = {
-    "CostMap": "offpiste.planning.cost_map.CostMap",
+    "CostMap": "offpiste.planning.costs.layers.CostMap",
     "Drive": "offpiste.logs.Drive",
     "Dynamics": "offpiste.dynamics.Dynamics",
     "FeatureCloud": "offpiste.mapping.pipeline.FeatureCloud",
@@ -20,7 +20,7 @@ MOVED: Final = {
     "Vehicle": "offpiste.dynamics.Vehicle",
     "as_callable": "offpiste.dynamics.as_callable",
     "calibrate": "offpiste.uncertainty.calibration.calibrate",
-    "cost_map": "offpiste.planning.cost_map.cost_map",
+    "cost_map": "offpiste.planning.costs.layers.cost_map",
     "drive_course": "offpiste.drive",
     "encoded": "offpiste.training.prediction.encoded",
     "export_run": "offpiste.export",

@@ -32,8 +32,7 @@ from offpiste.dynamics.kernels.encoder import codes_under_wheels, encode_cells
 from offpiste.dynamics.kernels.map_rollout import predict_on
 from offpiste.mapping.terrain_sampler import CellStack, MapTerrain
 from offpiste.rig.rig import load_rig
-from offpiste.runtime.planner import load_planner
-from offpiste.runtime.warm_up import warm_up
+from offpiste.runtime.planner import load_planner, warm_up
 from offpiste.simulation.sensors.suite import sensor_suite
 from offpiste.simulation.simulate import DriveSettings, simulate
 from offpiste.simulation.world.world import WorldSettings

@@ -20,10 +20,9 @@ from offpiste.live.sensor_messages import Sensors
 from offpiste.logs.measurements import Cloud, Image
 from offpiste.logs.ros.bag_files import heard_at
 from offpiste.perception.camera import make_pinhole_camera
-from offpiste.planning.course import Course
+from offpiste.planning.course import Course, CourseTracker
 from offpiste.rig.outputs import can_reverse
 from offpiste.rig.rig import Rig
-from offpiste.runtime.course_tracker import CourseTracker
 from offpiste.runtime.estimator import VehicleReading
 from offpiste.runtime.modes import Controls
 from offpiste.runtime.perception import SensorSetup
@@ -114,7 +113,7 @@ class StepDriver:
             self.runtime.follower.stopping = False
             self.runtime.follower.driver = self._reception.vehicle.given(now)
         held = "" if self._shadow else self._gate.blocked(now)
-        controls = self.runtime.command(now, applied, held)
+        controls = self.runtime.step(now, applied, held)
         followed = self.runtime.prediction_at(now) if controls.mode in ("driving", "degraded") else None
         stopped = passed[-1].why != ""
         command = Command(now, passed[-1].control, controls.gear, None if stopped else followed)

@@ -1,4 +1,4 @@
-"""How far a plan may stray from its prediction, and how much that counts in its cost: a declared setting."""
+"""Risk setting: the effect of the spread of predictions on the cost of plans."""
 
 import math
 from collections.abc import Callable
@@ -17,14 +17,14 @@ from offpiste.uncertainty.spread import Spread, inputs_along
 
 @dataclass(frozen=True)
 class AsPredicted:
-    """Plans cost what they cost where the vehicle goes exactly as predicted."""
+    """The spread has no effect."""
 
     kind: Literal["none"] = "none"
 
 
 @dataclass(frozen=True)
 class AddSpread:
-    """The predicted scale of the position's error, so many times, adds to the distance from the course.
+    """A multiple of the predicted scale of position errors is added to the distance from the course.
 
     Raises:
         PlanningError: the factor is negative, or not finite.
@@ -41,13 +41,13 @@ class AddSpread:
 
 @dataclass(frozen=True)
 class WorstShare:
-    """The mean of the largest errors adds to the distance from the course: CVaR under the spread's Student t.
+    """The mean of the largest errors is added to the distance from the course: CVaR of the spread's Student t.
 
     Attributes:
-        share: of the errors, the largest ones.
+        share: share of the largest errors.
 
     Raises:
-        PlanningError: the share is not one.
+        PlanningError: the share is not above 0 and at most 1.
     """
 
     share: float = 0.2
@@ -59,30 +59,25 @@ class WorstShare:
 
 
 Risk = AsPredicted | AddSpread | WorstShare
-"""What counts in the cost beside the prediction itself."""
+"""Effect of the spread of predictions on the cost."""
 
 KINDS: Final = ("none", "spread:TIMES", "cvar:SHARE")
-"""How a risk is written."""
+"""Notation of risks."""
 
 
 @dataclass(frozen=True)
 class Caution:
-    """How far errors of position reach for the cost.
-
-    Attributes:
-        spread: of the model that plans.
-        reach: scales of the spread that count.
-    """
+    """Spread of a model and the number of its scales that count in the cost (`reach`)."""
 
     spread: Spread
     reach: float
 
 
 def risk_of(text: str) -> Risk:
-    """A risk from its text, one of `KINDS`.
+    """Parse a risk, one of `KINDS`.
 
     Raises:
-        PlanningError: it is none.
+        PlanningError: the text has another form.
     """
     kind, _, number = text.partition(":")
     made: dict[str, Callable[..., Risk]] = {"spread": AddSpread, "cvar": WorstShare}
@@ -91,17 +86,14 @@ def risk_of(text: str) -> Risk:
             return AsPredicted()
         return made[kind](float(number)) if text != kind else made[kind]()
     except (KeyError, ValueError):
-        raise PlanningError(f"no risk is written {text!r}", how=f"give one of {', '.join(KINDS)}") from None
+        raise PlanningError(f"unknown risk {text!r}", how=f"give one of {', '.join(KINDS)}") from None
 
 
 def caution_of(risk: Risk, spread: Spread | None) -> Caution | None:
-    """What a risk adds to the cost of a model's plans; None for nothing.
-
-    Args:
-        spread: of the model; None where it has none.
+    """Return the caution of a risk; None for `AsPredicted`.
 
     Raises:
-        PlanningError: the risk needs a spread.
+        PlanningError: the risk needs a spread, and the model has none.
     """
     if isinstance(risk, AsPredicted):
         return None
@@ -114,27 +106,27 @@ def caution_of(risk: Risk, spread: Spread | None) -> Caution | None:
 
 
 def mean_of_worst(share: float, freedom: float) -> float:
-    """Mean size of the largest errors of one component, in units of its scale.
+    """Return the mean size of the largest errors of one component, in units of its scale.
 
     E[|t| | |t| > q] = 2 f(q) (freedom + q²) / ((freedom - 1) share), P(|t| > q) = share.
 
     Args:
-        share: of the errors, the largest ones.
+        share: share of the largest errors.
         freedom: degrees of freedom, above 1.
     """
     beyond = stats.t.isf(share / 2, freedom)
     return float(2 * stats.t.pdf(beyond, freedom) * (freedom + beyond**2) / ((freedom - 1) * share))
 
 
-def strays(
+def position_margins(
     caution: Caution, vehicle: Vehicle, start: Float[Tensor, "K 6"], trajectory: Trajectory, controls: Tensor,
     source: TerrainSource,
 ) -> Float[Tensor, "K T 2"]:  # fmt: skip
-    """How far errors of position reach along and across the heading after each step [m]; the kernel's reference.
+    """Return the margins for position errors along and across the heading after each step [m].
 
     Args:
         start: state before the first step.
-        controls: in the vehicle's columns [K, T, U].
+        controls: controls [K, T, U] in the vehicle's columns.
         source: terrain of the same rollouts.
     """
     inputs = inputs_along(vehicle, start, trajectory, controls, source)

@@ -1,7 +1,6 @@
-"""The course to follow, and the nearest point of its path for every cell of a grid."""
+"""Course to follow: its layers on a grid of cells, its ways, and the position of the vehicle along it."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
@@ -13,14 +12,15 @@ from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.native.compilation import PLANNING, spread_kernel
 
 BLOCK = 4
-"""Side of a block [cells]; far from the path, the cells of a block share their nearest point."""
+"""Side of a block [cells]; far from the path, the cells of a block share their nearest point of the path."""
 
 NEAR = 6
-"""Distance from the path beyond which blocks share a point [sides of a block]. The error of the distance there is
-0.17 cells, or less than a diagonal of the block where another bend is as near."""
+"""Distance from the path beyond which blocks share a point [sides of a block].
+
+The error of the distance is 0.17 cells, or less than a diagonal of the block where another bend is as near."""
 
 STRIDE = 8
-"""Spacing of the points that are compared first [points]."""
+"""Stride of the coarse search [points]."""
 
 
 def along_path(
@@ -29,11 +29,11 @@ def along_path(
     x: Float[np.ndarray, " nx"],
     y: Float[np.ndarray, " ny"],
 ) -> Float32[np.ndarray, "ny nx 1+V"]:
-    """Distance of cells to the nearest point of a path [m], and that point's values; exact near the path.
+    """Return the distance of cells to the nearest point of a path [m] and that point's values; exact near the path.
 
     Args:
-        path: two points at least; fastest where they are evenly spaced.
-        values: columns of values at the points.
+        path: at least two points; fastest if evenly spaced.
+        values: values of the points.
         x, y: coordinates of the columns and rows of cells, evenly spaced [m].
     """
     result = np.empty((len(y), len(x), 1 + values.shape[1]), np.float32)
@@ -45,7 +45,7 @@ def along_path(
 
 @PLANNING.inlined
 def _nearest(px: float, py: float, path: np.ndarray, begin: int, end: int, stride: int) -> tuple[int, float]:
-    """Index and squared distance of the nearest of every `stride`-th point."""
+    """Return index and squared distance of the nearest of every `stride`-th point."""
     best, least = begin, np.inf
     for k in range(begin, end, stride):
         dx, dy = path[k, 0] - px, path[k, 1] - py
@@ -57,7 +57,7 @@ def _nearest(px: float, py: float, path: np.ndarray, begin: int, end: int, strid
 
 @PLANNING.inlined
 def _within(px: float, py: float, path: np.ndarray, reach: float) -> tuple[int, int]:
-    """Range of points that covers all strides beginning within `reach` [m]."""
+    """Return the range of points of all strides that begin within `reach` [m]."""
     begin, end = len(path), 0
     for k in range(0, len(path), STRIDE):
         dx, dy = path[k, 0] - px, path[k, 1] - py
@@ -78,11 +78,7 @@ def _fill(
     resolution: float,
     result: np.ndarray,
 ) -> None:
-    """Fill the rows of blocks `first` ... `last - 1`.
-
-    Args:
-        slack: largest distance of a point from where its stride begins [m].
-    """
+    """Fill the rows of blocks `first` ... `last - 1`; `slack`: largest length of a stride [m]."""
     half = (BLOCK - 1) / 2 * resolution
     for row in range(first, last):
         for column in range(0, len(x), BLOCK):
@@ -104,32 +100,31 @@ def _fill(
 
 
 SHORTEST: Final = 0.01
-"""Length of the shortest valid path [m]."""
+"""Minimum length of a path [m]."""
 
 FASTEST: Final = 30.0
-"""Largest wanted speed [m/s] that users may ask for."""
+"""Maximum target speed accepted from users [m/s]."""
 
 PARTED: Final = 1.0
-"""Distance from which two ways are planned along apart [m]."""
+"""Distance between two ways beyond which they are planned separately [m]."""
 
 ASTRAY: Final = 4.0
-"""A way that is farther from the vehicle than the nearer one by more than this is not looked at any more [m]."""
+"""Extra distance from the vehicle, compared with the nearer way, beyond which a way is ignored [m]."""
 
 
 @dataclass(frozen=True)
 class Course:
-    """A path to drive along, with target speeds; it may part into two ways, of which either may be taken.
+    """A path with target speeds; it may part into two alternative ways.
 
     Attributes:
         path: x, y of points along it [m].
         speed: target speed at each point [m/s].
-        end: length of the path that is driven [m]; the rest shows plans how it continues.
-        alternative: x, y of the points of a second way, those of the path where there is one way [m]; None: there is
-            none. Lengths are those of the path.
+        end: driven length of the path [m]; the rest only shows plans how it continues.
+        alternative: points of a second way [m], equal to those of the path where the ways coincide; None for one way.
+            Lengths refer to the path.
 
     Raises:
-        PlanningError: the path is shorter than `SHORTEST` or not finite, or has another number of points than what
-            goes with it; or a speed is not finite.
+        PlanningError: the path is shorter than `SHORTEST`, or numbers of points differ, or values are not finite.
     """
 
     path: Float[np.ndarray, "P 2"]
@@ -138,7 +133,7 @@ class Course:
     alternative: Float[np.ndarray, "P 2"] | None = None
 
     def __post_init__(self) -> None:
-        if not np.linalg.norm(np.diff(self.path, axis=0), axis=-1).sum() > SHORTEST:
+        if not arc_length(self.path)[-1] > SHORTEST:
             how = "give finite points of a longer path, or a `Goal`"
             raise PlanningError(f"a path of {len(self.path)} points, not finite or shorter than {SHORTEST} m", how=how)
         if len(self.speed) != len(self.path) or not np.isfinite(self.speed).all():
@@ -150,7 +145,7 @@ class Course:
 
     @property
     def ways(self) -> tuple[Float[np.ndarray, "P 2"], ...]:
-        """The path and, if there is one, the alternative."""
+        """The path and, if present, the alternative."""
         return (self.path,) if self.alternative is None else (self.path, self.alternative)
 
     @property
@@ -160,43 +155,49 @@ class Course:
 
     @property
     def before_end(self) -> Bool[np.ndarray, " P"]:
-        """Which points lie before the end."""
-        step = np.linalg.norm(np.diff(self.path, axis=0), axis=-1)
-        return np.concatenate(([0.0], np.cumsum(step))) <= self.end
+        """Mask of the points up to the end."""
+        return arc_length(self.path) <= self.end
 
     def densified(self, spacing: float) -> "Course":
-        """Same course with a point every `spacing` [m], interpolated linearly."""
-        length = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(self.path, axis=0), axis=-1))))
+        """Interpolate the course linearly, with points every `spacing` [m]."""
+        length = arc_length(self.path)
         at = np.linspace(0, length[-1], max(int(np.ceil(length[-1] / spacing)) + 1, 2))
         ways = [np.stack([np.interp(at, length, column) for column in way.T], axis=-1) for way in self.ways]
         return Course(ways[0], np.interp(at, length, self.speed), self.end, *ways[1:])
 
     def layers(self, ground: TerrainLayers) -> Float32[np.ndarray, "ny nx 4"]:
-        """Distance to the nearer way, and its direction and speed at the point nearest to each cell."""
-        dense = self.densified(spacing=ground.resolution / 2)  # the distance is right to a quarter of a cell
+        """Return the distance of cells to the nearer way, and direction and speed at its nearest point."""
+        dense = self.densified(spacing=ground.resolution / 2)  # distances are accurate to a quarter of a cell
         along = [_layers_along(way, dense.speed, ground) for way in dense.ways]
         return along[0] if len(along) == 1 else np.where(along[1][..., :1] < along[0][..., :1], along[1], along[0])
 
 
-class Way(NamedTuple):
-    """One way of a course: 0 for its path, 1 for the alternative."""
+@dataclass(frozen=True)
+class Goal:
+    """A place to drive to in a straight line and stop at.
 
-    number: int
-    course: Course
-
-
-def ways_from(course: Course, place: Float[np.ndarray, " 2"]) -> Sequence[Way]:
-    """The ways that a vehicle can still take, each as a course of its own; one where they have not parted.
-
-    Args:
-        course: the section of it around the vehicle.
-        place: x, y of the vehicle [m].
+    Attributes:
+        place: x, y in the world frame [m].
+        speed: target speed far from the place [m/s].
+        braking: deceleration near it [m/s^2]: v^2 = 2 braking distance.
     """
-    alone = [Way(number, replace(course, path=path, alternative=None)) for number, path in enumerate(course.ways)]
-    if len(alone) == 1 or not np.linalg.norm(course.ways[0] - course.ways[1], axis=1).max() > PARTED:
-        return alone[:1]
-    away = [float(np.linalg.norm(path - place, axis=1).min()) for path in course.ways]
-    return [way for way, distance in zip(alone, away, strict=True) if distance <= min(away) + ASTRAY]
+
+    place: Float[np.ndarray, " 2"]
+    speed: float
+    braking: float = 2.0
+
+    def layers(self, ground: TerrainLayers) -> Float[np.ndarray, "ny nx 4"]:
+        """Return layers as `Course.layers`: distance 0, direction to the goal, and speed."""
+        there = self.place - ground.centres
+        distance = np.linalg.norm(there, axis=-1)
+        direction = there / np.maximum(distance, 1e-9)[..., None]
+        wanted = np.minimum(self.speed, np.sqrt(2 * self.braking * distance))
+        return np.concatenate((np.zeros_like(distance)[..., None], direction, wanted[..., None]), axis=-1)
+
+
+def arc_length(path: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, " P"]:
+    """Return the distance of points along a path from its first point [m]."""
+    return np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=-1))))
 
 
 def _layers_along(
@@ -208,24 +209,140 @@ def _layers_along(
     return along_path(path, values, ground.centres[0, :, 0], ground.centres[:, 0, 1])
 
 
-@dataclass(frozen=True)
-class Goal:
-    """A place to drive to in a straight line, slowing down to stop there.
+class Way(NamedTuple):
+    """One way of a course: 0 for the path, 1 for the alternative."""
 
-    Attributes:
-        place: x, y in the world frame [m].
-        speed: target speed far from it [m/s].
-        braking: deceleration near it [m/s^2]: v^2 = 2 braking distance.
+    number: int
+    course: Course
+
+
+def ways_from(course: Course, place: Float[np.ndarray, " 2"]) -> list[Way]:
+    """Return the ways that a vehicle can still take, as separate courses; one way before they part.
+
+    Args:
+        course: section around the vehicle.
+        place: x, y of the vehicle [m].
+    """
+    alone = [Way(number, replace(course, path=path, alternative=None)) for number, path in enumerate(course.ways)]
+    if len(alone) == 1 or not np.linalg.norm(course.ways[0] - course.ways[1], axis=1).max() > PARTED:
+        return alone[:1]
+    away = [float(np.linalg.norm(path - place, axis=1).min()) for path in course.ways]
+    return [way for way, distance in zip(alone, away, strict=True) if distance <= min(away) + ASTRAY]
+
+
+SPACING: Final = 0.25
+"""Spacing of the candidate points of `CourseTracker` [m]."""
+
+BACK, AHEAD = 6.0, 60.0
+"""Extent of the section that enters the cost map, behind and ahead of the vehicle [m]."""
+
+BACKED_OUT: Final = 20.0
+"""Extent behind the position of a vehicle that backed out [m]; its legs lead far behind."""
+
+SEARCH: Final = 12.0
+"""Maximum advance in one step [m]."""
+
+DRIVEN: Final = 40.0
+"""Length of course behind the position from which the distance is still measured [m]."""
+
+AS_NEAR: Final = 1.0
+"""Difference of distances below which candidate positions of a lost vehicle count as equally near [m]."""
+
+
+class CourseTracker:
+    """Position of a vehicle along a course; it never moves backwards unless it was lost.
+
+    A course may cross itself: the position is searched only a little ahead of the last one, and only the section ahead
+    enters the cost map.
     """
 
-    place: Float[np.ndarray, " 2"]
-    speed: float
-    braking: float = 2.0
+    def __init__(self, course: Course) -> None:
+        dense = course.densified(SPACING)
+        self._course = _prolonged(dense, AHEAD)
+        self._arc = arc_length(self._course.path)
+        self._end = min(int(np.searchsorted(self._arc, course.end)), len(dense.path) - 1)
+        self._next, self._lost = 0, False
 
-    def layers(self, ground: TerrainLayers) -> Float[np.ndarray, "ny nx 4"]:
-        """Layers as of `Course.layers`: distance 0 everywhere, direction to the goal, and speed."""
-        there = self.place - ground.centres
-        distance = np.linalg.norm(there, axis=-1)
-        direction = there / np.maximum(distance, 1e-9)[..., None]
-        wanted = np.minimum(self.speed, np.sqrt(2 * self.braking * distance))
-        return np.concatenate((np.zeros_like(distance)[..., None], direction, wanted[..., None]), axis=-1)
+    @property
+    def length(self) -> float:
+        """Length of the course up to its end [m]."""
+        return float(self._arc[self._end])
+
+    @property
+    def progress(self) -> float:
+        """Distance driven along the course [m]."""
+        return float(self._arc[self._next])
+
+    @property
+    def target(self) -> float:
+        """Target speed at the vehicle's position [m/s]."""
+        return float(self._course.speed[self._next])
+
+    @property
+    def fastest(self) -> float:
+        """Maximum target speed of the course [m/s]."""
+        return float(self._course.speed.max())
+
+    def move(self, xy: Float[np.ndarray, " 2"]) -> float:
+        """Advance to the point nearest to the vehicle at `xy` [m], and return the distance from the course [m].
+
+        The distance is measured on both sides of the position, since a vehicle that backed out is behind it.
+        """
+        if self._lost:
+            return self._found(xy)
+        first = int(np.searchsorted(self._arc, self.progress - DRIVEN))
+        last = min(int(np.searchsorted(self._arc, self.progress + SEARCH)), self._end)
+        away = self._distance(xy, first, last)
+        self._next += int(np.argmin(away[self._next - first :]))
+        return float(away.min())
+
+    def _distance(self, xy: Float[np.ndarray, " 2"], first: int, last: int) -> Float[np.ndarray, " n"]:
+        """Return the distance of candidate points from a place, on the nearer way [m]."""
+        return np.min([np.linalg.norm(way[first : last + 1] - xy, axis=1) for way in self._course.ways], axis=0)
+
+    def lose(self) -> None:
+        """Search the whole course in the next move.
+
+        Of equally near positions, as where a course crosses itself, the one nearest to the last position is chosen.
+        """
+        self._lost = True
+
+    def _found(self, xy: Float[np.ndarray, " 2"]) -> float:
+        away = self._distance(xy, 0, self._end)
+        near = np.flatnonzero(away < away.min() + AS_NEAR)
+        places = np.split(near, np.flatnonzero(np.diff(near) > 1) + 1)
+        place = min(places, key=lambda indices: np.abs(indices - self._next).min())
+        self._next, self._lost = int(place[np.argmin(away[place])]), False
+        return float(away[self._next])
+
+    def resume(self, progress: float) -> None:
+        """Continue at a distance along the course [m]."""
+        self._next = min(int(np.searchsorted(self._arc, progress)), self._end)
+
+    def stretch(self, *, at_most: float = np.inf, backed_out: bool = False) -> Course:
+        """Return the section around the vehicle, extended straight beyond the last point.
+
+        Without the extension, plans would end with the path, and the vehicle would creep towards it.
+
+        Args:
+            at_most: limit of the target speed [m/s].
+            backed_out: whether the vehicle may be far behind its position.
+        """
+        first = int(np.searchsorted(self._arc, self.progress - (BACKED_OUT if backed_out else BACK)))
+        last = int(np.searchsorted(self._arc, self.progress + AHEAD)) + 1
+        chosen = slice(max(min(first, len(self._arc) - 2), 0), last)
+        path, *alternative = (way[chosen] for way in self._course.ways)
+        return Course(path, np.minimum(self._course.speed[chosen], at_most), np.inf, *alternative)
+
+
+def _prolonged(course: Course, length: float) -> Course:
+    """Extend a dense course straight by `length` [m]."""
+    steps = SPACING * np.arange(1, round(length / SPACING) + 1)[:, None]
+    path, *alternative = (_straight_on(way, steps) for way in course.ways)
+    speed = np.concatenate((course.speed, np.full(len(steps), course.speed[-1])))
+    return Course(path, speed, np.inf, *alternative)
+
+
+def _straight_on(way: Float[np.ndarray, "P 2"], steps: Float[np.ndarray, "n 1"]) -> Float[np.ndarray, "P+n 2"]:
+    direction = way[-1] - way[-2]
+    return np.concatenate((way, way[-1] + steps * direction / max(float(np.linalg.norm(direction)), 1e-9)))

@@ -1,4 +1,4 @@
-"""Cost of driving along predicted trajectories: all declared terms in torch, the reference of the kernel."""
+"""Cost of driving along predicted trajectories in torch; the reference of the kernel."""
 
 from dataclasses import dataclass
 
@@ -11,24 +11,24 @@ from offpiste.core.state import Trajectory
 from offpiste.mapping.terrain_map import wheel_positions_of_states
 from offpiste.mapping.terrain_sampler import MapStack, sample_maps
 from offpiste.planning.caution import Caution
-from offpiste.planning.cost_map import CostMap
 from offpiste.planning.costs.declaration import CostTerm, Scalar, cost_terms, evaluate
+from offpiste.planning.costs.layers import CostMap
 from offpiste.planning.costs.weights import CostWeights
 
 
 @dataclass(frozen=True)
 class Situation:
-    """Start of a plan: map, costs, state and last control.
+    """Map, costs, state and last control at the start of a plan.
 
     Attributes:
         ground: stack of one terrain map, for the normals.
-        costs: hazards and course.
+        costs: cost map.
         wheels: positions in the body frame, from the pose point [m].
         offset: origin of the trajectories' frame in the world frame [m] (float64).
         state: state at the start.
         control: control of the step before the start.
-        gear: held during the plan, for models that know one (`planning.controls`).
-        caution: how far errors of position reach for the cost; None for nowhere.
+        gear: gear held during the plan, for models with a gear.
+        caution: margins for position errors; None for none.
     """
 
     ground: MapStack
@@ -46,14 +46,14 @@ def driving_cost(
     controls: Float[Tensor, "K T 3"],
     situation: Situation,
     weights: CostWeights,
-    stray: Float[Tensor, "K T 2"] | None = None,
+    margins: Float[Tensor, "K T 2"] | None = None,
 ) -> Float[Tensor, " K"]:
-    """Sum of all terms over time for each trajectory; not finite where a state is not.
+    """Return the sum of all terms over time; not finite for trajectories with non-finite states.
 
     Args:
-        stray: how far errors reach along and across the heading [m] (`caution.strays`); None for nowhere.
+        margins: margins for position errors along and across the heading [m]; None for none.
     """
-    terms = driving_terms(trajectory, controls, situation, weights, stray)
+    terms = driving_terms(trajectory, controls, situation, weights, margins)
     return DT * torch.stack(tuple(terms.values())).sum(dim=(0, 2))
 
 
@@ -62,13 +62,13 @@ def driving_terms(
     controls: Float[Tensor, "K T 3"],
     situation: Situation,
     weights: CostWeights,
-    stray: Float[Tensor, "K T 2"] | None = None,
+    margins: Float[Tensor, "K T 2"] | None = None,
 ) -> dict[str, Float[Tensor, "K T"]]:
-    """Cost per second of each term after each step, by name; `stray` as of `driving_cost`."""
+    """Return the cost per second of each term after each step, by name."""
     velocity = trajectory.state[..., 3:5]
     velocity_before = torch.cat((situation.state[3:5].expand(len(velocity), 1, 2), velocity[:, :-1]), dim=1)
     control_before = torch.cat((situation.control.expand(len(controls), 1, 3), controls[:, :-1]), dim=1)
-    return terms_after(trajectory.state, velocity_before, controls, control_before, situation, weights, stray)
+    return terms_after(trajectory.state, velocity_before, controls, control_before, situation, weights, margins)
 
 
 def terms_after(
@@ -78,20 +78,20 @@ def terms_after(
     control_before: Float[Tensor, "*B 3"],
     situation: Situation,
     weights: CostWeights,
-    stray: Float[Tensor, "*B 2"] | None = None,
+    margins: Float[Tensor, "*B 2"] | None = None,
 ) -> dict[str, Float[Tensor, "*B"]]:
-    """Cost per second of each term after single steps, for planners that work step by step.
+    """Return the cost per second of each term after single steps.
 
     Args:
         state: state after a step.
         velocity_before: vx, vy before the step [m/s].
         control, control_before: controls of the step, and of the step before.
-        situation: its state, control and caution are not read.
-        stray: as of `driving_cost`.
+        situation: its state, control and caution are ignored.
+        margins: see `driving_cost`.
     """
     numbers, terms = weights.values(), cost_terms()
     parameters = {name: numbers[name] for term in terms.values() for name in term.parameters}
-    motion = _motion(state, velocity_before, control, situation, stray) | parameters
+    motion = _motion(state, velocity_before, control, situation, margins) | parameters
     controls: dict[str, Scalar] = {"control": control, "control_before": control_before, "dt": DT, "maximum": _maximum}
     controls |= {name: control.new_tensor(value) for name, value in parameters.items() if isinstance(value, tuple)}
 
@@ -108,9 +108,9 @@ def terms_after(
 
 
 def _motion(
-    state: Tensor, velocity_before: Tensor, control: Tensor, situation: Situation, stray: Tensor | None
+    state: Tensor, velocity_before: Tensor, control: Tensor, situation: Situation, margins: Tensor | None
 ) -> dict[str, Scalar]:
-    """Base quantities of the motion, layers and elementary functions, by name."""
+    """Return base quantities of the motion, layers and elementary functions by name."""
     _, _, yaw, vx, vy, yaw_rate = state.unbind(-1)
     wheels = wheel_positions_of_states(state, situation.wheels)
     zeros = torch.zeros(wheels.shape[:-1], dtype=torch.long, device=wheels.device)
@@ -120,15 +120,15 @@ def _motion(
     )
     given |= dict(zip(("throttle", "brake", "steer"), control.unbind(-1), strict=True))
     given |= {"vx": vx, "vy": vy, "yaw_rate": yaw_rate, "cos_yaw": torch.cos(yaw), "sin_yaw": torch.sin(yaw)}
-    reach = torch.zeros_like(state[..., :2]) if stray is None else stray
-    given |= dict(zip(("stray_along", "stray_across"), reach.unbind(-1), strict=True))
+    margins = torch.zeros_like(state[..., :2]) if margins is None else margins
+    given |= dict(zip(("margin_along", "margin_across"), margins.unbind(-1), strict=True))
     given |= {"vx_before": velocity_before[..., 0], "vy_before": velocity_before[..., 1], "dt": DT, "gravity": GRAVITY}
     functions = {"maximum": _maximum, "sin": torch.sin, "cos": torch.cos, "tanh": torch.tanh, "atan": torch.atan}
     return given | functions | _layers(state[..., :2], wheels, situation)
 
 
 def _layers(place: Float[Tensor, "*B 2"], wheels: Float[Tensor, "*B 4 2"], situation: Situation) -> dict[str, Tensor]:
-    """Values of the cost map's layers, each where its declaration says, by name."""
+    """Return the values of the cost layers at the places of their declarations, by name."""
     costs = situation.costs
     under, here = costs.at(wheels, situation.offset), costs.at(place, situation.offset)
     return {

@@ -1,4 +1,4 @@
-"""Costs of control sequences by one kernel: what `rollouts.driving_costs` computes, several times as fast, on the CPU.
+"""Costs of control sequences by a fused kernel on the CPU; the reference is `rollouts.driving_costs`.
 
 The first call compiles for some 20 seconds; the machine code is kept in the user's cache folder
 (`offpiste.native.kernel_cache`).
@@ -42,7 +42,7 @@ Codes = tuple[Float[Tensor, "ny nx E"], Float[Tensor, " E"]]
 """Codes of the cells of a map, and of a cell without features."""
 
 PART: Final = 4096
-"""How many cells are encoded at a time."""
+"""Number of cells encoded at a time."""
 
 
 @torch.no_grad()
@@ -53,13 +53,11 @@ def encode_map(
     centre: Float[Tensor, " 2"] | None = None,
     reach: float = math.inf,
 ) -> Codes:
-    """Codes of the cells of the first map of a stack: choosing a cell and encoding it commute.
-
-    Worth doing once a map, not once a plan. A map that holds codes already is `coded_map`'s.
+    """Encode the cells of the first map of a stack.
 
     Args:
         centre: x, y in the world frame [m].
-        reach: cells further than this from it, along x or y, count as missing [m].
+        reach: distance along x or y beyond which cells count as missing [m].
     """
     features = maps.features[0]
     if encoder is None:
@@ -72,7 +70,7 @@ def encode_map(
         wanted &= ((rows - y).abs() <= cells)[:, None] & ((columns - x).abs() <= cells)
     missing = encoder.missing()
     codes = missing.repeat(*wanted.shape, 1)
-    # Few at a time stay in the cache; the others need no network.
+    # Small parts stay in the cache.
     for row, column in zip(*(index.split(PART) for index in wanted.nonzero(as_tuple=True)), strict=True):
         there = torch.ones(len(row), dtype=torch.bool, device=features.device)
         codes[row, column] = encoder(features[row, column].to(missing.dtype), there)
@@ -81,10 +79,10 @@ def encode_map(
 
 @torch.no_grad()
 def coded_map(codes: Float[Tensor, "ny nx n"], encoder: FeatureEncoder) -> Codes:
-    """`encode_map` of a map that holds codes, as the paper's does; those that are not finite are missing.
+    """Return the codes of a map that already holds codes; non-finite ones are missing.
 
     Raises:
-        ValueError: they are not as long as the encoder's.
+        ValueError: their length differs from the encoder's.
     """
     missing = encoder.missing()
     if codes.shape[-1] != encoder.size:
@@ -95,15 +93,15 @@ def coded_map(codes: Float[Tensor, "ny nx n"], encoder: FeatureEncoder) -> Codes
 def fused_costs(
     dynamics: Dynamics, model_state: ModelState, situation: Situation, weights: CostWeights, codes: Codes
 ) -> CostOf:
-    """Costs of driving on the situation's map; the same as `rollouts.driving_costs`, up to rounding.
+    """Return a function that computes the costs of driving, as `rollouts.driving_costs` up to rounding.
 
     Args:
-        dynamics: one that `dynamics.kernels.autograd.supports` is true for.
-        model_state: the start, a batch of one.
+        dynamics: model supported by the kernels (`dynamics.kernels.autograd.supports`).
+        model_state: model state at the start, a batch of one.
         codes: from `encode_map`.
 
     Raises:
-        ValueError: a model, types or shapes that the kernel cannot take.
+        ValueError: unsupported model, types or shapes.
     """
     roll = _bind(dynamics, model_state, situation, weights, codes)
 
@@ -121,7 +119,7 @@ def fused_rollout(
     weights: CostWeights,
     codes: Codes,
 ) -> tuple[Float[Tensor, " K"], Float[Tensor, "K T 6"]]:
-    """The same costs, and the states after each step: to look at, and to test."""
+    """Return the same costs, and the states after each step."""
     states = torch.empty(*controls.shape[:2], 6)
     return _bind(dynamics, model_state, situation, weights, codes)(controls, states), states
 
@@ -133,11 +131,7 @@ def kernel_model_state(
     situation: Situation,
     codes: Codes,
 ) -> ModelState:
-    """What the model carries after controls; every step reads the ground where it is.
-
-    Args:
-        controls: one step's at least.
-    """
+    """Return the model state after at least one step of controls."""
     packed = model_state.pack()
     after = torch.empty(1, len(controls), packed.shape[1])
     _bind(dynamics, model_state, situation, CostWeights(), codes)(controls[None], after)
@@ -213,7 +207,7 @@ def _grid(shift: Float[Tensor, " 2"], resolution: float, cells: Float[Tensor, "n
 
 
 def _check(dynamics: Dynamics, model_state: ModelState, codes: Codes) -> None:
-    """Refuse what the kernel would read out of bounds, or wrongly."""
+    """Raise for inputs that the kernel would read wrongly or out of bounds."""
     if not supports(dynamics, model_state.state.device, model_state.state.dtype):
         raise ValueError("no kernel for this model; see `supports`")
     wanted, units = dynamics.codes, dynamics.recurrent_size

@@ -50,7 +50,7 @@ from offpiste.planning.kernel_terrain import (
 ROWS: Final = {
     "vx": ("after", 3), "vy": ("after", 4), "yaw_rate": ("after", 5), "vx_before": ("before", 3),
     "vy_before": ("before", 4), "cos_yaw": ("values", COS), "sin_yaw": ("values", SIN),
-    "stray_along": ("values", ALONG), "stray_across": ("values", ACROSS),
+    "margin_along": ("values", ALONG), "margin_across": ("values", ACROSS),
     "world_normal_x": ("w", NORMAL_ROW), "world_normal_y": ("w", NORMAL_ROW + 1),
     "world_normal_z": ("w", NORMAL_ROW + 2), "throttle": ("command", 0), "brake": ("command", 1),
     "steer": ("command", 2),

@@ -1,4 +1,4 @@
-"""How far errors of position reach, grown along a block's rollout: `caution.strays`, lane by lane.
+"""How far errors of position reach, grown along a block's rollout: `caution.position_margins`, lane by lane.
 
 The spread's network runs every `spread.EVERY` steps; in between the reach grows by the velocity's.
 """

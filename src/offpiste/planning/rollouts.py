@@ -7,7 +7,7 @@ from offpiste.core.conventions import CONTROL
 from offpiste.core.state import ModelState, TerrainSource
 from offpiste.dynamics.base import Dynamics, rollout
 from offpiste.mapping.terrain_sampler import Encode, MapTerrain
-from offpiste.planning.caution import strays
+from offpiste.planning.caution import position_margins
 from offpiste.planning.controls import complete
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.driving_cost import Situation, driving_cost
@@ -30,14 +30,14 @@ def driving_costs(
     """
 
     def cost_of(controls: Tensor) -> Tensor:
-        count, reach = len(controls), None
+        count, margins = len(controls), None
         source = situation_terrain(situation, count, encode)
         controls = complete(dynamics.vehicle, controls, situation.gear)
         trajectory = rollout(dynamics, spread_model_state(model_state, count), controls, source)
         if situation.caution is not None:
             start = situation.state.expand(count, 6)
-            reach = strays(situation.caution, dynamics.vehicle, start, trajectory, controls, source)
-        return driving_cost(trajectory, controls[..., : len(CONTROL)], situation, weights, reach)
+            margins = position_margins(situation.caution, dynamics.vehicle, start, trajectory, controls, source)
+        return driving_cost(trajectory, controls[..., : len(CONTROL)], situation, weights, margins)
 
     return cost_of
 

@@ -1,4 +1,4 @@
-"""State of the vehicle over the last seconds, from its readings: rows at 50 Hz for planning, poses for mapping."""
+"""Estimates of the vehicle over the last seconds: rows at 50 Hz for planning, poses for mapping."""
 
 from collections import Counter, deque
 from collections.abc import Collection, Mapping, Sequence
@@ -19,25 +19,24 @@ from offpiste.logs.poses import Poses
 from offpiste.rig.outputs import Timeouts
 
 JUMP = 1.0
-"""Distance of a pose from the one that speed and time predict, above which it counts as a jump [m]."""
+"""Distance between a pose and its prediction above which it counts as a jump [m]."""
 
 GAP = 0.25
-"""Between readings no further apart, poses are interpolated [s]."""
+"""Longest interval over which poses are interpolated [s]."""
 
 
 @dataclass(frozen=True)
 class VehicleReading:
-    """One reading of the vehicle's state and actuators.
+    """Measured state and actuators of the vehicle.
 
     Attributes:
         time: stamp [s].
-        position: of the pose point in the world frame [m].
+        position: position of the pose point in the world frame [m].
         orientation: world_from_body, xyzw.
-        velocity: of the pose point in the world frame [m/s].
+        velocity: velocity of the pose point in the world frame [m/s].
         yaw_rate: d(yaw)/dt [rad/s].
-        actuators: of `conventions.ACTUATORS`; NaN where the vehicle does not measure them.
-        extra: values of actuators and columns that extensions declare (`channels.register_actuator`,
-            `dataset.columns.COLUMNS`), by name.
+        actuators: values of `conventions.ACTUATORS`; NaN if not measured.
+        extra: values of actuators and columns of extensions (`channels.register_actuator`, `dataset.columns.COLUMNS`).
     """
 
     time: float
@@ -49,38 +48,38 @@ class VehicleReading:
     extra: Mapping[str, float] = field(default_factory=dict)
 
     def measured(self, actuators: Sequence[str]) -> Float[np.ndarray, " A"]:
-        """Values of actuators by their names; NaN where the vehicle does not measure them."""
+        """Return the values of actuators by name; NaN if not measured."""
         known = {**dict(zip(ACTUATORS, self.actuators, strict=True)), **self.extra}
         return np.array([known.get(name, np.nan) for name in actuators], np.float64)
 
     @property
     def finite(self) -> bool:
-        """Whether time, pose and velocities are finite, and the orientation is not zero."""
+        """Whether time, pose and velocities are finite and the orientation is not zero."""
         known = np.concatenate(([self.time, self.yaw_rate], self.position, self.orientation, self.velocity))
         return bool(np.isfinite(known).all() and np.abs(self.orientation).max() > 0)
 
 
 class Given(NamedTuple):
-    """What another driver gives the vehicle, as far as it is heard: throttle, brake, steer; and the gear."""
+    """Control (throttle, brake, steer) and gear from another driver, if received."""
 
     control: Float[np.ndarray, " 3"] | None = None
     gear: float | None = None
 
     def instead_of(self, control: Float[np.ndarray, " 3"], gear: float) -> tuple[Float[np.ndarray, " 3"], float]:
-        """Control and gear that the vehicle has: these where no others are heard."""
+        """Return the control and gear of the other driver, or the given ones if not received."""
         return control if self.control is None else self.control, gear if self.gear is None else self.gear
 
 
 @dataclass(frozen=True)
 class TrackRows:
-    """Rows t-10 ... t of the vehicle, `conventions.DT` apart, estimated from the past only.
+    """Rows t-10 ... t of the vehicle at intervals of `conventions.DT`, estimated causally.
 
     Attributes:
         state: `conventions.STATE`, in the world frame, yaw unwrapped.
-        actuators: `conventions.ACTUATORS`, and registered ones that the track is asked for.
-        control: `conventions.CONTROL`; that of row t is not known yet.
-        gear: that each row was driven in: 1 forward, -1 reverse; NaN before the first command.
-        extra: columns that extensions declare for the past of windows; NaN where a reading lacks them.
+        actuators: `conventions.ACTUATORS` and the registered actuators of the model.
+        control: `conventions.CONTROL`; not yet known in row t.
+        gear: engaged gear, 1 forward, -1 reverse; NaN before the first command.
+        extra: columns of extensions for the past of windows; NaN if missing.
     """
 
     state: Float[np.ndarray, "H 6"]
@@ -91,13 +90,12 @@ class TrackRows:
 
 
 class VehicleTrack:
-    """Readings and commands of the last seconds.
+    """Buffer of the readings and commands of the last seconds.
 
     Args:
-        seconds: how long they are kept [s].
-        slowest: readings may be so far apart [s]; poses are interpolated between those that are no further apart, or
-            than `GAP`.
-        actuators: that the model reads; rows have columns of registered ones among them, too.
+        seconds: length of the buffer [s].
+        slowest: longest regular interval between readings [s]; poses are interpolated over it, or over `GAP`.
+        actuators: actuators read by the model.
     """
 
     def __init__(self, *, seconds: float = 3.0, slowest: float = 0.0, actuators: Collection[str] = ()) -> None:
@@ -108,16 +106,16 @@ class VehicleTrack:
 
     @property
     def latest(self) -> VehicleReading | None:
-        """The last reading; None before the first."""
+        """Last reading; None before the first."""
         return self._readings[-1] if self._readings else None
 
     @property
     def enough(self) -> bool:
-        """Whether there are two poses at least, to interpolate between."""
+        """Whether there are at least two poses, for interpolation."""
         return len(self._readings) >= 2
 
     def add(self, reading: VehicleReading) -> bool:
-        """Add a reading; returns whether the pose jumped, so that the map so far no longer fits."""
+        """Add a reading, and return whether the pose jumped, which invalidates the map."""
         before = self.latest
         jumped = False
         if before is not None:
@@ -131,39 +129,39 @@ class VehicleTrack:
         return jumped
 
     def clear(self) -> None:
-        """Forget all readings and commands."""
+        """Delete all readings and commands."""
         self._readings.clear()
         self._commands.clear()
 
     def commanded(self, time: float, control: Float[np.ndarray, " 3"], gear: float = 1.0) -> None:
-        """Record the control that is commanded from `time` [s] on, and the gear: 1 forward, -1 reverse."""
-        while self._commands and self._commands[-1][0] >= time:  # the clock stands still, or went back
+        """Record the control and gear (1 forward, -1 reverse) commanded from `time` [s] on."""
+        while self._commands and self._commands[-1][0] >= time:  # the clock stopped or went back
             self._commands.pop()
         self._commands.append((time, control, gear))
         while self._commands[0][0] < time - self._seconds:
             self._commands.popleft()
 
     def poses(self) -> Poses:
-        """Poses of the last seconds."""
+        """Return the poses of the last seconds."""
         time = np.array([r.time for r in self._readings])
         position = Channel("position", "m", time, np.stack([r.position for r in self._readings]))
         orientation = Channel("orientation", "1", time, np.stack([r.orientation for r in self._readings]))
         return Poses(position, orientation, self._max_gap)
 
     def awaits(self, time: float) -> bool:
-        """Whether the pose at a moment [s] may yet become known: no reading is as new."""
+        """Whether the pose at a time [s] is newer than all readings and may still become known."""
         latest = self.latest
         return latest is not None and latest.time < time
 
     def pose_at(self, time: float) -> Float[np.ndarray, "4 4"] | None:
-        """`world_from_body` at a moment [s]; None where it is not known."""
+        """Return `world_from_body` at a time [s]; None if unknown."""
         if not self.enough:
             return None
         pose = self.poses().at(np.array([time]))[0]
         return None if np.isnan(pose).any() else np.asarray(pose)
 
     def rows(self, now: float) -> TrackRows:
-        """Rows of the last 0.2 s, up to `now` [s]; before the first reading, its values are repeated."""
+        """Return the rows of the last 0.2 s up to `now` [s]; the first reading is repeated before it."""
         time = np.array([r.time for r in self._readings])
         at = now - DT * np.arange(HISTORY_STEPS, -1, -1)
         index = np.clip(np.searchsorted(time, at + 1e-6, side="right") - 1, 0, len(time) - 1)
@@ -179,7 +177,7 @@ class VehicleTrack:
         return TrackRows(state, np.stack([r.measured(self._columns) for r in chosen]), *self.controls(at), extra)
 
     def controls(self, at: Float[np.ndarray, " N"]) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, " N"]]:
-        """Controls at some moments [s], 0 before the first, and gears, NaN there; the last ones are held."""
+        """Return controls and gears at times [s]; 0 and NaN before the first command, the last one is held."""
         if not self._commands:
             return np.zeros((len(at), 3)), np.full(len(at), np.nan)
         time, control, gear = (np.stack(column) for column in zip(*self._commands, strict=True))
@@ -189,19 +187,19 @@ class VehicleTrack:
 
 
 def _past_columns() -> list[str]:
-    """Columns of extensions that a model's history holds."""
+    """Return the columns of extensions in a model's history."""
     return [name for name, column in COLUMNS.items() if name not in OWN_COLUMNS and "past" in column.segments]
 
 
 class Intake:
-    """Checks readings and stamps before they enter a track, and counts what it drops.
+    """Checks readings and stamps before they enter a track.
 
     Args:
-        actuators: actuators that the model reads.
-        dropped: counter of dropped messages by reason, updated in place.
+        actuators: actuators read by the model.
+        dropped: number of dropped messages by reason, updated in place.
 
     Attributes:
-        now: the clock [s]; infinite before it is known.
+        now: current time [s]; infinite before it is known.
     """
 
     def __init__(
@@ -212,7 +210,7 @@ class Intake:
         self.now = np.inf
 
     def vehicle(self, reading: VehicleReading) -> Literal["dropped", "taken", "jumped"]:
-        """Add a reading; "jumped" if the pose jumped, which invalidates the map."""
+        """Add a reading, and return whether it was dropped, or jumped, which invalidates the map."""
         latest = self._track.latest
         if self.ahead("readings of the vehicle", reading.time):
             return "dropped"
@@ -229,7 +227,7 @@ class Intake:
         return "jumped" if self._track.add(reading) else "taken"
 
     def ahead(self, what: str, time: float) -> bool:
-        """Return whether a stamp is ahead of the clock, and count it: later messages would count as old after it."""
+        """Return whether a stamp is ahead of the clock, and count it; it would make later messages appear old."""
         ahead = time > self.now + self._timeouts.ahead
         if ahead:
             self.dropped[f"{what}: stamps ahead of the clock"] += 1

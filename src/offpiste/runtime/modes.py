@@ -1,4 +1,4 @@
-"""Driving mode as a function of the age of inputs: fallbacks for late or missing ones."""
+"""Driving mode as a function of the ages of the inputs."""
 
 from dataclasses import dataclass
 from typing import Final, Literal
@@ -13,7 +13,7 @@ Mode = Literal["driving", "degraded", "stopping", "stopped"]
 
 @dataclass(frozen=True)
 class Ages:
-    """Ages of the inputs [s]; infinite where there never was one.
+    """Ages of the inputs [s]; infinite before the first.
 
     Attributes:
         image: -infinite for models without visual features.
@@ -25,7 +25,7 @@ class Ages:
     plan: float
 
     def at_least(self, others: "Ages") -> "Ages":
-        """The greater of the ages by two clocks: one of them may stand still."""
+        """Return the greater of the ages by two clocks, one of which may have stopped."""
         return Ages(*(max(one, getattr(others, name)) for name, one in vars(self).items()))
 
 
@@ -34,7 +34,7 @@ NO_AGES: Final = Ages(-np.inf, -np.inf, -np.inf, -np.inf)
 
 @dataclass(frozen=True)
 class ModeDecision:
-    """Mode and the reason for it.
+    """Mode and its reason.
 
     Attributes:
         why: reason; empty in normal driving.
@@ -48,11 +48,7 @@ class ModeDecision:
 
 @dataclass(frozen=True)
 class Event:
-    """A change of mode, or of the reason for it.
-
-    Attributes:
-        time: when it changed [s].
-    """
+    """A change of mode or of its reason; time in s."""
 
     time: float
     mode: Mode
@@ -64,7 +60,7 @@ class Controls:
     """Command to the vehicle for the next `conventions.DT`.
 
     Attributes:
-        time: when it begins to act [s].
+        time: start time [s].
         command: throttle [0..1], brake [0..1], steer [-1..1, + left].
         why: reason for the mode; empty in normal driving.
         gear: 1 forward, -1 reverse.
@@ -80,10 +76,10 @@ class Controls:
 def decide_mode(
     ages: Ages, timeouts: Timeouts, *, map_empty: bool, finished: bool, stuck: bool = False
 ) -> ModeDecision:
-    """Mode that the most severe fault demands.
+    """Return the mode for the most severe fault.
 
     Args:
-        map_empty: whether the map holds no ground within reach of a plan.
+        map_empty: whether no ground is within reach of a plan.
         finished: whether the end of the course is reached.
         stuck: whether backing out was given up.
     """

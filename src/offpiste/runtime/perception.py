@@ -1,4 +1,4 @@
-"""On-line perception: images and scans, late, missing or invalid as they may be, into a map of codes."""
+"""On-line perception: from images and scans, which may be late, missing or invalid, to a map of codes."""
 
 import time
 from collections import Counter, defaultdict, deque
@@ -25,10 +25,10 @@ Measured = TypeVar("Measured", Image, Cloud)
 
 
 class Stopwatch:
-    """Wall-clock times of named stages, for reports only: no decision depends on them.
+    """Wall-clock times of named stages, for reports only.
 
     Args:
-        last: how many of each stage are kept; None for all.
+        last: number of kept measurements per stage; None for all.
     """
 
     def __init__(self, last: int | None = None) -> None:
@@ -36,7 +36,7 @@ class Stopwatch:
 
     @contextmanager
     def of(self, stage: str) -> Iterator[None]:
-        """Measure the time that the enclosed code takes."""
+        """Measure the duration of the enclosed code."""
         began = time.perf_counter()
         try:
             yield
@@ -44,7 +44,7 @@ class Stopwatch:
             self._taken[stage].append(time.perf_counter() - began)
 
     def summary(self) -> dict[str, dict[str, float]]:
-        """Count, median and 95th percentile [ms], and total [s] of each stage."""
+        """Return count, median and 95th percentile [ms], and total [s] of each stage."""
         return {
             stage: {
                 "count": float(len(taken)),
@@ -58,11 +58,11 @@ class Stopwatch:
 
 @dataclass(frozen=True)
 class SensorSetup:
-    """Sensors of the vehicle, and the feature extractor for its cameras.
+    """Sensors of the vehicle and the feature extractor of its cameras.
 
     Attributes:
         cameras: empty for models without visual features.
-        extract: backbone and PCA that the model was trained with.
+        extract: backbone and PCA of the model.
     """
 
     lidars: Mapping[str, Lidar]
@@ -71,12 +71,12 @@ class SensorSetup:
 
 
 class OnlineMapper:
-    """Keeps the map of the ground around the vehicle up to date with each message.
+    """Updates the map of the ground around the vehicle from each message.
 
     Args:
-        encoder: of the model; None where it reads no features, or where they do not come from cameras.
-        track: source of the vehicle's poses.
-        watch: times of the stages.
+        encoder: feature encoder of the model; None if it reads no features from cameras.
+        track: source of poses.
+        watch: stopwatch of the stages.
     """
 
     def __init__(
@@ -96,7 +96,7 @@ class OnlineMapper:
         self.restart()
 
     def restart(self) -> None:
-        """Begin an empty map, since the old one does not fit the poses to come."""
+        """Clear the map, which does not fit the poses to come."""
         extract = self._codes if self.uses_features else _no_codes
         cameras = self._sensors.cameras if self.uses_features else {}
         self._mapper = SensorMapper(cameras, self._sensors.lidars, extract, self._channels, self._settings)
@@ -107,11 +107,11 @@ class OnlineMapper:
 
     @property
     def state(self) -> MapState:
-        """What the mode depends on."""
+        """State for the choice of the mode."""
         return MapState(self.scan_time, self.image_time if self.uses_features else np.inf)
 
     def image(self, image: Image) -> None:
-        """Extract features from an image if it is a keyframe; it counts with its own stamp, however late it comes."""
+        """Extract features from an image if it is a keyframe; late images count with their own stamp."""
         if not self.uses_features or image.camera not in self._sensors.cameras:
             return
         if self._track.awaits(image.time):
@@ -121,7 +121,7 @@ class OnlineMapper:
         if pose is None:
             return
         if not self._mapper.is_keyframe(image, pose):
-            # The last keyframe was taken from nearly the same place: its features are still valid.
+            # The last keyframe was taken nearby, so its features are still valid.
             self.image_time = max(self.image_time, image.time)
             return
         try:
@@ -133,7 +133,7 @@ class OnlineMapper:
         self.image_time = max(self.image_time, image.time)
 
     def coded(self, camera: str, time: float, codes: Float32[np.ndarray, "rows columns E"] | None) -> None:
-        """Take the codes of an image, which were computed elsewhere; None of an image that is no keyframe."""
+        """Add the codes of an image computed elsewhere; None if it is not a keyframe."""
         pose = self._pose(camera, time)
         if pose is None:
             return
@@ -158,26 +158,26 @@ class OnlineMapper:
             self.scan_time = max(self.scan_time, scan.time)
 
     def _wait(self, waiting: dict[str, Measured], sensor: str, measured: Measured) -> None:
-        """Keep a sensor's newest measurement until a reading of the vehicle is as new."""
+        """Keep the newest measurement of a sensor until its pose is known."""
         if sensor in waiting:
             self.dropped[f"{sensor}: replaced by a newer one"] += 1
         waiting[sensor] = measured
 
     def catch_up(self) -> None:
-        """Take the images and scans that came before a reading of the vehicle as new as they are."""
+        """Process the waiting images and scans whose poses are now known."""
         for image in [each for each in self._images.values() if not self._track.awaits(each.time)]:
             self.image(self._images.pop(image.camera))
         for scan in [each for each in self._scans.values() if not self._track.awaits(each.time)]:
             self.scan(self._scans.pop(scan.lidar))
 
     def layers(self) -> TerrainLayers:
-        """Layers of the current map; the next call overwrites them."""
+        """Return the layers of the current map; the next call overwrites them."""
         with self._watch.of("flatten map"):
             self._layers = self._mapper.pipeline.layers(self._layers)
         return self._layers
 
     def _pose(self, sensor: str, time: float) -> np.ndarray | None:
-        """`world_from_body` at a stamp; None, and counted in `dropped`, where the message cannot be used."""
+        """Return `world_from_body` at a stamp; None, counted in `dropped`, if the message is unusable."""
         if not time > self._latest.get(sensor, -np.inf):
             self.dropped[f"{sensor}: stamps repeat or go back"] += 1
             return None
@@ -192,7 +192,7 @@ class OnlineMapper:
         return pose
 
     def _codes(self, pixels: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "rows columns E"]:
-        """Codes of the patches of an image, so that the map never holds features."""
+        """Return the codes of an image, which the map holds instead of features."""
         assert self._sensors.extract is not None
         assert self._encoder is not None
         return codes_of(pixels, self._sensors.extract, self._encoder)
@@ -202,7 +202,7 @@ class OnlineMapper:
 def codes_of(
     pixels: UInt8[np.ndarray, "h w 3"], extract: ExtractFeatures, encoder: FeatureEncoder
 ) -> Float32[np.ndarray, "rows columns E"]:
-    """Codes of the patches of a rectified image by backbone, PCA and encoder.
+    """Return the codes of the patches of a rectified image by backbone, PCA and encoder.
 
     Raises:
         PerceptionError: the features are not finite.
@@ -216,7 +216,7 @@ def codes_of(
 
 
 def encoder_on(device: str, encoder: FeatureEncoder | None) -> FeatureEncoder | None:
-    """A model's encoder where images are encoded: a copy, unless it is there already; None where there is none."""
+    """Return the encoder of a model on a device, copied if necessary; None without an encoder."""
     if encoder is None or encoder.mean.device == torch.device(device):
         return encoder
     return deepcopy(encoder).to(device)

@@ -1,4 +1,4 @@
-"""Plans on a map: from the vehicle's last rows and the committed controls to a plan and its prediction."""
+"""Plans on the current map, from the vehicle's last rows and the committed controls."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -17,7 +17,7 @@ from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.planning import mppi
 from offpiste.planning.caution import caution_of
 from offpiste.planning.controls import controls_of, pedals_of, with_pedal
-from offpiste.planning.cost_map import CostMap, cost_map
+from offpiste.planning.costs.layers import CostMap, cost_map
 from offpiste.planning.course import Course, Way, ways_from
 from offpiste.planning.device_planner import DevicePlanner
 from offpiste.planning.driving_cost import Situation
@@ -41,11 +41,11 @@ from offpiste.runtime.settings import RuntimeSettings
 from offpiste.uncertainty.spread import Spread
 
 FRESH: Final = 0.5
-"""A plan along a way that was made longer ago than this is not continued [s]."""
+"""Maximum age of a plan along a way that is still continued [s]."""
 
 
 class Planned(NamedTuple):
-    """A plan, where the model predicts that it leads, and what its samples cost."""
+    """A plan, its predicted trajectory, and its cost."""
 
     plan: TimedPlan
     prediction: Prediction
@@ -53,7 +53,7 @@ class Planned(NamedTuple):
 
 
 class PlanImprover:
-    """Improves plans by MPPI, on the CPU or on a GPU.
+    """MPPI on the CPU or on a GPU.
 
     Args:
         seed: seed of the sampled controls.
@@ -71,7 +71,7 @@ class PlanImprover:
     def improve(
         self, controls: Float[torch.Tensor, "T 3"], model_state: ModelState, area: Area, at: Situation
     ) -> mppi.Plan:
-        """Plan of pedal and steering from a plan of throttle, brake and steering.
+        """Return a plan of pedal and steer, given an initial plan of throttle, brake and steer.
 
         Raises:
             NoPlan: no sample has a finite cost.
@@ -92,20 +92,20 @@ class PlanMaker:
     """Makes plans.
 
     Args:
-        dynamics: in evaluation mode, without gradients.
+        dynamics: model in evaluation mode, without gradients.
         wheels: positions in the body frame, from the pose point [m].
-        ground: ground-truth features, used instead of the map's.
-        spread: of the model's predictions, for risks that need one.
-        seed: of the sampled controls.
-        reverses: whether the vehicle's gear can be commanded; no model that does not know a gear backs out.
-        watch: times of the stages.
+        ground: ground-truth features, used instead of those of the map.
+        spread: spread of the model's predictions, for risks that need it.
+        seed: seed of the sampled controls.
+        reverses: whether the gear can be commanded; backing out also requires a model that knows a gear.
+        watch: stopwatch of the stages.
 
     Attributes:
-        map_empty: whether the map held no ground within reach of the last plan.
-        failures: reasons of plans that failed.
+        map_empty: whether the map had no ground within reach of the last plan.
+        failures: reasons of failed plans.
 
     Raises:
-        PlanningError: no GPU kernels can step the model; or the risk needs a spread.
+        PlanningError: the GPU kernels do not support the model, or the risk needs a spread.
     """
 
     def __init__(
@@ -128,104 +128,110 @@ class PlanMaker:
         backs_out = reverses and "gear" in dynamics.vehicle.control_columns
         chosen = settings.backing_out
         self._backing_out = BackingOut(chosen if backs_out else replace(chosen, attempts=0))
-        self._along_ways: dict[int, Planned] = {}  # the last plans, by the numbers of their ways
-        self._way = 0  # that is taken
-        self._stuck_at = -np.inf  # position along the course, the last time
-        self._found_stuck: tuple[np.ndarray, Course] | None = None  # place and course, until there is a map of it
+        self._along_ways: dict[int, Planned] = {}  # last plans by the numbers of their ways
+        self._way = 0  # number of the chosen way
+        self._stuck_at = -np.inf  # last position along the course where the vehicle was stuck
+        self._found_stuck: tuple[np.ndarray, Course] | None = None  # place and course, until a map is available
         self.map_empty = False
         self.failures: list[str] = []
 
     def plan(
         self, now: float, layers: TerrainLayers, follower: Follower, rows: TrackRows, read: float, *, slow: bool
     ) -> Planned | None:
-        """A plan that acts once the latency has passed; None where stuck or on an empty map, or where none can be made.
+        """Make a plan that acts after the latency; None if stuck, on an empty map, or without finite costs.
 
         Args:
             now: time [s].
-            layers: of the map.
-            follower: whose plans are continued; the new one is not added to it.
-            rows: up to the last reading of the vehicle.
+            layers: map layers.
+            follower: source of the position on the course and of the committed controls; the plan is not added to it.
+            rows: rows up to the last reading of the vehicle.
             read: time of that reading [s].
             slow: whether the speed is limited.
         """
         settings, state = self._settings, rows.state[-1]
-        driven = not follower.stopping and follower.tracker.target > settings.standstill
-        behind = self._backing_out.away or follower.tracker.progress <= self._stuck_at
-        stretch = follower.tracker.stretch(at_most=settings.highest_speed(slow=slow), backed_out=behind)
-        if self._backing_out.update(now, state[:3], stretch, driven=driven):
-            self._stuck_at, self._found_stuck = follower.tracker.progress, (state[:2].copy(), stretch)
+        section = self._section(now, state, follower, slow=slow)
         if self.stuck:
             return None
-        near = reachable(layers, state, float(stretch.speed.max()), self._backing_out.gear, settings.margin)
+        near = reachable(layers, state, float(section.speed.max()), self._backing_out.gear, settings.margin)
         self.map_empty = not near.known.any()
         if self.map_empty:
             return None
         with self._watch.of("encode map"):
             area = coded_area(near, self._dynamics.encoder, self._ground)
         with self._watch.of("cost map"):
+            ways = ways_from(self._backing_out.course(section), state[:2])
             hazards = self._backing_out.hazards(settings.hazards)
-            ways = ways_from(self._backing_out.course(stretch), state[:2])
             costs = [cost_map(near, way.course, hazards) for way in ways]
-            if self._found_stuck is not None:
-                place, followed = self._found_stuck
-                in_full = cost_map(near, followed, settings.hazards)
-                self._backing_out.choose_side(place, followed, partial(_hazard, in_full))
-                self._found_stuck = None
+            self._choose_side(near)
         with self._watch.of("start"):
-            offset = torch.from_numpy(state[:2].copy())
-            given = follower.committed(read, now + settings.latency, rows)
-            committed = torch.as_tensor(given, dtype=torch.float32)
-            last = committed[-1] if len(committed) else torch.as_tensor(rows.control[-2], dtype=torch.float32)
-            model_state = model_state_of(self._dynamics, rows, area, self._wheels, offset, follower.engaged)
-            begin, engaged = model_state.state[0], follower.engaged  # until the plan acts
-            at = Situation(area.stack, costs[0], self._wheels, offset, begin, last, engaged, self._caution)
-            model_state = model_state_after(self._dynamics, model_state, committed, area, at)
-            at = replace(at, state=model_state.state[0], gear=self._backing_out.gear)
+            model_state, at = self._start(now, follower, rows, read, area, costs[0])
         with self._watch.of("plan"):
             starts = self._continued(now, follower, ways, at.gear)
             situations = [replace(at, costs=each) for each in costs]
             plans = [self._improved(now, *each, area, model_state) for each in zip(starts, situations, strict=True)]
-            if len(ways) == 1:
-                self._along_ways = {}
-                return plans[0]
-            self._along_ways = {way.number: plan for way, plan in zip(ways, plans, strict=True) if plan is not None}
-            return self._chosen()
+            return plans[0] if len(ways) == 1 else self._cheapest(ways, plans)
 
-    def _chosen(self) -> Planned | None:
-        """The cheapest plan; the way is kept where it costs no more than the temperature more, which is noise."""
-        margin = {self._way: self._settings.sampling.temperature}
+    def _section(self, now: float, state: Float[np.ndarray, " 6"], follower: Follower, *, slow: bool) -> Course:
+        """Return the section of the course around the vehicle, and detect whether the vehicle is stuck."""
+        settings, tracker = self._settings, follower.tracker
+        behind = self._backing_out.away or tracker.progress <= self._stuck_at
+        section = tracker.stretch(at_most=settings.highest_speed(slow=slow), backed_out=behind)
+        driven = not follower.stopping and tracker.target > settings.standstill
+        if self._backing_out.update(now, state[:3], section, driven=driven):
+            self._stuck_at, self._found_stuck = tracker.progress, (state[:2].copy(), section)
+        return section
+
+    def _choose_side(self, near: TerrainLayers) -> None:
+        """Choose the side of a newly found stuck place, on the map with full hazards."""
+        if self._found_stuck is not None:
+            place, followed = self._found_stuck
+            costs = cost_map(near, followed, self._settings.hazards)
+            self._backing_out.choose_side(place, followed, partial(_hazard, costs))
+            self._found_stuck = None
+
+    def _start(
+        self, now: float, follower: Follower, rows: TrackRows, read: float, area: Area, costs: CostMap
+    ) -> tuple[ModelState, Situation]:
+        """Predict through the committed controls to the start of the new plan."""
+        offset = torch.from_numpy(rows.state[-1, :2].copy())
+        given = follower.committed(read, now + self._settings.latency, rows)
+        committed = torch.as_tensor(given, dtype=torch.float32)
+        last = committed[-1] if len(committed) else torch.as_tensor(rows.control[-2], dtype=torch.float32)
+        engaged = follower.engaged  # until the plan acts
+        model_state = model_state_of(self._dynamics, rows, area, self._wheels, offset, engaged)
+        begin = model_state.state[0]
+        at = Situation(area.stack, costs, self._wheels, offset, begin, last, engaged, self._caution)
+        model_state = model_state_after(self._dynamics, model_state, committed, area, at)
+        return model_state, replace(at, state=model_state.state[0], gear=self._backing_out.gear)
+
+    def _cheapest(self, ways: Sequence[Way], plans: Sequence[Planned | None]) -> Planned | None:
+        """Return the cheapest plan; the last way is kept unless another is cheaper by more than the temperature."""
+        self._along_ways = {way.number: plan for way, plan in zip(ways, plans, strict=True) if plan is not None}
         if not self._along_ways:
             return None
+        margin = {self._way: self._settings.sampling.temperature}
         self._way = min(self._along_ways, key=lambda number: self._along_ways[number].cost - margin.get(number, 0.0))
         return self._along_ways[self._way]
 
     def _continued(
         self, now: float, follower: Follower, ways: Sequence[Way], gear: float
     ) -> list[Float[torch.Tensor, "T 3"]]:
-        """What each plan improves: the last one along the same way, where there are two, or else the last one."""
+        """Return the initial plan for each way: the last one along it, or else the last one."""
         rest = controls_of(torch.tensor(self._settings.sampling.rest or (0.0, 0.0))).numpy()
-        start, last = now + self._settings.latency, follower.schedule.continued
-        starts = [last(start, HORIZON_STEPS, rest, gear) for _ in ways]
+        start = now + self._settings.latency
+        starts = [follower.schedule.continued(start, HORIZON_STEPS, rest, gear) for _ in ways]
+        if len(ways) == 1:
+            self._along_ways = {}
         for number, way in enumerate(ways):
             own = self._along_ways.get(way.number)
-            if len(ways) > 1 and own is not None and own.plan.gear == gear and 0 <= now - own.plan.made < FRESH:
+            if own is not None and own.plan.gear == gear and 0 <= now - own.plan.made < FRESH:
                 starts[number] = continued(own.plan, start)
         return starts
-
-    def forget(self) -> None:
-        """Forget where the vehicle was stuck, and plans along ways: poses to come are in another frame."""
-        self._backing_out.forget()
-        self._along_ways, self._stuck_at, self._found_stuck = {}, -np.inf, None
-
-    @property
-    def stuck(self) -> bool:
-        """Whether backing out was given up: no plan is made."""
-        return self._backing_out.gave_up
 
     def _improved(
         self, now: float, before: Float[torch.Tensor, "T 3"], at: Situation, area: Area, model_state: ModelState
     ) -> Planned | None:
-        """A new plan and its prediction; None where none is finite."""
+        """Return a new plan and its prediction; None if it is not finite."""
         settings, model = self._settings, self._dynamics
         start = now + settings.latency
         try:
@@ -240,8 +246,18 @@ class PlanMaker:
         states = predicted(model, model_state, controls, area, at, settings.weights)
         return Planned(TimedPlan(start, now, controls, at.gear), Prediction(start, states), plan.cost)
 
+    def forget(self) -> None:
+        """Forget stuck places and plans along ways, as poses to come are in another frame."""
+        self._backing_out.forget()
+        self._along_ways, self._stuck_at, self._found_stuck = {}, -np.inf, None
+
+    @property
+    def stuck(self) -> bool:
+        """Whether backing out was given up, so that no plan is made."""
+        return self._backing_out.gave_up
+
 
 def _hazard(costs: CostMap, places: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, " P"]:
-    """Hazard at places in the world frame [1/s]."""
+    """Return the hazard at places in the world frame [1/s]."""
     values = costs.at(torch.from_numpy(places), torch.zeros(2, dtype=torch.float64))
     return np.asarray(values[:, costs.names.index("hazard")])

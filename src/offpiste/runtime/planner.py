@@ -1,21 +1,34 @@
-"""A trained run as a planner: its model and feature extractor."""
+"""A trained run as a planner, and its warm-up."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Final
 
+import numpy as np
+from jaxtyping import Float
+
+from offpiste.core.channels import registered_actuators
 from offpiste.core.checksums import sha256_of
-from offpiste.core.errors import RunError
-from offpiste.core.limits import parsed, read_small
+from offpiste.core.conventions import ACTUATORS, DT
+from offpiste.core.errors import PlanningError, RunError
 from offpiste.core.shipped import PCA, PREFIX
 from offpiste.dynamics import Dynamics
 from offpiste.logs.ground_truth import GROUND_PROPERTIES
+from offpiste.logs.measurements import Cloud, Image
 from offpiste.perception.feature_extractor import FeatureExtractor, load_feature_extractor
-from offpiste.training.checkpoint import WEIGHTS, load_json
-from offpiste.training.run import Run, load_run
+from offpiste.planning.course import Course
+from offpiste.runtime.estimator import VehicleReading
+from offpiste.runtime.perception import SensorSetup
+from offpiste.runtime.runtime import Runtime
+from offpiste.runtime.settings import RuntimeSettings
+from offpiste.training.checkpoint import WEIGHTS
+from offpiste.training.run import load_run
 from offpiste.uncertainty.fit import FILE, load_spread
 from offpiste.uncertainty.novelty import Novelty, load_memory_bank, mask_novel_ground
 from offpiste.uncertainty.spread import Spread
+
+WARM_UP: Final = 1.0
+"""Duration of the warm-up drive [s]."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +75,9 @@ def load_planner(
             how="give a run trained on commands of both",
         )
     ships, folder = str(folder).startswith(PREFIX), run.folder
-    planner = _without_features(run)
+    weights = sha256_of(folder / WEIGHTS)[:16]
+    spread = load_spread(run) if (folder / FILE).exists() else None
+    planner = Planner(run.model, folder, run.dynamics, weights=weights, seed=run.seed, spread=spread)
     if run.dynamics.encoder is None:
         if novelty == "missing":
             raise RunError("reads no features, so no ground is novel to it", where=folder, how="leave --novelty out")
@@ -70,52 +85,69 @@ def load_planner(
     if novelty == "missing":
         mask_novel_ground(run.dynamics, load_memory_bank(run))
         planner = replace(planner, novelty=novelty)
-    identity, features = (run.pca, run.features) if run.features else _of_dataset(folder)
-    if identity is None:
-        _refuse_unknown(features, folder)
+    if run.pca is None:
+        if run.features != GROUND_PROPERTIES:
+            raise RunError(
+                f"reads features that cameras do not provide: {', '.join(run.features[:4])} …",
+                where=folder,
+                how="give a run trained on visual features, on ground-truth ones, or on none",
+            )
         return replace(planner, name="ceiling")
     if pca is None and ships:
         pca = folder.parent / PCA
     if pca is None:
         raise RunError("reads visual features", where=folder, how="give --pca, the file its dataset was extracted with")
     extractor = load_feature_extractor(pca, device)
-    if extractor.identity != identity:
+    if extractor.identity != run.pca:
         raise RunError(
-            f"was trained with another PCA ({identity}) than {pca} ({extractor.identity})",
+            f"was trained with another PCA ({run.pca}) than {pca} ({extractor.identity})",
             where=folder,
             how="give the file that its dataset was extracted with",
         )
     return replace(planner, extractor=extractor)
 
 
-def _without_features(run: Run) -> Planner:
-    weights = sha256_of(run.folder / WEIGHTS)[:16]
-    spread = load_spread(run) if (run.folder / FILE).exists() else None
-    return Planner(run.model, run.folder, run.dynamics, weights=weights, seed=run.seed, spread=spread)
+def warm_up(
+    dynamics: Dynamics,
+    sensors: SensorSetup,
+    wheels: Float[np.ndarray, "4 2"],
+    settings: RuntimeSettings | None = None,
+    *,
+    spread: Spread | None = None,
+) -> None:
+    """Drive along a straight line over synthetic flat ground for a second, so that all kernels are compiled.
+
+    After an installation, the first plan would otherwise wait for the compiler for half a minute.
+
+    Args:
+        dynamics, sensors, wheels, settings, spread: arguments of the future `Runtime`.
+
+    Raises:
+        PlanningError: as `Runtime`, or no plan can be made with these settings.
+    """
+    speed, x = 2.0, np.arange(0.0, 60.0)
+    course = Course(np.stack((x, np.zeros_like(x)), axis=1), np.full(len(x), speed))
+    runtime = Runtime(dynamics, sensors, wheels, course, settings, spread=spread)
+    level, registered = np.array((0, 0, 0, 1.0)), {actuator.name: 0.0 for actuator in registered_actuators()}
+    for row in range(round(WARM_UP / DT)):
+        time = row * DT
+        place, velocity = np.array((speed * time, 0.0, 0.0)), np.array((speed, 0.0, 0.0))
+        runtime.vehicle(VehicleReading(time, place, level, velocity, 0.0, np.zeros(len(ACTUATORS)), registered))
+        if row % 10 == 1:  # there is no pose before the first row
+            _see_flat_ground(runtime, sensors, time)
+        runtime.step(time)
+    if not runtime.predictions:
+        why = runtime.failures[-1] if runtime.failures else runtime.events[-1].why
+        raise PlanningError(f"no plan was made on flat ground: {why}", how="change the settings of the run time")
 
 
-def _of_dataset(folder: Path) -> tuple[str | None, tuple[str, ...]]:
-    """Identity of the PCA and feature names of a run's dataset, for old runs that do not store them."""
-    about: dict[str, Any] = load_json(folder / "model.json")
-    if about.get("pca") is not None:
-        return str(about["pca"]), ()
-    dataset = Path(about.get("dataset", ""))
-    try:
-        attributes = parsed(read_small(dataset / "zarr.json"))["attributes"]
-        return attributes["pca"], tuple(attributes["features"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise RunError(
-            f"its dataset {dataset} is needed to tell which features it reads, and cannot be read",
-            where=folder,
-            how="put the dataset back where it was",
-        ) from error
-
-
-def _refuse_unknown(features: tuple[str, ...], folder: Path) -> None:
-    """Raise unless features without a PCA are the true properties of the ground."""
-    if features != GROUND_PROPERTIES:
-        raise RunError(
-            f"reads features that cameras do not provide: {', '.join(features[:4])} …",
-            where=folder,
-            how="give a run trained on visual features, on ground-truth ones, or on none",
-        )
+def _see_flat_ground(runtime: Runtime, sensors: SensorSetup, time: float) -> None:
+    """Add a grey image of each camera and a scan of flat ground from each LiDAR."""
+    for name, camera in sensors.cameras.items():
+        width, height = camera.rectifier.source.size
+        runtime.image(Image(time, name, np.full((height, width, 3), 128, np.uint8)))
+    side = np.arange(-20.0, 20.0, 0.25)
+    ground = np.stack([axis.ravel() for axis in (*np.meshgrid(side, side), np.zeros((len(side), len(side))))], axis=1)
+    for name, lidar in sensors.lidars.items():
+        points = (ground - lidar.body_from_lidar[:3, 3]) @ lidar.body_from_lidar[:3, :3]
+        runtime.scan(Cloud(time, name, points, np.zeros(len(points)), np.full(len(points), np.nan)))

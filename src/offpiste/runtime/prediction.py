@@ -1,7 +1,4 @@
-"""Predictions on the part of the map that a plan can reach.
-
-The kernel computes them where it knows the model; others are rolled out step by step.
-"""
+"""Predictions on the part of the map within reach, by the kernel or, for other models, step by step in torch."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -27,16 +24,16 @@ from offpiste.planning.rollouts import driving_costs
 from offpiste.runtime.estimator import TrackRows
 
 KnownGround = Callable[[Float[np.ndarray, "M 2"]], Float[np.ndarray, "M F"]]
-"""Features of the ground at places x, y [m]: a simulator's ground truth instead of features from cameras."""
+"""Function that returns ground-truth features at places x, y [m] in a simulator."""
 
 
 @dataclass(frozen=True)
 class Area:
-    """Map layers within reach of a plan, and the same as tensors.
+    """Map layers within reach of a plan, as arrays and as tensors.
 
     Attributes:
-        stack: with codes as features, where the model reads any.
-        codes: as `fused_costs` reads them.
+        stack: stack of one map, with codes as features.
+        codes: codes for `fused_costs`.
     """
 
     layers: TerrainLayers
@@ -45,12 +42,12 @@ class Area:
 
     @property
     def encode(self) -> Encode | None:
-        """How the codes of the stack are read; None where it holds none."""
+        """Encoder for reading the codes of the stack; None without codes."""
         missing = self.codes[1]
         return as_codes(missing) if len(missing) else None
 
     def terrain(self, offset: Float[Tensor, " 2"], wheels: Float[Tensor, "4 2"], count: int) -> MapTerrain:
-        """Terrain under the wheels of `count` states in the frame at `offset` [m]."""
+        """Return the terrain under the wheels of `count` states in the frame at `offset` [m]."""
         number = torch.zeros(count, dtype=torch.long)
         return MapTerrain(self.stack, number, offset.expand(count, 2), wheels, self.encode)
 
@@ -58,13 +55,13 @@ class Area:
 def reachable(
     layers: TerrainLayers, state: Float[np.ndarray, " 6"], target: float, gear: float, margin: float
 ) -> TerrainLayers:
-    """The part of the map that a plan can reach.
+    """Crop the map to the part that a plan can reach.
 
     Args:
-        state: x, y [m], yaw [rad], vx, vy [m/s], yaw rate [rad/s], in the world frame.
-        target: largest speed of the course ahead [m/s]; a faster vehicle reaches further.
-        gear: of the plan: 1 forward, -1 reverse.
-        margin: so much further on all sides [m].
+        state: state in the world frame (`conventions.STATE`).
+        target: maximum target speed of the course ahead [m/s].
+        gear: 1 forward, -1 reverse.
+        margin: additional margin on all sides [m].
     """
     half = 0.5 * max(float(np.hypot(*state[3:5])), target) * DT * HORIZON_STEPS
     heading = gear * np.array((np.cos(state[2]), np.sin(state[2])))
@@ -73,11 +70,11 @@ def reachable(
 
 
 def coded_area(layers: TerrainLayers, encoder: FeatureEncoder | None, ground: KnownGround | None = None) -> Area:
-    """Area of a map that holds codes.
+    """Return the area of a map of codes.
 
     Args:
-        encoder: of the model; None where it reads no features.
-        ground: ground-truth features, which are encoded instead of the map's codes.
+        encoder: feature encoder of the model; None if it reads no features.
+        ground: ground-truth features, encoded instead of the map's codes.
     """
     if encoder is None:
         bare = replace(layers, features=layers.features[..., :0])
@@ -110,7 +107,7 @@ class Prediction:
     state: Float[np.ndarray, "T 6"]
 
     def at(self, time: float) -> Float[np.ndarray, " 6"]:
-        """State at a moment [s], by the nearest step; the first before the plan begins, and the last after its end."""
+        """Return the state at the step nearest to a time [s], clamped to the plan."""
         step = round((time - self.time) / DT) - 1
         return self.state[min(max(step, 0), len(self.state) - 1)]
 
@@ -123,10 +120,10 @@ def model_state_of(
     offset: Float[Tensor, " 2"],
     gear: float = 1.0,
 ) -> ModelState:
-    """Model state at the vehicle's latest row, in the frame at `offset`, warmed up on the rows before it.
+    """Return the model state at the latest row in the frame at `offset`, warmed up on the rows before.
 
     Args:
-        gear: engaged in rows before the first command.
+        gear: gear of rows before the first command.
     """
     shift = np.concatenate((offset.numpy(), np.zeros(4)))
     state = torch.as_tensor(rows.state - shift, dtype=torch.float32)
@@ -144,21 +141,17 @@ def model_state_of(
 def model_state_after(
     model: Dynamics, model_state: ModelState, controls: Float[Tensor, "L 3"], area: Area, at: Situation
 ) -> ModelState:
-    """Model state after the committed controls, where a new plan begins to act.
-
-    Args:
-        at: its gear is the one that they are driven in; its state and control are not read.
-    """
+    """Return the model state after the committed controls; `at.gear` is their gear."""
     if len(controls) and _by_kernel(model, model_state):
         return kernel_model_state(model, model_state, controls, at, area.codes)
-    ground = area.terrain(at.offset, at.wheels, 1)  # where the vehicle is, also of models that hold codes in plans
+    ground = area.terrain(at.offset, at.wheels, 1)
     for after in _stepped(model, model_state, controls, ground, at):
         model_state = after
     return model_state
 
 
 def costs_from(model: Dynamics, model_state: ModelState, area: Area, at: Situation, weights: CostWeights) -> CostOf:
-    """Costs of control sequences from a model state."""
+    """Return a function that computes the costs of control sequences from a model state."""
     if _by_kernel(model, model_state):
         return fused_costs(model, model_state, at, weights, area.codes)
     return driving_costs(model, model_state, at, weights, area.encode)
@@ -172,7 +165,7 @@ def predicted(
     at: Situation,
     weights: CostWeights,
 ) -> Float[np.ndarray, "T 6"]:
-    """Predicted states of a plan, in the world frame."""
+    """Predict the states of a plan in the world frame."""
     if _by_kernel(model, model_state):
         rolled = fused_rollout(model, model_state, controls[None], at, weights, area.codes)[1][0]
     else:
@@ -186,7 +179,7 @@ def predicted(
 def _stepped(
     model: Dynamics, model_state: ModelState, controls: Float[Tensor, "T 3"], ground: TerrainSource, at: Situation
 ) -> Iterator[ModelState]:
-    """Model state after each step."""
+    """Yield the model state after each step."""
     step = model.stepper()
     for t, given in enumerate(complete(model.vehicle, controls, at.gear)):
         model_state = step(model_state, given[None], ground.at(t, model_state.state))

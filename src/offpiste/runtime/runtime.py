@@ -1,7 +1,7 @@
-"""The paper's on-line pipeline as one object: sensor messages in, controls out.
+"""The paper's on-line pipeline: sensor messages in, controls out.
 
-Images -> backbone -> PCA -> encoder -> projection on scans -> map -> MPPI. Time comes from stamps only: the same
-messages give the same controls, however long they take to compute. A plan made from data at t acts from t + latency;
+Images -> backbone -> PCA -> encoder -> projection on scans -> map -> MPPI. Time is taken from stamps only: the same
+messages give the same controls, however long the computation takes. A plan made from data at t acts from t + latency;
 it starts from the state that the model predicts through the controls committed until then.
 """
 
@@ -16,8 +16,7 @@ from offpiste.core.errors import PlanningError
 from offpiste.dynamics.base import Dynamics
 from offpiste.logs.measurements import Cloud, Image
 from offpiste.native.compilation import single_threaded_torch
-from offpiste.planning.course import Course
-from offpiste.runtime.course_tracker import CourseTracker
+from offpiste.planning.course import Course, CourseTracker
 from offpiste.runtime.estimator import Intake, VehicleReading, VehicleTrack
 from offpiste.runtime.follower import Applied, Follower
 from offpiste.runtime.modes import Controls, Event, ModeDecision
@@ -29,23 +28,23 @@ from offpiste.uncertainty.spread import Spread
 
 
 class Runtime:
-    """Drives a vehicle along a course, from messages of its sensors.
+    """Drives a vehicle along a course.
 
     Args:
-        dynamics: model that plans are made with; it is set to evaluation mode, without gradients.
+        dynamics: model for planning; it is set to evaluation mode, without gradients.
         wheels: positions in the body frame, from the pose point [m].
         ground: ground-truth features, used instead of features from cameras.
         seed: seed of the sampled controls.
-        spread: of the model's predictions, for risks that need one.
-        reverses: as of `PlanMaker`.
+        spread: spread of the model's predictions, for risks that need it.
+        reverses: whether the gear can be commanded.
 
     Attributes:
         follower: plans and modes.
         watch: wall-clock times of the stages.
 
     Raises:
-        PlanningError: the model reads features, and nothing extracts them; no GPU kernels can step it; or the
-            risk needs a spread.
+        PlanningError: the model reads features without an extractor, the GPU kernels do not support it, or the risk
+            needs a spread.
     """
 
     def __init__(
@@ -92,25 +91,25 @@ class Runtime:
 
     @property
     def failures(self) -> list[str]:
-        """Reasons of plans that failed."""
+        """Reasons of failed plans."""
         return self._maker.failures
 
     @property
     def predictions(self) -> list[Prediction]:
-        """Predicted trajectories of the last plans, oldest first."""
+        """Predictions of the last plans, oldest first."""
         return list(self._predictions)
 
     def prediction_at(self, time: float) -> Prediction | None:
-        """Prediction of the plan that acts at a moment [s]; None before the first."""
+        """Return the prediction of the plan that acts at a time [s]; None before the first plan."""
         return next((p for p in reversed(self._predictions) if p.time <= time + 1e-6), None)
 
     @property
     def dropped(self) -> dict[str, int]:
-        """Number of messages that were dropped, by reason."""
+        """Number of dropped messages by reason."""
         return dict(self._mapper.dropped)
 
     def vehicle(self, reading: VehicleReading) -> None:
-        """Add a reading of the vehicle; one that cannot be used is dropped and counted (`dropped`)."""
+        """Add a reading of the vehicle; unusable readings are dropped and counted (`dropped`)."""
         taken = self._intake.vehicle(reading)
         if taken == "jumped":
             self._mapper.restart()
@@ -131,34 +130,48 @@ class Runtime:
             self._mapper.scan(scan)
 
     def forget_map(self) -> None:
-        """Begin an empty map."""
+        """Clear the map."""
         self._mapper.restart()
 
     @torch.no_grad()
-    def command(self, now: float, applied: Applied | None = None, held: str = "") -> Controls:
-        """Controls for the next `conventions.DT`, to be called that often.
+    def step(self, now: float, applied: Applied | None = None, held: str = "") -> Controls:
+        """Return the controls for the next `conventions.DT`, making a plan if one is due; call it at that interval.
 
         If the clock goes back, poses, map and plans are forgotten, and the vehicle may be anywhere on its course.
 
         Args:
             now: time [s].
-            applied: as of `Follower.follow`.
-            held: why the vehicle is to be stopped, whatever its inputs say; plans are made on.
+            applied: see `Follower.follow`.
+            held: reason to stop the vehicle whatever its inputs say, while planning continues; empty for none.
         """
         if now < self._intake.now < np.inf:
             self._restart()
             self.events.append(Event(now, "stopping", "the clock went back"))
         self._intake.now = now
-        decision = self._current_mode(now)
+        decision = self._mode(now)
         if now >= self._plan_due - 1e-6:
             self._plan_due = now + 1 / self._settings.plan_rate
             if decision.mode != "stopping" or decision.why in ("no plan", "empty map", "stuck"):
-                with single_threaded_torch():
-                    self._plan(now, decision)
-                decision = self._current_mode(now)
+                self._plan(now, decision)
+                decision = self._mode(now)
         if held and decision.mode != "stopping":
             decision = ModeDecision("stopping", held)
         return self.follower.follow(now, decision, applied)
+
+    def _plan(self, now: float, decision: ModeDecision) -> None:
+        """Plan on the current map; if that fails, the last plan remains."""
+        latest = self._track.latest
+        assert latest is not None
+        with single_threaded_torch():
+            layers, rows = self._mapper.layers(), self._track.rows(latest.time)
+            planned = self._maker.plan(now, layers, self.follower, rows, latest.time, slow=decision.slow)
+        if planned is not None:
+            self.follower.schedule.add(planned.plan)
+            self._predictions.append(planned.prediction)
+
+    def _mode(self, now: float) -> ModeDecision:
+        state = replace(self._mapper.state, empty=self._maker.map_empty, stuck=self._maker.stuck)
+        return self.follower.mode(now, state)
 
     def _restart(self) -> None:
         self._track.clear()
@@ -166,18 +179,3 @@ class Runtime:
         self._mapper.restart()
         self._maker.forget()
         self._plan_due = -np.inf
-
-    def _current_mode(self, now: float) -> ModeDecision:
-        return self.follower.mode(
-            now, replace(self._mapper.state, empty=self._maker.map_empty, stuck=self._maker.stuck)
-        )
-
-    def _plan(self, now: float, decision: ModeDecision) -> None:
-        """Plan on the current map; if planning fails, the last plan stays."""
-        latest = self._track.latest
-        assert latest is not None
-        layers, rows = self._mapper.layers(), self._track.rows(latest.time)
-        planned = self._maker.plan(now, layers, self.follower, rows, latest.time, slow=decision.slow)
-        if planned is not None:
-            self.follower.schedule.add(planned.plan)
-            self._predictions.append(planned.prediction)

@@ -1,4 +1,4 @@
-"""One plan on a recorded scene: the map and the vehicle's past as they were known at a moment of a log."""
+"""Planning on a recorded scene: the map and the vehicle's past at a time of a log."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,8 +18,7 @@ from offpiste.mapping.replay import MapperSettings, pinhole_cameras, replay
 from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.planning import mppi
 from offpiste.planning.controls import PEDAL_LIMITS, controls_of, pedals_of, with_pedal
-from offpiste.planning.cost_map import cost_map
-from offpiste.planning.costs.layers import Hazards
+from offpiste.planning.costs.layers import Hazards, cost_map
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.course import Course, Goal
 from offpiste.planning.driving_cost import Situation
@@ -32,11 +31,11 @@ from offpiste.runtime.prediction import coded_area, costs_from, model_state_of, 
 
 @dataclass(frozen=True)
 class Scene:
-    """The map and the vehicle's last rows at a moment.
+    """The map and the vehicle's last rows at one time.
 
     Attributes:
         time: stamp of the last row [s].
-        layers: map layers, with the planner's codes of the ground as features.
+        layers: map layers, with the codes of the planner as features.
         rows: states, actuators and controls of the vehicle up to `time`.
         wheels: positions in the body frame, from the pose point [m].
     """
@@ -52,7 +51,7 @@ class Scene:
         return np.asarray(self.rows.state[-1])
 
     def ahead(self, forward: float, left: float = 0.0) -> Float[np.ndarray, " 2"]:
-        """Position x, y in the world frame of a point given in the body frame [m]."""
+        """Convert a point in the body frame to x, y in the world frame [m]."""
         x, y, yaw = self.state[:3]
         cos, sin = np.cos(yaw), np.sin(yaw)
         return np.array((x + cos * forward - sin * left, y + sin * forward + cos * left))
@@ -63,7 +62,7 @@ class DrivingPlan:
     """A plan and its predicted trajectory.
 
     Attributes:
-        controls: throttle, brake and steer of each step of `conventions.DT`.
+        controls: throttle, brake and steer at steps of `conventions.DT`.
         states: predicted state after each step (`conventions.STATE`), in the world frame.
         cost: predicted cost of the plan.
         cost_before: predicted cost of the initial controls.
@@ -76,17 +75,17 @@ class DrivingPlan:
 
 
 def read_scene(log: Log, rig: Rig, planner: Planner, seconds: float, settings: MapperSettings | None = None) -> Scene:
-    """Replay a log up to a moment, as on the vehicle, and return the scene that a planner has then.
+    """Replay a log up to a time, as on the vehicle, and return the scene known then.
 
-    The vehicle's rows end with the first one after the last measurement in the map, so that the map holds nothing from
-    later. Delays and clock alignments of the rig are known from the whole log.
+    The rows end with the first one after the last measurement in the map, so that the map contains nothing later.
+    Delays and clock alignments of the rig are known from the whole log.
 
     Args:
         seconds: time since the first pose.
 
     Raises:
         LogError: there is no scan, or no complete history of the vehicle, at that time.
-        PlanningError: the planner reads features that no camera gives.
+        PlanningError: the planner reads the simulator's ground properties.
     """
     model, extractor = planner.dynamics.requires_grad_(False), planner.extractor
     if planner.knows_ground:
@@ -121,10 +120,10 @@ def read_scene(log: Log, rig: Rig, planner: Planner, seconds: float, settings: M
 
 
 def track_of(rows: Rows, controls: Sequence[str], t: int) -> TrackRows:
-    """Rows t-10 ... t of a drive as a planner knows them: causal estimates, in the world frame.
+    """Return rows t-10 ... t of a drive as causal estimates in the world frame.
 
     Args:
-        controls: columns of the rows' controls; without a gear the vehicle drives forward.
+        controls: names of the control columns; without "gear" the vehicle drives forward.
     """
     last = slice(t - HISTORY_STEPS, t + 1)
     state, control = rows.state_causal[last].astype(float), rows.control_causal[last]
@@ -145,13 +144,13 @@ def plan(
     before: Float[Tensor, "T 3"] | int = 150,
     seed: int = 0,
 ) -> DrivingPlan:
-    """Plan controls along a course or to a goal by MPPI, from a scene; the vehicle drives forward.
+    """Plan controls along a course or to a goal by MPPI; the vehicle drives forward.
 
     Args:
         course: in the world frame.
-        sampling: of pedal and steering; by default five rounds of 512 samples.
-        before: controls to improve; a number of steps begins with doing nothing.
-        seed: of the sampled controls.
+        sampling: settings of MPPI for pedal and steer; by default five iterations of 512 samples.
+        before: initial controls, or the number of steps, initialised with zeros.
+        seed: seed of the sampled controls.
 
     Raises:
         NoPlan: no sample has a finite cost.

@@ -1,4 +1,4 @@
-"""Settings of the run time: rate and latency of plans, how they are sampled, and what counts as stopped or arrived."""
+"""Settings of the run time."""
 
 from dataclasses import dataclass, field, replace
 
@@ -22,24 +22,24 @@ class RuntimeSettings:
 
     Attributes:
         plan_rate: plans per second [Hz].
-        latency: from the data of a plan to its first control [s]; a multiple of `conventions.DT`.
-        sampling: of pedal and steering (`planning.controls`).
-        weights, hazards: of the planner's costs.
-        risk: what counts in the costs beside the prediction itself (`planning.caution`).
-        replay: how images and scans enter the map, as in the model's dataset.
-        timeouts: how old inputs may be before the mode changes.
-        backing_out: of a vehicle that does not move although it is driven, for models that know a gear.
-        speed: no plan aims at a higher one [m/s]; None for no limit.
-        slow: the same while scans are late [m/s].
+        latency: time from the data of a plan to its first control [s]; a multiple of `conventions.DT`.
+        sampling: settings of MPPI for pedal and steer.
+        weights, hazards: costs of planning.
+        risk: treatment of the spread of predictions in the costs (`planning.caution`).
+        replay: settings of the map, as in the model's dataset.
+        timeouts: ages of inputs at which the mode changes.
+        backing_out: manoeuvres of stuck vehicles, for models with a gear.
+        speed: speed limit of plans [m/s]; None for no limit.
+        slow: speed limit while scans are late [m/s].
         stop: brake of a controlled stop [0..1].
-        forget: plans that began to act longer ago than this are not continued [s].
-        gear: that is engaged at the start; 1 forward, -1 reverse.
-        standstill: the vehicle is at a standstill below this speed [m/s].
-        arrived: distance from its end at which the course counts as driven [m].
-        margin: the map is read this far beyond what a plan can reach [m].
-        remember: how long predictions are kept, at 120 kB a second [s].
-        device: that codes are computed, and plans are sampled and rolled out on: "cpu", or "cuda" (extra `cuda`). The
-            feature extractor is where it was loaded.
+        forget: age since its start from which a plan is no longer continued [s].
+        gear: gear engaged at the start; 1 forward, -1 reverse.
+        standstill: speed below which the vehicle counts as standing [m/s].
+        arrived: distance from its end at which the course is finished [m].
+        margin: margin around the part of the map that a plan can reach [m].
+        remember: duration for which predictions are kept, at 120 kB/s [s].
+        device: device of encoder and planning, "cpu" or "cuda" (extra `cuda`); the feature extractor stays where it
+            was loaded.
 
     Raises:
         PlanningError: rate and latency do not fit the steps of the controls.
@@ -86,16 +86,16 @@ class RuntimeSettings:
             raise PlanningError(f"{self.plan_rate:g} plans a second", how=how)
 
     def highest_speed(self, *, slow: bool) -> float:
-        """Speed that plans aim at, at most [m/s]."""
+        """Return the speed limit of plans [m/s]."""
         limit = np.inf if self.speed is None else self.speed
         return min(limit, self.slow) if slow else limit
 
 
 def keeping_to(settings: RuntimeSettings, limits: CommandLimits) -> RuntimeSettings:
-    """Settings whose plans keep to the limits of what is sent, so that what is planned is what will be driven.
+    """Return settings whose plans respect the limits of commands.
 
-    The pedal's rate is held to that of the brake: a throttle that rises more slowly than planned makes the vehicle
-    later, a brake that does would not stop it in time.
+    The rate of the pedal is limited to that of the brake: a throttle slower than planned only delays the vehicle, but
+    a brake slower than planned does not stop it in time.
     """
     planned = settings.sampling.limits
     pedal, steer = planned.rate or (np.inf, np.inf)

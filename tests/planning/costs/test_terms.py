@@ -1,4 +1,4 @@
-"""Cost terms worked out by hand."""
+"""Cost terms by hand."""
 
 import math
 
@@ -21,10 +21,10 @@ def test_path_and_controls():
     assert terms.jerk_term(0.3, 0.1, 0.02, 0.5) == pytest.approx(0.5 * 10**2)
 
 
-def test_errors_lead_away_from_the_course_across_it():
+def test_the_margin_is_that_across_the_course():
     along, across = 2.0, 0.5
     for yaw, away in (((1.0, 0.0), 0.5), ((0.0, 1.0), 2.0), ((-1.0, 0.0), 0.5), ((0.6, 0.8), 0.8 * 2 + 0.6 * 0.5)):
-        assert terms.stray_from_course(*yaw, 1.0, 0.0, along, across, max) == pytest.approx(away)
+        assert terms.position_margin(*yaw, 1.0, 0.0, along, across, max) == pytest.approx(away)
 
 
 def test_speed_is_that_along_the_course():

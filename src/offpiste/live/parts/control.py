@@ -20,8 +20,8 @@ from offpiste.live.reception import Pressed, read_switch
 from offpiste.live.session import Session
 from offpiste.live.steady_ages import SteadyAges
 from offpiste.logs.ros.writer import header, make
+from offpiste.planning.course import CourseTracker
 from offpiste.rig.rig import load_rig
-from offpiste.runtime.course_tracker import CourseTracker
 from offpiste.runtime.estimator import Given
 from offpiste.runtime.follower import Follower, MapState
 from offpiste.runtime.modes import Controls, ModeDecision

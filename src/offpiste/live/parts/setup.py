@@ -11,13 +11,12 @@ from offpiste.live.packing import course_from, sensors_from, unpacked
 from offpiste.live.part import Part
 from offpiste.logs.measurements import Camera, Lidar
 from offpiste.perception.camera import make_pinhole_camera
+from offpiste.planning.course import CourseTracker
 from offpiste.rig.camera import CameraModel
 from offpiste.rig.rig import load_rig
 from offpiste.rig.sensors import OPTICAL, CameraSource
-from offpiste.runtime.course_tracker import CourseTracker
 from offpiste.runtime.perception import SensorSetup
-from offpiste.runtime.planner import Planner
-from offpiste.runtime.warm_up import warm_up
+from offpiste.runtime.planner import Planner, warm_up
 
 LOADING: Final = "loads its kernels"
 """State of a process while it gives no further sign of life."""

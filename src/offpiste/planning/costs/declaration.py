@@ -1,10 +1,10 @@
-"""How a cost term is declared: once, for the eager planner (torch) and for the fused kernel (Numba) alike.
+"""Declaration of cost terms, for the eager planner (torch) and the fused kernel (Numba).
 
-A term is a function of plain scalars that gives a cost per second at one moment. What it reads it names as its
-arguments: base quantities (`MOTION`, `CONTROL`, `CONSTANTS`), derived quantities (`quantity`), layers of the cost map
-(`costs.layers`), elementary functions (`ELEMENTARY`), its `weight`, and parameters. Torch calls the function with
-tensors of any shape; Numba compiles it into the kernel. Hence arithmetic only, and no float literals, which would turn
-float32 lanes into float64. What is not finite makes the cost not finite, and the trajectory infinitely expensive.
+A term is a function of scalars that returns a cost per second. Its arguments name its inputs: base quantities
+(`MOTION`, `CONTROL`, `CONSTANTS`), derived quantities (`quantity`), layers of the cost map (`costs.layers`), elementary
+functions (`ELEMENTARY`), its `weight`, and parameters. Torch calls the function with tensors; Numba compiles it into
+the kernel. Hence it uses arithmetic only, and no float literals, which would turn float32 lanes into float64.
+Non-finite inputs must give a non-finite cost, which excludes the trajectory.
 """
 
 import inspect
@@ -21,7 +21,7 @@ Scalar = Any
 """A number or a tensor of any shape."""
 
 Number = float | tuple[float, ...]
-"""A weight; of a term of the controls one for each of `conventions.CONTROL`."""
+"""A number, or one for each of `conventions.CONTROL`."""
 
 Function = Callable[..., Scalar]
 
@@ -33,32 +33,32 @@ MOTION: Final = {
     "vy_before": "velocity to the left before the step [m/s]",
     "cos_yaw": "cosine of the heading",
     "sin_yaw": "sine of the heading",
-    "stray_along": "how far errors of position reach along the heading, as the risk counts them [m]",
-    "stray_across": "the same, across the heading [m]",
+    "margin_along": "margin for position errors along the heading, by the risk setting [m]",
+    "margin_across": "margin for position errors across the heading [m]",
     "world_normal_x": "mean of the surface normals under the wheels, world frame",
     "world_normal_y": "the same, y",
     "world_normal_z": "the same, z",
-    "throttle": "as commanded during the step [0..1]",
-    "brake": "as commanded during the step [0..1]",
-    "steer": "as commanded during the step [-1..1, + left]",
+    "throttle": "command during the step [0..1]",
+    "brake": "command during the step [0..1]",
+    "steer": "command during the step [-1..1, + left]",
 }
 """Base quantities of the vehicle's motion."""
 
 CONTROL: Final = {
-    "control": "one of throttle, brake, steer as commanded during the step",
-    "control_before": "the same, during the step before",
+    "control": "command of throttle, brake or steer during the step",
+    "control_before": "command during the step before",
 }
-"""Base quantities of terms that are evaluated for each control and summed."""
+"""Base quantities of terms evaluated for each control and summed."""
 
-CONSTANTS: Final = {"dt": "a step [s]", "gravity": "standard gravity [m/s^2]"}
+CONSTANTS: Final = {"dt": "duration of a step [s]", "gravity": "standard gravity [m/s^2]"}
 
 ELEMENTARY: Final = ("maximum", "sin", "cos", "tanh", "atan")
-"""Elementary functions; torch's or the kernel's are passed in."""
+"""Elementary functions, passed in by torch or the kernel."""
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """A number beside the weight that a term, or a quantity it reads, depends on."""
+    """A parameter of a term or of a quantity that it reads."""
 
     default: Number
     unit: str
@@ -69,9 +69,9 @@ class CostTerm:
     """A term of the cost of driving.
 
     Attributes:
-        function: from the scalars that it names to a cost per second [1/s].
+        function: function that returns a cost per second [1/s].
         weight: default and unit; None for a function without an argument `weight`.
-        parameters: others, by name.
+        parameters: parameters by name.
     """
 
     name: str
@@ -81,7 +81,7 @@ class CostTerm:
 
     @property
     def numbers(self) -> dict[str, Parameter]:
-        """Weight and parameters by the names that they have in `CostWeights`."""
+        """Weight and parameters by their names in `CostWeights`."""
         own = {} if self.weight is None else {self.name: self.weight}
         return own | dict(self.parameters)
 
@@ -94,7 +94,7 @@ class CostTerm:
 COST_TERMS: Final[Registry[CostTerm]] = Registry("cost term", package="offpiste.planning.costs", error=PlanningError)
 
 QUANTITIES: Final[Registry[Function]] = Registry("quantity", package="offpiste.planning.costs", error=PlanningError)
-"""Derived quantities: functions of other quantities, named after what they give."""
+"""Derived quantities: functions of other quantities, by name."""
 
 
 def cost_term(
@@ -103,14 +103,14 @@ def cost_term(
     """Declare a cost term.
 
     Args:
-        name: of the term, and of its weight in `CostWeights`.
-        unit: of the weight, such that the term is a cost per second.
+        name: name of the term, and of its weight in `CostWeights`.
+        unit: unit of the weight, such that the term is a cost per second.
         weight: default; one for each of `conventions.CONTROL` for a term that reads `control`. None for a function
             without an argument `weight`.
-        parameters: other numbers of `CostWeights` that the function, or a quantity that it reads, names.
+        parameters: further numbers of `CostWeights` read by the function or its quantities.
 
     Raises:
-        PlanningError: the function reads controls and motion, or its name or that of a parameter is taken.
+        PlanningError: the function reads both single controls and motion, or a name is taken.
     """
 
     def declare(function: Function) -> Function:
@@ -123,12 +123,12 @@ def cost_term(
 
 
 def quantity(function: Function) -> Function:
-    """Declare a derived quantity, a function of other quantities that terms read by its name."""
+    """Declare a derived quantity, which terms read by its name."""
     return QUANTITIES.register(function.__name__)(function)
 
 
 def cost_terms() -> dict[str, CostTerm]:
-    """All terms by name: those that ship first, of motion before those of controls; then others by name."""
+    """Return all terms by name: those of offpiste first, of motion before those of controls; then others by name."""
 
     def place(entry: tuple[str, CostTerm]) -> tuple[bool, bool, str]:
         name, term = entry
@@ -140,15 +140,15 @@ def cost_terms() -> dict[str, CostTerm]:
 
 @cache
 def arguments(function: Function) -> tuple[str, ...]:
-    """What a function reads, by name."""
+    """Return the names of the inputs of a function."""
     return tuple(inspect.signature(function).parameters)
 
 
 def evaluate(function: Function, given: dict[str, Scalar]) -> Scalar:
-    """Call a function with what it reads; derived quantities are added to `given` when they are first read.
+    """Call a function with its inputs; derived quantities are added to `given` when first read.
 
     Raises:
-        PlanningError: nothing provides what the function reads.
+        PlanningError: nothing provides an input.
     """
     for name in arguments(function):
         if name not in given:
@@ -157,13 +157,13 @@ def evaluate(function: Function, given: dict[str, Scalar]) -> Scalar:
 
 
 def reading_order(functions: Iterable[Function], given: Iterable[str]) -> tuple[str, ...]:
-    """Names that functions read, each behind those that it is derived from.
+    """Return the names of all inputs of functions, in the order of their derivation.
 
     Args:
         given: names that are not derived.
 
     Raises:
-        PlanningError: nothing provides what a function reads.
+        PlanningError: nothing provides an input.
     """
     known, ordered = set(given), dict[str, None]()
 
@@ -190,7 +190,7 @@ def _quantity(name: str, reader: Function, given: Iterable[str]) -> Function:
 
 
 def check_term(term: CostTerm) -> None:
-    """Refuse a declaration that contradicts itself.
+    """Raise for an inconsistent declaration.
 
     Raises:
         PlanningError: see `cost_term`.

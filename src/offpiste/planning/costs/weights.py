@@ -1,4 +1,4 @@
-"""Weights and parameters of the cost terms, by name, as the terms declare them."""
+"""Weights and parameters of the cost terms by name."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -9,12 +9,12 @@ from offpiste.planning.costs.declaration import Number, Parameter, cost_terms
 
 @dataclass(frozen=True, init=False, repr=False, eq=False)
 class CostWeights:
-    """How much each cost term counts: `CostWeights(path=5.0, lateral_limit=0.6).path`.
+    """Weights and parameters of the cost terms: `CostWeights(path=5.0, lateral_limit=0.6).path`.
 
-    A number that is not given keeps the default of the term that declares it.
+    Omitted numbers keep their defaults.
 
     Raises:
-        PlanningError: no term declares a number of that name, or it has another shape.
+        PlanningError: unknown name, or another shape.
     """
 
     changed: dict[str, Number]
@@ -30,7 +30,7 @@ class CostWeights:
         object.__setattr__(self, "changed", changed)
 
     def __getattr__(self, name: str) -> Any:
-        """The number of that name."""
+        """Return a weight or parameter."""
         if name.startswith("__") or name == "changed":  # copies and pickles ask before there is anything
             raise AttributeError(name)
         values = self.values()
@@ -39,20 +39,20 @@ class CostWeights:
         return values[name]
 
     def __eq__(self, other: object) -> bool:
-        """Whether all numbers are the same, given or not."""
+        """Whether all numbers are equal, including defaults."""
         return isinstance(other, CostWeights) and self.values() == other.values()
 
     def __repr__(self) -> str:
-        """Only what differs from the defaults."""
+        """Show the changed numbers."""
         return f"CostWeights({', '.join(f'{name}={value}' for name, value in self.changed.items())})"
 
     def values(self) -> dict[str, Number]:
-        """All numbers by name."""
+        """Return all numbers by name."""
         return {name: number.default for name, number in declared_numbers().items()} | self.changed
 
 
 def declared_numbers() -> dict[str, Parameter]:
-    """Weights and parameters of all cost terms, by name.
+    """Return weights and parameters of all cost terms by name.
 
     Raises:
         PlanningError: two terms declare the same name.
@@ -61,7 +61,7 @@ def declared_numbers() -> dict[str, Parameter]:
     for term in cost_terms().values():
         for name, number in term.numbers.items():
             if name in numbers:
-                raise PlanningError(f"two cost terms declare a number '{name}'", how="rename the one of yours")
+                raise PlanningError(f"two cost terms declare a number '{name}'", how="rename yours")
             numbers[name] = number
     return numbers
 

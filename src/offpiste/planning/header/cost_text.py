@@ -28,11 +28,11 @@ PLACES: Final = {
     "vx": "state[3]", "vy": "state[4]", "yaw_rate": "state[5]", "vx_before": "v->vx_before",
     "vy_before": "v->vy_before", "cos_yaw": "v->cos_yaw", "sin_yaw": "v->sin_yaw", "world_normal_x": "normal[0]",
     "world_normal_y": "normal[1]", "world_normal_z": "normal[2]", "throttle": "v->control[0]",
-    "brake": "v->control[1]", "steer": "v->control[2]", "stray_along": "v->stray[0]", "stray_across": "v->stray[1]",
+    "brake": "v->control[1]", "steer": "v->control[2]", "margin_along": "v->stray[0]", "margin_across": "v->stray[1]",
 }  # fmt: skip
 """Where `offpiste_motion_cost` finds each of `declaration.MOTION`."""
 
-AS_PREDICTED: Final = {"stray_along": "0.0f", "stray_across": "0.0f"}
+AS_PREDICTED: Final = {"margin_along": "0.0f", "margin_across": "0.0f"}
 """The same without caution."""
 
 INFINITE: Final = "3.4e38f * 10.0f"

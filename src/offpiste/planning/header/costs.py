@@ -16,8 +16,8 @@ from offpiste.dynamics.kernels.layout import COMMANDS
 from offpiste.mapping.terrain_sampler import MapStack
 from offpiste.native.cuda_kernels import Kernels
 from offpiste.planning.caution import Caution
-from offpiste.planning.cost_map import CostMap
 from offpiste.planning.costs.declaration import CONSTANTS, cost_terms
+from offpiste.planning.costs.layers import CostMap
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.driving_cost import Situation
 from offpiste.planning.kernel import Codes
