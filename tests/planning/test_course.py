@@ -47,6 +47,7 @@ def test_a_goal_is_straight_ahead_from_everywhere():
 
 COURSES = """
 import numpy as np
+from offpiste.core.errors import PlanningError
 from offpiste.planning.course import Course
 
 for change in ({"speed": np.array([3.0, np.nan, 3.0])}, {"speed": np.ones(5)}, {"alternative": np.zeros((2, 2))},
