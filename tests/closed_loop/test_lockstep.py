@@ -34,35 +34,27 @@ def commanded(seconds, mode="driving", why="", progress=lambda t: 0.0, gear=1.0)
     return controller
 
 
-def test_a_vehicle_without_progress_for_12_s_is_stuck():
-    assert not commanded(11.9).stuck
-    assert commanded(12.1).stuck
-
-
-def test_progress_is_more_than_a_metre():
-    assert commanded(20.0, progress=lambda t: 0.04 * t).stuck, "0.8 m in 20 s"
-    assert not commanded(20.0, progress=lambda t: 0.2 * t).stuck
-    assert not commanded(19.0, progress=lambda t: 2.0 * (t > 7.5)).stuck
-    assert commanded(19.8, progress=lambda t: 2.0 * (t > 7.5)).stuck
-
-
-def test_a_vehicle_that_waits_is_not_stuck():
-    waits = commanded(20.0, mode="stopped", why="no scan")
-    assert not waits.stuck
-    assert not waits.arrived
-    assert commanded(20.0, mode="stopping", why="no scan").stuck, "it should be at a standstill by then"
-
-
-def test_a_vehicle_that_backs_out_is_not_stuck_and_one_that_gave_up_is():
-    assert not commanded(20.0, gear=-1.0).stuck
-    assert commanded(0.1, mode="stopped", why="stuck").stuck
-    assert not commanded(0.1, mode="stopping", why="stuck").stuck
-
-
-def test_a_vehicle_stopped_at_the_end_has_arrived():
-    end = "end of the course"
-    assert commanded(0.1, mode="stopped", why=end).arrived
-    assert not commanded(0.1, mode="stopping", why=end).arrived
+@pytest.mark.parametrize(
+    ("given", "stuck", "arrived"),
+    [
+        ((11.9,), False, False),
+        ((12.1,), True, False),
+        ((20.0, "driving", "", lambda t: 0.04 * t), True, False),  # 0.8 m in 20 s
+        ((20.0, "driving", "", lambda t: 0.2 * t), False, False),
+        ((19.0, "driving", "", lambda t: 2.0 * (t > 7.5)), False, False),
+        ((19.8, "driving", "", lambda t: 2.0 * (t > 7.5)), True, False),
+        ((20.0, "stopped", "no scan"), False, False),
+        ((20.0, "stopping", "no scan"), True, False),  # it should be at a standstill by then
+        ((20.0, "driving", "", lambda t: 0.0, -1.0), False, False),  # it backs out
+        ((0.1, "stopped", "stuck"), True, False),
+        ((0.1, "stopping", "stuck"), False, False),
+        ((0.1, "stopped", "end of the course"), False, True),
+        ((0.1, "stopping", "end of the course"), False, False),
+    ],
+)
+def test_a_vehicle_without_progress_for_12_s_is_stuck_and_one_stopped_at_the_end_has_arrived(given, stuck, arrived):
+    controller = commanded(*given)
+    assert (controller.stuck, controller.arrived) == (stuck, arrived)
 
 
 PIXELS = np.zeros((4, 4, 3), np.uint8)
@@ -87,29 +79,19 @@ def arriving(kind):
     return images, clouds
 
 
-def test_dropped_sensors_are_silent_from_then_on():
+def test_faults_drop_or_delay_messages_and_break_features_from_their_start_on():
     images, clouds = arriving("camera-dropped")
     assert (len(images), len(clouds)) == (10, 30)
     images, clouds = arriving("lidar-dropped")
     assert (len(images), len(clouds)) == (30, 10)
-
-
-def test_late_images_come_with_their_own_stamps():
     images, clouds = arriving("late-image")
     assert len(clouds) == 30
-    delays = np.array([arrival - stamp for arrival, stamp in images])
-    np.testing.assert_allclose(delays[:10], 0)
-    np.testing.assert_allclose(delays[10:], 0.8, atol=1e-9)
-    assert [stamp for _, stamp in images] == sorted(stamp for _, stamp in images)
-
-
-def test_features_break_from_then_on():
+    np.testing.assert_allclose([arrival - stamp for arrival, stamp in images], [0.0] * 10 + [0.8] * 12, atol=1e-9)
     fault = Fault("nan-features", 1.0)
     extract = fault.extractor(lambda pixels: np.ones((2, 2, 3), np.float32))
-    fault.notice(0.9, 3.0)
-    assert np.isfinite(extract(PIXELS)).all()
-    fault.notice(1.0, 3.0)
-    assert np.isnan(extract(PIXELS)).all()
+    for time, finite in ((0.9, True), (1.0, False)):
+        fault.notice(time, 3.0)
+        assert np.isfinite(extract(PIXELS)).all() == finite
 
 
 @pytest.mark.parametrize("kind", KINDS)

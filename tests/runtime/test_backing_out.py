@@ -1,4 +1,4 @@
-"""A vehicle that is stuck backs out, turns round, goes around the place, and gives up where that does not help."""
+"""A stuck vehicle backs out, turns round, drives around the place, and gives up after some attempts."""
 
 from dataclasses import replace
 
@@ -72,17 +72,6 @@ def test_backing_out_that_does_not_move_it_ends_and_is_given_up():
     assert not backing.gave_up
 
 
-def test_places_that_are_apart_are_counted_apart():
-    backing = BackingOut(SETTINGS)
-    for number in range(4):
-        driven_along(backing, np.full(32, 10.0 * number), begin=20.0 * number)
-        assert backing.gear == -1
-        backing.choose_side(np.array((10.0 * number, 0.0)), STRAIGHT, no_hazard)
-        driven_along(backing, 10.0 * number - 0.2 * np.arange(30), begin=20.0 * number + 5)
-        assert backing.gear == 1
-    assert len(backing.places) == 4
-
-
 def test_either_of_two_ways_is_left_beside_a_place():
     other = STRAIGHT.path + np.array((0.0, 9.0))
     backing, parted = BackingOut(SETTINGS), replace(STRAIGHT, alternative=other)
@@ -92,25 +81,23 @@ def test_either_of_two_ways_is_left_beside_a_place():
     np.testing.assert_allclose(passing.alternative[30], (10.0, 9.0 - SETTINGS.aside))
 
 
-def test_a_clock_that_goes_back_begins_anew():
-    backing = BackingOut(SETTINGS)
-    assert driven_along(backing, np.zeros(40), begin=100.0)[-1] == -1
-    backing.choose_side(np.zeros(2), STRAIGHT, no_hazard)
-    assert (driven_along(backing, np.zeros(30)) == 1).all()
-    assert not backing.places, "they may be in another frame"
-    assert not backing.away
+def test_a_clock_that_goes_back_a_jump_of_the_pose_and_forget_begin_anew():
+    def stuck(begin):
+        backing = BackingOut(SETTINGS)
+        assert driven_along(backing, np.zeros(40), begin=begin)[-1] == -1
+        backing.choose_side(np.zeros(2), STRAIGHT, no_hazard)
+        return backing
 
-
-def test_a_pose_that_jumps_begins_anew():
-    backing = BackingOut(SETTINGS)
-    driven_along(backing, np.zeros(40))
-    backing.choose_side(np.zeros(2), STRAIGHT, no_hazard)
-    driven_along(backing, np.full(2, 2.5), begin=4.0)
-    assert backing.leg
-    assert backing.places, "25 m/s is no jump"
-    driven_along(backing, np.full(2, 12.0), begin=4.2)
-    assert not backing.places
-    assert (backing.leg, backing.gear, backing.away) == (0, 1, False)
+    earlier, jumped, forgets = stuck(100.0), stuck(0.0), stuck(0.0)
+    driven_along(earlier, np.zeros(30))
+    driven_along(jumped, np.full(2, 2.5), begin=4.0)
+    assert jumped.places, "25 m/s is no jump"
+    driven_along(jumped, np.full(2, 12.0), begin=4.2)
+    forgets.forget()
+    driven_along(forgets, np.zeros(1), begin=4.0)
+    for backing in (earlier, jumped, forgets):
+        assert not backing.places
+        assert (backing.leg, backing.gear, backing.away) == (0, 1, False)
 
 
 def test_in_reverse_it_drives_straight_back_over_what_may_be_a_bush():
@@ -121,6 +108,7 @@ def test_in_reverse_it_drives_straight_back_over_what_may_be_a_bush():
     assert backing.hazards(Hazards()) == Hazards(low=SETTINGS.obstacles, tall=SETTINGS.tall)
     back = backing.course(STRAIGHT)
     assert (back.speed == -SETTINGS.speed).all()
+    assert (backing.course(replace(STRAIGHT, speed=np.full(80, 3.0))).speed == -3.0).all()
     np.testing.assert_allclose(back.path[:, 0], 1.0, atol=1e-9)
     assert back.path[0, 1] < 2.0 - SETTINGS.distance
     assert back.path[-1, 1] > 2.0
@@ -140,21 +128,6 @@ def test_slowly_and_over_bushes_until_it_is_back_on_its_course():
     assert backing.hazards(Hazards()) == Hazards()
 
 
-def test_on_its_course_bushes_count_little_while_it_backs_out():
-    backing = BackingOut(SETTINGS)
-    driven_along(backing, np.zeros(40))
-    assert backing.leg == 1
-    assert backing.hazards(Hazards()).low < 1
-    driven_along(backing, -0.2 * np.arange(30), begin=4.0)
-    assert backing.hazards(Hazards()) == Hazards()
-
-
-def test_a_slower_course_limits_a_leg():
-    backing = BackingOut(SETTINGS)
-    driven_along(backing, np.zeros(40))
-    assert (backing.course(replace(STRAIGHT, speed=np.full(80, 3.0))).speed == -3.0).all()
-
-
 def test_time_at_which_it_is_stopped_or_not_seen_ends_no_leg():
     backing = BackingOut(SETTINGS)
     driven_along(backing, np.zeros(40))
@@ -164,16 +137,6 @@ def test_time_at_which_it_is_stopped_or_not_seen_ends_no_leg():
     assert backing.leg == 1, "not seen for long"
     driven_along(backing, np.zeros(70), begin=60.1)
     assert backing.leg == 0
-
-
-def test_what_is_told_to_be_forgotten_is():
-    backing = BackingOut(SETTINGS)
-    driven_along(backing, np.zeros(40))
-    backing.choose_side(np.zeros(2), STRAIGHT, no_hazard)
-    backing.forget()
-    driven_along(backing, np.zeros(1), begin=4.0)
-    assert not backing.places
-    assert (backing.leg, backing.gear) == (0, 1)
 
 
 def stretches(path):
@@ -241,10 +204,10 @@ def test_a_course_that_leads_past_a_place_stays_and_bends_are_left_at_right_angl
     np.testing.assert_allclose(path[100], (0.0, 15 - SETTINGS.aside), atol=0.15)
 
 
-@pytest.mark.parametrize("name", list(vars(SETTINGS)))
-def test_numbers_that_mean_nothing_are_refused(name):
+@pytest.mark.parametrize(("name", "value"), [("after", 0.0), ("slow", float("nan")), ("attempts", -1)])
+def test_settings_that_are_not_positive_are_refused(name, value):
     with pytest.raises(PlanningError, match=name):
-        BackingOutSettings(**{name: -1 if name in ("attempts", "legs") else -1.0})
+        BackingOutSettings(**{name: value})
 
 
 class Mud(Held):
@@ -308,27 +271,12 @@ def test_a_plan_in_another_gear_starts_where_the_vehicle_then_is():
     np.testing.assert_allclose(plan.state[0, [0, 3]], (met[0] + DT * met[3], met[3]), atol=0.2)
 
 
-def test_what_holds_it_for_good_is_given_up_and_said():
-    class Wall(Held):
-        def step(self, model_state, command, terrain):
-            return model_state
-
+@pytest.mark.parametrize("mapped", [True, False])
+def test_a_vehicle_that_does_not_get_free_gives_up_also_without_a_map_of_the_place(mapped, monkeypatch):
     changed = BackingOutSettings(after=0.6, longest=0.6, attempts=1)
-    stream = straight_drive(dynamics=geared(), stream={"truth": Wall()}, backing_out=changed)
-    stream.run(3.0)
-    assert stream.modes()[-1] == ("stopped", "stuck")
-    assert stream.controls[-1].command[1] == pytest.approx(0.5)
-
-
-def test_a_place_counts_of_which_there_is_no_map_at_the_moment_it_is_found_stuck(monkeypatch):
-    class Wall(Held):
-        def step(self, model_state, command, terrain):
-            return model_state
-
-    changed = BackingOutSettings(after=0.6, longest=0.6, attempts=1)
-    stream = straight_drive(dynamics=geared(), stream={"truth": Wall()}, backing_out=changed)
-    maker = stream.runtime._maker
-    update, found = maker._backing_out.update, []
+    stream = straight_drive(dynamics=geared(), stream={"truth": Held()}, backing_out=changed)
+    backing, found = stream.runtime._maker._backing_out, []
+    update = backing.update
 
     def noticed(*given, **named):
         found.append(update(*given, **named))
@@ -336,13 +284,14 @@ def test_a_place_counts_of_which_there_is_no_map_at_the_moment_it_is_found_stuck
 
     def empty_then(*given):
         layers = reachable(*given)
-        return replace(layers, known=np.zeros_like(layers.known)) if found[-1] else layers
+        return layers if mapped or not found[-1] else replace(layers, known=np.zeros_like(layers.known))
 
-    monkeypatch.setattr(maker._backing_out, "update", noticed)
+    monkeypatch.setattr(backing, "update", noticed)
     monkeypatch.setattr("offpiste.runtime.plan_maker.reachable", empty_then)
     stream.run(4.0)
     assert any(found)
     assert stream.modes()[-1] == ("stopped", "stuck")
+    assert stream.controls[-1].command[1] == pytest.approx(0.5)
 
 
 def test_a_model_without_a_gear_never_reverses():
@@ -365,7 +314,7 @@ def test_committed_controls_brake_until_the_gear_is_engaged():
     np.testing.assert_allclose(committed[:, :2], np.tile((0.0, 0.5), (len(committed), 1)))
 
 
-def test_plans_begin_from_what_another_driver_gives_and_in_their_gear(monkeypatch):
+def test_plans_start_from_the_control_and_gear_of_another_driver(monkeypatch):
     gears = []
 
     def noticed(*given):

@@ -1,4 +1,4 @@
-"""Images to codes on a GPU; times of stages: all of them for reports, the last ones where nobody asks."""
+"""Encoding of images on a GPU, and the stopwatch."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ RUN = "pretrained:proving-ground/dc"
 
 
 @pytest.mark.parametrize("novelty", ["ignored", "missing"])
-def test_codes_of_an_image_are_those_of_the_cpu_where_all_of_it_is_on_a_gpu(novelty):
+def test_codes_computed_on_a_gpu_equal_those_of_the_cpu(novelty):
     pixels = np.random.default_rng(0).integers(0, 256, (140, 280, 3), dtype=np.uint8)
     planner = load_planner(RUN, novelty=novelty)
     wanted = codes_of(pixels, planner.extractor.extract, planner.dynamics.encoder)
@@ -26,7 +26,7 @@ def test_codes_of_an_image_are_those_of_the_cpu_where_all_of_it_is_on_a_gpu(nove
     assert (np.std(wanted, axis=(0, 1)) > 0.01).all() == (novelty == "ignored")  # noise looks like no ground
 
 
-def test_an_encoder_that_is_there_already_is_not_copied():
+def test_an_encoder_is_not_copied_to_its_own_device():
     encoder = load_planner(RUN).dynamics.encoder
     assert encoder_on("cpu", encoder) is encoder
     assert encoder_on("cuda", None) is None

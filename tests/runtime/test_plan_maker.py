@@ -1,4 +1,4 @@
-"""Plans by a declared risk: slower where the model is unsure, refused where it cannot know; and what is an error."""
+"""Plans by a declared risk, errors of settings, and garbage."""
 
 import os
 import subprocess
@@ -46,14 +46,14 @@ def test_a_risk_without_a_spread_is_refused_in_a_line():
 
 
 @pytest.mark.parametrize("device", ["cuda:7", "coda"])
-def test_a_missing_gpu_is_said_at_once_and_not_by_each_plan(device):
+def test_a_missing_gpu_is_refused_at_the_start(device):
     if device == "cuda:7" and torch.cuda.is_available():
         pytest.skip("there is a GPU")
     with pytest.raises(PlanningError, match=f"no GPU '{device}' for planning"):
         straight_drive(device=device)
 
 
-def test_settings_that_no_plan_can_be_made_with_are_an_error(monkeypatch):
+def test_an_error_of_the_planner_ends_the_run(monkeypatch):
     stream = straight_drive()
 
     def refuses(*_, **__):

@@ -13,12 +13,15 @@ from offpiste.logs.measurements import Image
 from offpiste.planning import mppi
 from offpiste.planning.course import Course, CourseTracker
 from offpiste.rig.outputs import Timeouts
-from offpiste.runtime import plan_maker, prediction
 from runtime.stream import Stream, extract_features, feature_model, reading, scan, settings, straight_drive
 
 
+def speed_of(state):
+    return float(np.hypot(*state[3:5]))
+
+
 def speed(stream):
-    return float(np.hypot(*stream.states[-1][3:5]))
+    return speed_of(stream.states[-1])
 
 
 def commands(stream):
@@ -51,7 +54,7 @@ def test_the_same_messages_give_the_same_controls(driven):
 
 @dataclass
 class ChangedGround(Stream):
-    """A stream whose ground is half a metre higher in scans after a moment, or `leak` earlier [s]."""
+    """A stream whose ground rises by half a metre at a time, or `leak` earlier [s]."""
 
     change: float = np.inf
     leak: float = 0.0
@@ -77,7 +80,7 @@ def test_commands_and_plans_do_not_depend_on_what_is_measured_later(leak):
     assert all(planned) == (leak == 0.0)
 
 
-@pytest.mark.parametrize("latency", [0.0, 0.1, 0.3])
+@pytest.mark.parametrize("latency", [0.0, 0.3])
 def test_a_plan_starts_where_the_vehicle_then_is(latency):
     # The vehicle moves as the model says, so predictions must be met: committed controls, warm start, all of it.
     stream = straight_drive(latency=latency)
@@ -111,28 +114,21 @@ def test_a_stamp_ahead_of_the_clock_is_dropped():
 def test_a_clock_that_goes_back_restarts_everything():
     stream = straight_drive()
     stream.run(1.5)
-    for row in range(60):  # the same runtime on another clock, 1 s behind
+    before = stream.runtime.course_tracker.progress
+    for row in range(60):  # the same runtime on another clock, 1 s behind, at the begin of its course
         t = 0.5 + row * DT
-        stream.runtime.vehicle(reading(t, *stream.states[-1][:3], 0.0, 0.0, 0.0))
+        stream.runtime.vehicle(reading(t, *stream.states[0][:3], 0.0, 0.0, 0.0))
         if row % 5 == 0:
             stream.runtime.scan(scan(t))
         stream.runtime.step(t)
     modes = stream.modes()
     assert ("stopping", "the clock went back") in modes
     assert modes[-1] == ("driving", "")
-
-
-def test_after_a_clock_that_goes_back_the_vehicle_may_be_anywhere_on_its_course():
-    stream = straight_drive()
-    stream.run(1.5)
-    before = stream.runtime.course_tracker.progress
-    stream.runtime.step(0.5)
-    stream.runtime.vehicle(reading(0.5, *stream.states[0][:3], 0.0, 0.0, 0.0))
     assert stream.runtime.course_tracker.progress < before - 1.0
 
 
 def test_after_a_pose_that_jumps_the_vehicle_may_be_anywhere_on_its_course():
-    """A pose that is put right, from one leg of a hairpin to the other, does not walk along the course between."""
+    """A corrected pose jumps from one leg of a hairpin to the other without passing the bend."""
     turn = np.linspace(-np.pi / 2, np.pi / 2, 60)
     bend = np.stack((60 + 10 * np.cos(turn), 10 + 10 * np.sin(turn)), axis=1)
     hairpin = np.concatenate(([[0.0, 0.0]], bend, [[0.0, 20.0]]))
@@ -145,14 +141,14 @@ def test_after_a_pose_that_jumps_the_vehicle_may_be_anywhere_on_its_course():
     assert runtime.course_tracker.progress == pytest.approx(36.9, abs=0.3)
 
 
-def test_readings_without_the_actuators_that_a_model_reads_count_as_none():
+def test_readings_without_actuators_of_the_model_are_dropped():
     stream = straight_drive(dynamics=Parametric(Vehicle(1150.0, 2.06, 0.5, CONTROL, ("engine_rpm",))))
     stream.run(0.5)
     assert stream.modes() == [("stopping", "no state of the vehicle")]
     assert stream.runtime.dropped["readings of the vehicle without engine_rpm, which the model reads"] == 25
 
 
-def test_settings_that_do_not_fit_the_steps_are_refused():
+def test_rates_and_latencies_that_are_no_multiples_of_the_step_are_refused():
     with pytest.raises(PlanningError, match=r"latency of 0\.05"):
         settings(latency=0.05)
     for rate in (0.0, 1.0, 15.0):
@@ -164,22 +160,6 @@ def test_settings_that_do_not_fit_the_steps_are_refused():
 def test_a_model_of_features_needs_a_feature_extractor():
     with pytest.raises(PlanningError, match="nothing extracts them"):
         straight_drive(dynamics=feature_model())
-
-
-def test_predictions_step_by_step_are_those_of_the_kernel(monkeypatch):
-    found = []
-
-    def both(*given):
-        found.append(prediction.predicted(*given))
-        with monkeypatch.context() as slow:
-            slow.setattr(prediction, "_by_kernel", lambda *_: False)
-            found.append(prediction.predicted(*given))
-        return found[-1]
-
-    monkeypatch.setattr(plan_maker, "predicted", both)
-    straight_drive().run(0.3)
-    assert len(found) >= 2
-    np.testing.assert_allclose(found[0], found[1], atol=2e-3)
 
 
 def test_predictions_of_long_ago_are_forgotten():
@@ -212,7 +192,7 @@ def test_a_stop_is_completed_before_it_drives_away():
     lost = commands(stream)[round(1.12 / DT) : round(1.3 / DT)]
     np.testing.assert_array_equal(lost[:, 0], 0.0)
     np.testing.assert_array_equal(lost[:, 1], 0.5)
-    assert min(np.hypot(s[3], s[4]) for s in stream.states[55:]) < 0.3
+    assert min(map(speed_of, stream.states[55:])) < 0.3
 
 
 def test_plans_made_during_a_stop_start_from_the_braked_vehicle():
@@ -223,10 +203,6 @@ def test_plans_made_during_a_stop_start_from_the_braked_vehicle():
     for row, planned in rows:
         assert stream.controls[row - 1].mode == "stopping"
         assert speed_of(planned) == pytest.approx(speed_of(stream.states[row]), abs=0.02)
-
-
-def speed_of(state):
-    return float(np.hypot(*state[3:5]))
 
 
 def test_after_a_long_stop_old_plans_are_forgotten():

@@ -44,6 +44,7 @@ def test_the_next_plan_begins_with_what_is_left():
     schedule.add(plan(0.0, 0.0))
     assert schedule.continued(0.06, 5, REST)[:, 0].tolist() == [3, 4, 4, 4, 4]
     assert schedule.continued(1e3, 5, REST)[:, 0].tolist() == [4] * 5
+    assert schedule.continued(0.06, 5, REST, gear=-1.0).tolist() == [[9.0] * 3] * 5, "a plan in another gear"
 
 
 def test_stamps_of_this_century_do_not_shift_steps():
@@ -52,11 +53,3 @@ def test_stamps_of_this_century_do_not_shift_steps():
     schedule.add(plan(begin + 0.1, 0.0, steps=250))
     for row in range(250):
         assert schedule.control(begin + 0.1 + row * DT)[0] == row
-
-
-def test_a_plan_in_another_gear_is_not_continued():
-    schedule = Schedule()
-    schedule.add(plan(0.0, 0.0, steps=5))
-    rest = np.array([0.4, 0.0, 0.0])
-    assert schedule.continued(0.0, 5, rest)[:, 0].tolist() == [0, 1, 2, 3, 4]
-    np.testing.assert_allclose(schedule.continued(0.0, 5, rest, gear=-1.0), np.tile(rest, (5, 1)), atol=1e-7)

@@ -1,4 +1,4 @@
-"""Plans that keep to the limits of what is sent."""
+"""Plans within the limits of commands."""
 
 import numpy as np
 
@@ -7,11 +7,8 @@ from offpiste.runtime.settings import RuntimeSettings, keeping_to
 from runtime.stream import settings, straight_drive
 
 
-def test_what_is_sent_by_default_does_not_narrow_plans():
+def test_limits_of_commands_bound_pedal_wheel_and_speed_of_plans():
     assert keeping_to(RuntimeSettings(), CommandLimits()) == RuntimeSettings()
-
-
-def test_limits_of_what_is_sent_bound_pedal_wheel_and_speed():
     limits = CommandLimits(throttle=0.4, brake=0.7, steer=0.6, brake_rate=2.0, steer_rate=1.0, speed=4.0)
     narrowed = keeping_to(RuntimeSettings(), limits)
     within = narrowed.sampling.limits
@@ -20,7 +17,7 @@ def test_limits_of_what_is_sent_bound_pedal_wheel_and_speed():
     assert keeping_to(narrowed, CommandLimits(speed=9.0)) == narrowed, "never wider than before"
 
 
-def test_plans_are_made_of_what_may_be_sent():
+def test_plans_respect_the_limits_of_commands():
     fast, steering = [], []
     for limits in (CommandLimits(), CommandLimits(throttle=0.3, steer=0.05, speed=2.0)):
         narrowed = keeping_to(settings(), limits)

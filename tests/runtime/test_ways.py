@@ -1,4 +1,4 @@
-"""Where a course parts in two, the plan along the cheaper way acts."""
+"""Courses that part: the plan along the cheaper way acts."""
 
 from dataclasses import replace
 
@@ -62,8 +62,3 @@ def test_a_way_is_kept_where_the_other_costs_hardly_less(monkeypatch):
     assert stream.run(0.6)[-1].command[2] == pytest.approx(0.3)
     monkeypatch.setattr(Priced, "prices", (0.5, 1.0))
     assert stream.run(0.6)[-1].command[2] == pytest.approx(0.3), "less than the temperature"
-
-
-def test_costs_of_plans_are_their_samples_by_weight():
-    costs, weights = torch.tensor([4.0, 1.0, torch.inf]).double(), torch.tensor([0.25, 0.75, 0.0]).double()
-    assert mppi.Plan(torch.zeros(2, 2), costs, weights).cost == pytest.approx(1.75)
