@@ -3,7 +3,7 @@
 import numpy as np
 import torch
 
-from offpiste.mapping.terrain_map import TerrainLayers
+from offpiste.mapping.terrain_map import LAYERS, TerrainLayers, empty_layers
 from offpiste.mapping.terrain_sampler import stack_maps
 from offpiste.planning.costs.layers import Hazards, cost_map
 from offpiste.planning.course import Course
@@ -17,19 +17,10 @@ def layers(cells=81, resolution=0.5, *, plane=(0.0, 0.0), channels=2, **changed)
     at = resolution * (np.arange(cells) - cells // 2)
     x, y = np.meshgrid(at, at)
     normal = np.array([-plane[0], -plane[1], 1.0]) / np.sqrt(1 + plane[0] ** 2 + plane[1] ** 2)
-    shape = (cells, cells)
-    parts = {
-        "elevation": plane[0] * x + plane[1] * y,
-        "normal": np.tile(normal.astype(np.float32), (*shape, 1)),
-        "slope": np.full(shape, np.hypot(*plane), np.float32),
-        "roughness": np.zeros(shape, np.float32),
-        "obstacle_height": np.zeros(shape, np.float32),
-        "features": np.zeros((*shape, channels), np.float32),
-        "distance": np.ones(shape, np.float32),
-        "known": np.ones(shape, bool),
-        "observed": np.ones(shape, bool),
-        "valid": np.ones(shape, bool),
-    }
+    parts = {layer.name: np.zeros_like(getattr(empty_layers(cells, channels), layer.name)) for layer in LAYERS}
+    parts["elevation"][:] = plane[0] * x + plane[1] * y
+    parts["normal"][:], parts["slope"][:], parts["distance"][:] = normal, np.hypot(*plane), 1.0
+    parts["known"][:], parts["observed"][:], parts["valid"][:] = True, True, True
     return TerrainLayers(np.full(2, at[0]), resolution, **{**parts, **changed})
 
 

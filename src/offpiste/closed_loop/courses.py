@@ -1,4 +1,4 @@
-"""Courses on the proving ground: stretches of trail that can be driven, by kind, and the best of a kind."""
+"""Courses on the proving ground, by kind."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
@@ -13,7 +13,7 @@ from offpiste.core.conventions import GRAVITY
 from offpiste.core.errors import CourseError
 from offpiste.core.registry import Registry
 from offpiste.logs.ground_truth import GROUND_PROPERTIES
-from offpiste.planning.course import Course
+from offpiste.planning.course import Course, arc_length
 from offpiste.simulation.driver.route import VisibleTerrain
 from offpiste.simulation.simulate import Start
 from offpiste.simulation.world.build import make_world
@@ -24,21 +24,21 @@ from offpiste.simulation.world.world import Fork, World, WorldSettings
 STEP = 1.0
 """Spacing of the points of a course [m]."""
 SMOOTH = 1.5
-"""Standard deviation for smoothing friction and curvature, about a vehicle's length [m]."""
+"""Standard deviation of the smoothing of friction and curvature, about a vehicle's length [m]."""
 APART = 20.0
-"""Smallest gap between end and beginning of a path on a closed trail [m]."""
+"""Minimum gap between end and beginning of a path on a closed trail [m]."""
 RUN_OUT = 60.0
-"""Length of path beyond the end of a course, so that plans do not brake for a tree straight ahead [m]."""
+"""Length of the path beyond the end of a course, so that plans do not brake for a tree straight ahead [m]."""
 SHORTEST_SHARE = 0.7
-"""Smallest share of the course in its path, where the trail is short."""
+"""Minimum share of the course in its path, on short trails."""
 RUN_IN, BEHIND = 40.0, 30.0
-"""Lengths of a choice before the ways part, to get up to speed and see both, and after they meet [m]."""
+"""Lengths of a choice before the ways part and after they meet [m]."""
 RELIEF = 2.0
 """Factor on the height of hills in worlds for passages."""
 PASSAGE_TRACTION = 0.05
-"""Smallest traction on a passage, which lets the vehicle drive away at 0.5 m/s^2 by full throttle."""
+"""Minimum traction on a passage, which allows an acceleration of 0.5 m/s^2."""
 PASSAGE_LENGTH, PASSAGE_CANDIDATES = 120.0, 400
-"""Longest passage, as longer stretches are rarely passable [m], and number of compared stretches."""
+"""Maximum length of a passage [m], as longer stretches are rarely passable, and number of candidates."""
 
 
 @dataclass(frozen=True)
@@ -47,12 +47,12 @@ class CourseSettings:
 
     kind: str = "bends"  # kind of course (`KINDS`)
     speed: float = 7.0  # target speed [m/s]; the sharpest bends allow it only on ground of high friction
-    length: float = 180.0  # longest course [m]
-    clearance: float = 1.7  # smallest distance from a trunk [m]
-    steepest: float = 0.3  # largest slope along or across (rise over run)
-    radius: float = 5.0  # smallest radius of a bend [m]
-    traction: float = 0.02  # smallest traction (`traction_along`); with less, a stopped vehicle is stuck
-    candidates: int = 100  # number of compared stretches of trail
+    length: float = 180.0  # maximum length [m]
+    clearance: float = 1.7  # minimum distance from a trunk [m]
+    steepest: float = 0.3  # maximum slope along or across (rise over run)
+    radius: float = 5.0  # minimum radius of a bend [m]
+    traction: float = 0.02  # minimum traction (`traction_along`); with less, a stopped vehicle is stuck
+    candidates: int = 100  # number of candidate stretches of trail
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ KINDS: Final[Registry[CourseKind]] = Registry("kind of course")
 
 
 def course_world(settings: WorldSettings, kind: str) -> World:
-    """World for a kind of course.
+    """Return a world for a kind of course.
 
     Raises:
         OffpisteError: unknown kind or preset, or a setting out of range.
@@ -95,7 +95,7 @@ def course_world(settings: WorldSettings, kind: str) -> World:
 
 
 def choose_course(world: World, seed: int, settings: CourseSettings | None = None) -> ChosenCourse:
-    """Best course of the wanted kind in a world of `course_world`; the same seed gives the same course.
+    """Return the best course of a kind in a world of `course_world`; deterministic for a seed.
 
     Raises:
         CourseError: no candidate can be driven.
@@ -112,13 +112,13 @@ def choose_course(world: World, seed: int, settings: CourseSettings | None = Non
 
 
 def _bends(world: World, seed: int, settings: CourseSettings) -> Iterator[Candidate]:
-    """Bends at the limit of grip: stretches of trail with their surprise as score."""
+    """Yield bends at the limit of grip: stretches of trail, scored by their surprise."""
     for chosen in _trail_courses(world, seed, settings):
         yield Candidate(chosen.surprise, chosen)
 
 
 def _passages(world: World, seed: int, settings: CourseSettings) -> Iterator[Candidate]:
-    """Soft and steep passages over high hills: stretches of trail with their mean resistance as score."""
+    """Yield soft and steep passages over high hills: stretches of trail, scored by their mean resistance."""
     wanted = replace(
         settings,
         traction=max(settings.traction, PASSAGE_TRACTION),
@@ -131,7 +131,7 @@ def _passages(world: World, seed: int, settings: CourseSettings) -> Iterator[Can
 
 
 def _choices(world: World, seed: int, settings: CourseSettings) -> Iterator[Candidate]:
-    """Two ways around an island, one through mud: both directions through each fork, by the similarity of its ways."""
+    """Yield both directions through each fork, one way of which is muddy, scored by the similarity of the ways."""
     terrain = VisibleTerrain.of(world)
     for fork in world.forks:
         for backwards in (False, True):
@@ -150,7 +150,7 @@ KINDS.register("passages")(CourseKind(_passages, {"relief": RELIEF}))
 
 
 def _trail_courses(world: World, seed: int, settings: CourseSettings) -> Iterator[ChosenCourse]:
-    """Random stretches of the world's trails that can be driven."""
+    """Yield random drivable stretches of the world's trails."""
     terrain = VisibleTerrain.of(world)
     for number in range(settings.candidates):
         path = _stretch(world.trails, np.random.default_rng([seed, 0xC0, number]), settings.length + RUN_OUT)
@@ -163,42 +163,36 @@ def _trail_courses(world: World, seed: int, settings: CourseSettings) -> Iterato
 
 
 def _course_of_fork(world: World, fork: Fork, speed: float, *, backwards: bool) -> Course:
-    """Course through a fork, with the left way in the direction of the trail as its path."""
+    """Return the course through a fork; its path is the left way in the direction of the trail."""
     loop, count = world.trails[fork.loop], len(fork.left)
     ways = [loop, np.concatenate((fork.right, loop[count:]))]
     if backwards:
         ways = [np.roll(way[::-1], count, axis=0) for way in ways]
     # Distances along the mean of both ways, twice around: equal indices lie side by side.
-    arc = _arc(np.tile((ways[0] + ways[1]) / 2, (2, 1)))
+    arc = arc_length(np.tile((ways[0] + ways[1]) / 2, (2, 1)))
     parted = arc[len(loop)]
     at = np.arange(parted - RUN_IN, parted + arc[count - 1] + BEHIND + RUN_OUT, STEP)
     path, other = (np.stack([np.interp(at, arc, axis) for axis in np.tile(way, (2, 1)).T], axis=1) for way in ways)
-    length = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
-    return Course(path, np.full(len(path), speed), length - RUN_OUT, other)
+    return Course(path, np.full(len(path), speed), float(arc_length(path)[-1]) - RUN_OUT, other)
 
 
 def _stretch(trails: tuple[Line, ...], rng: np.random.Generator, length: float) -> Float[np.ndarray, "P 2"]:
-    """Stretch of a random closed trail in either direction; a shorter trail is used up to its last metres."""
+    """Return a stretch of a random closed trail in either direction, at most the whole trail less `APART`."""
     trail = trails[int(rng.integers(len(trails)))]
     turned = np.roll(trail, -int(rng.integers(len(trail))), axis=0)[:: int(rng.choice((-1, 1)))]
-    arc = _arc(turned)
+    arc = arc_length(turned)
     at = np.arange(0.0, min(arc[-1] - APART, length), STEP)
     return np.stack([np.interp(at, arc, axis) for axis in turned.T], axis=1)
 
 
-def _arc(path: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, " P"]:
-    """Distance along a path [m]."""
-    return np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))))
-
-
 def _start_of(path: Float[np.ndarray, "P 2"]) -> Start:
-    """Start at a standstill at the beginning of a path, heading along it."""
+    """Return the start at a standstill at the beginning of a path, heading along it."""
     heading = np.arctan2(*(path[2] - path[0])[::-1])
     return Start(float(path[0, 0]), float(path[0, 1]), float(heading), 0.0)
 
 
 def _drivable(terrain: VisibleTerrain, path: Float[np.ndarray, "P 2"], settings: CourseSettings) -> bool:
-    """Whether a path avoids trunks, steep slopes and sharp bends."""
+    """Return whether a path avoids trunks, steep slopes and sharp bends."""
     if len(terrain.trees):
         away, nearest = cKDTree(terrain.trees[:, :2]).query(path)
         if (away - terrain.trees[nearest, 2]).min() < settings.clearance:
@@ -209,7 +203,7 @@ def _drivable(terrain: VisibleTerrain, path: Float[np.ndarray, "P 2"], settings:
 
 
 def surprise_along(world: World, path: Float[np.ndarray, "P 2"], speed: float) -> float:
-    """Mean difference between the speeds allowed by the local and by the world's mean friction, both capped [m/s]."""
+    """Return the mean difference of the speeds allowed by local and by mean friction, both capped [m/s]."""
     friction = world.properties[..., GROUND_PROPERTIES.index("friction")]
     under = gaussian_filter1d(read_grid(friction, world.origin, world.resolution, path), SMOOTH / STEP, mode="nearest")
     bend = np.abs(gaussian_filter1d(_turn(path), SMOOTH / STEP, mode="nearest")) / STEP
@@ -221,13 +215,13 @@ def surprise_along(world: World, path: Float[np.ndarray, "P 2"], speed: float) -
 
 
 def traction_along(world: World, path: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, " P"]:
-    """Force left to accelerate, over the weight: friction less rolling resistance, sinkage drag and climb."""
+    """Return the available force over the weight: friction less rolling resistance, sinkage drag and climb."""
     left = _property_along(world, path, "friction") - _resistance_along(world, path)
     return gaussian_filter1d(left, SMOOTH / STEP, mode="nearest")
 
 
 def _resistance_along(world: World, path: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, " P"]:
-    """Resisting force over the weight: rolling resistance, sinkage drag and climb."""
+    """Return the resisting force over the weight: rolling resistance, sinkage drag and climb."""
     height = read_grid(world.elevation, world.origin, world.resolution, path)
     climb = np.gradient(height) / np.linalg.norm(np.gradient(path, axis=0), axis=1)
     return sum((_property_along(world, path, name) for name in ("rolling_resistance", "sinkage_drag")), climb)
@@ -238,6 +232,6 @@ def _property_along(world: World, path: Float[np.ndarray, "P 2"], name: str) -> 
 
 
 def _turn(path: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, " P-2"]:
-    """Change of heading from each piece of a path to the next [rad]."""
+    """Return the change of heading between consecutive segments of a path [rad]."""
     reading = np.diff(path, axis=0)
     return np.diff(np.unwrap(np.arctan2(reading[:, 1], reading[:, 0])))

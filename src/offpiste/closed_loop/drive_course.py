@@ -1,4 +1,4 @@
-"""Drive a course with a planner: simulate, evaluate, draw and write."""
+"""Drive a course with a planner: simulation, scores, picture and files."""
 
 import json
 import logging
@@ -39,7 +39,7 @@ from offpiste.training.run import differing_vehicle
 logger = logging.getLogger(__name__)
 
 _UNFINISHED = ".offpiste-drive"
-"""Hidden file of a drive's folder that is not written whole."""
+"""Hidden file that marks an incomplete folder."""
 EVERY = 10
 """Rows between places of the driven path in result.json."""
 
@@ -50,12 +50,12 @@ class CourseDriveSettings:
 
     Attributes:
         world: world, whose seed also chooses the course.
-        seconds: longest drive [s].
-        sensors: profile of `simulation.sensors`.
-        against: whether the vehicle starts against its course and has to turn round.
-        fault: fault of the sensors from `fault_start` on [s], or from the next reversing on.
-        keep_log: whether to keep drive.mcap, 4 MB per second; without it, cameras are simulated only for planners that
-            read visual features.
+        seconds: time limit [s].
+        sensors: sensor profile (`simulation.sensors`).
+        against: whether the vehicle starts in the opposite direction and has to turn round.
+        fault: fault of the sensors from `fault_start` [s] on, or from the next reversing on.
+        keep_log: whether to keep drive.mcap (4 MB per second); without it, cameras are simulated only for planners
+            with visual features.
     """
 
     world: WorldSettings = field(default_factory=WorldSettings)
@@ -72,7 +72,7 @@ class CourseDriveSettings:
 
 @dataclass(frozen=True)
 class Driven:
-    """A finished drive, with the contents of result.json as `result`."""
+    """A finished drive; `result` is the content of result.json."""
 
     world: World
     chosen: ChosenCourse
@@ -82,7 +82,7 @@ class Driven:
     result: dict[str, Any]
 
     def __repr__(self) -> str:
-        """Scalar results."""
+        """Show the scalar results."""
         short = {key: value for key, value in self.result.items() if isinstance(value, int | float | str)}
         return f"Driven(result={ {key: value for key, value in short.items() if len(str(value)) < 60} })"
 
@@ -103,8 +103,8 @@ def drive_course(
         driven.result["mean_path_error_m"]
 
     Args:
-        world, scene: world of `courses.course_world` and its scene, if already made.
-        track: shows progress over the steps.
+        world, scene: world of `courses.course_world` and its scene, if available.
+        track: progress display.
 
     Raises:
         OffpisteError: a setting is out of range, the risk needs a spread that the run lacks, the model reads actuators
@@ -160,7 +160,7 @@ def drive_course(
 
 
 def described(result: dict[str, Any]) -> str:
-    """One-line summary of a drive."""
+    """Return a one-line summary of a drive."""
     incidents = [name for name in ("rollover", "collision", "stuck", "left_world") if result[name]]
     ending = "finished" if result["finished"] else f"{result['progress_m']:.0f} of {result['course_m']:.0f} m"
     if not result["finished"] and not incidents and result["time_s"] >= result["limit_s"] - 1:
@@ -194,7 +194,7 @@ def check_settings(settings: CourseDriveSettings) -> None:
 
 
 def _refuse_unmeasured(planner: Planner) -> None:
-    """Raise for a model that would wait for readings forever."""
+    """Raise for a model that reads actuators which the simulator does not measure."""
     lacks = [one.name for one in registered_actuators() if one.name in planner.dynamics.vehicle.actuators]
     if lacks:
         what = f"the model reads {', '.join(lacks)}, which the simulated vehicle does not measure"
@@ -202,7 +202,7 @@ def _refuse_unmeasured(planner: Planner) -> None:
 
 
 def sensor_setup(planner: Planner, suite: SensorSuite, rig: Rig, fault: Fault | None = None) -> SensorSetup:
-    """Sensors of the proving ground's vehicle as a planner's run time reads them, with a fault of the features."""
+    """Return the sensors of the proving ground's vehicle for a planner, with a fault of the features."""
     lidars = lidars_of(suite, rig)
     if planner.extractor is None:
         return SensorSetup(lidars)
@@ -250,7 +250,7 @@ def _result(
 
 
 def settings_of(planner: Planner, settings: CourseDriveSettings) -> dict[str, Any]:
-    """Settings that identify a drive in result.json, without the noise, which is a function."""
+    """Return the settings in result.json, without the noise, which is a function."""
     runtime = asdict(settings.runtime)
     runtime["sampling"].pop("noise")
     runtime["weights"] = settings.runtime.weights.values()

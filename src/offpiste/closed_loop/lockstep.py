@@ -1,4 +1,4 @@
-"""The proving ground and the run time in lockstep, with faults of the sensors: a recorded drive by the planner."""
+"""Simulation of the proving ground and the run time in lockstep, with faults of the sensors."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -37,7 +37,7 @@ WHENS: tuple[When, ...] = get_args(When)
 LATE = 0.8
 """Delay of late images [s]."""
 BACKWARDS = 0.5
-"""Rolling speed of the wheels at which the vehicle counts as reversing [m/s]."""
+"""Rolling speed of the wheels above which the vehicle counts as reversing [m/s]."""
 PLANNER_EVENTS = "/planner/events"
 GAVE_UP = ("stopped", "stuck")
 """Mode and reason after backing out was given up."""
@@ -62,13 +62,13 @@ class Fault:
     _struck: bool = False
 
     def notice(self, time: float, rolling: float) -> None:
-        """Begin the fault if due, at a time since the start [s] and forward rolling speed of the wheels [m/s]."""
+        """Begin the fault if due, given the time since the start [s] and the rolling speed of the wheels [m/s]."""
         self._began |= time >= self.start and (self.when == "time" or rolling < -BACKWARDS)
 
     def passed(self, measured: Image | Cloud | None, time: float) -> list[Image | Cloud]:
-        """Messages that reach the run time now."""
+        """Return the messages that reach the run time now."""
         arrived: list[Image | Cloud] = []
-        while self._waiting and self._waiting[0][0] <= time + 1e-6:  # sums of tenths are not tenths
+        while self._waiting and self._waiting[0][0] <= time + 1e-6:  # tolerance for rounding
             arrived.append(self._waiting.pop(0)[1])
         if measured is None:
             return arrived
@@ -94,7 +94,7 @@ class Fault:
             runtime.forget_map()
 
     def extractor(self, extract: ExtractFeatures) -> ExtractFeatures:
-        """Feature extractor with the fault."""
+        """Wrap a feature extractor with the fault."""
 
         def faulty(pixels: np.ndarray) -> np.ndarray:
             features = extract(pixels)
@@ -115,18 +115,18 @@ class PlannerController:
 
     @property
     def arrived(self) -> bool:
-        """Whether the vehicle has stopped at the end of its course."""
+        """True if the vehicle has stopped at the end of its course."""
         last = self.controls[-1] if self.controls else None
         return last is not None and last.mode == "stopped" and last.why == "end of the course"
 
     @property
     def stuck(self) -> bool:
-        """Whether backing out was given up, or progress is missing although the vehicle neither waits nor backs out."""
+        """True if backing out was given up, or a vehicle that neither waits nor backs out makes no progress."""
         last = self.controls[-1] if self.controls else None
         return last is not None and (last.time - self._since > WITHOUT_PROGRESS or (last.mode, last.why) == GAVE_UP)
 
     def command(self, sample: VehicleSample) -> Float[np.ndarray, " 4"]:
-        """Throttle, brake, steering and gear for the next `conventions.DT`."""
+        """Return throttle, brake, steer and gear for the next `conventions.DT`."""
         self.runtime.vehicle(reading_of(with_noise(sample, Imperfections(), self.rng)))
         controls = self.runtime.step(time_of(sample.time))
         waits = controls.mode == "stopped" or controls.gear < 0
@@ -150,7 +150,7 @@ class Driving:
 
     @property
     def from_first_throttle(self) -> "Driving":
-        """The drive from the first throttle on, as the planner may still be loading before."""
+        """Part of the drive from the first throttle on; before, the planner may still be loading."""
         first = next((row for row, each in enumerate(self.controls) if each.command[0] > 0), 0)
         return Driving(self.samples[first:], self.controls[first:])
 
@@ -170,13 +170,13 @@ def drive_planned(
     scene: Scene | None = None,
     track: Track = track,
 ) -> Driving:
-    """Let the run time drive, and log every message and every change of mode.
+    """Drive with a run time, and log every message and change of mode.
 
     Args:
         seed: seed of noise and light.
         fault: applied to what the run time receives, not to the log.
-        scene: scene of the world, if already built.
-        track: shows progress over the steps.
+        scene: scene of the world, if available.
+        track: progress display.
     """
     noise, light, own = (np.random.default_rng([seed, stream]) for stream in (1, 2, 3))
     sensing, lidars = Sensing(world, suite, light, scene=scene, apart=True), lidars_of(suite, rig)
@@ -207,7 +207,7 @@ def drive_planned(
 
 
 def measurement_of(message: Any, lidars: Mapping[str, Lidar]) -> Image | Cloud | None:
-    """Image or cloud of a message; None for calibrations."""
+    """Convert a message to an image or a cloud; None for calibrations."""
     name = message.header.frame_id
     stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
     if hasattr(message, "format"):
@@ -218,12 +218,12 @@ def measurement_of(message: Any, lidars: Mapping[str, Lidar]) -> Image | Cloud |
 
 
 def time_of(time: float) -> float:
-    """Stamp in the log of a time since the start of the drive [s]."""
+    """Convert the time since the start of the drive to a stamp [s]."""
     return START_NS * 1e-9 + round(time / DT) * DT
 
 
 def reading_of(sample: VehicleSample) -> VehicleReading:
-    """Reading of the vehicle as the run time receives it."""
+    """Convert a sample to a reading for the run time."""
     rate = yaw_rate_from_body_rates(sample.orientation[None], sample.angular_velocity[None])[0]
     measured = {
         "brake": sample.brake_pressure,
@@ -238,12 +238,12 @@ def reading_of(sample: VehicleSample) -> VehicleReading:
 
 
 def cameras_of(suite: SensorSuite, rig: Rig) -> dict[str, Camera]:
-    """Cameras of the vehicle by name, as a log has them."""
+    """Return the cameras of the vehicle by name."""
     return {c.name: Camera(c.name, c.model, _matrix(c.body_from_camera), rig.cameras[c.name]) for c in suite.cameras}
 
 
 def lidars_of(suite: SensorSuite, rig: Rig) -> dict[str, Lidar]:
-    """LiDARs of the vehicle by name, as a log has them."""
+    """Return the LiDARs of the vehicle by name."""
     return {s.name: Lidar(s.name, _matrix(s.body_from_lidar), rig.lidars[s.name]) for s in suite.lidars}
 
 

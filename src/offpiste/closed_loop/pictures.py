@@ -26,10 +26,10 @@ SLIP_LIMIT = 0.4
 def course_picture(
     world: World, course: Course, trace: Trace, predictions: list[Prediction], title: str, *, scored: int
 ) -> Figure:
-    """Course, driven path coloured by slip, and predicted trajectories of some plans.
+    """Draw the course, the driven path coloured by slip, and predicted trajectories.
 
     Args:
-        scored: number of rows until the end of the course or drive, after which the vehicle stops.
+        scored: number of rows up to the end of the course or drive.
     """
     shown = np.concatenate((*(way[course.before_end] for way in course.ways), trace.place))
     (left, bottom), (right, top) = shown.min(axis=0) - MARGIN, shown.max(axis=0) + MARGIN
@@ -67,7 +67,7 @@ def course_picture(
 
 
 def _legend(axes: Axes) -> tuple[list[Any], list[str]]:
-    """Handles and labels; the driven path shows several colours."""
+    """Return handles and labels, with several colours for the driven path."""
     handles, names = axes.get_legend_handles_labels()
     colours = colormaps[PATH_COLOURS](np.linspace(0.1, 0.9, 5))
     driven = tuple(Line2D([], [], color=colour, linewidth=2.4, solid_capstyle="butt") for colour in colours)

@@ -1,4 +1,4 @@
-"""A driven course as a Rerun recording: world, course, plans, vehicle, speed, slip and mode over time."""
+"""Rerun recording of a driven course."""
 
 from pathlib import Path
 from typing import Any, Final
@@ -69,7 +69,7 @@ def _write(driven: Driven, path: Path) -> None:
 
 
 def _blueprint(start: Float[np.ndarray, " 3"]) -> Any:
-    """Viewer layout: world view, plots and mode changes."""
+    """Return the viewer layout: world, plots and changes of mode."""
     import rerun.blueprint as rrb
 
     world = rrb.Spatial3DView(

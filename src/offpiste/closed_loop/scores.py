@@ -11,7 +11,7 @@ from jaxtyping import Float
 from offpiste.closed_loop.lockstep import WITHOUT_PROGRESS, Driving, time_of
 from offpiste.core.conventions import DT, HORIZON_STEPS
 from offpiste.planning.costs.weights import CostWeights
-from offpiste.planning.course import Course, CourseTracker
+from offpiste.planning.course import Course, CourseTracker, arc_length
 from offpiste.runtime.modes import Controls
 from offpiste.runtime.prediction import Prediction
 from offpiste.runtime.settings import RuntimeSettings
@@ -25,9 +25,9 @@ DAMAGE = {"rollover", "collision with a tree"}
 OTHER_ENDS = {*DAMAGE, "left the world"}
 """Reasons for not finishing other than being stuck."""
 RUN_UP = 20.0
-"""Length of course for getting up to speed, which costs all planners the same [m]."""
+"""Length of the run-up, excluded from the moving cost [m]."""
 FINISH = 3.0
-"""Distance from the end at which a course counts as driven [m]."""
+"""Distance from its end at which a course is finished [m]."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Trace:
 
 
 def trace_of(driving: Driving, course: Course) -> Trace:
-    """Compare a drive with its course."""
+    """Return the trace of a drive along its course."""
     tracker = CourseTracker(course)
     place = np.stack([s.position[:2] for s in driving.samples])
     off, target, progress = np.array([(tracker.move(xy), tracker.target, tracker.progress) for xy in place]).T
@@ -55,15 +55,15 @@ def trace_of(driving: Driving, course: Course) -> Trace:
 
 
 def scores_of(driving: Driving, course: Course, limit: float, parameters: VehicleParameters) -> dict[str, Any]:
-    """`summary` of a drive with a time limit [s] and the default cost weights."""
-    length = float(np.linalg.norm(np.diff(course.driven, axis=0), axis=1).sum())
+    """Return the `summary` of a drive with a time limit [s] and default weights."""
+    length = float(arc_length(course.driven)[-1])
     return summary(driving, trace_of(driving, course), length, limit, RuntimeSettings().weights, parameters)
 
 
 def summary(
     driving: Driving, trace: Trace, length: float, limit: float, weights: CostWeights, parameters: VehicleParameters
 ) -> dict[str, Any]:
-    """Scores with units in their names, until the end of the course but for `vehicle_events` and the final speed.
+    """Return scores up to the end of the course; `vehicle_events` and the final speed cover the whole drive.
 
     Args:
         length: length of the course [m].
@@ -87,7 +87,7 @@ def summary(
         "progress_m": float(trace.progress[rows][-1]),
         "energy_kj": 1e-3 * engine_energy(driving.samples[rows], parameters),
         "interventions": interventions(commanded, happened),
-        "driven_m": float(np.linalg.norm(np.diff(trace.place[rows], axis=0), axis=1).sum()),
+        "driven_m": float(arc_length(trace.place[rows])[-1]),
         "mean_path_error_m": float(trace.off[rows].mean()),
         "worst_path_error_m": float(trace.off[rows].max()),
         "mean_speed_mps": float(trace.speed[rows].mean()),
@@ -106,7 +106,7 @@ def summary(
 
 
 def engine_energy(samples: Sequence[VehicleSample], parameters: VehicleParameters) -> float:
-    """Energy delivered by the engine, without engine braking [J]."""
+    """Return the energy delivered by the engine, without engine braking [J]."""
     record = parameters.as_record()
     speed = np.array([sample.engine_speed for sample in samples]) * 2 * np.pi / 60
     torque = [engine_torque(v, s.command[0], record) for v, s in zip(speed, samples, strict=True)]
@@ -114,7 +114,7 @@ def engine_energy(samples: Sequence[VehicleSample], parameters: VehicleParameter
 
 
 def interventions(controls: Sequence[Controls], happened: set[str]) -> int:
-    """Number of interventions a person would have made: stops by the run time, and one per kind of event.
+    """Count the interventions of a safety driver: stops by the run time, and one per kind of event.
 
     The stop of a stuck vehicle counts as the event only.
     """
@@ -123,7 +123,7 @@ def interventions(controls: Sequence[Controls], happened: set[str]) -> int:
 
 
 def is_stuck(trace: Trace, controls: Sequence[Controls], happened: set[str]) -> bool:
-    """Whether an unfinished drive is stuck: it gave up, backed out, or made no progress at the end.
+    """Return whether an unfinished drive is stuck: it gave up, backed out, or made no progress at the end.
 
     A drive with another reason is not stuck: other events, or a stop for missing inputs.
     """
@@ -138,7 +138,7 @@ def is_stuck(trace: Trace, controls: Sequence[Controls], happened: set[str]) -> 
 
 
 def backed_out(controls: Sequence[Controls]) -> bool:
-    """Whether the vehicle was driven in reverse, as it is when stuck."""
+    """Return whether the vehicle was driven in reverse."""
     return any(_drives(one) and one.gear < 0 for one in controls)
 
 
@@ -147,14 +147,14 @@ def _drives(controls: Controls) -> bool:
 
 
 def firm_way(trace: Trace, course: Course, firm: int | None) -> bool | None:
-    """Whether the vehicle took the firm way, by its index; None with a single way, or if it did not get that far.
+    """Return whether the vehicle took the firm way; None for a single way, or if it did not reach the ways.
 
     The taken way is the nearer one where the ways are farthest apart.
     """
     if firm is None:
         return None
     apart = int(np.argmax(np.linalg.norm(np.diff(course.ways, axis=0)[0], axis=1)))
-    middle = float(np.linalg.norm(np.diff(course.path[: apart + 1], axis=0), axis=1).sum())
+    middle = arc_length(course.path)[apart]
     there = np.flatnonzero(trace.progress >= middle)
     if not len(there):
         return None
@@ -163,18 +163,18 @@ def firm_way(trace: Trace, course: Course, firm: int | None) -> bool | None:
 
 
 def _run_up(trace: Trace, rows: slice) -> int:
-    """First row after the run-up; 0 if the vehicle did not get there."""
+    """Return the first row after the run-up; 0 if the vehicle did not reach it."""
     return int(np.argmax(trace.progress[rows] >= RUN_UP))
 
 
 def driven_cost(trace: Trace, rows: int, limit: float | None, weights: CostWeights, *, begin: int = 0) -> float:
-    """Weighted squared distance from the course and squared speed error, integrated over rows `begin` to `rows`.
+    """Integrate the weighted squared distance from the course and squared speed error over rows `begin` to `rows`.
 
     These are the path and speed terms of the planner, with the total speed instead of its component along the course.
 
     Args:
-        limit: for an unfinished drive, time until which the vehicle counts as standing at its last place [s], so that
-            giving up is no better than staying; None for a finished one.
+        limit: time limit of an unfinished drive, until which the vehicle counts as standing at its last place [s];
+            None for a finished drive.
     """
     left = max((limit or 0.0) - rows * DT, 0.0)
     path = weights.path * trace.off[begin:rows] ** 2
@@ -184,9 +184,9 @@ def driven_cost(trace: Trace, rows: int, limit: float | None, weights: CostWeigh
 
 
 def prediction_errors(predictions: list[Prediction], place: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, " P"]:
-    """Distance between predicted and true place after 5 s [m], for plans within the drive.
+    """Return the distance between predicted and true place after 5 s [m], for plans within the drive.
 
-    The vehicle does not follow a plan to its end, as plans are made ten times a second.
+    They include changes of plan, since a vehicle follows each plan for only a tenth of a second.
     """
     errors = []
     for prediction in predictions:

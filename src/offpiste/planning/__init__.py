@@ -1,1 +1,1 @@
-"""Planning with the learned model: MPPI (`mppi`), its noise, its costs."""
+"""Planning with the learned model: MPPI, its noise and its costs."""

@@ -1,1 +1,1 @@
-"""The run time on a vehicle: sensor messages in, commands out."""
+"""Run time on a vehicle: sensor messages in, commands out."""

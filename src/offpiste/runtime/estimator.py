@@ -54,7 +54,7 @@ class VehicleReading:
 
     @property
     def finite(self) -> bool:
-        """Whether time, pose and velocities are finite and the orientation is not zero."""
+        """True if time, pose and velocities are finite and the orientation is not zero."""
         known = np.concatenate(([self.time, self.yaw_rate], self.position, self.orientation, self.velocity))
         return bool(np.isfinite(known).all() and np.abs(self.orientation).max() > 0)
 
@@ -111,7 +111,7 @@ class VehicleTrack:
 
     @property
     def enough(self) -> bool:
-        """Whether there are at least two poses, for interpolation."""
+        """True if there are at least two poses, as interpolation requires."""
         return len(self._readings) >= 2
 
     def add(self, reading: VehicleReading) -> bool:
@@ -149,7 +149,7 @@ class VehicleTrack:
         return Poses(position, orientation, self._max_gap)
 
     def awaits(self, time: float) -> bool:
-        """Whether the pose at a time [s] is newer than all readings and may still become known."""
+        """Return whether a time [s] is later than all readings, so that its pose may still become known."""
         latest = self.latest
         return latest is not None and latest.time < time
 

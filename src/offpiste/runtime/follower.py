@@ -195,7 +195,7 @@ class Follower:
         return Controls(now, planned, decision.mode, why, self.gear)
 
     def _shifts(self, time: float) -> bool:
-        """Whether the plan that acts at a time [s] needs another gear."""
+        """Return whether the plan that acts at a time [s] needs another gear."""
         plan = self.schedule.at(time)
         return plan is not None and plan.gear != self.gear
 
@@ -232,7 +232,7 @@ class Follower:
         return np.inf if latest is None else float(np.hypot(*latest.velocity[:2]))
 
     def at_standstill(self) -> bool:
-        """Whether the vehicle is at a standstill."""
+        """Return whether the vehicle is at a standstill."""
         return self.speed < self._settings.standstill
 
     def restart(self) -> None:

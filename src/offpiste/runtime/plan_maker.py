@@ -253,7 +253,7 @@ class PlanMaker:
 
     @property
     def stuck(self) -> bool:
-        """Whether backing out was given up, so that no plan is made."""
+        """True if backing out was given up, so that no plan is made."""
         return self._backing_out.gave_up
 
 

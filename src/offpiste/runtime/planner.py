@@ -46,7 +46,7 @@ class Planner:
 
     @property
     def knows_ground(self) -> bool:
-        """Whether the model is given the ground's true properties."""
+        """True if the model reads the ground's true properties."""
         return self.extractor is None and self.dynamics.encoder is not None
 
 

@@ -87,7 +87,7 @@ class CostTerm:
 
     @property
     def of_controls(self) -> bool:
-        """Whether the term is evaluated for each control."""
+        """True if the term is evaluated for each control."""
         return any(name in CONTROL for name in arguments(self.function))
 
 

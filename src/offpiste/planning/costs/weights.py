@@ -39,7 +39,7 @@ class CostWeights:
         return values[name]
 
     def __eq__(self, other: object) -> bool:
-        """Whether all numbers are equal, including defaults."""
+        """Compare all numbers, including defaults."""
         return isinstance(other, CostWeights) and self.values() == other.values()
 
     def __repr__(self) -> str:
