@@ -36,10 +36,9 @@ from offpiste.planning.controls import CONTROL_LIMITS
 from offpiste.planning.costs.layers import Hazards, cost_map
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.course import Course
-from offpiste.planning.driving_cost import Situation, terms_after
+from offpiste.planning.driving_cost import Situation, driving_costs, terms_after
 from offpiste.planning.kernel import coded_map, encode_map, fused_costs
 from offpiste.planning.mppi import Settings, improve, limited, sample, weigh
-from offpiste.planning.rollouts import driving_costs
 from offpiste.uncertainty.spread import Spread, inputs_of
 
 Planned = Callable[[Tensor, Tensor], Tensor]

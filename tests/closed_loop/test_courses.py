@@ -1,4 +1,4 @@
-"""Kinds of courses: made-up worlds in which the best course is known."""
+"""Kinds of courses in synthetic worlds with a known best course."""
 
 from dataclasses import replace
 

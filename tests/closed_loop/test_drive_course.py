@@ -1,19 +1,17 @@
-"""A whole closed loop, short and small: proving ground, sensors, map, plan, log and result."""
+"""A short closed-loop drive: proving ground, sensors, map, plan, log and result."""
 
 import json
 from dataclasses import replace
-from io import StringIO
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from rich.console import Console
 from scipy.spatial.transform import Rotation
 
 from experiments.closed_loop_table.drives import NEEDED
 from offpiste._version import commit, today
-from offpiste.cli.drive import Drive, drive_tables
+from offpiste.cli.drive import Drive
 from offpiste.closed_loop.courses import CourseSettings, choose_course, surprise_along, traction_along
 from offpiste.closed_loop.drive_course import CourseDriveSettings, drive_course
 from offpiste.core.channels import MORE_ACTUATORS, Actuator
@@ -68,7 +66,7 @@ def test_a_vehicle_against_its_course_turns_round_and_stops_where_the_lidar_is_l
     assert np.linalg.norm(end.velocity) < 0.1
 
 
-def test_what_is_written_can_be_read(driven):
+def test_log_picture_and_result_are_written(driven):
     _, out = driven
     result = json.loads((out / "result.json").read_text())
     assert (result["planner"], result["fault_start"], result["sensors"]) == ("parametric", 10.0, "light")
@@ -133,14 +131,13 @@ def test_no_course_where_a_vehicle_would_be_stuck(driven):
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        ({"seconds": 0.0}, "a drive of 0 s"),
         ({"seconds": float("nan")}, "a drive of nan s"),
         *(
             ({"course": CourseSettings(speed=speed)}, f"a wanted speed of {speed:g} m/s")
-            for speed in (float("nan"), float("inf"), 0.0, -7.0, 31.0)
+            for speed in (float("nan"), 0.0, 31.0)
         ),
         ({"fault_when": "backwards"}, "a fault cannot begin 'backwards'"),
-        *(({"fault_start": start}, f"a fault from {start:g} s on") for start in (float("nan"), float("inf"), -1.0)),
+        *(({"fault_start": start}, f"a fault from {start:g} s on") for start in (float("nan"), -1.0)),
         ({"sensors": "heavy"}, "no sensor profile"),
         ({"fault": "late-image"}, r"a fault from 10 s on.*before the drive's end"),
     ],
@@ -157,7 +154,7 @@ def test_a_risk_without_a_spread_is_refused_before_a_world_is_built(tmp_path, mo
         drive_course(PLANNER, cautious, tmp_path)
 
 
-def test_a_model_that_reads_what_the_simulator_does_not_measure_is_refused(tmp_path, monkeypatch):
+def test_a_model_of_unmeasured_actuators_is_refused(tmp_path, monkeypatch):
     monkeypatch.setitem(MORE_ACTUATORS._entries, "flap", Actuator("flap", channel="flap"))
     model = Parametric(replace(PLANNER.dynamics.vehicle, actuators=("flap",)))
     with pytest.raises(OffpisteError, match="nowhere: the model reads flap, which the simulated vehicle does not"):
@@ -165,17 +162,7 @@ def test_a_model_that_reads_what_the_simulator_does_not_measure_is_refused(tmp_p
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
-def test_a_gpu_that_is_not_there_is_refused_before_a_world_is_built(tmp_path, monkeypatch):
+def test_a_missing_gpu_is_refused_before_a_world_is_built(tmp_path, monkeypatch):
     monkeypatch.setattr("offpiste.closed_loop.drive_course.drive_course", None)
     with pytest.raises(PlanningError, match="no GPU 'cuda' for planning"):
         Drive(Path("pretrained:proving-ground/b"), device="cuda", out=tmp_path / "drive").run()
-
-
-def test_tables_have_their_units():
-    took = {"count": 3, "median_ms": 1.5, "p95_ms": 2.5, "total_s": 0.1}
-    result = {"stages": {"plan": took}, "modes": [(0.3, "driving", "")]}
-    console = Console(width=100, file=StringIO())
-    for table in drive_tables(result):
-        console.print(table)
-    text = console.file.getvalue()
-    assert all(unit in text for unit in ("median [ms]", "95 % [ms]", "total [s]", "at [s]"))

@@ -50,7 +50,7 @@ def prediction(place, first, aside=0.0):
     return Prediction(time_of(0.02 * first), state)
 
 
-def test_a_plan_is_compared_with_where_the_vehicle_was_5_s_after_it_began_to_act():
+def test_errors_of_plans_5_s_after_their_start():
     place = 0.1 * np.arange(300)[:, None] * (1, 0)  # 5 m/s along x: a row too early or late would be 0.1 m
     found = prediction_errors([prediction(place, 10), prediction(place, 10, aside=3.0), prediction(place, 49)], place)
     assert found == pytest.approx([0.0, 3.0, 0.0], abs=1e-9)
@@ -79,7 +79,7 @@ def hand_made(rows=10):
     return Driving(driven, [Controls(time_of(s.time), np.zeros(3), m) for s, m in zip(driven, modes, strict=True)])
 
 
-def test_what_a_drive_is_from_its_first_throttle_on():
+def test_a_drive_from_its_first_throttle_on():
     whole = hand_made(6)
     assert whole.from_first_throttle.samples == whole.samples, "nobody drove"
     whole.controls[2].command[0] = whole.controls[4].command[0] = 0.3
@@ -117,7 +117,7 @@ def test_the_summary_counts_until_the_course_is_driven():
 
 
 @pytest.mark.parametrize(("row", "counts"), [(7, True), (8, False)])
-def test_what_happens_behind_the_finish_does_not_count(row, counts):
+def test_events_after_the_finish_do_not_count(row, counts):
     driving = hand_made()
     happens = [
         replace(one, events=("rollover", "collision with a tree", "left the world") if number == row else ())
@@ -159,7 +159,7 @@ def commands(*modes, why="no scan", gear=1.0):
 BEGINS = ("stopped", "stopped", "driving")
 
 
-def test_interventions_are_stops_and_what_happens_to_the_vehicle():
+def test_interventions_are_stops_and_events():
     assert interventions(commands(*BEGINS), set()) == 0, "at the beginning it is at a standstill"
     stops = commands(*BEGINS, "degraded", "stopping", "stopped", "driving", "stopping")
     assert interventions(stops, set()) == 2
@@ -175,7 +175,7 @@ def progressing(metres):
     return Trace(np.zeros((1000, 2)), zeros, zeros, zeros, 30 + metres * np.clip((rows - 399) / 600, 0, 1), zeros)
 
 
-def test_what_is_not_free_when_its_time_is_up_is_stuck():
+def test_a_drive_that_gave_up_backed_out_or_stands_at_its_end_is_stuck():
     drives = commands(*BEGINS, *997 * ["driving"], why="")
     assert is_stuck(progressing(0.5), drives, set())
     assert not is_stuck(progressing(5.0), drives, set()), "it drives"

@@ -16,11 +16,10 @@ TESTS = Path(__file__).parents[1]
 PLAN = """
 import numpy as np, torch
 from offpiste import CostWeights
-from offpiste.planning.driving_cost import driving_terms
+from offpiste.planning.driving_cost import driving_costs, driving_terms
 from offpiste.planning.kernel import encode_map, fused_costs, fused_rollout
 from offpiste.planning.controls import CONTROL_LIMITS
 from offpiste.planning.mppi import Settings, improve
-from offpiste.planning.rollouts import driving_costs
 from offpiste.core.state import Trajectory
 from planning.test_kernel import commands, model, start
 from planning_maps import layers, situation

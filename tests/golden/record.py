@@ -59,10 +59,9 @@ from offpiste.perception.pca import save_pca
 from offpiste.planning.controls import CONTROL_LIMITS, keep_within
 from offpiste.planning.costs.layers import Hazards
 from offpiste.planning.costs.weights import CostWeights
-from offpiste.planning.driving_cost import driving_terms
+from offpiste.planning.driving_cost import driving_costs, driving_terms, situation_terrain, spread_model_state
 from offpiste.planning.kernel import encode_map, fused_costs, fused_rollout, kernel_model_state
 from offpiste.planning.mppi import Settings, improve, shift
-from offpiste.planning.rollouts import driving_costs, situation_terrain, spread_model_state
 from offpiste.rig.rig import load_rig
 from offpiste.runtime.planner import Planner
 from offpiste.simulation.recorder import Imperfections

@@ -19,11 +19,10 @@ from offpiste.mapping.terrain_sampler import MapTerrain, as_codes
 from offpiste.planning.controls import CONTROL_LIMITS, complete
 from offpiste.planning.costs.layers import Hazards
 from offpiste.planning.costs.weights import CostWeights
-from offpiste.planning.driving_cost import driving_terms
+from offpiste.planning.driving_cost import driving_costs, driving_terms, situation_terrain, spread_model_state
 from offpiste.planning.kernel import coded_map, encode_map, fused_costs, fused_rollout, kernel_model_state
 from offpiste.planning.mppi import Settings, improve
 from offpiste.planning.noise import coloured
-from offpiste.planning.rollouts import driving_costs, situation_terrain, spread_model_state
 from planning_maps import layers, situation
 
 STEPS = 60

@@ -1,4 +1,4 @@
-"""Cost of driving along predicted trajectories in torch; the reference of the kernel."""
+"""Costs of driving in torch, by rollouts of any model; the reference of the kernel."""
 
 from dataclasses import dataclass
 
@@ -6,14 +6,17 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from offpiste.core.conventions import DT, GRAVITY
-from offpiste.core.state import Trajectory
+from offpiste.core.conventions import CONTROL, DT, GRAVITY
+from offpiste.core.state import ModelState, TerrainSource, Trajectory
+from offpiste.dynamics.base import Dynamics, rollout
 from offpiste.mapping.terrain_map import wheel_positions_of_states
-from offpiste.mapping.terrain_sampler import MapStack, sample_maps
-from offpiste.planning.caution import Caution
+from offpiste.mapping.terrain_sampler import Encode, MapStack, MapTerrain, sample_maps
+from offpiste.planning.caution import Caution, position_margins
+from offpiste.planning.controls import complete
 from offpiste.planning.costs.declaration import CostTerm, Scalar, cost_terms, evaluate
 from offpiste.planning.costs.layers import CostMap
 from offpiste.planning.costs.weights import CostWeights
+from offpiste.planning.mppi import CostOf
 
 
 @dataclass(frozen=True)
@@ -39,6 +42,46 @@ class Situation:
     control: Float[Tensor, " 3"]
     gear: float = 1.0
     caution: Caution | None = None
+
+
+def driving_costs(
+    dynamics: Dynamics,
+    model_state: ModelState,
+    situation: Situation,
+    weights: CostWeights,
+    encode: Encode | None = None,
+) -> CostOf:
+    """Return a function that computes the costs of driving on the map of a situation.
+
+    Args:
+        model_state: model state at the start, a batch of one.
+        encode: encoder of the map's features, `terrain_sampler.as_codes` for a map of codes, or None for models
+            without features.
+    """
+
+    def cost_of(controls: Tensor) -> Tensor:
+        count, margins = len(controls), None
+        source = situation_terrain(situation, count, encode)
+        controls = complete(dynamics.vehicle, controls, situation.gear)
+        trajectory = rollout(dynamics, spread_model_state(model_state, count), controls, source)
+        if situation.caution is not None:
+            start = situation.state.expand(count, 6)
+            margins = position_margins(situation.caution, dynamics.vehicle, start, trajectory, controls, source)
+        return driving_cost(trajectory, controls[..., : len(CONTROL)], situation, weights, margins)
+
+    return cost_of
+
+
+def situation_terrain(situation: Situation, samples: int, encode: Encode | None = None) -> TerrainSource:
+    """Return the terrain of a situation's map for `samples` rollouts."""
+    number = torch.zeros(samples, dtype=torch.long, device=situation.state.device)
+    offset = situation.offset.expand(samples, 2)
+    return MapTerrain(situation.ground, number, offset, situation.wheels, encode)
+
+
+def spread_model_state(model_state: ModelState, samples: int) -> ModelState:
+    """Repeat the model state of one rollout for `samples` rollouts."""
+    return ModelState(*(part.expand(samples, -1) for part in vars(model_state).values()))
 
 
 def driving_cost(

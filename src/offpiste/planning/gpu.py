@@ -14,12 +14,11 @@ from offpiste.dynamics.kernels.coverage import uncovered
 from offpiste.native.cuda_kernels import cuda_kernels
 from offpiste.planning import mppi
 from offpiste.planning.costs.weights import CostWeights
-from offpiste.planning.device_planner import DevicePlanner, bounds_of, model_controls
+from offpiste.planning.device_planner import HOW, TOLERANCE, DevicePlanner, bounds_of, captured, model_controls
 from offpiste.planning.driving_cost import Situation
 from offpiste.planning.header.cost_text import plan_text
 from offpiste.planning.header.costs import costs_by_kernels
 from offpiste.planning.kernel import Codes, fused_costs
-from offpiste.planning.plan_graph import HOW, TOLERANCE, captured
 
 CHECKED: Final = 64
 """Number of samples for the comparison."""

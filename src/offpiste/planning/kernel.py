@@ -1,4 +1,4 @@
-"""Costs of control sequences by a fused kernel on the CPU; the reference is `rollouts.driving_costs`.
+"""Costs of control sequences by a fused kernel on the CPU; the reference is `driving_cost.driving_costs`.
 
 The first call compiles for some 20 seconds; the machine code is kept in the user's cache folder
 (`offpiste.native.kernel_cache`).
@@ -93,7 +93,7 @@ def coded_map(codes: Float[Tensor, "ny nx n"], encoder: FeatureEncoder) -> Codes
 def fused_costs(
     dynamics: Dynamics, model_state: ModelState, situation: Situation, weights: CostWeights, codes: Codes
 ) -> CostOf:
-    """Return a function that computes the costs of driving, as `rollouts.driving_costs` up to rounding.
+    """Return a function that computes the costs of driving, as `driving_cost.driving_costs` up to rounding.
 
     Args:
         dynamics: model supported by the kernels (`dynamics.kernels.autograd.supports`).

@@ -2,7 +2,7 @@
 
 After Williams, Drews, Goldfain, Rehg and Theodorou, "Information-theoretic model predictive control" (T-RO 2018,
 algorithm 2), with the low-frequency noise of Vlahov et al. (RA-L 2024). The task enters only through the function that
-computes the costs of control sequences (`rollouts`, `kernel`).
+computes the costs of control sequences (`driving_cost`, `kernel`).
 """
 
 import math

@@ -17,10 +17,9 @@ from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.mapping.terrain_sampler import Encode, MapStack, MapTerrain, as_codes, stack_maps
 from offpiste.planning.controls import complete
 from offpiste.planning.costs.weights import CostWeights
-from offpiste.planning.driving_cost import Situation
+from offpiste.planning.driving_cost import Situation, driving_costs
 from offpiste.planning.kernel import Codes, coded_map, fused_costs, fused_rollout, kernel_model_state
 from offpiste.planning.mppi import CostOf
-from offpiste.planning.rollouts import driving_costs
 from offpiste.runtime.estimator import TrackRows
 
 KnownGround = Callable[[Float[np.ndarray, "M 2"]], Float[np.ndarray, "M F"]]
