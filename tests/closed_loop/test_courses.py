@@ -84,7 +84,9 @@ def test_a_choice_has_two_ways_of_one_length_and_knows_the_firm_one():
 
 
 def test_a_world_without_forks_and_an_unknown_kind_are_one_line():
-    with pytest.raises(OffpisteError, match=r"'mojave', seed 0: no stretch of its trails makes a course \(choices\)"):
+    with pytest.raises(
+        OffpisteError, match=r"'mojave', seed 0: no stretch of trail is suitable for a course \(choices\)"
+    ):
         choose_course(made_up(0.0), 1, CourseSettings("choices"))
     with pytest.raises(OffpisteError, match=r"'choice'.*choices"):
         course_world(PLACE, "choice")

@@ -124,22 +124,22 @@ def test_the_traction_by_hand():
 def test_no_course_where_a_vehicle_would_be_stuck(driven):
     chosen, world = driven[0].chosen, driven[0].world
     assert traction_along(world, chosen.course.driven).min() >= SETTINGS.course.traction
-    with pytest.raises(OffpisteError, match="no stretch of its trails makes a course"):
+    with pytest.raises(OffpisteError, match="no stretch of trail is suitable for a course"):
         choose_course(world, 3, replace(SETTINGS.course, traction=1.0))
 
 
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        ({"seconds": float("nan")}, "a drive of nan s"),
+        ({"seconds": float("nan")}, "invalid time limit of nan s"),
         *(
-            ({"course": CourseSettings(speed=speed)}, f"a wanted speed of {speed:g} m/s")
+            ({"course": CourseSettings(speed=speed)}, f"invalid target speed of {speed:g} m/s")
             for speed in (float("nan"), 0.0, 31.0)
         ),
-        ({"fault_when": "backwards"}, "a fault cannot begin 'backwards'"),
-        *(({"fault_start": start}, f"a fault from {start:g} s on") for start in (float("nan"), -1.0)),
+        ({"fault_when": "backwards"}, "unknown beginning of a fault, 'backwards'"),
+        *(({"fault_start": start}, f"invalid start of a fault at {start:g} s") for start in (float("nan"), -1.0)),
         ({"sensors": "heavy"}, "no sensor profile"),
-        ({"fault": "late-image"}, r"a fault from 10 s on.*before the drive's end"),
+        ({"fault": "late-image"}, r"invalid start of a fault at 10 s.*before the drive's end"),
     ],
 )
 def test_settings_out_of_range_are_refused_at_once(changed, message, tmp_path):

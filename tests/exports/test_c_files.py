@@ -120,7 +120,7 @@ def test_the_cuda_example_compiles_without_spills(tmp_path):
 
 def test_what_cannot_be_exported_is_refused(tmp_path, monkeypatch):
     (tmp_path / "mine.txt").write_text("mine")
-    with pytest.raises(OffpisteError, match="has files already"):
+    with pytest.raises(OffpisteError, match="is not empty"):
         export("pretrained:proving-ground/dc", tmp_path, "c")
     with pytest.raises(OffpisteError, match="no export format 'cuba'; did you mean 'cuda'"):
         export("pretrained:proving-ground/dc", tmp_path / "new", "cuba")

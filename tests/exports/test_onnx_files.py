@@ -109,7 +109,7 @@ def test_a_graph_that_computes_something_else_and_pictures_of_another_size_are_r
     with pytest.raises(RunError, match=r"onnxruntime differs from torch by 1\.0e\+00"):
         checked_graph(pretrained("proving-ground/dc"), tmp_path / "x", Drawn(), {"x": torch.ones(2, 3)}, ("y",))
     cv2.imwrite(str(tmp_path / "small.png"), np.zeros((4, 5, 3), np.uint8))
-    with pytest.raises(OffpisteError, match="a picture of 5 x 4"):
+    with pytest.raises(OffpisteError, match="an image of 5 x 4"):
         read_images(tmp_path, (640, 360))
 
 

@@ -63,10 +63,10 @@ def test_inconsistent_and_short_courses_are_refused():
     """Run without the checks of shapes that are active in tests."""
     done = subprocess.run((sys.executable, "-c", COURSES), capture_output=True, text=True, check=True)
     assert done.stdout.splitlines() == [
-        "3 speeds for 3 points, or one that is not finite",
-        "5 speeds for 3 points, or one that is not finite",
-        "a second way of 2 points beside a path of 3",
-        *["a path of 3 points, not finite or shorter than 0.01 m"] * 2,
+        "3 speeds for 3 points, or a non-finite speed",
+        "5 speeds for 3 points, or a non-finite speed",
+        "the alternative has 2 points, the path 3",
+        *["the path of 3 points is not finite or shorter than 0.01 m"] * 2,
     ]
 
 

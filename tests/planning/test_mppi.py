@@ -238,10 +238,10 @@ def test_a_gpu_reaches_the_optimum_too():
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [
-        ({"samples": 0}, "0 samples and 1 iterations"),
-        ({"temperature": float("nan")}, "a temperature of nan"),
-        ({"dt": -0.02}, "steps of -0.02 s"),
-        ({"fresh": 0.6, "wide": 0.5}, "together at most 1"),
+        ({"samples": 0}, r"samples \(0\) and iterations \(1\)"),
+        ({"temperature": float("nan")}, r"temperature \(nan\)"),
+        ({"dt": -0.02}, r"dt \(-0.02 s\)"),
+        ({"fresh": 0.6, "wide": 0.5}, "0 to 1 in total"),
     ],
 )
 def test_impossible_settings_are_refused(wrong, said):

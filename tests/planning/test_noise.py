@@ -53,5 +53,5 @@ def test_frequencies_above_the_highest_have_no_power():
 
 
 def test_a_period_shorter_than_the_steps_is_refused():
-    with pytest.raises(ValueError, match="at least as many"):
+    with pytest.raises(ValueError, match="at least the number of steps"):
         drawn((1, 10, 1), period=9)

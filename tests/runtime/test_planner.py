@@ -99,7 +99,7 @@ def test_a_run_that_never_saw_a_throttle_is_refused(tmp_path):
     vehicle = Vehicle(1150.0, 2.06, 0.5, ("brake", "steer"), ())
     folder = run_folder(tmp_path, "b", (), vehicle=asdict(vehicle))
     save_tensors(folder / "model.safetensors", build("b", vehicle, seed=0).state_dict())
-    with pytest.raises(RunError, match="without the throttle that a planner would choose"):
+    with pytest.raises(RunError, match="without throttle, which a planner commands"):
         load_planner(folder)
 
 

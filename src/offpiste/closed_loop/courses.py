@@ -106,7 +106,7 @@ def choose_course(world: World, seed: int, settings: CourseSettings | None = Non
     if not candidates:
         place = f"world '{world.settings.preset}', seed {world.settings.seed}"
         raise CourseError(
-            f"no stretch of its trails makes a course ({settings.kind})", where=place, how="take another seed"
+            f"no stretch of trail is suitable for a course ({settings.kind})", where=place, how="take another seed"
         )
     return max(candidates, key=lambda candidate: candidate.score).chosen
 

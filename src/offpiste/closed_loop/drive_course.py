@@ -178,18 +178,21 @@ def described(result: dict[str, Any]) -> str:
 def check_settings(settings: CourseDriveSettings) -> None:
     """Raise `OffpisteError` for the first setting out of range."""
     if not 1.0 <= settings.seconds <= 3600:
-        raise OffpisteError(f"a drive of {settings.seconds:g} s", how="give --seconds from 1 to 3600")
+        raise OffpisteError(f"invalid time limit of {settings.seconds:g} s", how="give --seconds from 1 to 3600")
     if not 0 < settings.course.speed <= FASTEST:
         raise OffpisteError(
-            f"a wanted speed of {settings.course.speed:g} m/s", how=f"give --speed above 0, and at most {FASTEST:g}"
+            f"invalid target speed of {settings.course.speed:g} m/s",
+            how=f"give --speed above 0, and at most {FASTEST:g}",
         )
     if settings.fault not in KINDS:
-        raise OffpisteError(f"no fault is called {settings.fault!r}", how=f"choose one of {', '.join(KINDS)}")
+        raise OffpisteError(f"unknown fault {settings.fault!r}", how=f"choose one of {', '.join(KINDS)}")
     if settings.fault_when not in WHENS:
-        raise OffpisteError(f"a fault cannot begin {settings.fault_when!r}", how=f"choose one of {', '.join(WHENS)}")
+        raise OffpisteError(
+            f"unknown beginning of a fault, {settings.fault_when!r}", how=f"choose one of {', '.join(WHENS)}"
+        )
     if not 0 <= settings.fault_start < (settings.seconds if settings.fault != "none" else math.inf):
         how = f"give --fault-start of 0 or more, before the drive's end at {settings.seconds:g} s"
-        raise OffpisteError(f"a fault from {settings.fault_start:g} s on", how=how)
+        raise OffpisteError(f"invalid start of a fault at {settings.fault_start:g} s", how=how)
     COURSE_KINDS[settings.course.kind], sensor_suite(settings.sensors)  # raise for unknown names
 
 

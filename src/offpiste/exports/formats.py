@@ -54,7 +54,7 @@ def export(run: str | Path, to: str | Path, kind: str = "c", images: ImageOption
     write, to = FORMATS[kind], Path(to)
     check_folder(to, option="--to")
     if to.exists() and any(to.iterdir()):
-        raise OffpisteError("has files already", where=to, how="give a folder that is empty or not there yet")
+        raise OffpisteError("is not empty", where=to, how="give an empty or new folder")
     loaded = load_run(run)
     loaded.dynamics.requires_grad_(False)
     to.parent.mkdir(parents=True, exist_ok=True)

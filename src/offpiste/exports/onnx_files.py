@@ -252,7 +252,7 @@ def read_images(folder: Path, size: tuple[int, int]) -> UInt8[Tensor, "N h w 3"]
     """
     files = sorted(each for each in folder.glob("*") if each.suffix.lower() in (".png", ".jpg", ".jpeg"))
     if not files:
-        raise OffpisteError("no picture (.png, .jpg)", where=folder, how="give a folder with rectified images")
+        raise OffpisteError("has no images (.png, .jpg)", where=folder, how="give a folder with rectified images")
     chosen = np.unique(np.linspace(0, len(files) - 1, min(CALIBRATION_IMAGES, len(files))).round().astype(int))
     return torch.from_numpy(np.stack([_picture(files[number], size) for number in chosen]))
 
@@ -261,8 +261,8 @@ def _picture(file: Path, size: tuple[int, int]) -> UInt8[np.ndarray, "h w 3"]:
     width, height = size
     picture = decoded_picture(np.fromfile(file, np.uint8))
     if picture is None or picture.shape[:2] != (height, width):
-        found = "no picture" if picture is None else f"a picture of {picture.shape[1]} x {picture.shape[0]}"
-        how = f"give rectified pictures of {width} x {height}, or their size: --size WIDTHxHEIGHT"
+        found = "is no image" if picture is None else f"is an image of {picture.shape[1]} x {picture.shape[0]}"
+        how = f"give rectified images of {width} x {height}, or their size: --size WIDTHxHEIGHT"
         raise OffpisteError(found, where=file, how=how)
     return np.ascontiguousarray(picture[..., ::-1])
 

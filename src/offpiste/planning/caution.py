@@ -36,7 +36,7 @@ class AddSpread:
     def __post_init__(self) -> None:
         if not 0 <= self.times < math.inf:
             how = "give a finite factor of 0 or more"
-            raise PlanningError(f"a risk of {self.times:g} times the spread", how=how)
+            raise PlanningError(f"invalid risk factor {self.times:g}", how=how)
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class WorstShare:
 
     def __post_init__(self) -> None:
         if not 0 < self.share <= 1:
-            raise PlanningError(f"a risk of the worst {self.share:g} of errors", how="give a share above 0, up to 1")
+            raise PlanningError(f"invalid share of errors {self.share:g}", how="give a share above 0 and up to 1")
 
 
 Risk = AsPredicted | AddSpread | WorstShare
@@ -98,7 +98,7 @@ def caution_of(risk: Risk, spread: Spread | None) -> Caution | None:
     if isinstance(risk, AsPredicted):
         return None
     if spread is None:
-        how = "make it with `offpiste calibrate RUN --dataset DATASET`, or plan with the risk none"
+        how = "create one with `offpiste calibrate RUN --dataset DATASET`, or plan with the risk none"
         raise PlanningError(f"the risk {risk.kind!r} needs a spread, which the run does not have", how=how)
     if isinstance(risk, AddSpread):
         return Caution(spread, risk.times)

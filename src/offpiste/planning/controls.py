@@ -80,7 +80,7 @@ def complete(
     if given == len(columns):
         return controls
     if given != len(CONTROL) or columns != COMPLETED:
-        what = f"controls of {given} columns for a model of {', '.join(columns)}"
+        what = f"{given} columns of controls do not fit a model with {', '.join(columns)}"
         raise PlanningError(what, how="plan throttle, brake and steer; a gear is held")
     return torch.cat((controls, gear * torch.ones_like(controls[..., :1])), dim=-1)
 

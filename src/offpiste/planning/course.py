@@ -135,13 +135,15 @@ class Course:
     def __post_init__(self) -> None:
         if not arc_length(self.path)[-1] > SHORTEST:
             how = "give finite points of a longer path, or a `Goal`"
-            raise PlanningError(f"a path of {len(self.path)} points, not finite or shorter than {SHORTEST} m", how=how)
+            raise PlanningError(
+                f"the path of {len(self.path)} points is not finite or shorter than {SHORTEST} m", how=how
+            )
         if len(self.speed) != len(self.path) or not np.isfinite(self.speed).all():
-            what = f"{len(self.speed)} speeds for {len(self.path)} points, or one that is not finite"
+            what = f"{len(self.speed)} speeds for {len(self.path)} points, or a non-finite speed"
             raise PlanningError(what, how="give one finite speed for each point of the path")
         if self.alternative is not None and len(self.alternative) != len(self.path):
-            what = f"a second way of {len(self.alternative)} points beside a path of {len(self.path)}"
-            raise PlanningError(what, how="give as many points for both, those of the path where there is one way")
+            what = f"the alternative has {len(self.alternative)} points, the path {len(self.path)}"
+            raise PlanningError(what, how="give as many points for both, equal where the ways coincide")
 
     @property
     def ways(self) -> tuple[Float[np.ndarray, "P 2"], ...]:

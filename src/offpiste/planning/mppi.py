@@ -60,11 +60,11 @@ class Settings:
 
     def __post_init__(self) -> None:
         if min(self.samples, self.iterations) < 1:
-            raise ValueError(f"{self.samples} samples and {self.iterations} iterations; each has to be 1 or more")
+            raise ValueError(f"samples ({self.samples}) and iterations ({self.iterations}) must be at least 1")
         if not (0 < self.temperature < math.inf and 0 < self.dt < math.inf):
-            raise ValueError(f"a temperature of {self.temperature:g} and steps of {self.dt:g} s; both are above 0")
+            raise ValueError(f"temperature ({self.temperature:g}) and dt ({self.dt:g} s) must be positive and finite")
         if min(self.fresh, self.wide) < 0 or self.fresh + self.wide > 1:
-            raise ValueError(f"shares of {self.fresh:g} fresh and {self.wide:g} wide samples; together at most 1")
+            raise ValueError(f"the shares fresh ({self.fresh:g}) and wide ({self.wide:g}) must be 0 to 1 in total")
 
 
 @dataclass(frozen=True)
@@ -183,7 +183,7 @@ def weigh(costs: Float[Tensor, " K"], temperature: float) -> Float[Tensor, " K"]
 
 def no_finite_cost(samples: int) -> NoPlan:
     """Return the error of a plan without finite costs."""
-    how = "stop, and check start, map and cost for values that are not finite"
+    how = "stop, and check start, map and cost for non-finite values"
     return NoPlan(f"none of {samples} sampled trajectories has a finite cost", how=how)
 
 

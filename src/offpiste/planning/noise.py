@@ -58,7 +58,7 @@ def coefficient_sizes(
     """
     period = 2 * steps if period is None else period
     if period < steps:
-        raise ValueError(f"noise of {steps} steps needs a period of at least as many, not {period}")
+        raise ValueError(f"the period of noise ({period}) must be at least the number of steps ({steps})")
     power = spectrum(period, exponent, highest)
     # `irfft` reads only the real part of the first and the last coefficient, which must have all of the power.
     power[0] *= 2

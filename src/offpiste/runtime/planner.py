@@ -70,9 +70,9 @@ def load_planner(
     missing = [name for name in ("throttle", "steer") if name not in run.dynamics.vehicle.control]
     if missing:
         raise RunError(
-            f"was trained without the {' and the '.join(missing)} that a planner would choose",
+            f"was trained without {' and '.join(missing)}, which a planner commands",
             where=folder,
-            how="give a run trained on commands of both",
+            how="give a run trained on both commands",
         )
     ships, folder = str(folder).startswith(PREFIX), run.folder
     weights = sha256_of(folder / WEIGHTS)[:16]
@@ -80,7 +80,7 @@ def load_planner(
     planner = Planner(run.model, folder, run.dynamics, weights=weights, seed=run.seed, spread=spread)
     if run.dynamics.encoder is None:
         if novelty == "missing":
-            raise RunError("reads no features, so no ground is novel to it", where=folder, how="leave --novelty out")
+            raise RunError("reads no features, so --novelty has no effect", where=folder, how="leave --novelty out")
         return planner
     if novelty == "missing":
         mask_novel_ground(run.dynamics, load_memory_bank(run))

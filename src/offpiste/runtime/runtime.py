@@ -63,9 +63,7 @@ class Runtime:
         self._settings = settings or RuntimeSettings()
         self._dynamics = dynamics.eval().requires_grad_(False)
         if dynamics.encoder is not None and ground is None and sensors.extract is None:
-            raise PlanningError(
-                "the model reads features, and nothing extracts them", how="give SensorSetup(…, extract=…)"
-            )
+            raise PlanningError("the model reads features, but has no extractor", how="give SensorSetup(…, extract=…)")
         timeouts, actuators = self._settings.timeouts, dynamics.vehicle.actuators
         self.watch, self._track = Stopwatch(), VehicleTrack(slowest=timeouts.state, actuators=actuators)
         self.follower = Follower(self._settings, self._track, CourseTracker(course))

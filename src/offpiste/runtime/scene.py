@@ -96,7 +96,7 @@ def read_scene(log: Log, rig: Rig, planner: Planner, seconds: float, settings: M
     now = sensors.poses.span[0] + seconds
     if now > sensors.poses.span[1]:
         last = sensors.poses.span[1] - sensors.poses.span[0]
-        raise LogError(f"its poses end before {seconds:g} s", where=log.path, how=f"choose a time up to {last:.1f} s")
+        raise LogError(f"the poses end before {seconds:g} s", where=log.path, how=f"choose a time up to {last:.1f} s")
     cameras = {} if extractor is None else pinhole_cameras(sensors, extractor.patch)
 
     def codes(pixels: np.ndarray) -> np.ndarray:
@@ -113,7 +113,7 @@ def read_scene(log: Log, rig: Rig, planner: Planner, seconds: float, settings: M
     rows = extract_rows(drive_from_log(log, rig))
     t = int(np.searchsorted(rows.time, max(now, moment.placed)))
     if not HISTORY_STEPS <= t < len(rows.time) or not rows.valid[t - HISTORY_STEPS : t + 1].all():
-        how = "choose a time at which all channels are there"
+        how = "choose a time at which all channels have data"
         raise LogError(f"no complete history of the vehicle at {seconds:g} s", where=log.path, how=how)
     track = track_of(rows, [control.name for control in rig.controls], t)
     return Scene(float(rows.time[t]), moment.layers, track, np.asarray(rig.wheel_positions()))

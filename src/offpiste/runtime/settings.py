@@ -79,11 +79,11 @@ class RuntimeSettings:
 
     def __post_init__(self) -> None:
         if not 0 <= self.latency <= 1 or not _is_steps(self.latency):
-            raise PlanningError(f"a latency of {self.latency:g} s", how=f"give a multiple of {DT} from 0 to 1")
+            raise PlanningError(f"invalid latency of {self.latency:g} s", how=f"give a multiple of {DT} from 0 to 1")
         longest = self.timeouts.plan
         if not self.plan_rate > 0 or not _is_steps(1 / self.plan_rate) or 1 / self.plan_rate > longest:
-            how = f"let 1 / plan_rate be a multiple of {DT} s, of {longest:g} s at most (timeouts.plan)"
-            raise PlanningError(f"{self.plan_rate:g} plans a second", how=how)
+            how = f"choose 1 / plan_rate as a multiple of {DT} s, at most {longest:g} s (timeouts.plan)"
+            raise PlanningError(f"invalid plan rate of {self.plan_rate:g} Hz", how=how)
 
     def highest_speed(self, *, slow: bool) -> float:
         """Return the speed limit of plans [m/s]."""

@@ -135,7 +135,7 @@ def test_a_latency_given_twice_is_driven_once():
 
 @pytest.mark.parametrize("latency", [0.03, -0.1, 1.02, float("nan")])
 def test_all_settings_are_checked_before_the_first_course(driven, tmp_path, latency):
-    with pytest.raises(OffpisteError, match="a latency of"):
+    with pytest.raises(OffpisteError, match="invalid latency of"):
         drive_all(entries([DC], (latency,)), places(1, 2), tmp_path)
     assert not driven.drives
 
