@@ -36,7 +36,7 @@ def test_each_drives_without_further_files(name):
 
 def test_features_of_known_ground_ship_too():
     load_planner(Path(f"{PREFIX}proving-ground/dc"), novelty="missing")
-    with pytest.raises(RunError, match="reads no features, so no ground is novel to it"):
+    with pytest.raises(RunError, match="reads no features, so --novelty has no effect"):
         load_planner(Path(f"{PREFIX}proving-ground/b"), novelty="missing")
 
 
