@@ -217,7 +217,6 @@ def encoding(model: Hybrid, at: Situation) -> None:
     encoder = model.encoder
     runs = {
         "all cells": lambda: encode_map(at.ground, model.encoder)[0],
-        "within 40 m": lambda: encode_map(at.ground, model.encoder, centre=at.offset, reach=40.0)[0],
         "codes already": lambda: coded_map(coded.features[0], encoder)[0],
     }
     for name, one in in_turns(runs, 2.0).items():

@@ -4,7 +4,6 @@ The first call compiles for some 20 seconds; the machine code is kept in the use
 (`offpiste.native.kernel_cache`).
 """
 
-import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Final
@@ -46,32 +45,15 @@ PART: Final = 4096
 
 
 @torch.no_grad()
-def encode_map(
-    maps: MapStack,
-    encoder: FeatureEncoder | None,
-    *,
-    centre: Float[Tensor, " 2"] | None = None,
-    reach: float = math.inf,
-) -> Codes:
-    """Encode the cells of the first map of a stack.
-
-    Args:
-        centre: x, y in the world frame [m].
-        reach: distance along x or y beyond which cells count as missing [m].
-    """
+def encode_map(maps: MapStack, encoder: FeatureEncoder | None) -> Codes:
+    """Encode the cells of the first map of a stack."""
     features = maps.features[0]
     if encoder is None:
         return features[..., :0].float(), torch.zeros(0, device=features.device)
-    wanted = features.isfinite().all(dim=-1)
-    if centre is not None:
-        rows, columns = (torch.arange(n, dtype=torch.float64, device=features.device) for n in wanted.shape)
-        x, y = (centre.to(maps.origin) - maps.origin[0]) / maps.resolution
-        cells = reach / maps.resolution
-        wanted &= ((rows - y).abs() <= cells)[:, None] & ((columns - x).abs() <= cells)
     missing = encoder.missing()
-    codes = missing.repeat(*wanted.shape, 1)
+    codes, seen = missing.repeat(*features.shape[:2], 1), features.isfinite().all(dim=-1)
     # Small parts stay in the cache.
-    for row, column in zip(*(index.split(PART) for index in wanted.nonzero(as_tuple=True)), strict=True):
+    for row, column in zip(*(index.split(PART) for index in seen.nonzero(as_tuple=True)), strict=True):
         there = torch.ones(len(row), dtype=torch.bool, device=features.device)
         codes[row, column] = encoder(features[row, column].to(missing.dtype), there)
     return codes, missing
