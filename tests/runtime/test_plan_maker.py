@@ -79,6 +79,7 @@ def test_plans_leave_nothing_to_garbage_collection():
         gc.collect()
         print(len(stream.runtime.predictions) > plans, len(gc.garbage), {type(each).__name__ for each in gc.garbage})
     """
-    there = os.environ | {"PYTHONPATH": str(Path(__file__).parents[1])}
+    paths = (str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH", ""))
+    there = os.environ | {"PYTHONPATH": os.pathsep.join(paths)}
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=there).stdout
     assert said == "True 0 set()\n"
