@@ -18,19 +18,17 @@ from offpiste.dynamics.feature_encoder import FeatureEncoder
 from offpiste.mapping.replay import ExtractFeatures
 from offpiste.mapping.terrain_sampler import stack_maps
 from offpiste.planning.caution import Caution
-from offpiste.planning.controls import PEDAL_AND_WHEEL
-from offpiste.planning.cost_map import cost_map
-from offpiste.planning.costs.layers import Hazards
+from offpiste.planning.controls import PEDAL_LIMITS
+from offpiste.planning.costs.layers import Hazards, cost_map
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.course import Course
-from offpiste.planning.device_planner import DevicePlanner
+from offpiste.planning.device_planner import DevicePlanner, captured
 from offpiste.planning.driving_cost import Situation
 from offpiste.planning.gpu import check_planner
 from offpiste.planning.header.cost_text import plan_text
 from offpiste.planning.header.costs import costs_by_kernels
 from offpiste.planning.kernel import encode_map
 from offpiste.planning.mppi import Settings
-from offpiste.planning.plan_graph import captured
 from offpiste.runtime.perception import codes_of, encoder_on
 from offpiste.runtime.planner import load_planner
 from offpiste.training.run import pretrained
@@ -73,7 +71,7 @@ class Plans:
 
     def planner(self, samples: int) -> DevicePlanner:
         """A planner of so many samples."""
-        settings = Settings(PEDAL_AND_WHEEL, (0.15, 0.15), samples=samples, temperature=3.0, rest=(0.4, 0.0))
+        settings = Settings(PEDAL_LIMITS, (0.15, 0.15), samples=samples, temperature=3.0, rest=(0.4, 0.0))
         generator = torch.Generator(self.device).manual_seed(0)
         return DevicePlanner(self.kernels, self.dynamics, settings, generator, self.capture)
 
