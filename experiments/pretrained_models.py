@@ -22,6 +22,7 @@ from experiments.control_experiments.data import true_ground
 from experiments.control_experiments.reproduced import Reproduced, open_reproduction
 from experiments.control_experiments.runs import trained_seeds
 from experiments.control_experiments.strata import strata
+from experiments.gains import errors_of, runs_of, same_windows
 from offpiste._version import commit, today
 from offpiste.core.conventions import DT
 from offpiste.core.errors import RunError
@@ -33,7 +34,7 @@ from offpiste.evaluation.errors import Errors
 from offpiste.evaluation.intervals import PairedDifference, Sampling, relative, summary
 from offpiste.evaluation.model_card import GroupFigures, ModelCard, write_card
 from offpiste.reproduction.reproduce import reproduce
-from offpiste.reproduction.results import MAP, errors_of, runs_of, same_windows
+from offpiste.reproduction.results import MAP
 from offpiste.reproduction.runs import evaluation_windows
 from offpiste.reproduction.settings import ReproductionSettings, sized
 from offpiste.reproduction.steps import claim_folder

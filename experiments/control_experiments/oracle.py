@@ -9,22 +9,14 @@ from experiments.control_experiments.data import true_ground
 from experiments.control_experiments.reproduced import Reproduced
 from experiments.control_experiments.runs import trained_seeds
 from experiments.control_experiments.tables import percent, write_control
+from experiments.gains import errors_of, gain, gain_table, runs_of, same_windows, share
 from offpiste.core.conventions import FEATURE_SETS
 from offpiste.dataset.windows import Windows
 from offpiste.evaluation.errors import Errors
 from offpiste.evaluation.evaluate import Reading
 from offpiste.evaluation.intervals import Sampling
 from offpiste.report.text_table import TextTable
-from offpiste.reproduction.results import (
-    HINDSIGHT,
-    MAP,
-    errors_of,
-    gain,
-    gain_table,
-    runs_of,
-    same_windows,
-    share,
-)
+from offpiste.reproduction.results import HINDSIGHT, MAP
 from offpiste.reproduction.runs import evaluation_windows
 
 ABOUT = (

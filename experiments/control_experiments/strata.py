@@ -8,11 +8,12 @@ from jaxtyping import Bool, Int
 
 from experiments.control_experiments.reproduced import Reproduced
 from experiments.control_experiments.tables import write_control
+from experiments.gains import Gain, gain, gain_table
 from offpiste.dataset.windows import Windows
 from offpiste.evaluation.errors import Errors, load_errors, save_errors
 from offpiste.evaluation.evaluate import Reading
 from offpiste.evaluation.evaluated_windows import EvaluatedWindows, members
-from offpiste.reproduction.results import HINDSIGHT, MAP, Gain, gain, gain_table
+from offpiste.reproduction.results import HINDSIGHT, MAP
 from offpiste.reproduction.runs import errors_of_runs, errors_path, evaluation_windows
 
 ABOUT = "Baseline b; below 0: better than b. By speed, world and seed: on the map as it was, read at predicted places."

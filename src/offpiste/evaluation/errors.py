@@ -1,6 +1,6 @@
 """Errors of predictions after each whole second, and files with them."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ from offpiste.core.state import wrap_angle
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics import Dynamics
 from offpiste.training.losses import summed_loss
-from offpiste.training.prediction import Lookup, MapSource, batch_for, in_parts, roll_batch_out, roll_out
+from offpiste.training.prediction import Lookup, batch_for, in_parts, roll_batch_out, roll_out
 
 HORIZONS = (1, 2, 3, 4, 5)
 """Times at which errors are kept [s after the start]."""
@@ -174,7 +174,6 @@ def errors_of_models(
     *,
     lookup: Lookup | None,
     scale: Float[Tensor, " 5"],
-    map_source: MapSource | None = None,
     description: str = "evaluating",
 ) -> list[Errors]:
     """Compute the errors of models on the same windows, which are read once for all.
@@ -183,7 +182,6 @@ def errors_of_models(
         index: indices of the windows.
         lookup: "recorded" or "map" (`training.prediction.Lookup`); None for models that do not read the terrain.
         scale: of the loss (`offpiste.training.losses.summed_loss`).
-        map_source: map to read with the lookup "map"; None: the windows' own.
         description: of the progress.
     """
     steps = torch.tensor([round(seconds / DT) - 1 for seconds in HORIZONS], device=windows.device)
@@ -194,7 +192,7 @@ def errors_of_models(
         batch = windows.gather(part)
         for number, each in enumerate(predictors):
             own = batch_for(each.dynamics, windows, batch)
-            state = roll_batch_out(each.dynamics, windows, part, own, lookup, map_source).state
+            state = roll_batch_out(each.dynamics, windows, part, own, lookup).state
             values[number].append(_absolute_errors(state[:, steps], batch.target[:, steps]))
             losses[number].append(summed_loss(state, batch.target, scale, each.weights.to(windows.device)))
     drive, row = windows.drive[index], windows.row_in_drive(index)
@@ -259,14 +257,3 @@ def load_errors(path: Path) -> Errors:
             return Errors(**{name: file.get_tensor(name) for name in file.keys()})  # noqa: SIM118
     except (OSError, SafetensorError, TypeError) as error:
         raise RunError(f"cannot be read: {error}", where=path, how="delete it and run again") from error
-
-
-def saved_errors(path: Path, compute: Callable[[], Errors]) -> Errors:
-    """Read errors from a file; if there is none, compute and write them first.
-
-    Raises:
-        RunError: the file is damaged.
-    """
-    if not path.exists():
-        save_errors(path, compute())
-    return load_errors(path)

@@ -2,20 +2,15 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Final
 
 import msgspec
 import numpy as np
-import torch
-from jaxtyping import Bool, Int
+from jaxtyping import Bool
 
-from offpiste.core.checksums import sha256_of_folders, sha256_of_json
 from offpiste.core.conventions import HISTORY_STEPS, HORIZON_STEPS
-from offpiste.core.errors import RunError
 from offpiste.dataset.feature_sets import set_number
 from offpiste.dataset.store import Dataset
-from offpiste.dataset.windows import Windows
 from offpiste.evaluation.errors import (
     HORIZONS,
     Errors,
@@ -23,18 +18,13 @@ from offpiste.evaluation.errors import (
     by_seed,
     load_errors,
     pool,
-    save_errors,
-    saved_errors,
 )
 from offpiste.evaluation.evaluate import Reading
-from offpiste.evaluation.intervals import NO_INTERVAL, Levels, PairedDifference, Resampling, Sampling, relative
+from offpiste.evaluation.intervals import NO_INTERVAL, Levels, PairedDifference, Sampling, relative
 from offpiste.evaluation.metrics import Case, LossUnits, Provenance, ResultRow, RunErrors, result_rows
-from offpiste.report.text_table import TextTable, interval, number
-from offpiste.reproduction.runs import PART, errors_of_runs, errors_path
+from offpiste.report.text_table import interval
+from offpiste.reproduction.runs import PART, errors_path
 from offpiste.reproduction.settings import BASELINE, FigureModel, ReproductionSettings
-from offpiste.training.checkpoint import sha256_of_tensors
-from offpiste.training.prediction import MapSource
-from offpiste.training.run import Run, refuse_seen
 
 SCHEMA: Final = 2
 """Version of a figure's metrics.json."""
@@ -232,148 +222,6 @@ def seen_throughout(dataset: Dataset, feature_set: str, windows: Errors) -> Bool
         row = windows.row[mine]
         throughout[mine] = run[row + HORIZON_STEPS] - run[row - HISTORY_STEPS] == HORIZON_STEPS + HISTORY_STEPS
     return throughout
-
-
-class Gain(msgspec.Struct, frozen=True, kw_only=True):
-    """Gain of a model over a baseline on the same windows, as relative differences: -0.1 is 10 % less.
-
-    Attributes:
-        case: change of model, features or world.
-        model, baseline: their names.
-        n: number of windows.
-        levels: numbers of drives, blocks and seeds behind the intervals.
-        error_m, baseline_error_m: mean distance errors after 5 s.
-        distance, loss: relative differences with 95 % intervals over drives, blocks of 10 s and seeds.
-    """
-
-    case: str
-    model: str
-    baseline: str
-    lookup: str
-    feature_set: str | None
-    n: int
-    levels: Levels
-    error_m: float
-    baseline_error_m: float
-    distance: PairedDifference
-    loss: PairedDifference
-
-
-def same_windows(windows: Windows, index: Int[np.ndarray, " n"], among: Windows) -> Int[np.ndarray, " n"]:
-    """Return the indices of windows, by drive and row, in another dataset of the same drives.
-
-    Raises:
-        RunError: a window is missing.
-    """
-    numbers = [among.drive_names.index(name) if name in among.drive_names else -1 for name in windows.drive_names]
-    wanted = np.array(numbers)[windows.drive[index]].astype(np.int64) << 32 | windows.row_in_drive(index)
-    every = np.arange(len(among))
-    keys = among.drive.astype(np.int64) << 32 | among.row_in_drive(every)
-    result = np.searchsorted(keys, wanted).clip(max=len(keys) - 1)
-    if not np.array_equal(keys[result], wanted):
-        raise RunError("two datasets do not hold the same windows", how="extract both from the same logs")
-    return result
-
-
-def errors_of(
-    run: Run,
-    windows: Windows,
-    index: Int[np.ndarray, " n"],
-    reading: Reading,
-    *,
-    scale: torch.Tensor,
-    kept: Path,
-    map_source: MapSource | None = None,
-) -> Errors:
-    """Read the errors of a run from the folder `kept`; if they are missing or of other data, compute and store them.
-
-    Args:
-        scale: units of the loss, the same for all compared runs.
-        map_source: map to read with the lookup "map"; None: the windows' own.
-
-    Raises:
-        RunError: the windows are of the test part, and the run was trained or chosen on some of them.
-    """
-    if windows.part == PART:
-        refuse_seen(run, windows.dataset, PART)
-    weights = sha256_of_tensors(run.dynamics.state_dict(), {})
-    of = sha256_of_json([weights, sha256_of_folders(windows.dataset.path), scale.tolist()])[:12]
-    path = kept / run.folder.name / f"{'-'.join((*filter(None, reading), of))}.safetensors"
-
-    def compute() -> Errors:
-        return errors_of_runs([run], windows, index, reading, scale=scale, map_source=map_source)[0]
-
-    errors = saved_errors(path, compute)
-    if not (
-        np.array_equal(errors.drive, windows.drive[index]) and np.array_equal(errors.row, windows.row_in_drive(index))
-    ):
-        errors = compute()  # the stored ones are of other windows
-        save_errors(path, errors)
-    return errors
-
-
-def gain(
-    case: str, model: str, mine: Sequence[Errors], others: Sequence[Errors], reading: Reading, *, baseline: str = "b"
-) -> Gain:
-    """Compare a model with a baseline over the model's seeds; runs of both are in the order of their seeds."""
-    one, other = runs_of(mine), runs_of(others[: len(mine)])
-    drawn = Sampling().on(one)
-    return Gain(
-        case=case,
-        model=model,
-        baseline=baseline,
-        lookup=str(reading[0]),
-        feature_set=reading[1],
-        n=len(one.row),
-        levels=drawn.levels(len(mine)),
-        error_m=float(one.distance().mean()),
-        baseline_error_m=float(other.distance().mean()),
-        distance=relative(one.distance(), other.distance(), drawn),
-        loss=relative(one.loss, other.loss, drawn),
-    )
-
-
-def runs_of(errors: Sequence[Errors]) -> SeededErrors:
-    """Return the errors of a model's runs, given in the order of their seeds."""
-    return by_seed([pool([each]) for each in errors], range(len(errors)))
-
-
-def share(
-    mine: SeededErrors, base: SeededErrors, oracle: SeededErrors, oracle_base: SeededErrors, drawn: Resampling
-) -> PairedDifference:
-    """Share of an oracle's relative gain in distance that a model reaches: (1 - mine/base) / (1 - oracle/oracle_base).
-
-    Each gain is over a baseline with the same normals, on the same windows in the same order. NaN if the interval of
-    the oracle's gain includes zero.
-    """
-    values = [errors.distance() for errors in (mine, base, oracle, oracle_base)]
-    if not all(np.isfinite(value).all() for value in values):
-        return PairedDifference(np.nan, NO_INTERVAL)
-    a, b, c, d = (drawn.means(value) for value in values)
-    if not drawn.interval(1 - c / d)[0] > 0:
-        return PairedDifference(np.nan, NO_INTERVAL)
-    m, n, o, p = (value.mean() for value in values)
-    return PairedDifference(float((1 - m / n) / (1 - o / p)), drawn.interval((1 - a / b) / (1 - c / d)))
-
-
-def gain_table(title: str, gains: Sequence[Gain], about: str) -> TextTable:
-    """Return a table with a line per gain."""
-    lines = [
-        (
-            f"{g.model}, {g.case}" if g.case else g.model,
-            " ".join(filter(None, (g.lookup, g.feature_set))),
-            number(g.error_m),
-            number(g.baseline_error_m),
-            percent(g.distance),
-            percent(g.loss),
-            f"{g.n}",
-            g.levels.text(),
-        )
-        for g in gains
-    ]
-    names = ("model", "lookup", "error [m]", "baseline [m]", "distance error", "loss", "windows", "intervals over")
-    caveats = [caveat for caveat in dict.fromkeys(g.levels.caveat for g in gains) if caveat]
-    return TextTable(title, names, tuple(lines), " ".join((about, *caveats)))
 
 
 def percent(difference: PairedDifference) -> str:

@@ -22,7 +22,6 @@ from offpiste.reproduction.steps import Step
 from offpiste.training.checkpoint import SHARED_STAGES
 from offpiste.training.distributed import ALONE
 from offpiste.training.losses import MapLoss, map_loss
-from offpiste.training.prediction import MapSource
 from offpiste.training.run import Run, best_epochs, load_run, refuse_seen
 from offpiste.training.train import train
 
@@ -72,14 +71,12 @@ def errors_of_runs(
     reading: Reading,
     *,
     scale: torch.Tensor,
-    map_source: MapSource | None = None,
 ) -> list[Errors]:
     """Compute the errors of runs with one terrain lookup; windows and maps are read once.
 
     Args:
         index: of the windows.
         scale: units of the loss, the same for all runs.
-        map_source: map to read with the lookup "map"; None: the windows' own.
     """
     lookup, chosen = reading
     return errors_of_models(
@@ -88,7 +85,6 @@ def errors_of_runs(
         index,
         lookup=lookup,
         scale=scale,
-        map_source=map_source,
         description=f"evaluating {', '.join(run.folder.name for run in runs)}",
     )
 

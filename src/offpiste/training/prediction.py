@@ -1,6 +1,6 @@
 """Predictions of windows, and the terrain they read: under recorded wheels, on a map, or along the driven path."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, Literal, get_args
 
@@ -25,9 +25,6 @@ from offpiste.mapping.terrain_sampler import MapTerrain
 
 Lookup = Literal["recorded", "map"]
 """Where a model reads the terrain: under the wheels' recorded future places, or on a map at predicted places."""
-
-MapSource = Callable[[Dynamics, Windows, np.ndarray, Batch], tuple[Batch, TerrainSource]]
-"""Maps a model, windows, their indices and their encoded batch to the batch and the map that the model reads."""
 
 AT_ONCE: Final = 1024
 """Number of windows that are rolled out together."""
@@ -121,7 +118,6 @@ def roll_batch_out(
     index: Int[np.ndarray, " B"],
     batch: Batch,
     lookup: Lookup | None,
-    map_source: MapSource | None = None,
 ) -> Trajectory:
     """Predict a batch of windows.
 
@@ -129,11 +125,10 @@ def roll_batch_out(
         index: indices of the windows in the batch.
         batch: in the model's columns (`batch_for`).
         lookup: None for models that do not read the terrain.
-        map_source: map to read with the lookup "map"; None: the windows' own.
     """
     if lookup != "map":
         return predict_batch(dynamics, batch)
-    batch, source = (map_source or on_map)(dynamics, windows, index, encoded(dynamics, batch))
+    batch, source = on_map(dynamics, windows, index, encoded(dynamics, batch))
     start = dynamics.start(batch.history, batch.state, batch.actuators)
     return predict_on(dynamics, start, batch.control, source)
 
