@@ -12,7 +12,7 @@ from offpiste.evaluation.report_figures import deciding_errors, report_figure, t
 from offpiste.evaluation.report_figures.distance_error import binned_plot
 from offpiste.report.chart import Chart
 
-CAPTION = "Mean distance error after 5 s by the yaw rate at the start; every bin holds as many windows."
+CAPTION = "Mean distance error after 5 s by the initial yaw rate; all bins hold equal numbers of windows."
 TURNING = 1e-3
 """With less yaw rate in every window, the figure is left out [rad/s]."""
 

@@ -37,7 +37,7 @@ class ControlExperiment:
         of = open_reproduction(self.reproduction)
         # Evaluations in the folder are reused: they must belong to the same runs.
         size = {"size": {key: value for key, value in asdict(of.size).items() if key != "seeds"}}  # they may grow
-        claim_folder(self.out, {"reproduction": str(self.reproduction.resolve()), **size}, defaults=size)
+        claim_folder(self.out, {"reproduction": str(self.reproduction.resolve()), **size})
         experiments: dict[What, Callable[[], Path]] = {
             "oracle": lambda: oracle_control(of, self.out, self.seeds),
             "strata": lambda: strata_control(of, self.out),

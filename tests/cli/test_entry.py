@@ -149,7 +149,7 @@ def test_extract_resumes_where_it_stopped(folder: Path, capsys: pytest.CaptureFi
         (("extract", *RIG, "--out", "{tmp}/d.zarr"), "no log is given"),
         (("fit-pca", "--rig", "kitti"), "no log is given"),
         (("check",), "nothing to check is given"),
-        (("evaluate", "--dataset", "{dataset}"), "no run is given"),
+        (("evaluate", "--dataset", "{dataset}"), "the runs are missing"),
         (("evaluate", "{run}b", "--dataset", "{dataset}"), "no such folder; did you mean '{run}'?"),
         (("inspect", "{drive}", "--rig", "proving-ground"), "no such rig; did you mean 'proving_ground'?"),
         (("train", "{dataset}", "--out", "{tmp}/run", "--model", "parametrik"), "did you mean 'parametric'?"),

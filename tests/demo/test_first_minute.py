@@ -1,4 +1,4 @@
-"""The first minute: whole and again, its words, and a drive that ends too early."""
+"""The demo of shipped models: files, resumption, sentences, a drive that is too short."""
 
 import json
 import logging
@@ -54,8 +54,8 @@ def test_again_nothing_is_driven_anew_and_it_says_the_same(shown: Path, caplog: 
     assert {file: file.stat().st_mtime_ns for file in shown.rglob("*.mcap")} == before
     text = "\n".join(caplog.messages)
     for said in (
-        "error of the predicted place after 5 s [m]",
-        "Here, dc's predictions from ",
+        "error of the predicted position after 5 s [m]",
+        "Here, predictions of the visual model",
         "Typically ",
         str(shown / "demo.png"),
         "Next:",
@@ -69,7 +69,7 @@ def test_another_demo_in_its_folder_is_refused(shown: Path) -> None:
 
 
 def test_a_drive_without_a_moment_to_predict_from_is_one_line(tmp_path: Path) -> None:
-    with pytest.raises(OffpisteError, match="too early to predict 5 s; take another world with --seed"):
+    with pytest.raises(OffpisteError, match="too short to predict 5 s; choose another world with --seed"):
         run_first_minute(tmp_path, replace(SMALL, seconds=3.0), processes=1)
 
 
@@ -82,8 +82,8 @@ def predictions(b: float, dc: float) -> Predictions:
 
 def test_the_words_say_who_was_nearer_here_and_what_is_usual() -> None:
     here, usual, *_ = closing_words(predictions(4.0, 3.0))
-    assert "dc's predictions from 1 times end 25 % closer" in here
-    assert "error after 5 s 3.00 m instead of 4.00 m" in here
+    assert "predictions of the visual model end 25 % closer" in here
+    assert "error after 5 s 3.00 m instead of 4.00 m; it is closer in 1 of 1" in here
     gain = load_card(run_folder(shipped("dc"))).over_seeds.against_b
     assert usual.startswith(
         f"Typically {-100 * gain.mean:.0f} % [{-100 * gain.ci95[1]:.0f}, {-100 * gain.ci95[0]:.0f}]"
@@ -96,5 +96,5 @@ def test_the_words_say_how_it_drives_where_the_card_knows(monkeypatch: pytest.Mo
     driving = CourseFigures(20, PairedDifference(-0.2, (-0.5, 0.3)), "abc", "2026-11-23")
     monkeypatch.setattr("offpiste.demo.comparison.load_card", lambda _: msgspec.structs.replace(card, driving=driving))
     *_, drives = closing_words(predictions(4.0, 3.0))
-    wanted = "How dc drives: On 20 courses in unseen worlds, its driving cost differs from that of b by -20 %"
+    wanted = "Driving with the visual model: On 20 courses in unseen worlds, its driving cost differs from that of"
     assert drives.startswith(wanted)

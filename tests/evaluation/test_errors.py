@@ -1,4 +1,4 @@
-"""Errors of predictions after every second, pooled over runs, and the files that keep them."""
+"""Prediction errors after each second, pooled over runs, and their files."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +17,7 @@ from offpiste.dataset.windows import Windows
 from offpiste.dynamics import ConstantMotion
 from offpiste.evaluation.errors import (
     Errors,
+    by_seed,
     in_start_frame,
     load_errors,
     pool,
@@ -115,8 +116,7 @@ def test_chunks_do_not_matter_and_windows_keep_their_identity(monkeypatch: pytes
     assert whole.row.tolist() == windows.row_in_drive(index).tolist()
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_a_prediction_that_diverges_is_infinitely_wrong_from_then_on(value: float) -> None:
+def test_a_prediction_that_diverges_has_infinite_errors_from_then_on() -> None:
     class Diverging(ConstantMotion):
         steps = 0
 
@@ -128,7 +128,7 @@ def test_a_prediction_that_diverges_is_infinitely_wrong_from_then_on(value: floa
                 moved = move(model_state, control, terrain)
                 broken = moved.state.clone()
                 if self.steps > 120:
-                    broken[0, 5] = value
+                    broken[0, 5] = np.nan
                 return ModelState(broken, moved.actuators, moved.hidden, moved.cell)
 
             return step
@@ -142,23 +142,14 @@ def test_a_prediction_that_diverges_is_infinitely_wrong_from_then_on(value: floa
     assert np.isfinite(found.values[1:]).all()
 
 
-def test_trajectories_are_those_that_were_evaluated() -> None:
-    windows = circling()
+def test_trajectories_have_the_evaluated_errors() -> None:
+    windows, model = circling(), Off([0.001, 0, 0, 0, 0, 0])
     index = windows.every(60)
-    model = Off([0.001, 0, 0, 0, 0, 0])
     states = trajectories(model, windows, index, lookup=None)
     found = prediction_errors(model, windows, index, lookup=None, **UNITS)
-    target = windows.gather(index).target.numpy()
-    np.testing.assert_allclose(
-        np.linalg.norm(states[:, -1, :2] - target[:, -1, :2], axis=1), found.distance(), rtol=1e-5, atol=1e-6
-    )
-
-
-def test_no_windows_have_no_trajectories() -> None:
-    # A fold may hold none of the worst windows.
-    windows = circling()
-    model = ConstantMotion(COMMANDED)
-    assert trajectories(model, windows, np.zeros(0, dtype=np.int64), lookup=None).shape == (0, windows.horizon, 6)
+    away = np.linalg.norm(states[:, -1, :2] - windows.gather(index).target.numpy()[:, -1, :2], axis=1)
+    np.testing.assert_allclose(away, found.distance(), rtol=1e-5, atol=1e-6)
+    assert trajectories(model, windows, index[:0], lookup=None).shape == (0, windows.horizon, 6)
 
 
 def errors(windows: list[tuple[int, int]], value: float) -> Errors:
@@ -174,28 +165,22 @@ def test_seeds_are_averaged_window_by_window() -> None:
     assert (both.loss == 25.0).all()
 
 
-def test_folds_are_put_side_by_side_in_order() -> None:
+def test_folds_are_concatenated_in_order_and_their_seeds_averaged() -> None:
     both = pool([errors([(0, 900), (1, 20)], 3.0), errors([(0, 100), (0, 105)], 1.0)])
     assert both.row.tolist() == [100, 105, 900, 20]
-    assert both.drive.tolist() == [0, 0, 0, 1]
     assert both.distance().tolist() == [1.0, 1.0, 3.0, 3.0]
-
-
-def test_folds_and_seeds_together() -> None:
-    runs = [errors([(0, 1)], 1.0), errors([(0, 2)], 2.0), errors([(0, 1)], 3.0), errors([(0, 2)], 6.0)]
-    assert pool(runs).distance().tolist() == [2.0, 4.0]
-
-
-def test_a_window_that_one_run_fails_has_failed() -> None:
-    both = pool([errors([(0, 1), (0, 2)], 1.0), errors([(0, 2)], np.inf)])
-    assert both.failed[:, -1].tolist() == [False, True]
+    runs = [errors([(0, 1)], 1.0), errors([(0, 2)], 2.0), errors([(0, 1)], 3.0), errors([(0, 2)], np.inf)]
+    assert pool(runs).distance().tolist() == [2.0, np.inf]
+    assert pool(runs).failed[:, -1].tolist() == [False, True]
 
 
 def test_positions_find_windows_and_refuse_strangers() -> None:
-    among = errors([(0, 1), (0, 5), (2, 0)], 1.0)
-    assert positions(errors([(2, 0), (0, 5)], 0.0), among).tolist() == [2, 1]
+    among, some, other = (
+        by_seed([errors(windows, 1.0)], [0]) for windows in ([(0, 1), (0, 5), (2, 0)], [(0, 5), (2, 0)], [(1, 0)])
+    )
+    assert positions(some, among).tolist() == [1, 2]
     with pytest.raises(AssertionError, match="not the same windows"):
-        positions(errors([(1, 0)], 0.0), among)
+        positions(other, among)
 
 
 def test_paths_are_turned_to_the_start_heading() -> None:
@@ -204,18 +189,12 @@ def test_paths_are_turned_to_the_start_heading() -> None:
     np.testing.assert_allclose(in_start_frame(paths, np.array([np.pi])), [[[1, 0], [0, -1]]], atol=1e-12)
 
 
-def test_what_is_written_is_read_again(tmp_path: Path) -> None:
-    backwards = BASE.take(np.arange(len(BASE.row))[::-1])
-    save_errors(tmp_path / "run" / "map.safetensors", backwards)
-    again = load_errors(tmp_path / "run" / "map.safetensors")
+def test_errors_are_stored_and_damaged_files_are_named(tmp_path: Path) -> None:
+    backwards, path = BASE.take(np.arange(len(BASE.row))[::-1]), tmp_path / "run" / "map.safetensors"
+    save_errors(path, backwards)
     for name in ("drive", "row", "values", "loss"):
-        np.testing.assert_array_equal(getattr(again, name), getattr(backwards, name))
-
-
-def test_a_file_that_is_damaged_or_missing_is_named(tmp_path: Path) -> None:
-    path = tmp_path / "map.safetensors"
-    with pytest.raises(RunError, match=r"map\.safetensors: cannot be read"):
-        load_errors(path)
+        np.testing.assert_array_equal(getattr(load_errors(path), name), getattr(backwards, name))
     path.write_bytes(b"cut")
-    with pytest.raises(RunError, match=r"map\.safetensors: cannot be read"):
-        load_errors(path)
+    for damaged in (path, tmp_path / "map.safetensors"):
+        with pytest.raises(RunError, match=r"map\.safetensors: cannot be read"):
+            load_errors(damaged)

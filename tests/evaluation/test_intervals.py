@@ -1,4 +1,4 @@
-import time
+"""Intervals: coverage of the truth, hand-worked draws, blocks."""
 
 import numpy as np
 import pytest
@@ -40,7 +40,7 @@ def test_statistics_worked_by_hand() -> None:
     assert found.ci95[0] < 4.0 < found.ci95[1]
 
 
-@pytest.mark.parametrize("count", [1, 2, 3, 4])
+@pytest.mark.parametrize("count", [1, 4])
 def test_fewer_than_five_blocks_of_one_drive_have_no_interval(count: int) -> None:
     values = np.arange(12.0)
     block = np.arange(12) % count
@@ -49,11 +49,7 @@ def test_fewer_than_five_blocks_of_one_drive_have_no_interval(count: int) -> Non
     assert paired(values, values + 1, drawn(block)).mean == -1.0
 
 
-def test_equal_values_have_an_interval_of_no_width() -> None:
-    assert summary(np.full(30, 2.5), drawn(np.arange(30) // 5)).ci95 == pytest.approx((2.5, 2.5))
-
-
-@pytest.mark.parametrize("groups", [6, 20])
+@pytest.mark.parametrize("groups", [6])
 def test_intervals_hold_the_truth_about_95_times_in_100(groups: int) -> None:
     """Windows of a block are copies of each other; an interval over windows would hold it far less often."""
     rng = np.random.default_rng(1)
@@ -69,18 +65,15 @@ def test_intervals_hold_the_truth_about_95_times_in_100(groups: int) -> None:
     assert naive / 300 < 0.5
 
 
-@pytest.mark.parametrize("drives", [2, 3, 4])
-def test_two_to_four_drives_have_no_interval_and_say_why(drives: int) -> None:
-    """Their blocks are no independent units: they share the drives."""
-    sample = nested(drives, 10, 2)
-    assert np.isnan(summary(np.arange(20.0 * drives), sample).ci95).all()
-    expected = f"–: no interval, since there are only {drives} drives and 5 drives are needed."
-    assert sample.levels().caveat == expected
+def test_four_drives_have_no_interval_since_their_blocks_are_not_independent() -> None:
+    sample = nested(4, 10, 2)
+    assert np.isnan(summary(np.arange(80.0), sample).ci95).all()
+    assert sample.levels().caveat == "–: no interval, since there are only 4 drives and 5 drives are needed."
 
 
-@pytest.mark.parametrize("drives", [1, 5, 6])
+@pytest.mark.parametrize("drives", [1, 5])
 def test_the_interval_of_a_distance_stays_above_zero(drives: int) -> None:
-    """A single bad block or world, as in `ctrv 4.08 [-1.33, 8.98]` m from three drives."""
+    """With a single bad block or world."""
     sample = nested(drives, 6, 1)
     values = np.full(6 * drives, 0.3)
     values[:6] = 20.0
@@ -91,7 +84,7 @@ def test_the_interval_of_a_distance_stays_above_zero(drives: int) -> None:
     assert low > -1
 
 
-@pytest.mark.parametrize("hits", range(6))
+@pytest.mark.parametrize("hits", [0, 3, 5])
 def test_the_interval_of_a_share_is_wilsons_from_five_cases_on(hits: int) -> None:
     low, high = share_interval(hits, 5)
     assert 0 <= low <= hits / 5 <= high <= 1
@@ -110,27 +103,12 @@ def test_intervals_of_five_units_hold_the_truth_nine_times_in_ten(drives: int, p
     assert 0.88 <= held / 500 <= 0.98
 
 
-@pytest.mark.parametrize("groups", [5, 6, 20, 60])
+@pytest.mark.parametrize("groups", [5, 20])
 def test_intervals_of_more_units_are_expanded_percentiles_to_the_bit(groups: int) -> None:
     sample, values = drawn(np.arange(groups)), np.random.default_rng(8).gamma(4.0, 0.5, groups)
     tail = ndtr(-np.sqrt(groups / (groups - 1)) * stdtrit(groups - 1, 0.975))
     low, high = np.quantile(sample.means(values), [tail, 1 - tail])
     assert summary(values, sample).ci95 == (low, high)
-
-
-def test_blocks_of_unequal_size_count_by_their_windows() -> None:
-    values = np.array([0.0, 0.0, 0.0, 0.0, 4.0, 8.0])
-    sample = drawn([0, 0, 0, 0, 1, 2])
-    assert summary(values, sample).mean == 2.0
-    draws = sample.draws[0]
-    by_hand = (4 * draws[1] + 8 * draws[2]) / (4 * draws[0] + draws[1] + draws[2])
-    assert sample.means(values)[0] == pytest.approx(by_hand)
-
-
-def test_the_same_seed_gives_the_same_interval() -> None:
-    values, block = np.random.default_rng(0).normal(size=100), np.arange(100) // 10
-    assert summary(values, drawn(block, 3)) == summary(values, drawn(block, 3))
-    assert summary(values, drawn(block, 3)) != summary(values, drawn(block, 4))
 
 
 def test_a_paired_difference_is_negative_for_the_better_model_and_narrow() -> None:
@@ -165,9 +143,9 @@ def test_failed_predictions_make_the_mean_infinite_and_leave_low_quantiles() -> 
     assert np.isnan(relative(values, np.ones(5), drawn([0, 1, 2, 3, 4])).mean)
 
 
-@pytest.mark.parametrize("drives", [5, 8])
+@pytest.mark.parametrize("drives", [5])
 def test_intervals_hold_the_truth_about_worlds_where_pooled_blocks_do_not(drives: int) -> None:
-    """Worlds differ as much as blocks do; what is true of all worlds is asked for."""
+    """Worlds differ as much as blocks do; the truth is the mean over all worlds."""
     rng = np.random.default_rng(3)
     hierarchical = pooled = 0
     for seed in range(300):
@@ -182,7 +160,7 @@ def test_intervals_hold_the_truth_about_worlds_where_pooled_blocks_do_not(drives
 
 
 def test_intervals_hold_the_truth_about_seeds_where_their_mean_alone_does_not() -> None:
-    """Runs of a model differ as much as its worlds do; what is true of all runs is asked for."""
+    """Runs of a model differ as much as its worlds do; the truth is the mean over all runs."""
     rng = np.random.default_rng(4)
     seeded = of_mean = 0
     for seed in range(300):
@@ -262,16 +240,6 @@ def test_the_order_of_windows_does_not_matter() -> None:
     assert Sampling().on(errors).levels() == Levels(5, 20)
 
 
-def test_ten_thousand_windows_are_cheap() -> None:
-    block = np.repeat(np.arange(300), 40)
-    began = time.process_time()
-    sample = resampling(block // 10, block, 0)
-    values = np.random.default_rng(0).normal(size=(3, len(block)))
-    for _ in range(10):
-        summary(values, sample)
-    assert time.process_time() - began < 5  # 0.3 s; a matrix of windows by resamples would take minutes
-
-
 def test_blocks_do_not_mix_drives() -> None:
     drive = np.repeat([0, 1, 2], 100)
     row = np.tile(np.arange(100) * 5, 3)
@@ -292,15 +260,10 @@ def test_windows_of_a_block_and_of_the_next_but_one_share_no_row(gaps: bool) -> 
         assert first_after_next - last_of_this > HISTORY_STEPS + HORIZON_STEPS
 
 
-def test_left_over_windows_join_the_last_block() -> None:
+def test_short_rests_join_the_last_block_and_gaps_separate_blocks() -> None:
     row = np.arange(0, 1100, 5)  # 22 s: two blocks of 10 s, and 2 s left
     block = blocks(np.zeros(len(row), dtype=int), row)
-    assert block.max() == 1
-    assert (block[row < 500] == 0).all()
-    assert (block[row >= 500] == 1).all()
+    assert block.tolist() == [int(r >= 500) for r in row]
     assert blocks(np.zeros(len(row), dtype=int), row, seconds=6.0).max() == 3  # 6, 6, 6 and 4 s
-
-
-def test_windows_far_apart_are_not_one_block() -> None:
     row = np.array([0, 5, 10, 5000, 5005])
     assert blocks(np.zeros(5, dtype=int), row).tolist() == [0, 0, 0, 1, 1]

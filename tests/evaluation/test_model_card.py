@@ -53,11 +53,11 @@ def test_the_page_says_all():
     assert sum("-24 % [-30, -20]" in row for row in rows) == 2
 
 
-@pytest.mark.parametrize("content", [None, b"", b"{}", b'{"name": 3}', b"\xff"])
+@pytest.mark.parametrize("content", [None, b"{}", b"\xff"])
 def test_no_card_is_one_line(tmp_path, content):
     if content is not None:
         (tmp_path / CARD).write_bytes(content)
-    with pytest.raises(RunError, match="has no card that can be read") as error:
+    with pytest.raises(RunError, match="is not a model card") as error:
         load_card(tmp_path)
     assert "\n" not in str(error.value)
 

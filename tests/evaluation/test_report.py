@@ -1,11 +1,11 @@
-"""Reports without an interval: too few blocks, or failed predictions."""
+"""Sentences of reports, and tables without an interval."""
 
 import numpy as np
 
 from offpiste.evaluation.errors import Errors
-from offpiste.evaluation.intervals import Sampling
-from offpiste.evaluation.metrics import Case, ResultRow, RunErrors, pooled_rows, result_rows, single_rows
-from offpiste.evaluation.report import difference_text, drawn_from
+from offpiste.evaluation.intervals import Levels, Sampling
+from offpiste.evaluation.metrics import Case, Headline, ResultRow, RunErrors, pooled_rows, result_rows, single_rows
+from offpiste.evaluation.report import difference_text, drawn_from, headline_text
 
 NAMES = ("b", "dc")
 
@@ -51,3 +51,16 @@ def test_each_failed_prediction_counts_once() -> None:
     assert [row.n_failed for row in pooled_rows(found)] == [2, 1]
     assert sum(row.n_failed for row in single_rows(found)) == 3
     assert [(row.model, row.seed) for row in single_rows(found)] == [("b", 0), ("b", 1), ("dc", 0)]
+
+
+def test_headlines_state_the_difference_to_the_reference() -> None:
+    about = {"model": "b", "start": "causal", "lookup": "map", "other": "kinematic", "levels": Levels(5, 9, 3)}
+    better = Headline(**about, runs=3, distance_error_m=1.7, relative=-0.5, ci95=(-0.61, -0.42))
+    assert headline_text(better) == (
+        "blind: 1.70 m mean distance error after 5 s, 50 % [42, 61] below kinematic "
+        "(causal start, map lookup, mean of 3 runs)"
+    )
+    worse = Headline(**about, runs=1, distance_error_m=4.0, relative=0.2, ci95=(-0.1, 0.5))
+    assert "20 % [-10, 50] above kinematic" in headline_text(worse)
+    failed = Headline(**about, runs=1, distance_error_m=np.inf, relative=np.nan, ci95=(np.nan, np.nan))
+    assert headline_text(failed) == "blind: – m mean distance error after 5 s (causal start, map lookup)"

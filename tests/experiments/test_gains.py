@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from matplotlib.figure import Figure
 
 from experiments.control_experiments.tables import write_control
 from experiments.gains import errors_of, gain, gain_table, runs_of, same_windows, share
@@ -52,10 +51,9 @@ def test_share_of_the_oracle_by_hand() -> None:
 def test_tables_are_written_as_text_and_as_json(tmp_path: Path) -> None:
     found = gain("shifted", "dc", [errors(0.75 * BASE.distance())], [BASE], MAP)
     table = gain_table("Title", [found], "About.")
-    text = write_control(tmp_path, [table], {"gains": [found], "odd": float("nan")}, {"picture": Figure()}).read_text()
+    text = write_control(tmp_path, [table], {"gains": [found], "odd": float("nan")}).read_text()
     assert "| dc, shifted | map | " in text
     assert "-25.0 % [-25.0, -25.0]" in text
-    assert (tmp_path / "picture.png").exists()
     read = json.loads((tmp_path / "control.json").read_text("utf-8"))
     assert read["gains"][0]["distance"]["mean"] == pytest.approx(-0.25)
     assert read["odd"] is None

@@ -1,4 +1,4 @@
-"""Drives that are simulated and extracted portion by portion: no log stays, and what is there is not made again."""
+"""Drives simulated and extracted in portions: logs are removed, results are reused."""
 
 from pathlib import Path
 

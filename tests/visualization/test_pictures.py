@@ -1,25 +1,24 @@
-"""Stretches, stamps, colours and sheets."""
+"""Intervals, sensor timing, and colours of maps."""
 
 import numpy as np
 import pytest
 
 from offpiste.core.errors import LogError
 from offpiste.report.figure import png
-from offpiste.visualization.images import contact_sheet, times_between
 from offpiste.visualization.map_figure import FEATURED, OBSERVED, SUN, Ground, draw_map, feature_colours, hillshade
-from offpiste.visualization.sensor_timing import draw_sensors, gaps
 from offpiste.visualization.view import parse_stretch
+from offpiste.visualization.view_log import draw_sensors, gaps
 
 
 @pytest.mark.parametrize(
     ("text", "wanted"),
-    [("", (0, np.inf)), (":", (0, np.inf)), ("2:3.5", (2, 3.5)), ("7:", (7, np.inf)), (":4", (0, 4))],
+    [("", (0, np.inf)), ("2:3.5", (2, 3.5)), ("7:", (7, np.inf)), (":4", (0, 4))],
 )
 def test_a_stretch(text: str, wanted: tuple[float, float]) -> None:
     assert parse_stretch(text) == wanted
 
 
-@pytest.mark.parametrize("text", ["5", "a:b", "3:2", "-1:2", "nan:1", "1:2:3", "2:2"])
+@pytest.mark.parametrize("text", ["5", "a:b", "-1:2", "nan:1", "1:2:3", "2:2"])
 def test_what_is_no_stretch_is_refused(text: str) -> None:
     with pytest.raises(LogError, match="A:B"):
         parse_stretch(text)
@@ -29,19 +28,6 @@ def test_gaps_are_longer_than_three_usual_intervals() -> None:
     np.testing.assert_array_equal(gaps(np.array([0.0, 1.0, 2.0, 4.9, 6.0, 10.0])), [0, 0, 0, 0, 1])
     assert gaps(np.array([1.0])).shape == (0,)
     draw_sensors({"poses": np.arange(5.0), "silent": np.zeros(0), "once": np.ones(1)}, (0.0, np.inf))
-
-
-def test_moments_lie_in_the_middle_of_equal_pieces() -> None:
-    assert times_between(10.0, 18.0, 2) == (12.0, 16.0)
-
-
-def test_a_sheet_scales_to_one_width_and_pads_to_one_height() -> None:
-    wide, tall = np.full((100, 400, 3), 200, np.uint8), np.full((50, 50, 3), 100, np.uint8)
-    sheet = contact_sheet([wide, tall], 2)
-    assert sheet.shape == (1000, 2000, 3)
-    assert (sheet[:250, :1000] == 200).all()
-    assert (sheet[250:, :1000] == 0).all()
-    assert (sheet[:, 1000:] == 100).all()
 
 
 def ground_of(elevation: np.ndarray) -> Ground:

@@ -1,4 +1,4 @@
-"""`offpiste view` on datasets whose features are made up."""
+"""`offpiste view` on datasets with synthetic features."""
 
 import re
 from collections.abc import Callable
@@ -17,7 +17,7 @@ from offpiste.dataset.resample import Rows
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.wheel_passes import find_passes
 from offpiste.mapping.terrain_map import wheel_positions
-from offpiste.visualization.coverage_tables import measure_coverage, passes_of
+from offpiste.visualization.coverage import measure_coverage, passes_of
 from offpiste.visualization.view import DRIVES_A_PAGE, draw_paths, pages
 
 SPLIT = parse_split("blocks:0.5,0.25,0.25")
@@ -118,7 +118,7 @@ def test_a_dataset_without_visual_features_shows_its_paths(
     path = written(tmp_path, [circle_rows(1500, seed=0)], ())
     assert run("view", str(path), "--out", str(tmp_path / "out"), "--rig", "dart") == 0
     assert {p.name for p in (tmp_path / "out").iterdir()} == {"paths.png", "report.html"}
-    assert "do nothing" in capsys.readouterr().out
+    assert "are ignored" in capsys.readouterr().out
     assert "no visual features" in (tmp_path / "out" / "report.html").read_text()
 
 

@@ -18,8 +18,7 @@ from offpiste.report.figure import PATH_COLOURS
 from offpiste.runtime.modes import Mode
 from offpiste.simulation.top_view import shaded_colours
 from offpiste.simulation.world.grids import read_grid
-from offpiste.visualization.mesh import grid_triangles
-from offpiste.visualization.rerun_recording import following_eye
+from offpiste.visualization.rerun_recording import following_eye, grid_triangles
 
 LIFT = 0.3
 """Height of lines above the ground [m]."""

@@ -1,4 +1,4 @@
-"""Predictions of both models on the demo's drive: table, sentences and picture."""
+"""Comparison of both models in the demo: predictions, table, sentences and picture."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -29,11 +29,11 @@ from offpiste.simulation.world.world import World
 from offpiste.training.prediction import in_parts, roll_out
 from offpiste.training.run import load_run
 
-WHAT: Final = {"b": "b, does not see the ground", "dc": "dc, sees it"}
-"""Names of the models in tables and pictures."""
+NAMES: Final = {"b": "blind", "dc": "visual"}
+"""Display names of the models."""
 COLOURS: Final = {"b": "#0072b2", "dc": "#d55e00"}
 MOMENTS: Final = 3
-"""Number of drawn predictions, evenly spread over the drive."""
+"""Number of drawn predictions."""
 MARGIN: Final = 12.0
 """Margin around the driven paths [m]."""
 AHEAD, REACH, LATER = 14.0, 13.0, 8
@@ -44,22 +44,28 @@ UNKNOWN: Final = 235
 
 @dataclass(frozen=True)
 class Predictions:
-    """Predictions of models from the same times, on the map as it was."""
+    """Predictions of models from the same times on the map of that time.
 
-    row: Int[np.ndarray, " n"]  # row of the drive at each time
-    # Path of the vehicle in the next 5 s, relative to its place, in the world's axes [m]
+    Attributes:
+        row: row of the drive at each time.
+        recorded: path in the next 5 s relative to the start, in world axes [m].
+        paths: predicted paths by model [m].
+        folders: of the models.
+    """
+
+    row: Int[np.ndarray, " n"]
     recorded: Float[np.ndarray, "n T 2"]
-    paths: Mapping[str, Float[np.ndarray, "n T 2"]]  # predicted path by model, likewise [m]
-    folders: Mapping[str, Path]  # folders of the models
+    paths: Mapping[str, Float[np.ndarray, "n T 2"]]
+    folders: Mapping[str, Path]
 
     def errors(self, model: str) -> Float[np.ndarray, " n"]:
-        """Distance between predicted and recorded place after 5 s [m]."""
+        """Return the distance errors after 5 s [m]."""
         return np.asarray(np.linalg.norm(self.paths[model][:, -1] - self.recorded[:, -1], axis=1))
 
 
 @torch.no_grad()
 def predict(dataset: Dataset, folders: Mapping[str, Path]) -> Predictions:
-    """Predictions of shipped models at all times with a stored map.
+    """Predict with shipped models from all times with a stored map.
 
     Raises:
         DatasetError: the drive is too short.
@@ -68,8 +74,8 @@ def predict(dataset: Dataset, folders: Mapping[str, Path]) -> Predictions:
         windows = Windows(dataset, "test", start="causal")
         index = windows.evaluation_indices(1)
     except DatasetError as error:
-        how = "take another world with --seed"
-        raise DatasetError("the drive ended too early to predict 5 s", where=dataset.path, how=how) from error
+        how = "choose another world with --seed"
+        raise DatasetError("the drive is too short to predict 5 s", where=dataset.path, how=how) from error
     recorded: list[np.ndarray] = []
     paths: dict[str, np.ndarray] = {}
     for model, folder in folders.items():
@@ -81,11 +87,10 @@ def predict(dataset: Dataset, folders: Mapping[str, Path]) -> Predictions:
 
 
 def comparison_table(predictions: Predictions, results: Mapping[str, Mapping[str, Any]], speed: float) -> TextTable:
-    """Prediction errors of both models and their results on the course with a wanted speed [m/s]."""
+    """Return prediction errors of both models and their results on the course with a target speed [m/s]."""
     models = tuple(results)
-    rows = [
-        ("error of the predicted place after 5 s [m]", *(number(float(predictions.errors(m).mean())) for m in models))
-    ]
+    errors = (number(float(predictions.errors(model).mean())) for model in models)
+    rows = [("error of the predicted position after 5 s [m]", *errors)]
     for text, key, digits in (
         ("time for the course [s]", "time_s", 1),
         ("path error, mean [m]", "mean_path_error_m", 2),
@@ -94,18 +99,18 @@ def comparison_table(predictions: Predictions, results: Mapping[str, Mapping[str
     ):
         rows.append((text, *(number(float(results[m][key]), digits) for m in models)))
     rows.append(("end of the drive", *(ending(results[m]) for m in models)))
-    return TextTable("This drive", ("", *(WHAT[model] for model in models)), tuple(rows))
+    return TextTable("This drive", ("", *(NAMES[model] for model in models)), tuple(rows))
 
 
 def closing_words(predictions: Predictions) -> Iterator[str]:
-    """Sentences on the gain here and in general."""
-    b, dc = (predictions.errors(model).mean() for model in ("b", "dc"))
-    gain = 1 - dc / b
-    closer = "closer to" if gain >= 0 else "farther from"
+    """Yield sentences on the gain here and in general."""
+    blind, visual = (predictions.errors(model) for model in ("b", "dc"))
+    gain = 1 - visual.mean() / blind.mean()
+    side = "closer to" if gain >= 0 else "farther from"
     yield (
-        f"Here, dc's predictions from {len(predictions.row)} times end {abs(100 * gain):.0f} % {closer} the vehicle's"
-        f" true place: error after 5 s {dc:.2f} m instead of {b:.2f} m;"
-        f" dc is closer at {int((predictions.errors('dc') < predictions.errors('b')).sum())} of them."
+        f"Here, predictions of the visual model end {abs(100 * gain):.0f} % {side} the vehicle's true position: error"
+        f" after 5 s {visual.mean():.2f} m instead of {blind.mean():.2f} m; it is closer in"
+        f" {int((visual < blind).sum())} of {len(blind)} predictions."
     )
     card = load_card(predictions.folders["dc"])
     figures = card.over_seeds
@@ -117,11 +122,11 @@ def closing_words(predictions: Predictions) -> Iterator[str]:
             f" {figures.levels.seeds} training{'s' * (figures.levels.seeds > 1)} each. A single drive may differ."
         )
     if card.driving is not None:
-        yield f"How dc drives: {driving_words(card.driving).replace('`', '')}"
+        yield f"Driving with the visual model: {driving_words(card.driving).replace('`b`', 'the blind model')}"
 
 
 def ending(result: Mapping[str, Any]) -> str:
-    """End of a drive along the course."""
+    """Describe the end of a drive along the course."""
     for key, text in (("rollover", "rolled over"), ("collision", "collided"), ("stuck", "stuck")):
         if result[key]:
             return text
@@ -133,7 +138,7 @@ def ending(result: Mapping[str, Any]) -> str:
 def demo_picture(
     world: World, dataset: Dataset, predictions: Predictions, log: Path, courses: Mapping[str, Drive], title: str
 ) -> Figure:
-    """One page on the demo.
+    """Draw a page on the demo.
 
     Args:
         dataset, log: the predicted drive.
@@ -161,7 +166,7 @@ def _courses(axes: Axes, world: World, courses: Mapping[str, Drive]) -> None:
     draw_top_view(world, axes)
     paths = {model: drive.channels["position"].values[:, :2] for model, drive in courses.items()}
     for (model, path), width in zip(paths.items(), (5.0, 2.0), strict=True):
-        axes.plot(*path.T, color=COLOURS[model], linewidth=width, label=f"driven with {WHAT[model]}")
+        axes.plot(*path.T, color=COLOURS[model], linewidth=width, label=f"driven with the {NAMES[model]} model")
         axes.plot(*path[-1], marker="o", color=COLOURS[model], markeredgecolor="white", markersize=2 + 2 * width)
     axes.plot(*paths["dc"][0], marker="o", color="white", markeredgecolor="black", linestyle="", label="start")
     every = np.concatenate(list(paths.values()))
@@ -183,7 +188,7 @@ def _camera(axes: Axes, dataset: Dataset, log: Path, time: float) -> None:
 
 
 def _ground(far: Axes, near: Axes, drive: StoredDrive, number: int) -> None:
-    """Features of the same ground on the map, first from afar and later from nearby, with the driven path."""
+    """Draw features of the same ground on the map, from afar and later from nearby, with the driven path."""
     assert drive.snapshots is not None
     later = min(number + LATER, len(drive.snapshots.row) - 1)
     state = np.asarray(drive.rows.state)
@@ -215,13 +220,13 @@ def _features(axes: Axes, shown: TerrainMap, limits: Float[np.ndarray, "2 3"]) -
 
 
 def _prediction(axes: Axes, drive: StoredDrive, predictions: Predictions, moment: int) -> None:
-    """Predictions of both models and the recorded path over 5 s from one time."""
+    """Draw predictions of both models and the recorded path over 5 s from one time."""
     row = int(predictions.row[moment])
     yaw = np.asarray(drive.rows.state)[[row], 2]
     for name, path in (("recorded", predictions.recorded), *predictions.paths.items()):
         ahead, left = in_start_frame(path[[moment]], yaw)[0].T
         colour = COLOURS.get(name, "black")
-        axes.plot(-left, ahead, color=colour, linewidth=2, label=name)
+        axes.plot(-left, ahead, color=colour, linewidth=2, label=NAMES.get(name, name))
         axes.plot(-left[-1], ahead[-1], marker="o", color=colour)
     axes.plot(0, 0, marker="^", color="black")
     axes.set_aspect("equal", adjustable="datalim")
@@ -231,13 +236,11 @@ def _prediction(axes: Axes, drive: StoredDrive, predictions: Predictions, moment
 
 
 def _errors(axes: Axes, predictions: Predictions) -> None:
-    """Errors after 5 s of both models at all times."""
-    models = list(predictions.paths)
-    most = max(float(predictions.errors(model).max()) for model in models)
+    """Draw the errors after 5 s of both models at all times."""
     axes.axline((0, 0), slope=1, color="black", linewidth=0.8)
-    b, dc = (predictions.errors(model) for model in models)
-    axes.scatter(b, dc, s=22, color=np.where(dc < b, COLOURS["dc"], COLOURS["b"]), zorder=3)
-    limits = (0, 1.05 * most)
-    axes.set(xlabel="error of b [m]", ylabel="error of dc [m]", xlim=limits, ylim=limits, aspect="equal")
-    axes.set_title(f"dc closer in {(dc < b).sum()} of {len(b)} (orange)", fontsize=10, loc="left")
+    blind, visual = (predictions.errors(model) for model in ("b", "dc"))
+    axes.scatter(blind, visual, s=22, color=np.where(visual < blind, COLOURS["dc"], COLOURS["b"]), zorder=3)
+    limits = (0, 1.05 * float(max(blind.max(), visual.max())))
+    axes.set(xlabel="error of blind [m]", ylabel="error of visual [m]", xlim=limits, ylim=limits, aspect="equal")
+    axes.set_title(f"visual closer in {(visual < blind).sum()} of {len(blind)} (orange)", fontsize=10, loc="left")
     axes.grid(alpha=0.3)

@@ -1,7 +1,7 @@
-"""The first minute: shipped models in a new world.
+"""Demo of shipped models in a new world: `offpiste demo`.
 
-A vehicle with a camera and a LiDAR is driven for some seconds. Every half second, `b`, which does not see the ground,
-and `dc`, which does, predict the next 5 s on the map of that time. Then each of them drives the same course.
+A vehicle with a camera and a LiDAR is driven for some seconds. Every half second, the blind model (`b`) and the visual
+model (`dc`) predict the next 5 s on the map of that time. Then each model drives the same course.
 """
 
 import io
@@ -25,7 +25,7 @@ from offpiste.dataset.map_snapshots import SnapshotSettings
 from offpiste.dataset.place import drive_names
 from offpiste.dataset.splits import write_drives
 from offpiste.dataset.store import open_dataset
-from offpiste.demo.comparison import closing_words, comparison_table, demo_picture, ending, predict
+from offpiste.demo.comparison import NAMES, closing_words, comparison_table, demo_picture, ending, predict
 from offpiste.demo.warm_up import rehearse
 from offpiste.logs import read_drive
 from offpiste.report.figure import write_png
@@ -46,12 +46,12 @@ DRIVE: Final = "drive"
 RIG: Final = "proving_ground"
 
 FIRST_WORLD: Final = 5000
-"""Seed of the demo's first world; trainings, tests and courses of the project use smaller seeds."""
+"""Seed of the first world; trainings, tests and courses of the project use smaller seeds."""
 
 
 @dataclass(frozen=True)
 class FirstMinuteSettings:
-    """Settings of the first minute."""
+    """Settings of the demo."""
 
     seed: int = 0  # offset of the world's seed from `FIRST_WORLD`
     world: str = "mojave"  # preset
@@ -81,11 +81,11 @@ def run_first_minute(out: Path, settings: FirstMinuteSettings, *, processes: int
     claim_folder(out, {"demo": asdict(settings)})
     place, processes = settings.place, at_a_time(processes)
     if processes > 1 and not (out / "dataset.zarr").exists():
-        logger.info("0/3  Compile kernels that are not cached yet; this takes half a minute the first time.")
+        logger.info("0/3  Compile kernels that are not cached yet; the first time takes half a minute.")
         rehearse(shipped("dc"), processes)
     logger.info(
         f"1/3  In a world unseen in training ({place.preset}, seed {place.seed}): a drive with camera and LiDAR, and"
-        " a course\n     driven twice, with a model that sees the ground (dc) and with one that does not (b)."
+        " a course\n     driven twice, with the visual model (dc) and with the blind model (b)."
     )
     work = partial(do_part, out=out, settings=settings)
     run_all(work, (DRIVE, *reversed(MODELS)), processes, "drive").checked()
@@ -107,13 +107,13 @@ def run_first_minute(out: Path, settings: FirstMinuteSettings, *, processes: int
 
 
 def do_part(part: str, report: Report, *, out: Path, settings: FirstMinuteSettings) -> str:
-    """Record and extract the drive, or drive the course with a model, unless already done."""
+    """Record and extract the drive, or drive the course with a model, unless done already."""
     with redirect_stderr(io.StringIO()):  # progress bars would overlap
         return _drive(out, settings) if part == DRIVE else _course(part, report, out, settings)
 
 
 def _drive(out: Path, settings: FirstMinuteSettings) -> str:
-    """Record the drive, and extract it as a dataset for testing."""
+    """Record the drive and extract it as a test dataset."""
     log = _log(out)
     log.parent.mkdir(exist_ok=True)
     summary = simulate_once(DriveSettings(settings.place, settings.seconds, settings.seed, sensors="light"), log)
@@ -121,16 +121,8 @@ def _drive(out: Path, settings: FirstMinuteSettings) -> str:
         split = write_drives(out / "parts.txt", [(log.stem, "test")])
         snapshots = SnapshotSettings(settings.snapshot_seconds)
         pca = Path(f"{PREFIX}{FAMILY}")
-        make_dataset(
-            [log],
-            load_rig(RIG),
-            out / "dataset.zarr",
-            split=split,
-            pca=pca,
-            snapshots=snapshots,
-            processes=1,
-            force=True,
-        )
+        options: dict[str, Any] = {"split": split, "pca": pca, "snapshots": snapshots, "processes": 1, "force": True}
+        make_dataset([log], load_rig(RIG), out / "dataset.zarr", **options)
     return f"     {summary}"
 
 
@@ -146,11 +138,11 @@ def _course(model: str, report: Report, out: Path, settings: FirstMinuteSettings
 
 
 def _driven(model: str, result: Mapping[str, Any]) -> str:
-    return f"     {model}: {ending(result)}, {result['mean_path_error_m']:.2f} m off the course"
+    return f"     {NAMES[model]}: {ending(result)}, mean path error {result['mean_path_error_m']:.2f} m"
 
 
 def _reported(items: Iterable[Item], description: str, *, report: Report) -> Iterator[Item]:
-    """Items, with a report of the finished share."""
+    """Yield items and report the finished share."""
     listed: Sequence[Item] = list(items)
     for number, item in enumerate(listed):
         report(number / len(listed))
@@ -158,7 +150,7 @@ def _reported(items: Iterable[Item], description: str, *, report: Report) -> Ite
 
 
 def shipped(model: str) -> str:
-    """Name of a shipped model on the command line."""
+    """Return the name of a shipped model on the command line."""
     return f"{PREFIX}{FAMILY}/{model}"
 
 
@@ -180,7 +172,7 @@ def _commands() -> Iterator[str]:
     yield "Next:"
     for command, what in (
         (f"offpiste drive {shipped('dc')} --world dunes --seed 7", "another course, with a shipped model"),
-        ("offpiste inspect YOUR_LOG", "is a log of your own vehicle fit for this?"),
-        ("offpiste demo --train --out trained", "the whole path: drive, extract, train, evaluate"),
+        ("offpiste inspect YOUR_LOG", "check a log of your own vehicle"),
+        ("offpiste demo --train --out trained", "all stages: drive, extract, train, evaluate"),
     ):
         yield f"  {command:<66} {what}"

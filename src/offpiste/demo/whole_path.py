@@ -1,4 +1,4 @@
-"""The whole path on simulated drives: simulate, inspect, extract, train, compare `b` and `dc`, drive a course."""
+"""Demo of all stages on simulated drives: simulate, inspect, extract, train, evaluate, drive a course."""
 
 import json
 import logging
@@ -6,30 +6,22 @@ import shutil
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-import numpy as np
-
 from offpiste.closed_loop.courses import CourseSettings
 from offpiste.closed_loop.drive_course import CourseDriveSettings, described, drive_course
-from offpiste.core.conventions import DT, FEATURE_SETS
+from offpiste.core.conventions import FEATURE_SETS
 from offpiste.core.parallel import at_a_time
 from offpiste.dataset.extract import make_dataset
 from offpiste.dataset.fit_pca import fit_pca, write_image_list
 from offpiste.dataset.map_snapshots import SnapshotSettings
-from offpiste.dataset.splits import PARTS, parse_split, write_drives
+from offpiste.dataset.splits import parse_split, write_drives
 from offpiste.dataset.store import Dataset
-from offpiste.evaluation.box_plots import grouped_box_plot
-from offpiste.evaluation.errors import Errors
-from offpiste.evaluation.evaluate import Evaluation
 from offpiste.evaluation.evaluate_runs import evaluate_runs
-from offpiste.evaluation.intervals import PairedDifference, Sampling, relative, summary
-from offpiste.evaluation.metrics import REFERENCE
+from offpiste.evaluation.report import headline_texts
 from offpiste.inspection.inspect import inspect_log
 from offpiste.inspection.render import render
 from offpiste.logs import open_log
 from offpiste.perception.backbones import open_backbone
 from offpiste.perception.pca import save_pca
-from offpiste.report.figure import write_png
-from offpiste.report.text_table import TextTable, interval, number
 from offpiste.reproduction.runs import reuse_stages
 from offpiste.reproduction.steps import claim_folder
 from offpiste.rig.rig import Rig, load_rig
@@ -41,94 +33,7 @@ from offpiste.training.train import train
 
 logger = logging.getLogger(__name__)
 
-BASELINE, MODEL = "b", "dc"
-MAP = "map, predicted places"
-
-ErrorsByReading = dict[str, dict[str, Errors]]
-"""Errors by terrain reading and by model."""
-
-
-def report_result(evaluation: Evaluation, dataset: Dataset, folder: Path) -> None:
-    """Log and draw the errors of `b` and `dc` after 5 s; the figure goes to `folder/distance.png`."""
-    errors = errors_by_reading(evaluation)
-    table, picture = comparison_table(errors), folder / "distance.png"
-    boxes = {place: {name: e.distance() for name, e in models.items()} for place, models in errors.items()}
-    title = f"Demo: {BASELINE} and {MODEL}, trained on {_seconds(dataset, 'train'):.0f} s"
-    write_png(picture, grouped_box_plot(boxes, title=title, axis="features seen from [m]"))
-    logger.info(table.text())
-    logger.info(table.about)
-    logger.info(conclusion(gain_of(errors[MAP]) if MAP in errors else gain_of(next(iter(errors.values()))), dataset))
-    reference = next(e for case, e in evaluation.errors.items() if case.label == REFERENCE)
-    logger.info(
-        f"For reference: '{REFERENCE}', a bicycle at constant speed, errs by {reference.distance().mean():.2f} m."
-    )
-    logger.info("With more driving: `offpiste reproduce fig4 --size laptop` (hours); see docs/results.md for results.")
-    logger.info(f"picture: {picture}")
-    logger.info(f"report: {folder / 'report.html'}")
-
-
-def errors_by_reading(evaluation: Evaluation) -> ErrorsByReading:
-    """Errors of both models on the same windows, by feature set at recorded places, and on the map."""
-    by_reading: ErrorsByReading = {}
-    for place, reading in {**{name: ("recorded", name) for name in FEATURE_SETS}, MAP: ("map", None)}.items():
-        models = {c.label: e for c, e in evaluation.errors.items() if (c.lookup, c.feature_set) == reading}
-        if {BASELINE, MODEL} <= models.keys():
-            by_reading[place] = {name: models[name] for name in (BASELINE, MODEL)}
-    return by_reading
-
-
-def gain_of(models: dict[str, Errors]) -> PairedDifference:
-    """Mean distance error of `dc` relative to `b` on the same windows; -0.1 is 10 % below."""
-    mine, other = models[MODEL], models[BASELINE]
-    return relative(mine.distance(), other.distance(), Sampling().on(mine))
-
-
-def comparison_table(errors: ErrorsByReading) -> TextTable:
-    """Mean distance errors of both models after 5 s, a line per terrain reading."""
-    lines = []
-    for place, models in errors.items():
-        means = [summary(e.distance(), Sampling().on(e)) for e in models.values()]
-        gain = gain_of(models)
-        low, high = gain.ci95
-        lines.append(
-            (
-                place if place in (MAP, "hindsight") else f"seen from {place} m",
-                *(f"{number(mean.mean)} {interval(mean.ci95)}" for mean in means),
-                f"{100 * gain.mean:+.1f} % {interval((100 * low, 100 * high), 1)}",
-            )
-        )
-    first = next(iter(errors.values()))[MODEL]
-    windows, levels = len(first.row), Sampling().on(first).levels()
-    about = (
-        f"Intervals: 95 %, over {levels.text()}. {levels.caveat}\nBoth models read the slope as seen from that"
-        " distance. All lines but the last read the terrain at recorded future\nplaces, which reveals how far the"
-        " vehicle went. The last line reads the map at predicted places, as a planner does;\nit is the one that counts."
-    )
-    title = f"Mean distance error after 5 s [m] on {windows} windows of the test drives"
-    return TextTable(
-        title, ("terrain", *next(iter(errors.values())), f"{MODEL} against {BASELINE}"), tuple(lines), about
-    )
-
-
-def conclusion(gain: PairedDifference, dataset: Dataset) -> str:
-    """Sentence on `dc` against `b`, within the limits of the interval."""
-    train, test = _seconds(dataset, "train"), _seconds(dataset, "test")
-    driven = f"{train:.0f} s of driving for training and {test:.0f} s for testing"
-    low, high = gain.ci95
-    if not np.isfinite([low, high]).all():
-        return f"No conclusion on dc against b here: {driven} are too few for an interval."
-    if high < 0:
-        return f"Here dc is {-100 * gain.mean:.0f} % below b, with {driven}; another seed or world may differ."
-    if low > 0:
-        return f"Here dc is {100 * gain.mean:.0f} % above b: {driven} are too little."
-    return f"No difference between dc and b is shown here: the interval holds zero, with {driven}."
-
-
-def _seconds(dataset: Dataset, part: str) -> float:
-    return DT * sum(int((drive.part == PARTS.index(part)).sum()) for drive in dataset.drives)
-
-
-MODELS = ("b", "dc")
+MODELS = ("dc", "b")
 WORLD = "mojave"
 BACKBONE = "filterbank"
 
@@ -140,7 +45,7 @@ STEPS = 8
 
 @dataclass(frozen=True)
 class DemoSettings:
-    """Settings of the demo, which by default takes ten minutes on two cores."""
+    """Settings of the demo; the defaults take ten minutes on two cores."""
 
     seconds: float = 60.0  # length of each drive [s]
     epochs: int = 12  # passes over the training windows
@@ -150,7 +55,7 @@ class DemoSettings:
     images: int = 60  # number of images for fitting the PCA
     batch: int = 64  # windows per step
     snapshot_seconds: float = 0.5  # shortest time between evaluated windows [s]
-    # Part of the split for each drive; each drive has its own world
+    # part of the split for each drive, each in its own world
     parts: tuple[str, ...] = ("train", "train", "train", "train", "validation", "test", "test")
     course_seconds: float = 30.0  # time limit of the course [s]
     course_speed: float = 6.0  # target speed [m/s]
@@ -170,24 +75,26 @@ def run_demo(out: Path, settings: DemoSettings, *, processes: int = 0) -> None:
     recordings = _recordings(out, settings)
     logs = [recording.log for recording in recordings]
     logger.info(
-        f"1/{STEPS}  offpiste simulate: {len(logs)} drives of {settings.seconds:g} s (no real vehicle),"
-        " each in its own world, with a camera and a LiDAR"
+        f"1/{STEPS}  offpiste simulate: {len(logs)} drives of {settings.seconds:g} s, each in its own world, with a"
+        " camera and a LiDAR"
     )
     simulate_all(recordings, processes)
     logger.info(f"2/{STEPS}  offpiste inspect {logs[0]} --rig proving_ground")
     logger.info(render(inspect_log(open_log(logs[0]), rig)))
     dataset = _extracted(logs, rig, out, settings, processes)
-    runs = [_trained(name, dataset, out, settings) for name in MODELS]
+    runs = [_trained(name, dataset, out, settings) for name in reversed(MODELS)][::-1]
     report, named = out / "report", " ".join(map(str, runs))
     logger.info(f"6/{STEPS}  offpiste evaluate {named} --dataset {dataset.path} --feature-set all --out {report}")
     evaluation = evaluate_runs(runs, dataset.path, report, starts=("causal",), feature_sets=FEATURE_SETS)
-    logger.info(f"7/{STEPS}  dc, which reads features of the terrain ahead, against b, which does not")
-    report_result(evaluation, dataset, report)
-    _drive(runs[-1], out, settings)
+    logger.info(f"7/{STEPS}  visual (dc) reads features of the terrain ahead, blind (b) does not:")
+    for sentence in headline_texts(evaluation.metrics):
+        logger.info(sentence)
+    logger.info("With more driving: `offpiste reproduce fig4 --size laptop` (hours); see docs/results.md for results.")
+    _drive(runs[0], out, settings)
 
 
 def _recordings(out: Path, settings: DemoSettings) -> list[Recording]:
-    """Drives to simulate, each with its own seed."""
+    """Return the drives to simulate, each with its own seed."""
     recordings = []
     for seed in range(settings.seed, settings.seed + len(settings.parts)):
         world = WorldSettings(WORLD, seed, size=settings.size, resolution=settings.resolution)
@@ -217,7 +124,7 @@ def _extracted(logs: list[Path], rig: Rig, out: Path, settings: DemoSettings, pr
 
 
 def _trained(model: str, dataset: Dataset, out: Path, settings: DemoSettings) -> Path:
-    """Train a model and return its folder; stages shared by all models are fitted once."""
+    """Train a model and return its folder; shared stages are fitted once."""
     folder = out / "runs" / f"{model}-{settings.seed}"
     logger.info(f"5/{STEPS}  offpiste train {dataset.path} --model {model} --out {folder}")
     reuse_stages(folder.parent, folder, settings.seed)
@@ -235,7 +142,7 @@ def _trained(model: str, dataset: Dataset, out: Path, settings: DemoSettings) ->
 
 
 def _drive(run: Path, out: Path, settings: DemoSettings) -> None:
-    """Drive a course in a new world, planned with the model."""
+    """Drive a course in a new world with the model."""
     folder, pca = out / "course", out / "pca.safetensors"
     seed = settings.seed + len(settings.parts)
     logger.info(

@@ -60,7 +60,9 @@ class Parametric(Dynamics):
         return KernelParts(self.bicycle)
 
 
-@register_model("b", colour="#0072b2", what="parametric, corrected by a network that does not see the ground")
+@register_model(
+    "b", colour="#0072b2", display_name="blind", what="parametric, corrected by a network that does not see the ground"
+)
 class Hybrid(Dynamics):
     """The paper's model without (`b`) or with encoded terrain features: the network sees the physics and corrects F.
 
@@ -180,7 +182,13 @@ def compressed(vehicle: Vehicle) -> Hybrid:
     return _compressing(vehicle)
 
 
-@register_model("dc", draw=per_trajectory, colour="#7b3fa0", what="cf trained on ground seen from all distances")
+@register_model(
+    "dc",
+    draw=per_trajectory,
+    colour="#7b3fa0",
+    display_name="visual",
+    what="cf trained on ground seen from all distances",
+)
 def compressed_distance_independent(vehicle: Vehicle) -> Hybrid:
     """Compressed terrain features, trained on a random feature set for each trajectory."""
     return _compressing(vehicle)

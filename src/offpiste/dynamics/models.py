@@ -26,6 +26,7 @@ class Model:
         draw: feature sets that training windows read beside those drawn for their normals.
         baseline: whether it is evaluated beside every trained model; it has nothing to train but its actuators.
         colour: in figures; "" for one from the spare colours.
+        display_name: in tables, figures and reports; "" for the registered name.
         what: it is, in a few words for reports; "" to say nothing.
         fits: whether the model can be made for a vehicle.
     """
@@ -34,6 +35,7 @@ class Model:
     draw: Draw = hindsight
     baseline: bool = False
     colour: str = ""
+    display_name: str = ""
     what: str = ""
     fits: Callable[[Vehicle], bool] = lambda vehicle: True
 
@@ -67,6 +69,7 @@ def register_model(
     draw: Draw = hindsight,
     baseline: bool = False,
     colour: str = "",
+    display_name: str = "",
     what: str = "",
     fits: Callable[[Vehicle], bool] = lambda vehicle: True,
 ) -> Callable[[Build], Build]:
@@ -77,7 +80,7 @@ def register_model(
     """
 
     def add(build: Build) -> Build:
-        MODELS.register(name)(Model(build, draw, baseline, colour, what, fits))
+        MODELS.register(name)(Model(build, draw, baseline, colour, display_name, what, fits))
         return build
 
     return add
@@ -97,3 +100,8 @@ def reference_of(vehicle: Vehicle) -> str:
 def is_baseline(name: str) -> bool:
     """Whether a model of this name is evaluated beside every trained one; False for a name that is not registered."""
     return name in MODELS and MODELS[name].baseline
+
+
+def display_name(name: str) -> str:
+    """Return the name of a model for tables, figures and reports."""
+    return (name in MODELS and MODELS[name].display_name) or name

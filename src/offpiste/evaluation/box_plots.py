@@ -1,5 +1,6 @@
-"""Box plots in the paper's form, and the colour of each model in every figure."""
+"""Box plots of errors, and the colours of models in figures."""
 
+import re
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -14,22 +15,22 @@ from offpiste.report.chart import MEAN, MEDIAN, Box, Chart, box_panel, box_stati
 from offpiste.report.figure import plain
 
 RECORDED = "#000000"
-"""Colour of what was driven."""
+"""Colour of recorded paths."""
 
 _SPARE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#7b3fa0", "#56b4e9")
-"""Okabe and Ito's palette (jfly.uni-koeln.de/color, 2008), which colour-blind people can tell apart, and one more."""
+"""Okabe and Ito's palette (jfly.uni-koeln.de/color, 2008), which colour-blind people can distinguish, and one more."""
 _LINES = ("-", "--", ":", "-.")
 
 
 def colour_of(label: str) -> str:
-    """The colour of a model, whatever its variant."""
-    name = label.split(" ")[0]
-    declared = MODELS[name].colour if name in MODELS else ""
+    """Return the colour of a model by a label such as "b (flat)", "DF" or "blind · map"."""
+    name = re.split(r" [(·]", label)[0].lower()
+    declared = next((model.colour for key, model in MODELS.items() if name in (key, model.display_name)), "")
     return declared or _SPARE[sum(name.encode()) % len(_SPARE)]
 
 
 def styles(labels: Sequence[str]) -> dict[str, tuple[str, str]]:
-    """Colour and line style by label: the colour follows the model's name, the line tells its variants apart."""
+    """Return colour and line style by label: colours distinguish models, line styles their variants."""
     result: dict[str, tuple[str, str]] = {}
     for label in labels:
         colour = colour_of(label)
@@ -41,10 +42,10 @@ def styles(labels: Sequence[str]) -> dict[str, tuple[str, str]]:
 def box_chart(
     errors: Mapping[str, Float[np.ndarray, " n"]], *, title: str = "", quantity: str = "Distance error after 5 s [m]"
 ) -> Chart:
-    """Box plot of errors with a line for each model.
+    """Describe horizontal box plots of errors, one for each model.
 
-    Boxes reach from the lower to the upper quartile, whiskers to the last value within 1.5 IQR of them. Failed
-    predictions are counted beside the name; they are in the quartiles, and a model that has any has no mean.
+    Boxes extend over the quartiles, whiskers to the last value within 1.5 IQR. Failed predictions are counted beside
+    the name and in the quartiles; a model with failed predictions has no mean.
 
     Args:
         errors: by label, from top to bottom; infinite if a prediction failed.
@@ -58,11 +59,11 @@ def box_chart(
 
 
 Groups = Mapping[str, Mapping[str, Float[np.ndarray, " _"]]]
-"""Errors by place on the axis and by model; infinite where a prediction failed."""
+"""Errors by position on the axis and by model; infinite if a prediction failed."""
 
 
 def whisker_top(groups: Groups) -> float:
-    """Highest end of a whisker; figures that are given the same one share their axis."""
+    """Return the highest end of a whisker, for figures that share their axis."""
     tops = [box_statistics(values)["whishi"] for models in groups.values() for values in models.values()]
     return max((float(top) for top in tops if np.isfinite(top)), default=0.0) or 1.0
 
@@ -75,15 +76,14 @@ def grouped_box_plot(
     quantity: str = "Distance error after 5 s [m]",
     top: float | None = None,
 ) -> Figure:
-    """Box plot of several models side by side at each place of the axis, in the paper's form (Fig. 3 and 4).
+    """Draw vertical box plots of several models side by side, as in the paper (Fig. 3 and 4).
 
-    Boxes reach from quartile to quartile, whiskers to the last value within 1.5 IQR of them.
-
-    The whiskers' ends are given by the values with arrows. Green: median; orange: mean.
+    Boxes extend over the quartiles, whiskers to the last value within 1.5 IQR, which is written beside an arrow. Green:
+    median; orange: mean.
 
     Args:
         axis: name of the axis.
-        top: upper end of the axis, where figures are to share it (`whisker_top`).
+        top: upper end of the axis, for figures that share it (`whisker_top`).
     """
     top = top or whisker_top(groups)
     names = list(dict.fromkeys(name for models in groups.values() for name in models))

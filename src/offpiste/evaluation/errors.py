@@ -1,4 +1,4 @@
-"""Errors of predictions after each whole second, and files with them."""
+"""Prediction errors after each second, and their files."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -25,18 +25,18 @@ from offpiste.training.losses import summed_loss
 from offpiste.training.prediction import Lookup, batch_for, in_parts, roll_batch_out, roll_out
 
 HORIZONS = (1, 2, 3, 4, 5)
-"""Times at which errors are kept [s after the start]."""
+"""Times of the errors [s after the start]."""
 
 COMPONENTS = ("distance_error_m", "yaw_error_rad", "vx_error_mps", "vy_error_mps", "yaw_rate_error_radps")
-"""Absolute errors: of position as a distance, of yaw wrapped."""
+"""Absolute errors; yaw wraps around."""
 
 
 @dataclass(frozen=True)
 class Errors:
-    """Errors of predictions by window; infinite if the prediction is not finite.
+    """Prediction errors by window; infinite if the prediction is not finite.
 
     Attributes:
-        drive, row: identity of a window: index of its drive in the dataset, and row of its start.
+        drive, row: index of each window's drive in the dataset, and row of its start.
         values: by horizon (`HORIZONS`) and component (`COMPONENTS`).
         loss: over all steps, in units of the kinematic bicycle's error (`offpiste.training.losses`).
     """
@@ -48,7 +48,7 @@ class Errors:
 
     @property
     def key(self) -> Int[np.ndarray, " n"]:
-        """One number per window, ordered by drive and row."""
+        """Key of each window, ordered by drive and row."""
         return np.asarray(self.drive.astype(np.int64) << 32 | self.row)
 
     @property
@@ -57,11 +57,11 @@ class Errors:
         return np.asarray(~np.isfinite(self.values).all(axis=2))
 
     def distance(self) -> Float[np.ndarray, " n"]:
-        """Distance error at the last horizon [m]."""
+        """Return the distance error at the last horizon [m]."""
         return self.values[:, -1, 0]
 
     def component(self, name: str) -> Float[np.ndarray, " n"]:
-        """Error of a component (`COMPONENTS`) at the last horizon, or the "loss" over all steps."""
+        """Return the error of a component (`COMPONENTS`) at the last horizon, or the "loss" over all steps."""
         return self.loss if name == "loss" else self.values[:, -1, COMPONENTS.index(name)]
 
     def take(self, index: Int[np.ndarray, " m"]) -> "Errors":
@@ -70,11 +70,10 @@ class Errors:
 
 
 def pool(runs: Sequence[Errors]) -> Errors:
-    """Mean errors over the runs that predicted each window; windows in ascending order.
+    """Average the errors of runs by window; windows in ascending order.
 
-    Seeds predict the same windows, so that their errors are averaged by window; folds predict disjoint windows, which
-    are concatenated. Errors are averaged rather than predictions, which would be an ensemble. A window in which a run
-    failed has failed.
+    Seeds predict the same windows, and folds disjoint ones. Errors are averaged rather than predictions, which would be
+    an ensemble. If one run failed in a window, the mean has failed.
     """
     keys, place = np.unique(np.concatenate([run.key for run in runs]), return_inverse=True)
     count = np.bincount(place).astype(float)
@@ -87,7 +86,7 @@ def pool(runs: Sequence[Errors]) -> Errors:
 
 @dataclass(frozen=True)
 class SeededErrors:
-    """Errors of a model's runs on the same windows, in ascending order: one run per seed.
+    """Errors of a model's runs on the same windows in ascending order, one run per seed.
 
     Attributes:
         seeds: of the runs; None if unknown.
@@ -116,16 +115,16 @@ class SeededErrors:
         return np.stack([run.values[:, horizon, component] for run in self.runs])
 
     def component(self, name: str) -> Float[np.ndarray, "S n"]:
-        """Error of a component (`COMPONENTS`) at the last horizon, or the "loss" over all steps."""
+        """Return the error of a component (`COMPONENTS`) at the last horizon, or the "loss" over all steps."""
         return np.stack([run.component(name) for run in self.runs])
 
     def distance(self) -> Float[np.ndarray, "S n"]:
-        """Distance error at the last horizon [m]."""
+        """Return the distance error at the last horizon [m]."""
         return self.component(COMPONENTS[0])
 
     @property
     def loss(self) -> Float[np.ndarray, "S n"]:
-        """The loss over all steps."""
+        """Loss over all steps."""
         return self.component("loss")
 
     def take(self, index: Int[np.ndarray, " m"]) -> "SeededErrors":
@@ -134,8 +133,9 @@ class SeededErrors:
 
     def of_seed(self, seed: int | None) -> "SeededErrors":
         """Return the run of a seed, or all runs if there is none."""
-        alike = [number for number, own in enumerate(self.seeds) if own == seed and seed is not None]
-        return SeededErrors((self.runs[alike[0]],), (seed,)) if alike else self
+        if seed is None or seed not in self.seeds:
+            return self
+        return SeededErrors((self.runs[self.seeds.index(seed)],), (seed,))
 
 
 def by_seed(runs: Sequence[Errors], seeds: Sequence[int | None]) -> SeededErrors:
@@ -150,9 +150,9 @@ def by_seed(runs: Sequence[Errors], seeds: Sequence[int | None]) -> SeededErrors
     return SeededErrors(tuple(together), tuple(different))
 
 
-def positions(windows: Errors | SeededErrors, among: Errors | SeededErrors) -> Int[np.ndarray, " n"]:
+def positions(windows: SeededErrors, among: SeededErrors) -> Int[np.ndarray, " n"]:
     """Return the indices of windows in `among`, which contains all of them in ascending order."""
-    have, wanted = (errors.drive.astype(np.int64) << 32 | errors.row for errors in (among, windows))
+    have, wanted = among.runs[0].key, windows.runs[0].key
     result = np.searchsorted(have, wanted)
     assert np.array_equal(have[np.minimum(result, len(have) - 1)], wanted), "not the same windows"
     return np.asarray(result)
@@ -160,7 +160,7 @@ def positions(windows: Errors | SeededErrors, among: Errors | SeededErrors) -> I
 
 @dataclass(frozen=True)
 class Predictor:
-    """A model, and the weights of the loss that measures its predictions."""
+    """Model with the weights of its loss."""
 
     dynamics: Dynamics
     weights: Float[Tensor, " 5"]
@@ -176,7 +176,7 @@ def errors_of_models(
     scale: Float[Tensor, " 5"],
     description: str = "evaluating",
 ) -> list[Errors]:
-    """Compute the errors of models on the same windows, which are read once for all.
+    """Compute the errors of models on the same windows, each read once.
 
     Args:
         index: indices of the windows.
@@ -211,7 +211,7 @@ def prediction_errors(
 def trajectories(
     dynamics: Dynamics, windows: Windows, index: Int[np.ndarray, " n"], *, lookup: Lookup | None
 ) -> Float[np.ndarray, "n T 6"]:
-    """Predict the states after each step, with positions relative to each window's start."""
+    """Predict the states after each step, with positions relative to the start."""
     if not len(index):
         return np.empty((0, windows.horizon, 6))
     states = [roll_out(dynamics, windows, part, lookup)[1].state for part in in_parts(index, windows, lookup)]
@@ -219,7 +219,7 @@ def trajectories(
 
 
 def in_start_frame(paths: Float[np.ndarray, "n T 2"], yaw: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n T 2"]:
-    """Rotate displacements from the world to the heading at each start: ahead, left [m]."""
+    """Rotate displacements from the world frame to the initial heading: ahead, left [m]."""
     return planar_body_from_world(paths, yaw[:, None])
 
 
@@ -231,7 +231,7 @@ def _absolute_errors(predicted: Float[Tensor, "B 5 6"], target: Float[Tensor, "B
 
 
 def _infinite_if_failed(values: Tensor) -> np.ndarray:
-    """Return errors in double precision; all components of a horizon are infinite if one is not finite."""
+    """Convert to double precision; if one component of a horizon is not finite, all become infinite."""
     array = values.double().cpu().numpy()
     finite = np.isfinite(array)
     if array.ndim == 3:

@@ -1,4 +1,4 @@
-"""Evaluation of models on the same windows: runs, the baselines beside them, and their terrain lookups."""
+"""Evaluation of models and baselines on the same windows."""
 
 import logging
 from collections.abc import Iterator, Sequence
@@ -26,7 +26,6 @@ from offpiste.evaluation.evaluated_windows import EvaluatedWindows, share_driven
 from offpiste.evaluation.intervals import Sampling
 from offpiste.evaluation.metrics import (
     Case,
-    Cases,
     LossUnits,
     Metrics,
     RunErrors,
@@ -59,7 +58,6 @@ class EvaluatedModel:
     Attributes:
         name: in `offpiste.dynamics.MODELS`; runs of the same name and variant are one model.
         variant: distinguishes models of the same name, e.g. "flat".
-        seed, fold: of the run.
         split: split to evaluate it on, for folds; None: that of the dataset.
     """
 
@@ -94,7 +92,7 @@ class Evaluation:
         errors: by case, over all runs, on the same windows in the same order.
         windows: these windows.
         shown: the deciding case of the first model.
-        predictions: each run in each case, with its model and its windows.
+        predictions: of each run in each case.
     """
 
     metrics: Metrics
@@ -120,10 +118,10 @@ def evaluate_models(
     command: str = "",
     warnings: Sequence[str] = (),
 ) -> Evaluation:
-    """Evaluate models, and beside them the baselines `ctrv` and `kinematic`, on the same windows.
+    """Evaluate models and the baselines `ctrv` and `kinematic` on the same windows.
 
     Args:
-        models: runs; typical and worst windows of the first model are drawn.
+        models: runs; the report draws typical and worst windows of the first model.
         scale: units of the loss, the same for all models (`training.losses.loss_scale`).
         weights: of the loss.
         starts: estimates of the state that predictions start from.
@@ -144,45 +142,35 @@ def evaluate_models(
     datasets = [each for each, _ in groups]
     readings = readings_of(datasets, part, lookups, feature_sets)
     compute = partial(prediction_errors, scale=scale, weights=torch.tensor(weights.in_order()))
-    predictions = [
-        Prediction(
-            case,
-            model,
-            windows,
-            compute(
-                model.dynamics,
-                windows,
-                windows.evaluation_indices(stride),
-                lookup=case.lookup,
-                description=_described(case),
-            ),
-        )
-        for case, model, windows in _every_reading(groups, part, starts, readings, device)
-    ]
-    cases = _by_case(predictions)
+    predictions, cases = list[Prediction](), dict[Case, list[RunErrors]]()
+    for case, model, windows in _every_reading(groups, part, starts, readings, device):
+        name = " ".join(filter(None, ("evaluating", case.label, case.start, case.lookup, case.feature_set)))
+        index = windows.evaluation_indices(stride)
+        errors = compute(model.dynamics, windows, index, lookup=case.lookup, description=name)
+        predictions.append(Prediction(case, model, windows, errors))
+        cases.setdefault(case, []).append(RunErrors(model.seed, model.fold, errors))
     together = seeded(cases)
-    errors = {case: runs.mean for case, runs in together.items()}
-    first = next(iter(errors.values()))
-    windows = EvaluatedWindows(dataset, first.drive, first.row)
+    means = {case: runs.mean for case, runs in together.items()}
+    first = next(iter(means.values()))
+    evaluated = EvaluatedWindows(dataset, first.drive, first.row)
     metrics = Metrics(
         dataset=str(dataset.path),
         split=", ".join(each.split.text for each in datasets),
         part=part,
         made=provenance(command, sampling.seed, device),
-        loss=_loss_units(weights, scale),
-        windows=_window_numbers(windows, datasets, part, stride, sampling),
+        loss=LossUnits(
+            dict(zip(COMPONENTS, weights.in_order(), strict=True)), dict(zip(COMPONENTS, scale.tolist(), strict=True))
+        ),
+        windows=_window_numbers(evaluated, datasets, part, stride, sampling),
         headlines=headlines(cases, sampling),
         results=result_rows(cases, part, sampling),
         warnings=(*dataset.findings, *warnings),
         assumptions=assumptions_of(dataset),
         features=bool(dataset.features),
-        bands=band_rows(together, windows, sampling),
+        bands=band_rows(together, evaluated, sampling),
     )
-    return Evaluation(metrics, errors, windows, _shown_case(errors, models[0], starts[0]), predictions)
-
-
-def _described(case: Case) -> str:
-    return " ".join(filter(None, ("evaluating", case.label, case.start, case.lookup, case.feature_set)))
+    shown = [case for case in means if (case.label, case.start) == (models[0].label, starts[0])]
+    return Evaluation(metrics, means, evaluated, max(shown, key=lambda case: case.lookup == "map"), predictions)
 
 
 def _every_reading(
@@ -200,27 +188,6 @@ def _every_reading(
                 for lookup, chosen in readings if model.dynamics.reads_terrain else (NO_READING,):
                     read = windows.with_feature_set(chosen) if chosen else windows
                     yield Case(model.name, model.variant, start, lookup, chosen), model, read
-
-
-def _by_case(predictions: Sequence[Prediction]) -> Cases:
-    cases: dict[Case, list[RunErrors]] = {}
-    for prediction in predictions:
-        run = RunErrors(prediction.model.seed, prediction.model.fold, prediction.errors)
-        cases.setdefault(prediction.case, []).append(run)
-    return cases
-
-
-def _shown_case(errors: dict[Case, Errors], model: EvaluatedModel, start: Start) -> Case:
-    """Return the deciding case of a model: the first start, on the map if there is one."""
-    result = [case for case in errors if case.label == model.label and case.start == start]
-    return max(result, key=lambda case: case.lookup == "map")
-
-
-def _loss_units(weights: Weights, scale: Float[Tensor, " 5"]) -> LossUnits:
-    of_weights, of_scale = (
-        dict(zip(COMPONENTS, result, strict=True)) for result in (weights.in_order(), scale.tolist())
-    )
-    return LossUnits(of_weights, of_scale)
 
 
 def _window_numbers(
@@ -242,14 +209,14 @@ def _window_numbers(
 def readings_of(
     datasets: Sequence[Dataset], part: str, lookups: Sequence[Lookup], feature_sets: Sequence[str]
 ) -> Sequence[Reading]:
-    """Return the possible terrain lookups; of features at recorded places only, unless every split has maps.
+    """Return the possible terrain lookups among the wanted ones; on the map only if every split has maps.
 
     Args:
         datasets: the same rows with each split.
         part: of the splits, whose windows are evaluated.
-        lookups, feature_sets: wanted lookups and feature sets.
     """
-    if not _has_terrain(datasets[0]):
+    slopes = (np.nanmax(np.abs(drive.rows.normal[..., :2]), initial=0) for drive in datasets[0].drives)
+    if not datasets[0].features and not any(slope > 0 for slope in slopes):
         return (NO_READING,)
     sets: Sequence[str | None] = (None,)
     bare: list[str] = []
@@ -265,17 +232,10 @@ def readings_of(
     return recorded + on_map
 
 
-def _has_terrain(dataset: Dataset) -> bool:
-    """Whether the dataset has terrain features or slopes."""
-    return bool(dataset.features) or any(
-        bool(np.nanmax(np.abs(drive.rows.normal[..., :2]), initial=0) > 0) for drive in dataset.drives
-    )
-
-
 def named_apart(models: Sequence[EvaluatedModel], folders: Sequence[Path]) -> list[EvaluatedModel]:
-    """Distinguish models whose runs have the same seed and fold, by the names of their folders as variants.
+    """Distinguish models whose runs have the same seed and fold, with the names of their folders as variants.
 
-    A folder named as its model, or MODEL-SEED, gives no variant.
+    Folders named MODEL or MODEL-SEED give no variant.
 
     Args:
         folders: of each run, as given; for folds, the folder of the cross-validation.
@@ -301,7 +261,7 @@ def _identity(model: EvaluatedModel) -> tuple[str, int | None, int | None, Split
 def with_baselines(
     models: Sequence[EvaluatedModel], dataset: Dataset, device: torch.device | str
 ) -> list[EvaluatedModel]:
-    """Add the missing baselines to the models, once for every split.
+    """Add the missing baselines, once for every split.
 
     Raises:
         RunError: models were trained on different splits, or a run is given twice.
@@ -320,22 +280,22 @@ def with_baselines(
 
 
 def _baseline(name: str, beside: Sequence[EvaluatedModel], vehicle: Vehicle) -> Dynamics:
-    """Return a baseline; its actuators, if any, have the delays fitted by the first model beside it."""
+    """Return a baseline; its actuators, if any, have the delays fitted by the first model of the same channels."""
+
+    def channels(of: Vehicle) -> tuple[tuple[str, ...], ...]:
+        return without_optional(of.control), of.actuators
+
     baseline = MODELS[name](vehicle, seed=0)
-    fitted = [model.dynamics.actuators for model in beside if _channels(model.dynamics.vehicle) == _channels(vehicle)]
+    fitted = [m.dynamics.actuators for m in beside if channels(m.dynamics.vehicle) == channels(vehicle)]
     result = next((lags for lags in fitted if lags is not None), None)
     if baseline.actuators is not None and result is not None:
         baseline.actuators.load_state_dict(result.state_dict())
     return baseline
 
 
-def _channels(vehicle: Vehicle) -> tuple[tuple[str, ...], ...]:
-    return without_optional(vehicle.control), vehicle.actuators
-
-
 def _refuse_unlike(models: Sequence[EvaluatedModel], dataset: Dataset) -> None:
     """Check that all models are evaluated on the same windows, and no run twice."""
-    wanted = set(splits_of(models, dataset))
+    wanted = {model.split or dataset.split for model in models}
     for name in dict.fromkeys(model.label for model in models):
         runs = [model for model in models if model.label == name]
         splits = {run.split or dataset.split for run in runs}
@@ -344,7 +304,7 @@ def _refuse_unlike(models: Sequence[EvaluatedModel], dataset: Dataset) -> None:
             raise RunError(
                 f"model '{name}' has no run for split {missing}, which others have",
                 where=dataset.path,
-                how="models are compared on the same windows: give the same folds of each, or evaluate them separately",
+                how="give the same folds of each model, or evaluate them separately",
             )
         if len({_identity(run) for run in runs}) < len(runs):
             raise RunError(
@@ -354,16 +314,11 @@ def _refuse_unlike(models: Sequence[EvaluatedModel], dataset: Dataset) -> None:
             )
 
 
-def splits_of(models: Sequence[EvaluatedModel], dataset: Dataset) -> list[Split]:
-    """Return the splits that models are evaluated on."""
-    return list(dict.fromkeys(model.split or dataset.split for model in models)) or [dataset.split]
-
-
 def by_split(models: Sequence[EvaluatedModel], dataset: Dataset) -> list[tuple[Dataset, list[EvaluatedModel]]]:
     """Return the dataset with each split, and the models evaluated on it.
 
     With several splits there are no snapshots, so that windows are chosen in the same way for each.
     """
-    splits = splits_of(models, dataset)
+    splits = list(dict.fromkeys(model.split or dataset.split for model in models)) or [dataset.split]
     datasets = [dataset] if splits == [dataset.split] else [dataset.relabelled(split) for split in splits]
     return [(each, [model for model in models if (model.split or dataset.split) == each.split]) for each in datasets]

@@ -1,4 +1,4 @@
-"""Evaluation of trained runs on a dataset, with the report: `offpiste evaluate`."""
+"""Evaluation of trained runs with a report: `offpiste evaluate`."""
 
 import logging
 import math
@@ -12,6 +12,7 @@ import numpy as np
 from offpiste.core.command_line import options
 from offpiste.core.errors import OffpisteError, RunError
 from offpiste.core.files import check_folder, unfinished
+from offpiste.core.limits import parsed, read_small
 from offpiste.core.shipped import named, run_folder
 from offpiste.dataset.assumptions import assumptions_block, assumptions_of
 from offpiste.dataset.log_findings import warning_line
@@ -20,7 +21,7 @@ from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import Dataset, open_dataset
 from offpiste.evaluation.evaluate import EvaluatedModel, Evaluation, evaluate_models, named_apart
 from offpiste.evaluation.intervals import MIN_UNITS, Levels
-from offpiste.evaluation.metrics import Metrics, Start, read_metrics
+from offpiste.evaluation.metrics import Metrics, Start
 from offpiste.evaluation.report import REPORT_FILES, UNFINISHED, terminal_table, write_report
 from offpiste.training.checkpoint import fold_folders, load_json
 from offpiste.training.config import TrainConfig
@@ -30,7 +31,7 @@ from offpiste.training.run import Run, differing_vehicle, load_run, refuse_seen,
 logger = logging.getLogger(__name__)
 
 SLOWER = 0.2
-"""Tolerated difference between the requested speed and that of the slowest window with a map [m/s]."""
+"""Tolerated difference between the requested minimum speed and that of the slowest window with a map [m/s]."""
 
 
 def evaluate_runs(
@@ -47,7 +48,7 @@ def evaluate_runs(
     """Evaluate runs on the test part of a dataset; write metrics.json, figures and report.html to `out`.
 
     Args:
-        min_speed: smallest speed at the start of a window [m/s]; 0: standstills as well; None: as in the dataset.
+        min_speed: smallest initial speed of a window [m/s]; 0 includes standstills; None: as in the dataset.
 
     Raises:
         RunError: no run is given, or one is unfinished, does not fit the dataset, or was trained on the test part.
@@ -55,7 +56,7 @@ def evaluate_runs(
         OffpisteError: `out` is a file or holds other files, or a setting is impossible.
     """
     if not folders:
-        raise RunError("no run is given", how="name one or more: offpiste evaluate RUN... --dataset DATASET")
+        raise RunError("the runs are missing", how="name one or more: offpiste evaluate RUN... --dataset DATASET")
     check_folder(out, own=REPORT_FILES)
     if min_speed is not None and not 0 <= min_speed < math.inf:
         raise OffpisteError(f"--min-speed is {min_speed:g}", how="give a speed of 0 or more [m/s]")
@@ -77,7 +78,7 @@ def evaluate_runs(
     models = named_apart(models, given)
     _refuse_unseen(runs, dataset)
     _warn_of_slow(dataset, min_speed)
-    warnings = [*_doubts(runs, models, dataset), *_other_assumptions(runs, models, dataset)]
+    warnings = [*_warnings(runs, models, dataset), *_other_assumptions(runs, dataset)]
     evaluation = evaluate_models(
         models,
         dataset,
@@ -90,13 +91,13 @@ def evaluate_runs(
         device=device,
     )
     if (before := _other_report(out, evaluation.metrics)) is not None:
-        logger.warning(f"{out} held the report of {before}; it is replaced")
+        logger.warning(f"replacing the report of {before} in {out}")
     with unfinished(out, UNFINISHED):
         write_report(evaluation, out)
     logger.info(terminal_table(evaluation.metrics.results).text())
     if {"recorded", "map"} <= {row.lookup for row in evaluation.metrics.results}:
         nearest = "" if dataset.features else ": without features, the slope of the nearest driven path"
-        logger.info(f"rows with the lookup 'map' decide: they read the ground under the predicted wheels{nearest}")
+        logger.info(f"Results with the lookup 'map' decide: they read the ground under the predicted wheels{nearest}.")
     levels = Levels(evaluation.metrics.windows.drives, evaluation.metrics.windows.blocks)
     if levels.caveat:
         more = folds_command(folders[0], runs[0].model, dataset, dataset_path) if levels.units < MIN_UNITS else ""
@@ -106,8 +107,8 @@ def evaluate_runs(
     return evaluation
 
 
-def _other_assumptions(runs: Sequence[Run], models: Sequence[EvaluatedModel], dataset: Dataset) -> list[str]:
-    """Return assumptions of the runs' training data that the dataset does not share."""
+def _other_assumptions(runs: Sequence[Run], dataset: Dataset) -> list[str]:
+    """Return assumptions of the runs' training data that the dataset lacks."""
     mine = assumptions_of(dataset)
     found = {f"{run.model} was trained with: {each}" for run in runs for each in run.assumptions if each not in mine}
     return sorted(found)
@@ -116,8 +117,7 @@ def _other_assumptions(runs: Sequence[Run], models: Sequence[EvaluatedModel], da
 def folds_command(folder: Path, model: str, dataset: Dataset, path: Path) -> str:
     """Return the command that tests a model on all of the driving by cross-validation.
 
-    Empty for folds, for models that ship, and for datasets with snapshots, whose folds are evaluated at recorded places
-    only.
+    Empty for folds, shipped models and datasets with snapshots, whose folds are evaluated at recorded places only.
 
     Args:
         path: of the dataset, as given.
@@ -130,62 +130,62 @@ def folds_command(folder: Path, model: str, dataset: Dataset, path: Path) -> str
 
 
 def _settings(folder: Path) -> TrainConfig:
-    """Return the settings that a run was trained with; the defaults if unknown."""
+    """Return the training settings of a run; the defaults if they are unknown."""
     path = folder / "config.json"
     try:
         return msgspec.convert(load_json(path)["train"], TrainConfig) if path.exists() else TrainConfig()
     except (KeyError, msgspec.ValidationError) as error:
-        raise RunError(f"has no settings of a training ({error})", where=path, how="train again") from error
+        raise RunError(f"holds no training settings ({error})", where=path, how="train again") from error
 
 
-def _doubts(runs: Sequence[Run], models: Sequence[EvaluatedModel], dataset: Dataset) -> tuple[str, ...]:
+def _warnings(runs: Sequence[Run], models: Sequence[EvaluatedModel], dataset: Dataset) -> list[str]:
     """Log warnings about these models on this dataset; return those that are not stored in the dataset."""
     if (line := warning_line(dataset.findings)) is not None:
         logger.warning(line)
     others = {named(run.folder): differing_vehicle(run.dynamics.vehicle, dataset.rig.vehicle) for run in runs}
-    doubts = [
+    warnings = [
         f"{name} was trained on another vehicle than {dataset.rig.name}: {apart}"
         for name, apart in others.items()
         if apart is not None
     ]
     trained_here = all(model.split is None for model in models) and {run.split for run in runs} == {dataset.split.text}
     if trained_here and (unlike := split_warning(dataset)) is not None:
-        doubts.append(unlike)
-    for doubt in doubts:
-        logger.warning(doubt)
-    return tuple(doubts)
+        warnings.append(unlike)
+    for warning in warnings:
+        logger.warning(warning)
+    return warnings
 
 
 def _other_report(out: Path, metrics: Metrics) -> str | None:
-    """Describe the existing report in a folder if it is about other models or data."""
+    """Describe the existing report in a folder if it has other models or data."""
     try:
-        there = read_metrics(out / "metrics.json")
-    except RunError:
+        there = parsed(read_small(out / "metrics.json"))
+        dataset, models = there["dataset"], ", ".join(dict.fromkeys(row["model"] for row in there["results"]))
+    except (OSError, ValueError, KeyError, TypeError):
         return None
-    models = [", ".join(dict.fromkeys(row.model for row in one.results)) for one in (there, metrics)]
-    same = (there.dataset, models[0]) == (metrics.dataset, models[1])
-    return None if same else f"{models[0]} on {there.dataset}"
+    own = ", ".join(dict.fromkeys(row.model for row in metrics.results))
+    return None if (dataset, models) == (metrics.dataset, own) else f"{models} on {dataset}"
 
 
 def _warn_of_slow(dataset: Dataset, min_speed: float | None) -> None:
-    """Warn if slow windows are requested and the dataset has no map at their starts."""
+    """Warn if slow windows are requested and the dataset has no maps for them."""
     kept = [(drive.rows.state_causal[drive.snapshots.row]) for drive in dataset.drives if drive.snapshots is not None]
     state = np.concatenate(kept) if kept else np.zeros((0, 6))
     slowest = float(np.hypot(state[:, 3], state[:, 4]).min(initial=np.inf))
     if min_speed is not None and np.isfinite(slowest) and slowest > min_speed + SLOWER:
         logger.warning(
-            f"windows are evaluated where the dataset has a map, above {slowest:.2g} m/s; "
+            f"only windows with a map are evaluated, above {slowest:.2g} m/s; "
             f"extract with --snapshot-speed {min_speed:g} for slower ones"
         )
 
 
 def _refuse_unseen(runs: Sequence[Run], dataset: Dataset) -> None:
-    """Check that the dataset has features if a model reads them."""
+    """Check that the dataset has valid features if a model reads them."""
     reading = [run for run in runs if run.dynamics.encoder is not None]
     cells = [d.rows.cells for d in dataset.drives if d.rows.cells is not None]
     if reading and not any(bool(c.valid.any()) for c in cells):
         raise RunError(
-            f"'{reading[0].model}' reads terrain features, and all of {dataset.path} are missing",
+            f"'{reading[0].model}' reads terrain features, and {dataset.path} has no valid ones",
             where=reading[0].folder,
             how="view the dataset with `offpiste view`, fix the rig's cameras and LiDARs and extract again",
         )

@@ -1,4 +1,4 @@
-"""Windows that models are evaluated on: speed bands, driven distance, and overlap with the training path."""
+"""Properties of evaluated windows: speed bands, driven distance, and overlap with the training path."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,14 +13,14 @@ from offpiste.dataset.splits import PARTS
 from offpiste.dataset.store import Dataset
 
 NEAR: Final = 5.0
-"""Distance from the training path within which a place counts as driven in training [m]."""
+"""Largest distance of a place driven in training from the training path [m]."""
 
 REVERSING: Final = 0.3
-"""Backward speed above which a window starts in reverse, if the log has no gear [m/s]."""
+"""Backward speed above which a window starts in reverse if the log has no gear [m/s]."""
 
 
 class Band(NamedTuple):
-    """Range of speeds at the start of a window [m/s]."""
+    """Range of initial speeds [m/s]."""
 
     name: str
     low: float
@@ -36,15 +36,15 @@ BANDS: Final = (
 """Bands of windows that do not start in reverse."""
 
 REVERSE: Final = "reverse"
-"""Name of the band of windows that start in reverse gear, or backwards if the log has no gear."""
+"""Band of windows that start in reverse gear, or backwards if the log has no gear."""
 
 
 @dataclass(frozen=True)
 class EvaluatedWindows:
-    """Quantities of windows, one value per window.
+    """Evaluated windows of a dataset.
 
     Attributes:
-        drive, row: index of the window's drive in the dataset, and row of its start in that drive.
+        drive, row: index of each window's drive in the dataset, and row of its start in that drive.
     """
 
     dataset: Dataset
@@ -52,27 +52,23 @@ class EvaluatedWindows:
     row: Int[np.ndarray, " n"]
 
     def at_start(self, column: str) -> Float[np.ndarray, "n ..."]:
-        """Return the values of a column at the windows' starts.
-
-        Args:
-            column: name of a column of the dataset's rows (`offpiste.dataset.resample.Rows`), e.g. "control".
-        """
+        """Return a column of the dataset's rows (`offpiste.dataset.resample.Rows`) at the windows' starts."""
         drives = [drive.rows.column(column) for drive in self.dataset.drives]
         return np.array([drives[d][r] for d, r in zip(self.drive, self.row, strict=True)], dtype=float)
 
     @cached_property
     def start_state(self) -> Float[np.ndarray, "n 6"]:
-        """Causal estimate of the state at the start: px, py, yaw, vx, vy, yaw rate [m, rad, m/s, rad/s]."""
+        """Causal estimate of the initial state: px, py, yaw, vx, vy, yaw rate [m, rad, m/s, rad/s]."""
         return self.at_start("state_causal")
 
     @cached_property
     def start_speed(self) -> Float[np.ndarray, " n"]:
-        """Speed at the start, by the causal estimate [m/s]."""
+        """Causal estimate of the initial speed [m/s]."""
         return np.hypot(*self.start_state[:, 3:5].T)
 
     @cached_property
     def driven_distance(self) -> Float[np.ndarray, " n"]:
-        """Length of the path driven during the window, 5 s [m]."""
+        """Length of the path driven during the 5 s of the window [m]."""
         # Rows outside of any window may be NaN.
         run = [
             np.concatenate(([0.0], np.cumsum(np.nan_to_num(np.hypot(*d.rows.state[:, 3:5].T.astype(float))) * DT)))
@@ -89,7 +85,7 @@ class EvaluatedWindows:
 
 
 def in_reverse(windows: EvaluatedWindows) -> Bool[np.ndarray, " n"]:
-    """Return which windows start in reverse: by the gear, or by the velocity if the dataset has no gear."""
+    """Return a mask of the windows that start in reverse: by the gear, or by the velocity if there is none."""
     columns = [control.name for control in windows.dataset.rig.controls]
     backwards = windows.start_state[:, 3] < -REVERSING
     if "gear" not in columns:
@@ -99,14 +95,14 @@ def in_reverse(windows: EvaluatedWindows) -> Bool[np.ndarray, " n"]:
 
 
 def members(windows: EvaluatedWindows) -> dict[str, Bool[np.ndarray, " n"]]:
-    """Return which windows belong to each band; empty bands are left out."""
+    """Return a mask of windows for each band that is not empty."""
     reverse, speed = in_reverse(windows), windows.start_speed
     bands = {band.name: ~reverse & (speed >= band.low) & (speed < band.high) for band in BANDS} | {REVERSE: reverse}
     return {name: mine for name, mine in bands.items() if mine.any()}
 
 
 def share_driven_in_training(dataset: Dataset, part: str = "test") -> float:
-    """Share of a part's path, by length, that lies within `NEAR` of training rows of any drive.
+    """Return the share of a part's path, by length, within `NEAR` of training rows of any drive.
 
     Drives are compared in the log's world frame; in drives of different worlds, places coincide by chance only. 0
     without training rows, NaN if the part has no path.

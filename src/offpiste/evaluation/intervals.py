@@ -1,13 +1,12 @@
-"""Statistics of errors, with intervals bootstrapped over drives, blocks within them, and seeds.
+"""Statistics of errors with intervals bootstrapped over drives, blocks within them, and seeds.
 
 Windows overlap, blocks of a drive share its ground, and all windows share the runs that predict them, so that they are
 not independent. Each resample draws drives, then blocks within each drawn drive, then seeds, all with replacement. If
 drives do not differ this is conservative: two stages count the spread between blocks twice (Davison and Hinkley,
 Bootstrap Methods and their Application, 1997, section 3.8).
 
-Drives are the independent units; of a single drive, its blocks, which every interval over them states. With fewer than
-`MIN_UNITS` units there is no interval. Intervals are percentiles of resampled statistics, so that the interval of a
-distance has no negative bound.
+Drives are the independent units; for a single drive, its blocks. Fewer than `MIN_UNITS` units give no interval.
+Intervals are percentiles of resampled statistics, so that the interval of a distance has no negative bound.
 """
 
 from dataclasses import dataclass
@@ -21,7 +20,7 @@ from scipy.special import ndtr, ndtri, stdtrit
 from offpiste.core.conventions import DT
 
 BLOCK_SECONDS = 10.0
-"""Default length of a block [s]: twice a horizon, so that windows of every other block share no row."""
+"""Default length of a block, twice a horizon, so that windows of every other block share no row [s]."""
 
 RESAMPLES = 2000
 MIN_UNITS = 5
@@ -51,7 +50,7 @@ class Levels(msgspec.Struct, frozen=True):
 
     @property
     def caveat(self) -> str:
-        """Reason for a missing interval, or its limitation; "" if there is neither."""
+        """Reason for a missing interval, or limitation of an interval; "" if there is neither."""
         if self.units < MIN_UNITS:
             unit = "drive" if self.drives > 1 else "block"
             found = _count(self.units, unit) + " of one drive" * (self.drives == 1)
@@ -87,7 +86,7 @@ class Resampling:
 
     Attributes:
         block: index of each window's block, 0 ... G - 1.
-        draws: number of times that each block was drawn in each resample.
+        draws: number of times each block was drawn in each resample.
         drives: number of drives.
         units: number of independent units (`Levels.units`).
         seed: of the draws of seeds.
@@ -109,7 +108,7 @@ class Resampling:
         return Levels(self.drives, self.blocks, seeds)
 
     def seed_draws(self, seeds: int) -> Int[np.ndarray, "R S"]:
-        """Return the number of times that each run is drawn, the same for all models, so that they are paired by seed.
+        """Return the number of times each run is drawn, the same for all models, so that they are paired by seed.
 
         One run less than available is drawn, which makes the variance of the mean unbiased (McCarthy and Snowden, The
         Bootstrap and Finite Population Sampling, 1985).
@@ -118,11 +117,7 @@ class Resampling:
         return rng.multinomial(max(seeds - 1, 1), np.full(seeds, 1 / seeds), size=len(self.draws))
 
     def means(self, values: Float[np.ndarray, "*S n"]) -> Float[np.ndarray, " R"]:
-        """Return the mean over windows and seeds of each resample.
-
-        Args:
-            values: of one run, or one row per seed.
-        """
+        """Return the mean over windows and seeds of each resample."""
         runs = values.reshape(-1, values.shape[-1])
         sums = np.stack([np.bincount(self.block, weights=run, minlength=self.blocks) for run in runs])
         counts = np.bincount(self.block, minlength=self.blocks)
@@ -172,7 +167,7 @@ def blocks(
 def resampling(
     drive: Int[np.ndarray, " n"], block: Int[np.ndarray, " n"], seed: int, *, resamples: int = RESAMPLES
 ) -> Resampling:
-    """Draw, many times, as many drives as there are, and within each drawn drive as many blocks as it has.
+    """Resample drives, and blocks within each drawn drive, with replacement.
 
     Args:
         drive: drive of each window, or another independent unit.
@@ -193,22 +188,17 @@ def resampling(
 
 @runtime_checkable
 class Located(Protocol):
-    """Windows or rows, by drive and row."""
+    """Windows, by index of the drive and row of the start."""
 
     @property
-    def drive(self) -> Int[np.ndarray, " n"]:
-        """Index of the drive."""
-        ...
-
+    def drive(self) -> Int[np.ndarray, " n"]: ...  # noqa: D102
     @property
-    def row(self) -> Int[np.ndarray, " n"]:
-        """Row in the drive."""
-        ...
+    def row(self) -> Int[np.ndarray, " n"]: ...  # noqa: D102
 
 
 @dataclass(frozen=True)
 class Sampling:
-    """Settings of the intervals: seed of the resamples and length of a block [s]."""
+    """Seed of the resamples and length of a block [s]."""
 
     seed: int = 0
     block_seconds: float = BLOCK_SECONDS
@@ -222,11 +212,7 @@ class Sampling:
 
 
 def summary(values: Float[np.ndarray, "*S n"], drawn: Resampling) -> Statistics:
-    """Compute statistics of an error over windows; quantiles are of each window's mean over the seeds.
-
-    Args:
-        values: of one run, or one row per seed.
-    """
+    """Compute statistics of an error over windows; quantiles are of each window's mean over the seeds."""
     over_seeds = values.reshape(-1, values.shape[-1]).mean(axis=0)
     q1, median, q3, p90 = _quantiles(over_seeds, (0.25, 0.5, 0.75, 0.9))
     failed = not np.isfinite(values).all()
@@ -235,7 +221,7 @@ def summary(values: Float[np.ndarray, "*S n"], drawn: Resampling) -> Statistics:
 
 
 def paired(values: Float[np.ndarray, "*S n"], other: Float[np.ndarray, "*Q n"], drawn: Resampling) -> PairedDifference:
-    """Mean of `values - other` on the same windows; negative if `values` are smaller."""
+    """Compute the mean of `values - other` on the same windows; negative if `values` are smaller."""
     if not (np.isfinite(values).all() and np.isfinite(other).all()):
         return PairedDifference(float(values.mean()) - float(other.mean()), NO_INTERVAL)
     difference = drawn.means(values) - drawn.means(other)
@@ -245,7 +231,7 @@ def paired(values: Float[np.ndarray, "*S n"], other: Float[np.ndarray, "*Q n"], 
 def relative(
     values: Float[np.ndarray, "*S n"], other: Float[np.ndarray, "*Q n"], drawn: Resampling
 ) -> PairedDifference:
-    """`mean(values) / mean(other) - 1` on the same windows: -0.3 if the errors are 30 % smaller."""
+    """Compute `mean(values) / mean(other) - 1` on the same windows: -0.3 if the errors are 30 % smaller."""
     if not (np.isfinite(values).all() and np.isfinite(other).all() and other.mean() > 0):
         return PairedDifference(np.nan, NO_INTERVAL)
     ratios = drawn.means(values) / np.maximum(drawn.means(other), 1e-300) - 1
@@ -253,7 +239,7 @@ def relative(
 
 
 def share_interval(hits: int, count: int) -> tuple[float, float]:
-    """95 % interval of the share of hits among independent cases (Wilson 1927); NaN with fewer than `MIN_UNITS`."""
+    """Return the 95 % interval of a share of independent cases (Wilson 1927); NaN with fewer than `MIN_UNITS` cases."""
     if count < MIN_UNITS:
         return NO_INTERVAL
     z, share = ndtri(0.975), hits / count
@@ -263,7 +249,7 @@ def share_interval(hits: int, count: int) -> tuple[float, float]:
 
 
 def _quantiles(values: Float[np.ndarray, " n"], at: tuple[float, ...]) -> list[float]:
-    """Quantiles, linear between values; infinite if an infinite value contributes."""
+    """Return quantiles, linear between values; infinite if an infinite value contributes."""
     huge = 1e300
     result = np.quantile(np.minimum(values, huge), at)
     # Any noticeable share of 1e300 is far above any error in metres.

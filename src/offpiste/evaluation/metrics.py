@@ -1,4 +1,4 @@
-"""Numbers of an evaluation and their provenance: the schema of metrics.json (docs/formats.md) and its rows."""
+"""Results of an evaluation: rows and headlines of metrics.json (docs/formats.md)."""
 
 import os
 import platform
@@ -9,27 +9,17 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 import msgspec
 import numpy as np
 import torch
 
-from offpiste.core.errors import RunError
 from offpiste.core.files import write_text
-from offpiste.core.limits import parsed, read_small
-from offpiste.dynamics.models import is_baseline
+from offpiste.dynamics.models import display_name, is_baseline
 from offpiste.evaluation.errors import COMPONENTS, HORIZONS, Errors, SeededErrors, by_seed, positions
 from offpiste.evaluation.evaluated_windows import EvaluatedWindows, members
-from offpiste.evaluation.intervals import (
-    Levels,
-    PairedDifference,
-    Sampling,
-    Statistics,
-    paired,
-    relative,
-    summary,
-)
+from offpiste.evaluation.intervals import Levels, PairedDifference, Sampling, Statistics, paired, relative, summary
 from offpiste.training.prediction import Lookup
 
 SCHEMA: Final = 2
@@ -50,7 +40,7 @@ class Minus(msgspec.Struct, frozen=True):
 
 
 class Labelled:
-    """Labels of a result for tables and figures."""
+    """Labels of a result."""
 
     __slots__ = ()
     model: str
@@ -60,12 +50,12 @@ class Labelled:
 
     @property
     def label(self) -> str:
-        """Name of the model, and its variant if any."""
+        """Registered name of the model with its variant, which identifies it."""
         return label(self.model, self.variant)
 
     @property
     def reading_label(self) -> str:
-        """Label of the model, and where it reads the terrain."""
+        """Display name of the model with its terrain lookup."""
         return reading_label(self.label, self.lookup, self.feature_set)
 
 
@@ -110,9 +100,9 @@ class ResultRow(Labelled, msgspec.Struct, frozen=True, kw_only=True):
     variant: str
     seed: int | None
     fold: int | None
-    start: Literal["causal", "smoothed"]
+    start: Start
     feature_set: str | None
-    lookup: Literal["recorded", "map"] | None
+    lookup: Lookup | None
     part: str
     horizon_s: float
     n: int
@@ -128,28 +118,28 @@ class ResultRow(Labelled, msgspec.Struct, frozen=True, kw_only=True):
 
 
 class BandRow(Labelled, msgspec.Struct, frozen=True, kw_only=True):
-    """Distance errors of one model, start, terrain lookup and horizon, on windows that start in a band of speeds.
+    """Distance errors of one model, start, terrain lookup and horizon, in windows of one band of initial speeds.
 
     Attributes:
-        band: name of the band (`offpiste.evaluation.evaluated_windows.BANDS`), or "reverse".
-        n: number of windows in the band.
-        levels: numbers of drives, blocks and seeds behind the intervals; None in older files.
+        band: name of the band (`offpiste.evaluation.evaluated_windows.members`).
+        n: number of windows.
+        levels: numbers of drives, blocks and seeds behind the intervals.
     """
 
     model: str
     variant: str
-    start: Literal["causal", "smoothed"]
+    start: Start
     feature_set: str | None
-    lookup: Literal["recorded", "map"] | None
+    lookup: Lookup | None
     band: str
     horizon_s: float
     n: int
     distance_error_m: Statistics
-    levels: Levels | None = None
+    levels: Levels
 
 
 class Headline(msgspec.Struct, frozen=True, kw_only=True):
-    """Distance error of a model at 5 s, and its relative difference to `other`: -0.3 is 30 % less."""
+    """Distance error of a model after 5 s, and its relative difference to that of `other`: -0.3 is 30 % less."""
 
     model: str
     start: str
@@ -164,10 +154,11 @@ class Headline(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class WindowNumbers(msgspec.Struct, frozen=True, kw_only=True):
-    """Numbers of the evaluated windows.
+    """Statistics of the evaluated windows.
 
     Attributes:
-        driven_in_training: share of the part's path that lies within 5 m of the training path.
+        n: number of windows.
+        driven_in_training: share of the part's path within 5 m of the training path.
     """
 
     n: int
@@ -181,7 +172,7 @@ class WindowNumbers(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class LossUnits(msgspec.Struct, frozen=True):
-    """Weights of the loss's components, and the mean square errors they are divided by."""
+    """Weights of the loss's components, and the mean square errors that divide them."""
 
     weights: dict[str, float]
     scale: dict[str, float]
@@ -201,8 +192,8 @@ class Metrics(msgspec.Struct, frozen=True, kw_only=True):
     """Content of metrics.json.
 
     Attributes:
-        bands: results by the speed at the start; empty in older files.
-        assumptions: of the dataset (`offpiste.dataset.assumptions`); empty in older files.
+        bands: results by initial speed.
+        assumptions: of the dataset (`offpiste.dataset.assumptions`).
         features: whether the dataset has terrain features.
     """
 
@@ -215,10 +206,10 @@ class Metrics(msgspec.Struct, frozen=True, kw_only=True):
     windows: WindowNumbers
     headlines: list[Headline]
     results: list[ResultRow]
-    warnings: tuple[str, ...] = ()
-    assumptions: tuple[str, ...] = ()
-    features: bool = True
-    bands: list[BandRow] = []
+    warnings: tuple[str, ...]
+    assumptions: tuple[str, ...]
+    features: bool
+    bands: list[BandRow]
 
 
 def label(model: str, variant: str) -> str:
@@ -226,10 +217,16 @@ def label(model: str, variant: str) -> str:
     return f"{model} ({variant})" if variant else model
 
 
-def reading_label(model: str, lookup: str | None, feature_set: str | None = None) -> str:
-    """Return a model's label with its terrain lookup, and the distance of its feature set unless that is hindsight."""
+def display(label: str) -> str:
+    """Replace the registered name in a model's label by its display name: "blind (flat)" for "b (flat)"."""
+    name, space, variant = label.partition(" ")
+    return display_name(name) + space + variant
+
+
+def reading_label(label: str, lookup: str | None, feature_set: str | None = None) -> str:
+    """Return a model's display name with its terrain lookup, and the viewing distance unless that is hindsight."""
     distance = "" if feature_set in (None, "hindsight") else f" {feature_set} m"
-    return f"{model} · {lookup}{distance}" if lookup else model
+    return f"{display(label)} · {lookup}{distance}" if lookup else display(label)
 
 
 def seeded(cases: Cases) -> dict[Case, SeededErrors]:
@@ -238,9 +235,9 @@ def seeded(cases: Cases) -> dict[Case, SeededErrors]:
 
 
 def result_rows(cases: Cases, part: str, sampling: Sampling) -> list[ResultRow]:
-    """Return rows of every case and horizon; for a case with several runs, one over all runs and one for each.
+    """Return a row for every case, horizon and run; for a case with several runs, also a row over all runs.
 
-    `minus` of a single run compares with the other models' runs of the same seed, or with all their runs if there is
+    `minus` of a single run compares it with the other models' runs of the same seed, or with all their runs if there is
     none, on the windows of that run.
     """
     together = seeded(cases)
@@ -254,7 +251,7 @@ def result_rows(cases: Cases, part: str, sampling: Sampling) -> list[ResultRow]:
 
 
 def headlines(cases: Cases, sampling: Sampling) -> list[Headline]:
-    """Compare each model except baselines with `kinematic`, at 5 s."""
+    """Compare each trained model with `kinematic` after 5 s."""
     together = seeded(cases)
     result = []
     for case, errors in together.items():
@@ -323,21 +320,20 @@ def _rows(
 
 
 def _counterpart(together: Mapping[Case, SeededErrors], other: str, case: Case) -> SeededErrors | None:
-    """Return the errors of another model with the same terrain lookup, or with none."""
-    readings = ((case.lookup, case.feature_set), (None, None))
-    for key, errors in together.items():
-        if key.label == other and key.start == case.start and (key.lookup, key.feature_set) in readings:
+    """Return the errors of another model with the same start and terrain lookup, or without a lookup.
+
+    A model that does not read the terrain is compared on the map, which decides, else at recorded places.
+    """
+    alike = {key: errors for key, errors in together.items() if (key.label, key.start) == (other, case.start)}
+    for key, errors in alike.items():
+        if (key.lookup, key.feature_set) in ((case.lookup, case.feature_set), (None, None)):
             return errors
-    # A baseline that does not read the terrain is compared on the map, which decides.
-    for lookup in ("map", "recorded"):
-        for key, errors in together.items():
-            if key.label == other and key.start == case.start and key.lookup == lookup and case.lookup is None:
-                return errors
-    return None
+    by_lookup = {key.lookup: errors for key, errors in reversed(alike.items())} if case.lookup is None else {}
+    return by_lookup.get("map", by_lookup.get("recorded"))
 
 
 def by_reading(rows: Sequence[ResultRow]) -> list[list[ResultRow]]:
-    """Group rows that differ only in the horizon, in ascending order of it."""
+    """Group rows that differ only in the horizon, in ascending order."""
     result: dict[tuple[object, ...], list[ResultRow]] = {}
     for row in rows:
         key = (row.model, row.variant, row.seed, row.fold, row.start, row.feature_set, row.lookup)
@@ -346,11 +342,7 @@ def by_reading(rows: Sequence[ResultRow]) -> list[list[ResultRow]]:
 
 
 def band_rows(errors: Mapping[Case, SeededErrors], windows: EvaluatedWindows, sampling: Sampling) -> list[BandRow]:
-    """Return the distance errors of every case by speed band and horizon, over all its runs.
-
-    Args:
-        windows: windows of the errors, the same in each case.
-    """
+    """Return the distance errors of every case by speed band and horizon, over all its runs on the same windows."""
     rows = []
     for name, mine in members(windows).items():
         for case, every in errors.items():
@@ -374,52 +366,36 @@ def band_rows(errors: Mapping[Case, SeededErrors], windows: EvaluatedWindows, sa
     return rows
 
 
-def pooled_rows(rows: list[ResultRow]) -> list[ResultRow]:
-    """Return one row per result: over all runs if a model has several."""
-    several = {_case(row) for row in rows if row.seed is None and row.fold is None}
-    return [row for row in rows if (row.seed is None and row.fold is None) or _case(row) not in several]
+def pooled_rows(rows: Sequence[ResultRow]) -> list[ResultRow]:
+    """Return one row for each case and horizon: over all runs if a model has several."""
+    several = {_case(row) for row in rows if _is_pooled(row)}
+    return [row for row in rows if _is_pooled(row) or _case(row) not in several]
 
 
-def run_rows(rows: list[ResultRow]) -> list[ResultRow]:
-    """Return the rows of single runs of models that have several."""
-    pooled = {id(row) for row in pooled_rows(rows)}
-    return [row for row in rows if id(row) not in pooled]
+def run_rows(rows: Sequence[ResultRow]) -> list[ResultRow]:
+    """Return the rows of single runs of models with several runs."""
+    several = {_case(row) for row in rows if _is_pooled(row)}
+    return [row for row in rows if not _is_pooled(row) and _case(row) in several]
 
 
-def single_rows(rows: list[ResultRow]) -> list[ResultRow]:
+def single_rows(rows: Sequence[ResultRow]) -> list[ResultRow]:
     """Return one row per run, so that each prediction counts once."""
-    several = {_case(row) for row in run_rows(rows)}
-    return [row for row in rows if row.seed is not None or row.fold is not None or _case(row) not in several]
+    several = {_case(row) for row in rows if not _is_pooled(row)}
+    return [row for row in rows if not _is_pooled(row) or _case(row) not in several]
 
 
-def write_metrics(path: Path, metrics: Metrics) -> None:
+def last_rows(rows: Sequence[ResultRow]) -> list[ResultRow]:
+    """Return the rows at the last horizon."""
+    return [row for row in rows if row.horizon_s == HORIZONS[-1]]
+
+
+def write_metrics(path: Path, metrics: msgspec.Struct) -> None:
     """Write metrics.json, whole or not at all, as strict JSON; numbers that are not finite become null."""
     write_text(path, msgspec.json.format(msgspec.json.encode(metrics), indent=2).decode() + "\n")
 
 
-def read_metrics(path: Path) -> Metrics:
-    """Read metrics.json; null in a statistic becomes NaN.
-
-    Raises:
-        RunError: no such file, not strict JSON, or of another version.
-    """
-    how = "give the metrics.json that `offpiste evaluate` wrote"
-    try:
-        content = parsed(read_small(path), msgspec.json.decode)
-        if isinstance(content, dict) and content.get("schema") != SCHEMA:
-            raise RunError(f"schema {content.get('schema')}, this offpiste reads {SCHEMA}", where=path, how=how)
-        return msgspec.convert(_with_nan(content), type=Metrics)
-    except (OSError, ValueError, msgspec.MsgspecError) as error:
-        raise RunError(f"not the numbers of an evaluation: {error}", where=path, how=how) from error
-
-
-def _with_nan(content: Any, names: tuple[str, ...] = ("model", "seed", "fold", "lookup", "feature_set")) -> Any:
-    """Replace null by NaN, except in entries where null has a meaning."""
-    if isinstance(content, dict):
-        return {key: value if key in names else _with_nan(value, names) for key, value in content.items()}
-    if isinstance(content, list):
-        return [_with_nan(value, names) for value in content]
-    return float("nan") if content is None else content
+def _is_pooled(row: ResultRow) -> bool:
+    return row.seed is None and row.fold is None
 
 
 def _case(row: ResultRow) -> tuple[str, str, str, str | None, str | None, float]:
@@ -427,7 +403,7 @@ def _case(row: ResultRow) -> tuple[str, str, str, str | None, str | None, float]
 
 
 def provenance(command: str, seed: int, device: torch.device | str) -> Provenance:
-    """Return the provenance of numbers made now on this machine.
+    """Return the provenance of results computed now on this machine.
 
     Args:
         command: as typed; empty: that of this process.

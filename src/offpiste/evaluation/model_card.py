@@ -1,4 +1,4 @@
-"""Cards of trained models: training data, accuracy, and limits of use."""
+"""Model cards: training data, accuracy and limits of use."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -13,18 +13,17 @@ from offpiste.evaluation.intervals import Levels, PairedDifference
 from offpiste.report.text_table import TextTable, interval, number
 
 CARD, PAGE = "card.json", "card.md"
-"""Files in the run's folder, for programs and for readers."""
+"""Files in the run's folder, for programs and readers."""
 
 
 class GroupFigures(msgspec.Struct, frozen=True):
     """Mean distance error after 5 s on a group of windows, on the map at predicted places.
 
     Attributes:
-        group: name, such as "all", "5 to 7 m/s" or "gravel".
+        group: for example "all", "5 to 7 m/s" or "gravel".
         windows: number of windows.
         levels: numbers of drives, blocks and seeds behind the intervals.
-        error_m: mean and 95 % interval [m].
-        against_b: relative difference to the shipped `b` on the same windows: -0.1 is 10 % less.
+        against_b: difference relative to the shipped `b` on the same windows; -0.1 is 10 % less.
     """
 
     group: str
@@ -39,8 +38,8 @@ class CourseFigures(msgspec.Struct, frozen=True):
 
     Attributes:
         courses: number of courses, each in its own unseen world.
-        against_b: relative difference of the driving cost to that of the shipped `b` on the same courses.
-        commit, date: commits of the code that drove, and date of the last drive.
+        against_b: difference of the driving cost relative to that of the shipped `b` on the same courses.
+        commit, date: commits of the code, and date of the last drive.
     """
 
     courses: int
@@ -53,15 +52,12 @@ class ModelCard(msgspec.Struct, frozen=True):
     """Card of a trained model.
 
     Attributes:
-        name: under which it ships.
-        about: description in a sentence.
-        trained_on, evaluated_on: description of the data.
-        lookup: map that is read at predicted places.
-        seed: of this run, which has the least validation loss among `seeds`.
+        lookup: map read at predicted places.
+        seed: of this run, which has the smallest validation loss among `seeds`.
         commit, date: commit of the code that trained it, and date of the card.
         figures: of this run, by group.
         over_seeds: of the runs of all seeds, on all windows.
-        not_for: uses that are excluded.
+        not_for: excluded uses.
         warnings: of `inspect` on the training logs.
         driving: on courses, if measured.
     """
@@ -87,13 +83,13 @@ def load_card(folder: Path) -> ModelCard:
     """Read the card in a run's folder.
 
     Raises:
-        RunError: there is none, or it is damaged.
+        RunError: it is missing or damaged.
     """
     path = folder / CARD
     try:
         return parsed(read_small(path), partial(msgspec.json.decode, type=ModelCard))
     except (OSError, ValueError, msgspec.MsgspecError) as error:
-        raise RunError(f"has no card that can be read ({error})", where=path, how="install offpiste again") from error
+        raise RunError(f"is not a model card ({error})", where=path, how="install offpiste again") from error
 
 
 def write_card(folder: Path, card: ModelCard) -> None:
@@ -125,7 +121,7 @@ def card_page(card: ModelCard) -> str:
 
 
 def figures_table(card: ModelCard) -> TextTable:
-    """Return the figures by group, all seeds first."""
+    """Return the errors by group, those over all seeds first."""
     rows = [("all, over all seeds", card.over_seeds), *((figures.group, figures) for figures in card.figures)]
     lines = tuple((name, *_cells(figures)) for name, figures in rows)
     about = (
@@ -138,7 +134,7 @@ def figures_table(card: ModelCard) -> TextTable:
 
 
 def driving_words(driving: CourseFigures) -> str:
-    """Describe the figures of courses in a sentence."""
+    """Describe the driving cost in a sentence."""
     mean, (low, high) = driving.against_b.mean, driving.against_b.ci95
     shown = "" if low > 0 or high < 0 else ", so no difference is shown"
     return (

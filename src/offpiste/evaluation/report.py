@@ -1,4 +1,4 @@
-"""Report of an evaluation: headlines, tables and figures in report.html, metrics.json, the table on the terminal."""
+"""Report of an evaluation: report.html with headlines, tables and figures, metrics.json, and the terminal table."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,6 +20,8 @@ from offpiste.evaluation.metrics import (
     Minus,
     ResultRow,
     by_reading,
+    display,
+    last_rows,
     pooled_rows,
     reading_label,
     run_rows,
@@ -31,15 +33,15 @@ from offpiste.report.page import Card, Page, Picture, Section, picture, write_pa
 from offpiste.report.text_table import Cell, TextTable, interval, number
 
 UNFINISHED: Final = ".offpiste-report"
-"""Hidden file of a report's folder that is not written whole."""
+"""Hidden file that marks the folder of an unfinished report."""
 REPORT_FILES: Final = (UNFINISHED, "metrics.json", "calibration.md")
-"""Files one of which the folder of a report holds."""
+"""Files that identify the folder of a report."""
 
 Pictures = dict[str, list[Picture]]
-"""Pictures by the heading of their section."""
+"""Pictures by section heading."""
 
 MOST = 4
-"""Largest number of differences to other models among the headlines."""
+"""Largest number of differences to other models in the headlines."""
 
 NAMES = {
     "distance_error_m": "distance [m]",
@@ -61,7 +63,7 @@ def write_report(evaluation: Evaluation, folder: Path) -> None:
 
 
 def draw_figures(evaluation: Evaluation) -> Pictures:
-    """Draw all registered figures that apply."""
+    """Draw all registered figures that apply to an evaluation."""
     pictures: Pictures = {}
     for name, registered in REPORT_FIGURES.items():
         drawn = registered.draw(evaluation)
@@ -72,7 +74,7 @@ def draw_figures(evaluation: Evaluation) -> Pictures:
 
 def report_page(metrics: Metrics, pictures: Pictures) -> Page:
     """Return the report as a page."""
-    models = ", ".join(dict.fromkeys(headline.model for headline in metrics.headlines)) or "baselines"
+    models = ", ".join(dict.fromkeys(display(headline.model) for headline in metrics.headlines)) or "baselines"
     notes = Section("How to read this", notes=_notes(metrics))
     return Page(
         f"{models} on {metrics.dataset.rstrip('/').rpartition('/')[2]}",
@@ -84,7 +86,7 @@ def report_page(metrics: Metrics, pictures: Pictures) -> Page:
 
 
 def _sections(metrics: Metrics, pictures: Pictures) -> list[Section]:
-    """Return tables and figures by section; sections with figures only come last."""
+    """Return tables and figures by section; sections without tables come last."""
     rows, runs = pooled_rows(metrics.results), run_rows(metrics.results)
     several = len({row.band for row in metrics.bands}) > 1
     tables: dict[str, list[TextTable]] = {
@@ -93,7 +95,7 @@ def _sections(metrics: Metrics, pictures: Pictures) -> list[Section]:
         "All components after 5 s": [component_table(rows)],
         "Paired differences after 5 s": [difference_table(rows)],
         "Each run after 5 s": [run_table(runs)] if runs else [],
-        "Error by the speed at the start": [band_table(metrics.bands)] if several else [],
+        "Error by initial speed": [band_table(metrics.bands)] if several else [],
         "Distribution": [distribution_table(rows)],
         "Typical windows": [],
         "Worst windows": [],
@@ -104,7 +106,7 @@ def _sections(metrics: Metrics, pictures: Pictures) -> list[Section]:
 
 def _facts(metrics: Metrics) -> dict[str, str]:
     windows, made = metrics.windows, metrics.made
-    failed = sum(row.n_failed for row in single_rows(metrics.results) if row.horizon_s == HORIZONS[-1])
+    failed = sum(row.n_failed for row in last_rows(single_rows(metrics.results)))
     facts = {
         "dataset": metrics.dataset,
         "split": f"{metrics.split}; evaluated on the {metrics.part} part",
@@ -112,7 +114,7 @@ def _facts(metrics: Metrics) -> dict[str, str]:
         f"{windows.block_s:g} s on {windows.drives} drive(s)",
         "driving": f"median {number(windows.median_distance_m, 1)} m in 5 s, "
         f"{number(windows.median_speed_mps, 1)} m/s at the start",
-        "seen before": f"{number(100 * windows.driven_in_training, 0)} % of the path lies within 5 m of training",
+        "seen before": f"{number(100 * windows.driven_in_training, 0)} % of the path is within 5 m of training",
         "date": made.date,
         "machine": made.machine,
         "command": made.command,
@@ -123,41 +125,49 @@ def _facts(metrics: Metrics) -> dict[str, str]:
     if metrics.warnings:
         facts["warnings"] = "; ".join(metrics.warnings)
     if failed:
-        facts["failed"] = f"{failed} predictions are not finite, nor are means over them"
+        facts["failed"] = f"{failed} predictions are not finite; neither are the means that include them"
     return facts
-
-
-def _map_reads(metrics: Metrics) -> str:
-    """Describe what the lookup `map` reads."""
-    if metrics.features:
-        return "reads it at the predicted place, as a planner does"
-    return "reads the slope of the later driven path nearest to the predicted place, which no planner has"
 
 
 def _notes(metrics: Metrics) -> Sequence[str]:
     units = ", ".join(f"{name} {np.sqrt(scale):.3g}" for name, scale in metrics.loss.scale.items())
     weights = ", ".join(f"{name} {weight:g}" for name, weight in metrics.loss.weights.items())
     names = dict.fromkeys(row.model for row in metrics.results)
-    known = "; ".join(f"{name}: {MODELS[name].what}" for name in names if name in MODELS and MODELS[name].what)
-    first = metrics.headlines[0].model if metrics.headlines else ""
+    known = "; ".join(
+        f"{_explained(name)}: {MODELS[name].what}" for name in names if name in MODELS and MODELS[name].what
+    )
+    map_reads = (
+        "map reads it at the predicted place, as a planner does"
+        if metrics.features
+        else "map reads the slope of the later driven path nearest to the predicted place, which no planner has"
+    )
     return (
         *([f"Models: {known}."] if known else []),
-        *([f"The report is about {first}, the first model of the command."] if first else []),
-        "Start: a causal start uses only data available at the time, as a planner; a smoothed one also uses some of "
-        "the future and is shown for comparison.",
-        "Lookup: recorded reads the terrain under the recorded path, as in the paper, which also reveals how far "
-        f"the vehicle went; map {_map_reads(metrics)}, and decides. Models without a lookup do not read the terrain.",
+        *(
+            [f"Figures show windows of {display(metrics.headlines[0].model)}, the first model."]
+            if metrics.headlines
+            else []
+        ),
+        "Start: a causal start uses only past data, as a planner does; a smoothed start also uses future data and is "
+        "shown for comparison.",
+        "Lookup: recorded reads the terrain under the recorded path, as in the paper, which also reveals the distance "
+        f"driven; {map_reads}, and decides. Models without a lookup do not read the terrain.",
         "Intervals are of the mean, bootstrapped over drives, then blocks within each drawn drive, then seeds: windows "
         f"of one drive that start within {metrics.windows.block_s:g} s of each other form a block, since overlapping "
         "windows are not independent, and windows of a drive share its ground. Intervals of a single drive are over "
-        "its blocks and say nothing about other drives; a dash: fewer than "
+        "its blocks and do not generalise to other drives. A dash means fewer than "
         f"{MIN_UNITS} drives, or blocks of a single drive.",
-        "A model with several runs: the error of a window is the mean over seeds; the windows of folds are combined. "
-        "Errors are averaged, not predictions.",
+        "With several runs of a model, the error of a window is the mean over seeds, and the windows of folds are "
+        "combined. Errors are averaged, not predictions.",
         f"The loss is the mean over all 250 steps of squared errors, each divided by the mean square error of "
         f"{REFERENCE} in training (roots: {units}), weighted ({weights}) and summed.",
         "The error of a prediction that is not finite is infinite.",
     )
+
+
+def _explained(name: str) -> str:
+    """Return the display name of a model, with its registered name in brackets if they differ."""
+    return name if display(name) == name else f"{display(name)} ({name})"
 
 
 def headline_texts(metrics: Metrics) -> list[str]:
@@ -172,7 +182,7 @@ def headline_texts(metrics: Metrics) -> list[str]:
 
 def headline_text(headline: Headline) -> str:
     """Return a sentence with the main number."""
-    text = f"{headline.model}: {number(headline.distance_error_m)} m mean distance error after 5 s"
+    text = f"{display(headline.model)}: {number(headline.distance_error_m)} m mean distance error after 5 s"
     return f"{', '.join(filter(None, (text, _comparison(headline))))} ({', '.join(_conditions(headline))})"
 
 
@@ -180,16 +190,15 @@ def result_cards(metrics: Metrics) -> list[Card]:
     """Return a card for each trained model, and one for the reference."""
     deciding = deciding_headlines(metrics.headlines)
     cards = [_card(headline) for headline in deciding]
-    for row in pooled_rows(metrics.results):
-        if deciding and (row.label, row.start) == (deciding[0].other, deciding[0].start) and _last(row):
-            value = f"{number(row.distance_error_m.mean)} m"
-            about = "mean distance error after 5 s"
+    for row in last_rows(pooled_rows(metrics.results)):
+        if deciding and (row.label, row.start) == (deciding[0].other, deciding[0].start):
+            value, about = f"{number(row.distance_error_m.mean)} m", "mean distance error after 5 s"
             cards.append(Card(row.reading_label, value, about, note="without training", colour=colour_of(row.label)))
     return cards
 
 
 def deciding_headlines(headlines: Sequence[Headline]) -> list[Headline]:
-    """Return one headline per model: the first start, with the deciding terrain lookup."""
+    """Return one headline per model: with the first start and the deciding terrain lookup."""
     first = [headline for headline in headlines if headline.start == headlines[0].start]
     on_map = {headline.model for headline in first if headline.lookup == "map"}
     return [headline for headline in first if headline.lookup == "map" or headline.model not in on_map]
@@ -209,7 +218,7 @@ def _card(headline: Headline) -> Card:
 
 
 def _comparison(headline: Headline) -> str:
-    """Return the error relative to the reference in words; empty if it is not finite."""
+    """Describe the error relative to the reference; empty if it is not finite."""
     if not np.isfinite(headline.relative):
         return ""
     sign, side = (-1, "below") if headline.relative <= 0 else (1, "above")
@@ -227,10 +236,10 @@ def _conditions(headline: Headline) -> list[str]:
 def _differences(metrics: Metrics, headline: Headline) -> list[str]:
     """Return a sentence for each other trained model."""
     case = (headline.model, headline.start, headline.lookup, headline.feature_set)
-    rows = [row for row in pooled_rows(metrics.results) if _last(row)]
+    rows = last_rows(pooled_rows(metrics.results))
     trained = {row.label for row in rows if not is_baseline(row.model)}
     return [
-        difference_text(headline.model, other, minus.distance_error_m, row.levels)
+        difference_text(display(headline.model), display(other), minus.distance_error_m, row.levels)
         for row in rows
         if (row.label, row.start, row.lookup, row.feature_set) == case
         for other, minus in row.minus.items()
@@ -239,7 +248,7 @@ def _differences(metrics: Metrics, headline: Headline) -> list[str]:
 
 
 def difference_text(model: str, other: str, difference: PairedDifference, levels: Levels) -> str:
-    """Return a sentence with the difference between two models."""
+    """Return a sentence on the difference between two models."""
     (low, high), mean = difference.ci95, difference.mean
     if not np.isfinite(mean):
         return f"{model} and {other} are not compared: predictions failed, see below."
@@ -252,13 +261,9 @@ def difference_text(model: str, other: str, difference: PairedDifference, levels
     return f"The error of {model} is {number(size)} m {interval((bounds[0], bounds[1]))} {side} than that of {other}."
 
 
-def _last(row: ResultRow) -> bool:
-    return row.horizon_s == HORIZONS[-1]
-
-
 def terminal_table(rows: Sequence[ResultRow]) -> TextTable:
-    """Mean distance error by horizon and its difference to `kinematic`, by model, start and terrain lookup."""
-    groups = by_reading(pooled_rows(list(rows)))
+    """Return mean distance errors by horizon and their differences to `kinematic`, by model, start and lookup."""
+    groups = by_reading(pooled_rows(rows))
     windows = ", ".join(str(n) for n in sorted({group[-1].n for group in groups}))
     lines = []
     for group in groups:
@@ -267,7 +272,7 @@ def terminal_table(rows: Sequence[ResultRow]) -> TextTable:
         difference = minus.distance_error_m if minus else None
         lines.append(
             (
-                last.label + (f" ({last.n_failed} failed)" if last.n_failed else ""),
+                display(last.label) + (f" ({last.n_failed} failed)" if last.n_failed else ""),
                 last.start,
                 " ".join(filter(None, (last.lookup, last.feature_set))),
                 *(number(row.distance_error_m.mean) for row in group),
@@ -282,7 +287,7 @@ def terminal_table(rows: Sequence[ResultRow]) -> TextTable:
 
 
 def horizon_table(rows: Sequence[ResultRow]) -> TextTable:
-    """Mean distance error by horizon: a line per model and terrain lookup, a group of columns per start."""
+    """Return mean distance errors by horizon: a line per model and lookup, a group of columns per start."""
     starts = list(dict.fromkeys(row.start for row in rows))
     mean = {(row.reading_label, row.start, row.horizon_s): number(row.distance_error_m.mean) for row in rows}
     columns = [(start, horizon) for start in starts for horizon in HORIZONS]
@@ -298,18 +303,18 @@ def horizon_table(rows: Sequence[ResultRow]) -> TextTable:
 
 
 def component_table(rows: Sequence[ResultRow]) -> TextTable:
-    """Mean errors of all components after 5 s."""
+    """Return mean errors of all components after 5 s."""
     lines: list[tuple[str | Cell, ...]] = [
-        (row.reading_label, row.start, *(_mean(row, name, 3) for name in NAMES)) for row in _at_last_horizon(rows)
+        (row.reading_label, row.start, *(_mean(row, name, 3) for name in NAMES)) for row in last_rows(rows)
     ]
     about = f"Mean absolute errors with 95 % intervals; the loss is over all steps. {drawn_from(rows)}"
     return TextTable("All components after 5 s", ("model", "start", *NAMES.values()), lines, about, left=2)
 
 
 def distribution_table(rows: Sequence[ResultRow]) -> TextTable:
-    """Quantiles of the distance error after 5 s."""
+    """Return quantiles of the distance error after 5 s."""
     lines = []
-    for row in _at_last_horizon(rows):
+    for row in last_rows(rows):
         error = row.distance_error_m
         numbers = (error.mean, error.q1, error.median, error.q3, error.p90)
         windows = f"{row.n}" + (f" ({row.n_failed} failed)" if row.n_failed else "")
@@ -319,9 +324,9 @@ def distribution_table(rows: Sequence[ResultRow]) -> TextTable:
 
 
 def difference_table(rows: Sequence[ResultRow]) -> TextTable:
-    """Paired differences after 5 s: a line per pair of models, columns per start."""
+    """Return paired differences after 5 s: a line per pair of models, columns per start."""
     result: dict[tuple[str, str], dict[str, Minus]] = {}
-    learned = [row for row in _at_last_horizon(rows) if not is_baseline(row.model)]
+    learned = [row for row in last_rows(rows) if not is_baseline(row.model)]
     order = list(dict.fromkeys(row.label for row in learned))
     for row in learned:
         for other, minus in row.minus.items():
@@ -332,20 +337,20 @@ def difference_table(rows: Sequence[ResultRow]) -> TextTable:
     for (name, other), by_start in result.items():
         minuses = [by_start[start] for start in starts]
         cells = [cell for minus in minuses for cell in (_difference(minus.distance_error_m), _difference(minus.loss))]
-        lines.append((f"{name} minus {other}", *cells))
+        lines.append((f"{name} minus {display(other)}", *cells))
     names = ("", *(f"{start}: {what}" for start in starts for what in ("distance [m]", "loss")))
     about = (
-        "The same windows for both; negative: the first is better; bold: the 95 % interval excludes 0. "
+        "On the same windows; negative values: the first model is better; bold: the 95 % interval excludes 0. "
         + drawn_from(learned)
     )
     return TextTable("Paired differences after 5 s", names, lines, about)
 
 
 def drawn_from(rows: Sequence[ResultRow]) -> str:
-    """State the numbers of drives, blocks and seeds behind the intervals, by model if they differ."""
+    """Describe the numbers of drives, blocks and seeds behind the intervals, by model if they differ."""
     models: dict[str, list[str]] = {}
     for row in rows:
-        models.setdefault(row.levels.text(), []).append(row.label)
+        models.setdefault(row.levels.text(), []).append(display(row.label))
     if not models:
         return ""
     each = [f"{text} ({', '.join(dict.fromkeys(labels))})" for text, labels in models.items()]
@@ -357,7 +362,7 @@ def drawn_from(rows: Sequence[ResultRow]) -> str:
 
 
 def band_table(rows: Sequence[BandRow]) -> TextTable:
-    """Mean distance error after 5 s by the speed at the start: a line per model, start and lookup."""
+    """Return mean distance errors after 5 s by initial speed: a line per model, start and lookup."""
     last = [row for row in rows if row.horizon_s == HORIZONS[-1]]
     windows = {row.band: row.n for row in last}
     cells = {(row.reading_label, row.start, row.band): _mean(row, "distance_error_m", 2) for row in last}
@@ -367,19 +372,15 @@ def band_table(rows: Sequence[BandRow]) -> TextTable:
     ]
     names = ("model", "start", *(f"{band} [m]" for band in windows))
     about = "Windows: " + ", ".join(f"{n} {band}" for band, n in windows.items()) + "; with 95 % intervals. "
-    levels = {row.band: row.levels for row in last if row.levels is not None}
+    levels = {row.band: row.levels for row in last}
     about += " ".join(f"{band}: {one.caveat}" for band, one in levels.items() if one.caveat)
-    return TextTable("Distance error after 5 s by the speed at the start", names, lines, about, left=2)
+    return TextTable("Distance error after 5 s by initial speed", names, lines, about, left=2)
 
 
 def run_table(rows: Sequence[ResultRow]) -> TextTable:
-    """Errors of single runs after 5 s.
-
-    Args:
-        rows: of models with several runs (`metrics.run_rows`).
-    """
+    """Return errors of single runs after 5 s."""
     lines = []
-    for row in _at_last_horizon(rows):
+    for row in last_rows(rows):
         minus = row.minus.get(REFERENCE)
         lines.append(
             (
@@ -397,10 +398,6 @@ def run_table(rows: Sequence[ResultRow]) -> TextTable:
     about_run = ("model", "start", "seed", "fold")
     numbers = ("distance [m]", "median [m]", "loss", f"minus {REFERENCE} [m]", "windows")
     return TextTable("Each run after 5 s", about_run + numbers, lines, left=2)
-
-
-def _at_last_horizon(rows: Sequence[ResultRow]) -> list[ResultRow]:
-    return [group[-1] for group in by_reading(rows)]
 
 
 def _mean(row: ResultRow | BandRow, name: str, digits: int) -> Cell:

@@ -1,4 +1,4 @@
-"""Description of a figure, drawn by Matplotlib for PNG files and by Plotly (`plotly_charts`) for pages."""
+"""Description of a figure, drawn with Matplotlib for PNG files and with Plotly (`plotly_charts`) for pages."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -11,20 +11,21 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from offpiste.report.figure import plain
+from offpiste.report.text_table import number
 
 MEDIAN, MEAN = "#1a7f37", "#d95f02"
 
 
 @dataclass(frozen=True)
 class Line:
-    """A line through points, which ends at the first value that is not finite.
+    """Line through points.
 
     Attributes:
         label: in the legend; "" for none.
         colour: #rrggbb.
         style: of Matplotlib, "-" to "-.".
         width: in points.
-        marker: of Matplotlib, "o" or "^"; "" for none.
+        marker: of Matplotlib; "" for none.
         marked: points with a marker.
         low, high: ends of a band around the line.
         hover: text of each point on a page.
@@ -45,22 +46,22 @@ class Line:
 
     @property
     def end(self) -> float:
-        """The last finite value; -inf if there is none."""
+        """Last finite value; -inf if there is none."""
         finite = self.y[np.isfinite(self.y)]
         return float(finite[-1]) if len(finite) else -np.inf
 
 
 def by_end(lines: Sequence[Line]) -> list[Line]:
-    """Lines in the order of their ends, the highest first, as a legend beside them lists them."""
+    """Sort lines by their ends, the highest first, as in a legend beside them."""
     return sorted(lines, key=lambda line: -line.end)
 
 
 @dataclass(frozen=True)
 class Box:
-    """A horizontal box from quartile to quartile, with whiskers, median and mean.
+    """Horizontal box over the quartiles with whiskers, median and mean.
 
     Attributes:
-        numbers: by the names of `matplotlib.cbook.boxplot_stats`; not finite if there are none.
+        numbers: by the names of `matplotlib.cbook.boxplot_stats`; not finite without a box.
     """
 
     label: str
@@ -70,7 +71,7 @@ class Box:
 
 @dataclass(frozen=True)
 class Raster:
-    """An image below the lines.
+    """Image below the lines.
 
     Attributes:
         extent: left, right, bottom, top.
@@ -83,11 +84,11 @@ class Raster:
 
 @dataclass(frozen=True)
 class Panel:
-    """A pair of axes.
+    """Pair of axes with their content.
 
     Attributes:
         x_axis, y_axis: names and units.
-        x_range, y_range: ends of the axes; None: what the lines need, for y from 0 on.
+        x_range, y_range: ends of the axes; None: range of the lines, for y from 0.
         equal: whether both axes have the same scale.
         hover: Plotly's hovermode.
     """
@@ -106,7 +107,7 @@ class Panel:
 
 @dataclass(frozen=True)
 class Chart:
-    """A figure of one panel, or of several small ones with a common legend.
+    """Figure of one panel, or of several small panels with a common legend.
 
     Attributes:
         columns: largest number of panels side by side in a PNG file.
@@ -118,7 +119,7 @@ class Chart:
 
 
 def box_statistics(values: Float[np.ndarray, " n"]) -> dict[str, float]:
-    """Numbers of a box. Failed predictions count as huge errors in the quartiles; what they make huge is NaN."""
+    """Return the numbers of a box; infinite values count in the quartiles, and numbers they make infinite are NaN."""
     failed = not np.isfinite(values).all()
     found = cbook.boxplot_stats(np.minimum(values, 1e300), whis=1.5)[0]
     box = {name: float(found[name]) for name in ("whislo", "q1", "med", "q3", "whishi", "mean")}
@@ -130,14 +131,14 @@ def box_statistics(values: Float[np.ndarray, " n"]) -> dict[str, float]:
 
 
 def box_panel(boxes: Sequence[Box], x_axis: str) -> Panel:
-    """Boxes below each other, the first at the top."""
+    """Return a panel with boxes below each other, the first at the top."""
     ends = [box.numbers[name] for box in boxes for name in ("whishi", "mean") if np.isfinite(box.numbers[name])]
     top = 1.02 * (max(ends, default=1.0) or 1.0)
     return Panel(x_axis, boxes=boxes, x_range=(0.0, top), y_range=(len(boxes) - 0.4, -0.6), hover="y")
 
 
 def draw(chart: Chart) -> Figure:
-    """Draw a chart by Matplotlib."""
+    """Draw a chart with Matplotlib."""
     count = len(chart.panels)
     small = count > 1
     height = max(1.1 + 0.42 * len(panel.boxes) if panel.boxes else 4.2 for panel in chart.panels)
@@ -159,7 +160,7 @@ def draw(chart: Chart) -> Figure:
     for axes in grid[count:]:
         axes.set_axis_off()
     handles, labels = grid[0].get_legend_handles_labels()
-    named = dict(zip(labels, handles, strict=True))  # a model with several runs has several lines
+    named = dict(zip(labels, handles, strict=True))  # runs of a model share a label
     if named:
         where: dict[str, Any] = {"loc": "outside lower center", "ncols": 6} if small else {"loc": "outside right upper"}
         figure.legend([*named.values()], [*named], frameon=False, fontsize=8, **where)
@@ -197,7 +198,7 @@ def draw_boxes(
     *,
     orientation: Literal["vertical", "horizontal"],
 ) -> None:
-    """Draw boxes by Matplotlib; the thin median lies on the mean, so that both can be seen if they are equal."""
+    """Draw boxes with Matplotlib; the thin median lies on the thick mean, so that both are visible."""
     drawn = axes.bxp(
         [dict(each) for each in numbers],
         positions=places,
@@ -215,16 +216,11 @@ def draw_boxes(
         patch.set(facecolor=colour, alpha=0.4, edgecolor="none")
 
 
-def two_decimals(value: float) -> str:
-    """A number of a box, or a dash if it is not finite."""
-    return f"{value:.2f}" if np.isfinite(value) else "–"
-
-
 def _write_numbers(axes: Axes, boxes: Sequence[Box]) -> None:
     """Write medians and means in two columns to the right of the boxes."""
     for right, name, key, colour in ((1.07, "median", "med", MEDIAN), (1.16, "mean", "mean", MEAN)):
         style: dict[str, Any] = {"color": colour, "fontsize": 9, "ha": "right"}
         axes.text(right, 1.01, name, transform=axes.transAxes, va="bottom", **style)
         for place, box in enumerate(boxes):
-            text = two_decimals(box.numbers[key])
+            text = number(box.numbers[key])
             axes.text(right, place, text, transform=axes.get_yaxis_transform(), va="center", **style)

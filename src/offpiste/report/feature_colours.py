@@ -1,20 +1,20 @@
-"""The first three components of visual features as colours."""
+"""Colours of visual features, from their first three components."""
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 PERCENTILES = (2.0, 98.0)
-"""Percentiles of each component that are drawn darkest and brightest."""
+"""Percentiles of each component at the ends of the colour scale."""
 
 
 def colour_limits(
     components: Float[np.ndarray, "*P n"], mask: Bool[np.ndarray, "*P"] | None = None
 ) -> Float[np.ndarray, "2 3"]:
-    """Values of the first three components that are drawn darkest and brightest.
+    """Return the values of the first three components at the ends of the colour scale.
 
     Args:
-        components: of one image, or of all that are to be compared; NaN where there are none.
-        mask: patches that count, e.g. ground.
+        components: of all images to compare; NaN without features.
+        mask: patches to use, e.g. ground.
     """
     chosen = components.reshape(-1, components.shape[-1]) if mask is None else components[mask]
     chosen = chosen[np.isfinite(chosen).all(axis=1), :3].astype(np.float64)
@@ -27,7 +27,7 @@ def colour_limits(
 def colours(
     components: Float[np.ndarray, "*P n"], limits: Float[np.ndarray, "2 3"] | None = None
 ) -> UInt8[np.ndarray, "*P 3"]:
-    """First three components as RGB; grey for components that are missing or constant, black where one is NaN."""
+    """Return the first three components as RGB; missing or constant components are grey, patches with NaN black."""
     low, high = colour_limits(components) if limits is None else limits
     values = np.zeros((*components.shape[:-1], 3))
     given = min(3, components.shape[-1])

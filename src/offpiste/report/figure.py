@@ -1,4 +1,4 @@
-"""Style and files of all figures."""
+"""Style and files of figures."""
 
 import io
 from pathlib import Path
@@ -17,10 +17,10 @@ BLUE, ORANGE, GREEN, PURPLE = "#0072b2", "#d95f02", "#1a7f37", "#7b3fa0"
 
 
 def png(figure: Figure, *, dpi: int | None = None) -> bytes:
-    """A figure as the bytes of a PNG file.
+    """Return a figure as the content of a PNG file.
 
     Args:
-        dpi: dots per inch, if not the figure's own.
+        dpi: dots per inch; None: those of the figure.
     """
     stream = io.BytesIO()
     figure.savefig(stream, format="png", facecolor="white", dpi=dpi or "figure")
@@ -33,7 +33,7 @@ def write_png(path: Path, figure: Figure, *, dpi: int | None = None) -> None:
 
 
 def plain(axes: Axes, title: str = "", *, grid: Literal["both", "x", "y"] = "both") -> Axes:
-    """The axes without the upper and the right frame, on a light grid, with a title at the left."""
+    """Style axes: no upper and right frame, a light grid, a title at the left."""
     axes.spines[["top", "right"]].set_visible(False)
     axes.grid(axis=grid, color=GRID, linewidth=0.6)
     axes.set_axisbelow(True)
@@ -48,7 +48,7 @@ PATH_COLOURS = "plasma"
 def coloured_path(
     axes: Axes, path: Float[np.ndarray, "n 2"], value: Float[np.ndarray, " n"], *, width: float = 1.8
 ) -> LineCollection:
-    """Draw a path whose colour follows a value at its points; it is interrupted where places are unknown."""
+    """Draw a path coloured by a value at its points, with gaps at unknown positions."""
     pieces = LineCollection(
         list(np.stack((path[:-1], path[1:]), axis=1)), cmap=PATH_COLOURS, linewidths=width, zorder=3
     )

@@ -1,4 +1,4 @@
-"""HTML pages of reports: each is one file that needs nothing but itself."""
+"""Self-contained HTML pages of reports."""
 
 import base64
 from collections.abc import Mapping, Sequence
@@ -18,13 +18,13 @@ from offpiste.report.text_table import TextTable
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture of a page.
+    """Picture of a page.
 
     Attributes:
         name: of its file beside the page, without the ending.
         png: content of that file.
         caption: text below the picture.
-        chart: shown instead by a browser that runs scripts.
+        chart: shown instead in browsers that run scripts.
     """
 
     name: str
@@ -34,17 +34,17 @@ class Picture:
 
     @property
     def base64(self) -> str:
-        """The file as text, which the page holds."""
+        """Content of the file as text for the page."""
         return base64.b64encode(self.png).decode("ascii")
 
     @property
     def json(self) -> str:
-        """The chart as text, which the page holds."""
+        """Chart as text for the page."""
         return "" if self.chart is None else charts_json(self.chart)
 
 
 def picture(name: str, drawn: Chart | Figure, caption: str) -> Picture:
-    """A picture of a chart, or of a figure without interaction."""
+    """Return a picture of a chart, or of a static figure."""
     if isinstance(drawn, Figure):
         return Picture(name, png(drawn), caption)
     return Picture(name, png(draw(drawn)), caption, drawn)
@@ -52,16 +52,16 @@ def picture(name: str, drawn: Chart | Figure, caption: str) -> Picture:
 
 @dataclass(frozen=True)
 class Card:
-    """A main result in a box of its own.
+    """Box with a main result.
 
     Attributes:
-        name: what the result is of.
-        value: the result with its unit, in large letters.
-        about: what the value is.
-        comparison: the value beside another's.
-        tone: of the comparison: "better", "worse" or neither.
-        note: what else has to be known.
-        colour: of what the result is of, as in figures.
+        name: for example of a model.
+        value: result with its unit, in large letters.
+        about: description of the value.
+        comparison: with another result.
+        tone: of the comparison: "better", "worse" or "".
+        note: conditions of the result.
+        colour: as in figures.
     """
 
     name: str
@@ -75,7 +75,7 @@ class Card:
 
 @dataclass(frozen=True)
 class Section:
-    """A part of a page under a heading: tables, below them pictures, below them notes."""
+    """Section of a page: tables, then pictures, then notes."""
 
     heading: str
     tables: Sequence[TextTable] = ()
@@ -85,13 +85,12 @@ class Section:
 
 @dataclass(frozen=True)
 class Page:
-    """A report.
+    """Page of a report.
 
     Attributes:
         title: heading of the page.
-        headlines: main results, the first one in large letters.
-        facts: what the results stand on, by name.
-        sections: parts of the page in reading order.
+        headlines: main results, the first in large letters.
+        facts: conditions of the results, by name.
         cards: results side by side below the headlines.
     """
 
@@ -108,12 +107,12 @@ class Page:
 
 
 def table_section(table: TextTable, *pictures: Picture) -> Section:
-    """A section of one table, under the table's title."""
+    """Return a section of one table with the table's title as heading."""
     return Section(table.title, (table,), pictures)
 
 
 def render(page: Page) -> str:
-    """The page as HTML."""
+    """Return the page as HTML."""
     return _template().render(page=page, plotly=plotly_base64)
 
 

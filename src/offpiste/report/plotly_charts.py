@@ -1,4 +1,4 @@
-"""Interactive charts of pages: what Plotly draws of a figure's description, and Plotly itself as a page holds it."""
+"""Interactive charts of pages: traces and layout for Plotly, and Plotly's script."""
 
 import base64
 import gzip
@@ -12,18 +12,19 @@ import msgspec
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.report.chart import MEAN, MEDIAN, Box, Chart, Line, Panel, Raster, two_decimals
+from offpiste.report.chart import MEAN, MEDIAN, Box, Chart, Line, Panel, Raster
+from offpiste.report.text_table import number
 
 DASHES: Final = {"-": "solid", "--": "dash", ":": "dot", "-.": "dashdot"}
 """Plotly's line styles by Matplotlib's."""
 INK, SOFT, LINE, SHADE = (f"var(--op-{name})" for name in ("ink", "soft", "line", "shade"))
-"""Colours of look.css, which charts.js resolves, light or dark."""
+"""Colours of look.css, which charts.js resolves for light and dark pages."""
 BLACK: Final = "#000000"
-"""Colour that is replaced by the page's ink."""
+"""Colour replaced by the page's ink."""
 MOST_POINTS, MOST_POINTS_SMALL = 200, 26
-"""Points of a line in a chart alone and in one of several; longer lines are thinned."""
+"""Largest number of points of a line in a single chart and in one of several."""
 LINE_PIXELS: Final = 46
-"""Height of a box and the space around it."""
+"""Height of a box with the space around it."""
 QUALITY: Final = 70
 """WebP quality of images, 1 to 100."""
 
@@ -31,20 +32,20 @@ Traces = list[dict[str, Any]]
 
 
 def charts_of(chart: Chart) -> list[dict[str, Any]]:
-    """A chart for each panel: its title, height [px], and Plotly's traces and layout."""
+    """Return title, height [px] and Plotly's traces and layout for each panel."""
     small = len(chart.panels) > 1
     return [_chart(panel, small) for panel in chart.panels]
 
 
 def charts_json(chart: Chart) -> str:
-    """Charts as JSON that can stand inside a script element; null for what is not finite."""
+    """Return charts as JSON that is safe inside a script element; null for values that are not finite."""
     text = msgspec.json.encode(charts_of(chart)).decode()
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
 @cache
 def plotly_base64() -> str:
-    """Plotly's script, which comes with its Python package, compressed: gzip in base64, 2 MB."""
+    """Return the script of Plotly's Python package as gzip in base64, 2 MB."""
     from plotly.offline import get_plotlyjs
 
     return base64.b64encode(gzip.compress(get_plotlyjs().encode(), mtime=0)).decode("ascii")
@@ -77,7 +78,7 @@ def _chart(panel: Panel, small: bool) -> dict[str, Any]:
 
 
 def _layout(x: Mapping[str, Any], y: Mapping[str, Any], **others: Any) -> dict[str, Any]:
-    """Plotly's layout in the look of the page."""
+    """Return Plotly's layout in the style of the page."""
     axis = {"gridcolor": LINE, "linecolor": LINE, "zeroline": False, "automargin": True}
     return {
         "font": {"size": 12.5, "color": INK},
@@ -93,7 +94,7 @@ def _layout(x: Mapping[str, Any], y: Mapping[str, Any], **others: Any) -> dict[s
 
 
 def _text(text: str) -> str:
-    """Text of a trace or layout, in which Plotly takes "<" for markup."""
+    """Escape text, in which Plotly takes "<" for markup."""
     return html.escape(text, quote=False).replace("\n", "<br>")
 
 
@@ -161,7 +162,7 @@ def _image(raster: Raster) -> dict[str, Any]:
 
 
 def _box_traces(boxes: Sequence[Box]) -> Traces:
-    """Boxes, and markers at their means, or at the median if there is none, whose text has all numbers."""
+    """Return boxes, and markers at their means (else medians) whose text has all numbers."""
     traces: Traces = []
     drawn = {place: box for place, box in enumerate(boxes) if np.isfinite(box.numbers["whishi"])}
     for place, box in drawn.items():
@@ -187,24 +188,22 @@ def _box_traces(boxes: Sequence[Box]) -> Traces:
         "y": [*drawn],
         "marker": {"color": MEAN, "symbol": "diamond", "size": 9},
         "hoverinfo": "text",
-        "hovertext": [_BOX_TEXT.format(**_shown(box)) for box in drawn.values()],
+        "hovertext": [
+            _BOX_TEXT.format(**{name: number(value) for name, value in box.numbers.items()}) for box in drawn.values()
+        ],
     }
     return [*traces, means]
-
-
-def _shown(box: Box) -> dict[str, str]:
-    return {name: two_decimals(value) for name, value in box.numbers.items()}
 
 
 _BOX_TEXT: Final = "median {med}, mean {mean}<br>quartiles {q1} and {q3}<br>whiskers {whislo} and {whishi}"
 
 
 def _box_numbers(boxes: Sequence[Box]) -> Traces:
-    """Medians and means in two columns to the right of the boxes."""
+    """Return medians and means in two columns to the right of the boxes."""
     result: Traces = []
     for shift, name, key, colour in ((52, "median", "med", MEDIAN), (96, "mean", "mean", MEAN)):
         shared = {"xref": "paper", "x": 1, "xshift": shift, "xanchor": "right", "showarrow": False}
         shared["font"] = {"color": colour}
         result.append({"text": name, "yref": "paper", "y": 1, "yanchor": "bottom", **shared})
-        result += [{"text": two_decimals(box.numbers[key]), "y": i, **shared} for i, box in enumerate(boxes)]
+        result += [{"text": number(box.numbers[key]), "y": i, **shared} for i, box in enumerate(boxes)]
     return result

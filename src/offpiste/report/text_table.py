@@ -1,4 +1,4 @@
-"""Tables of text, drawn on a terminal, in Markdown and in HTML pages alike."""
+"""Tables of text for terminals, Markdown and HTML pages."""
 
 import io
 from collections.abc import Sequence
@@ -12,10 +12,10 @@ from rich.table import Table
 
 @dataclass(frozen=True)
 class Cell:
-    """A value with its interval.
+    """Value with its interval.
 
     Attributes:
-        bold: the value is emphasised on pages.
+        bold: whether the value is emphasised on pages.
     """
 
     value: str
@@ -28,15 +28,14 @@ class Cell:
 
 @dataclass(frozen=True)
 class TextTable:
-    """A table of text.
+    """Table of text.
 
     Attributes:
-        title: heading.
         names: of the columns.
         lines: text by column.
-        about: what its numbers are.
-        left: number of columns that name a line; they are aligned to the left.
-        groups: headings over the columns to the right of those, each over as many; empty: none.
+        about: description of the numbers.
+        left: number of columns that name a line, which are aligned to the left.
+        groups: headings over equal numbers of the other columns; empty: none.
     """
 
     title: str
@@ -52,7 +51,7 @@ class TextTable:
         return (len(self.names) - self.left) // len(self.groups) if self.groups else 0
 
     def rich(self) -> Table:
-        """The table as rich draws it on a terminal."""
+        """Return the table for a terminal."""
         # Unescaped, rich takes a unit in brackets for a style.
         table = Table(title=escape(self.title), title_justify="left")
         for column, name in enumerate(self.names):
@@ -63,14 +62,14 @@ class TextTable:
         return table
 
     def text(self, *, width: int = 120) -> str:
-        """The table as plain text, for a log."""
+        """Return the table as plain text for a log."""
         console = Console(file=io.StringIO(), width=width, highlight=False, color_system=None)
         with console.capture() as capture:
             console.print(self.rich())
         return capture.get().rstrip("\n")
 
     def markdown(self) -> str:
-        """The table in Markdown, under its title and what its numbers are."""
+        """Return the table in Markdown, below its title and description."""
         rows = [self.names, ("---",) * len(self.names), *self.lines]
         body = [f"| {' | '.join(map(str, row))} |" for row in rows]
         return "\n".join([f"## {self.title}", self.about, "", *body]) + "\n"
@@ -80,11 +79,11 @@ class TextTable:
 
 
 def number(value: float, digits: int = 2) -> str:
-    """A number, or a dash where it is not finite."""
+    """Format a number; a dash if it is not finite."""
     return f"{value:.{digits}f}" if np.isfinite(value) else "–"
 
 
 def interval(bounds: tuple[float, float], digits: int = 2) -> str:
-    """An interval, or a dash where there is none."""
+    """Format an interval; a dash if it is not finite."""
     low, high = bounds
     return f"[{number(low, digits)}, {number(high, digits)}]" if np.isfinite(low) and np.isfinite(high) else "–"

@@ -1,10 +1,11 @@
-"""Dataset of a reproduction: simulated and extracted, or an existing one after a check."""
+"""Dataset of a reproduction: simulated and extracted, or given and checked."""
 
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
+from typing import Any
 
 from offpiste.core.conventions import DT, FEATURE_SETS
 from offpiste.core.errors import DatasetError
@@ -31,7 +32,7 @@ class PlannedDrive:
     """Drive to simulate.
 
     Attributes:
-        part: of the split; empty if each drive is cut into all parts.
+        part: of the split; "" if each drive is cut into all parts.
     """
 
     settings: DriveSettings
@@ -39,7 +40,7 @@ class PlannedDrive:
 
     @property
     def name(self) -> str:
-        """World and seed."""
+        """Name from world and seed."""
         return f"{self.settings.world.preset}-{self.settings.seed}"
 
 
@@ -47,10 +48,10 @@ MIX = {"mojave": 0.64, "halter-ranch": 0.28, "dunes": 0.04, "coastal-scrub": 0.0
 """Share of the driving time by world (paper, section VI)."""
 
 BLOCKS = "blocks:0.7,0.1,0.2"
-"""Split with training and test in the same logs."""
+"""Split of each log into training, validation and test."""
 
 SHORTEST_CUT = 2 * GAP * DT / 0.1 + 5.0
-"""Smallest length of a drive that is cut, so that its validation part holds two windows [s]."""
+"""Shortest drive whose validation part holds two windows when it is cut [s]."""
 
 
 def planned_drives(size: Size, *, same_logs: bool = False, contrast: float = 1.0) -> list[PlannedDrive]:
@@ -64,7 +65,7 @@ def planned_drives(size: Size, *, same_logs: bool = False, contrast: float = 1.0
     parts = {"": sum(size.seconds)} if same_logs else dict(zip(PARTS, size.seconds, strict=True))
     shortest = max(size.shortest, SHORTEST_CUT) if same_logs else size.shortest
     return [
-        PlannedDrive(drive_settings(size, world, next(seeds), seconds, contrast), part)
+        PlannedDrive(_drive_settings(size, world, next(seeds), seconds, contrast), part)
         for part, total in parts.items()
         for world, seconds in _shared(total, shortest, max(size.longest, shortest))
     ]
@@ -84,13 +85,7 @@ def _shared(total: float, shortest: float, longest: float) -> Iterator[tuple[str
             yield world, round(mine / number, 2)
 
 
-def drive_settings(size: Size, world: str, seed: int, seconds: float, contrast: float) -> DriveSettings:
-    """Return the settings of a drive.
-
-    Args:
-        world: preset.
-        contrast: grip contrast of the world.
-    """
+def _drive_settings(size: Size, world: str, seed: int, seconds: float, contrast: float) -> DriveSettings:
     where = WorldSettings(world, seed, contrast, size=size.world_size, resolution=size.world_resolution)
     driver = WITH_MANOEUVRES if size.manoeuvres else DriverSettings()
     return DriveSettings(where, seconds, seed, sensors=size.sensors, driver=driver)
@@ -102,14 +97,14 @@ def rig_of(size: Size) -> Rig:
 
 
 def expected_features(settings: ReproductionSettings) -> int:
-    """Return the number of features of the dataset, or its upper bound before the dataset exists."""
+    """Return the number of features of the dataset, or an upper bound before it exists."""
     if settings.dataset is not None:
         return len(open_dataset(settings.dataset).features)
     return min(max(PCA_SWEPT), open_backbone(settings.backbone, device=settings.device).channels)
 
 
 def data_steps(settings: ReproductionSettings) -> list[Step]:
-    """Return the steps that make the dataset; none if one is given."""
+    """Return the steps that make the dataset; none if it is given."""
     if settings.dataset is not None:
         return []
     drives = planned_drives(settings.size, same_logs=settings.split == "blocks", contrast=settings.contrast)
@@ -147,7 +142,7 @@ def _extracting(settings: ReproductionSettings, drives: list[PlannedDrive], pca:
 
 
 def _portion(settings: ReproductionSettings, drives: list[PlannedDrive], pca: Path, number: int, of: int) -> Step:
-    """Return the step that simulates and extracts a shard of the drives with its true ground, and removes its logs."""
+    """Return the step that simulates and extracts a shard of the drives, with true ground, and removes its logs."""
     mine = sorted(drives, key=lambda drive: drive.name)[number - 1 :: of]
 
     def do() -> None:
@@ -185,14 +180,12 @@ def open_checked(settings: ReproductionSettings) -> Dataset:
         )
     if dataset.split.kind == "drives" and len(dataset.drives) < 2:
         raise DatasetError(
-            f"holds one drive only, '{dataset.drives[0].name}'",
-            where=dataset.path,
-            how="extract two or more",
+            f"holds a single drive, '{dataset.drives[0].name}'", where=dataset.path, how="extract two or more"
         )
     count = {part: len(Windows(dataset, part, start=settings.size.train.start)) for part in PARTS}
     if count["train"] < settings.size.train.batch:
         raise DatasetError(
-            f"has {count['train']} windows to train, fewer than a batch of {settings.size.train.batch}",
+            f"has {count['train']} training windows, fewer than a batch of {settings.size.train.batch}",
             where=dataset.path,
             how="give longer drives",
         )
@@ -231,34 +224,24 @@ def _fit(settings: ReproductionSettings, logs: list[Path], drives: list[PlannedD
 def _extract(
     settings: ReproductionSettings, drives: list[PlannedDrive], pca: Path, shard: tuple[int, int] = (1, 1)
 ) -> None:
-    make_dataset(
-        _logs(settings, drives),
-        rig_of(settings.size),
-        settings.data,
-        split=_split(settings, drives),
-        pca=pca,
-        device=settings.device,
-        snapshots=SnapshotSettings(settings.size.snapshot_seconds, min_speed=settings.size.train.min_speed),
-        shard=shard,
-        processes=min(_processes(settings, drives), settings.at_a_time),
-        cluster=settings.cluster,
-        force=True,
-    )
+    processes = min(_processes(settings, drives), settings.at_a_time)
+    snapshots = SnapshotSettings(settings.size.snapshot_seconds, min_speed=settings.size.train.min_speed)
+    options = {"pca": pca, "device": settings.device, "snapshots": snapshots, "processes": processes}
+    _make(settings, drives, settings.data, shard, **options)
 
 
 def _extract_truth(settings: ReproductionSettings, drives: list[PlannedDrive], shard: tuple[int, int]) -> None:
     """Extract the true ground under the wheels, for an oracle, before the logs are removed."""
-    make_dataset(
-        _logs(settings, drives),
-        rig_of(settings.size),
-        settings.truth,
-        split=_split(settings, drives),
-        features="ground-truth",
-        shard=shard,
-        processes=_processes(settings, drives),
-        cluster=settings.cluster,
-        force=True,
-    )
+    processes = _processes(settings, drives)
+    _make(settings, drives, settings.truth, shard, features="ground-truth", processes=processes)
+
+
+def _make(
+    settings: ReproductionSettings, drives: list[PlannedDrive], out: Path, shard: tuple[int, int], **options: Any
+) -> None:
+    logs, split = _logs(settings, drives), _split(settings, drives)
+    rig, cluster = rig_of(settings.size), settings.cluster
+    make_dataset(logs, rig, out, split=split, shard=shard, cluster=cluster, force=True, **options)
 
 
 def _extracted(settings: ReproductionSettings, drives: list[PlannedDrive]) -> bool:
@@ -266,7 +249,7 @@ def _extracted(settings: ReproductionSettings, drives: list[PlannedDrive]) -> bo
 
 
 def _there(settings: ReproductionSettings) -> set[str]:
-    """Return the names of extracted drives, with their true ground if it is kept."""
+    """Return the names of extracted drives; with their true ground, if the size keeps it."""
     datasets = [settings.data, settings.truth] if settings.size.portion else [settings.data]
     return set.intersection(*(set(drive_names(path)) if path.exists() else set() for path in datasets))
 

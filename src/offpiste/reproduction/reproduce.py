@@ -1,4 +1,4 @@
-"""`offpiste reproduce`: drives, features, models, evaluation and report of a figure, in resumable steps."""
+"""Reproduction of a figure in resumable steps: drives, features, models, evaluation, report."""
 
 import logging
 from functools import partial
@@ -9,7 +9,7 @@ from offpiste.reproduction.data import data_steps, expected_features, open_check
 from offpiste.reproduction.report import write_figure
 from offpiste.reproduction.results import gather
 from offpiste.reproduction.runs import DrivenTime, EvaluationData, driven_time, figure_readings, mapped, model_stages
-from offpiste.reproduction.settings import ReproductionSettings, defaults, figure_models
+from offpiste.reproduction.settings import ReproductionSettings, figure_models
 from offpiste.reproduction.steps import Step, append_time, claim_folder, run_steps
 from offpiste.training.run import check_device
 
@@ -22,7 +22,7 @@ def reproduce(settings: ReproductionSettings) -> Path:
     """Make a figure in `settings.out`, reusing results of the same settings.
 
     Returns:
-        path of report.html.
+        Path of report.html.
 
     Raises:
         RunError: the folder was begun with other settings.
@@ -33,7 +33,7 @@ def reproduce(settings: ReproductionSettings) -> Path:
         open_checked(settings)
     making_data = data_steps(settings)
     planned = _plan(settings, expected_features(settings), making_data)
-    claim_folder(settings.out, settings.described(), defaults=defaults(), own=("settings.json", "pca.safetensors"))
+    claim_folder(settings.out, settings.described(), own=("settings.json", "pca.safetensors"))
     record = partial(append_time, settings.times)
     run_steps([[step] for step in making_data], later=planned, record=record)
     data = EvaluationData(settings, open_checked(settings))
@@ -58,7 +58,7 @@ def reproduce(settings: ReproductionSettings) -> Path:
 
 
 def _plan(settings: ReproductionSettings, stored: int, making_data: list[Step]) -> list[Step]:
-    """Return the steps after the dataset, as known before it exists."""
+    """Return the steps after the dataset, as estimated before it exists."""
     driven = DrivenTime(*settings.size.seconds) if making_data else driven_time(open_checked(settings))
     chosen = figure_models(settings.figure, stored)
     stages = model_stages(settings, chosen, figure_readings(settings.figure, mapped=True), driven)

@@ -1,4 +1,4 @@
-"""Errors of runs on the same windows, and the gains of models over a baseline, with intervals."""
+"""Errors of a figure's runs on the same windows, and their comparison with the baseline."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -11,14 +11,7 @@ from jaxtyping import Bool
 from offpiste.core.conventions import HISTORY_STEPS, HORIZON_STEPS
 from offpiste.dataset.feature_sets import set_number
 from offpiste.dataset.store import Dataset
-from offpiste.evaluation.errors import (
-    HORIZONS,
-    Errors,
-    SeededErrors,
-    by_seed,
-    load_errors,
-    pool,
-)
+from offpiste.evaluation.errors import Errors, SeededErrors, by_seed, load_errors, pool
 from offpiste.evaluation.evaluate import Reading
 from offpiste.evaluation.intervals import NO_INTERVAL, Levels, PairedDifference, Sampling, relative
 from offpiste.evaluation.metrics import Case, LossUnits, Provenance, ResultRow, RunErrors, result_rows
@@ -33,7 +26,7 @@ MAP: Final[Reading] = ("map", None)
 HINDSIGHT: Final[Reading] = ("recorded", "hindsight")
 
 QUANTITIES: Final = ("distance_error_m", "yaw_error_rad", "vx_error_mps", "vy_error_mps", "loss")
-"""Errors that are compared with the baseline's, at the last horizon; the loss is over all steps."""
+"""Errors compared with the baseline's: at the last horizon, and the loss over all steps."""
 
 
 class Comparison(msgspec.Struct, frozen=True, kw_only=True):
@@ -77,12 +70,7 @@ class FigureMetrics(msgspec.Struct, frozen=True, kw_only=True):
 
 @dataclass(frozen=True)
 class FigureResults:
-    """Errors of all runs of a figure.
-
-    Attributes:
-        runs: by model and terrain lookup, one per seed.
-        sampling: settings of the intervals.
-    """
+    """Errors of all runs of a figure, by model and terrain lookup."""
 
     runs: Mapping[tuple[FigureModel, Reading], Sequence[RunErrors]]
     sampling: Sampling
@@ -93,18 +81,14 @@ class FigureResults:
         return list(dict.fromkeys(reading for _, reading in self.runs))
 
     @property
-    def models(self) -> list[FigureModel]:
-        """Models of the figure."""
-        return list(dict.fromkeys(model for model, _ in self.runs))
+    def models(self) -> dict[str, FigureModel]:
+        """Models of the figure, by label."""
+        return {model.label: model for model, _ in self.runs}
 
     @property
     def baseline(self) -> FigureModel:
         """Model that the others are compared with."""
-        return next(model for model in self.models if model.label == BASELINE)
-
-    def over_seeds(self, model: FigureModel, reading: Reading) -> Errors:
-        """Return the errors of a model, averaged over its seeds."""
-        return self.by_seed(model, reading).mean
+        return self.models[BASELINE]
 
     def by_seed(self, model: FigureModel, reading: Reading) -> SeededErrors:
         """Return the errors of a model by seed."""
@@ -118,26 +102,16 @@ class FigureResults:
 
     def rows(self) -> list[ResultRow]:
         """Return the rows of metrics.json."""
-        return result_rows(
-            {_case(model, reading): list(runs) for (model, reading), runs in self.runs.items()}, PART, self.sampling
-        )
+        cases = {Case(m.model, m.variant, "causal", *reading): list(runs) for (m, reading), runs in self.runs.items()}
+        return result_rows(cases, PART, self.sampling)
 
-    def compare(self, model: FigureModel, reading: Reading, seen: Bool[np.ndarray, " n"] | None = None) -> Comparison:
-        """Compare a model with `b`, over all seeds.
-
-        Args:
-            seen: windows to use; None: all.
-        """
-        mine, others = self.by_seed(model, reading), self.by_seed(self.baseline, reading)
-        return self._compared(model, reading, mine, others, None, seen)
-
-    def apart(self, first: FigureModel, second: FigureModel, readings: Sequence[Reading]) -> PairedDifference:
+    def apart(self, first: str, second: str, readings: Sequence[Reading]) -> PairedDifference:
         """Return the difference of two models' distance errors relative to that of `b`, averaged over lookups."""
         drawn = self.sampling.on(self.by_seed(self.baseline, readings[0]))
         mean, resampled = 0.0, np.zeros(len(drawn.draws))
         for reading in readings:
             one, other, b = (
-                self.by_seed(model, reading).component("distance_error_m") for model in (first, second, self.baseline)
+                self.by_seed(self.models[label], reading).distance() for label in (first, second, BASELINE)
             )
             if not all(np.isfinite(errors).all() for errors in (one, other, b)):
                 return PairedDifference(np.nan, NO_INTERVAL)
@@ -145,24 +119,21 @@ class FigureResults:
             resampled += (drawn.means(one) - drawn.means(other)) / drawn.means(b) / len(readings)
         return PairedDifference(mean, drawn.interval(resampled))
 
-    def compare_seeds(self, model: FigureModel, reading: Reading) -> list[Comparison]:
-        """Compare each run of a model with the `b` of the same seed."""
-        mine, others = self.by_seed(model, reading), self.by_seed(self.baseline, reading)
-        return [
-            self._compared(model, reading, mine.of_seed(seed), others.of_seed(seed), seed, None)
-            for seed in mine.seeds
-            if seed in others.seeds
-        ]
-
-    def _compared(
+    def compare(
         self,
         model: FigureModel,
         reading: Reading,
-        mine: SeededErrors,
-        others: SeededErrors,
-        seed: int | None,
-        seen: Bool[np.ndarray, " n"] | None,
+        seen: Bool[np.ndarray, " n"] | None = None,
+        *,
+        seed: int | None = None,
     ) -> Comparison:
+        """Compare a model with `b`.
+
+        Args:
+            seen: windows to use; None: all.
+            seed: of the runs to compare; None: all runs.
+        """
+        mine, others = (self.by_seed(each, reading).of_seed(seed) for each in (model, self.baseline))
         index = np.arange(len(mine.row)) if seen is None else np.flatnonzero(seen)
         differences, levels = {name: PairedDifference(np.nan, NO_INTERVAL) for name in QUANTITIES}, None
         if len(index):
@@ -170,18 +141,22 @@ class FigureResults:
             drawn = self.sampling.on(mine)
             levels = drawn.levels(len(mine.runs))
             differences = {name: relative(mine.component(name), others.component(name), drawn) for name in QUANTITIES}
-        lookup, chosen = reading
         return Comparison(
             model=model.model,
             variant=model.variant,
             seed=seed,
-            lookup=str(lookup),
-            feature_set=chosen,
+            lookup=str(reading[0]),
+            feature_set=reading[1],
             seen=seen is not None,
             n=len(index),
             levels=levels,
             relative=differences,
         )
+
+    def compare_seeds(self, model: FigureModel, reading: Reading) -> list[Comparison]:
+        """Compare each run of a model with the `b` of the same seed."""
+        seeds, others = (self.by_seed(each, reading).seeds for each in (model, self.baseline))
+        return [self.compare(model, reading, seed=seed) for seed in seeds if seed in others]
 
 
 def gather(settings: ReproductionSettings, models: Sequence[FigureModel], readings: Sequence[Reading]) -> FigureResults:
@@ -197,19 +172,8 @@ def gather(settings: ReproductionSettings, models: Sequence[FigureModel], readin
     return FigureResults(runs, Sampling())
 
 
-def last_rows(rows: Sequence[ResultRow]) -> list[ResultRow]:
-    """Return the rows at the last horizon, over all runs of a model."""
-    at_end = [row for row in rows if row.horizon_s == HORIZONS[-1]]
-    several = {row.reading_label for row in at_end if row.seed is None}
-    return [row for row in at_end if row.seed is None or row.reading_label not in several]
-
-
-def _case(model: FigureModel, reading: Reading) -> Case:
-    return Case(model.model, model.variant, "causal", *reading)
-
-
 def seen_throughout(dataset: Dataset, feature_set: str, windows: Errors) -> Bool[np.ndarray, " n"]:
-    """Return whether all wheels of each window are on cells with features of the set, at rows t-10 ... t+249."""
+    """Return a mask of windows with all wheels on cells with features of the set, at rows t-10 ... t+249."""
     throughout = np.zeros(len(windows.row), bool)
     for place, drive in enumerate(dataset.drives):
         cells = drive.rows.cells

@@ -1,4 +1,4 @@
-"""Training and evaluation of a figure's models: a step per run and a step per terrain lookup."""
+"""Training and evaluation steps of a figure's models: one per run, one per terrain lookup."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -27,10 +27,10 @@ from offpiste.training.train import train
 
 
 def reuse_stages(runs: Path, folder: Path, seed: int) -> None:
-    """Copy the stages that another run of the same seed has fitted; folders are named NAME-SEED.
+    """Copy stages fitted by another run of the same seed; folders are named NAME-SEED.
 
     Args:
-        runs: folder of all runs, on one dataset and with the same settings of these stages.
+        runs: folder of all runs, which share the dataset and the settings of these stages.
         folder: of the run.
     """
     for stage in SHARED_STAGES:
@@ -41,21 +41,17 @@ def reuse_stages(runs: Path, folder: Path, seed: int) -> None:
 
 
 PART = "test"
-"""Part of the split for evaluation."""
+"""Evaluated part of the split."""
 
 
 def figure_readings(figure: Figure, *, mapped: bool) -> list[Reading]:
-    """Return the terrain lookups of a figure: at recorded places by feature set, and on the map.
-
-    Args:
-        mapped: whether the dataset has maps.
-    """
+    """Return the terrain lookups of a figure: at recorded places by feature set, and on the map if there are maps."""
     recorded: list[Reading] = [("recorded", name) for name in feature_sets(figure)]
     return recorded + ([("map", None)] if mapped else [])
 
 
 def errors_path(run: Path, reading: Reading) -> Path:
-    """Return the path of the errors of a run, in its folder so that they move with it."""
+    """Return the path of a run's errors, in its folder so that they move with it."""
     return run / "errors" / f"{'-'.join(filter(None, reading))}.safetensors"
 
 
@@ -75,7 +71,6 @@ def errors_of_runs(
     """Compute the errors of runs with one terrain lookup; windows and maps are read once.
 
     Args:
-        index: of the windows.
         scale: units of the loss, the same for all runs.
     """
     lookup, chosen = reading
@@ -95,15 +90,15 @@ def mapped(dataset: Dataset) -> bool:
 
 
 WINDOW_SECONDS, READING = 0.5e-3, 1.8
-"""Rough time of the kernels per window [s], and a factor for models that read features."""
+"""Estimated time of the kernels per window [s], and a factor for models that read features."""
 
 MAP_SECONDS = 0.02
-"""Rough time to read a window's own map [s]."""
+"""Estimated time to read a window's own map [s]."""
 
 
 @dataclass(frozen=True)
 class DrivenTime:
-    """Seconds of driving by part, from which the cost of steps is estimated."""
+    """Seconds of driving by part, for estimates of step durations."""
 
     train: float
     validation: float
@@ -117,7 +112,7 @@ def driven_time(dataset: Dataset) -> DrivenTime:
 
 @dataclass(frozen=True)
 class EvaluationData:
-    """Dataset, windows and loss units of an evaluation, opened on first use."""
+    """Dataset, windows and loss units of an evaluation."""
 
     settings: ReproductionSettings
     dataset: Dataset
@@ -135,11 +130,7 @@ class EvaluationData:
 
 @lru_cache(maxsize=1)
 def _with_maps(settings: ReproductionSettings, start: str, version: tuple[int, ...]) -> tuple[Dataset, MapLoss | None]:
-    """Open the dataset and the maps of its validation windows, cached for all runs that a process trains.
-
-    Args:
-        version: changes with the dataset.
-    """
+    """Open the dataset and the maps of its validation windows; cached, by a version that changes with the dataset."""
     dataset = opened(settings)
     return dataset, map_loss(Windows(dataset, "validation", start=start), ALONE)
 
@@ -169,11 +160,7 @@ def evaluate_all(settings: ReproductionSettings, runs: Sequence[Path], reading: 
 def model_stages(
     settings: ReproductionSettings, models: Sequence[FigureModel], readings: Sequence[Reading], driven: DrivenTime
 ) -> list[list[Step]]:
-    """Return the stages: training of the baseline, whose first stages others reuse; training of the others; evaluation.
-
-    Args:
-        driven: available seconds of driving.
-    """
+    """Return the stages: training of the baseline, which the others reuse in part; of the others; evaluation."""
     first: list[Step] = []
     others: list[Step] = []
     for model in models:
@@ -189,7 +176,7 @@ def model_stages(
     runs = [settings.runs / model.folder(seed) for model in models for seed in range(settings.size.seeds)]
     evaluations = [
         Step(
-            f"evaluate all runs {_where(reading)}",
+            "evaluate all runs " + ("on the map" if reading[0] == "map" else f"at recorded places, {reading[1]}"),
             _cost_of_evaluation(settings, reading, len(runs), driven),
             partial(_evaluated, runs, reading),
             partial(evaluate_all, settings, runs, reading),
@@ -203,11 +190,6 @@ def _kept(run: Path) -> str:
     """Describe the best epoch of a run's network; "" for models without a network."""
     kept = best_epochs(run).get("model")
     return "" if kept is None else kept.line("network")
-
-
-def _where(reading: Reading) -> str:
-    lookup, chosen = reading
-    return "on the map" if lookup == "map" else f"at recorded places, {chosen}"
 
 
 def _evaluated(runs: Sequence[Path], reading: Reading) -> bool:

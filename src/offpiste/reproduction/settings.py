@@ -1,4 +1,4 @@
-"""Settings of a reproduction: its size, its data, and the models of each figure."""
+"""Settings of a reproduction: size, data and models of each figure."""
 
 import math
 from collections.abc import Sequence
@@ -10,11 +10,12 @@ from offpiste.core.checksums import sha256_of_folders
 from offpiste.core.conventions import FEATURE_SETS
 from offpiste.core.errors import OffpisteError
 from offpiste.core.parallel import at_a_time
+from offpiste.dynamics.models import display_name
 from offpiste.evaluation.metrics import label
 from offpiste.training.config import TrainConfig
 
 BASELINE = "b"
-"""Model that others are compared with."""
+"""Model that the others are compared with."""
 
 Figure = Literal["fig3", "fig4"]
 
@@ -25,7 +26,7 @@ class Size:
 
     Attributes:
         name: value of --size.
-        seconds: of driving to train, validate and test on, over all worlds [s].
+        seconds: driving for training, validation and test, over all worlds [s].
         longest, shortest: limits of the length of a drive [s]; each world gets at least `shortest`.
         images: number of images for the PCA.
         pca_drives: number of drives of each world for the PCA.
@@ -34,9 +35,9 @@ class Size:
         stride: rows between windows evaluated at recorded places; on the map, windows with a snapshot are evaluated.
         train: settings of all trainings.
         world_size, world_resolution: extent and cell size of the worlds [m].
-        first_seed: seed of the first world; the others follow.
+        first_seed: seed of the first world.
         manoeuvres: whether drivers also stop, crawl, reverse and drive fast, with a gear as a control.
-        portion: number of drives that are simulated and extracted together before their logs are removed; 0: keep logs.
+        portion: number of drives simulated and extracted together before their logs are removed; 0: keep logs.
         sensors: of the vehicle (`simulation.sensors.suite.sensor_suite`).
     """
 
@@ -149,13 +150,13 @@ class ReproductionSettings:
         figure: of the paper; both share drives and runs in one folder.
         size: amount of driving, training and evaluation.
         out: folder for everything.
-        dataset: existing dataset with visual features; None: drives are simulated.
+        dataset: existing dataset with visual features; None: simulate drives.
         backbone: of the visual features (`offpiste.perception.backbones.open_backbone`).
         split: "drives": test on separate drives; "blocks": test on stretches of the same logs, as in the paper.
-        contrast: of grip in the simulated worlds.
+        contrast: grip contrast of the simulated worlds.
         device: of backbone and models.
         processes: number of drives or runs processed in parallel; 0: one per core.
-        cluster: address of a Ray cluster that simulates and extracts; "": none.
+        cluster: address of a Ray cluster for simulation and extraction; "": none.
     """
 
     figure: Figure
@@ -176,7 +177,7 @@ class ReproductionSettings:
 
     @property
     def truth(self) -> Path:
-        """Path of the dataset with the true ground of the same drives, for sizes that remove their logs."""
+        """Path of the dataset with the true ground of the same drives, for sizes without logs."""
         return self.out / "truth.zarr"
 
     @property
@@ -186,7 +187,7 @@ class ReproductionSettings:
 
     @property
     def times(self) -> Path:
-        """File with the duration of each step, one line of JSON per step."""
+        """File with the duration of each step as lines of JSON."""
         return self.out / "steps.jsonl"
 
     @property
@@ -195,7 +196,7 @@ class ReproductionSettings:
         return at_a_time(self.processes, self.device)
 
     def described(self) -> dict[str, Any]:
-        """Return the settings that must stay the same to reuse results in `out`; the number of seeds may grow."""
+        """Return the settings that must stay the same for results in `out` to be reused; seeds may be added."""
         size = {key: value for key, value in asdict(self.size).items() if key != "seeds"}
         if self.dataset is not None:
             return {"size": size, "dataset": sha256_of_folders(self.dataset)}
@@ -206,11 +207,6 @@ class ReproductionSettings:
             "split": self.split,
             "contrast": self.contrast,
         }
-
-
-def defaults() -> dict[str, Any]:
-    """Return the values of settings that are missing in folders of older versions."""
-    return {"size": asdict(Size("", (0.0, 0.0, 0.0)))}
 
 
 CODES, PCA = 4, 40
@@ -229,7 +225,7 @@ class FigureModel:
         model: name in `offpiste.dynamics.MODELS`.
         codes: length n of its code.
         pca: number of the dataset's features that it reads.
-        variant: difference to the standard model of this name; empty for the standard model.
+        variant: difference from the standard model of this name; "" for the standard model.
     """
 
     model: str
@@ -251,6 +247,15 @@ class FigureModel:
         return replace(size.train, model=self.model, codes=self.codes, pca=self.pca, seed=seed, device=device)
 
 
+def paper_name(label: str) -> str:
+    """Return a model's display name with the paper's letters: "blind (B)", "CF (n=1)" for "b", "cf (n=1)"."""
+    model, space, variant = label.partition(" ")
+    letters, dash, rest = model.partition("-")
+    letters = letters.upper() + dash + rest
+    shown = display_name(model)
+    return (letters if shown == model else f"{shown} ({letters})") + space + variant
+
+
 def standard_model(model: str, stored: int) -> FigureModel:
     """Return a model as in the paper, with all features if the dataset has fewer."""
     return FigureModel(model, CODES, min(PCA, stored))
@@ -270,11 +275,7 @@ def feature_numbers(stored: int) -> dict[int, FigureModel]:
 
 
 def figure_models(figure: Figure, stored: int) -> list[FigureModel]:
-    """Return the models of a figure, each once, `b` first.
-
-    Args:
-        stored: number of features in the dataset.
-    """
+    """Return the models of a figure, each once, `b` first, for a number of stored features."""
     if figure == "fig4":
         return [standard_model(name, stored) for name in ("b", "b-hindsight", "df", "cf", "dc")]
     swept = [*compression_sizes(stored).values(), *feature_numbers(stored).values()]

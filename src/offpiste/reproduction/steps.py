@@ -1,4 +1,4 @@
-"""Resumable steps of long experiments, with an estimate of the time left."""
+"""Resumable steps of long experiments with an estimate of the remaining time."""
 
 import io
 import json
@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import redirect_stderr
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,17 +19,14 @@ from offpiste.training.checkpoint import load_json, save_json
 logger = logging.getLogger(__name__)
 
 
-def claim_folder(
-    out: Path,
-    settings: dict[str, Any],
-    *,
-    defaults: Mapping[str, Any] | None = None,
-    own: Sequence[str] = ("settings.json",),
-) -> None:
-    """Write the settings of an experiment to `out/settings.json`, or check that they are the same.
+_NAMED = 6
+"""Largest number of settings named in a message."""
+
+
+def claim_folder(out: Path, settings: dict[str, Any], *, own: Sequence[str] = ("settings.json",)) -> None:
+    """Write the settings of an experiment to `out/settings.json`, or check that they are unchanged.
 
     Args:
-        defaults: values of settings that older folders may lack.
         own: patterns of files; a non-empty folder must hold one of them.
 
     Raises:
@@ -40,32 +38,18 @@ def claim_folder(
     if not path.exists():
         save_json(path, wanted)
         return
-    there = _filled(load_json(path), wanted, json.loads(json.dumps(defaults or {})))
-    other = list(_differing("", there, wanted))
+    other = list(_differing("", load_json(path), wanted))
     if other:
         more = f" and {len(other) - _NAMED} more" if len(other) > _NAMED else ""
         raise RunError(
             f"was begun with other settings ({', '.join(other[:_NAMED])}{more})",
             where=out,
-            how="give the same again, or choose another --out",
+            how="give the same settings again, or choose another --out",
         )
 
 
-_NAMED = 6
-"""Largest number of settings named in a message."""
-
-
-def _filled(there: dict[str, Any], wanted: dict[str, Any], defaults: dict[str, Any]) -> dict[str, Any]:
-    """Return the settings of a folder, completed with defaults."""
-    result = {**{key: value for key, value in defaults.items() if key in wanted}, **there}
-    for key, value in result.items():
-        if isinstance(value, dict) and isinstance(wanted.get(key), dict) and isinstance(defaults.get(key), dict):
-            result[key] = _filled(value, wanted[key], defaults[key])
-    return result
-
-
 def _differing(name: str, there: Any, wanted: Any) -> Iterator[str]:
-    """Yield the names of differing settings, nested ones with dots; settings that no longer exist are ignored."""
+    """Yield the names of differing settings, nested names with dots; settings that no longer exist are ignored."""
     if not (isinstance(there, dict) and isinstance(wanted, dict)):
         if there != wanted:
             yield name
@@ -84,10 +68,10 @@ class Step:
 
     Attributes:
         name: shown in the log.
-        cost: rough duration relative to other steps [s].
-        done: whether its result exists.
+        cost: estimated duration, relative to other steps [s].
+        done: whether the result exists.
         do: makes the result, whole or not at all, or resumes.
-        result: describes the result in a few words, for the log of steps done in parallel.
+        result: short description of the result, for the log of parallel steps.
     """
 
     name: str
@@ -97,30 +81,26 @@ class Step:
     result: Callable[[], str] = str
 
 
-def nothing(name: str, seconds: float) -> None:
-    """Record nothing."""
-
-
 def run_steps(
     stages: Sequence[Sequence[Step]],
     *,
     before: int = 0,
     later: Sequence[Step] = (),
     processes: int = 1,
-    record: Record = nothing,
+    record: Record | None = None,
     clock: Callable[[], float] = time.perf_counter,
 ) -> None:
-    """Do the missing steps, stage after stage.
+    """Run the missing steps, stage after stage.
 
     Args:
         stages: steps of one stage do not depend on each other.
         before: number of earlier steps.
-        later: later steps, included in the time left.
-        processes: number of steps of a stage done in parallel; with more than one, `do` and `record` must be picklable.
+        later: later steps, included in the remaining time.
+        processes: number of parallel steps of a stage; with more than one, `do` and `record` must be picklable.
         record: receives the duration of each step.
 
     Raises:
-        OffpisteError: a step failed; others of its stage may have been done.
+        OffpisteError: a step failed; other steps of its stage may have been done.
     """
     steps = [step for stage in stages for step in stage]
     pace = _Pace([*steps, *later], clock)
@@ -137,14 +117,13 @@ def run_steps(
         for step in missing:
             number = numbers[step.name]
             logger.info(f"{number} {step.name}; about {pace.left()} left")
-            seconds = _timed(step.do, clock)
-            record(step.name, seconds)
+            seconds = _timed(step.name, step.do, record, clock)
             pace.spent += step.cost
             logger.info(f"{' ' * len(number)} done in {format_duration(seconds)}")
 
 
 class _Pace:
-    """Estimate of the time left, from the duration of earlier steps."""
+    """Estimate of the remaining time, from the duration of earlier steps."""
 
     def __init__(self, steps: Sequence[Step], clock: Callable[[], float]) -> None:
         self._steps, self._clock, self._began = steps, clock, clock()
@@ -160,7 +139,7 @@ def _side_by_side(
     numbers: Mapping[str, str],
     processes: int,
     pace: _Pace,
-    record: Record,
+    record: Record | None,
 ) -> None:
     named = {step.name: step for step in steps}
     logger.info(f"{len(steps)} steps, {min(processes, len(steps))} at a time: {', '.join(named)}")
@@ -170,37 +149,33 @@ def _side_by_side(
         result = named[name].result()
         logger.info(f"{numbers[name]} {name}: done{result and f', {result}'}; about {pace.left()} left")
 
-    jobs = [_Job(step.name, step.do, record) for step in steps]
-    run_all(_alone, jobs, processes, "steps", finished=done).checked()
+    work = partial(_alone, jobs={step.name: (step.do, record) for step in steps})
+    run_all(work, list(named), processes, "steps", finished=done).checked()
 
 
-@dataclass(frozen=True)
-class _Job:
-    name: str
-    do: Callable[[], None]
-    record: Record
+def _alone(name: str, report: Report, *, jobs: Mapping[str, tuple[Callable[[], None], Record | None]]) -> str:
+    with redirect_stderr(io.StringIO()):  # progress bars of several processes would overlap
+        _timed(name, *jobs[name], time.perf_counter)
+    return name
 
 
-def _alone(job: _Job, report: Report) -> str:
-    with redirect_stderr(io.StringIO()):  # bars of several processes would run into each other
-        job.record(job.name, _timed(job.do, time.perf_counter))
-    return job.name
-
-
-def _timed(do: Callable[[], None], clock: Callable[[], float]) -> float:
+def _timed(name: str, do: Callable[[], None], record: Record | None, clock: Callable[[], float]) -> float:
     started = clock()
     do()
-    return clock() - started
+    seconds = clock() - started
+    if record is not None:
+        record(name, seconds)
+    return seconds
 
 
 def append_time(path: Path, name: str, seconds: float) -> None:
-    """Append the duration of a step, since it was last resumed."""
+    """Append the duration of a step since it was last resumed."""
     with path.open("a", encoding="utf-8") as file:
         file.write(json.dumps({"step": name, "seconds": round(seconds, 1)}) + "\n")
 
 
 def times_by_kind(path: Path) -> dict[str, float]:
-    """Return the time spent by first word of the steps' names: simulate, train, ... [s]."""
+    """Return the total duration of steps by the first word of their names: simulate, train, ... [s]."""
     spent: dict[str, float] = {}
     lines = path.read_text("utf-8").splitlines() if path.exists() else []
     for line in lines:

@@ -1,10 +1,10 @@
-"""The map of a drive from above: elevation, features, obstacles and slope, what is known, and the wheels' tracks."""
+"""Map of a drive from above: elevation, features, obstacles and slope, validity, and the wheels' tracks."""
 
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Float, Int
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
@@ -16,10 +16,10 @@ from offpiste.report.feature_colours import colours
 from offpiste.report.figure import INK
 
 UNKNOWN, FILLED, OBSERVED, FEATURED = range(4)
-"""Knowledge of a cell: none; filled from a cell nearby; hit by a LiDAR; seen by a camera."""
+"""State of a cell: unknown; filled from a cell nearby; hit by a LiDAR; seen by a camera."""
 
 MOST_CELLS: Final = 3_000_000
-"""Number of cells that a mosaic may have; of a long drive it takes every second, third, ... cell."""
+"""Largest number of cells of a mosaic; on long drives it takes every second, third, ... cell."""
 
 
 @dataclass(frozen=True)
@@ -28,10 +28,10 @@ class Ground:
 
     Attributes:
         origin: x, y of the centre of cell [0, 0] [m].
-        elevation: NaN where unknown [m].
-        components: the first three features; NaN where there are none.
-        obstacle: height of obstacles above the ground [m]; NaN where unknown.
-        slope: rise over run; NaN where unknown.
+        elevation: NaN if unknown [m].
+        components: the first three features; NaN without features.
+        obstacle: height of obstacles above the ground [m]; NaN if unknown.
+        slope: rise over run; NaN if unknown.
         known: `UNKNOWN` to `FEATURED`.
     """
 
@@ -44,7 +44,7 @@ class Ground:
     known: Int[np.ndarray, "ny nx"]
 
     def cropped(self, low: Float[np.ndarray, " 2"], high: Float[np.ndarray, " 2"]) -> "Ground":
-        """Ground cropped to the cells whose centres lie in a box of the world frame."""
+        """Return the cells with centres in a box of the world frame."""
         ny, nx = self.known.shape
         first = np.clip(np.ceil((low - self.origin) / self.resolution).astype(int), 0, [nx, ny])
         stop = np.clip(np.floor((high - self.origin) / self.resolution).astype(int) + 1, first, [nx, ny])
@@ -53,7 +53,7 @@ class Ground:
         return Ground(self.origin + first * self.resolution, self.resolution, *(layer[box] for layer in layers))
 
     def trimmed(self) -> "Ground":
-        """Ground without unknown rows and columns at its edges."""
+        """Return the ground without unknown rows and columns at its edges."""
         rows, columns = np.nonzero(self.known)
         if not len(rows):
             return self
@@ -64,12 +64,12 @@ class Ground:
 
 
 class Mosaic:
-    """Ground of a whole drive, each cell as the map had it last; memory is bounded by `MOST_CELLS`.
+    """Ground of a whole drive, each cell in its last state; memory is bounded by `MOST_CELLS`.
 
     Args:
-        low, high: corners of a box that holds all maps [m].
+        low, high: corners of a box around all maps [m].
         resolution: size of the maps' cells [m].
-        most: number of cells that it may have.
+        most: largest number of cells.
     """
 
     def __init__(
@@ -92,7 +92,7 @@ class Mosaic:
         self._known = np.zeros((ny, nx), np.int8)
 
     def add(self, layers: TerrainLayers) -> None:
-        """Update the cells that a map knows now; others stay."""
+        """Update the cells that a map knows; other cells stay."""
         low = np.floor(layers.origin / layers.resolution).astype(int)  # cell i covers [i, i + 1) cells
         skip = -low % self.step
         every = slice(skip[1], None, self.step), slice(skip[0], None, self.step)
@@ -114,26 +114,26 @@ class Mosaic:
         self._known[here] = np.where(valid, FEATURED, np.where(observed, OBSERVED, FILLED))
 
     def ground(self) -> Ground:
-        """The ground so far; shares memory with the mosaic."""
+        """Return the ground so far; shares memory with the mosaic."""
         size = self._resolution * self.step
         origin = self._first * size + self._resolution / 2
         return Ground(origin, size, self._elevation, self._components, self._obstacle, self._slope, self._known)
 
 
 SUN = np.array([-0.5, 0.45, 0.74])
-"""Direction towards the light: from the upper left, as on maps."""
+"""Direction towards the light, at the upper left as on maps."""
 
 PAPER = 0.97
 """Brightness of unknown cells."""
 
 RELIEF = ListedColormap(colormaps["gist_earth"](np.linspace(0.15, 0.9, 256)))
-"""Colours of elevation, without the blue of water and the white of snow."""
+"""Colours of elevation, without blue and white."""
 
 STEEP = 0.8
-"""Slope that is drawn in the last colour, rise over run."""
+"""Slope drawn in the last colour, rise over run."""
 
 TALL = 2.0
-"""Obstacle that is drawn in the last colour [m]."""
+"""Height of obstacles drawn in the last colour [m]."""
 
 KNOWN_COLOURS = ("#f7f7f7", "#b9c2cc", "#e0a458", "#2f7d4f")
 KNOWN_NAMES = ("unknown", "filled", "hit by a LiDAR", "seen by a camera")
@@ -142,12 +142,11 @@ Limits = Float[np.ndarray, "2 3"]
 
 
 def draw_map(ground: Ground, wheels: Float[np.ndarray, "N 4 2"], limits: Limits | None, *, title: str = "") -> Figure:
-    """Figure with four panels of the same ground.
+    """Draw elevation, features, obstacles and validity of the same ground.
 
     Args:
-        wheels: places of the wheels [m].
-        limits: what is drawn darkest and brightest of the features (`feature_colours.colour_limits`); None where
-            there are none.
+        wheels: positions of the wheels [m].
+        limits: colours of the features (`feature_colours.colour_limits`); None without features.
     """
     tall = ground.known.shape[0] / max(ground.known.shape[1], 1)
     figure = Figure(figsize=(13, 1.4 + float(np.clip(9.4 * tall, 4, 20))), dpi=120, layout="constrained")
@@ -179,7 +178,7 @@ def draw_wheels(axes: Axes, wheels: Float[np.ndarray, "N 4 2"]) -> None:
 
 
 def hillshade(ground: Ground) -> Float[np.ndarray, "ny nx"]:
-    """Light on the ground [0..1], about 0.7 on level ground; NaN where neighbours are unknown."""
+    """Return the brightness of lit ground [0..1], about 0.7 on level ground; NaN beside unknown cells."""
     if min(ground.elevation.shape) < 2:
         return np.full(ground.elevation.shape, np.nan)
     rise_y, rise_x = np.gradient(ground.elevation.astype(np.float64), ground.resolution)
@@ -189,21 +188,17 @@ def hillshade(ground: Ground) -> Float[np.ndarray, "ny nx"]:
 
 
 def feature_colours(ground: Ground, limits: Limits | None) -> Float[np.ndarray, "ny nx 3"]:
-    """First three components as RGB [0..1]; ground without features in grey, unknown nearly white."""
+    """Return the first three components as RGB [0..1]; ground without features is grey, unknown cells nearly white."""
     grey = np.where(ground.known > 0, np.nan_to_num(0.35 + 0.35 * hillshade(ground), nan=0.6), PAPER)
     picture = np.repeat(grey[..., None], 3, axis=2)
     if limits is not None:
         seen = ground.known == FEATURED
-        picture = np.where(seen[..., None], _rgb(ground.components, limits) / 255, picture)
+        picture = np.where(seen[..., None], colours(ground.components.astype(np.float32), limits) / 255, picture)
     return np.asarray(picture)
 
 
-def _rgb(components: Float[np.ndarray, "ny nx 3"], limits: Limits) -> UInt8[np.ndarray, "ny nx 3"]:
-    return colours(components.astype(np.float32), limits)
-
-
 def _relief(axes: Axes, ground: Ground) -> ScalarMappable:
-    """Draw elevation in colours with light and shade; returns what the colour bar is made from."""
+    """Draw elevation in shaded colours; return the colour scale."""
     known = ground.known > 0
     low, high = np.percentile(ground.elevation[known], (1, 99)) if known.any() else (0.0, 1.0)
     scale = ScalarMappable(Normalize(low, max(high, low + 0.5)), RELIEF)

@@ -1,4 +1,4 @@
-"""Predicted regions of windows of a dataset: where the vehicle may be after a while, beside where it went."""
+"""Figure of predicted regions of windows with the recorded paths."""
 
 from pathlib import Path
 from typing import Final
@@ -11,6 +11,7 @@ from matplotlib.patches import Ellipse
 
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
+from offpiste.dynamics.models import display_name
 from offpiste.evaluation.box_plots import RECORDED
 from offpiste.report.figure import BLUE, plain, write_png
 from offpiste.training.run import load_run, refuse_unfit
@@ -19,20 +20,20 @@ from offpiste.uncertainty.fit import SpreadPrediction, predict_with_spread
 from offpiste.uncertainty.spread import EVERY
 
 PART: Final = "test"
-"""Part whose windows are drawn."""
+"""Drawn part of the split."""
 
 DRAWN: Final = 10
-"""Windows in the picture."""
+"""Number of windows."""
 
 COLUMNS: Final = 5
-"""Panels side by side."""
+"""Number of panels side by side."""
 
 
 def view_regions(folder: Path, dataset: Dataset, out: Path) -> Path:
-    """Write regions.png: windows across the test part, with a run's predictions on their maps.
+    """Write regions.png with a run's predictions for windows across the test part, on their maps.
 
     Raises:
-        RunError: no such run, it does not fit the dataset, or has no spread.
+        RunError: the run is missing, does not fit the dataset or has no spread.
         DatasetError: the part has no window with a map.
     """
     run = load_run(folder)
@@ -47,14 +48,16 @@ def view_regions(folder: Path, dataset: Dataset, out: Path) -> Path:
 
 
 def draw_regions(found: SpreadPrediction, recorded: Float[np.ndarray, "B T 2"], model: str) -> Figure:
-    """A panel for each window: the recorded path, the predicted one, and its regions after 1, 3 and 5 s.
+    """Draw a panel for each window with recorded and predicted path and the regions after 1, 3 and 5 s.
 
     Args:
-        recorded: places relative to the start [m].
+        recorded: positions relative to the start [m].
     """
     lines = -(-len(recorded) // COLUMNS)
     figure = Figure(figsize=(14, 3.2 * lines), layout="constrained")
-    figure.suptitle(f"{model}: regions that hold the vehicle with 50, 80 and 95 % after 1, 3 and 5 s", fontsize=10)
+    figure.suptitle(
+        f"{display_name(model)}: regions that contain the vehicle with 50, 80 and 95 % after 1, 3 and 5 s", fontsize=10
+    )
     panels = figure.subplots(lines, COLUMNS, squeeze=False).ravel()
     for number, axes in enumerate(panels):
         if number >= len(recorded):
@@ -72,7 +75,7 @@ def draw_regions(found: SpreadPrediction, recorded: Float[np.ndarray, "B T 2"], 
 
 
 def ellipses(found: SpreadPrediction, number: int) -> list[Ellipse]:
-    """Regions of a window, larger ones paler, in the frame of its start."""
+    """Return the regions of a window in the frame of its start."""
     drawn = []
     for probability in NOMINAL:
         half = found.region(probability)[number].numpy()

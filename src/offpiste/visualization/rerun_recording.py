@@ -1,16 +1,17 @@
 """Rerun recordings (rerun.io) of a drive: images, features, scans, map and wheel tracks over time.
 
-Data is streamed to the file, so memory does not grow with the drive. Places are relative to where the vehicle was
-first, because viewers count in float32.
+Data is streamed to the file, so that memory does not grow with the drive. Positions are relative to the vehicle's first
+position, because viewers use float32.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 from matplotlib import colormaps
 
 from offpiste.core.errors import extra
@@ -19,18 +20,23 @@ from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.perception.projection import CameraView
 from offpiste.report.feature_colours import colours
 from offpiste.visualization.map_figure import STEEP, TALL
-from offpiste.visualization.mesh import Tile, cell_centres, grid_triangles, tiles
 
 OFFSET: Final = np.array([-14.0, -14.0, 11.0])
-"""Offset of the viewer's eye from the vehicle's first place [m]."""
+"""Offset of the viewer's eye from the vehicle's first position [m]."""
+EPOCH: Final = 1e8
+"""Times above this are dates; smaller times count from the log's zero [s]."""
+GREY: Final = np.array([120, 120, 120], np.uint8)
+"""Colour of ground without features."""
+TILE: Final = 100
+"""Number of cells along the side of a tile: 20 m of a map of 0.2 m."""
 
 
 def following_eye(vehicle: str, start: Float[np.ndarray, " 3"]) -> Any:
-    """Viewer's eye above and beside a vehicle, following it.
+    """Return the controls of a viewer's eye that follows a vehicle.
 
     Args:
-        vehicle: its entity.
-        start: its first place [m], in the recording's frame.
+        vehicle: entity of the vehicle.
+        start: its first position in the recording's frame [m].
     """
     import rerun.blueprint as rrb
 
@@ -39,23 +45,67 @@ def following_eye(vehicle: str, start: Float[np.ndarray, " 3"]) -> Any:
     )
 
 
-EPOCH: Final = 1e8
-"""Times above this are dates, those below count from the log's own zero [s]."""
+@dataclass(frozen=True)
+class Tile:
+    """Square part of a map at a fixed position in the world.
 
-GREY: Final = np.array([120, 120, 120], np.uint8)
-"""Colour of what no camera has seen."""
+    Attributes:
+        place: x and y of the tile, in tiles.
+        rows, columns: of the map, in steps, with one more at the upper ends so that tiles meet.
+    """
+
+    place: tuple[int, int]
+    rows: slice
+    columns: slice
+
+
+def tiles(layers: TerrainLayers, step: int) -> Iterator[Tile]:
+    """Yield the tiles that a map covers, at least in part.
+
+    Args:
+        step: between the cells that are taken, the same cells wherever the map is; divides `TILE`.
+    """
+    low = np.floor(layers.origin / layers.resolution).astype(int).tolist()  # cell i covers [i, i + 1) cells
+    ny, nx = layers.known.shape
+    for y in range(low[1] // TILE, (low[1] + ny - 1) // TILE + 1):
+        for x in range(low[0] // TILE, (low[0] + nx - 1) // TILE + 1):
+            yield Tile((x, y), _between(y, low[1], ny, step), _between(x, low[0], nx, step))
+
+
+def grid_triangles(known: Bool[np.ndarray, "h w"]) -> Int[np.ndarray, "T 3"]:
+    """Return two triangles, counter-clockwise from above, for each square of four known cells, by index."""
+    number = np.where(known, np.cumsum(known).reshape(known.shape) - 1, -1)
+    a, b, c, d = number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]
+    whole = (a >= 0) & (b >= 0) & (c >= 0) & (d >= 0)
+    lower, upper = np.stack((a, b, d), axis=-1)[whole], np.stack((a, d, c), axis=-1)[whole]
+    return np.concatenate((lower, upper))
+
+
+def cell_centres(layers: TerrainLayers, tile: Tile) -> Float[np.ndarray, "h w 3"]:
+    """Return the positions of a tile's cells on the ground [m]."""
+    ny, nx = layers.known.shape
+    x = layers.origin[0] + layers.resolution * np.arange(nx)[tile.columns]
+    y = layers.origin[1] + layers.resolution * np.arange(ny)[tile.rows]
+    xx, yy = np.meshgrid(x, y)
+    return np.stack((xx, yy, layers.elevation[tile.rows, tile.columns]), axis=-1)
+
+
+def _between(tile: int, low: int, count: int, step: int) -> slice:
+    first = max(tile * TILE, low)
+    first += -first % step
+    return slice(first - low, min((tile + 1) * TILE + 1, low + count) - low, step)
 
 
 @dataclass(frozen=True)
 class RecordingSettings:
-    """How much goes into the file.
+    """Amount of data in a recording.
 
     Attributes:
-        scan_points: of one scan, evenly chosen, at most.
-        scan_interval: between two scans [s].
-        map_metres: the map is written when the vehicle has gone so far [m].
-        map_step: every so many cells of the map; divides 100.
-        quality: of images, as JPEG has it.
+        scan_points: largest number of points of a scan, evenly chosen.
+        scan_interval: time between two scans [s].
+        map_metres: distance driven between two updates of the map [m].
+        map_step: step between the cells of the map that are written; divides `TILE`.
+        quality: JPEG quality of images.
     """
 
     scan_points: int = 10_000
@@ -67,7 +117,7 @@ class RecordingSettings:
 
 @dataclass
 class _Written:
-    """What is in the file already."""
+    """Data already in the file."""
 
     images: dict[str, float] = field(default_factory=dict)
     scan: float = -np.inf
@@ -76,10 +126,9 @@ class _Written:
 
 
 class Recorder:
-    """Writes one recording.
+    """Writer of one recording.
 
     Args:
-        path: of the file.
         origin: of the recording in the world frame [m].
         limits: colours of the features; None without features.
 
@@ -105,12 +154,12 @@ class Recorder:
         self._stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
 
     def close(self) -> None:
-        """Write what is left."""
+        """Write buffered data and close the file."""
         self._stream.flush()
         self._stream.disconnect()
 
     def add_path(self, wheels: Float[np.ndarray, "N 4 3"]) -> None:
-        """Where the wheels go, shown at all times [m]; NaN where unknown."""
+        """Add the tracks of the wheels, shown at all times [m]; NaN if unknown."""
         strips = [
             strip.astype(np.float32) for number in range(4) for strip in _unbroken(wheels[:, number] - self._origin)
         ]
@@ -118,7 +167,7 @@ class Recorder:
         self._stream.log("world/wheels", rr.LineStrips3D(strips, radii=0.05, colors=[230, 80, 30]), static=True)
 
     def add_vehicle(self, wheels: Float[np.ndarray, "4 2"]) -> None:
-        """A frame through the wheels, and an arrow ahead, around the pose point [m]."""
+        """Add a frame through the wheels and an arrow ahead, around the pose point [m]."""
         rr, corners = self._rr, np.pad(wheels[[0, 1, 3, 2, 0]], ((0, 0), (0, 1)))
         self._stream.log(
             "world/vehicle/frame", rr.LineStrips3D([corners], radii=0.06, colors=[20, 90, 200]), static=True
@@ -127,7 +176,7 @@ class Recorder:
         self._stream.log("world/vehicle/ahead", ahead, static=True)
 
     def add(self, moment: Moment, world_from_body: Float[np.ndarray, "4 4"]) -> None:
-        """What is new at this moment."""
+        """Add the new data of a moment."""
         for view, image, features in zip(moment.views, moment.images, moment.features, strict=True):
             if self._written.images.get(view.camera.name) != view.time:
                 self._written.images[view.camera.name] = view.time
@@ -142,7 +191,7 @@ class Recorder:
             self.add_map(moment)
 
     def add_map(self, moment: Moment) -> None:
-        """Tiles of the map that have become better known since they were last written."""
+        """Add the tiles of the map with news since they were last written."""
         self._at(moment.time)
         self._written.map_at = moment.vehicle.copy()
         for tile in tiles(moment.layers, self._settings.map_step):
@@ -192,13 +241,13 @@ class Recorder:
         self._stream.log("world/scan", self._rr.Points3D(points, colors=shade, radii=0.04))
 
     def _has_news(self, layers: TerrainLayers, tile: Tile) -> bool:
-        """More cells known, or seen from clearly nearer."""
+        """Whether clearly more cells are known or were seen from nearby than when the tile was last written."""
         part = tile.rows, tile.columns
         count, near = int(layers.known[part].sum()), layers.distance[part][layers.valid[part]]
         seen = float((1 / np.maximum(near, 2.0)).sum())
         before = self._written.tiles.get(tile.place, (0, 0.0))
         news = count > 1.03 * before[0] or seen > 1.15 * before[1]
-        # A tile that leaves the map shrinks; what was written of it stays.
+        # A tile that leaves the map shrinks; its last state stays in the file.
         if news and count >= before[0]:
             self._written.tiles[tile.place] = count, seen
             return True
@@ -247,7 +296,7 @@ class Recorder:
 
 
 def _blueprint(cameras: tuple[str, ...], features: bool) -> Any:
-    """How a viewer arranges it: the world, and beside it images and their features. Slopes are there, but not shown."""
+    """Return the layout of a viewer: the world, and beside it images and their features; slopes are hidden."""
     import rerun.blueprint as rrb
 
     world = rrb.Spatial3DView(
@@ -265,7 +314,7 @@ def _blueprint(cameras: tuple[str, ...], features: bool) -> Any:
 
 
 def _unbroken(path: Float[np.ndarray, "N 3"]) -> list[Float[np.ndarray, "_ 3"]]:
-    """Pieces of a path between places that are unknown."""
+    """Return the pieces of a path between unknown positions."""
     known = np.isfinite(path).all(axis=1)
     edges = np.flatnonzero(np.diff(known.astype(int), prepend=0, append=0))
     return [path[a:b] for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a > 1]

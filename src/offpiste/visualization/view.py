@@ -1,4 +1,4 @@
-"""Shows a log or a dataset, whichever a path is."""
+"""Pictures of a log or a dataset: `offpiste view`."""
 
 import logging
 from collections.abc import Sequence
@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from offpiste.core.conventions import DT
 from offpiste.core.errors import LogError, RigError
 from offpiste.core.files import check_folder, unfinished
 from offpiste.dataset.splits import PARTS
@@ -20,13 +21,12 @@ from offpiste.report.figure import BLUE, INK, ORANGE, PURPLE, SOFT, coloured_pat
 from offpiste.report.page import Page, Section, picture, write_page
 from offpiste.rig.channels import Clock
 from offpiste.rig.rig import load_rig
-from offpiste.visualization.coverage_figures import coverage_sections
-from offpiste.visualization.coverage_tables import (
+from offpiste.visualization.coverage import (
     FeatureCoverage,
+    coverage_sections,
     headline,
     measure_coverage,
     path_of,
-    seconds_of,
     tables,
 )
 from offpiste.visualization.predicted_regions import view_regions
@@ -35,25 +35,29 @@ from offpiste.visualization.view_log import view_log
 logger = logging.getLogger(__name__)
 
 PART_COLOURS = {-1: SOFT, 0: BLUE, 1: ORANGE, 2: PURPLE}
-"""Colours of the split's parts, by label; -1 is in no part."""
+"""Colours of the split's parts, by label; -1: no part."""
 
 FASTEST = 0.995
-"""Share of the rows whose speeds the colours cover: beside gaps a few smoothed ones are far off."""
+"""Quantile of the speeds at the end of the colour scale; smoothed speeds beside gaps may be far off."""
 
 _UNFINISHED = ".offpiste-view"
-"""Hidden file of a folder of pictures that is not written whole."""
+"""Hidden file that marks an unfinished folder of pictures."""
 
 DRIVES_A_PAGE = 6
 """Number of drives in one picture."""
 
 
 def pages(drives: Sequence[StoredDrive]) -> list[list[StoredDrive]]:
-    """Drives in groups that one picture can show."""
+    """Return the drives in groups of one picture each."""
     return [list(drives[first : first + DRIVES_A_PAGE]) for first in range(0, len(drives), DRIVES_A_PAGE)]
 
 
+def _seconds(drive: StoredDrive) -> float:
+    return len(drive.rows.time) * DT
+
+
 def draw_paths(drives: Sequence[StoredDrive]) -> Figure:
-    """Paths of drives, a row of panels each: by part of the split, and by speed."""
+    """Draw the paths of drives, a row of panels each: by part of the split, and by speed."""
     figure = Figure(figsize=(11, 0.4 + 4.6 * len(drives)), dpi=120, layout="constrained")
     panels = figure.subplots(len(drives), 2, squeeze=False)
     for drive, (left, right) in zip(drives, panels, strict=True):
@@ -78,7 +82,7 @@ def draw_paths(drives: Sequence[StoredDrive]) -> Figure:
 
 def _draw_parts(axes: Axes, drive: StoredDrive) -> None:
     path, part = path_of(drive), drive.part
-    plain(axes, f"{drive.name}: {seconds_of(drive):.0f} s, {drive.rows.distance / 1000:.2f} km")
+    plain(axes, f"{drive.name}: {_seconds(drive):.0f} s, {drive.rows.distance / 1000:.2f} km")
     present = [label for label in PART_COLOURS if (part == label).any()]
     for label in present:
         mine = np.where((part == label)[:, None], path, np.nan)
@@ -108,12 +112,8 @@ def view_dataset(dataset: Dataset, out: Path) -> list[Path]:
 
 
 def dataset_page(dataset: Dataset, result: FeatureCoverage | None) -> Page:
-    """Report of a dataset.
-
-    Args:
-        found: None for a dataset without visual features.
-    """
-    without = "no visual features by distance: extract with --pca for a report on them"
+    """Return the report of a dataset, with the coverage of its visual features if it has any."""
+    without = "no visual features by distance; extract with --pca to report on them"
     caption = "Left: parts of the split. Right: speed. Drives start at the white dot."
     sheets = pages(dataset.drives)
     names = [f"paths-{number}" for number in range(1, len(sheets) + 1)] if len(sheets) > 1 else ["paths"]
@@ -132,17 +132,17 @@ def _facts(dataset: Dataset) -> dict[str, str]:
         "dataset": str(dataset.path),
         "rig": dataset.rig.name,
         "split": dataset.split.text,
-        "drives": f"{len(drives)}, {sum(map(seconds_of, drives)):.0f} s, "
+        "drives": f"{len(drives)}, {sum(map(_seconds, drives)):.0f} s, "
         f"{sum(drive.rows.distance for drive in drives) / 1000:.2f} km",
         "features": f"{len(dataset.features)}: {', '.join(dataset.features)}" if dataset.features else "none",
     }
 
 
 def parse_stretch(text: str) -> tuple[float, float]:
-    """First and last second after the log's first pose, from "A:B", "A:" or ":B" [s]; all of it from "".
+    """Parse an interval "A:B", "A:", ":B" or "" (the whole log) in seconds after the first pose.
 
     Raises:
-        LogError: not such a text, or nothing between.
+        LogError: the text has another form, or the interval is empty.
     """
     first, colon, last = (text or ":").partition(":")
     try:
@@ -151,7 +151,7 @@ def parse_stretch(text: str) -> tuple[float, float]:
             return start, end
     except ValueError:
         pass
-    raise LogError(f"not a stretch: '{text}'", how="write --seconds A:B, A: or :B, seconds after the log's first pose")
+    raise LogError(f"not an interval: '{text}'", how="give --seconds A:B, A: or :B in seconds after the first pose")
 
 
 def view(
@@ -165,15 +165,18 @@ def view(
     rrd: bool = True,
     device: str = "cpu",
 ) -> list[Path]:
-    """Write pictures of a log or a dataset into a folder that is empty, not there yet, or of an earlier view.
+    """Write pictures of a log or a dataset into a folder that is new, empty or of an earlier view.
 
     Args:
-        rig, pca, seconds, rrd, device: of a log: a preset's name or a file, a file of `fit-pca` (None: no features),
-            a stretch "A:B", whether to write a Rerun recording, and where the backbone runs.
-        run: of a dataset: a trained run with a spread, whose predicted regions are drawn.
+        rig: preset or file, for logs.
+        pca: file of `fit-pca`, for logs; None: no features.
+        run: trained run with a spread, for datasets; its predicted regions are drawn.
+        seconds: interval "A:B", for logs (`parse_stretch`).
+        rrd: whether to write a Rerun recording, for logs.
+        device: of the backbone.
 
     Returns:
-        what was written, each whole.
+        Paths of the files, each written whole.
 
     Raises:
         LogError, RigError, PerceptionError, DatasetError, RunError: the path is neither, or cannot be viewed.
@@ -181,15 +184,14 @@ def view(
     check_folder(out, own=(_UNFINISHED, "sensors.png", "paths*.png"))
     if (path / "zarr.json").exists():
         if rig or pca or seconds:
-            logger.info(
-                "a dataset is viewed whole, with the rig that it was made with: --rig, --pca and --seconds do nothing"
-            )
+            logger.info("--rig, --pca and --seconds are ignored: a dataset is viewed as a whole, with its own rig")
         dataset = open_dataset(path)
         with unfinished(out, _UNFINISHED):
             return view_dataset(dataset, out) + ([] if run is None else [view_regions(run, dataset, out)])
     stretch = parse_stretch(seconds)
     if rig is None:
-        raise _without_rig(path)
+        _open(path)
+        raise RigError("a log requires a rig", where=path, how="give --rig; `offpiste inspect` drafts one")
     vehicle = load_rig(rig)
     extractor = load_feature_extractor(pca, device) if pca is not None else None
     log = _open(path, vehicle.clock)
@@ -197,14 +199,9 @@ def view(
         return view_log(log, vehicle, out, extractor=extractor, stretch=stretch, rrd=rrd)
 
 
-def _without_rig(path: Path) -> RigError:
-    _open(path)
-    return RigError("a log is viewed through its rig", where=path, how="give --rig; `offpiste inspect` drafts one")
-
-
 def _open(path: Path, clock: Clock | None = None) -> Log:
     if path.is_dir() and not any(path.iterdir()):
-        raise LogError("an empty folder, neither a log nor a dataset", where=path)
+        raise LogError("an empty folder", where=path, how="give a log or a dataset")
     try:
         return open_log(path, clock=clock)
     except LogError as error:

@@ -1,17 +1,17 @@
-"""Pictures of a recorded drive: its sensors and its map; and a Rerun recording."""
+"""Pictures and a Rerun recording of a recorded drive: sensors and map."""
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from matplotlib.figure import Figure
+from matplotlib.ticker import FormatStrFormatter, LogLocator, NullLocator
 
 from offpiste.core.errors import LogError, RigError, installation_of, is_installed
-from offpiste.core.files import write_bytes
 from offpiste.core.progress import track
 from offpiste.inspection.map_health import check_map_health, find_pits, map_health
 from offpiste.inspection.sensor_samples import gather
@@ -20,41 +20,43 @@ from offpiste.logs.sensor_log import SensorLog, open_sensors
 from offpiste.mapping.replay import MapperSettings, Moment, pinhole_cameras, replay
 from offpiste.mapping.terrain_map import wheel_positions
 from offpiste.perception.feature_extractor import FeatureExtractor
-from offpiste.report.figure import png
+from offpiste.report.figure import BLUE, GREEN, ORANGE, plain, write_png
 from offpiste.rig.rig import Rig
-from offpiste.visualization.images import Album, contact_sheet, times_between, write_png
+from offpiste.visualization.images import Album, contact_sheet, times_between, write_image
 from offpiste.visualization.map_figure import FEATURED, Mosaic, draw_map
 from offpiste.visualization.rerun_recording import Recorder
-from offpiste.visualization.sensor_timing import draw_sensors, stamps_of
 
 logger = logging.getLogger(__name__)
 
 PATCH = 14
-"""Side of a patch where no features are computed [px]."""
+"""Side of a patch without features [px]."""
 
 PATH_STEP = 0.1
-"""Time between places of the wheels' tracks [s]."""
+"""Time between points of the wheels' tracks [s]."""
 
 EARLIER = 1.0
-"""Images are processed from this long before the first scan [s]."""
+"""Time before the first scan from which images are processed [s]."""
 
 MOSAIC_METRES = 2.0
-"""The mosaic is updated when the vehicle has driven this far [m]."""
+"""Distance driven between updates of the mosaic [m]."""
 
 NEAR = 25.0
-"""Half the side of the closer map [m]."""
+"""Half the side of the detailed map [m]."""
+
+LONG = 3.0
+"""Shortest gap between messages, in usual intervals."""
 
 
 @dataclass(frozen=True)
 class _Drive:
-    """A stretch of a drive that is played back.
+    """Interval of a drive to play back.
 
     Attributes:
-        start, end: first and last scan of the stretch [s].
-        scans: how many there are.
-        limits: colours of the features; None without.
-        poses: `world_from_body` every `PATH_STEP` of the stretch.
-        wheels: places of the wheels then [m].
+        start, end: first and last scan of the interval [s].
+        scans: number of scans.
+        limits: colours of the features; None without features.
+        poses: `world_from_body` every `PATH_STEP`.
+        wheels: positions of the wheels at the poses [m].
     """
 
     log: SensorLog
@@ -81,13 +83,13 @@ def view_log(
     Args:
         extractor: computes the features of images.
         stretch: first and last second after the first pose [s].
-        rrd: write a recording, too; without its package a line says so, and pictures are made all the same.
+        rrd: whether to write a recording; ignored with a message without its package.
 
     Returns:
-        what was written, each whole.
+        Paths of the files, each written whole.
 
     Raises:
-        LogError, RigError: nothing of this log, or of this stretch, can be viewed with this rig.
+        LogError, RigError: the interval has no data that can be viewed with this rig.
     """
     drive = _open(log, rig, extractor, stretch)
     sensors = drive.log
@@ -95,11 +97,11 @@ def view_log(
         logger.info(f"  {note}")
     if rrd and not is_installed("rerun"):
         logger.info(
-            f"no recording: rerun-sdk is not installed ({installation_of('view')}); pictures are made without it"
+            f"no recording, since rerun-sdk is not installed ({installation_of('view')}); writing pictures only"
         )
         rrd = False
     written = [out / "sensors.png"]
-    write_bytes(written[0], png(draw_sensors(stamps_of(sensors), stretch)))
+    write_png(written[0], draw_sensors(stamps_of(sensors), stretch))
     reach = MapperSettings().map.voxels
     known = drive.poses[np.isfinite(drive.poses).all(axis=(1, 2)), :2, 3]
     health = map_health(sensors.lidars, gather(sensors, {}), sensors.poses)
@@ -115,7 +117,7 @@ def view_log(
     written += _write_maps(drive, mosaic, last, out)
     ground = mosaic.ground().known
     logger.info(
-        f"{drive.end - drive.start:.1f} s; {(ground > 0).sum() * (reach.size * mosaic.step) ** 2:.0f} m2 of ground, "
+        f"{drive.end - drive.start:.1f} s; {(ground > 0).sum() * (reach.size * mosaic.step) ** 2:.0f} m² of ground, "
         f"{(ground == FEATURED).sum() / max((ground > 0).sum(), 1):.0%} of it with features"
     )
     return written
@@ -124,42 +126,39 @@ def view_log(
 def _open(log: Log, rig: Rig, extractor: FeatureExtractor | None, stretch: tuple[float, float]) -> _Drive:
     if not rig.lidars and not rig.cameras:
         raise RigError(
-            f"rig '{rig.name}' names no cameras and no LiDARs, so there is nothing to see",
+            f"rig '{rig.name}' has neither cameras nor LiDARs to view",
             where=log.path,
             how="add [cameras.NAME] and [lidars.NAME] (docs/rig.md); `offpiste inspect` shows the other channels",
         )
     sensors = open_sensors(log, rig)
     if not sensors.lidars:
         raise LogError(
-            f"has cameras ({', '.join(sensors.cameras)}) and no LiDAR, without which there is no map",
+            f"has cameras ({', '.join(sensors.cameras)}) but no LiDAR, which a map requires",
             where=log.path,
-            how="record a LiDAR too, or name it in the rig",
+            how="record a LiDAR too, or add it to the rig",
         )
     first, last = sensors.poses.span
     scans = np.concatenate([sensors.stamps(name) for name in sensors.lidars])
     scans = scans[(scans >= max(first, first + stretch[0])) & (scans <= min(last, first + stretch[1]))]
     if not len(scans):
         raise LogError(
-            f"no scan from {stretch[0]:g} to {stretch[1]:g} s; its poses last {last - first:.1f} s",
+            f"no scan from {stretch[0]:g} to {stretch[1]:g} s; its poses cover {last - first:.1f} s",
             where=log.path,
             how="change --seconds",
         )
     start, end = float(scans.min()), float(scans.max())
     poses = sensors.poses.at(np.append(np.arange(start, end, PATH_STEP), end))
     if not np.isfinite(poses).all(axis=(1, 2)).any():
-        raise LogError("no pose in that stretch", where=log.path, how="change --seconds")
-    spread = None if extractor is None else 2 * np.sqrt(extractor.pca.variance[:3].astype(np.float64))
-    limits = None if spread is None else np.stack((-_three(spread), _three(spread)))
+        raise LogError("no pose in that interval", where=log.path, how="change --seconds")
+    limits = None
+    if extractor is not None:  # two standard deviations of the first three components; missing ones do not vary
+        spread = 2 * np.sqrt(extractor.pca.variance[:3].astype(np.float64))
+        limits = np.pad(np.stack((-spread, spread)), ((0, 0), (0, 3 - len(spread))))
     return _Drive(sensors, extractor, start, end, len(scans), limits, poses, _wheels(poses, rig))
 
 
-def _three(spread: Float[np.ndarray, " n"]) -> Float[np.ndarray, " 3"]:
-    """Two standard deviations of the first three components; a lacking one does not vary."""
-    return np.pad(spread, (0, 3 - len(spread)))
-
-
 def _wheels(poses: Float[np.ndarray, "N 4 4"], rig: Rig) -> Float[np.ndarray, "N 4 3"]:
-    """Places of the wheels at the height of the pose point."""
+    """Return the positions of the wheels at the height of the pose point."""
     yaw = np.arctan2(poses[:, 1, 0], poses[:, 0, 0])
     places = wheel_positions(poses[:, :2, 3], yaw, rig.wheel_positions())
     return np.concatenate((places, np.repeat(poses[:, None, 2:3, 3], 4, axis=1)), axis=2)
@@ -167,7 +166,7 @@ def _wheels(poses: Float[np.ndarray, "N 4 4"], rig: Rig) -> Float[np.ndarray, "N
 
 @contextmanager
 def _recording(drive: _Drive, path: Path | None) -> Iterator[Recorder | None]:
-    """A recorder whose file is in its place when all went well, and nowhere otherwise."""
+    """Yield a recorder whose file is kept only on success."""
     if path is None:
         yield None
         return
@@ -202,30 +201,30 @@ def _play(drive: _Drive, mosaic: Mosaic, album: Album, recorder: Recorder | None
         if recorder is not None:
             recorder.add(moment, log.poses.at(np.array([moment.time]))[0])
     if moment is None:
-        raise LogError("no scan in that stretch whose pose is known", where=log.path, how="change --seconds")
+        raise LogError("no scan in that interval has a pose", where=log.path, how="change --seconds")
     mosaic.add(moment.layers)
     if recorder is not None:
         recorder.add_map(moment)
     pits = int(find_pits(moment.layers.elevation).sum())
     logger.info(
-        f"  {ghosts / max(returns, 1):.3%} of the returns below the ground left out; {pits} pits in the last map"
+        f"  removed {ghosts / max(returns, 1):.3%} of the returns, below the ground; {pits} pits in the last map"
     )
     return moment
 
 
 def _blind(pixels: np.ndarray) -> np.ndarray:
-    """No features."""
+    """Return no features."""
     return np.zeros((1, 1, 0), np.float32)
 
 
 def _write_album(album: Album, out: Path) -> list[Path]:
-    """A line a moment, a column a camera; moments side by side where there is one camera."""
+    """Write a line for each moment and a column for each camera; moments side by side with one camera."""
     written = []
     side_by_side = album.cameras if album.cameras > 1 else 2
     for name, pictures, columns in (("overlay", album.overlays, side_by_side), ("features", album.besides, 1)):
         if pictures:
             written.append(out / f"{name}.png")
-            write_png(written[-1], contact_sheet(pictures, columns))
+            write_image(written[-1], contact_sheet(pictures, columns))
     return written
 
 
@@ -234,11 +233,62 @@ def _write_maps(drive: _Drive, mosaic: Mosaic, last: Moment, out: Path) -> list[
     middle = drive.wheels[len(drive.wheels) // 2, :, :2].mean(axis=0)
     here = middle if np.isfinite(middle).all() else last.vehicle[:2]
     figures: dict[str, Figure] = {
-        "map": draw_map(ground.trimmed(), wheels, drive.limits, title=f"{drive.log.path.name}: all ground seen"),
+        "map": draw_map(ground.trimmed(), wheels, drive.limits, title=f"{drive.log.path.name}: all observed ground"),
         "map-near": draw_map(
-            ground.cropped(here - NEAR, here + NEAR), wheels, drive.limits, title="halfway, as it was held last"
+            ground.cropped(here - NEAR, here + NEAR), wheels, drive.limits, title="around the middle of the drive"
         ),
     }
     for name, figure in figures.items():
-        write_bytes(out / f"{name}.png", png(figure))
+        write_png(out / f"{name}.png", figure)
     return [out / f"{name}.png" for name in figures]
+
+
+def stamps_of(log: SensorLog) -> dict[str, Float[np.ndarray, " _"]]:
+    """Return the sorted times of poses, cameras and LiDARs, after the first pose [s]."""
+    first = log.poses.span[0]
+    result = {"poses": log.poses.position.time, **{name: log.stamps(name) for name in (*log.cameras, *log.lidars)}}
+    return {name: np.sort(time) - first for name, time in result.items()}
+
+
+def gaps(time: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " _"]:
+    """Return a mask of the n - 1 intervals between messages that are gaps: longer than three usual intervals."""
+    steps = np.diff(time)
+    return steps > LONG * np.median(steps) if len(steps) else np.zeros(0, bool)
+
+
+def draw_sensors(stamps: Mapping[str, Float[np.ndarray, " _"]], stretch: tuple[float, float]) -> Figure:
+    """Draw the times of each sensor's messages, and the intervals between them.
+
+    Args:
+        stamps: sorted times of each sensor [s].
+        stretch: viewed interval of the log, which is marked; its end may be infinite [s].
+    """
+    figure = Figure(figsize=(12, 2.6 + 0.34 * len(stamps) + 1.6), dpi=120, layout="constrained")
+    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(0.5 + 0.34 * len(stamps), 2.6))
+    plain(above, "messages of each sensor; orange: gaps of more than three usual intervals")
+    plain(below, "time between messages")
+    for line, (name, time) in enumerate(stamps.items()):
+        steps, gap = np.diff(time), gaps(time)
+        colour = GREEN if name == "poses" else BLUE
+        begins, ends = time[:-1][~gap], time[1:][~gap]
+        above.hlines(np.full(len(begins), line), begins, ends, color=colour, linewidth=7)
+        above.hlines(np.full(int(gap.sum()), line), time[:-1][gap], time[1:][gap], color=ORANGE, linewidth=3)
+        below.plot(time[1:], steps, ".", markersize=3, label=_described(name, time), alpha=0.6)
+    last = max((float(time[-1]) for time in stamps.values() if len(time)), default=1.0)
+    for axes in (above, below):
+        axes.axvspan(stretch[0], min(stretch[1], last), color=BLUE, alpha=0.06)
+    above.set_yticks(range(len(stamps)), list(stamps))
+    above.set_ylim(len(stamps) - 0.5, -0.5)
+    below.set(xlabel="time after the first pose [s]", ylabel="[s]", yscale="log")
+    below.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    below.yaxis.set_major_formatter(FormatStrFormatter("%g"))
+    below.yaxis.set_minor_locator(NullLocator())
+    below.legend(frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    return figure
+
+
+def _described(name: str, time: Float[np.ndarray, " n"]) -> str:
+    if len(time) < 2:
+        return f"{name}: {len(time)} messages"
+    count = int(gaps(time).sum())
+    return f"{name}: {len(time)}, {1 / np.median(np.diff(time)):.1f} Hz" + (f", {count} gaps" if count else "")

@@ -77,9 +77,6 @@ def test_experiments_refuse_a_reproduction_that_was_made_anew_with_another_size(
     more_seeds = {"size": asdict(replace(TINY, seeds=5)), "dataset": "simulated"}
     (folder / "settings.json").write_text(json.dumps(more_seeds))
     ControlExperiment("strata", folder, out).run()
-    size = older.pop("size")
-    save_json(out / "settings.json", older)
-    ControlExperiment("strata", folder, out).run()
-    save_json(out / "settings.json", older | {"size": size | {"stride": 7}})
+    save_json(out / "settings.json", older | {"size": older["size"] | {"stride": 7}})
     with pytest.raises(RunError, match=r"was begun with other settings \(size.stride\)"):
         ControlExperiment("strata", folder, out).run()

@@ -1,4 +1,4 @@
-"""Figures of an evaluation's report, each registered where it is defined (docs/extending.md)."""
+"""Registry of the figures in an evaluation's report (docs/extending.md)."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,16 +15,16 @@ from offpiste.evaluation.metrics import Case
 from offpiste.report.chart import Chart
 
 Draw = Callable[[Evaluation], Chart | Figure | None]
-"""Draws a figure of an evaluation: a chart, or a Matplotlib figure without interaction; None: nothing to draw."""
+"""Function from an evaluation to a chart, or to a static Matplotlib figure; None if there is nothing to draw."""
 
 
 @dataclass(frozen=True)
 class ReportFigure:
-    """A figure of the report.
+    """Figure of the report.
 
     Attributes:
-        section: heading below which it stands; a heading that the report does not have begins a section at its end.
-        caption: text below it.
+        section: heading of its section; an unknown heading adds a section at the end of the report.
+        caption: text below the figure.
     """
 
     section: str
@@ -36,11 +36,11 @@ REPORT_FIGURES: Final[Registry[ReportFigure]] = Registry("figure of the report",
 
 
 def report_figure(name: str, *, section: str, caption: str) -> Callable[[Draw], Draw]:
-    """Add the function that it decorates to the report's figures.
+    """Register a function as a figure of the report.
 
     Args:
         name: of the PNG file beside the report, without the ending.
-        section, caption: as of `ReportFigure`.
+        section, caption: see `ReportFigure`.
     """
 
     def add(draw: Draw) -> Draw:
@@ -51,37 +51,34 @@ def report_figure(name: str, *, section: str, caption: str) -> Callable[[Draw], 
 
 
 def main_start(evaluation: Evaluation) -> str:
-    """The start of predictions that figures show: the first one."""
+    """Return the start of predictions that figures show: the first one."""
     return evaluation.metrics.results[0].start
 
 
 def title_of(evaluation: Evaluation) -> str:
-    """Title of a figure: part of the split and start of predictions."""
+    """Return the title of a figure: part of the split and start of predictions."""
     return f"{evaluation.metrics.part} part, {main_start(evaluation)} start"
 
 
 def distance_errors(evaluation: Evaluation) -> dict[str, Float[np.ndarray, " n"]]:
-    """Distance errors after 5 s by model and terrain lookup, in the order of the models' medians."""
+    """Return distance errors after 5 s by model and terrain lookup, sorted by the models' medians."""
     return {case.reading_label: evaluation.errors[case].distance() for case in _ordered_cases(evaluation)}
 
 
 def deciding_errors(evaluation: Evaluation) -> dict[str, Float[np.ndarray, " n"]]:
-    """Distance errors after 5 s by model, with the terrain lookup that decides: the map where there is one.
-
-    Curves of several lookups of one model would lie on each other.
-    """
+    """Return distance errors after 5 s by model, with the deciding terrain lookup."""
     return {case.reading_label: evaluation.errors[case].distance() for case in deciding_cases(evaluation)}
 
 
 def deciding_cases(evaluation: Evaluation) -> list[Case]:
-    """Cases of the first start with the terrain lookup that decides: the map where there is one."""
+    """Return the cases of the first start with the deciding terrain lookup: the map if there is one."""
     cases = _ordered_cases(evaluation)
     mapped = {case.label for case in cases if case.lookup == "map"}
     return [case for case in cases if case.lookup != "recorded" or case.label not in mapped]
 
 
 def _ordered_cases(evaluation: Evaluation) -> list[Case]:
-    """Cases of the first start: models by the median of their errors, the worst first; their lookups side by side."""
+    """Return the cases of the first start, models with the largest median error first, sorted by lookup for each."""
     cases = [case for case in evaluation.errors if case.start == main_start(evaluation)]
     median = dict.fromkeys((case.label for case in cases), 0.0)
     for case in cases:

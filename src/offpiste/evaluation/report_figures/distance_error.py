@@ -1,4 +1,4 @@
-"""Figures of the distance error: box plot, distribution, growth with the horizon, by speed at the start."""
+"""Figures of the distance error: box plot, distribution, growth with the horizon, dependence on initial speed."""
 
 from collections.abc import Mapping, Sequence
 
@@ -12,33 +12,33 @@ from offpiste.evaluation.report_figures import deciding_errors, distance_errors,
 from offpiste.report.chart import Chart, Line, Panel, by_end
 
 CAPTION_BOX_PLOT = (
-    "Distance error after 5 s. Boxes: quartiles; whiskers: last value within 1.5 IQR; line in the box: median; orange: "
-    "mean. Values beyond the whiskers are not drawn."
+    "Distance error after 5 s. Boxes: quartiles; whiskers: last value within 1.5 IQR; green: median; orange: mean. "
+    "Values beyond the whiskers are not drawn."
 )
 
 
 @report_figure("box", section="Mean distance error by horizon", caption=CAPTION_BOX_PLOT)
 def draw_box_plot(evaluation: Evaluation) -> Chart:
-    """Distance errors after 5 s by model and terrain lookup."""
+    """Draw distance errors after 5 s by model and terrain lookup."""
     return box_chart(distance_errors(evaluation), title=title_of(evaluation))
 
 
-CAPTION_DISTRIBUTION = "Share of windows whose distance error after 5 s stays below a value."
+CAPTION_DISTRIBUTION = "Share of windows with a distance error after 5 s below a value."
 
 
 @report_figure("distribution", section="Distribution", caption=CAPTION_DISTRIBUTION)
 def draw_distribution(evaluation: Evaluation) -> Chart:
-    """Distribution of each model's errors, with the terrain lookup that decides."""
+    """Draw the distribution of each model's errors, with the deciding terrain lookup."""
     return distribution_plot(deciding_errors(evaluation), title=title_of(evaluation))
 
 
 def distribution_plot(errors: Mapping[str, Float[np.ndarray, " n"]], *, title: str = "") -> Chart:
-    """Share of windows whose distance error after 5 s stays below a value."""
+    """Draw the share of windows with a distance error after 5 s below a value."""
     shown = [values[np.isfinite(values)] for values in errors.values()]
     limit = max((float(np.quantile(values, 0.98)) for values in shown if len(values)), default=1.0)
     lines = []
     for (label, values), (colour, line) in zip(errors.items(), styles(list(errors)).values(), strict=True):
-        # Failed windows are in the count, so that a curve of a model that fails never reaches the top.
+        # Failed windows count, so that the curve of a model that fails never reaches 100 %.
         share = 100 * np.arange(1, len(values) + 1) / len(values)
         lines.append(Line(label, np.sort(values), share, colour, line))
     panel = Panel(
@@ -57,14 +57,14 @@ CAPTION_GROWTH = "Mean distance error against the horizon; bands: 95 % intervals
 
 @report_figure("growth", section="Growth of the error", caption=CAPTION_GROWTH)
 def draw_growth(evaluation: Evaluation) -> Chart:
-    """Mean distance error by horizon, for each model with the terrain lookup that decides."""
+    """Draw the mean distance error by horizon, for each model with the deciding terrain lookup."""
     groups = by_reading(pooled_rows(evaluation.metrics.results))
     by_label = {group[0].reading_label: group for group in groups if group[0].start == main_start(evaluation)}
     return growth_plot({label: by_label[label] for label in deciding_errors(evaluation)}, title=title_of(evaluation))
 
 
 def growth_plot(rows: Mapping[str, Sequence[ResultRow]], *, title: str = "") -> Chart:
-    """Mean distance error against the horizon, with the 95 % interval as a band.
+    """Draw the mean distance error against the horizon, with the 95 % interval as a band.
 
     Args:
         rows: by label, in ascending order of horizons.
@@ -80,25 +80,25 @@ def growth_plot(rows: Mapping[str, Sequence[ResultRow]], *, title: str = "") -> 
 
 
 BINS = 6
-"""Number of bins, each with as many windows."""
+"""Number of bins with equal numbers of windows."""
 
-CAPTION_START_SPEED = "Mean distance error after 5 s by the speed at the start; every bin holds as many windows."
+CAPTION_START_SPEED = "Mean distance error after 5 s by initial speed; all bins hold equal numbers of windows."
 
 
 @report_figure("speed", section="Distribution", caption=CAPTION_START_SPEED)
 def draw_start_speed(evaluation: Evaluation) -> Chart:
-    """Error by the speed at the start, for each model with the terrain lookup that decides."""
+    """Draw the error by initial speed, for each model with the deciding terrain lookup."""
     speed = evaluation.windows.start_speed
-    return binned_plot(deciding_errors(evaluation), speed, axis="Speed at the start [m/s]", title=title_of(evaluation))
+    return binned_plot(deciding_errors(evaluation), speed, axis="Initial speed [m/s]", title=title_of(evaluation))
 
 
 def binned_plot(
     errors: Mapping[str, Float[np.ndarray, " n"]], values: Float[np.ndarray, " n"], *, axis: str, title: str = ""
 ) -> Chart:
-    """Mean distance error after 5 s against a quantity of the windows, in bins of as many windows each.
+    """Draw the mean distance error after 5 s against a quantity of the windows, in bins of equal numbers of windows.
 
     Args:
-        errors: by label; infinite where a prediction failed.
+        errors: by label; infinite if a prediction failed.
         values: the quantity in each window.
         axis: its name and unit.
     """

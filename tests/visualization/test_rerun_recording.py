@@ -1,11 +1,11 @@
-"""Ground as triangles, worked out by hand."""
+"""Ground as triangles and tiles."""
 
 from dataclasses import replace
 
 import numpy as np
 
 from offpiste.mapping.terrain_map import empty_layers
-from offpiste.visualization.mesh import TILE, cell_centres, grid_triangles, tiles
+from offpiste.visualization.rerun_recording import TILE, cell_centres, grid_triangles, tiles
 
 
 def test_a_square_of_four_known_cells_gives_two_triangles_that_look_up() -> None:
