@@ -8,9 +8,7 @@ import pytest
 
 from experiments.unseen_kinds import (
     chosen_kinds,
-    kinds_under_wheels,
     nearest_kinds,
-    refuse_unlike,
     rows_of,
     share_on_kinds,
     without_kind,
@@ -46,17 +44,6 @@ def on_ground(drive: StoredDrive, kind_of_cell: np.ndarray) -> StoredDrive:
     shape = (len(drive.rows.cells.features), *properties.shape)
     cells = replace(drive.rows.cells, features=np.broadcast_to(properties, shape))
     return replace(drive, rows=replace(drive.rows, cells=cells))
-
-
-def test_mixtures_are_of_the_kind_that_they_are_mostly_of(dataset: Dataset) -> None:
-    drive = dataset.drives[0]
-    of_cell = np.random.default_rng(0).choice([GRAVEL, MUD], drive.rows.cells.features.shape[1])
-    index = drive.rows.cells.index.copy()
-    index[7, 2] = -1
-    drive = replace(drive, rows=replace(drive.rows, cells=replace(drive.rows.cells, index=index)))
-    found = kinds_under_wheels(on_ground(drive, of_cell))
-    assert found[7, 2] == -1
-    np.testing.assert_array_equal(found[index >= 0], of_cell[index[index >= 0]])
 
 
 def test_windows_that_touch_the_kind_train_nothing_and_test_everything(dataset: Dataset) -> None:
@@ -117,8 +104,3 @@ def test_kinds_are_found_at_any_wetness() -> None:
     for wetness in (0.0, 0.33, 1.0):
         found = nearest_kinds((1 - wetness) * dry + wetness * wet)
         np.testing.assert_array_equal(found, np.arange(len(GROUND_KINDS)))
-
-
-def test_a_dataset_without_the_true_ground_is_refused(dataset: Dataset) -> None:
-    with pytest.raises(DatasetError, match="has no true ground"):
-        refuse_unlike(dataset, dataset)

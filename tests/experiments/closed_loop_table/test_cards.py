@@ -42,15 +42,6 @@ def test_each_card_says_the_cost_against_b(planners):
     assert load_card(planners[1].folder) == before, "b is not compared with itself"
 
 
-def test_a_card_names_all_the_code_that_drove_its_rows_and_no_other(planners):
-    b = [*results({"b-100ms": [10.0] * 3}), *results({"b-100ms": [10.0] * 4}, commit="def5678")[3:]]
-    other = results({"dc-100ms": [10.0] * 4}, commit="0123456", date="2026-11-30")
-    write_driving(planners, [*results({"parametric-100ms": [20.0] * 4}), *b, *other], 40.0)
-    driving = load_card(planners[0].folder).driving
-    assert (driving.commit, driving.date) == ("abc1234, def5678", "2026-11-20")
-    assert "Code: abc1234, def5678; 2026-11-20." in (planners[0].folder / "card.md").read_text("utf-8")
-
-
 def test_without_b_or_with_too_few_courses_it_is_one_line(planners):
     with pytest.raises(RunError, match="no `b` to compare with; give the `b` that ships"):
         write_driving(planners[:1], results({"parametric-100ms": [20.0] * 4}), 40.0)

@@ -30,14 +30,3 @@ def test_a_wrong_run_ends_in_one_line(tmp_path):
         command.run(command.ClosedLoop, ["--runs", str(tmp_path / "none"), "--out", str(tmp_path / "out")])
     assert "none: no such folder" in ended.value.code
     assert "\n" not in ended.value.code
-
-
-def test_ctrl_c_ends_in_one_line(tmp_path, monkeypatch, capsys):
-    def interrupted(self):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(command.ClosedLoop, "run", interrupted)
-    with pytest.raises(SystemExit) as ended:
-        command.run(command.ClosedLoop, ["--runs", str(tmp_path)])
-    assert ended.value.code == 130
-    assert capsys.readouterr().err == "interrupted; what was finished is kept\n"

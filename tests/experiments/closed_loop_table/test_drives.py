@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from experiments.closed_loop_table import drives
-from experiments.closed_loop_table.drives import NEEDED, NEWER, Entry, drive_all, entries, places
+from experiments.closed_loop_table.drives import NEEDED, Entry, drive_all, entries, places
 from offpiste.closed_loop.courses import CourseSettings
 from offpiste.closed_loop.drive_course import CourseDriveSettings, settings_of
 from offpiste.core.errors import CourseError, OffpisteError, RunError
@@ -87,17 +87,6 @@ def test_a_folder_of_other_drives_is_refused(driven, tmp_path, other, what):
         drive_all(**given | other)
 
 
-def test_older_drives_count_without_settings_that_they_do_not_record(driven, tmp_path):
-    given = {"rows": [Entry(B)], "worlds": places(1, 1), "out": tmp_path}
-    drive_all(**given)
-    path = tmp_path / "b-100ms-0" / "bends-mojave-1" / "result.json"
-    older = {k: v for k, v in json.loads(path.read_text()).items() if k not in NEWER}
-    del older["runtime"]["slow"], older["runtime"]["timeouts"]["plan"], older["course"]["traction"]
-    path.write_text(json.dumps(older))
-    assert len(drive_all(**given)) == 1
-    assert len(driven.drives) == 1
-
-
 @pytest.mark.parametrize(
     ("content", "what"),
     [("", "cannot be read"), ('{"world": "moj', "cannot be read"), ("[]", "not the result"), ("{}", "lacks 'world'")],
@@ -128,37 +117,11 @@ def test_runs_of_other_seeds_share_a_row_and_drive_at_the_usual_latency():
     ]
 
 
-def test_a_latency_given_twice_is_driven_once():
-    rows = entries([B, DC], (0.1, 0.3, 0.3, 0.1 + 1e-9))
-    assert [row.row for row in rows] == ["b-100ms", "dc-100ms", "dc-300ms"]
-
-
 @pytest.mark.parametrize("latency", [0.03, -0.1, 1.02, float("nan")])
 def test_all_settings_are_checked_before_the_first_course(driven, tmp_path, latency):
     with pytest.raises(OffpisteError, match="invalid latency of"):
         drive_all(entries([DC], (latency,)), places(1, 2), tmp_path)
     assert not driven.drives
-
-
-@pytest.mark.parametrize("inside", [".", "deeper"])
-def test_a_file_instead_of_a_folder_is_refused(driven, tmp_path, inside):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(OffpisteError, match="file: is a file"):
-        drive_all([Entry(B)], places(1, 1), tmp_path / "file" / inside)
-    assert not driven.drives
-
-
-def test_kinds_and_worlds_come_in_turn(driven, tmp_path):
-    wanted = places(1, 12, ("bends", "choices", "passages"))
-    assert [place.name for place in wanted[:4]] == [
-        "bends-mojave-1",
-        "choices-halter-ranch-2",
-        "passages-coastal-scrub-3",
-        "bends-dunes-4",
-    ]
-    assert len({(place.kind, place.world.preset) for place in wanted}) == 12, "every kind in every world"
-    drive_all([Entry(B)], wanted[:3], tmp_path)
-    assert driven.kinds == ["bends", "choices", "passages"]
 
 
 def test_a_risk_is_a_row_of_its_own():

@@ -10,7 +10,7 @@ from experiments.illnesses.__main__ import Illnesses
 from experiments.illnesses.cases import Given, Patient
 from experiments.illnesses.illness import ILLNESSES
 from experiments.illnesses.score import IllnessScore, Score, points_to, score
-from experiments.illnesses.table import report, share, shown
+from experiments.illnesses.table import report
 from experiments.illnesses.true_drive import save
 from made_up_drive import made_up_case, made_up_drive
 from offpiste.core.errors import OffpisteError
@@ -62,14 +62,6 @@ def test_a_scale_without_a_unit_costs_nothing_in_its_own_convention(monkeypatch)
     assert result.own_cost == result.own_after == pytest.approx(0, abs=0.05)
 
 
-def test_what_is_no_convention_costs_as_much_in_it(monkeypatch):
-    patient = ill_patient("steer: sign")
-    assert patient.conventional is patient.healthy
-    inspected_by(monkeypatch, lambda rig: [])
-    result = score(patient, patient.case.log, storage="memory")
-    assert min(result.cost, result.own_cost) > 0.5
-
-
 def test_a_wrong_cure_no_cure_and_a_finding_elsewhere_are_told_apart(monkeypatch):
     patient = ill_patient()
     for cures, wanted in (([(Edit("channels.steer.delay", 0.5),)], "wrong"), ([], "none")):
@@ -81,14 +73,6 @@ def test_a_wrong_cure_no_cure_and_a_finding_elsewhere_are_told_apart(monkeypatch
     (ill,) = result.illnesses
     assert (ill.found, ill.noted, ill.first_cure) == (False, True, "")
     assert len(result.false_alarms) == 1
-
-
-def test_a_cure_that_makes_no_rig_is_wrong(monkeypatch):
-    patient = ill_patient()
-    inspected_by(monkeypatch, lambda rig: [finding("steer", (Edit("channels.steer.sign", 5),))])
-    result = score(patient, patient.case.log, storage="memory")
-    assert result.illnesses[0].first_cure == "wrong"
-    assert result.after == pytest.approx(result.cost)
 
 
 def test_an_exception_of_inspect_is_a_failure_and_no_finding(monkeypatch):
@@ -126,13 +110,6 @@ def made_up_score(seed, *, found, cost=0.5, alarms=(), cure="right", healthy=Fal
         seed=seed, body="", behaviour="ordinary", storage="memory", illnesses=() if healthy else (ill,), harmless=(),
         cost=cost, after=0.0, distance=1.0, false_alarms=alarms, findings=alarms,
     )  # fmt: skip
-
-
-def test_shares_and_their_intervals_by_hand():
-    assert share(8, 10) == "8/10 = 80% (49% to 94%)"
-    assert share(0, 50) == "0/50 = 0% (0% to 7%)"
-    assert share(3, 4) == "3/4 = 75% (–: fewer than 5 cases)"
-    assert [shown(cost) for cost in (None, 0.123, 1e6)] == ["not known", "+12%", "unreadable"]
 
 
 def test_the_report_counts_what_is_found_by_illness_and_strength():

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from experiments.illnesses.drivers import Weaving
-from experiments.illnesses.drives import drive_of, varied_vehicle
+from experiments.illnesses.drives import drive_of
 from experiments.illnesses.true_drive import load, save, scaled
 from made_up_drive import made_up_drive
 from offpiste.core.conventions import DT
@@ -56,25 +55,3 @@ def test_a_vehicle_reverses_with_its_wheels_and_turns_the_other_way():
     assert forward < -0.5
     assert sample.wheel_speed.max() < 0
     assert sample.angular_velocity[2] < -0.05
-
-
-def test_the_weaving_driver_changes_gear_at_a_standstill_alone():
-    world = make_world(WorldSettings(preset="uniform", size=60.0, resolution=0.5))
-    vehicle = VehicleSimulation(world, load_vehicle(), x=0.0, y=0.0, yaw=0.0)
-    driver = Weaving(load_vehicle(), np.random.default_rng(0), reverse_every=2.0, radius=20.0)
-    gears, changes = set(), []
-    for _ in range(round(20 / DT)):
-        sample, before = vehicle.sample(), driver.gear
-        vehicle.step(*driver.command(sample))
-        if driver.gear != before:
-            changes.append(np.hypot(*sample.velocity[:2]))
-        gears.add(sample.gear)
-    assert gears == {-1, 0, 1}
-    assert max(changes) < 0.4
-
-
-def test_vehicles_differ_and_can_be_built():
-    vehicles = [varied_vehicle(np.random.default_rng(seed)) for seed in range(50)]
-    assert len({vehicle.wheelbase for vehicle in vehicles}) == 50
-    assert all(0.2 < vehicle.max_steer < 0.7 and 700 < vehicle.mass < 1600 for vehicle in vehicles)
-    assert all(vehicle.sprung_mass > 0.8 * vehicle.mass for vehicle in vehicles)

@@ -9,11 +9,8 @@ import pytest
 import torch
 
 from experiments.probe.__main__ import Probe
-from experiments.probe.cells import GROUND, SeenCells, load_cells, save_cells, see_cells, with_colour
+from experiments.probe.cells import GROUND, SeenCells, save_cells, see_cells
 from experiments.probe.scores import (
-    INPUTS,
-    NEARBY,
-    drawn_blocks,
     fit_probe,
     held_out_cells,
     pool,
@@ -88,21 +85,6 @@ def test_what_is_known_ahead_is_the_share_of_the_variance(rows: list[dict]) -> N
         assert found["r2"] == pytest.approx(wanted, abs=0.06)
 
 
-def test_training_on_all_sets_or_on_the_same_beats_hindsight_where_features_are_worse(rows: list[dict]) -> None:
-    far = {"target": "friction", "feature_set": "30", "cells": "valid", "input": "visual"}
-    r2 = {trained: by(rows, trained=trained, **far)["r2"] for trained in ("hindsight", "all", "same")}
-    assert r2["same"] > r2["hindsight"]
-    assert r2["all"] > r2["hindsight"]
-
-
-def test_common_cells_are_the_same_for_every_set(rows: list[dict]) -> None:
-    common = [row for row in rows if row["cells"] == "common"]
-    assert {row["feature_set"] for row in common} == {"hindsight", "-10", "0", "10", "20"}
-    # Five sets, each valid with probability 0.8.
-    assert {row["n"] for row in common} == {common[0]["n"]}
-    assert common[0]["n"] == pytest.approx(3000 * 0.8**5, rel=0.1)
-
-
 def test_cells_that_the_map_did_not_hold_are_neither_trained_nor_tested_on() -> None:
     seen = made_up(0)
     pooled = pool([(0, seen)])
@@ -114,41 +96,10 @@ def test_cells_that_the_map_did_not_hold_are_neither_trained_nor_tested_on() -> 
     assert score_probe(a, "friction", "visual", held_out_cells(pooled, "10", chosen)).n == chosen.sum()
 
 
-def test_averaging_along_the_way_takes_only_cells_near_in_time_and_valid() -> None:
-    pooled = pool([(0, made_up(0, cells=100)), (0, made_up(1, cells=100))])
-    found, cells = INPUTS["averaged"](pooled, 4), pooled.cells
-    for cell in np.flatnonzero(cells.valid[4])[::17]:
-        near = np.abs(cells.row - cells.row[cell]) <= NEARBY
-        near &= (pooled.drive == pooled.drive[cell]) & cells.valid[4]
-        np.testing.assert_allclose(found[cell], cells.features[4, near].mean(axis=0), rtol=1e-9)
-    assert np.isnan(found[~cells.valid[4]]).all()
-
-
-def test_parts_and_blocks_are_stretches_of_one_drive() -> None:
-    pooled = pool([(0, made_up(0)), (1, made_up(1))])
-    for drive in (0, 1):
-        part = pooled.part[pooled.drive == drive]
-        assert (np.diff(part) >= 0).all()
-        np.testing.assert_array_equal(np.unique(part), np.arange(5))
-    # 1500 cells 0.08 s apart are 120 s: twelve blocks of 10 s a drive.
-    drawn = drawn_blocks(pooled, np.ones(3000, bool))
-    assert drawn.blocks == 24
-    assert not set(drawn.block[:1500]) & set(drawn.block[1500:])
-
-
 def filterbank_looking() -> FeatureExtractor:
     backbone = open_backbone("filterbank")
     vectors = np.random.default_rng(0).normal(size=(500, backbone.channels))
     return FeatureExtractor(backbone, fit(Moments.of(vectors), backbone, components=5))
-
-
-def test_colour_is_added_to_a_look_and_leaves_it_as_it_was() -> None:
-    extractor = filterbank_looking()
-    pixels = np.random.default_rng(1).integers(0, 256, (42, 56, 3), dtype=np.uint8)
-    both, alone = with_colour(extractor).extract(pixels), extractor.extract(pixels)
-    np.testing.assert_allclose(both[..., :-3], alone, atol=1e-5)
-    patch = pixels[14:28, 28:42].reshape(-1, 3).mean(axis=0) / 255
-    np.testing.assert_allclose(both[1, 2, -3:], patch, atol=1e-5)
 
 
 @pytest.fixture(scope="module")
@@ -185,15 +136,6 @@ def test_the_experiment_goes_on_from_what_is_there(tmp_path: Path) -> None:
     result = json.loads((tmp_path / "probe.json").read_text())
     assert {row["worlds"] for row in result["probes"]} == {"a"}
     assert (tmp_path / "probe_a.png").read_bytes().startswith(b"\x89PNG")
-
-
-def test_cells_come_back_from_their_file(tmp_path: Path) -> None:
-    seen = made_up(0)
-    save_cells(tmp_path / "cells.npz", seen)
-    back = load_cells(tmp_path / "cells.npz")
-    np.testing.assert_array_equal(back.features, seen.features)
-    np.testing.assert_array_equal(back.row, seen.row)
-    assert list(tmp_path.iterdir()) == [tmp_path / "cells.npz"]
 
 
 def test_no_drive_is_in_training_and_test(tmp_path: Path) -> None:

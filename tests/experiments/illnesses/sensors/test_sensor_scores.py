@@ -9,11 +9,10 @@ import experiments.illnesses.sensors.trial as trial
 from experiments.illnesses.sensors.case import mounting_key, true_mounting
 from experiments.illnesses.sensors.declarations import SENSOR_ILLNESSES
 from experiments.illnesses.sensors.drives import CAMERA, LIDAR, SensorDrive
-from experiments.illnesses.sensors.score import SensorPatient, given_to, score
+from experiments.illnesses.sensors.score import SensorPatient, score
 from experiments.illnesses.sensors.table import report
 from experiments.illnesses.sensors.trial import SensorIllnesses
 from made_up_sensors import sensor_case
-from offpiste.core.errors import OffpisteError
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.misfit import turned
 from offpiste.rig.edits import Edit
@@ -67,36 +66,6 @@ def test_what_points_elsewhere_is_an_alarm_and_what_follows_is_not(monkeypatch):
     assert "camera_front" in result.alarms[0]
 
 
-def test_notes_find_what_only_notes_tell_and_accuse_the_healthy(monkeypatch):
-    dust = finding("LiDARs", "see much that moves", severity="note")
-    part = finding(LIDAR, "was checked in part", severity="note")
-    sick = scored(monkeypatch, "dust", [dust, part])
-    assert (sick.found, sick.noted, sick.accusing) == (False, True, ())
-    healthy = scored(monkeypatch, "", [dust, part])
-    assert (len(healthy.accusing), healthy.alarms) == (1, ())
-
-
-def test_a_failure_is_counted(monkeypatch):
-    def fail(log, rig):
-        raise ZeroDivisionError("no scans")
-
-    monkeypatch.setattr(scoring, "check_sensors", fail)
-    result = score(SensorPatient(5, DRIVE, CASE, None, 0.0))
-    assert "no scans" in result.error
-    assert "failures of inspect | 1/1" in report([result])
-
-
-def test_illnesses_and_strengths_take_turns():
-    given = [given_to(seed) for seed in range(5001, 5001 + 5 * 30)]
-    met = [(one[0].name, one[1]) for one in given if one]
-    assert given[4::5] == [None] * 30
-    everything = sum(len(one.strengths) for _, one in SENSOR_ILLNESSES.items())
-    counts = [met.count(one) for one in set(met)]
-    assert len(counts) == everything
-    assert max(counts) - min(counts) <= 1
-    assert {given_to(seed, ["dust"])[0].name for seed in range(1, 5)} == {"dust"}
-
-
 def test_the_table_counts_by_strength(monkeypatch):
     found = scored(monkeypatch, "camera turned", [finding(CAMERA, TURNED, mounting(0.1))])
     missed = scored(monkeypatch, "camera turned", [], strength=0.5)
@@ -120,9 +89,3 @@ def test_a_run_resumes(monkeypatch, tmp_path):
     assert "3 logs of 1 drives" in SensorIllnesses(out=tmp_path, seed=1, logs=3).run()
     assert asked == [1, 2, 3]
     assert (tmp_path / "report.md").exists()
-
-
-def test_names_are_checked_and_listed(tmp_path):
-    assert "ghosts: 0.01, 0.05, 0.2 % of the returns" in SensorIllnesses(list=True).run()
-    with pytest.raises(OffpisteError, match="no sensor illness"):
-        SensorIllnesses(out=tmp_path, illness=("measles",)).run()
