@@ -16,7 +16,7 @@ from offpiste.dataset.resample import extract_rows
 from offpiste.dataset.visual_features import with_visual_features
 from offpiste.logs import read_drive
 from offpiste.logs.ground_truth import GROUND_KINDS, GROUND_PROPERTIES, read_truth_map
-from offpiste.logs.opening import open_log
+from offpiste.logs.log import open_log
 from offpiste.logs.sensor_log import open_sensors
 from offpiste.mapping.replay import MapperSettings
 from offpiste.mapping.terrain_map import wheel_positions

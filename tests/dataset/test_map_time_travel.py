@@ -12,7 +12,7 @@ from offpiste.dataset.map_snapshots import SnapshotSchedule, SnapshotSettings, S
 from offpiste.dataset.resample import Rows, extract_rows
 from offpiste.dataset.visual_features import SnapshotKeeper
 from offpiste.logs.drive import drive_from_log
-from offpiste.logs.opening import open_log
+from offpiste.logs.log import open_log
 from offpiste.logs.ros.sensor_messages import message_from_points
 from offpiste.logs.sensor_log import open_sensors
 from offpiste.mapping.pipeline import MapSettings

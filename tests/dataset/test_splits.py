@@ -135,7 +135,7 @@ def test_a_place_in_degrees_has_one_part_in_every_drive():
     def label(first: int) -> np.ndarray:
         time, zero = 0.02 * np.arange(count - first), np.zeros(count - first)
         place = dict(zip("xyz", (*degrees[first:].T, zero), strict=True))
-        channel, _ = read_channel(MemoryLog(odometry=(time, place)), rig, "position", rig.channels["position"])
+        channel, _, _ = read_channel(MemoryLog(odometry=(time, place)), rig, "position", rig.channels["position"])
         return split.label("", channel.values[:, :2])
 
     ours, others = label(0)[9000:], label(9000)

@@ -23,8 +23,7 @@ from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import Dataset, StoredDrive
 from offpiste.dataset.windows import Windows
 from offpiste.logs.drive import drive_from_log, read_drive
-from offpiste.logs.log import Log, Samples, Topic
-from offpiste.logs.opening import open_log
+from offpiste.logs.log import Log, Samples, Topic, open_log
 from offpiste.rig.rig import Rig, load_rig, parse_rig
 
 START = 1_300_000_000.0

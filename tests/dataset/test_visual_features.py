@@ -19,7 +19,7 @@ from offpiste.dataset.splits import parse_split, write_drives
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
 from offpiste.logs.ground_truth import read_truth_map
-from offpiste.logs.opening import open_log
+from offpiste.logs.log import open_log
 from offpiste.logs.sensor_log import open_sensors
 from offpiste.mapping.replay import pinhole_cameras, replay
 from offpiste.mapping.terrain_map import wheel_positions

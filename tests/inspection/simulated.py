@@ -8,7 +8,7 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
 import factories
-from offpiste.logs.axes import to_z_up
+from offpiste.logs.channel import to_z_up
 from offpiste.rig.channels import ChannelSource
 from offpiste.rig.edits import Edit, edited
 from offpiste.rig.rig import Rig, parse_rig

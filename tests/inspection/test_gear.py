@@ -16,7 +16,7 @@ from offpiste.inspection.gear import check_gear
 from offpiste.inspection.inspect import inspect_log
 from offpiste.inspection.recorded_log import Recorded, RememberedLog, read_topics
 from offpiste.logs.drive import Drive, drive_from_log
-from offpiste.logs.opening import open_log
+from offpiste.logs.log import open_log
 from offpiste.rig.edits import Edit, edited
 from offpiste.rig.rig import parse_rig
 

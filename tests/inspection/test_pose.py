@@ -76,7 +76,7 @@ def test_feet_are_found_by_what_else_knows_the_speed() -> None:
     ("axes", "fields"), [("body down", ("qx", "qy", "qz", "qw")), ("world down", ("qx", "qy", "qz", "qw"))]
 )
 def test_a_body_that_points_down_is_turned_up(axes: str, fields: tuple[str, ...]) -> None:
-    from offpiste.logs.axes import to_z_up
+    from offpiste.logs.channel import to_z_up
     from offpiste.rig.channels import ChannelSource
 
     # Half a turn is its own inverse.

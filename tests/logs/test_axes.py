@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from offpiste.logs.axes import to_z_up, turning_sign
+from offpiste.logs.channel import to_z_up, turning_sign
 from offpiste.rig.channels import ChannelSource
 
 HALF = np.diag([1.0, -1.0, -1.0])

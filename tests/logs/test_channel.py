@@ -19,7 +19,10 @@ def channel(time, values) -> Channel:
 
 def read(time, values, **source):
     log = MemoryLog(pedals=(np.asarray(time, float), {"x": np.asarray(values, float)}))
-    return read_channel(log, small_rig(), "throttle", ChannelSource(fields=("x",), topic="pedals", **source))
+    channel, _, notes = read_channel(
+        log, small_rig(), "throttle", ChannelSource(fields=("x",), topic="pedals", **source)
+    )
+    return channel, notes
 
 
 def test_linear_interpolation_is_exact_on_lines_with_uneven_stamps():
@@ -86,7 +89,7 @@ def test_a_steering_command_that_is_a_turn_rate_is_the_angle_of_a_bicycle_that_t
     assert np.isnan(angle[5])
     log = MemoryLog(cmd=(np.arange(6.0), {"turn": raw[:, 0], "speed": raw[:, 1]}))
     clipped = msgspec.structs.replace(source, topic="cmd", clip=(-1.0, 1.0))
-    read_back, notes = read_channel(log, small_rig(), "steer", clipped)
+    read_back, _, notes = read_channel(log, small_rig(), "steer", clipped)
     np.testing.assert_allclose(read_back.values, np.clip(steer[:5], -1, 1))
     assert ["1 of 6 samples are not finite" in note for note in notes] == [True]
 
@@ -104,7 +107,7 @@ def test_a_steering_command_that_is_an_angle_is_over_the_largest_one(max_steer):
     log = MemoryLog(wheel=(np.arange(3.0), {"angle": angles}))
     rig = small_rig()
     rig = msgspec.structs.replace(rig, vehicle=msgspec.structs.replace(rig.vehicle, max_steer=max_steer))
-    steer, _ = read_channel(log, rig, "steer", ChannelSource(fields=("angle",), topic="wheel", unit="deg"))
+    steer, _, _ = read_channel(log, rig, "steer", ChannelSource(fields=("angle",), topic="wheel", unit="deg"))
     np.testing.assert_allclose(steer.values[:, 0] * max_steer, np.deg2rad(angles))
 
 
@@ -222,7 +225,7 @@ def test_orientations_that_are_no_rotation_are_dropped():
     q = np.array([[0, 0, 0, 1.0], [0, 0, 0, 0], [0, 0, 1.0, 0], [0, 0, 2.0, 0]])
     log = MemoryLog(odometry=(np.arange(4.0), dict(zip(("qx", "qy", "qz", "qw"), q.T, strict=True))))
     rig = small_rig()
-    found, notes = read_channel(log, rig, "orientation", rig.channels["orientation"])
+    found, _, notes = read_channel(log, rig, "orientation", rig.channels["orientation"])
     assert found.time.tolist() == [0, 2]
     assert "2 of 4" in notes[0]
 
@@ -236,7 +239,7 @@ def test_values_that_no_sensor_measures_are_dropped_and_noted(fault):
 
 def test_positions_farther_than_any_coordinate_are_dropped_and_northings_are_kept():
     log = MemoryLog(odometry=(np.arange(3.0), {"x": np.array([9.9e6, 9.9e6, 2e7]), "y": np.zeros(3)}))
-    found, _ = read_channel(log, small_rig(), "position", ChannelSource(fields=("x", "y", "y"), topic="odometry"))
+    found, _, _ = read_channel(log, small_rig(), "position", ChannelSource(fields=("x", "y", "y"), topic="odometry"))
     assert found.time.tolist() == [0.0, 1.0]
 
 
@@ -252,10 +255,10 @@ def test_samples_out_of_order_are_sorted_where_the_rig_says_so():
     log = MemoryLog(odom=(np.array([0.0, 0.3, 0.1, 0.2, 0.4]), {"v": np.array([0.0, 3.0, 1.0, 2.0, 4.0])}))
     source = ChannelSource(fields=("v",), topic="odom")
     rig = small_rig()
-    kept, _ = read_channel(log, rig, "yaw_rate", source)
+    kept, _, _ = read_channel(log, rig, "yaw_rate", source)
     assert len(kept.time) < 5
     sorted_clock = msgspec.structs.replace(rig, clock=msgspec.structs.replace(rig.clock, sort=True))
-    ordered, notes = read_channel(log, sorted_clock, "yaw_rate", source)
+    ordered, _, notes = read_channel(log, sorted_clock, "yaw_rate", source)
     np.testing.assert_allclose(ordered.values[:, 0], 10 * ordered.time)
     assert len(ordered.time) == 5
     assert notes == []

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from offpiste.logs.kept_rows import between_samples, brought_together, increasing
+from offpiste.logs.channel import between_samples, brought_together, increasing
 
 
 def _rows_of(rate: float, seconds: float = 30.0, table: float = 100.0) -> np.ndarray:

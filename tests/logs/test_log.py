@@ -10,8 +10,7 @@ from offpiste.core.errors import LogError
 from offpiste.logs.formats.bag import BagLog
 from offpiste.logs.formats.table import TableLog
 from offpiste.logs.formats.tartandrive import TartanDriveLog
-from offpiste.logs.log import LOG_FORMATS
-from offpiste.logs.opening import open_log
+from offpiste.logs.log import LOG_FORMATS, open_log
 from offpiste.rig.channels import Clock
 
 

@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from offpiste.logs.plausibility import held_while_driving, plausible_headings, plausible_positions
-from offpiste.logs.pose_segments import best_chain
+from offpiste.logs.plausibility import best_chain, held_while_driving, plausible_headings, plausible_positions
 
 RUNS = ("glitches", "constant", "random", "long constant", "fast tail", "fast head", "coherent")
 

@@ -7,8 +7,7 @@ import pytest
 
 from offpiste.core.errors import LogError
 from offpiste.logs.log import RawCloud
-from offpiste.logs.measurements import Lidar, cloud_from_records
-from offpiste.logs.point_times import misread_times, proposed_times
+from offpiste.logs.measurements import Lidar, cloud_from_records, misread_times, proposed_times
 from offpiste.rig.sensors import LidarSource
 from point_clocks import DRIVERS, SWEEP, PointClock
 

@@ -24,8 +24,8 @@ WRONG = {
     "wrong type in a channel": (RIG + 'sign = "left"\n', r"got `str` - at `channels\.steer\.sign`"),
     "missing key": (edited('name = "small"', ""), r"`name`"),
     "wrong type": (edited("mass = 800.0", 'mass = "heavy"'), r"mass"),
-    "a wheel nowhere": (edited(", [0.0, -0.6]]", ", [0.0, nan]]"), r"wheel_positions hold a number that is no place"),
-    "a wheel on the moon": (edited(", [0.0, -0.6]]", ", [0.0, -4e8]]"), r"wheel_positions hold a number"),
+    "a wheel nowhere": (edited(", [0.0, -0.6]]", ", [0.0, nan]]"), r"wheel_positions hold an impossible position"),
+    "a wheel on the moon": (edited(", [0.0, -0.6]]", ", [0.0, -4e8]]"), r"wheel_positions hold an impossible position"),
     "left wheels on the right": (
         edited("[2.2, 0.6], [2.2, -0.6]", "[2.2, -0.6], [2.2, 0.6]"),
         r"wheel_positions have left and right exchanged; left is \+y",
@@ -43,15 +43,15 @@ WRONG = {
     ),
     "an origin of metres": (
         RIG + "origin = [48.0, 11.0]\n",
-        r"steer\.origin is no place of positions in 'lat lon'",
+        r"steer\.origin is not valid for a position in 'lat lon'",
     ),
     "an origin off the earth": (
         edited("[channels.orientation]", 'unit = "lat lon"\norigin = [411.0, 48.0]\n[channels.orientation]'),
-        r"channels\.position\.origin is no place.*latitude and longitude in degrees",
+        r"channels\.position\.origin is not valid.*latitude and longitude in degrees",
     ),
     "a heading on change": (
         edited("[channels.orientation]", '[channels.orientation]\ninterpolation = "on change"'),
-        r"channels\.orientation is measured.*controls and actuators alone",
+        r"channels\.orientation is a measurement.*controls and actuators only",
     ),
     "no frame": (RIG + GYRO, r"channels\.angular_velocity\.frame is missing.*world.*body"),
     "unknown frame": (RIG + GYRO + 'frame = "map"\n', r"map"),

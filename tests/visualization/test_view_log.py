@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from log_messages import logged
-from offpiste.logs.opening import open_log
+from offpiste.logs.log import open_log
 from offpiste.perception.feature_extractor import load_feature_extractor
 from offpiste.rig.rig import load_rig
 from offpiste.visualization import view_log as module

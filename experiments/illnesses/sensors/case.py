@@ -8,9 +8,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from experiments.illnesses.sensors.drives import CAMERA, LAYOUTS, LIDAR, Layout, SensorDrive
-from offpiste.logs.log import Log, RawCloud, RawImage, Samples, Topic
-from offpiste.logs.mountings import given_mounting
-from offpiste.logs.opening import open_log
+from offpiste.logs.log import Log, RawCloud, RawImage, Samples, Topic, open_log
 from offpiste.logs.transforms import Transform
 from offpiste.rig.camera import CameraModel
 from offpiste.rig.edits import Edit, edited
@@ -151,7 +149,7 @@ def true_mounting(layout: Layout, name: str) -> Float[np.ndarray, "4 4"]:
 def sensor_errors(rig: Rig, layout: Layout, name: str) -> tuple[float, float]:
     """By how much a rig's mounting of a sensor is turned from the true one [deg], and its delay wrong [s]."""
     source = rig.cameras[CAMERA] if name == CAMERA else rig.lidars[LIDAR]
-    given = given_mounting(source)
+    given = source.mounting
     if given is None:  # the log's own transform is the truth
         return 0.0, abs(source.delay)
     wrong = given.matrix()[:3, :3] @ true_mounting(layout, name)[:3, :3].T

@@ -27,7 +27,7 @@ from offpiste.dataset.store import Dataset, StoredDrive, add_drive, create, open
 from offpiste.dataset.visual_features import SnapshotKeeper, with_visual_features
 from offpiste.dataset.window_starts import MIN_HINDSIGHT, evaluation_starts
 from offpiste.logs.drive import drive_from_log, drive_name
-from offpiste.logs.opening import open_log
+from offpiste.logs.log import open_log
 from offpiste.logs.sensor_log import open_sensors
 from offpiste.mapping.replay import MapperSettings
 from offpiste.perception.feature_extractor import FeatureExtractor, load_feature_extractor

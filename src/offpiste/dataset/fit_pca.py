@@ -19,8 +19,8 @@ from offpiste.core.parallel import Report, at_a_time, run_all
 from offpiste.dataset.resample import Rows, extract_rows
 from offpiste.dataset.splits import Split, refuse_places_without_origin
 from offpiste.logs.drive import drive_from_log, drive_name
+from offpiste.logs.log import open_log
 from offpiste.logs.measurements import Image
-from offpiste.logs.opening import open_log
 from offpiste.logs.sensor_log import SensorLog, open_sensors
 from offpiste.mapping.replay import Moment, ground_points, pinhole_cameras, replay
 from offpiste.perception.backbones import Backbone

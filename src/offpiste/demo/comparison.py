@@ -18,8 +18,8 @@ from offpiste.dataset.windows import Windows
 from offpiste.evaluation.errors import in_start_frame
 from offpiste.evaluation.model_card import driving_words, load_card
 from offpiste.logs.drive import Drive
+from offpiste.logs.log import open_log
 from offpiste.logs.measurements import Image
-from offpiste.logs.opening import open_log
 from offpiste.logs.sensor_log import open_sensors
 from offpiste.mapping.terrain_map import TerrainMap
 from offpiste.report.feature_colours import colour_limits, colours

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 from offpiste.inspection.driven_path import STEP, DrivenPath
 from offpiste.inspection.findings import EXCHANGED, Finding, Severity
 from offpiste.inspection.lags import SURE, jackknife
-from offpiste.logs.axes import turning_sign
+from offpiste.logs.channel import turning_sign
 from offpiste.logs.drive import Drive
 from offpiste.logs.motion import heading
 from offpiste.rig.channels import GEOGRAPHIC, unit_factor

@@ -19,9 +19,8 @@ from offpiste.inspection.findings import Cure, Finding
 from offpiste.inspection.pose import check_orientation, check_position_unit
 from offpiste.inspection.pose_samples import check_level
 from offpiste.inspection.signal_faults import degrees_each
-from offpiste.logs.channel import read_channel
+from offpiste.logs.channel import brought_together, read_channel
 from offpiste.logs.drive import drive_from_log
-from offpiste.logs.kept_rows import brought_together
 from offpiste.logs.log import Log
 from offpiste.rig.channels import GEOGRAPHIC
 from offpiste.rig.edits import edited

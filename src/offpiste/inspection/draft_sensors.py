@@ -11,8 +11,7 @@ import numpy as np
 from offpiste.core.errors import LogError
 from offpiste.inspection.draft_pose import first_message
 from offpiste.logs.log import Log
-from offpiste.logs.measurements import used_bits
-from offpiste.logs.point_times import proposed_times
+from offpiste.logs.measurements import proposed_times, used_bits
 from offpiste.logs.ros.image_encodings import pixels_of
 from offpiste.logs.transforms import TRANSFORMS, Transform, between
 from offpiste.rig.sensors import TIME_FIELDS

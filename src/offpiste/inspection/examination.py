@@ -18,7 +18,7 @@ from offpiste.inspection.pose import check_orientation, check_pose, check_positi
 from offpiste.inspection.pose_samples import check_level
 from offpiste.inspection.recorded_log import Recorded, RememberedLog, beginning, read_topics
 from offpiste.inspection.stamps import check_spans
-from offpiste.logs.axes import WORLD_DOWN
+from offpiste.logs.channel import WORLD_DOWN
 from offpiste.logs.drive import Drive, drive_from_log
 from offpiste.logs.log import Log
 from offpiste.rig.channels import unit_factor

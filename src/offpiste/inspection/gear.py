@@ -16,8 +16,8 @@ from offpiste.inspection.findings import Finding
 from offpiste.inspection.lags import LAGS, SURE, fit_lags, lagged, sampled
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.inspection.usual_ranges import rests_between, scaled_to_unit
+from offpiste.logs.channel import increasing
 from offpiste.logs.drive import Drive, drive_from_log
-from offpiste.logs.kept_rows import increasing
 from offpiste.logs.log import Log
 from offpiste.rig.channels import unit_factor
 from offpiste.rig.edits import Edit, absent, rounded

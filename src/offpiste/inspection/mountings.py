@@ -19,8 +19,7 @@ from offpiste.inspection.lidar_mounting import LidarMounting, beyond, estimate_l
 from offpiste.inspection.misfit import PRIOR, Misfit, Parameters, turned
 from offpiste.inspection.sensor_samples import Gathered, Grey, Scan, SmallCamera, gather, small_camera
 from offpiste.logs.log import Log
-from offpiste.logs.measurements import Lidar
-from offpiste.logs.mountings import body_from_sensor, given_mounting
+from offpiste.logs.measurements import Lidar, body_from_sensor
 from offpiste.logs.poses import Poses
 from offpiste.logs.sensor_log import SensorLog, open_sensors
 from offpiste.rig.edits import Edit, edited
@@ -80,7 +79,7 @@ def given_places(log: Log, rig: Rig) -> dict[str, tuple[Float[np.ndarray, "4 4"]
     entries: dict[str, CameraSource | LidarSource] = {**rig.cameras, **rig.lidars}
     for name, entry in entries.items():
         if entry.topic in log.topics:
-            given = given_mounting(entry)
+            given = entry.mounting
             placed = given is None or given.position is not None
             result[name] = body_from_sensor(log, rig, entry, transforms), placed
     return result

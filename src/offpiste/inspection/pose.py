@@ -13,8 +13,7 @@ from offpiste.core.geometry import rotation_from_quaternion
 from offpiste.inspection.driven_path import STEP, DrivenPath
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.pose_samples import check_faults, check_repeats, check_seldom
-from offpiste.logs.axes import to_z_up
-from offpiste.logs.channel import Channel
+from offpiste.logs.channel import Channel, to_z_up
 from offpiste.logs.drive import Drive
 from offpiste.rig.channels import GEOGRAPHIC, unit_factor
 from offpiste.rig.edits import Edit, rounded

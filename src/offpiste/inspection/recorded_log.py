@@ -15,7 +15,7 @@ from msgspec import structs
 from offpiste.core.errors import LogError
 from offpiste.core.progress import track
 from offpiste.inspection.findings import Finding
-from offpiste.logs.kept_rows import increasing
+from offpiste.logs.channel import increasing
 from offpiste.logs.log import Log, Samples, SetBack, Topic
 from offpiste.logs.transforms import STAMPED, frame_pair, listed
 from offpiste.rig.channels import SECONDS_PER_UNIT, Clock

@@ -16,7 +16,7 @@ import numpy as np
 from offpiste.core.errors import OffpisteError
 from offpiste.inspection.course import against_names
 from offpiste.inspection.findings import EXCHANGED, TIPPED, Cure, Finding, ranked
-from offpiste.logs.axes import turning_sign
+from offpiste.logs.channel import turning_sign
 from offpiste.rig.channels import GEOGRAPHIC, unit_factor
 from offpiste.rig.edits import Edit, edited, rounded
 from offpiste.rig.rig import Rig

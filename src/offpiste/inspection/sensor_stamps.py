@@ -16,7 +16,7 @@ from offpiste.inspection.several_clocks import ORIGINS
 from offpiste.inspection.stamps import check_spans, check_stamps
 from offpiste.logs.clock_drift import clock_difference
 from offpiste.logs.log import Log
-from offpiste.logs.point_times import lines, misread_times, proposed_times
+from offpiste.logs.measurements import lines, misread_times, proposed_times
 from offpiste.logs.sensor_log import SensorLog
 from offpiste.rig.channels import ChannelSource
 from offpiste.rig.edits import Edit

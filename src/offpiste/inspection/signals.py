@@ -21,8 +21,7 @@ from offpiste.inspection.signal_faults import (
     unrolled,
 )
 from offpiste.inspection.usual_ranges import scaled_to_unit
-from offpiste.logs.channel import LARGEST, convert, largest_recorded, unwrapped
-from offpiste.logs.kept_rows import between_samples
+from offpiste.logs.channel import LARGEST, between_samples, convert, largest_recorded, unwrapped
 from offpiste.rig.channels import GEOGRAPHIC, POSE, ChannelSource, Wrap, known_channels
 from offpiste.rig.edits import Edit, absent, rounded, toml_value
 from offpiste.rig.rig import Rig

@@ -14,7 +14,7 @@ from offpiste.core.object_store import brought
 from offpiste.core.parallel import Report, at_a_time, run_all
 from offpiste.inspection.inspect import inspect_log
 from offpiste.logs.drive import drive_name
-from offpiste.logs.opening import open_log
+from offpiste.logs.log import open_log
 from offpiste.rig.rig import Rig
 
 

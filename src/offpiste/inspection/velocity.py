@@ -12,8 +12,7 @@ from offpiste.inspection.driven_path import DELAYS, TURNING, DrivenPath, FrameFi
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.lags import SURE, fit_lags
 from offpiste.inspection.steering_fit import moving_rows
-from offpiste.logs.axes import to_z_up, turning_sign
-from offpiste.logs.channel import Channel
+from offpiste.logs.channel import Channel, to_z_up, turning_sign
 from offpiste.logs.drive import Drive
 from offpiste.rig.channels import GEOGRAPHIC, ChannelSource, unit_factor
 from offpiste.rig.edits import Edit, rescaled, rounded

@@ -9,8 +9,7 @@ from jaxtyping import Float
 
 from offpiste.core.errors import LiveError
 from offpiste.core.geometry import local_from_geographic
-from offpiste.logs.axes import to_z_up
-from offpiste.logs.channel import FAR
+from offpiste.logs.channel import FAR, to_z_up
 from offpiste.planning.course import FASTEST, Course
 from offpiste.rig.rig import Rig
 

@@ -11,8 +11,17 @@ from jaxtyping import Float
 from offpiste.core.errors import LogError, PerceptionError
 from offpiste.live.vehicle_messages import NO_STAMP
 from offpiste.logs.log import Log, RawCloud, Samples, Topic
-from offpiste.logs.measurements import Camera, Cloud, Image, Lidar, cloud_from_records, in_eight_bits
-from offpiste.logs.mountings import camera_of, lidar_of, refuse_rough
+from offpiste.logs.measurements import (
+    Camera,
+    Cloud,
+    Image,
+    Lidar,
+    camera_of,
+    cloud_from_records,
+    in_eight_bits,
+    lidar_of,
+    refuse_rough,
+)
 from offpiste.logs.ros.bag_files import heard_at
 from offpiste.logs.ros.image_encodings import pixels_of
 from offpiste.logs.ros.sensor_messages import points_from_message

@@ -19,8 +19,7 @@ from offpiste.core.channels import (
 )
 from offpiste.core.errors import RigError
 from offpiste.core.geometry import local_polynomial, rotation_of_one, yaw_rate_from_body_rates
-from offpiste.logs.axes import to_z_up
-from offpiste.logs.channel import KEPT_UP, convert, largest
+from offpiste.logs.channel import KEPT_UP, convert, largest, to_z_up
 from offpiste.logs.ros.bag_files import field_getter, heard_at
 from offpiste.logs.ros.sensor_messages import joint_getter
 from offpiste.logs.transforms import frame_pair

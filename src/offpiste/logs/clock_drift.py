@@ -1,8 +1,8 @@
-"""Clocks that drift against the poses': by the speed of the wheels, which both know, or by the messages' arrivals.
+"""Clocks that drift against the poses', compared by the speed of the wheels or by arrival times.
 
-Buses and bridges stamp messages when they arrive. In the TartanDrive 2 drives the vehicle's bus arrives between 0.3 s
-early and 1.5 s late, changing within seconds: no constant delay corrects that, a lag by the wheels' speed does.
-Cameras and LiDARs do not measure the speed; their clocks are compared by when their messages reach the recorder.
+Buses and bridges stamp messages when they arrive. In the TartanDrive 2 drives the stamps of the vehicle's bus are
+between 0.3 s early and 1.5 s late and change within seconds, which no constant delay corrects: the lag is estimated
+from the speed of the wheels. Cameras and LiDARs do not measure the speed; their clocks are compared by arrival times.
 """
 
 from collections.abc import Iterable
@@ -24,28 +24,28 @@ _BIN: Final = 0.1
 _LAG_STEP: Final = 0.05
 """Step between candidate lags [s]."""
 _BLOCKS: Final = 12
-"""Number of blocks of time; the quickest arrival of each counts, as a message can only be delayed."""
+"""Number of time blocks; only the smallest delay of each is used, since messages can only be late."""
 _DRIFTS: Final = 0.02
-"""Drift above which a clock is reported [s]: 0.2 m at 10 m/s."""
+"""Smallest reported drift [s]: 0.2 m at 10 m/s."""
 DRIFT_LIMIT: Final = 0.2
 """Drift above which images and scans are refused [s]."""
 _STEP: Final = 0.1
-"""Least step back of all clocks [s]."""
+"""Smallest backward step of all clocks [s]."""
 _BESIDE: Final = 5
-"""Samples on either side of a step that lie before or after it."""
+"""Number of samples on either side of a step that must increase."""
 _OFFSET: Final = 0.5
-"""Offset above which a clock is reported [s]; no sensor takes so long to send."""
+"""Smallest reported offset [s]; no sensor has such a latency."""
 
 ALIGNED: Final = "clock of"
-"""Beginning of the note on a clock that was aligned."""
+"""Beginning of the note on an aligned clock."""
 
 
 @dataclass(frozen=True)
 class ClockLag:
-    """Lag of a clock: how much later than it happened a sample is stamped.
+    """Lag of a clock: stamp minus true time.
 
     Attributes:
-        time: moments by the poses' clock [s].
+        time: times by the poses' clock [s].
         lag: stamp minus time [s]; `time + lag` never decreases.
     """
 
@@ -53,7 +53,7 @@ class ClockLag:
     lag: Float[np.ndarray, " n"]
 
     def happened(self, stamps: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
-        """Moments at which samples with these stamps happened [s]."""
+        """Return the true times of samples with given stamps [s]."""
         stamped = self.time + self.lag
         inside = np.interp(stamps, stamped, self.time)
         before = np.minimum(stamps - stamped[0], 0.0)
@@ -64,16 +64,15 @@ class ClockLag:
 def align_clock(
     log: Log, rig: Rig, alignment: Alignment, channels: dict[str, Channel]
 ) -> tuple[dict[str, Channel], list[str]]:
-    """Channels with those of a drifting clock moved to the poses' clock, and by how much, in words.
+    """Align the channels of a drifting clock to the poses' clock; return the channels and a note on the lag.
 
-    The whole drive is used, as in any synchronisation after the fact: a planner on the vehicle has no such lag.
+    The whole drive is used, which a planner on the vehicle cannot do.
     """
-    # Wheels are read like a velocity of two components, one a field; their mean is the speed.
-    wheels, _ = read_channel(log, rig, "wheel_speed", alignment.speed)
+    wheels, _, _ = read_channel(log, rig, "wheel_speed", alignment.speed)
     speed = Channel("wheel_speed", wheels.unit, wheels.time, wheels.values.mean(axis=1, keepdims=True))
     reference = pose_speed(channels)
     if len(reference.time) < 2:
-        how = "remove [alignment], or take a pose with more samples"
+        how = "remove [alignment], or use a pose with more samples"
         raise LogError("its poses show no speed to align a clock with", where=log.path, how=how)
     refuse_long(reference.time[0], reference.time[-1], log.path)
     lag = estimate_lag(reference, speed, max_lag=alignment.max_lag)
@@ -88,12 +87,12 @@ def align_clock(
 
 
 def pose_speed(channels: dict[str, Channel]) -> Channel:
-    """Speed by the poses' clock [m/s]: norm of the log's velocity, whatever its frame, or of the derived position."""
+    """Return the speed by the poses' clock [m/s]: the norm of the logged velocity, or of the derivative of position."""
     velocity = channels.get("linear_velocity")
     if velocity is not None:
         return replace(velocity, name="speed", values=np.linalg.norm(velocity.values, axis=1, keepdims=True))
     place = channels["position"]
-    window = max(0.3, 6 * float(np.median(np.diff(place.time))))  # slow poses take six samples
+    window = max(0.3, 6 * float(np.median(np.diff(place.time))))  # six samples of slow poses
     _, rate = local_polynomial(place.time, place.values[:, :2], place.time, window=window, causal=False)
     known = np.isfinite(rate).all(axis=1)
     speed = np.linalg.norm(rate[known], axis=1, keepdims=True)
@@ -101,16 +100,15 @@ def pose_speed(channels: dict[str, Channel]) -> Channel:
 
 
 def estimate_lag(reference: Channel, recorded: Channel, *, max_lag: float, stiffness: float = 2.0) -> ClockLag:
-    """Lag of `recorded` behind `reference`, piecewise constant, by dynamic programming.
+    """Estimate the piecewise constant lag of `recorded` behind `reference` by dynamic programming.
 
     Minimises the sum over bins of |recorded(t + lag) - reference(t)| + stiffness |change of lag|, so that the lag
-    jumps only where the speeds demand it. It is a dynamic time warping (Sakoe and Chiba 1978) with an L1 prior.
+    jumps only where the speeds demand it: dynamic time warping (Sakoe and Chiba 1978) with an L1 prior.
 
     Args:
-        reference: speed by the pose's clock [m/s].
-        recorded: the same speed by the other clock [m/s].
+        reference, recorded: speed by the poses' clock and by the other clock [m/s].
         max_lag: lags from -max_lag/2 to max_lag are tried [s].
-        stiffness: cost of a change by 1 s, in m/s lasting one second.
+        stiffness: cost of a change of lag by 1 s, in m/s for one second.
     """
     time = np.arange(reference.time[0], reference.time[-1], _BIN)
     lags = np.arange(-max_lag / 2, max_lag + _LAG_STEP / 2, _LAG_STEP)
@@ -119,13 +117,13 @@ def estimate_lag(reference: Channel, recorded: Channel, *, max_lag: float, stiff
 
     change = lags[None, :] - lags[:, None]
     cost = stiffness / _BIN * np.abs(change)
-    # A later sample must not have happened earlier: the lag cannot fall faster than time passes.
+    # True times must increase with stamps: the lag cannot fall faster than time passes.
     cost[change < -_BIN + 1e-9] = np.inf
     return ClockLag(time, lags[_cheapest_path(np.abs(misfit), cost)])
 
 
 def _cheapest_path(misfit: Float[np.ndarray, "n L"], cost: Float[np.ndarray, "L L"]) -> Int[np.ndarray, " n"]:
-    """Viterbi: the sequence of columns with the least misfit plus cost[from, to] of its changes."""
+    """Return the sequence of columns with the least misfit plus cost[from, to] of its changes (Viterbi)."""
     total = misfit[0].copy()
     came_from = np.zeros(misfit.shape, dtype=np.int64)
     for row in range(1, len(misfit)):
@@ -140,11 +138,11 @@ def _cheapest_path(misfit: Float[np.ndarray, "n L"], cost: Float[np.ndarray, "L 
 
 
 class ClockDifference(NamedTuple):
-    """Difference between a sensor's clock and the poses'.
+    """Difference between the poses' clock and a sensor's.
 
     Attributes:
-        offset: by how much the sensor's is behind in the middle of the drive [s].
-        drift: by how much it falls further behind from the drive's start to its end [s].
+        offset: delay of the sensor's clock in the middle of the drive [s].
+        drift: increase of that delay from the start of the drive to its end [s].
     """
 
     offset: float
@@ -157,14 +155,10 @@ def clock_difference(
     pose_stamps: Float[np.ndarray, " m"],
     pose_arrivals: Float[np.ndarray, " m"],
 ) -> ClockDifference | None:
-    """Difference between a sensor's clock and the poses' by their messages' arrivals; None for too few messages.
+    """Estimate the difference between a sensor's clock and the poses' from arrivals; None for too few messages.
 
-    Both are compared with the recorder's clock, on which all messages arrive: the difference is a line through the
-    quickest arrivals of each block of time.
-
-    Args:
-        stamps, arrivals: of the sensor's messages [s].
-        pose_stamps, pose_arrivals: of the poses' messages [s].
+    All messages arrive by the recorder's clock, so that the difference is a line through the smallest delays of each
+    block of time.
     """
     start = max(arrivals.min(), pose_arrivals.min()) if min(len(stamps), len(pose_stamps)) else 0.0
     end = min(arrivals.max(), pose_arrivals.max()) if min(len(stamps), len(pose_stamps)) else 0.0
@@ -181,7 +175,7 @@ def clock_difference(
 
 
 def clock_note(name: str, difference: ClockDifference) -> list[str]:
-    """A sensor's clock in words; nothing where it agrees with the poses'."""
+    """Describe a difference between a sensor's clock and the poses'; nothing if they agree."""
     offset, drift = difference
     if abs(drift) > _DRIFTS:
         return [f"{name}: its stamps drift against the poses' by {1000 * abs(drift):.0f} ms over the drive"]
@@ -194,7 +188,7 @@ def clock_note(name: str, difference: ClockDifference) -> list[str]:
 def least_delays(
     arrivals: Float[np.ndarray, " n"], delay: Float[np.ndarray, " n"], edges: Float[np.ndarray, " e"]
 ) -> Float[np.ndarray, " b"]:
-    """Least delay of each block of time; NaN where no message arrived."""
+    """Return the smallest delay in each block of time; NaN without messages."""
     block = np.clip(np.searchsorted(edges, arrivals, side="right") - 1, 0, len(edges) - 2)
     inside = (arrivals >= edges[0]) & (arrivals <= edges[-1])
     least = np.full(len(edges) - 1, np.inf)
@@ -202,8 +196,20 @@ def least_delays(
     return np.where(np.isfinite(least), least, np.nan)
 
 
-def steps_back(time: Float[np.ndarray, " n"]) -> list[SetBack]:
-    """Steps back of a clock, by its stamps in the order in which they were recorded; single late samples are none."""
+def common_step(topics: Iterable[Float[np.ndarray, " _"]]) -> SetBack | None:
+    """Return the backward step shared by all of two or more topics that go on beyond it, from stamps in file order."""
+    stamps = sorted((time for time in topics if len(time) > 4 * _BESIDE), key=len, reverse=True)
+    for step in _steps_back(stamps[0]) if stamps else []:
+        near = step.by / 2
+        beyond = [time for time in stamps if time[0] < step.time - step.by and time[-1] > step.time]
+        own = [[s for s in _steps_back(t) if abs(s.time - step.time) < near > abs(s.by - step.by)] for t in beyond]
+        if len(own) > 1 and all(own):
+            return step
+    return None
+
+
+def _steps_back(time: Float[np.ndarray, " n"]) -> list[SetBack]:
+    """Return the backward steps of a clock, from stamps in file order; single late samples are not steps."""
     time = time[np.isfinite(time)]
     result = []
     for at in np.flatnonzero(np.diff(time) < -_STEP):
@@ -212,15 +218,3 @@ def steps_back(time: Float[np.ndarray, " n"]) -> list[SetBack]:
         if rising and len(before) == len(after) == _BESIDE and after[0] < before[-1] - _STEP:
             result.append(SetBack(float(time[at]), float(time[at] - time[at + 1] + np.median(np.diff(before)))))
     return result
-
-
-def common_step(topics: Iterable[Float[np.ndarray, " _"]]) -> SetBack | None:
-    """The step back that the clocks of two topics and more have at one moment, and all that go on beyond it."""
-    stamps = sorted((time for time in topics if len(time) > 4 * _BESIDE), key=len, reverse=True)
-    for step in steps_back(stamps[0]) if stamps else []:
-        near = step.by / 2
-        beyond = [time for time in stamps if time[0] < step.time - step.by and time[-1] > step.time]
-        own = [[s for s in steps_back(t) if abs(s.time - step.time) < near > abs(s.by - step.by)] for t in beyond]
-        if len(own) > 1 and all(own):
-            return step
-    return None

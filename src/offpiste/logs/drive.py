@@ -1,4 +1,4 @@
-"""A drive: the channels of one recording, read from a log through a rig."""
+"""Drive: the channels of one recording, read from a log through a rig."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -9,17 +9,16 @@ import numpy as np
 
 from offpiste.core.errors import LogError
 from offpiste.core.geometry import same_sign
-from offpiste.logs.channel import KEPT_UP, Channel, read_numbered_channel, refuse_long
+from offpiste.logs.channel import KEPT_UP, Channel, read_channel, refuse_long
 from offpiste.logs.clock_drift import align_clock
-from offpiste.logs.log import Log
-from offpiste.logs.opening import open_log
+from offpiste.logs.log import Log, open_log
 from offpiste.logs.pose_faults import PoseFaults, without_faults
 from offpiste.rig.rig import Rig
 
 _PAUSE: Final = 3600.0
-"""Shortest time without a sample that may be refused [s]."""
+"""Shortest gap without samples that may be refused [s]."""
 _EMPTY: Final = 20.0
-"""Times that such a gap is longer than all that was recorded."""
+"""Smallest ratio of such a gap to the recorded time."""
 
 
 @dataclass(frozen=True)
@@ -27,10 +26,10 @@ class Drive:
     """Channels of one vehicle in one recording.
 
     Attributes:
-        name: of the log, without its folder and ending.
-        channels: by name; channels that the rig declares absent are not in it.
+        name: name of the log, without folder and extension.
+        channels: by name, without those that the rig declares absent.
         notes: samples dropped or repaired on reading, in words.
-        faults: of the pose; `channels` are without the samples that they name.
+        faults: faults of the pose; `channels` lack the samples dropped for them.
     """
 
     name: str
@@ -52,15 +51,15 @@ def read_drive(path: str | Path, rig: Rig) -> Drive:
 
 
 def drive_from_log(log: Log, rig: Rig) -> Drive:
-    """Read the channels of a rig from a log that is open (see `read_drive`)."""
+    """Read the channels of a rig from an open log (see `read_drive`)."""
     channels, numbers = {}, {}
     notes: list[str] = list(log.warnings)
     for name, source in rig.channels.items():
-        channels[name], numbers[name], added = read_numbered_channel(log, rig, name, source)
+        channels[name], numbers[name], added = read_channel(log, rig, name, source)
         notes += added
     channels, faults = without_faults(channels, numbers)
     notes += faults.notes
-    if "orientation" in channels:  # not before: a corrupt sample may have either sign
+    if "orientation" in channels:  # after dropping faults: a corrupt sample may have either sign
         given = channels["orientation"]
         channels["orientation"] = replace(given, values=same_sign(given.values))
     if rig.alignment is not None:
@@ -70,7 +69,7 @@ def drive_from_log(log: Log, rig: Rig) -> Drive:
 
 
 def _kept_up(channels: dict[str, Channel], rig: Rig, path: Path) -> dict[str, Channel]:
-    """Fill on-change channels with repeated samples up to the last pose; other channels are unchanged."""
+    """Repeat samples of on-change channels up to the last pose; other channels are unchanged."""
     until, result = float(channels["position"].time[-1]), dict(channels)
     every = min(0.9 * rig.clock.max_gap, rig.motion.window / KEPT_UP)
     for name, channel in channels.items():
@@ -81,17 +80,13 @@ def _kept_up(channels: dict[str, Channel], rig: Rig, path: Path) -> dict[str, Ch
 
 
 def drive_name(path: str | Path) -> str:
-    """Name of a drive: the log's file name without the ending, or its folder's name."""
+    """Return the name of a drive: the log's file name without extension, or its folder's name."""
     path = Path(path).resolve()
     return path.name if path.is_dir() else path.stem
 
 
 def common_span(channels: Sequence[Channel], path: str | Path) -> tuple[float, float]:
-    """First and last moment [s] that all of these channels cover.
-
-    Raises:
-        LogError: there is no such moment, or more than a day of them, or next to none of that time is recorded.
-    """
+    """Return the first and the last time [s] covered by all channels; refuse spans without or with hardly any data."""
     start = max(channel.time[0] for channel in channels)
     end = min(channel.time[-1] for channel in channels)
     if not end > start:
@@ -103,14 +98,13 @@ def common_span(channels: Sequence[Channel], path: str | Path) -> tuple[float, f
             how='their clocks differ: use clock.stamps = "receive", fix a delay, or drop the channel',
         )
     refuse_long(start, end, path)
-    _refuse_empty(start, end, channels, path)
+    if end - start >= _PAUSE:
+        _refuse_gap(start, end, channels, path)
     return start, end
 
 
-def _refuse_empty(start: float, end: float, channels: Sequence[Channel], path: str | Path) -> None:
-    """Raise if a grid of time would be empty but for its ends: all channels have one gap, as where a clock was set."""
-    if end - start < _PAUSE:
-        return
+def _refuse_gap(start: float, end: float, channels: Sequence[Channel], path: str | Path) -> None:
+    """Refuse a span that is nearly all one gap common to all channels, as after a clock was set."""
     time = np.sort(np.concatenate([channel.time for channel in channels]))
     time = time[(time >= start) & (time <= end)]
     gaps = np.diff(time, append=time[-1:])

@@ -1,4 +1,4 @@
-"""Ground truth of a simulated log, which only oracle experiments read."""
+"""Ground truth of simulated logs, for oracle experiments only."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,14 +8,13 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from offpiste.core.errors import LogError
-from offpiste.logs.log import Log
-from offpiste.logs.opening import open_log
+from offpiste.logs.log import Log, open_log
 from offpiste.logs.ros.grid_map import MapLayers, layers_from_grid_map
 from offpiste.logs.ros.sensor_messages import points_from_message
 
 GROUND_PROPERTIES: Final = ("friction", "cornering_stiffness", "rolling_resistance", "sinkage_drag")
-"""What simulated ground does to a tyre: largest horizontal force over load [1], lateral force over load at small slip
-angles [1/rad], rolling resistance over load [1], further resistance over load at full wheel slip [1]."""
+"""Properties of simulated ground: largest horizontal force over load [1], lateral force over load per small slip angle
+[1/rad], rolling resistance over load [1], and further resistance over load at full wheel slip [1]."""
 
 GROUND_KINDS: Final = ("packed_sand", "loose_sand", "dirt_trail", "gravel", "mud", "dry_grass", "wet_grass")
 """Kinds of simulated ground; their properties are listed in simulation/world/grounds.toml."""
@@ -25,7 +24,7 @@ WHEELS_TOPIC, MAP_TOPIC = "/truth/wheels", "/truth/map"
 WHEEL = np.dtype(
     [(name, "<f4") for name in ("x", "y", "z", *GROUND_PROPERTIES, "load", "slip_ratio", "slip_angle", "kind")]
 )
-"""A wheel's record on `WHEELS_TOPIC`; the units are those of `Truth`."""
+"""Record of a wheel on `WHEELS_TOPIC`, in the units of `Truth`."""
 
 
 @dataclass(frozen=True)
@@ -34,13 +33,13 @@ class Truth:
 
     Attributes:
         time: header stamps [s].
-        contact: points where the wheels touch the ground, in the world frame [m].
-        properties: of the ground there (`GROUND_PROPERTIES`).
-        kind: of the ground there.
+        contact: contact points of the wheels in the world frame [m].
+        properties: `GROUND_PROPERTIES` at the contact points.
+        kind: index into `GROUND_KINDS` at the contact points.
         load: normal load [N].
         slip_ratio: limited to [-1, 1].
         slip_angle: [rad].
-        map: the whole world: `elevation` [m], ground properties, share of each ground kind, `wetness`.
+        map: layers of the whole world: `elevation` [m], ground properties, share of each ground kind, `wetness`.
     """
 
     time: Float[np.ndarray, " n"]
@@ -54,7 +53,7 @@ class Truth:
 
 
 def read_truth(path: str | Path) -> Truth:
-    """Ground truth of a simulated drive.
+    """Read the ground truth of a simulated drive.
 
     Raises:
         LogError: the log has none, or cannot be read.
@@ -77,11 +76,7 @@ def read_truth(path: str | Path) -> Truth:
 
 
 def read_truth_map(path: str | Path) -> MapLayers:
-    """True map of a simulated drive.
-
-    Raises:
-        LogError: the log has none, or cannot be read.
-    """
+    """Read the true map of a simulated drive."""
     grid = next((message for _, message in _simulated(path).messages(MAP_TOPIC)), None)
     if grid is None:
         raise LogError("its true map is missing", where=path, how="record it again with `offpiste simulate`")

@@ -1,19 +1,21 @@
-"""A recorded log as the rest sees it: topics with numbers, cameras and LiDARs, whatever its format; opening one.
+"""Interface of recorded logs, the registry of formats, and `open_log`.
 
-A format is one class: a subclass of `Log` that registers itself in `LOG_FORMATS`. `offpiste.logs.formats` has those
-that ship, `examples/extending/euroc.py` shows one added from outside.
+A format is a subclass of `Log` registered in `LOG_FORMATS`. `offpiste.logs.formats` holds those that ship;
+`examples/extending/euroc.py` adds another one.
 """
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from shlex import quote
 from typing import Any, ClassVar, Final, NamedTuple, TypeVar
 
 import numpy as np
 from jaxtyping import Float, UInt8, UInt16
 
-from offpiste.core.errors import LogError, did_you_mean
+from offpiste.core.errors import LogError, SeveralLogs, did_you_mean
+from offpiste.core.object_store import refuse_url
 from offpiste.core.registry import Registry
 from offpiste.logs.transforms import Transform, listed
 from offpiste.rig.camera import CameraModel
@@ -21,24 +23,37 @@ from offpiste.rig.channels import Clock, topic_in_words
 from offpiste.rig.labels import without_comment
 
 LOG_FORMATS: "Registry[type[Log]]" = Registry("log format", package="offpiste.logs.formats", error=LogError)
-"""Log formats by name; `offpiste.logs.open_log` chooses the one that recognises a path."""
+"""Log formats by name."""
 
 JOINT_ARRAYS: Final = {"position": "", "velocity": "_vel", "effort": "_effort"}
-"""Arrays of sensor_msgs/JointState, and what is added to a joint's name in `Topic.joints`: a position is the joint."""
+"""Arrays of sensor_msgs/JointState, and the suffix of their entries' names in `Topic.joints`."""
+
+_LISTED = 5
+"""Largest number of logs of a folder in a message."""
+_EXPORTED_BY = {
+    ".ulg": "ulog2csv (pyulog), and give the folder of its tables",
+    ".bin": "ArduPilot's mavlogdump.py (pymavlink) as CSV",
+    ".mf4": "asammdf as CSV or Parquet",
+    ".blf": "python-can and the DBC as CSV",
+    ".h5": "pandas as Parquet",
+    ".mat": "scipy.io.loadmat and pandas as Parquet",
+}
+"""Exporters of unsupported formats, by file extension."""
 
 
 @dataclass(frozen=True)
 class Topic:
-    """A named stream of samples, described before its samples are read.
+    """Description of a named stream of samples.
 
     Attributes:
-        type: message type, or the kind of file.
+        type: message type, or kind of file.
         count: number of samples.
-        fields: names of the numeric fields; empty where they are known only from a message, and there is none.
-        units: of fields, by name, where the log states them beside the names (`offpiste.rig.labels`).
-        joints: what messages call the entries of their arrays, by field (sensor_msgs/JointState).
-        unread: why columns of the file are not among the fields, by name.
-        part_of: the topic among whose messages it is found, counted in the first of them; "" for one of the log's own.
+        fields: names of the numeric fields; empty if the first messages are needed to tell them and there are none.
+        units: units of fields that the log states apart from the names (`offpiste.rig.labels`).
+        joints: names of the entries of sensor_msgs/JointState, by field.
+        unread: reasons why other columns are not fields, by column.
+        part_of: for one of several streams on a topic, the name of that topic; its messages are counted at the
+            beginning of the log only.
     """
 
     name: str
@@ -51,19 +66,15 @@ class Topic:
     part_of: str = ""
 
     def in_words(self, name: str) -> str:
-        """A field with the name of its joint: `position[1] (steering)`."""
+        """Return a field with the name of its joint: `position[1] (steering)`."""
         return f"{name} ({self.joints[name]})" if name in self.joints else name
 
     def joint_of(self, name: str) -> str:
-        """What messages call the joint of a field, without what tells velocities and efforts apart."""
+        """Return the name of a field's joint, without the suffix of `JOINT_ARRAYS`."""
         return self.joints[name].removesuffix(JOINT_ARRAYS[name.partition("[")[0]]) if name in self.joints else ""
 
     def fields_here(self, fields: Sequence[str], joints: Sequence[str]) -> tuple[str, ...]:
-        """A rig's fields by their names in this log: entries of arrays by joints, columns without a comment's sign.
-
-        Raises:
-            LogError: the topic has no joint of such a name.
-        """
+        """Return a rig's fields as named in this log: array entries by joints, columns without comment signs."""
         if not joints or not self.joints:
             return tuple(name if name in self.fields else without_comment(name) for name in fields)
         own = {(one.partition("[")[0], self.joint_of(one)): one for one in reversed(list(self.joints))}
@@ -79,11 +90,11 @@ class Topic:
 
 @dataclass(frozen=True)
 class Samples:
-    """Numbers as recorded, in the order of the file; nothing is sorted, dropped or converted yet.
+    """Recorded numbers in file order, neither sorted, cleaned nor converted.
 
     Attributes:
         time: stamps [s].
-        values: one column a field.
+        values: a column per field.
     """
 
     time: Float[np.ndarray, " n"]
@@ -92,12 +103,12 @@ class Samples:
 
 @dataclass(frozen=True)
 class RawImage:
-    """An image as recorded.
+    """Recorded image.
 
     Attributes:
         time: stamp [s].
         frame: optical frame of the camera.
-        pixels: RGB in as many bits as were recorded (`measurements.in_eight_bits`); None where it cannot be decoded.
+        pixels: RGB at the recorded bit depth (`measurements.in_eight_bits`); None if it cannot be decoded.
     """
 
     time: float
@@ -107,12 +118,12 @@ class RawImage:
 
 @dataclass(frozen=True)
 class RawCloud:
-    """A cloud as recorded.
+    """Recorded point cloud.
 
     Attributes:
         time: stamp [s].
         frame: frame of the points.
-        points: records with x, y, z and more.
+        points: records with x, y, z and other fields.
     """
 
     time: float
@@ -121,11 +132,11 @@ class RawCloud:
 
 
 class SetBack(NamedTuple):
-    """A step back of a clock.
+    """Backward step of a clock.
 
     Attributes:
-        time: last stamp before it [s].
-        by: how far [s].
+        time: last stamp before the step [s].
+        by: size of the step [s].
     """
 
     time: float
@@ -136,18 +147,18 @@ _Raw = TypeVar("_Raw", RawImage, RawCloud)
 
 
 class Log(ABC):
-    """A recorded drive; `offpiste.logs.open_log` chooses the format.
+    """Recorded drive; `open_log` chooses the format.
 
-    A format overrides `recognises`, `topics` and `_read`. One with cameras or LiDARs sets `has_sensors` and overrides
-    the methods about them; each message is read when its turn comes, so that memory does not grow with the log.
+    A format overrides `recognises`, `topics` and `_read`. A format with cameras or LiDARs sets `has_sensors` and
+    overrides the methods that read them. Messages are read one at a time, so that memory does not grow with the log.
 
     Attributes:
-        description: the format in messages, e.g. "a KITTI raw drive".
-        has_sensors: whether the format can hold images or point clouds.
-        has_messages: whether `messages` gives decoded ROS messages.
-        has_clock_unit: whether the rig's clock gives the unit of the stamps.
-        has_arrivals: whether samples carry their time of arrival beside their own stamp; `stamps` chooses one.
-        warnings: what a damaged or ambiguous log made the reader leave out or guess, in words.
+        description: name of the format in messages, e.g. "a KITTI raw drive".
+        has_sensors: the format can hold images or point clouds.
+        has_messages: `messages` yields decoded ROS messages.
+        has_clock_unit: the rig's clock states the unit of the stamps.
+        has_arrivals: samples have an arrival time beside their own stamp; the argument `stamps` chooses one of the two.
+        warnings: parts of a damaged or ambiguous log that the reader left out or guessed.
     """
 
     description: ClassVar[str] = ""
@@ -160,19 +171,12 @@ class Log(ABC):
 
     @staticmethod
     def recognises(path: Path) -> bool:
-        """Whether a file or folder, which exists, has this format; quick."""
+        """Return whether an existing file or folder has this format; must be quick."""
         return False
 
     @classmethod
     def open(cls, path: Path, clock: Clock) -> "Log":
-        """A log of this format.
-
-        Args:
-            clock: the rig's; formats that know their clock ignore it.
-
-        Raises:
-            LogError: the log cannot be read.
-        """
+        """Open a log of this format; formats with a clock of their own ignore the rig's `clock`."""
         return cls(path)  # type: ignore[call-arg]
 
     @property
@@ -182,27 +186,27 @@ class Log(ABC):
 
     @property
     def set_back(self) -> SetBack | None:
-        """Step back of the recorder's clock, which puts samples before and after it in one order of arrival."""
+        """Backward step of the recorder's clock, after which arrival times no longer give the order of messages."""
         return None
 
     @property
     def clock(self) -> Clock:
-        """The clock that stamps are read by: of a table, the column that is taken for time, and its unit."""
+        """Clock of the stamps: for a table, the time column in use and its unit."""
         return Clock()
 
     @abstractmethod
     def _read(self, topic: Topic, fields: Sequence[str], stamps: str) -> Samples: ...
 
     def read(self, topic: str, fields: Sequence[str], *, stamps: str = "header") -> Samples:
-        """Samples of some fields of a topic.
+        """Read some fields of a topic.
 
         Args:
             topic: name in `topics`.
             fields: names in the topic's `fields`.
-            stamps: "header" (a message's own stamp where it has one) or "receive"; ignored without `has_arrivals`.
+            stamps: "header" (a message's own stamp if it has one) or "receive"; ignored without `has_arrivals`.
 
         Raises:
-            LogError: no such topic or field, no sample in it, or the file is damaged there.
+            LogError: the topic or field is missing, the topic is empty, or the file is damaged there.
         """
         result = self._find(topic)
         if result.count == 0:
@@ -216,81 +220,51 @@ class Log(ABC):
         return self._read(result, fields, stamps)
 
     def stamps(self, topic: str, *, stamps: str = "header") -> Float[np.ndarray, " n"]:
-        """Stamps of all messages of a topic [s], in the order of the file, without decoding more than needed.
-
-        Raises:
-            LogError: as for `read`.
-        """
+        """Return the stamps of all messages of a topic in file order [s], decoding as little as possible."""
         return self.read(topic, self._find(topic).fields[:1], stamps=stamps).time
 
     def messages(self, topic: str, *, stamps: str = "header") -> Iterator[tuple[float, Any]]:
-        """Stamps [s] and decoded ROS messages of a topic, in the order of the file, one at a time.
-
-        Raises:
-            LogError: no such topic, a type that cannot be decoded, or the format has no messages.
-        """
+        """Yield the stamp [s] and the decoded ROS message of each message of a topic, in file order."""
         raise LogError("this format holds no messages", where=self.path, how=f"give {_formats('has_messages')}")
 
     def transforms(self, topics: Sequence[str]) -> list[Transform]:
-        """Fixed transforms between frames; none where the log has none.
+        """Return the fixed transforms between frames.
 
         Args:
-            topics: those that carry them, where the format needs to know (`frames.topics` of the rig).
-
-        Raises:
-            LogError: the log is damaged there.
+            topics: topics with transforms (`frames.topics` of the rig); ignored by formats that know where they are.
         """
         return []
 
     def camera_model(self, topic: str, *, rectified: bool) -> tuple[CameraModel, Float[np.ndarray, "4 4"]]:
-        """Calibration of a camera, and `camera_from_image` (`offpiste.rig.camera.model_from_message`).
-
-        Raises:
-            LogError: no calibration there, or one that is not supported.
-        """
+        """Return the calibration of a camera, and `camera_from_image` (`offpiste.rig.camera.model_from_message`)."""
         raise self.no_sensors()
 
     def frame(self, topic: str) -> str:
-        """Frame of a topic's first message.
-
-        Raises:
-            LogError: there is no message.
-        """
+        """Return the frame of a topic's first message."""
         raise self.no_sensors()
 
     def images(self, topic: str, *, stamps: str = "header") -> Iterator[RawImage]:
-        """Images in the order of the file.
-
-        Raises:
-            LogError: the topic holds something else.
-        """
+        """Yield the images of a topic in file order."""
         raise self.no_sensors()
 
     def clouds(self, topic: str, *, stamps: str = "header") -> Iterator[RawCloud]:
-        """Point clouds in the order of the file.
-
-        Raises:
-            LogError: the topic holds something else.
-        """
+        """Yield the point clouds of a topic in file order."""
         raise self.no_sensors()
 
     def images_at(self, topic: str, times: Float[np.ndarray, " n"], *, stamps: str = "header") -> Iterator[RawImage]:
-        """Those images whose stamps are given, in the order of the file; a format with an index reads no others.
+        """Yield the images with given stamps in file order; formats with an index read no others.
 
         Args:
             times: some of `stamps(topic)` [s].
-
-        Raises:
-            LogError: as for `images`.
         """
         return _picked(self.images(topic, stamps=stamps), times)
 
     def clouds_at(self, topic: str, times: Float[np.ndarray, " n"], *, stamps: str = "header") -> Iterator[RawCloud]:
-        """Those point clouds whose stamps are given (see `images_at`)."""
+        """Yield the point clouds with given stamps (see `images_at`)."""
         return _picked(self.clouds(topic, stamps=stamps), times)
 
     def no_sensors(self) -> LogError:
-        """Error of a log whose format has no images and no clouds."""
+        """Return the error for a format without images and clouds."""
         how = f"give {_formats('has_sensors')}"
         return LogError("this format holds no images or clouds", where=self.path, how=how)
 
@@ -303,8 +277,41 @@ class Log(ABC):
         return result
 
 
+def open_log(path: str | Path, *, clock: Clock | None = None) -> Log:
+    """Open a recorded drive of any registered format.
+
+    Args:
+        path: file or folder.
+        clock: time column of a table and its unit; guessed by default.
+
+    Raises:
+        SeveralLogs: a folder of logs.
+        LogError: the path does not exist, its format is unknown, or it cannot be read.
+    """
+    refuse_url(path)
+    path = Path(path)
+    if not path.exists():
+        raise LogError("no such file or folder", where=path)
+    formats = [kind for _, kind in sorted(LOG_FORMATS.items())]
+    # Formats from outside come first, and bags last: a folder of another format may hold a bag as well.
+    shipped = [kind for kind in formats if kind.__module__.startswith("offpiste.")]
+    for kind in (*(kind for kind in formats if kind not in shipped), *reversed(shipped)):
+        if kind.recognises(path):
+            return kind.open(path, clock or Clock())
+    logs, others = contents_of(path) if path.is_dir() else ([], [])
+    if logs:
+        more = f" and {len(logs) - _LISTED} more" if len(logs) > _LISTED else ""
+        what = f"a folder of logs: {', '.join(logs[:_LISTED])}{more}"
+        how = f"give one of them, or inspect all: offpiste inspect {quote(str(path))}"
+        raise SeveralLogs(what, where=path, how=how, logs=logs, others=others)
+    how = f"give {', '.join(kind.description for kind in formats)}"
+    if by := _EXPORTED_BY.get(path.suffix.lower()):
+        how = f"export it by {by}"
+    raise LogError("no known log format", where=path, how=how)
+
+
 def contents_of(folder: Path) -> tuple[list[str], list[str]]:
-    """Return the names of the logs directly in a folder, and of everything else that is not hidden."""
+    """Return the names of the logs directly in a folder, and of all other entries that are not hidden."""
     formats = [kind for _, kind in LOG_FORMATS.items()]
     names = sorted(path.name for path in folder.iterdir() if not path.name.startswith("."))
     logs = [name for name in names if any(kind.recognises(folder / name) for kind in formats)]

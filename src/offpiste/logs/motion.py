@@ -1,4 +1,4 @@
-"""Planar motion on a time grid: smoothed without delay for targets, causal for starts."""
+"""Planar motion on a time grid: smoothed with zero phase for targets, and causal for initial states."""
 
 from dataclasses import dataclass
 
@@ -18,21 +18,21 @@ from offpiste.logs.drive import Drive
 from offpiste.logs.poses import find_jumps
 
 _MOVING = 0.2
-"""Speed below which the vehicle is at a standstill [m/s]: noise does not count as path."""
+"""Speed below which the vehicle stands still [m/s]: noise does not add to the path."""
 _SPACING = 0.1
-"""Path of which one elevation counts [m]."""
+"""Length of path per elevation sample [m]."""
 _STALE = 0.1
-"""Velocities are turned by headings that may be this much older [s]."""
+"""Largest age of the headings that rotate velocities [s]."""
 
 
 @dataclass(frozen=True)
 class Motion:
-    """Planar states at N moments (`offpiste.core.conventions.STATE`); NaN where unknown.
+    """Planar states at N times (`offpiste.core.conventions.STATE`); NaN where unknown.
 
     Attributes:
-        state: targets; where velocities come from the pose, smoothed with zero phase.
-        state_causal: estimated from samples stamped at or before each moment only; NaN where one of these was dropped
-            as implausible, which is known later only (`offpiste.logs.pose_faults`).
+        state: targets; velocities derived from the pose are smoothed with zero phase.
+        state_causal: estimates from samples stamped at or before each time; NaN if one of these was dropped as
+            implausible (`offpiste.logs.pose_faults`).
     """
 
     state: Float[np.ndarray, "N 6"]
@@ -40,16 +40,16 @@ class Motion:
 
 
 def estimate_motion(drive: Drive, at: Float[np.ndarray, " N"]) -> Motion:
-    """Planar states of a drive at the moments `at` [s].
+    """Estimate the planar states of a drive at given times [s].
 
-    The log's own velocities are used where the rig gives their frame; otherwise local polynomials through the pose give
-    position, heading and their rates together.
+    Logged velocities are used if the rig gives their frame; otherwise local polynomials through the pose give position,
+    heading and their rates together.
     """
-    return Motion(_smoothed(drive, at), _causal(drive, at))
+    return Motion(_states(drive, at, causal=False), _states(drive, at, causal=True))
 
 
 def heading(drive: Drive) -> Channel:
-    """Yaw at the native stamps, unwrapped [rad]."""
+    """Return the yaw at its native stamps, unwrapped [rad]."""
     if "yaw" in drive.channels:
         channel = drive.channels["yaw"]
         yaw = np.unwrap(channel.values[:, 0])
@@ -60,10 +60,10 @@ def heading(drive: Drive) -> Channel:
 
 
 def across_jumps(drive: Drive, at: Float[np.ndarray, " N"], *, causal: bool = False) -> Bool[np.ndarray, " N"]:
-    """Moments at which the motion is estimated from samples on both sides of a jump of the pose.
+    """Mark times whose motion is estimated from samples on both sides of a jump of the pose.
 
     Args:
-        causal: `Motion.state_causal` alone, which no later jump changes.
+        causal: for `Motion.state_causal` only, which later jumps do not change.
     """
     headings = [drive.channels[name] for name in ("orientation", "yaw") if name in drive.channels]
     across, window = np.zeros(len(at), bool), max(drive.rig.motion.window, 2 * DT)
@@ -81,17 +81,17 @@ def driven_slope(
     length: float,
     causal: bool = False,
 ) -> Float[np.ndarray, " N"]:
-    """Slope of the driven path, dz/ds, in place of the ground's where a log has no map.
+    """Return the slope of the driven path, dz/ds, in place of the ground's slope for logs without a map.
 
-    It is fitted over metres of path, not over seconds: smoothing over time would let braking dips of the body through.
+    It is fitted over distance rather than time, which would let the pitching of the body under braking through.
 
     Args:
-        position: smoothed positions, z up [m]; rows with NaN give NaN, and nothing is fitted across them.
+        position: smoothed positions, z up [m]; rows with NaN give NaN, and no fit spans them.
         speed: horizontal speed, negative in reverse [m/s].
         dt: time step of the rows [s].
-        length: path behind one estimate [m].
-        causal: fit only rows at or before each; the last slope is kept where too little was driven since the vehicle
-            turned back.
+        length: length of the path behind one estimate [m].
+        causal: fit only rows at or before each row; the last slope is kept until enough path was driven after a
+            reversal.
     """
     known = np.isfinite(position).all(axis=1) & np.isfinite(speed)
     slope = np.full(len(position), np.nan)
@@ -107,7 +107,7 @@ def driven_slope(
 def _slope_along(
     step: Float[np.ndarray, " N"], elevation: Float[np.ndarray, " N"], *, length: float
 ) -> Float[np.ndarray, " N"]:
-    """Slope of one unbroken stretch of path; 0 where it is too short."""
+    """Return the slope of a continuous path; 0 if it is too short."""
     distance = np.cumsum(step)
     distance = distance - distance.min()
     # A vehicle at rest must not outweigh the path before and after it.
@@ -123,7 +123,7 @@ def _slope_along(
 def _slope_behind(
     step: Float[np.ndarray, " N"], elevation: Float[np.ndarray, " N"], *, length: float
 ) -> Float[np.ndarray, " N"]:
-    """Slope of one unbroken stretch of path at each row, from the rows until then; 0 until enough was driven."""
+    """Return the slope of a continuous path from the rows up to each row; 0 until enough was driven."""
     travelled, row = np.cumsum(np.abs(step)), np.arange(len(step))
     moving = np.maximum.accumulate(np.where(step != 0, row, 0))
     direction = np.sign(step[moving])
@@ -138,47 +138,39 @@ def _slope_behind(
     return np.where(latest >= 0, slope[latest], 0.0)
 
 
-def _smoothed(drive: Drive, at: Float[np.ndarray, " N"]) -> Float[np.ndarray, "N 6"]:
+def _states(drive: Drive, at: Float[np.ndarray, " N"], *, causal: bool) -> Float[np.ndarray, "N 6"]:
     gap, window = drive.rig.clock.max_gap, drive.rig.motion.window
     place, yaw = drive.channels["position"], heading(drive)
-    velocity, rate = _own_velocity(drive, causal=False), _own_yaw_rate(drive, causal=False)
-    covered = np.isfinite(place.linear(at, max_gap=gap)[:, 0] + yaw.linear(at, max_gap=gap)[:, 0])
+    velocity, rate = _own_velocity(drive, causal=causal), _own_yaw_rate(drive, causal=causal)
 
+    def sampled(value: Channel, rate: Channel | None = None) -> np.ndarray:
+        """Interpolate a channel; if causal, return its last sample, extrapolated by its rate."""
+        if not causal:
+            return value.linear(at, max_gap=gap)
+        last = value.latest(at, max_gap=gap)
+        if rate is None:
+            return last
+        width = rate.values.shape[1]
+        return extrapolated(last[:, :width], rate.latest(at, max_gap=gap), _age(value, at))
+
+    covered = np.isfinite(sampled(place)[:, 0] + sampled(yaw)[:, 0])
+    if causal:
+        covered &= ~drive.faults.touched(at, window + _STALE)
     if velocity is not None:
-        xy, v_world = place.linear(at, max_gap=gap)[:, :2], velocity.linear(at, max_gap=gap)
+        xy, v_world = sampled(place, velocity)[:, :2], sampled(velocity)
     else:
-        xy, v_world = local_polynomial(place.time, place.values[:, :2], at, window=window, causal=False)
+        xy, v_world = local_polynomial(place.time, place.values[:, :2], at, window=window, causal=causal)
     if rate is not None:
-        psi, psi_rate = yaw.linear(at, max_gap=gap), rate.linear(at, max_gap=gap)
+        psi, psi_rate = sampled(yaw, rate), sampled(rate)
     else:
-        psi, psi_rate = local_polynomial(yaw.time, yaw.values, at, window=window, causal=False)
-    return np.where(covered[:, None], planar_state(xy, psi, v_world, psi_rate), np.nan)
-
-
-def _causal(drive: Drive, at: Float[np.ndarray, " N"]) -> Float[np.ndarray, "N 6"]:
-    gap, window = drive.rig.clock.max_gap, drive.rig.motion.window
-    place, yaw = drive.channels["position"], heading(drive)
-    velocity, rate = _own_velocity(drive, causal=True), _own_yaw_rate(drive, causal=True)
-    covered = np.isfinite(place.latest(at, max_gap=gap)[:, 0] + yaw.latest(at, max_gap=gap)[:, 0])
-
-    if velocity is not None:
-        v_world = velocity.latest(at, max_gap=gap)
-        xy = extrapolated(place.latest(at, max_gap=gap)[:, :2], v_world, _age(place, at))
-    else:
-        xy, v_world = local_polynomial(place.time, place.values[:, :2], at, window=window, causal=True)
-    if rate is not None:
-        psi_rate = rate.latest(at, max_gap=gap)
-        psi = extrapolated(yaw.latest(at, max_gap=gap), psi_rate, _age(yaw, at))
-    else:
-        psi, psi_rate = local_polynomial(yaw.time, yaw.values, at, window=window, causal=True)
-    covered &= ~drive.faults.touched(at, window + _STALE)
+        psi, psi_rate = local_polynomial(yaw.time, yaw.values, at, window=window, causal=causal)
     return np.where(covered[:, None], planar_state(xy, psi, v_world, psi_rate), np.nan)
 
 
 def extrapolated(
     value: Float[np.ndarray, "N k"], rate: Float[np.ndarray, "N k"], age: Float[np.ndarray, " N"]
 ) -> Float[np.ndarray, "N k"]:
-    """Last samples, `age` [s] old, extrapolated by the last rates: places and headings as known between samples."""
+    """Extrapolate the last samples, `age` [s] old, by the last rates."""
     return value + age[:, None] * rate
 
 
@@ -188,23 +180,23 @@ def planar_state(
     velocity: Float[np.ndarray, "N 2"],
     yaw_rate: Float[np.ndarray, "N 1"],
 ) -> Float[np.ndarray, "N 6"]:
-    """States (`offpiste.core.conventions.STATE`) from places and horizontal velocities in the world frame [m, m/s]."""
+    """Return states (`offpiste.core.conventions.STATE`) from positions [m] and world velocities [m/s]."""
     return np.concatenate((xy, yaw, planar_body_from_world(velocity, yaw[:, 0]), yaw_rate), axis=1)
 
 
 def _age(channel: Channel, at: Float[np.ndarray, " N"]) -> Float[np.ndarray, " N"]:
-    """Seconds since the last sample."""
+    """Return the time since the last sample [s]."""
     last = np.maximum(np.searchsorted(channel.time, at, side="right") - 1, 0)
     return at - channel.time[last]
 
 
 def _at_stamps(channel: Channel, of: Channel, *, causal: bool) -> Float[np.ndarray, "n k"]:
-    """A channel at another's stamps; `causal` holds the last sample, as the next one was not known yet."""
+    """Return a channel at another's stamps: interpolated, or the last sample if `causal`."""
     return (channel.latest if causal else channel.linear)(of.time, max_gap=np.inf)
 
 
 def _own_velocity(drive: Drive, *, causal: bool) -> Channel | None:
-    """Horizontal world velocity of the log at its native stamps [m/s], if the rig gives its frame."""
+    """Return the logged horizontal velocity in the world frame [m/s]; None if the rig does not give its frame."""
     channel = drive.channels.get("linear_velocity")
     if channel is None:
         return None
@@ -219,14 +211,12 @@ def _own_velocity(drive: Drive, *, causal: bool) -> Channel | None:
         known = np.isfinite(orientation).all(axis=1)
     else:
         yaw = _at_stamps(heading(drive), channel, causal=causal)[:, 0]
-        cos, sin = np.cos(yaw), np.sin(yaw)
-        x, y = channel.values[:, 0], channel.values[:, 1]
-        world, known = np.stack((cos * x - sin * y, sin * x + cos * y), axis=1), np.isfinite(yaw)
+        world, known = planar_body_from_world(channel.values[:, :2], -yaw), np.isfinite(yaw)
     return Channel("velocity", channel.unit, channel.time[known], world[known, :2])
 
 
 def _own_yaw_rate(drive: Drive, *, causal: bool) -> Channel | None:
-    """d(yaw)/dt of the log at its native stamps [rad/s], if it has one."""
+    """Return the logged d(yaw)/dt [rad/s]; None if there is none."""
     if "yaw_rate" in drive.channels:
         return drive.channels["yaw_rate"]
     gyro = drive.channels.get("angular_velocity")

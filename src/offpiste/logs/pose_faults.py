@@ -1,4 +1,4 @@
-"""Faults of a drive's pose: runs of samples that no vehicle makes, which are dropped, and jumps that last."""
+"""Faults of a drive's pose: implausible runs of samples, which are dropped, and lasting jumps."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -9,25 +9,23 @@ from jaxtyping import Bool, Float, Int
 
 from offpiste.logs.channel import Channel
 from offpiste.logs.plausibility import held_while_driving, plausible_headings, plausible_positions
+from offpiste.rig.channels import POSE
 
-POSE: Final = ("position", "orientation", "yaw")
-"""Channels whose samples are compared with what a vehicle can do."""
 _NAMED: Final = 3
-"""Runs that a note names."""
+"""Largest number of runs in a note."""
 
 
 @dataclass(frozen=True)
 class DroppedRun:
-    """Neighbouring samples of a channel that no vehicle makes, and that were dropped.
+    """Consecutive samples of a channel that were dropped, since no vehicle can have produced them.
 
     Attributes:
-        first, last: their numbers in the log, from 0.
-        start, end: their stamps [s].
-        after, until: stamps of the samples before and after them that were kept [s]; infinite where there is none.
-        since: from the channel's first sample to `start` [s].
-        off: how far the worst one lies from where the vehicle was [m or rad]; 0 where that is not known, as of a place
-            that is held to the end.
-        held: whether they hold one place while the vehicle drives on.
+        first, last: numbers in the log, from 0.
+        start, end: stamps [s].
+        after, until: stamps of the kept samples before and after the run; infinite if there are none [s].
+        since: time from the channel's first sample to `start` [s].
+        off: largest distance from the vehicle [m or rad]; 0 if unknown, as for a position held to the end.
+        held: the samples hold one position while the vehicle drives on.
     """
 
     channel: str
@@ -41,15 +39,27 @@ class DroppedRun:
     off: float
     held: bool = False
 
+    def __str__(self) -> str:
+        unit = "m" if self.channel == "position" else "rad"
+        several = self.first != self.last
+        when = f"{self.since:.2f} to {self.since + self.end - self.start:.2f}" if several else f"{self.since:.2f}"
+        which = f"samples {self.first} to {self.last}" if several else f"sample {self.first}"
+        if self.held:
+            how = "hold" if several else "holds"
+            where = f"one place, {self.off:.3g} m" if np.isfinite(self.until) else "one place to the end,"
+        else:
+            how, where = "lie" if several else "lies", f"{self.off:.3g} {unit}"
+        return f"{which} ({when} s) {how} {where}"
+
 
 @dataclass(frozen=True)
 class PoseJump:
-    """A step of the pose that no vehicle makes and that lasts, as where SLAM or GPS corrects it.
+    """Lasting step of the pose that no vehicle can make, as where SLAM or GPS corrects it.
 
     Attributes:
-        sample: number in the log of the first sample after it, from 0.
-        time: its stamp [s].
-        since: from the channel's first sample [s].
+        sample: number in the log of the first sample after the step, from 0.
+        time: stamp of that sample [s].
+        since: time from the channel's first sample [s].
     """
 
     channel: str
@@ -60,11 +70,11 @@ class PoseJump:
 
 @dataclass(frozen=True)
 class PoseFaults:
-    """What is implausible about a drive's pose.
+    """Implausible samples of a drive's pose.
 
     Attributes:
-        dropped: runs of samples that were dropped.
-        jumps: that remain.
+        dropped: dropped runs of samples.
+        jumps: remaining jumps.
         hopeless: channels of which so much is implausible that nothing was dropped.
     """
 
@@ -74,11 +84,11 @@ class PoseFaults:
 
     @property
     def notes(self) -> list[str]:
-        """What was dropped, a line for each channel."""
+        """Notes on dropped samples, one per channel."""
         lines = []
         for name in dict.fromkeys(run.channel for run in self.dropped):
             runs = [run for run in self.dropped if run.channel == name]
-            named = ", ".join(_words(run) for run in runs[:_NAMED])
+            named = ", ".join(map(str, runs[:_NAMED]))
             more = f" and {len(runs) - _NAMED} more runs" if len(runs) > _NAMED else ""
             lines.append(f"{name}: {named}{more} off the path of any vehicle; dropped")
         for name in self.hopeless:
@@ -86,24 +96,23 @@ class PoseFaults:
         return lines
 
     def touched(self, at: Float[np.ndarray, " N"], memory: float) -> Bool[np.ndarray, " N"]:
-        """Moments at which someone who remembers the last `memory` seconds would have read a dropped sample."""
+        """Mark times whose look-back window of `memory` seconds contains a dropped sample."""
         result = np.zeros(len(at), bool)
         for run in self.dropped:
             result |= (at >= run.start) & (at < run.until + memory)
         return result
 
     def unknown(self) -> Float[np.ndarray, "u 2"]:
-        """Last kept sample before and first after each dropped run: between them the pose is not known [s]."""
+        """Return the stamps of the kept samples before and after each dropped run [s]."""
         return np.array([(run.after, run.until) for run in self.dropped]).reshape(-1, 2)
 
 
 def without_faults(
     channels: Mapping[str, Channel], numbers: Mapping[str, Int[np.ndarray, " n"]]
 ) -> tuple[dict[str, Channel], PoseFaults]:
-    """Channels without the samples of the pose that no vehicle makes, and what was found.
+    """Drop the samples of the pose that no vehicle can have produced, and return the faults.
 
-    The whole drive is used: which samples are corrupt is known after the fact only. What must not depend on the future
-    reads `PoseFaults.touched`.
+    Faults are judged by the whole drive; causal estimates exclude them by `PoseFaults.touched`.
 
     Args:
         numbers: of each channel's samples in the log.
@@ -143,20 +152,20 @@ def _runs(
             channel.name,
             int(numbers[first]),
             int(numbers[end - 1]),
-            float(channel.time[first]),
-            float(channel.time[end - 1]),
-            float(time[first]),
-            float(time[end + 1]),
-            float(channel.time[first] - channel.time[0]),
-            _off(channel, first, end, beside=(end,) if holds else (first - 1, end)),
-            holds,
+            start=float(channel.time[first]),
+            end=float(channel.time[end - 1]),
+            after=float(time[first]),
+            until=float(time[end + 1]),
+            since=float(channel.time[first] - channel.time[0]),
+            off=_off(channel, first, end, beside=(end,) if holds else (first - 1, end)),
+            held=holds,
         )
         runs.append(run)
     return runs
 
 
 def _off(channel: Channel, first: int, end: int, beside: Sequence[int]) -> float:
-    """Largest distance of a run from the nearer of the samples beside it."""
+    """Return the largest distance of a run from the nearer of the samples beside it."""
     away = []
     for sample in beside:
         if 0 <= sample < len(channel.values):
@@ -168,15 +177,3 @@ def _off(channel: Channel, first: int, end: int, beside: Sequence[int]) -> float
                 apart = 2 * np.arccos(np.clip(cosine, 0, 1))[:, None]
             away.append(np.linalg.norm(apart, axis=1))
     return float(np.min(away, axis=0).max()) if away else 0.0
-
-
-def _words(run: DroppedRun) -> str:
-    unit = "m" if run.channel == "position" else "rad"
-    end = run.since + run.end - run.start
-    if run.held and not np.isfinite(run.until):
-        return f"samples {run.first} to {run.last} ({run.since:.2f} to {end:.2f} s) hold one place to the end,"
-    if run.held:
-        return f"samples {run.first} to {run.last} ({run.since:.2f} to {end:.2f} s) hold one place, {run.off:.3g} m"
-    if run.first == run.last:
-        return f"sample {run.first} ({run.since:.2f} s) lies {run.off:.3g} {unit}"
-    return f"samples {run.first} to {run.last} ({run.since:.2f} to {end:.2f} s) lie {run.off:.3g} {unit}"

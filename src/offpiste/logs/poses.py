@@ -1,4 +1,4 @@
-"""Poses of the vehicle at any moment of a log, and the jumps in them, across which no map and no window may reach."""
+"""Interpolated poses of the vehicle, and their jumps, which no map and no window may span."""
 
 from dataclasses import dataclass, field
 from typing import Final
@@ -21,11 +21,10 @@ class Poses:
     Attributes:
         position: [m].
         orientation: quaternions xyzw.
-        max_gap: nothing is interpolated between samples further apart [s].
-        jumps: last moment before and first moment after each jump [s]; nothing is interpolated between the two, and a
-            map from before does not fit after.
-        unknown: last moment before and first moment after runs of implausible samples [s]; nothing is interpolated
-            between the two either.
+        max_gap: largest gap between samples to interpolate across [s].
+        jumps: stamps before and after each jump [s]; poses between them are unknown, and maps from before do not fit
+            after.
+        unknown: stamps before and after each run of implausible samples [s]; poses between them are unknown.
     """
 
     position: Channel
@@ -36,12 +35,12 @@ class Poses:
 
     @property
     def span(self) -> tuple[float, float]:
-        """First and last moment that is known [s]."""
+        """First and last time of a known pose [s]."""
         p, q = self.position.time, self.orientation.time
         return float(max(p[0], q[0])), float(min(p[-1], q[-1]))
 
     def at(self, time: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 4 4"]:
-        """`world_from_body` at any moments [s]; NaN where unknown: outside of the log, across gaps and jumps."""
+        """Return `world_from_body` at given times [s]; NaN outside the log and across gaps and jumps."""
         matrix = np.empty((len(time), 4, 4))
         samples = (self.position.time, self.position.values, self.orientation.time, self.orientation.values)
         unknown = np.concatenate((self.jumps, self.unknown))
@@ -49,25 +48,21 @@ class Poses:
         return matrix
 
     def known(self, time: float) -> float:
-        """When the pose at a moment was known [s]: the stamp of the sample after it; infinite at the end of the log."""
+        """Return the stamp of the sample after a time [s], when its pose became known; infinite at the log's end."""
         stamps = (channel.time for channel in (self.position, self.orientation))
         return float(max(np.append(t, np.inf)[np.searchsorted(t, time, side="right")] for t in stamps))
 
     def stretch(self, time: float) -> int:
-        """Number of jumps until a moment [s]: positions of one stretch fit together."""
+        """Return the number of jumps until a time [s]; positions with the same number are consistent."""
         return int(self.stretches(np.array(time)))
 
     def stretches(self, times: Float[np.ndarray, "*n"]) -> Int[np.ndarray, "*n"]:
-        """`stretch` of many moments."""
+        """Return `stretch` at many times."""
         return np.asarray(np.searchsorted(self.jumps[:, 1], times, side="right"))
 
 
 def poses_from_drive(drive: Drive) -> Poses:
-    """The poses of a drive.
-
-    Raises:
-        RigError: without height or full orientation, LiDAR points cannot be put into the world.
-    """
+    """Return the poses of a drive, which need positions with z and full orientations."""
     position, orientation = drive.channels.get("position"), drive.channels.get("orientation")
     if orientation is None or position is None or position.values.shape[1] != 3:
         raise RigError(
@@ -78,12 +73,12 @@ def poses_from_drive(drive: Drive) -> Poses:
     return Poses(position, orientation, drive.rig.clock.max_gap, jumps, drive.faults.unknown())
 
 
-# Compiled loops; the plain reference, in NumPy and SciPy, is in the tests (`tests/logs/test_poses.py`).
+# Compiled loops; their reference in NumPy and SciPy is in tests/logs/test_poses.py.
 
 
 @POSES.inlined
 def sample_after(stamps, at, max_gap):  # type: ignore[no-untyped-def]
-    """Number of the first sample after a moment; -1 outside of the record and in gaps."""
+    """Return the index of the first sample after a time; -1 outside the record and in gaps."""
     if not stamps[0] <= at <= stamps[-1]:
         return -1
     after = min(np.searchsorted(stamps, at, side="right"), len(stamps) - 1)
@@ -92,7 +87,7 @@ def sample_after(stamps, at, max_gap):  # type: ignore[no-untyped-def]
 
 @POSES.inlined
 def slerp(one, other, share):  # type: ignore[no-untyped-def]
-    """A unit quaternion between two of any length (Shoemake, SIGGRAPH 1985), the short way round."""
+    """Interpolate between quaternions of any length along the shorter arc (Shoemake, SIGGRAPH 1985)."""
     squares = product = others = 0.0
     for k in range(4):
         squares, product, others = squares + one[k] * one[k], product + one[k] * other[k], others + other[k] * other[k]
@@ -111,15 +106,14 @@ def slerp(one, other, share):  # type: ignore[no-untyped-def]
 
 @POSES.entry
 def put_poses(time, stamps, positions, turned, quaternions, unknown, max_gap, matrices):  # type: ignore[no-untyped-def]
-    """Put `world_from_body` at each moment; not a number where it is unknown.
+    """Write `world_from_body` at each time into `matrices` [n, 4, 4]; NaN where unknown.
 
     Args:
         time: [n] [s].
         stamps, positions: samples of the position [p] [s], [p, 3] [m].
         turned, quaternions: stamps and samples xyzw of the orientation [q] [s], [q, 4].
-        unknown: moments between which nothing is known [u, 2] [s].
-        max_gap: nothing is interpolated between samples further apart [s].
-        matrices: [n, 4, 4], overwritten.
+        unknown: intervals without known poses [u, 2] [s].
+        max_gap: largest gap between samples to interpolate across [s].
     """
     for n in range(len(time)):
         at, matrix = time[n], matrices[n]
@@ -144,26 +138,22 @@ def put_poses(time, stamps, positions, turned, quaternions, unknown, max_gap, ma
         matrix[3, 3] = 1.0
 
 
-FARTHEST: Final = 1.0
-"""Least excess of a step, over what the speed explains, that is a jump [m]: five cells of the map. GPS has many shorter
-ones, which `offpiste inspect` lists."""
+_JUMP: Final = 1.0
+"""Smallest excess of a step over the speed that is a jump [m]: five cells of the map. GPS has many shorter ones, which
+`offpiste inspect` lists."""
 _UNTIL: Final = 11
-"""Number of steps, the last of which is the step itself, whose median speed explains it: never later ones."""
+"""Number of steps up to and including a step whose median speed explains it."""
 _ACCELERATION: Final = 10.0
-"""Largest change of speed [m/s^2]; counts where samples are far apart."""
+"""Largest acceleration [m/s^2]; matters for samples that are far apart."""
 _TURN: Final = np.deg2rad(20.0)
-"""Least turn between two samples that is a jump [rad] ..."""
+"""Smallest rotation between two samples that is a jump [rad] ..."""
 _TURN_RATE: Final = 4.0
 """... if it is also faster than this [rad/s], which no vehicle turns."""
 
 
 def find_jumps(position: Channel, *headings: Channel) -> Float[np.ndarray, "j 2"]:
-    """Last moment before and first moment after each jump, in the order of time [s].
-
-    Args:
-        headings: quaternions, and yaw, wrapped or not.
-    """
-    result = [_between(position, position_excess(position) > FARTHEST)]
+    """Return the stamps before and after each jump, sorted [s]; headings are quaternions or yaw, wrapped or not."""
+    result = [_between(position, _position_excess(position) > _JUMP)]
     for heading in headings:
         limit = np.maximum(_TURN, _TURN_RATE * np.diff(heading.time))
         result.append(_between(heading, _turns(heading) > limit))
@@ -171,8 +161,8 @@ def find_jumps(position: Channel, *headings: Channel) -> Float[np.ndarray, "j 2"
     return jumps[np.lexsort(jumps.T[::-1])]
 
 
-def position_excess(position: Channel) -> Float[np.ndarray, " m"]:
-    """Excess of each of the m = n - 1 steps over what the speed until then explains [m]."""
+def _position_excess(position: Channel) -> Float[np.ndarray, " m"]:
+    """Return the excess of each of the m = n - 1 steps over the speed until then [m]."""
     step = np.linalg.norm(np.diff(position.values, axis=0), axis=1)
     dt = np.diff(position.time)
     speed = median_filter(step / dt, _UNTIL, mode="nearest", origin=_UNTIL // 2)
@@ -180,7 +170,7 @@ def position_excess(position: Channel) -> Float[np.ndarray, " m"]:
 
 
 def _turns(heading: Channel) -> Float[np.ndarray, " m"]:
-    """Angles between neighbouring samples of quaternions or of yaw [rad]."""
+    """Return the angles between consecutive samples of quaternions or of yaw [rad]."""
     if heading.values.shape[1] == 1:
         return np.abs((np.diff(heading.values[:, 0]) + np.pi) % (2 * np.pi) - np.pi)
     matrix = rotation_from_quaternion(heading.values)
@@ -194,7 +184,7 @@ def _between(channel: Channel, jumps: np.ndarray) -> Float[np.ndarray, "j 2"]:
 
 
 def jump_note(poses: Poses) -> list[str]:
-    """Times of the jumps in words; nothing where there are none."""
+    """Return a note on the times of the jumps, if any."""
     jumps = poses.jumps
     if not len(jumps):
         return []

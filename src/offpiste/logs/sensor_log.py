@@ -1,4 +1,4 @@
-"""Images and clouds of a log in the order of time, calibrated and cleaned, read through its rig."""
+"""Calibrated and cleaned images and clouds of a log sorted by time, read through its rig."""
 
 import heapq
 from collections import Counter
@@ -9,32 +9,41 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from offpiste.core.errors import LogError
+from offpiste.logs.channel import increasing
 from offpiste.logs.clock_drift import DRIFT_LIMIT, clock_difference, clock_note
 from offpiste.logs.drive import drive_from_log
-from offpiste.logs.kept_rows import increasing
 from offpiste.logs.log import Log, RawCloud, RawImage
-from offpiste.logs.measurements import Camera, Cloud, Image, Lidar, cloud_from_records, in_eight_bits
-from offpiste.logs.mountings import camera_of, lidar_of, refuse_rough
-from offpiste.logs.point_times import misread_times
+from offpiste.logs.measurements import (
+    Camera,
+    Cloud,
+    Image,
+    Lidar,
+    camera_of,
+    cloud_from_records,
+    in_eight_bits,
+    lidar_of,
+    misread_times,
+    refuse_rough,
+)
 from offpiste.logs.poses import Poses, jump_note, poses_from_drive
 from offpiste.logs.transforms import listed
 from offpiste.rig.rig import Rig
 from offpiste.rig.sensors import CameraSource, LidarSource
 
 _USELESS: Final = 10
-"""Number of messages in a row without anything usable, after which a sensor is given up."""
+"""Number of consecutive unusable messages after which a sensor is refused."""
 _LATE: Final = 1.0
-"""Part of the drive at either end that a sensor may miss unreported [s]."""
+"""Largest unreported gap of a sensor, also at either end of the drive [s]."""
 _HELD: Final = 20
-"""Messages of a sensor that are held to put them in order: a transport that shuffles delays none by more."""
+"""Number of messages held to sort them, which transports that shuffle messages do not exceed."""
 _T = TypeVar("_T")
 
 
 class SensorLog:
-    """Cameras, LiDARs and poses of one log; `open_sensors` makes one.
+    """Cameras, LiDARs and poses of a log, opened by `open_sensors`.
 
     Attributes:
-        cameras, lidars: by name; those that are optional and not in the log are left out.
+        cameras, lidars: by name, without optional ones that the log lacks.
         poses: `world_from_body`.
     """
 
@@ -56,39 +65,34 @@ class SensorLog:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Sensors left out and messages dropped, as far as the log has been read, in words."""
+        """Notes on omitted sensors and dropped messages, as far as the log has been read."""
         dropped = (f"{name}: {n} of {self._read[name]} {what}" for (name, what), n in sorted(self._dropped.items()))
         return (*self._notes, *dropped)
 
     def stream(
         self, names: Iterable[str] | None = None, *, start: float = -np.inf, end: float = np.inf
     ) -> Iterator[Image | Cloud]:
-        """Images and clouds in the order of their times; one message a sensor is held at a time, or a few to sort them.
+        """Yield images and clouds sorted by time; one message per sensor is held, or a few to sort them.
 
         Args:
-            names: of cameras and LiDARs; all of them by default.
+            names: names of cameras and LiDARs; all by default.
             start, end: first and last time [s].
-
-        Raises:
-            LogError: the log is damaged, or a sensor's messages are of no use.
         """
         chosen = (*self.cameras, *self.lidars) if names is None else tuple(names)
         streams = [_between(self._measured(name, None), start, end) for name in chosen]
         yield from heapq.merge(*streams, key=lambda measured: measured.time)
 
     def picked(self, chosen: Mapping[str, Int[np.ndarray, " n"]]) -> Iterator[Image | Cloud]:
-        """Some images and clouds in the order of their times; where the file has an index, no others are read.
+        """Yield some images and clouds sorted by time; formats with an index read no others.
 
         Args:
-            chosen: by the sensor's name, indices into its `stamps`.
+            chosen: indices into `stamps` by the sensor's name.
         """
-        streams = []
-        for name, index in chosen.items():
-            streams.append(self._measured(name, self._recorded_stamps(name)[index]))
+        streams = [self._measured(name, self._recorded_stamps(name)[index]) for name, index in chosen.items()]
         yield from heapq.merge(*streams, key=lambda measured: measured.time)
 
     def _measured(self, name: str, times: Float[np.ndarray, " n"] | None) -> Iterator[Image | Cloud]:
-        """Images or clouds of a sensor; only those with some recorded stamps, if `times` are given."""
+        """Yield the images or clouds of a sensor, with given recorded stamps or all."""
         log, topic, stamps = self._log, self._sensor(name).source.topic, self.rig.clock.stamps
         if name in self.lidars:
             clouds = log.clouds(topic, stamps=stamps) if times is None else log.clouds_at(topic, times, stamps=stamps)
@@ -97,15 +101,15 @@ class SensorLog:
         return self._images(self.cameras[name], images)
 
     def stamps(self, name: str) -> Float[np.ndarray, " n"]:
-        """Times of a sensor's messages in the order of the file [s], without decoding them."""
+        """Return the times of a sensor's messages in file order [s], without decoding them."""
         return self._recorded_stamps(name) - self._sensor(name).source.delay
 
     def raw_clouds(self, name: str) -> Iterator[RawCloud]:
-        """Clouds of a LiDAR as recorded, in the order of the file."""
+        """Yield the clouds of a LiDAR as recorded, in file order."""
         return self._log.clouds(self.lidars[name].source.topic, stamps=self.rig.clock.stamps)
 
     def period(self, name: str) -> float:
-        """Time between a sensor's messages [s]; 0 where there are less than two."""
+        """Return the time between a sensor's messages [s]; 0 for less than two."""
         stamps = np.sort(self._recorded_stamps(name))
         return float(np.median(np.diff(stamps))) if len(stamps) > 1 else 0.0
 
@@ -115,11 +119,7 @@ class SensorLog:
         return self._stamps[name]
 
     def coverage(self) -> tuple[str, ...]:
-        """Poses that jump, sensors that start late, stop early or pause, clocks that drift, in words; reads all stamps.
-
-        Raises:
-            LogError: a sensor has no message while the vehicle's pose is known, or its clock drifts away from theirs.
-        """
+        """Return notes on jumps of the poses and on sensors that start late, stop early, pause or drift."""
         (first, last), notes = self.poses.span, jump_note(self.poses)
         for name in (*self.cameras, *self.lidars):
             time = self.stamps(name)
@@ -131,11 +131,7 @@ class SensorLog:
         return tuple(notes)
 
     def _clock(self, name: str, stamps: Float[np.ndarray, " n"]) -> list[str]:
-        """Its clock against that of the poses, in words.
-
-        Raises:
-            LogError: it drifts too far.
-        """
+        """Return a note on a sensor's clock that differs from the poses'; refuse one that drifts too far."""
         position, topic = self.rig.channels["position"], self._sensor(name).source.topic
         recorded = self._log.has_arrivals and self.rig.clock.stamps == "header"
         if not recorded or position.topic not in self._log.topics:
@@ -182,7 +178,7 @@ class SensorLog:
     def _converted(
         self, name: str, raw: Iterator[RawImage | RawCloud], convert: Callable[..., _T | str]
     ) -> Iterator[_T]:
-        """Messages that can be used, in the order of time; others are counted."""
+        """Yield usable messages sorted by time, and count others."""
         latest, useless = -np.inf, 0
         stamps = self._recorded_stamps(name)
         if self.rig.clock.sort:
@@ -210,16 +206,16 @@ class SensorLog:
 
 
 def open_sensors(log: Log, rig: Rig, *, poses: Poses | None = None, rough: bool = False) -> SensorLog:
-    """Cameras, LiDARs and poses of a log that is open already.
+    """Open the cameras, LiDARs and poses of a log.
 
     Args:
-        poses: instead of the log's own.
+        poses: poses in place of the log's.
         rough: accept mountings that are rough guesses (`Mounting.looks`).
 
     Raises:
-        LogError: the log's format has no images or clouds, or it lacks a topic, a calibration or a transform; or a
-            mounting is a rough guess.
-        RigError: the rig names no sensors, or its channels give no full poses.
+        LogError: the log has no images or clouds, or lacks a topic, a calibration or a transform; or a mounting is a
+            rough guess.
+        RigError: the rig's channels do not give full poses.
     """
     if not log.has_sensors:
         raise log.no_sensors()
@@ -253,7 +249,7 @@ def open_sensors(log: Log, rig: Rig, *, poses: Poses | None = None, rough: bool 
 
 
 def _sorted(raw: Iterator[RawImage | RawCloud]) -> Iterator[RawImage | RawCloud]:
-    """Messages in the order of their stamps, unless one comes more than `_HELD` messages late."""
+    """Sort messages by their stamps, except for those more than `_HELD` messages late."""
     held: list[tuple[float, int, RawImage | RawCloud]] = []
     for number, message in enumerate(raw):
         heapq.heappush(held, (message.time, number, message))
@@ -271,11 +267,7 @@ def _between(measured: Iterator[Image | Cloud], start: float, end: float) -> Ite
 
 
 def _span_notes(name: str, inside: Float[np.ndarray, " n"], span: tuple[float, float]) -> list[str]:
-    """A sensor that starts late, stops early or pauses, in words.
-
-    Args:
-        inside: its stamps within the span of the poses, rising, at least one [s].
-    """
+    """Return notes on a sensor that starts late, stops early or pauses, from its sorted stamps within the span [s]."""
     (first, last), notes = span, []
     if inside[0] - first > _LATE:
         notes.append(f"{name}: starts {inside[0] - first:.1f} s after the poses")

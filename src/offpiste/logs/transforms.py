@@ -1,7 +1,8 @@
-"""Transforms of a log: the chain of fixed ones between two frames, and each pair of frames of `/tf` as a topic.
+"""Fixed transforms between frames, and topics for single pairs of frames.
 
-Such a topic is called `/tf odom -> base_link`, and its fields are those of geometry_msgs/TransformStamped. Messages of
-several senders on one topic are topics of their own as well, by their frames: `/odom odom -> base_link`, `/imu @ imu`.
+Each pair of frames of `/tf` is a topic such as `/tf odom -> base_link`, with the fields of
+geometry_msgs/TransformStamped. Messages of several senders on one topic are also topics of their own, named by their
+frames: `/odom odom -> base_link`, `/imu @ imu`.
 """
 
 import re
@@ -17,25 +18,26 @@ from offpiste.core.errors import LogError
 from offpiste.core.geometry import rotation_from_quaternion
 
 TRANSFORMS: Final = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
-"""Types of messages that carry them."""
+"""Message types with transforms."""
 STAMPED: Final = "geometry_msgs/msg/TransformStamped"
 STAMPED_FIELDS: Final = (
     *(f"transform.translation.{axis}" for axis in "xyz"),
     *(f"transform.rotation.{axis}" for axis in "xyzw"),
 )
 _BODIES = re.compile(r"base|body|vehicle|chassis|ego|imu|(^|[/_])(car|robot)([/_]|$)", re.IGNORECASE)
-"""Frames that a pose is of, by their names, where they move in one of `_WORLDS`."""
+"""Names of vehicle frames."""
 _WORLDS = re.compile(r"odom|map|world|earth|local|enu|utm|camera_init", re.IGNORECASE)
+"""Names of world frames."""
 _SOUGHT, _MORE = 10_000, 500
-"""Messages in which a first body is sought, and those from there on that are asked for other frames."""
+"""Number of messages searched for a first pose of the vehicle, and for other frames after it."""
 _LISTED = 5
-"""Transforms that messages list besides those of a body in a world: a robot may have one for each of its joints."""
+"""Largest number of listed transforms besides poses of the vehicle: a robot may have one for each joint."""
 _NAME = re.compile(r"(\S+) (?:(\S+) -> (\S+)|@ (\S+))")
 _UNNAMED = "(none)"
 
 
 class FramePair(NamedTuple):
-    """Two frames whose transforms, or messages, a topic has among others; or one frame, and "" for the child."""
+    """Pair of frames of some messages of a topic; or a single frame, with "" for the child."""
 
     topic: str
     parent: str
@@ -43,27 +45,27 @@ class FramePair(NamedTuple):
 
     @property
     def name(self) -> str:
-        """What its own topic is called."""
+        """Name of its topic."""
         parent, child = self.parent or _UNNAMED, self.child or _UNNAMED
         return f"{self.topic} {parent} -> {child}" if self.child else f"{self.topic} @ {parent}"
 
     @property
     def is_of_a_body(self) -> bool:
-        """Whether it is of a body in a world, by the names of the frames: such a one may be the pose."""
+        """Whether it may be the vehicle's pose, by the names of the frames."""
         return bool(_WORLDS.search(self.parent) and _BODIES.search(self.child))
 
     @property
     def is_inverse(self) -> bool:
-        """Whether it is of a world in a body: a pose the other way round."""
+        """Whether it may be the inverse of the vehicle's pose, by the names of the frames."""
         return bool(_BODIES.search(self.parent) and _WORLDS.search(self.child)) and not self.is_of_a_body
 
     def of(self, message: Any) -> list[Any]:
-        """Those of it among the transforms of a message."""
+        """Return the transforms of a message between these frames."""
         return [one for one in message.transforms if frames(one) == (self.parent, self.child)]
 
 
 def frame_pair(name: str) -> FramePair | None:
-    """The frames whose topic is called so; None where it is the name of any other topic."""
+    """Return the frames in the name of a topic; None for other topics."""
     found = _NAME.fullmatch(name)
     if found is None:
         return None
@@ -72,7 +74,7 @@ def frame_pair(name: str) -> FramePair | None:
 
 
 def listed(topics: Iterable[str]) -> list[str]:
-    """Names of topics for messages and guesses: of transforms those of a body in a world, and a handful of others."""
+    """Return the topics to list in messages: of transforms, only poses of the vehicle and a handful of others."""
     names = list(topics)
     others = [name for name in names if (one := frame_pair(name)) is not None and not one.is_of_a_body]
     left_out = set(others[_LISTED:])
@@ -80,9 +82,9 @@ def listed(topics: Iterable[str]) -> list[str]:
 
 
 def frame_pairs(topic: str, messages: Iterable[Any]) -> Iterator[FramePair]:
-    """Each transform of the first messages of a topic, in their order.
+    """Yield the frames of each transform of a topic until soon after the first pose of the vehicle.
 
-    They end soon after the first body in a world; a localiser that starts late is found among the first ten thousand.
+    A localiser that starts late is found within the first ten thousand messages.
     """
     left, found = _SOUGHT, False
     for message in messages:
@@ -98,13 +100,13 @@ def frame_pairs(topic: str, messages: Iterable[Any]) -> Iterator[FramePair]:
 
 
 def frames(message: Any) -> tuple[str, str]:
-    """Parent and child of a geometry_msgs/TransformStamped."""
+    """Return the parent and the child of a geometry_msgs/TransformStamped."""
     return message.header.frame_id.lstrip("/"), message.child_frame_id.lstrip("/")
 
 
 @dataclass(frozen=True)
 class Transform:
-    """A fixed transform `parent_from_child` [m]."""
+    """Fixed transform `parent_from_child` [m]."""
 
     parent: str
     child: str
@@ -112,11 +114,7 @@ class Transform:
 
 
 def between(transforms: Sequence[Transform], parent: str, child: str, *, path: Path) -> Float[np.ndarray, "4 4"]:
-    """`parent_from_child` between two frames that a chain of fixed transforms joins, up or down the tree.
-
-    Raises:
-        LogError: no chain joins them, or a transform in it is not rigid.
-    """
+    """Return `parent_from_child` by a chain of fixed transforms, up or down the tree."""
     steps: dict[str, list[tuple[str, Float[np.ndarray, "4 4"]]]] = {}
     for t in transforms:
         usable = _is_rigid(t.matrix)
@@ -143,11 +141,11 @@ def between(transforms: Sequence[Transform], parent: str, child: str, *, path: P
 
 
 def transform_of(message: Any) -> Transform:
-    """The transform of a geometry_msgs/TransformStamped."""
+    """Return the transform of a geometry_msgs/TransformStamped."""
     t, q = message.transform.translation, message.transform.rotation
     matrix = np.eye(4)
     matrix[:3, 3] = t.x, t.y, t.z
-    with np.errstate(invalid="ignore"):  # a quaternion of zeros is found where the transform is used
+    with np.errstate(invalid="ignore"):  # quaternions of zeros are refused when used
         matrix[:3, :3] = rotation_from_quaternion(np.array([[q.x, q.y, q.z, q.w]]))[0]
     return Transform(*frames(message), matrix)
 

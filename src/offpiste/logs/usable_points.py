@@ -1,4 +1,4 @@
-"""Which points of a cloud are of use: a compiled loop; the same in plain NumPy is in tests/logs."""
+"""Compiled check of points; its reference in NumPy is in tests/logs."""
 
 import numpy as np
 
@@ -7,21 +7,13 @@ from offpiste.native.compilation import CLOUDS, FUSED_CLOUDS
 
 @FUSED_CLOUDS.inlined
 def along(row, x, y, z):  # type: ignore[no-untyped-def]
-    """Coordinate of a point along an axis, which is a row of a transform."""
+    """Return the coordinate of a point along an axis, which is a row of a transform."""
     return (x * row[0] + y * row[1] + z * row[2]) + row[3]
 
 
 @CLOUDS.entry
 def mark_usable(points, nearest, furthest, body_from_lidar, low, high, usable):  # type: ignore[no-untyped-def]
-    """Mark points that are finite, within range, and not on the vehicle itself.
-
-    Args:
-        points: [n, 3].
-        nearest, furthest: range [m].
-        body_from_lidar: [4, 4].
-        low, high: corners of the vehicle itself in the body's frame [3]; not numbers where they are not known.
-        usable: of each point [n].
-    """
+    """Mark points [n, 3] that are finite, within range [m], and outside the vehicle's box (NaN if it has none)."""
     for i in range(len(points)):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         distance = np.sqrt((x * x + y * y) + z * z)

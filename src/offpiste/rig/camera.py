@@ -1,7 +1,4 @@
-"""The camera model: image size, intrinsics and distortion; OpenCV projects and unprojects.
-
-Others hold one: cameras of logs, rectifiers, the simulator's cameras. The mounting is not part of it.
-"""
+"""Camera model: image size, intrinsics and distortion, projected and unprojected by OpenCV."""
 
 from dataclasses import dataclass
 from typing import Any, Final
@@ -14,39 +11,40 @@ from offpiste.core.errors import LogError, PerceptionError, did_you_mean
 from offpiste.core.limits import MOST_PIXELS
 from offpiste.rig.sensors import Intrinsics
 
-PLUMB_BOB: Final = "plumb_bob"
-RATIONAL: Final = "rational_polynomial"
 FISHEYE: Final = "equidistant"
-
-COEFFICIENTS: Final[dict[str, tuple[int, ...]]] = {PLUMB_BOB: (0, 4, 5), RATIONAL: (8, 12, 14), FISHEYE: (4,)}
-"""Distortion models of ROS's CameraInfo (sensor_msgs/distortion_models.hpp) and how many coefficients each has.
+COEFFICIENTS: Final[dict[str, tuple[int, ...]]] = {
+    "plumb_bob": (0, 4, 5),
+    "rational_polynomial": (8, 12, 14),
+    FISHEYE: (4,),
+}
+"""Distortion models of ROS's CameraInfo (sensor_msgs/distortion_models.hpp), and their numbers of coefficients.
 
 Brown, "Decentering distortion of lenses", 1966 (plumb_bob); Claus and Fitzgibbon, 2005 (rational); Kannala and Brandt,
 2006 (equidistant).
 """
 
-_ALIASES: Final = {"": PLUMB_BOB, "radtan": PLUMB_BOB, "fisheye": FISHEYE, "kannala_brandt4": FISHEYE}
+_ALIASES: Final = {"": "plumb_bob", "radtan": "plumb_bob", "fisheye": FISHEYE, "kannala_brandt4": FISHEYE}
 _BLOCK: Final = 2048
-"""Points of one call: OpenCV computes derivatives too, 240 bytes a point, which so stay in the cache."""
+"""Number of points per call: OpenCV also computes derivatives, 240 bytes a point, which then stay in the cache."""
 _ITERATIONS: Final = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-10)
 
 
 @dataclass(frozen=True)
 class CameraModel:
-    """A calibration; axes z forward, x right, y down; the middle of the first pixel is (0, 0).
+    """Calibration of a camera; axes z forward, x right, y down; the centre of the first pixel is (0, 0).
 
     Attributes:
-        width, height: of the image [px].
+        width, height: size of the image [px].
         matrix: K [px].
         distortion: coefficients in the order of OpenCV and of CameraInfo's d; none for a pinhole.
-        distortion_model: a key of `COEFFICIENTS`; `validate` refuses others.
+        distortion_model: key of `COEFFICIENTS`; `validate` refuses others.
     """
 
     width: int
     height: int
     matrix: Float[np.ndarray, "3 3"]
     distortion: tuple[float, ...] = ()
-    distortion_model: str = PLUMB_BOB
+    distortion_model: str = "plumb_bob"
 
     @property
     def size(self) -> tuple[int, int]:
@@ -54,14 +52,7 @@ class CameraModel:
         return self.width, self.height
 
     def validate(self, name: str) -> None:
-        """Refuse an unknown distortion model, and numbers that cannot be a calibration.
-
-        Args:
-            name: the camera's, for messages.
-
-        Raises:
-            PerceptionError: what is wrong.
-        """
+        """Refuse an unknown distortion model and impossible numbers; `name` is the camera's, for messages."""
         how = "fix its CameraInfo or its calibration in the rig"
         if self.distortion_model not in COEFFICIENTS:
             what, known = f"unknown distortion model {self.distortion_model!r}", ", ".join(COEFFICIENTS)
@@ -80,7 +71,7 @@ class CameraModel:
             raise PerceptionError("uncalibrated: its focal length is 0 or less", where=name, how=how)
 
     def project(self, points_camera: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 2"]:
-        """Places (x, y) of points in the image [px]; points must lie in front (z > 0)."""
+        """Project points in front of the camera (z > 0) to pixels (x, y)."""
         points = np.ascontiguousarray(points_camera, dtype=np.float64)[:, None]
         project = cv2.fisheye.projectPoints if self.distortion_model == FISHEYE else cv2.projectPoints
         still, distortion = np.zeros(3), np.array(self.distortion, dtype=np.float64)
@@ -91,22 +82,22 @@ class CameraModel:
         return pixels
 
     def unproject(self, pixels: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
-        """Directions (x / z, y / z) of places in the image; NaN where a pinhole sees nothing."""
+        """Return the directions (x / z, y / z) of pixels; NaN outside the field of view of a pinhole."""
         coefficients = np.array(self.distortion or (0.0,) * 4, dtype=np.float64)
-        places = np.ascontiguousarray(pixels, dtype=np.float64)[:, None]
+        positions = np.ascontiguousarray(pixels, dtype=np.float64)[:, None]
         if self.distortion_model == FISHEYE:
-            result = cv2.fisheye.undistortPoints(places, self.matrix, coefficients)
+            result = cv2.fisheye.undistortPoints(positions, self.matrix, coefficients)
         else:
-            result = cv2.undistortPoints(places, self.matrix, coefficients, criteria=_ITERATIONS)
+            result = cv2.undistortPoints(positions, self.matrix, coefficients, criteria=_ITERATIONS)
         directions = result.reshape(-1, 2)
         seen = np.all(np.abs(directions) < 1e3, axis=1)
         rays = np.column_stack((np.where(seen[:, None], directions, 0.0), np.ones(len(directions))))
-        # The iteration may end anywhere where the polynomial folds back: only what leads back to the pixel counts.
+        # The iteration may diverge where the polynomial folds back: keep directions that project to the pixel.
         seen = seen & (np.abs(self.project(rays) - pixels).max(axis=1) < 0.1)
         return np.where(seen[:, None], directions, np.nan)
 
     def edges(self) -> tuple[Float[np.ndarray, "_ 2"], ...]:
-        """Normalised image coordinates x/z, y/z of the pixels along the left, right, top and bottom edge."""
+        """Return the directions (x / z, y / z) of the pixels along the left, right, top and bottom edge."""
         columns, rows = np.arange(self.width, dtype=np.float64), np.arange(self.height, dtype=np.float64)
         return (
             self.unproject(np.column_stack((np.zeros_like(rows), rows))),
@@ -117,22 +108,19 @@ class CameraModel:
 
 
 def model_from_intrinsics(given: Intrinsics) -> CameraModel:
-    """The model that a rig gives."""
+    """Return the model for a rig's intrinsics."""
     (fx, fy), (cx, cy) = given.focal_length, given.centre
     matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
     return CameraModel(given.width, given.height, matrix, given.distortion, given.model)
 
 
 def model_from_message(message: Any, topic: str, *, rectified: bool) -> tuple[CameraModel, Float[np.ndarray, "4 4"]]:
-    """The model that a CameraInfo gives, and `camera_from_image`.
+    """Return the model for a CameraInfo, and `camera_from_image`.
 
-    The latter is the identity unless images are rectified: then their axes are turned by R, and in the right image of a
-    stereo pair the origin is shifted along the baseline (sensor_msgs/CameraInfo.msg).
-
-    Raises:
-        LogError: not calibrated, or in a way that is not supported.
+    The latter is the identity for images that are not rectified. The axes of rectified images are rotated by R, and the
+    origin of the right image of a stereo pair is shifted along the baseline (sensor_msgs/CameraInfo.msg).
     """
-    # ROS 1 writes these in capitals.
+    # ROS 1 names them in capitals.
     k, d, r, p = (np.asarray(getattr(message, n, getattr(message, n.upper(), ())), np.float64) for n in "kdrp")
     where = f"topic '{topic}'"
     used = p.reshape(3, 4)[:, :3] if rectified else k.reshape(3, 3)
@@ -142,7 +130,7 @@ def model_from_message(message: Any, topic: str, *, rectified: bool) -> tuple[Ca
     roi, size = message.roi, (message.width, message.height)
     part = (roi.width, roi.height) not in ((0, 0), size) or roi.x_offset or roi.y_offset  # zeros mean the full image
     if max(message.binning_x, message.binning_y) > 1 or part:
-        how = "give intrinsics in the rig as they hold for the recorded image"
+        how = "give the intrinsics of the recorded image in the rig"
         raise LogError("CameraInfo with binning or a region of interest is not supported", where=where, how=how)
     if not rectified:
         model = _ALIASES.get(message.distortion_model, message.distortion_model)

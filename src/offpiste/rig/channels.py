@@ -1,4 +1,4 @@
-"""Which topics and fields feed which channel, in what unit, sign and frame, by which clock."""
+"""Sources of a rig's channels: topics, fields, units, signs, frames and clocks."""
 
 from collections.abc import Collection, Mapping
 from typing import Final, Literal
@@ -12,9 +12,9 @@ from offpiste.core.errors import RigError, did_you_mean
 GEOGRAPHIC: Final = "lat lon"
 """Unit of positions in degrees of latitude and longitude, with the height in metres."""
 REPEATED: Final = 0.25
-"""A value that stays is measured again after this time [s], as of a vehicle that stands (`ChannelSource.repeats`)."""
+"""Interval at which repeated values are kept as new measurements [s] (`ChannelSource.repeats`)."""
 POSE: Final = ("position", "orientation", "yaw")
-"""Channels of the pose: no log is usable without a position and a heading, so they are not declared absent."""
+"""Channels of the pose, which cannot be declared absent."""
 
 _UNITS: dict[str, dict[str, float]] = {
     "m": {"m": 1.0, "cm": 0.01, "mm": 0.001, "ft": 0.3048, GEOGRAPHIC: 111_195.0},  # of the last: about, and northward
@@ -24,12 +24,12 @@ _UNITS: dict[str, dict[str, float]] = {
     "1000 rev/min": {"1000 rev/min": 1.0, "rev/min": 0.001, "rad/s": 60 / (2 * np.pi) / 1000},
     "1": {"1": 1.0, "percent": 0.01, "permille": 0.001},
 }
-"""Factors from the units a log may use to the one offpiste uses (the key)."""
+"""Conversion factors from recorded units to the internal unit (the key)."""
 
 ANGLES: Final[Mapping[str, float]] = _UNITS["rad"]
-"""Units of angles, in which a steering command may be recorded as well (`unit_factor`)."""
+"""Units of angles, also of steering commands (`unit_factor`)."""
 TURN_RATES: Final[Mapping[str, float]] = _UNITS["rad/s"]
-"""Units of turn rates, which a steering command may be, beside a speed (`ChannelSource.turns`)."""
+"""Units of turn rates, also of steering commands beside a speed (`ChannelSource.turns`)."""
 
 OTHER_CHANNELS: dict[str, tuple[str, tuple[int, ...]]] = {
     "position": ("m", (2, 3)),
@@ -40,30 +40,27 @@ OTHER_CHANNELS: dict[str, tuple[str, tuple[int, ...]]] = {
     "yaw_rate": ("rad/s", (1,)),
     "wheel_speed": ("m/s", (1, 2, 4)),
 }
-"""Channels besides controls and actuators: name -> (unit inside offpiste, allowed numbers of fields)."""
+"""Internal unit and allowed numbers of fields of channels besides controls and actuators."""
 
 
 def declare_channel(
     name: str, *, unit: str, fields: tuple[int, ...] = (1,), units: Mapping[str, float] | None = None
 ) -> None:
-    """Let rigs name one more channel; controls and actuators are declared in `offpiste.core.channels`.
+    """Declare a new channel for rigs; controls and actuators are declared in `offpiste.core.channels`.
 
     Args:
-        unit: inside offpiste.
+        unit: internal unit.
         fields: allowed numbers of fields.
-        units: factors from the units a log may use to `unit`, where that is a new one.
-
-    Raises:
-        RigError: there is a channel of this name.
+        units: conversion factors from recorded units to a new `unit`.
     """
     if name in known_channels():
-        raise RigError(f"there are two channels called '{name}'", how="give one of them another name")
+        raise RigError(f"two channels are called '{name}'", how="give one of them another name")
     OTHER_CHANNELS[name] = unit, fields
     _UNITS.setdefault(unit, {unit: 1.0}).update(units or {})
 
 
 def known_channels() -> dict[str, tuple[str, tuple[int, ...]]]:
-    """Every channel that a rig can give: name -> (unit inside offpiste, allowed numbers of fields)."""
+    """Return the internal unit and the allowed numbers of fields of every channel."""
     single = (1,)
     controls = {control.name: (control.unit, single) for control in all_controls()}
     actuators = {actuator.channel: (actuator.unit, single) for actuator in all_actuators()}
@@ -71,37 +68,35 @@ def known_channels() -> dict[str, tuple[str, tuple[int, ...]]]:
 
 
 class Wrap(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A counter that wraps around: raw values above `above` are `period` too large."""
+    """Wrapped counter: raw values above `above` are `period` too large."""
 
     above: float
     period: float
 
 
 class ChannelSource(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Source of a channel: value = sign * ((raw, unwrapped) * scale + offset), then from `unit`.
+    """Source of a channel: value = sign * ((unwrapped raw value) * scale + offset), converted from `unit`.
 
-    Of an orientation only `offset` counts: the body is turned by it about its z axis, against the frame whose
-    orientation the log has [rad].
+    For an orientation only `offset` applies: the rotation of the body about its z axis against the logged frame [rad].
 
     Attributes:
-        topic: topic, folder or, in a table, "" for the table itself.
-        fields: fields or columns in the channel's order: x y z, or a quaternion as x y z w; of a steering that is
-            commanded as a turn rate, as by geometry_msgs/Twist, that and the speed [m/s].
-        frame: for velocities: "world", "body", or "unknown" (then the pose is differentiated instead).
-        delay: how much later than it happened a sample is stamped [s].
-        valid: values outside of it (after conversion) are measurement faults and dropped.
-        clip: values are limited to this interval.
-        absolute: the size of a control whose sign says a direction, as of a commanded speed; before `clip`.
-        values: what recorded values stand for, of channels of one field; keys are numbers, true, false, or the single
-            letter whose character code is recorded. The other entries apply to what they stand for.
-        joints: names of the joints of sensor_msgs/JointState whose entries `fields` are: they are found by these names,
-            wherever a message, or another log, has them.
-        origin: latitude and longitude of x = y = 0, for a position in these [degrees], so that drives share their
-            coordinates; by default a place near the first one of each log.
-        interpolation: between samples: a measurement is interpolated, a command holds; one that is published only when
-            it changes holds however long that takes ("on change").
-        repeats: "drop": samples equal to the one before are left out, but for one every `REPEATED`: tables hold the
-            last value of a slower sensor.
+        topic: topic or folder; "" for a table.
+        fields: fields or columns in the channel's order: x y z, or a quaternion as x y z w. A steering command that is
+            a turn rate, as in geometry_msgs/Twist, has two: the turn rate and the speed [m/s].
+        frame: frame of velocities: "world", "body", or "unknown" (the pose is differentiated instead).
+        delay: how much later than measured a sample is stamped [s].
+        valid: converted values outside this interval are dropped as measurement faults.
+        clip: converted values are limited to this interval.
+        absolute: take the magnitude of a control whose sign is a direction, such as a commanded speed; before `clip`.
+        values: meanings of recorded values, for channels with one field; keys are numbers, true, false, or single
+            letters for recorded character codes. The other entries apply to the meanings.
+        joints: joint names of sensor_msgs/JointState by which the entries `fields` are found.
+        origin: latitude and longitude of x = y = 0 [degrees], so that drives share their coordinates; by default near
+            the first position of each log.
+        interpolation: "linear" for measurements, "hold" for commands, "on change" for commands that are published only
+            when they change and hold for any time.
+        repeats: "drop" leaves out samples equal to the previous one, except for one every `REPEATED`, for tables that
+            repeat the last value of a slower sensor.
     """
 
     fields: tuple[str, ...]
@@ -129,23 +124,16 @@ class ChannelSource(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def turns(self) -> bool:
-        """Whether a steering is commanded as a turn rate: the angle is that of a bicycle which turns so.
-
-        The other entries apply to the turn rate.
-        """
+        """Whether steering is commanded as a turn rate, from which a bicycle model gives the steering angle."""
         return len(self.fields) == 2 and self.unit in TURN_RATES
 
     def meanings(self) -> dict[float, float]:
-        """Recorded numbers and what they stand for (`values`).
-
-        Raises:
-            RigError: a key is neither a number, a boolean nor a single letter.
-        """
+        """Return the meanings of recorded numbers (`values`)."""
         return {_recorded(key): value for key, value in self.values.items()}
 
 
 def _recorded(key: str) -> float:
-    """The number that a log has for a key of `ChannelSource.values`."""
+    """Return the recorded number for a key of `ChannelSource.values`."""
     if key in ("true", "false"):
         return float(key == "true")
     try:
@@ -158,19 +146,16 @@ def _recorded(key: str) -> float:
 
 
 def topic_in_words(topic: str) -> str:
-    """A topic for people; that of a table has no name."""
+    """Return a topic's name for messages; tables have no name."""
     return f"topic '{topic}'" if topic else "the table"
 
 
 def unit_factor(channel: str, unit: str, max_steer: float = 0.0) -> float:
-    """Factor from a log's unit to offpiste's unit of this channel; an empty unit means offpiste's own.
+    """Return the conversion factor from a recorded unit ("" for the internal one) to a channel's internal unit.
 
     Args:
-        max_steer: of the rig [rad], over which a steering command is that is an angle of the road wheels; for a
-            turn rate it says only that the vehicle steers, and the factor is that to rad/s.
-
-    Raises:
-        RigError: the unit does not measure this channel.
+        max_steer: of the rig [rad], by which steering commands in angles are divided; for turn rates it only states
+            that the vehicle steers, and the factor converts to rad/s.
     """
     if channel == "steer" and max_steer > 0 and unit in ANGLES:
         return ANGLES[unit] / max_steer
@@ -181,14 +166,14 @@ def unit_factor(channel: str, unit: str, max_steer: float = 0.0) -> float:
     if unit and unit not in known:
         how = f"use one of: {', '.join(known)}"
         if channel == "steer":
-            angle = "give vehicle.max_steer, over which an angle of the road wheels is" if unit in ANGLES else ""
-            how = angle or f"{how}; or, of an angle of the road wheels, {', '.join(ANGLES)}"
+            angle = "give vehicle.max_steer, which converts road-wheel angles" if unit in ANGLES else ""
+            how = angle or f"{how}; or, for road-wheel angles, {', '.join(ANGLES)}"
         raise RigError(f"unit '{unit}' does not measure {channel}", how=how)
     return known[unit or own]
 
 
 def undeclared(given: Collection[str]) -> list[str]:
-    """Channels of controls and actuators that a rig must declare absent, or give, besides those that it gives."""
+    """Return the controls and actuators that a rig with the given channels must declare absent."""
     names = [control.name for control in all_controls() if control.declared]
     names += [
         actuator.channel
@@ -199,14 +184,7 @@ def undeclared(given: Collection[str]) -> list[str]:
 
 
 def check_channels(channels: Mapping[str, ChannelSource], absent: Collection[str], max_steer: float) -> None:
-    """Refuse unknown, contradicting and missing channels.
-
-    Args:
-        max_steer: of the rig [rad].
-
-    Raises:
-        RigError: which channel, and how to fix it.
-    """
+    """Refuse unknown, contradicting and missing channels; `max_steer` is the rig's [rad]."""
     known = known_channels()
     for name, source in channels.items():
         if name not in known:
@@ -223,29 +201,29 @@ def check_channels(channels: Mapping[str, ChannelSource], absent: Collection[str
             count = "2 fields" if len(source.fields) == 2 else "1 field"
             raise RigError(
                 f"channels.steer has {count} in '{source.unit or 1}'",
-                how='a commanded turn rate takes two, that and the speed: fields = ["angular.z", "linear.x"], '
-                'unit = "rad/s"; all else takes one',
+                how='a commanded turn rate takes two, turn rate and speed: fields = ["angular.z", "linear.x"], '
+                'unit = "rad/s"; other commands take one',
             )
         if source.meanings() and len(source.fields) != 1:
             raise RigError(f"channels.{name}.values needs a single field", how="remove it")
         if source.joints and len(source.joints) != len(source.fields):
-            raise RigError(f"channels.{name}.joints has to name each of its fields", how="name each, or remove it")
+            raise RigError(f"channels.{name}.joints must name every field", how="name each, or remove it")
         if (at := source.origin) is not None and (source.unit != GEOGRAPHIC or abs(at[0]) > 90 or abs(at[1]) > 360):
             raise RigError(
-                f"channels.{name}.origin is no place of positions in '{GEOGRAPHIC}'",
+                f"channels.{name}.origin is not valid for a position in '{GEOGRAPHIC}'",
                 how="give latitude and longitude in degrees, such as origin = [48.15, 11.58], or remove it",
             )
         if name in ("linear_velocity", "angular_velocity") and not source.frame:
             raise RigError(
                 f"channels.{name}.frame is missing",
-                how='say "world", "body" or "unknown"; `offpiste inspect` shows which fits',
+                how='set "world", "body" or "unknown"; `offpiste inspect` shows which fits',
             )
         if source.absolute and name in OTHER_CHANNELS:
-            raise RigError(f"channels.{name}.absolute: its sign is a part of it", how="give it to controls alone")
+            raise RigError(f"channels.{name}.absolute would drop its sign", how="set it for controls only")
         if source.interpolation == "on change" and name in OTHER_CHANNELS:
             raise RigError(
-                f"channels.{name} is measured, and changes while nothing is published",
-                how='give interpolation = "on change" to controls and actuators alone',
+                f"channels.{name} is a measurement, which changes between messages",
+                how='set interpolation = "on change" for controls and actuators only',
             )
         if name in absent:
             raise RigError(f"channel '{name}' is both given and declared absent", how="remove one of the two")
@@ -266,19 +244,19 @@ def check_channels(channels: Mapping[str, ChannelSource], absent: Collection[str
 
 
 SECONDS_PER_UNIT: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "d": 86_400.0}
-"""Length of the units of stamps [s]."""
+"""Lengths of time units [s]."""
 
 
 class Clock(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Stamps of a log, and what counts as a gap.
+    """Clock of a log.
 
     Attributes:
-        stamps: of messages in bags: their headers', or their arrival.
-        column: a table's time column.
-        unit: of that column: s, ms, us, ns, or d for days.
-        sort: samples, images and scans are put in the order of their stamps (the latter two where they come at most 20
-            messages late); otherwise those out of order are dropped.
-        max_gap: no interpolation between samples further apart; a drive is cut there [s].
+        stamps: stamps of messages in bags: from their headers, or their arrival.
+        column: time column of a table.
+        unit: unit of that column: s, ms, us, ns, or d for days.
+        sort: sort samples, images and scans by their stamps (the latter two if they come at most 20 messages late);
+            otherwise those out of order are dropped.
+        max_gap: largest gap between samples to interpolate across; drives are cut at larger ones [s].
     """
 
     stamps: Literal["header", "receive"] = "header"
@@ -289,12 +267,12 @@ class Clock(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Alignment(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Topics whose common clock drifts against the poses'; the wheels' speed shows by how much.
+    """Alignment of topics whose common clock drifts against the poses', by the speed of the wheels.
 
     Attributes:
         topics: all topics stamped by that clock.
-        speed: the vehicle's speed by the wheels, among them; several fields are averaged [m/s after conversion].
-        max_lag: lags from minus half of it to all of it are tried [s].
+        speed: speed of the vehicle by its wheels, on one of these topics; several fields are averaged [m/s].
+        max_lag: lags from -max_lag / 2 to max_lag are tried [s].
     """
 
     topics: tuple[str, ...]

@@ -1,4 +1,4 @@
-"""Edits of a rig by the paths of its entries: what a cure of a log changes."""
+"""Edits of a rig by the paths of its entries."""
 
 import math
 import re
@@ -18,30 +18,30 @@ from offpiste.rig.rig import Rig, check_rig, parse_rig
 
 @dataclass(frozen=True)
 class Edit:
-    """One entry of a rig, set or removed.
+    """Setting or removal of an entry of a rig.
 
     Attributes:
-        key: the entry's path, e.g. "channels.steer.sign".
-        value: as TOML holds it; None removes the entry.
+        key: path of the entry, e.g. "channels.steer.sign".
+        value: TOML value; None removes the entry.
     """
 
     key: str
     value: Any
 
     def __hash__(self) -> int:
-        """By what it says: values may be lists."""
+        """Hash the text, since values may be lists."""
         return hash(str(self))
 
     def __str__(self) -> str:
-        """The edit as a line that a person can type: `channels.steer.sign = -1`, `remove channels.yaw_rate`."""
+        """Return the edit as text: `channels.steer.sign = -1`, `remove channels.yaw_rate`."""
         return f"remove {self.key}" if self.value is None else f"{self.key} = {toml_value(self.value)}"
 
 
 def edited(rig: Rig, edits: Sequence[Edit]) -> Rig:
-    """The rig with some entries set or removed.
+    """Return a rig with some entries set or removed.
 
     Raises:
-        RigError: the edited rig is not one that could be read from a file.
+        RigError: the edited rig is not valid.
     """
     entries = msgspec.to_builtins(rig)
     for edit in edits:
@@ -63,27 +63,23 @@ def edited(rig: Rig, edits: Sequence[Edit]) -> Rig:
 
 
 def absent(channel: str, rig: Rig) -> tuple[Edit, ...]:
-    """The edits that take a channel out of a rig and declare it absent."""
+    """Return the edits that remove a channel and declare it absent."""
     return Edit(f"channels.{channel}", None), Edit("absent", [*rig.absent, channel])
 
 
 def rescaled(channel: str, source: ChannelSource, factor: float) -> tuple[Edit, ...]:
-    """The edits that make a channel's values `factor` times as large, the offset of its zero as well."""
+    """Return the edits that multiply a channel's values by `factor`."""
     scaled = (("scale", source.scale * factor), ("offset", source.offset * factor))
     return tuple(Edit(f"channels.{channel}.{key}", rounded(value)) for key, value in scaled if value)
 
 
 def rounded(value: float) -> float:
-    """A number of four digits: a rig line needs no more."""
+    """Round to four significant digits."""
     return float(f"{value:.4g}")
 
 
 def edited_text(text: str, edits: Sequence[Edit]) -> str:
-    """The text of a rig with some entries set or removed; comments and the order of the rest stay as they are.
-
-    Raises:
-        RigError: the text is not TOML, or the edited one is no rig.
-    """
+    """Return a rig's text with some entries set or removed; other entries, comments and their order are kept."""
     try:
         document = tomlkit.parse(text)
     except TOMLKitError as error:
@@ -93,7 +89,7 @@ def edited_text(text: str, edits: Sequence[Edit]) -> str:
         table: MutableMapping[str, Any] = document
         for name in tables:
             if not isinstance(table.get(name), MutableMapping):
-                # Only entries of tables in one line are in one line.
+                # Inline tables can only hold inline tables.
                 _set(table, name, tomlkit.inline_table() if isinstance(table, InlineTable) else tomlkit.table())
             table = table[name]
         if edit.value is not None:
@@ -106,7 +102,7 @@ def edited_text(text: str, edits: Sequence[Edit]) -> str:
 
 
 def _item(value: Any, *, inline: bool) -> Item:
-    """A value as a node of a document; a dictionary is a table of its own, or one in one line."""
+    """Return a value as a node of a document; dictionaries become tables, inline if asked for."""
     if not isinstance(value, dict):
         return tomlkit.item(list(value) if isinstance(value, tuple) else value)
     table: InlineTable | Table = tomlkit.inline_table() if inline else tomlkit.table()
@@ -116,7 +112,7 @@ def _item(value: Any, *, inline: bool) -> Item:
 
 
 def _set(table: MutableMapping[str, Any], key: str, item: Item) -> None:
-    """Set an entry; a new one comes before the blank lines and comments that lead to the next table."""
+    """Set an entry; a new one precedes the blank lines and comments above the next table."""
     if key in table or not isinstance(table, Table):
         table[key] = item
         return
@@ -129,7 +125,7 @@ def _set(table: MutableMapping[str, Any], key: str, item: Item) -> None:
 
 
 def _remove(table: MutableMapping[str, Any], key: str) -> None:
-    """Remove an entry; the comments that follow a table lead to the next one, and stay."""
+    """Remove an entry; keep the comments after a table, which belong to the next one."""
     body = table.value.body if isinstance(table, Table) else getattr(table, "body", [])
     number = next((n for n, (name, _) in enumerate(body) if name is not None and name.key == key), 0)
     before = [item for _, item in body[:number] if isinstance(item, Table)]
@@ -139,13 +135,13 @@ def _remove(table: MutableMapping[str, Any], key: str) -> None:
 
 
 def _end(table: Table) -> list[tuple[Any, Item]]:
-    """What a table ends with: its own entries, or those of the last table in it."""
+    """Return the body at the end of a table: its own, or that of the last table in it."""
     inner = [child for _, child in table.value.body if isinstance(child, Table)]
     return _end(inner[-1]) if inner else table.value.body
 
 
 def _without_tail(body: list[tuple[Any, Item]]) -> list[tuple[Any, Item]]:
-    """Remove what follows a table's entries from its first blank line on; returns it."""
+    """Remove and return everything from the first blank line after a table's entries."""
     entries = max((number for number, (key, _) in enumerate(body, start=1) if key is not None), default=0)
     blank = (number for number in range(entries, len(body)) if isinstance(body[number][1], Whitespace))
     first = next(blank, len(body))
@@ -154,7 +150,7 @@ def _without_tail(body: list[tuple[Any, Item]]) -> list[tuple[Any, Item]]:
 
 
 def toml_value(value: Any) -> str:
-    """A value as TOML writes it: texts, numbers, booleans, lists, and tables in one line."""
+    """Format a text, number, boolean, list or inline table as TOML."""
     if isinstance(value, dict):
         return "{ " + ", ".join(f"{toml_key(key)} = {toml_value(entry)}" for key, entry in value.items()) + " }"
     if isinstance(value, list | tuple):
@@ -165,11 +161,11 @@ def toml_value(value: Any) -> str:
 
 
 def toml_key(key: str) -> str:
-    """A key as TOML writes it: in quotes where it has other characters than letters, digits, _ and -."""
+    """Format a key as TOML, quoted if necessary."""
     return key if re.fullmatch("[A-Za-z0-9_-]+", key) else msgspec.json.encode(key).decode()
 
 
 def number(value: float) -> str:
-    """A number as a rig line takes it: four digits, always a float."""
+    """Format a number as a TOML float of four significant digits."""
     text = f"{value:.4g}"
     return text if any(c in text for c in ".en") else f"{text}.0"

@@ -1,8 +1,10 @@
-"""Labels of columns and fields: name and unit in `x(m)`, `vx [m/s]`, `steer_deg`, `time_us`, and the axis of a name."""
+"""Names, units and axes in labels of columns and fields: `x(m)`, `vx [m/s]`, `steer_deg`, `time_us`."""
 
 import re
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from importlib import resources
 from typing import Final
 
 import numpy as np
@@ -13,55 +15,29 @@ from offpiste.core.errors import RigError
 from offpiste.rig.channels import known_channels, unit_factor
 
 PER_SECOND: Final = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9, "d": 1 / 86_400}
-"""Units of stamps in a second; spreadsheets count days."""
+"""Time units per second; spreadsheets count days."""
 _SINCE_1970: Final = (1.0e9, 4.1e9)
 """Seconds from 1970 to 2001 and to 2100."""
 RATES: Final = (0.2, 20_000.0)
-"""Samples a second that recordings have."""
+"""Plausible sampling rates of recordings [Hz]."""
 
-_SPELLINGS: Final[dict[str, str]] = {
-    "s": "s sec secs second seconds",
-    "ms": "ms msec msecs millis millisecond milliseconds",
-    "us": "us µs μs usec usecs micros microsecond microseconds",
-    "ns": "ns nsec nsecs nanos nanosecond nanoseconds",
-    "d": "day days",
-    "m": "m meter meters metre metres",
-    "cm": "cm",
-    "mm": "mm",
-    "ft": "ft feet",
-    "rad": "rad rads radian radians",
-    "deg": "deg degs degree degrees ° º",
-    "mrad": "mrad",
-    "m/s": "m/s m_s mps m/sec m*s^-1 m·s-1 ms-1 ms^-1 m.s-1",
-    "km/h": "km/h km_h kmh kph kmph",
-    "mph": "mph",
-    "kn": "kn knot knots kts",
-    "rad/s": "rad/s rad_s radps rad/sec rad*s^-1 rad.s-1 rads^-1",
-    "deg/s": "deg/s deg_s degps dps deg/sec °/s º/s",
-    "rev/min": "rev/min rpm 1/min",
-    "percent": "percent pct %",
-    "permille": "permille ‰",
-    "1": "1 - none unitless",
-}
-"""Units as rigs take them, and how logs spell them."""
-_OTHERS: Final = (
-    "m/s^2 m/s2 m/s² m/s/s m_s2 mps2 g rad/s^2 rad/s2 rad/s² deg/s^2 n nm n*m v mv a ma w pa kpa mpa bar psi c °c hz"
-)
-"""Units of what no channel holds."""
+_TABLES: Final = tomllib.loads((resources.files("offpiste.rig") / "labels.toml").read_text("utf-8"))
 
 PRESSURES: Final = frozenset(("pa", "kpa", "mpa", "bar", "psi"))
-"""Those of pressures."""
+"""Units of pressures."""
 
-_UNITS: Final = {spelling: unit for unit, all_of in _SPELLINGS.items() for spelling in all_of.split()}
-_BRACKETED: Final = {**_UNITS, **{unit: unit for unit in _OTHERS.split()}}
-_AFTER: Final = {s: unit for s, unit in _UNITS.items() if unit != "1"} | {
-    "m_s2": "m/s2", "mps2": "m/s2", "bar": "bar", "kpa": "kpa", "mpa": "mpa", "psi": "psi", "mv": "mv",
-}  # fmt: skip
+_UNITS: Final[dict[str, str]] = {
+    spelling: unit for unit, spellings in _TABLES["units"].items() for spelling in spellings
+}
+_BRACKETED: Final = _UNITS | {unit: unit for unit in _TABLES["other_units"]["in_brackets"]}
+_AFTER: Final[dict[str, str]] = {spelling: unit for spelling, unit in _UNITS.items() if unit != "1"} | _TABLES[
+    "other_units"
+]["as_suffixes"]
 _WORD_BEGINS: Final = re.compile(r"(?<=[a-z0-9])(?=[A-Z])(?!(?<=[\W_][mk])(V|A|W|Pa|Hz)(?![a-z]))")
-"""Where a capital begins a word, and is none of the unit mV or kPa."""
+"""Starts of words marked by a capital, except in units such as mV or kPa."""
 _BRACKET: Final = re.compile(r"^(.*?)[\s_]*(?:\[([^\[\]]*)\]|\(([^()]*)\)|\{([^{}]*)\}|<([^<>]*)>)$")
 _PRESSED: Final = re.compile("brake|press|line|circuit|hydr|air")
-"""Names that psi is the unit of; it is a heading, too."""
+"""Names of quantities measured in psi, which otherwise is a heading."""
 _WORDED: Final = re.compile(r"^(.*\S)(?:\s+/\s*|,\s*|\s+in\s+)\(?([^\s()]+)\)?$")
 _SUFFIX: Final = re.compile(
     r"^(.*?[^\W_])(?:[_\s-]+("
@@ -73,37 +49,36 @@ _OF_THE_TOPIC: Final = re.compile(
     r"|^(percent|pressure|torque)_(cmd|com+and|input|output)$"
     r"|^pedal(_(cmd|com+and|value|input|output|pos(ition)?))?$"
 )
-"""Fields whose topic alone says what they are of: vectors of any kind, reports of any actuator, a pedal."""
+"""Fields whose quantity is named by the topic only: components of vectors, reports of actuators, pedals."""
 _COMMAND_WORDS: Final = "cmd|com+and(ed)?|setpoint|desired|target|req(uest(ed)?)?|ref(erence)?"
 _PLACE_WORDS: Final = "((road_?|front_?)?wheel_?|tyre_?|tire_?)?(angle|ang|pos(ition)?|pedal|value|percent|pct|effort)"
 _ASKED: Final = re.compile(
     rf"^({_PLACE_WORDS}_)?({_COMMAND_WORDS})$|^({_COMMAND_WORDS})_{_PLACE_WORDS}$|^(measured|actual)_(wheel_)?angle$"
     r"|^(wheel_)?angle_(meas(ured)?|act(ual)?|feedback|fb)$"
 )
-"""Fields that say that a place is asked for or measured, and whose topic says what it is the place of."""
+"""Fields of commanded or measured positions whose quantity is named by the topic only."""
 _BESIDES: Final = re.compile(
     r"(?<![a-z])(lim(it)?s?|max(imum)?|min(imum)?|seq(uence)?|crc|checksum|ok|id|valid(ity)?|status|mode|enabled?|active"
     r"|priority|faults?|overrid(e|den)|time_?out|(alive|rolling|message|msg)_?count(er)?|counter)$"
     r"|^(max(imum)?|min(imum)?|enable|override|ignore|clear|watchdog)_"
 )
-"""What a message says of a quantity besides the quantity: bounds, whether it counts, and numbers of the messages."""
+"""Attributes of a quantity: limits, validity flags, switches and message counters."""
 _NUMBER_ONLY: Final = re.compile(r"[/.](data|value)$")
 _COMMENT: Final = re.compile(r"^ *(#+|//+|%+(?!.*[,;|\t] *%)) *(?=[^\s,;|])")
-"""What makes a header a comment, as numpy.savetxt or `rostopic echo -p` writes it; signs before each name are units."""
+"""Comment sign before a header, as numpy.savetxt or `rostopic echo -p` writes it; signs before each name are units."""
 _NAMES: Final = {"rpm"}
-"""Units that name a quantity by themselves, and stay a part of its name."""
+"""Units that are also the name of a quantity and stay part of it."""
 _CLOCKS: Final = re.compile("m(illi)?s(ec(ond)?s?)?|u(s(ec)?s?)|ns(ec)?s?|(milli|micro|nano)(s|seconds?)")
-"""Units of time that name a clock by themselves: `millis` of an Arduino."""
+"""Units of time that are also names of clocks, such as `millis` of an Arduino."""
 
 
 @dataclass(frozen=True)
 class Label:
-    """What a column's header says.
+    """Name and unit in a column's header.
 
     Attributes:
-        name: in English, without the unit, in lower case, words joined by `_` where they were by a capital: `posX` is
-            `pos_x`.
-        unit: as rigs take it, e.g. "deg", "km/h" or, of time, "us"; "" where the header says none.
+        name: in English and in snake case, without the unit: `posX` is `pos_x`.
+        unit: as rigs write it, e.g. "deg", "km/h" or "us"; "" if the header has none.
     """
 
     name: str
@@ -111,7 +86,7 @@ class Label:
 
 
 def parse_label(header: str) -> Label:
-    """Name, in English, and unit of a column or field; brackets that hold no known unit stay a part of the name."""
+    """Split a column or field into its name, in English, and unit; brackets without a known unit stay in the name."""
     label = _as_written(header)
     return Label(in_english(label.name), label.unit)
 
@@ -134,14 +109,12 @@ def _as_written(header: str) -> Label:
 def field_labels(
     topic: str, fields: Sequence[str], units: Mapping[str, str], joints: Mapping[str, str]
 ) -> dict[str, Label]:
-    """Name and unit of each field of a topic.
+    """Return the name and the unit of each field of a topic.
 
-    A message with one or two quantities is named by its topic, and so is a field that does not say what it is of. A
-    limit, a counter or a switch that enables is no quantity (`is_beside_quantity`).
+    The topic names the fields of messages with one or two quantities, and fields whose names do not state a quantity.
 
     Args:
-        units: of fields, where the topic has them apart.
-        joints: names of entries of arrays, where the messages have them.
+        units, joints: as of `offpiste.logs.log.Topic`.
     """
     result = {}
     quantities = [name for name in fields if not is_beside_quantity(name)]
@@ -158,22 +131,22 @@ def field_labels(
 
 
 def is_beside_quantity(field: str) -> bool:
-    """Whether a field is a limit, a counter, a switch or the like, which goes with a quantity and is none itself."""
+    """Return whether a field is a limit, counter, switch or the like, rather than a quantity."""
     return _BESIDES.search(re.split("[./]", parse_label(field).name)[-1]) is not None
 
 
 def is_array_entry(field: str) -> bool:
-    """Whether a field is an entry of an array, `data[3]`; a bracket with a unit is none."""
+    """Return whether a field is an entry of an array, such as `data[3]`."""
     return re.search(r"\[\d+\]$", field) is not None
 
 
 def without_comment(header: str) -> str:
-    """A header, or the name that is its first, without what makes it a comment."""
+    """Remove the comment sign of a header, or of the first name in it."""
     return _COMMENT.sub("", header)
 
 
 def unit_of(text: str) -> str | None:
-    """The unit that a cell or a bracket names, as rigs take it; None where it is no unit, "" where it is empty."""
+    """Return the unit in a cell or a bracket as rigs write it; None for other text, "" for no unit."""
     spelled = re.sub(r"\s+", "", text.strip().strip("[](){}").lower()).replace("|", "/")
     if spelled in ("", "1", "-", "none", "unitless"):
         return ""
@@ -181,7 +154,7 @@ def unit_of(text: str) -> str | None:
 
 
 def channel_unit(channel: str, unit: str) -> str | None:
-    """What a rig says of a unit for a channel: "" for offpiste's own, None where the unit does not measure it."""
+    """Return a channel's unit as a rig writes it: "" for the internal one, None if the unit does not measure it."""
     own = known_channels()[channel][0]
     if unit == "ms" and own == "m/s":
         unit = "m/s"  # as in `speed_ms`
@@ -193,12 +166,12 @@ def channel_unit(channel: str, unit: str) -> str | None:
 
 
 def unit_by_rate(rate: float, unit: str, stamp: float = 0.0) -> str:
-    """The unit of stamps, by their size, or by the rate that they have in another one [1/s].
+    """Return the unit of stamps, judged by their magnitude and rate; vehicles are recorded at about 50 Hz.
 
     Args:
-        rate: samples in each of the seconds that the stamps would have in `unit`; vehicles are recorded at some 50 Hz.
-        unit: that is kept where the rate is one of recordings.
-        stamp: one of them, as recorded: its size tells seconds since 1970 where the rate is one of recordings, too.
+        rate: sampling rate if the stamps are in `unit` [Hz].
+        unit: assumed unit, kept if the rate is plausible.
+        stamp: one recorded stamp, to detect time since 1970.
     """
     for name, per_second in PER_SECOND.items():
         since, samples = stamp / per_second, rate * per_second / PER_SECOND[unit]
@@ -211,62 +184,46 @@ def unit_by_rate(rate: float, unit: str, stamp: float = 0.0) -> str:
 
 
 def are_since_1970(stamps: Float[np.ndarray, " n"]) -> bool:
-    """Whether all of some numbers are times since 1970, in one unit but days, from 2001 to 2100."""
+    """Return whether all stamps are times since 1970, between 2001 and 2100, in s, ms, us or ns."""
     first, last = _SINCE_1970
     return any(((first * each < stamps) & (stamps < last * each)).all() for each in (1.0, 1e3, 1e6, 1e9))
 
 
 def time_unit(unit: str) -> str:
-    """A unit of time as a clock takes it; "" for any other."""
+    """Return a unit of time as a clock takes it; "" for other units."""
     return unit if unit in PER_SECOND else ""
 
 
 _AXIS_WORDS: Final = tuple(
-    (re.compile(rf"(?<![a-z]){pattern}(?![a-z])"), to)
-    for pattern, to in (
-        ("(easting|east)", "x"),
-        ("(northing|north)", "y"),
-        ("(up|altitude|alt|elevation|height)", "z"),
-        ("(utm|p|pos|position|enu)_?e", r"\1_x"),
-        ("(utm|p|pos|position|enu)_?n", r"\1_y"),
-        ("(utm|pos|position|enu)_?[uh]", r"\1_z"),
-        ("(v|vel|velocity|speed)_(lon|long|longitudinal|forward|fwd)", "v_x"),
-        ("(v|vel|velocity|speed)_(lat|lateral|left)", "v_y"),
-        ("([xyz])_?dot", r"v_\1"),
-        ("(v|vel|velocity)_?e", "v_x"),
-        ("(v|vel|velocity)_?n", "v_y"),
-        ("(v|vel|velocity)_?u", "v_z"),
-        ("([xyz])[_ ](v|vel|velocity)", r"v_\1"),
-    )
+    (re.compile(rf"(?<![a-z]){each['words']}(?![a-z])"), each["letters"]) for each in _TABLES["axes"]
 )
-"""Words for the letters x, y and z of vectors."""
 _DOWN_NAME: Final = re.compile(r"(?<![a-z])(d|down)$")
 _AXIS_NAME: Final = re.compile(r"(?<![a-z])[pt]?([xyz])(?![a-z])")
 GEOGRAPHIC_NAMES: Final = tuple(
     re.compile(rf"(?<![a-z])({words})$")
     for words in ("lat|latitude", "lon|lng|long|longitude", "alt|altitude|height|elevation")
 )
-"""What latitude, longitude and height are called."""
+"""Patterns of names of latitude, longitude and height."""
 COURSE_NAMES: Final = r"track|head(ing)?_?(of_?)?mot(ion)?|trk_gnd|course([_ ]over[_ ]ground|[_ ]?angle)?|cog"
-"""What a course over ground is called, as part of a pattern."""
+"""Pattern of names of a course over ground, without its boundaries."""
 _COURSE_WORD: Final = re.compile(r"(?i)course|(?<![a-z])(cog|trk|track)(?![a-z])|gps[ _.]?(heading|hdg)|head\w*mot")
-"""What every such name holds, and longer ones too, and what loggers call it."""
+"""Pattern of any name that contains a course over ground."""
 
 
 def with_letters(name: str) -> str:
-    """A name with the letters x, y and z in place of words for them."""
+    """Replace words for axes in a name by the letters x, y and z."""
     for pattern, letter in _AXIS_WORDS:
         name = pattern.sub(letter, name)
     return name
 
 
 def named_axis(field: str) -> str:
-    """The axis that a position's field is named by: "x" (or east), "y" (or north), "z" (or up); "" for none."""
+    """Return the axis in the name of a position's field: "x" (or east), "y" (or north), "z" (or up); "" for none."""
     return _last_letter(with_letters(parse_label(field).name))
 
 
 def named_coordinate(field: str) -> str:
-    """The coordinate that a position's field is named by: "lat" (latitude) or "lon" (longitude); "" for none."""
+    """Return the geographic coordinate in the name of a position's field: "lat" or "lon"; "" for none."""
     name = parse_label(field).name
     return next(
         (what for what, pattern in zip(("lat", "lon"), GEOGRAPHIC_NAMES, strict=False) if pattern.search(name)), ""
@@ -274,17 +231,17 @@ def named_coordinate(field: str) -> str:
 
 
 def named_down(field: str) -> bool:
-    """Whether a position's field is named by the way down, as the third of north, east, down."""
+    """Return whether a position's field is named as a coordinate that points down."""
     return _DOWN_NAME.search(parse_label(field).name) is not None
 
 
 def named_direction(field: str) -> bool:
-    """Whether a position's field is named by a direction, east or north, and not by a letter."""
+    """Return whether a position's field is named east or north, rather than by a letter."""
     return named_axis(field) in ("x", "y") and named_axis(field) != _last_letter(parse_label(field).name)
 
 
 def named_course(field: str) -> bool:
-    """Whether a field is named as a course over ground, which is no heading."""
+    """Return whether a field is named as a course over ground, which is not a heading."""
     return _COURSE_WORD.search(field) is not None
 
 

@@ -1,4 +1,4 @@
-"""What goes out to the vehicle: topics, types and fields of commands, and what must hold before they are sent."""
+"""Command messages to the vehicle, and their limits, timeouts and enabling switch."""
 
 import re
 from collections.abc import Mapping
@@ -14,9 +14,9 @@ from offpiste.core.errors import RigError, did_you_mean
 from offpiste.rig.channels import TURN_RATES, unit_factor
 
 Quantity = Literal["throttle", "brake", "steer", "gear", "pedal", "speed", "yaw_rate", "constant"]
-"""What a field can hold: a control, the pedal (throttle minus brake), or what the plan leads to in `ahead` seconds."""
+"""Quantities that a field can hold: a control, the pedal (throttle minus brake), or a planned state."""
 _CHANNELS: Final = {"pedal": "throttle", "speed": "linear_velocity"}
-"""Channel in whose units a quantity is given, where it is not one itself."""
+"""Channels that define the units of quantities that are not channels."""
 _LIMITED: Final = {
     "throttle": {"throttle", "pedal"},
     "brake": {"brake", "pedal"},
@@ -27,7 +27,7 @@ _LIMITED: Final = {
     "speed": {"speed", "throttle", "pedal"},
     "yaw_rate": {"yaw_rate"},
 }
-"""Quantities that each of `CommandLimits` acts on."""
+"""Quantities affected by each of `CommandLimits`."""
 _TIMEOUTS: Final = {
     "state": (0.04, 1.0),
     "scan": (0.1, 5.0),
@@ -43,15 +43,12 @@ _TOPIC: Final = re.compile(r"(/[a-zA-Z_]\w*)+")
 
 
 class OutputField(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A field of a command: what it holds, such that the channel with the same entries reads it back.
-
-    value = sign * (field * scale + offset), then from `unit`, as of a `ChannelSource`.
+    """Field of a command message; the entries mean the same as for a `ChannelSource` that reads it back.
 
     Attributes:
-        of: what it holds.
-        value: of a constant.
-        ahead: how far ahead the plan's speed or yaw rate is taken [s].
-        clip: the field is limited to this interval.
+        value: value of a constant.
+        ahead: look-ahead on the plan for speed and yaw rate [s].
+        clip: interval to which the field is limited.
     """
 
     of: Quantity
@@ -64,7 +61,7 @@ class OutputField(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     clip: tuple[float, float] | None = None
 
     def written(self, value: float, max_steer: float) -> float:
-        """The field for a value in offpiste's unit."""
+        """Return the field for a value in the internal unit."""
         if self.of == "constant":
             return self.value
         factor = unit_factor(_CHANNELS.get(self.of, self.of), self.unit, max_steer)
@@ -73,12 +70,12 @@ class OutputField(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Output(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A topic with commands.
+    """Topic with commands.
 
     Attributes:
-        type: as `ackermann_msgs/msg/AckermannDriveStamped`.
-        fields: by their paths, as `drive.speed` or `axes[2]`; all others are zero, or empty.
-        frame: of the header, where there is one.
+        type: message type, such as `ackermann_msgs/msg/AckermannDriveStamped`.
+        fields: by their paths, such as `drive.speed` or `axes[2]`; all others are zero or empty.
+        frame: frame of the header, if the type has one.
     """
 
     topic: str
@@ -88,11 +85,11 @@ class Output(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Enable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A dead man's switch: commands are sent only while it is heard and pressed.
+    """Dead man's switch: commands are sent only while its messages arrive and it is pressed.
 
     Attributes:
-        field: a number or a boolean; above 0.5 is pressed.
-        timeout: what is older does not count [s].
+        field: number or boolean; above 0.5 is pressed.
+        timeout: largest age of a message [s].
     """
 
     topic: str
@@ -101,14 +98,14 @@ class Enable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class CommandLimits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Limits of what is sent, whatever is planned.
+    """Limits of sent commands, regardless of the plan.
 
     Attributes:
         throttle, brake, steer: largest commands; the brake of a stop is not limited.
-        throttle_rate, brake_rate, steer_rate: fastest changes [1/s]; throttle is released, and the brake of a stop
-            applied, at once.
-        speed: no higher one is sent, in either direction; where the vehicle is faster, the throttle is released [m/s].
-        yaw_rate: no higher yaw rate is sent [rad/s].
+        throttle_rate, brake_rate, steer_rate: largest rates of change [1/s]; the throttle is released, and the brake of
+            a stop applied, without delay.
+        speed: largest speed in either direction [m/s]; above it, the throttle is released.
+        yaw_rate: largest yaw rate [rad/s].
     """
 
     throttle: float = 1.0
@@ -126,11 +123,11 @@ class Timeouts:
     """Largest ages of inputs [s].
 
     Attributes:
-        state: readings of the vehicle; if older, controlled stop.
-        scan: scans; if older, the vehicle slows down.
-        scan_limit: scans; if older, controlled stop.
-        image: images; if older, the vehicle continues on the features in the map, in degraded mode.
-        plan: time since the plan that is followed began to act; if longer, controlled stop.
+        state: age of the vehicle's state beyond which it makes a controlled stop.
+        scan: age of scans beyond which it slows down.
+        scan_limit: age of scans beyond which it makes a controlled stop.
+        image: age of images beyond which it continues in degraded mode, on the features in the map.
+        plan: age of the followed plan beyond which it makes a controlled stop.
         ahead: messages stamped further ahead of the clock are dropped.
     """
 
@@ -143,13 +140,12 @@ class Timeouts:
 
 
 class Live(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What driving on a vehicle needs besides its channels and sensors.
+    """Settings for driving on a vehicle.
 
     Attributes:
-        enable: without it, commands need no switch.
-        timeouts: how old inputs may be, for sensors that are slower than most.
-        types: message types of topics, where their keys do not say them (zenoh-bridge-ros2dds).
-        definitions: files PACKAGE/msg/NAME.msg of types that rosbags does not know, beside the rig file.
+        enable: switch; without it, commands are always sent.
+        types: message types of topics whose Zenoh keys do not state them (zenoh-bridge-ros2dds).
+        definitions: files PACKAGE/msg/NAME.msg of types unknown to rosbags, relative to the rig file.
     """
 
     enable: Enable | None = None
@@ -159,25 +155,18 @@ class Live(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     definitions: tuple[str, ...] = ()
 
     def beside(self, folder: Path) -> "Live":
-        """The same with the files of definitions made absolute."""
+        """Return the same settings with absolute paths of definitions."""
         return replace(self, definitions=tuple(str(folder / name) for name in self.definitions))
 
 
 def check_names(rig: Mapping[str, Any]) -> None:
-    """Refuse unknown quantities and timeouts by their names, which msgspec does not say.
-
-    Args:
-        rig: from TOML; what else is wrong with it is left to others.
-
-    Raises:
-        RigError: which one, and what there is.
-    """
+    """Refuse unknown quantities and timeouts in parsed TOML, for which msgspec's messages lack the name."""
     live = rig.get("live")
     timeouts = live.get("timeouts") if isinstance(live, dict) else None
     for name in timeouts if isinstance(timeouts, dict) else {}:
         if name not in (there := [each.name for each in fields(Timeouts)]):
             how = f"{did_you_mean(name, there)}give {', '.join(there)}"
-            raise RigError(f"live.timeouts.{name} is no timeout", how=how)
+            raise RigError(f"unknown timeout live.timeouts.{name}", how=how)
     outputs = rig.get("outputs")
     for name, output in (outputs if isinstance(outputs, dict) else {}).items():
         written = output.get("fields") if isinstance(output, dict) else None
@@ -190,22 +179,18 @@ def check_names(rig: Mapping[str, Any]) -> None:
 
 
 def can_reverse(outputs: Mapping[str, Output]) -> bool:
-    """Whether commands say in which direction to drive: by a gear, or by the sign of a speed."""
+    """Return whether commands include a direction of travel: a gear, or a signed speed."""
     return any(field.of in ("gear", "speed") for output in outputs.values() for field in output.fields.values())
 
 
 def check_outputs(outputs: Mapping[str, Output], live: Live, max_steer: float) -> None:
-    """Refuse impossible numbers, names and types.
-
-    Raises:
-        RigError: which key, and how to fix it.
-    """
+    """Refuse impossible numbers, names and types."""
     for name, output in outputs.items():
         key = f"outputs.{name}"
         _check_topic(f"{key}.topic", output.topic)
         _check_type(f"{key}.type", output.type)
         if not output.fields:
-            raise RigError(f"{key}.fields is empty", how='give what goes where: "drive.speed" = { of = "speed" }')
+            raise RigError(f"{key}.fields is empty", how='give each field, such as "drive.speed" = { of = "speed" }')
         for path, field in output.fields.items():
             _check_field(f'{key}.fields."{path}"', path, field, max_steer)
     if len({output.topic for output in outputs.values()}) < len(outputs):
@@ -216,7 +201,7 @@ def check_outputs(outputs: Mapping[str, Output], live: Live, max_steer: float) -
     if live.enable is not None:
         _check_topic("live.enable.topic", live.enable.topic)
         if not _PATH.fullmatch(live.enable.field) or not 0 < live.enable.timeout < np.inf:
-            raise RigError("live.enable: no such field or timeout", how='give field = "data" and seconds above zero')
+            raise RigError("live.enable: invalid field or timeout", how='give field = "data" and seconds above zero')
     for name, seconds in vars(live.timeouts).items():
         least, most = _TIMEOUTS[name]
         if not least <= seconds <= most:
@@ -231,30 +216,30 @@ def check_outputs(outputs: Mapping[str, Output], live: Live, max_steer: float) -
         held = {field.of for output in outputs.values() for field in output.fields.values()}
         if held and not held & limited and number != getattr(CommandLimits(), limit):
             how = f"leave it out, or send one of {', '.join(sorted(limited))}"
-            raise RigError(f"live.limits.{limit} limits nothing: no output holds what it is about", how=how)
+            raise RigError(f"live.limits.{limit} has no effect on any output", how=how)
 
 
 def _check_topic(key: str, topic: str) -> None:
     if not _TOPIC.fullmatch(topic):
-        raise RigError(f"{key}: '{topic}' is no topic", how="give a name such as /vehicle/command")
+        raise RigError(f"{key}: '{topic}' is not a topic", how="give a name such as /vehicle/command")
 
 
 def _check_type(key: str, msgtype: str) -> None:
     if not _TYPE.fullmatch(msgtype):
-        raise RigError(f"{key}: '{msgtype}' is no message type", how="give one such as geometry_msgs/msg/Twist")
+        raise RigError(f"{key}: '{msgtype}' is not a message type", how="give one such as geometry_msgs/msg/Twist")
 
 
 def _check_field(key: str, path: str, field: OutputField, max_steer: float) -> None:
     if not _PATH.fullmatch(path):
-        raise RigError(f"{key}: no path of a field", how="give one such as drive.steering_angle or axes[2]")
+        raise RigError(f"{key} is not a field path", how="give one such as drive.steering_angle or axes[2]")
     if not np.isfinite([field.scale, field.offset, field.value]).all() or field.scale == 0:
-        raise RigError(f"{key}: scale, offset or value is no number that can be used", how="scale is not zero")
+        raise RigError(f"{key}: scale, offset or value is not usable", how="give finite numbers, and no scale of zero")
     if not 0 <= field.ahead <= 5:
         raise RigError(f"{key}.ahead is {field.ahead}", how="give seconds within the plan: 0 to 5")
     if field.clip is not None and not field.clip[0] < field.clip[1]:
-        raise RigError(f"{key}.clip is no interval", how="give the lowest and the highest value")
+        raise RigError(f"{key}.clip is not an interval", how="give the lowest and the highest value")
     if field.of == "steer" and field.unit in TURN_RATES:
-        raise RigError(f"{key}: '{field.unit}' is of a turn rate", how='send it with of = "yaw_rate"')
+        raise RigError(f"{key}: '{field.unit}' is a unit of turn rates", how='send it with of = "yaw_rate"')
     try:
         field.written(0.0, max_steer)
     except RigError as error:

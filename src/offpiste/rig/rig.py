@@ -1,4 +1,4 @@
-"""The rig: a vehicle, its channels, sensors and clocks, read from a TOML file."""
+"""Rig: vehicle, channels, sensors and clocks of a log, read from a TOML file."""
 
 import tomllib
 from importlib import resources
@@ -24,7 +24,7 @@ class Vehicle(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     Attributes:
         wheel_positions: x forward, y left of the pose point [m]: front-left, front-right, rear-left, rear-right.
-        pose_point: point of the vehicle whose pose the log has, in words.
+        pose_point: description of the point whose pose is logged.
         max_steer: road-wheel angle at a steering command of 1 [rad]; 0 for a vehicle that does not steer.
     """
 
@@ -53,22 +53,15 @@ class Vehicle(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 _FARTHEST_WHEEL: Final = 100.0
-"""Wheels are nearer to the pose point [m]."""
+"""Limit of wheel coordinates [m]."""
 
 
 def check_vehicle(vehicle: Vehicle, *, steers: bool) -> None:
-    """Refuse impossible numbers.
-
-    Args:
-        steers: whether the rig has steering commands.
-
-    Raises:
-        RigError: which number, and how to fix it.
-    """
+    """Refuse impossible numbers; vehicles that steer need a `max_steer`."""
     if not 0 < vehicle.mass < np.inf:
         raise RigError(f"vehicle.mass is {vehicle.mass} kg", how="give the mass in kg")
     if not (np.abs(vehicle.wheel_positions) < _FARTHEST_WHEEL).all():
-        raise RigError("vehicle.wheel_positions hold a number that is no place", how="give metres from the pose point")
+        raise RigError("vehicle.wheel_positions hold an impossible position", how="give metres from the pose point")
     if not 0 < vehicle.wheelbase < np.inf:
         raise RigError("the front wheels are not ahead of the rear wheels", how="fix vehicle.wheel_positions")
     sides = [y for _, y in vehicle.wheel_positions]
@@ -80,15 +73,15 @@ def check_vehicle(vehicle: Vehicle, *, steers: bool) -> None:
 
 
 class Motion(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Estimation of planar motion where the log has no velocities of its own.
+    """Estimation of planar motion from poses.
 
     Attributes:
-        window: span of pose samples behind one estimate [s].
-        slope_length: metres of path over which elevation is fitted for the driven path's slope.
-        normals: "driven path" (the stand-in without LiDAR) or "flat".
-        axes: of the log's poses and velocities: "z up" (body x forward, y left, z up), "body down" (body forward,
-            right, down in a world that is z up), "world down" (world north, east, down), or "ned" (both down); they are
-            turned to z up on reading.
+        window: span of the pose samples behind one estimate [s].
+        slope_length: length of the path over which elevation is fitted for the slope of the driven path [m].
+        normals: "driven path" (in place of a map) or "flat".
+        axes: axes of the log's poses and velocities, rotated to z up on reading: "z up" (body x forward, y left, z up),
+            "body down" (body forward, right, down in a z-up world), "world down" (world north, east, down), or "ned"
+            (both down).
     """
 
     window: float = 0.3
@@ -98,7 +91,7 @@ class Motion(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A vehicle, its log's channels, the channels that its log does not have, its sensors and its commands by name."""
+    """Vehicle, and the channels, absent channels, sensors and commands of its logs."""
 
     name: str
     vehicle: Vehicle
@@ -116,12 +109,12 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def controls(self) -> tuple[Control, ...]:
-        """Columns of `control` in datasets of this rig, those that its logs lack included."""
+        """Columns of `control` in datasets of this rig, including absent ones."""
         return control_columns(self.channels)
 
     @property
     def actuators(self) -> tuple[Actuator, ...]:
-        """Columns of `actuators` in datasets of this rig, those that its logs lack included."""
+        """Columns of `actuators` in datasets of this rig, including absent ones."""
         return actuator_columns([a.name for a in all_actuators() if a.channel in self.channels])
 
     @property
@@ -131,13 +124,13 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def present_actuators(self) -> tuple[str, ...]:
-        """Names of the actuators that this rig's logs have; a rate can be derived from what it is the rate of."""
+        """Names of the actuators in this rig's logs, including rates that are derived from a position."""
         have = {actuator.name for actuator in self.actuators if actuator.channel in self.channels}
         return tuple(actuator.name for actuator in self.actuators if {actuator.name, actuator.rate_of} & have)
 
     @property
     def topics(self) -> tuple[str, ...]:
-        """Topics that the rig reads: of channels, cameras with their calibrations, LiDARs and transforms."""
+        """Topics of the channels, cameras, calibrations, LiDARs and transforms."""
         cameras = [topic for camera in self.cameras.values() for topic in (camera.topic, camera.info) if topic]
         read = [*(channel.topic for channel in self.channels.values()), *cameras]
         lidars = [lidar.topic for lidar in self.lidars.values()]
@@ -145,24 +138,24 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return tuple(dict.fromkeys([*read, *lidars, *self.frames.topics, *aligned]))
 
     def without_slope(self) -> "Rig":
-        """The same rig with flat ground in place of the driven path's slope (an ablation)."""
+        """Return the rig with flat ground in place of the driven path's slope (an ablation)."""
         return msgspec.structs.replace(self, motion=msgspec.structs.replace(self.motion, normals="flat"))
 
     def reads_alike(self, *channels: str) -> bool:
-        """Whether there are all of these channels, and they read the same fields."""
+        """Return whether all of these channels exist and read the same fields."""
         sources = [self.channels.get(name) for name in channels]
         return all(sources) and len({(source.topic, source.fields) for source in sources if source}) == 1
 
     def wheel_positions(self) -> Float[np.ndarray, "4 2"]:
-        """Wheels in the body frame, from the pose point [m]."""
+        """Return the wheels in the body frame, relative to the pose point [m]."""
         return np.array(self.vehicle.wheel_positions)
 
 
 def load_rig(name: str | Path) -> Rig:
-    """A rig from a preset's name (see `preset_names`) or from a TOML file.
+    """Load a preset by name (see `preset_names`), or a rig from a TOML file.
 
     Raises:
-        RigError: no such preset or file, not TOML, an unknown or missing key, a wrong type, contradicting channels.
+        RigError: missing preset or file, invalid TOML, an unknown or missing key, a wrong type, contradicting entries.
     """
     rig = parse_rig(rig_text(name), where=str(name))
     if _is_preset(name):
@@ -172,11 +165,7 @@ def load_rig(name: str | Path) -> Rig:
 
 
 def rig_text(name: str | Path) -> str:
-    """The TOML of a preset or of a rig file.
-
-    Raises:
-        RigError: no such preset or file.
-    """
+    """Return the TOML text of a preset or of a rig file."""
     if _is_preset(name):
         return (resources.files("offpiste.rig") / "presets" / f"{name}.toml").read_text("utf-8")
     try:
@@ -192,7 +181,7 @@ def _is_preset(name: str | Path) -> bool:
 
 
 def parse_rig(text: str, *, where: str) -> Rig:
-    """A rig from TOML text; `where` names it in errors (see `load_rig`)."""
+    """Parse a rig from TOML text; errors name it by `where`."""
     load_extensions()  # may declare channels
     try:
         given = parsed(text, tomllib.loads)
@@ -211,7 +200,7 @@ def parse_rig(text: str, *, where: str) -> Rig:
 
 
 def _with_names(what: str, given: dict[str, Any]) -> str:
-    """What is wrong with a rig, with the channel, camera, LiDAR or output that msgspec writes as `[...]`."""
+    """Insert the name of the channel, camera, LiDAR or output that msgspec's message writes as `[...]`."""
     if "[...]" not in what:
         return what
     kinds = {"channels": ChannelSource, "cameras": CameraSource, "lidars": LidarSource, "outputs": Output}
@@ -228,17 +217,13 @@ def _with_names(what: str, given: dict[str, Any]) -> str:
 
 
 def preset_names() -> list[str]:
-    """Names of the rigs that ship with the package."""
+    """Return the names of the rigs that ship with the package."""
     folder = resources.files("offpiste.rig") / "presets"
     return sorted(f.name.removesuffix(".toml") for f in folder.iterdir() if f.name.endswith(".toml"))
 
 
 def check_rig(rig: Rig) -> None:
-    """Refuse impossible numbers and contradicting entries, which types alone cannot.
-
-    Raises:
-        RigError: which entry, and how to fix it.
-    """
+    """Refuse impossible numbers and contradicting entries that types do not exclude."""
     check_channels(rig.channels, rig.absent, rig.vehicle.max_steer)
     for key, number in (
         ("clock.max_gap", rig.clock.max_gap),
@@ -252,6 +237,6 @@ def check_rig(rig: Rig) -> None:
     check_sensors(rig.cameras, rig.lidars)
     epoch = next((name for name, lidar in rig.lidars.items() if lidar.time_field and lidar.time_origin == "epoch"), "")
     if epoch and rig.clock.stamps == "receive":
-        how = "the points' times are of the LiDAR's clock: use clock.stamps = \"header\", or leave out time_field"
+        how = 'point times use the LiDAR\'s clock: use clock.stamps = "header", or leave out time_field'
         raise RigError(f'lidars.{epoch}.time_origin is "epoch" and clock.stamps is "receive"', how=how)
     check_outputs(rig.outputs, rig.live, rig.vehicle.max_steer)

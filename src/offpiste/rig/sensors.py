@@ -1,4 +1,4 @@
-"""Cameras and LiDARs of a rig: mountings, calibrations, and the topics of their images and point clouds."""
+"""Cameras and LiDARs of a rig: topics, mountings and calibrations."""
 
 from pathlib import Path
 from typing import Final, Literal
@@ -16,11 +16,9 @@ Polygon = tuple[tuple[float, float], ...]
 """Corners x, y [px]."""
 
 TIME_FIELDS: Final = ("t", "time", "timestamp", "time_stamp", "offset_time")
-"""Names that drivers give to the time of a point."""
-
-
+"""Names of point times in the fields of common drivers."""
 OPTICAL: Final = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-"""Rotation to body axes from those of a camera that looks ahead: z forward, x right, y down."""
+"""Rotation from the axes of a forward-looking camera (z forward, x right, y down) to body axes."""
 _DIRECTIONS: Final = {"forward": (1, 0), "left": (0, 1), "back": (-1, 0), "right": (0, -1)}
 """x and y in the body frame."""
 
@@ -30,7 +28,7 @@ class Frames(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     Attributes:
         body: the frame whose pose `position` and `orientation` give: x forward, y left, z up.
-        topics: of tf2_msgs/TFMessage; the first transform of each pair of frames counts.
+        topics: topics of tf2_msgs/TFMessage; the first transform of each pair of frames is used.
     """
 
     body: str = "base_link"
@@ -38,13 +36,13 @@ class Frames(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Mounting(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Mounting of a sensor: `body_from_sensor`.
+    """Pose of a sensor on the vehicle, `body_from_sensor`.
 
     Attributes:
-        position: in the body frame [m]; None in a rough guess whose place is not known either.
-        orientation: quaternion xyzw; (-0.5, 0.5, -0.5, 0.5) for the optical axes of a camera that looks ahead.
-        looks: instead of `orientation`: a rough guess, which `inspect --estimate-mountings` starts from and nothing
-            else accepts.
+        position: in the body frame [m]; None in a rough guess without a position.
+        orientation: quaternion xyzw; (-0.5, 0.5, -0.5, 0.5) for the optical axes of a forward-looking camera.
+        looks: rough direction in place of `orientation`, as a start for `inspect --estimate-mountings`; refused by all
+            other commands.
     """
 
     position: tuple[float, float, float] | None = None
@@ -53,15 +51,11 @@ class Mounting(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def is_rough(self) -> bool:
-        """Whether it is no more than a rough guess."""
+        """Whether it is a rough guess."""
         return bool(self.looks)
 
     def matrix(self, *, optical: bool = False) -> Float[np.ndarray, "4 4"]:
-        """`body_from_sensor`.
-
-        Args:
-            optical: `looks` is that of a camera: z forward, x right, y down.
-        """
+        """Return `body_from_sensor`; `optical` applies `looks` to a camera (z forward, x right, y down)."""
         from offpiste.core.geometry import rotation_from_quaternion
 
         matrix = np.eye(4)
@@ -79,11 +73,11 @@ class Intrinsics(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Calibration of a camera whose log has no CameraInfo.
 
     Attributes:
-        width, height: of the image [px].
+        width, height: size of the image [px].
         focal_length: fx, fy [px].
-        centre: cx, cy [px]; the middle of the first pixel is (0, 0).
+        centre: cx, cy [px]; the centre of the first pixel is (0, 0).
         distortion: coefficients in the order of CameraInfo's `d`.
-        model: CameraInfo's distortion model; "equidistant" is OpenCV's fisheye.
+        model: distortion model of CameraInfo; "equidistant" is OpenCV's fisheye.
     """
 
     width: int
@@ -95,19 +89,19 @@ class Intrinsics(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class CameraSource(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A camera.
+    """Source of a camera's images.
 
     Attributes:
-        topic: of its images, compressed or not.
-        info: of its CameraInfo; or else `intrinsics`.
-        frame: of its images (z forward, x right, y down); "" for the one that they name themselves.
-        body_from_camera: instead of the log's transforms.
-        rectified: the images are rectified already: CameraInfo's P holds instead of K and d.
-        delay: how much later than it happened an image is stamped [s].
-        bits: that images of 16 bits use, as 12 of a sensor of 12 bits; 0 where they have 8.
-        optional: a log without the topic is read without this camera.
-        mask: a picture of the recorded size, any colour but black where the vehicle sees itself; beside the rig file.
-        own_body: polygons in the recorded image in which the vehicle sees itself, too.
+        topic: topic of images, compressed or not.
+        info: topic of CameraInfo; exclusive with `intrinsics`.
+        frame: frame of the images (z forward, x right, y down); "" for the frame in their headers.
+        body_from_camera: mounting in place of the log's transforms.
+        rectified: images are rectified; CameraInfo's P holds instead of K and d.
+        delay: how much later than its exposure an image is stamped [s].
+        bits: bit depth of the sensor for images stored in 16 bits; 0 for images of 8 bits.
+        optional: read a log without this topic, without this camera.
+        mask: image of the recorded size, not black where the vehicle sees itself; path relative to the rig file.
+        own_body: further polygons in the recorded image in which the vehicle sees itself.
     """
 
     topic: str
@@ -122,21 +116,26 @@ class CameraSource(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     mask: str = ""
     own_body: tuple[Polygon, ...] = ()
 
+    @property
+    def mounting(self) -> Mounting | None:
+        """Mounting that the rig gives."""
+        return self.body_from_camera
+
 
 class LidarSource(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A LiDAR.
+    """Source of a LiDAR's point clouds.
 
     Attributes:
-        topic: of its clouds.
-        frame: of its points; "" for the one that they name themselves.
-        body_from_lidar: instead of the log's transforms.
-        delay: how much later than it happened a cloud is stamped [s].
-        time_field: the points' field with their own time; "" where they have none, or are compensated already.
-        time_unit: of that field.
-        time_origin: it counts from the cloud's stamp, or from 1970.
+        topic: topic of point clouds.
+        frame: frame of the points; "" for the frame in their headers.
+        body_from_lidar: mounting in place of the log's transforms.
+        delay: how much later than measured a cloud is stamped [s].
+        time_field: field of the points' own times; "" if they have none or are motion-compensated already.
+        time_unit: unit of that field.
+        time_origin: zero of that field: the cloud's stamp, or 1970.
         min_range, max_range: points nearer or further are dropped [m].
-        own_body: a box in the body frame; points in it are the vehicle itself and are dropped.
-        optional: a log without the topic is read without this LiDAR.
+        own_body: box in the body frame; points in it belong to the vehicle itself and are dropped.
+        optional: read a log without this topic, without this LiDAR.
     """
 
     topic: str
@@ -151,13 +150,14 @@ class LidarSource(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     own_body: Box | None = None
     optional: bool = False
 
+    @property
+    def mounting(self) -> Mounting | None:
+        """Mounting that the rig gives."""
+        return self.body_from_lidar
+
 
 def check_sensors(cameras: dict[str, CameraSource], lidars: dict[str, LidarSource]) -> None:
-    """Refuse contradicting or impossible keys, which types alone cannot.
-
-    Raises:
-        RigError: which key, and how to fix it.
-    """
+    """Refuse contradicting or impossible entries that types do not exclude."""
     if both := set(cameras) & set(lidars):
         raise RigError(f"'{min(both)}' is both a camera and a LiDAR", how="rename one of the two")
     for name, camera in cameras.items():
@@ -167,7 +167,7 @@ def check_sensors(cameras: dict[str, CameraSource], lidars: dict[str, LidarSourc
 
 
 def beside(cameras: dict[str, CameraSource], folder: Path) -> dict[str, CameraSource]:
-    """Cameras with the paths of their masks made absolute, which a rig file gives from its own folder."""
+    """Return cameras whose mask paths are absolute, from paths relative to a rig file's folder."""
     return {name: replace(c, mask=str(folder / c.mask)) if c.mask else c for name, c in cameras.items()}
 
 
@@ -177,12 +177,12 @@ def _check_camera(key: str, camera: CameraSource) -> None:
         raise RigError(f"{key} has {count}", how="give info (a CameraInfo topic) or intrinsics, one of the two")
     given = camera.intrinsics
     if given and not (min(given.width, given.height) >= 1 and 0 < min(given.focal_length) < np.inf):
-        raise RigError(f"{key}.intrinsics: sizes and focal lengths are above zero", how="give them in pixels")
+        raise RigError(f"{key}.intrinsics: sizes and focal lengths must be above zero", how="give them in pixels")
     if any(len(polygon) < 3 for polygon in camera.own_body):
         raise RigError(f"{key}.own_body: a polygon has less than three corners", how="give [[x, y], [x, y], [x, y]]")
     if camera.bits and not 8 <= camera.bits <= 16:
-        raise RigError(f"{key}.bits is {camera.bits}", how="give 8 to 16, or leave it out where images have 8 bits")
-    _check_mounting(f"{key}.body_from_camera", camera.body_from_camera)
+        raise RigError(f"{key}.bits is {camera.bits}", how="give 8 to 16, or leave it out if images have 8 bits")
+    _check_mounting(f"{key}.body_from_camera", camera.mounting)
     _check_finite(f"{key}.delay", camera.delay)
 
 
@@ -191,7 +191,7 @@ def _check_lidar(key: str, lidar: LidarSource) -> None:
         raise RigError(f"{key}: min_range {lidar.min_range} is not below max_range {lidar.max_range}", how="fix one")
     if lidar.own_body is not None and not np.all(np.less(*lidar.own_body)):
         raise RigError(f"{key}.own_body is no box", how="give the lowest and the highest x, y, z [m]")
-    _check_mounting(f"{key}.body_from_lidar", lidar.body_from_lidar)
+    _check_mounting(f"{key}.body_from_lidar", lidar.mounting)
     _check_finite(f"{key}.delay", lidar.delay)
 
 
@@ -201,14 +201,13 @@ def _check_mounting(key: str, mounting: Mounting | None) -> None:
     if (mounting.orientation is None) == (not mounting.looks):
         how = 'give orientation = [x, y, z, w], or a rough guess: looks = "forward"'
         raise RigError(f"{key} has {'neither orientation nor looks' if not mounting.looks else 'both'}", how=how)
+    if mounting.position is not None and not np.isfinite(mounting.position).all():
+        raise RigError(f"{key}.position is not finite", how="give x, y, z [m]")
     if mounting.orientation is None:
-        known = mounting.position is None or np.isfinite(mounting.position).all()
-        if not known:
-            raise RigError(f"{key}.position is not finite", how="give x, y, z [m], or leave it out")
         return
     if mounting.position is None:
         raise RigError(f"{key} has no position", how="give x, y, z [m]")
-    if not np.isfinite(mounting.position).all() or not abs(np.linalg.norm(mounting.orientation) - 1) < 0.01:
+    if not abs(np.linalg.norm(mounting.orientation) - 1) < 0.01:
         raise RigError(f"{key}.orientation is not a unit quaternion", how="give x, y, z, w of length 1")
 
 

@@ -14,8 +14,7 @@ from offpiste.core.errors import LogError, RigError
 from offpiste.core.files import check_folder, unfinished
 from offpiste.dataset.splits import PARTS
 from offpiste.dataset.store import Dataset, StoredDrive, open_dataset
-from offpiste.logs.log import Log
-from offpiste.logs.opening import open_log
+from offpiste.logs.log import Log, open_log
 from offpiste.perception.feature_extractor import load_feature_extractor
 from offpiste.report.figure import BLUE, INK, ORANGE, PURPLE, SOFT, coloured_path, plain
 from offpiste.report.page import Page, Section, picture, write_page

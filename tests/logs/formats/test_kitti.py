@@ -119,7 +119,7 @@ BROKEN = {
     ),
     "a stray file": (
         lambda d: (d / "image_02" / "data" / "thumbs.db").write_text(""),
-        r"its name is no frame's number",
+        r"its name is not a frame number",
     ),
 }
 

@@ -11,7 +11,7 @@ from factories import small_rig
 from offpiste.core.errors import LogError
 from offpiste.logs.channel import read_channel
 from offpiste.logs.formats.table import TableLog
-from offpiste.logs.opening import open_log
+from offpiste.logs.log import open_log
 from offpiste.rig.channels import ChannelSource, Clock
 
 DART = {

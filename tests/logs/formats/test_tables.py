@@ -9,7 +9,7 @@ import pytest
 
 from offpiste.core.errors import LogError
 from offpiste.logs.formats.tables import TablesLog
-from offpiste.logs.opening import open_log
+from offpiste.logs.log import open_log
 from offpiste.rig.channels import Clock
 
 TIME = np.arange(0, 20, 0.05)

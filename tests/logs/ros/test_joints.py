@@ -14,7 +14,7 @@ from offpiste.inspection.draft_rig import draft_rig
 from offpiste.inspection.inspect import inspect_log
 from offpiste.logs.channel import read_channel
 from offpiste.logs.formats.bag import BagLog
-from offpiste.logs.opening import open_log
+from offpiste.logs.log import open_log
 from offpiste.logs.ros.sensor_messages import Joints
 from offpiste.logs.ros.writer import McapWriter, floats, header, make
 from offpiste.rig.rig import parse_rig
@@ -155,5 +155,5 @@ def test_a_rig_that_names_joints_reads_them_wherever_another_log_has_them(log: P
 
 def test_a_rig_names_all_joints_of_a_channel_or_none(log: Path) -> None:
     text = draft_rig(open_log(log)).replace('joints = ["steer"]', 'joints = ["steer", "throttle"]')
-    with pytest.raises(RigError, match=r"steer\.joints has to name each of its fields; name each, or remove it"):
+    with pytest.raises(RigError, match=r"steer\.joints must name every field; name each, or remove it"):
         parse_rig(text, where="test")

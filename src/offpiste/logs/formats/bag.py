@@ -51,25 +51,22 @@ _IMAGE_TYPES: Final = ("sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image
 _CLOUD_TYPES: Final = ("sensor_msgs/msg/PointCloud2",)
 _CALIBRATIONS: Final = ("sensor_msgs/msg/CameraInfo",)
 _OVERLAP: Final = 10**9
-"""Time by which a piece of a recording may begin before the end of another one [ns]."""
+"""Largest overlap between pieces of a recording [ns]."""
 _JOINTS: Final = "sensor_msgs/msg/JointState"
 _FIRST: Final = 100
-"""Messages of a topic that are asked for the names of its joints, or the lengths of its sequences."""
+"""Number of messages of a topic that give the names of its joints, or the lengths of its sequences."""
 
 
 @LOG_FORMATS.register("bag")
 class BagLog(Log):
-    """A ROS 1 `.bag`, a ROS 2 `.mcap` or `.db3`, or the folder of one; message definitions come from the bag.
+    """ROS 1 `.bag`, ROS 2 `.mcap` or `.db3`, or the folder of one; message definitions come from the bag.
 
     Fields are dotted paths to numbers and booleans, e.g. `pose.pose.position.x` or `pose.covariance[0]`: entries of
-    fixed-size arrays of at most 36, and the first 36 that a sequence has in the topic's first message where it is not
-    empty (where a later message has fewer, they are NaN). Entries of sensor_msgs/JointState go by their names, which
-    are those of the first hundred messages. Each pair of frames that the first messages of tf2_msgs/TFMessage have is
-    a topic of its own (`offpiste.logs.transforms`). Headers, text, raw bytes and sequences of messages are no fields.
-    Samples come in the order of arrival. An MCAP file without its end is read as far as it goes.
-
-    Raises:
-        LogError: the bag is empty, damaged, or of another format than its ending.
+    fixed-size arrays of at most 36, and of sequences the first 36 entries of the first message with any (NaN in shorter
+    later ones). Entries of sensor_msgs/JointState are identified by the names in the first hundred messages. Each pair
+    of frames in the first messages of tf2_msgs/TFMessage is a topic of its own (`offpiste.logs.transforms`). Headers,
+    text, raw bytes and sequences of messages are not fields. Samples are in order of arrival. A truncated MCAP file is
+    read as far as possible.
     """
 
     description = "a ROS bag (.bag, .mcap, .db3, or the folder of one)"
@@ -95,14 +92,14 @@ class BagLog(Log):
 
     @staticmethod
     def recognises(path: Path) -> bool:
-        """Whether a file has a bag's ending, or a folder holds one."""
+        """Return whether a file has the extension of a bag, or a folder holds one."""
         if path.is_dir():
             return (path / "metadata.yaml").is_file() or bool(storage_files(path))
         return path.suffix in MAGIC
 
     @property
     def topics(self) -> dict[str, Topic]:
-        """One topic for each ROS topic; where a type cannot be decoded, it is the reason, and there are no fields."""
+        """Topics by name; a topic that cannot be decoded has no fields, and the reason as its type."""
         if not self._told_apart:
             self._told_apart = True
             self._topics |= {topic.name: topic for topic in self._senders_as_topics()}
@@ -110,7 +107,7 @@ class BagLog(Log):
 
     @property
     def set_back(self) -> SetBack | None:
-        """By the order in which a .bag or an .mcap file holds its messages; files of other kinds do not show it."""
+        """Backward step of the recorder's clock, from the file order of messages in .bag and .mcap files."""
         for k, reader in enumerate(self._readers):
             filed = [one.filed for one in self._columns_of(k).values()]
             if isinstance(reader, Rosbag1):
@@ -123,13 +120,13 @@ class BagLog(Log):
         return None
 
     def messages(self, topic: str, *, stamps: str = "header") -> Iterator[tuple[float, Any]]:
-        """Stamps [s] and decoded messages of a topic, in the order of the file, one at a time (see `Log`)."""
+        """Yield the stamp [s] and the decoded message of each message, in file order."""
         result = self._find(topic)
         for received, message in self._messages(result.name, result.type):
             yield stamp_of(received, message, stamps), message
 
     def stamps(self, topic: str, *, stamps: str = "header") -> Float[np.ndarray, " n"]:
-        """Stamps of all messages of a topic [s], in the order of the file; no more than their headers is decoded."""
+        """Return the stamps of all messages of a topic in file order [s]; only headers are decoded."""
         result = self._find(topic)
         columns = self._columns(result)
         if columns is not None:
@@ -171,12 +168,12 @@ class BagLog(Log):
             return Topic(name, error.what, count, ())
 
     def _transforms_as_topics(self) -> list[Topic]:
-        """A topic for each pair of frames; bodies in a world, which may be the pose, come first."""
+        """Return a topic for each pair of frames, possible poses of the vehicle first."""
         result: list[Topic] = []
         for topic in self._topics.values():
             if topic.type in TRANSFORMS and not topic.name.endswith("static"):
                 first, counts = (message for _, message in self._messages(topic.name, topic.type)), Counter[FramePair]()
-                with suppress(LogError):  # where it is read, damage is an error
+                with suppress(LogError):  # damage is reported on reading
                     for one in frame_pairs(topic.name, first):
                         counts[one] += 1
                 for one in sorted(counts, key=lambda one: not one.is_of_a_body):
@@ -184,19 +181,19 @@ class BagLog(Log):
         return result
 
     def _senders_as_topics(self) -> list[Topic]:
-        """A topic for each of several senders that take turns on one topic, by the frames of their messages."""
+        """Return a topic for each of several senders that alternate on one topic, by the frames of their messages."""
         result: list[Topic] = []
         for topic in list(self._topics.values()):
             frames = [] if topic.part_of or not topic.fields else self._frames(topic)
             counts = Counter(frames)
             turns = sum(one != other for one, other in pairwise(frames))
-            if turns > len(frames) - max(counts.values(), default=0):  # one after the other, they are one at a time
+            if turns > len(frames) - max(counts.values(), default=0):  # alternating, not one sender after another
                 pairs = ((FramePair(topic.name, *each), count) for each, count in counts.items())
                 result += [replace(topic, name=one.name, count=count, part_of=topic.name) for one, count in pairs]
         return result
 
     def _frames(self, topic: Topic) -> list[tuple[str, str]]:
-        """Frames of each message of a topic, in the order of arrival; none where it has no headers, or is damaged."""
+        """Return the frames of each message in order of arrival; none without headers, or if damaged."""
         columns = self._columns(topic)
         if columns is not None:
             known = {frames for one in columns for frames in one.frames}
@@ -206,7 +203,7 @@ class BagLog(Log):
         return []
 
     def _messages(self, name: str, msgtype: str, decoder: MakeDecoder | None = None) -> Iterator[tuple[int, Any]]:
-        """Time of arrival [ns] and decoded message."""
+        """Yield the arrival [ns] and the decoded message."""
         one = frame_pair(name)
         if one is not None and self._topics[one.topic].type not in TRANSFORMS:
             decode = decoder or whole_messages
@@ -228,9 +225,9 @@ class BagLog(Log):
                     yield received, decoders[connection.id](raw)
 
     def _columns(self, topic: Topic) -> list[Columns] | None:
-        """Columns of a topic, one a file, by one pass for all topics; None where each message has to be decoded.
+        """Return the columns of a topic, one per file; None if each message must be decoded.
 
-        What was read is kept: some 10 MB for an hour of ten numbers at 50 Hz.
+        One pass reads and keeps those of all topics: some 10 MB for an hour of ten numbers at 50 Hz.
         """
         result: list[Columns] = []
         for k, reader in enumerate(self._readers):
@@ -252,7 +249,7 @@ class BagLog(Log):
     def _read(self, topic: Topic, fields: Sequence[str], stamps: str) -> Samples:
         columns, joints = self._columns(topic), self._joints.get(topic.name)
         if joints is not None and len(self._readers) > 1:
-            columns = None  # names are the same within each file only
+            columns = None  # names are constant within single files only
         if columns is not None and all(set(fields) <= set(one.fields) for one in columns):
             parts = [one.values[:, [one.fields.index(f) for f in fields]] for one in columns]
             return Samples(np.concatenate([one.seconds(stamps) for one in columns]), np.concatenate(parts))
@@ -270,7 +267,7 @@ class BagLog(Log):
         return Samples(np.array(time), np.array(rows, dtype=np.float64).reshape(len(time), len(fields)))
 
     def transforms(self, topics: Sequence[str]) -> list[Transform]:
-        """Transforms of tf2_msgs/TFMessage: the first of each pair of frames."""
+        """Return the first transform of each pair of frames in topics of tf2_msgs/TFMessage."""
         result: dict[tuple[str, str], Transform] = {}
         for topic in topics:
             if topic in self.topics:
@@ -280,7 +277,7 @@ class BagLog(Log):
         return list(result.values())
 
     def camera_model(self, topic: str, *, rectified: bool) -> tuple[CameraModel, Float[np.ndarray, "4 4"]]:
-        """Calibration by the topic's first CameraInfo."""
+        """Return the calibration in the topic's first CameraInfo."""
         first = next(self._typed(topic, _CALIBRATIONS), None)
         if first is None:
             how = "give the camera's intrinsics in the rig"
@@ -288,36 +285,36 @@ class BagLog(Log):
         return model_from_message(first[1], topic, rectified=rectified)
 
     def frame(self, topic: str) -> str:
-        """Frame in the first message's header."""
+        """Return the frame in the first message's header."""
         _, message = next(self.messages(topic), (0.0, None))
         if message is None:
             raise LogError(f"topic '{topic}' is empty", where=self.path, how="remove the sensor from the rig")
         return frame_of(message)
 
     def images(self, topic: str, *, stamps: str = "header") -> Iterator[RawImage]:
-        """Images of sensor_msgs/CompressedImage and Image."""
+        """Yield images of sensor_msgs/CompressedImage and Image."""
         return images_of(self._typed(topic, _IMAGE_TYPES, stamps), topic)
 
     def clouds(self, topic: str, *, stamps: str = "header") -> Iterator[RawCloud]:
-        """Point clouds of sensor_msgs/PointCloud2."""
+        """Yield point clouds of sensor_msgs/PointCloud2."""
         return clouds_of(self._typed(topic, _CLOUD_TYPES, stamps))
 
     def images_at(self, topic: str, times: Float[np.ndarray, " n"], *, stamps: str = "header") -> Iterator[RawImage]:
-        """By the file's index: what lies between is neither read nor decoded."""
+        """Yield images by the file's index, without reading others."""
         if self._columns(self._find(topic)) is None:
             return super().images_at(topic, times, stamps=stamps)
         return images_of(self._typed(topic, _IMAGE_TYPES, stamps, times), topic)
 
     def clouds_at(self, topic: str, times: Float[np.ndarray, " n"], *, stamps: str = "header") -> Iterator[RawCloud]:
-        """By the file's index, like `images_at`."""
+        """Yield point clouds by the file's index, without reading others."""
         if self._columns(self._find(topic)) is None:
             return super().clouds_at(topic, times, stamps=stamps)
         return clouds_of(self._typed(topic, _CLOUD_TYPES, stamps, times))
 
     def _at(self, topic: Topic, times: Float[np.ndarray, " n"], stamps: str) -> Iterator[tuple[float, Any]]:
-        """Messages with these stamps, each found by the time at which it arrived."""
+        """Yield the messages with given stamps, found by their arrival."""
         columns = self._columns(topic)
-        assert columns is not None, "only of files that were indexed"
+        assert columns is not None, "only for indexed files"
         readers = [r for r in self._readers if any(c.topic == topic.name and c.msgcount for c in r.connections)]
         for reader, one in zip(readers, columns, strict=True):
             assert not isinstance(reader, StreamedMcap), "has no index"
@@ -333,7 +330,7 @@ class BagLog(Log):
     def _typed(
         self, topic: str, types: Sequence[str], stamps: str = "header", times: Float[np.ndarray, " n"] | None = None
     ) -> Iterator[tuple[float, Any]]:
-        """Messages of a topic that has to be of one of these types; of some `times` if given."""
+        """Yield the messages, at some `times` or all, of a topic that must have one of these types."""
         result = self.topics.get(topic)
         if result is not None and result.type not in types:
             wanted = " or ".join(types)
@@ -342,7 +339,7 @@ class BagLog(Log):
 
 
 def _frames_only(connection: Connection, path: Path) -> Callable[[bytes], tuple[str, str]]:
-    """Decoder of the frames of a message; raises LogError where it has none."""
+    """Return a decoder of the frames of a message; refuse messages without a header."""
     read = frames_reader(connection, path)
     if read is None:
         raise LogError("no header", where=path)
@@ -368,7 +365,7 @@ def _others(readers: Sequence[Reader], path: Path) -> list[str]:
 
 
 def _refuse_several(readers: Sequence[Reader], path: Path) -> None:
-    """Raise where the files of a folder are no pieces of one recording: one begins before another ends."""
+    """Refuse a folder whose files overlap in time, so that they are not pieces of one recording."""
     known = [reader for reader in readers if not isinstance(reader, StreamedMcap) and reader.message_count]
     for before, after in pairwise(sorted(known, key=lambda reader: reader.start_time)):
         if before.end_time - after.start_time > _OVERLAP:

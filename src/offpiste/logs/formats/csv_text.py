@@ -91,9 +91,6 @@ def read_csv(path: Path, notes: list[str], units: dict[str, str]) -> tuple[pa.Ta
 
     Returns:
         the table, and how many rows stand between its header and its data: units, and then words on each column.
-
-    Raises:
-        LogError: it cannot be read, is empty or damaged, or has no header.
     """
     lines = _first_lines(path)
     there = [line for line in lines if line.strip()]
@@ -187,9 +184,6 @@ def _as_many_as_cells(names: list[str], header: str, row: str, path: Path) -> li
     """Names above a table separated by spaces, which may themselves be separated by something else.
 
     Two names above the date and the time of a stamp become one.
-
-    Raises:
-        LogError: there are more or fewer than cells below.
     """
     cells, parts = DATE_AND_TIME.sub(r"\1T\2", row).split(), row.split()
     if len(names) == len(parts) == len(cells) + 1:
@@ -208,11 +202,7 @@ def _as_many_as_cells(names: list[str], header: str, row: str, path: Path) -> li
 
 
 def _cells(lines: Sequence[str], delimiter: str, path: Path) -> list[list[str]]:
-    """Cells of lines.
-
-    Raises:
-        LogError: one is longer than a cell may be.
-    """
+    """Cells of lines."""
     try:
         return list(csv.reader(lines, delimiter=delimiter))
     except csv.Error as error:
@@ -297,11 +287,7 @@ def _first_lines(path: Path) -> list[str]:
 
 
 def check_columns(path: Path, names: list[str]) -> None:
-    """Raise where a table has no columns, or two of one name.
-
-    Raises:
-        LogError: it has.
-    """
+    """Raise where a table has no columns, or two of one name."""
     if len(names) > _MOST_COLUMNS:
         raise LogError(f"{len(names)} columns", where=path, how=f"export at most {_MOST_COLUMNS}")
     repeated = sorted(name for name, count in Counter(names).items() if count > 1)

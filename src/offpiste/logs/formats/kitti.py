@@ -1,7 +1,4 @@
-"""KITTI raw drives: a folder `DATE_drive_NUMBER_sync` of images, Velodyne scans and OXTS rows (Geiger et al. 2013).
-
-The day's calibration files are expected in the folder above.
-"""
+"""KITTI raw drives: folders `DATE_drive_NUMBER_sync` of images, Velodyne scans and OXTS rows (Geiger et al. 2013)."""
 
 import warnings
 from collections.abc import Iterator, Sequence
@@ -27,24 +24,22 @@ _OXTS: Final = (
     "velmode", "orimode",
 )
 # fmt: on
-"""Columns of an OXTS row (dataformat.txt of the data set)."""
+"""Columns of an OXTS row (dataformat.txt of the dataset)."""
 _POSE: Final = ("x", "y", "z", "qx", "qy", "qz", "qw")
 _CAMERAS: Final = "calib_cam_to_cam.txt"
 _EARTH_RADIUS: Final = 6378137.0
 """Radius of the devkit's sphere [m]."""
-
-
 POINT: Final = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("time", "<f4")])
-"""`time` [s] counts from the scan's stamp, when the Velodyne faces ahead."""
+"""Record of a point; `time` is relative to the scan's stamp, when the Velodyne faces forward [s]."""
 
 
 @LOG_FORMATS.register("kitti")
 class KittiLog(Log):
-    """A drive of KITTI's raw data, synchronised or not.
+    """Drive of KITTI's raw data, synchronised or not; the day's calibration files are in the folder above.
 
-    Topics: `oxts`, whose fields are its columns and a pose (x, y, z, qx, qy, qz, qw) made of them; and one, without
-    fields, for each folder of images (`image_02`) or scans (`velodyne_points`), frames of which may be missing.
-    Frames are `oxts` (the body), `velodyne_points`, and `image_00` ... `image_03` for rectified images.
+    Topics are `oxts`, with its columns and the pose derived from them (x, y, z, qx, qy, qz, qw) as fields, and each
+    folder of images (`image_02`) or scans (`velodyne_points`), without fields and possibly with missing frames. Frames
+    are `oxts` (the body), `velodyne_points`, and `image_00` ... `image_03` for rectified images.
     """
 
     description = "a KITTI raw drive"
@@ -60,33 +55,25 @@ class KittiLog(Log):
 
     @staticmethod
     def recognises(path: Path) -> bool:
-        """Whether a folder has this layout."""
+        """Return whether a folder has this layout."""
         return (path / "oxts" / "data").is_dir() and (path / "oxts" / "timestamps.txt").is_file()
 
     @property
     def topics(self) -> dict[str, Topic]:
-        """One topic a folder."""
+        """Topics by name, one per folder."""
         return self._topics
 
     def files(self, topic: str) -> dict[int, Path]:
-        """Files of a folder by number, in order.
-
-        Raises:
-            LogError: a file's name is no frame's number.
-        """
+        """Return the files of a folder by number, in order."""
         files = {}
         for path in sorted((self.path / topic / "data").iterdir()):
             if not path.stem.isdigit():
-                raise LogError("its name is no frame's number", where=path, how="remove it")
+                raise LogError("its name is not a frame number", where=path, how="remove it")
             files[int(path.stem)] = path
         return files
 
     def frame_times(self, topic: str, name: str = "timestamps.txt") -> Float[np.ndarray, " n"]:
-        """Stamps of the frames that have a file [s since 1970, as if local time were UTC].
-
-        Raises:
-            LogError: no such file of stamps, no stamps in it, or more frames than stamps.
-        """
+        """Return the stamps of existing frames [s since 1970, as if local time were UTC]."""
         path = self.path / topic / name
         try:
             lines = read_small(path).split("\n")
@@ -109,7 +96,7 @@ class KittiLog(Log):
         return Samples(self.frame_times("oxts"), table[:, [names.index(field) for field in fields]])
 
     def transforms(self, topics: Sequence[str]) -> list[Transform]:
-        """Transforms of calib_imu_to_velo.txt, calib_velo_to_cam.txt and calib_cam_to_cam.txt."""
+        """Return the transforms of calib_imu_to_velo.txt, calib_velo_to_cam.txt and calib_cam_to_cam.txt."""
         velodyne_from_body = _rigid(_calibration(self._day / "calib_imu_to_velo.txt"))
         reference_from_velodyne = _rigid(_calibration(self._day / "calib_velo_to_cam.txt"))
         cameras = self._cameras()
@@ -126,7 +113,7 @@ class KittiLog(Log):
         return result
 
     def camera_model(self, topic: str, *, rectified: bool) -> tuple[CameraModel, Float[np.ndarray, "4 4"]]:
-        """Calibration of the rectified images (P_rect); `transforms` has their positions already."""
+        """Return the calibration of rectified images (P_rect); `transforms` includes their baselines."""
         if not rectified:
             what = f"'{topic}': distorted images of KITTI are not supported"
             raise LogError(what, where=self.path, how="take a _sync drive, and set rectified = true")
@@ -134,22 +121,22 @@ class KittiLog(Log):
         return CameraModel(int(width), int(height), self._projection(topic)[:, :3]), np.eye(4)
 
     def frame(self, topic: str) -> str:
-        """The folder's name."""
+        """Return the folder's name."""
         return topic
 
     def stamps(self, topic: str, *, stamps: str = "header") -> Float[np.ndarray, " n"]:
-        """Stamps of the frames that have a file [s]."""
+        """Return the stamps of existing frames [s]."""
         return self.frame_times(topic)
 
     def images(self, topic: str, *, stamps: str = "header") -> Iterator[RawImage]:
-        """Images of PNG or JPEG files."""
+        """Yield the images of PNG or JPEG files."""
         for time, path in zip(self.stamps(topic), self.files(topic).values(), strict=True):
             decoded = decoded_picture(np.fromfile(path, np.uint8))
             pixels = None if decoded is None else np.asarray(cv2.cvtColor(decoded, cv2.COLOR_BGR2RGB), np.uint8)
             yield RawImage(float(time), topic, pixels)
 
     def clouds(self, topic: str, *, stamps: str = "header") -> Iterator[RawCloud]:
-        """Scans (.bin, or .txt in unsynchronised drives), each point with its time by its azimuth."""
+        """Yield scans (.bin, or .txt in unsynchronised drives) with the time of each point from its azimuth."""
         begins, ends = (self.frame_times(topic, f"timestamps_{edge}.txt") for edge in ("start", "end"))
         files = self.files(topic).values()
         for time, begin, end, path in zip(self.stamps(topic), begins, ends, files, strict=True):
@@ -168,10 +155,10 @@ class KittiLog(Log):
 
 @np.errstate(invalid="ignore", divide="ignore")  # latitudes beyond the poles, and infinite ones
 def pose_from_oxts(rows: Float[np.ndarray, "n 30"]) -> Float[np.ndarray, "n 7"]:
-    """Position [m] and orientation (xyzw) of the OXTS unit: x east, y north, z up, from the first row's position.
+    """Return the position [m] and orientation (xyzw) of the OXTS unit: x east, y north, z up, from the first position.
 
-    Mercator's projection and Euler angles as in the devkit's convertOxtsToPose.m; axes stay level here, whereas
-    the devkit expresses all poses in the first one.
+    Uses the Mercator projection and Euler angles of the devkit's convertOxtsToPose.m, but keeps the axes level instead
+    of expressing all poses in the first one.
     """
     latitude, longitude, altitude, roll, pitch, yaw = rows[:, :6].T
     scale = np.cos(np.deg2rad(latitude[0])) * _EARTH_RADIUS
@@ -183,10 +170,7 @@ def pose_from_oxts(rows: Float[np.ndarray, "n 30"]) -> Float[np.ndarray, "n 7"]:
 
 
 def _day_of(drive: Path) -> Path:
-    """The folder of a drive's day: the one above it that holds calibration files.
-
-    A link to a drive may lie beside them, or lead to where they are.
-    """
+    """Return the folder with a drive's calibration files, above the drive or above the target of its link."""
     above, linked = drive.absolute().parent, drive.resolve().parent
     return next((day for day in (above, linked) if (day / _CAMERAS).is_file()), linked)
 
@@ -202,22 +186,18 @@ def _row(path: Path) -> Float[np.ndarray, " 30"]:
 
 
 def time_in_sweep(xy: Float[np.ndarray, "n 2"], begin: float, end: float) -> Float[np.ndarray, " n"]:
-    """Moment of each point in a turn, from its direction alone [s].
+    """Return the time of each point in a revolution from `begin` to `end`, by its azimuth [s].
 
-    The Velodyne turns clockwise, seen from above, from the back to the back, and triggers the cameras when it faces
-    ahead (Geiger et al., IJRR 2013; KISS-ICP takes the same direction, and the tests measure it); begin and end are
-    those of the turn. Its lasers point up to some degrees to either side, a few ms that are not known here.
+    The Velodyne turns clockwise, seen from above, starts at the back, and triggers the cameras when it faces forward
+    (Geiger et al., IJRR 2013; KISS-ICP uses the same direction, and the tests measure it). Azimuth offsets of single
+    lasers, worth a few ms, are unknown.
     """
     turn = (np.pi - np.arctan2(xy[:, 1], xy[:, 0])) / (2 * np.pi)
     return begin + turn * (end - begin)
 
 
 def _calibration(path: Path) -> dict[str, Float[np.ndarray, " n"]]:
-    """Numbers of a calibration file by key.
-
-    Raises:
-        LogError: no such file.
-    """
+    """Return the numbers of a calibration file by key."""
     try:
         lines = read_small(path).splitlines()
     except (OSError, UnicodeDecodeError) as error:

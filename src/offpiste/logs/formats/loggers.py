@@ -107,11 +107,7 @@ def in_one_space(text: bytes) -> bytes:
 
 
 def with_one_header(read: bytes) -> bytes:
-    """A file's text in UTF-8, with one line of names above its rows if it is of a known logger.
-
-    Raises:
-        UnicodeDecodeError: of other texts, those that are neither in UTF-8 nor in Windows' cp1252.
-    """
+    """A file's text in UTF-8, with one line of names above its rows if it is of a known logger."""
     if read.startswith(UTF_16):
         text = read.decode("utf-16", "replace")
         return (as_table(text) or text).encode()

@@ -51,9 +51,6 @@ class TableLog(Log):
         path: text, or `.parquet`.
         clock_column: the column of stamps; "" to guess it from the names, of several the most steadily rising one.
         clock_unit: its unit: s, ms, us, ns or d; "" as the header says, else by the rate. A column of dates needs none.
-
-    Raises:
-        LogError: the file is empty, damaged, or has no such clock column or unit.
     """
 
     description = "a table (.csv, .tsv, .txt, .vbo, .parquet)"

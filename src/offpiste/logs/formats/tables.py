@@ -36,10 +36,6 @@ class TablesLog(Log):
     Args:
         path: folder.
         clock: of each table that has its column; other tables' clocks are guessed.
-
-    Raises:
-        LogError: tables are damaged, fewer than two have stamps, two were not recorded at the same time, or two of the
-            same columns may not have been.
     """
 
     description = "a folder of tables of one drive"
@@ -133,11 +129,7 @@ def _beginning(names: Sequence[str]) -> str:
 
 
 def _refuse_apart(tables: dict[str, Log], path: Path) -> None:
-    """Raise where a table was recorded before or after that of most rows.
-
-    Raises:
-        LogError: names both.
-    """
+    """Raise where a table was recorded before or after that of most rows."""
     stamps = {name: log.stamps("") for name, log in tables.items() if log.topics[""].fields}
     known = {name: time[np.isfinite(time)] for name, time in stamps.items() if np.isfinite(time).any()}
     longest = max(known, key=lambda name: len(known[name]), default="")
@@ -151,11 +143,7 @@ def _refuse_apart(tables: dict[str, Log], path: Path) -> None:
 
 
 def _refuse_alike(tables: dict[str, Log], path: Path) -> None:
-    """Raise where two tables with the same fields count their stamps from their own beginnings.
-
-    Raises:
-        LogError: names both.
-    """
+    """Raise where two tables with the same fields count their stamps from their own beginnings."""
     seen = dict[tuple[str, ...], str]()
     for name, log in tables.items():
         stamps = log.stamps("")

@@ -1,4 +1,4 @@
-"""TartanDrive 2.0 folders: one folder a modality, with one `.npy` array and `timestamps.txt`."""
+"""TartanDrive 2.0 folders: per modality a folder with one `.npy` array and `timestamps.txt`."""
 
 import warnings
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ from offpiste.rig.channels import SECONDS_PER_UNIT, Clock
 
 @LOG_FORMATS.register("tartandrive")
 class TartanDriveLog(Log):
-    """A drive in the post-processed layout of TartanDrive 2.0 (Sivaprakasam et al. 2024).
+    """Drive in the post-processed layout of TartanDrive 2.0 (Sivaprakasam et al. 2024).
 
     Fields are column numbers of the array, "0", "1", ...; a folder without an array has no fields.
     """
@@ -26,37 +26,29 @@ class TartanDriveLog(Log):
         self.path = path
         self._clock = clock or Clock()
         self._topics = {
-            stamps.parent.name: self._describe(stamps.parent) for stamps in sorted(path.glob("*/timestamps.txt"))
+            stamps.parent.name: _described(stamps.parent) for stamps in sorted(path.glob("*/timestamps.txt"))
         }
 
     @staticmethod
     def recognises(path: Path) -> bool:
-        """Whether a folder has this layout."""
+        """Return whether a folder has this layout."""
         # Folders of KITTI have stamps as well, and keep their files in `data`.
         return any(not (stamps.parent / "data").is_dir() for stamps in path.glob("*/timestamps.txt"))
 
     @classmethod
     def open(cls, path: Path, clock: Clock) -> Log:
-        """A drive whose stamps are in the clock's unit."""
-        return cls(path, clock=clock if clock.unit else Clock())
+        """Open a drive whose stamps are in the clock's unit."""
+        return cls(path, clock=clock)
 
     @property
     def clock(self) -> Clock:
-        """The clock that stamps are read by."""
+        """Unit of the stamps."""
         return Clock(unit=self._clock.unit)
 
     @property
     def topics(self) -> dict[str, Topic]:
-        """One topic a folder."""
+        """Topics by name, one per folder."""
         return self._topics
-
-    def _describe(self, folder: Path) -> Topic:
-        arrays = sorted(folder.glob("*.npy"))
-        if not arrays:
-            return Topic(folder.name, "folder without array", 0, ())
-        array = _load(arrays[0], mapped=True)
-        columns = int(np.prod(array.shape[1:], dtype=int))
-        return Topic(folder.name, arrays[0].name, len(array), tuple(map(str, range(columns))))
 
     def _read(self, topic: Topic, fields: Sequence[str], stamps: str) -> Samples:
         folder = self.path / topic.name
@@ -71,6 +63,15 @@ class TartanDriveLog(Log):
         return Samples(time, values[:, [int(f) for f in fields]].astype(np.float64))
 
 
+def _described(folder: Path) -> Topic:
+    arrays = sorted(folder.glob("*.npy"))
+    if not arrays:
+        return Topic(folder.name, "folder without array", 0, ())
+    array = _load(arrays[0], mapped=True)
+    columns = int(np.prod(array.shape[1:], dtype=int))
+    return Topic(folder.name, arrays[0].name, len(array), tuple(map(str, range(columns))))
+
+
 def _load(path: Path, *, mapped: bool) -> np.ndarray:
     try:
         array: np.ndarray = np.load(path, mmap_mode="r" if mapped else None, allow_pickle=False)
@@ -83,7 +84,7 @@ def _load(path: Path, *, mapped: bool) -> np.ndarray:
 
 def _load_stamps(path: Path) -> Float[np.ndarray, " n"]:
     try:
-        with warnings.catch_warnings(action="ignore"):  # of an empty file, which gives no stamps
+        with warnings.catch_warnings(action="ignore"):  # of an empty file, which has no stamps
             return np.loadtxt(path, dtype=np.float64, ndmin=1)
     except (OSError, ValueError) as error:
         raise LogError(f"stamps are not numbers: {error}", where=path, how="export the folder again") from error

@@ -1,4 +1,4 @@
-"""The files of a ROS bag, opened and checked, and the decoding of their messages."""
+"""Opening and checking of the files of ROS bags, and decoders of their messages."""
 
 import functools
 import math
@@ -23,26 +23,23 @@ from offpiste.logs.ros.mcap_recovery import StreamedMcap
 _OCTETS = {"byte", "char", "uint8"}
 _NUMBERS = _OCTETS | {"bool", "int8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "float64"}
 MakeDecoder = Callable[[Connection, Path], Callable[[bytes], object]]
-"""Makes the decoder of a connection's messages, given the path of its bag for errors."""
+"""Function that makes the decoder of a connection's messages, given the path of its bag for errors."""
 
 _NO_NUMBERS = {"std_msgs/msg/Header", "std_msgs/msg/MultiArrayLayout"}
-"""Parts of messages that hold no measurement: stamps are read on their own, and a layout says how arrays are cut."""
+"""Parts of messages without measurements."""
 MAX_ENTRIES = 36
-"""Longest array that is listed entry by entry: a 6 x 6 covariance; longer ones are bulk data."""
+"""Longest array whose entries are fields: a 6 x 6 covariance; longer arrays are bulk data."""
 
 
 def stamp_of(received: int, message: object, stamps: str) -> float:
-    """Time of a message [s] by its header (or a stamp of its own in its place) or by its arrival."""
+    """Return the time of a message [s] by its header (or a stamp in its place), or by its arrival."""
     return ((stamps == "header" and _own_stamp(message)) or received) / 10**9  # exact, unlike 1e9
 
 
 def heard_at(received: float, message: object, stamps: str) -> float:
-    """Time of a message that was heard [s], as `stamp_of`.
+    """Return the time of a received message [s], as `stamp_of`.
 
-    Infinite where it has no stamp of its own and its arrival is not known yet; NaN where its header's stamp is no time.
-
-    Args:
-        received: when it came [s].
+    -inf if it has no stamp and its arrival is not known yet (`received` is infinite); NaN if its stamp is not a time.
     """
     known = math.isfinite(received)
     try:
@@ -53,16 +50,16 @@ def heard_at(received: float, message: object, stamps: str) -> float:
 
 
 def _own_stamp(message: Any) -> int:
-    """Stamp in a message's header, or beside its numbers where it has no header (Autoware's) [ns]; 0 without any."""
+    """Return the stamp in a message's header, or in the message itself (Autoware's) [ns]; 0 without a stamp."""
     header = getattr(message, "header", None)
     stamp = getattr(message if header is None else header, "stamp", None)
     if header is None and not (hasattr(stamp, "sec") and hasattr(stamp, "nanosec")):
-        return 0  # what is called so may be a number
+        return 0  # a number called `stamp`
     return 0 if stamp is None else stamp.sec * 10**9 + stamp.nanosec
 
 
 def field_getter(field: str) -> Callable[[object], float]:
-    """Function that reads a field of `fields_of` from a decoded message; NaN where a sequence has fewer entries."""
+    """Return a function that reads a field of `fields_of` from a message; NaN if a sequence has fewer entries."""
     path, _, index = field.removesuffix("]").partition("[")
     get = attrgetter(path)
     if not index:
@@ -72,13 +69,13 @@ def field_getter(field: str) -> Callable[[object], float]:
 
 
 def row_reader(fields: Sequence[str]) -> Callable[[object], list[float]]:
-    """Function that reads fields from a decoded message."""
+    """Return a function that reads fields from a decoded message."""
     getters = [field_getter(field) for field in fields]
     return lambda message: [get(message) for get in getters]
 
 
 def fields_of(store: Typestore, msgtype: str, first: Callable[[], Iterable[object]], prefix: str = "") -> Iterator[str]:
-    """Paths of the numbers in a message type; `first` gives the topic's first messages, if any."""
+    """Yield the paths of the numbers in a message type; `first` returns the topic's first messages, if any."""
     entries: Sequence[tuple[str, Any]] = store.get_msgdef(msgtype).fields
     for name, (kind, detail) in entries:
         path = prefix + name
@@ -96,7 +93,7 @@ def fields_of(store: Typestore, msgtype: str, first: Callable[[], Iterable[objec
                 size = size if size <= MAX_ENTRIES else 0
             elif element[0] in _OCTETS:
                 size = 0
-            else:  # the first that is not empty
+            else:  # the length of the first one that is not empty
                 size = next((min(n, MAX_ENTRIES) for one in first() if (n := len(attrgetter(path)(one)))), 0)
             yield from (f"{path}[{i}]" for i in range(size))
 
@@ -107,11 +104,7 @@ def _encoding(connection: Connection) -> str:
 
 
 def whole_messages(connection: Connection, path: Path) -> Callable[[bytes], object]:
-    """Decoder of whole messages; raises TooLarge for one that would take too much memory.
-
-    Raises:
-        LogError: as `typestore_of`.
-    """
+    """Return the decoder of whole messages, which refuses messages that would take too much memory."""
     store, msgtype = typestore_of(connection, path), connection.msgtype
     deserialize = store.deserialize_ros1 if _encoding(connection) == "ros1" else store.deserialize_cdr
     most = MOST_OBJECTS if has_entries(store.fielddefs, msgtype) else LARGEST
@@ -124,12 +117,11 @@ def whole_messages(connection: Connection, path: Path) -> Callable[[bytes], obje
 
 
 def headers_only(connection: Connection, path: Path) -> Callable[[bytes], object]:
-    """Decoder of no more than the header, where messages begin with one."""
-    store = typestore_of(connection, path)
-    fields = store.get_msgdef(connection.msgtype).fields
-    if not fields or fields[0][1] != (Nodetype.NAME, "std_msgs/msg/Header"):
+    """Return a decoder of headers only, or of whole messages if they do not begin with a header."""
+    fields = typestore_of(connection, path).get_msgdef(connection.msgtype).fields
+    if not _begins_with_header(fields):
         return whole_messages(connection, path)
-    # ROS 1: a count, then seconds and nanoseconds; ROS 2: four bytes that say the byte order, then the same two.
+    # ROS 1: a count, then seconds and nanoseconds; ROS 2: four bytes with the byte order, then the same two.
     is_ros1 = _encoding(connection) == "ros1"
 
     def decode(raw: bytes) -> object:
@@ -141,12 +133,12 @@ def headers_only(connection: Connection, path: Path) -> Callable[[bytes], object
 
 
 def frames_reader(connection: Connection, path: Path) -> Callable[[bytes], tuple[str, str, int]] | None:
-    """Function that reads the frames of a message (its header's, and a child's beside it or "") and where they end.
+    """Return a function that reads a message's frame, its child frame or "", and the position of their end in bytes.
 
-    None where messages have no header.
+    None for messages without a header.
     """
     fields = typestore_of(connection, path).get_msgdef(connection.msgtype).fields
-    if not fields or fields[0][1] != (Nodetype.NAME, "std_msgs/msg/Header"):
+    if not _begins_with_header(fields):
         return None
     count = 1 + (len(fields) > 1 and fields[1][0] == "child_frame_id" and fields[1][1][0] == Nodetype.BASE)
     is_ros1 = _encoding(connection) == "ros1"
@@ -163,12 +155,12 @@ def frames_reader(connection: Connection, path: Path) -> Callable[[bytes], tuple
     return read
 
 
-def typestore_of(connection: Connection, path: Path) -> Typestore:
-    """Definitions that decode a connection's messages.
+def _begins_with_header(fields: Sequence[Any]) -> bool:
+    return bool(fields) and fields[0][1] == (Nodetype.NAME, "std_msgs/msg/Header")
 
-    Raises:
-        LogError: no definition, one that cannot be parsed, or an encoding other than ROS.
-    """
+
+def typestore_of(connection: Connection, path: Path) -> Typestore:
+    """Return the definitions that decode a connection's messages."""
     encoding = _encoding(connection)
     if encoding not in ("ros1", "cdr"):
         what = f"{connection.msgtype} is encoded as {encoding}, which is not supported"
@@ -191,14 +183,14 @@ def typestore_of(connection: Connection, path: Path) -> Typestore:
 @functools.lru_cache(maxsize=1024)
 def _typestore(msgtype: str, definition: MessageDefinition, ros1: bool) -> Typestore:
     if definition.format == MessageDefinitionFormat.NONE or not definition.data.strip():
-        # ROS 2 bags carry definitions since Iron, so those without come from Humble or before.
+        # ROS 2 bags have definitions since Iron: those without come from Humble or before.
         store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
     else:
         store = get_typestore(Stores.EMPTY)
         refuse_text(definition.data, idl=definition.format == MessageDefinitionFormat.IDL)
         store.register(_parsed(msgtype, definition))
         refuse_expansion(store.fielddefs, msgtype, ros1=ros1)
-    store.get_msgdef(msgtype)  # a KeyError names the type that is missing
+    store.get_msgdef(msgtype)  # a KeyError names a missing type
     return store
 
 
@@ -214,7 +206,7 @@ def _parsed(msgtype: str, definition: MessageDefinition) -> dict[str, Any]:
 _Indexed = rosbag1.Reader | rosbag2.Reader
 Reader = _Indexed | StreamedMcap
 MAGIC = {".bag": b"#ROSBAG V", ".mcap": b"\x89MCAP0\r\n", ".db3": b"SQLite format 3\0"}
-"""First bytes of files, by their endings."""
+"""First bytes of files, by file extension."""
 _REPAIRS = {
     ".bag": "repair it with `rosbag reindex FILE`, or record or copy it again",
     ".mcap": "repair it with `mcap recover FILE -o REPAIRED.mcap`, or record or copy it again",
@@ -223,20 +215,13 @@ _REPAIRS = {
 
 
 def storage_files(folder: Path) -> list[Path]:
-    """A ROS 2 bag's files in order: drive_2.mcap before drive_10.mcap."""
+    """Return a ROS 2 bag's files in order: drive_2.mcap before drive_10.mcap."""
     files = [file for file in folder.iterdir() if file.suffix in (".mcap", ".db3") and file.is_file()]
     return sorted(files, key=lambda file: (len(file.name), file.name))
 
 
 def open_readers(path: Path, notes: list[str]) -> list[Reader]:
-    """Opened readers of a bag, in the order of its files.
-
-    Args:
-        notes: warnings are added to it.
-
-    Raises:
-        LogError: the bag is empty, damaged, or of another format than its ending.
-    """
+    """Return open readers of a bag's files in order; warnings are added to `notes`."""
     if not path.is_dir():
         return [_open_file(path, notes)]
     failed = LogError("no metadata.yaml", where=path, how=_repair(path))
@@ -278,15 +263,15 @@ def _opened(kind: Callable[[Path], _Indexed], path: Path) -> _Indexed:
         reader.open()
         if not all(type(connection.msgcount) is int for connection in reader.connections):
             reader.close()
-            raise LogError("its counts of messages are no numbers", where=path, how=_repair(path))
+            raise LogError("its message counts are not numbers", where=path, how=_repair(path))
         if isinstance(reader, rosbag2.Reader) and not _is_indexed(reader):
             reader.close()
-            raise LogError("its chunks have no index of their messages", where=path, how=_repair(path))
+            raise LogError("its chunks have no message index", where=path, how=_repair(path))
         return reader
 
 
 def _is_indexed(reader: rosbag2.Reader) -> bool:
-    """Whether rosbags finds the messages of an MCAP's chunks: it passes over those that have no index of their own."""
+    """Return whether rosbags finds the messages of an MCAP's chunks: it skips chunks without a message index."""
     files = getattr(reader.storage, "storages", (reader.storage,))  # of a folder
     chunks = [chunk for file in files for chunk in getattr(file, "chunks", ())]
     return all(chunk.message_index_length or not chunk.message_end_time for chunk in chunks)
@@ -305,7 +290,7 @@ def _check_beginning(path: Path) -> None:
         how = (
             f"it is a {true} file: rename it"
             if true
-            else "it is damaged, or of another format: copy it again, or give it the ending of its format"
+            else "it is damaged, or of another format: copy it again, or give it the extension of its format"
         )
         raise LogError(f"not a {path.suffix} file", where=path, how=how)
 
@@ -317,7 +302,7 @@ def _repair(path: Path) -> str:
 
 @contextmanager
 def reported(path: Path, what: str) -> Iterator[None]:
-    """Turn errors into one line: rosbags lets those of struct, lz4, zstd, bz2 and SQLite through."""
+    """Turn errors of struct, lz4, zstd, bz2 and SQLite, which rosbags lets through, into one line."""
     try:
         yield
     except TooLarge as error:

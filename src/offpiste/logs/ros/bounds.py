@@ -1,4 +1,4 @@
-"""Limits on what a ROS bag may ask for: decompression, definitions, indexes, YAML and SQL.
+"""Limits of a ROS bag's decompression, definitions, indexes, YAML and SQL.
 
 rosbags decompresses whatever a file holds, unrolls definitions into Python code and expands YAML. Importing this module
 replaces its decompression, YAML and storage by bounded ones.
@@ -31,16 +31,16 @@ from ruamel.yaml import YAML
 from offpiste.core.limits import LARGEST, LARGEST_TEXT, refuse_larger, zstd
 
 _PIECE: Final = 1 << 22
-"""Bytes that are decompressed at a time."""
+"""Number of bytes decompressed at a time."""
 _SMALLER: Final = "`mcap compress FILE -o SMALLER.mcap` writes smaller chunks, of ROS 1 `rosbag record --chunksize=768`"
 MOST_OBJECTS: Final = 1 << 25
-"""Longest message with sequences of messages or texts, whose entries take 30 and more times their bytes [bytes]."""
+"""Longest message with sequences of messages or texts, whose entries take at least 30 times their size [bytes]."""
 _MOST_FIELDS: Final = 1 << 14
-"""Most numbers and texts in a message's definition, entries of arrays of messages included."""
+"""Largest number of fields in a message's definition, including entries of arrays of messages."""
 _LARGEST_DEFINITION: Final = 1 << 20
-"""Longest text that defines a message [characters]."""
+"""Longest definition of a message [characters]."""
 _MOST_EXPANSION: Final = 100
-"""How many times its size a compressed file of a bag may take on the disk, beyond `LARGEST`."""
+"""Largest expansion of a compressed bag file on disk, beyond `LARGEST`."""
 
 _DECOMPRESSORS: Final[dict[str, Callable[[], Any]]] = {
     "bz2": bz2.BZ2Decompressor,
@@ -50,16 +50,10 @@ _DECOMPRESSORS: Final[dict[str, Callable[[], Any]]] = {
 
 
 def inflated(data: bytes, compression: str, *, whole: bool = True) -> bytes:
-    """Decompressed bytes of a chunk or a message.
+    """Decompress a chunk or a message by bz2, lz4, zstd, or "" for none, up to `LARGEST`.
 
     Args:
-        compression: bz2, lz4, zstd, or "" for none.
-        whole: whether data that are cut short are an error; otherwise what there is of them is returned.
-
-    Raises:
-        TooLarge: they take more than `LARGEST`.
-        EOFError: they are cut short.
-        Exception: they are damaged; bz2, lz4 and zstd have errors of their own.
+        whole: raise EOFError for truncated data instead of returning their beginning.
     """
     parts: list[bytes] = []
     size = 0
@@ -78,13 +72,13 @@ def inflated(data: bytes, compression: str, *, whole: bool = True) -> bytes:
                 break
         data = (one.unused_data or b"") if one.eof and size <= LARGEST else b""
     if size > LARGEST:
-        parts.clear()  # who keeps the error keeps this frame
+        parts.clear()  # the error keeps this frame alive
     refuse_larger(size, "a chunk of it", how=_SMALLER)
     return parts[0] if len(parts) == 1 else b"".join(parts)
 
 
 def _opened(source: IO[bytes], mode: str) -> Any:
-    """A compressed file of a bag, which may take some space on the disk, and not all that there is."""
+    """Open a compressed bag file whose expansion on disk is bounded."""
     assert mode == "rb"
     free = shutil.disk_usage(tempfile.gettempdir()).free
     return _Bounded(source, min(LARGEST + _MOST_EXPANSION * Path(source.name).stat().st_size, free // 2))
@@ -96,7 +90,7 @@ class _Bounded(zstd.ZstdFile):
         self._left, self._most, self._of = most, most, source.name
 
     def read(self, size: int | None = -1) -> bytes:
-        """As any file, as long as not too much was read."""
+        """Read decompressed bytes up to the limit."""
         data: bytes = super().read(_PIECE if size is None or size < 0 else min(size, _PIECE))
         self._left -= len(data)
         refuse_larger(self._most - self._left, "it, decompressed,", self._most, where=self._of, how=_SMALLER)
@@ -104,10 +98,10 @@ class _Bounded(zstd.ZstdFile):
 
 
 class _PlainYaml(YAML):
-    """YAML without merge keys, with which a few lines expand to gigabytes."""
+    """YAML without merge keys, by which a few lines expand to gigabytes."""
 
     def load(self, stream: Any) -> Any:
-        """As ruamel.yaml."""
+        """Load as ruamel.yaml does."""
         text = stream if isinstance(stream, str) else stream.read()
         refuse_larger(len(text), "its YAML", LARGEST_TEXT >> 5)
         if "<<" in text:
@@ -116,26 +110,17 @@ class _PlainYaml(YAML):
 
 
 class Rosbag1(rosbag1.Reader):
-    """A ROS 1 bag whose index takes no more entries than the file has room for: chunks may not share one."""
+    """ROS 1 bag whose index has no more entries than the file has room for."""
 
     def read_index_data(self, pos: int, indexes: dict[int, list[Any]]) -> None:
-        """As rosbags.
-
-        Raises:
-            ValueError: index records are read again and again.
-        """
+        """Read an index record as rosbags does."""
         super().read_index_data(pos, indexes)
         if 12 * sum(map(len, indexes.values())) > self.path.stat().st_size:
             raise ValueError("its index counts messages several times")
 
 
 class _Mcap(McapReader):
-    """An MCAP whose index asks for no more memory than its chunks need: rosbags holds those that overlap in time.
-
-    Raises:
-        TooLarge: they take too much.
-        ValueError: two entries of the index share a chunk.
-    """
+    """MCAP file whose chunks that overlap in time, all of which rosbags holds in memory, are bounded."""
 
     def _open(self) -> None:
         super()._open()
@@ -154,15 +139,10 @@ class _Mcap(McapReader):
 
 
 class _Sqlite(Sqlite3Reader):
-    """A SQLite file of tables alone: views, generated columns and virtual tables would run SQL of the file.
-
-    Raises:
-        ValueError: it has others.
-        sqlite3.Error: it is damaged.
-    """
+    """SQLite file without views, generated columns and virtual tables, which would run SQL of the file."""
 
     def open(self) -> None:
-        """As rosbags."""
+        """Open as rosbags does."""
         file = f"file:{quote(str(Path(str(self.path)).absolute()))}?mode=ro&immutable=1"
         with closing(sqlite3.connect(file, uri=True)) as database:
             for kind, name, sql in database.execute("SELECT type, name, sql FROM sqlite_master").fetchall():
@@ -174,11 +154,7 @@ class _Sqlite(Sqlite3Reader):
 
 
 def refuse_text(text: str, *, idl: bool) -> None:
-    """Raise if the text of a definition takes too long to parse.
-
-    Raises:
-        TypesysError: it does.
-    """
+    """Refuse the text of a definition that takes too long to parse."""
     if len(text) > _LARGEST_DEFINITION:
         raise TypesysError(f"{len(text)} characters, more than {_LARGEST_DEFINITION}")
     # rosbags' parser of IDL tries each part in brackets 64 times, and computes with numbers of any length.
@@ -188,15 +164,7 @@ def refuse_text(text: str, *, idl: bool) -> None:
 
 
 def refuse_expansion(types: Mapping[str, Any], name: str, *, ros1: bool) -> None:
-    """Raise if a few lines of definitions stand for very many fields, or for a sequence of nothing.
-
-    Args:
-        types: constants and fields by the name of a type, as rosbags has them.
-
-    Raises:
-        TypesysError: they do.
-        RecursionError: a type contains itself.
-    """
+    """Refuse definitions that expand to very many fields, or to a sequence of empty messages, in rosbags' `types`."""
     counts: dict[str, int] = {}
 
     def count(one: str) -> int:
@@ -214,7 +182,7 @@ def refuse_expansion(types: Mapping[str, Any], name: str, *, ros1: bool) -> None
 
 
 def has_entries(types: Mapping[str, Any], name: str) -> bool:
-    """Whether a type, which `refuse_expansion` has seen, has sequences that are decoded entry by entry."""
+    """Return whether a type accepted by `refuse_expansion` has sequences that are decoded entry by entry."""
     for kind, detail in _fields(types, name):
         inner, element = (kind, detail) if kind in (Nodetype.BASE, Nodetype.NAME) else detail[0]
         if kind == Nodetype.SEQUENCE and (inner == Nodetype.NAME or element[0] == "string"):
@@ -225,12 +193,12 @@ def has_entries(types: Mapping[str, Any], name: str) -> bool:
 
 
 def _fields(types: Mapping[str, Any], name: str) -> list[Any]:
-    """Descriptions of a type's fields; none of a type that is not defined."""
+    """Return the descriptions of a type's fields; none for an undefined type."""
     return [described for _, described in types[name][1]] if name in types else []
 
 
 def _entries(described: Any, count: Callable[[str], int]) -> int:
-    """Number of fields that a field stands for; entries of sequences count once."""
+    """Return the number of fields that a field expands to; entries of sequences count once."""
     kind, detail = described
     if kind in (Nodetype.BASE, Nodetype.NAME):
         return count(detail) if kind == Nodetype.NAME else 1
@@ -241,12 +209,11 @@ def _entries(described: Any, count: Callable[[str], int]) -> int:
 
 
 def _is_nothing(types: Mapping[str, Any], name: str) -> bool:
-    """Whether messages of a type take no bytes in ROS 1."""
+    """Return whether messages of a type take no bytes in ROS 1."""
     return all(kind == Nodetype.NAME and _is_nothing(types, detail) for kind, detail in _fields(types, name))
 
 
 def _of_mcap(compression: str, data: bytes, _: int) -> bytes:
-    """Decompressed bytes, however many the file promises."""
     return inflated(data, compression)
 
 

@@ -1,8 +1,8 @@
-"""grid_map_msgs/GridMap from and to layers of a map (Fankhauser and Hutter, "A Universal Grid Map Library", 2016).
+"""Conversion of map layers to and from grid_map_msgs/GridMap.
 
-Ours: node [j, i] at (origin x + i resolution, origin y + j resolution). grid_map's: index (0, 0) lies in the corner of
-the largest x and y, rows run along -x, columns along -y, and matrices are stored column by column; a circular buffer
-may start anywhere.
+Here, node [j, i] is at (origin x + i resolution, origin y + j resolution). In grid_map (Fankhauser and Hutter, "A
+Universal Grid Map Library", 2016), index (0, 0) is at the largest x and y, rows run along -x, columns along -y, and
+matrices are stored column by column; a circular buffer may start anywhere.
 """
 
 from collections.abc import Mapping
@@ -18,11 +18,11 @@ from offpiste.logs.ros.writer import header, make, quaternion, vector
 
 @dataclass(frozen=True)
 class MapLayers:
-    """Layers of one size by name.
+    """Named layers of equal size.
 
     Attributes:
         origin: x, y of node [0, 0] in the frame of the message [m].
-        resolution: distance of the nodes [m].
+        resolution: spacing of the nodes [m].
     """
 
     origin: tuple[float, float]
@@ -38,7 +38,7 @@ def grid_map_from_layers(
     stamp_ns: int,
     frame: str = "map",
 ) -> Any:
-    """A grid_map_msgs/GridMap of layers; values become float32."""
+    """Return a grid_map_msgs/GridMap of layers, in float32."""
     ny, nx = next(iter(layers.values())).shape
     middle = (origin[0] + (nx - 1) / 2 * resolution, origin[1] + (ny - 1) / 2 * resolution, 0.0)
     pose = make(
@@ -59,18 +59,14 @@ def grid_map_from_layers(
 
 
 def layers_from_grid_map(message: Any) -> MapLayers:
-    """Layers of a grid map whose axes are those of its frame.
-
-    Raises:
-        LogError: the map is turned, or a layer's layout is not grid_map's.
-    """
+    """Return the layers of a grid map that is aligned with its frame."""
     info = message.info
     turn = info.pose.orientation
     if max(abs(turn.x), abs(turn.y), abs(turn.z)) > 1e-6:
-        raise LogError("a grid map is turned against its frame", how="record it in a frame along its axes")
+        raise LogError("a grid map is rotated against its frame", how="record it in a frame along its axes")
     start = message.outer_start_index, message.inner_start_index
     layers = {name: _layer(name, array, start) for name, array in zip(message.layers, message.data, strict=True)}
-    # The middle of a map of n cells lies (n - 1)/2 cells from its first: from the matrices, as lengths are rounded.
+    # The centre is (n - 1)/2 cells from the first cell; n is taken from the matrices, since lengths are rounded.
     ny, nx = next(iter(layers.values())).shape if layers else (1, 1)
     middle = info.pose.position
     origin = (middle.x - (nx - 1) / 2 * info.resolution, middle.y - (ny - 1) / 2 * info.resolution)
@@ -78,7 +74,7 @@ def layers_from_grid_map(message: Any) -> MapLayers:
 
 
 def _matrix(layer: Float[np.ndarray, "ny nx"]) -> Any:
-    """A layer column by column, each along -x, columns along -y: our rows with both axes reversed."""
+    """Return a layer stored column by column: rows with both axes reversed."""
     ny, nx = layer.shape
     columns = make("std_msgs/MultiArrayDimension", label="column_index", size=ny, stride=ny * nx)
     rows = make("std_msgs/MultiArrayDimension", label="row_index", size=nx, stride=nx)

@@ -1,7 +1,7 @@
-"""Pixels of sensor_msgs/Image and CompressedImage: a table of all encodings and codecs, and the decoder that reads it.
+"""Encodings and codecs of sensor_msgs/Image and CompressedImage, and their decoder.
 
-rosbags-image 0.10 does not serve: it ignores `step`, so padded rows come out skewed or not at all, takes 8UC1 and 8UC3
-for no colours, and stops at a broken image with an AssertionError.
+rosbags-image 0.10 ignores `step`, which skews padded rows, treats 8UC1 and 8UC3 as colourless, and stops at a broken
+image with an AssertionError.
 """
 
 from dataclasses import dataclass
@@ -18,12 +18,12 @@ from offpiste.logs.measurements import Pixels, decoded_picture
 
 @dataclass(frozen=True)
 class Encoding:
-    """Layout of the pixels of an encoding.
+    """Pixel layout of an encoding.
 
     Attributes:
-        depth: bits of a number, 8 or 16.
-        channels: numbers of a pixel; in planar layouts, those of brightness.
-        to_rgb: conversion of OpenCV; None for RGB itself.
+        depth: bits per value, 8 or 16.
+        channels: values per pixel; of the brightness plane in planar layouts.
+        to_rgb: conversion of OpenCV; None for RGB.
         rows: rows of data for two rows of pixels; more than two in planar layouts.
     """
 
@@ -39,7 +39,7 @@ _LAYOUTS: Final = {
     "rgba": (4, cv2.COLOR_RGBA2RGB),
     "bgra": (4, cv2.COLOR_BGRA2RGB),
     "mono": (1, cv2.COLOR_GRAY2RGB),
-    # OpenCV names a Bayer pattern by the second row's second and third pixel, ROS by the first row's first two.
+    # OpenCV names Bayer patterns by the second row's second and third pixel, ROS by the first row's first two.
     "bayer_rggb": (1, cv2.COLOR_BayerBG2RGB),
     "bayer_bggr": (1, cv2.COLOR_BayerRG2RGB),
     "bayer_gbrg": (1, cv2.COLOR_BayerGR2RGB),
@@ -55,33 +55,29 @@ PICTURES: Final = {
     "nv12": Encoding(8, 1, cv2.COLOR_YUV2RGB_NV12, rows=3),
     "nv21": Encoding(8, 1, cv2.COLOR_YUV2RGB_NV21, rows=3),
     "nv24": Encoding(8, 1, cv2.COLOR_YUV2RGB_UYVY, rows=6),
-    # Types of OpenCV are in its own order of colours. 16UC1 is depth (REP 118), and not grey.
+    # OpenCV's types are BGR. 16UC1 is depth (REP 118), not grey.
     "8UC1": Encoding(8, *_LAYOUTS["mono"]),
     **{f"{depth}UC3": Encoding(depth, *_LAYOUTS["bgr"]) for depth in (8, 16)},
     **{f"{depth}UC4": Encoding(depth, *_LAYOUTS["bgra"]) for depth in (8, 16)},
 }
-"""Encodings of sensor_msgs/image_encodings that hold a picture."""
+"""Encodings of sensor_msgs/image_encodings with colours or grey values."""
 _TYPES: Final = {f"{kind}C{n}" for kind in ("8U", "8S", "16U", "16S", "32S", "32F", "64F") for n in range(1, 5)}
 NO_PICTURES: Final = {
     name: "depth or another measurement" if name.endswith("C1") else "numbers without a meaning as colours"
     for name in sorted(_TYPES - set(PICTURES))
 }
-"""What the other encodings hold."""
+"""Contents of the other encodings."""
 CODECS: Final = ("jpeg", "jpg", "png", "tiff", "webp", "bmp")
 """Codecs of compressed images."""
 _OF_FILES: Final = {1: PICTURES["mono8"], 3: PICTURES["bgr8"], 4: PICTURES["bgra8"]}
-"""Layouts of what OpenCV decodes, by channels, where the format names none."""
+"""Layouts of files decoded by OpenCV, by their number of channels, for formats without an encoding."""
 
 
 def pixels_of(message: Any, topic: str) -> Pixels | None:
-    """RGB of a sensor_msgs/CompressedImage or Image; None where its data is damaged.
-
-    Raises:
-        LogError: an encoding that is not supported, or that holds no picture.
-    """
+    """Return the RGB of a sensor_msgs/CompressedImage or Image; None if its data is damaged."""
     try:
         return _decompressed(message, topic) if hasattr(message, "format") else _raw_pixels(message, topic)
-    except cv2.error:  # sizes that a layout cannot have
+    except cv2.error:  # a size that the layout cannot have
         return None
 
 
@@ -102,19 +98,19 @@ def _raw_pixels(message: Any, topic: str) -> Pixels | None:
 
 
 def _from_nv24(planes: UInt8[np.ndarray, "3 n"], height: int, width: int) -> Pixels:
-    """RGB of brightness of all pixels, before colour of all pixels in rows of twice the length."""
+    """Return the RGB of a brightness plane followed by a colour plane with rows of twice the length."""
     brightness = planes[0].reshape(height, -1)[:, :width]
     colour = planes[1:].reshape(height, -1)[:, : 2 * width].reshape(height, width, 2)
-    # OpenCV does not know this layout: each pixel becomes a pair of pixels of UYVY.
+    # OpenCV lacks this layout: each pixel becomes a pair of pixels of UYVY.
     pairs = np.stack((colour[..., 0], brightness, colour[..., 1], brightness), axis=-1)
     return _to_rgb(pairs.reshape(height, 2 * width, 2), _UYVY)[:, ::2].copy()
 
 
 def _decompressed(message: Any, topic: str) -> Pixels | None:
-    """RGB of a CompressedImage by its format: a codec, or `ENCODING; CODEC compressed LAYOUT`.
+    """Return the RGB of a CompressedImage with the format `CODEC` or `ENCODING; CODEC compressed LAYOUT`.
 
-    By compressed_image_transport, OpenCV wrote numbers in that layout, or else in the encoding itself, into the file.
-    Where the file has another number of channels, it is read as BGR or grey.
+    compressed_image_transport writes files in that layout, or else in the encoding. Files with another number of
+    channels are read as BGR or grey.
     """
     name, _, rest = message.format.rpartition(";")
     name, (codec, *words) = name.strip(), rest.split() or [""]
@@ -141,11 +137,7 @@ def _decompressed(message: Any, topic: str) -> Pixels | None:
 
 
 def _encoding(name: str, topic: str) -> Encoding:
-    """Entry of the table.
-
-    Raises:
-        LogError: it has no picture of that name.
-    """
+    """Return an encoding by name; refuse unknown ones and those without colours."""
     if name in PICTURES:
         return PICTURES[name]
     if name in NO_PICTURES:

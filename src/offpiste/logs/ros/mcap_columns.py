@@ -1,8 +1,8 @@
-"""Numbers and stamps of all topics of an indexed MCAP file in one pass, without decoding message by message.
+"""Numbers and stamps of all topics of an indexed MCAP file in one pass, without decoding single messages.
 
-Each chunk is decompressed once. Its message index says where messages begin; those of a topic whose layout stays the
-same (each text and sequence its length, each joint its place) are read as columns of a byte matrix. Of images and
-clouds nothing is read but the stamp. What does not fit is left to the plain reader, `BagLog._messages`, the reference.
+Each chunk is decompressed once. Its message index gives the messages' positions; those of a topic with a constant
+layout (lengths of texts and sequences, order of joints) are read as columns of a byte matrix. Of images and clouds only
+the stamps are read. Everything else is left to the reference reader, `BagLog._messages`.
 """
 
 import struct
@@ -22,26 +22,111 @@ from rosbags.typesys.store import Typestore
 
 from offpiste.core.errors import LogError
 from offpiste.core.limits import LARGEST
-from offpiste.logs.ros.bag_files import frames_reader, reported, typestore_of
-from offpiste.logs.ros.message_layout import LONGEST, Layout, layout, numbers_at
+from offpiste.logs.ros.bag_files import field_getter, frames_reader, reported, typestore_of
 
 _AHEAD: Final = 4
-"""Chunks that are decompressed at the same time, at most; together no more than `LARGEST` bytes."""
+"""Largest number of chunks decompressed at the same time; together at most `LARGEST` bytes."""
 _HEAD: Final = 31
-"""Bytes of a message record before its data: opcode, length, channel, sequence, two times."""
+"""Size of a message record's head: opcode, length, channel, sequence, two times [bytes]."""
+_LONGEST: Final = 4096
+"""Size of messages above which no numbers are kept: images, clouds, maps [bytes]."""
+_ENTRIES: Final = 8
+"""Length of arrays above which entries are not kept (covariances) but read again on demand."""
+_TYPES: Final = {
+    "bool": "u1", "byte": "u1", "char": "u1", "uint8": "u1", "int8": "i1", "uint16": "u2", "int16": "i2",
+    "uint32": "u4", "int32": "i4", "uint64": "u8", "int64": "i8", "float32": "f4", "float64": "f8",
+}  # fmt: skip
 _HEADS: Final = {"header": "std_msgs/msg/Header", "stamp": "builtin_interfaces/msg/Time"}
+
+
+@dataclass
+class _Layout:
+    """Positions of the numbers of a message, valid while texts and sequences keep their lengths.
+
+    Attributes:
+        at: position while walking along the message.
+        lengths: position and value of each length of a text or sequence, and of all words of a sequence of texts.
+        fields: position and type of each kept number, by its path.
+    """
+
+    store: Typestore
+    raw: bytes
+    at: int = 4
+    lengths: list[tuple[int, int]] = field(default_factory=list)
+    fields: dict[str, tuple[int, str]] = field(default_factory=dict)
+
+    def add_message(self, msgtype: str, prefix: str | None) -> None:
+        """Walk along a message; a `prefix` of None keeps no field."""
+        entries: Sequence[tuple[str, Any]] = self.store.get_msgdef(msgtype).fields
+        for name, (kind, detail) in entries:
+            path = None if prefix is None else prefix + name
+            if kind in (Nodetype.BASE, Nodetype.NAME):
+                self._add(kind, detail, path)
+                continue
+            (inner, element), size = detail
+            count, begin = size if kind == Nodetype.ARRAY else self._length(), self.at
+            if count > _LONGEST:
+                raise ValueError("too long")
+            for k in range(count):
+                kept = inner == Nodetype.BASE and path is not None and count <= _ENTRIES
+                self._add(inner, element, f"{path}[{k}]" if kept else None)
+            if count and inner == Nodetype.BASE and element[0] == "string":  # names of entries must not change
+                places = (*range(begin, self.at - 4, 4), self.at - 4)
+                self.lengths += [(at, int.from_bytes(self.raw[at : at + 4], "little")) for at in places]
+
+    def _add(self, kind: Nodetype, detail: Any, path: str | None) -> None:
+        if kind == Nodetype.NAME:
+            header = detail == "std_msgs/msg/Header"
+            self.add_message(detail, None if path is None or header else f"{path}.")
+        elif detail[0] == "string":
+            length = self._length()
+            self.at += length
+        else:
+            number = _TYPES[detail[0]]
+            self._align(int(number[1]))
+            if path:
+                self.fields[path] = self.at, number
+            self.at += int(number[1])
+
+    def _length(self) -> int:
+        self._align(4)
+        (value,) = struct.unpack_from("<I", self.raw, self.at)
+        self.lengths.append((self.at, value))
+        self.at += 4
+        return int(value)
+
+    def _align(self, width: int) -> None:
+        self.at += -(self.at - 4) % width
+
+
+def _layout(store: Typestore, msgtype: str, raw: bytes) -> _Layout | None:
+    """Return the layout of a topic's first message in CDR; None if it contradicts the plain decoder."""
+    if len(raw) < 4 or raw[1] != 1:
+        return None
+    result = _Layout(store, raw)
+    try:
+        with reported(Path(), "no layout"):
+            result.add_message(msgtype, "")
+            message = store.deserialize_cdr(raw, msgtype)
+        row = np.frombuffer(raw, np.uint8)[None]
+        for path, (at, kind) in result.fields.items():
+            if not np.array_equal(_numbers_at(row, at, kind)[0], field_getter(path)(message), equal_nan=True):
+                return None
+    except LogError:  # left to the plain decoder
+        return None
+    return result
 
 
 @dataclass(frozen=True)
 class Columns:
-    """Numbers of a topic in the order of arrival.
+    """Numbers of a topic in order of arrival.
 
     Attributes:
-        arrival, stamp: by the recorder's clock, and by the message, 0 where it has none [ns].
-        filed: `arrival` in the order of the file [ns].
-        frames: the different ones that messages have (`frames_reader`); none without a header.
+        arrival, stamp: times by the recorder and by the message, the latter 0 if it has none [ns].
+        filed: `arrival` in file order [ns].
+        frames: distinct frames of the messages (`frames_reader`); empty without a header.
         sender: index into `frames` of each message.
-        fields, values: one column each; none for messages that are long or change their layout.
+        fields, values: a column each; empty for messages that are long or change their layout.
     """
 
     arrival: Int[np.ndarray, " n"]
@@ -53,20 +138,20 @@ class Columns:
     values: Float[np.ndarray, "n k"]
 
     def seconds(self, stamps: str) -> Float[np.ndarray, " n"]:
-        """Header or receive times [s], rounded as by `stamp_of`."""
+        """Return header or receive times [s], rounded as by `stamp_of`."""
         chosen = np.where(self.stamp != 0, self.stamp, self.arrival) if stamps == "header" else self.arrival
         return np.array([time / 10**9 for time in chosen.tolist()])
 
 
 @dataclass
 class _Topic:
-    """What is gathered of a connection while chunks go by."""
+    """Data of a connection gathered over chunks."""
 
     store: Typestore
     msgtype: str
     headed: bool
     frames_of: Callable[[bytes], tuple[str, str, int]] | None
-    layout: Layout | None = None
+    layout: _Layout | None = None
     regular: bool = True
     arrival: list[np.ndarray] = field(default_factory=list)
     stamp: list[np.ndarray] = field(default_factory=list)
@@ -76,46 +161,39 @@ class _Topic:
 
 
 def columns_of(reader: object, path: Path) -> dict[int, Columns]:
-    """Columns by a connection's id of an opened file; none for formats other than MCAP, and for damaged files."""
-    files = [reader.storage] if isinstance(reader, Rosbag2) else []
-    if not files or not isinstance(files[0], McapReader):
+    """Return columns by connection id, without connections that cannot be read as columns.
+
+    None are returned for formats other than MCAP and for damaged files, which the plain reader reports.
+    """
+    storage = reader.storage if isinstance(reader, Rosbag2) else None
+    if not isinstance(storage, McapReader):
         return {}
+    topics = {c.id: topic for c in storage.connections if (topic := _topic(c, path)) is not None}
+    if not storage.chunks or not topics:
+        return {}
+    result = {}
     try:
         with reported(path, "cannot be read by columns"):
-            return read_columns(files[0], files[0].connections, lambda connection: typestore_of(connection, path))
-    except LogError:  # damage is the plain reader's to name, and to read around
+            for chunk, data in _chunks(storage.path, sorted(storage.chunks, key=lambda one: one.chunk_start_offset)):
+                for channel, index in chunk.items():
+                    if channel in topics:
+                        _gather(topics[channel], data, index)
+            for connection in storage.connections:
+                topic = topics.get(connection.id)
+                if topic is not None and topic.arrival and sum(map(len, topic.arrival)) == connection.msgcount:
+                    result[connection.id] = _joined(topic)
+    except LogError:
         return {}
-
-
-def read_columns(
-    reader: McapReader, connections: Sequence[Connection], store_of: Callable[[Connection], Typestore]
-) -> dict[int, Columns]:
-    """Columns by a connection's id; connections that cannot be read so are left out.
-
-    On a damaged file errors of rosbags, lz4 and zstd pass through; the plain reader names the place.
-    """
-    topics = {c.id: topic for c in connections if (topic := _topic(c, store_of)) is not None}
-    if not reader.chunks or not topics:
-        return {}
-    for chunk, data in _chunks(reader.path, sorted(reader.chunks, key=lambda one: one.chunk_start_offset)):
-        for channel, index in chunk.items():
-            if channel in topics:
-                _gather(topics[channel], data, index)
-    result = {}
-    for connection in connections:
-        topic = topics.get(connection.id)
-        if topic is not None and topic.arrival and sum(map(len, topic.arrival)) == connection.msgcount:
-            result[connection.id] = _joined(topic)
     return result
 
 
-def _topic(connection: Connection, store_of: Callable[[Connection], Typestore]) -> _Topic | None:
+def _topic(connection: Connection, path: Path) -> _Topic | None:
     if getattr(connection.ext, "serialization_format", "") != "cdr":
         return None
     try:
-        store = store_of(connection)
+        store = typestore_of(connection, path)
         fields = store.get_msgdef(connection.msgtype).fields
-    except LogError:  # the plain reader says what is wrong with a definition
+    except LogError:  # the plain reader reports faulty definitions
         return None
     headed = bool(fields) and fields[0][1] == (Nodetype.NAME, _HEADS.get(fields[0][0]))
     if set(_HEADS) & {name for name, _ in fields[headed:]}:
@@ -127,7 +205,7 @@ _Index = dict[int, Int[np.ndarray, "_ 2"]]
 
 
 def _chunks(path: Any, chunks: Sequence[ChunkInfo]) -> Iterator[tuple[_Index, UInt8[np.ndarray, " n"]]]:
-    """Message index and content of every chunk, some decompressed ahead by threads."""
+    """Yield the message index and the content of each chunk, decompressed ahead by threads."""
     with Path(str(path)).open("rb") as file, ThreadPoolExecutor(2) as pool:
 
         def load(chunk: ChunkInfo) -> tuple[_Index, Any]:
@@ -154,7 +232,7 @@ def _content(record: bytes, chunk: ChunkInfo) -> UInt8[np.ndarray, " n"]:
 
 
 def _message_index(records: memoryview) -> _Index:
-    """Time of arrival [ns] and place in the chunk of the messages of each channel, in the order of the file."""
+    """Return the arrival [ns] and the position in the chunk of each channel's messages, in file order."""
     result: _Index = {}
     at = 0
     while at + 9 <= len(records):
@@ -170,7 +248,7 @@ def _message_index(records: memoryview) -> _Index:
 
 def _gather(topic: _Topic, data: UInt8[np.ndarray, " n"], index: Int[np.ndarray, "m 2"]) -> None:
     begin = index[:, 1] + _HEAD
-    size = numbers_at(_rows(data, begin - _HEAD + 1, 8), 0, "i8") - (_HEAD - 9)
+    size = _numbers_at(_rows(data, begin - _HEAD + 1, 8), 0, "i8") - (_HEAD - 9)
     topic.arrival.append(index[:, 0].copy())
     head = _rows(data, begin, 12) if topic.headed else None
     if head is not None and (size.min() < 12 or not (head[:, 1] == 1).all()):
@@ -181,26 +259,26 @@ def _gather(topic: _Topic, data: UInt8[np.ndarray, " n"], index: Int[np.ndarray,
         return
     if topic.layout is None:
         first = data[begin[0] : begin[0] + size[0]].tobytes()
-        topic.layout = None if len(first) > LONGEST else layout(topic.store, topic.msgtype, first)
+        topic.layout = None if len(first) > _LONGEST else _layout(topic.store, topic.msgtype, first)
     known = topic.layout
-    topic.regular = known is not None and bool((size == known.size).all())
+    topic.regular = known is not None and bool((size == len(known.raw)).all())
     if known is None or not topic.regular:
         return
-    if len(begin) * (_HEAD + known.size) > len(data):
+    if len(begin) * (_HEAD + len(known.raw)) > len(data):
         raise ValueError("the index counts messages several times")
-    rows = _rows(data, begin, known.size)
-    topic.regular = all((numbers_at(rows, at, "u4") == value).all() for at, value in known.lengths)
+    rows = _rows(data, begin, len(known.raw))
+    topic.regular = all((_numbers_at(rows, at, "u4") == value).all() for at, value in known.lengths)
     if not topic.regular:
         return
     topic.values.append(np.zeros((len(rows), len(known.fields))))
     for column, (at, kind) in zip(topic.values[-1].T, known.fields.values(), strict=True):
-        column[:] = numbers_at(rows, at, kind)
+        column[:] = _numbers_at(rows, at, kind)
 
 
 def _senders(
     topic: _Topic, data: UInt8[np.ndarray, " n"], begin: Int[np.ndarray, " m"], size: Int[np.ndarray, " m"]
 ) -> Int[np.ndarray, " m"]:
-    """Index into the topic's frames of each message."""
+    """Return the index into the topic's frames of each message."""
     if topic.frames_of is None:
         return np.zeros(len(begin), np.int64)
     first, child, end = topic.frames_of(data[begin[0] : begin[0] + size[0]].tobytes())
@@ -228,5 +306,10 @@ def _rows(data: UInt8[np.ndarray, " n"], begin: Int[np.ndarray, " m"], size: int
 
 
 def _stamps(head: UInt8[np.ndarray, "m k"]) -> Int[np.ndarray, " m"]:
-    seconds, rest = numbers_at(head, 4, "i4").astype(np.int64), numbers_at(head, 8, "u4").astype(np.int64)
+    seconds, rest = _numbers_at(head, 4, "i4").astype(np.int64), _numbers_at(head, 8, "u4").astype(np.int64)
     return seconds * 10**9 + rest
+
+
+def _numbers_at(rows: UInt8[np.ndarray, "m k"], at: int, kind: str) -> np.ndarray:
+    """Return the numbers of a type at a position of each row of bytes."""
+    return np.ascontiguousarray(rows[:, at : at + int(kind[1])]).view(f"<{kind}")[:, 0]

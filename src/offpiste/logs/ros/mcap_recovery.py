@@ -1,4 +1,4 @@
-"""Recovery of MCAP files without their end, or that rosbags refuses: read from the start, without the index."""
+"""Recovery of MCAP files that are truncated, or that rosbags refuses, by reading them without their index."""
 
 import struct
 import zlib
@@ -29,14 +29,11 @@ _DAMAGE = (McapError, struct.error, ValueError, OverflowError, RuntimeError, EOF
 
 
 class StreamedMcap:
-    """A reader like rosbags', as far as `BagLog` needs it; messages come in the order of the file.
+    """Reader with the part of rosbags' interface that `BagLog` needs; messages are in file order.
 
     Attributes:
-        connections: one a channel, with the number of its whole messages.
-        warnings: missing parts, in words.
-
-    Raises:
-        LogError: the file holds no whole record of a channel.
+        connections: one per channel, with the number of its complete messages.
+        warnings: notes on missing parts.
     """
 
     def __init__(self, path: Path) -> None:
@@ -61,14 +58,14 @@ class StreamedMcap:
         self.warnings = self._missing(sum(counts.values()))
 
     def messages(self, connections: Collection[Connection]) -> Iterator[tuple[Connection, int, bytes]]:
-        """Connection, time of arrival [ns] and raw bytes of each whole message."""
+        """Yield the connection, the arrival [ns] and the raw bytes of each complete message."""
         wanted = {connection.id: connection for connection in connections}
         for record in self._records():
             if isinstance(record, Message) and record.channel_id in wanted:
                 yield wanted[record.channel_id], record.log_time, record.data
 
     def close(self) -> None:
-        """Nothing is kept open."""
+        """Do nothing: no file is kept open."""
 
     def _connection(self, channel: Channel, schema: Schema | None, count: int) -> Connection:
         definition = MessageDefinition(MessageDefinitionFormat.NONE, "")
@@ -129,7 +126,7 @@ class StreamedMcap:
 
 
 def _unpack(chunk: Chunk, *, whole: bool) -> bytes:
-    """Decompressed content of a chunk; as much as possible of one that is cut short."""
+    """Decompress a chunk; of a truncated one as much as possible."""
     if chunk.compression not in ("", "lz4", "zstd"):
         raise ValueError(f"unknown compression {chunk.compression}")
     data = inflated(chunk.data, chunk.compression, whole=whole)

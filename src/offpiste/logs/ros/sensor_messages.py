@@ -1,4 +1,4 @@
-"""Image and point cloud messages of ROS, to and from NumPy arrays, and what messages of joints call their entries."""
+"""Conversion of ROS image, point cloud and joint messages to and from NumPy arrays."""
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -18,13 +18,10 @@ _CODES = {name: code for code, name in _TYPES.items()}
 
 
 def points_from_message(message: Any) -> np.ndarray:
-    """Points of a PointCloud2 as records [height * width], row by row, each field in its own type.
+    """Return the points of a PointCloud2 as records [height * width], row by row, each field in its own type.
 
-    Fields may come in any order, with gaps between them, and in either byte order; points that are not finite are
-    kept. Fields without a name, and repeated ones, are padding and left out.
-
-    Raises:
-        LogError: the message's fields, steps and data do not fit together.
+    Fields may be in any order and byte order, with gaps between them. Unnamed and repeated fields are padding and are
+    left out; points that are not finite are kept.
     """
     order = ">" if message.is_bigendian else "<"
     fields: dict[str, Any] = {}
@@ -48,7 +45,7 @@ def points_from_message(message: Any) -> np.ndarray:
         shape, strides = (message.height, message.width), (message.row_step, message.point_step)
         if message.height == 1 or message.width == 0:
             strides = (message.width * message.point_step, message.point_step)
-        if math.prod(shape) * message.point_step > data.size:  # rows may overlap, or not be there
+        if math.prod(shape) * message.point_step > data.size:  # rows may overlap, or be missing
             raise ValueError(f"{math.prod(shape)} points of {message.point_step} bytes in {data.size} bytes")
         points = np.ndarray(shape, point, data.data, strides=strides).reshape(-1)
     except (ValueError, TypeError) as error:
@@ -57,11 +54,7 @@ def points_from_message(message: Any) -> np.ndarray:
 
 
 def message_from_points(points: np.ndarray, stamp_ns: int, frame: str) -> Any:
-    """A PointCloud2 of records [n]; fields are numbers, packed or not.
-
-    Args:
-        frame: in which x, y, z stand.
-    """
+    """Return a PointCloud2 of records [n] of numbers, packed or not."""
     fields = points.dtype.fields
     assert fields is not None, "points are records"
     return make(
@@ -82,38 +75,37 @@ def message_from_points(points: np.ndarray, stamp_ns: int, frame: str) -> Any:
 
 
 def _kind(order: str, field: Any) -> Any:
-    # Old drivers leave the count at 0 and mean 1.
+    # Old drivers write a count of 0 for 1.
     kind = order + _TYPES[field.datatype]
     return (kind, (field.count,)) if field.count > 1 else kind
 
 
 def images_of(messages: Iterator[tuple[float, Any]], topic: str) -> Iterator[RawImage]:
-    """Images of sensor_msgs/CompressedImage and Image, by their stamps [s]."""
+    """Yield the images of sensor_msgs/CompressedImage and Image."""
     for time, message in messages:
         yield RawImage(time, frame_of(message), pixels_of(message, topic))
 
 
 def clouds_of(messages: Iterator[tuple[float, Any]]) -> Iterator[RawCloud]:
-    """Point clouds of sensor_msgs/PointCloud2, by their stamps [s]."""
+    """Yield the point clouds of sensor_msgs/PointCloud2."""
     for time, message in messages:
         yield RawCloud(time, frame_of(message), points_from_message(message))
 
 
 def frame_of(message: Any) -> str:
-    """Frame in a message's header."""
+    """Return the frame in a message's header."""
     return str(message.header.frame_id).lstrip("/")
 
 
 class Joints:
-    """Entries of sensor_msgs/JointState by their names, in whatever order and company a message has them.
+    """Entries of sensor_msgs/JointState by their names, in any order and selection in each message.
 
-    Entry `position[i]` is the joint that `names` has i-th, also where several publishers share a topic; entries
-    without a name are known by their order.
+    Entry `position[i]` is the joint with the i-th new name, also if several publishers share a topic; unnamed entries
+    are identified by their order.
 
     Attributes:
-        fields: paths of the entries that there are.
-        names: what messages call them, by field. A velocity or an effort has its kind behind the joint's name: a
-            position is what the joint is.
+        fields: paths of the existing entries.
+        names: names of the joints by field, with the suffixes of `JOINT_ARRAYS`.
     """
 
     def __init__(self, messages: Iterable[Any]) -> None:
@@ -132,18 +124,18 @@ class Joints:
         return self._entries[int(field.partition("[")[2].removesuffix("]"))]
 
     def reader(self, fields: Sequence[str]) -> Callable[[Any], list[float]]:
-        """Function that reads entries of a message; NaN where it has no joint of that name."""
+        """Return a function that reads entries of a message; NaN for missing joints."""
         return _entries_reader([(field.partition("[")[0], self._entry(field)) for field in fields])
 
 
 def joint_getter(field: str, joint: str) -> Callable[[Any], float]:
-    """Function that reads a joint's entry of a message, by its name alone; NaN where the message has no such joint."""
+    """Return a function that reads a joint's entry of a message by its name; NaN for a missing joint."""
     read = _entries_reader([(field.partition("[")[0], (joint, 0))])
     return lambda message: read(message)[0]
 
 
 def _entries_reader(wanted: Sequence[tuple[str, tuple[str, int]]]) -> Callable[[Any], list[float]]:
-    """Function that reads entries of arrays, each by its name and how many of that name come before."""
+    """Return a function that reads entries of arrays, each by its name and the number of equal names before it."""
 
     def read(message: Any) -> list[float]:
         places = _places(message)
@@ -154,13 +146,13 @@ def _entries_reader(wanted: Sequence[tuple[str, tuple[str, int]]]) -> Callable[[
 
 
 def has_joints(fields: Sequence[Any]) -> bool:
-    """Whether a definition is that of sensor_msgs/JointState, behind its header."""
+    """Return whether a definition is that of sensor_msgs/JointState, apart from its header."""
     known = message_types().get_msgdef("sensor_msgs/msg/JointState").fields
     return list(fields[1:]) == list(known[1:])
 
 
 def _places(message: Any) -> dict[tuple[str, int], int]:
-    """Place of each entry in a message, by its name and how many of that name come before."""
+    """Return the index of each entry in a message, by its name and the number of equal names before it."""
     size = max(len(getattr(message, array)) for array in JOINT_ARRAYS)
     result: dict[tuple[str, int], int] = {}
     counts: dict[str, int] = {}

@@ -1,4 +1,4 @@
-"""Writes MCAP files of ROS 2 messages that any tool reads, and that survive an interruption."""
+"""Writer of MCAP files of ROS 2 messages that remain readable after an interruption."""
 
 import functools
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -41,12 +41,11 @@ DEFINITIONS: Final = {
         AckermannDrive drive
     """,
 }
-"""Fields of types that rosbags lacks: grid_map_msgs (ANYbotics/grid_map) and ackermann_msgs
-(ros-drivers/ackermann_msgs), both of their branches ros2."""
+"""Definitions of types that rosbags lacks, of ANYbotics/grid_map and ros-drivers/ackermann_msgs (branches ros2)."""
 
 
 def new_typestore() -> Typestore:
-    """Message types of ROS 2 and of `DEFINITIONS`; classes are in `.types`, by names like `nav_msgs/msg/Odometry`."""
+    """Return the message types of ROS 2 and of `DEFINITIONS`."""
     store = get_typestore(Stores.ROS2_JAZZY)
     for name, text in DEFINITIONS.items():
         store.register(get_types_from_msg(text, name))
@@ -54,11 +53,11 @@ def new_typestore() -> Typestore:
 
 
 message_types = functools.cache(new_typestore)
-"""The types that offpiste writes."""
+"""Shared store of the message types that offpiste writes."""
 
 
 def make(msgtype: str, **fields: Any) -> Any:
-    """A message; `msgtype` without the middle part: `nav_msgs/Odometry`."""
+    """Return a message of a type without `msg`, such as `nav_msgs/Odometry`."""
     return _class(msgtype)(**fields)
 
 
@@ -68,32 +67,32 @@ def _class(msgtype: str) -> Any:
 
 
 def header(stamp_ns: int, frame: str) -> Any:
-    """A std_msgs/Header."""
+    """Return a std_msgs/Header."""
     seconds, rest = divmod(stamp_ns, 10**9)
     return make("std_msgs/Header", stamp=make("builtin_interfaces/Time", sec=seconds, nanosec=rest), frame_id=frame)
 
 
 def vector(xyz: Any, kind: str = "geometry_msgs/Vector3") -> Any:
-    """A geometry_msgs/Vector3 or Point."""
+    """Return a geometry_msgs/Vector3 or Point."""
     x, y, z = np.asarray(xyz, dtype=np.float64).tolist()
     return make(kind, x=x, y=y, z=z)
 
 
 def quaternion(xyzw: Any) -> Any:
-    """A geometry_msgs/Quaternion."""
+    """Return a geometry_msgs/Quaternion."""
     x, y, z, w = np.asarray(xyzw, dtype=np.float64).tolist()
     return make("geometry_msgs/Quaternion", x=x, y=y, z=z, w=w)
 
 
 def floats(values: Any) -> Any:
-    """An array for a float64 sequence of a message."""
+    """Return an array for a float64 sequence of a message."""
     return np.atleast_1d(np.asarray(values, dtype=np.float64))
 
 
 _CHUNK_TIME = 10**9
-"""Longest time that a chunk spans before it reaches the operating system [ns]: what a killed recorder loses."""
+"""Longest time span of a chunk [ns], which a killed recorder loses."""
 _CHUNK_SIZE = 4 << 20
-"""Largest size of a chunk before that [bytes]; the writer keeps up to two in memory."""
+"""Largest size of a chunk [bytes]; the writer keeps up to two in memory."""
 
 
 class _Entry(NamedTuple):
@@ -104,17 +103,11 @@ class _Entry(NamedTuple):
 
 
 class McapWriter:
-    """Writes messages straight into a file of the final name; the same messages give the same bytes.
+    """Writer of messages to a new `.mcap` file; equal messages give equal bytes.
 
-    When its `with` block ends, by an exception or Ctrl-C too, the file gets its index and end. A killed process leaves
-    whole chunks without an index, which `offpiste.logs.open_log` reads as well. Chunks are put together in a thread of
-    their own: Ctrl-C is raised in the main thread only, so that it never leaves half a record.
-
-    Args:
-        path: a new `.mcap` file.
-
-    Raises:
-        LogError: the file exists, has another ending, or cannot be written.
+    The end of its `with` block, also by an exception or Ctrl-C, completes the file. A killed process leaves whole
+    chunks without an index, which `offpiste.logs.open_log` reads as well. Chunks are written by a worker thread, since
+    Ctrl-C, which is raised in the main thread, must not leave half a record.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -145,30 +138,24 @@ class McapWriter:
         self.close()
 
     def write(self, topic: str, message: Any, stamp_ns: int) -> None:
-        """Append a message (of `offpiste.logs.ros.writer`), stamped [ns since 1970]; it is serialised at once."""
+        """Append a message of `make`, serialised at once, with its stamp [ns since 1970]."""
         msgtype = message.__msgtype__
         data = bytes(message_types().serialize_cdr(message, msgtype, little_endian=True))
         self._append(_Entry(topic, msgtype, stamp_ns, data))
 
     def write_serialised(self, topic: str, msgtype: str, data: bytes, definition: str, stamp_ns: int) -> None:
-        """Append a message that is CDR already, of any type.
-
-        Args:
-            definition: of the type, with those that it is made of.
-        """
-        if msgtype not in self._definitions:
-            self._definitions[msgtype] = definition
+        """Append a serialised message (CDR) of any type, given its full definition."""
+        self._definitions.setdefault(msgtype, definition)
         self._append(_Entry(topic, msgtype, stamp_ns, data))
 
     def _append(self, entry: _Entry) -> None:
         self._batch.append(entry)
         self._size += len(entry.data)
-        stamp_ns = entry.stamp
-        if self._size >= _CHUNK_SIZE or stamp_ns - self._batch[0].stamp >= _CHUNK_TIME:
+        if self._size >= _CHUNK_SIZE or entry.stamp - self._batch[0].stamp >= _CHUNK_TIME:
             self._hand_over()
 
     def close(self) -> None:
-        """Write the rest, the index and the end; called when the `with` block ends."""
+        """Write the rest, the index and the end."""
         if self._file.closed:
             return
         try:
@@ -181,16 +168,12 @@ class McapWriter:
 
     def _hand_over(self) -> None:
         self._wait()
-        # The list is emptied by the worker: an interruption here hands it over twice, the second time empty.
+        # The worker empties the list: after an interruption here it is handed over twice, the second time empty.
         self._at_work = self._worker.submit(self._put, self._batch)
         self._batch, self._size = [], 0
 
     def _wait(self) -> None:
-        """Let the worker finish its chunk: no more than one waits, so that memory is bounded.
-
-        Raises:
-            LogError: it could not be written.
-        """
+        """Wait for the worker to finish its chunk, so that memory is bounded."""
         try:
             if self._at_work is not None:
                 self._at_work.result()
