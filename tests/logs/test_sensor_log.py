@@ -190,7 +190,7 @@ BAD = {
         [STILL[0], (0, "/info", info(k=np.zeros(9))), ONE_IMAGE, ONE_CLOUD],
         r"topic '/info': the camera is not calibrated",
     ),
-    "binning": ([STILL[0], (0, "/info", info(binning_x=2)), ONE_IMAGE, ONE_CLOUD], r"binning.*give intrinsics"),
+    "binning": ([STILL[0], (0, "/info", info(binning_x=2)), ONE_IMAGE, ONE_CLOUD], r"binning.*give the intrinsics"),
     "another size": (
         [STILL[0], (0, "/info", info(16, 12)), ONE_IMAGE, ONE_CLOUD],
         r"'front' has images of 8x6, and a calibration for 16x12",

@@ -8,7 +8,7 @@ import pytest
 from offpiste.core.errors import LogError
 from offpiste.inspection.channel_guesses import guess_channels
 from offpiste.logs import open_log
-from offpiste.logs.formats.loggers import as_table
+from offpiste.logs.formats.csv_text import _as_table as as_table
 from offpiste.rig.channels import Clock
 
 RACELOGIC = """File created on 15/04/2023 at 10:12:13

@@ -8,7 +8,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from offpiste.core.errors import LogError
-from offpiste.logs.formats.tables import TablesLog
+from offpiste.logs.formats.table import TablesLog
 from offpiste.logs.log import open_log
 from offpiste.rig.channels import Clock
 

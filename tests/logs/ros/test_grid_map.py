@@ -72,7 +72,7 @@ def test_a_circular_buffer_is_unrolled() -> None:
 def test_what_is_not_read() -> None:
     turned = message(elevation=layer())
     turned.info.pose.orientation.z = 0.1
-    with pytest.raises(LogError, match="turned against its frame"):
+    with pytest.raises(LogError, match="rotated against its frame"):
         layers_from_grid_map(turned)
     rows = message(elevation=layer())
     rows.data[0].layout.dim.reverse()

@@ -1,5 +1,6 @@
-"""The text of CSV files: their header, separator, units and cells."""
+"""Text tables of any dialect: encodings, headers, separators, units, cells, and formats of car data loggers."""
 
+import codecs
 import csv
 import io
 import re
@@ -8,44 +9,72 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.csv as pa_csv
+from jaxtyping import Float
 
 from offpiste.core.errors import LogError
-from offpiste.logs.formats.loggers import DATE_AND_TIME, MARKS, UTF_16, in_one_space, is_utf_8, with_one_header
 from offpiste.rig.labels import unit_of, without_comment
 
 _TEXT_BOOLEANS = {"true": 1.0, "false": 0.0}
 _MOST_PREAMBLE, _ROWS_BELOW = 64, 8
-"""Lines before the header, at most; and rows below it by which it is known."""
+"""Largest number of lines before the header, and number of rows below it by which it is recognised."""
 _MOST_COLUMNS: Final = 10_000
 _BEGIN: Final = 4096
-"""Bytes that show what a text is."""
+"""Number of bytes by which a kind of text is recognised."""
 _NOTHING: Final = [*pa_csv.ConvertOptions().null_values, "-", "--"]
-"""Cells that are empty: loggers write a dash as well."""
+"""Empty cells, including dashes of loggers."""
 _SEPARATORS = ",;\t|"
 _WITH_UNIT: Final = re.compile(r"\s*[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?\s*([^\d\s.+-].*?)\s*")
-"""A number with its unit in one cell."""
+"""Number with its unit in one cell."""
 _EXAMPLES = {5: ("t", "x", "y", "yaw", "steer"), 8: ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")}
-"""Names for a table without any, by the number of its columns; eight are those of a trajectory in TUM's format."""
+"""Example headers by number of columns; eight are those of TUM trajectories."""
 _MOST_GEARS = 16
-"""Numbers among letters that are gears; more are measurements, and a letter among them is a mistake."""
+"""Largest number of distinct gears; a column with more numbers holds measurements, and a letter in it is a mistake."""
 _GEARS: Final = {
-    word: letter
-    for letter, words in (
-        ("P", "park parking parked"),
-        ("R", "reverse reversing backward backwards"),
-        ("N", "neutral stop stopped standstill halt halted"),
-        ("D", "drive forward forwards"),
-    )
-    for word in words.split()
-}
-"""Letters of gears, by what logs call these."""
+    "park": "P", "parking": "P", "parked": "P", "reverse": "R", "reversing": "R", "backward": "R", "backwards": "R",
+    "neutral": "N", "stop": "N", "stopped": "N", "standstill": "N", "halt": "N", "halted": "N",
+    "drive": "D", "forward": "D", "forwards": "D",
+}  # fmt: skip
+"""Letters of gears by their words in logs."""
+_UTF_16: Final = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+"""Byte order marks of UTF-16, as spreadsheets write it."""
+_MARKS: Final = (b"[column names]", b'"|"', b"Format,3")
+"""Beginnings of texts of known data loggers."""
+_DATE_AND_TIME: Final = re.compile(
+    r"(?<!\S)(\d{4}[-/.]\d\d?[-/.]\d\d?|\d\d?[-/.]\d\d?[-/.]\d{4}) +(\d\d?:\d\d:\d\d[.\d]*)(?!\S)"
+)
+"""Stamp with a space in it, which is one cell."""
+_SECTION: Final = re.compile(r"^\[([\w ]+)\]\s*$", re.MULTILINE)
+"""Heading of a section of a .vbo file."""
+_RACELOGIC: Final = {
+    "lat": "latitude (deg)", "long": "longitude (deg)", "velocity": "velocity (km/h)", "heading": "heading (deg)",
+    "height": "height (m)", "vert-vel": "vertical velocity (m/s)",
+}  # fmt: skip
+"""Standard columns of Racelogic files."""
+_MINUTES: Final = {"lat": 1 / 60, "long": -1 / 60}
+"""Degrees per minute of arc; longitudes count to the west."""
+_QUOTED: Final = re.compile(r'"([^"|]*)"\|"([^"|]*)"(\|[^,|]*)*')
+"""Column of RaceCapture: name, unit, range and rate."""
+_SOURCE: Final = re.compile(r"\d+: .+")
+"""Source of a column of RaceChrono, such as `103: obd`."""
+_CLOCK: Final = re.compile(
+    r"(?:(?P<date>.*?)[T ,_-]+|)(?P<hours>\d{1,2}):(?P<minutes>\d\d):(?P<seconds>\d\d(?:[.,:]\d+)?)"
+    r"\s*(?P<half>[ap])?\.?(?:m\.?)?\s*(?:z|utc|gmt|[+-]\d\d:?\d\d)?",
+    re.IGNORECASE,
+)
+"""Time of day, with or without a date before it."""
+_COMPACT: Final = re.compile(
+    r"(?P<date>\d{8})[T _-](?P<hours>\d\d)(?P<minutes>\d\d)(?P<seconds>\d\d(?:[.,]\d+)?)(?P<half>)Z?", re.IGNORECASE
+)
+"""Date and time of day without separators."""
+_DAY: Final = 86_400.0
 
 
 def number_of(cell: str) -> float | None:
-    """The number that a cell holds, 1 and 0 for true and false; None for other text."""
+    """Return the number in a cell, 1 and 0 for true and false; None for other text."""
     if "_" in cell:
         return None  # Python reads 1_5 as 15
     try:
@@ -54,43 +83,44 @@ def number_of(cell: str) -> float | None:
         return _TEXT_BOOLEANS.get(cell.strip().lower())
 
 
-def gear_letter(word: str) -> str:
-    """The letter of the gear that a word names, P, R, N or D; single letters as they are, and "" for other words."""
+def _gear_letter(word: str) -> str:
+    """Return the letter of a word for a gear (P, R, N or D); single letters as they are, "" for other words."""
     return word if len(word) == 1 and word.isalpha() else _GEARS.get(word.lower(), "")
 
 
 def gear_of(cell: str) -> float:
-    """The number of a gear, or the character code of its letter (`gear_letter`)."""
+    """Return the number of a gear, or the character code of its letter."""
     number = number_of(cell)
-    return float(ord(gear_letter(cell))) if number is None else number
+    return float(ord(_gear_letter(cell))) if number is None else number
 
 
 def are_gears(cells: pa.ChunkedArray) -> bool:
-    """Whether cells are letters or words of gears, among which may be a gear's numbers, and some repeat."""
+    """Return whether cells are letters or words of gears, possibly with numbers of gears, some repeated."""
     cells = cells.drop_null()
     there = pc.unique(pc.utf8_trim_whitespace(cells)).to_pylist() if len(cells) else []
-    letters = [gear_letter(cell) for cell in there if number_of(cell) is None]
+    letters = [_gear_letter(cell) for cell in there if number_of(cell) is None]
     numbers = len(there) - len(letters)
     gears = not numbers or (numbers <= _MOST_GEARS and set(letters) <= set("PRND"))
     return len(letters) > 0 and len(there) < len(cells) and all(letters) and gears
 
 
 def unknown_words(cells: pa.ChunkedArray) -> list[str]:
-    """Words that are no gears in a column of few words, of which others are; none in one of any other text."""
+    """Return the unknown words in a column of gears; none in other columns."""
     there = pc.unique(pc.utf8_trim_whitespace(cells.drop_null())).to_pylist()
     words = [cell for cell in there if cell and number_of(cell) is None] if len(there) <= _MOST_GEARS else []
-    gears = {gear_letter(word) for word in words} & set("PRND")
-    return [word for word in words if not gear_letter(word)] if gears else []
+    gears = {_gear_letter(word) for word in words} & set("PRND")
+    return [word for word in words if not _gear_letter(word)] if gears else []
 
 
 def read_csv(path: Path, notes: list[str], units: dict[str, str]) -> tuple[pa.Table, int]:
-    """Read all columns as text; column types and invalid cells are determined from it later.
+    """Read all columns as text, from which types and invalid cells are determined later.
 
     Args:
-        notes, units: filled with what was guessed, and with a row of units below the header.
+        notes: guesses are added to it.
+        units: filled from a row of units below the header.
 
     Returns:
-        the table, and how many rows stand between its header and its data: units, and then words on each column.
+        the table, and the number of rows between its header and its data (units and descriptions).
     """
     lines = _first_lines(path)
     there = [line for line in lines if line.strip()]
@@ -122,7 +152,7 @@ def read_csv(path: Path, notes: list[str], units: dict[str, str]) -> tuple[pa.Ta
     )
     try:
         with _opened(path, notes) as file:
-            text = in_one_space(file.read()) if spaces else b""
+            text = _in_one_space(file.read()) if spaces else b""
             cut = _last_row_may_be_cut(path, text, notes)
             table = pa_csv.read_csv(
                 io.BytesIO(text) if spaces else file,
@@ -140,7 +170,7 @@ def read_csv(path: Path, notes: list[str], units: dict[str, str]) -> tuple[pa.Ta
 
 
 def _without_units(table: pa.Table, units: dict[str, str]) -> pa.Table:
-    """Columns whose cells all have the same unit behind their number, `0.05 sec`, as numbers; `units` has it then."""
+    """Remove a common unit behind the numbers of a column, `0.05 sec`, and add it to `units`."""
     for at, name in enumerate(table.column_names):
         cells = table[name].drop_null().slice(0, 100).to_pylist()
         behind = {match[1] if (match := _WITH_UNIT.fullmatch(cell)) else "" for cell in cells}
@@ -152,9 +182,9 @@ def _without_units(table: pa.Table, units: dict[str, str]) -> pa.Table:
 
 
 def _row_of_units(names: Sequence[str], cells: Sequence[str]) -> dict[str, str]:
-    """Units by column, where the row below the header holds units; empty where it holds data.
+    """Return units by column if the row below the header holds units; empty for data.
 
-    It has no number but 1 (no unit), and at least half of its cells that are not empty are units.
+    A row of units has no number but 1 (no unit), and at least half of its non-empty cells are units.
     """
     said = [cell for cell in cells if cell.strip()]
     units = [unit_of(cell) for cell in said]
@@ -165,15 +195,15 @@ def _row_of_units(names: Sequence[str], cells: Sequence[str]) -> dict[str, str]:
 
 
 def _are_numbers(line: str, separators: str) -> bool:
-    """Whether a line holds several cells between any of these separators, most but a stamp numbers."""
+    """Return whether a line has several cells between these separators, most of which are numbers."""
     if any(other in line for other in _SEPARATORS if other not in separators):
         return False
-    cells = re.split(f"[{re.escape(separators)}]+", DATE_AND_TIME.sub("0", line.strip()))
+    cells = re.split(f"[{re.escape(separators)}]+", _DATE_AND_TIME.sub("0", line.strip()))
     return len(cells) > 1 and 2 * sum(number_of(cell) is not None for cell in cells) > len(cells)
 
 
 def has_numbers(path: Path) -> bool:
-    """Whether one of the first lines of a text holds several numbers and nothing else."""
+    """Return whether one of the first lines of a text is a row of numbers."""
     try:
         return any(_are_numbers(line, f" {_SEPARATORS}") for line in _first_lines(path))
     except LogError:
@@ -181,11 +211,11 @@ def has_numbers(path: Path) -> bool:
 
 
 def _as_many_as_cells(names: list[str], header: str, row: str, path: Path) -> list[str]:
-    """Names above a table separated by spaces, which may themselves be separated by something else.
+    """Return the names above columns separated by spaces, which may have another separator.
 
     Two names above the date and the time of a stamp become one.
     """
-    cells, parts = DATE_AND_TIME.sub(r"\1T\2", row).split(), row.split()
+    cells, parts = _DATE_AND_TIME.sub(r"\1T\2", row).split(), row.split()
     if len(names) == len(parts) == len(cells) + 1:
         at = next(at for at, (cell, part) in enumerate(zip(cells, parts, strict=False)) if cell != part)
         return [*names[:at], " ".join(names[at : at + 2]), *names[at + 2 :]]
@@ -202,7 +232,6 @@ def _as_many_as_cells(names: list[str], header: str, row: str, path: Path) -> li
 
 
 def _cells(lines: Sequence[str], delimiter: str, path: Path) -> list[list[str]]:
-    """Cells of lines."""
     try:
         return list(csv.reader(lines, delimiter=delimiter))
     except csv.Error as error:
@@ -210,10 +239,9 @@ def _cells(lines: Sequence[str], delimiter: str, path: Path) -> list[list[str]]:
 
 
 def _lines_above_header(table: Sequence[Sequence[str]]) -> int:
-    """How many lines stand before the header, as loggers of cars write them; 0 where none does.
+    """Return the number of lines before the header.
 
-    All cells of a header are different texts, and all rows below it, but for one of units, have a number and as many
-    cells.
+    All cells of a header are different texts, and all rows below it, except for units, have a number and as many cells.
     """
     rows = [[cell.strip() for cell in cells] for cells in table]
     for above, names in enumerate(rows):
@@ -228,10 +256,10 @@ def _lines_above_header(table: Sequence[Sequence[str]]) -> int:
 
 
 def _last_row_may_be_cut(path: Path, text: bytes, notes: list[str]) -> Callable[[pa_csv.InvalidRow], str]:
-    """What to do with rows of too few or too many cells: the last one is left out, as loggers are switched off.
+    """Return a handler of rows with too few or too many cells, which skips a truncated last row.
 
     Args:
-        text: what was read, where it is not the file's own text.
+        text: the text that was read, unless it is the file's own.
     """
 
     def handle(row: pa_csv.InvalidRow) -> str:
@@ -248,20 +276,17 @@ def _last_row_may_be_cut(path: Path, text: bytes, notes: list[str]) -> Callable[
 
 
 def _opened(path: Path, notes: list[str] | None = None) -> io.BufferedIOBase:
-    """A table's text in UTF-8 with a line of names: spreadsheets write UTF-16, and loggers have ways of their own.
-
-    Any other text is read as Windows writes it, which a note says, if there is a list for it.
-    """
+    """Open a table's text as UTF-8 with a line of names, from UTF-16, cp1252 (with a note) or a logger's format."""
     file = path.open("rb")
     begin = file.peek(_BEGIN)[:_BEGIN]
-    is_known = begin.startswith(UTF_16) or any(mark in begin for mark in MARKS)
-    as_it_is = not is_known and is_utf_8(file)
+    is_known = begin.startswith(_UTF_16) or any(mark in begin for mark in _MARKS)
+    as_it_is = not is_known and _is_utf_8(file)
     file.seek(0)
     if as_it_is:
         return file
     with file:
         try:
-            text = with_one_header(file.read())
+            text = _with_one_header(file.read())
         except UnicodeDecodeError as error:
             raise LogError("the text is neither UTF-8 nor cp1252", where=path, how="save it as UTF-8") from error
     if not is_known and notes is not None:
@@ -270,7 +295,7 @@ def _opened(path: Path, notes: list[str] | None = None) -> io.BufferedIOBase:
 
 
 def _first_lines(path: Path) -> list[str]:
-    """The first lines, of which the last one may be cut."""
+    """Return the first lines; the last one may be truncated."""
     try:
         with _opened(path) as file:
             lines = [line for _ in range(_MOST_PREAMBLE + _ROWS_BELOW) if (line := file.readline(1 << 20))] or [b""]
@@ -287,7 +312,7 @@ def _first_lines(path: Path) -> list[str]:
 
 
 def check_columns(path: Path, names: list[str]) -> None:
-    """Raise where a table has no columns, or two of one name."""
+    """Refuse a table without columns, with too many, or with two of one name."""
     if len(names) > _MOST_COLUMNS:
         raise LogError(f"{len(names)} columns", where=path, how=f"export at most {_MOST_COLUMNS}")
     repeated = sorted(name for name, count in Counter(names).items() if count > 1)
@@ -295,3 +320,142 @@ def check_columns(path: Path, names: list[str]) -> None:
         raise LogError(f"column '{repeated[0]}' appears twice", where=path, how="give every column its own name")
     if not names:
         raise LogError("no column of numbers", where=path, how="export the quantities as numbers")
+
+
+def clock_times(cells: pa.ChunkedArray) -> Float[np.ndarray, " n"] | None:
+    """Convert times of day, such as `05/03/2024 1:02:03.4 PM`, to seconds from midnight; None for other cells.
+
+    Each new date is the next day. Without dates, steps of more than half a day cross midnight.
+    """
+    times = np.full(len(cells), np.nan)
+    days: dict[str, int] = {}
+    for row, cell in enumerate(cells.to_pylist()):
+        if cell is None or not cell.strip():
+            continue
+        match = _CLOCK.fullmatch(cell.strip()) or _COMPACT.fullmatch(cell.strip())
+        if match is None:
+            return None
+        hours, date = int(match["hours"]), match["date"] or ""
+        if half := (match["half"] or "").lower():
+            hours = hours % 12 + (12 if half == "p" else 0)
+        seconds = float(re.sub("[,:]", ".", match["seconds"]))
+        times[row] = _DAY * days.setdefault(date, len(days)) + 3600 * hours + 60 * int(match["minutes"]) + seconds
+    return _past_midnight(times) if len(days) == 1 else times
+
+
+def _past_midnight(times: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """Unwrap seconds of the day; a step of more than half a day crosses midnight."""
+    known, result = np.isfinite(times), times.copy()
+    result[known] = np.unwrap(times[known], period=_DAY)
+    return result
+
+
+def shows_clock_face(stamps: Float[np.ndarray, " n"]) -> bool:
+    """Return whether stamps have the digits HHMMSS.sss: each minute skips 60 to 99."""
+    known = stamps[np.isfinite(stamps)]
+    if not len(known) or known.min() < 0 or known.max() >= 240_000:
+        return False
+    if (known % 100).max() >= 60 or (known // 100 % 100).max() >= 60:
+        return False
+    steps = np.diff(known)
+    minutes = np.diff(known // 100) != 0
+    usual = float(np.median(steps)) if len(steps) else 0.0
+    return bool(minutes.any() and usual > 0 and abs(float(np.median(steps[minutes] % 100)) - 40 - usual) < 2 * usual)
+
+
+def seconds_of_the_day(stamps: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """Return the seconds from midnight of stamps HHMMSS.sss."""
+    hours, minutes = stamps // 10_000, stamps // 100 % 100
+    return _past_midnight(3600 * hours + 60 * minutes + stamps % 100)
+
+
+def _in_one_space(text: bytes) -> bytes:
+    """Reduce separators to single spaces, and remove spaces within stamps."""
+    lines = (" ".join(line.split()) for line in text.decode("utf-8", "surrogateescape").split("\n"))
+    return "\n".join(_DATE_AND_TIME.sub(r"\1T\2", line) for line in lines if line).encode("utf-8", "surrogateescape")
+
+
+def _with_one_header(read: bytes) -> bytes:
+    """Return a file's text in UTF-8, with one line of names if it is of a known data logger."""
+    if read.startswith(_UTF_16):
+        text = read.decode("utf-16", "replace")
+        return (_as_table(text) or text).encode()
+    try:
+        table = _as_table(read.decode("utf-8-sig"))
+    except UnicodeDecodeError:
+        table = _as_table(read.decode("latin-1")) or read.decode("cp1252")  # as older loggers write degrees
+    return read if table is None else table.encode()
+
+
+def _is_utf_8(file: io.BufferedIOBase) -> bool:
+    """Return whether the rest of a file is UTF-8."""
+    decoder = codecs.getincrementaldecoder("utf-8")()
+    try:
+        while block := file.read(1 << 20):
+            decoder.decode(block)
+        decoder.decode(b"", final=True)
+    except UnicodeDecodeError:
+        return False
+    return True
+
+
+def _of_racelogic(text: str) -> str | None:
+    """Convert a .vbo file of Racelogic, whose sections hold names, units and rows."""
+    parts = _SECTION.split(text)
+    sections = dict(zip(parts[1::2], parts[2::2], strict=True))
+    if not {"column names", "data"} <= set(sections):
+        return None
+    names = sections["column names"].split()
+    units = [line.strip() for line in sections.get("channel units", "").splitlines() if line.strip()]
+    # Files list the units of all columns, or of the last columns only.
+    unit_of = dict(zip(reversed(names), reversed(units), strict=False))
+    header = [_RACELOGIC.get(name.lower()) or _with_unit(name, unit_of.get(name, "")) for name in names]
+    factors = [_MINUTES.get(name.lower()) for name in names]
+    rows = (_scaled(line.split(), factors) for line in sections["data"].splitlines() if line.strip())
+    return "\n".join(",".join(cells) for cells in (header, *rows)) + "\n"
+
+
+def _scaled(cells: Sequence[str], factors: Sequence[float | None]) -> list[str]:
+    """Multiply some cells; invalid or excess cells are left to the reader of tables."""
+    scaled = list(cells)
+    for place, factor in enumerate(factors[: len(cells)]):
+        if factor is not None and re.fullmatch(r"[+-]?[\d.]+", cells[place]):
+            scaled[place] = repr(factor * float(cells[place]))
+    return scaled
+
+
+def _with_unit(name: str, unit: str) -> str:
+    return name if unit in ("", "(null)") else f"{name} ({unit})"
+
+
+def _of_racecapture(text: str) -> str | None:
+    """Convert a .csv file of RaceCapture, whose names are followed by units, ranges and rates."""
+    header, _, rows = text.partition("\n")
+    if not _QUOTED.match(header) or "," not in header or "|" in rows.partition("\n")[0]:
+        return None
+    return _QUOTED.sub(lambda column: _with_unit(column[1], column[2]), header) + "\n" + rows
+
+
+def _of_racechrono(text: str) -> str | None:
+    """Convert a .csv file of RaceChrono, whose names are followed by rows of units and sources."""
+    lines = text.splitlines()
+    try:
+        rows = list(csv.reader(lines[:_MOST_PREAMBLE]))
+    except csv.Error:  # a cell that is too long
+        return None
+    sources = (at for at, cells in enumerate(rows) if any(cells) and all(map(_SOURCE.fullmatch, filter(None, cells))))
+    if (at := next(sources, 0)) < 2:
+        return None
+    names, units, source = rows[at - 2 : at + 1]
+    named = [
+        f"{name} ({of})" if name in names[:k] else name for k, (name, of) in enumerate(zip(names, source, strict=False))
+    ]
+    known = ["s" if unit == "unix time" else unit if unit_of(unit) else "" for unit in units]
+    header = io.StringIO(newline="")
+    csv.writer(header, lineterminator="\n").writerows([named, known] if any(known) else [named])
+    return header.getvalue() + "\n".join(lines[at + 1 :]) + "\n"
+
+
+def _as_table(text: str) -> str | None:
+    """Return a text of a known data logger with one line of names above its rows; None for other texts."""
+    return _of_racelogic(text) or _of_racecapture(text) or _of_racechrono(text)

@@ -1,7 +1,10 @@
-"""Tables: `.csv`, `.tsv`, `.txt`, `.vbo` and `.parquet`, one row a sample, one column a quantity."""
+"""Tables with a row per sample and a column per quantity, and folders of tables of one drive."""
 
 import re
 from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
+from itertools import takewhile
 from pathlib import Path
 from typing import Final
 
@@ -16,13 +19,15 @@ from offpiste.core.limits import LARGEST_TABLE, refuse_larger
 from offpiste.logs.formats.csv_text import (
     are_gears,
     check_columns,
+    clock_times,
     gear_of,
     has_numbers,
     number_of,
     read_csv,
+    seconds_of_the_day,
+    shows_clock_face,
     unknown_words,
 )
-from offpiste.logs.formats.loggers import clock_times, seconds_of_the_day, shows_clock_face
 from offpiste.logs.log import LOG_FORMATS, Log, Samples, Topic
 from offpiste.rig.channels import Clock
 from offpiste.rig.labels import PER_SECOND, parse_label, time_unit, unit_by_rate, without_comment
@@ -34,23 +39,33 @@ _TIME_NAME = re.compile(
 _WHOLE_SECONDS: Final = re.compile(r"^(|.*[^a-z])secs?$", re.IGNORECASE)
 _SPLIT: Final = "export fewer columns, or the drive in parts"
 _NO_TIME = 1e20
-"""Numbers that are no time in any unit: nanoseconds since 1970 are below 1e19."""
+"""Limit of stamps in any unit: nanoseconds since 1970 are below 1e19."""
 _EVENLY = 0.2
-"""Spread of a clock's steps over their median (5 to 95 %), at most, where its name does not say what it is."""
+"""Largest relative spread (5 to 95 %) of the steps of an unnamed clock."""
+
+_TABLES: Final = (".csv", ".tsv", ".parquet")
+_GPS_TIME: Final = re.compile(r"(?<![a-z])((gps|gnss)?i?tow|gps_?(time|tow|seconds?)|seconds?_of_week)", re.IGNORECASE)
+"""Names of stamps in seconds of a GPS week."""
+_AGAIN: Final = 8
+"""Largest number of tables in a drive with the columns of another one."""
+_BEGINS: Final = 1.0
+"""Largest first stamp that is relative to a table's own beginning [s]."""
+_BAGS: Final = (".bag", ".mcap", ".db3")
+"""Extensions of bags, beside which tables are exports."""
 
 
 @LOG_FORMATS.register("table")
 class TableLog(Log):
-    """A table with one topic, named "", whose fields are the columns of numbers, booleans and, in Parquet, dates [s].
+    """Table with one topic, named "", whose fields are columns of numbers, booleans and, in Parquet, dates [s].
 
-    Separators of a CSV are guessed (comma, semicolon, tab, bar, spaces). A header may be a comment (`#`, `%`, `//`),
-    with a row of units below. Empty cells are NaN, others that are no numbers an error once their column is read. Text
-    is no field, but dates and times can be stamps, and letters or words of gears are character codes.
+    Separators of text are guessed (comma, semicolon, tab, bar, spaces). A header may be a comment (`#`, `%`, `//`) with
+    a row of units below. Empty cells are NaN; other cells without a number are errors once their column is read. Text
+    columns are not fields, but dates and times can be stamps, and letters or words of gears are character codes.
 
     Args:
         path: text, or `.parquet`.
-        clock_column: the column of stamps; "" to guess it from the names, of several the most steadily rising one.
-        clock_unit: its unit: s, ms, us, ns or d; "" as the header says, else by the rate. A column of dates needs none.
+        clock_column: column of stamps; "" to guess it from the names and how steadily they increase.
+        clock_unit: unit of stamps: s, ms, us, ns or d; "" for the header's, or else a guess from the rate.
     """
 
     description = "a table (.csv, .tsv, .txt, .vbo, .parquet)"
@@ -88,25 +103,25 @@ class TableLog(Log):
 
     @staticmethod
     def recognises(path: Path) -> bool:
-        """Whether a file has a table's ending; of `.txt`, whether it also has rows of numbers."""
+        """Return whether a file has a table's extension; `.txt` files also need rows of numbers."""
         ending = path.suffix.lower() if path.is_file() else ""
         return ending in (".csv", ".tsv", ".vbo", ".parquet") or (ending == ".txt" and has_numbers(path))
 
     @classmethod
     def open(cls, path: Path, clock: Clock) -> Log:
-        """A table whose time is the clock's column; its unit is guessed where the clock has none."""
+        """Open a table with the clock's column; its unit is guessed unless the clock names column or unit."""
         unit = "" if not clock.column and clock.unit == Clock().unit else clock.unit
         return cls(path, clock_column=clock.column, clock_unit=unit)
 
     @property
     def topics(self) -> dict[str, Topic]:
-        """One topic: the table itself."""
+        """The table as a single topic."""
         kind = "CSV table" if self._is_csv else "Parquet table"
         return {"": Topic("", kind, self._table.num_rows, self._columns, self._units, unread=self._unread)}
 
     @property
     def clock(self) -> Clock:
-        """The column of stamps and its unit."""
+        """Column of stamps and its unit."""
         return Clock(column=self._clock, unit=self._unit_of_stamps(self._clock))  # type: ignore[arg-type]
 
     def _read(self, topic: Topic, fields: Sequence[str], stamps: str) -> Samples:
@@ -116,14 +131,14 @@ class TableLog(Log):
         return Samples(self._stamps(self._clock), values)
 
     def _is_numeric(self, name: str) -> bool:
-        """Whether most of the first cells are numbers: one bad cell does not make it a column of text."""
+        """Return whether most of the first cells are numbers; single bad cells do not make a column of text."""
         if not pa.types.is_string(self._table[name].type):
             return True  # others were not read
         cells = self._table[name].drop_null().slice(0, 100).to_pylist()
         return 2 * sum(number_of(cell) is not None for cell in cells) >= len(cells) or are_gears(self._table[name])
 
     def _why_unread(self, name: str) -> str:
-        """Why a column of text is no field."""
+        """Return the reason why a column of text is not a field."""
         if words := unknown_words(self._table[name]):
             return f"column '{name}' holds words of gears, among which '{words[0][:40]}' is not known"
         cells = self._table[name].drop_null().slice(0, 100).to_pylist()
@@ -145,17 +160,17 @@ class TableLog(Log):
         return guess
 
     def _is_time_of_day(self, name: str) -> bool:
-        """Whether stamps are text without a date that counts, which is the last choice."""
+        """Return whether stamps are times without a date, which are the last choice."""
         return name not in self._columns and _dates(self._table[name]) is None
 
     def _beside(self, clock: str) -> str:
-        """The column of nanoseconds beside one of whole seconds; "" for none."""
+        """Return the column of nanoseconds beside one of whole seconds; "" for none."""
         whole = _WHOLE_SECONDS.match(clock)
         names = [] if whole is None else [whole[1] + after for after in ("nsec", "nsecs", "nanosec", "nanosecs")]
         return next((name for name in names if name in self._columns), "")
 
     def _rises_evenly(self, name: str) -> bool:
-        """Whether numbers rise like a clock, and not like a count of rows."""
+        """Return whether numbers increase like a clock, and not like a count of rows."""
         if self._table.num_rows < 10 or self._share_rising(name) < 0.99:
             return False
         steps = np.diff(self._numbers(name))
@@ -178,7 +193,7 @@ class TableLog(Log):
             return -1.0
 
     def _stamps(self, name: str) -> Float[np.ndarray, " n"]:
-        """A column of stamps [s]; NaN where a number is too large to be a time."""
+        """Return a column of stamps [s]; NaN for numbers too large to be a time."""
         column = self._table[name]
         if pa.types.is_string(column.type):
             if name not in self._dates:
@@ -207,12 +222,10 @@ class TableLog(Log):
         return _floats(column)
 
     def _parsed(self, name: str) -> Float[np.ndarray, " n"]:
-        """A CSV column's cells as numbers."""
+        """Parse the cells of a text column as numbers."""
         column = pc.utf8_trim_whitespace(self._table[name])
-        try:
+        with suppress(pa.ArrowInvalid):
             return _floats(column)
-        except pa.ArrowInvalid:
-            pass
         values = np.full(len(column), np.nan)
         number = gear_of if are_gears(self._table[name]) else number_of
         for row, cell in enumerate(column.to_pylist()):
@@ -239,12 +252,10 @@ def _floats(column: pa.ChunkedArray) -> Float[np.ndarray, " n"]:
 
 
 def _dates(column: pa.ChunkedArray) -> Float[np.ndarray, " n"] | None:
-    """ISO 8601 dates as seconds since 1970, those without a zone as UTC; None where the cells are something else."""
+    """Convert ISO 8601 dates, by default in UTC, to seconds since 1970; None for other cells."""
     for kind in (pa.timestamp("ns"), pa.timestamp("ns", "UTC")):
-        try:
+        with suppress(pa.ArrowInvalid):
             return _floats(column.cast(kind).cast(pa.int64())) / 1e9
-        except pa.ArrowInvalid:
-            continue
     return None
 
 
@@ -255,7 +266,7 @@ def _has_time_unit(kind: pa.DataType) -> bool:
 def _is_readable(kind: pa.DataType) -> bool:
     types = pa.types
     kinds = (types.is_integer, types.is_floating, types.is_boolean, types.is_decimal, _has_time_unit, _is_text)
-    return any(is_one(kind) for is_one in kinds)
+    return any(is_kind(kind) for is_kind in kinds)
 
 
 def _is_text(kind: pa.DataType) -> bool:
@@ -263,13 +274,9 @@ def _is_text(kind: pa.DataType) -> bool:
     return bool(pa.types.is_string(words) or pa.types.is_large_string(words))
 
 
-def _is_struct(kind: pa.DataType) -> bool:
-    return bool(pa.types.is_struct(kind))
-
-
 def _read_bounded(file: pq.ParquetFile, path: Path) -> pa.Table:
-    """Columns that are read, one after the other, as long as they fit into memory."""
-    names = [field.name for field in file.schema_arrow if _is_readable(field.type) or _is_struct(field.type)]
+    """Read the usable columns group by group, within the memory limit."""
+    names = [field.name for field in file.schema_arrow if _is_readable(field.type) or pa.types.is_struct(field.type)]
     groups = [file.metadata.row_group(number) for number in range(file.metadata.num_row_groups)]
     columns = [[group.column(number) for number in range(group.num_columns)] for group in groups]
     pages = sum(column.total_uncompressed_size for group in columns for column in group)
@@ -289,7 +296,7 @@ def _read_parquet(path: Path) -> pa.Table:
         texts = [field.name for field in pq.read_schema(path) if _is_text(field.type)]
         with pq.ParquetFile(path, read_dictionary=texts) as file:
             table = _read_bounded(file, path)
-            while any(_is_struct(field.type) for field in table.schema):
+            while any(pa.types.is_struct(field.type) for field in table.schema):
                 table = table.flatten()  # pose: {x, y} becomes pose.x and pose.y
             kept = [number for number, field in enumerate(table.schema) if _is_readable(field.type)]
             table = table.select(kept)
@@ -300,7 +307,7 @@ def _read_parquet(path: Path) -> pa.Table:
     if not table.num_rows:
         raise LogError("the table has no rows", where=path, how="record or export it again")
     for name, column in zip(columns, table.columns, strict=True):
-        if pa.types.is_dictionary(column.type):  # a few words, which are repeated as text
+        if pa.types.is_dictionary(column.type):  # words are repeated when cast to text
             lengths = (pc.max(pc.binary_length(chunk.dictionary)).as_py() for chunk in column.chunks)
             longest = max(filter(None, lengths), default=0)
             refuse_larger(len(column) * longest, f"its column '{name}'", LARGEST_TABLE, where=path, how=_SPLIT)
@@ -308,3 +315,129 @@ def _read_parquet(path: Path) -> pa.Table:
         n: column.cast(pa.string()) for n, column in zip(columns, table.columns, strict=True) if _is_text(column.type)
     }
     return pa.table({name: words.get(name, table[name]) for name in columns})
+
+
+@LOG_FORMATS.register("tables")
+class TablesLog(Log):
+    """Drive whose topics are the tables of a folder, as exported from bags and autopilots.
+
+    Topics are the file names without their common beginning. A folder whose tables mostly have equal columns is not a
+    drive but a collection of drives; a few tables with equal columns are sensors of one kind.
+
+    Args:
+        clock: clock of tables that have its column; others are guessed.
+    """
+
+    description = "a folder of tables of one drive"
+    has_clock_unit = True
+
+    def __init__(self, path: Path, *, clock: Clock | None = None) -> None:
+        self.path = path
+        opened, without = dict[str, Log](), dict[str, NoClock]()
+        for file in _tables_in(path):
+            try:
+                opened[file.stem if file.stem not in opened else file.name] = _opened(file, clock or Clock())
+            except NoClock as error:
+                without[file.name] = error
+        if len(opened) < 2:
+            raise next(iter(without.values()))
+        start = len(_beginning([*opened]))
+        self._tables = {name[start:]: log for name, log in opened.items()}
+        _refuse_apart(self._tables, path)
+        _refuse_alike(self._tables, path)
+        left_out = [f"{name} has no column of stamps: it is left out" for name in without]
+        self.warnings = (*dict.fromkeys(note for log in self._tables.values() for note in log.warnings), *left_out)
+
+    @staticmethod
+    def recognises(path: Path) -> bool:
+        """Return whether a folder holds tables that mostly differ in their columns, and no bag."""
+        if not path.is_dir() or any(file.suffix.lower() in _BAGS for file in path.iterdir()):
+            return False
+        kinds, again = set[str](), 0
+        for file in _tables_in(path):
+            columns = _columns(file)
+            again += columns in kinds
+            if not columns or again > _AGAIN:  # stop early: a folder may hold a table per scan
+                return False
+            kinds.add(columns)
+        return len(kinds) > again + 1
+
+    @classmethod
+    def open(cls, path: Path, clock: Clock) -> Log:
+        """Open a drive with the clock's column in each table that has it."""
+        return cls(path, clock=clock)
+
+    @property
+    def topics(self) -> dict[str, Topic]:
+        """Topics by name, one per table."""
+        return {name: replace(log.topics[""], name=name) for name, log in self._tables.items()}
+
+    @property
+    def clock(self) -> Clock:
+        """Column of stamps and its unit, if common to all tables."""
+        clocks = {log.clock for log in self._tables.values()}
+        return clocks.pop() if len(clocks) == 1 else Clock()
+
+    def _read(self, topic: Topic, fields: Sequence[str], stamps: str) -> Samples:
+        return self._tables[topic.name].read("", fields)
+
+
+def _tables_in(folder: Path) -> list[Path]:
+    files = (file for file in folder.iterdir() if file.suffix.lower() in _TABLES and not file.name.startswith("."))
+    return sorted(file for file in files if file.is_file())
+
+
+def _opened(file: Path, clock: Clock) -> Log:
+    """Open a table; guess its clock if it lacks the given column."""
+    try:
+        return TableLog.open(file, clock)
+    except NoClock:
+        if not clock.column:
+            raise
+    return TableLog.open(file, Clock())
+
+
+def _columns(file: Path) -> str:
+    """Return the header of a table; "" if there is none."""
+    try:
+        if file.suffix.lower() == ".parquet":
+            return ",".join(pq.read_schema(file).names)
+        with file.open(encoding="utf-8", errors="replace") as lines:
+            return next((line.strip() for line in lines if any(letter.isalpha() for letter in line)), "")
+    except (OSError, pa.ArrowException):
+        return ""
+
+
+def _beginning(names: Sequence[str]) -> str:
+    """Return the common beginning of names, up to a separator of words."""
+    alike = zip(*names, strict=False)
+    shared = names[0][: sum(1 for _ in takewhile(lambda letters: len(set(letters)) == 1, alike))]
+    return shared[: max(shared.rfind(mark) for mark in "_-. ") + 1]
+
+
+def _refuse_apart(tables: dict[str, Log], path: Path) -> None:
+    """Refuse a table recorded before or after the one with most rows."""
+    stamps = {name: log.stamps("") for name, log in tables.items() if log.topics[""].fields}
+    known = {name: time[np.isfinite(time)] for name, time in stamps.items() if np.isfinite(time).any()}
+    longest = max(known, key=lambda name: len(known[name]), default="")
+    for name, time in known.items():
+        if time.max() < known[longest].min() or time.min() > known[longest].max():
+            how = "give one of them, or put the stamps of all on one clock"
+            if any(map(_GPS_TIME.search, (tables[each].clock.column for each in (name, longest)))):
+                how += " (GPS time is 604800 s a week since 1980-01-06, 315964800 s since 1970, and 18 s ahead of UTC)"
+            spans = (f"'{each}' ({known[each].min():.1f} to {known[each].max():.1f} s)" for each in (name, longest))
+            raise LogError(f"tables {' and '.join(spans)} were not recorded at the same time", where=path, how=how)
+
+
+def _refuse_alike(tables: dict[str, Log], path: Path) -> None:
+    """Refuse two tables with equal fields whose stamps are relative to their own beginnings."""
+    seen = dict[tuple[str, ...], str]()
+    for name, log in tables.items():
+        stamps = log.stamps("")
+        if not np.isfinite(stamps).any() or np.nanmin(stamps) > _BEGINS:
+            continue
+        other = seen.setdefault(log.topics[""].fields, name)
+        if other != name:
+            how = "give one of them if they are drives of their own, or put the stamps of all on one clock"
+            raise LogError(f"tables '{other}' and '{name}' have the same columns, and both begin at 0 s",
+                           where=path, how=how)  # fmt: skip
