@@ -1,4 +1,4 @@
-"""offpiste learns how an off-road vehicle will move on the ground ahead, and plans with what it learned."""
+"""Dynamics models of off-road vehicles that see the terrain ahead, and a planner that uses them."""
 
 import ast
 from importlib import import_module
@@ -12,7 +12,7 @@ _PUBLIC = {
     if isinstance(node, ast.ImportFrom)
     for alias in node.names
 }
-"""Module and attribute of each public name, imported on first use: `import offpiste` and `--help` stay quick."""
+"""Module and attribute of each public name. They are imported on first use: `import offpiste` stays quick."""
 
 __all__ = sorted(_PUBLIC)
 

@@ -1,4 +1,4 @@
-# Public names, each written once: `__init__.py` imports them from here on first use.
+# Public names; `__init__.py` reads this file and imports them on first use.
 
 from ._version import __version__
 from .closed_loop.drive_course import CourseDriveSettings

@@ -1,4 +1,4 @@
-"""The version of the installed package, and of which code and day a result is."""
+"""Version of the package, and commit and day of a result."""
 
 import subprocess
 from datetime import UTC, datetime
@@ -12,7 +12,7 @@ except PackageNotFoundError:  # a source tree that is not installed
 
 
 def commit() -> str:
-    """The checkout's commit, with "-dirty" where files differ from it; empty where the package is in no checkout."""
+    """Return the commit of the checkout, with "-dirty" if files differ; "" outside a checkout."""
     root = Path(__file__).parents[2]
     if not (root / ".git").exists():
         return ""
@@ -24,5 +24,5 @@ def commit() -> str:
 
 
 def today() -> str:
-    """The day, as 2026-11-22."""
+    """Return the day as 2026-11-22."""
     return datetime.now(UTC).date().isoformat()

@@ -57,8 +57,8 @@ def test_a_training_that_had_not_converged_says_how_to_go_on(
     assert again[:5] == ["offpiste", "train", dataset, "--out", f"{out}-longer"]
     assert (again[again.index("--epochs") + 1], again[again.index("--seed") + 1]) == ("4", "3")
     assert "--actuator-epochs" in again  # as given: a single epoch says nothing
-    (helps,) = (line for line in said.splitlines() if line.startswith("whether a network helps: "))
-    assert shlex.split(helps)[4:] == ["offpiste", "train", dataset, "--out", str(tmp_path / "b"), *_options(*again[5:])]
+    (helps,) = (line for line in said.splitlines() if line.startswith("to test whether a network helps: "))
+    assert shlex.split(helps)[6:] == ["offpiste", "train", dataset, "--out", str(tmp_path / "b"), *_options(*again[5:])]
     assert run(*again[1:]) == 0
     compared = capsys.readouterr().out.splitlines()[-1]
     assert compared.startswith(f"next: offpiste evaluate {out}-longer --dataset {dataset}")
@@ -147,8 +147,8 @@ def test_extract_resumes_where_it_stopped(folder: Path, capsys: pytest.CaptureFi
         (("fit-pca", "{drive}", "--rig", "kitti", "--out", "{dataset}"), "is a folder; give a file as --out"),
         (("inspect", "{drive}", "--write-rig", "{dataset}/zarr.json"), "is there already"),
         (("extract", *RIG, "--out", "{tmp}/d.zarr"), "no log is given"),
-        (("fit-pca", "--rig", "kitti"), "no log is given"),
-        (("check",), "nothing to check is given"),
+        (("fit-pca", "--rig", "kitti"), "the log is missing"),
+        (("check",), "nothing to check"),
         (("evaluate", "--dataset", "{dataset}"), "the runs are missing"),
         (("evaluate", "{run}b", "--dataset", "{dataset}"), "no such folder; did you mean '{run}'?"),
         (("inspect", "{drive}", "--rig", "proving-ground"), "no such rig; did you mean 'proving_ground'?"),
@@ -214,8 +214,8 @@ def test_a_word_that_is_no_command_is_one_line_with_what_may_be_meant(
 ) -> None:
     assert run(word, "--out", "x") == 2
     error = capsys.readouterr().err
-    assert error.startswith("offpiste: '")
-    assert f"is no command; {meant}" in error
+    assert error.startswith("offpiste: unknown command '")
+    assert f"; {meant}" in error
     assert "Commands: demo, simulate, inspect" in error
     assert error.count("\n") == 1
 

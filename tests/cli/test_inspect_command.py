@@ -169,7 +169,7 @@ def test_a_folder_of_logs_is_inspected_log_by_log(log: str, tmp_path: Path, caps
     said = capsys.readouterr()
     assert [f"{name}  " in said.out for name in ("drive 0", "first drive")] == [True, True]
     assert said.out.splitlines()[-1].startswith(f"next: offpiste inspect '{tmp_path / 'drive 0.csv'}'")
-    assert said.err == f"not looked at in {tmp_path}: notes.pdf\n"
+    assert said.err == f"ignored in {tmp_path}: notes.pdf\n"
     for number in range(1, 6):
         (tmp_path / f"drive {number}.csv").touch()
     assert run("extract", str(tmp_path), "--rig", "dart", "--out", str(tmp_path / "d.zarr")) == 1
@@ -217,10 +217,10 @@ def test_a_folder_that_may_not_be_written_to_is_one_line(log: str, tmp_path: Pat
 
 def test_errors_user_error_of_that_a_user_can_put_right_are_one_line() -> None:
     for number, said in (
-        (errno.EACCES, "my.toml: cannot be opened: Permission denied; give files that you may read"),
+        (errno.EACCES, "my.toml: cannot be opened: Permission denied; give readable files"),
         (errno.EROFS, "my.toml: cannot be opened: Read-only file system"),
         (errno.ENOSPC, "my.toml: cannot be written: No space left on device; make room"),
-        (errno.ENOTDIR, "my.toml: is a file, or lies in one"),
+        (errno.ENOTDIR, "my.toml: is a file, or is inside one"),
         (errno.EISDIR, "my.toml: cannot be used: Is a directory; give another path"),
         (errno.EIO, "my.toml: cannot be used: Input/output error; give another path"),
     ):

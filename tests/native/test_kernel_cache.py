@@ -122,7 +122,7 @@ def test_damaged_machine_code_is_compiled_again(module: Path, tmp_path: Path) ->
         for kept in cache.rglob(ending):
             kept.write_bytes(content)
         said = called(module, cache)
-        assert said.count("cannot be used, and is compiled again") == 2
+        assert said.count("cannot be used and is compiled again") == 2
         assert WAITS in said
         assert called(module, cache) == ""
 
@@ -157,11 +157,11 @@ def test_where_nothing_can_be_kept_nobody_waits(tmp_path: Path) -> None:
         def magic_tuple(self) -> tuple[str]:
             return ("machine",)
 
-    first, other = (kernel_cache._Turn(tmp_path, "kernel", "") for _ in range(2))
-    first.take(Machine())
+    first, other = (kernel_cache._Lock(tmp_path, "kernel", "") for _ in range(2))
+    first.acquire(Machine())
     first.give_up()
     began = time.monotonic()
-    other.take(Machine())
+    other.acquire(Machine())
     assert time.monotonic() - began < 5
-    for turn in (first, other):
-        turn.leave()
+    for lock in (first, other):
+        lock.release()

@@ -14,18 +14,18 @@ from offpiste.core.progress import show
 @COMMANDS.register("calibrate")
 @dataclass(frozen=True)
 class Calibrate:
-    """Fit the spread of trained runs' predictions, and check its calibration on held-out drives."""
+    """Fit the spread of the predictions of runs, and test its calibration on held-out drives."""
 
     runs: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="RUN...")]
-    """Run folders. Each gets its spread (spread.safetensors) and, if it reads features, a memory bank of known ground
+    """Run folders. Each receives a spread (spread.safetensors) and, if it reads features, a memory bank of known ground
     (memory_bank.safetensors); existing ones are reused."""
     dataset: Path
-    """Dataset that the runs were trained on."""
+    """Training dataset of the runs."""
     out: Path = Path("calibration")
-    """Folder for table, figure and numbers."""
+    """Folder of the table, the figure and the numbers."""
 
     def run(self) -> int:
-        """Fit, evaluate, show the table."""
+        """Fit and evaluate the spread."""
         from offpiste.uncertainty.calibration import calibrate
 
         calibrate(self.runs, self.dataset, self.out)

@@ -9,21 +9,21 @@ from offpiste.cli.entry import COMMANDS
 @COMMANDS.register("demo")
 @dataclass(frozen=True)
 class Demo:
-    """Show shipped models in a new world, in a minute or two; or train new ones (needs the extra `sim`)."""
+    """Drive with pretrained models in a new world, in a minute or two, or train new ones (needs the extra `sim`)."""
 
     out: Path = Path("demo")
-    """Folder for all results."""
+    """Folder of all results."""
     seed: int = 0
-    """Seed of the world; with --train, of worlds, drives and training."""
+    """Seed of the world, and with --train of drives and training."""
     train: bool = False
-    """Run the whole path instead: simulate, inspect, fit-pca, extract, train, evaluate, drive; ten minutes."""
+    """Run the whole pipeline instead: simulate, inspect, fit-pca, extract, train, evaluate, drive; ten minutes."""
     seconds: float = 60.0
-    """With --train: length of each of the seven drives [s]."""
+    """Duration of each of the seven drives of --train [s]."""
     epochs: int = 12
-    """With --train: passes over the training windows."""
+    """Training epochs of --train."""
 
     def run(self) -> int:
-        """Drive, predict, compare; or simulate, train, evaluate, drive."""
+        """Run one of the two demonstrations."""
         if self.train:
             from offpiste.demo.whole_path import DemoSettings, run_demo
 

@@ -15,22 +15,22 @@ from offpiste.core.command_line import options
 @COMMANDS.register("doctor")
 @dataclass(frozen=True)
 class Doctor:
-    """Look at a robot before anything moves: what is heard, and what is missing (needs the extra `live`)."""
+    """Check a robot before it moves: which messages arrive, and what is missing (needs the extra `live`)."""
 
     rig: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="RIG")]
-    """Rig of the vehicle: a .toml file, or a preset's name."""
+    """Rig of the vehicle: a .toml file or the name of a preset."""
     run_folder: Annotated[str, tyro.conf.arg(name="run", metavar="RUN")] = RUN
-    """The run that is to drive, as for `live`: does the robot measure what it reads?"""
+    """Run for `live`, whose inputs the robot must measure."""
     pca: Path | None = None
-    """PCA of that run, as for `live`."""
+    """PCA of the run, as in `live`."""
     seconds: float = 3.0
-    """How long the robot is listened to [s]."""
+    """Duration of the check [s]."""
     clock: Literal["system", "clock", "stamps"] = "system"
-    """As for `live`: stamps have to fit this computer's clock only with `system`."""
+    """Reference of stamps, as in `live`; with `system`, stamps must fit the clock of this computer."""
     robot: Annotated[RobotOptions, tyro.conf.OmitArgPrefixes] = field(default_factory=RobotOptions)
 
     def run(self) -> int:
-        """Look, say, and exit with 1 if something is wrong."""
+        """Show all findings; exit with 1 if one is an error."""
         from offpiste.core.progress import show
         from offpiste.live.doctor import examined
 
@@ -42,7 +42,7 @@ class Doctor:
         run = ["--run", self.run_folder] if self.run_folder != RUN else []
         words = [self.rig, *run, *options(self, "rig", "run_folder", "seconds", "robot"), *options(self.robot)]
         if wrong:
-            show(next_line("doctor", *words, first=["correct what the errors say"]))
+            show(next_line("doctor", *words, first=["correct the errors above"]))
         else:
             show(next_line("live", *words, "--goal", "50", "0", "--speed", "3"))
         return 1 if wrong else 0

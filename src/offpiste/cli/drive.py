@@ -23,36 +23,36 @@ class Drive:
     """Drive a course on the proving ground with a trained model, in simulated time (needs the extra `sim`)."""
 
     run_folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN")]
-    """Folder written by `train`, or `pretrained:NAME`, e.g. pretrained:proving-ground/dc;
-    runs on ground-truth features are given the true ground."""
+    """Folder written by `train`, or `pretrained:NAME`, e.g. pretrained:proving-ground/dc. Runs on ground-truth features
+    read the true ground."""
     world: str = "mojave"
     """Name of a world, or a TOML file; an unknown name lists the available worlds."""
     seed: int = 0
     """Seed of world, course, noise and sampled controls."""
     seconds: float = 40.0
-    """Longest drive [s]; it ends earlier at the end of the course."""
+    """Longest duration [s]; the drive ends earlier at the end of the course."""
     out: Path = Path("closed-loop")
     """Folder of drive.mcap, result.json and drive.png."""
     pca: Path | None = None
-    """PCA file of the run's dataset, for models with visual features; shipped models have their own."""
+    """PCA file of the run's dataset, for models with visual features; pretrained models have their own."""
     course: str = "bends"
     """Kind of course: bends, choices or passages."""
     speed: float = 7.0
-    """Target speed [m/s]; the course is chosen for it and may differ for another speed."""
+    """Target speed [m/s]; the course depends on it."""
     latency: float = PERCEPTION_LATENCY
     """Time from the data of a plan to its first control [s]."""
     risk: str = "none"
-    """Treatment of uncertainty in plans: none, spread:TIMES or cvar:SHARE. The latter need a spread, which shipped
-    models have and `offpiste calibrate` adds to others."""
+    """Treatment of uncertainty in plans: none, spread:TIMES or cvar:SHARE. The latter need a spread: of a
+    pretrained model, or by `offpiste calibrate`."""
     novelty: Literal["ignored", "missing"] = "ignored"
-    """Treatment of ground unlike any in training; missing hides its features from the model, and needs features of
-    training, which shipped models have and `offpiste calibrate` adds to others."""
+    """Treatment of ground unlike any in training; missing hides its features from the model, and needs a memory bank:
+    that of a pretrained model, or by `offpiste calibrate`."""
     device: str = "cpu"
     """Device for encoding images and planning: cpu, or cuda (needs the extra `cuda`)."""
     against: bool = False
-    """Start the vehicle against its course, so that it has to turn round."""
+    """Start the vehicle in the opposite direction, so that it must turn around."""
     fault: Literal["none", "camera-dropped", "lidar-dropped", "late-image", "nan-features", "map-empty"] = "none"
-    """Fault of the sensors."""
+    """Injected sensor fault."""
     fault_start: float = 10.0
     """Start of the fault [s]."""
     fault_when: Literal["time", "reversing"] = "time"
@@ -61,7 +61,7 @@ class Drive:
     """Also write drive.rrd for the Rerun viewer (needs the extra `view`)."""
 
     def run(self) -> int:
-        """Load, drive, evaluate, draw."""
+        """Drive, and write log, figure and result."""
         from offpiste.closed_loop.courses import CourseSettings
         from offpiste.closed_loop.drive_course import CourseDriveSettings, drive_course
         from offpiste.core.errors import require
@@ -102,10 +102,10 @@ class Drive:
 
 
 def drive_tables(result: dict[str, Any]) -> "tuple[Table, Table]":
-    """Changes of mode with time and reason, and wall-clock times of the stages of the run time."""
+    """Return tables of mode changes and of wall-clock times of the runtime's stages."""
     from rich.table import Table
 
-    # Without a backslash, rich takes brackets for a style.
+    # Without a backslash, rich parses brackets as a style.
     modes = Table(r"at \[s]", "mode", "reason", title="changes of mode")
     for time, mode, why in result["modes"]:
         modes.add_row(f"{time:.2f}", mode, why)

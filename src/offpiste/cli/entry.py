@@ -1,4 +1,4 @@
-"""The command line: which commands there are, from arguments to one of them, and from its outcome to an exit code."""
+"""Entry point of the command line: parsing of arguments, errors, exit codes."""
 
 import atexit
 import errno
@@ -19,10 +19,10 @@ from offpiste.core.registry import Registry
 
 @runtime_checkable
 class Command(Protocol):
-    """A dataclass whose fields are the arguments; tyro makes the help of its docstrings."""
+    """Dataclass whose fields are arguments; tyro makes the help from its docstrings."""
 
     def run(self) -> int:
-        """Do it; the exit code: 0 done, 1 the input is unfit."""
+        """Run the command and return its exit code: 0 for success, 1 for unsuitable input."""
 
 
 COMMANDS: Final[Registry[Callable[..., Command]]] = Registry("command", package=__package__)
@@ -45,40 +45,37 @@ PIPELINE: Final = (
     "export",
     "check",
 )
-"""Order of the commands in the help: as a log goes through them. Others follow."""
-
+"""Order of commands in the help; others follow."""
 
 LIBRARIES: Final = {
     "OPENCV_LOG_LEVEL": "SILENT",
     "OPENBLAS_NUM_THREADS": "1",
     "OMP_WAIT_POLICY": "PASSIVE",
 }
-"""What libraries read of the environment when they are imported: our errors say what is wrong with a picture, and
-NumPy's products are too small for threads, which would spin beside ours. Threads of torch sleep where they wait: beside
-another busy process each barrier would cost a slice of its time."""
-
+"""Environment variables that libraries read on import. OpenCV's messages would repeat our errors, BLAS threads would
+spin beside ours, and waiting OpenMP threads would take time from other processes."""
 
 _NO_ROOM: Final = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _NO_FOLDER: Final = {errno.EEXIST, errno.ENOTDIR}
 _NOT_ALLOWED: Final = {errno.EACCES, errno.EPERM, errno.EROFS}
-_MAKE_ROOM: Final = "make room on the disk and run it again; what was finished is kept"
+_MAKE_ROOM: Final = "make room on the disk and run it again; finished results are kept"
 
 
 def commands_in_order() -> dict[str, Callable[..., Command]]:
-    """All commands by name, those of `PIPELINE` first."""
+    """Return all commands by name, in the order of `PIPELINE`."""
     order = {name: number for number, name in enumerate(PIPELINE)}
     return dict(sorted(COMMANDS.items(), key=lambda named: order.get(named[0], len(order))))
 
 
 def user_error_of(error: OSError) -> OffpisteError | None:
-    """An error of the operating system that a user can put right; None for others."""
+    """Return the error for users of an error of the operating system; None if it names no file."""
     where = error.filename or "a file"
     if error.errno in _NO_FOLDER:
-        return OffpisteError("is a file, or lies in one", where=where, how="give a folder as --out")
+        return OffpisteError("is a file, or is inside one", where=where, how="give a folder as --out")
     if error.errno in _NO_ROOM:
         return OffpisteError(f"cannot be written: {error.strerror}", where=where, how=_MAKE_ROOM)
     if error.errno in _NOT_ALLOWED:
-        how = "give files that you may read, and folders that you may write to"
+        how = "give readable files and writable folders"
         return OffpisteError(f"cannot be opened: {error.strerror}", where=where, how=how)
     if error.filename:
         return OffpisteError(f"cannot be used: {error.strerror}", where=where, how="give another path, or repair it")
@@ -86,21 +83,21 @@ def user_error_of(error: OSError) -> OffpisteError | None:
 
 
 def _no_command(word: str, commands: Sequence[str]) -> OffpisteError:
-    """What is wrong with a first word that is no command."""
+    """Return the error for an unknown command."""
     how = f"{did_you_mean(word, commands)}Commands: {', '.join(commands)}"
-    return OffpisteError(f"'{word}' is no command", how=how)
+    return OffpisteError(f"unknown command '{word}'", how=how)
 
 
 def _parsed(arguments: list[str], commands: dict[str, Callable[..., Command]]) -> Command:
-    """The command that arguments ask for; on wrong usage or `--help`, prints and exits."""
+    """Parse arguments to a command; prints and exits on wrong usage or `--help`."""
     config = (tyro.conf.FlagCreatePairsOff,)
     if arguments and arguments[0] in commands:
-        # Of this command alone: it starts sooner, and a wrong option brings up no options of others.
+        # Parsing one command alone is faster, and errors suggest no options of others.
         name, *rest = arguments
         return tyro.cli(commands[name], prog=f"offpiste {name}", args=rest, config=config)
     about = (
-        "Learns how an off-road vehicle will move on the ground ahead."
-        " --version prints which offpiste this is; --debug shows tracebacks."
+        "Dynamics models of off-road vehicles that see the terrain ahead."
+        " --version prints the version; --debug shows tracebacks."
     )
     return tyro.extras.subcommand_cli_from_dict(
         commands, prog="offpiste", description=about, args=arguments, config=config
@@ -110,24 +107,24 @@ def _parsed(arguments: list[str], commands: dict[str, Callable[..., Command]]) -
 RESUMING: Final = {
     "demo": (), "extract": (), "merge": (), "reproduce": (), "simulate": (), "train": ("--resume",),
 }  # fmt: skip
-"""Commands that resume where they were stopped, with the option that this takes."""
+"""Commands that can be resumed, with the required option."""
 
 
 def _again(arguments: Sequence[str]) -> str:
-    """Return what is left of an interrupted command, and how to continue."""
+    """Return the command line that continues an interrupted command."""
     name = arguments[0] if arguments else ""
     more = [each for each in RESUMING.get(name, ()) if each not in arguments]
     command = join(["offpiste", *arguments, *more])
     if name in RESUMING:
-        return f"what was finished is kept; resume: {command}"
-    return f"nothing is left half written; run it again: {command}"
+        return f"finished results are kept; resume: {command}"
+    return f"no partial files remain; run it again: {command}"
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run one command: exit 0 when done, 1 when the input or the run failed (one line on stderr), 2 on wrong usage."""
+    """Run a command; exit 0 on success, 1 if input or run failed (one line on stderr), 2 on wrong usage."""
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in arguments
-    # What libraries make when they are imported stays: looking for garbage in it, and again at the end, takes a second.
+    # Collecting garbage among the objects of imported libraries takes a second.
     gc.set_threshold(50_000)
     atexit.register(gc.freeze)
     for name, value in LIBRARIES.items():
@@ -153,7 +150,7 @@ def main(arguments: list[str] | None = None) -> None:
         print(f"offpiste: interrupted; {_again(arguments)}", file=sys.stderr)  # noqa: T201
         sys.exit(1)
     except BrokenPipeError:
-        # The reader of a pipe has closed it, e.g. `head`; Python would complain when it flushes at exit.
+        # The reader of a pipe, e.g. `head`, has closed it; flushing at exit would raise again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
     except OSError as error:

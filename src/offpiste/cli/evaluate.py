@@ -26,27 +26,27 @@ class Evaluate:
     """
 
     runs: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="RUN...")]
-    """Run folders, or `pretrained:NAME`; a folder of folds stands for its folds. The report is about the first. Runs of
-    one model are its seeds; runs of the same seed are named by their folders: b and "b (b-longer)"."""
+    """Run folders, folders of folds, or `pretrained:NAME`. The report is about the first. Runs of one model are its
+    seeds; runs of the same seed are named by their folders: b and "b (b-longer)"."""
     dataset: Path
-    """Dataset that they were trained on, or another one."""
+    """Dataset of the evaluation: the training dataset or another one."""
     out: Path = Path("report")
-    """Folder for the report."""
+    """Folder of the report."""
     lookup: Literal["recorded", "map", "both"] = "both"
-    """Where models read the terrain: under recorded wheels, or on the map under predicted ones, as a planner does."""
+    """Source of the terrain: under recorded wheels, or on the map under predicted wheels, as in planning."""
     feature_set: FeatureSet = "hindsight"
-    """Feature sets read at recorded places, by viewing distance [m]."""
+    """Feature sets at recorded positions, by viewing distance [m]."""
     min_speed: float | None = None
-    """Smallest speed at the start of a window [m/s]; 0: standstills as well; by default that of the dataset."""
+    """Smallest speed at the start of a window [m/s], 0 to include standstills; by default that of the dataset."""
     device: str = "cpu"
     """Device of the models."""
 
     def run(self) -> int:
-        """Load, evaluate, report."""
+        """Evaluate and write the report."""
         from offpiste.evaluation.evaluate_runs import evaluate_runs
         from offpiste.uncertainty.calibration import evaluate_kept_spreads
 
-        # First, since it may refuse a run's spread and the evaluation takes long.
+        # First, because it may refuse the spread of a run and the evaluation takes long.
         spreads = evaluate_kept_spreads(self.runs, self.dataset, self.min_speed)
         lookups: tuple[Literal["recorded", "map"], ...] = ("recorded", "map")
         evaluate_runs(

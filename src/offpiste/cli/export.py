@@ -13,23 +13,22 @@ from offpiste.core.progress import show
 @COMMANDS.register("export")
 @dataclass(frozen=True)
 class Export:
-    """Write a trained model as files that run without Python, with an example and a file to check it with."""
+    """Write a trained model as files that run without Python, with an example and reference outputs."""
 
     model: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="RUN")]
-    """Folder that `offpiste train` wrote, or `pretrained:NAME`."""
+    """Folder written by `offpiste train`, or `pretrained:NAME`."""
     to: Annotated[Path, tyro.conf.arg(aliases=("--out",))]
-    """Folder to write; not there yet, or empty."""
+    """New or empty folder to write."""
     format: str = "c"
-    """What to write: c or cuda, one header with the weights; mppi-generic, dynamics for that library; onnx, graphs from
-    images to codes and from the last 0.2 s to the start (extra `onnx`)."""
+    """Format: c or cuda (one header with the weights), mppi-generic (dynamics for that library), or onnx (graphs of the
+    feature encoder and of the initial state, extra `onnx`)."""
     images: Path | None = None
-    """A folder of rectified pictures, by which int8 of onnx is calibrated; without one there is no int8."""
+    """Folder of rectified images to calibrate int8 graphs of onnx; without it no int8 graph is written."""
     size: Annotated[str | None, tyro.conf.arg(metavar="WIDTHxHEIGHT")] = None
-    """Width and height of the rectified images of onnx [px], those with which features were extracted; 640x360 unless
-    given."""
+    """Size of the rectified images of onnx [px], equal to that of feature extraction; by default 640x360."""
 
     def run(self) -> int:
-        """Read the run, write the folder."""
+        """Export the run."""
         from offpiste.exports.formats import ImageOptions, export, size_of
 
         size = None if self.size is None else size_of(self.size)

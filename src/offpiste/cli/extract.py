@@ -20,43 +20,42 @@ class Extract:
     """Resample logs to 50 Hz, assign the split, and write a dataset."""
 
     logs: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="LOG...")]
-    """Logs of one vehicle; URLs of an object store, too, and patterns of them."""
+    """Logs of one vehicle, also URLs of an object store and patterns of these."""
     rig: str
-    """Name of a preset, or a rig file; an unknown name lists those there are."""
+    """Name of a preset, or a rig file; an unknown name lists the presets."""
     out: Path
-    """The dataset, e.g. dataset.zarr or s3://bucket/dataset.zarr; drives already in it are kept."""
+    """Dataset to write, e.g. dataset.zarr or s3://bucket/dataset.zarr; existing drives are kept."""
     split: str = "blocks:0.7,0.1,0.2"
     """blocks:TRAIN,VALIDATION,TEST by time (@SECONDS: repeated), fold:K/N (K from 0), places:METRES, or drives:FILE."""
     features: Literal["none", "ground-truth", "ground-kind"] = "none"
-    """What is known of the ground under the wheels. `ground-truth`: a simulator's friction and resistance, for oracles;
-    `ground-kind`: the kind of ground."""
+    """Simulated features of the ground under the wheels: true friction and resistance, or the kind of ground."""
     pca: Path | None = None
-    """Visual features: a file of `fit-pca`, or pretrained:proving-ground; the rig must name cameras and LiDARs."""
+    """PCA of visual features: a file of `fit-pca`, or pretrained:proving-ground; the rig needs cameras and LiDARs."""
     device: str = "cpu"
     """Device of the backbone."""
     keyframe_metres: float = 0.5
-    """Distance that a camera moves from one keyframe to the next [m]; 0: every image is a keyframe."""
+    """Distance between keyframes of a camera [m]; 0 uses every image."""
     min_hindsight: float = 0.5
-    """Windows are left out if a smaller share of their ground was ever seen; 0 keeps all."""
+    """Smallest share of observed ground in a window; others are dropped."""
     snapshot_seconds: float = 0.5
-    """Shortest time between snapshots of the map, which are kept for windows that validate and test [s]."""
+    """Shortest time between map snapshots, which validation and test windows use [s]."""
     snapshot_speed: float | None = None
-    """Windows that start above it have snapshots [m/s], 0: standstills as well; by default those above 1.5 m/s."""
+    """Smallest initial speed of windows with snapshots [m/s], 0 to include standstills; by default 1.5 m/s."""
     latency: float = PERCEPTION_LATENCY
-    """Snapshots hold what was measured this long before their windows start, or earlier [s]; `drive` has the same."""
+    """Time from the last measurement in a snapshot to the start of its window [s], as in `drive`."""
     shard: str = ""
-    """K/N: only every Nth of these logs, beginning with the Kth; `offpiste merge` brings the N datasets together."""
+    """K/N: only every Nth log, beginning with the Kth; `offpiste merge` merges the N datasets."""
     processes: int = 0
-    """Drives extracted at a time; 0: one a core, or one where the backbone runs on a GPU."""
+    """Number of drives extracted in parallel; 0: one per core, or one if the backbone runs on a GPU."""
     cluster: str = ""
     """Extract on a Ray cluster instead (extra `ray`): auto, or HOST:PORT of its head. All nodes must see the files."""
     force: bool = False
-    """Also extract logs in which `inspect` finds something fatal."""
+    """Also extract logs with fatal findings of `inspect`."""
     flat: bool = False
-    """Leave out the slope of the driven path: all ground is flat (an ablation)."""
+    """Ignore the slope of the driven path, as if all ground were flat (an ablation)."""
 
     def run(self) -> int:
-        """Read, resample, write."""
+        """Extract the logs."""
         from offpiste.core.parallel import parse_shard
         from offpiste.dataset.assumptions import assumptions_block, assumptions_of
         from offpiste.dataset.extract import make_dataset

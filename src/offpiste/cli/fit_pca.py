@@ -15,34 +15,34 @@ from offpiste.core.progress import show
 @COMMANDS.register("fit-pca")
 @dataclass(frozen=True)
 class FitPca:
-    """Fit the PCA of patch features on images of the training stretches of logs."""
+    """Fit the PCA of patch features on images of the training parts of logs."""
 
     logs: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="LOG...")]
     """Logs with cameras and LiDARs."""
     rig: str
-    """Name of a preset, or a rig file; an unknown name lists those there are."""
+    """Name of a preset, or a rig file; an unknown name lists the presets."""
     out: Path = Path("pca.safetensors")
-    """The file to write."""
+    """PCA file to write."""
     split: str = "blocks:0.7,0.1,0.2"
-    """The split that `extract` will be given: only images of its training part are read."""
+    """Split, as in `extract`; only images of its training part are used."""
     backbone: str = "facebook/dinov2-small"
     """Name of a backbone, e.g. `filterbank` (colours and edges, without weights), or a ViT by name or folder."""
     images: int | Path = 175
-    """How many images, chosen for diversity of ground and light; or a file that lists them, such as the .images.txt
-    that is written beside the PCA."""
+    """Number of images, chosen for diversity of ground and light, or a file that lists them, such as the .images.txt
+    beside a PCA."""
     components: int = 40
-    """How many components are kept."""
+    """Number of components."""
     seed: int = 0
-    """Seed of the choice of images."""
+    """Seed of the image selection."""
     device: str = "cpu"
     """Device of the backbone."""
     processes: int = 0
-    """Logs read at a time; 0: one a core, or one where the backbone runs on a GPU."""
+    """Number of logs read in parallel; 0: one per core, or one if the backbone runs on a GPU."""
     cluster: str = ""
     """Read them on a Ray cluster instead (extra `ray`): auto, or HOST:PORT of its head. All nodes must see the logs."""
 
     def run(self) -> int:
-        """Choose images, fit, write."""
+        """Fit and write the PCA."""
         from offpiste.core.parallel import at_a_time
         from offpiste.dataset.fit_pca import fit_pca, read_image_list, write_image_list
         from offpiste.dataset.splits import parse_split
@@ -51,7 +51,7 @@ class FitPca:
         from offpiste.rig.rig import load_rig
 
         if not self.logs:
-            raise LogError("no log is given", how="name one or more logs")
+            raise LogError("the log is missing", how="name one or more logs")
         if self.out.is_dir():
             raise PerceptionError("is a folder", where=self.out, how="give a file as --out")
         for name, least in (("images", 1), ("components", 1), ("seed", 0)):

@@ -18,37 +18,37 @@ if TYPE_CHECKING:
 @COMMANDS.register("inspect")
 @dataclass(frozen=True)
 class Inspect:
-    """What a careful engineer would find out first about a log; exit code 1 if it is unusable for training."""
+    """Check a log and its rig for faults; exit code 1 if the log is unusable for training."""
 
     logs: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="LOG...")]
-    """A file or folder in any format that offpiste reads, also in an object store (s3://bucket/drive.mcap). Several
-    give a row each."""
+    """Log file or folder in any supported format, also in an object store (s3://bucket/drive.mcap). Several logs give
+    one row each."""
     rig: str | None = None
-    """Name of a preset (an unknown one lists all), or a rig file; without one, only the log itself is checked."""
+    """Name of a preset, or a rig file; an unknown name lists the presets. Without a rig, only the log is checked."""
     time: str = ""
-    """Column that holds a table's time, whose unit is known by its name or rate; a rig says it by `clock.column`."""
+    """Time column of a table, whose unit follows from its name or rate; `clock.column` in a rig."""
     write_rig: Path | None = None
-    """Write a rig to a new file: the given one, or a first one for this log, with all remedies applied."""
+    """New rig file: the given rig, or a draft for this log, with all fixes applied."""
     estimate_mountings: bool = False
-    """Estimate how the rig's cameras and LiDARs are mounted, instead of the checks; the rig's mountings are guesses."""
+    """Estimate the mountings of cameras and LiDARs instead of the checks, from those of the rig as initial guess."""
     json: bool = False
     """Print findings as JSON."""
     processes: int = 0
-    """How many of several logs are inspected at a time; 0: one a core."""
+    """Number of logs inspected in parallel; 0: one per core."""
     cluster: str = ""
     """Inspect several logs on a Ray cluster instead (extra `ray`): auto, or HOST:PORT of its head."""
 
     def run(self) -> int:
-        """Inspect, write the cured rig, print, name the next command."""
+        """Inspect one or several logs, or estimate mountings."""
         from offpiste.core.errors import LogError, SeveralLogs
         from offpiste.core.object_store import expanded, url_of
         from offpiste.rig.rig import load_rig
 
         logs = [str(log) for log in expanded(self.logs)]
         if not logs:
-            raise LogError("no log is given", how="name one or more logs")
+            raise LogError("the log is missing", how="name one or more logs")
         if self.time and (self.rig or len(logs) > 1):
-            raise LogError("--time is for one log without a rig", how="a rig says it by clock.column")
+            raise LogError("--time is for one log without a rig", how="set clock.column in the rig")
         if len(logs) > 1:
             return self._survey(logs)
         if self.estimate_mountings:
@@ -57,7 +57,7 @@ class Inspect:
             return self._inspect(logs[0], load_rig(self.rig) if self.rig else None)
         except SeveralLogs as error:
             if error.others:
-                print(f"not looked at in {logs[0]}: {', '.join(error.others)}", file=sys.stderr)  # noqa: T201
+                print(f"ignored in {logs[0]}: {', '.join(error.others)}", file=sys.stderr)  # noqa: T201
             inside = [str(Path(logs[0]) / name) for name in error.logs]
             return self._survey([url_of(log) or log for log in inside])
 
@@ -93,7 +93,7 @@ class Inspect:
         return 0 if inspection.usable else 1
 
     def _survey(self, logs: list[str]) -> int:
-        """Inspect several logs, print a row each; exit code 1 if one of them is unusable."""
+        """Inspect several logs; exit code 1 if one of them is unusable."""
         from json import dumps
 
         from offpiste.core.errors import LogError
@@ -111,7 +111,7 @@ class Inspect:
         return 0 if survey.usable else 1
 
     def _estimate(self, log: str) -> int:
-        """Estimate mountings, print; exit code 1 if one could not be estimated."""
+        """Estimate mountings; exit code 1 if one cannot be estimated."""
         from json import dumps
 
         from offpiste.core.errors import RigError

@@ -17,68 +17,68 @@ if TYPE_CHECKING:
 @COMMANDS.register("live")
 @dataclass(frozen=True)
 class Live:
-    """Drive a vehicle that runs ROS 2, or watch what would be commanded: the default (needs the extra `live`)."""
+    """Drive a vehicle that runs ROS 2; without --drive only compute commands (needs the extra `live`)."""
 
     rig: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="RIG")]
-    """Rig of the vehicle, with [outputs]: a .toml file, or a preset's name."""
+    """Rig of the vehicle with [outputs]: a .toml file or the name of a preset."""
     run_folder: Annotated[str, tyro.conf.arg(name="run", metavar="RUN")] = RUN
-    """A folder that `train` wrote, or `pretrained:NAME`."""
+    """Folder written by `train`, or `pretrained:NAME`."""
     pca: Path | None = None
-    """For runs with visual features: the file that their dataset was extracted with; shipped models have theirs."""
+    """PCA file of the run's dataset, for models with visual features; pretrained models have their own."""
     course: Path | None = None
-    """Course: a table (.csv) with the columns x, y, in the frame of the poses, or lat, lon; and speed, if need be."""
+    """Course as a table (.csv) with columns x, y (in the frame of the poses) or lat, lon, and optionally speed."""
     course_topic: str = ""
-    """Course: a topic with a nav_msgs/Path; another one replaces it."""
+    """Course as a topic of nav_msgs/Path; a new message replaces it."""
     goal: tuple[float, float] | None = None
-    """Course: straight to x, y [m]."""
+    """Course as a straight line to x, y [m]."""
     speed: float = 3.0
-    """Wanted where the course gives none [m/s]."""
+    """Target speed if the course has none [m/s]."""
     drive: bool = False
-    """Send the commands to the vehicle. Without it, shadow mode: nothing is sent to it."""
+    """Send the commands to the vehicle. Without it (shadow mode) nothing is sent."""
     latency: float = PERCEPTION_LATENCY
-    """From the data of a plan to its first control [s]."""
+    """Time from the data of a plan to its first control [s]."""
     risk: str = "none"
-    """What counts in plans beside the prediction: none, spread:TIMES or cvar:SHARE, which need a spread (models that
-    ship have one, others by `offpiste calibrate`)."""
+    """Treatment of uncertainty in plans: none, spread:TIMES or cvar:SHARE. The latter need a spread: of a pretrained
+    model, or by `offpiste calibrate`."""
     clock: Literal["system", "clock", "stamps"] = "system"
-    """What stamps are compared with: this computer's clock, /clock, or the newest stamp of the vehicle's readings."""
+    """Reference of stamps: the clock of this computer, /clock, or the newest stamp of the vehicle."""
     novelty: Literal["ignored", "missing"] = "ignored"
-    """What novel ground, unlike any in training, is to the model; missing needs features of training's (shipped with
-    models that see the ground, for others by `offpiste calibrate`)."""
+    """Treatment of ground unlike any in training; missing hides its features from the model, and needs a memory bank:
+    that of a pretrained model, or by `offpiste calibrate`."""
     device: str = "cpu"
-    """Device on which images are encoded and plans are made: cpu, or cuda (needs the extra `cuda`)."""
+    """Device for encoding images and planning: cpu, or cuda (needs the extra `cuda`)."""
     seed: int = 0
     """Seed of the sampled controls."""
     seconds: float = float("inf")
-    """End after this time."""
+    """Duration of the drive [s]."""
     lockstep: bool = False
-    """A command for every 0.02 s on /clock, however long it takes, in one process: for tests and `play --lockstep`."""
+    """Compute a command for every 0.02 s on /clock in one process, however long it takes (with `play --lockstep`)."""
     replay: Path | None = None
-    """Take the messages from a log instead, without a robot: what would have been commanded."""
+    """Log whose messages replace the robot."""
     commands: Path | None = None
-    """Write each command to this table (.csv), of --lockstep and --replay."""
+    """Table (.csv) of all commands of --lockstep or --replay."""
     record: Path | None = None
-    """Record all that the rig names, and what is sent, as a log (.mcap)."""
+    """Log (.mcap) of all topics of the rig and all sent messages."""
     record_free: float = 2.0
-    """Stop recording, but not driving, where less space is free on the disk [GB]."""
+    """Free disk space below which recording stops but driving continues [GB]."""
     record_size: float = float("inf")
-    """Begin a new, numbered file where one has become larger [GB]."""
+    """Size at which recording continues in a new, numbered file [GB]."""
     record_seconds: float = float("inf")
-    """Begin a new, numbered file where one has become longer [s]."""
+    """Duration after which recording continues in a new, numbered file [s]."""
     status: Path | None = None
-    """Write how all processes are, twice a second, to this table (.csv)."""
+    """Table (.csv) of the status of all processes, twice a second."""
     view: str = ""
-    """Show the drive: in foxglove or rerun (needs the extra `view`)."""
+    """Viewer of the drive: foxglove or rerun (needs the extra `view`)."""
     view_at: str = ""
-    """Where the viewer listens, HOST:PORT; on the loopback unless given. For rerun also a file to write (.rrd)."""
+    """HOST:PORT at which the viewer listens, by default on the loopback; for rerun also a file to write (.rrd)."""
     robot: Annotated[RobotOptions, tyro.conf.OmitArgPrefixes] = field(default_factory=RobotOptions)
 
     def run(self) -> int:
-        """Load, connect, drive."""
+        """Drive over zenoh."""
         return self.run_on(self.robot.settings())
 
     def run_on(self, robot: "RobotSettings") -> int:
-        """The same over another transport, without the options of `robot`."""
+        """Drive over another transport, without the options of `robot`."""
         from offpiste.core.errors import LiveError
         from offpiste.live.commands import run_live
         from offpiste.live.reception import CourseRequest

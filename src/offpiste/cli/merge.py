@@ -14,15 +14,15 @@ from offpiste.core.progress import show
 @COMMANDS.register("merge")
 @dataclass(frozen=True)
 class Merge:
-    """Bring datasets together that `extract --shard K/N` made, on one machine or several."""
+    """Merge the datasets of `extract --shard K/N`, from one or several machines."""
 
     parts: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="DATASET...")]
-    """Datasets of the same rig, split and settings."""
+    """Datasets with the same rig, split and settings."""
     out: Path
-    """The dataset with the drives of all of them; those that it holds already are kept."""
+    """Merged dataset; existing drives are kept."""
 
     def run(self) -> int:
-        """Check, copy, open."""
+        """Merge the datasets."""
         from offpiste.dataset.merge import merge_datasets
 
         show(after_dataset(merge_datasets(self.parts, self.out), self.out))

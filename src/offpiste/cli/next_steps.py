@@ -1,4 +1,4 @@
-"""The command that comes after each command, as lines to paste; `options` are the dataclass of a command."""
+"""Suggestions of the next command; `options` are the dataclass of the finished command."""
 
 import re
 from collections.abc import Sequence
@@ -16,18 +16,18 @@ if TYPE_CHECKING:
 
 
 def next_line(*words: object, first: Sequence[str] = ()) -> str:
-    """Return the line that names the next command.
+    """Return the line of the next command.
 
     Args:
-        words: of the command, without `offpiste`.
-        first: what to do before it, a line each.
+        words: command without `offpiste`.
+        first: steps before it.
     """
     command = join(["offpiste", *(url_of(str(word)) or str(word) for word in words)])
     return "\n".join([*(f"first: {what}" for what in first), f"next: {command}"])
 
 
 def after_inspection(options: Any, log: str, inspection: "Inspection") -> str:
-    """Return the command that gives a better rig for a log, or that extracts it."""
+    """Return the command that improves the rig of a log, or extracts the log."""
     from offpiste.inspection.draft_values import DRAFTED
     from offpiste.inspection.inspect import UNDRAFTED
     from offpiste.inspection.missing import BY_HAND
@@ -40,7 +40,7 @@ def after_inspection(options: Any, log: str, inspection: "Inspection") -> str:
         by_hand = f"write {own} by hand, with the fields of a position and a heading (docs/rig.md)"
         return next_line("inspect", log, "--rig", own, first=[by_hand])
     if undrafted:
-        return next_line("inspect", log, first=["make the log one that can be read, as said above"])
+        return next_line("inspect", log, first=["make the log readable as said above"])
     if not rig:
         time = ["--time", options.time] if options.time else []
         return next_line("inspect", log, *time, "--write-rig", "my.toml")
@@ -68,14 +68,14 @@ def after_logs(logs: Sequence[object], rig: str, *more: object, first: Sequence[
 
 
 def after_survey(logs: Sequence[str], rig: str | None, *, usable: bool) -> str:
-    """Return the command that extracts inspected logs, or that drafts a rig for the first."""
+    """Return the command that extracts inspected logs, or drafts a rig for the first."""
     if rig and usable:
         return after_logs(logs, rig)
     return next_line("inspect", logs[0], *(("--rig", rig) if rig else ()), "--write-rig", _another("my.toml"))
 
 
 def after_extraction(options: Any, dataset: "Dataset") -> str:
-    """Return the command that trains on a dataset, or the extraction that gives one that can be trained on."""
+    """Return the command that trains on a dataset, or extracts it again with a better split."""
     from offpiste.core.parallel import parse_shard
     from offpiste.dataset.split_balance import is_for_tests, next_split
 
@@ -90,7 +90,7 @@ def after_extraction(options: Any, dataset: "Dataset") -> str:
 
 
 def _after_shard(options: Any, number: int, shards: int) -> str:
-    """Return the extraction of the next shard, or after the last one the command that merges all."""
+    """Return the command that extracts the next shard, or merges all."""
     parts = [_part(options.out, number, other) for other in range(1, shards + 1)]
     if number == shards:
         return next_line("merge", *parts, "--out", _dataset(options.rig))
@@ -99,26 +99,22 @@ def _after_shard(options: Any, number: int, shards: int) -> str:
 
 
 def _part(out: Path, number: int, other: int) -> Path:
-    """Return the name of another shard's dataset: with its number in place of this one's, or after the name."""
+    """Return the dataset of another shard: with its number instead of this one's, or after the name."""
     named = re.fullmatch(rf"(.*?)0*{number}", out.stem)
     return out if other == number else out.with_name(f"{named[1] if named else f'{out.stem}-'}{other}{out.suffix}")
 
 
 def after_dataset(dataset: "Dataset", path: Path) -> str:
-    """Return the command that trains the model to begin with on a dataset."""
+    """Return the command that trains a first model on a dataset."""
     from offpiste.dataset.split_balance import has_little_driving, lacks_windows
 
     if lacks_windows(dataset):
-        return "next: record more, or longer drives: a part of the split has no window, so nothing can be trained"
+        return "next: record more or longer drives; a part of the split has no window, so training is impossible"
     return _training(path, "dc" if dataset.pca else "parametric" if has_little_driving(dataset) else "b")
 
 
 def after_evaluation(runs: Sequence[Path], path: Path) -> str:
-    """Return the calibration of runs without a spread, where it is possible, or what comes after that.
-
-    Args:
-        path: of the dataset that they were evaluated on.
-    """
+    """Return the command that calibrates runs without a spread if possible, or `after_runs`."""
     from offpiste.core.shipped import run_folder
     from offpiste.training.checkpoint import fold_folders
     from offpiste.training.run import load_run, model_trained_on
@@ -133,7 +129,7 @@ def after_evaluation(runs: Sequence[Path], path: Path) -> str:
 
 
 def after_runs(runs: Sequence[Path], dataset: Path) -> str:
-    """Return the command that uses one of some runs: a drive with a model that ships, or else an export."""
+    """Return the command that drives with a pretrained model or exports a run."""
     from offpiste.core.shipped import PREFIX
     from offpiste.dynamics.kernels.coverage import uncovered, uncovered_encoder
     from offpiste.training.run import load_run
@@ -148,7 +144,7 @@ def after_runs(runs: Sequence[Path], dataset: Path) -> str:
 
 
 def after_view(options: Any) -> str:
-    """Return the command that extracts a viewed log, trains on a viewed dataset, or uses the run viewed on it."""
+    """Return the command that extracts a viewed log, trains on a viewed dataset, or uses the viewed run."""
     from offpiste.dataset.store import open_dataset
 
     if options.rig is not None and not (options.path / "zarr.json").exists():
@@ -159,7 +155,7 @@ def after_view(options: Any) -> str:
 
 
 def after_reproduction(options: Any) -> str:
-    """Return the reproduction of the other figure, which shares drives and runs, or of the next size."""
+    """Return the command that reproduces the other figure, or the next size."""
     from offpiste.reproduction.settings import SIZES
 
     other = "fig4" if options.figure == "fig3" else "fig3"
@@ -176,28 +172,28 @@ def _training(path: Path, model: str) -> str:
 
 
 def _free(name: str) -> str:
-    """Return a path, or with a number after it, that is not there yet."""
+    """Return the path, with a number if it exists."""
     names = chain([name], (f"{name}-{number}" for number in count(2)))
     return next(each for each in names if not Path(each).exists())
 
 
 def _another(rig: str) -> str:
-    """Return a name for an edited rig that is not there yet."""
+    """Return a new file name for an edited rig."""
     path = Path(rig if rig.endswith(".toml") else "my.toml")
     others = (path.with_name(f"{path.stem}-{number}.toml") for number in count(2))
     return str(next(name for name in chain([path], others) if not name.exists()))
 
 
 def _dataset(rig: str) -> str:
-    """Return a name for a dataset that is not there yet, or was made with this rig."""
+    """Return a name for a dataset that does not exist yet or has this rig."""
     names = chain(["dataset.zarr"], (f"dataset-{number}.zarr" for number in count(2)))
     return next(name for name in names if not Path(name).exists() or _is_of(name, rig))
 
 
 def _is_of(dataset: str, rig: str) -> bool:
-    """Return whether a dataset can be read, and was made with a rig."""
+    """Return whether a dataset can be read and has a rig."""
     from offpiste.core.errors import OffpisteError
-    from offpiste.dataset.store import open_dataset  # takes a second, and is needed where there is one
+    from offpiste.dataset.store import open_dataset  # takes a second, and is rarely needed
     from offpiste.rig.rig import load_rig
 
     try:

@@ -13,24 +13,24 @@ from offpiste.cli.robot_options import RobotOptions
 @COMMANDS.register("play")
 @dataclass(frozen=True)
 class Play:
-    """Play a ROS 2 log to `offpiste live`, or to anything that runs ROS 2 over zenoh (needs the extra `live`)."""
+    """Play a ROS 2 log to `offpiste live`, or to any ROS 2 system over zenoh (needs the extra `live`)."""
 
     log: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="LOG")]
-    """An .mcap or .db3, or the folder of a bag."""
+    """An .mcap or .db3 file, or the folder of a bag."""
     rig: str = ""
-    """Rig of the vehicle: only its topics are played, and clouds once their last point was measured; else all."""
+    """Rig of the vehicle: only its topics are played, and each cloud after its last point; without it all topics."""
     rate: float = 1.0
-    """Times as fast as it was recorded."""
+    """Factor of the playback speed."""
     seconds: float = float("inf")
-    """How much of it is played."""
+    """Duration to play [s]."""
     lockstep: bool = False
-    """Step by step: wait for the command of `offpiste live --lockstep` after each."""
+    """Wait for the command of `offpiste live --lockstep` after each step."""
     without: tuple[str, ...] = ()
-    """Topics that are left out, e.g. the recorded commands; /clock and /offpiste/… always are."""
+    """Topics to skip, e.g. recorded commands; /clock and /offpiste/… are always skipped."""
     robot: Annotated[RobotOptions, tyro.conf.OmitArgPrefixes] = field(default_factory=RobotOptions)
 
     def run(self) -> int:
-        """Open, connect, play."""
+        """Play the log."""
         from offpiste.live.commands import play_log
 
         settings = self.robot.settings(patient=self.lockstep)

@@ -13,24 +13,24 @@ from offpiste.cli.next_steps import after_reproduction
 @COMMANDS.register("reproduce")
 @dataclass(frozen=True)
 class Reproduce:
-    """Reproduce the paper's figures, from simulated drives to the report; resumes (needs the extra `sim`)."""
+    """Reproduce the paper's figures, from simulated drives to the report; can be resumed (needs the extra `sim`)."""
 
     figure: tyro.conf.Positional[Literal["fig3", "fig4"]]
-    """fig3: error with features in hindsight; fig4: error by viewing distance of the features."""
+    """fig3: error with hindsight features; fig4: error by viewing distance of the features."""
     size: Literal["smoke", "laptop", "evening", "day", "full", "paper"] = "smoke"
-    """smoke: ten minutes; laptop: half an hour; evening; day; full: all sensors; paper: as much as in the paper."""
+    """smoke: ten minutes; laptop: half an hour; evening; day; full: all sensors; paper: as in the paper."""
     seconds: tuple[float, float, float] | None = None
-    """Driving for training, validation and test [s], instead of the size's."""
+    """Duration of training, validation and test drives [s], instead of that of the size."""
     seeds: int | None = None
-    """Runs per model, instead of the size's."""
+    """Number of runs per model, instead of that of the size."""
     out: Path = Path("results")
-    """Folder for all results; both figures share it."""
+    """Folder of all results, shared by both figures."""
     dataset: Path | None = None
-    """Dataset with visual features, used instead of simulated drives."""
+    """Dataset with visual features that replaces simulated drives."""
     backbone: str = "filterbank"
     """Backbone, as in `fit-pca`."""
     split: Literal["drives", "blocks"] = "drives"
-    """Test on separate drives and worlds, or on stretches of the same logs, as in the paper."""
+    """Test on separate drives and worlds, or on parts of the same logs, as in the paper."""
     grip_contrast: float = 1.0
     """Contrast of grip in the simulated worlds; 0: all ground has the same grip."""
     device: str = "cpu"
@@ -41,7 +41,7 @@ class Reproduce:
     """Simulate and extract on a Ray cluster instead (extra `ray`): auto, or HOST:PORT of its head."""
 
     def run(self) -> int:
-        """Drive, extract, train, evaluate, draw."""
+        """Run all steps of a figure."""
         from offpiste.core.progress import show
         from offpiste.reproduction.reproduce import reproduce
         from offpiste.reproduction.settings import ReproductionSettings, sized

@@ -1,4 +1,4 @@
-"""How a robot is reached: options of all commands that do."""
+"""Options of the connection to a robot."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,28 +8,28 @@ if TYPE_CHECKING:
     from offpiste.transport.zenoh_transport import ZenohSettings
 
 RUN: Final = "pretrained:proving-ground/b"
-"""Run that drives unless one is given; the doctor looks at the same."""
+"""Default run of `live` and `doctor`."""
 
 
 @dataclass(frozen=True)
 class RobotOptions:
-    """How the robot is reached, over zenoh."""
+    """Connection to the robot over zenoh."""
 
     endpoint: str = ""
-    """Address of zenoh's router; tcp/127.0.0.1:7447, where rmw_zenohd listens, unless given."""
+    """Address of the zenoh router; by default tcp/127.0.0.1:7447, the address of rmw_zenohd."""
     router: bool = False
-    """Be the router oneself: where no rmw_zenohd runs."""
+    """Act as the router if no rmw_zenohd runs."""
     keys: Literal["rmw_zenoh", "bridge"] = "rmw_zenoh"
-    """rmw_zenoh, or those of zenoh-bridge-ros2dds for robots on Fast DDS or Cyclone DDS."""
+    """Key format: rmw_zenoh, or that of zenoh-bridge-ros2dds for robots on Fast DDS or Cyclone DDS."""
     domain: int = 0
-    """ROS_DOMAIN_ID, for rmw_zenoh."""
+    """ROS_DOMAIN_ID of rmw_zenoh."""
     namespace: str = ""
     """Namespace of the bridge."""
     zenoh_config: Path | None = None
-    """File of zenoh's configuration, e.g. with certificates for TLS."""
+    """Configuration file of zenoh, e.g. with TLS certificates."""
 
     def settings(self, patient: bool = False) -> "ZenohSettings":
-        """As the transport takes them."""
+        """Return the settings of the transport."""
         from offpiste.transport.zenoh_transport import ZenohSettings
 
         return ZenohSettings(

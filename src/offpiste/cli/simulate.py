@@ -23,32 +23,32 @@ _NOT_LIVE = (
 @COMMANDS.register("simulate")
 @dataclass(frozen=True)
 class Simulate:
-    """Record a drive on the proving ground, in a world made from a seed, as an MCAP log (needs the extra `sim`)."""
+    """Simulate a drive on the proving ground and record it as an MCAP log (needs the extra `sim`)."""
 
     out: Path = Path("drive.mcap")
-    """The log; with several --drives, their folder."""
+    """Log to write, or folder of several --drives."""
     world: str = "mojave"
     """Name of a world, or a TOML file; an unknown name lists the available worlds."""
     seconds: float = 60.0
-    """Length of the drive [s]; it ends early if the vehicle rolls over or gets stuck."""
+    """Duration of the drive [s]; it ends early if the vehicle rolls over or gets stuck."""
     seed: int = 0
-    """Seed of the world, the driver and all noise."""
+    """Seed of the world, the driver and the noise."""
     drives: int = 1
-    """Number of drives, with seeds from --seed on and a world each; existing drives are kept."""
+    """Number of drives, with consecutive seeds from --seed and a world each; existing drives are kept."""
     drive_seed: int | None = None
-    """Seed of the driver and the noise, for a different drive in the same world."""
+    """Seed of driver and noise, for a different drive in the same world."""
     sensors: Literal["full", "light", "none"] = "light"
-    """full: four cameras and two LiDARs; light: one of each at lower rate and resolution."""
+    """full: four cameras and two LiDARs; light: one of each at lower rate and resolution; none."""
     manoeuvres: bool = False
-    """The driver also stops, crawls, reverses, rocks the vehicle free and drives fast (rig proving_ground_gear)."""
+    """Let the driver also stop, crawl, reverse, rock the vehicle free and drive fast (rig proving_ground_gear)."""
     vehicle: str = ""
     """TOML file of another vehicle (docs/proving-ground.md); its rig is written next to the log."""
     mounting_turn: float = 0.0
     """Rotation of each sensor from its usual mounting about a random axis, as the log states [degrees]."""
     grip_contrast: float = 1.0
-    """Contrast of grip between kinds of ground; at 0 all ground drives the same."""
+    """Contrast of grip between kinds of ground; 0: all ground has the same grip."""
     appearance_noise: float = 1.0
-    """Scale of variations in appearance that are unrelated to grip."""
+    """Scale of appearance variations that are unrelated to grip."""
     pose_noise: float = 0.0
     """Additional white noise of recorded positions [m]."""
     pose_drift: float = 0.0
@@ -63,15 +63,15 @@ class Simulate:
     """Record several drives on a Ray cluster (extra `ray`): auto, or HOST:PORT of its head."""
 
     live: bool = False
-    """Simulate a robot in real time, to be driven by `offpiste live proving_ground --drive` (extra `live`).
+    """Simulate a robot in real time for `offpiste live proving_ground --drive` (extra `live`).
 
-    Of the options above, only world, seconds, seed, sensors, vehicle, pose noise, contrast and appearance apply."""
+    Only world, seconds, seed, sensors, vehicle, pose noise, contrast and appearance of the options above apply."""
     speed: float = 5.0
-    """Speed for which the course of --live is chosen [m/s]."""
+    """Target speed of the course of --live [m/s]."""
     robot: Annotated[RobotOptions, tyro.conf.OmitArgPrefixes] = field(default_factory=RobotOptions)
 
     def run(self) -> int:
-        """Make a world, drive through it, record."""
+        """Record one or several drives, or simulate a live robot."""
         if self.live:
             return self._run_live()
         from offpiste.core.errors import OffpisteError
@@ -124,7 +124,7 @@ class Simulate:
         show(next_line("inspect", self.out, "--rig", rig))
 
     def _rig(self, path: Path) -> str:
-        """Rig that reads the drives: a preset, or a file written for another vehicle."""
+        """Return the rig of the drives: a preset, or a file written for another vehicle."""
         preset = "proving_ground_gear" if self.manoeuvres else "proving_ground"
         if not self.vehicle:
             return preset

@@ -15,7 +15,7 @@ from offpiste.core.errors import RunError
 from offpiste.training.config import TrainConfig
 
 _COMPARED = 3
-"""Largest number of other runs in the next command."""
+"""Largest number of compared runs in the next command."""
 
 
 @COMMANDS.register("train")
@@ -26,7 +26,7 @@ class Train:
     dataset: tyro.conf.Positional[Path]
     """Dataset written by `extract`."""
     out: Path
-    """Folder of the run."""
+    """Run folder."""
     train: Annotated[TrainConfig, tyro.conf.arg(name="")] = field(default_factory=TrainConfig)
     resume: bool = False
     """Resume an interrupted run after its last complete epoch."""
@@ -35,10 +35,10 @@ class Train:
     tensorboard: bool = False
     """Also write TensorBoard files (needs the extra `tensorboard`)."""
     ddp: bool = False
-    """Share each batch between processes: `torchrun --nproc-per-node 2 -m offpiste train ... --ddp`."""
+    """Distribute each batch over processes: `torchrun --nproc-per-node 2 -m offpiste train ... --ddp`."""
 
     def run(self) -> int:
-        """Open, train, save."""
+        """Train one run or a run per fold."""
         from offpiste.dataset.store import open_dataset
         from offpiste.training.distributed import ALONE, joined
         from offpiste.training.loop import check_tensorboard
@@ -73,22 +73,24 @@ class Train:
         if (again := self._with_more_epochs()) is not None:
             show(f"not converged yet; with twice the epochs: {again}")
         if self._adds_nothing():
-            show("the network improves nothing here: this run predicts by its physics alone; more driving may help")
+            show(
+                "the network brings no improvement here: this run predicts by its physics alone; more driving may help"
+            )
         if not self.folds and (network := self._with_a_network()) is not None:
-            show(f"whether a network helps: {network}")
+            show(f"to test whether a network helps: {network}")
         # The default folder may hold the report of another run.
         out = ["--out", f"report-{self.out.name}"] if Path("report").exists() else []
         show(next_line("evaluate", self.out, *self._beside(), "--dataset", self.dataset, *out))
 
     def _adds_nothing(self) -> bool:
-        """Whether the network kept its initial weights, which correct nothing."""
+        """Return whether the network kept its initial weights, which correct nothing."""
         from offpiste.training.run import best_epochs
 
         best = {} if self.folds else best_epochs(self.out)
         return "bicycle" in best and best["model"].epoch == 0
 
     def _with_a_network(self) -> str | None:
-        """Return the command that trains `b` beside a model without a network; None if there is a run of it."""
+        """Return the command that trains `b` after a model without a network; None if its folder exists."""
         out = self.out.with_name("b")
         if self.train.model != "parametric" or out.exists():
             return None
@@ -96,13 +98,13 @@ class Train:
         return join([*command, *options(replace(self.train, model="b"))])
 
     def _beside(self) -> list[str]:
-        """Return runs of other models on the same dataset in the same folder, to compare this one with."""
+        """Return runs of other models on the same dataset in the same folder, for comparison."""
         from offpiste.training.run import model_trained_on
 
         others: dict[str, str] = {}
         for path in sorted(self.out.resolve().parent.iterdir()):
             model = model_trained_on(path, self.dataset)
-            if model and model != self.train.model:  # two of one model would be one with two seeds
+            if model and model != self.train.model:  # two runs of one model would count as seeds
                 others.setdefault(model, str(self.out.with_name(path.name)))
         return list(others.values())[:_COMPARED]
 

@@ -14,27 +14,27 @@ from offpiste.core.progress import show
 @COMMANDS.register("view")
 @dataclass(frozen=True)
 class View:
-    """Look at a log or a dataset: pictures, a Rerun recording of a log, and the report of a dataset's features."""
+    """Visualise a log or a dataset: pictures, a Rerun recording of a log, a report of a dataset's features."""
 
     path: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="LOG|DATASET")]
-    """The file or folder of a drive with LiDARs, or a dataset that `extract` wrote."""
+    """Log with LiDARs, or dataset written by `extract`."""
     rig: str | None = None
-    """For a log: name of a preset, or a rig file."""
+    """Rig of a log: name of a preset, or a rig file."""
     pca: Path | None = None
-    """For a log: a file of `fit-pca`, or pretrained:proving-ground; without one, ground is grey."""
+    """PCA for a log: a file of `fit-pca`, or pretrained:proving-ground; without it the ground is grey."""
     out: Path = Path("view")
-    """Folder of the pictures: empty, not there yet, or of an earlier `view`."""
+    """Folder of the pictures: new, empty, or of an earlier `view`."""
     run_folder: Annotated[Path | None, tyro.conf.arg(name="run", metavar="RUN")] = None
-    """For a dataset: a run with a spread (`offpiste calibrate`); regions.png shows where it predicts the vehicle."""
+    """Run with a spread (`offpiste calibrate`) for a dataset; regions.png shows its predicted regions."""
     seconds: str = ""
-    """For a log: a stretch A:B, A: or :B, in seconds after the first pose."""
+    """Part of a log: A:B, A: or :B, in seconds after the first pose."""
     rrd: bool = True
-    """For a log: also write drive.rrd for the Rerun viewer (needs the extra `view`)."""
+    """Also write drive.rrd of a log for the Rerun viewer (needs the extra `view`)."""
     device: str = "cpu"
     """Device of the backbone."""
 
     def run(self) -> int:
-        """Play back or open, draw, write."""
+        """Write all pictures."""
         from offpiste.visualization.view import view
 
         written = view(

@@ -9,10 +9,10 @@ from offpiste.cli.next_steps import next_line
 @COMMANDS.register("warm-up")
 @dataclass(frozen=True)
 class WarmUp:
-    """Compile all kernels in advance, in about a minute after an installation; cached kernels are only loaded."""
+    """Compile all kernels in advance, which takes about a minute after an installation."""
 
     def run(self) -> int:
-        """Compile, part by part."""
+        """Compile all kernels."""
         from offpiste.core.progress import show
         from offpiste.demo.warm_up import warm_up_all
 

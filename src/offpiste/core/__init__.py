@@ -1,1 +1,1 @@
-"""What every stage uses: conventions, geometry, channels, state, errors, files and registries."""
+"""Conventions, geometry, channels, state, errors, files and registries of all stages."""

@@ -10,21 +10,21 @@ from pathlib import Path
 from typing import Final
 
 VARIABLE = "OFFPISTE_CACHE"
-"""Environment variable that names another folder."""
+"""Environment variable of the cache folder."""
 
 KEPT_DAYS: Final = 30.0
-"""Days that something stays in the cache after it was last used."""
+"""Days after their last use at which entries are removed."""
 
 ENTRIES: Final = (
     "kernels/*_" + 40 * "[0-9a-f]",
     "stages/*-" + 32 * "[0-9a-f]" + ".safetensors",
     "datasets/" + 16 * "[0-9a-f]",
 )
-"""Names of what is kept; anything else in the folder is somebody else's."""
+"""Patterns of entries. Other files in the folder are never touched."""
 
 
 def cache_folder(environment: Mapping[str, str] = os.environ, platform: str = sys.platform) -> Path:
-    r"""The user's cache folder for offpiste, by the platform's conventions; it may not exist yet.
+    r"""Return the user's cache folder by the conventions of the platform; it may not exist yet.
 
     `$OFFPISTE_CACHE`, or else `$XDG_CACHE_HOME/offpiste` and `~/.cache/offpiste`, on macOS `~/Library/Caches/offpiste`,
     on Windows `%LOCALAPPDATA%\offpiste\Cache`.
@@ -46,15 +46,9 @@ def _home() -> Path:
 
 
 def forget_unused(folder: Path, *, days: float = KEPT_DAYS) -> list[Path]:
-    """Remove what has not been used for some days: kernels of other versions, stages and datasets nobody trains with.
+    """Remove kernels, training stages and datasets that were not used for some days, and return their paths.
 
-    A folder was used when one of its files was last read or written; what cannot be removed stays.
-
-    Args:
-        folder: of the cache.
-
-    Returns:
-        what was removed.
+    The last use of a folder is the last time that one of its files was read or written.
     """
     oldest = time.time() - 86400 * days
     unused = [entry for names in ENTRIES for entry in folder.glob(names) if _last_used(entry) < oldest]

@@ -1,9 +1,8 @@
-"""Controls and actuators of a vehicle: each is listed once here, with all that other stages need to know of it.
+"""Tables of controls and actuators of a vehicle, which all other stages read.
 
-Rigs, datasets, log checks, models, kernels and planners read these tables. `CONTROLS` and `ACTUATORS` are in every
-dataset, NaN where a log lacks them. `OPTIONAL_CONTROLS`, and what others register, are in the datasets of rigs that
-give them. Generated kernels know all but what others register. docs/extending.md adds one of each. What logs call them
-in other languages is here, too.
+`CONTROLS` and `ACTUATORS` are columns of every dataset, NaN if a log lacks them. `OPTIONAL_CONTROLS` and registered
+channels are columns of datasets whose rig has them. Generated kernels support all but registered channels.
+docs/extending.md shows how to add a channel.
 """
 
 import math
@@ -18,19 +17,17 @@ from offpiste.core.registry import Registry
 
 @dataclass(frozen=True)
 class Control:
-    """A command to the vehicle.
+    """Command to the vehicle.
 
     Attributes:
-        name: of the channel in rigs and of the column in datasets.
-        unit: inside offpiste.
-        low, high: what can be commanded.
-        rate: fastest change that a planner may ask for [1/s].
-        pattern: regular expression of the names of fields that hold it, to draft a rig; "" for none.
-        declared: whether a rig must say so where its logs lack it.
-        absent: what stands for it where a log lacks it.
-        discrete: whether it is one of a few whole numbers: it holds between samples, and what is beyond `low` and
-            `high` counts as these.
-        lateral: whether it changes its sign where left and right are exchanged.
+        name: name of the channel in rigs and of the column in datasets.
+        low, high: limits of the command.
+        rate: largest rate of change in plans [1/s].
+        pattern: regular expression of field names that mean this control, used to draft rigs.
+        declared: a rig must declare it absent if its logs lack it.
+        absent: value that replaces it if a log lacks it.
+        discrete: integer that is held between samples and clipped to `low` and `high`.
+        lateral: changes its sign if left and right are exchanged.
     """
 
     name: str
@@ -47,17 +44,16 @@ class Control:
 
 @dataclass(frozen=True)
 class Actuator:
-    """A measured quantity between a command and the motion.
+    """Measured quantity between a command and the motion.
 
     Attributes:
-        name: of the column in datasets.
-        channel: in rigs.
-        unit: inside offpiste.
-        low, high: what it can be; None where log checks hold it against nothing.
-        follows: control behind which it lags.
-        lag: its delay model (`offpiste.dynamics.actuator_lags.LAGS`).
-        drives: input of the bicycle that it measures (`offpiste.dynamics.inputs.DriveTrain`); where it is absent, that
-            input has its reduced form. "" for none: it is an input of the networks alone.
+        name: column in datasets.
+        channel: channel in rigs.
+        low, high: plausible range for log checks.
+        follows: control that it lags behind.
+        lag: lag model (`offpiste.dynamics.actuator_lags.LAGS`).
+        drives: input of the bicycle that it measures (`offpiste.dynamics.inputs.DriveTrain`), which has a reduced form
+            if it is absent; "" for an input of the networks alone.
         rate_of: actuator whose rate of change it is; both are the state of that actuator's lag.
         pattern, declared, lateral: see `Control`.
     """
@@ -77,7 +73,7 @@ class Actuator:
 
     @property
     def label(self) -> str:
-        """What the names of its constants, networks and switches begin with."""
+        """Prefix of its constants, networks and switches."""
         return self.drives or self.name
 
 
@@ -98,7 +94,7 @@ CONTROLS: Final = (
         lateral=True,
     ),
 )
-"""Throttle and brake from 0 to 1, steering from -1 to 1 and + left, as commanded."""
+"""Commanded throttle and brake from 0 to 1, and steering from -1 (right) to 1 (left)."""
 
 OPTIONAL_CONTROLS: Final = (
     Control(
@@ -106,10 +102,10 @@ OPTIONAL_CONTROLS: Final = (
         pattern=r"(?<![a-z])gear(?!_?(box|ratio|ing))|prndl?(?![a-z])|(?<![a-z])(shifter|transmission|reverse)(?![a-z])",
     ),
 )  # fmt: skip
-"""Gear: 1 forward, 0 neutral, -1 reverse, as engaged."""
+"""Engaged gear: 1 forward, 0 neutral, -1 reverse."""
 
 KERNEL_CONTROLS: Final = (*CONTROLS, *OPTIONAL_CONTROLS)
-"""Controls that generated kernels know."""
+"""Controls that generated kernels support."""
 
 ACTUATORS: Final = (
     Actuator(
@@ -126,86 +122,69 @@ ACTUATORS: Final = (
         drives="engine", pattern=r"engine.*(rpm|speed)|^rpm(?![_ ]?(fl|fr|rl|rr|front|rear))", declared=True,
     ),
 )  # fmt: skip
-"""Brake pressure over full pressure, angle of the road wheels (+ left) and its rate, engine speed."""
+"""Brake pressure relative to full pressure, angle of the road wheels (+ left) and its rate, engine speed."""
 
 MORE_CONTROLS: Final[Registry[Control]] = Registry("control")
 MORE_ACTUATORS: Final[Registry[Actuator]] = Registry("actuator")
 
 
 def register_control(control: Control) -> Control:
-    """Add a control to those that rigs can give.
-
-    Raises:
-        OffpisteError: the name is taken.
-    """
+    """Add a control that rigs can have; raises `OffpisteError` if its name is taken."""
     return MORE_CONTROLS.register(control.name)(control)
 
 
 def register_actuator(actuator: Actuator) -> Actuator:
-    """Add an actuator to those that rigs can give; eager code steps it, generated kernels do not.
-
-    Raises:
-        OffpisteError: the name is taken.
-    """
+    """Add an actuator that rigs can have and eager code steps; raises `OffpisteError` if its name is taken."""
     return MORE_ACTUATORS.register(actuator.name)(actuator)
 
 
 def all_controls() -> tuple[Control, ...]:
-    """Every control that a rig can give."""
+    """Return every control that a rig can have."""
     return (*KERNEL_CONTROLS, *(control for _, control in MORE_CONTROLS.items()))
 
 
 def registered_actuators() -> tuple[Actuator, ...]:
-    """The actuators that others add to `ACTUATORS`."""
+    """Return the actuators that extensions added."""
     return tuple(actuator for _, actuator in MORE_ACTUATORS.items())
 
 
 def all_actuators() -> tuple[Actuator, ...]:
-    """Every actuator that a rig can give."""
+    """Return every actuator that a rig can have."""
     return (*ACTUATORS, *registered_actuators())
 
 
 def control_columns(given: Collection[str]) -> tuple[Control, ...]:
-    """The columns of `control` where these controls are given: `CONTROLS`, then optional and registered ones.
-
-    Args:
-        given: names of controls.
-    """
+    """Return the columns of `control` for these names: `CONTROLS`, then optional and registered ones."""
     return tuple(control for control in all_controls() if control in CONTROLS or control.name in given)
 
 
 def actuator_columns(given: Collection[str]) -> tuple[Actuator, ...]:
-    """The columns of `actuators` where these actuators are given: `ACTUATORS`, then registered ones among them.
-
-    Args:
-        given: names of actuators.
-    """
+    """Return the columns of `actuators` for these names: `ACTUATORS`, then registered ones."""
     return tuple(actuator for actuator in all_actuators() if actuator in ACTUATORS or actuator.name in given)
 
 
 def control_of(channel: str) -> Control | None:
-    """The control that a channel of a rig holds; None for other channels."""
+    """Return the control of a channel; None for other channels."""
     return next((control for control in all_controls() if control.name == channel), None)
 
 
 def without_optional(names: Collection[str]) -> tuple[str, ...]:
-    """Names of controls, in their order, without the optional ones: those that a model must share with a dataset."""
+    """Return the names of controls that a model must share with a dataset, in their order."""
     optional = {control.name for control in OPTIONAL_CONTROLS}
     return tuple(name for name in names if name not in optional)
 
 
 def absent_value(name: str) -> float:
-    """What stands for a control where a log lacks it."""
+    """Return the value that replaces a control if a log lacks it."""
     control = control_of(name)
     assert control is not None, name
     return control.absent
 
 
 def channel_of_rate(channel: str) -> str:
-    """The channel whose derivative stands for this one where a log lacks it; "" for none."""
-    columns = {actuator.name: actuator for actuator in all_actuators()}
-    rates = {a.channel: columns[a.rate_of].channel for a in columns.values() if a.rate_of}
-    return rates.get(channel, "")
+    """Return the channel whose derivative replaces this one if a log lacks it; "" for none."""
+    channels = {actuator.name: actuator.channel for actuator in all_actuators()}
+    return next((channels[a.rate_of] for a in all_actuators() if a.channel == channel and a.rate_of), "")
 
 
 _IN_ENGLISH: Final = {
@@ -230,7 +209,7 @@ _IN_ENGLISH: Final = {
     "altitude": "altitud|altitudine|標高|高度",
     "time": "^temps([_ ](ecoule|gps|utc))?$|tiempo|tempo|時[刻間]",
 }
-"""What logs call these in French, Spanish, Italian, German and Japanese: patterns of whole words, a phrase first."""
+"""French, Spanish, Italian, German and Japanese names: patterns of whole words, longer ones first."""
 
 
 def _without_accents(text: str) -> str:
@@ -243,7 +222,7 @@ _WORDS: Final = tuple(
 
 
 def in_english(name: str) -> str:
-    """A field's name in lower case without accents, and with English words for those of other languages."""
+    """Translate known words of a field name in lower case to English, and remove accents."""
     name = _without_accents(name)
     for english, words in _WORDS:
         name = words.sub(english, name)

@@ -1,4 +1,4 @@
-"""Commands as lines to paste, from their settings: the same one again with some of them changed."""
+"""Command lines that reproduce given settings, with changes."""
 
 from dataclasses import MISSING, fields, is_dataclass
 from shlex import join
@@ -6,11 +6,11 @@ from typing import Any
 
 
 def command_line(command: str, settings: Any, *positional: str, **changes: object) -> str:
-    """The command line that gives these settings, with those changed that are named; defaults are left out.
+    """Return the command line of these settings, with changes and without defaults.
 
     Args:
-        settings: a command's dataclass.
-        positional: its fields that stand without their name, in their order.
+        settings: dataclass of a command.
+        positional: fields that are positional arguments, in their order.
     """
     words = [word for one in fields(settings) if one.name in positional
              for word in _texts(changes.get(one.name, getattr(settings, one.name)))]  # fmt: skip
@@ -18,11 +18,11 @@ def command_line(command: str, settings: Any, *positional: str, **changes: objec
 
 
 def options(settings: Any, *without: str, **changes: object) -> list[str]:
-    """The options that give these settings, with those changed that are named; defaults are left out.
+    """Return the options of these settings, with changes and without defaults.
 
     Args:
-        settings: a dataclass; one within it gives options like `--weights.yaw`.
-        without: its fields that are not given.
+        settings: dataclass; nested ones give options like `--weights.yaw`.
+        without: fields to leave out.
     """
     words: list[str] = []
     for one in fields(settings):

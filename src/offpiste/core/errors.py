@@ -1,4 +1,4 @@
-"""Errors that a user can cause: what is wrong, where, and how to fix it, in one line; missing extras."""
+"""Errors that a user can cause, as one line with fault, location and fix; missing extras."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -9,16 +9,16 @@ from pathlib import Path
 from typing import Final
 
 _LONGEST: Final = 600
-"""Longest message [characters]: a damaged file may hold a name of any length."""
+"""Longest message [characters]; names in damaged files may have any length."""
 
 
 class OffpisteError(Exception):
-    """Base of every error that a user can cause; the command line prints it as one line and exits with 1.
+    """Base of errors that a user can cause; the command line prints them as one line and exits with 1.
 
     Args:
-        what: what is wrong, without a full stop.
-        where: the file, topic, row or key at fault.
-        how: how to fix it.
+        what: fault, without a full stop.
+        where: file, topic, row or key at fault.
+        how: fix.
     """
 
     def __init__(self, what: str, *, where: str | Path = "", how: str = "") -> None:
@@ -35,26 +35,26 @@ class OffpisteError(Exception):
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """A question that names what is spelled alike, to begin a remedy with: "did you mean 'dart'? "; "" for nothing."""
+    """Return "did you mean 'dart'? " with the known name of the most similar spelling; "" if none is similar."""
     near = get_close_matches(name, tuple(known), n=1)
     return f"did you mean '{near[0]}'? " if near else ""
 
 
 def _one_line(text: str) -> str:
-    """A text as one line of a terminal, whatever it quotes: no control characters, and not longer than `_LONGEST`."""
+    """Return a text as one line without control characters, of at most `_LONGEST` characters."""
     line = "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in " ".join(text.split()))
     return line if len(line) <= _LONGEST else f"{line[: _LONGEST * 3 // 4]} … {line[-_LONGEST // 5 :]}"
 
 
 class LogError(OffpisteError):
-    """A recorded log cannot be read, or lacks what is needed of it."""
+    """A log cannot be read, or lacks required data."""
 
 
 class SeveralLogs(LogError):
-    """A folder holds several recordings, each of which is a log.
+    """A folder contains several logs.
 
     Attributes:
-        logs, others: names of the recordings, and of everything else in the folder.
+        logs, others: names of the logs, and of everything else in the folder.
     """
 
     def __init__(
@@ -69,71 +69,68 @@ class SeveralLogs(LogError):
 
 
 class TooLarge(LogError):
-    """A file asks for more memory than anything of its kind needs (`core.limits`): it is damaged, or crafted."""
+    """A damaged or crafted file needs more memory than `core.limits` allows."""
 
 
 class NoClock(LogError):
-    """A table has no column of stamps, or not the one that is asked for."""
+    """A table has no column of stamps, or lacks the requested one."""
 
 
 class RigError(OffpisteError):
-    """A rig file is wrong, or does not fit the log."""
+    """A rig is invalid, or does not fit the log."""
 
 
 class DatasetError(OffpisteError):
-    """A dataset is missing, incomplete, or does not fit what reads it."""
+    """A dataset is missing, incomplete, or does not fit its use."""
 
 
 class RunError(OffpisteError):
-    """A training run is missing, broken, or does not fit the dataset or the vehicle it is used with."""
+    """A training run is missing, damaged, or does not fit the dataset or vehicle."""
 
 
 class TrainingError(OffpisteError):
-    """Training cannot continue, e.g. a value that is not finite."""
+    """Training cannot continue, e.g. because a value is not finite."""
 
 
 class PerceptionError(OffpisteError):
-    """An image, a calibration, a mask or a backbone is wrong or missing, or does not fit what it is used with."""
+    """An image, calibration, mask or backbone is invalid, missing or unsuitable."""
 
 
 class MapError(OffpisteError):
-    """A map's settings make no sense."""
+    """The settings of a map are invalid."""
 
 
 class PlanningError(OffpisteError):
-    """Plans cannot be made, e.g. with such settings."""
+    """Planning is impossible, e.g. because of its settings."""
 
 
 class NoPlan(PlanningError):
-    """No plan can be made this time: no sampled trajectory has a finite cost. The next one may have."""
+    """No sampled trajectory of this plan has a finite cost; the next plan may succeed."""
 
 
 class CourseError(OffpisteError):
-    """No stretch of a world's trails makes a course of the wanted kind."""
+    """No trail of a world contains a course of the requested kind."""
 
 
 class TransportError(OffpisteError):
-    """A robot cannot be reached, or a message type is not known."""
+    """A robot cannot be reached, or a message type is unknown."""
 
 
 class LiveError(OffpisteError):
-    """What is needed to drive a vehicle is missing or wrong: its messages, a course, limits, a process."""
+    """Messages, course, limits or processes of a live drive are missing or invalid."""
 
 
 class MissingExtra(OffpisteError):
-    """A package that only an extra installs is not there."""
+    """A package of an extra is not installed."""
 
 
 @contextmanager
 def extra(name: str, *, otherwise: str = "") -> Iterator[None]:
-    """Context for the imports of an extra's packages.
+    """Turn a failed import of an extra's packages into `MissingExtra`.
 
     Args:
         name: the extra in pyproject.toml.
-        otherwise: what to do instead of installing it.
-
-    Raises:
-        MissingExtra: a package imported inside is not installed.
+        otherwise: alternative to installing it, for the message.
     """
     try:
         yield
@@ -142,26 +139,22 @@ def extra(name: str, *, otherwise: str = "") -> Iterator[None]:
 
 
 def require(name: str, module: str, *, otherwise: str = "") -> None:
-    """Check that an extra is installed, before work that needs it at the end.
-
-    Raises:
-        MissingExtra: `module`, which the extra installs, is not there.
-    """
+    """Raise `MissingExtra` unless `module` of an extra is installed, before long work that needs it at the end."""
     if not is_installed(module):
         raise missing(name, module, otherwise)
 
 
 def is_installed(module: str) -> bool:
-    """Whether a top-level module can be imported."""
+    """Return whether a top-level module is installed."""
     return find_spec(module) is not None
 
 
 def installation_of(name: str) -> str:
-    """Return how to install an extra. offpiste is on no package index, where anybody could take its name."""
+    """Return the command that installs an extra; offpiste is not on a package index."""
     return f"in the checkout of offpiste: pip install '.[{name}]'"
 
 
 def missing(name: str, module: str, otherwise: str = "") -> MissingExtra:
-    """The error for an extra that is not installed."""
+    """Return the error for an extra that is not installed."""
     how = installation_of(name) + (f", or {otherwise}" if otherwise else "")
     return MissingExtra(f"this needs the extra '{name}' ({module} is not installed)", how=how)

@@ -14,11 +14,7 @@ _STEP = re.compile(r"\[\.\.\.\]|[^.\[]+")
 
 
 def suggestion(error: msgspec.ValidationError, kind: type) -> str:
-    """Ask whether a key or value of similar spelling was meant (see `did_you_mean`); "" if there is none.
-
-    Args:
-        error: raised by converting to `kind`.
-    """
+    """Suggest a key or value of similar spelling (`did_you_mean`) for an error of a conversion to `kind`."""
     misspelled, path = _MISSPELLED.search(str(error)), _PATH.search(str(error))
     if misspelled is None:
         return ""
@@ -30,7 +26,7 @@ def suggestion(error: msgspec.ValidationError, kind: type) -> str:
 
 
 def _inside(kind: inspect.Type, step: str) -> Iterator[inspect.Type]:
-    """Yield the types of what a type holds under a field name, or in its items ("[...]")."""
+    """Yield the types of a field, or of the items if `step` is "[...]"."""
     for one in kind.types if isinstance(kind, inspect.UnionType) else (kind,):
         if isinstance(one, inspect.StructType | inspect.DataclassType):
             yield from (field.type for field in one.fields if field.encode_name == step)
@@ -41,7 +37,7 @@ def _inside(kind: inspect.Type, step: str) -> Iterator[inspect.Type]:
 
 
 def _names(kind: inspect.Type) -> Iterator[str]:
-    """Yield the fields of a type, or the values of a literal."""
+    """Yield the field names of a type, or the values of a literal."""
     for one in kind.types if isinstance(kind, inspect.UnionType) else (kind,):
         if isinstance(one, inspect.StructType | inspect.DataclassType):
             yield from (field.encode_name for field in one.fields)

@@ -1,4 +1,4 @@
-"""Writing of files whole or not at all."""
+"""Atomic writing of files and folders."""
 
 import os
 import shutil
@@ -15,15 +15,11 @@ from offpiste.core.object_store import refuse_url
 Made = TypeVar("Made")
 
 PARTIAL = ".partial"
-"""Ending of files and folders that are being written, under a hidden name beside their place."""
+"""Suffix of unfinished files and folders, which have a hidden name beside their final path."""
 
 
 def _beside(path: Path, make: Callable[..., Made]) -> Made:
-    """What `tempfile` makes under a hidden name beside a path, in a folder that is made where there is none.
-
-    Raises:
-        OffpisteError: nothing can be made there, as in /proc.
-    """
+    """Make a temporary file or folder under a hidden name beside a path, whose parent is created."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         return make(prefix=f".{path.name}.", suffix=PARTIAL, dir=path.parent)
@@ -33,12 +29,10 @@ def _beside(path: Path, make: Callable[..., Made]) -> Made:
 
 @contextmanager
 def _locked(partial: Path) -> Iterator[None]:
-    """Lock what is being written while this process lives, so that `remove_partials` of others leaves it.
-
-    Nothing is locked where the system or the file system has no such locks.
+    """Lock an unfinished file against `remove_partials` of other processes, if the file system has locks.
 
     Raises:
-        BlockingIOError: another process holds it.
+        BlockingIOError: another process has locked it.
     """
     with ExitStack() as opened:
         try:
@@ -55,7 +49,7 @@ def _locked(partial: Path) -> Iterator[None]:
 
 
 def write_whole(path: Path, write: Callable[[Path], None]) -> None:
-    """Have `write` fill a file beside `path`, then move it there; an interruption leaves the old file."""
+    """Write a file beside `path`, then move it there; an interruption leaves the old file."""
     refuse_url(path)
     handle, name = _beside(path, tempfile.mkstemp)
     os.close(handle)
@@ -72,14 +66,14 @@ def write_whole(path: Path, write: Callable[[Path], None]) -> None:
 
 
 def write_folder(path: Path, write: Callable[[Path], None]) -> None:
-    """Write a folder beside its place and move it there when it is complete.
+    """Write a folder beside its final path and move it there when it is complete.
 
     Raises:
-        OffpisteError: it is the current folder, which cannot be replaced, or in an object store.
+        OffpisteError: it is the current folder or in an object store.
     """
     refuse_url(path)
     if path.resolve() == Path.cwd():
-        raise OffpisteError("is the current folder", where=path, how="give a folder that is not yet there")
+        raise OffpisteError("is the current folder", where=path, how="give a folder that does not exist yet")
     with temporary_folder(path) as partial:
         write(partial)
         partial.chmod(0o755)
@@ -88,7 +82,7 @@ def write_folder(path: Path, write: Callable[[Path], None]) -> None:
 
 @contextmanager
 def temporary_folder(path: Path) -> Iterator[Path]:
-    """A folder under a hidden name beside a path, for files that are needed while that is made; removed afterwards."""
+    """Make a hidden temporary folder beside a path; it is removed afterwards."""
     partial = Path(_beside(path, tempfile.mkdtemp))
     with _locked(partial):
         try:
@@ -101,11 +95,11 @@ def check_folder(out: Path, *, option: str = "--out", own: Sequence[str] | None 
     """Check that a command can write a folder.
 
     Args:
-        option: that gives it, for the message.
-        own: patterns of files, one of which the command leaves; None: the caller looks at what is there.
+        option: its option, for the message.
+        own: patterns of files that mark a folder of this command; None accepts any content.
 
     Raises:
-        OffpisteError: it is a file, or lies in one, or in an object store, or holds something else.
+        OffpisteError: it is a file, is in a file or an object store, or contains something else.
     """
     refuse_url(out)
     for place in (out, *out.parents):
@@ -114,27 +108,23 @@ def check_folder(out: Path, *, option: str = "--out", own: Sequence[str] | None 
     if own is None or not out.exists() or any(next(out.glob(pattern), None) is not None for pattern in own):
         return
     if other := sorted(each.name for each in out.iterdir() if not each.name.startswith(".")):
-        how = f"give a folder that is empty or not there yet as {option}"
+        how = f"give a folder that is empty or does not exist yet as {option}"
         raise OffpisteError(f"holds something else ({other[0]})", where=out, how=how)
 
 
 @contextmanager
 def unfinished(out: Path, mark: str) -> Iterator[None]:
-    """Keep a hidden file in a folder until it is written whole: with it among `own`, `check_folder` accepts the rest.
-
-    Args:
-        mark: name of the file, which begins with a dot.
-    """
+    """Mark a folder by a hidden file until it is complete; with the mark in `own`, `check_folder` accepts it."""
     write_bytes(out / mark, b"")
     yield
     (out / mark).unlink(missing_ok=True)
 
 
 def remove_partials(folder: Path, name: str = "") -> None:
-    """Remove what killed processes left half written; what a process still writes stays.
+    """Remove unfinished files of killed processes from a folder; those of running processes stay.
 
     Args:
-        name: of the file or folder that they were writing; "" for all in `folder`.
+        name: final name of the file or folder; "" for all.
     """
     named = f".{escape(name)}.*{PARTIAL}" if name else f".*{PARTIAL}"
     for partial in folder.glob(named):
@@ -146,7 +136,7 @@ def remove_partials(folder: Path, name: str = "") -> None:
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """Write bytes whole or not at all."""
+    """Write bytes atomically."""
 
     def write(partial: Path) -> None:
         partial.write_bytes(content)
@@ -155,5 +145,5 @@ def write_bytes(path: Path, content: bytes) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write text whole or not at all."""
+    """Write text atomically."""
     write_bytes(path, text.encode("utf-8"))

@@ -1,4 +1,4 @@
-"""Limits on what a file may ask for: a few bytes of it must not fill the memory of the machine."""
+"""Memory limits for reading files, so that a small crafted file cannot exhaust memory."""
 
 import json
 import re
@@ -18,39 +18,29 @@ else:
     from backports import zstd as zstd
 
 LARGEST: Final = 1 << 28
-"""Most memory for one piece of a file, decompressed: a chunk, a message, an image [bytes]."""
+"""Largest decompressed chunk, message or image [bytes]."""
 
 MOST_PIXELS: Final = LARGEST // 8
-"""Most pixels of an image, which may have four channels of 16 bits: 8K video has fewer."""
+"""Largest image [pixels], with up to four channels of 16 bits; 8K video has fewer."""
 
 LARGEST_TABLE: Final = 1 << 30
-"""Most memory for what is held as a whole: the columns of a Parquet file, an array of a dataset [bytes]."""
+"""Largest data held as a whole, such as the columns of a Parquet file [bytes]."""
 
 LARGEST_TEXT: Final = 1 << 25
-"""Longest JSON, TOML or YAML document [bytes]: parsers need many times as much memory."""
-
+"""Longest JSON, TOML or YAML document [bytes]; parsers need many times as much memory."""
 
 _DOTTED: Final = re.compile(r"""(?<![\w"'-])(?:["']?[\w-]++["']?[ \t]*+\.[ \t]*+){100}""")
-"""Dotted keys that are so long that tomllib needs hours."""
+"""Dotted keys of a length for which tomllib needs hours."""
 
 
 def refuse_larger(size: int, what: str, limit: int = LARGEST, *, where: str | Path = "", how: str = "") -> None:
-    """Raise if something asks for more memory than the limit [bytes].
-
-    Raises:
-        TooLarge: it does.
-    """
+    """Raise `TooLarge` if a size exceeds the limit [bytes]; `what` is its subject in the message."""
     if size > limit:
         raise TooLarge(f"{what} takes more than {limit >> 20} MB", where=where, how=how or "copy or record it again")
 
 
 def read_small(path: Path | Traversable) -> str:
-    """Text of a file of settings.
-
-    Raises:
-        TooLarge: it is longer than `LARGEST_TEXT`.
-        OSError, UnicodeDecodeError: it cannot be read.
-    """
+    """Read a text file of at most `LARGEST_TEXT` bytes; raises `TooLarge` for a longer one."""
     with path.open("rb") as file:
         content = file.read(LARGEST_TEXT + 1)
     refuse_larger(len(content), "it", LARGEST_TEXT, where=str(path), how="give a file of settings")
@@ -58,11 +48,7 @@ def read_small(path: Path | Traversable) -> str:
 
 
 def parsed(text: str, parse: Callable[[str], Any] = json.loads) -> Any:
-    """What a JSON or TOML text says.
-
-    Raises:
-        ValueError: it is damaged, or nested deeper than Python can follow.
-    """
+    """Parse a JSON or TOML text; raises `ValueError` if it is invalid or nested too deeply."""
     if _DOTTED.search(text):
         raise ValueError("a key of a hundred parts")
     try:
@@ -72,12 +58,7 @@ def parsed(text: str, parse: Callable[[str], Any] = json.loads) -> Any:
 
 
 def open_tensors(path: Path, framework: str) -> Any:
-    """A safetensors file, as `safetensors.safe_open` opens it.
-
-    Raises:
-        TooLarge: its header, which is JSON, is longer than `LARGEST_TEXT`.
-        OSError, SafetensorError: it cannot be read.
-    """
+    """Open a safetensors file (`safetensors.safe_open`); raises `TooLarge` if its JSON header is too long."""
     with path.open("rb") as file:
         length = int.from_bytes(file.read(8), "little")
     if length < path.stat().st_size:

@@ -1,4 +1,4 @@
-"""Cores and memory that this process may use."""
+"""Cores and memory available to this process."""
 
 import logging
 import os
@@ -11,7 +11,7 @@ from typing import Final
 logger = logging.getLogger(__name__)
 
 _SPARE: Final = 5e8
-"""Memory that is left to others [bytes]."""
+"""Memory to leave free [bytes]."""
 _CGROUPS: Final = {
     r"^0::(.*)$": ("sys/fs/cgroup", "memory.max", "memory.current", "inactive_file"),
     r"^\d+:[\w,]*\bmemory\b[\w,]*:(.*)$": (
@@ -21,16 +21,16 @@ _CGROUPS: Final = {
         "total_inactive_file",
     ),
 }
-"""Line of a control group, version 2 and 1: its folder, and the files or keys of its limit, use and cached files."""
+"""Pattern of a control group (version 2 and 1), its folder, and the names of its limit, use and file cache."""
 
 
 def usable_cores() -> int:
-    """Number of cores that this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def within_memory(processes: int, each: float) -> int:
-    """Number of processes that fit into free memory, from 1 to `processes`; logs a warning if they are fewer.
+    """Return how many of `processes` fit into free memory, at least 1, and warn if not all do.
 
     Args:
         each: memory of a process [bytes].
@@ -44,12 +44,10 @@ def within_memory(processes: int, each: float) -> int:
 
 
 def free_memory(root: Path = Path("/")) -> int:
-    """Memory that this process and its children can still take from the machine and its container [bytes].
-
-    Memory that caches files counts as free, if the system reports it.
+    """Return the memory still available from the machine and its container, file cache included [bytes].
 
     Args:
-        root: of /proc and /sys.
+        root: parent of /proc and /sys.
     """
     free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     with suppress(OSError):
@@ -67,6 +65,6 @@ def free_memory(root: Path = Path("/")) -> int:
 
 
 def _number(file: Path, name: str = "", otherwise: int = sys.maxsize) -> int:
-    """Number after a name in a file of the system, e.g. endless for a limit "max"."""
+    """Return the number after a name in a system file; `otherwise` if there is none, e.g. for the limit "max"."""
     found = re.search(rf"^{name}\s*(\d+)", file.read_text("ascii"), re.MULTILINE)
     return int(found[1]) if found else otherwise

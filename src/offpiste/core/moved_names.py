@@ -1,4 +1,4 @@
-"""Names that `import offpiste` offered once, and what replaces them."""
+"""Former public names of `offpiste` and their replacements."""
 
 from typing import Final
 

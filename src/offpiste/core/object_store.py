@@ -1,4 +1,4 @@
-"""Files in object stores (`s3://`, `gs://` and all others that fsspec opens): URLs, and copies on this machine."""
+"""Files in object stores (`s3://`, `gs://` and others of fsspec) and their local copies."""
 
 import logging
 import re
@@ -17,17 +17,14 @@ _EXTRAS: Final = {"s3": "s3", "s3a": "s3", "gs": "gcs", "gcs": "gcs"}
 
 
 def url_of(path: str | Path) -> str | None:
-    """URL of a path in an object store; None for a path on this machine.
-
-    A `Path` of a URL has lost one of its two slashes, which is restored here.
-    """
+    """Return the URL of a path in an object store, with the slash that `Path` removes; None for a local path."""
     found = _URL.fullmatch(str(path))
     return f"{found[1]}://{found[2].rstrip('/')}" if found and not Path(path).exists() else None
 
 
 @contextmanager
 def opened(url: str) -> Iterator[tuple[Any, str]]:
-    """The file system of a URL by fsspec, and the path in it; errors inside the block become one line.
+    """Open the fsspec file system of a URL, and give it and the path in it.
 
     Raises:
         OffpisteError: a package for such URLs is missing, or the store cannot be reached.
@@ -37,7 +34,7 @@ def opened(url: str) -> Iterator[tuple[Any, str]]:
     scheme = url.partition("://")[0]
     try:
         files, root = fsspec.url_to_fs(url)
-        files.invalidate_cache()  # others may have written there
+        files.invalidate_cache()  # other processes may have written there
         yield files, root.rstrip("/")
     except OffpisteError:
         raise
@@ -45,18 +42,14 @@ def opened(url: str) -> Iterator[tuple[Any, str]]:
         needed = error.name or f"fsspec's package for {scheme}"
         how = installation_of(_EXTRAS[scheme]) if scheme in _EXTRAS else f"pip install '{needed}'"
         raise OffpisteError(f"reading {scheme}:// needs another package", how=how) from error
-    except Exception as error:  # every store raises errors of its own libraries
+    except Exception as error:  # stores raise errors of their own libraries
         why = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
         how = "check its name, the network and the credentials"
         raise OffpisteError(f"cannot be reached ({why})", where=url, how=how) from error
 
 
 def expanded(paths: Sequence[str | Path]) -> list[str | Path]:
-    """The paths, with each URL that is a pattern replaced by the files it matches; shells expand only local patterns.
-
-    Raises:
-        OffpisteError: a pattern matches nothing.
-    """
+    """Expand patterns in URLs; raises `OffpisteError` if a pattern matches nothing."""
     result: list[str | Path] = []
     for path in paths:
         url = url_of(path)
@@ -72,10 +65,10 @@ def expanded(paths: Sequence[str | Path]) -> list[str | Path]:
 
 
 def download(url: str, to: Path) -> None:
-    """Copy a file or a folder of a store to a path on this machine that does not exist yet.
+    """Copy a file or folder of a store to a local path that does not exist yet.
 
     Raises:
-        OffpisteError: nothing is there, or a name in the store leads out of the folder.
+        OffpisteError: the URL does not exist, or a name in the store points outside the folder.
     """
     with opened(url) as (files, root):
         names = files.find(root)
@@ -89,10 +82,10 @@ def download(url: str, to: Path) -> None:
 
 @contextmanager
 def brought(path: str | Path) -> Iterator[Path]:
-    """A file or a folder on this machine; one in an object store is copied, and the copy removed afterwards.
+    """Give a local path; a file or folder in an object store is copied, and the copy removed afterwards.
 
     Raises:
-        OffpisteError: the store has no such file or folder, or cannot be reached.
+        OffpisteError: the URL does not exist, or the store cannot be reached.
     """
     url = url_of(path)
     if url is None:
@@ -110,7 +103,7 @@ def brought(path: str | Path) -> Iterator[Path]:
 
 
 def refuse_url(path: str | Path) -> None:
-    """Raise if a path lies in an object store, for commands that read and write on this machine only."""
+    """Raise `OffpisteError` if a path is in an object store."""
     if (url := url_of(path)) is not None:
         how = "give a place on this machine; `offpiste extract` reads and writes there"
         raise OffpisteError("lies in an object store", where=url, how=how)

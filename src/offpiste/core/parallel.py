@@ -1,6 +1,6 @@
-"""Independent jobs, in processes of this machine or as tasks of a Ray cluster, with one progress bar over all of them.
+"""Independent jobs in local processes or on a Ray cluster, with one progress bar.
 
-Jobs write their results themselves, whole or not at all, so all nodes of a cluster have to see the same files.
+Jobs write their own results, so all nodes of a cluster must share a file system.
 """
 
 import logging
@@ -26,24 +26,24 @@ logger = logging.getLogger(__name__)
 Job = TypeVar("Job")
 Result = TypeVar("Result")
 Report = Callable[[float], None]
-"""Takes the share of a job that is done, from 0 to 1."""
+"""Receives the completed share of a job, from 0 to 1."""
 
 Work = Callable[[Job, Report], Result]
-"""Does a job, reports the share that is done, and returns the job's result."""
+"""Runs a job, reports its completed share, and returns its result."""
 
 Ended = Generator[tuple[int, Result | OffpisteError], None, None]
-"""Number and result or error of each job, in the order in which jobs end."""
+"""Number and result or error of each job, in order of completion."""
 
 POLL: Final = 0.3
-"""Interval at which the bar is updated [s]."""
+"""Update interval of the progress bar [s]."""
 RETRIES: Final = 4
-"""Times that a job on a cluster is started again after its worker or its node was lost."""
+"""Largest number of restarts of a job on a cluster whose worker or node was lost."""
 MEMORY: Final = 2 * 2**30
-"""Memory that a node of a cluster reserves for a job, if it has as much [bytes]: a drive is extracted in less."""
+"""Memory that a cluster node reserves for a job [bytes]; extracting a drive needs less."""
 
 
 class Outcome(NamedTuple, Generic[Result]):
-    """Results and errors of jobs, both in the order of the jobs."""
+    """Results and errors of jobs, in the order of the jobs."""
 
     results: list[Result]
     failed: list[OffpisteError]
@@ -64,13 +64,13 @@ def run_all(
     cluster: str = "",
     finished: Callable[[Result], None] = logger.info,
 ) -> Outcome[Result]:
-    """Do all jobs, also if some of them fail.
+    """Run all jobs, even if some of them fail.
 
     Args:
-        work: a function of a module that workers can import.
-        processes: largest number of jobs at a time; 1 works in this process.
-        cluster: do them on a Ray cluster instead: "auto", or HOST:PORT of its head.
-        finished: called with the result of each job when it ends.
+        work: function of a module that workers can import.
+        processes: largest number of jobs at a time; 1 runs them in this process.
+        cluster: Ray cluster to run on instead: "auto", or HOST:PORT of its head.
+        finished: called with the result of each job.
 
     Raises:
         OffpisteError: the extra `ray` is not installed, or no cluster answers there.
@@ -139,7 +139,7 @@ def _side_by_side(
 
 
 _shares: MutableSequence[float] = []
-"""In a worker: the share of each job that is done, in memory shared with the parent."""
+"""Completed share of each job, in memory that a worker shares with the parent."""
 
 
 def _share(number: int, share: float) -> None:
@@ -147,10 +147,10 @@ def _share(number: int, share: float) -> None:
 
 
 def _start_worker(threads: int, environment: dict[str, str], shares: MutableSequence[float]) -> None:
-    """Prepare a worker: the environment of now, Ctrl-C left to the parent, and no more threads than its share of cores.
+    """Prepare a worker: it ignores Ctrl-C, ends with the parent, and uses its share of cores.
 
     Args:
-        environment: of the parent; the server that forks workers knows only what it was when the server started.
+        environment: current environment of the parent; the fork server has that of its own start.
     """
     global _shares
     import torch
@@ -163,7 +163,7 @@ def _start_worker(threads: int, environment: dict[str, str], shares: MutableSequ
 
 
 def _end_with_parent() -> None:
-    """Exit once the parent is gone: a parent that is killed cannot end its workers."""
+    """Exit after the parent was killed."""
     parent = multiprocessing.parent_process()
     assert parent is not None
     parent.join()
@@ -177,7 +177,7 @@ def _on_cluster(
         from ray.util.queue import Queue
         from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
-        # The queue stays on this node, whose loss ends this process as well.
+        # On this node, whose loss ends this process as well.
         here = NodeAffinitySchedulingStrategy(ray.get_runtime_context().get_node_id(), soft=False)
         queue = Queue(actor_options={"num_cpus": 0, "scheduling_strategy": here})
         largest = max((node["Resources"].get("memory", 0) for node in ray.nodes() if node["Alive"]), default=0)
@@ -203,7 +203,7 @@ def _result_of(ray: Any, reference: Any) -> Any:
     try:
         return ray.get(reference)
     except ray.exceptions.RayTaskError:
-        raise  # a defect of offpiste, with its traceback
+        raise  # a bug in offpiste
     except ray.exceptions.RayError as error:
         lost = f"its worker or its node was lost {RETRIES + 1} times ({type(error).__name__})"
         return OffpisteError(lost, how="look at Ray's logs for why, e.g. want of memory; finished drives are kept")
@@ -211,7 +211,7 @@ def _result_of(ray: Any, reference: Any) -> Any:
 
 @contextmanager
 def _connected(address: str) -> Iterator[Any]:
-    """Ray, connected to a cluster; an earlier connection is used and kept."""
+    """Give Ray, connected to a cluster; an existing connection is reused and kept."""
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     with extra("ray"):
         import ray
@@ -220,7 +220,7 @@ def _connected(address: str) -> Iterator[Any]:
         return
     host, _, port = address.removeprefix("ray://").rpartition(":")
     try:
-        if host:  # Ray would wait for a minute
+        if host:  # Ray would wait a minute for it
             socket.create_connection((host, int(port)), timeout=5.0).close()
         connection = ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
     except (OSError, ValueError, RuntimeError) as error:
@@ -231,10 +231,10 @@ def _connected(address: str) -> Iterator[Any]:
 
 
 def at_a_time(processes: int, device: str = "cpu") -> int:
-    """Number of processes to start: as many as asked for; 0: one per core, or one in all if they share an accelerator.
+    """Return the number of processes: `processes`, or for 0 one per core on the CPU and one on a GPU.
 
     Raises:
-        OffpisteError: a number below 0.
+        OffpisteError: the number is negative.
     """
     if processes < 0:
         raise OffpisteError(f"--processes is {processes}", how="give 1 or more, or 0 for one a core")
@@ -242,10 +242,10 @@ def at_a_time(processes: int, device: str = "cpu") -> int:
 
 
 def parse_shard(text: str) -> tuple[int, int]:
-    """K and N of "K/N".
+    """Parse "K/N" with K from 1 to N.
 
     Raises:
-        OffpisteError: not two whole numbers, K from 1 to N.
+        OffpisteError: it has another form.
     """
     found = re.fullmatch(r"([0-9]+)/([0-9]+)", text)
     if not found or not 1 <= int(found[1]) <= int(found[2]):

@@ -1,4 +1,4 @@
-"""What a person sees: progress bars with the time left on a terminal, log messages, results on standard output."""
+"""Progress with the time left, log messages, and results on standard output."""
 
 import logging
 import sys
@@ -19,14 +19,14 @@ from rich.progress import (
 
 Item = TypeVar("Item")
 EVERY: Final = 15.0
-"""Time between two lines of progress where standard error is no terminal [s]."""
+"""Interval of progress lines if standard error is not a terminal [s]."""
 FORETOLD: Final = 0.02
-"""Share done from which on lines say the time left: the start of work is slower than the rest."""
+"""Completed share from which on progress lines show the time left; the start of work is slower."""
 
 
 @runtime_checkable
 class Track(Protocol):
-    """Shows progress over items, as `track`."""
+    """Function like `track`."""
 
     def __call__(self, items: Iterable[Item], description: str, /) -> Iterator[Item]:
         """Yield the items."""
@@ -34,14 +34,14 @@ class Track(Protocol):
 
 
 class _Lines:
-    """Occasional lines of progress on standard error, for output that goes to a file."""
+    """Progress lines on standard error, for output to a file."""
 
     def __init__(self, description: str) -> None:
         self._description, self._begun = description, monotonic()
         self._next = self._begun + EVERY
 
     def update(self, done: float, total: float | None, *, in_percent: bool = False) -> None:
-        """Print a line if `EVERY` seconds have passed since the last one, or since the beginning."""
+        """Print a line every `EVERY` seconds."""
         now = monotonic()
         if now < self._next:
             return
@@ -53,7 +53,7 @@ class _Lines:
 
 
 def track(items: Iterable[Item], description: str, *, total: int | None = None) -> Generator[Item, None, None]:
-    """Yield the items, with progress on standard error: a bar on a terminal, occasional lines elsewhere."""
+    """Yield the items and show progress on standard error: a bar on a terminal, else occasional lines."""
     console = Console(stderr=True)
     if total is None and isinstance(items, Sized):
         total = len(items)
@@ -70,10 +70,7 @@ def track(items: Iterable[Item], description: str, *, total: int | None = None) 
 
 @contextmanager
 def jobs_bar(total: int, description: str) -> Iterator[Callable[[int, float], None]]:
-    """Progress of jobs that run side by side, as `track` shows it.
-
-    The function it gives takes a job's number and share done.
-    """
+    """Show the progress of parallel jobs; gives a function of the number and completed share of a job."""
     console = Console(stderr=True)
     done = [0.0] * total
     if not console.is_terminal:
@@ -97,17 +94,17 @@ def jobs_bar(total: int, description: str) -> Iterator[Callable[[int, float], No
 
 
 def show(result: object) -> None:
-    """Print a result on standard output: a line, or anything that rich can render."""
+    """Print a line or a rich renderable on standard output."""
     if isinstance(result, str):
         print(result, flush=True)  # noqa: T201
         return
     console = Console(highlight=False)
-    # A pipe has no width of its own, and 80 columns would break tables.
+    # The default of 80 columns for a pipe would wrap tables.
     (console if console.is_terminal else Console(highlight=False, width=120)).print(result)
 
 
 def log_to_terminal() -> None:
-    """Print offpiste's log messages; without this call the library stays silent."""
+    """Print log messages of offpiste; without this call the library is silent."""
     logger = logging.getLogger("offpiste")
     logger.setLevel(logging.INFO)
     logger.propagate = False
@@ -115,7 +112,7 @@ def log_to_terminal() -> None:
 
 
 class _TerminalHandler(logging.Handler):
-    """Prints messages as results are printed, so that a logged table is drawn as a table."""
+    """Handler that renders logged tables."""
 
     def emit(self, record: logging.LogRecord) -> None:
         drawn = hasattr(record.msg, "__rich_console__")

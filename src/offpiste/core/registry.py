@@ -1,7 +1,7 @@
-"""Things that can be added by name: log formats, backbones, fusion rules, cost terms, models, losses, worlds, figures.
+"""Registries of extensible parts: log formats, backbones, fusion rules, cost terms, models, losses, worlds, figures.
 
-Each registers itself where it is defined. What ships with offpiste is found in one package; what others add comes from
-modules that `OFFPISTE_EXTENSIONS` names, or from entry points of the group `offpiste`.
+Entries register themselves. Extensions are modules named in `OFFPISTE_EXTENSIONS` and entry points of the group
+`offpiste`.
 """
 
 import os
@@ -17,16 +17,16 @@ from offpiste.core.errors import OffpisteError, did_you_mean
 Entry = TypeVar("Entry")
 
 EXTENSIONS: Final = "OFFPISTE_EXTENSIONS"
-"""Environment variable: names of modules to import, separated by commas."""
+"""Environment variable of comma-separated modules to import."""
 
 
 class Registry(Generic[Entry]):
-    """Entries by name; the first look-up imports what ships and what others have added.
+    """Entries by name; the first look-up imports all entries of the package and of extensions.
 
     Args:
-        kind: what an entry is, in the words of a message ("backbone").
-        package: every module in it is imported before the first look-up, so that a file dropped there is found.
-        error: raised for a name that is unknown or taken.
+        kind: kind of an entry for messages ("backbone").
+        package: package whose modules are imported before the first look-up.
+        error: error for a name that is unknown or taken.
     """
 
     def __init__(self, kind: str, *, package: str = "", error: type[OffpisteError] = OffpisteError) -> None:
@@ -35,11 +35,7 @@ class Registry(Generic[Entry]):
         self._loaded = False
 
     def register(self, name: str) -> Callable[[Entry], Entry]:
-        """Add what it decorates, or is called with, under a name.
-
-        Raises:
-            OffpisteError: the name is taken.
-        """
+        """Return a decorator that adds an entry; raises `error` if the name is taken."""
 
         def add(entry: Entry) -> Entry:
             if name in self._entries:
@@ -50,11 +46,7 @@ class Registry(Generic[Entry]):
         return add
 
     def __getitem__(self, name: str) -> Entry:
-        """The entry of that name.
-
-        Raises:
-            OffpisteError: there is none.
-        """
+        """Return the entry of a name; raises `error` if there is none."""
         self._load()
         if name not in self._entries:
             how = f"{did_you_mean(name, self._entries)}there are: {', '.join(self._entries)}"
@@ -74,7 +66,7 @@ class Registry(Generic[Entry]):
         return len(self._entries)
 
     def items(self) -> list[tuple[str, Entry]]:
-        """Names and entries, those that ship first, each in the order of registration."""
+        """Return names and entries in the order of registration, extensions last."""
         self._load()
         return list(self._entries.items())
 
@@ -90,12 +82,8 @@ class Registry(Generic[Entry]):
 
 @cache
 def load_extensions() -> None:
-    """Import what others have added, once a process.
-
-    Raises:
-        OffpisteError: a module of `OFFPISTE_EXTENSIONS`, or an entry point, cannot be imported.
-    """
-    named = {name.strip(): f"{EXTENSIONS}" for name in os.environ.get(EXTENSIONS, "").split(",") if name.strip()}
+    """Import all extensions; raises `OffpisteError` if one cannot be imported."""
+    named = {name.strip(): EXTENSIONS for name in os.environ.get(EXTENSIONS, "").split(",") if name.strip()}
     named |= {point.value: f"entry point '{point.name}'" for point in entry_points(group="offpiste")}
     for module, where in named.items():
         try:

@@ -1,4 +1,4 @@
-"""Trained models that ship with offpiste: run folders inside the package, and the PCA of their features."""
+"""Pretrained models inside the package: run folders and the PCA of their features."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -7,24 +7,24 @@ from typing import Final
 from offpiste.core.errors import RunError, did_you_mean
 
 PREFIX = "pretrained:"
-"""What the name of a model that ships begins with, wherever a run folder or a PCA is expected."""
+"""Prefix of the name of a pretrained model, in place of a run folder or a PCA file."""
 
 PCA: Final = "pca.safetensors"
-"""File of a family's visual features, beside the folders of its models."""
+"""PCA file beside the run folders of a family of models."""
 
 _FOLDER = Path(__file__).parents[1] / "pretrained_models"
 
 
 def pretrained_names() -> list[str]:
-    """Names of the models that ship: "proving-ground/dc" and others."""
+    """Return the names of pretrained models, such as "proving-ground/dc"."""
     return sorted(path.parent.relative_to(_FOLDER).as_posix() for path in _FOLDER.glob("*/*/model.json"))
 
 
 def run_folder(run: str | Path) -> Path:
-    """Folder of a run, given as a path, or as `pretrained:NAME` for a model that ships.
+    """Return the folder of a run, given as a path or as `pretrained:NAME`.
 
     Raises:
-        RunError: no model of that name ships.
+        RunError: no pretrained model has that name.
     """
     if not str(run).startswith(PREFIX):
         return Path(run)
@@ -36,12 +36,12 @@ def run_folder(run: str | Path) -> Path:
 
 
 def named(folder: Path) -> str:
-    """How a person names a run: `pretrained:NAME` for a model that ships, else its folder."""
+    """Return the name of a run for users: `pretrained:NAME` or its folder."""
     return f"{PREFIX}{folder.relative_to(_FOLDER).as_posix()}" if folder.is_relative_to(_FOLDER) else str(folder)
 
 
 def names_apart(runs: Sequence[str | Path]) -> list[str]:
-    """Names of runs, given as to `run_folder`: the ends of their paths, as long as it takes for them to differ."""
+    """Return the shortest ends of the paths of runs that differ, as their names."""
     folders = [run_folder(run).absolute().parts for run in runs]
     lengths = range(1, max(map(len, folders), default=1) + 1)
     names = (["/".join(parts[-length:]) for parts in folders] for length in lengths)
@@ -49,16 +49,16 @@ def names_apart(runs: Sequence[str | Path]) -> list[str]:
 
 
 def alike(folder: Path) -> str:
-    """A question that names a run of nearly this name beside it, or one that ships (`errors.did_you_mean`)."""
+    """Suggest a run of similar name beside a folder, or a pretrained one (`errors.did_you_mean`)."""
     beside = [str(path.parent) for path in folder.parent.glob("*/model.json")]
     return did_you_mean(str(folder), [*beside, *(f"{PREFIX}{name}" for name in pretrained_names())])
 
 
 def pca_file(pca: str | Path) -> Path:
-    """File of a PCA, given as a path, or as `pretrained:FAMILY` for that of models that ship.
+    """Return the file of a PCA, given as a path or as `pretrained:FAMILY`.
 
     Raises:
-        RunError: no family of that name ships.
+        RunError: no pretrained family has that name.
     """
     if not str(pca).startswith(PREFIX):
         return Path(pca)

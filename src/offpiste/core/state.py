@@ -1,4 +1,4 @@
-"""What stages hand to each other: a vehicle's past, the terrain under it, a model's state, a predicted trajectory."""
+"""Data passed between stages: history, terrain, model state, predicted trajectory."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -12,17 +12,17 @@ from offpiste.core.conventions import ACTUATORS, STATE
 
 
 def wrap_angle(angle: Tensor) -> Tensor:
-    """The same angle in [-pi, pi] [rad]; differentiable."""
+    """Wrap an angle to [-pi, pi] [rad], differentiably."""
     return torch.atan2(torch.sin(angle), torch.cos(angle))
 
 
 @dataclass(frozen=True)
 class Terrain:
-    """The ground under each wheel at one or several moments.
+    """Terrain under each wheel at one or several times.
 
     Attributes:
-        normal: unit surface normals in the world frame; straight up where `known` is false.
-        known: whether the normal is.
+        normal: unit surface normals in the world frame; straight up if not `known`.
+        known: validity of the normals.
         latent: encoded terrain features, missing ones already filled; E = 0 for models without features.
     """
 
@@ -31,12 +31,12 @@ class Terrain:
     latent: Float[Tensor, "*batch 4 E"]
 
     def rows(self, part: slice) -> "Terrain":
-        """Some of the rows of a batch: fields are [B, R, 4, ...]."""
+        """Select rows of a batch whose fields are [B, R, 4, ...]."""
         return Terrain(self.normal[:, part], self.known[:, part], self.latent[:, part])
 
     @staticmethod
     def of(normal: Float[Tensor, "*batch 4 3"]) -> "Terrain":
-        """Ground without features, from normals that are NaN where unknown."""
+        """Make terrain without features from normals, which are NaN if unknown."""
         known = normal.isfinite().all(dim=-1)
         straight_up = normal.new_tensor([0.0, 0.0, 1.0])
         return Terrain(torch.where(known[..., None], normal, straight_up), known, normal[..., :0])
@@ -44,7 +44,7 @@ class Terrain:
 
 @dataclass(frozen=True)
 class History:
-    """The rows t-10 ... t-1 before a prediction; row t itself enters as the first step's input.
+    """Rows t-10 ... t-1 before a prediction; row t is the input of the first step.
 
     Attributes:
         state: px, py [m], yaw [rad], vx, vy [m/s], yaw rate [rad/s].
@@ -61,7 +61,7 @@ class History:
 
 @dataclass(frozen=True)
 class ModelState:
-    """All that a model remembers from one step to the next.
+    """State of a model between two steps.
 
     Attributes:
         state: px, py [m], yaw [rad], vx, vy [m/s], yaw rate [rad/s].
@@ -75,23 +75,19 @@ class ModelState:
     cell: Float[Tensor, "B H"]
 
     def pack(self) -> Float[Tensor, "B P"]:
-        """All of it in one row of P = 6 + A + 2 H numbers, for planners whose state is a vector."""
+        """Concatenate all fields to P = 6 + A + 2 H numbers, for planners whose state is a vector."""
         return torch.cat((self.state, self.actuators, self.hidden, self.cell), dim=-1)
 
     @staticmethod
     def unpack(packed: Float[Tensor, "B P"], actuators: int = len(ACTUATORS)) -> "ModelState":
-        """The inverse of `pack`.
-
-        Args:
-            actuators: A, columns of actuators.
-        """
+        """Invert `pack` for A columns of actuators."""
         size = (packed.shape[-1] - len(STATE) - actuators) // 2
         return ModelState(*packed.split((len(STATE), actuators, size, size), dim=-1))
 
 
 @dataclass(frozen=True)
 class Trajectory:
-    """States and actuators after each step: index t holds time (t + 1) dt after the start."""
+    """States and actuators after each step; index t is at time (t + 1) dt after the start."""
 
     state: Float[Tensor, "B T 6"]
     actuators: Float[Tensor, "B T A"]
@@ -99,19 +95,19 @@ class Trajectory:
 
 @runtime_checkable
 class TerrainSource(Protocol):
-    """Where a rollout asks for the ground under the wheels."""
+    """Source of the terrain under the wheels in a rollout."""
 
     def at(self, t: int, state: Float[Tensor, "B 6"]) -> Terrain:
-        """Ground at step `t` for a vehicle in `state`; fields are [B, 4, ...]."""
+        """Return the terrain at step `t` for a vehicle in `state`; fields are [B, 4, ...]."""
         ...
 
 
 @dataclass(frozen=True)
 class RecordedTerrain:
-    """Terrain under the recorded wheels, looked up by time step instead of predicted position."""
+    """Terrain under the recorded wheels, looked up by time step instead of position."""
 
     terrain: Terrain
 
     def at(self, t: int, state: Float[Tensor, "B 6"]) -> Terrain:
-        """Row `t` of the record; `state` is not looked at."""
+        """Return row `t`; `state` is ignored."""
         return Terrain(self.terrain.normal[:, t], self.terrain.known[:, t], self.terrain.latent[:, t])

@@ -1,7 +1,4 @@
-"""Compiled loops: how Numba compiles them, and how their blocks are spread over threads.
-
-Numba's own threading layers were slower beside torch's OpenMP.
-"""
+"""Compilation of loops by Numba, and threads over their blocks (Numba's own were slower beside torch's OpenMP)."""
 
 import hashlib
 import inspect
@@ -32,18 +29,16 @@ Function = Callable[..., Any]
 
 @dataclass(frozen=True)
 class Compiler:
-    """Compiler options of one part of offpiste.
+    """Compiler options of a group of functions.
 
     Attributes:
-        sources: folders and files, relative to the package, whose code an entry may call, or whose constants it reads.
-        fastmath: fast-math flags of LLVM; none assumes finite numbers, since diverged rollouts must be detected.
-        loops_make_arrays, entries_make_arrays: whether such functions create or keep arrays. Those that do not are
-            compiled without reference counting, and run up to three times as fast; they cannot assign slices, which
-            may need a copy.
-        wide: whether loops use vectors of 512 bits where there are such; LLVM alone prefers 256 on Intel's processors,
-            whose first ones lowered their clock for them. Sums over lanes round differently.
-        part: what is compiled, for the message before it; "" for none.
-        seconds: that it takes.
+        sources: folders and files, relative to the package, of all functions and constants that an entry uses.
+        fastmath: fast-math flags of LLVM. None may assume finite numbers: diverged rollouts must be detected.
+        loops_make_arrays, entries_make_arrays: whether these functions create or keep arrays. Others are compiled
+            without reference counting and are up to three times as fast, but cannot assign slices.
+        wide: use vectors of 512 bits if available (LLVM prefers 256 on Intel). Sums over lanes round differently.
+        part: name for the message before compilation; "" for no message.
+        seconds: duration of the compilation.
     """
 
     sources: tuple[str, ...]
@@ -55,15 +50,15 @@ class Compiler:
     seconds: int = 0
 
     def inlined(self, function: Function) -> Function:
-        """Compile a function that becomes part of the loop that calls it."""
+        """Compile a function that is inlined into its callers."""
         return _compiled(function, forceinline=True, **self._options(self.loops_make_arrays))
 
     def loop(self, function: Function) -> Function:
-        """Compile a function that other compiled functions call, once for all callers."""
+        """Compile a function for other compiled functions."""
         return _compiled(function, **self._options(self.loops_make_arrays))
 
     def summing_loop(self, function: Function) -> Function:
-        """Compile a function for other compiled functions that may sum numbers in any order."""
+        """Compile a function for other compiled functions that may sum in any order."""
         options = self._options(self.loops_make_arrays)
         return _compiled(function, **options | {"fastmath": {*self.fastmath, "reassoc"}})
 
@@ -72,12 +67,9 @@ class Compiler:
         return _compiled(function, **self._options(makes_arrays=True))
 
     def entry(self, function: Function, *, salt: str = "") -> Function:
-        """Compile a function that Python calls; it releases the GIL, and its code is kept (`KernelCache`) if possible.
+        """Compile a function for Python; it releases the GIL and is cached (`KernelCache`).
 
-        It calls its own copies of other functions (`SelfContained`), so that it gives the same bits in every process.
-
-        Numba checks only the file of the function itself to see whether the cache is still valid, hence the digest of
-        all sources in its name.
+        Numba invalidates its cache only by the file of the function, hence the digest of all sources in its name.
 
         Args:
             salt: other code that the function calls.
@@ -89,7 +81,7 @@ class Compiler:
         options = self._options(self.entries_make_arrays) | {"nogil": True}
         options["pipeline_class"] = WideSelfContained if self.wide else SelfContained
         entry: Any = _compiled(function, **options)
-        with suppress(RuntimeError):  # no folder for the cache
+        with suppress(RuntimeError):  # the cache has no folder
             entry._cache = KernelCache(entry.py_func, self.part, self.seconds)
             entry._compiler.compile = entry._cache.compiling(entry._compiler.compile)
         return entry  # type: ignore[no-any-return]
@@ -101,28 +93,24 @@ class Compiler:
 
     @cached_property
     def _digest(self) -> str:
-        # This file, too: options are no part of the key of Numba's cache.
+        # This file as well: compiler options are not in the key of Numba's cache.
         return sources_digest(("native/compilation.py", *self.sources))[:16]
 
 
 def sources_digest(sources: Iterable[str]) -> str:
-    """SHA-256 of the code in files and folders, relative to the package.
-
-    Raises:
-        FileNotFoundError: a source does not exist.
-    """
+    """Return the SHA-256 of the code in files and folders, relative to the package."""
     roots = [Path(__file__).parents[1] / source for source in sources]
     files = [file for root in roots for file in (sorted(root.rglob("*.py")) if root.is_dir() else [root])]
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
 
 
 def target_machine() -> list[str]:
-    """Platform, processor and its features that kernels are compiled for: others may round differently."""
+    """Return platform, processor and features that kernels are compiled for; others may round differently."""
     return [str(part) for part in cpu_target.target_context.codegen().magic_tuple()]
 
 
 class _OwnCopies(JITCodeLibrary):  # type: ignore[misc]
-    """Machine code that binds its copies of the functions that it calls to itself."""
+    """Machine code whose copies of called functions are internal."""
 
     def _finalize_final_module(self) -> None:
         for function in self._final_module.functions:
@@ -132,19 +120,16 @@ class _OwnCopies(JITCodeLibrary):  # type: ignore[misc]
 
 
 class SelfContained(NumbaCompiler):  # type: ignore[misc]
-    """Numba's compiler for functions whose machine code calls nothing outside of it but the runtime.
+    """Numba compiler whose machine code depends on no earlier compilation in the process.
 
-    Numba links a copy of every function that is called into the caller, optimises it there once more, and leaves its
-    symbol weak. The linker then takes the first definition in the process: where the callee was compiled just before,
-    the callee's own; where the caller is loaded from the cache, the copy, or that of another caller that was loaded
-    earlier. They round differently: after 50 steps of a plan by 1e-7.
+    Numba links a copy of every called function into the caller, optimises it again, and leaves its symbol weak. The
+    linker takes the first definition in the process, and these round differently (by 1e-7 after 50 steps of a plan).
     """
 
     library: type[JITCodeLibrary] = _OwnCopies
-    """Class of the machine code."""
 
     def define_pipelines(self) -> Any:
-        """Numba's passes, into a library whose copies are its own."""
+        """Return Numba's passes, with the code library of this class."""
         target, name = self.state.targetctx.codegen(), self.state.func_id.func_qualname
         self.state.library = self.library(target, name)  # type: ignore[no-untyped-call]
         self.state.library.enable_object_caching()
@@ -152,23 +137,23 @@ class SelfContained(NumbaCompiler):  # type: ignore[misc]
 
 
 class _WideVectors(JITCodeLibrary):  # type: ignore[misc]
-    """Machine code with vectors as wide as the processor has them."""
+    """Machine code with the widest vectors of the processor."""
 
     def add_ir_module(self, ir_module: Any) -> None:
-        """Put the preference on each function: as an option of LLVM it would be one of the whole process."""
+        """Set the preference per function; an option of LLVM would hold for the whole process."""
         for function in ir_module.functions:
             if not function.is_declaration:
-                # Their own `add` knows attributes without values only.
+                # llvmlite's `add` accepts only attributes without values.
                 set.add(function.attributes, '"prefer-vector-width"="512"')
         super().add_ir_module(ir_module)  # type: ignore[no-untyped-call]
 
 
 class _WideOwnCopies(_OwnCopies, _WideVectors):
-    """Both."""
+    """Machine code with internal copies and the widest vectors."""
 
 
 class Wide(SelfContained):
-    """Numba's compiler for functions that others call, with wide vectors."""
+    """Numba compiler for called functions, with wide vectors."""
 
     library = _WideVectors
 
@@ -180,12 +165,12 @@ class WideSelfContained(SelfContained):
 
 
 def _compiled(function: Function, **options: Any) -> Function:
-    # Tests wrap every function of offpiste to check types; Numba needs the wrapped function.
+    # Tests wrap functions to check types; Numba needs the wrapped function.
     return numba.njit(error_model="numpy", **options)(inspect.unwrap(function))  # type: ignore[no-any-return]
 
 
 FUSED: Final = frozenset({"contract"})
-"""Fast-math flags: fused multiply-add, and nothing else."""
+"""Fast-math flags of fused multiply-add alone."""
 
 MAPPING: Final = Compiler(
     ("mapping",), FUSED, loops_make_arrays=False, entries_make_arrays=False, part="the map's kernels", seconds=20
@@ -196,12 +181,12 @@ PROJECTION: Final = Compiler(("perception/projection.py",), loops_make_arrays=Fa
 FUSED_PROJECTION: Final = replace(PROJECTION, fastmath=FUSED)
 CLOUDS: Final = Compiler(("logs/usable_points.py",), loops_make_arrays=False, entries_make_arrays=False)
 FUSED_CLOUDS: Final = replace(CLOUDS, fastmath=FUSED)
-"""Compilers of loops over the points of scans: products fused with the sums that they go into where BLAS does it."""
+"""Compilers of loops over points of scans, with fused multiply-add where BLAS uses it."""
 OCCLUSION: Final = Compiler(("perception/occlusion.py",))
 _RESPONSES: Final = ("perception/filter_responses.py",)
 FILTERS: Final = Compiler(_RESPONSES, FUSED, loops_make_arrays=False, entries_make_arrays=False)
 FILTER_SUMS: Final = Compiler(_RESPONSES, loops_make_arrays=False, entries_make_arrays=False)
-"""Compilers of the backbone `filterbank`: products fused with the sums that they go into, and not."""
+"""Compilers of the backbone `filterbank`, with and without fused multiply-add."""
 FEATURE_SETS_KEPT: Final = Compiler(("dataset/feature_sets.py",), loops_make_arrays=False, entries_make_arrays=False)
 _STEP: Final = (
     "dynamics/kernels",
@@ -210,7 +195,7 @@ _STEP: Final = (
     "core/conventions.py",
     "mapping/terrain_map.py",
 )
-"""What a step is compiled from, modules with its constants included."""
+"""Sources of a step, including modules of its constants."""
 KERNELS: Final = Compiler(
     _STEP,
     FUSED,
@@ -228,7 +213,7 @@ PLANNING: Final = Compiler(
     seconds=20,
 )
 PHYSICS: Final = Compiler(("simulation", "core/conventions.py"), part="the simulated vehicle", seconds=10)
-"""Compiler of the simulated vehicle: functions of scalars for Python and for each other, without fast math."""
+"""Compiler of the simulated vehicle, without fast math."""
 RAYS: Final = Compiler(
     ("simulation",),
     frozenset({"contract", "nsz", "arcp"}),
@@ -242,7 +227,7 @@ RAYS: Final = Compiler(
 
 @intrinsic  # type: ignore[misc]
 def call_address(_context, function, arguments):  # type: ignore[no-untyped-def]
-    """Call a C function that returns nothing from compiled code: its address, and a tuple of addresses to give it."""
+    """Call a void C function from compiled code, given its address and a tuple of addresses as arguments."""
 
     def build(_target, builder, _signature, values):  # type: ignore[no-untyped-def]
         pointer = ir.IntType(8).as_pointer()
@@ -255,7 +240,7 @@ def call_address(_context, function, arguments):  # type: ignore[no-untyped-def]
 
 
 def spread_blocks(threads: int, blocks: int, loop: Callable[..., None], *arguments: object) -> None:
-    """Call `loop(first, last, *arguments)` on contiguous parts of the blocks, one in each thread."""
+    """Call `loop(first, last, *arguments)` on contiguous ranges of blocks, one per thread."""
     threads = min(threads, blocks)
     if threads <= 1:
         return loop(0, blocks, *arguments)
@@ -280,17 +265,17 @@ _kernel_threads: ContextVar[int | None] = ContextVar("kernel_threads", default=N
 
 
 def spread_kernel(blocks: int, kernel: Callable[..., None], *arguments: object) -> None:
-    """Call `kernel(first, last, *arguments)` on contiguous parts of the blocks, in as many threads as torch uses."""
-    import torch  # here, because it takes a second and 150 MB, and most of what is compiled runs without it
+    """Call `kernel(first, last, *arguments)` on contiguous ranges of blocks, with as many threads as torch."""
+    import torch  # takes a second and 150 MB, and most compiled code runs without it
 
     spread_blocks(_kernel_threads.get() or torch.get_num_threads(), blocks, kernel, *arguments)
 
 
 @contextmanager
 def single_threaded_torch() -> Iterator[None]:
-    """Context in which torch's own operations use one thread; kernels use as many as before.
+    """Run torch's own operations in one thread; kernels use as many as before.
 
-    After each multi-threaded operation OpenMP's threads spin for milliseconds, on cores that the kernels need.
+    OpenMP's threads spin for milliseconds after each operation, on cores that kernels need.
     """
     import torch
 

@@ -1,6 +1,6 @@
-"""Kernels for NVIDIA GPUs: compiled by NVRTC when they are first used, kept on disk, launched on torch's stream.
+"""Kernels for NVIDIA GPUs: compiled by NVRTC on first use, cached on disk, launched on torch's stream.
 
-Needs the extra `cuda` (cuda-core) and a torch that was built for CUDA.
+They need the extra `cuda` (cuda-core) and a CUDA build of torch.
 """
 
 import logging
@@ -20,46 +20,46 @@ from offpiste.core.errors import OffpisteError, extra
 logger = logging.getLogger(__name__)
 
 BLOCK: Final = 64
-"""Threads of a block, as OFFPISTE_BLOCK in kernels.h."""
+"""Threads per block, equal to OFFPISTE_BLOCK in kernels.h."""
 
 LARGEST_CACHE: Final = 1 << 28
-"""Bytes of machine code that are kept."""
+"""Largest cache of machine code [bytes]."""
 
 
 @runtime_checkable
 class Kernels(Protocol):
-    """Compiled kernels, wherever they run.
+    """Compiled kernels on any device.
 
     Attributes:
-        lanes: threads that share an item, of kernels that have it shared.
+        lanes: threads per item in kernels that share items.
     """
 
     lanes: int
 
     def launch(self, name: str, count: int, *arguments: Tensor | int | None, lanes: int = 1) -> None:
-        """Run a kernel for `count` items; tensors are contiguous, and lie where it runs; None is no array.
+        """Run a kernel for `count` items with so many threads each.
 
         Args:
-            lanes: threads for each item.
+            arguments: integers, contiguous tensors on the device, or None for no array.
         """
         ...
 
 
 def lanes_of(text: str) -> int:
-    """OFFPISTE_LANES of a text (`dynamics/header/lanes.h`)."""
+    """Return OFFPISTE_LANES of a source text (`dynamics/header/lanes.h`)."""
     return max(map(int, re.findall(r"^#define OFFPISTE_LANES (\d+)", text, re.MULTILINE)), default=1)
 
 
 @final
 class CudaKernels:
-    """Kernels of a text on one GPU.
+    """Kernels of a source text on one GPU.
 
     Args:
-        text: C++ without includes, its kernels `extern "C"`.
+        text: C++ without includes and with `extern "C"` kernels.
 
     Raises:
         MissingExtra: cuda-core is not installed.
-        OffpisteError: no driver, no NVRTC, or one that does not know this GPU.
+        OffpisteError: driver or NVRTC is missing or does not support this GPU.
     """
 
     def __init__(self, text: str, device: torch.device) -> None:
@@ -73,11 +73,7 @@ class CudaKernels:
         self._kernels: dict[str, Any] = {}
 
     def launch(self, name: str, count: int, *arguments: Tensor | int | None, lanes: int = 1) -> None:
-        """Run a kernel for `count` items, each by so many threads, on torch's current stream.
-
-        Raises:
-            OffpisteError: the driver does not run it.
-        """
+        """Run a kernel on torch's current stream (see `Kernels`); raises `OffpisteError` if the driver fails."""
         from cuda.core import LaunchConfig, Stream, launch
 
         given = [argument_of(argument) for argument in (*arguments, count)]
@@ -89,11 +85,7 @@ class CudaKernels:
 
 
 def argument_of(argument: Tensor | int | None) -> int | np.int32:
-    """An argument as cuda-core takes it: Python's integers are pointers.
-
-    Raises:
-        ValueError: a tensor that is not contiguous.
-    """
+    """Convert an argument for cuda-core, which takes Python integers for pointers."""
     if argument is None:
         return 0
     if isinstance(argument, Tensor):
@@ -104,11 +96,11 @@ def argument_of(argument: Tensor | int | None) -> int | np.int32:
 
 
 def machine_code(text: str, architecture: str) -> Any:
-    """Machine code of a text (`cuda.core.ObjectCode`), kept on disk where that can be; compiling needs no GPU.
+    """Compile a source text (`cuda.core.ObjectCode`) with a cache on disk; this needs no GPU.
 
     Raises:
         MissingExtra: cuda-core is not installed.
-        OffpisteError: no NVRTC, or one that does not know the architecture.
+        OffpisteError: NVRTC is missing or does not support the architecture.
     """
     with extra("cuda"):
         from cuda.core import Program, ProgramOptions
@@ -116,8 +108,8 @@ def machine_code(text: str, architecture: str) -> Any:
     folder = cache_folder() / "cuda"
     how = "install cuda-core[cu12] or cuda-core[cu13], as torch.version.cuda says; a newer NVRTC knows newer GPUs"
     with _errors_of_cuda(f"NVRTC does not compile for {architecture}", how):
-        # Exact quotients and roots are branches amid a step. Lanes do without, to two units in the last place; going
-        # back, a thread would spill more.
+        # Exact quotients and roots branch within a step and make the backward pass spill. Lanes use approximations
+        # with an error of two units in the last place.
         rounded = {"prec_div": False, "prec_sqrt": False} if lanes_of(text) > 1 else {}
         options = ProgramOptions(arch=architecture, std="c++17", diag_suppress=177, **rounded)
         try:
@@ -130,14 +122,14 @@ def machine_code(text: str, architecture: str) -> Any:
 
 @contextmanager
 def _errors_of_cuda(what: str, how: str) -> Iterator[None]:
-    """Turn errors of NVRTC, the driver and the loader of their libraries into one line."""
+    """Turn errors of NVRTC and the driver into one line."""
     try:
         yield
-    except Exception as error:  # those of cuda-core have no base in its public names
+    except Exception as error:  # errors of cuda-core have no public base class
         raise OffpisteError(f"{what}: {str(error).replace(chr(0), '')}", how=how) from error
 
 
 @cache
 def cuda_kernels(text: str, device: torch.device) -> CudaKernels:
-    """Kernels of a text on a GPU, compiled once a process."""
+    """Return the kernels of a source text on a GPU, compiled once per process."""
     return CudaKernels(text, device)

@@ -1,4 +1,4 @@
-"""Machine code of compiled entries, kept in the user's cache folder: installations may be read-only."""
+"""Cache of compiled entries in the user's cache folder, since installations may be read-only."""
 
 import hashlib
 import logging
@@ -22,16 +22,15 @@ from offpiste.core.cache import cache_folder
 
 logger = logging.getLogger(__name__)
 
-DAMAGED: Final = "machine code that was kept cannot be used, and is compiled again"
 WAIT: Final = 180.0
-"""A process that finds another one compiling the same waits for so long before it compiles as well [s]."""
+"""Longest wait for another process that compiles the same kernel [s]."""
 
 SILENT: Final = 1.0
-"""Time that a process waits for a small kernel of another one before it says so [s]."""
+"""Wait for a small kernel before a message [s]."""
 
 
 class _UserFolder(UserWideCacheLocator):  # type: ignore[misc]
-    """Numba's way to name folders after those of the sources, below offpiste's own."""
+    """Numba's folder of a source file, below the cache folder of offpiste."""
 
     def __init__(self, py_func: Callable[..., Any], py_file: str) -> None:
         super().__init__(py_func, py_file)  # type: ignore[no-untyped-call]
@@ -39,20 +38,19 @@ class _UserFolder(UserWideCacheLocator):  # type: ignore[misc]
 
 
 class _Places(CompileResultCacheImpl):  # type: ignore[misc]
-    """`$NUMBA_CACHE_DIR` where it is set, the user's folder, or beside the sources."""
+    """Cache in `$NUMBA_CACHE_DIR`, the user's folder, or beside the sources."""
 
     _locator_classes = [UserProvidedCacheLocator, _UserFolder, InTreeCacheLocator]  # noqa: RUF012
 
 
 class KernelCache(FunctionCache):  # type: ignore[misc]
-    """Numba's cache of a function, which says what the first call waits for, and survives damage and full disks.
+    """Numba's cache of a function, which announces compilation and tolerates damage and full disks.
 
-    Processes that begin together, as those of a live drive, do not compile the same each: one does, others wait.
+    If several processes need the same function, as in a live drive, one compiles it and the others wait.
 
     Args:
-        function: whose machine code is kept.
-        part: of offpiste, for the message; "" for one that compiles so quickly that nothing is said.
-        seconds: that all of it takes to compile.
+        part: name of the function's group for the message; "" for no message.
+        seconds: duration of compiling the group.
     """
 
     _impl_class = _Places
@@ -60,38 +58,38 @@ class KernelCache(FunctionCache):  # type: ignore[misc]
     def __init__(self, function: Callable[..., Any], part: str, seconds: int) -> None:
         super().__init__(function)  # type: ignore[no-untyped-call]
         self._part, self._seconds = part, seconds
-        self._turn = _Turn(Path(self.cache_path), f"{function.__module__} {function.__qualname__}", part)
+        self._lock = _Lock(Path(self.cache_path), f"{function.__module__} {function.__qualname__}", part)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """What was kept for a signature; None where it has to be compiled."""
+        """Return the cached code of a signature; None if it must be compiled."""
         found = self._kept(sig, target_context)
         if found is None:
-            self._turn.take(target_context)
-            found = self._kept(sig, target_context)  # what another process has left meanwhile
+            self._lock.acquire(target_context)
+            found = self._kept(sig, target_context)  # another process may have compiled it
         if found is not None:
-            self._turn.leave()
+            self._lock.release()
         elif self._part:
             _announce(self._part, self._seconds)
         return found
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep what was compiled, if the folder can be written."""
+        """Cache compiled code if the folder is writable."""
         try:
             super().save_overload(sig, data)  # type: ignore[no-untyped-call]
         except OSError as error:
-            logger.debug(f"machine code is not kept: {error}")
-            self._turn.give_up()
+            logger.debug(f"machine code is not cached: {error}")
+            self._lock.give_up()
         finally:
-            self._turn.leave()
+            self._lock.release()
 
     def compiling(self, compile_: Callable[..., Any]) -> Callable[..., Any]:
-        """Numba's compilation, after which others have their turn although it failed."""
+        """Wrap Numba's compilation so that its failure releases the lock."""
 
         def compiled(*given: Any) -> Any:
             try:
                 return compile_(*given)
             except BaseException:
-                self._turn.leave()
+                self._lock.release()
                 raise
 
         return compiled
@@ -99,8 +97,10 @@ class KernelCache(FunctionCache):  # type: ignore[misc]
     def _kept(self, sig: Any, target_context: Any) -> Any:
         try:
             return super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
-        except Exception as error:  # noqa: BLE001  (whatever unpickling damaged bytes may raise)
-            logger.warning(f"{self.cache_path}: {DAMAGED} ({type(error).__name__})")
+        except Exception as error:  # noqa: BLE001  (unpickling damaged bytes raises anything)
+            logger.warning(
+                f"{self.cache_path}: cached machine code cannot be used and is compiled again ({type(error).__name__})"
+            )
             self._forget()
             return None
 
@@ -108,25 +108,20 @@ class KernelCache(FunctionCache):  # type: ignore[misc]
         try:
             self.flush()  # type: ignore[no-untyped-call]
         except OSError as error:
-            logger.debug(f"damaged machine code stays: {error}")
+            logger.debug(f"damaged machine code remains: {error}")
 
 
-class _Turn:
-    """One process at a time, by a lock that ends with its process; nothing where files cannot be locked.
-
-    Args:
-        folder: that machine code is kept in.
-        name: of what is compiled.
-    """
+class _Lock:
+    """File lock for one compiling process at a time; without effect if files cannot be locked."""
 
     def __init__(self, folder: Path, name: str, part: str) -> None:
         self._folder, self._name, self._part = folder, name, part
         self._file: IO[bytes] | None = None
 
-    def take(self, target_context: Any) -> None:
-        """Wait for it, but not for ever, and not where nothing can be kept."""
-        self.leave()
-        machine = target_context.codegen().magic_tuple()  # computers may share the folder
+    def acquire(self, target_context: Any) -> None:
+        """Wait for the lock, at most `WAIT` seconds, and not after `give_up`."""
+        self.release()
+        machine = target_context.codegen().magic_tuple()  # machines may share the folder
         digest = hashlib.sha256(repr((self._name, machine)).encode()).hexdigest()
         with suppress(ImportError, OSError):
             import fcntl
@@ -146,23 +141,23 @@ class _Turn:
                 time.sleep(0.05)
 
     def give_up(self) -> None:
-        """Let nobody wait any more: what is compiled cannot be kept."""
+        """End the wait of others, since the code cannot be cached."""
         if self._file is not None:
             with suppress(OSError):
                 Path(self._file.name).unlink()
 
-    def leave(self) -> None:
-        """Let others have it."""
+    def release(self) -> None:
+        """Release the lock."""
         if self._file is not None:
             with suppress(ImportError, OSError):
                 import fcntl
 
-                fcntl.flock(self._file, fcntl.LOCK_UN)  # a child that was forked meanwhile has the file, too
+                fcntl.flock(self._file, fcntl.LOCK_UN)  # a forked child has the file open, too
             self._file.close()
         self._file = None
 
 
 @cache
 def _announce(part: str, seconds: int) -> None:
-    """Once in a process."""
+    """Announce compilation once per process."""
     logger.info(f"compiling {part} once, about {seconds} s; `offpiste warm-up` does it ahead")
