@@ -1,7 +1,6 @@
-"""Jobs in several processes: all are done, whatever happens to some."""
+"""Parallel jobs, and the memory for them."""
 
 import os
-import pickle
 import subprocess
 import sys
 import time
@@ -10,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from log_messages import logged
-from offpiste.core.errors import LogError, OffpisteError
+from offpiste.core.errors import LogError
 from offpiste.core.machine import free_memory, within_memory
 from offpiste.core.parallel import run_all
 from parallel_jobs import square, variable
@@ -33,23 +32,10 @@ def test_workers_have_the_environment_of_now_and_not_of_when_the_first_of_them_b
     assert messages == ["OFFPISTE_TRIED=here"] * 2
 
 
-def test_a_single_job_leaves_its_failure_to_the_caller():
-    with logged() as messages:
-        assert len(run_all(square, [-1], 4, "squares").failed) == 1
-    assert not messages
-
-
 def test_a_process_that_is_killed_is_reported_and_does_not_hang():
     failed = run_all(square, [13, 13], 2, "squares").failed
     assert len(failed) == 2
     assert all("killed" in str(error) and "--processes" in str(error) for error in failed)
-
-
-def test_errors_come_back_from_other_processes_as_they_were():
-    error = pickle.loads(pickle.dumps(LogError("broken", where="a.mcap", how="fix it")))  # noqa: S301
-    assert type(error) is LogError
-    assert str(error) == "a.mcap: broken; fix it"
-    assert str(pickle.loads(pickle.dumps(OffpisteError("x")))) == "x"  # noqa: S301
 
 
 def test_processes_end_when_their_parent_is_killed():
