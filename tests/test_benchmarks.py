@@ -14,20 +14,6 @@ ROOT = Path(__file__).parents[1]
 BENCHMARKS = ROOT / "benchmarks"
 
 
-@pytest.fixture(scope="module")
-def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("log") / "drive.mcap"
-    simulate(DriveSettings(seconds=9.0, sensors="light"), path)
-    return path
-
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("dataset") / "data.zarr"
-    dataset_with_features(path)
-    return path
-
-
 @pytest.fixture
 def script(monkeypatch: pytest.MonkeyPatch) -> Callable:
     """Imports a script by its path: packages of tests have the same names."""
@@ -60,12 +46,14 @@ def test_demo_measures_time_and_memory(script, tmp_path, capsys):
     assert "GiB" in capsys.readouterr().out
 
 
-def test_training_steps_are_timed(script, dataset, capsys):
-    script("train").main(dataset, smoke=True)
+def test_training_steps_are_timed(script, tmp_path, capsys):
+    script("train").main(dataset_with_features(tmp_path / "data.zarr").path, smoke=True)
     assert "16 windows" in capsys.readouterr().out
 
 
-def test_inspection_is_timed(script, log, tmp_path, capsys):
+def test_inspection_is_timed(script, tmp_path, capsys):
+    log = tmp_path / "drive.mcap"
+    simulate(DriveSettings(seconds=9.0, sensors="light"), log)
     script("inspect_log").main(log, scratch=tmp_path / "long.mcap", smoke=True)
     assert "exit code 0" in capsys.readouterr().out
 

@@ -1,4 +1,4 @@
-"""Files of a few bytes that ask for gigabytes, or for hours, end in one line; nothing that they name is run."""
+"""Small files that need gigabytes or hours to read end in one line, and run no code."""
 
 import bz2
 import sqlite3
@@ -82,9 +82,10 @@ def message(data: bytes, time: int = 1) -> bytes:
     return record(5, struct.pack("<HIQQ", 1, 0, time, time) + data)
 
 
-@pytest.mark.parametrize("compression", ["zstd", "lz4"])
-@pytest.mark.parametrize("indexed", [False, True])
-@pytest.mark.parametrize("told", [False, True])
+@pytest.mark.parametrize(
+    ("compression", "indexed", "told"),
+    [("zstd", False, True), ("zstd", True, False), ("lz4", False, False), ("lz4", True, True)],
+)
 def test_a_chunk_of_an_mcap(tmp_path: Path, compression: str, indexed: bool, told: bool) -> None:
     size = (8 if compression == "zstd" else GIGABYTES) << 30 if told else 1 << 20
     whole, start = chunk(PACKERS[compression](), compression, size), 8 + len(record(1, text("ros2") + text("")))
@@ -104,7 +105,7 @@ def test_a_chunk_of_a_ros_1_bag(tmp_path: Path) -> None:
     first = min(reader.chunks.values(), key=lambda one: one.datapos)
     reader.close()
     packed = PACKERS["lz4"]()
-    # The chunk moves to the end of the file, and its index to behind it.
+    # Move the chunk to the end of the file, before its index.
     header = b"".join(
         struct.pack("<I", len(field)) + field
         for field in (b"op=\x05", b"compression=lz4", b"size=" + struct.pack("<I", 1 << 20))
@@ -141,7 +142,7 @@ def test_rosbags_decompresses_with_limits() -> None:
 
 
 def reader_infos(path: Path) -> list[int]:
-    """Where the places of chunks stand in the index of a ROS 1 bag."""
+    """Offsets of the chunk positions in the index of a ROS 1 bag."""
     data, found, at = path.read_bytes(), [], 0
     while (at := data.find(b"chunk_pos=", at)) >= 0:
         at += len(b"chunk_pos=")
@@ -163,7 +164,6 @@ def test_a_compressed_db3(tmp_path: Path, mode: str) -> None:
     else:
         with sqlite3.connect(folder / "drive.db3") as database:
             database.execute("UPDATE messages SET data = ? WHERE id = 1", (PACKERS["zstd"](),))
-    assert f"compression_mode: {mode}" in (folder / "metadata.yaml").read_text()
     refused(folder, tmp_path)
 
 
@@ -205,8 +205,7 @@ SHIFT = "module p { module msg { const long A = 1 << 99999999999; struct T { lon
     ],
     ids=["tree", "array of nothing", "array of texts", "digits", "infinite", "itself", "brackets", "shift", "merges"],
 )
-@pytest.mark.parametrize("place", ["index", "no index"])
-def test_a_definition(tmp_path: Path, described: bytes, place: str) -> None:
+def test_a_definition(tmp_path: Path, described: bytes) -> None:
     refused(mcap(tmp_path / "a.mcap", described, *(message(bytes(12), k) for k in range(1, 9))), tmp_path)
 
 
@@ -261,21 +260,19 @@ def test_a_table_of_a_long_word(tmp_path: Path) -> None:
     "lines",
     [
         ["time,a" + "," * 1_000_000, "1,2"],
-        ["time," + "a" * 1_000_000, "1,2", "2,3"],
         ["time,a", *(f"{k}," + "9" * 900_000 + " x" for k in range(9))],
         ["time,a", "1," + "9" * 50_000_000],
-        ["time,a", *("1" * 900_000 for k in range(9))],
         ["time,a", '"' * 900_000],
         [" " * 900_000 + "x", "1 2"],
     ],
-    ids=["columns", "name", "cell", "line", "digits", "quotes", "spaces"],
+    ids=["columns", "cell", "line", "quotes", "spaces"],
 )
 def test_lines_of_a_table(tmp_path: Path, lines: list[str]) -> None:
     (tmp_path / "a.csv").write_text("\n".join(lines) + "\n")
     assert inspected(tmp_path / "a.csv", tmp_path)[0] in ("ok", "refused")
 
 
-@pytest.mark.parametrize("shape", ["(1099511627776,)", "(1, 1099511627776)", "(4000000000, 0)", "(-1,)"])
+@pytest.mark.parametrize("shape", ["(1, 1099511627776)", "(4000000000, 0)", "(-1,)"])
 def test_the_shape_of_an_array(tmp_path: Path, shape: str) -> None:
     place = tmp_path / "drive" / "odom"
     place.mkdir(parents=True)
@@ -300,13 +297,12 @@ def test_a_rig(tmp_path: Path, content: str) -> None:
     refused(tmp_path / "drive", tmp_path, "inspect", "--rig", str(tmp_path / "rig.toml"))
 
 
-@pytest.mark.parametrize("name", ["model.json", "config.json"])
 @pytest.mark.parametrize(
     "content", ["[" * 100_000, "9" * 10_000, "[" + "1," * (1 << 25)], ids=["deep", "digits", "long"]
 )
-def test_the_json_of_a_run(tmp_path: Path, name: str, content: str) -> None:
+def test_the_json_of_a_run(tmp_path: Path, content: str) -> None:
     (tmp_path / "run").mkdir()
-    (tmp_path / "run" / name).write_text(content)
+    (tmp_path / "run" / "model.json").write_text(content)
     refused(tmp_path / "run", tmp_path, "check")
 
 
@@ -317,7 +313,7 @@ def refused(path: Path, folder: Path, command: str = "inspect", *options: str) -
 
 
 def inspected(path: Path, folder: Path, command: str = "inspect", *options: str) -> tuple[str, str]:
-    """Verdict on a command in a process of its own, with 2 GiB and 120 s, and why."""
+    """Run a command in a process with 2 GiB and 120 s; returns verdict and reason."""
     outcome = run_command_apart([command, str(path), *options], folder)
     verdict, why = verdict_of(outcome, command)
     return verdict, f"{why} ({outcome.memory >> 20} MB, {outcome.seconds:.0f} s)\n{outcome.out}{outcome.err}"

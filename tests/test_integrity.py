@@ -75,7 +75,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def read_dataset(path: Path) -> str:
-    """Digest of all that a dataset gives."""
+    """Digest of the content of a dataset."""
     dataset = open_dataset(path)
     digest = hashlib.sha256(repr((dataset.rig, dataset.split, dataset.features, dataset.pca)).encode())
     for drive in dataset.drives:
@@ -94,7 +94,7 @@ def read_dataset(path: Path) -> str:
 
 
 def read_run(folder: Path) -> str:
-    """Digest of all that a run and its stages give."""
+    """Digest of the content of a run and its stages."""
     run = load_run(folder)
     about = (run.model, run.seed, run.weights, run.scale.tolist(), run.split, run.seen, run.pca, run.dynamics.vehicle)
     digest = hashlib.sha256(repr(about).encode())
@@ -107,7 +107,7 @@ def read_run(folder: Path) -> str:
 
 
 def read_pca(path: Path) -> str:
-    """Digest of all that a PCA gives."""
+    """Digest of the content of a PCA."""
     pca = load_pca(path)
     digest = hashlib.sha256(repr((pca.total_variance, pca.backbone, pca.fingerprint, pca.fitted_on)).encode())
     for array in (pca.mean, pca.basis, pca.variance):
@@ -115,11 +115,7 @@ def read_pca(path: Path) -> str:
     return digest.hexdigest()
 
 
-READ: dict[str, Callable[[Path], str]] = {
-    "data.zarr": read_dataset,
-    "run": read_run,
-    "pca.safetensors": read_pca,
-}
+READ: dict[str, Callable[[Path], str]] = {"data.zarr": read_dataset, "run": read_run, "pca.safetensors": read_pca}
 
 
 @pytest.mark.parametrize("name", READ)
@@ -162,15 +158,12 @@ def test_check_says_how_much_is_intact(made: Path, capsys: pytest.CaptureFixture
     ("name", "remedy"),
     [
         ("data.zarr/zarr.json", "extract the dataset again"),
-        ("data.zarr/kept/zarr.json", "run `offpiste extract` again"),
         ("data.zarr/kept/checksums.json", "run `offpiste extract` again"),
         ("data.zarr/kept/snapshots/features/c/0/0", "run `offpiste extract` again"),
-        ("data.zarr/mapped/map/elevation/c/0/0", "run `offpiste extract` again"),
         ("data.zarr/mapped/cells/features/c/0/0/0", "run `offpiste extract` again"),
         ("run/model.safetensors", "train again"),
         ("run/model.json", "train again"),
         ("run/model.checkpoint.safetensors", "train again"),
-        ("run/bicycle.safetensors", "train again"),
         ("pca.safetensors", "fit-pca"),
     ],
 )

@@ -1,4 +1,4 @@
-"""What may be wrong with a dataset or a run: each ends in one line that says what, where and how, and exit code 1."""
+"""Faults of datasets, runs and settings, each of which ends in one line and exit code 1."""
 
 import json
 import re
@@ -101,14 +101,12 @@ def test_fewer_windows_than_a_batch(good: Path, tmp_path: Path, error_of: Callab
     assert not (tmp_path / "run").exists(), "a folder that cannot be filled is not begun"
 
 
-@pytest.mark.parametrize("key", ["state", "state_causal", "control"])
-def test_rows_that_are_not_finite(
-    copied: Path, good: Path, tmp_path: Path, error_of: Callable[..., str], key: str
-) -> None:
-    change(copied, key, lambda values: part_of(values, np.nan))
-    for command in (("train", copied, "--out", tmp_path / "run", *QUICK), ("evaluate", good.parent / "b", "--dataset")):
-        line = error_of(*command, *([copied] if command[0] == "evaluate" else []))
-        assert f"drive 'circle-0': '{key}' is not finite in 30 rows that are marked complete, the first is" in line
+def test_rows_that_are_not_finite(copied: Path, good: Path, tmp_path: Path, error_of: Callable[..., str]) -> None:
+    change(copied, "state_causal", lambda values: part_of(values, np.nan))
+    train = ("train", copied, "--out", tmp_path / "run", *QUICK)
+    for command in (train, ("evaluate", good.parent / "b", "--dataset", copied)):
+        line = error_of(*command)
+        assert "drive 'circle-0': 'state_causal' is not finite in 30 rows that are marked complete, the first" in line
         assert "row 100" in line
 
 
@@ -119,20 +117,16 @@ def test_features_that_are_not_finite(copied: Path, tmp_path: Path, error_of: Ca
     assert "extract it again" in line
 
 
-@pytest.mark.parametrize("number", [np.nan, np.inf, 2.0])
 def test_normals_that_are_neither_unit_vectors_nor_unknown(
-    copied: Path, tmp_path: Path, error_of: Callable[..., str], number: float
+    copied: Path, tmp_path: Path, error_of: Callable[..., str]
 ) -> None:
-    change(
-        copied, "normal", lambda values: np.concatenate((values[..., :2], np.full_like(values[..., 2:], number)), -1)
-    )
+    change(copied, "normal", lambda values: np.concatenate((values[..., :2], np.full_like(values[..., 2:], 2.0)), -1))
     line = error_of("train", copied, "--model", "cf", "--out", tmp_path / "run", *QUICK)
     assert "surface normals of the dataset are not unit vectors" in line
     assert "extract it again" in line
 
 
-@pytest.mark.parametrize("key", ["cells/features", "state", "part"])
-@pytest.mark.parametrize("left", [50, 0, None])
+@pytest.mark.parametrize(("key", "left"), [("cells/features", 50), ("state", 0), ("part", None)])
 def test_a_store_cut_short(copied: Path, good: Path, error_of: Callable[..., str], key: str, left: int | None) -> None:
     if left is None:
         shutil.rmtree(copied / "circle-3" / key)
@@ -167,19 +161,13 @@ def featureless(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.mark.parametrize("model", ["df", "cf", "dc"])
-def test_a_model_that_reads_features_and_a_dataset_without_any(
-    featureless: Path, tmp_path: Path, error_of: Callable[..., str], model: str
+def test_a_dataset_without_the_features_of_a_model(
+    good: Path, featureless: Path, tmp_path: Path, error_of: Callable[..., str]
 ) -> None:
-    assert "reads terrain features and the dataset has none" in error_of(
-        "train", featureless, "--model", model, "--out", tmp_path / "run", *QUICK
-    )
-
-
-def test_a_dataset_without_what_a_run_reads(good: Path, featureless: Path, error_of: Callable[..., str]) -> None:
-    assert "reads 5 terrain features; the dataset has 0" in error_of(
-        "evaluate", good.parent / "cf", "--dataset", featureless
-    )
+    line = error_of("train", featureless, "--model", "dc", "--out", tmp_path / "run", *QUICK)
+    assert "reads terrain features and the dataset has none" in line
+    line = error_of("evaluate", good.parent / "cf", "--dataset", featureless)
+    assert "reads 5 terrain features; the dataset has 0" in line
 
 
 def test_absent_channels(good: Path, tmp_path: Path, error_of: Callable[..., str]) -> None:
@@ -219,18 +207,9 @@ def test_features_of_other_names(copied: Path, good: Path, error_of: Callable[..
 @pytest.mark.parametrize(
     ("words", "why"),
     [
-        (("--codes", "0"), "--codes is 0; give 1 or more"),
         (("--codes", "100000"), "--codes is 100000; give 256 or less"),
-        (("--pca", "-1"), "--pca is -1; give 0 or more"),
         (("--pca", "6"), "reads 6 terrain features; the dataset has 5"),
-        (("--batch", "0"), "--batch is 0"),
-        (("--stride", "0"), "--stride is 0"),
-        (("--relative", "1.5"), "--relative is 1.5"),
-        (("--relative", "nan"), "--relative is nan"),
-        (("--epochs", "0"), "--epochs is 0"),
         (("--learning-rate", "nan"), "--learning-rate is nan; give a number above 0"),
-        (("--seed", "-1"), "--seed is -1"),
-        (("--weights.yaw", "-1"), "weights of the loss"),
     ],
 )
 def test_settings_out_of_range(
@@ -239,10 +218,21 @@ def test_settings_out_of_range(
     assert why in error_of("train", good, "--model", "cf", "--out", tmp_path / "run", *words)
 
 
-def test_settings_that_are_possible() -> None:
+def test_impossible_settings() -> None:
     refuse_impossible(TrainConfig(codes=1, pca=0, weights=Weights(yaw=0.0)))
-    with pytest.raises(RunError, match="weights of the loss"):
-        refuse_impossible(TrainConfig(weights=Weights(0.0, 0.0, 0.0, 0.0, 0.0)))
+    for settings, why in (
+        ({"codes": 0}, "--codes is 0; give 1 or more"),
+        ({"pca": -1}, "--pca is -1; give 0 or more"),
+        ({"batch": 0}, "--batch is 0"),
+        ({"stride": 0}, "--stride is 0"),
+        ({"relative": 1.5}, "--relative is 1.5"),
+        ({"epochs": 0}, "--epochs is 0"),
+        ({"seed": -1}, "--seed is -1"),
+        ({"weights": Weights(yaw=-1.0)}, "weights of the loss"),
+        ({"weights": Weights(0.0, 0.0, 0.0, 0.0, 0.0)}, "weights of the loss"),
+    ):
+        with pytest.raises(RunError, match=why):
+            refuse_impossible(TrainConfig(**settings))
 
 
 def test_an_unknown_feature_set_is_wrong_usage(good: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -293,13 +283,10 @@ def test_a_broken_run(good: Path, tmp_path: Path, error_of: Callable[..., str], 
     ("entry", "key", "value", "why"),
     [
         ("loss", "weights", {"yaw": "text"}, "Expected `float`, got `str` - at `$.loss.weights.yaw`"),
-        ("loss", "weights", {"yaw": 1e308}, "loss.weights is impossible"),
         ("loss", "scale", {"yaw": 1.0}, "loss.scale is impossible"),
         ("vehicle", "mass", float("inf"), "vehicle.mass is impossible"),
         ("vehicle", "codes", 1 << 31, "vehicle.codes is impossible"),
-        ("vehicle", "features", 1 << 40, "vehicle.features is impossible"),
         ("vehicle", "control", ["wings"], "vehicle.control is impossible"),
-        ("vehicle", "wheelbase", [2.0], "Expected `float`, got `array` - at `$.vehicle.wheelbase`"),
     ],
 )
 def test_a_run_that_states_the_impossible(
@@ -317,10 +304,8 @@ def test_a_run_that_states_the_impossible(
     ("key", "new", "why"),
     [
         ("time", lambda values: values[::-1], "'time' does not rise"),
-        ("time", lambda values: np.full_like(values, np.inf), "'time' is not finite"),
         ("part", lambda values: np.full_like(values, 9), "'part' holds no parts"),
         ("cells/index", lambda values: np.full_like(values, 10_000_000), "'cells/index' counts beyond the cells"),
-        ("cells/index", lambda values: np.full_like(values, -7), "'cells/index' counts beyond the cells"),
     ],
 )
 def test_arrays_that_do_not_fit_together(
@@ -330,7 +315,7 @@ def test_arrays_that_do_not_fit_together(
     assert f"drive 'circle-0' cannot be read ({why}" in error_of("evaluate", good.parent / "b", "--dataset", copied)
 
 
-@pytest.mark.parametrize("key", ["state", "part", "cells/valid", "cells/elevation"])
+@pytest.mark.parametrize("key", ["state", "cells/valid"])
 def test_arrays_of_another_shape(copied: Path, good: Path, error_of: Callable[..., str], key: str) -> None:
     drive = copied / "circle-0"
     values = np.array(zarr.open_array(drive / key, mode="r")[...])

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from offpiste.core.errors import MissingExtra, OffpisteError, extra, is_installed, require
+from offpiste.core.errors import MissingExtra, OffpisteError, extra, require
 from offpiste.perception.backbones.vision_transformer import load_vision_transformer
 from offpiste.training.loop import also_tensorboard
 
@@ -26,8 +26,6 @@ def run_without(module: str, *arguments: str) -> "subprocess.CompletedProcess[st
     ("module", "name", "arguments"),
     [
         ("mujoco", "sim", ("simulate", "--out", "{tmp}/drive.mcap")),
-        ("embreex", "sim", ("simulate", "--out", "{tmp}/drive.mcap")),
-        ("mujoco", "sim", ("demo", "--out", "{tmp}/demo")),
         ("embreex", "sim", ("drive", "{tmp}/run", "--out", "{tmp}/drive")),
         ("mujoco", "sim", ("reproduce", "fig3", "--out", "{tmp}/results")),
         ("rerun", "view", ("drive", "{tmp}/run", "--out", "{tmp}/drive", "--recording")),
@@ -54,14 +52,10 @@ def test_functions_name_the_extra_that_they_need(monkeypatch: pytest.MonkeyPatch
 
 
 def test_only_a_missing_package_is_explained_by_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    with extra("sim"):
-        import json  # noqa: F401
     with pytest.raises(ZeroDivisionError), extra("sim"):
         1 / 0  # noqa: B018
     require("sim", "json")
-    assert is_installed("json")
     monkeypatch.setitem(sys.modules, "json", None)
-    assert not is_installed("json")
     with pytest.raises(MissingExtra, match="or leave it out"):
         require("sim", "json", otherwise="leave it out")
 

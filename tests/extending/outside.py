@@ -1,28 +1,26 @@
-"""Runs the command line, or a script, with an extension from examples/extending in a process of its own."""
+"""Commands and scripts with an extension of examples/extending, in processes of their own."""
 
-import os
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 
 from offpiste.core.conventions import DT
+from warm import run_warm
 
 EXTENSIONS = Path(__file__).parents[2] / "examples" / "extending"
 
 
 def offpiste(*arguments: str | Path, extension: str) -> "subprocess.CompletedProcess[str]":
-    """The finished command; `extension` is the name of a module in examples/extending."""
-    return python("-m", "offpiste", *arguments, extension=extension)
+    """Run a command of offpiste, or `-c SCRIPT`, with a module of examples/extending."""
+    return run_warm(*arguments, path=(EXTENSIONS,), OFFPISTE_EXTENSIONS=extension, COLUMNS="100")
 
 
-def python(*arguments: str | Path, extension: str) -> "subprocess.CompletedProcess[str]":
-    """The finished interpreter, for scripts (`"-c", script, ...`)."""
-    path = os.pathsep.join((str(EXTENSIONS), *filter(None, sys.path)))
-    environment = os.environ | {"OFFPISTE_EXTENSIONS": extension, "PYTHONPATH": path, "COLUMNS": "100"}
-    command = [sys.executable, *map(str, arguments)]
-    return subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+def succeeded(*arguments: str | Path, extension: str) -> str:
+    """Run a command or script that must succeed, and return its output."""
+    done = offpiste(*arguments, extension=extension)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
 
 
 CAR = """
@@ -45,11 +43,11 @@ steer = { fields = ["steer"] }
 def extracted_car(
     folder: Path, channel: str, *, extension: str, split: str = "blocks:1,0,0", **columns: np.ndarray
 ) -> Path:
-    """A dataset of a car that drives straight at 5 m/s, extracted from a table with a channel of the extension.
+    """Extract a dataset of a car that drives straight at 5 m/s, with a channel of the extension.
 
     Args:
-        channel: a line of the rig.
-        columns: of the table at 50 Hz, besides pose and commands, or in place of these.
+        channel: line of the rig.
+        columns: columns of the table at 50 Hz, in addition to pose and commands or instead of them.
     """
     (folder / "rig.toml").write_text(CAR + channel)
     time = DT * np.arange(len(next(iter(columns.values()))))
@@ -58,6 +56,5 @@ def extracted_car(
     rows = np.column_stack([*table.values()])
     np.savetxt(folder / "drive.csv", rows, delimiter=",", header=",".join(table), comments="", fmt="%.9g")
     words = ("--rig", folder / "rig.toml", "--out", folder / "d.zarr", "--split", split, "--force")
-    extracted = offpiste("extract", folder / "drive.csv", *words, extension=extension)
-    assert extracted.returncode == 0, extracted.stderr
+    succeeded("extract", folder / "drive.csv", *words, extension=extension)
     return folder / "d.zarr"

@@ -1,8 +1,8 @@
-"""An actuator from outside the package: from a log's channel through a model's lag to its prediction."""
+"""An actuator of an extension: its channel, its lag in a model, and its prediction."""
 
 import numpy as np
 
-from extending.outside import extracted_car, python
+from extending.outside import extracted_car, succeeded
 from offpiste.core.conventions import DT
 
 CHANNEL = 'throttle_position = { fields = ["flap"], unit = "percent" }'
@@ -76,8 +76,7 @@ print("driven")
 
 
 def test_the_run_time_reads_an_added_actuator_and_plans_with_it():
-    driven = python("-c", DRIVE, extension="throttle_lag")
-    assert driven.stdout == "driven\n", driven.stderr
+    assert succeeded("-c", DRIVE, extension="throttle_lag").endswith("driven\n")
 
 
 def test_an_added_actuator_lags_behind_its_command(tmp_path):
@@ -88,6 +87,4 @@ def test_an_added_actuator_lags_behind_its_command(tmp_path):
     for i in range(1, len(time)):
         position[i] = position[i - 1] + DT * 2.0 * (throttle[i - 1] - position[i - 1])
     dataset = extracted_car(tmp_path, CHANNEL, extension="throttle_lag", throttle=throttle, flap=100 * position)
-    rolled = python("-c", ROLL_OUT, dataset, extension="throttle_lag")
-    assert rolled.returncode == 0, rolled.stderr
-    assert int(rolled.stdout) > 10
+    assert int(succeeded("-c", ROLL_OUT, dataset, extension="throttle_lag")) > 10

@@ -1,4 +1,4 @@
-"""A backbone added from outside the package, through the command line."""
+"""A backbone of an extension, through the command line."""
 
 from pathlib import Path
 

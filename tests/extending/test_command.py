@@ -1,4 +1,4 @@
-"""A command added from outside the package, through the command line."""
+"""A command of an extension."""
 
 from pathlib import Path
 

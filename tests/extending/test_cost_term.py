@@ -1,17 +1,11 @@
-"""A cost term with a map layer from outside the package: planned with, the same by the kernel and without it."""
-
-import os
-import subprocess
-import sys
-from pathlib import Path
+"""A cost term and its map layer of an extension, in the kernel and in eager code."""
 
 import pytest
 
+from extending.outside import succeeded
 from offpiste.core.errors import PlanningError
 from offpiste.planning.costs.declaration import CostTerm, Parameter, check_term, cost_term, evaluate, reading_order
 from offpiste.planning.costs.weights import CostWeights
-
-TESTS = Path(__file__).parents[1]
 
 PLAN = """
 import numpy as np, torch
@@ -47,12 +41,7 @@ assert plan.controls.isfinite().all()
 
 
 def test_an_added_term_is_planned_with_by_kernel_and_eager_model_alike():
-    paths = (TESTS.parent / "examples" / "extending", TESTS, os.environ.get("PYTHONPATH", ""))
-    environment = {"PYTHONPATH": os.pathsep.join(map(str, paths)), "OFFPISTE_EXTENSIONS": "roughness_cost"}
-    done = subprocess.run(
-        (sys.executable, "-c", PLAN), env=os.environ | environment, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
+    succeeded("-c", PLAN, extension="roughness_cost")
 
 
 def test_a_name_that_nothing_provides_is_refused():

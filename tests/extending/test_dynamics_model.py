@@ -1,11 +1,11 @@
-"""A vehicle with two tracks from outside the package: its log, a trained model, a prediction."""
+"""A tracked vehicle of an extension: its log, its model and a prediction."""
 
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from extending.outside import offpiste, python
+from extending.outside import offpiste, succeeded
 from offpiste.core.conventions import DT
 from offpiste.core.errors import RigError
 from offpiste.rig.rig import parse_rig
@@ -63,16 +63,11 @@ def test_a_model_with_controls_of_its_own_is_trained_and_predicts(tmp_path):
     assert "no control" not in inspected.stdout + inspected.stderr
     assert inspected.returncode == 0, inspected.stdout
     split = ("--split", "blocks:0.4,0.3,0.3")
-    extracted = offpiste(
-        "extract", log, "--rig", tmp_path / "rig.toml", "--out", dataset, *split, extension="skid_steer"
-    )
-    assert extracted.returncode == 0, extracted.stderr
+    succeeded("extract", log, "--rig", tmp_path / "rig.toml", "--out", dataset, *split, extension="skid_steer")
     config = ("--model", "skid-steer", "--epochs", "3", "--batch", "16", "--stride", "25")
-    trained = offpiste("train", dataset, "--out", run, *config, extension="skid_steer")
-    assert trained.returncode == 0, trained.stderr
-    predicted = python("-c", PREDICT, dataset, run, extension="skid_steer")
-    assert predicted.returncode == 0, predicted.stderr
-    assert float(predicted.stdout) < 3, "of 18 m driven in 5 s; constant motion is 12 m off"
+    succeeded("train", dataset, "--out", run, *config, extension="skid_steer")
+    error = float(succeeded("-c", PREDICT, dataset, run, extension="skid_steer"))
+    assert error < 3, "of 18 m driven in 5 s; constant motion is 12 m off"
 
 
 def test_without_the_extension_the_controls_are_refused():

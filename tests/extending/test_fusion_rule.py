@@ -1,8 +1,8 @@
-"""A fusion rule from outside the package, used by its name; and what the registry refuses."""
+"""A fusion rule of an extension."""
 
 import pytest
 
-from extending.outside import python
+from extending.outside import succeeded
 from offpiste.core.errors import MapError
 from offpiste.mapping.fusion import FUSION_RULES
 from offpiste.mapping.pipeline import MapSettings
@@ -25,8 +25,7 @@ compare("farthest")  # the loop and plain NumPy, which reads the same declaratio
 
 
 def test_an_added_rule_is_compiled_into_the_map_and_read_by_numpy():
-    done = python("-c", MAP, extension="farthest")
-    assert done.returncode == 0, done.stderr
+    succeeded("-c", MAP, extension="farthest")
 
 
 def test_an_unknown_rule_is_refused_with_the_names_of_all():

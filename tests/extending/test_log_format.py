@@ -1,4 +1,4 @@
-"""A log format added from outside the package: a EuRoC folder with poses and a camera, through the command line."""
+"""A log format of an extension: a EuRoC folder with poses and a camera."""
 
 import re
 import runpy
@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from extending.outside import EXTENSIONS, offpiste
+from extending.outside import EXTENSIONS, offpiste, succeeded
 from factories import RIG as SMALL_RIG
 from offpiste.dataset.store import open_dataset
 from offpiste.rig.rig import parse_rig
@@ -72,8 +72,7 @@ def test_inspect_recognises_the_folder_and_checks_its_camera(drive: Path) -> Non
 
 def test_extract_reads_its_poses(drive: Path, tmp_path: Path) -> None:
     options = ("--rig", drive.parent / "rig.toml", "--out", tmp_path / "d.zarr", "--split", "blocks:1,0,0", "--force")
-    done = offpiste("extract", drive, *options, extension="euroc")
-    assert done.returncode == 0, done.stderr
+    succeeded("extract", drive, *options, extension="euroc")
     (extracted,) = open_dataset(tmp_path / "d.zarr").drives
     np.testing.assert_allclose(np.nanmedian(extracted.rows.state[:, 3]), SPEED, atol=0.01)
 

@@ -1,9 +1,9 @@
-"""A loss added from outside the package, through the command line."""
+"""A loss of an extension, through the command line."""
 
 import json
 from pathlib import Path
 
-from extending.outside import offpiste, python
+from extending.outside import succeeded
 from factories import circle_rows, small_rig
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import add_drive, create
@@ -19,8 +19,7 @@ print(LOSSES["late"](squared, torch.ones(5)).tolist())
 
 
 def test_late_errors_cost_more():
-    done = python("-c", VALUES, extension="late_loss")
-    early, late = json.loads(done.stdout)
+    early, late = json.loads(succeeded("-c", VALUES, extension="late_loss"))
     assert (round(early, 6), round(late, 6)) == (0.1, 0.4)
 
 
@@ -29,6 +28,5 @@ def test_a_model_is_trained_with_the_loss_of_an_extension(tmp_path: Path) -> Non
     create(path, small_rig(), split)
     add_drive(path, "circles", circle_rows(3000), split, ())
     few = ("--model", "parametric", "--epochs", "1", "--actuator-epochs", "1", "--stride", "100", "--batch", "32")
-    done = offpiste("train", path, "--out", tmp_path / "run", "--loss", "late", *few, extension="late_loss")
-    assert done.returncode == 0, done.stderr
+    succeeded("train", path, "--out", tmp_path / "run", "--loss", "late", *few, extension="late_loss")
     assert json.loads((tmp_path / "run" / "model.json").read_text("utf-8"))["train"]["loss"] == "late"

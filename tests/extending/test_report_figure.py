@@ -1,10 +1,10 @@
-"""A figure added to the report from outside the package, through the command line."""
+"""A report figure of an extension, through the command line."""
 
 from pathlib import Path
 
 import numpy as np
 
-from extending.outside import offpiste
+from extending.outside import succeeded
 from factories import RIG, circle_rows
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import add_drive, create, open_dataset
@@ -23,8 +23,7 @@ def test_the_report_has_the_figure_of_an_extension(tmp_path: Path) -> None:
     add_drive(path, "circles", rows, split, ())
     train(open_dataset(path), QUICK, tmp_path / "run")
 
-    done = offpiste("evaluate", tmp_path / "run", "--dataset", path, "--out", out, extension="yaw_rate_figure")
-    assert done.returncode == 0, done.stderr
+    succeeded("evaluate", tmp_path / "run", "--dataset", path, "--out", out, extension="yaw_rate_figure")
     assert (out / "yaw_rate.png").read_bytes().startswith(b"\x89PNG")
     page = (out / "report.html").read_text("utf-8")
     assert "by the yaw rate at the start; every bin holds as many windows.</figcaption>" in page

@@ -1,8 +1,8 @@
-"""A viewer added from outside the package, by its name."""
+"""A viewer of an extension."""
 
 from pathlib import Path
 
-from extending.outside import python
+from extending.outside import succeeded
 
 SCRIPT = """
 import sys
@@ -22,7 +22,5 @@ print(viewer.where)
 
 def test_it_is_found_by_its_name_and_shows_what_it_can(tmp_path: Path) -> None:
     table = tmp_path / "poses.csv"
-    done = python("-c", SCRIPT, table, extension="pose_table")
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.strip() == str(table)
+    assert succeeded("-c", SCRIPT, table, extension="pose_table").strip() == str(table)
     assert table.read_text() == "time,x,y\n1.50,3.00,4.50\n"

@@ -1,32 +1,19 @@
-"""A world from outside the package: by its file, and by a name that an extension registers."""
-
-import os
-import subprocess
-import sys
-from pathlib import Path
+"""Worlds of a file and of an extension."""
 
 import pytest
 
+from extending.outside import EXTENSIONS, succeeded
 from offpiste.core.errors import OffpisteError
 from offpiste.logs.ground_truth import GROUND_KINDS, read_truth_map
 from offpiste.simulation.world.world import find_world_preset
 
-FOLDER = Path(__file__).parents[2] / "examples" / "extending"
 
-
-@pytest.mark.parametrize(("world", "extensions"), [(str(FOLDER / "salt_flat.toml"), ""), ("salt-flat", "salt_flat")])
+@pytest.mark.parametrize(
+    ("world", "extensions"), [(str(EXTENSIONS / "salt_flat.toml"), ""), ("salt-flat", "salt_flat")]
+)
 def test_a_drive_is_simulated_in_an_added_world(world, extensions, tmp_path):
-    path = os.pathsep.join((str(FOLDER), os.environ.get("PYTHONPATH", "")))
-    command = ("simulate", "--world", world, "--sensors", "none", "--seconds", "1", "--out", f"{tmp_path}/salt.mcap")
-    done = subprocess.run(
-        (sys.executable, "-m", "offpiste", *command),
-        env=os.environ | {"PYTHONPATH": path, "OFFPISTE_EXTENSIONS": extensions},
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
+    options = ("--sensors", "none", "--seconds", "1", "--out", tmp_path / "salt.mcap")
+    succeeded("simulate", "--world", world, *options, extension=extensions)
     layers = read_truth_map(tmp_path / "salt.mcap").layers
     assert layers["elevation"].std() < 1.0  # hills of 0.3 m
     mean = {kind: layers[kind].mean() for kind in GROUND_KINDS}

@@ -1,4 +1,4 @@
-"""One command in a forked process, with limits on time, memory and disk, and what came of it."""
+"""Commands in forked processes with limits on time, memory and disk."""
 
 import contextlib
 import multiprocessing
@@ -18,25 +18,25 @@ from pathlib import Path
 MEMORY = 2 << 30
 """Largest resident memory [bytes]."""
 ADDRESSES = 8 << 30
-"""Address space beyond what the server holds [bytes]: libraries reserve more than they use."""
+"""Additional address space of a fork [bytes]; libraries reserve more than they use."""
 DISK = 1 << 30
 """Largest file [bytes]."""
 PROCESSOR = 120
-"""Longest processor time [s]: a loaded machine does not change it."""
+"""Longest processor time [s]."""
 WALL = 900.0
-"""Longest time by the clock [s], against a process that waits for ever."""
+"""Longest wall-clock time [s]."""
 
 TRACEBACK, OUT_OF_MEMORY = 70, 71
-"""Exit codes of a process that ended in an exception."""
+"""Exit codes of processes that ended with an exception."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a process ended.
+    """Outcome of a process.
 
     Attributes:
-        code: exit code; negative: the signal that killed it.
-        hung: whether it ran out of processor time or of time by the clock.
+        code: exit code, or the negative number of the signal that killed it.
+        hung: exceeded a time limit.
         memory: largest resident memory [bytes].
         out, err: standard output and error.
     """
@@ -50,7 +50,7 @@ class Outcome:
 
 
 def run_isolated(work: Callable[[], object], folder: Path) -> Outcome:
-    """Call `work` in a fork of this process; the folder, which must exist, gets its standard output and error."""
+    """Call `work` in a fork of this process; its output goes to files in an existing folder."""
     sys.stdout.flush()
     sys.stderr.flush()
     start = time.monotonic()
@@ -123,17 +123,18 @@ def _resident(process: int) -> int:
 
 
 def run_apart(work: Callable[[], object], folder: Path) -> Outcome:
-    """Call `work` as `run_isolated` does, in a fork of a small server.
+    """Call `work` as `run_isolated` does, in a fork of a server.
 
     The resident memory of a fork starts at that of its parent, and this process may be large.
     """
     context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["offpiste.inspection.inspect", "offpiste.logs.formats.tables"])
     with ProcessPoolExecutor(1, mp_context=context) as pool:
         return pool.submit(run_isolated, work, folder).result()
 
 
 def run_command_apart(arguments: Sequence[str], folder: Path) -> Outcome:
-    """Run a command of the CLI as `run_apart`."""
+    """Run a command of the command line as `run_apart`."""
     return run_apart(partial(_run_command, tuple(arguments)), folder)
 
 
@@ -141,5 +142,5 @@ def _run_command(arguments: tuple[str, ...]) -> None:
     from offpiste.cli import main
     from offpiste.core import progress
 
-    progress.EVERY = float("inf")  # lines of progress depend on the machine
+    progress.EVERY = float("inf")  # progress lines depend on the machine
     main(list(arguments))
