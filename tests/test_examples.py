@@ -1,8 +1,6 @@
-"""Examples do what they say, on small data."""
+"""Examples on small data."""
 
 import runpy
-import subprocess
-import sys
 from pathlib import Path
 
 import cv2
@@ -14,14 +12,14 @@ from offpiste.simulation.simulate import DriveSettings, simulate
 from offpiste.simulation.world.world import WorldSettings
 from offpiste.training.config import TrainConfig
 from offpiste.training.run import build, save_run, vehicle_of
+from warm import run_warm
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
 
 def run(name: str, *arguments: str | Path) -> str:
     """Run an example and return its output."""
-    command = [sys.executable, EXAMPLES / name, *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = run_warm(EXAMPLES / name, *arguments)
     assert done.returncode == 0, done.stderr
     return done.stdout
 

@@ -28,6 +28,9 @@ def run(job):
         if words[0] == "-c":
             sys.argv = ["-c", *words[2:]]
             exec(compile(words[1], "<string>", "exec"), {"__name__": "__main__"})
+        elif words[0].endswith(".py"):
+            sys.argv = words
+            runpy.run_path(words[0], run_name="__main__")
         else:
             offpiste.cli.main(words)
     except SystemExit as exit_:
@@ -65,7 +68,7 @@ def _server() -> "subprocess.Popen[str]":
 def run_warm(
     *arguments: str | Path, path: tuple[Path, ...] = (), **environment: str
 ) -> "subprocess.CompletedProcess[str]":
-    """Run a command of offpiste, or `-c SCRIPT`, in a fork of the server.
+    """Run a command of offpiste, `-c SCRIPT` or a file in a fork of the server.
 
     Args:
         path: folders in front of `sys.path`.

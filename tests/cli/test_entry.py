@@ -1,4 +1,4 @@
-"""The commands on a small simulated log: exit codes, messages, files."""
+"""Commands on a small simulated log: exit codes, messages, files."""
 
 import json
 import shlex
@@ -9,17 +9,11 @@ from pathlib import Path
 import pytest
 
 import offpiste
-from offpiste.cli import main
+from cli.command import run
 from offpiste.simulation.simulate import DriveSettings, simulate
 from offpiste.simulation.world.world import WorldSettings
 
 RIG = ("--rig", "proving_ground")
-
-
-def run(*arguments: str) -> int:
-    with pytest.raises(SystemExit) as exit_:
-        main(list(arguments))
-    return int(exit_.value.code or 0)
 
 
 QUICK = ("--epochs", "1", "--bicycle-epochs", "1", "--actuator-epochs", "1", "--stride", "100")
@@ -105,15 +99,7 @@ def test_inspect_prints_json_and_exits_with_1_where_a_log_is_unusable(
 
 
 def test_extract_resumes_where_it_stopped(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = (
-        "extract",
-        str(folder / "drive.mcap"),
-        "--rig",
-        "proving_ground",
-        "--out",
-        str(folder / "dataset.zarr"),
-    )
-    assert run(*arguments) == 0
+    assert run("extract", folder / "drive.mcap", *RIG, "--out", folder / "dataset.zarr") == 0
     assert "drive: already there" in capsys.readouterr().out
 
 
@@ -123,27 +109,17 @@ def test_extract_resumes_where_it_stopped(folder: Path, capsys: pytest.CaptureFi
         (("inspect", "nothing.mcap"), "nothing.mcap: no such file or folder"),
         (("inspect", ".", "--rig", "tartandrive9"), "tartandrive9: no such rig"),
         (("extract", "nothing.csv", *RIG, "--out", "{tmp}/d.zarr"), "no such file or folder"),
-        (
-            ("extract", "{drive}", *RIG, "--out", "{tmp}/d.zarr", "--split", "random"),
-            "not a split",
-        ),
-        (
-            ("extract", "{drive}", "{drive}", *RIG, "--out", "{tmp}/d.zarr"),
-            "two logs are called 'drive'",
-        ),
+        (("extract", "{drive}", *RIG, "--out", "{tmp}/d.zarr", "--split", "random"), "not a split"),
+        (("extract", "{drive}", "{drive}", *RIG, "--out", "{tmp}/d.zarr"), "two logs are called 'drive'"),
         (("extract", "{drive}", *RIG, "--out", "{dataset}", "--flat"), "another rig"),
         (("train", "{tmp}/nothing.zarr", "--out", "{tmp}/run"), "not a dataset"),
         (("train", "{dataset}", "--out", "{run}"), "holds a run that was begun with other settings"),
-        (("train", "{dataset}", "--out", "{tmp}/run", "--model", "dc9"), "no model 'dc9'"),
         (("train", "{dataset}", "--out", "{tmp}/run", "--folds", "2"), "3 or more"),
         (("train", "{dataset}", "--out", "{tmp}/run", "--device", "abacus"), "no device 'abacus'"),
-        (("train", "{dataset}", "--out", "{tmp}/run", "--device", "meta"), "no device 'meta'"),
         (("train", "{dataset}", "--out", "{dataset}"), "holds files that are not of a run"),
-        (("train", "{dataset}", "--out", "{dataset}", "--folds", "3"), "holds files that are not of a run"),
         (("train", "{dataset}", "--out", "{tmp}/run", "--seed", "99999999999999999999"), "below 2^63"),
         (("extract", "{drive}", *RIG, "--out", "{tmp}/d.zarr", "--keyframe-metres", "nan"), "--keyframe-metres is nan"),
         (("fit-pca", "{drive}", "--rig", "kitti", "--images", "0"), "--images is 0; give 1 or more"),
-        (("fit-pca", "{drive}", "--rig", "kitti", "--components", "-2"), "--components is -2; give 1 or more"),
         (("fit-pca", "{drive}", "--rig", "kitti", "--out", "{dataset}"), "is a folder; give a file as --out"),
         (("inspect", "{drive}", "--write-rig", "{dataset}/zarr.json"), "is there already"),
         (("extract", *RIG, "--out", "{tmp}/d.zarr"), "no log is given"),
@@ -151,9 +127,7 @@ def test_extract_resumes_where_it_stopped(folder: Path, capsys: pytest.CaptureFi
         (("check",), "nothing to check"),
         (("evaluate", "--dataset", "{dataset}"), "the runs are missing"),
         (("evaluate", "{run}b", "--dataset", "{dataset}"), "no such folder; did you mean '{run}'?"),
-        (("inspect", "{drive}", "--rig", "proving-ground"), "no such rig; did you mean 'proving_ground'?"),
         (("train", "{dataset}", "--out", "{tmp}/run", "--model", "parametrik"), "did you mean 'parametric'?"),
-        (("evaluate", "{tmp}/nothing", "--dataset", "{dataset}"), "no such folder"),
         (("evaluate", "{tmp}", "--dataset", "{dataset}"), "not a run"),
         (("evaluate", "{run}", "--dataset", "{tmp}"), "not a dataset"),
     ],
@@ -162,11 +136,8 @@ def test_a_mistake_ends_in_one_line_and_exit_code_1(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], message: str
 ) -> None:
     places = {
-        "tmp": tmp_path,
-        "drive": folder / "drive.mcap",
-        "dataset": folder / "dataset.zarr",
-        "run": folder / "b",
-    }
+        "tmp": tmp_path, "drive": folder / "drive.mcap", "dataset": folder / "dataset.zarr", "run": folder / "b",
+    }  # fmt: skip
     assert run(*(argument.format(**places) for argument in arguments)) == 1
     error = capsys.readouterr().err
     assert message.format(**places) in error
@@ -180,17 +151,14 @@ def test_the_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) 
 
 
 @pytest.mark.parametrize(
-    "words",
+    ("words", "out"),
     [
-        ("evaluate", "{b}", "--dataset", "{dataset}"),
-        ("train", "{dataset}"),
-        ("demo",),
-        ("view", "{dataset}"),
-        ("drive", "{b}"),
+        (("evaluate", "{b}", "--dataset", "{dataset}"), "{b}/model.json"),
+        (("train", "{dataset}"), "{b}/model.json/more"),
+        (("demo",), "{b}/model.json/more"),
     ],
 )
-@pytest.mark.parametrize("out", ["{b}/model.json", "{b}/model.json/more"])
-def test_a_file_where_results_are_to_go_is_one_line(
+def test_a_file_as_the_output_folder_is_one_line(
     words: tuple[str, ...], out: str, folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     there = {"b": folder / "b", "dataset": folder / "dataset.zarr"}
@@ -200,16 +168,8 @@ def test_a_file_where_results_are_to_go_is_one_line(
     assert "--out" in line
 
 
-def test_wrong_usage_is_exit_code_2() -> None:
-    assert run("train") == 2
-    assert run("fly") == 2
-
-
-@pytest.mark.parametrize(
-    ("word", "meant"),
-    [("trian", "did you mean 'train'? C"), ("fly", "Commands"), ("tr\nain", "did you mean 'train'? C")],
-)
-def test_a_word_that_is_no_command_is_one_line_with_what_may_be_meant(
+@pytest.mark.parametrize(("word", "meant"), [("fly", "Commands"), ("tr\nain", "did you mean 'train'? C")])
+def test_an_unknown_command_is_one_line_with_a_suggestion(
     capsys: pytest.CaptureFixture[str], word: str, meant: str
 ) -> None:
     assert run(word, "--out", "x") == 2
@@ -227,7 +187,8 @@ def test_a_pipe_that_is_closed_early_is_no_error():
     assert not done.stderr
 
 
-def test_a_wrong_option_brings_up_those_of_its_command_alone(capsys: pytest.CaptureFixture[str]) -> None:
+def test_wrong_usage_shows_options_of_its_command_alone(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("train") == 2
     assert run("demo", "--seedd", "3") == 2
     message = capsys.readouterr().err
     assert "--seed INT" in message

@@ -1,18 +1,17 @@
-"""Commands write only into folders that are theirs, name the next command, and say how to continue when interrupted."""
+"""Output folders of commands, and interrupted commands."""
 
 from pathlib import Path
 
 import pytest
 
-from factories import RIG
+from cli.command import run
 from feature_datasets import dataset_with_features
-from offpiste.cli import entry, main
+from offpiste.cli import entry
 from offpiste.cli.entry import COMMANDS
-from offpiste.core.errors import OffpisteError, RigError
+from offpiste.core.errors import OffpisteError
 from offpiste.core.files import check_folder, unfinished
-from offpiste.dataset.split_balance import is_for_tests, lacks_windows, next_split
+from offpiste.dataset.split_balance import lacks_windows, next_split
 from offpiste.dataset.splits import parse_split
-from offpiste.rig.rig import parse_rig
 
 
 @pytest.fixture(scope="module")
@@ -20,12 +19,6 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("dataset") / "data.zarr"
     dataset_with_features(path)
     return path
-
-
-def ended(*words: str | Path) -> int:
-    with pytest.raises(SystemExit) as end:
-        main([*map(str, words)])
-    return int(end.value.code or 0)
 
 
 B = "pretrained:proving-ground/b"
@@ -48,16 +41,15 @@ B = "pretrained:proving-ground/b"
     ],
     ids=lambda words: words[0],
 )
-@pytest.mark.parametrize("name", ["mine.txt", "mine.png"])
-def test_a_folder_with_other_files_is_refused_and_left_alone(words, name, dataset, tmp_path, monkeypatch, capsys):
+def test_a_folder_with_other_files_is_refused_and_left_alone(words, dataset, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "drive.csv").write_text("t,x\n0,1\n")
     out = tmp_path / "out"
     out.mkdir()
-    (out / name).write_text("mine")
-    assert ended(*(word.format(out=out, data=dataset) for word in words)) == 1
+    (out / "mine.png").write_text("mine")
+    assert run(*(word.format(out=out, data=dataset) for word in words)) == 1
     assert capsys.readouterr().err.count("\n") == 1
-    assert [path.name for path in out.iterdir()] == [name]
+    assert [path.name for path in out.iterdir()] == ["mine.png"]
 
 
 def test_a_folder_that_was_not_written_whole_is_written_again(dataset, tmp_path):
@@ -73,13 +65,13 @@ def test_a_folder_that_was_not_written_whole_is_written_again(dataset, tmp_path)
 
 
 def test_demo_leaves_a_folder_of_runs_alone(tmp_path, capsys):
-    run = tmp_path / "out" / "dc"
-    run.mkdir(parents=True)
+    inside = tmp_path / "out" / "dc"
+    inside.mkdir(parents=True)
     for name in ("model.json", "pca.safetensors"):
-        (run / name).write_text("mine")
-    assert ended("demo", "--out", tmp_path / "out") == 1
+        (inside / name).write_text("mine")
+    assert run("demo", "--out", tmp_path / "out") == 1
     assert "holds something else" in capsys.readouterr().err
-    assert {path.name for path in run.iterdir()} == {"model.json", "pca.safetensors"}
+    assert {path.name for path in inside.iterdir()} == {"model.json", "pca.safetensors"}
 
 
 class Interrupted:
@@ -97,7 +89,7 @@ class Interrupted:
 )
 def test_an_interrupted_command_names_the_one_that_goes_on(name, said, monkeypatch, capsys):
     monkeypatch.setattr(entry, "_parsed", lambda arguments, commands: Interrupted())
-    assert ended(name, "my drive.mcap", "--out", "d.zarr") == 1
+    assert run(name, "my drive.mcap", "--out", "d.zarr") == 1
     assert said in capsys.readouterr().err
 
 
@@ -111,14 +103,3 @@ def test_a_split_without_validation_leads_to_one_that_works(tmp_path):
     split = next_split(whole)
     assert split is not None
     assert not lacks_windows(whole.relabelled(split))
-
-
-def test_drives_that_are_all_for_tests_lack_nothing_of_their_own(tmp_path):
-    (tmp_path / "parts.txt").write_text("drive test\n")
-    assert is_for_tests(parse_split(f"drives:{tmp_path / 'parts.txt'}"))
-
-
-def test_an_unknown_field_of_a_rig_is_explained():
-    for text, meant in ((RIG.replace("mass", "masss"), "mass"), ('nme = "x"\n' + RIG, "name")):
-        with pytest.raises(RigError, match=f"did you mean '{meant}'"):
-            parse_rig(text, where="my.toml")

@@ -1,4 +1,4 @@
-"""`offpiste inspect` names the command that comes next, and writes rigs to edit."""
+"""`offpiste inspect`: suggested next commands and written rigs."""
 
 import errno
 import json
@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from test_draft_tables import POSE, written
 
-from offpiste.cli import main
+from cli.command import run
 from offpiste.cli.entry import user_error_of
 from offpiste.rig.rig import rig_text
 
@@ -19,12 +19,6 @@ from offpiste.rig.rig import rig_text
 def log(tmp_path: Path) -> str:
     columns = {**POSE, "throttle": ("pedal", 1.0), "delta": ("angle", 1.0)}
     return str(written(tmp_path / "first drive.csv", columns))
-
-
-def run(*words: str) -> int:
-    with pytest.raises(SystemExit) as exit_:
-        main(list(words))
-    return int(exit_.value.code or 0)
 
 
 def test_each_command_leads_to_the_next(log: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -143,11 +137,6 @@ def test_a_column_that_cannot_be_read_is_said_to_be_and_not_to_be_missing(
     assert said.count(why) == 1
     assert "nothing reads delta" not in said
     assert "no field looks like it" not in printed.err
-
-
-def test_json_is_nothing_but_json(log: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run("inspect", log, "--json") == 0
-    assert json.loads(capsys.readouterr().out)["usable"]
 
 
 def test_a_given_rig_is_written_with_its_comments(log: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

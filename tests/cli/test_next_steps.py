@@ -1,4 +1,4 @@
-"""Each command names the next one, which the command line accepts."""
+"""Suggested next commands, which the command line accepts."""
 
 import shlex
 import shutil

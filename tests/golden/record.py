@@ -1,8 +1,8 @@
-"""What the code gives today, as numbers to hold a rebuilt one against: `python tests/golden/record.py --out FOLDER`.
+"""Results of the code as numbers for comparison with later code: `python tests/golden/record.py --out FOLDER`.
 
 Every function returns a dict from names to arrays and texts. A text called `….sha256` is the hash of something larger,
 of which `….about` (type, shape), `….numbers` (mean and the like) and `….some` (a thin selection) are kept as well: if
-hashes differ, those tell by how much. Texts called `….words` are for people: nothing is compared with them.
+hashes differ, those tell by how much.
 
 All names of the project are imported here, and nowhere else in this folder.
 """
@@ -17,6 +17,7 @@ import tempfile
 import time
 import tomllib
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import astuple, dataclass, field, fields, is_dataclass, replace
 from functools import cache
 from importlib.metadata import version
@@ -408,7 +409,7 @@ def extractor() -> FeatureExtractor:
 
 
 def map_layers() -> Results:
-    """The map after 20 scans of a simulated drive, and after made-up scans under every rule of fusion."""
+    """The map after 20 scans of a simulated drive, and after random scans with every fusion rule."""
     rig, look = load_rig("proving_ground"), extractor()
     found: Results = {
         "pca.mean": np.asarray(look.pca.mean, np.float64),
@@ -428,8 +429,8 @@ def map_layers() -> Results:
             found |= parts("drive", moment.layers)
             break
     for rule in ("closest", "latest", "average"):
-        found |= parts(f"made.{rule}", made_up_map(rule), keep=200)
-    stack = situation(made_up_map("closest")).ground
+        found |= parts(f"made.{rule}", random_map(rule), keep=200)
+    stack = situation(random_map("closest")).ground
     draw = torch.Generator().manual_seed(1)
     state = 8 * torch.rand(50, 6, generator=draw, dtype=torch.float64) - 4
     at = MapTerrain(stack, torch.zeros(50, dtype=torch.long), torch.zeros(50, 2, dtype=torch.float64), WHEELS)
@@ -440,7 +441,7 @@ def map_layers() -> Results:
 WHEELS = torch.tensor([[1.1, 0.8], [1.1, -0.8], [-1.1, 0.8], [-1.1, -0.8]], dtype=torch.float64)
 
 
-def made_up_map(rule: str) -> TerrainLayers:
+def random_map(rule: str) -> TerrainLayers:
     pipeline = MapPipeline(6, MapSettings(VoxelSettings(reach=4.0, capacity=50_000, rule=rule)))
     rng = np.random.default_rng(0)
     for step in range(6):
@@ -636,7 +637,7 @@ def recorded_logs(folder: Path) -> Iterable[tuple[Path, str | None]]:
 
 
 def findings() -> Results:
-    """What `inspect` says of every recorded log, without the words: severities, places, numbers, rig lines."""
+    """Findings of `inspect` in every recorded log without their texts: severities, positions, numbers, rig lines."""
     folder = recorded_data()
     assert folder is not None
     found: Results = {}
@@ -649,7 +650,6 @@ def findings() -> Results:
             inspection = inspect_log(log, preset, sensors=True)
         except OffpisteError as error:
             found[f"{label}.error"] = json.dumps(numbers(str(error).replace(str(path), "")))
-            found[f"{label}.error.words"] = str(error)
             continue
         names = {row.name for row in inspection.topics}
         if preset is not None:
@@ -672,15 +672,9 @@ def findings() -> Results:
         rows = [[row.name, row.type, row.count] for row in inspection.topics]
         found[f"{label}.topics"] = json.dumps(rows)
         found[f"{label}.rates"] = np.array([[row.rate, row.seconds] for row in inspection.topics], float)
-        said = [f"{f.severity}  {f.where}: {f.what}\n{f.evidence}\n{f.remedy}" for f in inspection.findings]
-        found[f"{label}.words"] = "\n\n".join([*said, *inspection.warnings])
         if preset is None:
-            try:
-                drafted = draft_rig(log)
-            except OffpisteError as error:
-                found[f"{label}.draft.words"] = str(error)
-            else:
-                found[f"{label}.draft"] = json.dumps(tomllib.loads(drafted), sort_keys=True)
+            with suppress(OffpisteError):
+                found[f"{label}.draft"] = json.dumps(tomllib.loads(draft_rig(log)), sort_keys=True)
     return found
 
 
@@ -812,8 +806,7 @@ def machine() -> dict[str, str]:
 def write(folder: Path, group: str, results: Results) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     arrays = {key: value for key, value in results.items() if isinstance(value, np.ndarray)}
-    texts = {key: value for key, value in results.items() if isinstance(value, str) and not key.endswith(".words")}
-    words = {key: value for key, value in results.items() if isinstance(value, str) and key.endswith(".words")}
+    texts = {key: value for key, value in results.items() if isinstance(value, str)}
     # One array for all of a type: an entry of its own for each would be mostly headers.
     kinds: dict[str, list[str]] = {}
     for key, value in arrays.items():
@@ -826,9 +819,6 @@ def write(folder: Path, group: str, results: Results) -> None:
     index = {kind: [[key, list(arrays[key].shape)] for key in keys] for kind, keys in kinds.items()}
     written = {"texts": texts, "arrays": index}
     (folder / f"{group}.json").write_text(json.dumps(written, separators=(",", ":")).replace('],["', '],\n["') + "\n")
-    if words:
-        text = "\n".join(f"=== {key}\n{value}\n" for key, value in words.items())
-        (folder / f"{group}.txt").write_text(text)
 
 
 def read(folder: Path, group: str) -> Results:

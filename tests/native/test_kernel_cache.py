@@ -1,4 +1,4 @@
-"""Machine code is kept in the user's folder, in processes of their own: Numba looks for its folders once."""
+"""Cache of machine code, in processes of their own because Numba chooses its folder once."""
 
 import os
 import subprocess
@@ -7,8 +7,6 @@ import time
 from pathlib import Path
 
 import pytest
-
-from offpiste.native import kernel_cache
 
 CODE = """
 import logging, sys
@@ -44,13 +42,13 @@ def module(tmp_path: Path) -> Path:
 
 
 def environment(cache: Path) -> dict[str, str]:
-    """Of a process that keeps machine code there."""
+    """Environment of a process with that cache."""
     others = {name: value for name, value in os.environ.items() if not name.startswith("NUMBA")}
     return others | {"OFFPISTE_CACHE": str(cache), "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
 
 
 def called(module: Path, cache: Path) -> str:
-    """What a process logs that calls the entries."""
+    """Log of a process that calls the entries."""
     done = subprocess.run(
         [sys.executable, "-c", CODE, str(module)], env=environment(cache), capture_output=True, text=True, check=True
     )
@@ -66,7 +64,7 @@ passes = SelfContained.define_pipelines
 
 def late(self):
     open(sys.argv[2], "w").close()
-    time.sleep(4)
+    time.sleep(2)
     return passes(self)
 
 SelfContained.define_pipelines = late
@@ -82,7 +80,7 @@ def begun(module: Path, cache: Path, code: str, *more: Path) -> subprocess.Popen
 
 
 def compiling(module: Path, cache: Path, mark: Path) -> subprocess.Popen[str]:
-    """A process that takes four seconds to compile, and has begun; it leaves a mark."""
+    """A process that has begun to compile, for two seconds."""
     process = begun(module, cache, CODE.replace("import called", SLOW + "import called"), mark)
     while not mark.exists():
         assert process.poll() is None
@@ -107,24 +105,18 @@ def test_a_process_that_is_killed_while_it_compiles_keeps_no_other_from_it(modul
     assert called(module, cache) == WAITS
 
 
-def test_the_first_call_says_what_it_waits_for_and_others_do_not_wait(module: Path, tmp_path: Path) -> None:
+def test_compilation_is_announced_and_cached_and_damaged_code_is_compiled_again(module: Path, tmp_path: Path) -> None:
     cache = tmp_path / "cache"
     assert called(module, cache) == WAITS  # once, not for each entry
     assert len(list((cache / "kernels").rglob("*.nbc"))) == 2
     assert not list(module.rglob("*.nbc"))
-    assert called(module, cache) == ""
-
-
-def test_damaged_machine_code_is_compiled_again(module: Path, tmp_path: Path) -> None:
-    cache = tmp_path / "cache"
-    called(module, cache)
-    for ending, content in (("*.nbc", b"\x80"), ("*.nbi", b""), ("*.nbi", b"no pickle")):
+    for ending, content in (("*.nbc", b"\x80"), ("*.nbi", b"no pickle")):
         for kept in cache.rglob(ending):
             kept.write_bytes(content)
         said = called(module, cache)
         assert said.count("cannot be used and is compiled again") == 2
         assert WAITS in said
-        assert called(module, cache) == ""
+    assert called(module, cache) == ""
 
 
 def test_a_folder_that_cannot_be_made_is_done_without(module: Path, tmp_path: Path) -> None:
@@ -136,7 +128,7 @@ def test_a_folder_that_cannot_be_made_is_done_without(module: Path, tmp_path: Pa
 def test_a_compilation_that_fails_keeps_no_other_process_from_it(module: Path, tmp_path: Path) -> None:
     """The process that failed lives on."""
     cache = tmp_path / "cache"
-    fails = SLOW.replace("time.sleep(4)\n    return passes(self)", "raise KeyboardInterrupt")
+    fails = SLOW.replace("time.sleep(2)\n    return passes(self)", "raise KeyboardInterrupt")
     lives_on = CODE.replace("import called", fails + "try:\n    import called\nexcept KeyboardInterrupt:\n    pass")
     lives_on = lives_on.replace("print(called.double(3.0))", "print('failed', flush=True); sys.stdin.read()")
     first = subprocess.Popen(
@@ -147,21 +139,3 @@ def test_a_compilation_that_fails_keeps_no_other_process_from_it(module: Path, t
     assert first.stdout.readline() == "failed\n"
     assert called(module, cache) == WAITS
     first.communicate()
-
-
-def test_where_nothing_can_be_kept_nobody_waits(tmp_path: Path) -> None:
-    class Machine:
-        def codegen(self) -> "Machine":
-            return self
-
-        def magic_tuple(self) -> tuple[str]:
-            return ("machine",)
-
-    first, other = (kernel_cache._Lock(tmp_path, "kernel", "") for _ in range(2))
-    first.acquire(Machine())
-    first.give_up()
-    began = time.monotonic()
-    other.acquire(Machine())
-    assert time.monotonic() - began < 5
-    for lock in (first, other):
-        lock.release()

@@ -1,0 +1,12 @@
+"""The command line in this process."""
+
+import pytest
+
+from offpiste.cli import main
+
+
+def run(*words: object) -> int:
+    """Run a command and return its exit code."""
+    with pytest.raises(SystemExit) as exit_:
+        main([str(word) for word in words])
+    return int(exit_.value.code or 0)
