@@ -6,7 +6,7 @@ named in `OFFPISTE_EXTENSIONS`, or imported, maps take the rule by its name:
     MapSettings(VoxelSettings(rule="farthest"))
 """
 
-from offpiste.mapping.fusion import FUSION_RULES
+from offpiste.mapping.voxel_map import FUSION_RULES
 
 
 @FUSION_RULES.register("farthest")

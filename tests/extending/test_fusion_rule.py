@@ -4,9 +4,8 @@ import pytest
 
 from extending.outside import succeeded
 from offpiste.core.errors import MapError
-from offpiste.mapping.fusion import FUSION_RULES
 from offpiste.mapping.pipeline import MapSettings
-from offpiste.mapping.voxel_map import VoxelSettings
+from offpiste.mapping.voxel_map import FUSION_RULES, VoxelSettings
 
 MAP = """
 import numpy as np

@@ -5,11 +5,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from offpiste.mapping.fusion import FUSION_RULES
 from offpiste.mapping.normals import MIN_SPREAD
 from offpiste.mapping.terrain_map import TerrainLayers
-from offpiste.mapping.voxel_kernels import LEVELS
-from offpiste.mapping.voxel_map import VoxelSettings
+from offpiste.mapping.voxel_map import FUSION_RULES, LEVELS, VoxelSettings
 from offpiste.mapping.voxels_to_layers import FlattenSettings, neighbour_offsets
 
 

@@ -1,19 +1,11 @@
-"""Trails of a box that moves away go; walls, posts and thin trunks stay."""
+"""Removal of the trail of a moving box, while walls, posts and thin trunks stay."""
 
 import numpy as np
 import pytest
 
 from mapping.height_field import spinning_scan
 from offpiste.core.errors import MapError
-from offpiste.mapping.free_space import (
-    COLUMNS,
-    ROWS,
-    SLOPE,
-    STEEPEST,
-    FreeSpaceSettings,
-    nearest_returns,
-    passed,
-)
+from offpiste.mapping.free_space import COLUMNS, ROWS, SLOPE, STEEPEST, FreeSpaceSettings, nearest_returns, passed
 from offpiste.mapping.pipeline import FeatureCloud, MapPipeline, MapSettings
 from offpiste.mapping.voxel_map import VoxelSettings
 
@@ -80,7 +72,7 @@ def test_what_stands_still_stays():
     assert held.occupied == cleared.occupied
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_loops_agree_with_plain_numpy(seed):
     rng = np.random.default_rng(seed)
     sensor = rng.uniform(-1e3, 1e3, 3)

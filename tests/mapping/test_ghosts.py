@@ -1,4 +1,4 @@
-"""Returns below the ground are found, and ditches, holes, drops and ground under branches are not."""
+"""Detection of returns below the ground, but not of ditches, holes, drops and ground under branches."""
 
 import numpy as np
 import pytest
@@ -45,7 +45,7 @@ def test_no_ditch_or_drop_is_filled(ground):
     assert not GhostFinder().find(points, sensor).any()
 
 
-def test_what_light_went_round_about_to_is_found():
+def test_reflected_returns_are_found():
     points = spinning_scan(rolling, SENSOR, rings=40, columns=256, furthest=25.0)
     planted, ghosts = with_detours(points, SENSOR, 0.005, np.random.default_rng(0))
     found = GhostFinder().find(planted, SENSOR)
@@ -75,7 +75,7 @@ def test_ground_that_is_seen_below_branches_stays():
     assert not GhostFinder().find(scan, SENSOR).any()
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(4))
 def test_loops_agree_with_plain_numpy(seed):
     rng = np.random.default_rng(seed)
     n = 3000
@@ -90,14 +90,9 @@ def test_loops_agree_with_plain_numpy(seed):
     found = GhostFinder(settings, threads=1 + seed % 2).find(points, sensor)
     assert 0 < found.sum() < n / 5
     np.testing.assert_array_equal(found, found_ghosts(points, sensor, settings))
-
-
-def test_one_finder_takes_scans_of_any_size():
-    points = spinning_scan(rolling, SENSOR, rings=24, columns=128, furthest=20.0)
-    planted, _ = with_detours(points, SENSOR, 0.01, np.random.default_rng(0))
-    finder = GhostFinder()
-    for part in (planted[:10], planted, planted[:0], planted[::2], np.concatenate((planted, planted + 0.01))):
-        np.testing.assert_array_equal(finder.find(part, SENSOR), GhostFinder().find(part, SENSOR))
+    finder = GhostFinder(settings)
+    for part in (points[:10], points, points[:0], points[::2]):  # one finder takes scans of any size
+        np.testing.assert_array_equal(finder.find(part, sensor), GhostFinder(settings).find(part, sensor))
 
 
 def test_pits_leave_the_map():

@@ -1,4 +1,4 @@
-"""Which images are looked at, and which scans they are projected onto."""
+"""Choice of keyframes, and of the scans projected onto them."""
 
 from dataclasses import replace
 
@@ -37,18 +37,18 @@ def mapper() -> SensorMapper:
 
 
 def test_an_image_is_due_after_some_way_or_some_time(mapper):
-    assert mapper.is_keyframe(image(0.0), pose(0.0))
+    assert mapper.keyframes.due(image(0.0), pose(0.0))
     mapper.add_image(image(0.0), pose(0.0))
-    assert not mapper.is_keyframe(image(0.1), pose(0.49))
-    assert mapper.is_keyframe(image(0.1), pose(0.51))
-    assert not mapper.is_keyframe(image(MEMORY), pose(0.0))
-    assert mapper.is_keyframe(image(MEMORY + 0.01), pose(0.0))
+    assert not mapper.keyframes.due(image(0.1), pose(0.49))
+    assert mapper.keyframes.due(image(0.1), pose(0.51))
+    assert not mapper.keyframes.due(image(MEMORY), pose(0.0))
+    assert mapper.keyframes.due(image(MEMORY + 0.01), pose(0.0))
 
 
 def test_a_turn_on_the_spot_counts_as_far_as_the_camera_goes(mapper):
     mapper.add_image(image(0.0), pose(0.0))
     turned = np.diag((-1.0, -1.0, 1.0, 1.0))  # the camera is 0.5 m ahead of the pose point: it goes 1 m
-    assert mapper.is_keyframe(image(0.1), turned)
+    assert mapper.keyframes.due(image(0.1), turned)
 
 
 def test_old_images_are_not_projected(mapper):
@@ -91,7 +91,7 @@ def test_a_map_without_room_says_so_once(caplog: pytest.LogCaptureFixture) -> No
     scans = [Cloud(t, "lidar", ring(), None, np.full(24_000, np.nan)) for t in (0.5, 0.6, 0.7)]
     log = jumping_log(scans, {"lidar": mast("lidar")})
     assert len(list(replay(log, {}, extract_features, 0, full))) == 3
-    assert [record.message[:26] for record in caplog.records] == ["the map has no room for mo"]
+    assert [record.message[:15] for record in caplog.records] == ["the map is full"]
     caplog.clear()
     assert len(list(replay(log, {}, extract_features, 0, SETTINGS))) == 3
     assert not caplog.records

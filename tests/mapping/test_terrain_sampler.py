@@ -1,4 +1,4 @@
-"""Maps are read where they are, in the world's frame: uneven planes, borders, holes, several maps."""
+"""Sampling of maps: planes, borders, holes, several maps, crops."""
 
 from dataclasses import replace
 
@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from offpiste.mapping.terrain_map import TerrainMap, wheel_positions
 from offpiste.mapping.terrain_sampler import MapTerrain, sample_maps, stack_maps
+from planning_maps import layers
 
 WHEELS = np.array([[1.0, 0.7], [1.0, -0.7], [-1.2, 0.6], [-1.2, -0.6]])
 
@@ -34,11 +35,8 @@ def test_a_plane_has_its_normal_everywhere_and_x_is_not_y():
     wanted = torch.tensor([-0.3, 0.1, 1.0], dtype=torch.float64)
     torch.testing.assert_close(found.normal, (wanted / wanted.norm()).expand(3, 3), atol=1e-6, rtol=0)
     assert found.known.all()
-
-
-def test_features_are_those_of_the_nearest_cell():
     found = found_at([plane(0, 0)], [[10.0 + 0.5 * 7 + 0.2, -20.0 + 0.5 * 3 - 0.2]])
-    assert found.features.tolist() == [[7.0, 3.0]]
+    assert found.features.tolist() == [[7.0, 3.0]]  # those of the nearest cell
 
 
 def test_normals_between_cells_are_bilinear():
@@ -60,12 +58,8 @@ def test_off_the_map_is_flat_and_missing(x, y):
     assert bool(found.valid[0]) == bool(found.known[0]) == inside
     if not inside:
         assert found.normal.tolist() == [[0.0, 0.0, 1.0]]
-
-
-def test_what_is_not_a_place_is_off_the_map():
-    found = found_at([plane(0.3, -0.1)], [[np.nan, 0.0], [np.inf, -15.0], [20.0, -np.inf]])
-    assert not found.valid.any()
-    assert not found.known.any()
+    invalid = found_at([terrain], [[np.nan, 0.0], [np.inf, -15.0], [20.0, -np.inf]])
+    assert not (invalid.valid | invalid.known).any()
 
 
 def test_holes_are_missing_but_their_neighbours_are_not():
@@ -77,17 +71,6 @@ def test_holes_are_missing_but_their_neighbours_are_not():
     assert found.valid.tolist() == [False, True]
     assert found.known.tolist() == [False, True]
     assert found.normal[0].tolist() == [0, 0, 1]
-
-
-def test_maps_of_different_sizes_stand_side_by_side():
-    small, large = plane(0.2, 0, shape=(4, 5), origin=(0.0, 0.0)), plane(0, 0.4)
-    maps = [small, large]
-    np.testing.assert_allclose(found_at(maps, [[1.0, 1.0]], 0).normal[0, 0], -0.2 / np.hypot(1, 0.2), rtol=1e-6)
-    np.testing.assert_allclose(found_at(maps, [[20.0, -10.0]], 1).normal[0, 1], -0.4 / np.hypot(1, 0.4), rtol=1e-6)
-    # The small map's padding is not ground.
-    assert not found_at(maps, [[10.0, 1.0]], 0).valid.any()
-    with pytest.raises(ValueError, match="one resolution"):
-        stack_maps([small, plane(0, 0, resolution=1.0)])
 
 
 def test_a_map_in_a_stack_is_read_as_alone():
@@ -109,6 +92,8 @@ def test_a_map_in_a_stack_is_read_as_alone():
             if name == "features":  # off the map they are of any cell
                 one, other = one[alone.valid], other[stacked.valid]
             torch.testing.assert_close(other, one, rtol=0, atol=0, equal_nan=True)
+    with pytest.raises(ValueError, match="one resolution"):
+        stack_maps([maps[0], plane(0, 0, resolution=1.0)])
 
 
 def test_a_crop_says_the_same_as_the_whole():
@@ -119,6 +104,14 @@ def test_a_crop_says_the_same_as_the_whole():
     one, other = found_at([whole], places), found_at([part], places)
     torch.testing.assert_close(one.features, other.features)
     torch.testing.assert_close(one.normal, other.normal)
+    layered = layers(plane=(0.1, -0.3))  # cells every 0.5 m from -20 to 20 m
+    near = layered.cropped(np.array((1.2, -3.1)), np.array((5.2, 0.9)))  # to 5.5 and 1.0 m
+    np.testing.assert_allclose(near.origin, (1.0, -3.5))
+    assert near.known.shape == (10, 10)
+    np.testing.assert_allclose(near.elevation, near.centres @ (0.1, -0.3), atol=1e-6)
+    assert np.shares_memory(near.elevation, layered.elevation)
+    assert layered.cropped(np.array((17.0, -21.0)), np.array((21.0, -17.0))).known.shape == (7, 7)  # over the border
+    assert layered.cropped(np.array((498.0, -2.0)), np.array((502.0, 2.0))).known.shape == (9, 1)  # off the map
 
 
 def test_wheels_of_the_predicted_state_are_looked_up():
@@ -139,7 +132,5 @@ def test_wheels_of_the_predicted_state_are_looked_up():
     np.testing.assert_array_equal(ground.latent, wanted)
     assert ground.normal.shape == (8, 4, 3)
 
-
-def test_wheels_stand_where_a_turned_vehicle_has_them():
     places = wheel_positions(np.array([[3.0, 4.0]]), np.array([np.pi / 2]), WHEELS)
     np.testing.assert_allclose(places[0], [[2.3, 5.0], [3.7, 5.0], [2.4, 2.8], [3.6, 2.8]])

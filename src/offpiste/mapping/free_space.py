@@ -1,8 +1,8 @@
-"""Free space: things that moved away leave a trail of voxels in the map, which rays then pass through.
+"""Removal of voxels that moving objects left behind, by the rays of later scans that pass through them.
 
-A voxel that is hit stays; one that the rays of some scans pass on all sides, on their way to things behind it, without
-any hit in between, is empty. Rays must be dense enough to hit a thin trunk that stands there, so that only voxels near
-the vehicle are looked at, and only where several rays pass. The lowest voxel of a column always stays: it is ground.
+A voxel is removed after the rays of several scans passed around it to returns behind it, without a hit in between. Rays
+must be dense enough to hit a thin trunk, so only voxels near the vehicle with several rays around them are tested. The
+lowest voxel of a column is ground and always stays.
 """
 
 from dataclasses import dataclass
@@ -10,25 +10,24 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from offpiste.core.errors import MapError
-from offpiste.mapping.voxel_kernels import BASE, FEATURED, OCCUPIED, PARTS, PASSED, STRIPE, X, Y, Z, release
-from offpiste.mapping.voxel_map import VoxelMap
 from offpiste.native.compilation import MAPPING
+from offpiste.core.errors import MapError
+from offpiste.mapping.voxel_map import BASE, FEATURED, OCCUPIED, PARTS, PASSED, STRIPE, VoxelMap, X, Y, Z, release
 
 STEEPEST, SLOPE, ROWS, COLUMNS = -1.0, 0.025, 64, 256
-"""Slope of the lowest row, slope of a row [m per m], rows and columns: pixels of 1.4 degrees at the horizon."""
+"""Range image: slope of the lowest row, slope per row [m/m], rows and columns (1.4 degrees at the horizon)."""
 
 
 @dataclass(frozen=True)
 class FreeSpaceSettings:
-    """When a voxel is taken away.
+    """Conditions for removing a voxel.
 
     Attributes:
-        reach: distance from the sensor up to which voxels are looked at, in x and in y [m].
-        every: each scan looks at one of so many rows of the map.
-        times: a voxel goes after so many looks at which rays passed through it since it was last hit.
-        returns: number of returns around it at each look, at least.
-        beyond: all of them are further away than the voxel by this [m].
+        reach: distance from the sensor up to which voxels are tested, in x and in y [m].
+        every: each scan tests every n-th row of the map.
+        times: number of passed tests since the last hit that remove a voxel.
+        returns: minimum number of returns around the voxel in each test.
+        beyond: minimum distance of these returns behind the voxel [m].
     """
 
     reach: float = 20.0
@@ -44,7 +43,7 @@ class FreeSpaceSettings:
 
 @dataclass(frozen=True)
 class NearestReturns:
-    """What a scan shows around each direction from its sensor.
+    """Range image of a scan over the 3 x 3 pixels around each direction.
 
     Attributes:
         near: horizontal distance of the nearest return; infinite without any [m].
@@ -58,7 +57,7 @@ class NearestReturns:
 def nearest_returns(
     points_world: Float[np.ndarray, "N 3"], sensor_world: Float[np.ndarray, " 3"], left_out: Bool[np.ndarray, " N"]
 ) -> NearestReturns:
-    """The nearest return in the 3 x 3 pixels around each direction; some points are left out."""
+    """Return the range image of a scan; points marked in `left_out` are ignored."""
     points, sensor = np.ascontiguousarray(points_world, np.float64), np.ascontiguousarray(sensor_world, np.float64)
     nearest, count = np.zeros((ROWS, COLUMNS), np.float32), np.zeros((ROWS, COLUMNS), np.int32)
     put_nearest(points, sensor, left_out, nearest, count)
@@ -73,7 +72,7 @@ def passed(
     sensor_world: Float[np.ndarray, " 3"],
     settings: FreeSpaceSettings,
 ) -> Bool[np.ndarray, " N"]:
-    """Whether rays of a scan passed finite places, as its nearest returns show (plain NumPy for what the loop does)."""
+    """Return whether the rays of a scan passed finite points (NumPy version of `is_passed`)."""
     x, y, z = (points_world - sensor_world).astype(np.float32).T
     with np.errstate(invalid="ignore", divide="ignore"):
         away, r = np.abs(x) + np.abs(y), np.sqrt(x * x + y * y)
@@ -88,7 +87,7 @@ def passed(
 
 
 class FreeSpace:
-    """Takes trails out of one voxel map, scan by scan."""
+    """Remover of voxels that rays pass through, for one voxel map."""
 
     def __init__(self, voxel_map: VoxelMap, settings: FreeSpaceSettings | None = None) -> None:
         self.settings = settings or FreeSpaceSettings()
@@ -100,40 +99,25 @@ class FreeSpace:
         sensor_world: Float[np.ndarray, " 3"],
         left_out: Bool[np.ndarray, " N"],
     ) -> int:
-        """Take away voxels that the rays of this scan, which is in the map, and of earlier ones passed through.
+        """Remove voxels that the rays of this and earlier scans passed through; return their number.
 
         Args:
-            left_out: points that show nothing, such as ghosts.
-
-        Returns:
-            number of voxels.
+            points_world: a scan that is already in the map [m].
+            left_out: mask of points to ignore, such as ghosts.
         """
         settings, size = self.settings, self._map.settings.size
-        returns = nearest_returns(points_world, sensor_world, left_out)
+        image = nearest_returns(points_world, sensor_world, left_out)
+        sensor = np.ascontiguousarray(sensor_world, np.float64)
         self._turn = (self._turn + 1) % settings.every
         self._map.changes += 1
-        return int(
-            clear_passed(
-                self._turn,
-                settings.every,
-                self._map.low,
-                round(settings.reach / size),
-                np.ascontiguousarray(sensor_world, np.float64),
-                size,
-                returns.near,
-                returns.many,
-                np.float32(settings.beyond),
-                settings.returns,
-                settings.times,
-                self._map.changes,
-                self._map.voxels,
-            )
-        )
+        where = self._turn, settings.every, self._map.low, round(settings.reach / size), sensor, size
+        rule = np.float32(settings.beyond), settings.returns, settings.times
+        return int(clear_passed(*where, image.near, image.many, *rule, self._map.changes, self._map.voxels))
 
 
 @MAPPING.inlined
 def pixel(x, y, z):  # type: ignore[no-untyped-def]
-    """Row and column of a place relative to the sensor, -1 outside of the image, and its horizontal distance [m]."""
+    """Return row and column of a point relative to the sensor, -1 outside the image, and its horizontal distance."""
     away = abs(x) + abs(y)
     r = np.sqrt(x * x + y * y)
     if not (np.float32(0.01) < away < np.float32(1e4)):
@@ -148,7 +132,7 @@ def pixel(x, y, z):  # type: ignore[no-untyped-def]
 
 @MAPPING.entry
 def put_nearest(points, sensor, left_out, nearest, count):  # type: ignore[no-untyped-def]
-    """Put the distance of the nearest return of each pixel, infinite without any, and the number of its returns."""
+    """Write the distance of each pixel's nearest return, infinite without any, and its number of returns."""
     nearest[:] = np.float32(np.inf)
     count[:] = 0
     for i in range(len(points)):
@@ -161,7 +145,7 @@ def put_nearest(points, sensor, left_out, nearest, count):  # type: ignore[no-un
 
 @MAPPING.entry
 def put_around(nearest, count, near, many):  # type: ignore[no-untyped-def]
-    """Put the nearest return and the number of returns in the 3 x 3 pixels around each."""
+    """Write the nearest return and the number of returns of the 3 x 3 pixels around each pixel."""
     for row in range(ROWS):
         for column in range(COLUMNS):
             near[row, column], many[row, column] = nearest[row, column], count[row, column]
@@ -170,7 +154,7 @@ def put_around(nearest, count, near, many):  # type: ignore[no-untyped-def]
                 for column in range(COLUMNS):
                     near[row, column] = min(near[row, column], nearest[beside, column])
                     many[row, column] += count[beside, column]
-        # Around the sensor the last column is beside the first one.
+        # The first and the last column are neighbours.
         first, before = (near[row, 0], many[row, 0]), (near[row, COLUMNS - 1], many[row, COLUMNS - 1])
         for column in range(COLUMNS):
             here = near[row, column], many[row, column]
@@ -181,7 +165,7 @@ def put_around(nearest, count, near, many):  # type: ignore[no-untyped-def]
 
 @MAPPING.inlined
 def is_passed(x, y, z, near, many, beyond, returns):  # type: ignore[no-untyped-def]
-    """Whether rays pass a place, relative to the sensor: at least `returns` around it, all `beyond` further."""
+    """Return whether a point has at least `returns` around it, all of them `beyond` further from the sensor."""
     row, column, r = pixel(x, y, z)
     return row >= 0 and many[row, column] >= returns and near[row, column] > r + beyond
 
@@ -190,15 +174,12 @@ def is_passed(x, y, z, near, many, beyond, returns):  # type: ignore[no-untyped-
 def clear_passed(  # type: ignore[no-untyped-def]
     first, stride, low, reach, sensor, size, near, many, beyond, returns, times, number, voxels
 ):
-    """Take away voxels that rays passed through `times` times since they were last hit; returns how many.
-
-    Looks at every `stride`th row from `first`, within `reach` cells of the sensor. The lowest voxel of a column stays.
+    """Remove voxels that rays passed through `times` times since the last hit, in every `stride`th row from `first`.
 
     Args:
         low: integer coordinates x, y of the map's lowest cell [2].
-        sensor: where the scan was taken from [3] [m].
-        size: of a voxel [m].
-        number: of this change of the map.
+        reach: distance from the sensor [cells].
+        number: number of this map change.
     """
     n, gone = voxels.heads.shape[0], 0
     middle_x, middle_y = np.int64(np.floor(sensor[0] / size)), np.int64(np.floor(sensor[1] / size))

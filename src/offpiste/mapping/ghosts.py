@@ -1,17 +1,16 @@
-"""Ghosts: returns below the ground, of light that took a detour over something shiny.
+"""Detection of ghosts: LiDAR returns below the ground, from light that was reflected by a shiny surface.
 
-A LiDAR places an echo along the straight ray. Light that came by a detour seems to come from further away, and where
-the ray points downwards, from below the ground: a mirror image that may stay at one place for many scans, of a hundred
-points at a time. The lowest voxel of a column counts as ground, so that each of them digs a pit into the map.
+A reflected echo is placed along the straight ray but too far away, so for rays that point downwards it lies below the
+ground. Up to a hundred such points can stay at one place for many scans, and each of them digs a pit into the map, as
+the lowest voxel of a column counts as ground.
 
 No light passes through the ground. A ray that reaches the bottom of a ditch or the foot of a cliff passes above the
-rim; the ray of a ghost passes below ground that other rays of the same scan hit on the near side. Ground that is
-seen under branches or through bushes is passed by such rays, too, and kept: unlike a ghost it lies no lower than other
-ground around it.
+rim; the ray of a ghost passes below ground that other rays of the same scan hit on the near side. Ground seen under
+branches or through bushes is passed by such rays as well, but unlike a ghost it lies no lower than other ground nearby.
 
-The ground around the sensor is divided into sectors, and these into rings that widen with distance, about as the rings
-of a spinning LiDAR do on level ground. The cell after the last one takes points that are nowhere.
-The same in plain NumPy is in tests/mapping.
+The ground around the sensor is divided into sectors, and these into rings that widen with distance, like the rings of
+a spinning LiDAR on level ground. The cell after the last one collects invalid points. A NumPy reference is in
+tests/mapping.
 """
 
 from dataclasses import dataclass
@@ -24,18 +23,18 @@ from offpiste.core.errors import MapError
 from offpiste.native.compilation import MAPPING, spread_blocks
 
 HALF_OF_RINGS: Final = 20.0
-"""Distance within which half of the rings lie [m]: they are 0.3 m wide at the sensor, 1.3 m there and 5 m at 60 m."""
+"""Distance within which half of the rings lie [m]: rings are 0.3 m wide at the sensor, 1.3 m there and 5 m at 60 m."""
 
 
 @dataclass(frozen=True)
 class GhostSettings:
-    """When a return counts as a ghost.
+    """Conditions for a return to count as a ghost.
 
     Attributes:
-        depth: rays of ghosts pass at least so far below the ground of two cells on their way, and ghosts lie so far
-            below all ground around them [m].
-        sectors, rings: cells around the sensor; the ground of a cell is the lowest return in it.
-        window: ground up to so many sectors and rings away lies around a return.
+        depth: minimum depth of the ray below the ground of two nearer cells, and of the ghost below all ground around
+            it [m].
+        sectors, rings: numbers of cells around the sensor; the ground of a cell is its lowest return.
+        window: neighbourhood of a return, in sectors and in rings.
     """
 
     depth: float = 0.5
@@ -52,11 +51,7 @@ class GhostSettings:
 
 
 class GhostFinder:
-    """Finds the ghosts in scans, one after another; it keeps its buffers.
-
-    Args:
-        threads: that find the cells of points; the result does not depend on it.
-    """
+    """Detector of ghosts in consecutive scans, with reused buffers; the result does not depend on `threads`."""
 
     def __init__(self, settings: GhostSettings | None = None, threads: int = 1) -> None:
         self.settings = settings or GhostSettings()
@@ -69,12 +64,11 @@ class GhostFinder:
     def find(
         self, points_world: Float[np.ndarray, "N 3"], sensor_world: Float[np.ndarray, " 3"]
     ) -> Bool[np.ndarray, " N"]:
-        """Which points of one scan are ghosts.
+        """Return the mask of ghosts in a scan; non-finite points are no ghosts.
 
         Args:
-            points_world: of one revolution or less [m]; what is not finite is no ghost.
-            sensor_world: where the scan was taken from: one place for all of them, as the sensor's way during a scan
-                changes slopes of rays by little [m].
+            points_world: points of one revolution or less [m].
+            sensor_world: one sensor position for all points, as its motion during a scan hardly changes ray slopes [m].
         """
         settings, n = self.settings, len(points_world)
         if n > len(self._cell):
@@ -99,16 +93,13 @@ class GhostFinder:
 
 @MAPPING.entry
 def place_returns(first, last, points, sensor, sectors, rings, half, cell, height, distance):  # type: ignore[no-untyped-def]
-    """Put the cell, the height over the sensor [m] and the horizontal distance from it [m] of points `first` to `last`.
+    """Write cell, height over the sensor [m] and horizontal distance [m] of points `first` to `last`.
 
-    Sectors are even in y / (|x| + |y|), which takes no arcus tangent: 0.7 to 1.4 times their mean angle.
-
-    Args:
-        points, sensor: [N, 3], [3] (float64) [m].
-        half: half of all rings lie within this distance [m].
+    Sectors are uniform in y / (|x| + |y|), which avoids the arctangent: 0.7 to 1.4 times their mean angle. Half of the
+    rings lie within the distance `half` [m].
     """
     per_sector, count = np.float32(sectors / 4), np.float32(rings)
-    # Written without branches, so that the compiler takes several points at a time.
+    # Without branches, so that the compiler vectorises the loop.
     for i in range(first, last):
         x, y = np.float32(points[i, 0] - sensor[0]), np.float32(points[i, 1] - sensor[1])
         z, away = np.float32(points[i, 2] - sensor[2]), abs(x) + abs(y)
@@ -126,7 +117,7 @@ def place_returns(first, last, points, sensor, sectors, rings, half, cell, heigh
 
 @MAPPING.entry
 def find_lowest(cell, height, left_out, low, lowest):  # type: ignore[no-untyped-def]
-    """Lower the least height in each cell, and put whose it is; some points are left out."""
+    """Update the lowest height of each cell and the index of its point, except for points marked in `left_out`."""
     for i in range(len(cell)):
         c = cell[i]
         if height[i] < low[c] and not left_out[i]:
@@ -135,10 +126,7 @@ def find_lowest(cell, height, left_out, low, lowest):  # type: ignore[no-untyped
 
 @MAPPING.entry
 def find_horizons(low, lowest, distance, depth, rings, horizon):  # type: ignore[no-untyped-def]
-    """Put the slope [m per m] of rays that pass, on their way to a cell, `depth` below the ground of two cells.
-
-    The ground of a cell is its lowest point. No ray can be steeper.
-    """
+    """Write the lowest possible slope [m/m] of rays to a cell: `depth` below the ground of two nearer cells."""
     for first in range(0, len(low) - 1, rings):
         highest = second = np.float32(-np.inf)
         for c in range(first, first + rings):
@@ -152,7 +140,7 @@ def find_horizons(low, lowest, distance, depth, rings, horizon):  # type: ignore
 
 @MAPPING.entry
 def mark_pierced(cell, height, distance, horizon, low, pierced):  # type: ignore[no-untyped-def]
-    """Mark points whose rays pass below the ground, and forget the ground of their cells; returns their number."""
+    """Mark points whose rays pass below the ground and clear the ground of their cells; return their number."""
     count = 0
     for i in range(len(cell)):
         if height[i] < horizon[cell[i]] * distance[i]:
@@ -163,7 +151,7 @@ def mark_pierced(cell, height, distance, horizon, low, pierced):  # type: ignore
 
 @MAPPING.entry
 def unmark_supported(cell, height, low, depth, rings, window, pierced):  # type: ignore[no-untyped-def]
-    """Unmark points with ground not more than `depth` above them in some cell up to `window` sectors and rings away."""
+    """Unmark points with ground at most `depth` above them in a cell up to `window` sectors and rings away."""
     cells = len(low) - 1
     for i in range(len(cell)):
         if not pierced[i]:

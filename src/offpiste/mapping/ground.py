@@ -1,33 +1,31 @@
-"""Loops over the columns of voxels: the ground, what stands on it and what it looks like.
+"""Loops over voxel columns: ground, obstacles and features.
 
-The same in plain NumPy is in tests/mapping.
-
-Only columns that changed are looked into; what they show is kept, wrapped around as the voxels are. Rows `first` to
-`last` are those of the layers, from the map's lowest cell. Loops work on a span of each row: all of it for the layers,
-what lies around some cells where only these are read.
+Only changed columns are evaluated; their results are kept and wrap around like the voxels. Rows `first` to `last` count
+from the map's lowest cell. Loops work on a span of each row: all columns for the layers, the neighbourhood of the cells
+where only some are read. A NumPy reference is in tests/mapping.
 """
 
 from typing import Final
 
 import numpy as np
 
-from offpiste.mapping.normals import put
-from offpiste.mapping.voxel_kernels import BASE, FEATURE_DISTANCE, FEATURED, FEATURES, LEVELS, LOWEST, OCCUPIED, X, Y, Z
 from offpiste.native.compilation import MAPPING
+from offpiste.mapping.normals import put
+from offpiste.mapping.voxel_map import BASE, FEATURE_DISTANCE, FEATURED, FEATURES, LEVELS, LOWEST, OCCUPIED, X, Y, Z
 
 BLOCK: Final = 32
-"""Columns that are looked through at once for those that changed."""
+"""Number of columns that share a change number."""
 
 
 @MAPPING.inlined
 def over_ground(voxels, slot, up, hit, size):  # type: ignore[no-untyped-def]
-    """Height of the hit in the voxel `up` levels above the lowest, over the lowest hit of its column."""
+    """Return the height of the hit `up` levels above the lowest voxel over the lowest hit of the column."""
     return (np.float32(up) + voxels.seen[slot, Z] - hit[Z]) * size
 
 
 @MAPPING.inlined
 def obstacle_above(voxels, occupied, slots, hit, size, reach):  # type: ignore[no-untyped-def]
-    """Height over the ground of the highest voxel that was hit at most `reach` above it."""
+    """Return the height over the ground of the highest hit at most `reach` above it."""
     levels = int(reach / size) + 1
     for up in range(levels if levels < LEVELS else LEVELS - 1, 0, -1):
         if (occupied >> up) & 1:
@@ -39,15 +37,15 @@ def obstacle_above(voxels, occupied, slots, hit, size, reach):  # type: ignore[n
 
 @MAPPING.inlined
 def keep_features(seen, kept):  # type: ignore[no-untyped-def]
-    """Keep the features of a voxel and the distance from which they were seen."""
+    """Store the features of a voxel and their sensor distance."""
     kept[0] = seen[FEATURE_DISTANCE]
     for k in range(1, len(kept)):
         kept[k] = seen[FEATURES + k - 1]
 
 
-@MAPPING.inlined  # a call hands over every array of its arguments, which takes as long as the work itself
+@MAPPING.inlined  # passing the arrays to a call takes as long as the work itself
 def see_column(row, across, size, reach, voxels, surface):  # type: ignore[no-untyped-def]
-    """Keep the ground, the obstacle and the features of a column."""
+    """Store the ground, the obstacle and the features of a column."""
     head, slots = voxels.heads[row, across], voxels.slots[row, across]
     surface.feature_height[row, across] = np.float32(np.nan)
     if head[OCCUPIED] == 0:
@@ -72,13 +70,9 @@ def see_column(row, across, size, reach, voxels, surface):  # type: ignore[no-un
 
 @MAPPING.entry
 def put_spans(rows, columns, margin, bare, spans):  # type: ignore[no-untyped-def]
-    """Put, for each row of the map, the first and the last + 1 column within `margin` of some cells; alike if none is.
+    """Write for each row the first and the last + 1 column within `margin` of some cells, 0 and 0 without any.
 
-    Args:
-        rows, columns: of the cells [K].
-        margin: in rows and in columns.
-        bare: room for the same without the margin [n, 2].
-        spans: [n, 2].
+    `bare` [n, 2] is a buffer for the spans without the margin.
     """
     n = len(spans)
     bare[:, 0], bare[:, 1] = n, 0
@@ -96,7 +90,7 @@ def put_spans(rows, columns, margin, bare, spans):  # type: ignore[no-untyped-de
 
 @MAPPING.inlined
 def see_block(row, number, size, reach, voxels, surface):  # type: ignore[no-untyped-def]
-    """Keep ground, obstacles and features of the columns of a block that changed since they were last kept."""
+    """Update the columns of a block that changed since the last update."""
     start, since = number * BLOCK, surface.since[row, number]
     changed, newest = voxels.changed[row, start : start + BLOCK], since
     for i in range(len(changed)):
@@ -110,7 +104,7 @@ def see_block(row, number, size, reach, voxels, surface):  # type: ignore[no-unt
 
 @MAPPING.entry
 def see_columns(first, last, low, spans, size, reach, voxels, surface):  # type: ignore[no-untyped-def]
-    """Keep ground, obstacles and features of the columns in spans of the layers' rows `first` to `last`."""
+    """Update ground, obstacles and features of the columns in the spans of rows `first` to `last`."""
     n = voxels.changed.shape[0]
     for j in range(first, last):
         row, count = (low[1] + j) % n, spans[j, 1] - spans[j, 0]
@@ -125,32 +119,32 @@ def see_columns(first, last, low, spans, size, reach, voxels, surface):  # type:
 
 @MAPPING.loop
 def put_lower(a, out):  # type: ignore[no-untyped-def]
-    """Put the smaller of a and out."""
+    """Write the minimum of a and out."""
     for i in range(len(out)):
         out[i] = a[i] if a[i] < out[i] else out[i]
 
 
 @MAPPING.loop
 def put_lowest_beside(height, radius, lowest):  # type: ignore[no-untyped-def]
-    """Put the lowest ground within `radius` cells along a row; infinite if there is none."""
+    """Write the lowest ground within `radius` cells along a row, infinite without any."""
     n = len(height)
     for i in range(n):
         lowest[i] = height[i] if height[i] == height[i] else np.float32(np.inf)
-    for k in range(1, radius + 1):  # what is not a number is not less
+    for k in range(1, radius + 1):  # NaN is not less
         put_lower(height[k:], lowest[: n - k])
         put_lower(height[: n - k], lowest[k:])
 
 
 @MAPPING.loop
 def put_heights(level, z, reference, size, out):  # type: ignore[no-untyped-def]
-    """Put heights over the floor of the reference level."""
+    """Write heights over the floor of the reference level."""
     for i in range(len(out)):
         out[i] = (np.float32(level[i] - reference) + z[i]) * size
 
 
 @MAPPING.entry
 def read_columns(first, last, low, spans, reference, size, radius, surface, buffers):  # type: ignore[no-untyped-def]
-    """Copy spans of columns in the layers' order, and find the lowest ground within `radius` cells along the row."""
+    """Copy spans of columns in the order of the layers and find the lowest ground within `radius` cells along rows."""
     n = buffers.height.shape[0]
     start = low[0] % n
     for j in range(first, last):
@@ -168,9 +162,9 @@ def read_columns(first, last, low, spans, reference, size, radius, surface, buff
 
 @MAPPING.entry
 def drop_overhangs(first, last, spans, radius, reach, feature_height, buffers):  # type: ignore[no-untyped-def]
-    """Take the ground of columns in spans whose lowest voxel is a branch, and features too far above their ground.
+    """Remove the ground of columns whose lowest voxel is a branch, and features too far above the ground.
 
-    Heights of features become those over the reference level.
+    Feature heights become relative to the reference level.
     """
     n = buffers.height.shape[0]
     nothing = np.float32(np.nan)

@@ -1,11 +1,12 @@
-"""Gaps filled from the nearest cell, and the layers written: loops over blocks of rows, and others over chosen cells.
+"""Filling of gaps from the nearest cell, and writing of the layers, for blocks of rows or for selected cells.
 
-The nearest cell is found for a whole row at once: neighbours are visited from the furthest to the nearest, and each
-overwrites those before it. Rows are cut into `blocks`; a call takes those from `first` to `last`. Planes around chosen
-cells are those of `normals.py`: their windows are gathered, then summed in its order.
+The nearest cell is found for a whole row at once: neighbours are visited from the furthest to the nearest, and nearer
+ones overwrite. Rows are divided into `blocks`; a call takes blocks `first` to `last`. Planes around selected cells are
+summed from gathered windows in the order of `normals.py`, so that both paths agree to the bit.
 """
 
-from typing import Final, NamedTuple
+from collections import namedtuple
+from typing import Final
 
 import numpy as np
 
@@ -13,12 +14,12 @@ from offpiste.mapping.normals import SUMS, add_columns, put, put_moments, solve,
 from offpiste.native.compilation import MAPPING
 
 CHUNK: Final = 256
-"""Cells whose windows are gathered at a time: their sums stay in the processor's cache."""
+"""Number of cells whose windows are gathered at a time, so that their sums stay in the processor's cache."""
 
 
 @MAPPING.loop
 def nearest_grounds(j, offsets, height, which, ground):  # type: ignore[no-untyped-def]
-    """Number of the first offset that leads to ground, for each cell of a row, and the height of that ground."""
+    """Write the number of the first offset that leads to ground, and the height of that ground, for each cell."""
     n = len(which)
     which[:] = np.int32(-1)
     ground[:] = np.float32(np.nan)
@@ -35,7 +36,7 @@ def nearest_grounds(j, offsets, height, which, ground):  # type: ignore[no-untyp
 
 @MAPPING.loop
 def nearest_features(j, offsets, limit, feature_height, ground, which):  # type: ignore[no-untyped-def]
-    """Number of the first offset to features seen within `limit` of the ground here, for each cell of a row."""
+    """Write the number of the first offset to features within `limit` of the ground, for each cell of a row."""
     n = len(ground)
     which[:] = np.int32(-1)
     for k in range(len(offsets) - 1, -1, -1):
@@ -50,11 +51,11 @@ def nearest_features(j, offsets, limit, feature_height, ground, which):  # type:
 
 @MAPPING.entry
 def fill_gaps(first, last, blocks, offsets, limit, buffers):  # type: ignore[no-untyped-def]
-    """Find the cell that each cell's ground and features come from.
+    """Find the source cells of each cell's ground and features.
 
     Args:
         offsets: rows and columns to neighbours, nearest first, the cell itself at [0] [K, 2].
-        limit: how far from the ground features may have been seen [m].
+        limit: maximum height of features above or below the ground [m].
     """
     n = buffers.height.shape[0]
     for block in range(first, last):
@@ -66,14 +67,14 @@ def fill_gaps(first, last, blocks, offsets, limit, buffers):  # type: ignore[no-
 
 @MAPPING.loop
 def put_up(rise_x, rise_y, out):  # type: ignore[no-untyped-def]
-    """Put the upward components of the unit normals."""
+    """Write the upward components of the unit normals."""
     for i in range(len(out)):
         out[i] = np.float32(1) / np.sqrt(np.float32(1) + (rise_x[i] * rise_x[i] + rise_y[i] * rise_y[i]))
 
 
 @MAPPING.loop
 def write_own_ground(j, floor, up, buffers, layers):  # type: ignore[no-untyped-def]
-    """Write the ground of a row, NaN where a cell has none of its own."""
+    """Write the ground of a row, NaN for cells without their own."""
     rise_x, rise_y, height = buffers.rise_x[j], buffers.rise_y[j], buffers.height[j]
     elevation, centre, slope, normal = layers.elevation[j], buffers.centre[j], layers.slope[j], layers.normal[j]
     obstacle, obstacle_here = layers.obstacle_height[j], buffers.obstacle[j]
@@ -93,7 +94,7 @@ def write_own_ground(j, floor, up, buffers, layers):  # type: ignore[no-untyped-
 
 @MAPPING.loop
 def write_filled_ground(j, floor, offsets, buffers, layers):  # type: ignore[no-untyped-def]
-    """Write the ground of the cells of a row that are filled from others."""
+    """Write the ground of the filled cells of a row."""
     which = buffers.which[j]
     for i in range(len(which)):
         if which[i] > 0:
@@ -110,7 +111,7 @@ def write_filled_ground(j, floor, offsets, buffers, layers):  # type: ignore[no-
 
 @MAPPING.loop
 def write_flags(which, which_feature, observed, known, valid):  # type: ignore[no-untyped-def]
-    """Write whether each cell of a row was hit, has ground, has features."""
+    """Write the masks of a row."""
     for i in range(len(which)):
         observed[i] = which[i] == 0
     for i in range(len(which)):
@@ -121,7 +122,7 @@ def write_flags(which, which_feature, observed, known, valid):  # type: ignore[n
 
 @MAPPING.loop
 def write_features(j, low, offsets, surface, buffers, layers):  # type: ignore[no-untyped-def]
-    """Write the features of a row; cells that had none before are left alone."""
+    """Write the features of a row; cells without features before and now are skipped."""
     n, channels = layers.valid.shape[0], layers.features.shape[2]
     which, valid = buffers.which_feature[j], layers.valid[j]
     start_x, start_y = low[0] % n, low[1] % n + j
@@ -146,9 +147,6 @@ def write_layers(first, last, blocks, floor, low, offsets, surface, buffers, lay
     Args:
         floor: height of the reference level in the world [m].
         low: integer coordinates x, y of the lowest cell [2].
-        offsets: as `fill_gaps` was given.
-        surface: `voxels_to_layers.Surface`.
-        layers: `voxels_to_layers.Layers`.
     """
     n = buffers.height.shape[0]
     for block in range(first, last):
@@ -161,31 +159,20 @@ def write_layers(first, last, blocks, floor, low, offsets, surface, buffers, lay
             )
 
 
-class Gathered(NamedTuple):
-    """Room for the windows of cells.
-
-    Attributes:
-        moments: of the cells beside, by their column in the window [window, SUMS, CHUNK].
-        sums: of the rows of the window [window, SUMS, CHUNK].
-        total: of the window [SUMS, CHUNK].
-        hits: x, y, height of one cell of the window, and a line [4, CHUNK].
-    """
-
-    moments: np.ndarray
-    sums: np.ndarray
-    total: np.ndarray
-    hits: np.ndarray
+Gathered = namedtuple("Gathered", "moments sums total hits")
+"""Buffers for windows of cells: moments of the cells of a row and sums of each row [window, SUMS, CHUNK], sums of the
+window [SUMS, CHUNK], and x, y, height of one cell and a line [4, CHUNK]."""
 
 
 def make_gathered(radius: int) -> Gathered:
-    """Room for windows of +-radius."""
+    """Return buffers for windows of +-radius."""
     shapes = ((2 * radius + 1, SUMS, CHUNK), (2 * radius + 1, SUMS, CHUNK), (SUMS, CHUNK), (4, CHUNK))
     return Gathered(*(np.zeros(shape, np.float32) for shape in shapes))
 
 
 @MAPPING.loop
 def gather(rows, columns, down, right, buffers, x, y, z):  # type: ignore[no-untyped-def]
-    """Put where the cells `down` rows and `right` columns from some were hit; not a number outside of the map."""
+    """Write the hits of the cells `down` rows and `right` columns from some cells; z is NaN outside the map."""
     n = buffers.height.shape[0]
     for q in range(len(rows)):
         j, i = rows[q] + down, columns[q] + right
@@ -196,15 +183,7 @@ def gather(rows, columns, down, right, buffers, x, y, z):  # type: ignore[no-unt
 
 @MAPPING.entry
 def fit_planes_at(radius, size, buffers, gathered, planes):  # type: ignore[no-untyped-def]
-    """Planes around chosen cells.
-
-    Args:
-        radius: of the windows [cells].
-        size: of a cell [m].
-        buffers: x, y, height (`voxels_to_layers.Buffers`).
-        gathered: room.
-        planes: reads rows, columns; writes the rest.
-    """
+    """Fit planes around the cells at `planes.rows`, `planes.columns`; the arguments are those of `fit_planes`."""
     for first in range(0, len(planes.rows), CHUNK):
         mine = slice(first, min(first + CHUNK, len(planes.rows)))
         rows, columns = planes.rows[mine], planes.columns[mine]
@@ -228,13 +207,7 @@ def fit_planes_at(radius, size, buffers, gathered, planes):  # type: ignore[no-u
 
 @MAPPING.entry
 def find_grounds(rows, columns, offsets, buffers, planes):  # type: ignore[no-untyped-def]
-    """Put the cells that the ground of some cells comes from: these themselves where there is none near.
-
-    Args:
-        rows, columns: of the cells; all in the map [K].
-        offsets, buffers: as in `fill_gaps`.
-        planes: `voxels_to_layers.CellPlanes`.
-    """
+    """Write the source cells of the ground of some cells, the cells themselves without ground nearby."""
     n = buffers.height.shape[0]
     for q in range(len(rows)):
         planes.rows[q], planes.columns[q] = rows[q], columns[q]
@@ -247,14 +220,7 @@ def find_grounds(rows, columns, offsets, buffers, planes):  # type: ignore[no-un
 
 @MAPPING.entry
 def read_cells(rows, columns, floor, low, offsets, limit, surface, buffers, planes, out):  # type: ignore[no-untyped-def]
-    """Read what `write_layers` would write into some cells, without the others.
-
-    Args:
-        rows, columns: of the cells; all in the map [K].
-        floor, low, offsets, limit, surface, buffers: as in `fill_gaps` and `write_layers`.
-        planes: of their grounds, `voxels_to_layers.CellPlanes`.
-        out: `voxels_to_layers.MapCells`.
-    """
+    """Write the values of `fill_gaps` and `write_layers` for some cells only."""
     n, channels = buffers.height.shape[0], out.features.shape[1]
     for q in range(len(rows)):
         j, i, found_feature = rows[q], columns[q], -1

@@ -1,8 +1,8 @@
-"""Surface normals and roughness: least-squares planes through what was hit around each cell, by moving sums.
+"""Surface normals and roughness from least-squares planes through the hits around each cell, by moving sums.
 
-Planes are z over x, y, with each hit where it was. Rows are summed over the window's columns, then over its rows;
-coordinates are always relative to the window's centre, so that float32 is enough. Every inner loop writes one row only:
-with more, LLVM does not turn it into vectors.
+Planes give z over x, y, with each hit at its measured position. Sums are taken over the columns of a window, then over
+its rows, relative to the window's centre, so that float32 suffices. Every inner loop writes a single row; otherwise
+LLVM does not vectorise it.
 """
 
 from typing import Final
@@ -12,32 +12,32 @@ import numpy as np
 from offpiste.native.compilation import MAPPING
 
 N, SX, SY, SZ, SXX, SXY, SYY, SXZ, SYZ = range(9)
-"""Sums over a window's points: their number, x, y, z and products."""
+"""Sums over the points of a window: count, x, y, z and products."""
 
 SUMS: Final = 9
 
 MIN_SPREAD: Final = 0.2
-"""Least variance of a window's points in any direction for a plane [cells^2]: two full lines of cells side by side
-have 0.25 or more, a single one about 0.08."""
+"""Minimum variance of a window's points in any direction [cells^2]: two adjacent full lines of cells have 0.25 or more,
+a single one about 0.08."""
 
 
 @MAPPING.loop
 def put_product(a, b, out):  # type: ignore[no-untyped-def]
-    """Put a b."""
+    """Write a b."""
     for i in range(len(out)):
         out[i] = a[i] * b[i]
 
 
 @MAPPING.loop
 def put_present(a, z, out):  # type: ignore[no-untyped-def]
-    """Put a where z is a number, else 0."""
+    """Write a where z is a number, else 0."""
     for i in range(len(out)):
         out[i] = a[i] if z[i] == z[i] else np.float32(0)
 
 
 @MAPPING.loop
 def put_moments(x, y, z, radius, out):  # type: ignore[no-untyped-def]
-    """What each cell of a row adds to the sums of its own window; out: [SUMS, n + 2 radius], 0 at the ends."""
+    """Write the moments of each cell of a row; out: [SUMS, n + 2 radius], 0 at the ends."""
     inner = slice(radius, radius + len(z))
     count, px, py, pz = out[N, inner], out[SX, inner], out[SY, inner], out[SZ, inner]
     for i in range(len(count)):
@@ -54,50 +54,56 @@ def put_moments(x, y, z, radius, out):  # type: ignore[no-untyped-def]
 
 @MAPPING.loop
 def put(a, out):  # type: ignore[no-untyped-def]
-    """Put a."""
+    """Copy a."""
     for i in range(len(out)):
         out[i] = a[i]
 
 
 @MAPPING.loop
 def add(out, a, b):  # type: ignore[no-untyped-def]
-    """Add what two cells have, one on either side."""
+    """Add the sums of two cells on either side."""
     for i in range(len(out)):
         out[i] += a[i] + b[i]
 
 
 @MAPPING.loop
 def add_first(out, a, b, lower_a, lower_b, shift):  # type: ignore[no-untyped-def]
-    """Add sums over a coordinate that has its zero in the cell at +shift and at -shift."""
+    """Add sums over a coordinate relative to the cells at +shift and at -shift."""
     for i in range(len(out)):
         out[i] += a[i] + b[i] + shift * (lower_a[i] - lower_b[i])
 
 
 @MAPPING.loop
 def add_second(out, a, b, lower_a, lower_b, lowest_a, lowest_b, shift):  # type: ignore[no-untyped-def]
-    """Add sums over that coordinate's square."""
+    """Add sums over the square of that coordinate."""
     twice, squared = shift + shift, shift * shift
     for i in range(len(out)):
         out[i] += a[i] + b[i] + twice * (lower_a[i] - lower_b[i]) + squared * (lowest_a[i] + lowest_b[i])
 
 
+@MAPPING.inlined
+def add_shifted(a, b, shift, out, u, v, uu, vv, uz, vz):  # type: ignore[no-untyped-def]
+    """Add the sums of the cells at +shift and at -shift along the coordinate u; v is the other coordinate."""
+    add(out[N], a[N], b[N])
+    add_first(out[u], a[u], b[u], a[N], b[N], shift)
+    add(out[v], a[v], b[v])
+    add(out[SZ], a[SZ], b[SZ])
+    add_second(out[uu], a[uu], b[uu], a[u], b[u], a[N], b[N], shift)
+    add_first(out[SXY], a[SXY], b[SXY], a[v], b[v], shift)
+    add(out[vv], a[vv], b[vv])
+    add_first(out[uz], a[uz], b[uz], a[SZ], b[SZ], shift)
+    add(out[vz], a[vz], b[vz])
+
+
 @MAPPING.loop
 def add_columns(a, b, shift, out):  # type: ignore[no-untyped-def]
     """Add the sums of the cells at +shift and at -shift in the row."""
-    add(out[N], a[N], b[N])
-    add_first(out[SX], a[SX], b[SX], a[N], b[N], shift)
-    add(out[SY], a[SY], b[SY])
-    add(out[SZ], a[SZ], b[SZ])
-    add_second(out[SXX], a[SXX], b[SXX], a[SX], b[SX], a[N], b[N], shift)
-    add_first(out[SXY], a[SXY], b[SXY], a[SY], b[SY], shift)
-    add(out[SYY], a[SYY], b[SYY])
-    add_first(out[SXZ], a[SXZ], b[SXZ], a[SZ], b[SZ], shift)
-    add(out[SYZ], a[SYZ], b[SYZ])
+    add_shifted(a, b, shift, out, SX, SY, SXX, SYY, SXZ, SYZ)
 
 
 @MAPPING.loop
 def sum_columns(moments, radius, out):  # type: ignore[no-untyped-def]
-    """Sums over the cells up to `radius` to the left and to the right."""
+    """Sum over the cells up to `radius` to the left and to the right."""
     n = out.shape[1]
     for q in range(SUMS):
         put(moments[q, radius : radius + n], out[q])
@@ -108,34 +114,24 @@ def sum_columns(moments, radius, out):  # type: ignore[no-untyped-def]
 
 @MAPPING.loop
 def sum_rows(ring, j, radius, out):  # type: ignore[no-untyped-def]
-    """Sums over the rows up to `radius` below and above row j; row jj is ring[jj mod its length]."""
+    """Sum over the rows up to `radius` below and above row j; row jj is ring[jj mod its length]."""
     window = len(ring)
     for q in range(SUMS):
         put(ring[j % window, q], out[q])
     for k in range(1, radius + 1):
-        shift = np.float32(k)
-        a, b = ring[(j + k) % window], ring[(j - k) % window]
-        add(out[N], a[N], b[N])
-        add(out[SX], a[SX], b[SX])
-        add_first(out[SY], a[SY], b[SY], a[N], b[N], shift)
-        add(out[SZ], a[SZ], b[SZ])
-        add(out[SXX], a[SXX], b[SXX])
-        add_first(out[SXY], a[SXY], b[SXY], a[SX], b[SX], shift)
-        add_second(out[SYY], a[SYY], b[SYY], a[SY], b[SY], a[N], b[N], shift)
-        add(out[SXZ], a[SXZ], b[SXZ])
-        add_first(out[SYZ], a[SYZ], b[SYZ], a[SZ], b[SZ], shift)
+        add_shifted(ring[(j + k) % window], ring[(j - k) % window], np.float32(k), out, SY, SX, SYY, SXX, SYZ, SXZ)
 
 
 @MAPPING.loop
 def subtract_means(product, a, b):  # type: ignore[no-untyped-def]
-    """Take a b away."""
+    """Subtract a b."""
     for i in range(len(product)):
         product[i] -= a[i] * b[i]
 
 
 @MAPPING.loop
 def to_covariances(sums):  # type: ignore[no-untyped-def]
-    """Sums of a row become means and covariances; the number of points stays."""
+    """Convert the sums of a row into means and covariances."""
     for k in range(SX, SUMS):
         some, count = sums[k], sums[N]
         for i in range(len(count)):
@@ -149,7 +145,7 @@ def to_covariances(sums):  # type: ignore[no-untyped-def]
 
 @MAPPING.loop
 def put_determinants(z, count, xx, xy, yy, out):  # type: ignore[no-untyped-def]
-    """Determinants of the points' covariance; not a number where they carry no plane, or the cell has no ground."""
+    """Write determinants of the covariance, NaN where the points define no plane or the cell has no ground."""
     least = np.float32(MIN_SPREAD)
     for i in range(len(out)):
         trace, determinant = xx[i] + yy[i], xx[i] * yy[i] - xy[i] * xy[i]
@@ -161,14 +157,14 @@ def put_determinants(z, count, xx, xy, yy, out):  # type: ignore[no-untyped-def]
 
 @MAPPING.loop
 def put_rise(az, bz, bb, ab, determinant, scale, out):  # type: ignore[no-untyped-def]
-    """Rise of the planes along a, from the covariances with the other coordinate, b [m per m]."""
+    """Write the rise of the planes along a [m/m]; b is the other coordinate."""
     for i in range(len(out)):
         out[i] = scale * (az[i] * bb[i] - bz[i] * ab[i]) / determinant[i]
 
 
 @MAPPING.loop
 def put_centre(x, y, z, rise_x, rise_y, size, out):  # type: ignore[no-untyped-def]
-    """Height at the cells' centres: from the hit along the plane, at most a cell's size up or down."""
+    """Write heights at cell centres: from the hit along the plane, by at most the size of a cell."""
     for i in range(len(out)):
         down = size * (rise_x[i] * x[i] + rise_y[i] * y[i])
         down = down if down == down else np.float32(0)
@@ -179,14 +175,14 @@ def put_centre(x, y, z, rise_x, rise_y, size, out):  # type: ignore[no-untyped-d
 
 @MAPPING.loop
 def put_offset(x, mean_x, rise_x, size, out):  # type: ignore[no-untyped-def]
-    """How much higher a plane is at x than at the mean."""
+    """Write the rise of the plane from the mean to x."""
     for i in range(len(out)):
         out[i] = size * rise_x[i] * (x[i] - mean_x[i])
 
 
 @MAPPING.loop
 def put_residual(z, mean_z, along_x, along_y, out):  # type: ignore[no-untyped-def]
-    """Squared distance of each hit from its plane, along z [m^2]."""
+    """Write the squared vertical distance of each hit from its plane [m^2]."""
     for i in range(len(out)):
         off = z[i] - mean_z[i] - along_x[i] - along_y[i]
         out[i] = off * off
@@ -194,11 +190,10 @@ def put_residual(z, mean_z, along_x, along_y, out):  # type: ignore[no-untyped-d
 
 @MAPPING.entry
 def fit_planes(first, last, blocks, radius, size, buffers):  # type: ignore[no-untyped-def]
-    """Planes around the cells, for blocks `first` to `last` of the `blocks` that the rows are cut into.
+    """Fit planes around all cells of the row blocks `first` to `last`.
 
     Args:
-        radius: of the windows [cells].
-        size: of a cell [m].
+        radius: radius of the windows [cells].
         buffers: reads x, y, height; writes rise_x, rise_y, centre, residual (`voxels_to_layers.Buffers`).
     """
     n, window = buffers.height.shape[0], 2 * radius + 1
@@ -221,7 +216,7 @@ def fit_planes(first, last, blocks, radius, size, buffers):  # type: ignore[no-u
 
 @MAPPING.loop
 def solve_row(total, line, other, j, size, buffers):  # type: ignore[no-untyped-def]
-    """The planes of a row from its sums, and where its hits lie to them."""
+    """Solve for the planes of a row and the residuals of its hits."""
     x, y, z, rise_x, rise_y = buffers.x[j], buffers.y[j], buffers.height[j], buffers.rise_x[j], buffers.rise_y[j]
     solve(total, x, y, z, size, line, rise_x, rise_y, buffers.centre[j])
     put_offset(x, total[SX], rise_x, size, line)
@@ -231,7 +226,7 @@ def solve_row(total, line, other, j, size, buffers):  # type: ignore[no-untyped-
 
 @MAPPING.loop
 def solve(total, x, y, z, size, line, rise_x, rise_y, centre):  # type: ignore[no-untyped-def]
-    """Planes from their sums."""
+    """Solve for planes from their sums."""
     scale = np.float32(1) / size
     to_covariances(total)
     put_determinants(z, total[N], total[SXX], total[SXY], total[SYY], line)
@@ -249,7 +244,7 @@ def add_row(out, a):  # type: ignore[no-untyped-def]
 
 @MAPPING.entry
 def smooth_residuals(first, last, blocks, radius, buffers):  # type: ignore[no-untyped-def]
-    """Roughness: root mean square of the residuals in the square around each cell that has a plane."""
+    """Write the roughness: root mean square of the residuals in the window of each cell with a plane."""
     n = buffers.height.shape[0]
     for block in range(first, last):
         room = buffers.sums[block, 0]

@@ -1,8 +1,7 @@
-"""Scans with features in, map layers out: the same steps on the vehicle and offline.
+"""Mapping pipeline from scans with features to map layers, identical on the vehicle and offline.
 
-On the vehicle features are encoded before they are mapped, 40 channels into 4; offline the map holds features, and the
-encoder is learned from them (paper, "Dataset Collection Pipeline"). As long as nothing averages, both orders give the
-same map.
+On the vehicle features are encoded before mapping, from 40 channels to 4; offline the map holds features, from which
+the encoder is learned (paper, "Dataset Collection Pipeline"). Without averaging, both orders give the same map.
 """
 
 from collections.abc import Callable
@@ -18,18 +17,18 @@ from offpiste.mapping.voxel_map import VoxelMap, VoxelSettings
 from offpiste.mapping.voxels_to_layers import Flattener, FlattenSettings, MapCells
 
 Encode = Callable[[Float[np.ndarray, "N F"]], Float[np.ndarray, "N E"]]
-"""From features to codes, row by row."""
+"""Encoder of features into codes, row by row."""
 
 
 @dataclass(frozen=True)
 class FeatureCloud:
-    """One scan with the image features at its points.
+    """Scan with image features at its points.
 
     Attributes:
-        points_world: [m]; float64 far from the world's origin.
-        sensor_world: where the scan was taken from [m].
-        features: None where no image goes with the scan.
-        has_feature: which points have features.
+        points_world: float64 far from the world's origin [m].
+        sensor_world: position of the sensor [m].
+        features: None for a scan without an image.
+        has_feature: mask of the points with features.
     """
 
     points_world: Float[np.ndarray, "N 3"]
@@ -39,19 +38,14 @@ class FeatureCloud:
 
     @property
     def distance(self) -> Float[np.ndarray, " N"]:
-        """From the sensor to each point [m]."""
+        """Distance from the sensor to each point [m]."""
         away = (self.points_world - self.sensor_world).astype(np.float32)
         return np.sqrt(np.einsum("ij,ij->i", away, away))
 
 
 @dataclass(frozen=True)
 class MapSettings:
-    """Settings of the voxel map and of the layers made from it.
-
-    Attributes:
-        ghosts: which returns are left out as lying below the ground; None: none of them.
-        free_space: how trails of moving things are taken away; None: they stay.
-    """
+    """Settings of the voxel map and its layers; None disables the removal of ghosts or of moving objects' trails."""
 
     voxels: VoxelSettings = field(default_factory=VoxelSettings)
     flatten: FlattenSettings = field(default_factory=FlattenSettings)
@@ -60,11 +54,11 @@ class MapSettings:
 
 
 class MapPipeline:
-    """The map around a vehicle, from its scans.
+    """Map around a vehicle, built from its scans.
 
     Args:
-        channels: of the map: of the codes where there is an encoder.
-        encode: applied to the features before they are mapped.
+        channels: number of map channels: of codes with an encoder, else of features.
+        encode: encoder applied to features before mapping.
     """
 
     def __init__(self, channels: int, settings: MapSettings | None = None, encode: Encode | None = None) -> None:
@@ -76,13 +70,10 @@ class MapPipeline:
         self._flattener = Flattener(self.voxel_map, settings.flatten)
 
     def add(self, cloud: FeatureCloud, vehicle_world: Float[np.ndarray, " 3"]) -> Bool[np.ndarray, " N"]:
-        """Move the map to the vehicle and put a scan in, but for its ghosts.
-
-        Returns:
-            which points are ghosts (`ghosts.py`).
+        """Move the map to the vehicle, insert a scan without its ghosts and return the mask of ghosts.
 
         Raises:
-            ValueError: a vehicle at no finite place; features of another number of channels than the map's.
+            ValueError: the vehicle's position is not finite, or the number of channels differs from the map's.
         """
         self.voxel_map.recentre(vehicle_world[:2], float(vehicle_world[2]))
         features, has_feature = cloud.features, cloud.has_feature
@@ -93,18 +84,18 @@ class MapPipeline:
         distance, ghosts = cloud.distance, np.zeros(len(cloud.points_world), bool)
         if self._ghosts is not None:
             ghosts = self._ghosts.find(cloud.points_world, cloud.sensor_world)
-            distance[ghosts] = np.inf  # which the map leaves out
+            distance[ghosts] = np.inf  # ignored by the map
         self.voxel_map.insert(cloud.points_world, features, has_feature, distance)
         if self._free_space is not None:
             self._free_space.clear(cloud.points_world, cloud.sensor_world, ghosts)
         return ghosts
 
     def layers(self, out: TerrainLayers | None = None) -> TerrainLayers:
-        """The map as it is now; `out`: layers of this pipeline that are no longer needed, written over."""
+        """Return the current layers; `out` are layers of this pipeline to be overwritten."""
         return self._flattener.layers(out)
 
     def cells(self, rows: Int[np.ndarray, " K"], columns: Int[np.ndarray, " K"]) -> MapCells:
-        """What `layers` says of some cells, without making them."""
+        """Return the values of `layers` at some cells only."""
         return self._flattener.cells(rows, columns)
 
     def _encoded(self, features: Float[np.ndarray, "N F"], has: Bool[np.ndarray, " N"]) -> Float[np.ndarray, "N E"]:

@@ -1,4 +1,4 @@
-"""Replays the sensors of a drive into the map, as on the vehicle: images to features, scans to voxels."""
+"""Replay of a drive's sensors into the map, as on the vehicle: images to features, scans to voxels."""
 
 import logging
 from collections.abc import Callable, Iterator, Mapping
@@ -21,17 +21,16 @@ from offpiste.perception.projection import CameraView, Projection, ProjectionSet
 logger = logging.getLogger(__name__)
 
 ExtractFeatures = Callable[[UInt8[np.ndarray, "h w 3"]], Float32[np.ndarray, "rows columns F"]]
-"""From a rectified image to the features of its patches."""
+"""Extractor of patch features from a rectified image."""
 
 
 @dataclass(frozen=True)
 class MapperSettings:
-    """Which images are used, how scans are projected onto them, and the map.
+    """Settings of keyframes, of the projection of scans onto them, and of the map.
 
     Attributes:
-        keyframe_metres: features are extracted from an image when the vehicle has gone so far since the camera's last
-            keyframe [m].
-        memory: keyframes older than this are not projected onto [s].
+        keyframe_metres: travel of the camera between keyframes [m].
+        memory: maximum age of keyframes that scans are projected onto [s].
     """
 
     keyframe_metres: float = 0.5
@@ -41,13 +40,7 @@ class MapperSettings:
 
 
 class Keyframe(NamedTuple):
-    """An image from which features were extracted.
-
-    Attributes:
-        view: where the camera was.
-        features: of its patches.
-        pixels: rectified.
-    """
+    """Rectified image with the camera's pose and the features of its patches."""
 
     view: CameraView
     features: Float32[np.ndarray, "rows columns F"]
@@ -55,12 +48,12 @@ class Keyframe(NamedTuple):
 
 
 class MappedScan(NamedTuple):
-    """A scan as it went into the map, and the keyframes that it was projected onto, if there were any.
+    """Mapped scan, and the keyframes that it was projected onto.
 
     Attributes:
-        points_world: without those at unknown poses [m].
-        measured: moment of the last of them, or the scan's stamp if that is later [s].
-        ghosts: points that were left out (`mapping.ghosts`).
+        points_world: points at known poses [m].
+        measured: time of the last point, or the scan's stamp if later [s].
+        ghosts: mask of points left out of the map (`mapping.ghosts`).
     """
 
     points_world: Float[np.ndarray, "n 3"]
@@ -71,18 +64,18 @@ class MappedScan(NamedTuple):
 
 
 class Keyframes:
-    """The last keyframe of each camera.
-
-    Args:
-        cameras: whose images are used.
-    """
+    """Last keyframe of each camera."""
 
     def __init__(self, cameras: Mapping[str, PinholeCamera], settings: MapperSettings) -> None:
         self._cameras, self._settings = cameras, settings
         self._held: dict[str, Keyframe] = {}
 
     def due(self, image: Image, pose: Float[np.ndarray, "4 4"]) -> bool:
-        """Whether the vehicle has gone far enough since the camera's last keyframe (see `SensorMapper.is_keyframe`)."""
+        """Return whether an image becomes a keyframe, by the travel or the time since the camera's last one.
+
+        Args:
+            pose: `world_from_body` at the image's time.
+        """
         if image.camera not in self._held:
             return True
         before = self._held[image.camera].view
@@ -98,32 +91,21 @@ class Keyframes:
         features: Float32[np.ndarray, "rows columns F"],
         pixels: UInt8[np.ndarray, "h w 3"],
     ) -> None:
-        """Make an image the camera's keyframe.
-
-        Args:
-            pose: `world_from_body` at its time.
-            features: of its patches.
-            pixels: rectified.
-        """
+        """Make an image with pose `world_from_body` the camera's keyframe."""
         view = CameraView(self._cameras[camera], time, pose @ self._cameras[camera].body_from_camera)
         self._held[camera] = Keyframe(view, features, pixels)
 
     def recent(self, time: float) -> tuple[Keyframe, ...]:
-        """Those that scans of a time are projected onto."""
+        """Return the keyframes that scans at a time are projected onto."""
         return tuple(k for k in self._held.values() if time - k.view.time <= self._settings.memory)
 
 
 class SensorMapper:
-    """The map around a vehicle, from its images and scans.
+    """Map around a vehicle, built from its images and scans.
 
     Args:
-        cameras: whose images are used.
-        lidars: of the scans.
-        extract: backbone and PCA; on the vehicle, the encoder too.
-        channels: of the features; 0 maps the scans alone.
-
-    Attributes:
-        keyframes: last images whose features scans get.
+        extract: backbone and PCA, and the encoder on the vehicle.
+        channels: number of features; 0 maps scans without images.
     """
 
     def __init__(
@@ -141,35 +123,23 @@ class SensorMapper:
         self.pipeline = MapPipeline(channels, self._settings.map)
         self._full = False
 
-    def is_keyframe(self, image: Image, pose: Float[np.ndarray, "4 4"]) -> bool:
-        """Whether the vehicle has gone far enough since the camera's last keyframe.
-
-        Args:
-            pose: `world_from_body` at the image's time.
-        """
-        return self.keyframes.due(image, pose)
-
     def add_image(self, image: Image, pose: Float[np.ndarray, "4 4"]) -> None:
-        """Make an image the camera's keyframe: scans that follow get its features.
-
-        Args:
-            pose: `world_from_body` at its time.
-        """
+        """Make an image the camera's keyframe, whose features are used for the scans that follow."""
         pixels = self._cameras[image.camera].rectifier(image.pixels)
         self.keyframes.add(image.camera, image.time, pose, self._extract(pixels), pixels)
 
     def add_scan(self, scan: Cloud, poses: Poses, pose: Float[np.ndarray, "4 4"]) -> MappedScan:
-        """Put a scan into the map.
+        """Insert a scan into the map.
 
         Args:
-            poses: over the whole scan; points at unknown ones, or from the other side of a jump, are left out.
-            pose: `world_from_body` at its time.
+            poses: poses over the whole scan; points at unknown poses or across a jump are dropped.
+            pose: `world_from_body` at the scan's time.
         """
         recent = self.keyframes.recent(scan.time)
         lidar = self._lidars[scan.lidar]
         points = points_in_world(scan, lidar, poses)
         known = np.isfinite(points[:, 0] + points[:, 1] + points[:, 2])
-        if len(poses.jumps):  # what was measured on the other side of a jump lies in another frame
+        if len(poses.jumps):  # points across a jump are in another frame
             known &= poses.stretches(scan.times) == poses.stretch(scan.time)
         points, measured = points if known.all() else points[known], float(scan.times[known].max(initial=scan.time))
         cloud, projection = FeatureCloud(points, (pose @ lidar.body_from_lidar)[:3, 3]), None
@@ -181,27 +151,24 @@ class SensorMapper:
         ghosts = self.pipeline.add(cloud, pose[:3, 3])
         if not self._full and self.pipeline.voxel_map.lost:
             self._full = True
-            logger.warning("the map has no room for more, and lacks what comes ahead: raise VoxelSettings.capacity")
+            logger.warning("the map is full and new voxels ahead are lost: raise VoxelSettings.capacity")
         return MappedScan(points, measured, ghosts, projection, recent)
 
 
 @dataclass(frozen=True)
 class Moment:
-    """The map right after a scan; the next one writes it over.
+    """Map right after a scan, valid until the next scan.
 
     Attributes:
-        time: of the scan [s].
-        measured: moment of the last measurement that the map holds [s].
-        placed: stamp of the last pose that put a measurement into the map [s].
-        vehicle: place of the pose point then [m].
-        map: the map.
-        layers_before: of an earlier moment of the same map, to be written over; None at first.
-        points_world: the scan itself [m].
-        ghosts: points of it that were left out of the map (`mapping.ghosts`).
-        projection: the scan in the camera views; None without any.
-        views: camera views of the keyframes that it was projected onto.
-        features: of their patches.
-        images: their pixels, rectified.
+        time: stamp of the scan [s].
+        measured: time of the last measurement in the map [s].
+        placed: stamp of the last pose used for a measurement in the map [s].
+        vehicle: position of the pose point at `time` [m].
+        layers_before: layers of an earlier moment of the same map, to be overwritten; None for the first.
+        points_world: points of the scan [m].
+        ghosts: mask of points left out of the map (`mapping.ghosts`).
+        projection: projection of the scan into the camera views; None without any.
+        views, features, images: camera views, patch features and rectified pixels of the keyframes used.
     """
 
     time: float
@@ -219,12 +186,12 @@ class Moment:
 
     @cached_property
     def layers(self) -> TerrainLayers:
-        """Layers of the map, made when they are first asked for."""
+        """Layers of the map, computed on first access."""
         return self.map.layers(self.layers_before)
 
 
 def pinhole_cameras(log: SensorLog, patch: int) -> dict[str, PinholeCamera]:
-    """The cameras of a log, rectified, in patches of `patch` pixels."""
+    """Return the rectified cameras of a log, with patches of `patch` pixels."""
     return {name: make_pinhole_camera(camera, patch) for name, camera in log.cameras.items()}
 
 
@@ -239,14 +206,14 @@ def replay(
     start: float = -np.inf,
     end: float = np.inf,
 ) -> Iterator[Moment]:
-    """Play a log back; where poses jump, the map begins anew.
+    """Replay a log and yield the map after each scan; the map is reset where poses jump.
 
     Args:
-        cameras: whose images are used.
+        cameras: cameras whose images are used.
         extract: backbone and PCA.
-        channels: F of its features; 0 maps the scans alone.
-        wanted: which images are keyframes, instead of one every `keyframe_metres`.
-        start, end: of the stretch that is played [s].
+        channels: number of features; 0 maps scans without images.
+        wanted: selection of keyframes instead of one every `keyframe_metres`.
+        start, end: time range to replay [s].
     """
 
     def new_mapper() -> SensorMapper:
@@ -261,7 +228,7 @@ def replay(
             stretch = log.poses.stretch(measured.time)
             mapper, layers = new_mapper(), None
         if isinstance(measured, Image):
-            if mapper.is_keyframe(measured, pose) if wanted is None else wanted(measured):
+            if mapper.keyframes.due(measured, pose) if wanted is None else wanted(measured):
                 mapper.add_image(measured, pose)
             continue
         points, last, ghosts, projection, keyframes = mapper.add_scan(measured, log.poses, pose)
@@ -281,15 +248,11 @@ def replay(
             images=tuple(k.pixels for k in keyframes),
         )
         yield moment
-        layers = vars(moment).get("layers", layers)  # if they were asked for, their memory serves the next ones
+        layers = vars(moment).get("layers", layers)  # reuse their memory
 
 
 def ground_points(moment: Moment, *, height: float = 0.2) -> Bool[np.ndarray, " n"]:
-    """Points of a scan that lie on the map's ground.
-
-    Args:
-        height: above or below it [m].
-    """
+    """Return the mask of a scan's points within `height` [m] of the map's ground."""
     layers = moment.layers
     cell = np.round((np.nan_to_num(moment.points_world[:, :2]) - layers.origin) / layers.resolution).astype(int)
     ny, nx = layers.elevation.shape

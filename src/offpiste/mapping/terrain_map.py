@@ -1,7 +1,7 @@
-"""The terrain map: layers on a world-aligned grid, the indices of its cells, and where wheels stand on it.
+"""Terrain map: layers on a world-aligned grid, indices of its cells, and wheel positions.
 
-`on_map` and `bilinear` are plain arithmetic on numbers or arrays, in coordinates of cells: cell [j, i] has its centre
-at x = i, y = j. Loops compile them (`MAPPING.inlined(bilinear)`), the sampler calls them as they are.
+`on_map` and `bilinear` are plain arithmetic on numbers or arrays, in cell coordinates: cell [j, i] has its centre at
+x = i, y = j. Loops compile them (`MAPPING.inlined(bilinear)`), the sampler calls them directly.
 """
 
 from dataclasses import dataclass, field, fields, replace
@@ -13,11 +13,11 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 Number = Any
-"""A float, a NumPy array or a tensor; constants are handed in so that float32 stays float32."""
+"""Float, NumPy array or tensor; constants are arguments so that float32 stays float32."""
 
 
 def on_map(x: Number, y: Number, last_x: Number, last_y: Number, half: Number) -> Number:
-    """Whether a place is nearest to one of the map's cells; false where it is not a number.
+    """Return whether a point is nearest to a cell of the map; false for NaN.
 
     Args:
         last_x, last_y: coordinates of the last column and row.
@@ -27,22 +27,22 @@ def on_map(x: Number, y: Number, last_x: Number, last_y: Number, half: Number) -
 
 
 def bilinear(v00: Number, v01: Number, v10: Number, v11: Number, u: Number, v: Number, one: Number) -> Number:
-    """Value between four cells, v[row][column]; NaN if one of them is.
+    """Interpolate between four cells v[row][column]; NaN if one of them is.
 
     Args:
-        u, v: from the first column and row, 0 to 1.
+        u, v: distance from the first column and row, 0 to 1.
         one: 1.
     """
     return (v00 * (one - u) + v01 * u) * (one - v) + (v10 * (one - u) + v11 * u) * v
 
 
 def wheel_position(px: Number, py: Number, cos: Number, sin: Number, x: Number, y: Number) -> tuple[Number, Number]:
-    """Horizontal position of a wheel [m].
+    """Return the horizontal position of a wheel [m].
 
     Args:
-        px, py: of the pose point [m].
-        cos, sin: of the yaw.
-        x, y: of the wheel in the body frame, from the pose point [m].
+        px, py: position of the pose point [m].
+        cos, sin: cosine and sine of the yaw.
+        x, y: position of the wheel in the body frame, from the pose point [m].
     """
     return px + cos * x - sin * y, py + sin * x + cos * y
 
@@ -50,11 +50,11 @@ def wheel_position(px: Number, py: Number, cos: Number, sin: Number, x: Number, 
 def wheel_positions(
     xy: Float[np.ndarray, "N 2"], yaw: Float[np.ndarray, " N"], wheels: Float[np.ndarray, "4 2"]
 ) -> Float[np.ndarray, "N 4 2"]:
-    """Horizontal positions of the wheels in the frame of the poses [m].
+    """Return the horizontal positions of the wheels in the frame of the poses [m].
 
     Args:
-        xy, yaw: of the pose point [m, rad].
-        wheels: in the body frame, from the pose point (`Rig.wheel_positions`) [m].
+        xy, yaw: pose of the pose point [m, rad].
+        wheels: positions in the body frame, from the pose point (`Rig.wheel_positions`) [m].
     """
     x, y = wheels.T
     cos, sin = np.cos(yaw)[:, None], np.sin(yaw)[:, None]
@@ -62,7 +62,7 @@ def wheel_positions(
 
 
 def wheel_positions_of_states(state: Float[Tensor, "*B 6"], wheels: Float[Tensor, "4 2"]) -> Float[Tensor, "*B 4 2"]:
-    """The same for states (`conventions.STATE`), as tensors of their type."""
+    """Return the wheel positions for states (`conventions.STATE`), as tensors of their type."""
     px, py, yaw = (column[..., None] for column in state[..., :3].unbind(dim=-1))
     x, y = wheels.to(state.dtype).unbind(dim=-1)
     return torch.stack(wheel_position(px, py, torch.cos(yaw), torch.sin(yaw), x, y), dim=-1)
@@ -76,9 +76,8 @@ class TerrainMap:
         origin: x, y of the centre of cell [0, 0] in the world frame [m].
         resolution: size of a cell [m].
         elevation: row j lies at y = origin[1] + j resolution, column i at x = origin[0] + i resolution [m].
-        features: of each cell; all NaN where missing.
-        rise: towards +x and towards +y at cell centres, where they are known better than from the elevation of
-            neighbours [m per m].
+        features: all NaN where missing.
+        rise: rise towards +x and +y at cell centres, where known better than from the elevation of neighbours [m/m].
     """
 
     origin: Float[np.ndarray, " 2"]
@@ -88,42 +87,41 @@ class TerrainMap:
     rise: Float[np.ndarray, "ny nx 2"] | None = None
 
     def cropped(self, low: Float[np.ndarray, " 2"], high: Float[np.ndarray, " 2"]) -> "TerrainMap":
-        """The cells whose centres lie in a box of the world frame, and one around them."""
+        """Return the cells whose centres lie in a box of the world frame, with a border of one cell."""
         window, origin = _window(self, low, high)
         rise = None if self.rise is None else self.rise[window]
         return TerrainMap(origin, self.resolution, self.elevation[window], self.features[window], rise)
 
 
 def _layer(*components: int, dtype: type = np.float32) -> dict[str, Any]:
-    """Declaration of a layer [ny, nx, *components], NaN or false where unknown."""
+    """Declare a layer [ny, nx, *components], NaN or false where unknown."""
     return {"components": components, "dtype": dtype}
 
 
 CHANNELS: Final = -1
-"""Stands for as many components as the map has features."""
+"""Placeholder for the number of features."""
 
 
 @dataclass(frozen=True)
 class TerrainLayers:
     """Layers of the ground around the vehicle; row j lies at y = origin[1] + j resolution, column i alike in x.
 
-    A layer is declared here once: memory for it, crops of it and the loops' `voxels_to_layers.Layers` follow. What is
-    missing is its value, which `infill.write_layers` writes.
+    Memory, crops and `voxels_to_layers.Layers` follow from these declarations; `infill.write_layers` writes the values.
 
     Attributes:
         origin: x, y of the centre of cell [0, 0] in the world frame [m].
         resolution: size of a cell [m].
         elevation: height of the ground at the cell's centre [m]; NaN where not `known`.
-        normal: unit normal of the ground, upwards, in the world frame; NaN where too few points carry a plane.
-        slope: rise over run, 1 on 45 degrees; NaN without a normal.
-        roughness: root mean square distance of the ground from its planes, measured along z [m]; NaN without a normal.
-        obstacle_height: from the ground to the highest thing on it that a vehicle would hit: what begins above the
-            vehicle's height is driven under [m]; NaN where not `known`.
+        normal: upward unit normal in the world frame; NaN where too few points define a plane.
+        slope: rise over run, 1 at 45 degrees; NaN without a normal.
+        roughness: root mean square vertical distance of the ground from its planes [m]; NaN without a normal.
+        obstacle_height: height over the ground of the highest thing that a vehicle would hit, excluding things above
+            the vehicle's height [m]; NaN where not `known`.
         features: visual terrain features; NaN where not `valid`.
-        distance: from which the features were seen [m]; NaN where not `valid`.
-        known: whether there is ground: observed, or filled from a cell nearby.
-        observed: whether the cell itself was hit.
-        valid: whether there are features.
+        distance: sensor distance of the features [m]; NaN where not `valid`.
+        known: cell has ground, observed or filled from a cell nearby.
+        observed: cell itself was hit.
+        valid: cell has features.
     """
 
     origin: Float[np.ndarray, " 2"]
@@ -141,27 +139,27 @@ class TerrainLayers:
 
     @property
     def unknown(self) -> Bool[np.ndarray, "ny nx"]:
-        """Cells without ground, which planners keep off."""
+        """Cells without ground, which planners avoid."""
         return ~self.known
 
     @property
     def centres(self) -> Float[np.ndarray, "ny nx 2"]:
-        """x, y of the cells' centres in the world frame [m]."""
+        """World positions x, y of the cells' centres [m]."""
         ny, nx = self.known.shape
         x = self.origin[0] + self.resolution * np.arange(nx)
         y = self.origin[1] + self.resolution * np.arange(ny)
         return np.stack(np.meshgrid(x, y), axis=-1)
 
     def cropped(self, low: Float[np.ndarray, " 2"], high: Float[np.ndarray, " 2"]) -> "TerrainLayers":
-        """Those of the cells whose centres lie in a box of the world frame, and of one around them; shares memory.
+        """Return the cells whose centres lie in a box of the world frame, with a border of one cell; shares memory.
 
-        Of a box off the map, one cell of its border is left.
+        A box off the map gives the nearest cells of its border.
         """
         window, origin = _window(self, low, high)
         return replace(self, origin=origin, **{layer.name: getattr(self, layer.name)[window] for layer in LAYERS})
 
     def terrain_map(self) -> TerrainMap:
-        """What models sample; shares memory with the layers where it can."""
+        """Return the map that models sample; shares memory with the layers where possible."""
         with np.errstate(invalid="ignore"):
             rise = -self.normal[..., :2] / self.normal[..., 2:]
         return TerrainMap(self.origin, self.resolution, self.elevation, self.features, rise)
@@ -170,7 +168,7 @@ class TerrainLayers:
 def _window(
     ground: TerrainMap | TerrainLayers, low: Float[np.ndarray, " 2"], high: Float[np.ndarray, " 2"]
 ) -> tuple[tuple[slice, slice], Float[np.ndarray, " 2"]]:
-    """Rows and columns of the cells whose centres lie in a box, and one around them, and the origin of these."""
+    """Return row and column slices of a box with a border of one cell, and their origin."""
     ny, nx = ground.elevation.shape
     first = np.clip(np.floor((low - ground.origin) / ground.resolution).astype(int), 0, [nx - 1, ny - 1])
     last = np.clip(np.ceil((high - ground.origin) / ground.resolution).astype(int), first, [nx - 1, ny - 1])
@@ -179,26 +177,17 @@ def _window(
 
 
 LAYERS: Final = tuple(f for f in fields(TerrainLayers) if f.metadata)
-"""The layers, in their order."""
+"""Declared layers in order."""
 
 
 def empty_layers(cells: int, channels: int) -> TerrainLayers:
-    """Layers [cells, cells] of which nothing is known.
-
-    Args:
-        channels: of the features.
-    """
+    """Return unknown layers [cells, cells] with `channels` features."""
     every = {layer.name: nothing_known(layer.name, (cells, cells), channels) for layer in LAYERS}
     return TerrainLayers(np.zeros(2), 1.0, **every)
 
 
 def nothing_known(layer: str, shape: tuple[int, ...], channels: int) -> np.ndarray:
-    """A layer's values for cells in any arrangement, none of them known.
-
-    Args:
-        shape: of the arrangement.
-        channels: of the features.
-    """
+    """Return the values of a layer for unknown cells of any shape."""
     (declared,) = (each.metadata for each in LAYERS if each.name == layer)
     dtype, components = declared["dtype"], declared["components"]
     more = tuple(channels if size == CHANNELS else size for size in components)

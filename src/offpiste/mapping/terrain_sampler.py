@@ -1,7 +1,7 @@
-"""The one sampler of terrain maps: nearest cell for features, bilinear slopes for normals (docs/method.md).
+"""Sampler of terrain maps: nearest cell for features, bilinear slopes for normals (docs/method.md).
 
-Off the map, or where nothing is known: flat ground, and features marked missing. Its kernel twin, for planners that
-sample one map a million times, is `planning.kernel_terrain`; both use the cells and wheel positions of `terrain_map`.
+Unknown places and places off the map give flat ground and missing features. `planning.kernel_terrain` is the compiled
+twin for planners; both use the cells and wheel positions of `terrain_map`.
 """
 
 from collections.abc import Callable, Sequence
@@ -16,17 +16,17 @@ from offpiste.core.state import Terrain
 from offpiste.mapping.terrain_map import TerrainMap, bilinear, on_map, wheel_positions_of_states
 
 Encode = Callable[[Float[Tensor, "M F"], Bool[Tensor, " M"]], Float[Tensor, "M E"]]
-"""From features and whether they are there to codes (`offpiste.dynamics.feature_encoder`)."""
+"""Encoder of features and their validity into codes (`offpiste.dynamics.feature_encoder`)."""
 
 
 @dataclass(frozen=True)
 class MapStack:
-    """Maps of one resolution side by side, padded with unknown cells to one size.
+    """Stack of maps of one resolution, padded with unknown cells to one size.
 
     Attributes:
-        origin: x, y of the centre of cell [0, 0] of each [m].
-        last: column and row of the last cell of each; what lies behind is padding, and off the map.
-        slope: rise towards +x and towards +y at cell centres; NaN where unknown.
+        origin: x, y of the centre of cell [0, 0] of each map [m].
+        last: column and row of the last cell of each map, before the padding.
+        slope: rise towards +x and +y at cell centres; NaN where unknown.
         features: NaN where missing.
     """
 
@@ -38,28 +38,27 @@ class MapStack:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows and columns of each map, padding included."""
+        """Rows and columns of each map, including padding."""
         return self.slope.shape[1], self.slope.shape[2]
 
     def slope_at(self, number: Tensor, row: Tensor, column: Tensor) -> Float[Tensor, "*P 2"]:
-        """Slopes of cells."""
+        """Return the slopes of cells."""
         return self.slope[number, row, column]
 
     def features_at(self, number: Tensor, row: Tensor, column: Tensor) -> Float[Tensor, "*P F"]:
-        """Features of cells."""
+        """Return the features of cells."""
         return self.features[number, row, column]
 
 
 @dataclass(frozen=True)
 class CellStack:
-    """Maps of one resolution side by side as lists of their known cells, for maps that are mostly unknown.
+    """Stack of maps of one resolution as lists of known cells, for maps that are mostly unknown.
 
     Attributes:
-        origin: x, y of the centre of cell [0, 0] of each [m].
-        last: as of a `MapStack`.
-        place: number of each cell in the lists; -1, their last entry, where nothing is known.
-        slope: rise towards +x and towards +y at cell centres; NaN where unknown, and in the last entry.
-        features: NaN where missing, and in the last entry.
+        origin, last: as in `MapStack`.
+        place: index of each cell in the lists; -1, their last entry, where unknown.
+        slope: rise towards +x and +y at cell centres; NaN where unknown and in the last entry.
+        features: NaN where missing and in the last entry.
     """
 
     resolution: float
@@ -70,23 +69,23 @@ class CellStack:
     features: Float[Tensor, "C F"]
 
     def slope_at(self, number: Tensor, row: Tensor, column: Tensor) -> Float[Tensor, "*P 2"]:
-        """Slopes of cells."""
+        """Return the slopes of cells."""
         return self.slope[self.place[number, row, column].long()]
 
     def features_at(self, number: Tensor, row: Tensor, column: Tensor) -> Float[Tensor, "*P F"]:
-        """Features of cells."""
+        """Return the features of cells."""
         return self.features[self.place[number, row, column].long()]
 
 
 @dataclass(frozen=True)
 class TerrainSample:
-    """The ground at places.
+    """Ground at sampled positions.
 
     Attributes:
-        normal: unit surface normals in the world frame; straight up where `known` is false.
-        known: whether the slope is.
+        normal: unit surface normals in the world frame; vertical where the slope is not `known`.
+        known: mask of known slopes.
         features: NaN where not `valid`.
-        valid: whether there are features.
+        valid: mask of known features.
     """
 
     normal: Float[Tensor, "*P 3"]
@@ -96,10 +95,10 @@ class TerrainSample:
 
 
 def stack_maps(maps: Sequence[TerrainMap], *, device: torch.device | str = "cpu") -> MapStack:
-    """Maps as tensors, for lookups.
+    """Stack maps as tensors.
 
     Raises:
-        ValueError: no map, or maps of several resolutions.
+        ValueError: no map, or maps of different resolutions.
     """
     if len({m.resolution for m in maps}) != 1:
         raise ValueError(f"maps of one resolution are needed, not {sorted({m.resolution for m in maps})}")
@@ -122,7 +121,7 @@ def stack_maps(maps: Sequence[TerrainMap], *, device: torch.device | str = "cpu"
 
 
 def last_cells(shapes: Sequence[tuple[int, ...]]) -> Int[Tensor, "S 2"]:
-    """Column and row of the last cell of maps of so many rows and columns."""
+    """Return column and row of the last cell of maps of these shapes."""
     return torch.tensor([[columns - 1, rows - 1] for rows, columns in shapes])
 
 
@@ -136,17 +135,16 @@ def _rise(terrain: TerrainMap) -> Float[np.ndarray, "ny nx 2"]:
 def sample_maps(
     maps: MapStack | CellStack, number: Int[Tensor, "*P"], place: Float[Tensor, "*P 2"], offset: Float[Tensor, "*P 2"]
 ) -> TerrainSample:
-    """Sample maps at places.
+    """Sample maps at positions.
 
     Args:
-        number: of the map that is read at each place.
-        place: x, y [m].
-        offset: of the frame of `place` in the world frame (float64), so that places can be float32 [m].
+        number: index of the map to read at each position.
+        place: positions x, y [m].
+        offset: origin of the frame of `place` in the world frame (float64), so that positions can be float32 [m].
     """
     cell = (place + (offset - maps.origin[number]).to(place.dtype)) / maps.resolution
     last = maps.last[number]
     limit = last.to(cell.dtype)
-    # A place belongs to the map while it is nearest to one of its cells.
     inside = on_map(cell[..., 0], cell[..., 1], limit[..., 0], limit[..., 1], 0.5)
     cell = torch.where(inside[..., None], cell, torch.zeros_like(cell)).clamp(min=0)
     cell = torch.minimum(cell, limit)
@@ -172,13 +170,13 @@ def sample_maps(
 
 @dataclass(frozen=True)
 class MapTerrain:
-    """A terrain source that reads maps under the wheels of the predicted state.
+    """Terrain source that reads maps under the wheels of the predicted state.
 
     Attributes:
-        maps, number: the maps, and which of them each rollout reads.
-        offset: of each rollout's frame in the world frame [m] (float64).
-        wheels: in the body frame, from the pose point [m].
-        encode: features to codes; None for models without features.
+        number: index of the map of each rollout.
+        offset: origin of each rollout's frame in the world frame (float64) [m].
+        wheels: wheel positions in the body frame, from the pose point [m].
+        encode: encoder of features; None for models without features.
     """
 
     maps: MapStack | CellStack
@@ -188,7 +186,7 @@ class MapTerrain:
     encode: Encode | None = None
 
     def at(self, t: int, state: Float[Tensor, "B 6"]) -> Terrain:
-        """The ground under the wheels of vehicles in `state`; `t` is not used."""
+        """Return the ground under the wheels of vehicles in `state`; `t` is ignored."""
         place = wheel_positions_of_states(state, self.wheels)
         result = sample_maps(
             self.maps, self.number[:, None].expand(-1, 4), place, self.offset[:, None].expand(-1, 4, -1)
@@ -200,9 +198,5 @@ class MapTerrain:
 
 
 def as_codes(missing: Float[Tensor, " E"]) -> Encode:
-    """An `Encode` for features that are codes already.
-
-    Args:
-        missing: `FeatureEncoder.missing()`.
-    """
+    """Return the `Encode` of features that are codes already; `missing` is `FeatureEncoder.missing()`."""
     return lambda codes, valid: torch.where(valid[:, None], codes, missing)

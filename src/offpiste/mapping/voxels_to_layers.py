@@ -1,12 +1,12 @@
-"""From voxels to 2D layers: the lowest valid voxel of each column, gaps filled from the nearest cell, planes.
+"""Flattening of voxels into 2D layers: lowest valid voxel of each column, gaps filled from the nearest cell, planes.
 
 "The visual terrain features in the 3D voxel data are compressed to a 2D map output by taking the lowest valid data
 point within each vertical stack of voxels [...] missing data is filled in with data from the nearest neighboring cell
 in a 0.4 m radius" (paper, "Mapping of Visual Features"). Ground under a bush is the lowest hit below it; a branch over
 a column without any other hit is recognised by its neighbours (`FlattenSettings.overhang_radius`).
 
-Rows and columns of what the loops hand to each other are those of the layers, from the map's lowest cell. Offsets are
-in cells, heights in metres over the floor of a reference level, so that float32 is fine wherever the map is.
+Rows and columns in buffers count from the map's lowest cell. Offsets are in cells, heights in metres over the floor of
+a reference level, so that float32 suffices anywhere.
 """
 
 from collections import namedtuple
@@ -34,15 +34,15 @@ from offpiste.native.compilation import spread_blocks
 
 @dataclass(frozen=True)
 class FlattenSettings:
-    """How map layers are made from voxels.
+    """Settings of the conversion from voxels to map layers.
 
     Attributes:
-        feature_height: a feature counts while the place where it was seen lies within this of the ground [m].
-        fill_radius: gaps are filled from the nearest valid cell up to this far, centre to centre (paper: 0.4 m).
-        vehicle_height: what is higher above the ground than this is driven under [m]; a side-by-side is 1.9 m high.
+        feature_height: maximum height of a feature above the ground [m].
+        fill_radius: maximum distance between cell centres for filling a gap (paper: 0.4 m) [m].
+        vehicle_height: clearance above which things are driven under; a side-by-side is 1.9 m high [m].
         overhang_radius: a column whose lowest voxel lies more than `vehicle_height` above the lowest one in the square
-            of +-this around it is a branch, its ground unseen [m]. Ground of up to 54 degrees is never taken for one.
-        plane_radius: normals and roughness come from the square of +-this around a cell [m].
+            of +-this around it is a branch without visible ground [m]. Slopes of up to 54 degrees are never affected.
+        plane_radius: half the side of the window for normals and roughness [m].
     """
 
     feature_height: float = 0.5
@@ -60,122 +60,57 @@ class FlattenSettings:
 Layers = namedtuple("Layers", [layer.name for layer in LAYERS])  # type: ignore[misc]
 """Arrays of `TerrainLayers`, for loops."""
 
-
-class Surface(NamedTuple):
-    """Ground surface per column, kept between flattenings and indexed like the voxels.
-
-    Attributes:
-        level: of the lowest voxel, counted from the world's zero [n, n].
-        x, y, z: where it was hit, from its centre, z from its floor; NaN in an empty column [voxels] [n, n].
-        obstacle: height of the highest thing in reach over that [m] [n, n].
-        feature_height: of the lowest voxel with features over it; infinite if there is none [m] [n, n].
-        features: of that voxel, and before them the distance from which they were seen [n, n, 1 + F].
-        since: number of the map's change up to which the columns of a block are kept [n, n / BLOCK].
-    """
-
-    level: np.ndarray
-    x: np.ndarray
-    y: np.ndarray
-    z: np.ndarray
-    obstacle: np.ndarray
-    feature_height: np.ndarray
-    features: np.ndarray
-    since: np.ndarray
+Surface = namedtuple("Surface", "level x y z obstacle feature_height features since")
+"""Ground of each column, kept between calls and indexed like the voxels: level of the lowest voxel from the world's
+zero; its hit, x, y from its centre and z from its floor, NaN in an empty column [voxels]; height of the highest thing
+within reach over it [m]; height of the lowest voxel with features over it, NaN without any [m]; distance and features
+of that voxel [n, n, 1 + F]; number of the last evaluated map change per block of columns [n, n / BLOCK]."""
 
 
 def make_surface(cells: int, channels: int) -> Surface:
-    """The surface of an empty map of [cells, cells]."""
+    """Return the surface of an empty map of [cells, cells]."""
     shape = (cells, cells)
-    names = ("x", "y", "z", "obstacle", "feature_height")
     return Surface(
-        level=np.zeros(shape, np.int32),
-        **{name: np.full(shape, np.nan, np.float32) for name in names},
+        np.zeros(shape, np.int32),
+        *(np.full(shape, np.nan, np.float32) for _ in range(5)),
         features=np.full((*shape, 1 + channels), np.nan, np.float32),
         since=np.zeros((cells, -(-cells // BLOCK)), np.int32),
     )
 
 
-class Buffers(NamedTuple):
-    """Arrays that are handed from loop to loop.
+_GRIDS = ["x", "y", "height", "obstacle", "feature_height", "lowest", "rise_x", "rise_y", "centre"]
+_GRIDS += ["residual", "roughness"]
 
-    Attributes:
-        x, y: where the lowest voxel of a column was hit, from the cell's centre [n, n].
-        height: and how high; NaN where there is no ground [n, n].
-        obstacle: height of the highest thing in reach over it [n, n].
-        feature_height: of the lowest voxel with features; NaN where there is none that counts [n, n].
-        which, which_feature: numbers of the offsets that lead to a cell's ground and features, -1 if none [n, n].
-        lowest: least height of the cells beside, along the row [n, n].
-        rise_x, rise_y: of the plane around a cell [m per m]; NaN where there is none [n, n].
-        centre: height of the ground at the cell's centre [n, n].
-        residual: squared distance of the hit from that plane; NaN where there is none [m^2] [n, n].
-        roughness: [m] [n, n].
-        sums, moments: room for the sums of `normals.py` [blocks, 2 plane_cells + 2, SUMS, n] and
-            [blocks, SUMS, n + 2 plane_cells].
-        line: room for rows [blocks, 2, n].
-    """
-
-    x: np.ndarray
-    y: np.ndarray
-    height: np.ndarray
-    obstacle: np.ndarray
-    feature_height: np.ndarray
-    lowest: np.ndarray
-    rise_x: np.ndarray
-    rise_y: np.ndarray
-    centre: np.ndarray
-    residual: np.ndarray
-    roughness: np.ndarray
-    sums: np.ndarray
-    moments: np.ndarray
-    line: np.ndarray
-    which: np.ndarray
-    which_feature: np.ndarray
+Buffers = namedtuple("Buffers", [*_GRIDS, "which", "which_feature", "sums", "moments", "line"])  # type: ignore[misc]
+"""Arrays passed between loops [n, n]: hit of the lowest voxel, x, y from the cell's centre, height NaN without ground;
+obstacle height; height of the features, NaN without any that count; lowest ground of the cells beside, along the row;
+rise of the plane [m/m], ground at the cell's centre, squared residual of the hit and roughness, NaN without a plane;
+numbers of the offsets that lead to ground and features, -1 without any. `sums`, `moments`, `line`: rows of sums."""
 
 
 def make_buffers(cells: int, blocks: int, plane_cells: int) -> Buffers:
-    """Buffers for maps of [cells, cells], worked on in blocks of rows."""
-    whole = {"which", "which_feature"}
-    grids = [name for name in Buffers._fields if name not in ("sums", "moments", "line")]
+    """Return buffers for maps of [cells, cells] that are processed in blocks of rows."""
     return Buffers(
-        **{name: np.zeros((cells, cells), np.int32 if name in whole else np.float32) for name in grids},
+        **{name: np.zeros((cells, cells), np.float32) for name in _GRIDS},
+        which=np.zeros((cells, cells), np.int32),
+        which_feature=np.zeros((cells, cells), np.int32),
         sums=np.zeros((blocks, 2 * plane_cells + 2, SUMS, cells), np.float32),
         moments=np.zeros((blocks, SUMS, cells + 2 * plane_cells), np.float32),
         line=np.zeros((blocks, 2, cells), np.float32),
     )
 
 
-class CellPlanes(NamedTuple):
-    """Planes around K cells.
-
-    Attributes:
-        rows, columns: of the cells.
-        height: of their ground over the floor of the reference level; NaN without any [m].
-        rise_x, rise_y, centre: as in `Buffers`.
-    """
-
-    rows: np.ndarray
-    columns: np.ndarray
-    height: np.ndarray
-    rise_x: np.ndarray
-    rise_y: np.ndarray
-    centre: np.ndarray
+CellPlanes = namedtuple("CellPlanes", "rows columns height rise_x rise_y centre")
+"""Planes around K cells; height, rise_x, rise_y and centre as in `Buffers`."""
 
 
 def make_cell_planes(count: int) -> CellPlanes:
-    """Room for the planes around some cells."""
-    places = (np.zeros(count, np.int64) for _ in range(2))
-    return CellPlanes(*places, *(np.zeros(count, np.float32) for _ in range(4)))
+    """Return buffers for the planes around some cells."""
+    return CellPlanes(*(np.zeros(count, dtype) for dtype in (np.int64, np.int64, *4 * (np.float32,))))
 
 
 class MapCells(NamedTuple):
-    """What the layers say of some cells, in the words of `TerrainLayers`; NaN where unknown.
-
-    Attributes:
-        known, valid: [K].
-        elevation, distance: [m] [K].
-        normal: [K, 3].
-        features: [K, F].
-    """
+    """Values of `TerrainLayers` at K cells; NaN where unknown."""
 
     known: np.ndarray
     valid: np.ndarray
@@ -186,23 +121,20 @@ class MapCells(NamedTuple):
 
 
 def make_map_cells(count: int, channels: int) -> MapCells:
-    """Room for what the layers say of some cells."""
+    """Return buffers for the layers' values at some cells."""
     none = (nothing_known(name, (0,), channels) for name in MapCells._fields)
     return MapCells(*(np.empty((count, *each.shape[1:]), each.dtype) for each in none))
 
 
 def flatten(voxel_map: VoxelMap, settings: FlattenSettings | None = None) -> TerrainLayers:
-    """The layers of a map; `Flattener` makes them repeatedly without new memory."""
+    """Return the layers of a map; `Flattener` does so repeatedly without new memory."""
     return Flattener(voxel_map, settings or FlattenSettings()).layers()
 
 
 def neighbour_offsets(radius: float) -> Int[np.ndarray, "K 2"]:
-    """Rows and columns to the cells whose centres lie within a radius, nearest first.
+    """Return row and column offsets of cells whose centres lie within a radius [cells], nearest first.
 
-    Of equally near ones the one with the smaller y comes first, then the one with the smaller x.
-
-    Args:
-        radius: [cells].
+    Equal distances are sorted by y, then by x.
     """
     most = int(radius + 1e-6)
     dy, dx = (offset.ravel() for offset in np.mgrid[-most : most + 1, -most : most + 1])
@@ -213,9 +145,9 @@ def neighbour_offsets(radius: float) -> Int[np.ndarray, "K 2"]:
 
 
 class Flattener:
-    """Makes layers of one voxel map, reading only columns that changed since the last time.
+    """Converter of one voxel map into layers that reads only columns changed since the last call.
 
-    It keeps its buffers: on 600 x 600 cells 29 MB, and 1.4 MB for each feature.
+    Its buffers take 29 MB for 600 x 600 cells, and 1.4 MB per feature.
     """
 
     def __init__(self, voxel_map: VoxelMap, settings: FlattenSettings) -> None:
@@ -230,15 +162,14 @@ class Flattener:
         self._whole = np.tile(np.array([0, n]), (n, 1))
         self._gathered = make_gathered(self._plane_cells)
         self._bare, self._spans = np.zeros_like(self._whole), np.zeros_like(self._whole)
-        # What a cell says follows from the nearest ground, whose plane follows from ground that is no branch.
+        # A cell depends on the nearest ground, its plane on cells around that, and branches on cells around those.
         self._margin = int(np.abs(self._offsets).max()) + self._plane_cells + self._overhang_cells
 
     def layers(self, out: TerrainLayers | None = None) -> TerrainLayers:
-        """The map's layers.
+        """Return the map's layers.
 
         Args:
-            out: layers of this map that are no longer needed: written over and returned. Whoever changed them by hand
-                must not give them back.
+            out: earlier layers of this map, unmodified, to be overwritten and returned.
         """
         voxel_map, buffers, surface = self._map, self._buffers, self._surface
         size, n, threads = voxel_map.settings.size, voxel_map.cells, voxel_map.settings.threads
@@ -255,7 +186,7 @@ class Flattener:
         return replace(out, origin=voxel_map.origin, resolution=size)
 
     def cells(self, rows: Int[np.ndarray, " K"], columns: Int[np.ndarray, " K"]) -> MapCells:
-        """What the layers say of some cells, in a fraction of the time that all of them take."""
+        """Return the layers' values at some cells, in a fraction of the time of `layers`."""
         out = make_map_cells(len(rows), self._map.channels)
         limit = np.float32(self.settings.feature_height)
         if self._since < self._map.changes or not self._map.changes:
@@ -269,7 +200,7 @@ class Flattener:
 
     @property
     def _reference(self) -> int:
-        """Level of the floor that heights in the buffers count from."""
+        """Level of the floor that heights in the buffers are relative to."""
         return round(self._map.middle / self._map.settings.size)
 
     @property
@@ -277,7 +208,7 @@ class Flattener:
         return self._reference * self._map.settings.size
 
     def _find_whole_ground(self) -> None:
-        """Ground and planes of all columns, unless the buffers have those of the map."""
+        """Update ground and planes of all columns if the map changed."""
         if self._since < self._map.changes or not self._map.changes:
             threads, step = self._map.settings.threads, np.float32(self._map.settings.size)
             self._find_ground(self._whole, threads)
@@ -285,7 +216,7 @@ class Flattener:
             self._since = self._map.changes
 
     def _find_ground(self, spans: Int[np.ndarray, "n 2"], threads: int) -> None:
-        """Ground, obstacles and feature heights of the columns in spans; of those near their ends some are wrong."""
+        """Update ground, obstacles and feature heights of the columns in spans; values near their ends may be wrong."""
         voxel_map, settings, buffers, surface = self._map, self.settings, self._buffers, self._surface
         size, n = voxel_map.settings.size, voxel_map.cells
         step, reach, low = np.float32(size), np.float32(settings.vehicle_height), voxel_map.low

@@ -120,7 +120,7 @@ class OnlineMapper:
         pose = self._pose(image.camera, image.time)
         if pose is None:
             return
-        if not self._mapper.is_keyframe(image, pose):
+        if not self._mapper.keyframes.due(image, pose):
             # The last keyframe was taken nearby, so its features are still valid.
             self.image_time = max(self.image_time, image.time)
             return
