@@ -18,14 +18,7 @@ from jaxtyping import Int
 
 from offpiste.core.errors import MapError
 from offpiste.mapping.ground import BLOCK, drop_overhangs, put_spans, read_columns, see_columns
-from offpiste.mapping.infill import (
-    fill_gaps,
-    find_grounds,
-    fit_planes_at,
-    make_gathered,
-    read_cells,
-    write_layers,
-)
+from offpiste.mapping.infill import fill_gaps, find_grounds, fit_planes_at, make_gathered, read_cells, write_layers
 from offpiste.mapping.normals import SUMS, fit_planes, smooth_residuals
 from offpiste.mapping.terrain_map import LAYERS, TerrainLayers, empty_layers, nothing_known
 from offpiste.mapping.voxel_map import VoxelMap, check_positive
@@ -70,18 +63,17 @@ of that voxel [n, n, 1 + F]; number of the last evaluated map change per block o
 def make_surface(cells: int, channels: int) -> Surface:
     """Return the surface of an empty map of [cells, cells]."""
     shape = (cells, cells)
-    return Surface(
-        np.zeros(shape, np.int32),
-        *(np.full(shape, np.nan, np.float32) for _ in range(5)),
-        features=np.full((*shape, 1 + channels), np.nan, np.float32),
-        since=np.zeros((cells, -(-cells // BLOCK)), np.int32),
-    )
+    unknown = (np.full(shape, np.nan, np.float32) for _ in range(5))
+    features = np.full((*shape, 1 + channels), np.nan, np.float32)
+    since = np.zeros((cells, -(-cells // BLOCK)), np.int32)
+    return Surface._make((np.zeros(shape, np.int32), *unknown, features, since))
 
 
-_GRIDS = ["x", "y", "height", "obstacle", "feature_height", "lowest", "rise_x", "rise_y", "centre"]
-_GRIDS += ["residual", "roughness"]
-
-Buffers = namedtuple("Buffers", [*_GRIDS, "which", "which_feature", "sums", "moments", "line"])  # type: ignore[misc]
+Buffers = namedtuple(
+    "Buffers",
+    "x y height obstacle feature_height lowest rise_x rise_y centre residual roughness which which_feature "
+    "sums moments line",
+)
 """Arrays passed between loops [n, n]: hit of the lowest voxel, x, y from the cell's centre, height NaN without ground;
 obstacle height; height of the features, NaN without any that count; lowest ground of the cells beside, along the row;
 rise of the plane [m/m], ground at the cell's centre, squared residual of the hit and roughness, NaN without a plane;
@@ -90,14 +82,10 @@ numbers of the offsets that lead to ground and features, -1 without any. `sums`,
 
 def make_buffers(cells: int, blocks: int, plane_cells: int) -> Buffers:
     """Return buffers for maps of [cells, cells] that are processed in blocks of rows."""
-    return Buffers(
-        **{name: np.zeros((cells, cells), np.float32) for name in _GRIDS},
-        which=np.zeros((cells, cells), np.int32),
-        which_feature=np.zeros((cells, cells), np.int32),
-        sums=np.zeros((blocks, 2 * plane_cells + 2, SUMS, cells), np.float32),
-        moments=np.zeros((blocks, SUMS, cells + 2 * plane_cells), np.float32),
-        line=np.zeros((blocks, 2, cells), np.float32),
-    )
+    grids = (np.zeros((cells, cells), np.float32) for _ in range(11))
+    numbers = (np.zeros((cells, cells), np.int32) for _ in range(2))
+    rows = (2 * plane_cells + 2, SUMS, cells), (SUMS, cells + 2 * plane_cells), (2, cells)
+    return Buffers._make((*grids, *numbers, *(np.zeros((blocks, *row), np.float32) for row in rows)))
 
 
 CellPlanes = namedtuple("CellPlanes", "rows columns height rise_x rise_y centre")
