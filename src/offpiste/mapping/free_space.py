@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from offpiste.native.compilation import MAPPING
 from offpiste.core.errors import MapError
 from offpiste.mapping.voxel_map import BASE, FEATURED, OCCUPIED, PARTS, PASSED, STRIPE, VoxelMap, X, Y, Z, release
+from offpiste.native.compilation import MAPPING
 
 STEEPEST, SLOPE, ROWS, COLUMNS = -1.0, 0.025, 64, 256
 """Range image: slope of the lowest row, slope per row [m/m], rows and columns (1.4 degrees at the horizon)."""

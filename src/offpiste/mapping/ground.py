@@ -9,9 +9,9 @@ from typing import Final
 
 import numpy as np
 
-from offpiste.native.compilation import MAPPING
 from offpiste.mapping.normals import put
 from offpiste.mapping.voxel_map import BASE, FEATURE_DISTANCE, FEATURED, FEATURES, LEVELS, LOWEST, OCCUPIED, X, Y, Z
+from offpiste.native.compilation import MAPPING
 
 BLOCK: Final = 32
 """Number of columns that share a change number."""

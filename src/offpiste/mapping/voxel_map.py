@@ -16,9 +16,9 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from offpiste.native.compilation import MAPPING, Function, spread_blocks
 from offpiste.core.errors import MapError
 from offpiste.core.registry import Registry
+from offpiste.native.compilation import MAPPING, Function, spread_blocks
 
 Scalar = Any
 """Number or array."""
