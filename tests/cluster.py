@@ -21,8 +21,8 @@ from typing import Any
 from unittest import mock
 
 from offpiste.core.errors import DatasetError
-from offpiste.dataset.extract import make_dataset
 from offpiste.dataset.place import drive_names
+from offpiste.inspection.extract import extract
 from offpiste.rig.rig import load_rig
 from offpiste.simulation.simulate import DriveSettings, simulate
 from offpiste.simulation.world.world import WorldSettings
@@ -47,10 +47,10 @@ def write_logs(folder: Path, drives: int = DRIVES) -> list[Path]:
     return logs
 
 
-def extract(logs: list[Path], out: Path, cluster: str = "") -> str:
+def extracted(logs: list[Path], out: Path, cluster: str = "") -> str:
     """Extract the logs; returns what it says of those that failed."""
     try:
-        make_dataset(logs, load_rig("proving_ground"), out, processes=1, cluster=cluster, force=True)
+        extract(logs, load_rig("proving_ground"), out, processes=1, cluster=cluster, force=True)
     except DatasetError as error:
         return str(error)
     return ""
@@ -146,13 +146,13 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         logs = write_logs(folder)
-        said = extract(logs, folder / "whole.zarr")
+        said = extracted(logs, folder / "whole.zarr")
         whole = content(folder / "whole.zarr")
         assert all(broken in said for broken in BROKEN), said
         for number in range(options.kills):
             out, began = folder / f"{number}.zarr", time.monotonic()
             with nodes() as cluster, killing([kill_worker, kill_node], cluster, out, options.seed + number) as killed:
-                said = extract(logs, out, cluster.address)
+                said = extracted(logs, out, cluster.address)
             assert killed == ["kill_worker", "kill_node"], killed
             same = content(out) == whole and all(broken in said for broken in BROKEN)
             print(f"{number + 1}: a worker and a node killed; {'the same' if same else 'ANOTHER'} dataset", end="; ")

@@ -42,12 +42,12 @@ def simulate_drive(inputs: Path, out: Path) -> None:
 
 def extract_drives(inputs: Path, out: Path) -> None:
     """Visual features of two drives, with snapshots."""
-    from offpiste.dataset.extract import make_dataset
+    from offpiste.inspection.extract import extract
     from offpiste.rig.rig import load_rig
 
     logs = [inputs / "one.mcap", inputs / "two.mcap"]
     split, pca = f"drives:{inputs / 'parts.txt'}", inputs / "pca.safetensors"
-    make_dataset(logs, load_rig("proving_ground"), out / "data.zarr", split=split, pca=pca, force=True)
+    extract(logs, load_rig("proving_ground"), out / "data.zarr", split=split, pca=pca, force=True)
 
 
 def train_model(inputs: Path, out: Path) -> None:
@@ -80,7 +80,7 @@ def drive_closed_loop(inputs: Path, out: Path) -> None:
 
 IMPORTED = {
     "simulate": "offpiste.simulation.simulate",
-    "extract": "offpiste.dataset.extract",
+    "extract": "offpiste.inspection.extract",
     "train": "offpiste.training.train",
     "drive": "offpiste.closed_loop.drive_course",
 }

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from experiments.control_experiments.reproduced import Reproduced
-from offpiste.dataset.extract import make_dataset
 from offpiste.dataset.store import Dataset, open_dataset
+from offpiste.inspection.extract import extract
 from offpiste.rig.rig import Rig, load_rig
 
 RIG = "proving_ground"
@@ -14,7 +14,7 @@ ELSEWHERE = "give the same again, or choose another --out"
 
 def oracle_dataset(logs: Sequence[Path], split: str, out: Path, rig: Rig | None = None) -> Dataset:
     """The true properties of the ground under the wheels of the same drives (`logs.ground_truth.GROUND_PROPERTIES`)."""
-    return make_dataset(logs, rig or load_rig(RIG), out, split=split, features="ground-truth", force=True)
+    return extract(logs, rig or load_rig(RIG), out, split=split, features="ground-truth", force=True)
 
 
 def true_ground(of: Reproduced, folder: Path) -> Dataset:

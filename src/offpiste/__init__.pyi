@@ -5,7 +5,6 @@ from .closed_loop.drive_course import CourseDriveSettings
 from .closed_loop.drive_course import drive_course as drive
 from .core.errors import OffpisteError
 from .core.state import Trajectory
-from .dataset.extract import make_dataset as extract
 from .dataset.fit_pca import fit_pca
 from .dataset.store import Dataset, open_dataset
 from .dataset.windows import Windows
@@ -13,6 +12,7 @@ from .dynamics import MODELS
 from .evaluation.evaluate_runs import evaluate_runs as evaluate
 from .exports.formats import export
 from .inspection.draft_rig import draft_rig
+from .inspection.extract import extract
 from .inspection.inspect import inspect_log as inspect
 from .logs import open_log, read_drive
 from .mapping.replay import replay

@@ -1,78 +1,157 @@
-"""Extraction: warnings before any log is read, and which windows of a drive get a snapshot of the map."""
+"""Extraction of drives: warnings, refusal of unusable logs, findings kept with a drive, and snapshots of the map."""
 
 import logging
+from copy import copy
 from pathlib import Path
 
 import numpy as np
 import pytest
+import simulated
+import zarr
 
 from factories import circle_rows, small_rig
+from offpiste.core.checksums import write_checksums
 from offpiste.core.errors import DatasetError
 from offpiste.core.parallel import Outcome
-from offpiste.dataset import extract
-from offpiste.dataset.extract import Job, _seen_by_pca, _starts, make_dataset
+from offpiste.dataset import extract as extraction
+from offpiste.dataset import store
+from offpiste.dataset.extract import ExtractSettings, Job, pca_overlap, snapshot_starts
+from offpiste.dataset.log_findings import LogFinding, UnusableLog, findings_by_drive, warning_line
 from offpiste.dataset.map_snapshots import SnapshotSettings
 from offpiste.dataset.splits import GAP, PARTS, parse_split, write_drives
+from offpiste.inspection.extract import extract, findings_on
+from offpiste.logs.log import Log
 from offpiste.perception.backbones import open_backbone
 from offpiste.perception.feature_extractor import FeatureExtractor
 from offpiste.perception.pca import PrincipalComponents
 
 ROWS = 6000
+SPLIT = parse_split("blocks:0.5,0.25,0.25")
+STEER = LogFinding("warning", "steer", "is positive to the right", "r = -0.9", "channels.steer.sign = -1")
+YAW = LogFinding("fatal", "yaw", "does not follow the course", "agrees to 0.1", 'channels.yaw.unit = "deg"')
 
 
 @pytest.mark.parametrize(
-    ("split", "warnings"),
+    ("split", "logs", "warning"),
     [
-        ("blocks:0.7,0.1,0.2", []),
-        (
-            "blocks:1,0,0",
-            ["the split blocks:1,0,0 leaves nothing for validation and test: models cannot be trained or evaluated"],
-        ),
-        ("blocks:0.8,0.2,0", ["the split blocks:0.8,0.2,0 leaves nothing for test: models cannot be evaluated"]),
+        ("blocks:0.7,0.1,0.2", ["one"], None),
+        ("blocks:1,0,0", ["one"], "nothing for validation and test: models cannot be trained or evaluated"),
+        ("drives:split.txt", ["one", "two", "three"], "split.txt names 'tow', but"),
+        ("drives:split.txt", ["one", "tow", "three"], None),
     ],
 )
-def test_a_part_that_stays_empty_is_warned_of(split, warnings, tmp_path, monkeypatch, caplog):
-    monkeypatch.setattr(extract, "run_all", lambda *arguments, **settings: Outcome([], []))
-    with caplog.at_level(logging.INFO, "offpiste"), pytest.raises(DatasetError, match="not a dataset"):
-        make_dataset(["one.csv"], small_rig(), tmp_path / "d.zarr", split=split)
-    assert [(record.levelname, record.getMessage()) for record in caplog.records] == [("WARNING", w) for w in warnings]
+def test_warnings_before_extraction(split, logs, warning, tmp_path, monkeypatch, caplog):
+    monkeypatch.setattr(extraction, "run_all", lambda *arguments, **settings: Outcome([], []))
+    monkeypatch.chdir(tmp_path)
+    Path("split.txt").write_text("one train\ntow test\nthree validation\n")
+    with caplog.at_level(logging.WARNING, "offpiste"), pytest.raises(DatasetError, match="not a dataset"):
+        extract([f"{name}.csv" for name in logs], small_rig(), tmp_path / "d.zarr", split=split)
+    assert len(caplog.records) == (warning is not None)
+    assert warning is None or warning in caplog.text
 
 
-def test_drives_of_a_split_that_are_no_log_are_warned_of(tmp_path, monkeypatch, caplog):
-    monkeypatch.setattr(extract, "run_all", lambda *arguments, **settings: Outcome([], []))
-    (tmp_path / "split.txt").write_text("one train\ntow test\nthree validation\n")
-    for logs, warned in ((["one.csv", "two.csv", "three.csv"], ["'tow'"]), (["one.csv", "tow.csv", "three.csv"], [])):
-        caplog.clear()
-        with caplog.at_level(logging.WARNING, "offpiste"), pytest.raises(DatasetError, match="not a dataset"):
-            make_dataset(logs, small_rig(), tmp_path / "d.zarr", split=f"drives:{tmp_path}/split.txt")
-        assert [r.getMessage().split(" names ")[1].split(":")[0] for r in caplog.records] == warned
+def opened(monkeypatch: pytest.MonkeyPatch, logs: dict[str, Log]) -> list[Path]:
+    """Replace files by logs in memory."""
+
+    def open_log(path: Path, clock: object) -> Log:
+        logs[path.stem].path = path
+        return logs[path.stem]
+
+    monkeypatch.setattr(extraction, "open_log", open_log)
+    return [Path(f"{name}.csv") for name in logs]
+
+
+def in_millimetres(log: simulated.MemoryLog) -> simulated.MemoryLog:
+    """Return a log with a fatal fault: positions in millimetres."""
+    return log.change("odom", "x", lambda x: 1000 * x).change("odom", "y", lambda y: 1000 * y)
+
+
+def test_unusable_logs_are_refused_and_others_extracted(tmp_path, monkeypatch, caplog) -> None:
+    log = simulated.drive_log(60.0)
+    logs = opened(monkeypatch, {"one": in_millimetres(log), "two": in_millimetres(log), "good": log})
+    with pytest.raises(UnusableLog, match=r"one\.csv: unusable: position:.*--force"):
+        extract([logs[0], logs[2]], simulated.rig(), tmp_path / "d.zarr")
+    assert [drive.name for drive in store.open_dataset(tmp_path / "d.zarr").drives] == ["good"]
+    with (
+        caplog.at_level(logging.ERROR, "offpiste"),
+        pytest.raises(DatasetError, match=r"2 logs .*leave out 'one\.csv', 'two\.csv'"),
+    ):
+        extract(logs, simulated.rig(), tmp_path / "d.zarr")
+    assert [line.getMessage().split(": ")[:2] for line in caplog.records] == [
+        [f"{name}.csv", "position"] for name in ("one", "two")
+    ]
+    with caplog.at_level(logging.INFO, "offpiste"):
+        dataset = extract(logs[:1], simulated.rig(), tmp_path / "d.zarr", force=True)
+    assert "fatal" in [finding.severity for finding in dataset.drives[1].findings]
+    assert "  FATAL, extracted by --force: position: " in caplog.text
+
+
+def test_a_flipped_sign_is_a_warning_with_its_fix() -> None:
+    log = simulated.drive_log(60.0)
+    assert findings_on(log, simulated.rig()) == ()
+    flipped = log.change("steering", "command", np.negative).change("steering", "angle", np.negative)
+    found = findings_on(flipped, simulated.rig())
+    assert {finding.severity for finding in found} == {"warning"}
+    assert any("sign = -1" in finding.line for finding in found)
+
+
+def test_findings_are_stored_with_the_drive(tmp_path) -> None:
+    path = tmp_path / "data.zarr"
+    store.create(path, small_rig(), SPLIT)
+    for name, found in (("a", (STEER,)), ("b", (STEER, YAW)), ("c", ())):
+        store.add_drive(path, name, circle_rows(2400, seed=1), SPLIT, (), findings=found)
+    dataset = store.open_dataset(path)
+    assert [drive.findings for drive in dataset.drives] == [(STEER,), (STEER, YAW), ()]
+    first, second = "steer is positive to the right (drive a and 1 more)", "yaw does not follow the course (drive b)"
+    assert dataset.findings == (first, second)
+    assert f"has 2 warnings of `inspect`: {first}; {second}; run" in str(warning_line(dataset.findings))
+    assert f"  warning: {STEER.line}" in extraction.described(dataset.drives[0], SPLIT)
+    group = zarr.open_group(path / "a", mode="r+")
+    group.attrs["findings"] = {"schema": 1, "found": [{"severity": "mild"}]}
+    write_checksums(path / "a", (path / "a").rglob("zarr.json"))
+    with pytest.raises(DatasetError, match=r"drive 'a' cannot be read .*mild"):
+        store.open_dataset(path)
+
+
+def test_one_line_names_the_first_findings_and_counts_all() -> None:
+    assert warning_line(()) is None
+    line = str(
+        warning_line(findings_by_drive([("a", [LogFinding("warning", f"t{n}", "lags", "", "") for n in "12345"])]))
+    )
+    assert "5 warnings" in line
+    assert "t3 lags (drive a), and 2 more;" in line
+
+
+def test_an_unusable_log_comes_back_from_another_process() -> None:
+    error = copy(UnusableLog([YAW, YAW], Path("a.csv")))
+    assert error.findings == (YAW, YAW)
+    assert str(error) == str(UnusableLog([YAW, YAW], Path("a.csv")))
+    assert "(and 1 more)" in str(error)
+
+
+def job(split: str, snapshots: SnapshotSettings | None = None) -> Job:
+    settings = ExtractSettings(parse_split(split), snapshots=snapshots or SnapshotSettings())
+    return Job(Path("drive.mcap"), "drive", small_rig(), Path("d.zarr"), settings)
 
 
 @pytest.mark.parametrize(("then", "now", "seen"), [("train", "test", True), ("test", "test", False)])
-def test_a_list_of_drives_that_was_edited_since_the_pca_is_noticed(tmp_path, then, now, seen):
+def test_a_pca_fitted_on_test_rows_is_noticed(tmp_path, then, now, seen):
     text = write_drives(tmp_path / "parts.txt", [("drive", now)])
     about = {"logs": ["drive"], "split": text, "split_drives": [["drive", then]]}
     backbone = open_backbone("filterbank")
-    channels = backbone.channels
+    mean, basis = np.zeros(backbone.channels, np.float32), np.eye(backbone.channels, 1, dtype=np.float32)
     pca = PrincipalComponents(
-        mean=np.zeros(channels, np.float32),
-        basis=np.eye(channels, 1, dtype=np.float32),
-        variance=np.ones(1, np.float32),
-        total_variance=1.0,
-        backbone=backbone.name,
-        fingerprint=backbone.fingerprint,
-        fitted_on=about,
+        mean, basis, np.ones(1, np.float32), 1.0, backbone.name, backbone.fingerprint, fitted_on=about
     )
-    job = Job(Path("drive.mcap"), "drive", small_rig(), Path("d.zarr"), parse_split(text))
-    notes = _seen_by_pca(FeatureExtractor(backbone, pca), circle_rows(ROWS, seed=0, speed=5), job)
-    assert [note.startswith("warning: the PCA may have seen 120 s that") for note in notes] == [True] * seen
+    notes = pca_overlap(FeatureExtractor(backbone, pca), circle_rows(ROWS, seed=0, speed=5), job(text))
+    assert [note.startswith("warning: the PCA may have seen 120 s of") for note in notes] == [True] * seen
 
 
 @pytest.mark.parametrize("parts", [("validation", "test"), ("train", "validation"), ("test",)])
-def test_windows_of_the_parts_that_are_asked_for(parts: tuple[str, ...]) -> None:
-    split = parse_split("blocks:0.5,0.25,0.25")
-    job = Job(Path("drive.mcap"), "drive", small_rig(), Path("d.zarr"), split)
-    found = _starts(circle_rows(ROWS, seed=0, speed=5), job, SnapshotSettings(parts=parts))
+def test_snapshots_start_in_the_requested_parts(parts: tuple[str, ...]) -> None:
+    found = snapshot_starts(
+        circle_rows(ROWS, seed=0, speed=5), job("blocks:0.5,0.25,0.25", SnapshotSettings(parts=parts))
+    )
     # Blocks end at 3000, 4500 and 6000; the first rows of all but the first block are the gap.
     edges = dict(zip(PARTS, ((0, 3000), (3000 + GAP, 4500), (4500 + GAP, ROWS)), strict=True))
     for starts, name in zip(found, parts, strict=True):

@@ -12,7 +12,7 @@ from factories import circle_rows, small_rig
 from offpiste.core.errors import DatasetError
 from offpiste.core.files import temporary_folder
 from offpiste.dataset import store
-from offpiste.dataset.extract import Job, _starts
+from offpiste.dataset.extract import ExtractSettings, Job, snapshot_starts
 from offpiste.dataset.ground_truth_features import with_ground_truth
 from offpiste.dataset.known_cells import crop
 from offpiste.dataset.map_snapshots import CHUNK, SnapshotSchedule, SnapshotSettings, SnapshotWriter, open_snapshots
@@ -105,11 +105,13 @@ def test_snapshots_keep_their_distance_and_their_number():
 
 def test_snapshots_of_slow_windows_are_kept_where_they_are_asked_for():
     rows = circle_rows(2400, speed=1.0)
-    job = Job(Path("log"), "log", small_rig(), Path("out"), SPLIT)
-    usual, slow, none = (
-        sum(int(part.sum()) for part in _starts(rows, job, SnapshotSettings(min_speed=speed)))
-        for speed in (None, 0.0, 2.0)
-    )
+
+    def count(min_speed: float | None) -> int:
+        settings = ExtractSettings(SPLIT, snapshots=SnapshotSettings(min_speed=min_speed))
+        job = Job(Path("log"), "log", small_rig(), Path("out"), settings)
+        return sum(int(part.sum()) for part in snapshot_starts(rows, job))
+
+    usual, slow, none = (count(speed) for speed in (None, 0.0, 2.0))
     assert usual == none == 0
     assert slow > 100
 

@@ -9,9 +9,9 @@ import pytest
 
 from offpiste.core.errors import DatasetError, OffpisteError
 from offpiste.core.parallel import parse_shard
-from offpiste.dataset.extract import make_dataset
 from offpiste.dataset.merge import merge_datasets
 from offpiste.dataset.place import drive_names
+from offpiste.inspection.extract import extract
 from offpiste.rig.rig import load_rig
 from offpiste.simulation.simulate import DriveSettings, simulate
 from offpiste.simulation.world.world import WorldSettings
@@ -28,10 +28,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     logs = [folder / f"drive-{number}.mcap" for number in range(3)]
     for seed, log in enumerate(logs):
         simulate(DriveSettings(world, 20.0, seed=seed, sensors="none"), log)
-    make_dataset(logs, RIG, folder / "whole.zarr", split=SPLIT)
+    extract(logs, RIG, folder / "whole.zarr", split=SPLIT)
     # In another order: which shard a log is in follows from its name.
     for number in (1, 2):
-        make_dataset(logs[::-1], RIG, folder / f"{number}.zarr", split=SPLIT, shard=(number, 2))
+        extract(logs[::-1], RIG, folder / f"{number}.zarr", split=SPLIT, shard=(number, 2))
     return folder
 
 
@@ -77,7 +77,7 @@ def test_what_does_not_fit_together_is_refused(folder, shards, tmp_path):
         merge_datasets([*shards, folder / "whole.zarr"], out)
     with pytest.raises(DatasetError, match="not a dataset"):
         merge_datasets([*shards, tmp_path], out)
-    make_dataset([folder / "drive-1.mcap"], RIG, tmp_path / "other.zarr", split="blocks:0.5,0.25,0.25")
+    extract([folder / "drive-1.mcap"], RIG, tmp_path / "other.zarr", split="blocks:0.5,0.25,0.25")
     with pytest.raises(DatasetError, match="another split"):
         merge_datasets([shards[0], tmp_path / "other.zarr"], out)
     assert not out.exists()
@@ -96,9 +96,7 @@ def test_a_damaged_shard_is_found_before_anything_is_merged(shards, tmp_path):
 def test_another_drive_of_the_same_name_is_not_replaced(folder, shards, tmp_path):
     out = tmp_path / "d.zarr"
     merge_datasets(shards, out)
-    make_dataset(
-        [shutil.copy(folder / "drive-0.mcap", tmp_path / "drive-1.mcap")], RIG, tmp_path / "x.zarr", split=SPLIT
-    )
+    extract([shutil.copy(folder / "drive-0.mcap", tmp_path / "drive-1.mcap")], RIG, tmp_path / "x.zarr", split=SPLIT)
     with pytest.raises(DatasetError, match="holds another drive 'drive-1'"):
         merge_datasets([shards[0], tmp_path / "x.zarr"], out)
 
@@ -112,4 +110,4 @@ def test_no_shard(text):
 def test_more_shards_than_logs(folder, tmp_path):
     assert parse_shard("2/2") == (2, 2)
     with pytest.raises(DatasetError, match="1 logs have no shard 2/2; give fewer shards"):
-        make_dataset([folder / "drive-0.mcap"], RIG, tmp_path / "d.zarr", shard=(2, 2))
+        extract([folder / "drive-0.mcap"], RIG, tmp_path / "d.zarr", shard=(2, 2))

@@ -13,10 +13,10 @@ from offpiste.core.cache import VARIABLE
 from offpiste.core.checksums import CHECKSUMS
 from offpiste.core.errors import DatasetError, OffpisteError
 from offpiste.core.object_store import opened
-from offpiste.dataset.extract import make_dataset
 from offpiste.dataset.merge import merge_datasets
 from offpiste.dataset.place import drive_names
 from offpiste.dataset.store import open_dataset
+from offpiste.inspection.extract import extract
 from offpiste.rig.rig import load_rig
 from offpiste.simulation.simulate import DriveSettings, simulate
 from offpiste.simulation.world.world import WorldSettings
@@ -46,7 +46,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     logs = [folder / f"drive-{number}.mcap" for number in range(3)]
     for seed, log in enumerate(logs):
         simulate(DriveSettings(world, 20.0, seed=seed, sensors="none"), log)
-    make_dataset(logs, RIG, folder / "whole.zarr", split=SPLIT)
+    extract(logs, RIG, folder / "whole.zarr", split=SPLIT)
     with s3_server("bucket"):
         for log in logs:
             put(log, f"s3://bucket/logs/{log.name}")
@@ -66,27 +66,27 @@ def content(path: Path) -> dict[str, bytes]:
 
 
 def test_from_and_to_a_store_it_is_the_dataset_that_is_made_here(folder: Path) -> None:
-    made = make_dataset(["s3://bucket/logs/*.mcap"], RIG, OUT, split=SPLIT, processes=2)
+    made = extract(["s3://bucket/logs/*.mcap"], RIG, OUT, split=SPLIT, processes=2)
     assert content(made.path) == content(folder / "whole.zarr")
     assert drive_names(OUT) == ["drive-0", "drive-1", "drive-2"]
 
 
 def test_it_resumes_and_a_drive_that_was_half_uploaded_is_made_again(folder: Path, caplog) -> None:
     logs = sorted(folder.glob("*.mcap"))
-    make_dataset(logs, RIG, OUT, split=SPLIT)
+    extract(logs, RIG, OUT, split=SPLIT)
     remove(f"{STORE}/drive-1/{CHECKSUMS}")
     put(logs[0], f"{STORE}/drive-1/left-over")
     assert drive_names(OUT) == ["drive-0", "drive-2"]
     assert [drive.name for drive in open_dataset(OUT).drives] == ["drive-0", "drive-2"]
-    made = make_dataset(logs, RIG, OUT, split=SPLIT)
+    made = extract(logs, RIG, OUT, split=SPLIT)
     assert content(made.path) == content(folder / "whole.zarr")
 
 
 def test_a_dataset_that_was_made_otherwise_is_not_added_to(folder: Path) -> None:
     logs = sorted(folder.glob("*.mcap"))
-    make_dataset(logs[:1], RIG, OUT, split=SPLIT)
+    extract(logs[:1], RIG, OUT, split=SPLIT)
     with pytest.raises(DatasetError, match="split"):
-        make_dataset(logs, RIG, OUT, split="blocks:0.5,0.3,0.2")
+        extract(logs, RIG, OUT, split="blocks:0.5,0.3,0.2")
     assert drive_names(OUT) == ["drive-0"]
 
 
@@ -94,13 +94,13 @@ def test_logs_that_all_fail_leave_nothing(tmp_path: Path, folder: Path) -> None:
     (tmp_path / "bad.mcap").write_bytes(b"no log" * 100)
     put(tmp_path / "bad.mcap", "s3://bucket/logs/bad/bad.mcap")
     with pytest.raises(OffpisteError, match=r"s3://bucket/logs/bad/bad\.mcap"):
-        make_dataset(["s3://bucket/logs/bad/bad.mcap"], RIG, OUT, split=SPLIT)
+        extract(["s3://bucket/logs/bad/bad.mcap"], RIG, OUT, split=SPLIT)
     with opened(STORE) as (files, root):
         assert files.find(root) == []
 
 
 def test_the_copy_follows_the_store(folder: Path, tmp_path: Path) -> None:
-    make_dataset(sorted(folder.glob("*.mcap")), RIG, OUT, split=SPLIT)
+    extract(sorted(folder.glob("*.mcap")), RIG, OUT, split=SPLIT)
     copy = open_dataset(OUT).path
     shutil.rmtree(copy / "drive-2")
     (copy / "drive-9").mkdir()
@@ -121,6 +121,6 @@ def test_shards_in_a_store_are_merged_here(folder: Path, tmp_path: Path) -> None
     logs = sorted(folder.glob("*.mcap"))
     parts = [Path(f"s3://bucket/sets/dataset.zarr/part-{number}") for number in (1, 2)]
     for number, part in enumerate(parts, 1):
-        make_dataset(logs, RIG, part, split=SPLIT, shard=(number, 2))
+        extract(logs, RIG, part, split=SPLIT, shard=(number, 2))
     merge_datasets(parts, tmp_path / "merged.zarr")
     assert content(tmp_path / "merged.zarr") == content(folder / "whole.zarr")

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from factories import RIG, MemoryLog
 from offpiste.core.conventions import HISTORY_STEPS, HORIZON_STEPS
 from offpiste.core.errors import DatasetError
-from offpiste.dataset.extract import make_dataset
 from offpiste.dataset.fit_pca import fit_pca
 from offpiste.dataset.splits import (
     GAP,
@@ -22,6 +21,7 @@ from offpiste.dataset.splits import (
     write_drives,
 )
 from offpiste.dataset.window_starts import window_starts
+from offpiste.inspection.extract import extract
 from offpiste.logs.channel import read_channel
 from offpiste.perception.backbones import open_backbone
 from offpiste.rig.rig import Rig, parse_rig
@@ -150,7 +150,7 @@ def test_places_in_degrees_without_a_common_origin_are_refused_in_one_line(tmp_p
         r"places:50: positions in 'lat lon' have an origin of each log.*; give channels.position.origin in the rig"
     )
     with pytest.raises(DatasetError, match=message):
-        make_dataset(["one.csv"], geographic_rig(), tmp_path / "d.zarr", split="places:50")
+        extract(["one.csv"], geographic_rig(), tmp_path / "d.zarr", split="places:50")
     with pytest.raises(DatasetError, match=message):
         fit_pca(["one.csv"], geographic_rig(), parse_split("places:50"), open_backbone("filterbank"))
     refuse_places_without_origin(parse_split("fold:0/5"), geographic_rig())

@@ -12,12 +12,12 @@ from log_messages import logged
 from offpiste.cli import main
 from offpiste.core.conventions import FEATURE_SETS, PERCEPTION_LATENCY
 from offpiste.core.errors import DatasetError, LogError
-from offpiste.dataset.extract import make_dataset
 from offpiste.dataset.fit_pca import fit_pca
 from offpiste.dataset.place import drive_names
 from offpiste.dataset.splits import parse_split, write_drives
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
+from offpiste.inspection.extract import extract
 from offpiste.logs.ground_truth import read_truth_map
 from offpiste.logs.log import open_log
 from offpiste.logs.sensor_log import open_sensors
@@ -52,7 +52,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def dataset(folder: Path) -> Dataset:
     (folder / "parts.txt").write_text("drive test\n")
     with logged() as said:
-        made = make_dataset(
+        made = extract(
             [folder / "drive.mcap"],
             load_rig("proving_ground"),
             folder / "data.zarr",
@@ -202,13 +202,13 @@ def test_what_cannot_be_extracted_ends_in_one_line(folder: Path, tmp_path: Path)
     world = WorldSettings("uniform", size=100.0, resolution=0.5)
     simulate(DriveSettings(world, 3.0, seed=0, sensors="none"), tmp_path / "blind.mcap")
     with pytest.raises(LogError, match="LiDAR"):
-        make_dataset([tmp_path / "blind.mcap"], rig, tmp_path / "d.zarr", pca=pca, force=True)
+        extract([tmp_path / "blind.mcap"], rig, tmp_path / "d.zarr", pca=pca, force=True)
     with pytest.raises(DatasetError, match="both a PCA"):
-        make_dataset([tmp_path / "blind.mcap"], rig, tmp_path / "e.zarr", pca=pca, features="ground-truth")
+        extract([tmp_path / "blind.mcap"], rig, tmp_path / "e.zarr", pca=pca, features="ground-truth")
     with pytest.raises(DatasetError, match="another"):
-        make_dataset([folder / "drive.mcap"], rig, folder / "data.zarr", split="blocks:1,0,0", force=True)
+        extract([folder / "drive.mcap"], rig, folder / "data.zarr", split="blocks:1,0,0", force=True)
     with pytest.raises(DatasetError, match="min-hindsight is 2"):
-        make_dataset([folder / "drive.mcap"], rig, tmp_path / "f.zarr", pca=pca, min_hindsight=2.0)
+        extract([folder / "drive.mcap"], rig, tmp_path / "f.zarr", pca=pca, min_hindsight=2.0)
 
 
 def test_good_drives_are_extracted_beside_bad_ones(folder: Path, tmp_path: Path) -> None:
@@ -219,12 +219,12 @@ def test_good_drives_are_extracted_beside_bad_ones(folder: Path, tmp_path: Path)
     rig = load_rig("proving_ground")
     logs = [tmp_path / f"{name}.mcap" for name in ("one", "bad", "two")]
     with pytest.raises(LogError, match=r"bad\.mcap"):
-        make_dataset(logs, rig, tmp_path / "d.zarr", processes=2, force=True)
+        extract(logs, rig, tmp_path / "d.zarr", processes=2, force=True)
     assert drive_names(tmp_path / "d.zarr") == ["one", "two"]
     # A killed run leaves half a drive; the next one clears it away and does only what is missing.
     (tmp_path / "d.zarr" / ".one.x.partial").mkdir()
     with logged() as said:
-        again = make_dataset(logs[::2], rig, tmp_path / "d.zarr", force=True)
+        again = extract(logs[::2], rig, tmp_path / "d.zarr", force=True)
     assert said == ["one: already there", "two: already there"]
     assert len(again.drives) == 2
     assert not (tmp_path / "d.zarr" / ".one.x.partial").exists()
@@ -237,10 +237,10 @@ def test_a_pca_that_saw_the_test_part_is_warned_of(dataset: Dataset) -> None:
 def test_a_dataset_without_drives_does_not_bar_the_next_try(tmp_path: Path) -> None:
     (tmp_path / "bad.mcap").write_bytes(b"nonsense")
     with pytest.raises(LogError):
-        make_dataset([tmp_path / "bad.mcap"], load_rig("proving_ground"), tmp_path / "d.zarr")
+        extract([tmp_path / "bad.mcap"], load_rig("proving_ground"), tmp_path / "d.zarr")
     world = WorldSettings("uniform", size=100.0, resolution=0.5)
     simulate(DriveSettings(world, 3.0, seed=0, sensors="none"), tmp_path / "one.mcap")
-    made = make_dataset(
+    made = extract(
         [tmp_path / "one.mcap"], load_rig("proving_ground"), tmp_path / "d.zarr", split="blocks:1,0,0", force=True
     )
     assert [drive.name for drive in made.drives] == ["one"]

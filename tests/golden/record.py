@@ -36,7 +36,6 @@ from offpiste.closed_loop.drive_course import CourseDriveSettings, drive_course
 from offpiste.core.conventions import ACTUATORS, CONTROL, FEATURE_SETS
 from offpiste.core.errors import OffpisteError
 from offpiste.core.state import History, ModelState, RecordedTerrain, Terrain
-from offpiste.dataset.extract import make_dataset
 from offpiste.dataset.fit_pca import fit_pca
 from offpiste.dataset.resample import extract_rows
 from offpiste.dataset.splits import parse_split
@@ -45,6 +44,7 @@ from offpiste.dynamics import MODELS, Dynamics, Vehicle, as_callable, rollout
 from offpiste.dynamics.kernels.autograd import rollout_recorded, supports
 from offpiste.evaluation.evaluate import EvaluatedModel, evaluate_models
 from offpiste.inspection.draft_rig import draft_rig
+from offpiste.inspection.extract import extract
 from offpiste.inspection.inspect import inspect_log
 from offpiste.logs import open_log
 from offpiste.logs.drive import drive_from_log
@@ -461,7 +461,7 @@ def random_map(rule: str) -> TerrainLayers:
 def visual_dataset() -> object:
     listed = temporary_folder() / "visual.txt"
     listed.write_text("drive test\n")
-    return make_dataset(
+    return extract(
         [light_drive()[0]],
         load_rig("proving_ground"),
         temporary_folder() / "visual.zarr",
@@ -488,7 +488,7 @@ def dataset() -> Results:
     found["windows"] = np.asarray(windows.rows, int)
     found |= parts("gathered", windows.gather(np.arange(len(windows))[:: max(1, len(windows) // 4)]), keep=150)
     (path, _), _, (other, _), _ = blind_drives()
-    oracle = make_dataset(
+    oracle = extract(
         [path, other],
         load_rig("proving_ground"),
         temporary_folder() / "oracle.zarr",
@@ -695,7 +695,7 @@ def training() -> Results:
     listed = temporary_folder() / "real.txt"
     listed.write_text("dunes train\nranch validation\nranch-twin-1 test\n")
     logs = [path for path, _ in blind_drives() if path.stem != "flaws"]
-    real = make_dataset(logs, load_rig("proving_ground"), temporary_folder() / "real.zarr", split=f"drives:{listed}")
+    real = extract(logs, load_rig("proving_ground"), temporary_folder() / "real.zarr", split=f"drives:{listed}")
     for name in ("b", "kinematic"):
         folder = temporary_folder() / "runs" / f"real-{name}"
         found |= trained(f"real-{name}", train(real, replace(quick, model=name, epochs=1), folder), folder)

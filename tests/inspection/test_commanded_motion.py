@@ -12,13 +12,13 @@ from offpiste.inspection.channel_guesses import labels
 from offpiste.inspection.commanded_motion import (
     commanded_curvature,
     is_asked_for,
-    is_measured_steering,
     motion_commands,
 )
 from offpiste.inspection.draft_rig import draft_rig
 from offpiste.inspection.inspect import inspect_log
 from offpiste.logs.drive import drive_from_log
 from offpiste.logs.log import Topic
+from offpiste.rig.labels import is_measured_steering
 from offpiste.rig.rig import Rig, parse_rig
 
 START, STEP = 1.7e9, 0.02

@@ -9,7 +9,8 @@ from simulated import RIG, START, drive_log
 
 from bag_files import ROS1
 from offpiste.core.errors import LogError
-from offpiste.dataset.log_findings import UnusableLog, findings_on, refuse_unusable
+from offpiste.dataset.log_findings import UnusableLog, refuse_unusable
+from offpiste.inspection.extract import findings_on
 from offpiste.inspection.inspect import inspect_log
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.inspection.sensor_stamps import check_sensor_stamps

@@ -11,7 +11,7 @@ from mcap.reader import make_reader
 
 from offpiste.cli import main
 from offpiste.core.errors import OffpisteError
-from offpiste.dataset.extract import make_dataset
+from offpiste.inspection.extract import extract
 from offpiste.logs import read_drive
 from offpiste.logs.ground_truth import read_truth
 from offpiste.rig.rig import load_rig
@@ -121,7 +121,7 @@ def test_what_is_told_is_what_was_driven(driven):
 
 
 def test_ground_truth_features_are_the_world_under_the_wheels(driven, tmp_path):
-    dataset = make_dataset([driven.log], RIG, tmp_path / "truth.zarr", split="blocks:1,0,0", features="ground-truth")
+    dataset = extract([driven.log], RIG, tmp_path / "truth.zarr", split="blocks:1,0,0", features="ground-truth")
     cells, world = dataset.drives[0].rows.cells, make_world(WORLD)
     truth = read_truth(driven.log)
     rows = dataset.drives[0].rows.time

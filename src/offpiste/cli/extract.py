@@ -58,15 +58,15 @@ class Extract:
         """Extract the logs."""
         from offpiste.core.parallel import parse_shard
         from offpiste.dataset.assumptions import assumptions_block, assumptions_of
-        from offpiste.dataset.extract import make_dataset
         from offpiste.dataset.map_snapshots import SnapshotSettings
+        from offpiste.inspection.extract import extract
         from offpiste.mapping.replay import MapperSettings
         from offpiste.rig.rig import load_rig
 
         if not 0 <= self.keyframe_metres < math.inf:
             raise PerceptionError(f"--keyframe-metres is {self.keyframe_metres:g}", how="give a distance of 0 or more")
         rig = load_rig(self.rig)
-        dataset = make_dataset(
+        dataset = extract(
             self.logs,
             rig.without_slope() if self.flat else rig,
             self.out,

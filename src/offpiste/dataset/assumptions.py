@@ -1,39 +1,35 @@
-"""What the results on a dataset were given that a vehicle would not have, or that nobody measured.
-
-Assumptions follow from what a dataset stores (rig, notes, findings), so that they travel with it.
-"""
+"""Assumptions behind a dataset: inputs that were not measured, or that a vehicle would not have while it drives."""
 
 from collections.abc import Iterator, Sequence
 
 from offpiste.dataset.store import Dataset
-from offpiste.inspection.commanded_motion import is_measured_steering
-from offpiste.inspection.draft_values import GUESSED
 from offpiste.logs.clock_drift import ALIGNED
+from offpiste.rig.labels import is_measured_steering
 
 
 def assumptions_of(dataset: Dataset) -> tuple[str, ...]:
-    """Return the assumptions behind a dataset, a sentence each."""
+    """Return the assumptions behind a dataset, a sentence each, from its rig, notes and findings."""
     return tuple(dict.fromkeys(_assumptions(dataset)))
 
 
 def assumptions_block(assumptions: Sequence[str]) -> str:
     """Return assumptions as a short block of text."""
-    return "\n".join(["Assumptions:", *(f"  {each}" for each in assumptions or ("none that is known",))])
+    return "\n".join(["Assumptions:", *(f"  {each}" for each in assumptions or ("none known",))])
 
 
 def _assumptions(dataset: Dataset) -> Iterator[str]:
     rig = dataset.rig
     vehicle = rig.vehicle
-    if vehicle.source.startswith(GUESSED):
+    if vehicle.is_guessed:
         yield f"guessed vehicle: {vehicle.mass:g} kg, wheelbase {vehicle.wheelbase:.3g} m; measure both"
     for drive in dataset.drives:
         yield from (f"{drive.name}: {note}, in hindsight" for note in drive.notes if note.startswith(ALIGNED))
     if not dataset.features and rig.motion.normals == "driven path":
-        yield "surface normals: the slope of the path that was driven later"
+        yield "surface normals: slope of the path driven later"
     if rig.motion.normals == "flat":
         yield "surface normals: flat ground"
-    if "steer" in rig.channels and (rig.reads_alike("steer", "steer_angle") or is_measured_steering("steer", rig)):
-        yield "steering ahead: the measured angle in place of the command"
+    if "steer" in rig.channels and is_measured_steering("steer", rig):
+        yield "future steering: measured angle instead of the command"
     if dataset.features and dataset.pca is None:
         yield "terrain features: the simulator's true ground"
     for drive in dataset.drives:

@@ -20,7 +20,7 @@ from offpiste.core.errors import DatasetError
 from offpiste.core.files import check_folder, remove_partials, write_folder
 from offpiste.dataset.columns import COLUMNS
 from offpiste.dataset.features_under_wheels import Cells
-from offpiste.dataset.log_findings import LogFinding, findings_by_drive, read_findings, stored_findings
+from offpiste.dataset.log_findings import LogFinding, StoredFindings, findings_by_drive
 from offpiste.dataset.map_snapshots import Snapshots, SnapshotSettings, open_snapshots
 from offpiste.dataset.place import drive_names, mirrored
 from offpiste.dataset.resample import OWN_COLUMNS, Rows, rows_from_arrays
@@ -57,7 +57,7 @@ class StoredDrive:
     Attributes:
         load_map: reads the map that the features of this drive come from; None where there is none.
         snapshots: the map at the start of windows that validate and test; None where none was kept.
-        findings: of `inspect` on its log; none of datasets that were made before findings were kept.
+        findings: of `inspect` on its log.
     """
 
     name: str
@@ -206,7 +206,7 @@ def add_drive(
 
     def write(partial: Path) -> None:
         attributes = {"origin": rows.origin.tolist(), "notes": list(notes), "distance_m": rows.distance}
-        attributes["findings"] = stored_findings(findings)
+        attributes["findings"] = msgspec.to_builtins(StoredFindings(tuple(findings)))
         group = zarr.open_group(partial, mode="w-", attributes=attributes, zarr_format=3)
         write_arrays(group, {**rows.arrays(), "part": part})
         if rows.cells is not None:
@@ -266,7 +266,7 @@ def _read_drive(path: Path, name: str) -> StoredDrive:
         rows = rows_from_arrays(arrays, np.array(attributes["origin"]), cells)
         load_map = (lambda: _read_map(path, name)) if "map" in group else None
         kept = open_snapshots(path / name / SNAPSHOTS) if SNAPSHOTS in group else None
-        found = read_findings(attributes.get("findings"), path / name)
+        found = msgspec.convert(attributes["findings"], StoredFindings).found
         return StoredDrive(name, rows, part, tuple(attributes["notes"]), load_map, kept, found)
 
 

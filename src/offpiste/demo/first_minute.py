@@ -20,13 +20,13 @@ from offpiste.closed_loop.drive_course import CourseDriveSettings, drive_course
 from offpiste.core.files import write_text
 from offpiste.core.parallel import Report, at_a_time, run_all
 from offpiste.core.shipped import PREFIX, run_folder
-from offpiste.dataset.extract import make_dataset
 from offpiste.dataset.map_snapshots import SnapshotSettings
 from offpiste.dataset.place import drive_names
 from offpiste.dataset.splits import write_drives
 from offpiste.dataset.store import open_dataset
 from offpiste.demo.comparison import NAMES, closing_words, comparison_table, demo_picture, ending, predict
 from offpiste.demo.warm_up import rehearse
+from offpiste.inspection.extract import extract
 from offpiste.logs import read_drive
 from offpiste.report.figure import write_png
 from offpiste.reproduction.steps import claim_folder
@@ -122,7 +122,7 @@ def _drive(out: Path, settings: FirstMinuteSettings) -> str:
         snapshots = SnapshotSettings(settings.snapshot_seconds)
         pca = Path(f"{PREFIX}{FAMILY}")
         options: dict[str, Any] = {"split": split, "pca": pca, "snapshots": snapshots, "processes": 1, "force": True}
-        make_dataset([log], load_rig(RIG), out / "dataset.zarr", **options)
+        extract([log], load_rig(RIG), out / "dataset.zarr", **options)
     return f"     {summary}"
 
 

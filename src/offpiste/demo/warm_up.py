@@ -21,7 +21,6 @@ from offpiste.core.parallel import Report, run_all
 from offpiste.core.progress import show
 from offpiste.core.shipped import PREFIX
 from offpiste.core.state import ModelState, Terrain
-from offpiste.dataset.extract import make_dataset
 from offpiste.dynamics import Vehicle
 from offpiste.dynamics.actuators import Actuators
 from offpiste.dynamics.feature_encoder import Compressor
@@ -30,6 +29,7 @@ from offpiste.dynamics.kernels.actuators import rollout_actuators
 from offpiste.dynamics.kernels.autograd import rollout_recorded
 from offpiste.dynamics.kernels.encoder import codes_under_wheels, encode_cells
 from offpiste.dynamics.kernels.map_rollout import predict_on
+from offpiste.inspection.extract import extract
 from offpiste.mapping.terrain_sampler import CellStack, MapTerrain
 from offpiste.rig.rig import load_rig
 from offpiste.runtime.planner import load_planner, warm_up
@@ -117,7 +117,7 @@ def rehearse_part(part: str, report: Report, *, run: str, folder: Path) -> str:
         elif part == EXTRACT:
             simulate(replace(SMALL, seconds=8.0), folder / "extracted.mcap")
             rig, pca = load_rig("proving_ground"), Path(f"{PREFIX}proving-ground")
-            make_dataset([folder / "extracted.mcap"], rig, folder / "data.zarr", pca=pca, processes=1, force=True)
+            extract([folder / "extracted.mcap"], rig, folder / "data.zarr", pca=pca, processes=1, force=True)
         else:
             planner, rig, drive = load_planner(Path(run)), load_rig("proving_ground"), CourseDriveSettings(SMALL.world)
             setup = sensor_setup(planner, sensor_suite(drive.sensors), rig)

@@ -10,13 +10,13 @@ from offpiste.closed_loop.courses import CourseSettings
 from offpiste.closed_loop.drive_course import CourseDriveSettings, described, drive_course
 from offpiste.core.conventions import FEATURE_SETS
 from offpiste.core.parallel import at_a_time
-from offpiste.dataset.extract import make_dataset
 from offpiste.dataset.fit_pca import fit_pca, write_image_list
 from offpiste.dataset.map_snapshots import SnapshotSettings
 from offpiste.dataset.splits import parse_split, write_drives
 from offpiste.dataset.store import Dataset
 from offpiste.evaluation.evaluate_runs import evaluate_runs
 from offpiste.evaluation.report import headline_texts
+from offpiste.inspection.extract import extract
 from offpiste.inspection.inspect import inspect_log
 from offpiste.inspection.render import render
 from offpiste.logs import open_log
@@ -120,7 +120,7 @@ def _extracted(logs: list[Path], rig: Rig, out: Path, settings: DemoSettings, pr
         f"4/{STEPS}  offpiste extract {out}/logs/*.mcap --rig proving_ground --pca {pca} --split {split} --out {path}"
     )
     kept = SnapshotSettings(settings.snapshot_seconds)
-    return make_dataset(logs, rig, path, split=split, pca=pca, snapshots=kept, processes=processes, force=True)
+    return extract(logs, rig, path, split=split, pca=pca, snapshots=kept, processes=processes, force=True)
 
 
 def _trained(model: str, dataset: Dataset, out: Path, settings: DemoSettings) -> Path:

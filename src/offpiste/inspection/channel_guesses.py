@@ -6,11 +6,12 @@ from dataclasses import dataclass
 from typing import Final
 
 from offpiste.core.channels import ACTUATORS, CONTROLS, all_actuators, all_controls
-from offpiste.inspection.commanded_motion import COMMANDED, is_asked_for, motion_commands
+from offpiste.inspection.commanded_motion import is_asked_for, motion_commands
 from offpiste.inspection.field_groups import are_quaternions, field_groups, fours
 from offpiste.logs.log import Log, Topic
 from offpiste.logs.transforms import STAMPED, frame_pair
 from offpiste.rig.labels import (
+    COMMANDED,
     COURSE_NAMES,
     PRESSURES,
     Label,

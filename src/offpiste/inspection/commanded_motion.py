@@ -14,17 +14,9 @@ from offpiste.logs.channel import Channel
 from offpiste.logs.log import Topic
 from offpiste.rig.channels import TURN_RATES
 from offpiste.rig.edits import number
-from offpiste.rig.labels import Label, channel_unit
+from offpiste.rig.labels import COMMANDED, MEASURED, Label, channel_unit
 from offpiste.rig.rig import Rig
 
-COMMANDED: Final = re.compile(r"cmd|com+and|desired|target|setpoint|servo|(?<![a-z])(des|ref)(?![a-z])", re.IGNORECASE)
-"""Names of what is asked for, not measured."""
-_MEASURED: Final = re.compile(
-    r"status|report|rpt|feedback|measured|actual|steered|car_?state|handle_?bar|"
-    r"(steer(ing)?|str|stg|hand)[ _]?(wheel|whl)[ _]?(ang|pos)",
-    re.IGNORECASE,
-)
-"""Names of a steering that is measured, where nothing says that it is asked for."""
 _ALWAYS: Final = "ackermann_msgs/"
 """Types of messages that are commands unless their topic is called measured."""
 _WORDS: Final = re.compile(r"[ ._/]*(cmd|com+and(ed)?|desired|target|setpoint|(?<![a-z])(des|ref)(?![a-z]))[ ._/]*")
@@ -62,7 +54,7 @@ def motion_commands(topic: Topic, named: Mapping[str, Label]) -> Iterator[tuple[
 
 def is_asked_for(topic: Topic, fields: tuple[str, ...] = ()) -> bool:
     """Whether a topic, or any of these fields of it, is a command by its type or its name."""
-    if topic.type.startswith(_ALWAYS) and not _MEASURED.search(topic.name):
+    if topic.type.startswith(_ALWAYS) and not MEASURED.search(topic.name):
         return True
     return any(COMMANDED.search(name) for name in (topic.name, *fields))
 
@@ -120,11 +112,3 @@ def is_turn_rate(channel: Channel, path: DrivenPath, rig: Rig) -> bool:
     one = np.ones((len(path.time), 1))
     fit = fit_lags(path.yaw_rate, one, lagged(channel, path.time, rig), LAGS, moving_rows(path))
     return fit is not None and (fitted is None or fit.strength >= fitted.steady.strength)
-
-
-def is_measured_steering(name: str, rig: Rig) -> bool:
-    """Whether a steering channel is where the wheels are, not what is asked for: by its names, or read as both."""
-    if name == "steer_angle" or rig.reads_alike("steer", "steer_angle"):
-        return True
-    names = " ".join((rig.channels[name].topic, *rig.channels[name].fields))
-    return _MEASURED.search(names) is not None and COMMANDED.search(names) is None

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from offpiste.core.errors import OffpisteError
 from offpiste.inspection.channel_guesses import Guess, labels
-from offpiste.inspection.commanded_motion import COMMANDED, is_asked_for
+from offpiste.inspection.commanded_motion import is_asked_for
 from offpiste.inspection.driven_path import DrivenPath, driven_path
 from offpiste.inspection.lags import LAGS, LagFit, fit_lags, lagged
 from offpiste.inspection.pedals import pedal_fit
@@ -22,6 +22,7 @@ from offpiste.logs.channel import Channel, read_channel
 from offpiste.logs.drive import drive_from_log
 from offpiste.logs.log import Log, Topic
 from offpiste.rig.channels import ChannelSource
+from offpiste.rig.labels import COMMANDED
 from offpiste.rig.rig import Rig
 
 _FOLLOWS: Final = {"steer": 0.75, "throttle": 0.45, "brake": 0.35}

@@ -10,7 +10,6 @@ from jaxtyping import Float
 
 from offpiste.core.errors import LogError, OffpisteError
 from offpiste.inspection.channel_guesses import DOWN, Guess, by_topic, of_one_vehicle
-from offpiste.inspection.commanded_motion import COMMANDED
 from offpiste.inspection.course import check_course
 from offpiste.inspection.draft_values import BY_NUMBERS, heading_by_numbers
 from offpiste.inspection.driven_path import driven_path
@@ -24,7 +23,7 @@ from offpiste.logs.drive import drive_from_log
 from offpiste.logs.log import Log
 from offpiste.rig.channels import GEOGRAPHIC
 from offpiste.rig.edits import edited
-from offpiste.rig.labels import channel_unit, named_course, named_down
+from offpiste.rig.labels import COMMANDED, channel_unit, named_course, named_down
 from offpiste.rig.rig import Rig
 
 _POSE: Final = ("position", "orientation", "yaw", "linear_velocity", "angular_velocity")

@@ -19,7 +19,6 @@ from offpiste.inspection.draft_channels import Found, draft_channels, of_other_v
 from offpiste.inspection.draft_pose import Entry, field_values, points_down, pose_cure
 from offpiste.inspection.draft_sensors import draft_sensors
 from offpiste.inspection.draft_values import (
-    GUESSED,
     MASS,
     SMALL_CAR,
     WHEELBASES,
@@ -43,7 +42,7 @@ from offpiste.logs.log import Log
 from offpiste.rig.channels import ANGLES, ChannelSource, Clock, undeclared
 from offpiste.rig.edits import edited
 from offpiste.rig.labels import is_array_entry
-from offpiste.rig.rig import Rig, parse_rig
+from offpiste.rig.rig import GUESSED, Rig, parse_rig
 
 _NO_STEERING = (
     "# MISSING: steering: {why}; no model can do without. Add [channels.steer] and take steer out of"

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from offpiste.core.errors import OffpisteError
 from offpiste.core.geometry import local_from_geographic
 from offpiste.inspection.channel_guesses import Guess
-from offpiste.inspection.commanded_motion import COMMANDED, commanded_curvature
+from offpiste.inspection.commanded_motion import commanded_curvature
 from offpiste.inspection.driven_path import DrivenPath, driven_path
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.steering_fit import steering_fits
@@ -18,6 +18,7 @@ from offpiste.logs.drive import Drive, drive_from_log
 from offpiste.logs.log import Log, Samples
 from offpiste.rig.channels import GEOGRAPHIC, unit_factor
 from offpiste.rig.edits import Edit, rounded
+from offpiste.rig.labels import COMMANDED
 from offpiste.rig.rig import Rig, Vehicle
 
 MASS: Final = 1000.0
@@ -26,8 +27,6 @@ WHEELS: Final = ((1.0, 0.7), (1.0, -0.7), (-1.0, 0.7), (-1.0, -0.7))
 """Its wheels, from its middle [m]."""
 SMALL_CAR: Final = WHEELS[0][0] - WHEELS[2][0]
 """Its wheelbase [m]; the masses of vehicles go with the cube of theirs."""
-GUESSED: Final = "GUESSED"
-"""What `vehicle.source` begins with until it names a source."""
 DRAFTED: Final = "mass and wheel positions are still those of the draft"
 """The finding while `vehicle.source` still says so, or nothing."""
 WIDEST: Final = 1.05
@@ -228,7 +227,7 @@ def check_size(rig: Rig) -> list[Finding]:
 
 def _left(vehicle: Vehicle) -> list[str]:
     """What may still be made up."""
-    guessed = vehicle.source.startswith(GUESSED)
+    guessed = vehicle.is_guessed
     as_drafted = not vehicle.source and vehicle.mass == MASS and vehicle.wheel_positions == WHEELS
     if not guessed and not as_drafted:
         return []

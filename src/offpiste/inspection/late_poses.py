@@ -12,7 +12,6 @@ from typing import Final
 import numpy as np
 
 from offpiste.core.geometry import planar_body_from_world
-from offpiste.inspection.commanded_motion import is_measured_steering
 from offpiste.inspection.driven_path import STEP, DrivenPath, fit_delayed
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.lags import SURE, LagFit, fit_lags
@@ -21,6 +20,7 @@ from offpiste.inspection.steering_fit import SteeringFit, moving_rows
 from offpiste.inspection.velocity import fit_frames, fit_turn_rate, fit_wheel_speed, turn_rate_name
 from offpiste.logs.drive import Drive
 from offpiste.rig.edits import Edit
+from offpiste.rig.labels import is_measured_steering
 
 _LATE: Final = 0.12
 """Delays from here on are reported [s]."""

@@ -13,7 +13,6 @@ from jaxtyping import Float
 
 from offpiste.core.conventions import GRAVITY
 from offpiste.core.geometry import rotation_from_quaternion
-from offpiste.inspection.commanded_motion import is_measured_steering
 from offpiste.inspection.course import under_way
 from offpiste.inspection.driven_path import STEP, DrivenPath, on_path
 from offpiste.inspection.findings import Cure, Finding
@@ -26,7 +25,7 @@ from offpiste.inspection.steering_scale import check_scale, scale_note
 from offpiste.logs.drive import Drive
 from offpiste.rig.channels import unit_factor
 from offpiste.rig.edits import Edit, absent, rounded
-from offpiste.rig.labels import parse_label
+from offpiste.rig.labels import is_measured_steering, parse_label
 from offpiste.rig.rig import Rig
 
 _STEADY_OWN: Final = (-0.08, 0.5)

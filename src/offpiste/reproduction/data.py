@@ -10,13 +10,13 @@ from typing import Any
 from offpiste.core.conventions import DT, FEATURE_SETS
 from offpiste.core.errors import DatasetError
 from offpiste.core.parallel import at_a_time
-from offpiste.dataset.extract import make_dataset
 from offpiste.dataset.fit_pca import fit_pca
 from offpiste.dataset.map_snapshots import SnapshotSettings
 from offpiste.dataset.place import drive_names
 from offpiste.dataset.splits import GAP, PARTS, parse_split, write_drives
 from offpiste.dataset.store import Dataset, open_dataset
 from offpiste.dataset.windows import Windows
+from offpiste.inspection.extract import extract
 from offpiste.perception.backbones import open_backbone
 from offpiste.perception.pca import save_pca
 from offpiste.reproduction.settings import PCA_SWEPT, ReproductionSettings, Size
@@ -241,7 +241,7 @@ def _make(
 ) -> None:
     logs, split = _logs(settings, drives), _split(settings, drives)
     rig, cluster = rig_of(settings.size), settings.cluster
-    make_dataset(logs, rig, out, split=split, shard=shard, cluster=cluster, force=True, **options)
+    extract(logs, rig, out, split=split, shard=shard, cluster=cluster, force=True, **options)
 
 
 def _extracted(settings: ReproductionSettings, drives: list[PlannedDrive]) -> bool:

@@ -13,11 +13,20 @@ from jaxtyping import Float
 from offpiste.core.channels import in_english
 from offpiste.core.errors import RigError
 from offpiste.rig.channels import known_channels, unit_factor
+from offpiste.rig.rig import Rig
 
 PER_SECOND: Final = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9, "d": 1 / 86_400}
 """Time units per second; spreadsheets count days."""
 _SINCE_1970: Final = (1.0e9, 4.1e9)
 """Seconds from 1970 to 2001 and to 2100."""
+COMMANDED: Final = re.compile(r"cmd|com+and|desired|target|setpoint|servo|(?<![a-z])(des|ref)(?![a-z])", re.IGNORECASE)
+"""Names of commands."""
+MEASURED: Final = re.compile(
+    r"status|report|rpt|feedback|measured|actual|steered|car_?state|handle_?bar|"
+    r"(steer(ing)?|str|stg|hand)[ _]?(wheel|whl)[ _]?(ang|pos)",
+    re.IGNORECASE,
+)
+"""Names of measured steering, unless `COMMANDED` matches, too."""
 RATES: Final = (0.2, 20_000.0)
 """Plausible sampling rates of recordings [Hz]."""
 
@@ -248,3 +257,11 @@ def named_course(field: str) -> bool:
 def _last_letter(name: str) -> str:
     found = _AXIS_NAME.findall(name)
     return str(found[-1]) if found else ""
+
+
+def is_measured_steering(name: str, rig: Rig) -> bool:
+    """Return whether a steering channel holds a measured angle, not a command, judging by its names."""
+    if name == "steer_angle" or rig.reads_alike("steer", "steer_angle"):
+        return True
+    names = " ".join((rig.channels[name].topic, *rig.channels[name].fields))
+    return MEASURED.search(names) is not None and COMMANDED.search(names) is None

@@ -18,6 +18,9 @@ from offpiste.rig.channels import Alignment, ChannelSource, Clock, check_channel
 from offpiste.rig.outputs import Live, Output, check_names, check_outputs
 from offpiste.rig.sensors import CameraSource, Frames, LidarSource, beside, check_sensors
 
+GUESSED: Final = "GUESSED"
+"""Prefix of `Vehicle.source` in a drafted rig."""
+
 
 class Vehicle(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Mass and geometry of a vehicle.
@@ -33,6 +36,11 @@ class Vehicle(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     pose_point: str
     max_steer: float = 0.0
     source: str = ""
+
+    @property
+    def is_guessed(self) -> bool:
+        """Whether mass and geometry are those of a drafted rig."""
+        return self.source.startswith(GUESSED)
 
     @property
     def rear_axle(self) -> float:
