@@ -106,7 +106,10 @@ def test_rows_that_are_not_finite(copied: Path, good: Path, tmp_path: Path, erro
     train = ("train", copied, "--out", tmp_path / "run", *QUICK)
     for command in (train, ("evaluate", good.parent / "b", "--dataset", copied)):
         line = error_of(*command)
-        assert "drive 'circle-0': 'state_causal' is not finite in 30 rows that are marked complete, the first" in line
+        assert (
+            "drive 'circle-0' cannot be read ('state_causal' is not finite in 30 rows marked complete, the first"
+            in line
+        )
         assert "row 100" in line
 
 
@@ -305,7 +308,7 @@ def test_a_run_that_states_the_impossible(
     [
         ("time", lambda values: values[::-1], "'time' does not rise"),
         ("part", lambda values: np.full_like(values, 9), "'part' holds no parts"),
-        ("cells/index", lambda values: np.full_like(values, 10_000_000), "'cells/index' counts beyond the cells"),
+        ("cells/index", lambda values: np.full_like(values, 10_000_000), "'cells/index' exceeds the cells"),
     ],
 )
 def test_arrays_that_do_not_fit_together(

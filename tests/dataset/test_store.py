@@ -210,7 +210,7 @@ def test_what_is_no_dataset_is_an_error(tmp_path):
 
 def test_a_folder_of_something_else_is_not_taken_for_a_new_dataset(tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
-    with pytest.raises(DatasetError, match="is a folder of something else than a dataset; give another one as --out"):
+    with pytest.raises(DatasetError, match="is a folder without a dataset; give another folder as --out"):
         store.create(tmp_path, small_rig(), SPLIT)
     assert [file.name for file in tmp_path.iterdir()] == ["notes.txt"]
     (tmp_path / "empty").mkdir()

@@ -176,7 +176,7 @@ def pca_overlap(extractor: FeatureExtractor, rows: Rows, job: Job) -> tuple[str,
     about = extractor.pca.fitted_on
     if job.name not in about.get("logs", ()):
         return ()
-    position = rows.state[:, :2] + rows.origin
+    position = rows.world_xy
     try:
         # Parts as they were at that time: the file of a split by drives may have changed.
         fitted = stored_split(str(about.get("split")), about.get("split_drives", ())).label(job.name, position) == 0
@@ -192,7 +192,7 @@ def snapshot_starts(rows: Rows, job: Job) -> list[Bool[np.ndarray, " N"]]:
     """Return the rows at which windows start, for each part that gets snapshots."""
     speed = job.settings.snapshots.min_speed
     speed = min_evaluation_speed(job.rig.vehicle.wheelbase) if speed is None else speed
-    part = job.settings.split.label(job.name, rows.state[:, :2] + rows.origin)
+    part = job.settings.split.label(job.name, rows.world_xy)
     result = []
     for name in job.settings.snapshots.parts:
         starts = np.zeros(len(part), bool)

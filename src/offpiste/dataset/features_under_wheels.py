@@ -1,4 +1,4 @@
-"""Features and surface normals under the wheels, by feature set; read from disk in pieces."""
+"""Features and surface normals under the wheels by feature set, read from disk on demand."""
 
 import os
 from collections.abc import Sequence
@@ -14,20 +14,19 @@ from offpiste.core.state import Terrain
 from offpiste.dataset.feature_sets import FeatureSetChoice
 
 MOSTLY: Final = 0.95
-"""Share of the cells read that windows touch, above which the others stay: to leave them out takes longer."""
+"""Share of touched cells among those read, above which dropping the others takes longer than keeping them."""
 
 
 def to_device(array: np.ndarray, device: torch.device) -> Tensor:
-    """An array on a device; to a GPU it goes from pinned memory, without waiting for it."""
+    """Move an array to a device; to a GPU asynchronously from pinned memory."""
     tensor = torch.from_numpy(array)
     return tensor.pin_memory().to(device, non_blocking=True) if device.type == "cuda" else tensor.to(device)
 
 
 class ArrayReader:
-    """Reads pieces [d, first:end] of an array [D, M, ...].
+    """Reader of pieces [d, first:end] of an array [D, M, ...].
 
-    Pieces of a memory-mapped array are read from its file with `preadv`, past the mapping: pages of a mapping that were
-    touched would count as resident, and in the end all of them are.
+    Memory-mapped arrays are read with `preadv`, because touched pages of the mapping would stay resident.
     """
 
     def __init__(self, array: np.ndarray) -> None:
@@ -42,7 +41,7 @@ class ArrayReader:
             os.close(self._file)
 
     def read(self, lead: int, first: int, out: np.ndarray) -> None:
-        """Fill `out` [end - first, ...] with rows from `first` on of the part `lead`.
+        """Fill `out` [end - first, ...] with rows of the part `lead`, starting at `first`.
 
         Raises:
             EOFError: the file is cut short.
@@ -62,13 +61,12 @@ class ArrayReader:
 
 @dataclass(frozen=True)
 class Cells:
-    """Ground cells that the wheels of a drive touched, numbered by first visit.
+    """Ground cells touched by the wheels of a drive, numbered by first visit; all but `index` by feature set.
 
     Attributes:
-        index: cell under each wheel at each row; -1 where the map has none.
-        features: by feature set.
-        valid: whether a cell has features in a set.
-        distance: from sensor to point when they were observed [m]; NaN where unknown.
+        index: cell under each wheel at each row; -1 outside the map.
+        valid: whether a cell has features.
+        distance: from sensor to point at observation [m]; NaN where unknown.
         elevation: of the ground [m]; NaN where unknown.
     """
 
@@ -81,13 +79,12 @@ class Cells:
 
 @dataclass(frozen=True)
 class FeaturesUnderWheels:
-    """Features of the ground cells that a batch of windows touches, each cell once; a few are between them.
+    """Features of the ground cells that a batch of windows touches, each cell once, and a few cells in between.
 
     Attributes:
-        features: of the cells; the last one stands for wheels on no cell, all NaN.
+        features: of the cells; the last row, all NaN, stands for wheels outside the map.
         valid: whether a cell has features.
-        past: number of the cell under each wheel at rows t-10 ... t-1.
-        ahead: the same at rows t ... t+T-1.
+        past, ahead: row of the cell under each wheel at rows t-10 ... t-1 and t ... t+T-1 of the windows.
     """
 
     features: Float[Tensor, "M F"]
@@ -97,12 +94,7 @@ class FeaturesUnderWheels:
 
 
 class CellTable:
-    """Cells of all drives; their features are read when windows need them.
-
-    Args:
-        cells: of the drives, in the order of their rows.
-        device: where what is read goes.
-    """
+    """Cells of all drives, in the order of their rows, with features read on demand."""
 
     def __init__(self, cells: list[Cells], device: torch.device) -> None:
         sizes = [c.features.shape[1] for c in cells]
@@ -118,17 +110,13 @@ class CellTable:
 
     @property
     def sets(self) -> int:
-        """How many feature sets there are."""
+        """Number of feature sets."""
         return len(self._valid)
 
     def under(
         self, start: Int[np.ndarray, " B"], count: int, feature_set_choice: FeatureSetChoice, history: int = 0
     ) -> FeaturesUnderWheels:
-        """Features of the cells under the wheels at `count` rows from `start`.
-
-        Args:
-            history: how many of them are past.
-        """
+        """Return features of the cells under the wheels at `count` rows from `start`, `history` of them past."""
         cell: Int[np.ndarray, "B R 4"] = self._index[start[:, None] + np.arange(count)]
         sets = np.broadcast_to(feature_set_choice.features[..., None], cell.shape)
         known = cell >= 0
@@ -161,11 +149,11 @@ class CellTable:
 def _merged(
     cell: Int[np.ndarray, "B R 4"], sets: Int[np.ndarray, "B S"], stored: int, cells: int
 ) -> tuple[Int[np.ndarray, "B D"], list[tuple[int, int, int, int]], int]:
-    """Ranges of cells that hold what windows touch, each read once.
+    """Merge the ranges of cells that windows touch, so that each cell is read once.
 
     Returns:
-        What to add to a cell's number, by window and set, for its place among all that is read; the ranges: set, place
-        of the first, number of the first, how many; and how many cells are read in all.
+        Offset from a cell's number to its row among the cells read, by window and set; ranges as (set, first row,
+        first cell, count); number of cells read.
     """
     windows = len(cell)
     known = cell >= 0
@@ -193,11 +181,10 @@ def _merged(
 
 
 class NormalsUnderWheels:
-    """Surface normals of all drives; those of a map are many, and are read when windows need them.
+    """Surface normals of all drives; those by feature set are read on demand.
 
     Args:
         normals: [D, N, 4, 3] of the drives, in the order of their rows; NaN where unknown.
-        device: where what is read goes.
     """
 
     def __init__(self, normals: Sequence[np.ndarray], device: torch.device) -> None:
@@ -208,11 +195,11 @@ class NormalsUnderWheels:
         self._whole = self.whole() if len(normals[0]) == 1 else None
 
     def whole(self) -> Float[Tensor, "N 4 3"]:
-        """Normals of the first feature set at every row."""
+        """Return normals of the first feature set at every row."""
         return torch.as_tensor(np.concatenate([n[0] for n in self._arrays]), device=self._device)
 
     def at(self, start: Int[np.ndarray, " B"], count: int, sets: Int[np.ndarray, " B"]) -> Float[Tensor, "B R 4 3"]:
-        """Normals at R = `count` rows from `start`, of a feature set for each window; each lies in one drive."""
+        """Return normals at R = `count` rows from `start`, with a feature set per window."""
         if self._whole is not None:
             rows = torch.as_tensor(start[:, None] + np.arange(count), device=self._device)
             return self._whole[rows]
@@ -225,24 +212,20 @@ class NormalsUnderWheels:
 
 
 class LevelNormals:
-    """Level ground in place of `NormalsUnderWheels`.
-
-    Args:
-        device: where batches are made.
-    """
+    """Level ground in place of `NormalsUnderWheels`."""
 
     def __init__(self, device: torch.device) -> None:
         self._up = torch.tensor([0.0, 0.0, 1.0], device=device)
 
     def whole(self) -> Float[Tensor, "N 4 3"]:
-        """Nothing: there is no ground at any row."""
+        """Return no normals."""
         return self._up.expand(0, 4, 3)
 
     def at(self, start: Int[np.ndarray, " B"], count: int, sets: Int[np.ndarray, " B"]) -> Float[Tensor, "B R 4 3"]:
-        """Straight up at R = `count` rows."""
+        """Return vertical normals at R = `count` rows."""
         return self._up.expand(len(start), count, 4, 3)
 
     @staticmethod
     def terrain(normal: Float[Tensor, "*S 4 3"]) -> Terrain:
-        """`Terrain.of` of what `at` gives, which needs no look at every row."""
+        """Return `Terrain.of` the normals of `at` without checking them."""
         return Terrain(normal, normal.new_ones((), dtype=torch.bool).expand(normal.shape[:-1]), normal[..., :0])

@@ -192,7 +192,7 @@ def _find_images(job: Job, report: Report) -> list[Candidate]:
         sensors = open_sensors(log, job.rig)
         sensors.coverage()  # refuses clocks that are not the poses'
         rows = extract_rows(drive_from_log(log, job.rig))
-        training = job.split.label(drive_name(path), rows.state[:, :2] + rows.origin) == 0
+        training = job.split.label(drive_name(path), rows.world_xy) == 0
         return [
             Candidate(job.number, image.camera, _moment(image.time), image_statistics(image.pixels))
             for image in _spaced_images(sensors, rows, training, job.spacing, report)

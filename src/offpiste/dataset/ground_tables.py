@@ -1,4 +1,4 @@
-"""What windows read of the ground, features and normals: on the device where they fit, from disk where not."""
+"""Tables of features and normals that windows read: on the device if they fit, else from disk."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,14 +14,10 @@ from offpiste.dataset.store import Dataset
 
 
 class ResidentCells:
-    """`CellTable` with all cells resident on the device; batches are selected there.
-
-    Args:
-        cells: of the drives, in the order of their rows.
-        device: where they go.
+    """`CellTable` with all cells resident on the device.
 
     Attributes:
-        sets: how many feature sets there are.
+        sets: number of feature sets.
     """
 
     def __init__(self, cells: Sequence[Cells], device: torch.device) -> None:
@@ -37,13 +33,13 @@ class ResidentCells:
     def under(
         self, start: Int[np.ndarray, " B"], count: int, feature_set_choice: FeatureSetChoice, history: int = 0
     ) -> FeaturesUnderWheels:
-        """Features of the cells under the wheels at `count` rows from `start` (`CellTable.under`)."""
+        """Return features of the cells under the wheels (`CellTable.under`)."""
         device, (_, cells, channels) = self._features.device, self._features.shape
         cell = self._index[rows_from(start, count, device)]
         chosen = torch.from_numpy(np.ascontiguousarray(feature_set_choice.features)).to(device)[..., None]
         nowhere = self.sets * cells
         key = torch.where(cell >= 0, chosen * cells + cell, nowhere)
-        # Marks and a running count: torch.unique sorts all keys of a batch for it.
+        # Marks and a running count avoid the sorting of torch.unique.
         touched = torch.zeros(nowhere + 1, dtype=torch.bool, device=device)
         touched[key] = True
         touched[nowhere] = True
@@ -62,27 +58,22 @@ class ResidentCells:
 
 
 def rows_from(start: Int[np.ndarray, " B"], count: int, device: torch.device) -> Int[Tensor, "B R"]:
-    """R = `count` rows from `start`, counted on the device: they would take long to get there."""
+    """Return R = `count` rows from `start`, counted on the device to keep the transfer small."""
     return torch.from_numpy(start).to(device)[:, None] + torch.arange(count, device=device)
 
 
 class ResidentNormals:
-    """`NormalsUnderWheels` that all lie on the device.
-
-    Args:
-        normals: [D, N, 4, 3] of the drives, in the order of their rows; NaN where unknown.
-        device: where they go.
-    """
+    """`NormalsUnderWheels` with all normals resident on the device."""
 
     def __init__(self, normals: Sequence[np.ndarray], device: torch.device) -> None:
         self._values = torch.cat([torch.from_numpy(np.array(n)).to(device) for n in normals], dim=1)
 
     def whole(self) -> Float[Tensor, "N 4 3"]:
-        """Normals of the first feature set at every row."""
+        """Return normals of the first feature set at every row."""
         return self._values[0]
 
     def at(self, start: Int[np.ndarray, " B"], count: int, sets: Int[np.ndarray, " B"]) -> Float[Tensor, "B R 4 3"]:
-        """Normals at R = `count` rows from `start`, of a feature set for each window."""
+        """Return normals at R = `count` rows from `start`, with a feature set per window."""
         device = self._values.device
         chosen = torch.from_numpy(np.ascontiguousarray(sets)).to(device)
         return self._values[chosen[:, None], rows_from(start, count, device)]
@@ -90,22 +81,17 @@ class ResidentNormals:
 
 @dataclass(frozen=True)
 class GroundTables:
-    """The ground of a dataset, which several `Windows` may share.
-
-    Attributes:
-        cells: features under the wheels; None where there are none.
-        normals: surface normals under the wheels.
-    """
+    """Ground of a dataset, which several `Windows` may share; no cells in datasets without features."""
 
     cells: CellTable | ResidentCells | None
     normals: NormalsUnderWheels | ResidentNormals
 
 
 def ground_tables(dataset: Dataset, device: torch.device, budget: int = 0) -> GroundTables:
-    """The ground of a dataset for batches on a device.
+    """Return the ground of a dataset for batches on a device.
 
     Args:
-        budget: bytes that it may take there; where it takes more, batches are read from disk.
+        budget: bytes for resident tables; larger ones are read from disk.
     """
     rows = [drive.rows for drive in dataset.drives]
     normals = [r.normal for r in rows]
@@ -118,5 +104,5 @@ def ground_tables(dataset: Dataset, device: torch.device, budget: int = 0) -> Gr
 
 
 def free_budget(device: torch.device) -> int:
-    """Bytes for `ground_tables`: half of what is free on a GPU, since training keeps more; none on the CPU."""
+    """Return the bytes for `ground_tables`: half of the free memory of a GPU, none on the CPU."""
     return torch.cuda.mem_get_info(device)[0] // 2 if device.type == "cuda" else 0

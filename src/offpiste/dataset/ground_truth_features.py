@@ -1,4 +1,4 @@
-"""A simulator's true ground properties in the place of visual features: an upper bound for any camera."""
+"""True ground properties of a simulator as features: an upper bound for any camera."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -19,7 +19,6 @@ from offpiste.rig.rig import Rig
 REACH = 75.0
 """Reach of a prediction of 5 s around the driven path [m]."""
 
-
 FeatureSource = Literal["none", "ground-truth", "ground-kind"]
 
 LAYERS: dict[FeatureSource, tuple[str, ...]] = {
@@ -27,22 +26,22 @@ LAYERS: dict[FeatureSource, tuple[str, ...]] = {
     "ground-truth": GROUND_PROPERTIES,
     "ground-kind": (*GROUND_KINDS, "wetness"),
 }
-"""Layers of a simulator's map that stand in for visual features: what the ground does to a tyre, or what it is of. On
-ground whose kinds drive alike the second are a placebo."""
+"""Layers of a simulator's map used as features: tyre properties, or the kind of ground. The kind is a placebo
+where all kinds drive alike."""
 
 
 class Grounded(NamedTuple):
-    """Rows with the true ground under their wheels, and the map it was read from."""
+    """Rows with the true ground under their wheels, and its map."""
 
     rows: Rows
     map: TerrainMap
 
 
 def truth_map(log: str | Path, names: Sequence[str]) -> TerrainMap:
-    """Elevation and some layers of the map that a simulated log carries.
+    """Read elevation and layers of the true map in a simulated log.
 
     Raises:
-        LogError: the log has none, or lacks a layer.
+        LogError: the log has no map, or lacks a layer.
     """
     result = read_truth_map(log)
     layers = result.layers
@@ -56,11 +55,8 @@ def truth_map(log: str | Path, names: Sequence[str]) -> TerrainMap:
 
 
 def with_ground_truth(rows: Rows, truth: TerrainMap, rig: Rig) -> Grounded:
-    """Put the true normals and features under the wheels of a drive.
-
-    Wheels are where they are on a level vehicle, as in predictions.
-    """
-    xy = rows.state[:, :2].astype(np.float64) + rows.origin
+    """Return rows with the true normals and features under the wheels of a level vehicle, as in predictions."""
+    xy = rows.world_xy
     known = np.isfinite(xy).all(axis=1)
     low, high = xy[known].min(axis=0) - REACH, xy[known].max(axis=0) + REACH
     ground = truth.cropped(low, high)

@@ -1,4 +1,4 @@
-"""The known cells of maps: lists of them, cropped to what a window may reach, and stacks of them for lookups."""
+"""Known cells of maps: lists cropped to the reach of a window, and stacks for lookups."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,23 +14,22 @@ from offpiste.mapping.terrain_map import TerrainMap
 from offpiste.mapping.terrain_sampler import CellStack, last_cells
 
 CELL_ARRAYS = ("place", "elevation", "rise", "features")
-"""Arrays of a `CellList`; on disk those of all snapshots lie one after the other."""
-
+"""Arrays of a `CellList`; on disk, those of all snapshots are concatenated."""
 
 _STARTING, _BACKWARDS = 4.0, 0.5
-"""Mean speed that a vehicle which starts may reach, and speed from which it goes backwards [m/s]."""
+"""Mean speed that a starting vehicle may reach, and speed above which it drives backwards [m/s]."""
 
 
 @dataclass(frozen=True)
 class CellList:
-    """The known cells of a map.
+    """Known cells of a map.
 
     Attributes:
         origin: x, y of the centre of cell [0, 0] of the map [m].
         shape: rows and columns of the map.
         place: row * columns + column.
         elevation: [m].
-        rise: towards +x and +y; NaN where unknown.
+        rise: slope towards +x and +y; NaN where unknown.
         features: NaN where missing.
     """
 
@@ -42,7 +41,7 @@ class CellList:
     features: Float16[np.ndarray, "C F"]
 
     def terrain_map(self, resolution: float) -> TerrainMap:
-        """The map again, NaN in all other cells."""
+        """Return the map, NaN in all other cells."""
         ny, nx = self.shape
 
         def spread(values: np.ndarray) -> np.ndarray:
@@ -54,7 +53,7 @@ class CellList:
         return TerrainMap(self.origin, resolution, spread(self.elevation), spread(self.features), rise)
 
     def near(self, path: Float[np.ndarray, "P 2"], margin: float, resolution: float) -> "CellList":
-        """The cells within `margin` of the points of a path, on a grid that is no larger than they need.
+        """Return the cells within `margin` of the points of a path, on the smallest grid that holds them.
 
         Args:
             path: x, y in the world frame [m].
@@ -70,11 +69,10 @@ class CellList:
 
 
 def crop(terrain: TerrainMap, state: Float[np.ndarray, " 6"], margin: float) -> CellList:
-    """The known cells of a map that a window may come to.
+    """Copy the known cells of a map within reach of a window.
 
     Args:
-        terrain: a view is enough: the values are copied.
-        state: at the window's start, px and py in the world frame.
+        state: at the window's start, with px and py in the world frame.
         margin: of `map_snapshots.SnapshotSettings` [m].
     """
     half = 0.5 * HORIZON_STEPS * DT * max(float(np.hypot(state[3], state[4])), _STARTING)
@@ -97,7 +95,7 @@ def crop(terrain: TerrainMap, state: Float[np.ndarray, " 6"], margin: float) -> 
 
 
 def stack_cells(cells: Sequence[CellList], resolution: float, *, device: torch.device | str = "cpu") -> CellStack:
-    """Maps as tensors, for lookups."""
+    """Stack maps as tensors for lookups."""
     ny, nx = (max(c.shape[axis] for c in cells) for axis in (0, 1))
     place = np.full((len(cells), ny, nx), -1, np.int32)
     first = np.cumsum([0] + [len(c.place) for c in cells])

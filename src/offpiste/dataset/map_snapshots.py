@@ -1,7 +1,4 @@
-"""The map as it was when a window starts, for windows of validation and test: what a planner would have read.
-
-A snapshot is cropped to what five seconds can reach, and holds only cells of which something is known (`known_cells`).
-"""
+"""Snapshots of the map at the start of validation and test windows, as a planner would have read it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,10 +18,10 @@ from offpiste.dataset.stored_arrays import open_stored, refuse_expanding
 from offpiste.mapping.terrain_map import TerrainMap
 
 CHUNK = 8192
-"""Cells in a chunk of the store; a snapshot has some ten thousand."""
+"""Cells per chunk of the store; a snapshot has some ten thousand."""
 
 _MOST_CELLS: Final = 1 << 22
-"""Most cells of a snapshot, known or not: it reaches some 50 m around the vehicle."""
+"""Largest number of cells of a snapshot, known or not: it reaches some 50 m around the vehicle."""
 
 
 @dataclass(frozen=True)
@@ -32,16 +29,16 @@ class SnapshotSettings:
     """Selection of windows with map snapshots, and extent of the snapshots.
 
     Attributes:
-        seconds: least time between two snapshots of a part [s].
-        parts: whose windows get one; training needs none.
-        most: snapshots of one part of one drive; a longer part has them further apart.
-        margin: the map is kept within this and half the way of five seconds at the window's first speed, or that of
-            starting, around the place half that way straight ahead, or behind where it goes backwards [m].
-        latency: the map holds what was measured this long before the window's start, or earlier [s].
-        min_speed: windows that start above it get one [m/s], 0: standstills as well; None: as the dataset's windows.
+        seconds: shortest time between two snapshots of a part [s].
+        parts: parts with snapshots; training needs none.
+        most: largest number of snapshots per part of a drive; a longer part has them further apart.
+        margin: added to the radius of the map: half the distance of five seconds at the window's first speed, around
+            the point half that distance ahead, or behind when driving backwards [m].
+        latency: shortest age of a measurement in the map at the window's start [s].
+        min_speed: speed above which windows get a snapshot [m/s]; 0 includes standstills, None: the dataset's.
 
     Raises:
-        DatasetError: the latency is no time from 0 to 1 s, or `seconds` or the speed none of 0 or more.
+        DatasetError: the latency is not from 0 to 1 s, or `seconds` or `min_speed` is negative or not finite.
     """
 
     seconds: float = 0.5
@@ -61,10 +58,10 @@ class SnapshotSettings:
 
 
 class SnapshotSchedule:
-    """Decides at which rows a snapshot is taken, as a drive is replayed.
+    """Choice of the rows at which snapshots are taken while a drive is replayed.
 
     Args:
-        starts: for each part that is evaluated, the rows at which its windows start.
+        starts: rows at which windows start, for each evaluated part.
     """
 
     def __init__(self, starts: Sequence[Bool[np.ndarray, " N"]], settings: SnapshotSettings) -> None:
@@ -73,7 +70,7 @@ class SnapshotSchedule:
         self._latest = [-np.inf] * len(starts)
 
     def at(self, row: int) -> bool:
-        """Whether one is wanted at `row`; rows must rise from call to call."""
+        """Return whether to take a snapshot at `row`; rows must increase from call to call."""
         for part, starts in enumerate(self._starts):
             if 0 <= row < len(starts) and starts[row] and row - self._latest[part] >= self._apart[part]:
                 self._latest[part] = row
@@ -82,12 +79,12 @@ class SnapshotSchedule:
 
 
 class SnapshotWriter:
-    """Writes snapshots of one drive into a new folder, one after the other, so that none stays in memory.
+    """Writer of the snapshots of one drive into a new folder, one at a time.
 
     Args:
         folder: of a Zarr group.
         resolution: of the maps [m].
-        features: F.
+        features: number of features.
         latency: of `SnapshotSettings` [s].
     """
 
@@ -98,7 +95,7 @@ class SnapshotWriter:
         self._first = [0]
         self._origin: list[np.ndarray] = []
         self._shape: list[tuple[int, int]] = []
-        # Not looked up in the group again: that would forget to write chunks of nothing but zeros.
+        # Kept, because arrays looked up in the group again would not write chunks of zeros.
         self._cells = {
             name: self._group.create_array(
                 name,
@@ -117,7 +114,7 @@ class SnapshotWriter:
         }
 
     def add(self, row: int, cells: CellList) -> None:
-        """A snapshot for the window that starts at `row` of its drive."""
+        """Add a snapshot for the window that starts at `row` of its drive."""
         for name, array in self._cells.items():
             array.append(getattr(cells, name))
         self._row.append(row)
@@ -126,7 +123,7 @@ class SnapshotWriter:
         self._shape.append(cells.shape)
 
     def close(self) -> None:
-        """Write what finds them again."""
+        """Write the index of the snapshots."""
         for name, values in (
             ("row", np.array(self._row, np.int64)),
             ("first", np.array(self._first, np.int64)),
@@ -138,16 +135,15 @@ class SnapshotWriter:
 
 @dataclass(frozen=True)
 class Snapshots:
-    """Snapshots of one drive, read when windows need them.
+    """Snapshots of one drive, read on demand.
 
     Attributes:
-        folder: where they are stored.
         resolution: of the maps [m].
-        latency: from their last measurement to the start of their windows, at least [s].
-        row: at which windows they were taken, rising.
-        first: of the cells of each, and how many there are in all.
-        origin, shape: of each.
-        cells: `CellList.place`, `elevation`, `rise` and `features` of all, on disk.
+        latency: shortest time from the last measurement to the start of the window [s].
+        row: rows at which snapshots were taken, increasing.
+        first: index of each snapshot's first cell, and the number of all cells.
+        origin, shape: of each map.
+        cells: `CELL_ARRAYS` of all snapshots, on disk.
     """
 
     folder: Path
@@ -160,10 +156,10 @@ class Snapshots:
     cells: dict[str, Any]
 
     def known_cells(self, number: int) -> CellList:
-        """The known cells of snapshot `number`.
+        """Read the known cells of snapshot `number`.
 
         Raises:
-            DatasetError: what is stored of it is damaged.
+            DatasetError: they are damaged.
         """
         begin, end = self.first[number : number + 2].tolist()
         ny, nx = self.shape[number].tolist()
@@ -184,15 +180,15 @@ class Snapshots:
         return CellList(self.origin[number], (ny, nx), **read)
 
     def load(self, number: int) -> TerrainMap:
-        """The map of snapshot `number`."""
+        """Read the map of snapshot `number`."""
         return self.known_cells(number).terrain_map(self.resolution)
 
 
 def open_snapshots(folder: Path) -> Snapshots:
-    """Snapshots that a `SnapshotWriter` wrote.
+    """Open snapshots of a `SnapshotWriter`.
 
     Raises:
-        KeyError, OSError, ValueError: the folder is cut short.
+        KeyError, OSError, ValueError: the folder is incomplete.
     """
     group = open_stored(folder)
     arrays = dict(group.arrays())

@@ -1,4 +1,4 @@
-"""Rows at 50 Hz: the columns of a drive on an even grid of time, with nothing guessed and nothing filled."""
+"""Resampling of a drive to rows at 50 Hz."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
@@ -19,17 +19,16 @@ class Rows:
     """A drive on an even grid of `conventions.DT` (docs/formats.md).
 
     Attributes:
-        time: [s], by the pose's clock.
-        origin: what was subtracted from px, py [m], so that float32 is fine.
-        state, state_causal: targets, and the estimate from the past only (`conventions.STATE`).
-        actuators, control: in the columns of `Rig.actuators` and `Rig.controls`; NaN where absent.
-        actuators_causal, control_causal: the same from samples stamped at or before each row only.
-        normal: surface normals in the world frame, by feature set (D = 1 without a map) and wheel; NaN where a map does
-            not know them.
-        normal_causal: of the path driven until each row, whatever else gives `normal`.
-        valid: rows where nothing that the log should have is missing.
-        cells: the ground cells under the wheels and their features, where a map gave them.
-        extra: columns of `COLUMNS` beyond these, by name.
+        time: by the pose's clock [s].
+        origin: subtracted from px, py so that float32 is precise enough [m].
+        state, state_causal: smoothed targets, and estimates from the past only (`conventions.STATE`).
+        actuators, control: columns of `Rig.actuators` and `Rig.controls`; NaN where absent.
+        actuators_causal, control_causal: the same from samples stamped at or before each row.
+        normal: surface normals in the world frame by feature set (D = 1 without a map) and wheel; NaN where unknown.
+        normal_causal: normal of the path driven until each row.
+        valid: rows with all channels of the rig.
+        cells: ground cells under the wheels and their features, from a map.
+        extra: other columns of `COLUMNS`, by name.
     """
 
     time: Float[np.ndarray, " N"]
@@ -48,11 +47,16 @@ class Rows:
 
     @property
     def distance(self) -> float:
-        """Metres driven over the valid rows."""
+        """Distance driven in valid rows [m]."""
         return float(np.hypot(*self.state[self.valid, 3:5].T).sum() * DT)
 
+    @property
+    def world_xy(self) -> Float[np.ndarray, "N 2"]:
+        """Positions in the world frame in double precision [m]."""
+        return np.asarray(self.state[:, :2] + self.origin, np.float64)
+
     def column(self, name: str) -> np.ndarray:
-        """A column of `COLUMNS`; NaN where these rows were made without it."""
+        """Return a column of `COLUMNS`; NaN if these rows lack it."""
         if name in OWN_COLUMNS:
             return np.asarray(getattr(self, name))
         if name in self.extra:
@@ -60,11 +64,11 @@ class Rows:
         return np.full((len(self.time), *COLUMNS[name].shape), np.nan, np.float32)
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """All that there is for each row, by name."""
+        """Return all arrays with a value per row, by name."""
         return {"time": self.time, **{name: self.column(name) for name in COLUMNS}, "valid": self.valid}
 
     def cut(self, window: slice) -> "Rows":
-        """Some of the rows; their cells keep their numbers."""
+        """Return some of the rows; cells keep their numbers."""
         cells = None if self.cells is None else replace(self.cells, index=self.cells.index[window])
         arrays = self.arrays()
         for name, values in arrays.items():
@@ -74,23 +78,23 @@ class Rows:
 
 
 OWN_COLUMNS = frozenset(f.name for f in fields(Rows)) - {"time", "origin", "valid", "cells", "extra"}
-"""Columns that are attributes of `Rows`, as every model reads them."""
+"""Columns that are attributes of `Rows`."""
 
 
 def rows_from_arrays(
     arrays: Mapping[str, np.ndarray], origin: Float[np.ndarray, " 2"], cells: Cells | None = None
 ) -> Rows:
-    """Rows from what `Rows.arrays` gives."""
+    """Return rows from the arrays of `Rows.arrays`."""
     own = {name: arrays[name] for name in ("time", *OWN_COLUMNS, "valid")}
     extra = {name: values for name, values in arrays.items() if name not in own}
     return Rows(origin=origin, cells=cells, extra=extra, **own)
 
 
 def extract_rows(drive: Drive) -> Rows:
-    """Bring a drive to 50 Hz: every column of `COLUMNS`, and which rows are complete.
+    """Resample every column of `COLUMNS` to 50 Hz and mark complete rows; nothing is extrapolated or filled.
 
     Raises:
-        LogError: the channels have no common time, or no second of it is complete.
+        LogError: the channels share no time, or less than a second of complete rows.
     """
     start, end = common_span(list(drive.channels.values()), drive.name)
     time = start + DT * np.arange(int((end - start) / DT) + 1)

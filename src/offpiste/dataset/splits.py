@@ -1,4 +1,4 @@
-"""Which rows train, validate and test: contiguous stretches with a gap, decided once, never by random windows."""
+"""Splits of rows into training, validation and test: contiguous stretches with gaps, decided at extraction."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -15,24 +15,24 @@ from offpiste.rig.channels import GEOGRAPHIC
 from offpiste.rig.rig import Rig
 
 PARTS = ("train", "validation", "test")
-"""Names of the labels 0, 1, 2; -1 is in no part."""
+"""Names of the labels 0, 1, 2; the label -1 belongs to no part."""
 
 GAP = HISTORY_STEPS + HORIZON_STEPS
-"""Rows left out where the part changes: no window of one part sees a row of another."""
+"""Rows dropped where the part changes, so that windows of different parts share no row."""
 
 
 @dataclass(frozen=True)
 class Split:
-    """How rows are labelled.
+    """Rule that assigns rows to parts.
 
     Attributes:
-        text: the same as a person writes it: "blocks:0.7,0.1,0.2", "fold:2/5", "places:50", "drives:FILE".
+        text: as given by the user: "blocks:0.7,0.1,0.2", "fold:2/5", "places:50", "drives:FILE".
         kind: blocks, fold, places or drives.
-        fractions: of each drive, or of each period of it, in the order of time (blocks).
-        period: time after which blocks repeat [s]; 0: once a drive (blocks).
-        fold: number of the fold from 0, and of how many (fold).
-        cell: side of the squares that go to one part [m] (places).
-        drives: part of each drive by its name (drives).
+        fractions: of each drive, or of each period of it, in the order of `PARTS` (blocks).
+        period: time after which blocks repeat [s]; 0: once per drive (blocks).
+        fold: number of the fold, from 0, and number of folds (fold).
+        cell: side of the squares assigned to parts [m] (places).
+        drives: name and part of each drive (drives).
     """
 
     text: str
@@ -45,18 +45,17 @@ class Split:
 
     @property
     def smallest(self) -> float:
-        """Smallest share of a part that has one (blocks)."""
+        """Smallest fraction above zero (blocks)."""
         return min(share for share in self.fractions if share > 0)
 
     def label(self, drive: str, position: Float[np.ndarray, "N 2"]) -> Int[np.ndarray, " N"]:
-        """Part of each row of a drive, -1 in gaps.
+        """Return the part of each row of a drive, -1 in gaps.
 
         Args:
-            drive: its name.
-            position: px, py in the world [m], not relative to the drive, so that places agree between drives.
+            position: px, py in the world frame, not relative to the drive, so that places agree between drives [m].
 
         Raises:
-            DatasetError: a split by drives does not name this one.
+            DatasetError: a split by drives lacks this drive.
         """
         rows = len(position)
         if self.kind == "blocks":
@@ -78,28 +77,25 @@ class Split:
 
 
 def parse_split(text: str) -> Split:
-    """A split from its text.
+    """Parse the text of a split.
 
-    `blocks:TRAIN,VALIDATION,TEST` fractions of each drive by time, with `@SECONDS` of each such period of it;
-    `fold:K/N` part K of N blocks tests, half of the next one validates; `places:METRES` squares of the ground, drawn
-    70 : 10 : 20; `drives:FILE` a line "NAME PART" a drive.
+    `blocks:TRAIN,VALIDATION,TEST` are fractions of each drive by time, with `@SECONDS` of each such period;
+    `fold:K/N` tests block K of N and validates on half of the next; `places:METRES` assigns squares of the ground
+    70 : 10 : 20; `drives:FILE` reads a line "NAME PART" per drive.
 
     Raises:
         DatasetError: unknown kind, fractions that do not sum to one, a file that cannot be read.
     """
     kind, _, rest = text.partition(":")
     usage = "write blocks:0.7,0.1,0.2, fold:0/5 (the first of five, up to fold:4/5), places:50 or drives:FILE"
-    if text == kind and kind in ("blocks", "fold", "places", "drives"):
-        more = ", a file with a line 'NAME PART' a drive" if kind == "drives" else ""
-        raise DatasetError(f"not a split: '{text}' says no more than its kind", how=f"{usage}{more}")
     try:
         if kind == "blocks":
             shares, at, every = rest.partition("@")
             fractions, period = tuple(float(f) for f in shares.split(",")), float(every) if at else 0.0
-            good = len(fractions) == 3 and abs(sum(fractions) - 1) < 1e-6 and min(fractions) >= 0 and fractions[0] > 0
             if len(fractions) == 3 and abs(sum(fractions) - 1) >= 1e-6:
                 what = f"not a split: the shares of '{text}' sum to {sum(fractions):g}"
                 raise DatasetError(what, how="give shares that sum to 1, as in blocks:0.7,0.1,0.2")
+            good = len(fractions) == 3 and sum(fractions) > 0 and min(fractions) >= 0 and fractions[0] > 0
             if good and (not at or 0 < period < np.inf):
                 return _long_enough(Split(text, kind, fractions=fractions, period=period))
         elif kind == "fold":
@@ -109,18 +105,18 @@ def parse_split(text: str) -> Split:
         elif kind == "places":
             if 0 < float(rest) < np.inf:
                 return Split(text, kind, cell=float(rest))
-        elif kind == "drives":
+        elif kind == "drives" and rest:
             return Split(text, kind, drives=_read_drives(Path(rest)))
     except ValueError:
         pass
-    raise DatasetError(f"not a split: '{text}'", how=usage)
+    raise DatasetError(f"not a split: '{text}'", how=f"{usage} (a file with a line 'NAME PART' per drive)")
 
 
 def refuse_places_without_origin(split: Split, rig: Rig) -> None:
-    """Raise if a split by places would cut coordinates that mean other places in every log.
+    """Raise if the squares of a split by places differ between logs.
 
     Raises:
-        DatasetError: positions are laid out from an origin of each log.
+        DatasetError: geographic positions are relative to an origin of each log.
     """
     position = rig.channels["position"]
     if split.kind == "places" and position.unit == GEOGRAPHIC and position.origin is None:
@@ -132,14 +128,14 @@ def refuse_places_without_origin(split: Split, rig: Rig) -> None:
 
 
 def stored_split(text: str, drives: Sequence[Sequence[str]]) -> Split:
-    """A split as stored: its text, and for a split by drives their parts rather than the file that named them."""
+    """Restore a stored split; a split by drives keeps its parts instead of the file that named them."""
     if drives:
         return Split(text, "drives", drives=tuple((name, part) for name, part in drives))
     return parse_split(text)
 
 
 def _long_enough(split: Split) -> Split:
-    """The same split, unless a block of a period is too short for windows."""
+    """Return the split, or refuse it if a block of a period is too short for windows."""
     least = 2 * GAP * DT / split.smallest
     if split.period and split.period < least - 1e-9:
         raise DatasetError(
@@ -151,17 +147,13 @@ def _long_enough(split: Split) -> Split:
 
 
 def write_drives(path: Path, parts: Iterable[tuple[str, str]]) -> str:
-    """Write a split by drives into a file; returns the text that `parse_split` reads it by.
-
-    Args:
-        parts: name and part of each drive.
-    """
+    """Write the name and part of each drive into a file and return its text for `parse_split`."""
     write_text(path, "".join(f"{name} {part}\n" for name, part in parts))
     return f"drives:{path}"
 
 
 def empty_parts(split: Split) -> tuple[str, ...]:
-    """Parts that no row can be in, whatever is driven."""
+    """Return the parts that a split leaves empty for any drive."""
     if split.kind == "blocks":
         return tuple(part for part, share in zip(PARTS, split.fractions, strict=True) if share == 0)
     if split.kind == "drives":
@@ -169,8 +161,19 @@ def empty_parts(split: Split) -> tuple[str, ...]:
     return ()
 
 
+def part_number(part: str) -> int:
+    """Return the label of a part.
+
+    Raises:
+        DatasetError: there is no such part.
+    """
+    if part not in PARTS:
+        raise DatasetError(f"no part '{part}'", how=f"{did_you_mean(part, PARTS)}there are: {', '.join(PARTS)}")
+    return PARTS.index(part)
+
+
 def _with_gaps(label: Int[np.ndarray, " N"]) -> Int[np.ndarray, " N"]:
-    """Rows just after a change of part belong to none."""
+    """Label the rows just after each change of part -1."""
     label = label.astype(np.int8)
     for change in np.flatnonzero(np.diff(label)) + 1:
         label[change : change + GAP] = -1
@@ -178,18 +181,17 @@ def _with_gaps(label: Int[np.ndarray, " N"]) -> Int[np.ndarray, " N"]:
 
 
 def _fold_labels(rows: int, number: int, total: int) -> Int[np.ndarray, " N"]:
-    block = np.arange(rows) * total // max(rows, 1)
-    half = np.arange(rows) * 2 * total // max(rows, 1)
+    half = np.arange(rows) * 2 * total // rows
     label = np.zeros(rows, dtype=np.int8)
     label[half == 2 * ((number + 1) % total)] = PARTS.index("validation")
-    label[block == number] = PARTS.index("test")
+    label[half // 2 == number] = PARTS.index("test")
     return label
 
 
 def _place_labels(position: Float[np.ndarray, "N 2"], cell: float) -> Int[np.ndarray, " N"]:
-    """A square's part follows from its place alone, so that every drive agrees (the hash of Teschner et al. 2003).
+    """Assign squares to parts by a hash of their place alone (Teschner et al. 2003), so that all drives agree.
 
-    Where the place is not known, the vehicle counts as where it was known last, or first.
+    Unknown positions take the last known one, or the first.
     """
     known = np.isfinite(position).all(axis=1)
     if not known.any():
@@ -205,7 +207,7 @@ def _read_drives(path: Path) -> tuple[tuple[str, str], ...]:
         # The part is the last word: names of drives may hold spaces.
         lines = [line.strip().rsplit(maxsplit=1) for line in read_small(path).splitlines() if line.strip()]
     except (OSError, UnicodeDecodeError) as error:
-        raise DatasetError("cannot read the split", where=path, how="a line 'NAME PART' a drive") from error
+        raise DatasetError("cannot read the split", where=path, how="write a line 'NAME PART' per drive") from error
     parts = dict[str, str]()
     for number, line in enumerate(lines, start=1):
         if len(line) != 2 or line[1] not in PARTS:
@@ -216,14 +218,3 @@ def _read_drives(path: Path) -> tuple[tuple[str, str], ...]:
             what = f"line {number} puts drive '{line[0]}' into {line[1]}, an earlier one into {parts[line[0]]}"
             raise DatasetError(what, where=path, how="keep one of them")
     return tuple((name, part) for name, part in lines)
-
-
-def part_number(part: str) -> int:
-    """Label of a part.
-
-    Raises:
-        DatasetError: there is no such part.
-    """
-    if part not in PARTS:
-        raise DatasetError(f"no part '{part}'", how=f"{did_you_mean(part, PARTS)}there are: {', '.join(PARTS)}")
-    return PARTS.index(part)

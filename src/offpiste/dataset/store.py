@@ -1,4 +1,4 @@
-"""The dataset on disk: Zarr v3, one group a drive, written whole or not at all."""
+"""Dataset on disk: Zarr v3, one group per drive, written whole or not at all."""
 
 import json
 import shutil
@@ -32,7 +32,6 @@ from offpiste.dataset.store_validation import (
     masks_of,
     read_settings,
     refuse_invalid,
-    refuse_misshapen,
     refuse_unlike,
 )
 from offpiste.dataset.stored_arrays import (
@@ -55,8 +54,8 @@ class StoredDrive:
     """One drive of a dataset.
 
     Attributes:
-        load_map: reads the map that the features of this drive come from; None where there is none.
-        snapshots: the map at the start of windows that validate and test; None where none was kept.
+        load_map: reads the map behind the features of this drive; None without a map.
+        snapshots: maps at the start of validation and test windows; None if none were kept.
         findings: of `inspect` on its log.
     """
 
@@ -74,10 +73,10 @@ class Dataset:
     """All drives of a dataset, in the order of their names.
 
     Attributes:
-        features: names of the terrain features under each wheel; empty for a dataset without.
-        min_hindsight: least share of the ground seen in hindsight along a window (`window_starts.enough_hindsight`).
-        min_speed: windows start above it [m/s] (`conventions.min_evaluation_speed`).
-        pca: identity of the PCA that made visual features (`PrincipalComponents.identity`).
+        features: names of the terrain features under each wheel.
+        min_hindsight: smallest share of a window's ground with features in hindsight.
+        min_speed: speed above which windows start [m/s] (`conventions.min_evaluation_speed`).
+        pca: identity of the PCA behind visual features (`PrincipalComponents.identity`).
     """
 
     path: Path
@@ -90,7 +89,6 @@ class Dataset:
     min_speed: float = MIN_EVALUATION_SPEED
 
     def __repr__(self) -> str:
-        """Path, rig, drives, features and split in three lines."""
         minutes = sum(len(drive.rows.time) for drive in self.drives) * DT / 60
         return (
             f"<Dataset {self.path}, rig '{self.rig.name}'\n"
@@ -100,16 +98,16 @@ class Dataset:
 
     @property
     def findings(self) -> tuple[str, ...]:
-        """Findings of `inspect` on its drives, each once and in words."""
+        """Findings of `inspect` on the drives in words, each once."""
         return findings_by_drive([(drive.name, drive.findings) for drive in self.drives])
 
     def starting_above(self, min_speed: float | None) -> "Dataset":
-        """The same rows, whose windows start above another speed [m/s]; None: as the dataset says."""
+        """Return the dataset with another minimum speed of window starts [m/s]; None keeps it."""
         return self if min_speed is None else replace(self, min_speed=min_speed)
 
     def relabelled(self, split: Split) -> "Dataset":
-        """The same rows under another split (folds), without snapshots: few of its windows would start with one."""
-        parts = [split.label(drive.name, drive.rows.state[:, :2] + drive.rows.origin) for drive in self.drives]
+        """Return the same rows under another split, without snapshots, which few of its windows would have."""
+        parts = [split.label(drive.name, drive.rows.world_xy) for drive in self.drives]
         drives = (replace(d, part=part, snapshots=None) for d, part in zip(self.drives, parts, strict=True))
         return replace(self, split=split, drives=tuple(drives))
 
@@ -124,14 +122,13 @@ def create(
     snapshots: SnapshotSettings | None = None,
     mapper: MapperSettings | None = None,
 ) -> None:
-    """Begin a dataset, or resume one that was begun alike; what a killed run left half done is removed.
+    """Begin a dataset, or resume one with the same settings; remains of a killed run are removed.
 
     Args:
-        snapshots: of the map; None without any.
-        mapper: of visual features.
+        snapshots, mapper: settings of visual features.
 
     Raises:
-        DatasetError: there is something else at `path`, or it was made otherwise.
+        DatasetError: `path` holds something else, or a dataset with other settings.
     """
     slowest = min_evaluation_speed(rig.vehicle.wheelbase)
     meta = {
@@ -159,14 +156,13 @@ def create(
     check_folder(path)
     begun = path.exists() and any(path.iterdir())
     if begun and not any((path / file).exists() for file in ("zarr.json", CHECKSUMS)):
-        raise DatasetError("is a folder of something else than a dataset", where=path, how="give another one as --out")
+        raise DatasetError("is a folder without a dataset", where=path, how="give another folder as --out")
     remove_partials(path.parent, path.name)
     if begun and attributes_of(path).get("schema") and not drive_names(path):
-        shutil.rmtree(path)  # by a run whose logs all failed
+        shutil.rmtree(path)  # left by a run whose logs all failed
         begun = False
     if begun:
-        result = {"features": [], "pca": None, "min_hindsight": 0.0, **attributes_of(path)}
-        refuse_unlike(path, result, json.loads(json.dumps(meta)))
+        refuse_unlike(path, attributes_of(path), json.loads(json.dumps(meta)))
         remove_partials(path)
         return
 
@@ -190,18 +186,18 @@ def add_drive(
     """Write one drive into a dataset, whole or not at all.
 
     Args:
-        terrain: what its features were read from; kept where predictions are evaluated on it.
-        snapshots: a folder of a `SnapshotWriter`, which is moved into the dataset.
-        findings: of `inspect` on its log.
+        terrain: map behind the features; stored if some rows are for validation or test.
+        snapshots: folder of a `SnapshotWriter`, which is moved into the dataset.
+        findings: of `inspect` on the log.
 
     Raises:
-        DatasetError: there is a drive of this name already.
+        DatasetError: a drive of this name exists.
     """
     if (path / name).exists():
         raise DatasetError(
             f"already holds a drive '{name}'", where=path, how="rename the log: drives are identified by their names"
         )
-    part = split.label(name, rows.state[:, :2] + rows.origin)
+    part = split.label(name, rows.world_xy)
     evaluated = terrain is not None and bool(np.any(part > 0))
 
     def write(partial: Path) -> None:
@@ -217,7 +213,7 @@ def add_drive(
             write_arrays(layers, {"elevation": terrain.elevation, "features": terrain.features})
         if snapshots is not None:
             snapshots.replace(partial / SNAPSHOTS)
-        # Arrays carry checksums themselves; these make other arrays another drive to what compares checksums of files.
+        # Arrays carry their own checksums; this digest lets a comparison of metadata notice changed arrays.
         group.attrs[ARRAYS] = digest_of_chunks(partial)
         write_checksums(partial, partial.rglob("zarr.json"))
 
@@ -228,10 +224,10 @@ def add_drive(
 
 
 def open_dataset(path: str | Path) -> Dataset:
-    """Read a dataset; one in an object store is brought into the user's cache folder first.
+    """Read a dataset; one in an object store is copied into the user's cache folder first.
 
     Raises:
-        DatasetError: none there, of another version, without drives, or a drive that is damaged or invalid.
+        DatasetError: there is no dataset, it has another schema or no drives, or a drive is damaged or invalid.
     """
     path = mirrored(Path(path))
     attributes = attributes_of(path)
@@ -246,8 +242,7 @@ def open_dataset(path: str | Path) -> Dataset:
     split = stored_split(about.split, about.split_drives)
     drives = tuple(_read_drive(path, name) for name in names)
     for drive in drives:
-        refuse_misshapen(path, drive.name, drive.rows, drive.part, about)
-        refuse_invalid(path, drive.name, drive.rows, about.rig, needs_cells=bool(about.features))
+        refuse_invalid(path, drive.name, drive.rows, drive.part, about)
     return Dataset(path, about.rig, split, drives, about.features, about.min_hindsight, about.pca, about.min_speed)
 
 
@@ -257,7 +252,7 @@ def _read_drive(path: Path, name: str) -> StoredDrive:
         group = open_stored(path / name)
         arrays = {key: whole_array(group, key) for key in ("time", "valid")}
         for key, column in COLUMNS.items():
-            if key in OWN_COLUMNS or key in group:  # datasets that were made without an added column lack it
+            if key in OWN_COLUMNS or key in group:  # absent if an extension added the column later
                 mapped = column.by_feature_set
                 arrays[key] = mapped_array(path / name, group, key) if mapped else whole_array(group, key)
         cells = _read_cells(path / name / "cells", group["cells"]) if "cells" in group else None

@@ -1,4 +1,4 @@
-"""Arrays of a dataset on disk: one uncompressed chunk each, with its CRC-32C at the end (Zarr's codec `crc32c`)."""
+"""Arrays of a stored dataset: one uncompressed chunk each, followed by its CRC-32C (Zarr's codec `crc32c`)."""
 
 import math
 import os
@@ -14,30 +14,30 @@ from offpiste.core.checksums import CHECKSUMS, DamagedFile, sha256_of_json
 from offpiste.core.limits import LARGEST, parsed, read_small, zstd
 
 ARRAYS = "arrays_sha256"
-"""Attribute of a drive: `digest_of_chunks` of its folder when it was written."""
+"""Attribute of a drive with the digest of its chunks (`digest_of_chunks`)."""
 
 CODECS: Final = frozenset({"bytes", "zstd", "crc32c"})
-"""Codecs that datasets are written with. Others may run code: numcodecs has one that unpickles."""
+"""Accepted codecs. Others may run code: numcodecs has one that unpickles."""
 
 LARGEST_CHUNK: Final = 1 << 32
-"""Largest chunk that metadata may ask for; it is as long on the disk [bytes]."""
+"""Largest size of an uncompressed chunk, which is as long on disk [bytes]."""
 
 LARGEST_COMPRESSED: Final = LARGEST >> 4
-"""Largest chunk of a compressed array, of which there may be many [bytes]."""
+"""Largest size of a chunk of a compressed array, which may have many [bytes]."""
 
 PIECE = 1 << 22
-"""Bytes of a file that are read at a time."""
+"""Bytes of a file read at a time."""
 
 
 def open_stored(folder: Path) -> zarr.Group:
-    """Open a group of Zarr v3 whose arrays have only the codecs that datasets are written with.
+    """Open a Zarr v3 group whose arrays use accepted codecs only.
 
     Raises:
-        ValueError: the metadata of the group, or of anything below it, name something else.
+        ValueError: the metadata of the group, or of anything below it, are not as datasets are written.
     """
     for place, folders, files in os.walk(folder):
         if linked := [name for name in folders if Path(place, name).is_symlink()]:
-            raise ValueError(f"{Path(place, linked[0])} is a link")  # behind which nothing would be checked
+            raise ValueError(f"{Path(place, linked[0])} is a link")  # its content would not be checked
         if "zarr.json" in files:
             file = Path(place, "zarr.json")
             try:
@@ -51,7 +51,7 @@ def open_stored(folder: Path) -> zarr.Group:
 
 
 def refuse_foreign(metadata: dict[str, Any]) -> None:
-    """Raise unless the metadata are those of a group or an array as `write_arrays` and `SnapshotWriter` write them.
+    """Raise unless metadata are those of a group or an array of a dataset.
 
     Raises:
         ValueError, TypeError, KeyError: they are not.
@@ -64,7 +64,7 @@ def refuse_foreign(metadata: dict[str, Any]) -> None:
     if foreign := sorted(codecs - CODECS):
         raise ValueError(f"codec '{foreign[0]}', not one of {', '.join(sorted(CODECS))}")
     if metadata.get("storage_transformers"):
-        raise ValueError("storage transformers, of which datasets have none")
+        raise ValueError("storage transformers, which datasets do not have")
     chunk = math.prod(metadata["chunk_grid"]["configuration"]["chunk_shape"]) * np.dtype(metadata["data_type"]).itemsize
     most = LARGEST_COMPRESSED if "zstd" in codecs else LARGEST_CHUNK
     if chunk > most:
@@ -72,7 +72,7 @@ def refuse_foreign(metadata: dict[str, Any]) -> None:
 
 
 def _refuse_missing(metadata: dict[str, Any], folder: Path) -> None:
-    """Raise if an array has fewer files than chunks: its shape may be anything, and Zarr would look for each chunk."""
+    """Raise if an array has fewer files than chunks: its shape may be huge, and Zarr would look for each chunk."""
     sizes = zip(metadata["shape"], metadata["chunk_grid"]["configuration"]["chunk_shape"], strict=True)
     chunks = math.prod(-(-size // max(chunk, 1)) for size, chunk in sizes)
     if chunks > sum(len(files) for _, _, files in os.walk(folder)) - 1:
@@ -80,13 +80,13 @@ def _refuse_missing(metadata: dict[str, Any], folder: Path) -> None:
 
 
 def refuse_expanding(folder: Path, array: Any, begin: int, end: int) -> None:
-    """Raise if a compressed chunk of some rows promises to be longer than it is: Zarr would take its word.
+    """Raise if a compressed chunk of rows begin ... end would expand to another size than an array's chunk.
 
     Args:
         folder: of the group.
 
     Raises:
-        ValueError: it does.
+        ValueError: names the chunk.
     """
     for number in range(begin // array.chunks[0], -(-end // array.chunks[0])):
         with folder.joinpath(array.basename, "c", str(number), *("0" for _ in array.shape[1:])).open("rb") as file:
@@ -96,7 +96,7 @@ def refuse_expanding(folder: Path, array: Any, begin: int, end: int) -> None:
 
 
 def write_arrays(group: zarr.Group, arrays: dict[str, np.ndarray]) -> None:
-    """Write arrays into a group, each in one chunk: windows are read with plain offsets."""
+    """Write arrays into a group, each in one chunk, so that windows can be read at plain offsets."""
     for key, values in arrays.items():
         array = group.create_array(
             key,
@@ -110,7 +110,7 @@ def write_arrays(group: zarr.Group, arrays: dict[str, np.ndarray]) -> None:
 
 
 def whole_array(group: zarr.Group, key: str) -> np.ndarray:
-    """An array in memory.
+    """Read an array into memory.
 
     Raises:
         ValueError: a chunk is missing or damaged.
@@ -126,7 +126,7 @@ def whole_array(group: zarr.Group, key: str) -> np.ndarray:
 
 
 def mapped_array(folder: Path, group: zarr.Group, key: str) -> np.ndarray:
-    """An array that stays on disk until it is looked at; its checksum is compared now.
+    """Map an array into memory and verify its checksum.
 
     Args:
         folder: of the group.
@@ -145,10 +145,10 @@ def mapped_array(folder: Path, group: zarr.Group, key: str) -> np.ndarray:
 
 
 def check_crc32c(file: Path) -> None:
-    """Compare a file with the CRC-32C in its last four bytes, as Zarr's codec `crc32c` writes it.
+    """Compare a file with the CRC-32C in its last four bytes.
 
     Raises:
-        DamagedFile: it differs, or the file is too short to have one.
+        DamagedFile: they differ, or the file is shorter than a checksum.
     """
     checksum = 0
     with file.open("rb") as opened:
@@ -164,7 +164,7 @@ def check_crc32c(file: Path) -> None:
 
 
 def digest_of_chunks(folder: Path) -> str:
-    """SHA-256 of the CRC-32Cs at the ends of all chunks below a folder, which other bytes in any array change."""
+    """Return the SHA-256 of the CRC-32Cs of all chunks below a folder."""
     ends = []
     for file in sorted(folder.rglob("*")):
         if file.is_file() and file.name not in ("zarr.json", CHECKSUMS):
@@ -175,7 +175,6 @@ def digest_of_chunks(folder: Path) -> str:
 
 
 def changed_arrays(drive: Path) -> str:
-    """`digest_of_chunks` of a drive whose arrays are not those that were written; empty for others, or older ones."""
-    written = open_stored(drive).attrs.get(ARRAYS)
+    """Return the `digest_of_chunks` of a drive whose arrays were changed since extraction, else an empty string."""
     found = digest_of_chunks(drive)
-    return found if written not in (None, found) else ""
+    return found if open_stored(drive).attrs.get(ARRAYS) != found else ""

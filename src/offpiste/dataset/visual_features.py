@@ -1,4 +1,4 @@
-"""Visual features for the rows of a drive: what the map held of every cell under the wheels, by feature set."""
+"""Visual features of the cells under the wheels of a drive, by feature set."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -22,13 +22,7 @@ from offpiste.rig.rig import Rig
 
 @dataclass
 class SnapshotKeeper:
-    """Keeps the map as it was when windows start.
-
-    Attributes:
-        writer, schedule: where to, and when.
-        settings: how far it reaches, and how late it is.
-        rows, poses: of the drive.
-    """
+    """Recorder of map snapshots at the start of windows."""
 
     writer: SnapshotWriter
     schedule: SnapshotSchedule
@@ -41,9 +35,8 @@ class SnapshotKeeper:
     def update(self, moment: Moment) -> None:
         """Keep the map of this moment if a window starts in the first row at which it was known.
 
-        Its points and images are known a latency after they were measured, and not before the poses that place them.
-        Of the moments of one row the last counts: it holds the scans of all LiDARs. Where poses jump in between, the
-        map is of another frame than the window.
+        Points and images are known a latency after their measurement, and not before the poses that place them. The
+        last moment of a row counts: it holds the scans of all LiDARs. After a jump of the poses, the frames differ.
         """
         row = int(np.searchsorted(self.rows.time, max(moment.measured + self.settings.latency, moment.placed)))
         if row != self._row and self.schedule.at(row):
@@ -56,7 +49,7 @@ class SnapshotKeeper:
         self._cells = crop(moment.layers.terrain_map(), state, self.settings.margin)
 
     def close(self) -> None:
-        """Write the last map and what finds all of them again, once the drive is over."""
+        """Write the last map and the index of all, once the drive is over."""
         self._write()
         self.writer.close()
 
@@ -79,15 +72,15 @@ def with_visual_features(
     """Replay a drive's sensors and record the features of its cells (paper, "Dataset Extraction").
 
     Args:
-        snapshots: keeps the map where windows start that validate and test.
-        report: is given the share of the drive that was played.
+        snapshots: records maps at the start of validation and test windows.
+        report: called with the replayed share of the drive.
 
     Raises:
-        LogError: the log's sensors are damaged or of no use.
+        LogError: the log's sensors are damaged or unusable.
     """
     settings = settings or MapperSettings()
     grid = settings.map.voxels
-    xy = rows.state[:, :2].astype(np.float64) + rows.origin
+    xy = rows.world_xy
     wheels = wheel_positions(xy, rows.state[:, 2].astype(np.float64), rig.wheel_positions())
     passes = find_passes(rows.time, xy, wheels, resolution=grid.size, jumps=log.poses.jumps)
     recorder = FeatureSetRecorder(passes, resolution=grid.size, reach=grid.reach, features=extractor.channels)
@@ -100,13 +93,7 @@ def with_visual_features(
     under = passes.index
     unknown = np.full((len(recorder.normal), 1, 3), np.nan, np.float32)
     normal = np.concatenate((recorder.normal, unknown), axis=1)[:, under]  # -1 is the last
-    cells = Cells(
-        under,
-        recorder.features,
-        recorder.valid,
-        recorder.distance,
-        recorder.elevation,
-    )
+    cells = Cells(under, recorder.features, recorder.valid, recorder.distance, recorder.elevation)
     return replace(rows, normal=normal, cells=cells)
 
 
@@ -119,7 +106,7 @@ def _reader(terrain: MapPipeline) -> Callable[[np.ndarray], MapCellValues]:
         inside = np.asarray(((at >= 0) & (at < grid.cells)).all(axis=1))
         column, row = np.where(inside[:, None], at, 0).T
         there = terrain.cells(row, column)
-        if inside.all():  # `there` says not a number itself where something is not known
+        if inside.all():  # `there` is NaN itself where unknown
             return MapCellValues(there.features, there.valid, there.distance, there.elevation, there.normal)
         valid, ground = inside & there.valid, inside & there.known
         known = inside & np.isfinite(there.normal).all(axis=1)

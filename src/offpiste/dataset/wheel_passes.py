@@ -1,4 +1,4 @@
-"""When wheels pass over which ground cells; feature sets are kept for each pass (docs/method.md)."""
+"""Passes of wheels over ground cells; each pass has its own feature sets (docs/method.md)."""
 
 from dataclasses import dataclass
 
@@ -6,21 +6,19 @@ import numpy as np
 from jaxtyping import Float, Int, Int32
 
 PAUSE = 10.0
-"""Pause without a wheel on a cell after which the next contact begins a new pass [s]."""
+"""Time without contact after which the next contact with a cell begins a new pass [s]."""
 
 
 @dataclass(frozen=True)
 class Passes:
-    """Passes of a vehicle over cells, in the order of their beginning.
+    """Passes of a vehicle over cells, in the order of first contact.
 
     Attributes:
-        cell: column and row of the cell on the world-aligned grid, which covers from (column, row) to (column + 1,
-            row + 1) resolutions, as the map's cells do.
-        approach: the vehicle comes nearer from this moment on: when it was farthest from the cell since the pass
-            before, or the start of the drive [s].
-        contact: when the first wheel enters the cell [s].
-        end: when the next pass over the cell begins; infinite for the last one [s].
-        index: the pass under each wheel at each row; -1 where the place is unknown.
+        cell: column and row on the world-aligned grid; the cell's lower corner is at (column, row) resolutions.
+        approach: time at which the vehicle was farthest from the cell since the previous pass, or the start [s].
+        contact: time at which the first wheel enters the cell [s].
+        end: time at which the next pass over the cell begins; infinite for the last one [s].
+        index: pass under each wheel at each row; -1 at unknown positions.
     """
 
     cell: Int[np.ndarray, "P 2"]
@@ -41,11 +39,11 @@ def find_passes(
     """Find the passes of a drive.
 
     Args:
-        time: of the rows, rising [s].
-        xy: of the pose point, in the world frame; NaN where unknown [m].
-        wheels: places of the wheels [m].
+        time: of the rows, increasing [s].
+        xy: positions of the pose point in the world frame; NaN where unknown [m].
+        wheels: positions of the wheels [m].
         resolution: size of a cell [m].
-        jumps: of the poses, the moments before and after [s]: no pass continues across one.
+        jumps: times before and after each jump of the poses, across which no pass continues [s].
     """
     jumps = np.zeros((0, 2)) if jumps is None else jumps
     known = np.isfinite(wheels).all(axis=(1, 2)) & np.isfinite(xy).all(axis=1)
@@ -56,7 +54,7 @@ def find_passes(
     cells, cell = np.unique(grid[known].reshape(-1, 2), axis=0, return_inverse=True)
     cell = cell.reshape(-1)
 
-    # Contacts of each cell in the order of time; a pass begins with the first one after a pause.
+    # Contacts of each cell in the order of time; the first one after a pause begins a pass.
     order = np.lexsort((rows, cell))
     touched, when = cell[order], time[rows[order]]
     begins = np.ones(len(order), bool)
@@ -91,12 +89,12 @@ def _farthest(
     after: Float[np.ndarray, " P"],
     before: Float[np.ndarray, " P"],
 ) -> Float[np.ndarray, " P"]:
-    """When the vehicle was farthest from each cell between two moments; the last time if there are several."""
+    """Return the last time at which the vehicle was farthest from each cell, between two times."""
     first = np.searchsorted(time, after, side="left")
     stop = np.searchsorted(time, before, side="right")
     result = np.empty(len(centre))
     for p in range(len(centre)):
-        # On the first pass that is the start of the drive: only a return to a place needs the search.
+        # On a first pass this is the start of the drive; only returns need the search.
         if not np.isfinite(after[p]):
             result[p] = time[0]
             continue

@@ -1,4 +1,4 @@
-"""The maps that predictions are evaluated on: one of a whole drive, or a snapshot for each window."""
+"""Maps for the evaluation of predictions: one per drive, or a snapshot per window."""
 
 from collections.abc import Sequence
 from copy import copy
@@ -14,12 +14,10 @@ from offpiste.mapping.terrain_sampler import CellStack, MapStack, stack_maps
 
 
 class WindowMaps:
-    """Finds the map of each window.
+    """Maps of windows.
 
     Args:
-        drives: of the dataset.
-        drive, row: of the windows: number of the drive, and row t in it.
-        device: where maps are read.
+        drive, row: number of each window's drive, and row t in it.
     """
 
     def __init__(
@@ -42,7 +40,7 @@ class WindowMaps:
         self._numbers = np.full(len(drives), -1)
 
     def take(self, index: Int[np.ndarray, " m"]) -> "WindowMaps":
-        """The maps of some of the windows."""
+        """Return the maps of some of the windows."""
         other = copy(self)
         other._drive, other._snapshot = self._drive[index], self._snapshot[index]
         other._whole, other._latest, other._numbers = None, None, np.full_like(self._numbers, -1)
@@ -50,30 +48,30 @@ class WindowMaps:
 
     @property
     def snapped(self) -> Bool[np.ndarray, " n"]:
-        """Windows with a snapshot."""
+        """Mask of windows with a snapshot."""
         return np.asarray(self._snapshot >= 0)
 
     @property
     def any(self) -> bool:
-        """Whether models can be evaluated on maps: some windows have a snapshot, or all of their drives a map."""
+        """Whether some windows have a snapshot, or all of their drives a map."""
         whole = all(self._drives[number].load_map is not None for number in np.unique(self._drive))
         return bool(self.snapped.any()) or (whole and not self.snapshots_elsewhere)
 
     @property
     def snapshots_elsewhere(self) -> bool:
-        """Whether the dataset has snapshots, but at the start of none of these windows."""
+        """Whether the dataset has snapshots, but none at the start of these windows."""
         snapshots = [drive.snapshots for drive in self._drives]
         return not self.snapped.any() and any(one is not None and len(one.row) > 0 for one in snapshots)
 
     @property
     def kept(self) -> bool:
-        """Whether the dataset has maps, of these windows or of others."""
+        """Whether the dataset has maps, for these or other windows."""
         return self.any or self.snapshots_elsewhere or any(drive.load_map is not None for drive in self._drives)
 
     def of(self, index: Int[np.ndarray, " B"]) -> tuple[MapStack | CellStack, Int[np.ndarray, " B"]]:
-        """Maps of some windows, and the number of the map that each reads; -1 where it has none.
+        """Return maps of some windows, and the index of each window's map; -1 without a map.
 
-        The snapshots asked for last are kept: models that are compared read the same ones in turn.
+        The last snapshots are cached: compared models read the same ones in turn.
         """
         if self.snapped.any():
             have = self._snapshot[index] >= 0
@@ -82,7 +80,7 @@ class WindowMaps:
             number = np.full(len(index), -1)
             number[have] = place.ravel()
             if self._latest is None or not np.array_equal(self._latest[0], different):
-                self._latest = None  # before others are read: memory holds one stack at a time
+                self._latest = None  # first, so that memory holds one stack at a time
                 self._latest = different, self._stacked([self._load(*key) for key in different.tolist()])
             return self._latest[1], number
         if self._whole is None:
@@ -96,7 +94,7 @@ class WindowMaps:
         return self._whole, self._numbers[self._drive[index]]
 
     def near(self, index: Int[np.ndarray, " B"], paths: Float[np.ndarray, "B P 2"], margin: float) -> CellStack:
-        """One map for each of some windows with a snapshot, of the cells within `margin` of a path [m].
+        """Return one map for each of some windows with a snapshot: the cells within `margin` of a path [m].
 
         Args:
             paths: x, y in the world frame [m].

@@ -1,4 +1,4 @@
-"""Where windows start: complete, in one part, fast enough, and on ground that was seen; and which rows they hold."""
+"""Starts of windows and the rows that windows hold."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,13 +16,13 @@ from offpiste.dataset.splits import part_number
 from offpiste.dataset.store import Dataset
 
 MIN_HINDSIGHT = 0.5
-"""Least share of the ground under the wheels along a window with features in hindsight (paper: all); 0 keeps all."""
+"""Smallest share of a window's ground with features in hindsight (paper: all); 0 keeps all windows."""
 
 
 def window_starts(
     usable: Bool[np.ndarray, " N"], *, history: int = HISTORY_STEPS, horizon: int = HORIZON_STEPS
 ) -> Int[np.ndarray, " n"]:
-    """Rows t at which rows t - history ... t + horizon are all usable."""
+    """Return the rows t for which rows t - history ... t + horizon are all usable."""
     run = np.concatenate(([0], np.cumsum(usable)))
     length = history + horizon + 1
     if len(usable) < length:
@@ -31,7 +31,7 @@ def window_starts(
 
 
 def seen_in_hindsight(cells: Cells) -> Float[np.ndarray, " N"]:
-    """Share of the four wheels that stand on ground with features in hindsight, by row."""
+    """Return the share of wheels on ground with features in hindsight, by row."""
     valid = np.append(cells.valid[FEATURE_SETS.index("hindsight")], False)
     return np.asarray(valid[cells.index].mean(axis=1))
 
@@ -39,14 +39,10 @@ def seen_in_hindsight(cells: Cells) -> Float[np.ndarray, " N"]:
 def enough_hindsight(
     cells: Cells | None, least: float, *, horizon: int = HORIZON_STEPS
 ) -> Bool[np.ndarray, " N"] | None:
-    """Rows whose windows (t ... t + horizon - 1) have at least a share of their ground seen in hindsight.
-
-    Args:
-        cells: of a drive; None, or cells of true properties, leave nothing out.
-        least: from 0 to 1.
+    """Return the rows t whose ground along t ... t + horizon - 1 was seen in hindsight to at least a share.
 
     Returns:
-        None where nothing is left out.
+        None if every row qualifies: without cells, or with cells of true ground properties.
     """
     if cells is None or least <= 0 or len(cells.valid) != len(FEATURE_SETS):
         return None
@@ -62,13 +58,12 @@ def evaluation_starts(
     min_speed: float = MIN_EVALUATION_SPEED,
     horizon: int = HORIZON_STEPS,
 ) -> Int[np.ndarray, " n"]:
-    """Rows t of a drive at which windows start.
+    """Return the rows t of a drive at which windows start.
 
     Args:
-        mine: rows that belong to the part.
-        min_hindsight: least share of the ground that was seen in hindsight (`enough_hindsight`).
-        min_speed: of the causal estimate at t [m/s]; 0 takes standstills as well.
-        horizon: predicted steps.
+        mine: rows of the part.
+        min_hindsight: smallest share of ground seen in hindsight (`enough_hindsight`).
+        min_speed: of the causal estimate at t [m/s]; 0 includes standstills.
     """
     result = window_starts(rows.valid & mine, horizon=horizon)
     if min_speed > 0:
@@ -78,7 +73,7 @@ def evaluation_starts(
 
 
 def no_window(dataset: Dataset, part: str, horizon: int, min_speed: float) -> DatasetError:
-    """What a part says in which no window starts."""
+    """Return the error for a part without windows."""
     what = f"the {part} part has no window of {horizon * DT:g} s"
     if any((drive.part == part_number(part)).any() for drive in dataset.drives):
         what, how = f"{what} that starts above {min_speed:.3g} m/s", "give longer or faster drives"
@@ -91,18 +86,17 @@ def no_window(dataset: Dataset, part: str, horizon: int, min_speed: float) -> Da
 
 @dataclass(frozen=True)
 class Segments:
-    """Which rows of the dataset a batch of windows holds.
+    """Rows of the dataset in a batch of windows.
 
     Attributes:
-        rows: of each segment.
-        place: what is subtracted from columns that are `relative`: px, py and whole turns of the yaw at the start.
+        place: px, py and whole turns of the yaw at the start, subtracted from `relative` columns.
     """
 
     rows: Mapping[Segment, Tensor]
     place: Float[Tensor, "B 6"]
 
     def of(self, values: Tensor, column: Column) -> dict[Segment, Tensor]:
-        """The segments of a column that it declares."""
+        """Return the segments that a column declares."""
         result = {segment: values[self.rows[segment]] for segment in column.segments}
         if column.relative:
             for segment, part in result.items():

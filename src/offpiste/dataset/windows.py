@@ -1,4 +1,4 @@
-"""Windows of 5 s: (drive, row) pairs into the rows of a dataset, gathered into batches, never copied beforehand."""
+"""Windows of 5 s: (drive, row) pairs into the rows of a dataset, gathered into batches."""
 
 from collections.abc import Mapping, Sequence
 from copy import copy
@@ -25,26 +25,24 @@ from offpiste.dataset.window_maps import WindowMaps
 from offpiste.dataset.window_starts import Segments, evaluation_starts, no_window
 
 UNIT_TOLERANCE = 1e-3
-"""Largest difference of a stored normal's squared length from 1."""
+"""Largest deviation of a stored normal's squared length from 1."""
 
 
 MOTION: Final = ("state", "state_causal", "actuators", "actuators_causal", "control", "control_causal")
-"""Columns of what the vehicle did and was commanded, without the ground."""
+"""Columns of states, actuators and controls, without the ground."""
 
 
 @dataclass(frozen=True)
 class Batch:
-    """Windows side by side. Positions are relative to each window's start; yaw there lies in [-pi, pi].
+    """Batch of windows. Positions are relative to each window's start; yaw there lies in [-pi, pi].
 
     Attributes:
         history: rows t-10 ... t-1.
-        state, actuators: at row t, as a prediction starts from them.
-        control: rows t ... t+T-1.
-        terrain: recorded, rows t ... t+T-1.
-        target: states of rows t+1 ... t+T.
-        target_actuators: actuators of the same rows.
-        ground: features under the recorded wheels, in datasets that have them; `terrain` has no codes yet.
-        extra: columns of `dataset.columns.COLUMNS` beyond these: for each the segments that it declares.
+        state, actuators: at row t, where predictions start.
+        control, terrain: rows t ... t+T-1; the terrain is recorded and has no codes yet.
+        target, target_actuators: rows t+1 ... t+T.
+        ground: features under the recorded wheels; None in datasets without features.
+        extra: declared segments of the other columns of `COLUMNS`.
     """
 
     history: History
@@ -59,20 +57,19 @@ class Batch:
 
 
 class Windows:
-    """All windows of one part of a dataset whose start is fast enough.
+    """Windows of one part of a dataset that start above a speed.
 
     Args:
-        dataset: rows and split.
         part: "train", "validation" or "test".
-        start: "causal" gives starts and histories as they were known at the time, "smoothed" as targets are.
+        start: "causal" for starts and histories as known at the time, "smoothed" for those of the targets.
         min_speed: of the causal estimate at the start [m/s]; None for the dataset's.
-        horizon: predicted steps.
-        feature_set: of `conventions.FEATURE_SETS`; features and normals are read from it where a batch names no other.
-        device: where batches are made.
-        ground: of this dataset on this device, where others share it; otherwise it is read from disk.
+        horizon: number of predicted steps.
+        feature_set: default set of features and normals (`conventions.FEATURE_SETS`).
+        device: of batches.
+        ground: tables shared with other windows on this device; read from disk by default.
 
     Raises:
-        DatasetError: the part has no such window, or the dataset no such feature set.
+        DatasetError: the part has no window, or the dataset lacks the feature set.
     """
 
     def __init__(
@@ -133,7 +130,6 @@ class Windows:
         return len(self.rows)
 
     def __repr__(self) -> str:
-        """Part, number of windows and what they hold in three lines."""
         maps = int(self.maps.snapped.sum())
         return (
             f"<{len(self)} windows of part '{self.part}' of {self.dataset.path}\n"
@@ -142,42 +138,38 @@ class Windows:
         )
 
     def __getitem__(self, chosen: int | slice | Sequence[int] | np.ndarray) -> "Windows":
-        """Some of the windows, by number, slice, list or mask; nothing is copied.
-
-        Raises:
-            IndexError: there is no such window.
-        """
+        """Select windows by number, slice, list or mask without copying data."""
         other, index = copy(self), np.atleast_1d(np.arange(len(self))[chosen])
         other.rows, other.drive, other.maps = self.rows[index], self.drive[index], self.maps.take(index)
         return other
 
     def every(self, stride: int, *, phase: int = 0) -> Int[np.ndarray, " n"]:
-        """Indices of the windows whose row in their drive is `phase` modulo `stride`."""
+        """Return the indices of windows whose row in their drive is `phase` modulo `stride`."""
         return np.flatnonzero((self.rows - self._offset[self.drive]) % stride == phase % stride)
 
     def strided(self, stride: int, *, phase: int = 0) -> Int[np.ndarray, " n"]:
-        """As `every`, or all windows where they are so few that none is left."""
+        """Return the indices of `every`, or all indices if there are none."""
         index = self.every(stride, phase=phase)
         return index if len(index) else np.arange(len(self))
 
     def with_feature_set(self, feature_set: str) -> "Windows":
-        """The same windows with another feature set."""
+        """Return the windows with another default feature set."""
         other = copy(self)
         other._set = set_number(feature_set, self.sets)
         return other
 
     def without_features(self) -> "Windows":
-        """The same windows, for models that read no features: batches have none, and nothing else differs."""
+        """Return the windows without features in their batches."""
         other = copy(self)
         other._with_features = False
         return other
 
     def without_terrain(self, horizon: int | None = None, device: torch.device | None = None) -> "Windows":
-        """The same windows over level ground, with `MOTION` alone.
+        """Return the windows on level ground with the columns of `MOTION` only.
 
         Args:
-            horizon: steps of a batch, all by default.
-            device: where batches are made, by default where they were.
+            horizon: steps of a batch; all by default.
+            device: of batches; unchanged by default.
         """
         other = copy(self)
         other.device = device or self.device
@@ -190,22 +182,22 @@ class Windows:
         return other
 
     def motion(self) -> dict[str, np.ndarray]:
-        """The columns that `without_terrain` gathers from, whole, and the first row of each drive."""
+        """Return all rows of the columns of `MOTION`, and the first row of each drive."""
         return {name: self._columns[name].cpu().numpy() for name in MOTION} | {"first row": self._offset}
 
     def evaluation_indices(self, stride: int) -> Int[np.ndarray, " n"]:
-        """Indices of the windows that models are evaluated on: those with a snapshot of the map, if there are any."""
+        """Return the indices of windows for evaluation: those with a snapshot of the map, if there are any."""
         return np.flatnonzero(self.maps.snapped) if self.maps.snapped.any() else self.strided(stride)
 
     def row_in_drive(self, index: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
-        """Row t of windows, counted in their own drive."""
+        """Return the row t of windows, counted from the start of their drive."""
         return np.asarray(self.rows[index] - self._offset[self.drive[index]])
 
     def gather(self, index: Int[np.ndarray, " B"], feature_set_choice: FeatureSetChoice | None = None) -> Batch:
-        """A batch of windows by their indices.
+        """Gather a batch of windows.
 
         Args:
-            feature_set_choice: which feature sets they read; by default the one of these windows.
+            feature_set_choice: feature sets of the batch; the default set of these windows if None.
         """
         feature_set_choice = feature_set_choice or same_feature_set(len(index), self._set)
         segments = self._segments(index)
@@ -243,7 +235,7 @@ class Windows:
         return Segments({"past": past, "start": t, "ahead": ahead, "target": ahead + 1}, place)
 
     def features_at_starts(self, most: int = 20_000) -> tuple[Float[Tensor, "M F"], Bool[Tensor, " M"]]:
-        """Features under the wheels at the start of windows, all or `most` of them, and whether they are there."""
+        """Return features under the wheels at up to `most` window starts, and their validity."""
         if self._cells is None:
             raise DatasetError("no terrain features", how="extract them with `--features ground-truth`")
         chosen = self.rows[np.unique(np.linspace(0, len(self) - 1, min(most, len(self))).astype(int))]
@@ -254,11 +246,10 @@ class Windows:
     def path(
         self, index: Int[np.ndarray, " B"], *, behind: int = 50, ahead: int = 400
     ) -> tuple[Float[Tensor, "B P 2"], Float[Tensor, "B P 3"]]:
-        """The recorded path around windows, rows t - behind ... t + ahead of the same drive.
+        """Return the recorded path around windows, rows t - behind ... t + ahead of the same drive.
 
         Returns:
-            px, py relative to each window's start [m], infinite where there is no valid row; surface normals there, NaN
-            where unknown.
+            px, py relative to each window's start [m], infinite at invalid rows; surface normals, NaN where unknown.
         """
         rows = self.rows[index][:, None] + np.arange(-behind, ahead + 1)
         first, end = self._offset[self.drive[index]], self._offset[self.drive[index] + 1]
@@ -270,15 +261,15 @@ class Windows:
         return position, self._driven_normal[near][..., 0, :]
 
     def places(self, index: Int[np.ndarray, " B"]) -> Float[Tensor, "B 2"]:
-        """Where windows start: px, py in the world frame [m], in double precision."""
+        """Return px, py of window starts in the world frame, in double precision [m]."""
         start = self._start[torch.as_tensor(self.rows[index], device=self.device), :2].double()
         origin = np.stack([drive.rows.origin for drive in self._drives])[self.drive[index]]
         return start + torch.as_tensor(origin, device=self.device)
 
     def _recorded(self, normal: Float[Tensor, "B R 4 3"]) -> Terrain:
-        """`Terrain.of`, once it is sure that normals are unit vectors, or unknown where a map made them.
+        """Return `Terrain.of` normals, refusing any that are neither unit vectors nor unknown cells of a map.
 
-        They stay on disk when a dataset is opened, and are looked at when a batch reads them.
+        Normals stay on disk when a dataset is opened, so they are checked when a batch reads them.
         """
         unit = (torch.linalg.vecdot(normal, normal) - 1).abs() < UNIT_TOLERANCE
         others = normal[~unit]
