@@ -1,6 +1,7 @@
-"""Rectification against OpenCV's own projection, for all distortion models; identity."""
+"""Rectification against OpenCV's projection for all distortion models, and masks of the vehicle's body."""
 
 import dataclasses
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -8,8 +9,10 @@ import pytest
 
 from camera_models import MATRIX, MODELS
 from offpiste.core.errors import PerceptionError
-from offpiste.perception.camera import make_rectifier, pinhole_matrix
+from offpiste.logs.measurements import Camera
+from offpiste.perception.camera import make_pinhole_camera, make_rectifier, mask_from_polygons, own_body, pinhole_matrix
 from offpiste.rig.camera import CameraModel
+from offpiste.rig.sensors import CameraSource
 
 
 def opencv_pixels(model: CameraModel, points: np.ndarray) -> np.ndarray:
@@ -92,16 +95,6 @@ def test_no_ghosts_where_the_polynomial_folds_back():
     assert (rectified[rectifier.valid] > 90).all()
 
 
-def test_masks_stay_masks():
-    rectifier = make_rectifier(MODELS["plumb_bob"])
-    mask = np.zeros((480, 640), dtype=bool)
-    mask[400:] = True
-    rectified = rectifier.mask(mask)
-    assert rectified.dtype == bool
-    assert rectified[479].all()
-    assert not rectified[:300].any()
-
-
 def test_a_bad_calibration_is_refused():
     with pytest.raises(PerceptionError, match=r"^left: calibration is not finite"):
         make_rectifier(dataclasses.replace(MODELS["plumb_bob"], matrix=np.full((3, 3), np.nan)), name="left")
@@ -115,3 +108,45 @@ def test_an_image_of_another_size_is_refused():
 def test_a_distortion_that_folds_the_image_over_is_named():
     with pytest.raises(PerceptionError, match="folds the image over; check the order and sign"):
         pinhole_matrix(CameraModel(640, 480, MATRIX, (-0.9, 0.0, 0.0, 0.0), "plumb_bob"))
+
+
+def camera(mask: str = "", own: tuple = (), size: tuple[int, int] = (30, 20)) -> Camera:
+    model = CameraModel(*size, np.array([[20.0, 0.0, 14.5], [0.0, 20.0, 9.5], [0.0, 0.0, 1.0]]))
+    return Camera("front", model, np.eye(4), CameraSource(topic="front", mask=mask, own_body=own))
+
+
+def test_a_painted_mask_and_polygons_add_up(tmp_path: Path):
+    painted = np.zeros((20, 30, 3), dtype=np.uint8)
+    painted[15:, 5:25, 0] = 200
+    cv2.imwrite(str(tmp_path / "bonnet.png"), painted)
+    corner = ((0.0, 0.0), (3.0, 0.0), (3.0, 3.0), (0.0, 3.0))
+    mask = own_body(camera(str(tmp_path / "bonnet.png"), (corner,)))
+    assert mask.sum() == 5 * 20 + 4 * 4
+    assert mask[15, 5]
+    assert mask[3, 3]
+    with pytest.raises(PerceptionError, match=r"bonnet.png: a mask of 30x20 for a camera of 20x30"):
+        own_body(camera(str(tmp_path / "bonnet.png"), size=(20, 30)))
+    for content in (None, b"", b"text"):
+        if content is not None:
+            (tmp_path / "x.png").write_bytes(content)
+        with pytest.raises(PerceptionError, match=r"x.png: not a picture; give a PNG"):
+            own_body(camera(str(tmp_path / "x.png")))
+
+
+def test_polygons_overlap_without_cancelling_and_may_leave_the_image():
+    square = [(2.0, 2.0), (9.0, 2.0), (9.0, 9.0), (2.0, 9.0)]
+    mask = mask_from_polygons([square, [(x + 4, y) for x, y in square]], 20, 12)
+    assert mask.sum() == 8 * 12
+    assert mask[2:10, 2:14].all()
+    below = mask_from_polygons([[(-50.0, 8.0), (70.0, 8.0), (70.0, 99.0), (-50.0, 99.0)]], 20, 12)
+    assert below[8:].all()
+    assert not below[:8].any()
+    with pytest.raises(PerceptionError, match="polygon of 2 corners"):
+        mask_from_polygons([[(0.0, 0.0), (1.0, 1.0)]], 20, 12)
+
+
+def test_patches_with_a_little_of_the_body_are_usable():
+    tenth = ((10.0, 9.0), (19.0, 9.0), (19.0, 9.0))
+    fifth = ((20.0, 8.0), (29.0, 8.0), (29.0, 9.0), (20.0, 9.0))
+    free = make_pinhole_camera(camera(own=(tenth, fifth), size=(30, 10)), 10).free
+    assert free.tolist() == [[True, True, False]]

@@ -75,7 +75,7 @@ def test_the_documented_orientation_looks_ahead():
 
 
 def test_the_proving_grounds_rig_masks_what_its_cameras_see_of_the_vehicle():
-    from offpiste.perception.masks import mask_from_polygons
+    from offpiste.perception.camera import mask_from_polygons
     from offpiste.simulation.sensors.camera import Camera
     from offpiste.simulation.sensors.suite import full_suite
 

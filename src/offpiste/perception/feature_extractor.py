@@ -14,7 +14,7 @@ from offpiste.perception.pca import PrincipalComponents, load_pca
 
 @dataclass(frozen=True)
 class FeatureExtractor:
-    """Turns rectified images into features of their patches."""
+    """Extractor of patch features from rectified images."""
 
     backbone: Backbone
     pca: PrincipalComponents
@@ -41,17 +41,17 @@ class FeatureExtractor:
 
     @torch.no_grad()
     def extract(self, pixels: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "rows columns F"]:
-        """Features of the patches of an image."""
+        """Extract the features of an image's patches."""
         features = self.backbone(pixels[None])[0]
-        with single_threaded_torch():  # for so few numbers threads are not worth waking
+        with single_threaded_torch():  # too few numbers for threads
             return np.asarray(self.pca.project(features).cpu().numpy(), np.float32)
 
 
 def load_feature_extractor(path: Path, device: str = "cpu") -> FeatureExtractor:
-    """A PCA and the backbone that it names.
+    """Load a PCA and its backbone.
 
     Raises:
-        PerceptionError: no such file, no weights for the backbone, or others than the PCA was fitted with.
+        PerceptionError: the file or the backbone's weights are missing, or the weights differ from those of the PCA.
     """
     pca = load_pca(path)
     backbone = open_backbone(pca.backbone, device=device)

@@ -1,8 +1,7 @@
-"""Colours and responses to oriented filters of an image of bytes, as means over patches: compiled loops.
+"""Compiled loops for the backbone `filterbank`: patch means of colours and of responses to oriented filters.
 
-They do what torch does for the backbone `filterbank`, its reference, up to rounding. Derivatives of a Gaussian in every
-direction are mixed from products of a line across and a line down (Freeman and Adelson, "The Design and Use of
-Steerable Filters", PAMI 13, 1991), which takes a quarter of the products of whole filters.
+They equal torch's operations up to rounding. Derivatives of a Gaussian in every direction are combined from separable
+filters (Freeman and Adelson, "The Design and Use of Steerable Filters", PAMI 13, 1991).
 """
 
 from collections.abc import Sequence
@@ -14,19 +13,19 @@ from jaxtyping import Float32, UInt8
 from offpiste.native.compilation import FILTER_SUMS, FILTERS
 
 TAPS: Final = 7
-"""Taps of a line that are added at a time; longer lines are filled up with zeros."""
+"""Taps added at a time; lines are padded with zeros to a multiple."""
 
 PRODUCTS: Final = ((1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (0, 0), (3, 3))
-"""Numbers of the lines across and down, among those of `Derivatives`, whose products are mixed."""
+"""Horizontal and vertical lines of `Derivatives` whose products are combined."""
 
 
 class Derivatives(NamedTuple):
-    """Derivatives of a Gaussian in several directions, as products of lines.
+    """Derivatives of a Gaussian in several directions as sums of separable filters.
 
     Attributes:
         size: number of taps, odd.
-        lines: g, x g, x^2 g, and ones; zeros after them [4, `size`, or more].
-        weights: what each filter has of each of the `PRODUCTS` [k, 7].
+        lines: g, x g, x^2 g, and ones, padded with zeros.
+        weights: of the `PRODUCTS` in each filter.
     """
 
     size: int
@@ -35,12 +34,7 @@ class Derivatives(NamedTuple):
 
 
 class PatchMeans(NamedTuple):
-    """Means over the patches of an image.
-
-    Attributes:
-        colours, squares: of the opponent planes, and of their squares.
-        responses: of the magnitudes of the responses to each filter.
-    """
+    """Patch means of the opponent planes, of their squares, and of the magnitudes of filter responses."""
 
     colours: Float32[np.ndarray, "3 rows columns"]
     squares: Float32[np.ndarray, "3 rows columns"]
@@ -54,14 +48,14 @@ def patch_means(
     coarse: Sequence[Derivatives],
     patch: int,
 ) -> PatchMeans:
-    """Measure an image.
+    """Compute the patch means of an image.
 
     Args:
-        pixels: whose sides are multiples of the patch.
-        logarithm: of each value that a colour can have.
-        fine: filters that are applied at every second pixel.
+        pixels: image whose sides are multiples of the patch.
+        logarithm: of each value of a colour.
+        fine: filters applied at every second pixel.
         coarse: filters of the image at half its size.
-        patch: its side, an even number [px].
+        patch: side of a patch, even [px].
     """
     height, width, _ = pixels.shape
     rows, columns = height // patch, width // patch
@@ -90,14 +84,14 @@ def _responses(
 
 @FILTER_SUMS.entry
 def put_colours(pixels, logarithm, patch, edge, brightness, means):  # type: ignore[no-untyped-def]
-    """Put the brightness of an image, mirrored at its edges, and means of the opponent planes and their squares.
+    """Write the brightness of an image, mirrored at its edges, and means of the opponent planes and their squares.
 
     Args:
         pixels: [h, w, 3].
         logarithm, patch: as in `patch_means`.
         edge: margin around the brightness [px].
-        brightness: even columns, then odd ones, those of the margin counted [2, h + 2 edge, w / 2 + edge, or more].
-        means: zeros, for the planes and for their squares [2, 3, rows, columns].
+        brightness: even, then odd columns, margin included [2, h + 2 edge, w / 2 + edge or more].
+        means: zeros on input; of the planes and of their squares [2, 3, rows, columns].
     """
     height, width = pixels.shape[0], pixels.shape[1]
     for j in range(height):
@@ -126,14 +120,14 @@ def put_colours(pixels, logarithm, patch, edge, brightness, means):  # type: ign
 
 @FILTER_SUMS.loop
 def divide(sums, number):  # type: ignore[no-untyped-def]
-    """Turn sums into means."""
+    """Divide sums in place."""
     for at in np.ndindex(sums.shape):
         sums[at] /= number
 
 
 @FILTER_SUMS.loop
 def mirror_lines(plane, edge):  # type: ignore[no-untyped-def]
-    """Fill the margin above and below a plane with its mirror image."""
+    """Mirror a plane into the margin above and below it."""
     last = plane.shape[0] - edge - 1
     for k in range(1, edge + 1):
         for i in range(plane.shape[1]):
@@ -143,13 +137,12 @@ def mirror_lines(plane, edge):  # type: ignore[no-untyped-def]
 
 @FILTER_SUMS.entry
 def put_half(brightness, edge, width, margin, half):  # type: ignore[no-untyped-def]
-    """Put means of four pixels each, mirrored at the edges.
+    """Write means of 2 x 2 pixels, mirrored at the edges.
 
     Args:
         brightness, edge: as in `put_colours`.
-        width: of the plane at half its size [px].
-        margin: around it [px].
-        half: [h / 2 + 2 margin, width + 2 margin, or more].
+        width, margin: of the plane at half its size [px].
+        half: [h / 2 + 2 margin, width + 2 margin or more].
     """
     for j in range(half.shape[0] - 2 * margin):
         upper, lower, out = edge + 2 * j, edge + 2 * j + 1, half[margin + j]
@@ -175,14 +168,7 @@ def add_taps(x0, x1, x2, x3, x4, x5, x6, taps, line):  # type: ignore[no-untyped
 
 @FILTERS.loop
 def filter_across(planes, y, skip, lines, across):  # type: ignore[no-untyped-def]
-    """Put the products of a row of the image with each line.
-
-    Args:
-        planes, skip: as in `put_responses`.
-        y: number of the row.
-        lines: [4, taps].
-        across: [4, columns * patch], overwritten.
-    """
+    """Filter row y of the image horizontally with each of the lines [4, taps] into `across` [4, columns * patch]."""
     step, number = len(planes), across.shape[1]
     across[:] = np.float32(0)
     for tap in range(0, lines.shape[1], TAPS):
@@ -200,14 +186,14 @@ def filter_across(planes, y, skip, lines, across):  # type: ignore[no-untyped-de
 
 @FILTERS.loop
 def filter_down(across, y, of, taps, product):  # type: ignore[no-untyped-def]
-    """Put the products of a line down with rows that hold the products with a line across.
+    """Filter horizontally filtered rows vertically.
 
     Args:
-        across: of the last rows, row y in place y % taps [taps, 4, columns * patch].
-        y: the first of the rows.
-        of: number of the line across.
-        taps: of the line down [taps].
-        product: [columns * patch], overwritten.
+        across: ring buffer of filtered rows, row y at y % taps [taps, 4, columns * patch].
+        y: first row.
+        of: number of the horizontal line.
+        taps: of the vertical line [taps].
+        product: output [columns * patch].
     """
     rows = len(across)
     product[:] = np.float32(0)
@@ -220,7 +206,7 @@ def filter_down(across, y, of, taps, product):  # type: ignore[no-untyped-def]
 
 @FILTERS.loop
 def add_magnitudes(p0, p1, p2, p3, p4, p5, p6, weights, line):  # type: ignore[no-untyped-def]
-    """Add the magnitudes of responses to a filter, which is mixed from products of lines."""
+    """Add the magnitudes of the responses to a filter combined from products of lines."""
     w0, w1, w2, w3, w4, w5, w6 = weights[0], weights[1], weights[2], weights[3], weights[4], weights[5], weights[6]
     for i in range(len(line)):
         response = w0 * p0[i] + w1 * p1[i] + w2 * p2[i] + w3 * p3[i]
@@ -229,16 +215,16 @@ def add_magnitudes(p0, p1, p2, p3, p4, p5, p6, weights, line):  # type: ignore[n
 
 @FILTERS.entry
 def put_responses(planes, skip, filters, patch, across, products, sums, means):  # type: ignore[no-untyped-def]
-    """Put means of the magnitudes of responses over patches.
+    """Write patch means of the magnitudes of filter responses.
 
     Args:
-        planes: every column of an image, or the even columns and the odd ones; then every second pixel responds.
-        skip: lines and columns of the margin that no filter reaches.
+        planes: an image, or its even and odd columns for responses at every second pixel.
+        skip: rows and columns of the margin that no filter reaches.
         filters: `Derivatives`.
-        patch: its side [responses].
-        across: zeros; products of the last rows with each line across [taps, 4, columns * patch].
-        products, sums: room [7, columns * patch], [k, columns * patch].
-        means: [k, rows, columns], overwritten.
+        patch: side of a patch [responses].
+        across: zeros; ring buffer of filtered rows [taps, 4, columns * patch].
+        products, sums: work arrays [7, columns * patch], [k, columns * patch].
+        means: output [k, rows, columns].
     """
     step, rows, ready = len(planes), len(across), 0
     p0, p1, p2, p3 = products[0], products[1], products[2], products[3]

@@ -1,4 +1,4 @@
-"""Keyframes: images some metres apart and, for the PCA, those most unlike each other."""
+"""Selection of images by travelled distance and by diversity."""
 
 import cv2
 import numpy as np
@@ -8,16 +8,11 @@ from offpiste.core.errors import PerceptionError
 
 
 def keyframes_by_travel(position: Float[np.ndarray, "n k"], metres: float) -> Int[np.ndarray, " m"]:
-    """Indices of keyframes, each at least `metres` from the one before.
-
-    The straight distance counts: noise in the pose of a parked vehicle adds up to a path, but not to a distance.
+    """Return increasing indices of keyframes, each at least `metres` in a straight line from the previous one.
 
     Args:
-        position: of the vehicle at each frame's stamp, in the order of time [m]; NaN where it is not known.
-        metres: 0 takes every frame whose position is known.
-
-    Returns:
-        increasing; it starts with the first frame whose position is known.
+        position: of the vehicle at each frame's stamp [m]; frames with NaN are skipped.
+        metres: 0 takes every frame with a position.
     """
     chosen: list[int] = []
     for index in np.flatnonzero(np.isfinite(position).all(axis=1)):
@@ -27,10 +22,10 @@ def keyframes_by_travel(position: Float[np.ndarray, "n k"], metres: float) -> In
 
 
 def image_statistics(image: UInt8[np.ndarray, "h w 3"]) -> Float[np.ndarray, " 14"]:
-    """Statistics of ground and light of an RGB image, cheaply.
+    """Return statistics of ground and light of an RGB image.
 
-    They come from its lower two thirds, where the ground is, at 64x32 pixels: mean and spread of lightness and of both
-    colours (CIE L*a*b*), each for the nearer and the further half, and the logarithm of the roughness of the lightness.
+    They are computed from its lower two thirds at 64x32 pixels: mean and standard deviation of lightness and both
+    colours (CIE L*a*b*), and the logarithm of the lightness's roughness, for the farther and the nearer half.
     """
     ground = image[image.shape[0] // 3 :]
     small = cv2.resize(ground, (64, 32), interpolation=cv2.INTER_AREA)
@@ -43,16 +38,12 @@ def image_statistics(image: UInt8[np.ndarray, "h w 3"]) -> Float[np.ndarray, " 1
 
 
 def most_diverse(statistics: Float[np.ndarray, "N k"], count: int, *, seed: int) -> Int[np.ndarray, " n"]:
-    """Rows that represent all rows: from a random one, always the one furthest from those chosen.
+    """Return n = min(count, N) increasing indices of diverse rows by farthest-point sampling from a random row.
 
-    Farthest-point sampling (Gonzalez, "Clustering to minimize the maximum intercluster distance", 1985), on columns
-    scaled to equal spread.
-
-    Returns:
-        n = min(count, N) indices, increasing.
+    Gonzalez, "Clustering to minimize the maximum intercluster distance", 1985, on columns scaled to equal spread.
 
     Raises:
-        PerceptionError: no rows, or rows that are not finite.
+        PerceptionError: there are no rows, or some are not finite.
     """
     if not len(statistics) or not np.isfinite(statistics).all():
         raise PerceptionError("no images to choose from, or broken ones", how="give a log with images")

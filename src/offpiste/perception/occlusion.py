@@ -1,12 +1,10 @@
-"""Occlusion: points that a camera cannot see behind something nearer.
+"""Occlusion of sparse LiDAR points in a camera's view.
 
-A LiDAR is mounted elsewhere than the cameras and sees behind what occludes their view. Its points are sparse, so
-occluded points appear between those of the occluder: a z-buffer alone would let them through, and one of larger cells
-would drop ground further up a slope behind nearer ground in the same cell. A point counts as occluded when points that
-are nearer by more than a tolerance surround it: within a small window, no gap between their directions, counted in
-eighths of a turn, is wider than `FREE` of these. Nearer points of one flat surface all lie on one side, so a plane
-never occludes itself, however steeply it is seen. The idea is that of Pintus et al., "Real-time rendering of massive
-unstructured raw point clouds using screen-space operators", VAST 2011.
+A z-buffer alone would let occluded points through between sparse points of the occluder, and one with larger cells
+would drop ground up a slope behind nearer ground. A point counts as occluded if nearer points surround it: within a
+small window, no gap between their directions is wider than `FREE` sectors. Nearer points of a plane all lie on one
+side, so a plane never occludes itself. After Pintus et al., "Real-time rendering of massive unstructured raw point
+clouds using screen-space operators", VAST 2011.
 """
 
 from functools import cache
@@ -19,7 +17,7 @@ from offpiste.native.compilation import OCCLUSION
 
 SECTORS: Final = 8
 FREE: Final = 2
-"""Widest gap between nearer points, in sectors, that still occludes a point."""
+"""Widest gap between nearer points that still occludes a point [sectors]."""
 
 
 def occluded_points(
@@ -32,15 +30,15 @@ def occluded_points(
     relative: float = 0.06,
     absolute: float = 0.3,
 ) -> Bool[np.ndarray, " n"]:
-    """Points that others occlude.
+    """Return the mask of occluded points.
 
     Args:
         pixels: x, y of points inside the image [px].
-        depth: distances along the optical axis, positive [m].
+        depth: along the optical axis, positive [m].
         size: width and height of the image [px].
-        reach: half of the window in which nearer points occlude a point [px]: about the spacing of a LiDAR's rings.
-        cell: of the z-buffer, which keeps the nearest point of each [px].
-        relative, absolute: a point occludes others that are further by more than relative * depth + absolute [m].
+        reach: half of the window with occluding points, about the spacing of a LiDAR's rings [px].
+        cell: size of a cell of the z-buffer [px].
+        relative, absolute: occluding points are nearer by more than relative * depth + absolute [m].
     """
     if not len(pixels):
         return np.zeros(0, dtype=bool)
@@ -54,7 +52,7 @@ def occluded_points(
 
 @cache
 def _sectors(window: int) -> UInt8[np.ndarray, "k k"]:
-    """Eighth of a turn, around east, north-east, ..., of each cell of the window."""
+    """Return the sector of each cell of the window."""
     y, x = np.mgrid[-window : window + 1, -window : window + 1]
     return (np.round(np.arctan2(y, x) / (2 * np.pi) * SECTORS).astype(np.int64) % SECTORS).astype(np.uint8)
 
@@ -88,7 +86,7 @@ def _surrounded_loop(  # type: ignore[no-untyped-def]
 
 
 def _put_nearest_loop(pixels, depth, cell, row, column, nearest) -> None:  # type: ignore[no-untyped-def]
-    """Put the cell of each point and the least depth in each cell."""
+    """Write the cell of each point and the smallest depth in each cell."""
     height, width = nearest.shape
     for i in range(len(depth)):
         column[i] = min(max(np.int64(np.floor((pixels[i, 0] + 0.5) / cell)), 0), width - 1)

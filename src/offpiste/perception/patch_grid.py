@@ -1,21 +1,18 @@
-"""Grid of the patches of an image.
-
-Pixel coordinates are OpenCV's and ROS's: the middle of the first pixel is (0, 0).
-"""
+"""Grid of square patches of an image. As in OpenCV and ROS, the centre of the first pixel is (0, 0)."""
 
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from offpiste.core.errors import PerceptionError
 
 
 @dataclass(frozen=True)
 class PatchGrid:
-    """Square patches side by side in the middle of an image, whose edges are cropped.
+    """Square patches in the centre of an image, with cropped edges.
 
-    960x594 at patch 14 gives 68x42 patches of the crop 952x588 that starts at pixel (4, 3).
+    For example, 960x594 at patch 14 gives 68x42 patches in the crop 952x588 that starts at pixel (4, 3).
 
     Attributes:
         width, height: of the image [px].
@@ -45,35 +42,16 @@ class PatchGrid:
 
     @property
     def offset(self) -> tuple[int, int]:
-        """First pixel of the crop, x and y [px]; the crop's principal point is the image's minus this."""
+        """First pixel of the crop, x and y [px]."""
         return (self.width - self.columns * self.size) // 2, (self.height - self.rows * self.size) // 2
 
     @property
     def crop(self) -> tuple[slice, slice]:
-        """Rows and columns of the image that the patches cover."""
+        """Rows and columns of the image covered by patches."""
         x, y = self.offset
         return slice(y, y + self.rows * self.size), slice(x, x + self.columns * self.size)
 
-    def cells(
-        self, pixels: Float[np.ndarray, "n 2"]
-    ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
-        """Row and column of the patch at each place (x, y) of the image [px], and whether there is one.
-
-        Rows and columns of places outside, or NaN, are 0.
-        """
-        place = np.floor((pixels + 0.5 - np.array(self.offset)) / self.size)
-        inside = (place >= 0).all(axis=1) & (place[:, 0] < self.columns) & (place[:, 1] < self.rows)
-        column, row = np.where(inside[:, None], place, 0).astype(np.int64).T
-        return row, column, inside
-
-    def hit(self, pixels: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "rows columns"]:
-        """Patches with at least one of these places of the image, e.g. of ground points."""
-        row, column, inside = self.cells(pixels)
-        hit = np.zeros((self.rows, self.columns), dtype=bool)
-        hit[row[inside], column[inside]] = True
-        return hit
-
     def share(self, mask: Bool[np.ndarray, "height width"]) -> Float[np.ndarray, "rows columns"]:
-        """Share of the pixels of each patch that a mask of the image marks."""
+        """Return the masked share of each patch's pixels."""
         cropped = mask[self.crop].reshape(self.rows, self.size, self.columns, self.size)
         return cropped.mean(axis=(1, 3))

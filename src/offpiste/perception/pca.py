@@ -1,13 +1,9 @@
-"""PCA of patch features on ground: exact from a stream of images of any length; its file.
-
-The file is safetensors; everything that is not a tensor is JSON in the file's header.
-"""
+"""Exact PCA of patch features on ground from a stream of images, stored as safetensors with a JSON header."""
 
 import hashlib
 import json
-import logging
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -25,18 +21,16 @@ from offpiste.core.limits import open_tensors, parsed
 from offpiste.core.shipped import pca_file
 from offpiste.perception.backbones import Backbone
 
-logger = logging.getLogger(__name__)
-
 COMPONENTS = 40
 """Number of components, as in the paper."""
 
 IMAGES = 175
-"""Number of images that a PCA is fitted on unless they are listed, as in the paper."""
+"""Default number of images for a PCA, as in the paper."""
 
 
 @dataclass(frozen=True)
 class Moments:
-    """Count, mean and scatter (sum of outer products of deviations) of vectors, in float64."""
+    """Count, mean and scatter (sum of outer products of deviations) of vectors in float64."""
 
     count: int
     mean: Float[np.ndarray, " C"]
@@ -44,27 +38,27 @@ class Moments:
 
     @classmethod
     def none(cls, channels: int) -> "Moments":
-        """Moments of no vectors."""
+        """Return the moments of no vectors."""
         return cls(0, np.zeros(channels), np.zeros((channels, channels)))
 
     @classmethod
     def of(cls, vectors: Float[np.ndarray | Tensor, "n C"]) -> "Moments":
-        """Moments of these vectors.
+        """Return the moments of vectors.
 
         Raises:
-            PerceptionError: not all of them are finite.
+            PerceptionError: a vector is not finite.
         """
         rows = np.asarray(torch.as_tensor(vectors).detach().cpu().double())
         if not len(rows):
             return cls.none(rows.shape[1])
         mean = rows.mean(axis=0)
         if not np.isfinite(mean).all():
-            raise PerceptionError("features to be reduced are not finite", how="look at the images they come from")
+            raise PerceptionError("features to be reduced are not finite", how="check the images they come from")
         deviation = rows - mean
         return cls(len(rows), mean, deviation.T @ deviation)
 
     def __add__(self, other: "Moments") -> "Moments":
-        """Moments of both sets of vectors (Chan, Golub, LeVeque, "Updating Formulae ...", 1979)."""
+        """Return the moments of both sets of vectors (Chan, Golub, LeVeque, "Updating Formulae ...", 1979)."""
         count = self.count + other.count
         if not count:
             return self
@@ -75,11 +69,7 @@ class Moments:
     def add(
         self, features: Float[Tensor, "B rows columns C"], ground: Bool[np.ndarray | Tensor, "B rows columns"]
     ) -> "Moments":
-        """Moments with those patches of feature images added that are ground.
-
-        Args:
-            ground: patches hit by ground points (`PatchGrid.hit`).
-        """
+        """Add the patches of feature images that ground points hit."""
         return self + Moments.of(features[torch.as_tensor(ground, device=features.device)])
 
 
@@ -89,12 +79,11 @@ class PrincipalComponents:
 
     Attributes:
         mean: of the features.
-        basis: orthonormal columns; the largest entry of each is positive, so that signs can be reproduced.
+        basis: orthonormal columns; the largest entry of each is positive, so that signs are reproducible.
         variance: explained by each column.
         total_variance: of the features.
-        backbone: name of the backbone that made the features.
-        fingerprint: of that backbone (`Backbone.fingerprint`).
-        fitted_on: number of images and patches, drives, split, seed ...
+        backbone, fingerprint: name and `Backbone.fingerprint` of the backbone.
+        fitted_on: number of patches, logs, split ...
     """
 
     mean: Float[np.ndarray, " C"]
@@ -112,30 +101,17 @@ class PrincipalComponents:
 
     @property
     def identity(self) -> str:
-        """Hash of the map, stored with the features that it made."""
+        """Hash of the map, stored with its features."""
         digest = hashlib.sha256(self.fingerprint.encode())
         for part in (self.mean, self.basis):
             digest.update(np.ascontiguousarray(part, dtype="<f4").tobytes())
         return digest.hexdigest()[:16]
 
-    def cut(self, components: int) -> "PrincipalComponents":
-        """The map to the first components only.
-
-        Raises:
-            PerceptionError: it does not have as many.
-        """
-        if not 1 <= components <= self.components:
-            raise PerceptionError(
-                f"{components} components, but the PCA has {self.components}",
-                how="ask for fewer, or fit it again",
-            )
-        return replace(self, basis=self.basis[:, :components], variance=self.variance[:components])
-
     def project(self, features: Float[Tensor, "*P C"]) -> Float[Tensor, "*P n"]:
-        """Components of features, on their device.
+        """Return the components of features on their device.
 
         Raises:
-            PerceptionError: features of another length.
+            PerceptionError: the features have another length.
         """
         if features.shape[-1] != len(self.mean):
             raise PerceptionError(
@@ -145,17 +121,17 @@ class PrincipalComponents:
         return (features - mean) @ basis
 
     def check(self, backbone: Backbone, *, where: str | Path = "") -> None:
-        """Refuse a backbone other than the one it was fitted with.
+        """Refuse a backbone with other features than those the PCA was fitted on.
 
         Args:
             where: file of the PCA, for the message.
 
         Raises:
-            PerceptionError: it is another one, or other weights.
+            PerceptionError: the backbone or its weights differ.
         """
         if len(self.mean) != backbone.channels:
             raise PerceptionError(
-                f"the PCA is of {len(self.mean)} channels, {backbone.name} has {backbone.channels}",
+                f"the PCA has {len(self.mean)} channels, {backbone.name} has {backbone.channels}",
                 where=where,
                 how="run `offpiste fit-pca` again",
             )
@@ -169,13 +145,12 @@ class PrincipalComponents:
 
 
 def fit(moments: Moments, backbone: Backbone, *, components: int = COMPONENTS, **fitted_on: Any) -> PrincipalComponents:
-    """PCA of these moments.
+    """Compute a PCA from moments.
 
-    There are fewer than `components` where the patches span fewer directions (few patches, few or constant
-    channels): a direction without variance carries no information.
+    It has fewer than `components` if the patches span fewer directions (few patches, few or constant channels).
 
     Raises:
-        PerceptionError: fewer than two patches, or patches that are all alike.
+        PerceptionError: there are fewer than two patches, or all are equal.
     """
     if moments.count < 2:
         raise PerceptionError(
@@ -184,11 +159,11 @@ def fit(moments: Moments, backbone: Backbone, *, components: int = COMPONENTS, *
         )
     values, vectors = np.linalg.eigh(moments.scatter / (moments.count - 1))
     values, vectors = values[::-1], vectors[:, ::-1]
-    # What float32 features cannot tell from zero.
+    # Variance that float32 features can tell from zero.
     spread = values > max(values[0], 0.0) * np.finfo(np.float32).eps * 1e-2
     kept = min(components, int(spread.sum()) if values[0] > 0 else 0, moments.count - 1)
     if not kept:
-        raise PerceptionError("all patches of ground are alike", how="check that the images show what they should")
+        raise PerceptionError("all patches of ground are equal", how="check that the images show ground")
     basis = vectors[:, :kept]
     largest = np.abs(basis).argmax(axis=0)
     basis = basis * np.sign(basis[largest, np.arange(kept)])
@@ -210,7 +185,7 @@ PCA_HEADER = "offpiste_pca"
 
 
 def save_pca(path: Path, pca: PrincipalComponents) -> None:
-    """Write a PCA with its digest, whole or not at all."""
+    """Write a PCA with its digest atomically."""
     about = {
         "schema": _SCHEMA,
         "total_variance": pca.total_variance,
@@ -224,15 +199,12 @@ def save_pca(path: Path, pca: PrincipalComponents) -> None:
     write_bytes(path, save(tensors, metadata=header))  # safetensors' own writer hides that a disk is full
 
 
-def load_pca(path: str | Path, backbone: Backbone | None = None) -> PrincipalComponents:
-    """Read what `save_pca` wrote, and check the backbone, where one is given.
-
-    Args:
-        path: or `pretrained:FAMILY`, for the PCA of models that ship.
+def load_pca(path: str | Path) -> PrincipalComponents:
+    """Read a PCA from its file, or from `pretrained:FAMILY`.
 
     Raises:
-        RunError: no such family ships.
-        PerceptionError: no such file, not a PCA, a damaged one, or one of another backbone or other weights.
+        RunError: there is no such pretrained family.
+        PerceptionError: the file is missing, damaged, or not a PCA.
     """
     path = pca_file(path)
     try:
@@ -240,12 +212,10 @@ def load_pca(path: str | Path, backbone: Backbone | None = None) -> PrincipalCom
             header = file.metadata() or {}
             tensors = {name: file.get_tensor(name) for name in ("mean", "basis", "variance")}
         about = parsed(header[PCA_HEADER])
-        written = about.pop("sha256", None)
+        written = about.pop("sha256")
         if about["schema"] != _SCHEMA:
             raise ValueError(f"schema {about['schema']}, not {_SCHEMA}")
-        if written is None:
-            logger.warning(f"{path}: has no checksum, since an older offpiste wrote it: damage would not be noticed")
-        elif written != sha256_of_arrays(tensors, about):
+        if written != sha256_of_arrays(tensors, about):
             raise ValueError("damaged: its checksum differs")
         _check_shapes(tensors)
         pca = PrincipalComponents(
@@ -260,16 +230,14 @@ def load_pca(path: str | Path, backbone: Backbone | None = None) -> PrincipalCom
         raise PerceptionError(
             f"not a PCA of offpiste ({reason})", where=path, how="give the file that `offpiste fit-pca` wrote"
         ) from error
-    if backbone is not None:
-        pca.check(backbone, where=path)
     return pca
 
 
 def _check_shapes(tensors: Mapping[str, np.ndarray]) -> None:
-    """Raise if the tensors of a file are no map.
+    """Raise if tensors are not finite float32, or if their shapes do not fit together.
 
     Raises:
-        ValueError: one is not finite float32, or their shapes do not fit together.
+        ValueError: names the fault.
     """
     for name, values in tensors.items():
         if values.dtype != np.float32 or not np.isfinite(values).all():

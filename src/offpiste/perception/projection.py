@@ -1,13 +1,11 @@
 """Projection of LiDAR points into the patches of camera images.
 
-Points are given in the world frame, each by the vehicle's pose at its own moment
-(`offpiste.perception.motion_compensation`); every image has the pose of its own stamp. The motion between scan and
-image, and within the scan, is compensated as far as poses are right and the world is static.
+Points are motion-compensated to the world frame (`offpiste.perception.motion_compensation`), and each image has the
+pose at its own stamp, so that motion within a scan and between scan and image cancels in a static world.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -20,17 +18,12 @@ from offpiste.perception.occlusion import occluded_points
 from offpiste.rig.camera import CameraModel
 
 NEAREST = 0.2
-"""Least distance of projected points from the plane of the pinhole [m]."""
+"""Smallest depth of projected points [m]."""
 
 
 @dataclass(frozen=True)
 class CameraView:
-    """A camera at the moment of one of its images.
-
-    Attributes:
-        time: of the image [s].
-        world_from_camera: at that time.
-    """
+    """Camera and its pose at the time of an image [s]."""
 
     camera: PinholeCamera
     time: float
@@ -39,22 +32,16 @@ class CameraView:
 
 @dataclass(frozen=True)
 class ProjectionSettings:
-    """Settings of the projection.
+    """Settings of occlusion: nearer points within an angle occlude a point.
 
     Attributes:
-        rule: for points that several images show: "centre" takes the image whose optical axis passes nearest, in
-            angle, where a lens is sharpest and rectification stretches least; "newest" the one taken last, and of
-            those taken together the first.
-        reach: half of the angle within which nearer points occlude a point [deg]: about the spacing of a LiDAR's rings.
-        relative, absolute: how much nearer they have to be: relative * depth + absolute [m].
-        occlusion: whether occluded points are dropped.
+        reach: half of that angle, about the spacing of a LiDAR's rings [deg].
+        relative, absolute: occluding points are nearer by relative * depth + absolute [m].
     """
 
-    rule: Literal["centre", "newest"] = "centre"
     reach: float = 1.0
     relative: float = 0.06
     absolute: float = 0.3
-    occlusion: bool = True
 
     def __post_init__(self) -> None:
         if not (0 < self.reach < 20 and 0 <= self.relative < 1 and self.absolute >= 0):
@@ -70,10 +57,10 @@ class Projection:
     """Image, pixel and patch of each of n points.
 
     Attributes:
-        view: index of the view that shows the point; -1 where none does.
-        pixel: x, y in that rectified image [px]; NaN where none.
-        row, column: of the patch that the pixel lies in; 0 where none.
-        distance: of the point from that camera [m]; NaN where none.
+        view: index of the view that shows the point; -1 if none.
+        pixel: x, y in the rectified image [px]; NaN if not seen.
+        row, column: of the patch; 0 if not seen.
+        distance: from camera to point [m]; NaN if not seen.
     """
 
     view: Int[np.ndarray, " n"]
@@ -84,14 +71,14 @@ class Projection:
 
     @property
     def seen(self) -> Bool[np.ndarray, " n"]:
-        """Points that some view shows."""
+        """Points seen in a view."""
         return self.view >= 0
 
     def gather(self, features: Sequence[Float[np.ndarray, "_ _ f"]]) -> Float[np.ndarray, "n f"]:
-        """Features of the patch of each point; NaN where no view shows it.
+        """Return the features of each point's patch; NaN if not seen.
 
         Args:
-            features: one feature image for each view [rows, columns, f].
+            features: a feature image per view [rows, columns, f].
         """
         result = np.full((len(self.view), features[0].shape[2]), np.nan, features[0].dtype)
         for number, image in enumerate(features):
@@ -106,8 +93,8 @@ def project(
 ) -> Projection:
     """Project points into the images of several views.
 
-    A view does not show points behind the camera, outside of its patches, on patches of the vehicle itself, behind
-    something nearer (`occluded_points`), or points that are not finite.
+    Of the views that see a point, the one whose optical axis passes nearest in angle is chosen. Points that are not
+    finite, behind the camera, outside its free patches, or occluded (`occluded_points`) are not seen.
     """
     settings = settings or ProjectionSettings()
     n = len(points_world)
@@ -118,27 +105,23 @@ def project(
         model, grid = this.camera.model, this.camera.grid
         put_in_camera(world, inverse(this.world_from_camera), points)
         index, pixels, depth = _in_image(points, model)
-        occluded = np.zeros(len(index), bool)
-        if settings.occlusion:
-            focal_length = float(model.matrix[0, 0])
-            occluded = occluded_points(
-                pixels,
-                depth,
-                model.size,
-                reach=focal_length * np.tan(np.deg2rad(settings.reach)),
-                relative=settings.relative,
-                absolute=settings.absolute,
-            )
+        occluded = occluded_points(
+            pixels,
+            depth,
+            model.size,
+            reach=float(model.matrix[0, 0]) * np.tan(np.deg2rad(settings.reach)),
+            relative=settings.relative,
+            absolute=settings.absolute,
+        )
         patches = (*(float(first) for first in grid.offset), float(grid.size))
-        time = np.nan if settings.rule == "centre" else this.time
-        keep_better(number, points, index, pixels, occluded, patches, this.camera.free, time, best, arrays)
+        keep_better(number, points, index, pixels, occluded, patches, this.camera.free, best, arrays)
     return out
 
 
 def _in_image(
     points: Float[np.ndarray, "n 3"], pinhole: CameraModel
 ) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, "m 2"], Float[np.ndarray, " m"]]:
-    """Indices of points that fall into an image, their places in it [px] and their depths [m]."""
+    """Return indices, pixels and depths [m] of the points inside an image."""
     n = len(points)
     index, pixels, depth = np.empty(n, np.int64), np.empty((n, 2)), np.empty(n)
     count = put_pixels(points, pinhole.matrix, NEAREST, *pinhole.size, index, pixels, depth)
@@ -148,23 +131,17 @@ def _in_image(
 def project_to_pinhole(
     points_camera: Float[np.ndarray, "n 3"], pinhole: CameraModel
 ) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, "m 2"]]:
-    """Indices of the points that fall into an image without distortion, and their places in it [px]."""
+    """Return indices and pixels of the points inside an image without distortion."""
     index, pixels, _ = _in_image(np.ascontiguousarray(points_camera, np.float64), pinhole)
     return index, pixels
 
 
-# Loops over the points of a scan; they add in the order in which NumPy and BLAS do.
+# The loops over points add in the order of NumPy and BLAS.
 
 
 @FUSED_PROJECTION.entry
 def put_in_camera(points, camera_from_world, result):  # type: ignore[no-untyped-def]
-    """Move points by one transform.
-
-    Args:
-        points: [n, 3].
-        camera_from_world: [4, 4].
-        result: where they go [n, 3].
-    """
+    """Transform points [n, 3] by one matrix [4, 4] into `result` [n, 3]."""
     for i in range(len(points)):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         for axis in range(3):
@@ -174,20 +151,18 @@ def put_in_camera(points, camera_from_world, result):  # type: ignore[no-untyped
 
 @PROJECTION.entry
 def put_pixels(points, matrix, nearest, width, height, index, pixels, depth):  # type: ignore[no-untyped-def]
-    """Put the pixels of the points that fall into an image; returns how many do.
+    """Write index, pixels and depth of the points inside an image, and return their number.
 
     Args:
         points: in the camera's frame [n, 3].
-        matrix: K of the pinhole [3, 3].
-        nearest: least depth [m].
+        nearest: smallest depth [m].
         width, height: of the image [px].
-        index: numbers of those points [n, or less used].
-        pixels, depth: of those points [n, 2], [n].
+        index, pixels, depth: outputs [n], [n, 2], [n].
     """
     count = 0
     for i in range(len(points)):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        if not z > nearest:  # nor what is not a number
+        if not z > nearest:  # also skips NaN
             continue
         across = matrix[0, 0] * x / z + matrix[0, 1] * y / z + matrix[0, 2]
         down = matrix[1, 1] * y / z + matrix[1, 2]
@@ -198,18 +173,16 @@ def put_pixels(points, matrix, nearest, width, height, index, pixels, depth):  #
 
 
 @PROJECTION.entry
-def keep_better(number, points, index, pixels, occluded, patches, free, time, best, out):  # type: ignore[no-untyped-def]
-    """Let a view show those points that it shows better than the views before it.
+def keep_better(number, points, index, pixels, occluded, patches, free, best, out):  # type: ignore[no-untyped-def]
+    """Assign points to a view that sees them nearer to its axis than earlier views.
 
     Args:
         number: of the view.
         points: in the camera's frame [n, 3].
-        index, pixels: of those that fall into the image [m], [m, 2].
-        occluded: which of them are not seen [m].
+        index, pixels, occluded: of the points inside the image [m], [m, 2], [m].
         patches: x, y of the first patch, and side of a patch [px].
-        free: patches that show the world [rows, columns].
-        time: of the image, where the newest is the best; not a number where the most central is.
-        best: cost of what shows each point so far [n].
+        free: usable patches [rows, columns].
+        best: lowest cost of each point so far [n].
         out: arrays of `Projection`.
     """
     rows, columns = free.shape
@@ -228,7 +201,7 @@ def keep_better(number, points, index, pixels, occluded, patches, free, time, be
             continue
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         far = np.sqrt((x * x + y * y) + z * z)
-        cost = -time if time == time else -z / far
+        cost = -z / far
         if cost < best[i]:
             best[i], shown[i], distance[i] = cost, number, far
             pixel[i, 0], pixel[i, 1], patch_row[i], patch_column[i] = across, down, r, c
@@ -236,7 +209,7 @@ def keep_better(number, points, index, pixels, occluded, patches, free, time, be
 
 @PROJECTION.entry
 def gather_features(number, shown, row, column, image, out):  # type: ignore[no-untyped-def]
-    """Put the features of the patches of the points that a view shows [n, F]; others are left as they are."""
+    """Copy the features of the points that a view shows into `out` [n, F]."""
     for i in range(len(shown)):
         if shown[i] == number:
             for k in range(image.shape[2]):

@@ -1,4 +1,4 @@
-"""What holds for every backbone, tried on a filterbank and on a small transformer."""
+"""Properties of every backbone, on a filterbank and on a small transformer."""
 
 import numpy as np
 import pytest
@@ -27,15 +27,12 @@ def images() -> np.ndarray:
     return np.random.default_rng(0).integers(0, 256, size=(3, 60, 90, 3), dtype=np.uint8)
 
 
-def test_one_feature_vector_a_patch(backbone: Backbone, images: np.ndarray):
+def test_a_batch_equals_single_images(backbone: Backbone, images: np.ndarray):
+    singles = torch.cat([backbone(image[None]) for image in images])
     features = backbone(images)
     assert features.shape == (3, 4, 6, backbone.channels)
     assert features.dtype == torch.float32
-
-
-def test_a_batch_equals_single_images(backbone: Backbone, images: np.ndarray):
-    singles = torch.cat([backbone(image[None]) for image in images])
-    assert torch.allclose(backbone(images), singles, atol=1e-5)
+    assert torch.allclose(features, singles, atol=1e-5)
 
 
 def test_images_may_be_tensors_flipped_or_read_only(backbone: Backbone, images: np.ndarray):
@@ -75,9 +72,6 @@ def test_pixels_that_are_none_are_refused(backbone: Backbone, value: float):
     image[0, 15, 15, 1] = value
     with pytest.raises(PerceptionError, match="not in \\[0, 1\\]; give uint8, or finite floats"):
         backbone(image)
-
-
-def test_signed_integers_are_refused(backbone: Backbone):
     with pytest.raises(PerceptionError, match=r"images of type torch.int64; give uint8"):
         backbone(np.zeros((1, 30, 30, 3), dtype=np.int64))
 
@@ -92,10 +86,6 @@ def test_broken_weights_are_named():
 def test_fingerprints_tell_weights_and_kinds_apart():
     assert tiny_vit(0).fingerprint == tiny_vit(0).fingerprint
     assert len({tiny_vit(0).fingerprint, tiny_vit(1).fingerprint, Filterbank().fingerprint}) == 3
-
-
-def test_the_filterbank_is_opened_by_its_name_only():
-    assert isinstance(open_backbone("filterbank"), Filterbank)
 
 
 @pytest.mark.parametrize("name", ["dinov2", "no such thing"])

@@ -1,4 +1,4 @@
-"""What the filterbank answers to: colour and not exposure, direction, scale; and real ground."""
+"""Responses of the filterbank to colour, direction, scale and real ground, and its compiled loops against torch."""
 
 from pathlib import Path
 
@@ -7,15 +7,18 @@ import numpy as np
 import pytest
 import torch
 
+from offpiste.perception.backbones import Backbone
 from offpiste.perception.backbones.filterbank import (
     ORIENTATIONS,
     SCALES,
     Filterbank,
+    derivatives,
     neighbourhood_mean,
     opponent_planes,
     oriented_filters,
     respond,
 )
+from offpiste.perception.filter_responses import PRODUCTS, TAPS, patch_means
 
 TEXTURE = slice(6, 6 + 2 * ORIENTATIONS * len(SCALES))
 """After 3 of colour and 3 of its spread."""
@@ -76,12 +79,6 @@ def test_means_over_neighbours_count_only_those_there_are():
     assert mean[0, 1] == (0 + 1 + 2 + 3 + 4 + 5) / 6
 
 
-def test_a_black_image_has_finite_features_all_alike():
-    features = Filterbank()(np.zeros((1, 56, 70, 3), dtype=np.uint8))
-    assert torch.isfinite(features).all()
-    assert torch.allclose(features, features[:, :1, :1].expand_as(features), atol=1e-5)
-
-
 def test_trail_and_vegetation_differ_in_a_photograph(data_folder: Path):
     """Gravel in the middle of `run4`, bushes left and right of it: looked at, and marked by hand."""
     path = data_folder / "tartandrive2" / "images" / "run4.png"
@@ -96,3 +93,39 @@ def test_trail_and_vegetation_differ_in_a_photograph(data_folder: Path):
     middle = (scores[0].mean() + scores[1].mean()) / 2
     right = torch.cat((scores[0] > middle, scores[1] < middle)).float().mean()
     assert right > 0.97
+
+
+FILTERS = derivatives(1.0), [derivatives(1.0), derivatives(2.0)]
+
+
+def reference(images: np.ndarray) -> torch.Tensor:
+    return Backbone._features_of_pixels(Filterbank(), torch.from_numpy(images))
+
+
+@pytest.mark.parametrize("shape", [(1, 28, 28), (2, 56, 70), (1, 42, 126), (1, 588, 952)])
+def test_loops_give_the_features_of_torch(shape: tuple[int, int, int]):
+    images = np.random.default_rng(len(shape)).integers(0, 256, (*shape, 3)).astype(np.uint8)
+    images[:, : shape[1] // 3] //= 50  # dark, and nearly flat
+    expected, features = reference(images), Filterbank()(images)
+    assert features.dtype == torch.float32
+    assert features.shape == expected.shape
+    assert torch.allclose(features, expected, rtol=0, atol=5e-5)
+
+
+@pytest.mark.parametrize("scale", [0.7, 1.0, 2.0, 3.1])
+def test_products_of_lines_make_the_filters(scale: float):
+    filters, expected = derivatives(scale), oriented_filters(scale)[:, 0].numpy()
+    lines = filters.lines[:, : filters.size]
+    assert not filters.lines[:, filters.size :].any()
+    assert filters.lines.shape[1] % TAPS == 0
+    products = np.stack([np.outer(lines[down], lines[across]) for across, down in PRODUCTS])
+    np.testing.assert_allclose(np.einsum("kp,pij->kij", filters.weights, products), expected, atol=2e-7)
+
+
+def test_a_flat_image_has_no_texture():
+    for value in (0, 128, 255):
+        means = patch_means(
+            np.full((28, 42, 3), value, np.uint8), np.log(np.arange(256, dtype=np.float32) + 1), *FILTERS, 14
+        )
+        assert means.responses.shape == (24, 2, 3)
+        assert means.responses.max() < 3e-6

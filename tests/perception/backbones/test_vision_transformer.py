@@ -1,7 +1,6 @@
-"""DINOv2 against transformers' own output and against its definition written out; and where weights come from."""
+"""DINOv2 against transformers' own output, and sources of weights."""
 
 import json
-import math
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +24,7 @@ from offpiste.perception.backbones import open_backbone
 from offpiste.perception.backbones.vision_transformer import VisionTransformer, weights_hash
 
 SMALL = {"hidden_size": 384, "num_attention_heads": 6, "image_size": 518, "patch_size": 14}
-"""facebook/dinov2-small's config.json, but for its 12 layers."""
+"""config.json of facebook/dinov2-small without the number of layers."""
 
 
 def lively(model: torch.nn.Module) -> torch.nn.Module:
@@ -39,9 +38,9 @@ def lively(model: torch.nn.Module) -> torch.nn.Module:
 
 @pytest.fixture(scope="module")
 def model() -> Dinov2Model:
-    """The real architecture, ViT-S/14 of 12 layers, with random weights."""
+    """ViT-S/14 of two layers with random weights."""
     torch.manual_seed(0)
-    return lively(Dinov2Model(Dinov2Config(num_hidden_layers=12, **SMALL)))
+    return lively(Dinov2Model(Dinov2Config(num_hidden_layers=2, **SMALL)))
 
 
 @pytest.fixture(scope="module")
@@ -56,77 +55,11 @@ def normalised(images: np.ndarray) -> Tensor:
     return torch.from_numpy(scaled).permute(0, 3, 1, 2).float()
 
 
-def written_out(weights: dict[str, Tensor], pixels: Tensor, *, heads: int, layers: int) -> Tensor:
-    """DINOv2 as Oquab et al. define it (github.com/facebookresearch/dinov2, vision_transformer.py), in plain torch.
-
-    Position embeddings are resized to the grid; the original's detour by a scale factor with an offset of 0.1 is not
-    taken, as in transformers.
-    """
-    batch, _, height, width = pixels.shape
-    rows, columns = height // 14, width // 14
-    embed = "embeddings.patch_embeddings.projection"
-    patches = functional.conv2d(pixels, weights[f"{embed}.weight"], weights[f"{embed}.bias"], stride=14)
-    tokens = patches.reshape(batch, -1, rows * columns).transpose(1, 2)
-    position = weights["embeddings.position_embeddings"]
-    side = math.isqrt(position.shape[1] - 1)
-    square = position[:, 1:].reshape(1, side, side, -1).permute(0, 3, 1, 2)
-    resized = functional.interpolate(square, size=(rows, columns), mode="bicubic").flatten(2).transpose(1, 2)
-    first = weights["embeddings.cls_token"] + position[:, :1]
-    x = torch.cat((first.expand(batch, -1, -1), tokens + resized), dim=1)
-
-    def linear(values: Tensor, name: str) -> Tensor:
-        return functional.linear(values, weights[f"{name}.weight"], weights[f"{name}.bias"])
-
-    def norm(values: Tensor, name: str) -> Tensor:
-        return functional.layer_norm(
-            values, values.shape[-1:], weights[f"{name}.weight"], weights[f"{name}.bias"], 1e-6
-        )
-
-    for number in range(layers):
-        block = f"encoder.layer.{number}"
-        y = norm(x, f"{block}.norm1")
-        query, key, value = (
-            linear(
-                y,
-                next(
-                    n
-                    for n in (f"{block}.attention.{p}_proj", f"{block}.attention.attention.{long}")
-                    if f"{n}.weight" in weights
-                ),
-            )
-            .unflatten(-1, (heads, -1))
-            .transpose(1, 2)
-            for p, long in (("q", "query"), ("k", "key"), ("v", "value"))
-        )
-        scores = (query @ key.transpose(-1, -2) / math.sqrt(query.shape[-1])).softmax(dim=-1)
-        mixed = (scores @ value).transpose(1, 2).flatten(2)
-        out = next(
-            n for n in (f"{block}.attention.o_proj", f"{block}.attention.output.dense") if f"{n}.weight" in weights
-        )
-        x = x + weights[f"{block}.layer_scale1.lambda1"] * linear(mixed, out)
-        y = functional.gelu(linear(norm(x, f"{block}.norm2"), f"{block}.mlp.fc1"))
-        x = x + weights[f"{block}.layer_scale2.lambda1"] * linear(y, f"{block}.mlp.fc2")
-    return norm(x, "layernorm")[:, 1:].unflatten(1, (rows, columns))
-
-
 def test_agrees_with_transformers_for_the_same_weights(model: Dinov2Model, images: np.ndarray):
     with torch.no_grad():
         tokens = model(normalised(images)).last_hidden_state
     wanted = tokens[:, 1:].reshape(2, 5, 7, 384)
     assert torch.allclose(VisionTransformer(model, name="random")(images), wanted, atol=1e-4)
-
-
-def test_agrees_with_the_definition_written_out(model: Dinov2Model, images: np.ndarray):
-    with torch.no_grad():
-        wanted = written_out(model.state_dict(), normalised(images), heads=6, layers=12)
-    assert wanted.std() > 0.5
-    assert torch.allclose(VisionTransformer(model, name="random")(images), wanted, atol=1e-3)
-
-
-def test_the_papers_image_size():
-    one_layer = Dinov2Model(Dinov2Config(num_hidden_layers=1, **SMALL))
-    features = VisionTransformer(one_layer, name="random")(np.zeros((1, 594, 960, 3), dtype=np.uint8))
-    assert features.shape == (1, 42, 68, 384)
 
 
 def test_bf16_is_close_to_fp32(model: Dinov2Model, images: np.ndarray):
@@ -215,12 +148,6 @@ class TestWeights:
         (folder / "preprocessor_config.json").write_text(content)
         with pytest.raises(PerceptionError, match=r"preprocessor_config.json: no image_mean"):
             open_backbone(str(folder))
-
-    def test_an_empty_folder(self, tmp_path: Path):
-        with pytest.raises(
-            PerceptionError, match=r"give a folder with config.json and model.safetensors, or .*filterbank"
-        ):
-            open_backbone(str(tmp_path))
 
     def test_pickles_are_not_loaded(self, folder: Path):
         (folder / "model.safetensors").unlink()
