@@ -21,7 +21,7 @@ def test_comments_and_blank_lines_are_passed_over(tmp_path):
 
 @pytest.mark.parametrize(
     ("text", "said"),
-    [("a front\n", "line 1: 'a front' names no image"), ("a f x\n", "line 1"), ("#\n", "lists no image")],
+    [("a front\n", "line 1: 'a front' is not an image"), ("a f x\n", "line 1"), ("#\n", "lists no image")],
 )
 def test_what_is_no_list_ends_in_one_line(tmp_path, text, said):
     (tmp_path / "list.txt").write_text(text)

@@ -1,7 +1,6 @@
-"""What the visual features of a dataset cover: valid rates, distances and differences by feature set.
+"""Coverage of visual features: valid rates, distances and differences by feature set, pooled over drives.
 
-The paper's numbers on them are in its section "Learning Distance-Independent Compression". A cell counts once a pass.
-Functions take the cells of one or several drives and pool them.
+Each cell counts once per pass. The paper's numbers are in its section "Learning Distance-Independent Compression".
 """
 
 from collections.abc import Iterator, Sequence
@@ -17,25 +16,25 @@ from offpiste.dataset.features_under_wheels import Cells
 from offpiste.dataset.wheel_passes import Passes
 
 PAPER_RATES: Final = (1.0, 0.87, 0.92, 0.92, 0.84, 0.65, 0.42, 0.21)
-"""Rates of valid data by feature set in the paper, which calls them occlusion percentages."""
+"""Valid rates by feature set in the paper ("occlusion percentages")."""
 
 PAPER_DIFFERENCE: Final = 0.3
-"""Between sets that are next to each other, relative to the range of values (paper)."""
+"""Difference between adjacent feature sets relative to the range of values (paper)."""
 
 CENTRAL: Final = (1.0, 99.0)
-"""Percentiles between which a feature's range is taken: a few cells do not stretch it."""
+"""Percentiles of a feature's range, robust against a few cells."""
 
 HINDSIGHT: Final = FEATURE_SETS.index("hindsight")
 
 
 @dataclass(frozen=True)
 class Differences:
-    """How far the same cells differ between feature sets, where both are valid; NaN where none are.
+    """Differences of cells between feature sets in which both are valid; NaN without such cells.
 
     Attributes:
-        count: cells.
+        count: number of cells.
         length: mean l2 norm of the difference, divided by the l2 norm of the features' ranges.
-        feature: mean absolute difference of each feature, divided by its own range; NaN for a constant one.
+        feature: mean absolute difference of each feature, divided by its range; NaN for constant features.
     """
 
     count: Int[np.ndarray, "D D"]
@@ -43,16 +42,16 @@ class Differences:
     feature: Float[np.ndarray, "D D F"]
 
     def neighbours(self) -> Float[np.ndarray, "_ F"]:
-        """Differences of distances that are next to each other: -20 and -10, -10 and 0, ..."""
+        """Return differences between adjacent distances: -20 and -10, -10 and 0, ..."""
         at = np.arange(HINDSIGHT + 1, len(self.count) - 1)
         return self.feature[at, at + 1]
 
 
 def valid_rates(cells: Sequence[Cells], reached: Sequence[Bool[np.ndarray, "D _"]] | None = None) -> np.ndarray:
-    """Share of cells that have features, by set [D]; NaN where there is no cell.
+    """Return the share of cells with features, by set [D]; NaN without cells.
 
     Args:
-        reached: cells that count in each set, by drive, e.g. of `within_reach`; all by default.
+        reached: cells that count in each set, by drive (`within_reach`, `in_hindsight`); all by default.
     """
     wanted = [np.ones_like(c.valid) for c in cells] if reached is None else reached
     result = sum((c.valid & a).sum(axis=1) for c, a in zip(cells, wanted, strict=True))
@@ -61,16 +60,14 @@ def valid_rates(cells: Sequence[Cells], reached: Sequence[Bool[np.ndarray, "D _"
 
 
 def in_hindsight(cells: Sequence[Cells]) -> list[Bool[np.ndarray, "D _"]]:
-    """Cells that have features in hindsight, for every set: their rate is 1 in hindsight, as in the paper."""
+    """Return the mask of cells with features in hindsight, for every set, as in the paper."""
     return [np.repeat(c.valid[HINDSIGHT][None], len(c.valid), axis=0) for c in cells]
 
 
 def within_reach(
     passes: Passes, time: Float[np.ndarray, " N"], xy: Float[np.ndarray, "N 2"], resolution: float
 ) -> Bool[np.ndarray, "D P"]:
-    """Whether the vehicle was at the set's distance from the cell during the pass; always in hindsight.
-
-    At the start of a drive nothing was seen from 40 m before it, at its end nothing is from 20 m behind.
+    """Return whether the vehicle was at the set's distance from the cell during the pass; always true in hindsight.
 
     Args:
         time: of the rows [s].
@@ -92,7 +89,7 @@ def within_reach(
 
 
 def observation_quartiles(cells: Sequence[Cells]) -> Float[np.ndarray, "D 3"]:
-    """Distances from sensor to point at which valid features were observed: quartiles by set; NaN where none [m]."""
+    """Return quartiles of the observation distances of valid features by set; NaN without any [m]."""
     quartiles = np.full((len(FEATURE_SETS), 3), np.nan)
     for number in range(len(FEATURE_SETS)):
         seen = np.concatenate([c.distance[number][c.valid[number]] for c in cells])
@@ -102,10 +99,9 @@ def observation_quartiles(cells: Sequence[Cells]) -> Float[np.ndarray, "D 3"]:
 
 
 def feature_range(cells: Sequence[Cells], percentiles: tuple[float, float] = CENTRAL) -> Float[np.ndarray, " F"]:
-    """Range of each feature over all valid cells in hindsight; NaN where there are none.
+    """Return the range of each feature over valid cells in hindsight between two percentiles; NaN without cells.
 
-    Args:
-        percentiles: it reaches from and to; (0.0, 100.0) is the total range of values that the paper speaks of.
+    The paper uses the total range, (0.0, 100.0).
     """
     seen = np.concatenate([c.features[HINDSIGHT][c.valid[HINDSIGHT]] for c in cells]).astype(np.float32)
     if not len(seen):
@@ -115,19 +111,15 @@ def feature_range(cells: Sequence[Cells], percentiles: tuple[float, float] = CEN
 
 
 def differences(cells: Sequence[Cells], span: Float[np.ndarray, " F"]) -> Differences:
-    """Differences between every two sets.
-
-    Args:
-        span: range of each feature (`feature_range`).
-    """
+    """Return the differences between every two sets, relative to the features' ranges (`feature_range`)."""
     sets = len(FEATURE_SETS)
     count, length = np.zeros((sets, sets), np.int64), np.zeros((sets, sets))
     feature = np.zeros((sets, sets, len(span)))
     for a, b, apart in _pairs(cells):
-        for place in ((a, b), (b, a)):
-            count[place] += len(apart)
-            length[place] += np.linalg.norm(apart, axis=1).sum()
-            feature[place] += np.abs(apart).sum(axis=0)
+        for pair in ((a, b), (b, a)):
+            count[pair] += len(apart)
+            length[pair] += np.linalg.norm(apart, axis=1).sum()
+            feature[pair] += np.abs(apart).sum(axis=0)
     same = np.arange(sets)
     count[same, same] = sum(c.valid.sum(axis=1) for c in cells)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -136,7 +128,7 @@ def differences(cells: Sequence[Cells], span: Float[np.ndarray, " F"]) -> Differ
 
 
 def unrelated(cells: Sequence[Cells], span: Float[np.ndarray, " F"], rng: np.random.Generator) -> float:
-    """The same mean l2 difference between a cell in hindsight and any other one: what nothing in common looks like."""
+    """Return the relative mean l2 difference between random pairs of cells in hindsight, as a reference."""
     seen = np.concatenate([c.features[HINDSIGHT][c.valid[HINDSIGHT]] for c in cells]).astype(np.float32)
     if len(seen) < 2:
         return float("nan")
@@ -145,11 +137,11 @@ def unrelated(cells: Sequence[Cells], span: Float[np.ndarray, " F"], rng: np.ran
 
 
 def contacts_by_pass(passes: Passes) -> Int[np.ndarray, " K"]:
-    """Contacts (a wheel on a cell at a row) of first, second, ... passes over a place."""
+    """Count the contacts (a wheel on a cell at a row) of first, second, ... passes over a cell."""
     if not len(passes.cell):
         return np.zeros(0, np.int64)
     _, place = np.unique(passes.cell, axis=0, return_inverse=True)
-    order = np.argsort(place.reshape(-1), kind="stable")  # passes come in the order of time
+    order = np.argsort(place.reshape(-1), kind="stable")  # passes are ordered by time
     first = np.flatnonzero(np.diff(place.reshape(-1)[order], prepend=-1))
     number = np.empty(len(order), np.int64)
     number[order] = np.arange(len(order)) - np.repeat(first, np.diff(np.append(first, len(order))))
@@ -157,7 +149,7 @@ def contacts_by_pass(passes: Passes) -> Int[np.ndarray, " K"]:
 
 
 def _pairs(cells: Sequence[Cells]) -> Iterator[tuple[int, int, Float[np.ndarray, "n F"]]]:
-    """Differences of the features of cells that are valid in both of two sets, for every drive and every two sets."""
+    """Yield the differences of features valid in both of two sets, for every drive and every two sets."""
     for drive in cells:
         features = drive.features.astype(np.float32)
         for a in range(len(features)):

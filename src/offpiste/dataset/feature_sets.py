@@ -1,4 +1,4 @@
-"""Feature sets: what the map held of passed cells by viewing distance, and which set each trajectory reads."""
+"""Feature sets: values of the map by viewing distance, and the choice of sets in training."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,10 +13,10 @@ from offpiste.dataset.wheel_passes import Passes
 from offpiste.native.compilation import FEATURE_SETS_KEPT, single_threaded_torch
 
 TOLERANCE = 5.0
-"""Largest difference between a feature set's distance and the vehicle's when it is recorded [m]."""
+"""Largest difference between the distance of a feature set and the vehicle's at recording [m]."""
 
 DISTANCES = np.array([float(name) for name in FEATURE_SETS[1:]])
-"""Distances of the feature sets besides hindsight [m]."""
+"""Distances of the feature sets, hindsight excluded [m]."""
 
 
 @dataclass(frozen=True)
@@ -24,28 +24,28 @@ class FeatureSetChoice:
     """Feature sets of a batch of windows.
 
     Attributes:
-        features: sets that features are read from, by window and row t-10 ... t+T-1; one column: the same for all rows.
-        normals: set that surface normals are read from, the same for all rows of a window.
+        features: set of features by window and row t-10 ... t+T-1, or one column for all rows.
+        normals: set of surface normals by window.
     """
 
     features: Int[np.ndarray, "B R"]
     normals: Int[np.ndarray, " B"]
 
     def __getitem__(self, windows: slice) -> "FeatureSetChoice":
-        """Those of some of the windows."""
+        """Return the choice of some windows."""
         return FeatureSetChoice(self.features[windows], self.normals[windows])
 
 
 def same_feature_set(count: int, number: int) -> FeatureSetChoice:
-    """All windows read one set."""
+    """Return the choice of one set for all windows."""
     return FeatureSetChoice(np.full((count, 1), number), np.full(count, number))
 
 
 def set_number(name: str, stored: int) -> int:
-    """Number of a feature set in a dataset that stores `stored` of them.
+    """Return the number of a feature set in a dataset with `stored` sets.
 
     Raises:
-        DatasetError: no such set, or the dataset has one feature set only.
+        DatasetError: there is no such set, or the dataset stores hindsight only.
     """
     if name not in FEATURE_SETS:
         raise DatasetError(f"no feature set '{name}'", how=f"sets are {', '.join(FEATURE_SETS)}")
@@ -58,29 +58,28 @@ def set_number(name: str, stored: int) -> int:
 
 
 Draw = Callable[[np.random.Generator, Int[np.ndarray, " B"], int], FeatureSetChoice]
-"""Choose what windows read from a generator, the sets of their normals and the number of stored sets."""
+"""Choice of sets from a generator, the sets of the windows' normals, and the number of stored sets."""
 
 
 def hindsight(rng: np.random.Generator, normals: Int[np.ndarray, " B"], stored: int) -> FeatureSetChoice:
-    """`df`, `cf`: features of hindsight. `b`, which reads none, draws so, too."""
+    """Choose hindsight for features (`df`, `cf`, and `b`, which reads none)."""
     return FeatureSetChoice(np.zeros((len(normals), 1), int), normals)
 
 
 def per_trajectory(rng: np.random.Generator, normals: Int[np.ndarray, " B"], stored: int) -> FeatureSetChoice:
-    """`dc`: features of the set that the normals are of."""
+    """Choose the set of the normals for features (`dc`)."""
     return FeatureSetChoice(normals[:, None], normals)
 
 
 def hindsight_throughout(rng: np.random.Generator, normals: Int[np.ndarray, " B"], stored: int) -> FeatureSetChoice:
-    """`b-hindsight`: nothing is drawn, as in the paper."""
+    """Choose hindsight for features and normals, as in the paper (`b-hindsight`)."""
     return same_feature_set(len(normals), 0)
 
 
 def drawn(draw: Draw, rng: np.random.Generator, count: int, stored: int) -> FeatureSetChoice:
-    """What `count` windows read in training: a stored set for the normals of each, and beside it what a model draws.
+    """Draw the sets of `count` training windows.
 
-    Fair: from generators in the same state, all models get the same normals. What one of them draws besides does not
-    come from the generator itself, so that it does not change what follows.
+    All models get the same normals from generators in the same state: further draws use a spawned generator.
     """
     normals = rng.integers(0, stored, count)
     return draw(rng.spawn(1)[0], normals, stored)
@@ -88,12 +87,12 @@ def drawn(draw: Draw, rng: np.random.Generator, count: int, stored: int) -> Feat
 
 @dataclass(frozen=True)
 class MapCellValues:
-    """Values of some cells of a map at one moment.
+    """Values of map cells at one time.
 
     Attributes:
         features: NaN where not `valid`.
-        valid: whether the map has features there that still lie on the ground.
-        distance: from sensor to point when they were observed [m].
+        valid: whether the map has features that still lie on the ground.
+        distance: from sensor to point at observation [m].
         elevation: NaN where unknown [m].
         normal: unit surface normal in the world frame; NaN where unknown.
     """
@@ -106,22 +105,20 @@ class MapCellValues:
 
 
 Read = Callable[[Int[np.ndarray, "K 2"]], MapCellValues]
-"""Reads cells (column, row on the world-aligned grid) of the map as it is now."""
+"""Function that reads cells (column, row on the world-aligned grid) of the current map."""
 
 
 class FeatureSetRecorder:
-    """Keeps, for every pass, the values of a growing map that each feature set asks for.
+    """Recorder of the values of a growing map for every pass and feature set.
 
-    The set of distance d holds the map's value at the update when the horizontal distance from the pose point to the
-    cell's centre, negative after first contact, was nearest to d, if within `TOLERANCE`: whether that was valid or not.
-    Hindsight is the last that was known before the cell leaves the map or the next pass over it begins, of features,
-    elevation and normal each: a normal is no worse for a feature that is missing.
+    The set of distance d holds the value, valid or not, at the update when the horizontal distance from the pose point
+    to the cell's centre, negative after first contact, was nearest to d and within `TOLERANCE`. Hindsight holds the
+    last known features, elevation and normal before the cell leaves the map or the next pass over it begins.
 
     Args:
-        passes: of the drive.
         resolution: size of a cell [m].
         reach: half the side of the map around the vehicle [m].
-        features: F, how many.
+        features: number of features.
     """
 
     def __init__(self, passes: Passes, *, resolution: float, reach: float, features: int) -> None:
@@ -137,14 +134,8 @@ class FeatureSetRecorder:
         self.normal = np.full((sets, count, 3), np.nan, np.float32)
 
     def update(self, time: float, xy: Float[np.ndarray, " 2"], read: Read) -> None:
-        """Take in the map after a scan.
-
-        Args:
-            time: [s].
-            xy: of the pose point [m].
-            read: what the map holds now.
-        """
-        import torch  # here, since many read feature sets without it; NumPy takes ten times as long to round to halves
+        """Record the map after a scan at a time [s], with the pose point at xy [m]."""
+        import torch  # imported here to keep imports quick; NumPy takes ten times as long to round to float16
 
         p, centre, x, y = self._passes, self._centre, float(xy[0]), float(xy[1])
         active, signed = self._active, self._signed
@@ -165,12 +156,11 @@ class FeatureSetRecorder:
 
 
 class KeptValues(NamedTuple):
-    """Values of the cells of passes for each feature set, or of K cells of the current map.
+    """Values by feature set and pass [sets, P, ...], or of K cells of the current map [K, ...].
 
     Attributes:
-        features: float16, as their bits [sets, P, F] or [K, F].
-        valid, distance, elevation: whether there are features, and metres; [sets, P] or [K].
-        normal: unit vectors in the world frame, [sets, P, 3] or [K, 3].
+        features: bits of float16 [..., F].
+        normal: unit vectors in the world frame [..., 3].
     """
 
     features: np.ndarray
@@ -182,7 +172,7 @@ class KeptValues(NamedTuple):
 
 @FEATURE_SETS_KEPT.loop
 def keep_features(kept, number, i, values, q):  # type: ignore[no-untyped-def]
-    """Keep the features of a cell, whether they are valid, and from where they were seen."""
+    """Keep features, validity and observation distance of a cell."""
     for k in range(values.features.shape[1]):
         kept.features[number, i, k] = values.features[q, k]
     kept.valid[number, i], kept.distance[number, i] = values.valid[q], values.distance[q]
@@ -197,16 +187,14 @@ def keep_normal(kept, number, i, values, q):  # type: ignore[no-untyped-def]
 
 @FEATURE_SETS_KEPT.entry
 def put_active(time, x, y, reach, centre, approach, contact, end, left, active, signed):  # type: ignore[no-untyped-def]
-    """Put the numbers of the passes whose cells have values to keep now, and how far away they are; returns how many.
+    """Write the active passes and their distances, and return their number.
 
     Args:
-        time: now [s].
         x, y: of the pose point [m].
         reach: half the side of the map around it [m].
         centre: of the passes' cells [P, 2] [m].
-        approach, contact, end: when each pass begins, gets to its cell, and ends [P] [s].
-        left: cells that left the map after they were passed, which had their hindsight; put here, too [P].
-        active, signed: numbers of the passes, and distances, negative after contact [m] [P, or less used].
+        left: updated mask of cells that left the map after contact [P].
+        active, signed: numbers of the passes, and distances, negative after contact [m] [P].
     """
     count = 0
     for i in range(len(centre)):
@@ -224,15 +212,12 @@ def put_active(time, x, y, reach, centre, approach, contact, end, left, active, 
 
 @FEATURE_SETS_KEPT.entry
 def keep_values(active, signed, distances, tolerance, nearest, values, kept):  # type: ignore[no-untyped-def]
-    """Keep values of the active cells: in hindsight what is known, in the other sets what is nearest to their distance.
+    """Keep known values of the active cells in hindsight, and the values nearest to each distance in the other sets.
 
     Args:
-        active: numbers of the passes whose cells were read [K].
-        signed: how far away each is, negative after contact [K] [m].
-        distances: of the sets but hindsight [m].
-        tolerance: largest miss [m].
-        nearest: least miss so far, hindsight's left out [m] [sets, P].
-        values, kept: `KeptValues`.
+        active, signed: as in `put_active` [K].
+        nearest: smallest miss so far, updated [m] [sets, P].
+        values, kept: `KeptValues` of the cells and of the passes.
     """
     for q in range(len(active)):
         i = active[q]

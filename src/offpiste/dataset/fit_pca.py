@@ -1,4 +1,4 @@
-"""Fits the PCA of patch features on images of the training stretches of logs (paper, "Dimensionality Reduction")."""
+"""Fitting of the PCA of patch features on images of training rows (paper, "Dimensionality Reduction")."""
 
 import logging
 from collections.abc import Iterable, Iterator, Sequence
@@ -28,15 +28,17 @@ from offpiste.perception.keyframes import image_statistics, keyframes_by_travel,
 from offpiste.perception.pca import COMPONENTS, IMAGES, Moments, PrincipalComponents, fit
 from offpiste.rig.rig import Rig
 
+logger = logging.getLogger(__name__)
+
+SPACING = 2.0
+"""Distance between candidate images of a camera [m]."""
+
+NEAR = 0.01
+"""Largest difference between a listed time and the stamp of an image [s]."""
+
 
 class ListedImage(NamedTuple):
-    """An image of a log.
-
-    Attributes:
-        drive: name of the log.
-        camera: in the rig.
-        time: the image's stamp [s].
-    """
+    """Image of a log, by its drive, camera and stamp [s]."""
 
     drive: str
     camera: str
@@ -44,16 +46,16 @@ class ListedImage(NamedTuple):
 
 
 def read_image_list(path: Path) -> list[ListedImage]:
-    """Images of a list; blank lines and lines that begin with # are passed over.
+    """Read a list of images; blank lines and lines that begin with # are skipped.
 
     Raises:
-        PerceptionError: no such file, a line of another form, or no image.
+        PerceptionError: the file cannot be read, a line is malformed, or there is no image.
     """
     try:
         lines = read_small(path).splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise PerceptionError(
-            "no list of images can be read", where=path, how="give --images a number, or a file"
+            "cannot read the list of images", where=path, how="give --images a number, or a file"
         ) from error
     result = []
     for number, line in enumerate(lines, start=1):
@@ -65,36 +67,27 @@ def read_image_list(path: Path) -> list[ListedImage]:
             result.append(ListedImage(drive.strip(), camera, float(seconds)))
         except ValueError as error:
             raise PerceptionError(
-                f"line {number}: '{line}' names no image", where=path, how="write DRIVE CAMERA SECONDS"
+                f"line {number}: '{line}' is not an image", where=path, how="write DRIVE CAMERA SECONDS"
             ) from error
     if not result:
-        raise PerceptionError("lists no image", where=path, how="write DRIVE CAMERA SECONDS, a line an image")
+        raise PerceptionError("lists no image", where=path, how="write a line DRIVE CAMERA SECONDS per image")
     return result
 
 
 def write_image_list(path: Path, images: Iterable[ListedImage]) -> None:
-    """Write a list."""
+    """Write a list of images."""
     write_text(path, "".join(f"{image.drive} {image.camera} {image.time:.6f}\n" for image in images))
 
 
-logger = logging.getLogger(__name__)
-
-SPACING = 2.0
-"""Distance between candidate images of a camera [m]."""
-
-NEAR = 0.01
-"""Largest difference between the listed time and the stamp of an image [s]."""
-
-
 class FittedPca(NamedTuple):
-    """A PCA, and the images that it was fitted on."""
+    """PCA and the images it was fitted on."""
 
     pca: PrincipalComponents
     images: list[ListedImage]
 
 
 class Candidate(NamedTuple):
-    """An image that the PCA may be fitted on."""
+    """Candidate image for the PCA."""
 
     log: int
     camera: str
@@ -104,7 +97,7 @@ class Candidate(NamedTuple):
 
 @dataclass(frozen=True)
 class Job:
-    """What a process needs to look for images in a log, or to read the features of those that were chosen there.
+    """Search for candidate images in a log, or computation of the chosen images' features.
 
     Attributes:
         spacing: distance between candidate images of a camera [m].
@@ -132,20 +125,20 @@ def fit_pca(
     processes: int = 1,
     cluster: str = "",
 ) -> FittedPca:
-    """Choose images of varied ground and light, and fit on their patches that ground points of the LiDAR hit.
+    """Choose images of diverse ground and light, and fit a PCA on their patches with LiDAR points on the ground.
 
     Args:
-        images: how many are chosen; or the images themselves, which must lie in the training part too.
-        processes: logs that are read at a time; 0: one a core.
+        images: number of images to choose, or a list of images of the training part.
+        processes: logs read at a time; 0: one per core.
         cluster: address of a Ray cluster that reads them instead (`parallel.run_all`); "" for none.
 
     Raises:
         LogError, RigError: a log cannot be read, or has no cameras and LiDARs.
-        PerceptionError: no image of the training part, no patch with ground in it, or a listed image that is not there.
+        PerceptionError: the training part has no image or no patch with ground, or lacks a listed image.
     """
     refuse_places_without_origin(split, rig)
-    logs = sorted(expanded(logs), key=drive_name)  # whatever order they are given in, the same images are chosen
-    spacing = SPACING if isinstance(images, int) else 0.0  # listed images need not lie apart
+    logs = sorted(expanded(logs), key=drive_name)  # the chosen images do not depend on the order given
+    spacing = SPACING if isinstance(images, int) else 0.0  # listed images may be close
     jobs = [Job(number, log, rig, split, spacing, backbone) for number, log in enumerate(logs)]
     do = partial(run_all, processes=at_a_time(processes), cluster=cluster, finished=lambda _: None)
     found = do(_find_images, jobs, description="finding images").checked()
@@ -182,7 +175,7 @@ def _listed(image: ListedImage, result: Sequence[Candidate], names: Sequence[str
 
 
 def _moment(stamp: float) -> float:
-    """A stamp as lists of images hold it [s]; NumPy's own rounding is another one, of every eighth stamp."""
+    """Round a stamp as in lists of images [s]; NumPy's rounding differs for every eighth stamp."""
     return round(float(stamp), 6)
 
 
@@ -190,7 +183,7 @@ def _find_images(job: Job, report: Report) -> list[Candidate]:
     with brought(job.log) as path:
         log = open_log(path, clock=job.rig.clock)
         sensors = open_sensors(log, job.rig)
-        sensors.coverage()  # refuses clocks that are not the poses'
+        sensors.coverage()  # refuses clocks other than the poses'
         rows = extract_rows(drive_from_log(log, job.rig))
         training = job.split.label(drive_name(path), rows.world_xy) == 0
         return [
@@ -246,21 +239,17 @@ def _moments(log: SensorLog, backbone: Backbone, times: frozenset[tuple[str, flo
         report(_share(moment.time, log))
         current = _ground_hits(moment)
         for key in [key for key in hit if key not in current]:
-            moments = _added(moments, *hit.pop(key))
+            moments = moments.add(*hit.pop(key))
         for key, (features, mask) in current.items():
             before = hit[key][1] if key in hit else np.zeros_like(mask)
             hit[key] = features, before | mask
     for features, mask in hit.values():
-        moments = _added(moments, features, mask)
+        moments = moments.add(features, mask)
     return moments
 
 
-def _added(moments: Moments, features: torch.Tensor, mask: np.ndarray) -> Moments:
-    return moments.add(features[None], mask[None])
-
-
 def _ground_hits(moment: Moment) -> dict[tuple[str, float], tuple[torch.Tensor, np.ndarray]]:
-    """Features of each image in view, and the patches in which a ground point of this scan lies."""
+    """Return the features of each image in view, and the mask of patches with ground points of this scan."""
     if moment.projection is None:
         return {}
     ground, result = ground_points(moment), {}

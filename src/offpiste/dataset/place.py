@@ -1,4 +1,4 @@
-"""Location of a dataset: a folder of this machine, or an object store, which is read from a copy in the cache."""
+"""Location of a dataset: a local folder, or an object store that is read through a copy in the cache."""
 
 import hashlib
 import os
@@ -17,11 +17,11 @@ from offpiste.core.object_store import download, opened, url_of
 from offpiste.core.progress import track
 
 _SETTINGS: Final = ("zarr.json", CHECKSUMS)
-"""Files of a dataset beside its drives, in the order in which they are written."""
+"""Files of a dataset beside its drives, in the order of writing."""
 
 
 def drive_names(path: Path) -> list[str]:
-    """Names of the complete drives of a dataset."""
+    """Return the names of a dataset's complete drives."""
     if (url := url_of(path)) is not None:
         with opened(url) as (files, root):
             return _uploaded(files, root)
@@ -30,10 +30,10 @@ def drive_names(path: Path) -> list[str]:
 
 @contextmanager
 def working_copy(path: Path) -> Iterator[Path]:
-    """Folder to add drives in: the dataset, or for one in an object store a copy of its settings.
+    """Yield the folder to add drives to: the dataset, or a copy of the settings of one in an object store.
 
-    Drives that are in the store already are empty folders of the copy. Added drives are uploaded at the end, their
-    checksums last: a drive counts as complete once these are there.
+    Drives in the store are empty folders of the copy. Added drives are uploaded at the end, checksums last: they mark
+    a drive as complete.
     """
     url = url_of(path)
     if url is None:
@@ -59,10 +59,10 @@ def working_copy(path: Path) -> Iterator[Path]:
 
 
 def mirrored(path: Path) -> Path:
-    """The dataset, or for one in an object store its copy in the user's cache folder, brought up to date.
+    """Return the dataset's folder; one in an object store is updated in the user's cache folder first.
 
     Raises:
-        DatasetError: there is none.
+        DatasetError: there is no dataset.
     """
     url = url_of(path)
     if url is None:
@@ -89,7 +89,7 @@ def mirrored(path: Path) -> Path:
 
 
 def remove_if_empty(path: Path) -> None:
-    """Remove a dataset that no drive was written into."""
+    """Remove a dataset without drives."""
     if drive_names(path):
         return
     if (url := url_of(path)) is None:
@@ -101,11 +101,11 @@ def remove_if_empty(path: Path) -> None:
 
 def _uploaded(files: Any, root: str) -> list[str]:
     found = [PurePosixPath(name).parent.name for name in files.glob(f"{root}/*/{CHECKSUMS}")]
-    return sorted(name for name in found if not name.startswith("."))  # a name ".." leads out of the dataset
+    return sorted(name for name in found if not name.startswith("."))  # ".." would lead out of the dataset
 
 
 def _settings_in(files: Any, root: str) -> dict[str, bytes]:
-    """Settings of a dataset in a store; none if it is not complete."""
+    """Read the settings of a dataset in a store; none if it is incomplete."""
     try:
         return {name: files.cat_file(f"{root}/{name}") for name in _SETTINGS}
     except FileNotFoundError:

@@ -66,9 +66,7 @@ class Moments:
         scatter = self.scatter + other.scatter + np.outer(apart, apart) * (self.count * other.count / count)
         return Moments(count, self.mean + apart * (other.count / count), scatter)
 
-    def add(
-        self, features: Float[Tensor, "B rows columns C"], ground: Bool[np.ndarray | Tensor, "B rows columns"]
-    ) -> "Moments":
+    def add(self, features: Float[Tensor, "*P C"], ground: Bool[np.ndarray | Tensor, "*P"]) -> "Moments":
         """Add the patches of feature images that ground points hit."""
         return self + Moments.of(features[torch.as_tensor(ground, device=features.device)])
 

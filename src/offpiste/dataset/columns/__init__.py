@@ -1,6 +1,6 @@
-"""Columns of a drive's rows, each declared once: resampling, the store, validation and windows read the declaration.
+"""Declared columns of a drive's rows, read by resampling, the store, validation and windows.
 
-A module in this package, or an extension (`offpiste.core.registry`), adds a column by registering a `Column` by name.
+Modules of this package and extensions (`offpiste.core.registry`) register a `Column` by name.
 """
 
 from collections.abc import Callable, Sequence
@@ -26,11 +26,7 @@ Segment = Literal["past", "start", "ahead", "target"]
 
 @dataclass(frozen=True)
 class RowGrid:
-    """A drive, and the evenly spaced moments at which its rows lie.
-
-    Attributes:
-        time: of the rows, by the pose's clock [s].
-    """
+    """Drive and the evenly spaced times of its rows by the pose's clock [s]."""
 
     drive: Drive
     time: Float[np.ndarray, " N"]
@@ -41,7 +37,7 @@ class RowGrid:
         return estimate_motion(self.drive, self.time)
 
     def channel(self, name: str) -> Float[np.ndarray, " N"]:
-        """A channel of one field at the rows; NaN in gaps of the log, and everywhere if the log lacks it."""
+        """Return a channel of one field at the rows; NaN in gaps and for an absent channel."""
         channel = self._measured(name, causal=False)
         if channel is None:
             return np.full(len(self.time), np.nan)
@@ -52,14 +48,14 @@ class RowGrid:
         return (channel.hold if hold else channel.linear)(self.time, max_gap=gap)[:, 0]
 
     def channel_causal(self, name: str) -> Float[np.ndarray, " N"]:
-        """The same channel as it was known at the rows, from samples stamped at or before each only."""
+        """Return a channel of one field from samples stamped at or before each row."""
         channel = self._measured(name, causal=True)
         if channel is None:
             return np.full(len(self.time), np.nan)
         return channel.latest(self.time, max_gap=self.drive.rig.clock.max_gap)[:, 0]
 
     def _measured(self, name: str, *, causal: bool) -> Channel | None:
-        """A channel of the log, or the derivative that stands for it; None where the log has neither."""
+        """Return a channel of the log or the derivative that replaces it; None if the log has neither."""
         channel = self.drive.channels.get(name)
         if channel is None and (measured := channel_of_rate(name)) in self.drive.channels:
             return _derivative(self.drive.channels[measured], window=self.drive.rig.motion.window, causal=causal)
@@ -76,17 +72,15 @@ def _derivative(channel: Channel, *, window: float, causal: bool) -> Channel:
 
 @dataclass(frozen=True)
 class Column:
-    """What a column is: float32 [N, *shape], or [D, N, *shape] by feature set.
+    """Column of float32 values [N, *shape], or [D, N, *shape] by feature set.
 
     Attributes:
-        read: its values in a drive; NaN where unknown.
+        read: reads the values of a drive; NaN where unknown.
         shape: of one row.
-        present: which components a rig's logs have; a row is complete only where these are finite.
-        segments: rows of a window that a batch holds it for.
-        relative: laid out as `conventions.STATE`; px, py are stored relative to the drive's origin, and in a batch to
-            the window's start.
-        by_feature_set: there is one value for each feature set; it stays on disk, and only `normal` is gathered into
-            batches.
+        present: components that a rig's logs have; in complete rows they are finite.
+        segments: rows of a window in a batch.
+        relative: layout of `conventions.STATE`, with px, py relative to the drive's origin, or to a window's start.
+        by_feature_set: one value per feature set; stays on disk, and only `normal` is gathered into batches.
     """
 
     read: Callable[[RowGrid], np.ndarray]
@@ -98,11 +92,11 @@ class Column:
 
     @property
     def row_axis(self) -> int:
-        """Axis of the array along which the rows lie."""
+        """Axis of the rows."""
         return int(self.by_feature_set)
 
     def complete(self, values: np.ndarray, rig: Rig) -> Bool[np.ndarray, " N"]:
-        """Rows in which every component is known that the rig's logs have."""
+        """Return the mask of rows in which all present components are finite."""
         unknown = ~np.isfinite(values) & np.asarray(self.present(rig))
         others = tuple(axis for axis in range(values.ndim) if axis != self.row_axis)
         return np.asarray(~unknown.any(axis=others))
@@ -112,10 +106,7 @@ COLUMNS: Final[Registry[Column]] = Registry("column", package=__name__, error=Da
 
 
 def channel_column(name: str, *segments: Segment) -> Column:
-    """A column that holds a channel of the rig with one field, NaN in logs that lack it.
-
-    Where windows read it for their past and start only, it holds what was known at each row.
-    """
+    """Return a column of a channel with one field, causal if windows read only its past and start."""
     channel = RowGrid.channel_causal if set(segments) <= {"past", "start"} else RowGrid.channel
     return Column(
         read=lambda grid: channel(grid, name), present=lambda rig: name in rig.channels, segments=tuple(segments)

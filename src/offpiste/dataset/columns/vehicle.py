@@ -1,7 +1,4 @@
-"""Columns of what was commanded, of what the vehicle made of it, and of how it moved on which slope.
-
-Each as it happened, and as it was known at the time.
-"""
+"""Columns of controls, actuators, states and surface normals, smoothed and causal."""
 
 from collections.abc import Callable, Sequence
 
@@ -50,7 +47,7 @@ COLUMNS.register("state_causal")(
 
 
 def _driven_normal(grid: RowGrid, *, causal: bool) -> Float[np.ndarray, "N 3"]:
-    """Normal of a plane that rises along the heading as the driven path does."""
+    """Return the normal of a plane that rises along the heading like the driven path."""
     slope = _slope(grid, causal=causal)
     yaw = (grid.motion.state_causal if causal else grid.motion.state)[:, 2]
     normal = np.stack((-slope * np.cos(yaw), -slope * np.sin(yaw), np.ones_like(slope)), axis=1)
@@ -58,7 +55,7 @@ def _driven_normal(grid: RowGrid, *, causal: bool) -> Float[np.ndarray, "N 3"]:
 
 
 def _slope(grid: RowGrid, *, causal: bool) -> Float[np.ndarray, " N"]:
-    """Slope of the driven path, or flat ground where the rig or the log has no elevation."""
+    """Return the slope of the driven path; zero without elevation in the rig or the log."""
     rig, place, gap = grid.drive.rig, grid.drive.channels["position"], grid.drive.rig.clock.max_gap
     if rig.motion.normals == "flat" or place.values.shape[1] < 3:
         return np.zeros(len(grid.time))

@@ -1,6 +1,6 @@
-"""Backbones by name: RGB images in, one feature vector a patch out.
+"""Backbones by name, which map RGB images to one feature vector per patch.
 
-A backbone is one module here, or one of an extension, that registers itself in `BACKBONES`.
+Modules of this package and extensions register a backbone in `BACKBONES`.
 """
 
 import hashlib
@@ -29,12 +29,12 @@ Precision = Literal["fp32", "bf16"]
 
 
 class Backbone(ABC):
-    """Turns images into feature images.
+    """Map from images to feature images.
 
     Attributes:
-        name: the name that `open_backbone` was given; a PCA keeps it.
+        name: as given to `open_backbone`; stored with a PCA.
         patch: size of a patch [px].
-        channels: C, length of a feature vector.
+        channels: length of a feature vector.
     """
 
     name: str
@@ -43,64 +43,60 @@ class Backbone(ABC):
 
     @abstractmethod
     def settings(self) -> dict[str, Any]:
-        """Everything its features depend on, weights as a hash; not precision and device."""
+        """Return all settings that determine the features, with a hash of weights; not precision and device."""
 
     @abstractmethod
     def _features(self, images: Float[Tensor, "B 3 h w"]) -> Float[Tensor, "B rows columns C"]:
-        """Features of images in [0, 1] on the backbone's device, whose sides are multiples of the patch."""
+        """Compute features of images in [0, 1] on the backbone's device, with sides that are multiples of the patch."""
 
     def features(self, images: Float[Tensor, "B 3 h w"]) -> Float[Tensor, "B rows columns C"]:
-        """Features by torch's operations alone, as graphs are traced from, of images in [0, 1] cropped to `grid`."""
+        """Compute features of cropped images in [0, 1] by torch operations alone, for tracing."""
         return self._features(images)
 
     def _features_of_pixels(self, pixels: Shaped[Tensor, "B h w 3"]) -> Float[Tensor, "B rows columns C"]:
-        """Features of images as `__call__` is given them, cropped; a backbone may have a way that is faster."""
+        """Compute features of cropped images as given to `__call__`; override for a faster path."""
         return self._features(_unit_range(pixels.to(self.device)))
 
     @property
     @abstractmethod
     def device(self) -> torch.device:
-        """Device it computes on."""
+        """Device of the computation."""
 
     @property
     def fingerprint(self) -> str:
-        """Hash of `settings`: backbones of one fingerprint give the same features."""
+        """Hash of `settings`; backbones with equal fingerprints have equal features."""
         return hashlib.sha256(json.dumps(self.settings(), sort_keys=True).encode()).hexdigest()[:16]
 
     def grid(self, width: int, height: int) -> PatchGrid:
-        """Patches of an image of this size [px].
-
-        Raises:
-            PerceptionError: the image is smaller than one patch.
-        """
+        """Return the patches of an image of this size [px]; refuse one smaller than a patch."""
         return PatchGrid(width, height, self.patch)
 
     def __call__(self, images: Shaped[np.ndarray | Tensor, "B h w 3"]) -> Float[Tensor, "B rows columns C"]:
-        """Feature images, float32, on the backbone's device.
+        """Compute float32 feature images on the backbone's device.
 
         Args:
             images: RGB, uint8 in [0, 255] or floats in [0, 1]; cropped to `grid`.
 
         Raises:
-            PerceptionError: images of another type, smaller than a patch, or not finite; features not finite.
+            PerceptionError: images have another type, are smaller than a patch, or not finite; features not finite.
         """
         pixels = images if isinstance(images, Tensor) else torch.from_numpy(np.require(images, requirements=["C", "W"]))
         _, height, width, _ = pixels.shape
         rows, columns = self.grid(width, height).crop
         with torch.no_grad(), _in_full_precision():
             features = self._features_of_pixels(pixels[:, rows, columns])
-            with single_threaded_torch():  # threads that are woken for this spin for longer than it takes
+            with single_threaded_torch():  # too few numbers for threads
                 finite = bool(torch.isfinite(features.sum(dtype=torch.float64)))
         if not finite:
             raise PerceptionError(
-                "features are not finite", where=self.name, how="its weights may be broken: fetch them again"
+                "features are not finite", where=self.name, how="download its weights again: they may be damaged"
             )
         return features
 
 
 @contextmanager
 def _in_full_precision() -> Iterator[None]:
-    """On GPUs, convolutions of float32 that do not round to 10 bits (TF32): features are those of the CPU."""
+    """Disable TF32 convolutions on GPUs, so that features equal those of the CPU."""
     before = torch.backends.cudnn.allow_tf32
     torch.backends.cudnn.allow_tf32 = False
     try:
@@ -110,7 +106,7 @@ def _in_full_precision() -> Iterator[None]:
 
 
 def _unit_range(pixels: Shaped[Tensor, "B h w 3"]) -> Float[Tensor, "B 3 h w"]:
-    """Planes of float32 in [0, 1]."""
+    """Return planes of float32 in [0, 1]."""
     planes = pixels.permute(0, 3, 1, 2)
     if pixels.dtype == torch.uint8:
         return planes.float() / 255
@@ -126,28 +122,27 @@ def _unit_range(pixels: Shaped[Tensor, "B h w 3"]) -> Float[Tensor, "B 3 h w"]:
 
 
 class MakeBackbone(Protocol):
-    """Makes a backbone that needs no files; a class whose `__init__` takes the device does."""
+    """Factory of a backbone without files, such as a class whose `__init__` takes the device."""
 
     def __call__(self, *, device: torch.device) -> Backbone:
-        """The backbone, ready to use."""
+        """Return the backbone."""
 
 
 BACKBONES: Final[Registry[MakeBackbone]] = Registry("backbone", package=__name__, error=PerceptionError)
-"""Backbones that have a name of their own; vision transformers go by that of their weights."""
+"""Registered backbones; vision transformers are opened by the name of their weights."""
 
 
 def open_backbone(name: str = DINOV2_SMALL, *, device: str = "cpu", precision: Precision = "fp32") -> Backbone:
-    """A backbone by name.
+    """Open a backbone by name.
 
     Args:
-        name: of `BACKBONES`; or a vision transformer: a folder with config.json and model.safetensors, or `owner/model`
+        name: of `BACKBONES`, or a vision transformer: a folder with config.json and model.safetensors, or `owner/model`
             on the Hugging Face hub.
         device: "cpu", "cuda", "cuda:1" ...
-        precision: of a transformer's matrix products; features are always given as float32.
+        precision: of a transformer's matrix products; features are always float32.
 
     Raises:
-        PerceptionError: no such backbone, weights that cannot be had, a model of another family, or a device that is
-            not there.
+        PerceptionError: the backbone, its weights or the device is missing, or the model is of another family.
     """
     place = _device(device)
     if name in BACKBONES:

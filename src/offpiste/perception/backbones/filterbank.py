@@ -1,9 +1,8 @@
-"""Colour and oriented texture of each patch at several scales: the offline stand-in for a learned backbone.
+"""Filter bank without weights: colour and oriented texture of each patch at several scales.
 
-It knows nothing of what it sees: no weights, nothing to fetch. Texture is the mean magnitude of derivatives of
-Gaussians, after Leung and Malik, "Representing and Recognizing the Visual Appearance of Materials using
-Three-dimensional Textons", 2001. Everything is computed on logarithms of the colours: exposure multiplies all of them,
-so it is a constant there, which differences and the image's own median take out.
+Texture is the mean magnitude of derivatives of Gaussians, after Leung and Malik, "Representing and Recognizing the
+Visual Appearance of Materials using Three-dimensional Textons", 2001. All features are computed on logarithms of the
+colours, where exposure is a constant that differences and the image's median remove.
 """
 
 import math
@@ -23,25 +22,25 @@ FILTERBANK: Final = "filterbank"
 
 ORIENTATIONS = 4
 SCALES = (1.0, 2.0, 4.0)
-"""Standard deviations of the Gaussians behind the derivatives [px]."""
+"""Standard deviations of the Gaussians [px]."""
 
 CONTEXT = (3, 7)
-"""Sides of the neighbourhoods, in patches, over which colour and texture are averaged as well."""
+"""Sides of the neighbourhoods for further averages of colour and texture [patches]."""
 
 _DARKEST = 0.03
-"""Added to a colour before its logarithm, so that noise in the dark does not become colour and texture."""
+"""Added to colours before the logarithm to suppress noise in dark regions."""
 
 _FAINTEST = 0.01
-"""Added to a mean response before its logarithm: about what a camera's noise makes."""
+"""Added to mean responses before the logarithm, about the level of camera noise."""
 
 _WEIGHTS = {"brightness": 0.45, "colour": 4.0, "spread": 0.7, "texture": 0.35}
-"""Bring the groups to variances of one size, so that a PCA starts with none of them alone."""
+"""Weights that equalise the variances of the groups for a PCA."""
 
 
 @BACKBONES.register(FILTERBANK)
 @final
 class Filterbank(Backbone):
-    """Colours and oriented edges of each patch; patches as large as DINOv2's [px]."""
+    """Filter bank with patches as large as DINOv2's."""
 
     name = FILTERBANK
     patch = 14
@@ -52,16 +51,16 @@ class Filterbank(Backbone):
         self._fine = oriented_filters(SCALES[0]).to(self._device)
         self._derivatives = [derivatives(scale) for scale in (SCALES[0], *(scale / 2 for scale in SCALES[1:]))]
         self._logarithms = torch.log(torch.arange(256) / 255 + _DARKEST).numpy()
-        # The two coarser scales are seen in the image at half its size.
+        # The two coarser scales are computed at half resolution.
         self._coarse = [oriented_filters(scale / 2).to(self._device) for scale in SCALES[1:]]
 
     @property
     def device(self) -> torch.device:
-        """Device it computes on."""
+        """Device of the computation."""
         return self._device
 
     def settings(self) -> dict[str, Any]:
-        """Settings of the filters."""
+        """Return the settings of the filters."""
         return {
             "kind": FILTERBANK,
             "version": 1,
@@ -80,7 +79,7 @@ class Filterbank(Backbone):
             return super()._features_of_pixels(pixels)
         fine, *coarse = self._derivatives
         means = [patch_means(image, self._logarithms, fine, coarse, self.patch) for image in pixels.numpy()]
-        with single_threaded_torch():  # for so few numbers threads are not worth waking
+        with single_threaded_torch():  # too few numbers for threads
             colours, squares, responses = (torch.from_numpy(np.stack(part)) for part in zip(*means, strict=True))
             return _features_of_means(colours, squares, responses)
 
@@ -90,9 +89,9 @@ class Filterbank(Backbone):
         return _features_of_means(colours, squares, self._responses(planes[:, :1]))
 
     def _responses(self, brightness: Float[Tensor, "B 1 h w"]) -> Float[Tensor, "B k rows columns"]:
-        """Mean magnitude of each filter's response in each patch."""
+        """Return the mean magnitude of each filter's response in each patch."""
         half = functional.avg_pool2d(brightness, 2)
-        # At the finest scale every second pixel is enough for a mean.
+        # At the finest scale, every second pixel suffices for a mean.
         means = [functional.avg_pool2d(respond(brightness, self._fine, stride=2).abs(), self.patch // 2)]
         means += [functional.avg_pool2d(respond(half, bank).abs(), self.patch // 2) for bank in self._coarse]
         return torch.cat(means, dim=1)
@@ -103,7 +102,7 @@ def _features_of_means(
     square: Float[Tensor, "B 3 rows columns"],
     responses: Float[Tensor, "B k rows columns"],
 ) -> Float[Tensor, "B rows columns C"]:
-    """Features from means over patches: of the opponent planes, of their squares, of the magnitudes of responses."""
+    """Compute features from patch means of opponent planes, their squares, and magnitudes of responses."""
     spread = (square - colour.square()).clamp_min(0.0).sqrt()
     texture = _WEIGHTS["texture"] * torch.log(responses + _FAINTEST)
     brightness = colour[:, 0].flatten(1).sort(dim=1).values  # ONNX has no median
@@ -117,13 +116,13 @@ def _features_of_means(
 
 
 def opponent_planes(images: Float[Tensor, "B 3 h w"]) -> Float[Tensor, "B 3 h w"]:
-    """Brightness, red against green, blue against both, as logarithms: the last two do not change with exposure."""
+    """Return log brightness, and log ratios of red to green and blue to both, which are invariant to exposure."""
     red, green, blue = torch.log(images + _DARKEST).unbind(1)
     return torch.stack(((red + green + blue) / 3, red - green, blue - (red + green) / 2), dim=1)
 
 
 def oriented_filters(scale: float) -> Float[Tensor, "k 1 size size"]:
-    """First, then second derivatives of a Gaussian in `ORIENTATIONS` directions; zero mean, magnitudes sum to 1.
+    """Return first and second derivatives of a Gaussian in `ORIENTATIONS` directions, with zero mean and unit l1 norm.
 
     Args:
         scale: standard deviation of the Gaussian [px].
@@ -140,11 +139,7 @@ def oriented_filters(scale: float) -> Float[Tensor, "k 1 size size"]:
 
 
 def derivatives(scale: float) -> Derivatives:
-    """The same filters as `oriented_filters`, by products of lines.
-
-    Args:
-        scale: standard deviation of the Gaussian [px].
-    """
+    """Return the filters of `oriented_filters` as sums of separable filters."""
     reach = math.ceil(3 * scale)
     x = np.arange(-reach, reach + 1) / scale
     g = np.exp(-x * x / 2)
@@ -164,11 +159,11 @@ def derivatives(scale: float) -> Derivatives:
 
 
 def respond(plane: Float[Tensor, "B 1 h w"], filters: Float[Tensor, "k 1 s s"], *, stride: int = 1) -> Tensor:
-    """Responses to filters, the image mirrored at its edges."""
+    """Return the responses to filters, with the image mirrored at its edges."""
     reach = filters.shape[-1] // 2
     return functional.conv2d(functional.pad(plane, (reach,) * 4, mode="reflect"), filters, stride=stride)
 
 
 def neighbourhood_mean(features: Float[Tensor, "B k rows columns"], side: int) -> Float[Tensor, "B k rows columns"]:
-    """Mean over side x side patches around each, of those that there are."""
+    """Return the mean over side x side patches around each, cut off at the image's edges."""
     return functional.avg_pool2d(features, side, stride=1, padding=side // 2, count_include_pad=False)

@@ -1,7 +1,6 @@
-"""DINOv2 and its family through transformers: features of the last layer's patches, after its LayerNorm.
+"""DINOv2 and related models through transformers: patch features of the last layer after its LayerNorm.
 
-Oquab et al., "DINOv2: Learning Robust Visual Features without Supervision", 2023. Position embeddings are interpolated
-by the model itself (bicubic, to the size of the image's grid), as transformers does it.
+Oquab et al., "DINOv2: Learning Robust Visual Features without Supervision", 2023.
 """
 
 import hashlib
@@ -22,10 +21,10 @@ if TYPE_CHECKING:
 
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
 IMAGENET_STD = (0.229, 0.224, 0.225)
-"""Mean and standard deviation of RGB in [0, 1] over ImageNet: DINOv2's, and the default of other models."""
+"""Mean and standard deviation of RGB in [0, 1] over ImageNet, the default normalisation."""
 
 FAMILY = ("dinov2", "dinov2_with_registers", "dinov3_vit")
-"""`model_type` of the configurations whose tokens are known to be: class, registers, patches row after row."""
+"""`model_type` of supported models, with tokens in the order class, registers, patches by row."""
 
 _NEEDED = ("config.json", "model.safetensors")
 _FILES = (*_NEEDED, "preprocessor_config.json")
@@ -36,12 +35,7 @@ _FOLDER = "give a folder with config.json and model.safetensors"
 
 @final
 class VisionTransformer(Backbone):
-    """A vision transformer.
-
-    Args:
-        model: of `FAMILY`, with its weights.
-        mean, std: of RGB in [0, 1], as the model expects.
-    """
+    """Vision transformer of `FAMILY`, with the mean and standard deviation of RGB in [0, 1] that it expects."""
 
     def __init__(
         self,
@@ -67,11 +61,11 @@ class VisionTransformer(Backbone):
 
     @property
     def device(self) -> torch.device:
-        """Device it computes on."""
+        """Device of the computation."""
         return self._device
 
     def settings(self) -> dict[str, Any]:
-        """Architecture, normalisation and a hash of the weights."""
+        """Return architecture, normalisation and a hash of the weights."""
         config: Any = self._model.config
         return {
             "kind": config.model_type,
@@ -93,18 +87,18 @@ class VisionTransformer(Backbone):
 
 
 def weights_hash(model: torch.nn.Module) -> str:
-    """Hash of a model's parameters, not of their names, which change between versions of transformers."""
+    """Return a hash of a model's parameters without their names, which differ between versions of transformers."""
     parameters = (parameter.detach().float().cpu().contiguous() for parameter in model.parameters())
     digests = sorted(hashlib.sha256(parameter.numpy().tobytes()).hexdigest() for parameter in parameters)
     return hashlib.sha256("".join(digests).encode()).hexdigest()[:16]
 
 
 def load_vision_transformer(name: str, *, device: torch.device, precision: Precision = "fp32") -> VisionTransformer:
-    """A model of `FAMILY` from a folder, the hub's cache or the hub, in this order; safetensors only.
+    """Load a model from safetensors in a folder, the hub's cache or the hub, in this order.
 
     Raises:
         MissingExtra: transformers is not installed.
-        PerceptionError: weights that cannot be had.
+        PerceptionError: the weights are missing or invalid.
     """
     with extra("vit", otherwise=_OTHERWISE):
         from transformers import AutoModel
@@ -119,7 +113,7 @@ def load_vision_transformer(name: str, *, device: torch.device, precision: Preci
         )
     except (OSError, ValueError, RuntimeError, SafetensorError) as error:
         raise PerceptionError(
-            f"no vision transformer can be read there: {_first_line(error)}",
+            f"cannot read a vision transformer: {_first_line(error)}",
             where=folder,
             how=f"{_FOLDER}, {_INSTEAD}",
         ) from error
@@ -129,16 +123,16 @@ def load_vision_transformer(name: str, *, device: torch.device, precision: Preci
     lacking = sorted(result["missing_keys"]) + sorted(str(key) for key in result["mismatched_keys"])
     if lacking:
         raise PerceptionError(
-            f"weights lack {lacking[0]} and {len(lacking) - 1} others", where=folder, how="fetch them again"
+            f"weights lack {lacking[0]} and {len(lacking) - 1} others", where=folder, how="download them again"
         )
     return VisionTransformer(model, name=name, mean=mean, std=std, device=device, precision=precision)
 
 
 def _own_folder(folder: Path) -> Path:
-    """A folder of the user's, which has what a model is read from.
+    """Return a user's folder if it has all files of a model.
 
     Raises:
-        PerceptionError: a file, or a folder that lacks one.
+        PerceptionError: it is a file, or lacks a file.
     """
     if not folder.is_dir():
         what = "is a file, not a folder; weights are read from safetensors alone"
@@ -152,7 +146,7 @@ def _own_folder(folder: Path) -> Path:
 
 
 def _hub_folder(name: str) -> Path:
-    """The folder of a hub's model in the cache, fetched if it is not there."""
+    """Return the cached folder of a hub's model, downloading it if needed."""
     from huggingface_hub import HfApi, snapshot_download
     from huggingface_hub.errors import HFValidationError
 
@@ -160,9 +154,9 @@ def _hub_folder(name: str) -> Path:
         return _complete(Path(snapshot_download(name, allow_patterns=list(_FILES), local_files_only=True)))
     except HFValidationError as error:
         raise PerceptionError(
-            "no such folder, and no model's name on the Hugging Face hub either",
+            "is neither a folder nor the name of a model on the Hugging Face hub",
             where=name,
-            how=f"{_alike(name)}{_FOLDER}, a name as {DINOV2_SMALL}, {_INSTEAD}",
+            how=f"{_alike(name)}{_FOLDER}, a name like {DINOV2_SMALL}, {_INSTEAD}",
         ) from error
     except OSError:
         pass
@@ -171,12 +165,12 @@ def _hub_folder(name: str) -> Path:
         HfApi().model_info(name, timeout=10)
         return _complete(Path(snapshot_download(name, allow_patterns=list(_FILES))))
     except Exception as error:
-        # Whatever the hub's client raises, the way out is the same.
+        # The remedy is the same for every error of the hub's client.
         fetch = f"`hf download {name} {' '.join(_FILES)} --local-dir FOLDER`"
         raise PerceptionError(
-            f"weights are neither in the hub's cache nor could they be fetched ({_first_line(error)})",
+            f"weights are not in the hub's cache and could not be downloaded ({_first_line(error)})",
             where=name,
-            how=f"run {fetch} where there is a network and give FOLDER instead, {_INSTEAD}",
+            how=f"run {fetch} on a computer with a network and give FOLDER instead, {_INSTEAD}",
         ) from error
 
 
@@ -188,7 +182,7 @@ def _complete(folder: Path) -> Path:
 
 
 def _normalisation(folder: Path) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    """Mean and standard deviation of RGB that a model's own preprocessor uses; ImageNet's where it has none."""
+    """Return the mean and standard deviation of RGB of a model's preprocessor; ImageNet's by default."""
     path = folder / "preprocessor_config.json"
     if not path.is_file():
         return IMAGENET_MEAN, IMAGENET_STD
@@ -198,13 +192,13 @@ def _normalisation(folder: Path) -> tuple[tuple[float, float, float], tuple[floa
         (m_red, m_green, m_blue), (s_red, s_green, s_blue) = red_green_blue
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise PerceptionError(
-            "no image_mean and image_std of three values", where=path, how="fetch the file again"
+            "no image_mean and image_std of three values", where=path, how="download the file again"
         ) from error
     return (m_red, m_green, m_blue), (s_red, s_green, s_blue)
 
 
 def _alike(name: str) -> str:
-    """A question that names a folder beside the one that is not there."""
+    """Suggest an existing folder with a similar name."""
     path = Path(name)
     return did_you_mean(path.name, [beside.name for beside in path.parent.glob("*/")])
 
