@@ -1,4 +1,4 @@
-"""What a vehicle would not have is said by extraction, training, evaluation and report."""
+"""Assumptions behind a dataset in extraction, training, evaluation and report."""
 
 import json
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""The numbers of a dataset's report, on cells few enough to work out by hand."""
+"""Coverage of a dataset's features on cells few enough to compute by hand."""
 
 import numpy as np
 import pytest
@@ -39,9 +39,6 @@ def test_rates_count_cells_of_all_drives() -> None:
     both = [three_cells(), lacking]
     within = feature_coverage.valid_rates(both, feature_coverage.in_hindsight(both))
     np.testing.assert_allclose(within[[0, NEAR]], (1, 2 / 3))
-
-
-def test_rates_of_no_cells_are_unknown() -> None:
     assert np.isnan(feature_coverage.valid_rates([cells_of(np.zeros((SETS, 0, 2)))])).all()
 
 
@@ -67,21 +64,6 @@ def test_differences_of_the_three_cells() -> None:
     assert found.count[0, 0] == 3
     assert found.length[0, 0] == 0
     assert np.isnan(found.length[0, -1])
-
-
-def test_drives_are_pooled_by_cells() -> None:
-    """One drive of three cells and the same cells in two drives say the same."""
-    whole = three_cells()
-    parts = [
-        Cells(whole.index, whole.features[:, k], whole.valid[:, k], whole.distance[:, k], whole.elevation[:, k])
-        for k in (slice(0, 1), slice(1, 3))
-    ]
-    span = feature_coverage.feature_range([whole])
-    np.testing.assert_allclose(feature_coverage.feature_range(parts), span)
-    np.testing.assert_array_equal(feature_coverage.valid_rates(parts), feature_coverage.valid_rates([whole]))
-    ours, theirs = feature_coverage.differences(parts, span), feature_coverage.differences([whole], span)
-    np.testing.assert_array_equal(ours.count, theirs.count)
-    np.testing.assert_allclose(ours.length, theirs.length)
 
 
 def test_unrelated_cells_differ_by_their_spread() -> None:

@@ -1,7 +1,4 @@
-"""What models read while they train: which sets, for how long, and that the seed alone decides.
-
-Feature sets by distance, against brute force that keeps every map and searches every moment.
-"""
+"""Choice of feature sets in training, and their recording against brute force that keeps every map."""
 
 import numpy as np
 import pytest
@@ -40,16 +37,11 @@ def test_dc_keeps_a_set_for_the_trajectory_and_draws_all_alike():
     assert np.abs(counts - 1000).max() < 5 * np.sqrt(1000)
 
 
-def test_features_of_hindsight_come_with_drawn_normals():
-    feature_set_choice = of(hindsight, 50)
-    assert not feature_set_choice.features.any()
-    assert len(np.unique(feature_set_choice.normals)) == STORED
-
-
-def test_the_papers_baseline_draws_nothing():
-    feature_set_choice = of(hindsight_throughout, 50)
-    assert not feature_set_choice.features.any()
-    assert not feature_set_choice.normals.any()
+def test_features_of_hindsight_come_with_drawn_normals_but_for_the_papers_baseline():
+    for draw, sets in ((hindsight, STORED), (hindsight_throughout, 1)):
+        choice = of(draw, 50)
+        assert not choice.features.any()
+        assert len(np.unique(choice.normals)) == sets
 
 
 def test_models_of_a_seed_read_the_same_normals_batch_after_batch():
@@ -63,23 +55,11 @@ def test_models_of_a_seed_read_the_same_normals_batch_after_batch():
         np.testing.assert_array_equal(mine, theirs)
 
 
-def test_the_generator_decides():
-    for draw in DRAWS:
-        one, other = (of(draw, 40, seed=3).features for _ in range(2))
-        np.testing.assert_array_equal(one, other)
-
-
 def test_where_one_set_is_stored_nothing_is_drawn():
     for draw in DRAWS:
         choice = drawn(draw, np.random.default_rng(3), 40, 1)
         assert not choice.features.any()
         assert not choice.normals.any()
-
-
-def test_windows_of_a_choice_keep_what_they_read():
-    choice = of(per_trajectory, 9)
-    np.testing.assert_array_equal(choice[2:5].features, choice.features[2:5])
-    np.testing.assert_array_equal(choice[2:5].normals, choice.normals[2:5])
 
 
 def test_models_say_how_they_draw():
@@ -191,18 +171,3 @@ def test_a_second_pass_begins_after_a_pause_and_does_not_leak_into_the_first():
     later = (passes.contact > turned) & (passes.approach > 0)
     np.testing.assert_allclose(passes.approach[later], turned, atol=0.2)
     assert (passes.approach <= passes.contact).all()
-
-
-def test_rows_without_a_place_have_no_pass():
-    time, xy = there_and_back()
-    xy[5] = np.nan
-    passes = passes_of(time, xy)
-    assert (passes.index[5] == -1).all()
-    assert (np.delete(passes.index, 5, axis=0) >= 0).all()
-
-
-def test_passes_are_numbered_as_they_begin():
-    time, xy = there_and_back()
-    passes = passes_of(time, xy)
-    assert (np.diff(passes.contact) >= 0).all()
-    assert set(np.unique(passes.index)) == set(range(len(passes.contact)))

@@ -6,10 +6,12 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
+from feature_datasets import dataset_with_features
 from offpiste.core.errors import DatasetError
 from offpiste.dataset.feature_sets import FeatureSetChoice, same_feature_set, set_number
 from offpiste.dataset.features_under_wheels import ArrayReader, Cells, CellTable, NormalsUnderWheels
-from offpiste.dataset.ground_tables import ResidentCells, ResidentNormals
+from offpiste.dataset.ground_tables import ResidentCells, ResidentNormals, free_budget, ground_tables
+from offpiste.dataset.windows import Windows
 
 SETS, FEATURES = 3, 2
 
@@ -69,15 +71,6 @@ def on_disk(array: np.ndarray, path) -> np.memmap:
     return np.memmap(path, dtype=array.dtype, mode="r", shape=array.shape)
 
 
-def test_pieces_on_disk_are_those_in_memory(tmp_path):
-    array = np.random.default_rng(0).normal(size=(3, 11, 2, 5)).astype(np.float32)
-    mapped = ArrayReader(on_disk(array, tmp_path / "a"))
-    for lead, first, count in ((0, 0, 11), (2, 3, 8), (1, 5, 0), (2, 10, 1)):
-        out = np.empty((count, 2, 5), np.float32)
-        mapped.read(lead, first, out)
-        np.testing.assert_array_equal(out, array[lead, first : first + count])
-
-
 def test_a_file_that_is_cut_short_is_refused(tmp_path):
     array = np.ones((2, 4), np.float32)
     slabs = ArrayReader(on_disk(array, tmp_path / "a"))
@@ -108,3 +101,29 @@ def test_sets_have_names():
         set_number("15", 8)
     with pytest.raises(DatasetError, match="no set '10'"):
         set_number("10", 1)
+
+
+def test_what_fits_is_resident_and_gives_the_same_batches(tmp_path):
+    dataset = dataset_with_features(tmp_path / "data.zarr", rows=400)
+    rows = [drive.rows for drive in dataset.drives]
+    needed = sum(
+        r.normal.nbytes + r.cells.features.nbytes + r.cells.valid.nbytes + 2 * r.cells.index.nbytes for r in rows
+    )
+    assert isinstance(ground_tables(dataset, torch.device("cpu"), needed - 1).cells, CellTable)
+    ground = ground_tables(dataset, torch.device("cpu"), needed)
+    assert isinstance(ground.cells, ResidentCells)
+    kept = (ground.cells._index, ground.cells._valid, ground.cells._features, ground.normals._values)
+    assert sum(part.nbytes for part in kept) == needed
+    from_disk, from_device = Windows(dataset, "train"), Windows(dataset, "train", ground=ground)
+    index, rng = np.array([0, 40, 7, 7, 90]), np.random.default_rng(0)
+    choice = FeatureSetChoice(rng.integers(0, from_disk.sets, (5, 1)), rng.integers(0, from_disk.sets, 5))
+    wanted, found = from_disk.gather(index, choice), from_device.gather(index, choice)
+    assert torch.equal(found.terrain.normal, wanted.terrain.normal)
+    assert torch.equal(found.history.terrain.known, wanted.history.terrain.known)
+    for of_found, of_wanted in ((found.ground.past, wanted.ground.past), (found.ground.ahead, wanted.ground.ahead)):
+        assert torch.equal(found.ground.valid[of_found], wanted.ground.valid[of_wanted])
+        looks = found.ground.features[of_found], wanted.ground.features[of_wanted]
+        torch.testing.assert_close(*looks, rtol=0, atol=0, equal_nan=True)
+    starts = from_device.features_at_starts(), from_disk.features_at_starts()
+    torch.testing.assert_close(*starts, rtol=0, atol=0, equal_nan=True)
+    assert free_budget(torch.device("cpu")) == 0

@@ -102,12 +102,6 @@ def test_a_model_of_features_refuses_a_dataset_without(tmp_path):
         encoded(df, Windows(plain, "test").gather(np.array([0])))
 
 
-def test_a_dataset_with_other_features_is_not_mixed_in(tmp_path):
-    made(tmp_path / "data.zarr")
-    with pytest.raises(DatasetError, match="features"):
-        store.create(tmp_path / "data.zarr", small_rig(), SPLIT)
-
-
 def test_maps_are_kept_only_where_predictions_are_evaluated(tmp_path):
     path, split = tmp_path / "data.zarr", parse_split("blocks:1,0,0")
     store.create(path, small_rig(), split, NAMES)

@@ -121,7 +121,7 @@ def made(path: Path) -> store.Dataset:
     store.create(path, small_rig(), SPLIT, NAMES)
     for number in range(2):
         rows = with_ground_truth(circle_rows(2400, seed=number, speed=4 + number), tilted(), small_rig()).rows
-        part = SPLIT.label("", rows.state[:, :2] + rows.origin)
+        part = SPLIT.label("", rows.world_xy)
         with temporary_folder(path / "snapshots") as folder:
             writer = SnapshotWriter(folder / "s", 0.25, 2)
             for row in evaluation_starts(rows, part == PARTS.index("test"))[::20]:
@@ -158,13 +158,6 @@ def test_predictions_read_snapshots_as_they_read_the_whole_map(tmp_path):
     assert torch.allclose(snapped.normal, mapped.normal, atol=1e-4)
     far = state + torch.tensor([0.0, 500.0, 0.0, 0.0, 0.0, 0.0])
     assert (read(windows).at(0, far).latent == -1).all()
-
-
-def test_parts_without_snapshots_are_evaluated_on_all_windows(tmp_path):
-    dataset = made(tmp_path / "d.zarr")
-    windows = Windows(dataset, "validation")
-    assert not windows.maps.snapped.any()
-    assert np.array_equal(windows.evaluation_indices(5), windows.every(5))
 
 
 def test_a_dataset_says_that_its_snapshots_are_damaged(tmp_path):

@@ -1,6 +1,5 @@
-"""Shards of a dataset, brought together: the same bytes as one process makes, and what is refused."""
+"""Merging of shards: the same bytes as one process, and refusals."""
 
-import logging
 import shutil
 from pathlib import Path
 
@@ -63,12 +62,6 @@ def test_an_interrupted_merge_resumes(folder, shards, tmp_path):
     assert sorted(path.name for path in out.iterdir() if path.name.startswith(".")) == []
 
 
-def test_a_merge_says_how_much_it_brought_together(shards, tmp_path, caplog):
-    with caplog.at_level(logging.INFO, "offpiste"):
-        merge_datasets(shards, tmp_path / "d.zarr")
-    assert f"{tmp_path / 'd.zarr'}: 3 drives of 2 datasets" in caplog.messages
-
-
 def test_what_does_not_fit_together_is_refused(folder, shards, tmp_path):
     out = tmp_path / "d.zarr"
     with pytest.raises(DatasetError, match="1 dataset to merge; name two or more"):
@@ -91,14 +84,6 @@ def test_a_damaged_shard_is_found_before_anything_is_merged(shards, tmp_path):
     with pytest.raises(DatasetError, match=r"drive-1.*nothing was merged"):
         merge_datasets(shards, tmp_path / "d.zarr")
     assert not (tmp_path / "d.zarr").exists()
-
-
-def test_another_drive_of_the_same_name_is_not_replaced(folder, shards, tmp_path):
-    out = tmp_path / "d.zarr"
-    merge_datasets(shards, out)
-    extract([shutil.copy(folder / "drive-0.mcap", tmp_path / "drive-1.mcap")], RIG, tmp_path / "x.zarr", split=SPLIT)
-    with pytest.raises(DatasetError, match="holds another drive 'drive-1'"):
-        merge_datasets([shards[0], tmp_path / "x.zarr"], out)
 
 
 @pytest.mark.parametrize("text", ["0/2", "3/2", "1", "1/0", "a/2", "1/2/3", "-1/2", "²/3"])

@@ -1,13 +1,11 @@
-"""Windows of small vehicles start at lower speeds, by the wheelbase; those of full-size ones above 1.5 m/s."""
+"""Minimum speed of window starts by the wheelbase."""
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from factories import circle_rows, small_rig
-from offpiste.core.checksums import write_checksums
 from offpiste.core.conventions import MIN_EVALUATION_SPEED, min_evaluation_speed
 from offpiste.core.errors import DatasetError
 from offpiste.dataset.splits import parse_split
@@ -51,12 +49,3 @@ def test_the_dataset_says_where_its_windows_start(tmp_path: Path) -> None:
     large = open_dataset(dataset_of(tmp_path / "large.zarr", 2.0))
     with pytest.raises(DatasetError, match=r"starts above 1\.5 m/s"):
         Windows(large, "train")
-
-
-def test_older_datasets_start_above_one_and_a_half(tmp_path: Path) -> None:
-    path = dataset_of(tmp_path / "old.zarr", 0.175)
-    about = json.loads((path / "zarr.json").read_text("utf-8"))
-    del about["attributes"]["min_speed"]
-    (path / "zarr.json").write_text(json.dumps(about), "utf-8")
-    write_checksums(path, [path / "zarr.json"])
-    assert open_dataset(path).min_speed == 1.5

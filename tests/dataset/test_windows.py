@@ -1,6 +1,5 @@
 """Windows against a slow loop over rows, and the rows that no window may touch."""
 
-import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -9,12 +8,14 @@ import torch
 
 from factories import circle_rows, small_rig
 from feature_datasets import dataset_with_features
-from offpiste.core.conventions import HISTORY_STEPS, HORIZON_STEPS
+from offpiste.core.conventions import FEATURE_SETS, HISTORY_STEPS, HORIZON_STEPS
 from offpiste.core.errors import DatasetError
 from offpiste.dataset.feature_sets import FeatureSetChoice
+from offpiste.dataset.features_under_wheels import Cells
 from offpiste.dataset.resample import Rows
 from offpiste.dataset.splits import PARTS, parse_split
 from offpiste.dataset.store import Dataset, StoredDrive
+from offpiste.dataset.window_starts import enough_hindsight
 from offpiste.dataset.windows import Windows
 
 SPLIT = parse_split("blocks:0.5,0.25,0.25")
@@ -125,13 +126,6 @@ def test_a_shorter_horizon_gives_shorter_windows():
     assert batch.history.state.shape == (2, HISTORY_STEPS, 6)
 
 
-def test_present_channels_are_those_of_the_rig():
-    windows = Windows(TWO, "train")
-    assert windows.control == ("throttle", "brake", "steer")
-    assert windows.actuators == ()
-    assert dataclasses.is_dataclass(windows.gather(np.array([0])))
-
-
 def test_models_that_read_no_features_get_the_same_windows_without(tmp_path: Path) -> None:
     windows = Windows(dataset_with_features(tmp_path / "data.zarr", rows=400), "train")
     without, index = windows.without_features(), np.array([3, 40, 7])
@@ -143,3 +137,25 @@ def test_models_that_read_no_features_get_the_same_windows_without(tmp_path: Pat
     assert torch.equal(found.terrain.normal, wanted.terrain.normal)
     assert torch.equal(found.history.terrain.normal, wanted.history.terrain.normal)
     assert torch.equal(found.target, wanted.target)
+
+
+def cells(index: list[list[int]], hindsight: list[bool], sets: int = len(FEATURE_SETS)) -> Cells:
+    count = len(hindsight)
+    valid = np.zeros((sets, count), bool)
+    valid[0] = hindsight
+    unknown = np.full((sets, count), np.nan, np.float32)
+    return Cells(np.array(index, np.int32), np.zeros((sets, count, 1), np.float16), valid, unknown, unknown)
+
+
+def test_windows_with_enough_of_it():
+    seen = cells([[0] * 4] * 3 + [[1] * 4] * 3, [True, False])
+    # Windows of two rows; the last one ends with the drive.
+    np.testing.assert_array_equal(enough_hindsight(seen, 0.5, horizon=2), [True, True, True, False, False, False])
+    np.testing.assert_array_equal(enough_hindsight(seen, 1.0, horizon=2), [True, True, False, False, False, False])
+
+
+@pytest.mark.parametrize(
+    ("given", "least"), [(None, 0.5), (cells([[0] * 4], [False]), 0.0), (cells([[0] * 4], [False], 1), 0.5)]
+)
+def test_nothing_is_left_out_without_feature_sets_or_where_all_is_wanted(given, least):
+    assert enough_hindsight(given, least) is None

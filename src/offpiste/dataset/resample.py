@@ -1,7 +1,7 @@
 """Resampling of a drive to rows at 50 Hz."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -66,15 +66,6 @@ class Rows:
     def arrays(self) -> dict[str, np.ndarray]:
         """Return all arrays with a value per row, by name."""
         return {"time": self.time, **{name: self.column(name) for name in COLUMNS}, "valid": self.valid}
-
-    def cut(self, window: slice) -> "Rows":
-        """Return some of the rows; cells keep their numbers."""
-        cells = None if self.cells is None else replace(self.cells, index=self.cells.index[window])
-        arrays = self.arrays()
-        for name, values in arrays.items():
-            by_set = name in COLUMNS and COLUMNS[name].by_feature_set
-            arrays[name] = values[:, window] if by_set else values[window]
-        return rows_from_arrays(arrays, self.origin, cells)
 
 
 OWN_COLUMNS = frozenset(f.name for f in fields(Rows)) - {"time", "origin", "valid", "cells", "extra"}
