@@ -87,11 +87,9 @@ class FittedPca(NamedTuple):
 
 
 class Candidate(NamedTuple):
-    """Candidate image for the PCA."""
+    """Candidate image for the PCA and its `image_statistics`."""
 
-    log: int
-    camera: str
-    time: float
+    image: ListedImage
     statistics: Float[np.ndarray, " k"]
 
 
@@ -101,16 +99,15 @@ class Job:
 
     Attributes:
         spacing: distance between candidate images of a camera [m].
-        times: cameras and stamps of the chosen images.
+        images: chosen images of this log.
     """
 
-    number: int
     log: str | Path
     rig: Rig
     split: Split
     spacing: float
     backbone: Backbone
-    times: frozenset[tuple[str, float]] = frozenset()
+    images: frozenset[ListedImage] = frozenset()
 
 
 def fit_pca(
@@ -139,35 +136,33 @@ def fit_pca(
     refuse_places_without_origin(split, rig)
     logs = sorted(expanded(logs), key=drive_name)  # the chosen images do not depend on the order given
     spacing = SPACING if isinstance(images, int) else 0.0  # listed images may be close
-    jobs = [Job(number, log, rig, split, spacing, backbone) for number, log in enumerate(logs)]
+    jobs = [Job(log, rig, split, spacing, backbone) for log in logs]
     do = partial(run_all, processes=at_a_time(processes), cluster=cluster, finished=lambda _: None)
     found = do(_find_images, jobs, description="finding images").checked()
-    result = [candidate for candidates in found for candidate in candidates]
-    if not result:
+    candidates = [candidate for of_a_log in found for candidate in of_a_log]
+    if not candidates:
         raise PerceptionError("no image in the training part", how="give logs with cameras, or another --split")
-    names = [drive_name(log) for log in logs]
     if isinstance(images, int):
-        chosen = most_diverse(np.stack([c.statistics for c in result]), images, seed=seed).tolist()
+        diverse = most_diverse(np.stack([c.statistics for c in candidates]), images, seed=seed)
+        chosen = [candidates[number].image for number in diverse]
     else:
-        chosen = [_listed(image, result, names) for image in images]
-    times = [
-        frozenset((result[i].camera, result[i].time) for i in chosen if result[i].log == job.number) for job in jobs
-    ]
-    jobs = [replace(job, times=mine) for job, mine in zip(jobs, times, strict=True) if mine]
+        chosen = [_listed(image, candidates) for image in images]
+    names = [drive_name(log) for log in logs]
+    mine = [frozenset(image for image in chosen if image.drive == name) for name in names]
+    jobs = [replace(job, images=listed) for job, listed in zip(jobs, mine, strict=True) if listed]
     moments = Moments.none(backbone.channels)
     for part in do(_read_features, jobs, description="features of the chosen images").checked():
         moments += part
     about = {"logs": names, "split": split.text, "split_drives": [list(pair) for pair in split.drives]}
     pca = fit(moments, backbone, components=components, **about)
-    logger.info(f"{len(chosen)} of {len(result)} images, {moments.count:.0f} patches of ground")
-    return FittedPca(pca, [ListedImage(names[result[i].log], result[i].camera, result[i].time) for i in chosen])
+    logger.info(f"{len(chosen)} of {len(candidates)} images, {moments.count:.0f} patches of ground")
+    return FittedPca(pca, chosen)
 
 
-def _listed(image: ListedImage, result: Sequence[Candidate], names: Sequence[str]) -> int:
-    for number, candidate in enumerate(result):
-        same = (names[candidate.log], candidate.camera) == (image.drive, image.camera)
-        if same and abs(candidate.time - image.time) <= NEAR:
-            return number
+def _listed(image: ListedImage, candidates: Sequence[Candidate]) -> ListedImage:
+    for found, _ in candidates:
+        if found[:2] == image[:2] and abs(found.time - image.time) <= NEAR:
+            return found
     raise PerceptionError(
         f"image '{image.drive} {image.camera} {image.time:.6f}' is not in the training part of these logs",
         how="remove it from the list; only the training part may be used",
@@ -181,13 +176,13 @@ def _moment(stamp: float) -> float:
 
 def _find_images(job: Job, report: Report) -> list[Candidate]:
     with brought(job.log) as path:
-        log = open_log(path, clock=job.rig.clock)
+        log, name = open_log(path, clock=job.rig.clock), drive_name(job.log)
         sensors = open_sensors(log, job.rig)
         sensors.coverage()  # refuses clocks other than the poses'
         rows = extract_rows(drive_from_log(log, job.rig))
-        training = job.split.label(drive_name(path), rows.world_xy) == 0
+        training = job.split.label(name, rows.world_xy) == 0
         return [
-            Candidate(job.number, image.camera, _moment(image.time), image_statistics(image.pixels))
+            Candidate(ListedImage(name, image.camera, _moment(image.time)), image_statistics(image.pixels))
             for image in _spaced_images(sensors, rows, training, job.spacing, report)
         ]
 
@@ -206,12 +201,6 @@ def _spaced_images(
                 yield image
 
 
-def _read_features(job: Job, report: Report) -> Moments:
-    with brought(job.log) as path:
-        sensors = open_sensors(open_log(path, clock=job.rig.clock), job.rig)
-        return _moments(sensors, job.backbone, job.times, report)
-
-
 def _share(time: float, log: SensorLog) -> float:
     first, last = log.poses.span
     return float(np.clip((time - first) / (last - first), 0, 1))
@@ -223,10 +212,8 @@ def _in_training(stamps: Float[np.ndarray, " n"], rows: Rows, training: Bool[np.
     return np.asarray(inside & training[row] & rows.valid[row])
 
 
-def _moments(log: SensorLog, backbone: Backbone, times: frozenset[tuple[str, float]], report: Report) -> Moments:
-    moments = Moments.none(backbone.channels)
-    cameras = pinhole_cameras(log, backbone.patch)
-    hit: dict[tuple[str, float], tuple[torch.Tensor, np.ndarray]] = {}
+def _read_features(job: Job, report: Report) -> Moments:
+    times, backbone = {image[1:] for image in job.images}, job.backbone
 
     def extract(pixels: np.ndarray) -> np.ndarray:
         with torch.no_grad():
@@ -235,14 +222,17 @@ def _moments(log: SensorLog, backbone: Backbone, times: frozenset[tuple[str, flo
     def wanted(image: Image) -> bool:
         return (image.camera, _moment(image.time)) in times
 
-    for moment in replay(log, cameras, extract, 0, wanted=wanted):
-        report(_share(moment.time, log))
-        current = _ground_hits(moment)
-        for key in [key for key in hit if key not in current]:
-            moments = moments.add(*hit.pop(key))
-        for key, (features, mask) in current.items():
-            before = hit[key][1] if key in hit else np.zeros_like(mask)
-            hit[key] = features, before | mask
+    with brought(job.log) as path:
+        log = open_sensors(open_log(path, clock=job.rig.clock), job.rig)
+        moments, hit = Moments.none(backbone.channels), dict[tuple[str, float], tuple[torch.Tensor, np.ndarray]]()
+        for moment in replay(log, pinhole_cameras(log, backbone.patch), extract, 0, wanted=wanted):
+            report(_share(moment.time, log))
+            current = _ground_hits(moment)
+            for key in [key for key in hit if key not in current]:
+                moments = moments.add(*hit.pop(key))
+            for key, (features, mask) in current.items():
+                before = hit[key][1] if key in hit else np.zeros_like(mask)
+                hit[key] = features, before | mask
     for features, mask in hit.values():
         moments = moments.add(features, mask)
     return moments

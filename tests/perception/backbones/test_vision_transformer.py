@@ -175,10 +175,10 @@ class TestWeights:
         with pytest.raises(PerceptionError, match=r"w\.pth: is a file, not a folder.*with config\.json"):
             open_backbone(str(tmp_path / "w.pth"))
         (tmp_path / "empty").mkdir()
-        with pytest.raises(PerceptionError, match=r"neither config\.json nor model\.safetensors in it"):
+        with pytest.raises(PerceptionError, match=r"lacks config\.json and model\.safetensors; give"):
             open_backbone(str(tmp_path / "empty"))
         (tmp_path / "empty/config.json").write_text("{}")
-        with pytest.raises(PerceptionError, match=r"no model\.safetensors in it; give a folder"):
+        with pytest.raises(PerceptionError, match=r"lacks model\.safetensors; give a folder"):
             open_backbone(str(tmp_path / "empty"))
 
     @pytest.mark.parametrize("content", [b"", b"no weights at all", b"\xff" * 64])

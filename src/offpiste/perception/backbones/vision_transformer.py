@@ -137,12 +137,13 @@ def _own_folder(folder: Path) -> Path:
     if not folder.is_dir():
         what = "is a file, not a folder; weights are read from safetensors alone"
         raise PerceptionError(what, where=folder, how=f"{_FOLDER}, {_INSTEAD}")
-    for needed in _NEEDED:
-        if not (folder / needed).is_file():
-            others = [other for other in _NEEDED if (folder / other).is_file()]
-            what = f"no {needed} in it" if others else "neither config.json nor model.safetensors in it"
-            raise PerceptionError(what, where=folder, how=f"{_FOLDER}, {_INSTEAD}")
+    if missing := _missing(folder):
+        raise PerceptionError(f"lacks {' and '.join(missing)}", where=folder, how=f"{_FOLDER}, {_INSTEAD}")
     return folder
+
+
+def _missing(folder: Path) -> list[str]:
+    return [needed for needed in _NEEDED if not (folder / needed).is_file()]
 
 
 def _hub_folder(name: str) -> Path:
@@ -175,9 +176,8 @@ def _hub_folder(name: str) -> Path:
 
 
 def _complete(folder: Path) -> Path:
-    for needed in _NEEDED:
-        if not (folder / needed).is_file():
-            raise FileNotFoundError(f"no {needed}")
+    if missing := _missing(folder):
+        raise FileNotFoundError(f"no {missing[0]}")
     return folder
 
 
