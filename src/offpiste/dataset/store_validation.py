@@ -72,7 +72,7 @@ def read_settings(attributes: dict[str, Any], path: Path) -> Settings:
         settings = msgspec.convert(attributes, type=Settings)
         check_rig(settings.rig)
         if wrong := {part for _, part in settings.split_drives} - set(PARTS):
-            raise ValueError(f"'{min(wrong)}' is no part of a split")
+            raise ValueError(f"'{min(wrong)}' is not a part of a split")
     except (msgspec.ValidationError, RigError, ValueError) as error:
         how = "restore it from a copy, or extract again"
         raise DatasetError(f"cannot be read ({error})", where=path / "zarr.json", how=how) from error

@@ -44,7 +44,7 @@ def open_stored(folder: Path) -> zarr.Group:
                 metadata = parsed(read_small(file))
                 refuse_foreign(metadata)
             except (ValueError, TypeError, KeyError) as error:
-                raise ValueError(f"{file} is no metadata of a dataset ({error})") from error
+                raise ValueError(f"{file} has invalid metadata ({error})") from error
             if metadata["node_type"] == "array":
                 _refuse_missing(metadata, file.parent)
     return zarr.open_group(folder, mode="r", zarr_format=3, use_consolidated=False)
@@ -92,7 +92,7 @@ def refuse_expanding(folder: Path, array: Any, begin: int, end: int) -> None:
         with folder.joinpath(array.basename, "c", str(number), *("0" for _ in array.shape[1:])).open("rb") as file:
             promised = zstd.get_frame_info(file.read(32)).decompressed_size
         if promised != math.prod(array.chunks) * array.dtype.itemsize:
-            raise ValueError(f"chunk {number} of '{array.basename}' promises {promised} bytes")
+            raise ValueError(f"chunk {number} of '{array.basename}' claims {promised} bytes")
 
 
 def write_arrays(group: zarr.Group, arrays: dict[str, np.ndarray]) -> None:
