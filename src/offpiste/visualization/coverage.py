@@ -116,7 +116,7 @@ def passes_of(drive: StoredDrive, rig: Rig) -> Passes | None:
 
 def path_of(drive: StoredDrive) -> Float[np.ndarray, "N 2"]:
     """Return the positions of the pose point in the world frame [m]; NaN if unknown."""
-    return np.asarray(drive.rows.state[:, :2].astype(np.float64) + drive.rows.origin)
+    return drive.rows.world_xy
 
 
 def _reached(drive: StoredDrive, passes: Passes | None) -> np.ndarray:
