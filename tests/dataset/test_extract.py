@@ -61,14 +61,14 @@ def opened(monkeypatch: pytest.MonkeyPatch, logs: dict[str, Log]) -> list[Path]:
     return [Path(f"{name}.csv") for name in logs]
 
 
-def in_millimetres(log: simulated.MemoryLog) -> simulated.MemoryLog:
-    """Return a log with a fatal fault: positions in millimetres."""
-    return log.change("odom", "x", lambda x: 1000 * x).change("odom", "y", lambda y: 1000 * y)
+def in_kilometres(log: simulated.MemoryLog) -> simulated.MemoryLog:
+    """Return a log with a fatal fault: positions in kilometres."""
+    return log.change("odom", "x", lambda x: 1e-3 * x).change("odom", "y", lambda y: 1e-3 * y)
 
 
 def test_unusable_logs_are_refused_and_others_extracted(tmp_path, monkeypatch, caplog) -> None:
     log = simulated.drive_log(60.0)
-    logs = opened(monkeypatch, {"one": in_millimetres(log), "two": in_millimetres(log), "good": log})
+    logs = opened(monkeypatch, {"one": in_kilometres(log), "two": in_kilometres(log), "good": log})
     with pytest.raises(UnusableLog, match=r"one\.csv: unusable: position:.*--force"):
         extract([logs[0], logs[2]], simulated.rig(), tmp_path / "d.zarr")
     assert [drive.name for drive in store.open_dataset(tmp_path / "d.zarr").drives] == ["good"]
