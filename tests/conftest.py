@@ -57,10 +57,11 @@ the time here."""
 SLOW = (
     "documentation/test_tutorials.py::test_a_tutorial_runs_as_it_stands[log-to-model]",
     "experiments/illnesses/", "experiments/closed_loop_table/", "experiments/control_experiments/",
-    "experiments/probe/", "experiments/test_live_",
+    "experiments/probe/",
     "experiments/test_unseen_kinds.py",
     "exports/test_onnx_files.py::", "fuzz/test_fuzz.py::test_forty_cases_of_a_new_seed",
-    "live/test_all_processes.py::test_a_signal_to_all_processes", "live/test_live_faults.py::test_",
+    "live/test_live_faults.py::", "live/test_lockstep.py::test_a_signal",
+    "live/test_record.py::test_a_recording_in_several", "transport/test_zenoh.py::test_a_router_outlives",
     "reproduction/test_reproduce.py", "runtime/test_compiled_and_loaded.py",
     "core/test_cluster.py::test_a_worker_and_a_node_that_are_killed",
     "test_kill.py::test_a_killed_training_and_simulation", "core/test_object_store.py::test_a_bucket_that_is_not_there",
@@ -69,9 +70,8 @@ SLOW = (
 """Tests that only `.ci/full` runs, but for those in `SMOKE`."""
 
 SMOKE = (
-    "exports/test_onnx_files.py::test_images_become_the_codes", "live/test_live_faults.py::test_a_clock_that_",
-    "live/test_live_faults.py::test_options_that_", "live/test_live_faults.py::test_types_and_fields",
-    "live/test_live_faults.py::test_a_risk_that", "live/test_live_faults.py::test_a_model_that_reads",
+    "exports/test_onnx_files.py::test_images_become_the_codes", "live/test_live_faults.py::test_a_clock_that_stands",
+    "live/test_live_faults.py::test_a_drive_with_every_process", "live/test_live_faults.py::test_a_drive_ends_by",
     "reproduction/test_reproduce.py::test_every_size_can_be_started",
     "experiments/closed_loop_table/test_command_line.py",
 )  # fmt: skip
@@ -116,7 +116,7 @@ def bounds_checked() -> dict[str, str]:
     return os.environ | {"NUMBA_BOUNDSCHECK": "1", "NUMBA_OPT": "0", "NUMBA_CACHE_DIR": str(folder)}
 
 
-REAL_TIME = ("live/test_all_processes.py", "live/test_live_faults.py", "live/test_play.py", "live/test_supervisor.py")
+REAL_TIME = ("live/test_live_faults.py", "live/test_play.py", "live/test_supervisor.py")
 """Tests with deadlines of a tenth of a second: two of them at once would miss them on two cores."""
 
 

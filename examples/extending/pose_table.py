@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from offpiste.live.viewers.viewer import VIEWERS, Viewer
+from offpiste.live.viewers import VIEWERS, Viewer
 from offpiste.runtime.estimator import VehicleReading
 
 

@@ -43,16 +43,17 @@ from live.made_up_robot import RIG, START, odometry
 from offpiste.runtime.planner import Planner, warm_up
 from offpiste.core.conventions import CONTROL
 from offpiste.dynamics import Parametric, Vehicle
-from offpiste.live.driver import refuse_unmeasured
-from offpiste.live.packing import pack_measured, reading_from, unpacked
-from offpiste.live.vehicle_messages import VehicleMessages
+from offpiste.live.lockstep import refuse_unmeasured
+from offpiste.live.ring import from_fields, pack_fields, unpacked
+from offpiste.live.robot_messages import VehicleMessages
+from offpiste.runtime.estimator import VehicleReading
 from offpiste.logs.ros.writer import make
 from offpiste.rig.outputs import Timeouts
 from offpiste.rig.rig import parse_rig
 from offpiste.runtime.estimator import VehicleTrack
 from offpiste.runtime.estimator import Intake
 from offpiste.runtime.runtime import Runtime
-from offpiste.transport.tally import Tally
+from offpiste.transport.interface import Tally
 from runtime.stream import WHEELS, sensor_setup, settings
 
 channel = '[channels.throttle_position]\\ntopic = "/flap"\\nfields = ["data"]\\n[lidars'
@@ -65,7 +66,7 @@ assert intake.vehicle(messages.take("/odom", odometry(0.0), now)) == "dropped"
 assert dict(intake.dropped) == {"readings of the vehicle without throttle_position, which the model reads": 1}
 messages.take("/flap", make("std_msgs/Float64", data=0.3), now + 0.02)
 reading = messages.take("/odom", odometry(0.02), now + 0.02)
-assert intake.vehicle(reading_from(unpacked(pack_measured(reading)))) == "taken"
+assert intake.vehicle(from_fields(VehicleReading, unpacked(pack_fields(reading)))) == "taken"
 assert track.rows(now + 0.02).actuators[-1].tolist()[4:] == [0.3]
 made, plan = [], Runtime._plan
 Runtime._plan = lambda runtime, *given: made.append(runtime) or plan(runtime, *given)

@@ -7,7 +7,7 @@ from extending.outside import succeeded
 SCRIPT = """
 import sys
 import numpy as np
-from offpiste.live.viewers.viewer import VIEWERS, ShownPlan
+from offpiste.live.viewers import VIEWERS, ShownPlan
 from offpiste.runtime.estimator import VehicleReading
 
 viewer = VIEWERS["pose-table"](sys.argv[1], np.zeros((4, 2)), ())

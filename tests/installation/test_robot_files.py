@@ -17,8 +17,8 @@ from packaging.requirements import Requirement
 from installation import wheels
 from offpiste.cli.entry import commands_in_order
 from offpiste.core.signals import GROUP_SIGNALS
+from offpiste.live.control import ENDS
 from offpiste.live.part import AFTER
-from offpiste.live.parts.watchdog import ENDS
 from offpiste.live.session import PARTS, RINGS
 
 ROOT = wheels.PYPROJECT.parent

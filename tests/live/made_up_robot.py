@@ -1,9 +1,11 @@
-"""A robot without a simulator: it stands or drives straight ahead on a plain that one LiDAR sees."""
+"""Robot without a simulator: it stands, or drives straight ahead on a plain seen by one LiDAR."""
 
 from pathlib import Path
 
 import numpy as np
 
+from offpiste.live.reception import CourseRequest
+from offpiste.live.session import LiveSettings
 from offpiste.logs.ros.sensor_messages import message_from_points
 from offpiste.logs.ros.writer import McapWriter, header, make, quaternion, vector
 from offpiste.planning import mppi
@@ -11,8 +13,10 @@ from offpiste.planning.controls import PEDAL_LIMITS
 from offpiste.rig.rig import parse_rig
 from offpiste.runtime.backing_out import BackingOutSettings
 from offpiste.runtime.planner import Planner
+from offpiste.transport.zenoh_transport import ZenohSettings
 from runtime.stream import parametric, settings
 
+RUN = "pretrained:proving-ground/parametric"
 ACKERMANN = "ackermann_msgs/msg/AckermannDriveStamped"
 START = 200 * 10**9
 POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("t", "<u4")])
@@ -84,6 +88,15 @@ def write_course(folder: Path, length=60.0, speed=4.0) -> Path:
     return file
 
 
+def live_settings(folder: Path, more="", *, network=None, actuators=False, course=None, **changed) -> LiveSettings:
+    """Settings of a drive along a straight course; the rig and the course are written to the folder."""
+    if network is not None:
+        changed["robot"] = ZenohSettings(endpoint=network.endpoint)
+    given = {"rig": write_rig(folder, more, actuators=actuators), "run": RUN, "pca": None}
+    given |= {"course": course or CourseRequest(write_course(folder)), "runtime": small_settings()}
+    return LiveSettings(**given | changed)
+
+
 def planner():
     return Planner("parametric", Path("nowhere"), parametric())
 
@@ -92,6 +105,15 @@ def small_settings():
     """Settings with which a plan takes a few milliseconds."""
     sampling = mppi.Settings(PEDAL_LIMITS, (0.35, 0.3), samples=32, rest=(0.2, 0.0))
     return settings(sampling=sampling, backing_out=BackingOutSettings(attempts=0))  # it never moves, and is not stuck
+
+
+def path(frame, stamp=START, end=9.0):
+    """A straight nav_msgs/Path."""
+    turn, head = quaternion((0, 0, 0, 1)), header(stamp, frame)
+    poses = [make("geometry_msgs/Pose", position=vector((x, 0, 0), "geometry_msgs/Point"), orientation=turn)
+             for x in (0.0, end)]  # fmt: skip
+    stamped = [make("geometry_msgs/PoseStamped", header=head, pose=pose) for pose in poses]
+    return make("nav_msgs/Path", header=head, poses=stamped)
 
 
 def odometry(seconds, x=0.0, speed=0.0):

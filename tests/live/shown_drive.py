@@ -1,10 +1,10 @@
-"""A moment of a drive, as viewers are given it, far from the world's origin; and who listens where."""
+"""Calls of a viewer during a drive far from the world's origin, and listening addresses."""
 
 from pathlib import Path
 
 import numpy as np
 
-from offpiste.live.viewers.viewer import ShownGround, ShownPlan
+from offpiste.live.viewers import ShownGround, ShownPlan
 from offpiste.logs.measurements import Image
 from offpiste.runtime.estimator import VehicleReading
 
@@ -15,7 +15,7 @@ LOOPBACK = "0100007F"
 
 
 def show(viewer):
-    """A pose, a course, a plan with a region, a map, an image, a change of mode, numbers."""
+    """Show each element of a drive."""
     turned = np.array((0, 0, np.sin(0.5), np.cos(0.5)))
     viewer.pose(VehicleReading(1000.5, ORIGIN, turned, np.zeros(3), 0.0, np.zeros(4)))
     places = ORIGIN + np.column_stack((np.arange(50.0), np.zeros((50, 2))))
@@ -30,6 +30,6 @@ def show(viewer):
 
 
 def addresses_of(port):
-    """Addresses on which somebody listens at a port, in hexadecimal."""
+    """Return the hexadecimal addresses on which a port is open."""
     rows = [line.split() for name in ("tcp", "tcp6") for line in Path(f"/proc/net/{name}").read_text().splitlines()[1:]]
     return {row[1].split(":")[0] for row in rows if row[3] == "0A" and int(row[1].split(":")[1], 16) == port}

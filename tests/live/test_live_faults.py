@@ -1,5 +1,4 @@
-"""Faults while control drives: a clock that stands still or goes back, a process that comes back in the middle of a
-stop, signals to all processes at once, a server of processes that dies, and the end."""
+"""Faults of whole drives: clocks, restarts during a stop, signals to all processes, dead servers, and the end."""
 
 import os
 import shutil
@@ -7,72 +6,67 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import closing
-from dataclasses import replace
+from contextlib import closing, suppress
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
-from live.made_up_robot import ENABLE, write_course, write_rig
-from live.test_all_processes import runs
-from live.test_supervisor import RUN, Drive, drove, first_stop
-from offpiste.core.errors import LiveError, PlanningError, RigError
-from offpiste.core.shipped import run_folder
-from offpiste.core.signals import GROUP_SIGNALS
-from offpiste.live.commands import run_live
-from offpiste.live.driver import refuse_unmeasured
-from offpiste.live.packing import pack_measured, pack_plan, packed, unpacked
-from offpiste.live.part import STAMP
-from offpiste.live.parts.control import MODE
-from offpiste.live.reception import CourseRequest
-from offpiste.live.session import LiveSettings, RecordSettings, new_session
+from live.made_up_robot import (
+    ACKERMANN,
+    ENABLE,
+    RUN,
+    START,
+    cloud,
+    live_settings,
+    odometry,
+    tree,
+    write_course,
+    write_rig,
+)
+from live.test_supervisor import Drive, drove, first_stop, listening
+from offpiste.core.signals import BACKGROUND, ENDING, GROUP_SIGNALS
+from offpiste.live.part import AFTER
+from offpiste.live.ring import unpacked
+from offpiste.live.session import MODE, RecordSettings, new_session
+from offpiste.live.supervisor import Supervisor, asked_to_end
+from offpiste.logs import open_log
 from offpiste.logs.ros.writer import make
-from offpiste.planning.caution import AddSpread
-from offpiste.rig.rig import load_rig
-from offpiste.runtime.estimator import VehicleReading
-from offpiste.runtime.follower import TimedPlan
-from offpiste.runtime.planner import load_planner
-from offpiste.runtime.prediction import Prediction
-from offpiste.runtime.settings import RuntimeSettings
-from offpiste.transport.zenoh_transport import ZenohSettings
-from offpiste.uncertainty.fit import FILE as SPREAD
-from transport.routers import until
+from offpiste.transport.zenoh_transport import ZenohSettings, ZenohTransport
+from transport.routers import Network, free_port, network, until
+
+__all__ = ["network"]
+GAP = 0.3
+"""The watchdog's silence of 0.1 s, and the delay of a busy machine [s]."""
 
 
-class Moving(Drive):
-    """A vehicle whose speed and clock are given."""
+def runs(pid):
+    """Whether a process runs; a zombie does not."""
+    stat = Path(f"/proc/{pid}/stat")
+    return stat.exists() and stat.read_text().rpartition(")")[2].split()[0] != "Z"
 
-    at, speed, gear, clock = 1.0, 0.0, 1.0, staticmethod(time.time)
 
-    @property
-    def progress(self):
-        """Along the course, as control says it with what it commanded last [m]."""
-        return unpacked(self.rings["commands"].newest().data)["progress"]
-
-    def feed(self, *, reads=True, plans=True):
-        now = self.clock()
-        self.rings["clock"].write(STAMP.pack(now, time.monotonic()))
-        if reads:
-            place, turn = np.array((self.at + self.speed * (now % 10), 0, 0)), np.array((0, 0, 0, 1.0))
-            reading = VehicleReading(now, place, turn, np.array((self.speed, 0, 0)), 0.0, np.zeros(4))
-            self.rings["readings"].write(pack_measured(reading, control=None, came=time.monotonic()))
-        self.rings["map-state"].write(packed({"scan_time": now, "image_time": np.inf}))
-        if plans:
-            plan = TimedPlan(now, now, torch.tensor([[0.4, 0.0, 0.2]]).repeat(250, 1), self.gear)
-            states = np.tile((0.0, 0, 0, 2.0, 0, 0), (250, 1))
-            self.rings["plans"].write(pack_plan(plan, Prediction(now, states), empty=False, stuck=False))
+def parent_of(pid):
+    return int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[1])
 
 
 @pytest.fixture
 def moving(tmp_path):
-    with closing(Moving(tmp_path, clock="clock")) as drive:
+    with closing(Drive(tmp_path, clock="clock")) as drive:
+        assert drive.drives(), drive.supervisor.look()
         yield drive
 
 
+def last_command(drive):
+    return unpacked(drive.rings["commands"].newest().data)
+
+
+def stops_since(drive, moment):
+    return [after for after, command in drive.since(moment) if command.acceleration < 0]
+
+
 def test_a_clock_that_stands_still_stops_the_vehicle(moving):
-    assert moving.drives(), moving.supervisor.look()
     frozen, moment = time.time(), time.monotonic()
     moving.clock = lambda: frozen
     parts = moving.run(1.0)
@@ -82,53 +76,44 @@ def test_a_clock_that_stands_still_stops_the_vehicle(moving):
     assert moving.drives(20), "once it runs again"
 
 
-def test_readings_that_run_on_without_their_clock_stop_it_too(moving):
-    assert moving.drives(), moving.supervisor.look()
-    clock, moment = moving.rings.pop("clock"), time.monotonic()
+def test_readings_without_their_clock_stop_it_too(moving):
+    moment = time.monotonic()
     moving.rings["clock"] = type("Silent", (), {"write": staticmethod(lambda _: True)})
     parts = moving.run(1.6)
     assert first_stop(moving, moment) < 1.0 + 0.3
     assert "stands still" in parts["control"][1] or "no state" in parts["control"][1]
-    moving.rings["clock"] = clock
 
 
 def test_a_clock_that_goes_back_stops_it_and_it_drives_again_by_the_new_time(moving):
-    moving.at = 9.0
-    assert moving.drives(), moving.supervisor.look()
-    assert moving.progress == pytest.approx(9.0, abs=0.3)
+    assert (last_command(moving)["course"], last_command(moving)["progress"]) == (1, pytest.approx(1.0, abs=0.3))
     moment = time.monotonic()
-    moving.at, moving.clock = 2.0, lambda: time.time() - 1000.0  # as a simulator that begins again
+    moving.at, moving.clock = 9.0, lambda: time.time() - 1000.0  # like a simulator that begins again
     moving.run(0.3)
-    stops = [after for after, command in moving.since(moment) if command.acceleration < 0]
-    assert stops, "though it drives on at once, since it is at a standstill"
+    assert stops_since(moving, moment), "though it soon drives on, since it is at a standstill"
     assert moving.drives(20)
-    assert moving.progress == pytest.approx(2.0, abs=0.3)
+    assert last_command(moving)["progress"] == pytest.approx(9.0, abs=0.3)
 
 
 @pytest.mark.parametrize("blow", [signal.SIGKILL, signal.SIGSTOP])
-def test_a_stop_is_completed_by_the_control_that_comes_back(moving, blow):
-    assert moving.drives(), moving.supervisor.look()
-    pid, speeds = moving.pid("control"), moving
-    steer = moving.heard[-1][1].steering_angle
+def test_a_stop_is_completed_by_a_control_that_comes_back(moving, blow):
+    pid, steer = moving.pid("control"), moving.heard[-1][1].steering_angle
     os.kill(pid, blow)
     moving.run(0.3)
-    speeds.speed = 3.0
+    moving.speed = 3.0
     if blow == signal.SIGSTOP:
         os.kill(pid, signal.SIGCONT)
     assert until(lambda: "stopping" in moving.run(0.1)["control"][1], 30), moving.supervisor.look()
     moment = time.monotonic()
     parts = moving.run(1.0)
-    assert "stopping" in parts["control"][1], "it has readings and plans, and does not stand"
+    assert "stopping" in parts["control"][1], "it has readings and plans, and still moves"
     heard = [drive for _, drive in moving.since(moment)]
     assert all(drive.acceleration < 0 for drive in heard)
     assert heard[0].steering_angle == pytest.approx(steer, abs=0.06), "no jump of the steering"
-    speeds.speed = 0.0
+    moving.speed = 0.0
     assert moving.drives(20), "from the standstill"
 
 
 def test_a_control_that_comes_back_keeps_the_gear_until_the_standstill(moving):
-    assert moving.drives(), moving.supervisor.look()
-
     def gears():
         return {unpacked(one.data)["gear"] for one in moving.rings["commands"].since(begun)}
 
@@ -146,8 +131,7 @@ def test_a_control_that_comes_back_keeps_the_gear_until_the_standstill(moving):
 
 
 @pytest.mark.parametrize("first", ["", "control", "watchdog"])
-def test_the_last_that_is_heard_is_the_stop_whoever_ends_first(moving, first):
-    assert moving.drives(), moving.supervisor.look()
+def test_the_last_command_is_a_stop_whichever_process_ends_first(moving, first):
     assert until(lambda: moving.run(0.1)["watchdog"][1] == "ready", 30)
     if first:
         moving.supervisor._names.remove(first)
@@ -157,26 +141,25 @@ def test_the_last_that_is_heard_is_the_stop_whoever_ends_first(moving, first):
     time.sleep(0.2)
     assert first_stop(moving, moment) < 0.3
     assert moving.heard[-1][1].acceleration < 0
-    stops = [after for after, drive in moving.since(moment) if drive.acceleration < 0]
+    stops = stops_since(moving, moment)
     assert stops[-1] - stops[0] > 0.9
     assert max(np.diff(stops)) < 0.4, "until the end"
 
 
-def test_the_watchdog_stops_on_where_the_memory_was_removed_and_control_is_gone(moving):
-    assert moving.drives(), moving.supervisor.look()
+def test_the_watchdog_continues_the_stop_without_memory_and_control(moving):
     assert until(lambda: moving.run(0.1)["watchdog"][1] == "ready", 30)
     moving.supervisor._ring("end")
-    shutil.rmtree(moving.session.folder)  # as control did at its end, once their parent was gone
+    shutil.rmtree(moving.session.folder)  # as control did at its end, after its parent's
     os.kill(moving.pid("control"), signal.SIGKILL)
     moment = time.monotonic()
     time.sleep(1.0)
-    stops = [after for after, drive in moving.since(moment) if drive.acceleration < 0]
+    stops = stops_since(moving, moment)
     assert len(stops) > 5
     assert stops[-1] > 0.8
 
 
 def test_before_the_first_command_none_counts_as_interrupted(tmp_path):
-    with closing(Moving(tmp_path)) as drive:
+    with closing(Drive(tmp_path)) as drive:
         said = []
         drive.vehicle.subscribe(MODE, lambda one: said.append(drive.vehicle.decode(one).data), history=True)
         assert until(lambda: "waits for readings" in str(drive.supervisor.look()["control"][1]), 60)
@@ -187,7 +170,6 @@ def test_before_the_first_command_none_counts_as_interrupted(tmp_path):
 
 
 def test_processes_leave_ending_to_their_parent(moving):
-    assert moving.drives(), moving.supervisor.look()
     for number in GROUP_SIGNALS:
         for name in ("control", "watchdog"):
             os.kill(moving.pid(name), number)
@@ -197,34 +179,29 @@ def test_processes_leave_ending_to_their_parent(moving):
     assert moving.supervisor.restarts == {"control": 0, "watchdog": 0}
 
 
-def test_where_the_server_of_the_processes_dies_no_process_runs_twice(moving):
-    assert moving.drives(), moving.supervisor.look()
+def test_if_the_server_of_the_processes_dies_no_process_runs_twice(moving):
     before = [moving.pid("control"), moving.pid("watchdog")]
-    server = int(Path(f"/proc/{before[0]}/stat").read_text().rpartition(")")[2].split()[1])
-    os.kill(server, signal.SIGKILL)
+    os.kill(parent_of(before[0]), signal.SIGKILL)
     assert until(lambda: (moving.run(0.2), moving.supervisor.restarts)[1] == {"control": 1, "watchdog": 1}, 60)
     assert until(lambda: not any(runs(pid) for pid in before), 5)
     del moving.heard[:]
     assert moving.drives(60)
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
-def test_the_stop_is_sent_at_the_end_though_the_server_of_the_processes_is_gone(moving, number):
-    assert moving.drives(), moving.supervisor.look()
-    server = int(Path(f"/proc/{moving.pid('control')}/stat").read_text().rpartition(")")[2].split()[1])
-    os.kill(server, number)
+def test_the_stop_is_sent_at_the_end_after_the_server_of_the_processes_died(moving):
+    os.kill(parent_of(moving.pid("control")), signal.SIGTERM)
     time.sleep(0.1)
     moment = time.monotonic()
     moving.supervisor.end()
     time.sleep(0.1)
-    stops = [after for after, drive in moving.since(moment) if drive.acceleration < 0]
+    stops = stops_since(moving, moment)
     assert stops[-1] - stops[0] > 0.9
     assert moving.heard[-1][1].acceleration < 0
 
 
-def test_the_switch_is_heard_over_the_bridge_by_the_type_in_the_rig(tmp_path):
+def test_over_the_bridge_the_rig_states_the_type_of_the_switch(tmp_path):
     types = '[live.types]\n"/enable" = "std_msgs/msg/Bool"\n'
-    with closing(Moving(tmp_path, ENABLE + types, keys="bridge")) as drive:
+    with closing(Drive(tmp_path, ENABLE + types, keys="bridge")) as drive:
         assert until(lambda: (drive.run(0.1), len(drive.heard) > 20)[1], 60)
         switch = drive.vehicle.publisher("/enable", "std_msgs/msg/Bool")
         for _ in range(60):
@@ -232,91 +209,13 @@ def test_the_switch_is_heard_over_the_bridge_by_the_type_in_the_rig(tmp_path):
             drive.run(0.05)
         assert drive.heard[-1][1].acceleration > 0
         moment = time.monotonic()
-        drive.vehicle._session.put("drive", b"whatever another commander sends")
+        drive.vehicle._session.put("drive", b"a command of another publisher, of any type")
         drive.run(0.3)
-        assert first_stop(drive, moment) < 0.3, "of any type"
-
-
-@pytest.mark.parametrize(
-    ("changed", "options", "what"),
-    [
-        ({"robot": ZenohSettings(keys="bridge"), "drive": True}, {}, r"type of the enable topic /enable.*live.types"),
-        ({"record": RecordSettings(Path("a.mcap"))}, {"lockstep": True}, "--record would do nothing"),
-        ({"status": Path("a.csv")}, {"replay": Path("a.mcap")}, "--status would do nothing"),
-        ({"clock": "stamps"}, {"lockstep": True}, "--clock stamps would do nothing"),
-        ({"clock": "clock"}, {"replay": Path("a.mcap")}, "--clock clock would do nothing"),
-        ({}, {"lockstep": True, "replay": Path("a.mcap")}, "--lockstep would do nothing"),
-        ({}, {"commands": Path("a.csv")}, "--commands would do nothing"),
-        ({"seconds": 0.0}, {}, "0 seconds"),
-    ],
-)
-def test_options_that_would_do_nothing_are_refused(tmp_path, changed, options, what):
-    rig, course = write_rig(tmp_path, ENABLE), CourseRequest(write_course(tmp_path))
-    given = {"lockstep": False, "replay": None, "commands": None} | options
-    with pytest.raises(LiveError, match=what):
-        run_live(LiveSettings(rig, RUN, None, course, **changed), **given)
-
-
-def test_a_risk_that_needs_a_spread_is_refused_before_anything_starts(tmp_path):
-    run = tmp_path / "run"
-    shutil.copytree(run_folder(RUN), run, ignore=shutil.ignore_patterns(SPREAD))
-    course, runtime = CourseRequest(write_course(tmp_path)), RuntimeSettings(risk=AddSpread())
-    settings = LiveSettings(write_rig(tmp_path, actuators=True), str(run), None, course, runtime)
-    with pytest.raises(PlanningError, match="needs a spread"):
-        run_live(settings, lockstep=False, replay=None, commands=None)
-
-
-@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
-def test_a_gpu_that_is_not_there_is_refused_before_anything_starts(tmp_path):
-    course, runtime = CourseRequest(write_course(tmp_path)), RuntimeSettings(device="cuda")
-    settings = LiveSettings(write_rig(tmp_path), RUN, None, course, runtime)
-    with pytest.raises(PlanningError, match="no GPU 'cuda' for planning"):
-        run_live(settings, lockstep=False, replay=None, commands=None)
-
-
-def test_the_timeouts_of_the_rig_are_those_of_the_drive(tmp_path, monkeypatch):
-    begun, more = [], "[live.timeouts]\nstate = 0.25\n"
-    monkeypatch.setattr("offpiste.live.commands.supervise", lambda settings, *_: begun.append(settings))
-    course = CourseRequest(write_course(tmp_path))
-    settings = LiveSettings(write_rig(tmp_path, more, actuators=True), RUN, None, course)
-    run_live(settings, lockstep=False, replay=None, commands=None)
-    assert begun[0].runtime.timeouts == replace(settings.runtime.timeouts, state=0.25)
-
-
-@pytest.mark.parametrize("run", [RUN, "pretrained:proving-ground/dc"])
-def test_a_model_that_reads_what_the_rig_lacks_is_refused_before_anything_starts(tmp_path, run):
-    course = CourseRequest(write_course(tmp_path))
-    with pytest.raises(LiveError, match=r"reads brake, .*engine_rpm, which rig 'made up' does not have"):
-        run_live(LiveSettings(write_rig(tmp_path), run, None, course), lockstep=False, replay=None, commands=None)
-    with pytest.raises(LiveError, match=r"reads images, and rig 'made up' has no cameras"):
-        refuse_unmeasured(load_planner("pretrained:proving-ground/dc"), load_rig(write_rig(tmp_path, actuators=True)))
-
-
-@pytest.mark.parametrize(
-    ("more", "change", "what"),
-    [
-        ('[live.types]\n"/odom" = "my_msgs/msg/Odom"\n', "", r"my_msgs/msg/Odom is not known.*live.definitions"),
-        (ENABLE + 'field = "on"\n[live.types]\n"/enable" = "std_msgs/msg/Bool"\n', "", r"'on' is no such field"),
-        ("", '"drive.accel', r"a field is not one of its type"),
-    ],
-)
-def test_types_and_fields_are_refused_before_anything_starts(tmp_path, more, change, what):
-    rig = Path(write_rig(tmp_path, more, actuators=True))
-    rig.write_text(rig.read_text().replace('"drive.acceleration', change or '"drive.acceleration'))
-    settings = LiveSettings(str(rig), RUN, None, CourseRequest(write_course(tmp_path)), drive=True)
-    with pytest.raises(RigError, match=what):
-        run_live(settings, lockstep=False, replay=None, commands=None)
-
-
-def test_driving_without_a_dead_mans_switch_is_warned_of(tmp_path, caplog):
-    settings = LiveSettings(write_rig(tmp_path), RUN, None, CourseRequest(write_course(tmp_path)), drive=True)
-    with pytest.raises(LiveError, match="does not have"):
-        run_live(settings, lockstep=False, replay=None, commands=None)
-    assert "without a dead man's switch" in caplog.text
+        assert first_stop(drive, moment) < 0.3
 
 
 LEFT = """
-import os, sys
+import sys
 from pathlib import Path
 from offpiste.live.reception import CourseRequest
 from offpiste.live.session import LiveSettings, new_session
@@ -326,14 +225,14 @@ with new_session(LiveSettings("rig", "run", None, CourseRequest(Path("a")))) as 
 """
 
 
-def test_memory_of_a_killed_session_is_removed_by_the_next_and_that_of_a_living_one_is_not():
+def test_the_memory_of_a_killed_session_is_removed_by_the_next_one(tmp_path):
     owners = [subprocess.Popen([sys.executable, "-c", LEFT], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
               for _ in range(2)]  # fmt: skip
     killed, living = (Path(owner.stdout.readline().strip()) for owner in owners)
     owners[0].kill()
     owners[0].wait()
     assert killed.is_dir()
-    with new_session(LiveSettings("rig", "run", None, CourseRequest(Path("a")))) as session:
+    with new_session(live_settings(tmp_path)) as session:
         assert not killed.exists()
         assert living.is_dir()
     assert not session.folder.exists()
@@ -341,7 +240,216 @@ def test_memory_of_a_killed_session_is_removed_by_the_next_and_that_of_a_living_
     assert not living.exists()
 
 
-def test_what_was_commanded_says_where_the_course_was_left(moving):
-    assert moving.drives(), moving.supervisor.look()
-    assert unpacked(moving.rings["commands"].newest().data)["course"] == 1
-    assert moving.progress == pytest.approx(1.0, abs=0.3)
+@pytest.mark.parametrize("number", ENDING)
+def test_a_drive_ends_by_any_signal_of_a_terminal(number):
+    before = signal.signal(number, signal.SIG_DFL)  # nohup ignores some
+    try:
+        with asked_to_end() as asked:
+            os.kill(os.getpid(), number)
+            assert asked.wait(2.0)
+    finally:
+        signal.signal(number, before)
+
+
+DRIVES = """
+import sys
+from pathlib import Path
+from live.test_live_faults import Elsewhere
+from live.test_supervisor import Drive
+from offpiste.live.supervisor import asked_to_end
+
+with asked_to_end():
+    drive = Drive(Path(sys.argv[1]), network=Elsewhere(sys.argv[2]))
+    assert drive.drives(), drive.supervisor.look()
+    while True:
+        watchdog = drive.run(0.1)["watchdog"][1]
+        print(drive.pid("control"), drive.pid("watchdog"), drive.session.folder, watchdog, flush=True)
+"""
+
+
+class Elsewhere:
+    """A network whose router is in another process."""
+
+    def __init__(self, endpoint):
+        self.endpoint = endpoint
+
+    def session(self):
+        return ZenohTransport(ZenohSettings(endpoint=self.endpoint))
+
+
+class Group:
+    """A drive in a process group of its own, and the commands that the vehicle hears."""
+
+    def __init__(self, folder):
+        self.network, self.heard = Network(), []
+        vehicle = self.network.session()
+        vehicle.subscribe("/drive", lambda one: self._heard(vehicle.decode(one).drive.acceleration), msgtype=ACKERMANN)
+        said, paths = folder / "said.txt", [folder.parent.parent, Path(__file__).parents[1], *sys.path]
+        environment = os.environ | {"PYTHONPATH": os.pathsep.join(map(str, paths))}
+        with said.open("w") as file:
+            command = [sys.executable, "-c", DRIVES, str(folder), self.network.endpoint]
+            self.process = subprocess.Popen(
+                command, stdout=file, stderr=subprocess.STDOUT, start_new_session=True, env=environment
+            )
+        assert until(lambda: said.read_text().endswith(" ready\n"), 120), said.read_text()
+        *_, control, watchdog, memory, _ = said.read_text().split()
+        self.control, self.watchdog, self.memory = int(control), int(watchdog), Path(memory)
+
+    def _heard(self, acceleration):
+        self.heard.append((time.monotonic(), acceleration))
+
+    def send(self, number):
+        """Signal the whole group, and return the time."""
+        os.killpg(self.process.pid, number)
+        return time.monotonic()
+
+    def since(self, moment):
+        """Times of commands after a moment, which is the first of them, and whether each is a stop."""
+        return [moment, *(at for at, _ in self.heard if at > moment)], [a < 0 for at, a in self.heard if at > moment]
+
+    def close(self):
+        with closing(self.network), suppress(ProcessLookupError):
+            self.send(signal.SIGKILL)
+        self.process.wait()
+
+
+@pytest.fixture(scope="module")
+def group(tmp_path_factory):
+    with closing(Group(tmp_path_factory.mktemp("group"))) as group:
+        yield group
+
+
+def largest_gap(times):
+    return max(later - at for at, later in pairwise(times))
+
+
+def test_a_drive_in_the_background_is_not_stopped_by_its_terminal(group):
+    for number in BACKGROUND:
+        moment = group.send(number)
+        time.sleep(0.6)
+        times, stops = group.since(moment)
+        assert largest_gap(times) < GAP
+        assert not any(stops)
+
+
+def test_the_watchdog_commands_the_stop_of_a_stopped_group(group):
+    moment = group.send(signal.SIGSTOP)
+    time.sleep(1.0)
+    times, stops = group.since(moment + 0.05)  # earlier commands of control may arrive just after
+    assert largest_gap(times) < GAP
+    assert len(times) > 20
+    assert all(stops)
+    group.send(signal.SIGCONT)
+    assert until(lambda: group.heard[-1][1] > 0, 20), "and it drives on"
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGABRT])  # the latter by systemd's watchdog
+def test_the_watchdog_commands_the_stop_after_all_others_end(tmp_path, number):
+    with closing(Group(tmp_path)) as group:
+        moment = group.send(number)
+        group.process.wait(5)
+        assert until(lambda: not runs(group.watchdog), AFTER + 5)
+        times, stops = group.since(moment)
+        assert largest_gap(times) < GAP
+        assert all(stops[stops.index(True) :])
+        assert times[1 + stops.index(True)] - moment < GAP
+        assert times[-1] - moment > 0.9, "the stop is sent for some time"
+        assert not runs(group.control)
+        assert not group.memory.exists()
+
+
+class Robot:
+    """Robot that stands on a plain and publishes in real time."""
+
+    def __init__(self, network):
+        session = network.session()
+        self.odom = session.publisher("/odom", "nav_msgs/msg/Odometry")
+        self.points = session.publisher("/points", "sensor_msgs/msg/PointCloud2")
+        session.publisher("/tf_static", "tf2_msgs/msg/TFMessage", keep=True)(tree())
+        self.commands, self.rows = [], 0
+        session.subscribe("/drive", lambda m: self.commands.append((time.monotonic(), session.decode(m).drive)))
+
+    def publish(self):
+        now = time.time() - START / 1e9
+        self.odom(odometry(now, 1.0))
+        if self.rows % 5 == 0:
+            self.points(cloud(now - 0.1))
+        self.rows += 1
+
+
+def test_a_drive_with_every_process_killed_once(tmp_path, network):
+    robot, log, parts = Robot(network), tmp_path / "drive.mcap", {}
+    settings = live_settings(tmp_path, network=network, actuators=True, drive=True, record=RecordSettings(log))
+
+    def run(seconds):
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            robot.publish()
+            parts.update(live.look())
+            time.sleep(0.02)
+
+    def drives(seconds):
+        seen = len(robot.commands)
+        return until(lambda: run(0.1) or any(drive.acceleration > 0 for _, drive in robot.commands[seen:]), seconds)
+
+    with new_session(settings) as session:
+        live = Supervisor(session, network.session(), cameras=False)
+        live.start()
+        try:
+            assert drives(120), parts
+            run(0.5)
+            live.report(parts)
+            for name in ("receive", "map", "plan"):
+                moment = time.monotonic()
+                os.kill(live._processes[name].pid, signal.SIGKILL)
+                run(0.3)
+                times = [moment, *(at for at, _ in robot.commands if at > moment)]
+                assert largest_gap(times) < 0.2, f"commands flow without {name}"
+                assert until(lambda: run(0.1) or (parts[name][1], live.restarts[name]) == ("ready", 1), 60), parts  # noqa: B023
+                assert drives(20), (name, parts)
+            assert parts["record"][1].startswith("records")
+        finally:
+            live.end()
+    recorded = open_log(log)
+    assert {"/odom", "/points", "/tf_static", "/drive", "/offpiste/mode"} <= set(recorded.topics)
+    assert not recorded.warnings
+
+
+def descendants(pid):
+    found, border = [], [pid]
+    while border:
+        parent = border.pop()
+        new = [int(child) for child in Path(f"/proc/{parent}/task/{parent}/children").read_text().split()]
+        border += new
+        found += new
+    return found
+
+
+@pytest.mark.parametrize(
+    ("number", "router"),
+    [(signal.SIGKILL, False), (signal.SIGKILL, True)]
+    + [(number, False) for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGINT, signal.SIGTSTP)],
+)
+def test_all_processes_end_with_their_command(tmp_path, network, number, router):
+    said, notified = tmp_path / "said.txt", str(tmp_path / "notify")
+    endpoint = f"tcp/127.0.0.1:{free_port()}" if router else network.endpoint
+    command = ["env", "--default-signal=HUP,INT", sys.executable, "-m", "offpiste", "live"]  # nohup ignores some
+    command += [write_rig(tmp_path, actuators=True), "--run", RUN, "--endpoint", endpoint, *["--router"] * router]
+    command += ["--course", str(write_course(tmp_path)), "--drive"]
+    environment = os.environ | {"NOTIFY_SOCKET": notified}
+    with said.open("w") as file, listening(notified) as heard:
+        live = subprocess.Popen(command, stdout=file, stderr=subprocess.STDOUT, start_new_session=True, env=environment)
+        assert until(lambda: "watchdog: ready" in said.read_text(), 60), said.read_text()
+        children = descendants(live.pid)
+        assert len(children) >= 5
+        if number == signal.SIGKILL:
+            live.kill()
+            live.wait()
+        else:
+            os.killpg(live.pid, number)
+            assert live.wait(30) == 0, said.read_text()
+        assert until(lambda: not any(runs(pid) for pid in children), 30)
+        assert not list(Path("/dev/shm").glob(f"offpiste-live-{live.pid}-*"))
+        assert "Traceback" not in said.read_text()
+    notices = [next(iter(state)) for _, state in heard]
+    assert (notices[:2], notices[-1]) == (["READY", "WATCHDOG"], "WATCHDOG" if number == signal.SIGKILL else "STOPPING")

@@ -1,20 +1,81 @@
-"""Courses as they are received: in the frame of the vehicle's poses, and a goal that is not where the vehicle is."""
+"""Courses from files, paths and goals; the dead man's switch; and waiting messages."""
+
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from live.made_up_robot import ENABLE, START, odometry, rig
-from offpiste.live.reception import CourseRequest, Reception
-from offpiste.logs.ros.writer import header, make, quaternion, vector
+from live.made_up_robot import ENABLE, RIG, START, odometry, path, rig
+from offpiste.core.errors import LiveError
+from offpiste.core.geometry import local_from_geographic
+from offpiste.live.receive import Backlog
+from offpiste.live.reception import CourseRequest, Reception, read_course
+from offpiste.logs.ros.writer import header, make
 from offpiste.planning.course import Course
+from offpiste.rig.rig import parse_rig
+from offpiste.transport.interface import Received, Tally
 
 
-def path(frame, stamp=START, end=9.0):
-    turn, head = quaternion((0, 0, 0, 1)), header(stamp, frame)
-    poses = [make("geometry_msgs/Pose", position=vector((x, 0, 0), "geometry_msgs/Point"), orientation=turn)
-             for x in (0.0, end)]  # fmt: skip
-    stamped = [make("geometry_msgs/PoseStamped", header=head, pose=pose) for pose in poses]
-    return make("nav_msgs/Path", header=head, poses=stamped)
+def read(folder, text, vehicle=None):
+    (folder / "course.csv").write_text(text)
+    return read_course(folder / "course.csv", 9.0, vehicle or rig())
+
+
+@pytest.mark.parametrize(
+    ("text", "points", "speed"),
+    [
+        ("x,y,speed\n0,0,2\n3,4,3\n", [[0, 0], [3, 4]], [2, 3]),
+        ("y,x\n0,0\n4,3\n4,3\n", [[0, 0], [3, 4]], [9, 9]),  # repeated points are dropped
+        ("\ufeffx,y\n0,0\n3,4\n", [[0, 0], [3, 4]], [9, 9]),  # as Excel saves it
+    ],
+)
+def test_a_table_is_read(tmp_path, text, points, speed):
+    course = read(tmp_path, text)
+    np.testing.assert_array_equal(course.path, points)
+    np.testing.assert_array_equal(course.speed, speed)
+
+
+@pytest.mark.parametrize(
+    ("text", "what"),
+    [
+        ("", "fewer than two distinct points"),
+        ("x,y\n1,2\n1.01,2\n", "fewer than two distinct points"),
+        ("a,b\n1,2\n3,4\n", "without a number: 'x'"),
+        ("x,y\n1,2\nfar,4\n", "without a number"),
+        ("x,y\n1,2\nnan,4\n", "is invalid"),
+        ("lat,lon\n48.1,11.5\n48.2,11.5\n", "does not define an origin"),
+        ("x,y,speed\n1,2,0\n3,4,1\n", "its speed, is invalid"),
+        ("x,y,speed\n1,2,99\n3,4,1\n", "its speed, is invalid"),
+    ],
+)
+def test_an_invalid_table_is_refused(tmp_path, text, what):
+    with pytest.raises(LiveError, match=what) as raised:
+        read(tmp_path, text)
+    assert "course.csv" in str(raised.value)
+    with pytest.raises(LiveError, match="No such file"):
+        read_course(tmp_path / "none.csv", 3.0, rig())
+
+
+@pytest.mark.parametrize("axes", ["z up", "ned"])
+def test_a_table_of_latitudes_and_longitudes(tmp_path, axes):
+    entry = '[channels.position]\nunit = "lat lon"\norigin = [48.0, 11.0]\n'
+    earth = parse_rig(RIG.replace("[channels.position]\n", entry) + f'\n[motion]\naxes = "{axes}"\n', where="test")
+    course = read(tmp_path, "lat,lon,speed\n48,11,2\n48.001,11,3\n", earth)
+    north = local_from_geographic(np.array([[48.001, 11.0]]), (48.0, 11.0))[0, 1]
+    assert north == pytest.approx(111.2, abs=0.1), "a thousandth of a degree"
+    np.testing.assert_allclose(course.path, [[0, 0], (0, north) if axes == "z up" else (north, 0)], atol=1e-6)
+    with pytest.raises(LiveError, match=r"km from channels\.position\.origin"):
+        read(tmp_path, "lon,lat\n48,11\n48.001,11\n", earth)
+    with pytest.raises(LiveError, match="is invalid"):
+        read(tmp_path, "lat,lon\n480,11\n48.001,11\n", earth)
+
+
+@pytest.mark.parametrize(
+    "given", [{}, {"topic": "/b", "goal": (1.0, 0.0)}, {"topic": "/b", "speed": 0.0}, {"goal": (np.inf, 0.0)}]
+)
+def test_an_invalid_request_is_refused(given):
+    with pytest.raises(LiveError):
+        CourseRequest(**given).check()
 
 
 def courses(reception, *messages):
@@ -23,30 +84,34 @@ def courses(reception, *messages):
 
 
 @pytest.mark.parametrize("course_first", [True, False])
-def test_a_path_in_another_frame_than_the_poses_is_refused(course_first):
-    heard = [("/plan", path("odom")), ("/odom", odometry(0.0))]
-    reception = Reception(rig(), CourseRequest(topic="/plan"), cameras=False)
-    assert not courses(reception, *(heard if course_first else reversed(heard)))
+def test_a_path_must_be_in_the_frame_of_the_poses(course_first):
+    for frame in ("map", "/map", "", "odom"):
+        heard = [("/plan", path(frame)), ("/odom", odometry(0.0))]
+        reception = Reception(rig(), CourseRequest(topic="/plan"), cameras=False)
+        taken = courses(reception, *(heard if course_first else reversed(heard)))
+        assert len(taken) == (frame != "odom")
     assert "a path in 'odom', the vehicle's poses are in 'map'" in reception.refusals[0]
     reception.sensors.sensors = ({}, {})
     assert reception.waiting_for == f"a course: {reception.refusals[0]}"
-    assert reception.vehicle.frame == "map"
 
 
-@pytest.mark.parametrize("frame", ["map", "/map", ""])
-def test_a_path_in_the_frame_of_the_poses_is_taken_also_where_it_comes_before_them(frame):
-    for heard in ([path(frame), odometry(0.0)], [odometry(0.0), path(frame)]):
-        reception = Reception(rig(), CourseRequest(topic="/plan"), cameras=False)
-        topics = ["/plan" if "Path" in one.__msgtype__ else "/odom" for one in heard]
-        assert len(courses(reception, *zip(topics, heard, strict=True))) == 1
-        assert not reception.refusals
-
-
-def test_the_same_path_again_is_no_new_course_whatever_its_stamp():
+def test_only_a_different_path_is_a_new_course():
     reception = Reception(rig(), CourseRequest(topic="/plan"), cameras=False)
-    later = path("map", START + 10**9)
+    later, empty = path("map", START + 10**9), SimpleNamespace(header=SimpleNamespace(frame_id="map"), poses=[])
     assert len(courses(reception, ("/odom", odometry(0.0)), ("/plan", path("map")), ("/plan", later))) == 1
     assert len(courses(reception, ("/plan", path("map", end=8.0)), ("/plan", later))) == 2
+    assert not courses(reception, ("/plan", empty))
+    assert "topic '/plan'" in reception.refusals[-1]
+
+
+def test_a_course_to_a_goal_begins_at_the_vehicle_once_it_is_elsewhere():
+    reception = Reception(rig(), CourseRequest(goal=(0.0, 0.02)), cameras=False)
+    assert not courses(reception, ("/odom", odometry(0.0)), ("/odom", odometry(0.02)))
+    assert len(reception.refusals) == 1
+    reception.sensors.sensors = ({}, {})
+    assert reception.waiting_for.startswith("a course: the goal")
+    (course,) = courses(reception, ("/odom", odometry(0.04, 5.0)))
+    np.testing.assert_allclose(course.path, [[5.0, 0.0], [0.0, 0.02]])
 
 
 @pytest.mark.parametrize(
@@ -62,11 +127,35 @@ def test_a_switch_has_the_age_of_its_stamp(stamp, received, age):
     assert taken.age == pytest.approx(age, nan_ok=True)
 
 
-def test_a_goal_where_the_vehicle_is_waits_until_it_is_elsewhere():
-    reception = Reception(rig(), CourseRequest(goal=(0.0, 0.02)), cameras=False)
-    assert not courses(reception, ("/odom", odometry(0.0)), ("/odom", odometry(0.02)))
-    assert len(reception.refusals) == 1
-    reception.sensors.sensors = ({}, {})
-    assert reception.waiting_for.startswith("a course: ")
-    (course,) = courses(reception, ("/odom", odometry(0.04, 5.0)))
-    np.testing.assert_allclose(course.path, [[5.0, 0.0], [0.0, 0.02]])
+def message(topic, size):
+    return Received(topic, "", bytes(size), 0.0)
+
+
+def test_a_full_backlog_drops_the_oldest_message_of_the_largest_topic():
+    dropped = Tally()
+    backlog = Backlog(3, dropped, size=100, why="too slow")
+    for topic, size in (("/scan", 40), ("/scan", 30), ("/image", 45)):
+        backlog.put(message(topic, size))
+    assert dropped == {"/scan: too slow": 1}, "by size"
+    for size in range(3):
+        backlog.put(message("/odom", size))
+    assert dropped == {"/scan: too slow": 1, "/odom: too slow": 2}, "by number"
+    taken = [(one.topic, len(one.data)) for one in (backlog.get(0.0) for _ in range(3))]
+    assert taken == [("/scan", 30), ("/image", 45), ("/odom", 2)]
+    backlog.put(message("/odom", 1))
+    backlog.put(message("/image", 101))
+    assert backlog.get(0.0).topic == "/odom", "the only message of another topic is kept"
+    assert backlog.get(0.0) is None
+
+
+def test_many_messages_of_other_topics_drop_no_only_message():
+    dropped = Tally()
+    backlog = Backlog(256, dropped)
+    for topic in ("/odometry", "/course", "/tf_static", "/tf_static"):
+        backlog.put(message(topic, 1000))
+    for _ in range(1_000):
+        backlog.put(message("/odometry", 1))
+        backlog.put(message("/engine", 1))
+    assert dropped.keys() == {f"{topic}: comes faster than it is decoded" for topic in ("/odometry", "/engine")}
+    assert dropped.total() == 2_004 - 256
+    assert [backlog.get(0.0).topic for _ in range(3)] == ["/course", "/tf_static", "/tf_static"]

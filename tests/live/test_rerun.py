@@ -7,7 +7,7 @@ import pytest
 
 from live.shown_drive import CAMERAS, LOOPBACK, WHEELS, addresses_of, show
 from offpiste.core.errors import LiveError
-from offpiste.live.viewers.viewer import VIEWERS
+from offpiste.live.viewers import VIEWERS
 from transport.routers import free_port
 
 pytest.importorskip("rerun")
@@ -15,7 +15,7 @@ chunks = pytest.importorskip("rerun.chunk")
 
 
 def read_back(path):
-    """Columns of each entity of a recording, as lists a row."""
+    """Return the columns of each entity of a recording."""
     found: dict[str, dict[str, list]] = {}
     for chunk in chunks.RrdReader(str(path)).stream().to_chunks():
         if not chunk.entity_path.startswith("/__"):
@@ -50,7 +50,7 @@ def test_a_recording_holds_the_drive(tmp_path):
     assert found["/mode/mode"]["Scalars:scalars"] == [[1.0]]
     assert found["/latencies/plan_ms"]["Scalars:scalars"] == [[80.0]]
     assert bytes(found["/images/front"]["EncodedImage:blob"][0][0]).startswith(b"\xff\xd8")
-    with pytest.raises(LiveError, match="exists already"):
+    with pytest.raises(LiveError, match="already exists"):
         VIEWERS["rerun"](str(file), WHEELS, CAMERAS)
 
 

@@ -1,4 +1,4 @@
-"""Rings: the newest win, nobody waits, and what a killed writer left is not read."""
+"""Rings: the newest message wins, nobody waits, and incomplete messages are never read. Values as bytes."""
 
 import multiprocessing
 import os
@@ -6,10 +6,22 @@ import signal
 import struct
 import time
 
+import numpy as np
 import pytest
+import torch
 
+from live.made_up_robot import RIG, rig
 from offpiste.core.errors import LiveError
-from offpiste.live.ring import Ring
+from offpiste.live import ring as rings
+from offpiste.live.ring import Ring, from_fields, pack_fields, packed, unpacked
+from offpiste.logs.measurements import Camera, Cloud, Image, Lidar
+from offpiste.mapping.terrain_map import TerrainLayers
+from offpiste.planning.course import Course
+from offpiste.rig.camera import CameraModel
+from offpiste.rig.rig import parse_rig
+from offpiste.runtime.estimator import VehicleReading
+from offpiste.runtime.follower import TimedPlan
+from offpiste.runtime.prediction import Prediction
 
 
 @pytest.fixture
@@ -17,55 +29,50 @@ def ring(tmp_path):
     return Ring.create(tmp_path / "ring", slots=4, size=100)
 
 
-def test_the_newest_is_read_by_all(ring):
+def test_the_newest_are_read_by_all_and_a_restarted_writer_continues(ring):
     assert ring.newest() is None
     assert ring.since(0) == []
-    for k in range(10):
+    for k in range(9):
         assert ring.write(bytes([k]))
+    assert Ring(ring.path).write(bytes([9]))
     other = Ring(ring.path)
     assert other.newest() == (10, bytes([9]))
     assert [entry.data[0] for entry in other.since(0)] == [7, 8, 9], "older ones are overwritten"
     assert [entry.number for entry in other.since(9)] == [10]
     assert other.since(10) == []
     assert ring.age < 1.0
+    assert not ring.write(b"x" * 101), "too large"
+    assert ring.written == 10
 
 
-def test_a_message_that_is_too_large_is_not_written(ring):
-    assert ring.write(b"x" * 100)
-    assert not ring.write(b"x" * 101)
-    assert ring.newest().data == b"x" * 100
-
-
-def test_a_writer_that_is_started_again_continues(ring):
-    ring.write(b"a")
-    again = Ring(ring.path)
-    again.write(b"b")
-    assert [entry.data for entry in ring.since(0)] == [b"a", b"b"]
-
-
-def test_what_is_half_written_is_not_read(ring):
+def test_a_damaged_message_is_not_read(ring):
     ring.write(b"good")
     ring.write(b"torn")
     with ring.path.open("r+b") as file:
-        content = file.read()
-        file.seek(content.index(b"torn"))
-        file.write(b"to")
-        file.seek(content.index(b"torn"))
+        at = file.read().index(b"torn")
+        file.seek(at)
         file.write(b"xx")
     assert ring.newest() == (1, b"good")
     assert [entry.data for entry in ring.since(0)] == [b"good"]
 
 
-def test_another_file_is_refused(tmp_path):
+def test_another_file_and_missing_memory_are_refused(tmp_path, monkeypatch):
     (tmp_path / "ring").write_bytes(b"x" * 100)
     with pytest.raises(LiveError, match="no shared memory of offpiste"):
         Ring(tmp_path / "ring")
     with pytest.raises(LiveError, match="no shared memory"):
         Ring(tmp_path / "nothing")
 
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "posix_fallocate", full)
+    with pytest.raises(LiveError, match=r"No space left.*make room"):
+        Ring.create(tmp_path / "new", slots=2, size=10)
+
 
 def half_written(ring, words):
-    """Write a message as far as a number of stores, as a writer that is killed there does."""
+    """Write a message up to a number of stores, like a writer that is killed there."""
 
     class Stopped(Exception):
         pass
@@ -94,7 +101,7 @@ def half_written(ring, words):
 
 
 @pytest.mark.parametrize("stores", range(7))
-def test_a_writer_that_dies_at_any_store_leaves_what_was_there(ring, stores):
+def test_a_writer_that_dies_at_any_store_leaves_the_earlier_messages(ring, stores):
     for k in range(10):
         ring.write(bytes([k]))
     half_written(ring, stores)
@@ -102,13 +109,12 @@ def test_a_writer_that_dies_at_any_store_leaves_what_was_there(ring, stores):
     assert (reader.written, reader.newest()) == (10, (10, bytes([9])))
     assert [entry.number for entry in reader.since(0)] == [8, 9, 10]
     assert 0 <= reader.age < 1
-    again = Ring(ring.path)
-    assert again.write(b"next")
+    assert Ring(ring.path).write(b"next")
     assert reader.newest() == (11, b"next")
 
 
-def test_a_number_that_comes_round_again_is_not_taken_for_an_older_one(tmp_path):
-    """Number 5 is looked for in the slot in which 261 was begun: its first byte is that of 5."""
+def test_a_repeated_number_is_not_taken_for_an_older_one(tmp_path):
+    """Number 5 is read in the slot in which 261 was begun: its first byte is that of 5."""
     ring = Ring.create(tmp_path / "one", slots=256, size=16)
     for k in range(260):
         ring.write(bytes([k % 256]))
@@ -117,7 +123,7 @@ def test_a_number_that_comes_round_again_is_not_taken_for_an_older_one(tmp_path)
     assert ring._read(5) is None
 
 
-def test_a_reader_that_is_lapped_looks_again(ring, monkeypatch):
+def test_a_reader_that_is_overtaken_tries_again(ring, monkeypatch):
     ring.write(b"a")
     reader, read = Ring(ring.path), Ring._read
 
@@ -131,24 +137,14 @@ def test_a_reader_that_is_lapped_looks_again(ring, monkeypatch):
     assert reader.newest() == (6, b"b")
 
 
-def test_what_cannot_be_reserved_is_refused(tmp_path, monkeypatch):
-    def full(*_):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(os, "posix_fallocate", full)
-    with pytest.raises(LiveError, match=r"No space left.*make room"):
-        Ring.create(tmp_path / "ring", slots=2, size=10)
-
-
 def write_forever(path):
-    ring = Ring(path)
-    number = 0
+    ring, number = Ring(path), 0
     while True:
         number += 1
         ring.write(struct.pack("<Q", number) * 12)
 
 
-def test_a_reader_never_sees_a_mixture_while_the_writer_is_killed_again_and_again(ring):
+def test_a_reader_never_sees_a_mixture_while_writers_are_killed(ring):
     context, read = multiprocessing.get_context("fork"), 0
     for _ in range(5):
         writer = context.Process(target=write_forever, args=(ring.path,), daemon=True)
@@ -162,3 +158,44 @@ def test_a_reader_never_sees_a_mixture_while_the_writer_is_killed_again_and_agai
         os.kill(writer.pid, signal.SIGKILL)
         writer.join()
     assert read > 100
+
+
+def same(a, b):
+    for name in a.__dataclass_fields__:
+        one, other = getattr(a, name), getattr(b, name)
+        assert type(one) is type(other)
+        np.testing.assert_array_equal(one, other)
+
+
+def test_records_are_restored():
+    rng, flat, yes = np.random.default_rng(0), np.zeros((3, 4)), np.ones((3, 4), bool)
+    turn = rng.normal(size=4)
+    for record in (
+        VehicleReading(3.0, rng.normal(size=3), turn, rng.normal(size=3), 0.1, np.full(4, np.nan)),
+        Image(1.0, "eye", rng.integers(0, 255, (4, 6, 3)).astype(np.uint8)),
+        Cloud(1.0, "lidar", rng.normal(size=(5, 3)), None, np.full(5, np.nan)),
+        Course(np.array([[0.0, 0.0], [5.0, 1.0]]), np.array([2.0, 3.0])),
+    ):
+        same(record, from_fields(type(record), unpacked(pack_fields(record, more=None))))
+    plan, prediction = TimedPlan(1.0, 0.9, torch.rand(5, 3)), Prediction(1.0, rng.normal(size=(5, 6)))
+    values = unpacked(rings.pack_plan(plan, prediction, empty=False))
+    same(plan, rings.plan_from(values)[0])
+    same(prediction, rings.plan_from(values)[1])
+    assert values["empty"] is False
+    layers = TerrainLayers(np.zeros(2), 0.5, flat, np.zeros((3, 4, 3)), flat, flat, flat, np.zeros((3, 4, 2)), flat,
+                           yes, yes, yes)  # fmt: skip
+    same(layers, rings.layers_from(unpacked(rings.pack_layers(layers, scan_time=1.0))))
+    assert rings.layers_from(unpacked(rings.pack_layers(None))) is None
+    with pytest.raises(NotImplementedError):
+        packed({"code": print})
+
+
+def test_sensors_have_the_entries_of_the_rig():
+    vehicle = parse_rig(RIG + '[cameras.eye]\ntopic = "/image"\ninfo = "/info"\n', where="test")
+    model = CameraModel(8, 6, np.eye(3), (0.1, 0.0, 0.0, 0.0))
+    camera = Camera("eye", model, np.eye(4), vehicle.cameras["eye"])
+    lidar = Lidar("lidar", 2 * np.eye(4), rig().lidars["lidar"])
+    cameras, lidars = rings.sensors_from(unpacked(rings.pack_sensors(({"eye": camera}, {"lidar": lidar}))), vehicle)
+    assert cameras["eye"].source == vehicle.cameras["eye"]
+    same(cameras["eye"].model, model)
+    np.testing.assert_array_equal(lidars["lidar"].body_from_lidar, 2 * np.eye(4))

@@ -1,4 +1,4 @@
-"""The proving ground as a robot: what it sends, which commands it takes, and that nothing of it is left at the end."""
+"""Vehicle of the proving ground on the transport: its messages, its commands, and its end."""
 
 import threading
 from importlib import resources
@@ -19,16 +19,16 @@ from offpiste.simulation.vehicle.parameters import load_vehicle
 from offpiste.simulation.vehicle.vehicle import VehicleSimulation
 from offpiste.simulation.world.build import make_world
 from offpiste.simulation.world.world import WorldSettings
-from offpiste.transport.interface import Received
+from offpiste.transport.interface import Received, Tally
 from offpiste.transport.message_types import MessageTypes
-from offpiste.transport.tally import Tally
 from offpiste.transport.zenoh_transport import ZenohSettings
+from synthetic_drive import samples
 
 WORLD = WorldSettings("dunes", 5, size=200.0, resolution=0.5)
 
 
 class Recorded:
-    """A transport that keeps what is published, by topic."""
+    """Transport that records published messages by topic."""
 
     identity = b"recorded"
 
@@ -78,12 +78,12 @@ def test_it_waits_for_commands_only_once_its_kernels_are_ready(place, monkeypatc
     assert {"step", "image", "scan"} <= set(happened[:waits])
 
 
-def test_measuring_once_before_a_drive_changes_nothing_of_it(place):
+def test_warming_up_does_not_change_the_drive(place):
     scene, light = world_scene(place[0]), suite.light_suite()
     first, again = (suite.Sensing(place[0], light, np.random.default_rng(1), scene=scene) for _ in range(2))
-    samples = list(drive(place[0], load_vehicle(None), place[1].start, RemoteCommands(), steps=7))
-    again.warm_up(samples[0])
-    expected, found = ([m for s in samples for m in one.observe(s, stamp_ns)] for one in (first, again))
+    driven = list(drive(place[0], load_vehicle(None), place[1].start, RemoteCommands(), steps=7))
+    again.warm_up(driven[0])
+    expected, found = ([m for s in driven for m in one.observe(s, stamp_ns)] for one in (first, again))
     assert len(expected) > 2
     assert [(topic, m.data.tobytes()) for topic, m in expected if hasattr(m, "data")] == [
         (topic, m.data.tobytes()) for topic, m in found if hasattr(m, "data")
@@ -94,8 +94,8 @@ def threads():
     return {thread for thread in threading.enumerate() if thread.is_alive() and "_work" in thread.name}
 
 
-def test_it_sends_readings_sensors_clock_and_course_and_takes_commands(place, monkeypatch):
-    monkeypatch.setattr(simulated_robot, "OWN_STOP", 60.0)  # a busy machine may take its time
+def test_it_publishes_its_messages_and_follows_commands(place, monkeypatch):
+    monkeypatch.setattr(simulated_robot, "OWN_STOP", 60.0)  # for a busy machine
     transport, before = Recorded(), threads()
     robot = SimulatedRobot(transport, *place, "light", 0)
     (deliver,) = transport.heard.values()
@@ -112,52 +112,43 @@ def test_it_sends_readings_sensors_clock_and_course_and_takes_commands(place, mo
     assert threads() == before
 
 
-def test_it_is_the_vehicle_that_is_given_and_positions_have_the_noise_that_is(place, tmp_path):
+def test_the_vehicle_and_the_noise_of_positions_are_options(place, tmp_path):
     file = tmp_path / "heavy.toml"
     shipped = (resources.files("offpiste.simulation.vehicle") / "side_by_side.toml").read_text()
     file.write_text(shipped.replace("\nmass = 1150.0", "\nmass = 2000.0"))
     robot = SimulatedRobot(Recorded(), *place, "none", 0, vehicle=str(file), pose_noise=5.0)
     assert robot._parameters.mass == 2000.0
-    samples = robot.drive(1.0).samples
+    driven = robot.drive(1.0).samples
     sent = np.array([(m.pose.pose.position.x, m.pose.pose.position.y) for m in robot._transport.sent["/odometry"]])
-    assert np.std(sent - [sample.position[:2] for sample in samples]) == pytest.approx(5.0, rel=0.3)
+    assert np.std(sent - [sample.position[:2] for sample in driven]) == pytest.approx(5.0, rel=0.3)
 
 
-@pytest.mark.parametrize("seconds", ["inf", "nan", "0"])
-def test_a_length_that_is_none_is_one_line(seconds, capsys):
+@pytest.mark.parametrize(
+    ("options", "what"),
+    [
+        ("--seconds inf", "--seconds: a drive of inf s"),
+        ("--seconds 0", "--seconds: a drive of 0 s"),
+        ("--out a.mcap", "--out would do nothing"),
+        ("--drives 2", "--drives would do nothing"),
+    ],
+)
+def test_invalid_options_are_refused(options, what, capsys):
     with pytest.raises(SystemExit) as ended:
-        main(["simulate", "--live", "--seconds", seconds])
+        main(["simulate", "--live", *options.split()])
     assert ended.value.code == 1
-    assert f"--seconds: a drive of {seconds} s" in capsys.readouterr().err
+    assert what in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("option", ["--out a.mcap", "--pose-drift 1", "--manoeuvres", "--drives 2"])
-def test_options_of_recorded_drives_are_refused(option, capsys):
-    with pytest.raises(SystemExit) as ended:
-        main(["simulate", "--live", *option.split()])
-    assert ended.value.code == 1
-    assert f"{option.split()[0]} would do nothing" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(("axes", "gear"), [((0.4, 0.0, 0.1), 1.0), ((0.4, 0.0, 0.1, -1.0), -1.0)])
-def test_a_fourth_axis_is_the_gear(axes, gear, place, monkeypatch):
-    commands = RemoteCommands()
-    commands.received(np.array(axes))
-    robot = SimulatedRobot(Recorded(), *place, "light", 0)
-    robot.commands = commands
+@pytest.mark.parametrize(
+    ("axes", "given"),
+    [((0.4, 0.0, 0.1), (0.4, 0.0, 0.1, 1.0)), ((0.4, 0.0, 0.1, -1.0), (0.4, 0.0, 0.1, -1.0))]
+    + [(axes, (0.0, 1.0, 0.0, 1.0)) for axes in ((), (0.1,), (np.nan, 0.0, 0.0), (0.1, 0.0, 0.0, np.nan))],
+)
+def test_a_fourth_axis_is_the_gear_and_invalid_axes_are_ignored(axes, given, monkeypatch):
     monkeypatch.setattr(simulated_robot, "OWN_STOP", 60.0)
-    robot.drive(0.02)
-    np.testing.assert_allclose(commands.given, [(0.4, 0.0, 0.1, gear)])
-
-
-@pytest.mark.parametrize("axes", [(), (0.1,), (np.nan, 0.0, 0.0), (0.1, 0.0, 0.0, np.nan)])
-def test_what_is_no_command_is_left_out(axes, place):
     commands = RemoteCommands()
     commands.received(np.array(axes))
-    robot = SimulatedRobot(Recorded(), *place, "light", 0)
-    robot.commands = commands
-    robot.drive(0.02)
-    np.testing.assert_allclose(commands.given, [(0.0, 1.0, 0.0, 1.0)])
+    np.testing.assert_allclose(commands.command(samples(0.1)[0]), given)
 
 
 @pytest.mark.parametrize("after", [0, 7])

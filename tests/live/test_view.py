@@ -1,27 +1,25 @@
-"""What is shown of a drive: the newest of each ring, whatever the viewer's pace; regions where the run has a spread."""
+"""Viewers of a drive: the newest messages at the viewer's pace, uncertainty regions, and the viewer's process."""
 
+import os
 import shutil
 import signal
 import socket
 import time
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
-from live.made_up_robot import write_course, write_rig
-from offpiste.cli import main
+from live.made_up_robot import RUN, live_settings
 from offpiste.closed_loop.recording import LIFT
-from offpiste.core.errors import LiveError
-from offpiste.live.packing import pack_course, pack_layers, pack_measured, pack_plan, packed
 from offpiste.live.part import Part
-from offpiste.live.parts.view import Showing, shown_ground, view
-from offpiste.live.plan_regions import PlanRegions
-from offpiste.live.reception import CourseRequest
-from offpiste.live.session import LiveSettings, ViewSettings, new_session
-from offpiste.live.viewers.viewer import VIEWERS, listening_at
+from offpiste.live.ring import pack_fields, pack_layers, pack_plan, packed
+from offpiste.live.session import ViewSettings, new_session
+from offpiste.live.supervisor import Supervisor
+from offpiste.live.view import PlanRegions, Showing, shown_ground, view
+from offpiste.live.viewers import VIEWERS
 from offpiste.logs.measurements import Image
 from offpiste.planning.course import Course
 from offpiste.runtime.estimator import VehicleReading
@@ -32,13 +30,14 @@ from offpiste.training.checkpoint import load_json, save_tensors
 from offpiste.uncertainty.fit import FILE
 from offpiste.uncertainty.spread import Spread, inputs_of
 from planning_maps import WHEELS, layers
+from transport.routers import free_port, network, until
 
-RUN = "pretrained:proving-ground/parametric"
+__all__ = ["network"]
 X = np.arange(0.0, 60.0)
 
 
 class Notes:
-    """A viewer that keeps what it is given, each after a while."""
+    """Viewer that records its calls, each after a delay [s]."""
 
     def __init__(self, slow=0.0):
         self.slow, self.given = slow, []
@@ -66,31 +65,28 @@ def plan_at(now, speed=2.0):
 
 @contextmanager
 def showing(folder, viewer, regions=None):
-    settings = LiveSettings(write_rig(folder), RUN, None, CourseRequest(write_course(folder)))
-    with new_session(settings) as session:
-        interrupt = signal.getsignal(signal.SIGINT)
+    with new_session(live_settings(folder)) as session:
         part = Part("view", session)
-        signal.signal(signal.SIGINT, interrupt)  # which processes of a drive ignore
         yield part, Showing(part, viewer, regions)
 
 
 def feed(session, now, plan=None):
-    """What other processes hand over: a course, a slope along x, a reading, a plan, a command, an image, states."""
-    session.ring("readings").write(pack_measured(reading(now), control=None))
-    session.ring("course").write(pack_course(Course(np.stack((X, 0 * X), axis=1), np.full(60, 4.0))))
+    """Write the values of the other processes; the ground slopes along x."""
+    session.ring("readings").write(pack_fields(reading(now), control=None))
+    session.ring("course").write(pack_fields(Course(np.stack((X, 0 * X), axis=1), np.full(60, 4.0))))
     session.ring("map").write(pack_layers(layers(plane=(0.5, 0.0)), scan_time=now - 0.2, image_time=np.inf))
     session.ring("plans").write(pack_plan(*(plan or plan_at(now)), empty=False, stuck=False))
     session.ring("commands").write(packed({"time": now, "applied": np.array((0.4, 0.0, -0.2)), "mode": "driving"}))
-    session.ring("images").write(pack_measured(Image(now, "front", np.full((4, 6, 3), 7, np.uint8))))
+    session.ring("images").write(pack_fields(Image(now, "front", np.full((4, 6, 3), 7, np.uint8))))
     status = {"state": "stopping: no plan", "tick_p99_ms": 4.0, "map_age_p99_ms": np.nan, "speed_mps": 1.5}
     session.ring("status-control").write(packed(status))
 
 
-def test_each_part_of_a_drive_is_shown_on_the_ground(tmp_path):
+def test_each_element_of_a_drive_is_shown_on_the_ground(tmp_path):
     notes, now = Notes(), time.time()
     with showing(tmp_path, notes) as (part, shown):
         shown.update()
-        assert not notes.given, "nothing before the vehicle's place is known"
+        assert not notes.given, "the vehicle's position is still unknown"
         feed(part.session, now)
         shown.update()
     assert notes.of("pose")[0][0].position[0] == 1.0
@@ -106,12 +102,12 @@ def test_each_part_of_a_drive_is_shown_on_the_ground(tmp_path):
     assert notes.of("image")[0][0].pixels.shape == (4, 6, 3)
     assert notes.of("mode") == [(pytest.approx(now, abs=60), "stopping", "no plan")]
     numbers = {kind: values for _, kind, values in notes.of("numbers")}
-    assert numbers["latencies"] == {"tick_p99_ms": 4.0}, "what is not known is no number"
+    assert numbers["latencies"] == {"tick_p99_ms": 4.0}, "without NaN"
     assert numbers["command"] == {"throttle": 0.4, "brake": 0.0, "steer": -0.2}
     assert numbers["speed"] == {"speed": 1.5}
 
 
-def test_cells_of_the_map_have_their_values_and_colours_and_unknown_ones_are_left_out():
+def test_known_cells_of_the_map_have_their_values_and_colours():
     known = np.ones((81, 81), bool)
     known[:, :40] = False
     tall = np.zeros((81, 81), np.float32)
@@ -125,23 +121,23 @@ def test_cells_of_the_map_have_their_values_and_colours_and_unknown_ones_are_lef
     assert len(np.unique(ground.colours, axis=0)) == 2
 
 
-def test_a_slow_viewer_is_shown_the_newest_and_leaves_out_the_rest(tmp_path):
+def test_a_slow_viewer_is_shown_the_newest_messages(tmp_path):
     notes = Notes(slow=0.05)
     with showing(tmp_path, notes) as (part, shown):
         began, written = time.monotonic(), 0
-        while time.monotonic() - began < 2.0:
+        while time.monotonic() - began < 1.5:
             for _ in range(10):
                 written += 1
                 feed(part.session, float(written))
             shown.update()
         times = [given[0].time for given in notes.of("plan")]
     assert 2 <= len(times) <= written / 10
-    assert all(time % 10 == 0 for time in times), "the last of those that had come"
+    assert all(time % 10 == 0 for time in times), "the newest available ones"
     assert times == sorted(set(times))
 
 
 def with_spread(folder):
-    """The shipped parametric run with a spread whose growth is known."""
+    """The shipped parametric run with a spread of known growth."""
     planner = load_planner(RUN)
     run = Path(shutil.copytree(planner.folder, folder / "run"))
     spread = Spread(inputs_of(planner.dynamics.vehicle, planner.dynamics.codes))
@@ -169,45 +165,16 @@ def test_regions_are_ellipses_as_large_as_the_spread_says(tmp_path):
         assert (outline.max(axis=0) + outline.min(axis=0))[0] / 2 == pytest.approx(1 + 2.0 * second)
     turned = prediction.state.copy()
     turned[:, 2] = np.pi / 2
-    sideways = PlanRegions(planner.dynamics, planner.spread, WHEELS.numpy()).outlines(
-        layers(), plan, Prediction(100.0, turned)
-    )
+    sideways = regions.outlines(layers(), plan, Prediction(100.0, turned))
     assert np.ptp(sideways[4][:, 0]) == pytest.approx(np.ptp(outlines[4][:, 1]))
-
-
-def test_regions_are_shown_with_the_plan(tmp_path):
-    notes, planner = Notes(), with_spread(tmp_path)
-    with showing(tmp_path, notes, PlanRegions(planner.dynamics, planner.spread, WHEELS.numpy())) as (part, shown):
+    notes = Notes()
+    with showing(tmp_path, notes, regions) as (part, shown):
         feed(part.session, time.time())
         shown.update()
-    (plan,) = notes.of("plan")[0]
-    assert [region.shape for region in plan.regions] == [(25, 3)] * 5
+    assert [region.shape for region in notes.of("plan")[0][0].regions] == [(25, 3)] * 5
 
 
-def refused(capsys, *arguments):
-    with pytest.raises(SystemExit) as ended:
-        main([str(argument) for argument in arguments])
-    assert ended.value.code == 1
-    message = capsys.readouterr().err
-    assert message.count("\n") == 1
-    return message
-
-
-def test_what_cannot_be_shown_is_refused_in_a_line(tmp_path, capsys):
-    live = ("live", write_rig(tmp_path), "--run", RUN, "--course", write_course(tmp_path))
-    assert "no viewer 'foxglov'; did you mean 'foxglove'?" in refused(capsys, *live, "--view", "foxglov")
-    assert "only a live drive is shown" in refused(capsys, *live, "--view", "rerun", "--lockstep")
-    assert "would show nothing; give --view, too" in refused(capsys, *live, "--view-at", "drive.rrd")
-    (there := tmp_path / "there.rrd").write_bytes(b"")
-    assert "exists already" in refused(capsys, *live, "--view", "rerun", "--view-at", str(there))
-    with pytest.raises(LiveError, match="is no host and port"):
-        listening_at("8765")
-    with listening_socket() as port, pytest.raises(LiveError, match="cannot listen there"):
-        listening_at(f"127.0.0.1:{port}")
-    assert {"foxglove", "rerun"} <= set(VIEWERS)
-
-
-def test_where_it_was_killed_the_next_one_writes_another_file(tmp_path, monkeypatch):
+def test_a_restarted_viewer_writes_another_file(tmp_path, monkeypatch):
     places = []
 
     class Writer(Notes):
@@ -218,18 +185,64 @@ def test_where_it_was_killed_the_next_one_writes_another_file(tmp_path, monkeypa
 
     monkeypatch.setitem(VIEWERS._entries, "writer", Writer)
     begun = tmp_path / "drive.rrd"
-    course = CourseRequest(write_course(tmp_path))
     for place in (str(begun), "", "127.0.0.1:9876"):
-        begun.write_bytes(b"what the killed one wrote")
-        settings = LiveSettings(write_rig(tmp_path), RUN, None, course, view=ViewSettings("writer", place))
-        with new_session(settings) as session:
+        begun.write_bytes(b"of the killed one")
+        with new_session(live_settings(tmp_path, view=ViewSettings("writer", place))) as session:
             session.ring("end").write(b"end")
             view(session, cameras=False)
     assert places == [str(tmp_path / "drive-2.rrd"), "", "127.0.0.1:9876"]
-    assert begun.read_bytes() == b"what the killed one wrote"
+    assert begun.read_bytes() == b"of the killed one"
 
 
-@contextmanager
-def listening_socket():
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        yield taken.getsockname()[1]
+class Drive:
+    """The viewer's process, fed with the values of the others."""
+
+    def __init__(self, folder, network, port):
+        settings = live_settings(folder, network=network, view=ViewSettings("foxglove", f"127.0.0.1:{port}"))
+        self._new = new_session(settings)
+        self.session = self._new.__enter__()
+        self.supervisor = Supervisor(self.session, network.session(), cameras=False, names=("view",))
+        self.supervisor.start()
+
+    def run(self, seconds):
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            feed(self.session, time.time())
+            time.sleep(0.02)
+
+    def state(self):
+        return self.supervisor.look()["view"][1]
+
+    def shows(self):
+        return until(lambda: (self.run(0.1), self.state().startswith("shows it in Foxglove"))[1], 120.0)
+
+    def close(self):
+        self.supervisor.end()
+        self._new.__exit__(None, None, None)
+
+
+def test_the_viewers_process_names_a_taken_port_and_is_restarted_if_it_hangs(tmp_path, network):
+    from live.test_foxglove import App  # skips without its packages
+
+    port = free_port()
+    with closing(socket.create_server(("127.0.0.1", port))) as taken, closing(Drive(tmp_path, network, port)) as drive:
+        said = f"ended with 1 (127.0.0.1:{port}: cannot listen there: Address already in use; "
+        states = []
+        assert until(lambda: (states.append(drive.state()), states[-1].startswith(said))[1], 120), states[-1]
+        assert states[-1].endswith("), and is started again")
+        taken.close()
+        assert drive.shows(), drive.state()
+        app, restarts = App(port), drive.supervisor.restarts["view"]
+        app.subscribe("/plan", "/map")
+        drive.run(1.0)
+        got = app.received(2)
+        assert len(got["/plan"][1].entities[0].lines[0].points) == 50
+        assert got["/map"][1].point_stride > 0
+        app.close()
+        pid = drive.supervisor._processes["view"].pid
+        os.kill(pid, signal.SIGSTOP)
+        drive.run(2.0)
+        assert drive.state() == "gives no sign of life"
+        os.kill(pid, signal.SIGKILL)
+        assert until(lambda: drive.supervisor.look() and drive.supervisor.restarts["view"] == restarts + 1, 10)
+        assert drive.shows(), drive.state()

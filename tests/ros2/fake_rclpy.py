@@ -1,8 +1,4 @@
-"""A stand-in for rclpy: nodes of one process that hand each other bytes, and say what they were asked for.
-
-It has the signatures of rclpy of ROS 2 Jazzy that the example uses, and nothing else: a call that rclpy does not have
-is an AttributeError or a TypeError here, too.
-"""
+"""Substitute for rclpy: nodes of one process, with the signatures of ROS 2 Jazzy that the example uses."""
 
 import enum
 import sys
@@ -28,7 +24,7 @@ class QoSProfile:
         self.depth, self.durability, self.reliability = depth, durability, reliability
 
     def hears(self, publisher):
-        """Whether a subscription of this quality is compatible with a publisher's."""
+        """Return whether a subscription with this quality is compatible with a publisher's."""
         keeps = publisher.durability == DurabilityPolicy.TRANSIENT_LOCAL
         reliable = publisher.reliability == ReliabilityPolicy.RELIABLE
         asks = self.durability == DurabilityPolicy.TRANSIENT_LOCAL, self.reliability == ReliabilityPolicy.RELIABLE
@@ -107,7 +103,7 @@ class Context:
 
 
 class Graph:
-    """What all nodes see, and the modules that stand for rclpy's."""
+    """State shared by all nodes, and the modules that replace rclpy's."""
 
     def __init__(self):
         self.nodes, self.publishers, self.subscriptions, self.signals = [], [], [], []

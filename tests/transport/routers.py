@@ -1,4 +1,4 @@
-"""Routers of zenoh on the loopback, and sessions that connect to them."""
+"""Zenoh routers on the loopback, and sessions."""
 
 import socket
 import time
@@ -16,7 +16,7 @@ def free_port():
 
 
 def until(condition, seconds=5.0, every=0.01):
-    """Whether a condition comes true within some seconds; it is looked at once every so many."""
+    """Return whether a condition becomes true within a time limit [s], checked at an interval [s]."""
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         if condition():

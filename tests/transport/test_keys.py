@@ -1,4 +1,4 @@
-"""Keys against hand-worked ones, and against those that the package zenoh-ros2-sdk makes."""
+"""Keys against hand-worked ones, and against those of the package zenoh-ros2-sdk."""
 
 import pytest
 from hypothesis import given
@@ -34,7 +34,7 @@ def test_a_key_of_rmw_zenoh_is_domain_topic_type_and_hash():
 
 
 @given(parts=st.lists(NAME, min_size=1, max_size=4), package=NAME, name=st.from_regex("[A-Z][a-z]+", fullmatch=True))
-def test_keys_and_tokens_are_read_as_they_were_made(parts, package, name):
+def test_keys_and_tokens_are_parsed_back(parts, package, name):
     address = Address("/" + "/".join(parts), f"{package}/msg/{name}", HASH)
     keys = RmwZenohKeys(0)
     assert keys.parsed(keys.publication(address)) == address
@@ -68,7 +68,7 @@ def test_a_key_of_the_bridge_is_the_topic():
     assert BridgeKeys().announced(token) == Address("/camera/image", "sensor_msgs/msg/Image")
 
 
-def test_an_attachment_has_33_bytes_and_is_that_of_another_implementation():
+def test_an_attachment_is_that_of_another_implementation():
     ours = Attachment(42, 1_700_000_000_000_000_001, bytes(range(16)))
     assert len(ours.packed()) == 33
     assert ours.packed() == sdk_attachment.Attachment(*ours).to_bytes()

@@ -1,30 +1,30 @@
-"""Types, their hashes and definitions, also of types that rosbags does not know."""
+"""Message types with their hashes and definitions, and counts of refused messages."""
 
+import threading
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from offpiste.core.errors import TransportError
+from offpiste.transport.interface import MOST, OTHERS, Tally
 from offpiste.transport.message_types import MessageTypes
+from transport.routers import until
 
 STRING = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
-"""Hash of std_msgs/msg/String as ROS 2 has it (`ros2 topic info -v`)."""
+"""Hash of std_msgs/msg/String in ROS 2 (`ros2 topic info -v`)."""
 
 
-def test_hashes_are_those_of_ros():
-    assert MessageTypes().hash_of("std_msgs/msg/String") == STRING
-
-
-def test_types_of_ackermann_and_of_maps_are_known():
+def test_hashes_are_those_of_ros_also_for_types_that_rosbags_lacks():
     types = MessageTypes()
+    assert types.hash_of("std_msgs/msg/String") == STRING
     for name in ("ackermann_msgs/msg/AckermannDriveStamped", "grid_map_msgs/msg/GridMap"):
         assert name in types
         assert types.hash_of(name).startswith("RIHS01_")
         assert "float" in types.definition(name)
 
 
-def test_a_definition_of_ones_own_is_read_from_a_file(tmp_path):
+def test_a_definition_is_read_from_a_file(tmp_path):
     file = tmp_path / "my_msgs" / "msg" / "Wheels.msg"
     file.parent.mkdir(parents=True)
     file.write_text("std_msgs/Header header\nfloat32[4] speed\nstring[] names\nbool locked\nuint8[] raw\n")
@@ -36,7 +36,7 @@ def test_a_definition_of_ones_own_is_read_from_a_file(tmp_path):
     back = types.store.deserialize_cdr(data, "my_msgs/msg/Wheels")
     assert back.locked is False
     assert back.names == []
-    assert "my_msgs/msg/Wheels" not in MessageTypes(), "only where it is given"
+    assert "my_msgs/msg/Wheels" not in MessageTypes(), "unless its file is given"
 
 
 @pytest.mark.parametrize(
@@ -44,10 +44,10 @@ def test_a_definition_of_ones_own_is_read_from_a_file(tmp_path):
     [
         ("my_msgs/msg/Wheels.msg", "float32 [", "no message definition"),
         ("my_msgs/msg/Wheels.msg", "Other other", "Other"),
-        ("Wheels.msg", "float32 x", "which type"),
+        ("Wheels.msg", "float32 x", "message type"),
     ],
 )
-def test_a_definition_that_is_wrong_is_named(tmp_path, name, text, what):
+def test_an_invalid_definition_is_named(tmp_path, name, text, what):
     file = tmp_path / name
     file.parent.mkdir(parents=True, exist_ok=True)
     file.write_text(text)
@@ -59,5 +59,35 @@ def test_a_definition_that_is_wrong_is_named(tmp_path, name, text, what):
 def test_an_unknown_type_has_no_hash():
     with pytest.raises(TransportError, match=r"live\.definitions"):
         MessageTypes().hash_of("my_msgs/msg/Wheels")
-    with pytest.raises(TransportError, match="no message definition"):
+    with pytest.raises(TransportError, match="a message definition"):
         MessageTypes([Path("/nowhere/my_msgs/msg/Wheels.msg")])
+
+
+class Slow(int):
+    """Count during whose comparison another thread counts something new."""
+
+    tally: Tally
+
+    def __gt__(self, other):
+        counting = threading.Thread(target=self.tally.add, args=("new",))
+        counting.start()
+        counting.join(0.2)
+        return int(self) > other
+
+
+def test_a_snapshot_is_complete_while_another_thread_counts():
+    tally = Tally()
+    Slow.tally = tally
+    tally["slow"] = Slow(2)
+    tally.add("none", 0)
+    assert tally.snapshot() == {"slow": 2}
+    tally["slow"] = 2
+    assert until(lambda: tally.snapshot() == {"slow": 2, "new": 1})
+
+
+def test_the_number_of_reasons_is_limited():
+    tally = Tally()
+    for k in range(2 * MOST):
+        tally.add(str(k))
+    assert tally.snapshot()[OTHERS] == MOST
+    assert len(tally) == MOST + 1

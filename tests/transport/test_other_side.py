@@ -1,7 +1,8 @@
-"""The other side by others: the package zenoh-ros2-sdk publishes what a robot does and receives the commands."""
+"""Exchange with another implementation: zenoh-ros2-sdk publishes like a robot and receives commands."""
 
 import multiprocessing
 import os
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -11,14 +12,13 @@ from offpiste.logs.ros.writer import header, make
 from offpiste.simulation.messages import Mounting, image_message, mountings_message, odometry_message
 from offpiste.transport.message_types import MessageTypes
 from synthetic_drive import samples
-from transport.routers import network, until
+from transport.routers import Network, until
 
-__all__ = ["network"]
 ACKERMANN = "ackermann_msgs/msg/AckermannDriveStamped"
 
 
 def messages():
-    """One of each kind that a robot publishes, by topic."""
+    """A message of each kind, by topic."""
     points = np.zeros(1000, np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4")]))
     points["x"] = np.arange(1000)
     picture = np.random.default_rng(0).integers(0, 255, (48, 64, 3)).astype(np.uint8)
@@ -31,7 +31,7 @@ def messages():
 
 
 def other_side(port, publishing, ready, done, heard):
-    """A robot: publishes until it is done, and hands over the first command that it hears."""
+    """Publish like a robot until `done`, and pass on received commands."""
     os.environ["ZENOH_CONFIG_OVERRIDE"] = 'listen/endpoints=["tcp/127.0.0.1:0"]'
     from zenoh_ros2_sdk import ROS2Publisher, ROS2Subscriber
 
@@ -59,7 +59,13 @@ def other_side(port, publishing, ready, done, heard):
     os._exit(0)
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
+def network():
+    with closing(Network()) as network:
+        yield network
+
+
+@pytest.fixture(scope="module")
 def robot(network):
     context = multiprocessing.get_context("spawn")
     ready, done, heard = context.Event(), context.Event(), context.Queue()
@@ -72,7 +78,7 @@ def robot(network):
     process.kill()
 
 
-def test_messages_of_another_implementation_are_those_that_it_sent(network, robot):
+def test_messages_of_another_implementation_arrive(network, robot):
     listener, got, sent = network.session(), {}, messages()
     for topic, message in sent.items():
         listener.subscribe(

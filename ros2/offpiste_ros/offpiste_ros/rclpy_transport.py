@@ -15,9 +15,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from offpiste.core.errors import MissingExtra, TransportError, is_installed
-from offpiste.transport.interface import Deliver, Publish, Received
+from offpiste.transport.interface import Deliver, Publish, Received, Tally
 from offpiste.transport.message_types import MessageTypes
-from offpiste.transport.tally import Tally
 
 LARGEST: Final = 64 << 20
 """Messages above are refused [bytes]."""
@@ -95,7 +94,7 @@ class RclpyTransport:
 
         if msgtype not in self.types:
             how = "give the file of its definition in the rig: live.definitions"
-            raise TransportError(f"message type {msgtype} is not known", where=topic, how=how)
+            raise TransportError(f"message type {msgtype} is unknown", where=topic, how=how)
         durability = DurabilityPolicy.TRANSIENT_LOCAL if keep else DurabilityPolicy.VOLATILE
         quality = QoSProfile(depth=1 if keep else 10, durability=durability)
         publisher, store = self._node.create_publisher(_class_of(msgtype), topic, quality), self.types.store
@@ -132,12 +131,11 @@ class RclpyTransport:
         return 1
 
     def decode(self, message: Received) -> Any:
-        """The decoded message; None, and counted, where it cannot be decoded."""
-        try:
-            return self.types.store.deserialize_cdr(message.data, message.type)
-        except Exception:  # noqa: BLE001 - whatever bytes from outside make rosbags raise: they are refused
+        """Decode a message; return None and count it if that fails."""
+        decoded = self.types.decoded(message.type, message.data)
+        if decoded is None:
             self.refused.add(f"{message.topic}: cannot be decoded")
-            return None
+        return decoded
 
     def close(self) -> None:
         """End the node."""

@@ -1,4 +1,4 @@
-"""Commands as the rig's outputs say them: topics, types, fields, signs and scales."""
+"""Messages of commands, as described by the rig's outputs."""
 
 import struct
 from dataclasses import dataclass
@@ -17,18 +17,18 @@ from offpiste.runtime.prediction import Prediction
 from offpiste.transport.message_types import MessageTypes
 
 _BEYOND: Final = (100.0, 20.0)
-"""Speed [m/s] and yaw rate [rad/s] that no plan comes to, where the rig limits neither."""
+"""Upper bounds of speed [m/s] and yaw rate [rad/s] in any plan, for rigs without limits."""
 
 
 @dataclass(frozen=True)
 class Command:
-    """What is to be sent.
+    """Command to the vehicle.
 
     Attributes:
         time: [s].
         control: throttle, brake, steer.
         gear: 1 forward, -1 reverse.
-        prediction: of the plan that is followed; None while stopping, when speed and yaw rate are zero.
+        prediction: of the followed plan; None while stopping, when speed and yaw rate are zero.
     """
 
     time: float
@@ -37,11 +37,7 @@ class Command:
     prediction: Prediction | None = None
 
     def value(self, field: OutputField, limits: CommandLimits) -> float:
-        """What a field holds, in offpiste's unit.
-
-        Args:
-            limits: of speed and yaw rate; the controls are within theirs already.
-        """
+        """Return the value of a field in offpiste's unit, with speed and yaw rate limited."""
         throttle, brake, steer = (float(value) for value in self.control)
         known = {"throttle": throttle, "brake": brake, "steer": steer, "gear": self.gear, "pedal": throttle - brake}
         if field.of in known:
@@ -56,13 +52,10 @@ class Command:
 
 
 class CommandMessages:
-    """Makes the messages of a rig's outputs.
-
-    Args:
-        types: message types that are known.
+    """Create the messages of a rig's outputs.
 
     Raises:
-        RigError: an output's type is not known, has no such field, or one that cannot hold all that it may have to.
+        RigError: the type of an output is unknown, lacks a field, or a field cannot hold every possible value.
     """
 
     def __init__(self, rig: Rig, types: MessageTypes) -> None:
@@ -70,7 +63,7 @@ class CommandMessages:
         for name, output in rig.outputs.items():
             if output.type not in types:
                 how = "give the file of its definition in live.definitions"
-                raise RigError(f"message type {output.type} is not known", where=f"outputs.{name}", how=how)
+                raise RigError(f"message type {output.type} is unknown", where=f"outputs.{name}", how=how)
             for path, field in output.fields.items():
                 for command in _ends(rig.live.limits):
                     self._check(name, replace(output, fields={path: field}), command)
@@ -81,26 +74,22 @@ class CommandMessages:
         return {output.topic: output.type for output in self._rig.outputs.values()}
 
     def messages(self, command: Command) -> dict[str, Any]:
-        """The messages of a command, by topic."""
+        """Return the messages of a command, by topic."""
         return {output.topic: self._message(output, command) for output in self._rig.outputs.values()}
 
     def _check(self, name: str, output: Output, command: Command) -> None:
-        """Refuse an output of one field that cannot be sent.
-
-        Raises:
-            RigError: which field, and how to fix it.
-        """
+        """Raise `RigError` if the only field of an output cannot be sent."""
         where, ((path, field),) = f"outputs.{name}", output.fields.items()
         try:
             self._types.store.serialize_cdr(self._message(output, command), output.type)
         except (struct.error, OverflowError) as error:
             held = field.written(command.value(field, self._rig.live.limits), self._rig.vehicle.max_steer)
-            how = "give it a scale, offset or clip with which all values fit (speed and yaw_rate: or live.limits)"
+            how = "set a scale, offset or clip with which all values fit (speed and yaw_rate: or live.limits)"
             raise RigError(f"'{path}' cannot hold {held:g}: {error}", where=where, how=how) from error
         except (AttributeError, TypeError, IndexError, ValueError, AssertionError, SerdeError) as error:
             reason = str(error).splitlines()[0][:100] if str(error) else "does not fit"
-            how = f"give fields of {output.type}, which are numbers"
-            raise RigError(f"a field is not one of its type: {reason}", where=where, how=how) from error
+            how = f"give numeric fields of {output.type}"
+            raise RigError(f"invalid field: {reason}", where=where, how=how) from error
 
     def _message(self, output: Output, command: Command) -> Any:
         message = self._types.empty(output.type)
@@ -113,7 +102,7 @@ class CommandMessages:
 
 
 def _ends(limits: CommandLimits) -> tuple[Command, Command]:
-    """Commands that hold the lowest and the highest of every quantity."""
+    """Return commands with the lowest and the highest value of every quantity."""
     speed, yaw_rate = (min(pair) for pair in zip((limits.speed, limits.yaw_rate), _BEYOND, strict=True))
     state = np.array([[0.0, 0.0, 0.0, speed, 0.0, yaw_rate]])
     lowest = Command(0.0, np.array((0.0, 1.0, -limits.steer)), -1.0, Prediction(0.0, -state))
@@ -121,11 +110,11 @@ def _ends(limits: CommandLimits) -> tuple[Command, Command]:
 
 
 def _put(message: Any, path: str, value: float) -> None:
-    """Set a number of a message: `drive.speed`, or `axes[2]`, which makes a sequence as long as needed.
+    """Set a number of a message: `drive.speed`, or `axes[2]`, which extends a sequence as needed.
 
     Raises:
-        AttributeError, TypeError: there is no such number.
-        OverflowError: an element cannot hold it; where a field alone cannot, it shows when the message is serialised.
+        AttributeError, TypeError: the field is missing or not a number.
+        OverflowError: an element cannot hold the value; for other fields, serialising the message raises.
     """
     *parents, last = path.split(".")
     for name in parents:
@@ -134,22 +123,22 @@ def _put(message: Any, path: str, value: float) -> None:
     present = getattr(message, name)
     if index:
         if not isinstance(present, np.ndarray):
-            raise TypeError(f"{name} is no sequence of numbers")
+            raise TypeError(f"{name} is not a sequence of numbers")
         if int(index) >= len(present):
             present = np.concatenate((present, np.zeros(int(index) + 1 - len(present), present.dtype)))
         number = _alike(present[int(index)].item(), value)
         if present.dtype.kind in "iu" and not np.iinfo(present.dtype).min <= number <= np.iinfo(present.dtype).max:
-            raise OverflowError(f"its elements are of {present.dtype}")
+            raise OverflowError(f"its elements are {present.dtype}")
         present[int(index)] = number
         setattr(message, name, present)
     elif isinstance(present, int | float):
         setattr(message, name, _alike(present, value))
     else:
-        raise TypeError(f"{path} is no number")
+        raise TypeError(f"{path} is not a number")
 
 
 def _alike(present: int | float, value: float) -> int | float:
-    """A value as a field holds it whose present one is given: a truth value, a whole number, or as it is."""
+    """Convert a value to the kind of the present one: boolean, integer or float."""
     if isinstance(present, bool):
         return value > 0.5
     return round(value) if isinstance(present, int) else value

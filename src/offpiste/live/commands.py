@@ -1,4 +1,4 @@
-"""The work of `offpiste live` and `offpiste play`."""
+"""Commands `offpiste live` and `offpiste play`."""
 
 import csv
 import logging
@@ -8,17 +8,16 @@ from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
+from offpiste.core.conventions import DT
 from offpiste.core.errors import LiveError, require
 from offpiste.core.files import write_whole
 from offpiste.core.progress import track
 from offpiste.live.command_messages import CommandMessages
-from offpiste.live.driver import Step, StepDriver
-from offpiste.live.lockstep import Lockstep
-from offpiste.live.log_steps import OnStep, RecordedDrive, replayed
+from offpiste.live.lockstep import Lockstep, OnStep, Step, StepDriver
 from offpiste.live.part import keep_loaded
-from offpiste.live.play import LogPlayer
+from offpiste.live.play import LogPlayer, RecordedDrive, replayed
 from offpiste.live.reception import Reception, check_types
-from offpiste.live.recording import refuse_full_disk
+from offpiste.live.record import refuse_full_disk
 from offpiste.live.session import LiveSettings, RecordSettings, ViewSettings
 from offpiste.live.supervisor import asked_to_end, supervise
 from offpiste.planning.caution import caution_of
@@ -36,45 +35,47 @@ def run_live(settings: LiveSettings, *, lockstep: bool, replay: Path | None, com
     """Drive, or watch.
 
     Raises:
-        OffpisteError: the rig, the run, the course or the connection is wrong.
+        OffpisteError: the rig, the run, the course, an option or the connection is invalid.
     """
     settings.robot.require()
+    in_real_time = not lockstep and replay is None
     _refuse_ignored(settings, lockstep=lockstep, replay=replay, commands=commands)
-    device, alone = settings.runtime.device, lockstep or replay is not None
-    rig, planner = load_rig(settings.rig), settings.load_planner(device if alone else "cpu")
+    device = settings.runtime.device
+    rig, planner = load_rig(settings.rig), settings.load_planner("cpu" if in_real_time else device)
     require_device(device, planner.dynamics)
     runtime = keeping_to(replace(settings.runtime, timeouts=rig.live.timeouts), rig.live.limits)
     settings = replace(settings, runtime=runtime)
     _refuse_driving(settings, rig)
-    types = MessageTypes([Path(name) for name in rig.live.definitions])
+    definitions = [Path(name) for name in rig.live.definitions]
+    types = MessageTypes(definitions)
     check_types(rig, types)
-    CommandMessages(rig, types)  # refuses outputs that cannot be sent
-    caution_of(settings.runtime.risk, planner.spread)  # refused here, not in each process anew
+    CommandMessages(rig, types)  # raises for outputs that cannot be sent
+    caution_of(settings.runtime.risk, planner.spread)  # raises here, not in every process
     if (apart := differing_vehicle(planner.dynamics.vehicle, rig.vehicle)) is not None:
         logger.warning(f"{planner.folder} was trained on another vehicle than {settings.rig}: {apart}")
     if settings.view is not None:
-        _refuse_showing(settings.view, lockstep=lockstep, replay=replay)
+        _refuse_showing(settings.view, in_real_time=in_real_time)
     if settings.record is not None:
         _refuse_recording(settings.record)
     reception = Reception(rig, settings.course, cameras=planner.extractor is not None)
     driver = StepDriver(rig, planner, reception, settings.runtime, shadow=not settings.drive, seed=settings.seed)
     with _table_of(commands) as on_step:
         if replay is not None:
-            _replay(settings, rig, driver, reception, replay, on_step)
+            _replay(settings, rig, driver, reception, types, replay, on_step)
         elif lockstep:
-            _lockstep(settings, rig, driver, reception, on_step)
+            with asked_to_end() as asked, closing(settings.robot.connect(definitions)) as transport:
+                outputs = CommandMessages(rig, transport.types) if settings.drive else None
+                Lockstep(transport, driver, reception, outputs).run(on_step, asked, settings.seconds)
+                for what, count in sorted(transport.refused.items()):
+                    logger.warning(f"refused {count} messages: {what}")
         else:
-            supervise(settings, planner, [Path(name) for name in rig.live.definitions])
+            supervise(settings, planner, definitions)
     for name in reception.sensors.left_out:
-        logger.warning(f"{name} was left out: it is optional, and was first heard once the others were set up")
+        logger.warning(f"optional sensor {name} was left out: it was first heard after the setup of the others")
 
 
 def _refuse_ignored(settings: LiveSettings, *, lockstep: bool, replay: Path | None, commands: Path | None) -> None:
-    """Refuse options that would do nothing.
-
-    Raises:
-        LiveError: which, and what they go with.
-    """
+    """Raise `LiveError` for options without effect."""
     mode = "--replay" if replay is not None else "--lockstep" if lockstep else "driving in real time"
     given = {
         "--lockstep": lockstep and replay is not None,
@@ -85,46 +86,36 @@ def _refuse_ignored(settings: LiveSettings, *, lockstep: bool, replay: Path | No
         "--clock stamps": settings.clock == "stamps" and mode == "--lockstep",
     }
     if ignored := [option for option, is_ignored in given.items() if is_ignored]:
-        raise LiveError(f"{' and '.join(ignored)} would do nothing", where=mode, how="leave it out")
+        raise LiveError(f"{' and '.join(ignored)} would have no effect", where=mode, how="leave it out")
     if not settings.seconds > 0:
         raise LiveError(f"{settings.seconds:g} seconds", where="--seconds", how="give more than 0")
 
 
 def _refuse_driving(settings: LiveSettings, rig: Rig) -> None:
-    """Refuse to drive where commands or their switch would not get through.
-
-    Raises:
-        LiveError: what is missing.
-    """
+    """Raise `LiveError` if commands or messages of the switch could not be exchanged with the vehicle."""
     if not settings.drive:
         return
     if not rig.outputs:
-        how = "add what goes out to the vehicle (docs/live.md), or leave out --drive"
+        how = "add the messages to the vehicle (docs/live.md), or leave out --drive"
         raise LiveError("the rig has no [outputs]", where=settings.rig, how=how)
     enable = rig.live.enable
     if enable is None:
         logger.warning(f"{settings.rig} has no [live.enable]: commands are sent without a dead man's switch")
-    if enable is not None and not settings.robot.says_types and enable.topic not in rig.live.types:
-        how = (
-            f'add it to [live.types], e.g. "{enable.topic}" = "std_msgs/msg/Bool": the keys of the bridge do not say it'
-        )
-        raise LiveError(f"the type of the enable topic {enable.topic} is not known", where=settings.rig, how=how)
+    elif not settings.robot.says_types and enable.topic not in rig.live.types:
+        how = f'add it to [live.types], e.g. "{enable.topic}" = "std_msgs/msg/Bool": the bridge does not state it'
+        raise LiveError(f"the type of the enable topic {enable.topic} is unknown", where=settings.rig, how=how)
 
 
 def _refuse_recording(settings: RecordSettings) -> None:
-    """Refuse a log that could not be written, before anything drives.
-
-    Raises:
-        LiveError, LogError: why.
-    """
+    """Raise `LiveError` or `LogError` for a recording that cannot be written."""
     path = settings.path
     if not (settings.free >= 0 and settings.size > 0 and settings.seconds > 0):
         given = f"--record-free {settings.free:g} --record-size {settings.size:g} --record-seconds {settings.seconds:g}"
         raise LiveError(given, where=path, how="give 0 GB or more to stay free, and a size and a time above 0")
     if path.suffix != ".mcap":
-        raise LiveError("a recording is an MCAP file", where=path, how="give it the ending .mcap")
+        raise LiveError("a recording is an MCAP file", where=path, how="give a name that ends with .mcap")
     if path.exists():
-        raise LiveError("exists already", where=path, how="remove it, or give another name")
+        raise LiveError("already exists", where=path, how="remove it, or give another name")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -134,49 +125,35 @@ def _refuse_recording(settings: RecordSettings) -> None:
     refuse_full_disk(settings)
 
 
-def _refuse_showing(view: ViewSettings, *, lockstep: bool, replay: Path | None) -> None:
-    """Refuse a viewer that could show nothing.
+def _refuse_showing(view: ViewSettings, *, in_real_time: bool) -> None:
+    """Raise `LiveError` or `MissingExtra` for a viewer that is unavailable, or cannot show or write anything."""
+    from offpiste.live.viewers import VIEWERS
 
-    Raises:
-        LiveError: the drive is not live, no such viewer, or its file is there already.
-        MissingExtra: its package is not installed.
-    """
-    from offpiste.live.viewers.viewer import VIEWERS
-
-    if lockstep or replay is not None:
+    if not in_real_time:
         raise LiveError("only a live drive is shown", where="--view", how="leave it out, or use `offpiste view LOG`")
     if package := VIEWERS[view.name].package:
         require("view", package, otherwise="leave out --view")
     if view.place and Path(view.place).exists():
-        raise LiveError("exists already", where=view.place, how="remove it, or give another name")
+        raise LiveError("already exists", where=view.place, how="remove it, or give another name")
 
 
 def _replay(
-    settings: LiveSettings, rig: Rig, driver: StepDriver, reception: Reception, log: Path, on_step: OnStep
-) -> None:
+    settings: LiveSettings, rig: Rig, driver: StepDriver, reception: Reception, types: MessageTypes, log: Path,
+    on_step: OnStep,
+) -> None:  # fmt: skip
     drive = RecordedDrive(log, rig, tuple(reception.topics))
-    steps = replayed(drive, driver, MessageTypes([Path(name) for name in rig.live.definitions]))
-    total = round(min(drive.seconds, settings.seconds) / 0.02)
+    steps = replayed(drive, driver, types)
+    total = round(min(drive.seconds, settings.seconds) / DT)
     for _, (now, step) in zip(track(range(total + 1), f"replay {log.name}"), steps, strict=False):
         on_step(now, step)
     if driver.runtime is None:
-        raise LiveError(
-            f"nothing could be planned: it lacks {reception.waiting_for}", where=log, how="see docs/live.md"
-        )
-
-
-def _lockstep(settings: LiveSettings, rig: Rig, driver: StepDriver, reception: Reception, on_step: OnStep) -> None:
-    definitions = [Path(name) for name in rig.live.definitions]
-    with asked_to_end() as asked, closing(settings.robot.connect(definitions)) as transport:
-        outputs = CommandMessages(rig, transport.types) if settings.drive else None
-        Lockstep(transport, driver, reception, outputs).run(on_step, asked, settings.seconds)
-        for what, count in sorted(transport.refused.items()):
-            logger.warning(f"refused {count} messages: {what}")
+        what = f"planning was never possible: the log lacks {reception.waiting_for}"
+        raise LiveError(what, where=log, how="see docs/live.md")
 
 
 @contextmanager
 def _table_of(path: Path | None) -> Iterator[OnStep]:
-    """Collects steps for a table, which is written whole at the end."""
+    """Collect steps, and write them as a table at the end."""
     rows: list[tuple[str, ...]] = []
 
     def on_step(now: float, step: Step | None) -> None:
@@ -202,7 +179,7 @@ def play_log(
     """Play a log.
 
     Raises:
-        OffpisteError: a setting, the log, the rig or the connection is wrong.
+        OffpisteError: an option, the log, the rig or the connection is invalid.
     """
     if not seconds > 0:
         raise LiveError(f"{seconds:g} seconds", where="--seconds", how="give more than 0")

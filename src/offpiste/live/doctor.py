@@ -1,11 +1,11 @@
-"""Before anything moves: the computer, the rig, the model, the connection, and what is heard of the robot."""
+"""Checks before a drive: computer, rig, model, connection, and the robot's messages."""
 
 import math
 import platform
 import shutil
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import dataclass, field
 from importlib.metadata import version
@@ -18,11 +18,10 @@ from offpiste.core.channels import OPTIONAL_CONTROLS
 from offpiste.core.errors import LiveError, OffpisteError, did_you_mean, require
 from offpiste.core.machine import free_memory, usable_cores
 from offpiste.live.command_messages import CommandMessages
-from offpiste.live.driver import refuse_unmeasured
+from offpiste.live.lockstep import refuse_unmeasured
 from offpiste.live.reception import check_types, is_pressed
-from offpiste.live.sensor_messages import SensorMessages
+from offpiste.live.robot_messages import SensorMessages, VehicleMessages
 from offpiste.live.session import Source
-from offpiste.live.vehicle_messages import VehicleMessages
 from offpiste.logs.ros.bag_files import field_getter, heard_at
 from offpiste.rig.rig import Rig, load_rig
 from offpiste.runtime.planner import load_planner
@@ -30,30 +29,29 @@ from offpiste.training.run import differing_vehicle
 from offpiste.transport.interface import Received
 from offpiste.transport.zenoh_transport import ZenohSettings, ZenohTransport
 
-Level = Literal["ok", "warning", "error"]
 _CORES: Final = 4
 _FREE_MEMORY: Final = 3.0
-"""Memory that a drive with a model that reads images takes, about [GB]."""
+"""Approximate memory of a drive with a model that reads images [GB]."""
 _SHARED_MEMORY: Final = 0.5
 """Shared memory of its rings [GB]."""
 _WAITING: Final = 16
-"""Messages of a topic that wait to be decoded; where more do, the oldest are left out, but count."""
+"""Maximum number of messages of a topic that wait to be decoded; older ones are counted only."""
 _OLD: Final = 0.3
-"""Readings and scans that are older than this when they come are late [s]."""
+"""Age at arrival from which readings and scans are late [s]."""
 _MAPPING: Final = 0.1
-"""A scan counts once it is in the map, so much later [s]."""
+"""Time from a scan's arrival to its use in the map [s]."""
 
 
 class Finding(NamedTuple):
-    """One line of the doctor's."""
+    """Result of one check."""
 
-    level: Level
+    level: Literal["ok", "warning", "error"]
     what: str
 
 
 @dataclass
-class Heard:
-    """What was heard on a topic: number of messages, their types, and ages by the stamps [s]."""
+class _Heard:
+    """Messages of a topic: count, types, and ages by their stamps [s]."""
 
     count: int = 0
     types: set[str] = field(default_factory=set)
@@ -62,19 +60,19 @@ class Heard:
 
     @property
     def age(self) -> float:
-        """Median of the ages [s]; NaN where no header has a stamp."""
+        """Median age [s]; NaN if no header has a stamp."""
         return float(np.median(self.ages)) if self.ages else math.nan
 
 
 def examined(
     rig_name: str, run: str, pca: Path | None, robot: ZenohSettings, seconds: float, clock: Source
 ) -> Iterator[Finding]:
-    """Findings, one after the other; those that cannot be looked for without another are left out.
+    """Yield findings; checks whose prerequisites failed are left out.
 
     Args:
-        run: "" to look at none.
-        seconds: how long the robot is listened to [s].
-        clock: as `offpiste live` will have it: ages count only with the computer's.
+        run: "" for none.
+        seconds: time to listen to the robot [s].
+        clock: as for `offpiste live`; ages are only meaningful with "system".
     """
     require("live", "zenoh")
     yield from _computer()
@@ -99,16 +97,16 @@ def examined(
         yield from _outputs(rig, transport)
         try:
             listener = _Listener(rig, transport, cameras=cameras)
-        except OffpisteError:  # channels that cannot be read live, which `_for_driving` has named
+        except OffpisteError:  # channels that cannot be read live: a finding of `_for_driving`
             return
         yield from listener.findings(seconds, clock)
 
 
 def _computer() -> Iterator[Finding]:
-    said = ", ".join(f"{name} {version(name)}" for name in ("offpiste", "eclipse-zenoh", "rosbags", "torch"))
-    yield Finding("ok", f"{said}, Python {platform.python_version()}")
+    versions = ", ".join(f"{name} {version(name)}" for name in ("offpiste", "eclipse-zenoh", "rosbags", "torch"))
+    yield Finding("ok", f"{versions}, Python {platform.python_version()}")
     cores = usable_cores()
-    few = f"{cores} cores: plans and maps will be late; {_CORES} or more are better"
+    few = f"{cores} cores: plans and maps will be late; use {_CORES} or more"
     yield Finding("warning", few) if cores < _CORES else Finding("ok", f"{cores} cores")
     free = free_memory() / 1e9
     yield Finding("ok" if free > _FREE_MEMORY else "warning", f"{free:.1f} GB of memory are free")
@@ -119,40 +117,38 @@ def _computer() -> Iterator[Finding]:
     yield Finding("ok" if much else "error", f"{room:.1f} GB of shared memory are free{hint}")
 
 
-def _for_driving(rig: Rig) -> Iterator[Finding]:
+def _errors(check: Callable[..., object], *arguments: object) -> Iterator[Finding]:
+    """Yield the error that a check raises, if any."""
     try:
-        VehicleMessages(rig)
+        check(*arguments)
     except OffpisteError as error:
         yield Finding("error", str(error))
+
+
+def _for_driving(rig: Rig) -> Iterator[Finding]:
+    yield from _errors(VehicleMessages, rig)
     if not rig.lidars:
-        yield Finding("error", "the rig has no LiDAR: there is no map without one")
+        yield Finding("error", "the rig has no LiDAR, which mapping requires")
     if not rig.outputs:
-        yield Finding("warning", "the rig has no [outputs]: nothing can be sent, shadow mode alone")
+        yield Finding("warning", "the rig has no [outputs]: only shadow mode is possible")
     elif rig.live.enable is None:
         yield Finding("warning", "the rig has no [live.enable]: commands are sent without a dead man's switch")
 
 
 def _model(rig: Rig, run: str, pca: Path | None) -> tuple[list[Finding], bool]:
-    """Findings, and whether the model reads images."""
+    """Return findings, and whether the model reads images."""
     try:
         planner = load_planner(run, pca)
     except OffpisteError as error:
         return [Finding("error", str(error))], True
-    found = [Finding("ok", f"run {run}: {planner.name}")]
-    try:
-        refuse_unmeasured(planner, rig)
-    except OffpisteError as error:
-        found.append(Finding("error", str(error)))
+    found = [Finding("ok", f"run {run}: {planner.name}"), *_errors(refuse_unmeasured, planner, rig)]
     if (apart := differing_vehicle(planner.dynamics.vehicle, rig.vehicle)) is not None:
         found.append(Finding("warning", f"the model was trained on another vehicle: {apart}"))
     return found, planner.extractor is not None
 
 
 def _outputs(rig: Rig, transport: ZenohTransport) -> Iterator[Finding]:
-    try:
-        check_types(rig, transport.types)
-    except OffpisteError as error:
-        yield Finding("error", str(error))
+    yield from _errors(check_types, rig, transport.types)
     try:
         messages = CommandMessages(rig, transport.types)
     except OffpisteError as error:
@@ -163,7 +159,7 @@ def _outputs(rig: Rig, transport: ZenohTransport) -> Iterator[Finding]:
 
 
 class _Listener:
-    """Listens to all topics of a rig."""
+    """Listener to all topics of a rig."""
 
     def __init__(self, rig: Rig, transport: ZenohTransport, *, cameras: bool) -> None:
         self._rig, self._transport = rig, transport
@@ -171,22 +167,21 @@ class _Listener:
         enable = [] if rig.live.enable is None else [rig.live.enable.topic]
         self._switch_without = ""
         self._static = set(rig.frames.topics)
-        self._optional = {one.topic for one in rig.cameras.values() if one.optional}
-        self._optional |= {one.topic for one in rig.lidars.values() if one.optional}
-        self._optional |= {c.info for c in rig.cameras.values() if c.optional}
+        self._optional = {lidar.topic for lidar in rig.lidars.values() if lidar.optional}
+        self._optional |= {name for one in rig.cameras.values() if one.optional for name in (one.topic, one.info)}
         optional = {control.name for control in OPTIONAL_CONTROLS}
         needed = {source.topic for name, source in rig.channels.items() if name not in optional}
         self._optional |= {source.topic for source in rig.channels.values()} - needed
         self._commands = {output.topic for output in rig.outputs.values()}
         self._needed = dict.fromkeys([*self._vehicle.topics, *self._sensors.topics, *enable])
-        self._all = {topic: Heard() for topic in (*self._needed, *self._commands)}
+        self._all = {topic: _Heard() for topic in (*self._needed, *self._commands)}
         for topic in self._all:
             wanted = rig.live.types.get(topic, "")
-            wanted = wanted if wanted in transport.types else ""  # which is named already
+            wanted = wanted if wanted in transport.types else ""  # an unknown type is a finding of `_outputs`
             transport.subscribe(topic, self._deliver, msgtype=wanted, history=topic in self._static)
 
     def findings(self, seconds: float, clock: Source) -> Iterator[Finding]:
-        """Listen, and say what was heard."""
+        """Listen, and yield findings."""
         if not 0 < seconds <= 600:
             raise LiveError(f"listening for {seconds:g} s", where="--seconds", how="give more than 0, and at most 600")
         end = time.monotonic() + seconds
@@ -200,11 +195,9 @@ class _Listener:
             yield self._of(topic, seconds, clock, others)
         yield from self._short_timeouts(seconds, clock)
         for topic in self._commands & self._heard - set(self._vehicle.topics):
-            yield Finding("warning", f"{topic}: someone else commands; with --drive the vehicle would be stopped")
+            yield Finding("warning", f"{topic}: another publisher commands; with --drive the vehicle would be stopped")
         if self._switch_without:
-            enable = self._rig.live.enable
-            assert enable is not None
-            yield Finding("error", f"{self._switch_without} has no number '{enable.field}': correct live.enable.field")
+            yield Finding("error", self._switch_without)
         for what, count in sorted((self._vehicle.dropped + self._sensors.dropped).items()):
             yield Finding("error", f"{what} ({count} times)")
         for what, count in sorted(self._transport.refused.items()):
@@ -215,16 +208,16 @@ class _Listener:
 
     @property
     def _heard(self) -> set[str]:
-        """Topics of which a message was heard and decoded."""
+        """Topics with at least one decoded message."""
         return {topic for topic, heard in self._all.items() if heard.types}
 
     def _deliver(self, received: Received) -> None:
-        """Called in zenoh's thread."""
+        """Queue a message; called in the transport's thread."""
         heard = self._all[received.topic]
         heard.count += 1
         heard.waiting.append(received)
 
-    def _take(self, received: Received, heard: Heard) -> None:
+    def _take(self, received: Received, heard: _Heard) -> None:
         message = self._transport.decode(received)
         if message is None:
             return
@@ -235,13 +228,14 @@ class _Listener:
         enable = self._rig.live.enable
         is_switch = enable is not None and received.topic == enable.topic
         if enable is not None and is_switch and is_pressed(field_getter(enable.field), message) is None:
-            self._switch_without = f"{enable.topic}: {received.type}"
+            what = f"{enable.topic}: {received.type} has no number '{enable.field}'"
+            self._switch_without = f"{what}: correct live.enable.field"
         self._vehicle.take(received.topic, message, received.received)
         if received.topic in self._sensors.topics:
             self._sensors.take(received.topic, message, received.received)
 
     def _short_timeouts(self, seconds: float, clock: Source) -> Iterator[Finding]:
-        """Timeouts that would be over where a single message is lost."""
+        """Yield timeouts that the loss of a single message would exceed."""
         timeouts, stamped = self._rig.live.timeouts, clock == "system" and self._rig.clock.stamps != "receive"
         lidars = [lidar.topic for lidar in self._rig.lidars.values()]
         fastest = max(lidars, key=lambda topic: self._all[topic].count, default="")
@@ -258,14 +252,13 @@ class _Listener:
             oldest = math.ceil(100 * (age + 2 * seconds / heard.count + spare)) / 100
             short = [f"live.timeouts.{name}" for name in names if getattr(timeouts, name) < oldest]
             if short and -0.05 < age < 1.0:
-                what = (
-                    f"{topic}: {heard.count / seconds:.1f} a second; where one is lost, the newest is {oldest:g} s old"
-                )
-                yield Finding("warning", f"{what}: let {' and '.join(short)} be more")
+                rate = f"{topic}: {heard.count / seconds:.1f} a second"
+                what = f"{rate}; after a lost message, the newest is {oldest:g} s old"
+                yield Finding("warning", f"{what}: increase {' and '.join(short)}")
 
     def _of(self, topic: str, seconds: float, clock: Source, others: dict[str, str]) -> Finding:
         if topic not in self._heard:
-            free = [other for other in others if other not in self._heard]  # what is heard is of another channel
+            free = [other for other in others if other not in self._heard]  # a heard topic belongs to another channel
             near = "" if topic in others else did_you_mean(topic, free)
             there = f"; {near}" if near else "" if topic not in others else f"; it is published, as {others[topic]}"
             optional = topic in self._optional or topic in self._commands

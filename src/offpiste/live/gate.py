@@ -1,6 +1,7 @@
-"""The last thing a command passes: limits of size and rate, the dead man's switch, and others who command."""
+"""Final check of every command: limits, rates, the dead man's switch, and other publishers of commands."""
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from jaxtyping import Float
@@ -8,17 +9,17 @@ from jaxtyping import Float
 from offpiste.core.conventions import DT
 from offpiste.rig.outputs import CommandLimits, Enable
 
-OTHERS_FOR = 1.0
-"""How long another publisher of commands, or of the enable topic, keeps the vehicle at a stop [s]."""
+OTHERS_FOR: Final = 1.0
+"""Duration of the stop after a message of another publisher of commands or of the enable topic [s]."""
 
 
 @dataclass(frozen=True)
 class Passed:
-    """What may be sent.
+    """Checked command.
 
     Attributes:
         control: throttle, brake, steer.
-        why: why it is a stop; empty where it is what was commanded.
+        why: reason for a stop; empty if the command passed.
     """
 
     control: Float[np.ndarray, " 3"]
@@ -26,12 +27,12 @@ class Passed:
 
 
 class Gate:
-    """Lets commands pass.
+    """Limit commands, or replace them by a stop. Times are those of the monotonic clock; in lockstep, of its steps.
 
     Args:
-        enable: the dead man's switch; None for none, as in shadow mode, where nothing is sent.
+        enable: the dead man's switch; None for none, as in shadow mode.
         stop: brake of a stop [0..1].
-        last: throttle, brake, steer that were sent last, where another process sent them: rates count from there.
+        last: throttle, brake, steer last sent by a previous process, from which rates count.
     """
 
     def __init__(
@@ -45,17 +46,17 @@ class Gate:
 
     @property
     def steer(self) -> float:
-        """Steering that was sent last [-1..1]."""
+        """Last steering sent [-1..1]."""
         return float(self._last[2])
 
     def enabled(self, pressed: bool | None, now: float, *, age: float = 0.0, publisher: bytes = b"") -> None:
-        """The switch was heard.
+        """Take a message of the switch.
 
         Args:
-            pressed: None where its message has no such field.
-            now: by the computer's steady clock [s], which no message sets; in lockstep, by its steps.
-            age: time since the message's stamp [s]: its time-out counts from there. It does not count where the stamp
-                is further in the future than the time-out, or is no time.
+            pressed: None if its message lacks the field.
+            now: arrival [s].
+            age: time since the message's stamp [s], from which its timeout counts. A stamp that is invalid, or further
+                in the future than the timeout, does not count.
             publisher: identity of its publisher.
         """
         if publisher != self._publisher and now - self._heard_at < OTHERS_FOR:
@@ -67,16 +68,16 @@ class Gate:
             self._pressed, self._pressed_at = pressed, pressed_at
 
     def other(self, now: float) -> None:
-        """A command of another publisher was heard."""
+        """Take note of a command from another publisher."""
         self._other_at = now
 
     def restart(self, now: float) -> None:
-        """The clock went back: the switch has to be heard again, and other publishers count from now on."""
+        """Handle a clock that went back: require a new message of the switch, and keep the hold by other publishers."""
         self._pressed, self._pressed_at, self._heard_at = False, -np.inf, -np.inf
         self._other_at, self._second_at = min(self._other_at, now), min(self._second_at, now)
 
     def blocked(self, now: float) -> str:
-        """Why nothing but a stop may be sent; empty for nothing."""
+        """Return the reason why only a stop may be sent; empty if there is none."""
         if now - self._other_at < OTHERS_FOR:
             return "another publisher commands the vehicle"
         if self._enable is None:
@@ -90,7 +91,7 @@ class Gate:
         return "" if self._pressed else "not enabled"
 
     def _why_late(self, now: float, timeout: float) -> str:
-        """Why no message of the switch counts any more."""
+        """Return the reason why no message of the switch counts any more."""
         if now - self._heard_at > timeout or abs(self._age) <= timeout:
             return "the enable topic is not heard"
         if not np.isfinite(self._age):
@@ -99,12 +100,11 @@ class Gate:
         return f"the messages of the enable topic are stamped more than {when}: check the clocks"
 
     def passed(self, control: Float[np.ndarray, " 3"], speed: float, now: float, *, stopping: bool) -> Passed:
-        """What may be sent of a command.
+        """Check a command.
 
         Args:
             control: throttle, brake, steer.
             speed: of the vehicle [m/s].
-            now: by the steady clock [s].
             stopping: whether the command is a stop, whose brake is applied at once.
         """
         why, limits = self.blocked(now), self._limits
@@ -114,7 +114,7 @@ class Gate:
             steer = float(control[2]) if np.isfinite(control[2]) else self.steer
             control, stopping = np.array((0.0, self._stop, steer)), True
         throttle, brake, steer = (float(value) for value in control)
-        too_fast = not (np.isfinite(speed) and speed <= limits.speed)  # also where it is not known
+        too_fast = not (np.isfinite(speed) and speed <= limits.speed)  # also if the speed is unknown
         throttle = 0.0 if stopping or too_fast else min(max(throttle, 0.0), limits.throttle)
         brake = min(max(brake, 0.0), 1.0 if stopping else limits.brake)
         steer = min(max(steer, -limits.steer), limits.steer)

@@ -1,4 +1,4 @@
-"""What all processes of a drive share: their rings, the clock, the vehicle's track, and a sign of life."""
+"""Common parts of the processes of a drive: rings, clock, vehicle track, course, and signs of life."""
 
 import ctypes
 import gc
@@ -13,63 +13,64 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from offpiste.live.packing import packed, reading_from, unpacked
-from offpiste.live.ring import Ring
+from offpiste.live.ring import Ring, from_fields, packed, unpacked
 from offpiste.live.session import Session
-from offpiste.runtime.estimator import Given, Intake, VehicleTrack
-from offpiste.transport.tally import Tally
+from offpiste.planning.course import Course, CourseTracker
+from offpiste.runtime.estimator import Given, Intake, VehicleReading, VehicleTrack
+from offpiste.transport.interface import Tally
 
 BEAT: Final = 0.2
-"""Time between two signs of life [s]."""
+"""Time between signs of life [s]."""
 STAMP: Final = struct.Struct("<dd")
-"""A stamp, and when it was heard by the steady clock [s]."""
+"""Stamp, and its first arrival by the monotonic clock [s]."""
 RUNS_ON: Final = 1.0
-"""The clock runs on for so long after the last new stamp [s]; then it stands still, and nothing is driven by it."""
+"""Time that the robot's clock continues after its last new stamp [s]; then it stands still and driving stops."""
 Change = Literal["", "jumped", "went back"]
-"""Why a map no longer fits: the pose jumped, or the clock went back; empty if it fits."""
+"""Event that invalidates a map: the pose jumped, or the clock went back; else empty."""
 BACK: Final = 0.1
-"""The clock went back where a stamp is older than the newest by more [s]; else messages came in another order."""
+"""Difference between a stamp and the newest from which the clock went back [s]; smaller ones are reordering."""
 GIVEN_BACK: Final = 10.0
-"""Time between two times that freed memory is given back [s]."""
+"""Time between releases of freed memory [s]."""
 AFTER: Final = 8.0
-"""Once the parent is gone, what stops the vehicle is looked after for so long [s]."""
+"""Time for which the vehicle is stopped and observed after the parent's end [s]."""
+LOADING: Final = "loads its kernels"
+"""State of a process that temporarily gives no sign of life."""
 
 
 def keep_loaded() -> None:
-    """Keep what has been loaded out of garbage collection: to look through it all takes a quarter of a second."""
+    """Exclude loaded objects from garbage collection, which would take a quarter of a second."""
     gc.collect()
     gc.freeze()
-    gc.collect()  # Python waits with the next until there is a quarter as much as the last one looked through
+    gc.collect()  # Python delays the next collection until a quarter as many objects as in this one are new
 
 
 def free_file(path: Path) -> Path:
-    """A file that is not there: where a process was killed, what it wrote is kept, and the next one has a number."""
+    """Return the path, or the first numbered one that is free: files of a killed process are kept."""
     numbered = (path.with_stem(f"{path.stem}-{number}") for number in count(2))
     return next(one for one in chain((path,), numbered) if not one.exists())
 
 
 class FreedMemory:
-    """Freed memory, given back to the system now and then, where the C library is glibc.
+    """Regular release of freed memory to the system, if the C library is glibc.
 
-    Maps grow, and the next one may not fit into the hole that the last one leaves. The process that plans grew by a
-    gigabyte in half an hour; whether by such holes is not proven.
+    Without it, the planning process grew by a gigabyte in half an hour, possibly by fragmentation from growing maps.
     """
 
     def __init__(self) -> None:
         self._trim, self._last = getattr(ctypes.CDLL(None), "malloc_trim", None), time.monotonic()
 
     def give_back(self) -> None:
-        """Give it back, if the last time is long enough ago."""
+        """Release freed memory if the last release is `GIVEN_BACK` seconds ago."""
         if self._trim is not None and time.monotonic() - self._last > GIVEN_BACK:
             self._trim(0)
             self._last = time.monotonic()
 
 
 class Part:
-    """A process of a drive.
+    """Process of a drive.
 
     Attributes:
-        dropped: number of messages that were dropped, by reason.
+        dropped: number of dropped messages, by reason.
     """
 
     def __init__(self, name: str, session: Session) -> None:
@@ -81,29 +82,35 @@ class Part:
         self._newest_stamp = self._latest_now = -np.inf
 
     def ring(self, name: str) -> Ring:
-        """A ring of the session."""
+        """Return a ring of the session."""
         if name not in self._rings:
             self._rings[name] = self.session.ring(name)
         return self._rings[name]
 
     def hand_on(self, name: str, data: bytes) -> None:
-        """Write to a ring; what is larger than its slots is dropped and counted."""
+        """Write to a ring; drop and count a message that is too large."""
         if not self.ring(name).write(data):
-            self.dropped.add(f"{name}: larger than the shared memory for it")
+            self.dropped.add(f"{name}: larger than its shared memory")
+
+    @property
+    def last_command(self) -> dict[str, Any]:
+        """Last command, possibly of an earlier process; empty if there is none."""
+        newest = self.ring("commands").newest()
+        return {} if newest is None else unpacked(newest.data)
 
     @property
     def ending(self) -> bool:
-        """Whether the drive ends, or the parent is gone: the vehicle is stopped."""
+        """Whether the drive ends, or the parent has ended, so that the vehicle is being stopped."""
         return self.orphaned or self.ring("end").written > 0
 
     @property
     def ended(self) -> bool:
-        """Whether the vehicle was stopped, so that nobody needs its readings any more."""
+        """Whether the vehicle has been stopped and its readings are no longer needed."""
         return self.ring("end").written > 1 or (self.orphaned and time.monotonic() - self._orphaned_at > AFTER)
 
     @property
     def orphaned(self) -> bool:
-        """Whether the parent is gone."""
+        """Whether the parent has ended."""
         parent = parent_process()
         if parent is None or parent.is_alive():
             return False
@@ -111,10 +118,11 @@ class Part:
         return True
 
     def beat(self, state: str, numbers: Callable[[], Mapping[str, Any]] = dict, **values: Any) -> None:
-        """Give a sign of life, with a state in words ("ready", or what it waits for) and numbers; not too often.
+        """Give a sign of life, at most every `BEAT` seconds.
 
         Args:
-            numbers: are asked for when a sign is due; for what takes time to count.
+            state: "ready", or a description.
+            numbers: further values, computed only when a sign is due.
         """
         now = time.monotonic()
         if now - self._beat < BEAT:
@@ -125,20 +133,21 @@ class Part:
             "cpu_s": time.process_time(),
             "rss_mb": _resident(),
             "dropped": self.dropped.snapshot(),
+            "pid": os.getpid(),
+            "up_s": now - self._started,
         }
-        about |= {"pid": os.getpid(), "up_s": now - self._started}
         if not self._status.write(packed(about | values | dict(numbers()))):
-            self._status.write(packed(about))  # a sign of life, whatever there is to say
+            self._status.write(packed(about))  # a sign of life, even if the other values are too large
 
     def end_with(self, state: str) -> None:
-        """Leave a last state."""
+        """Write a last state."""
         self._beat = -1.0
         self.beat(state)
 
     def now(self) -> float:
-        """Time of the robot [s]; minus infinity before it is known.
+        """Return the robot's time [s]; minus infinity while it is unknown.
 
-        It runs on between stamps; where one comes late, it waits for the stamps to come up to it.
+        It continues between stamps, and waits for stamps that come late.
         """
         if self.settings.clock == "system":
             return time.time()
@@ -151,22 +160,21 @@ class Part:
 
     @property
     def clock_stands_still(self) -> bool:
-        """Whether no new stamp of the robot's clock has come for so long that it says nothing about ages any more."""
+        """Whether the robot's clock has had no new stamp for so long that ages by it are meaningless."""
         return self.settings.clock != "system" and time.monotonic() - self._stamp()[1] > RUNS_ON
 
     def _stamp(self) -> tuple[float, float]:
-        """The newest stamp of the robot's clock, and when it was first heard by the steady clock [s]."""
+        """Return the newest stamp of the robot's clock, and its first arrival by the monotonic clock [s]."""
         newest = self.ring("clock").newest()
         return (-np.inf, -np.inf) if newest is None else STAMP.unpack(newest.data)
 
 
 class TrackFeed:
-    """The vehicle's track, kept up to date from the ring of readings.
+    """The vehicle's track, updated from the ring of readings.
 
     Attributes:
-        track: readings.
-        given: what the vehicle was last given by whomever, as it says itself.
-        came: when the last reading that was taken came, by the steady clock [s].
+        given: commands that the vehicle last reported.
+        came: arrival of the last accepted reading by the monotonic clock [s].
     """
 
     def __init__(self, part: Part, actuators: Collection[str]) -> None:
@@ -178,7 +186,7 @@ class TrackFeed:
         self.came = -np.inf
 
     def update(self, now: float) -> Change:
-        """Take what is new; why the map no longer fits."""
+        """Take new readings; return the event that invalidates the map, if any."""
         changed: Change = ""
         if now < self.intake.now - BACK and self.intake.now < float("inf"):
             self.track.clear()
@@ -187,7 +195,7 @@ class TrackFeed:
         for entry in self._ring.since(self._number):
             self._number, values = entry.number, unpacked(entry.data)
             self.given = Given(values["control"], values.get("gear"))
-            taken = self.intake.vehicle(reading_from(values))
+            taken = self.intake.vehicle(from_fields(VehicleReading, values))
             if taken != "dropped":
                 self.came = values["came"]
             if taken == "jumped":
@@ -195,7 +203,30 @@ class TrackFeed:
         return changed
 
 
+class NewestCourse:
+    """The newest course of the session.
+
+    Attributes:
+        number: of the current course; 0 before the first.
+    """
+
+    def __init__(self, part: Part) -> None:
+        self._part, self._ring, self.number = part, part.ring("course"), 0
+
+    def changed(self) -> CourseTracker | None:
+        """Return a tracker of a new course; it resumes at the last progress if that course was being driven."""
+        newest = self._ring.newest()
+        if newest is None or newest.number == self.number:
+            return None
+        self.number = newest.number
+        tracker = CourseTracker(from_fields(Course, unpacked(newest.data)))
+        before = self._part.last_command
+        if before.get("course") == self.number:
+            tracker.resume(before["progress"])
+        return tracker
+
+
 def _resident() -> float:
-    """Memory of this process [MB]."""
+    """Return the memory of this process [MB]."""
     with open("/proc/self/statm", encoding="ascii") as file:  # noqa: PTH123 - five times a second
         return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6

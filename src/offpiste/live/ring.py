@@ -1,51 +1,59 @@
-"""Messages between processes in shared memory: one writes, any number read, nobody waits, the newest win.
+"""Messages between the processes of a drive: rings in shared memory, and values as bytes.
 
-A ring is a file in memory (`/dev/shm`) with a number of slots. There are no locks: a writer that is killed or stopped
-in the middle of a message holds nobody up. Every word that changes is stored at once (aligned, eight bytes), so that no
-reader sees half a number, and no number is ever lost. A slot has no number while it is written; a reader takes what it
-holds if the number is the one it looks for before and after, and the checksum is that of number, length and data:
-the order in which the processor makes stores visible does not matter.
+A ring is a file in memory (`/dev/shm`) with a number of slots: one process writes, others read the newest messages, and
+none waits. There are no locks, so a writer that is killed in the middle of a message blocks nobody. Each word is stored
+at once (aligned, eight bytes). A slot has no number while it is written. A reader accepts a slot if its number matches
+before and after the copy and its checksum covers number, length and data, so the order of stores does not matter.
 """
 
 import mmap
 import os
 import struct
 import time
+from collections.abc import Mapping
+from dataclasses import fields
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple, TypeVar
 
 import google_crc32c
+import msgspec
+import numpy as np
+import torch
 
 from offpiste.core.errors import LiveError
+from offpiste.live.robot_messages import Sensors
+from offpiste.logs.measurements import Camera, Lidar
+from offpiste.mapping.terrain_map import TerrainLayers
+from offpiste.rig.camera import CameraModel
+from offpiste.rig.rig import Rig
+from offpiste.runtime.follower import TimedPlan
+from offpiste.runtime.prediction import Prediction
 
 _HEAD: Final = struct.Struct("<8sQQ")
-"""Magic, slots, and bytes in a slot: written once, when the ring is made."""
+"""Magic, number of slots, and bytes per slot: written once by `Ring.create`."""
 _MAGIC: Final = b"offring2"
 _WRITTEN, _AT, _HEAD_WORDS = 3, 4, 5
-"""Words of eight bytes after these: messages written, and when the last one was, by the steady clock [s]."""
+"""Words of eight bytes that follow: number of messages, and time of the last one by the monotonic clock [s]."""
 _NUMBER, _LENGTH, _CHECKSUM, _SLOT_WORDS = 0, 1, 2, 3
-"""Words of a slot before its data: number of the message, its length [bytes], and CRC-32C of both and the data."""
+"""Words of a slot before its data: message number, length [bytes], and CRC-32C of both and the data."""
 _WORD: Final = 8
 _CHECKED: Final = struct.Struct("<QQ")
 _TRIES: Final = 8
-"""How often a reader that the writer has lapped looks again."""
+"""Number of attempts of a reader that the writer overtakes."""
 _RESERVED: Final = 16 << 20
-"""Rings that are not larger have their memory from the beginning [bytes]: where it runs out, no process that stops the
-vehicle is killed for want of a page."""
+"""Maximum size of rings whose memory is reserved at creation [bytes], so that no process which stops the vehicle is
+killed when memory runs out."""
 
 
 class Entry(NamedTuple):
-    """A message, and its number since the ring began."""
+    """Message, and its number since the ring's creation."""
 
     number: int
     data: bytes
 
 
 class Ring:
-    """A ring; `create` makes its file, `open` uses one that is there.
-
-    A writer that is started again continues where the one before it ended.
-    """
+    """Ring in shared memory. A restarted writer continues after the last message."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -63,14 +71,14 @@ class Ring:
 
     @staticmethod
     def create(path: Path, *, slots: int, size: int) -> "Ring":
-        """A new ring; memory of large ones is taken only where it is written.
+        """Create a ring; the memory of a large one is allocated when it is written.
 
         Args:
-            slots: number of messages that are kept.
-            size: of the largest message [bytes].
+            slots: number of messages kept.
+            size: maximum message size [bytes].
 
         Raises:
-            LiveError: there is no memory for it.
+            LiveError: memory is insufficient.
         """
         length = _bytes(slots, size)
         try:
@@ -85,32 +93,32 @@ class Ring:
 
     @property
     def written(self) -> int:
-        """Number of messages written so far."""
+        """Number of messages written."""
         return int(self._words[_WRITTEN])
 
     @property
     def age(self) -> float:
-        """Time since the last message was written; since the ring was made, if there is none [s]."""
+        """Time since the last message, or since the ring's creation if there is none [s]."""
         return time.monotonic() - float(self._times[_AT])
 
     def write(self, data: bytes | memoryview) -> bool:
-        """Add a message; False where it is too large."""
+        """Add a message; return False if it is too large."""
         if len(data) > self._size:
             return False
         whole, number = bytes(data), self.written + 1
         word = self._slot(number)
-        self._words[word + _NUMBER] = 0  # from here on, nobody takes what is in the slot
+        self._words[word + _NUMBER] = 0  # from here on, readers reject the slot
         begin = (word + _SLOT_WORDS) * _WORD
         self._view[begin : begin + len(whole)] = whole
         self._words[word + _LENGTH] = len(whole)
         self._words[word + _CHECKSUM] = _checksum(number, whole)
         self._words[word + _NUMBER] = number
         self._times[_AT] = time.monotonic()
-        self._words[_WRITTEN] = number  # last: a writer that dies before has written nothing
+        self._words[_WRITTEN] = number  # last: a writer that dies earlier has written nothing
         return True
 
     def newest(self) -> Entry | None:
-        """The last message that is whole."""
+        """Return the last complete message."""
         for _ in range(_TRIES):
             written = self.written
             for number in range(written, max(written - self._slots + 1, 0), -1):
@@ -121,7 +129,7 @@ class Ring:
         return None
 
     def since(self, number: int) -> list[Entry]:
-        """Messages after one, as far as they are still there, oldest first."""
+        """Return the messages after a number that are still available, oldest first."""
         written = self.written
         found = (self._read(n) for n in range(max(number + 1, written - self._slots + 2), written + 1))
         return [entry for entry in found if entry is not None]
@@ -133,7 +141,7 @@ class Ring:
         self._map.close()
 
     def _slot(self, number: int) -> int:
-        """First word of a message's slot."""
+        """Return the first word of a message's slot."""
         return _HEAD_WORDS + (number % self._slots) * (_SLOT_WORDS + _words_of(self._size))
 
     def _read(self, number: int) -> Entry | None:
@@ -153,9 +161,94 @@ def _words_of(size: int) -> int:
 
 
 def _bytes(slots: int, size: int) -> int:
-    """Length of a ring's file."""
+    """Return the length of a ring's file."""
     return _WORD * (_HEAD_WORDS + slots * (_SLOT_WORDS + _words_of(size)))
 
 
 def _checksum(number: int, data: bytes) -> int:
     return int(google_crc32c.extend(google_crc32c.value(_CHECKED.pack(number, len(data))), data))
+
+
+_ARRAY: Final = "__array__"
+Values = Mapping[str, Any]
+Record = TypeVar("Record")
+
+
+def packed(values: Values) -> bytes:
+    """Serialise numbers, strings, lists, mappings and arrays."""
+    return msgspec.msgpack.encode(values, enc_hook=_plain)
+
+
+def unpacked(data: bytes) -> dict[str, Any]:
+    """Restore the values of `packed`, with writable arrays."""
+    return dict(_with_arrays(msgspec.msgpack.decode(data)))
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        whole = np.ascontiguousarray(value)
+        return {_ARRAY: whole.dtype.str, "shape": list(whole.shape), "data": whole.tobytes()}
+    if isinstance(value, np.generic):
+        return value.item()
+    raise NotImplementedError(type(value))
+
+
+def _with_arrays(value: Any) -> Any:
+    if isinstance(value, dict):
+        if _ARRAY in value:
+            return np.frombuffer(bytearray(value["data"]), np.dtype(value[_ARRAY])).reshape(value["shape"])
+        return {key: _with_arrays(one) for key, one in value.items()}
+    return [_with_arrays(one) for one in value] if isinstance(value, list) else value
+
+
+def fields_of(record: Any) -> dict[str, Any]:
+    """Return the fields of a dataclass by name."""
+    return {field.name: getattr(record, field.name) for field in fields(record)}
+
+
+def pack_fields(record: Any, **more: Any) -> bytes:
+    """Serialise the fields of a dataclass, and further values."""
+    return packed(fields_of(record) | more)
+
+
+def from_fields(kind: type[Record], values: Values) -> Record:
+    """Create a dataclass from its fields, ignoring other values."""
+    return kind(**{field.name: values[field.name] for field in fields(kind)})  # type: ignore[arg-type]
+
+
+def pack_sensors(sensors: Sensors) -> bytes:
+    """Serialise calibrations and mountings."""
+    cameras, lidars = sensors
+    models = {name: fields_of(one.model) | {"mounting": one.body_from_camera} for name, one in cameras.items()}
+    return packed({"cameras": models, "lidars": {name: one.body_from_lidar for name, one in lidars.items()}})
+
+
+def sensors_from(values: Values, rig: Rig) -> Sensors:
+    """Restore calibrations and mountings, with the rig's entries of these sensors."""
+    cameras = {}
+    for name, given in values["cameras"].items():
+        model = from_fields(CameraModel, given | {"distortion": tuple(given["distortion"])})
+        cameras[name] = Camera(name, model, given["mounting"], rig.cameras[name])
+    lidars = {name: Lidar(name, mounting, rig.lidars[name]) for name, mounting in values["lidars"].items()}
+    return cameras, lidars
+
+
+def pack_layers(layers: TerrainLayers | None, **more: Any) -> bytes:
+    """Serialise the layers of a map, None for an empty one, and further values."""
+    return packed({"layers": None if layers is None else fields_of(layers)} | more)
+
+
+def layers_from(values: Values) -> TerrainLayers | None:
+    """Restore the layers of a map."""
+    return None if values["layers"] is None else TerrainLayers(**values["layers"])
+
+
+def pack_plan(plan: TimedPlan, prediction: Prediction, **more: Any) -> bytes:
+    """Serialise a plan, its prediction, and further values."""
+    return packed(fields_of(plan) | {"controls": plan.controls.numpy(), "states": prediction.state} | more)
+
+
+def plan_from(values: Values) -> tuple[TimedPlan, Prediction]:
+    """Restore a plan and its prediction."""
+    plan = TimedPlan(values["start"], values["made"], torch.from_numpy(values["controls"]), values["gear"])
+    return plan, Prediction(values["start"], values["states"])

@@ -1,4 +1,4 @@
-"""A drive on a vehicle: its settings, and the shared memory through which its processes hand on messages."""
+"""A drive on a vehicle: settings, topics, and the shared memory of its processes."""
 
 import fcntl
 import os
@@ -20,8 +20,24 @@ from offpiste.transport.interface import RobotSettings
 from offpiste.transport.zenoh_transport import ZenohSettings
 from offpiste.uncertainty.novelty import Novelty
 
+CLOCK: Final = "/clock"
+COMMAND: Final = "/offpiste/command"
+"""Every command, sent to the vehicle or not (sensor_msgs/Joy): throttle, brake, steer."""
+MODE: Final = "/offpiste/mode"
+"""Mode and its reason, at each change (std_msgs/String)."""
+PLAN: Final = "/offpiste/plan"
+"""Predicted path of the plan (nav_msgs/Path)."""
+MAP: Final = "/offpiste/map"
+"""The map (grid_map_msgs/GridMap)."""
+DIAGNOSTICS: Final = "/diagnostics"
+"""State of each process (diagnostic_msgs/DiagnosticArray)."""
+READY: Final = "/offpiste/ready"
+"""Latched message: all subscriptions of a lockstep exist (std_msgs/String)."""
+END: Final = "/offpiste/end"
+"""End of a played log, which ends a lockstep (std_msgs/String)."""
+
 Source = Literal["system", "clock", "stamps"]
-"""The clock that stamps are compared with: the computer's, the one on /clock, or the readings' own stamps."""
+"""Clock that stamps are compared with: the computer's, /clock, or the stamps of the readings."""
 _KIB, _MIB = 1 << 10, 1 << 20
 RINGS: Final = {
     "readings": (64, 4 * _KIB),
@@ -38,25 +54,25 @@ RINGS: Final = {
     "clock": (4, 64),
     "end": (2, 64),
 }
-"""Slots, and the largest message [bytes], of each ring; memory is taken only where it is written."""
+"""Number of slots and maximum message size [bytes] of each ring; memory is allocated when it is written."""
 PARTS: Final = ("receive", "codes", "map", "plan", "control", "watchdog", "record", "view")
-"""Processes of a drive; each has a ring for its status beside these."""
+"""Processes of a drive; each has a further ring for its status."""
 _PREFIX: Final = "offpiste-live-"
 _LOCK: Final = "lock"
-"""File of a session that is locked as long as its owner lives: process numbers mean nothing across containers."""
+"""File that a session's owner keeps locked: process numbers mean nothing across containers."""
 _BEGINS: Final = 60.0
-"""A folder without this file is left alone for so long [s]."""
+"""Minimum age of a folder without the lock file before it is removed [s]."""
 ROOM: Final = 0.25
-"""Shared memory that a drive has to find free [GB]: a process that finds none while it writes is killed."""
+"""Minimum free shared memory [GB]: a process that writes to full memory is killed."""
 
 
 @dataclass(frozen=True)
 class ViewSettings:
-    """How a drive is shown.
+    """Viewer of a drive.
 
     Attributes:
-        name: of the viewer, one of `live.viewers.viewer.VIEWERS`.
-        place: where it listens (host:port), or what it writes; the viewer's own default if empty.
+        name: of the viewer, one of `live.viewers.VIEWERS`.
+        place: where it listens (host:port) or writes; the viewer's default if empty.
     """
 
     name: str
@@ -65,13 +81,13 @@ class ViewSettings:
 
 @dataclass(frozen=True)
 class RecordSettings:
-    """How a drive is recorded.
+    """Recording of a drive.
 
     Attributes:
-        path: of the first file (.mcap); the next ones have numbers.
-        free: space that stays free on the disk [GB].
-        size: of a file, after which a new one begins [GB].
-        seconds: length of a file, after which a new one begins [s].
+        path: of the first file (.mcap); later ones are numbered.
+        free: disk space that must remain free [GB].
+        size: maximum size of a file [GB].
+        seconds: maximum duration of a file [s].
     """
 
     path: Path
@@ -82,7 +98,7 @@ class RecordSettings:
 
 @dataclass(frozen=True)
 class LiveSettings:
-    """Settings of a drive on a vehicle (options as in `cli.live.Live`); timeouts and limits are those of the rig."""
+    """Settings of a drive on a vehicle (options as in `cli.live.Live`); the rig has the timeouts and limits."""
 
     rig: str
     run: str
@@ -100,39 +116,35 @@ class LiveSettings:
     novelty: Novelty = "ignored"
 
     def load_planner(self, device: str = "cpu") -> Planner:
-        """The run, with its features.
+        """Load the run.
 
         Args:
-            device: of the feature extractor; only a process that encodes images wants another than the CPU.
+            device: of the feature extractor; only the process that encodes images needs another one than the CPU.
 
         Raises:
-            RunError, PerceptionError: it cannot be loaded (`runtime.planner.load_planner`).
+            RunError, PerceptionError: loading fails (`runtime.planner.load_planner`).
         """
         return load_planner(self.run, self.pca, novelty=self.novelty, device=device)
 
 
 @dataclass(frozen=True)
 class Session:
-    """What each process of a drive is given.
-
-    Attributes:
-        folder: with the rings.
-    """
+    """Settings of a drive, and the folder of its rings."""
 
     settings: LiveSettings
     folder: Path
 
     def ring(self, name: str) -> Ring:
-        """One of `RINGS`, or `status-PART`."""
+        """Open one of `RINGS`, or `status-PART`."""
         return Ring(self.folder / name)
 
 
 @contextmanager
 def new_session(settings: LiveSettings) -> Iterator[Session]:
-    """A session whose memory is released at its end; what killed sessions left is removed.
+    """Create a session, whose memory is released at its end; remove the memory of killed sessions.
 
     Raises:
-        LiveError: there is no memory for it.
+        LiveError: memory is insufficient.
     """
     base = Path("/dev/shm") if Path("/dev/shm").is_dir() else Path(tempfile.gettempdir())
     _remove_left_over(base)
@@ -156,8 +168,8 @@ def new_session(settings: LiveSettings) -> Iterator[Session]:
 
 def _remove_left_over(base: Path) -> None:
     for folder in base.glob(f"{_PREFIX}*"):
-        with suppress(OSError):  # in use, of another user, or gone meanwhile
-            if not (folder / _LOCK).exists():  # another session that begins right now, or what an older version left
+        with suppress(OSError):  # in use, of another user, or removed meanwhile
+            if not (folder / _LOCK).exists():  # another session that begins right now, or was killed while it began
                 if time.time() - folder.stat().st_mtime < _BEGINS:
                     continue
             else:

@@ -1,4 +1,4 @@
-"""The proving ground as a robot: in real time over the transport, driven by whoever publishes its commands."""
+"""Vehicle of the proving ground as a robot on the transport, simulated in real time."""
 
 import logging
 import queue
@@ -17,9 +17,9 @@ from offpiste.closed_loop.scores import scores_of
 from offpiste.core.conventions import DT
 from offpiste.core.errors import LiveError, require
 from offpiste.core.progress import track
-from offpiste.live.lockstep import CLOCK
 from offpiste.live.part import keep_loaded
 from offpiste.live.play import clock_message
+from offpiste.live.session import CLOCK
 from offpiste.logs.ros.writer import header, make, quaternion, vector
 from offpiste.rig.rig import Rig, load_rig
 from offpiste.runtime.modes import Controls
@@ -37,23 +37,24 @@ from offpiste.transport.zenoh_transport import ZenohSettings, ZenohTransport
 logger = logging.getLogger(__name__)
 
 COURSE: Final = "/course"
-"""Topic of the course that was chosen (nav_msgs/Path), kept for those who come later."""
+"""Latched topic of the course (nav_msgs/Path)."""
 OWN_STOP: Final = 0.25
-"""Without a command for so long, the simulated vehicle brakes by itself [s], as a drive-by-wire unit does."""
+"""Time without a command after which the vehicle brakes by itself, like a drive-by-wire unit [s]."""
 _BEHIND: Final = 0.2
-"""Sensors that are so far behind leave a measurement out [s]."""
+"""Delay from which sensors leave out a measurement [s]."""
 _STANDS: Final = 2.0
-"""The drive ends when the vehicle has stood at the end of its course for so long [s]."""
+"""Standstill at the end of the course after which the drive ends [s]."""
 _NEAR: Final = 4.0
+"""Maximum distance of that standstill from the end [m]."""
 
 
 @dataclass
 class RemoteCommands:
-    """The last command that was received (a `simulation.simulate.Controller`).
+    """Last received command (a `simulation.simulate.Controller`).
 
     Attributes:
-        stuck: never: whoever drives may take its time.
-        lost: number of steps without a command that is recent enough.
+        stuck: always False: the driver may wait.
+        lost: number of steps without a recent command.
     """
 
     stuck: bool = False
@@ -63,14 +64,14 @@ class RemoteCommands:
     _at: float = -np.inf
 
     def received(self, axes: Float[np.ndarray, " n"]) -> None:
-        """Throttle, brake, steer and gear of a sensor_msgs/Joy; what is not that, or not finite, is left out."""
+        """Take throttle, brake, steer and gear from the axes of a sensor_msgs/Joy; ignore invalid ones."""
         command = np.append(axes, 1.0)[:4] if len(axes) == 3 else axes[:4]  # without a gear: forward
         if len(command) == 4 and np.isfinite(command).all():
             limited = np.clip(np.asarray(command, np.float64), (0.0, 0.0, -1.0, -1.0), 1.0)
             self._command, self._at = limited, time.monotonic()
 
     def command(self, sample: VehicleSample) -> Float[np.ndarray, " 4"]:
-        """The command for the next step."""
+        """Return the command for the next step."""
         command = self._command
         if time.monotonic() - self._at > OWN_STOP:
             self.lost += np.isfinite(self._at)
@@ -80,7 +81,7 @@ class RemoteCommands:
 
 
 class SimulatedSensors:
-    """Cameras and LiDARs, simulated beside the vehicle; what the machine is too slow for is left out and counted.
+    """Cameras and LiDARs, simulated in a thread; measurements that would be late are left out.
 
     Attributes:
         left_out, published: number of measurements.
@@ -97,16 +98,16 @@ class SimulatedSensors:
         self._thread.start()
 
     def warm_up(self, sample: VehicleSample) -> None:
-        """Compile all kernels; nothing is published."""
+        """Compile all kernels without publishing."""
         self._sensing.warm_up(sample)
 
     def measure(self, sample: VehicleSample) -> None:
-        """Measure, as soon as there is time."""
+        """Queue a measurement."""
         self._latest = sample.time
         self._waiting.put(sample)
 
     def end(self) -> None:
-        """End the thread; what waits is not measured any more."""
+        """End the thread without the queued measurements."""
         self._ends = True
         self._waiting.put(None)
         self._thread.join()
@@ -124,13 +125,13 @@ class SimulatedSensors:
 
 
 class SimulatedRobot:
-    """A vehicle of the proving ground on the transport.
+    """Vehicle of the proving ground on the transport.
 
     Args:
-        world, chosen: where it drives.
+        chosen: the course.
         sensors: profile of `simulation.sensors`.
         vehicle: a TOML file; "" for the side-by-side.
-        pose_noise: further white noise of the positions that are sent [m].
+        pose_noise: additional white noise of the published positions [m].
     """
 
     def __init__(
@@ -150,15 +151,15 @@ class SimulatedRobot:
         transport.publisher(COURSE, "nav_msgs/msg/Path", keep=True)(_path(chosen))
 
     def warm_up(self) -> None:
-        """Step the vehicle and measure with every sensor, so that real time does not begin with compiling."""
+        """Step the vehicle and every sensor once, so that kernels are compiled before the drive."""
         *_, sample = drive(self.world, self._parameters, self.chosen.start, RemoteCommands(), steps=2)
         self._sensors.warm_up(sample)
 
     def drive(self, seconds: float) -> Driving:
-        """Drive in real time until the course is driven, the vehicle cannot drive further, time is up, or Ctrl-C.
+        """Drive in real time until the end of the course, a failure, the time limit [s], or Ctrl-C.
 
         Returns:
-            from the first throttle on.
+            The drive from the first throttle.
         """
         samples, stands, slow = list[VehicleSample](), 0.0, 0.0
         end, due = self.chosen.course.driven[-1], time.monotonic()
@@ -175,20 +176,20 @@ class SimulatedRobot:
                 if stands > _STANDS:
                     break
                 due += DT
-                if time.monotonic() - due > 5 * DT:  # simulated time falls behind rather than hurry after
+                if time.monotonic() - due > 5 * DT:  # simulated time falls behind instead of catching up
                     slow += time.monotonic() - due
                     due = time.monotonic()
                 time.sleep(max(due - time.monotonic(), 0.0))
         except KeyboardInterrupt:
-            if len(samples) < 2:  # of less nothing can be said
+            if len(samples) < 2:  # too short for scores
                 raise
-        finally:  # what measures must not outlive the pools that it uses
+        finally:  # sensors must not outlive their thread pools
             self._sensors.end()
         if slow > 0.05 * len(samples) * DT:
             logger.warning(f"this machine is too slow: simulated time fell behind by {slow:.1f} s")
         if self._sensors.left_out:
             measured = self._sensors.left_out + self._sensors.published
-            logger.warning(f"this machine is too slow: {self._sensors.left_out} of {measured} measurements left out")
+            logger.warning(f"this machine is too slow: left out {self._sensors.left_out} of {measured} measurements")
         driven = list(zip(samples, self.commands.given, strict=False))
         controls = [Controls(time_of(s.time), given[:3], "driving", gear=given[3]) for s, given in driven]
         return Driving([sample for sample, _ in driven], controls).from_first_throttle
@@ -198,7 +199,7 @@ class SimulatedRobot:
         measured = with_noise(sample, self._imperfections, self._rng)
         messages = vehicle_messages(measured, stamp, wheel_radius=self._parameters.rolling_radius)
         del messages[_command_topic(self._rig)]
-        odometry = messages.pop("/odometry")  # last: a reading is made when it comes
+        odometry = messages.pop("/odometry")  # last: it completes a reading
         for topic, message in {**messages, "/odometry": odometry}.items():
             if topic not in self._publish:
                 self._publish[topic] = self._transport.publisher(topic, message.__msgtype__)
@@ -212,23 +213,17 @@ class SimulatedRobot:
 
 
 def simulate_live(
-    world: WorldSettings,
-    robot: ZenohSettings,
-    *,
-    sensors: str,
-    seconds: float,
-    speed: float,
-    vehicle: str = "",
-    pose_noise: float = 0.0,
-) -> dict[str, Any]:
-    """Let the proving ground's vehicle be driven over the transport; what its drive came to is logged and returned.
+    world: WorldSettings, robot: ZenohSettings, *,
+    sensors: str, seconds: float, speed: float, vehicle: str = "", pose_noise: float = 0.0,
+) -> dict[str, Any]:  # fmt: skip
+    """Simulate a vehicle that is driven over the transport; log and return the scores of its drive.
 
     Raises:
-        OffpisteError: no such world, vehicle or length, or no connection.
+        OffpisteError: the world, the vehicle, an option or the connection is invalid.
     """
     require("live", "zenoh")
     if not DT / 2 < seconds < np.inf:
-        raise LiveError(f"a drive of {seconds:g} s", where="--seconds", how="give a number above zero")
+        raise LiveError(f"a drive of {seconds:g} s", where="--seconds", how="give a finite number above 0")
     parameters = load_vehicle(vehicle or None)
     made = make_world(world)
     chosen = choose_course(made, world.seed, CourseSettings(speed=speed))

@@ -1,79 +1,136 @@
-"""Watches over the processes of a drive: starts them, starts again what died or hangs, and says how all are."""
+"""Supervision of the processes of a drive: start, restart, and reports of their states."""
 
+import csv
 import logging
 import multiprocessing
 import os
 import signal
+import socket
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
-from multiprocessing import connection
+from multiprocessing import connection, parent_process
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any, Final
 
-from offpiste.core.signals import BACKGROUND, ENDING, group_signals_blocked
-from offpiste.live.packing import layers_from, plan_from, unpacked
-from offpiste.live.parts.entry import run_part
-from offpiste.live.parts.setup import LOADING
-from offpiste.live.parts.watchdog import ENDS
-from offpiste.live.reports import (
-    DIAGNOSTICS,
-    ERROR,
-    MAP,
-    OK,
-    PLAN,
-    WARN,
-    diagnostics_message,
-    map_message,
-    path_message,
-)
-from offpiste.live.ring import Ring
-from offpiste.live.service_manager import ServiceManager
-from offpiste.live.session import PARTS, LiveSettings, Session, new_session
-from offpiste.live.status_table import StatusTable
+import numpy as np
+
+from offpiste.core.errors import LiveError, OffpisteError
+from offpiste.core.signals import BACKGROUND, ENDING, group_signals_blocked, ignore_group_signals
+from offpiste.live.control import ENDS, control, watchdog
+from offpiste.live.map_and_plan import codes, ground_height, map_ground, plan
+from offpiste.live.part import AFTER, LOADING, Part
+from offpiste.live.ring import Ring, layers_from, plan_from, unpacked
+from offpiste.live.session import DIAGNOSTICS, MAP, PARTS, PLAN, LiveSettings, Session, new_session
+from offpiste.logs.ros.grid_map import grid_map_from_layers
+from offpiste.logs.ros.writer import header, make, quaternion, vector
 from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.runtime.planner import Planner
+from offpiste.runtime.prediction import Prediction
 from offpiste.transport.interface import Transport
 
 logger = logging.getLogger(__name__)
 
 PERIOD: Final = 0.1
-"""Time from one look at the processes to the next [s]."""
+"""Time between checks of the processes [s]."""
 _STALLED: Final = 1.5
-"""Time without a sign of life, after which a process that was ready counts as hung [s]."""
+"""Time without a sign of life after which a process counts as hung [s]."""
 _KILLED: Final = 15.0
-"""The same, after which it is started again [s]; `_SOONER` for those that only have to be quick."""
+"""Time without a sign of life after which a process is restarted [s]; `_SOONER` has shorter ones."""
 _SOONER: Final = {"control": 5.0, "watchdog": 5.0}
 _LOADS: Final = 600.0
-"""A process that compiles its kernels, or has not begun, is started again after so long [s]."""
+"""The same for a process that compiles its kernels or has not begun [s]."""
 _SAY: Final = 1.0
-"""States of one process are logged no more often [s]."""
+"""Minimum time between logged states of one process [s]."""
 _FRAME: Final = "map"
-"""Frame of what is published, where the messages of the vehicle's position name none."""
+"""Frame of published messages if the vehicle's position messages name none."""
+OK, WARN, ERROR = 0, 1, 2
+"""Levels of diagnostic_msgs/DiagnosticStatus."""
+_EVERY: Final = 5
+"""Step in states of the published path."""
+_NICE: Final = {"codes": 5, "map": 5, "plan": 5, "record": 10, "view": 10}
+"""Niceness, so that control has precedence on few cores."""
+_FIRST_KILLED: Final = {"codes": 300, "map": 300, "plan": 300, "record": 500, "view": 500}
+"""Value of oom_score_adj: if memory runs out, the kernel spares the processes that stop the vehicle."""
+States = Mapping[str, tuple[int, str, Mapping[str, Any]]]
+"""Level, state and numbers of each process."""
+
+
+def run_part(name: str, session: Session, cameras: bool) -> None:
+    """Run a process to its end; an error becomes its last state, and its exit code 1."""
+    ignore_group_signals()  # Ctrl-C, systemd or a lost terminal must not end the stop: the parent ends processes
+    if (parent := parent_process()) is not None:
+        threading.Thread(target=_end_after, args=(parent.sentinel,), daemon=True).start()
+    if name == "watchdog":
+        os.setsid()  # signals to the group, including SIGSTOP, do not reach the process that stops the vehicle
+    os.nice(_NICE.get(name, 0))
+    with suppress(OSError):
+        Path("/proc/self/oom_score_adj").write_text(str(_FIRST_KILLED.get(name, 0)))
+    try:
+        _run(name, session, cameras)
+    except OffpisteError as error:
+        _leave(name, session, str(error))
+        sys.exit(1)
+    except Exception as error:
+        _leave(name, session, f"{type(error).__name__}: {error}"[:300])
+        raise
+
+
+def _leave(name: str, session: Session, state: str) -> None:
+    """Write a last state if the session's memory still exists."""
+    with suppress(LiveError):
+        Part(name, session).end_with(state)
+
+
+def _end_after(parent: int) -> None:
+    """End this process some time after its parent, even if it compiles or hangs."""
+    connection.wait([parent])
+    time.sleep(AFTER + 2.0)
+    os._exit(1)
+
+
+def _run(name: str, session: Session, cameras: bool) -> None:
+    """Run a process; import modules that only it uses."""
+    if name == "receive":
+        from offpiste.live.receive import receive
+
+        receive(session, cameras=cameras)
+    elif name == "record":
+        from offpiste.live.record import record
+
+        record(session)
+    elif name == "view":
+        from offpiste.live.view import view
+
+        view(session, cameras=cameras)
+    else:
+        processes = {"codes": codes, "map": map_ground, "plan": plan, "control": control, "watchdog": watchdog}
+        processes[name](session)
 
 
 class Supervisor:
-    """Starts the processes of a session, and looks after them.
+    """Start the processes of a session, restart them when needed, and report their states.
 
     Args:
-        transport: what is reported goes out by.
+        transport: for the reports.
         cameras: whether the model reads images.
-        names: of the processes that are started, where they are needed.
+        names: of the processes to be started if the settings need them.
 
     Attributes:
-        restarts: how often each process was started again.
+        restarts: number of restarts of each process.
     """
 
     def __init__(self, session: Session, transport: Transport, *, cameras: bool, names: Sequence[str] = PARTS) -> None:
         self._session, self._transport, settings = session, transport, session.settings
-        # What all need is imported once, and shared; the server has no threads, and forks one process for each part.
+        # The server imports shared modules once, has no threads, and forks each process.
         self._context = multiprocessing.get_context("forkserver")
-        self._context.set_forkserver_preload(["offpiste.live.parts.control", "offpiste.live.parts.plan"])
+        self._context.set_forkserver_preload(["offpiste.live.supervisor"])
         self._cameras = cameras
-        wanted = {"codes": self._cameras, "watchdog": settings.drive, "record": settings.record is not None}
+        wanted = {"codes": cameras, "watchdog": settings.drive, "record": settings.record is not None}
         wanted["view"] = settings.view is not None
         self._names = [name for name in names if wanted.get(name, True)]
         self._rings: dict[str, Ring] = {}
@@ -96,11 +153,11 @@ class Supervisor:
         for name in self._names:
             self._start(name)
 
-    def look(self) -> dict[str, tuple[int, str, Mapping[str, Any]]]:
-        """Level, state in words and numbers of each process; what died or hangs is started again."""
+    def look(self) -> States:
+        """Return the states of all processes, and restart those that died or hang."""
         return {name: self._look_at(name) for name in self._names}
 
-    def report(self, parts: Mapping[str, tuple[int, str, Mapping[str, Any]]]) -> None:
+    def report(self, parts: States) -> None:
         """Publish the diagnostics, and the newest plan and map."""
         now = time.time_ns()
         self._publish[DIAGNOSTICS](diagnostics_message(parts, now))
@@ -113,8 +170,8 @@ class Supervisor:
             timed, prediction = plan_from(values)
             self._publish[PLAN](path_message(prediction, round(timed.start * 1e9), frame, self._layers))
 
-    def say(self, parts: Mapping[str, tuple[int, str, Mapping[str, Any]]]) -> None:
-        """Log what has changed."""
+    def say(self, parts: States) -> None:
+        """Log changed states."""
         now = time.monotonic()
         for name, (level, state, _) in parts.items():
             said, at = self._said.get(name, ("", 0.0))
@@ -124,7 +181,7 @@ class Supervisor:
                 (logger.info if level == OK or begins else logger.warning)(f"{name}: {state}")
 
     def end(self) -> None:
-        """End all processes: control and the watchdog once the vehicle is at a standstill, then the others."""
+        """End all processes: control and the watchdog after the vehicle has stopped, then the others."""
         self._ring("end").write(b"stop the vehicle")
         self._await(("control",), ENDS + 1.0)
         self._await(("watchdog",), ENDS + 3.0)
@@ -134,10 +191,10 @@ class Supervisor:
             process.join(1.0)
 
     def _await(self, names: Sequence[str], seconds: float) -> None:
-        """Wait for processes to end; end those that do not."""
+        """Wait for processes to end, and kill those that do not."""
         until = time.monotonic() + seconds
         for name in names:
-            if name in self._handles:  # and not `join`, which returns at once where the server that forked it is gone
+            if name in self._handles:  # `join` would return at once if the server that forked it has ended
                 connection.wait([self._handles[name]], max(until - time.monotonic(), 0.0))
                 self._kill(name)
 
@@ -146,14 +203,14 @@ class Supervisor:
         process = self._context.Process(
             target=run_part, args=(name, self._session, self._cameras), name=f"offpiste {name}", daemon=True
         )
-        with group_signals_blocked():  # also in the server that forks them
+        with group_signals_blocked():  # inherited by the server that forks processes
             process.start()
         self._processes[name], self._started[name] = process, time.monotonic()
-        with suppress(ProcessLookupError):  # it has ended already
+        with suppress(ProcessLookupError):  # it has already ended
             self._handles[name] = os.pidfd_open(process.pid or 0)
 
     def _kill(self, name: str) -> None:
-        """End a process for certain: where the server that forked it died, it only seems to have ended."""
+        """Kill a process by its handle, even if the server that forked it died and it only seems to have ended."""
         if (handle := self._handles.pop(name, None)) is not None:
             with suppress(ProcessLookupError):
                 signal.pidfd_send_signal(handle, signal.SIGKILL)
@@ -167,7 +224,7 @@ class Supervisor:
         now, begun = time.monotonic(), newest is not None and values.get("pid") == process.pid
         if not process.is_alive():
             code = process.exitcode
-            if name == "record" and code == 0:  # no room, or no such file: it would end again
+            if name == "record" and code == 0:  # the disk is full, or the file cannot be written: it would end again
                 return ERROR, f"ended: {values['state'] if begun else 'before it began'}", about
             if now >= self._again[name]:
                 self.restarts[name] += 1
@@ -199,11 +256,127 @@ class Supervisor:
         return self._rings[name]
 
 
-def supervise(settings: LiveSettings, planner: Planner, definitions: list[Path]) -> None:
-    """Drive, or watch, until the time is up, Ctrl-C, or a signal to end.
+def path_message(prediction: Prediction, stamp_ns: int, frame: str, layers: TerrainLayers | None) -> Any:
+    """Return a nav_msgs/Path of a prediction.
+
+    Args:
+        layers: of the map, whose ground it lies on. Unknown heights are interpolated along the path, and 0 without any.
+    """
+    places, poses = prediction.state[::_EVERY, :3], []
+    height = np.full(len(places), np.nan) if layers is None else ground_height(layers, places[:, :2])
+    known = np.flatnonzero(np.isfinite(height))
+    height = np.interp(np.arange(len(height)), known, height[known]) if len(known) else np.zeros(len(height))
+    for (x, y, yaw), z in zip(places.tolist(), height.tolist(), strict=True):
+        turn = quaternion((0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2)))
+        pose = make("geometry_msgs/Pose", position=vector((x, y, z), "geometry_msgs/Point"), orientation=turn)
+        poses.append(make("geometry_msgs/PoseStamped", header=header(stamp_ns, frame), pose=pose))
+    return make("nav_msgs/Path", header=header(stamp_ns, frame), poses=poses)
+
+
+def map_message(layers: TerrainLayers, stamp_ns: int, frame: str) -> Any:
+    """Return a grid_map_msgs/GridMap of elevation, slope, roughness and obstacle height; NaN where unknown."""
+    names = ("elevation", "slope", "roughness", "obstacle_height")
+    shown = {name: np.asarray(getattr(layers, name), np.float64) for name in names}
+    origin = (float(layers.origin[0]), float(layers.origin[1]))
+    return grid_map_from_layers(shown, origin, layers.resolution, stamp_ns=stamp_ns, frame=frame)
+
+
+def diagnostics_message(parts: States, stamp_ns: int) -> Any:
+    """Return a diagnostic_msgs/DiagnosticArray of the processes."""
+    status = [
+        make(
+            "diagnostic_msgs/DiagnosticStatus",
+            level=level,
+            name=f"offpiste: {name}",
+            message=message,
+            hardware_id="",
+            values=[make("diagnostic_msgs/KeyValue", key=key, value=text) for key, text in _texts(numbers)],
+        )
+        for name, (level, message, numbers) in parts.items()
+    ]
+    return make("diagnostic_msgs/DiagnosticArray", header=header(stamp_ns, ""), status=status)
+
+
+def _texts(numbers: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Yield numbers as strings, those of mappings one by one."""
+    for key, value in numbers.items():
+        if isinstance(value, Mapping):
+            yield from ((f"{key}: {name}", str(count)) for name, count in value.items())
+        else:
+            yield key, f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+class StatusTable:
+    """Table (.csv) with a row per process and report: time, name, level, state and numbers.
 
     Raises:
-        OffpisteError: no connection, or no shared memory.
+        LiveError: the file cannot be written.
+    """
+
+    COLUMNS = (
+        "cpu_s", "rss_mb", "tick_p50_ms", "tick_p99_ms", "map_age_p99_ms", "plan_age_p99_ms", "plan_ms", "map_ms",
+        "extract_ms", "speed_mps", "progress_m", "restarts", "dropped",
+    )  # fmt: skip
+
+    def __init__(self, path: Path | None) -> None:
+        try:
+            self._file = None if path is None else path.open("w", newline="", encoding="utf-8")
+        except OSError as error:
+            how = "give another name"
+            raise LiveError(f"cannot be written: {error.strerror}", where=str(path), how=how) from error
+        if self._file is not None:
+            csv.writer(self._file).writerow(("time", "part", "level", "state", *self.COLUMNS))
+
+    def __enter__(self) -> "StatusTable":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._file is not None:
+            self._file.close()
+
+    def add(self, time: float, parts: States) -> None:
+        """Add a row for each process."""
+        if self._file is None:
+            return
+        try:
+            for name, (level, state, numbers) in parts.items():
+                given = dict(numbers) | {"dropped": sum(dict(numbers.get("dropped", {})).values())}
+                cells = [given.get(column, "") for column in self.COLUMNS]
+                rounded = [f"{cell:.3f}" if isinstance(cell, float) else cell for cell in cells]
+                csv.writer(self._file).writerow((f"{time:.2f}", name, level, state, *rounded))
+            self._file.flush()
+        except OSError as error:  # a full disk ends the table, not the drive
+            logger.warning(f"writing {self._file.name} has ended: {error.strerror}")
+            self._file = None
+
+
+class ServiceManager:
+    """Notification socket of a service manager (systemd's sd_notify protocol), if $NOTIFY_SOCKET is set."""
+
+    def __init__(self) -> None:
+        address = os.environ.get("NOTIFY_SOCKET", "")
+        self._address = f"\0{address[1:]}" if address.startswith("@") else address
+        self._failed = False
+
+    def notify(self, **state: object) -> None:
+        """Send a state, e.g. `notify(READY=1, STATUS="drives")`; never wait."""
+        if not self._address:
+            return
+        lines = (f"{name}={' '.join(str(value).split())}" for name, value in state.items())
+        try:
+            with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as sender:
+                sender.sendto("\n".join(lines).encode(), self._address)
+        except OSError as error:
+            if not self._failed:
+                logger.warning(f"the service manager is not notified: {error.strerror or error} ($NOTIFY_SOCKET)")
+            self._failed = True
+
+
+def supervise(settings: LiveSettings, planner: Planner, definitions: list[Path]) -> None:
+    """Drive, or watch, until the time is over, Ctrl-C, or an ending signal.
+
+    Raises:
+        OffpisteError: the connection or the shared memory fails.
     """
     with ExitStack() as stack:
         asked = stack.enter_context(asked_to_end())
@@ -225,7 +398,7 @@ def supervise(settings: LiveSettings, planner: Planner, definitions: list[Path])
                     looked = time.monotonic()
                     supervisor.report(parts)
                     table.add(looked - began, parts)
-                    manager.notify(WATCHDOG=1, STATUS=summary(parts))  # here, as only this loop shows that it runs
+                    manager.notify(WATCHDOG=1, STATUS=summary(parts))  # here, because it shows that this loop runs
         except KeyboardInterrupt:
             logger.info("the vehicle is stopped" if settings.drive else "the drive ends")
         finally:
@@ -234,18 +407,18 @@ def supervise(settings: LiveSettings, planner: Planner, definitions: list[Path])
             supervisor.end()
 
 
-def summary(parts: Mapping[str, tuple[int, str, Mapping[str, Any]]]) -> str:
-    """States of control and of the processes that are not as they should be, in one line."""
+def summary(parts: States) -> str:
+    """Return the states of control and of faulty processes in one line."""
     said = [f"{name}: {state}" for name, (level, state, _) in parts.items() if level != OK or name == "control"]
     return "; ".join(said)[:500]
 
 
 @contextmanager
 def asked_to_end() -> Iterator[threading.Event]:
-    """Set once a service manager (SIGTERM), a terminal that is gone (SIGHUP), SIGQUIT or Ctrl-Z ends the drive.
+    """Yield an event that SIGTERM (a service manager), SIGHUP (a lost terminal), SIGQUIT or Ctrl-Z sets.
 
-    Ctrl-C raises. A drive is not suspended, by Ctrl-Z or for what it prints in the background: its processes would
-    drive on without supervision.
+    Ctrl-C raises. A drive is never suspended, by Ctrl-Z or by output in the background, as its processes would
+    continue without supervision.
     """
     asked = threading.Event()
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, *ENDING, *BACKGROUND)}

@@ -1,1 +1,1 @@
-"""Messages to and from a robot that runs ROS 2, without ROS: one small interface, and zenoh behind it."""
+"""Transport of ROS 2 messages to and from a robot: an interface, and its implementation over zenoh."""

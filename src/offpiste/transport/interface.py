@@ -1,30 +1,62 @@
-"""What the rest needs of a transport: publish, subscribe, which topics there are, and what was refused.
+"""Interface of a transport: publish, subscribe, list topics, and count refused messages.
 
-Zenoh is behind it (`zenoh_transport`); `ros2/offpiste_ros` has a node of rclpy with the same methods.
+`zenoh_transport` implements it over zenoh; `ros2/offpiste_ros` has a node of rclpy with the same methods.
 """
 
+import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Final, Protocol, runtime_checkable
 
 from offpiste.transport.message_types import MessageTypes
-from offpiste.transport.tally import Tally
+
+MOST: Final = 64
+"""Maximum number of reasons that a tally counts by name."""
+OTHERS: Final = "other reasons"
+
+
+class Tally(Counter[str]):
+    """Number of messages by reason; after `MOST` reasons, new ones count as `OTHERS`.
+
+    Several threads may `add`; readers take a `snapshot`.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.RLock()
+        super().__init__()
+
+    def __setitem__(self, reason: str, count: int) -> None:
+        with self._lock:
+            if reason not in self and len(self) >= MOST:
+                count, reason = count + self[OTHERS], OTHERS
+            super().__setitem__(reason, count)
+
+    def add(self, reason: str, count: int = 1) -> None:
+        """Count messages."""
+        with self._lock:
+            self[reason] += count
+
+    def snapshot(self) -> dict[str, int]:
+        """Return a copy of the counts above zero."""
+        with self._lock:
+            return {reason: count for reason, count in self.items() if count > 0}
 
 
 @dataclass(frozen=True)
 class Received:
-    """A message as it came, in CDR.
+    """A received message, serialised as CDR.
 
     Attributes:
-        type: as `nav_msgs/msg/Odometry`; "" where neither the key nor the rig says it.
-        received: by this computer's clock [s since 1970].
-        sequence: number that its publisher gave it; -1 without one.
-        publisher: identity of its publisher (GID); empty without one. Where several publish and the transport cannot
-            tell them apart, it differs from message to message.
-        steady: when it came, by the steady clock, which nobody sets [s].
+        type: for example `nav_msgs/msg/Odometry`; "" if neither the key nor the rig states it.
+        received: arrival by this computer's clock [s since 1970].
+        sequence: number given by the publisher; -1 if missing.
+        publisher: identity of the publisher (GID); empty if missing. If several publish and the transport cannot tell
+            them apart, it differs from message to message.
+        steady: arrival by the monotonic clock [s].
     """
 
     topic: str
@@ -37,9 +69,9 @@ class Received:
 
 
 Deliver = Callable[[Received], None]
-"""Is given each message of a topic, in the transport's own thread: it must return at once."""
+"""Callback for each message of a topic. It runs in the transport's thread and must return at once."""
 Publish = Callable[[Any], None]
-"""Sends a message (of `offpiste.logs.ros.writer.make`)."""
+"""Function that sends a message (of `offpiste.logs.ros.writer.make`)."""
 
 
 @runtime_checkable
@@ -48,7 +80,7 @@ class Transport(Protocol):
 
     Attributes:
         refused: number of messages that were not delivered, by topic and reason.
-        types: message types that are known.
+        types: known message types.
     """
 
     refused: Tally
@@ -56,81 +88,76 @@ class Transport(Protocol):
 
     @property
     def identity(self) -> bytes:
-        """What `Received.publisher` begins with where a process of this drive has published the message."""
+        """Prefix of `Received.publisher` for messages from any process of this drive."""
         ...
 
     def publisher(self, topic: str, msgtype: str, *, keep: bool = False) -> Publish:
-        """Function that publishes on a topic.
+        """Return a function that publishes on a topic.
 
         Args:
-            msgtype: as `nav_msgs/msg/Path`.
-            keep: those who subscribe later are sent the last message (durability "transient local").
+            msgtype: for example `nav_msgs/msg/Path`.
+            keep: send the last message to later subscribers (durability "transient local").
 
         Raises:
-            TransportError: the type is not known.
+            TransportError: the type is unknown.
         """
         ...
 
     def subscribe(
         self, topic: str, deliver: Deliver, *, msgtype: str = "", history: bool = False, unchecked: bool = False
     ) -> None:
-        """Have the messages of a topic delivered, in their order.
+        """Deliver the messages of a topic in their order.
 
         Args:
-            msgtype: messages of other types are refused; "" takes every known type.
-            history: ask publishers for the last message that they keep.
-            unchecked: deliver whatever is published there, of any type, without its data: who looks for other
-                publishers wants to hear all of them.
+            msgtype: the only type that is accepted; "" accepts every known type.
+            history: also request the last message kept by each publisher.
+            unchecked: deliver messages of any type, without their data, to detect other publishers.
         """
         ...
 
     def topics(self) -> dict[str, str]:
-        """Topics that others publish, with their types."""
+        """Return the topics published by others, with their types."""
         ...
 
     def routers(self) -> int:
-        """Number of routers it is connected to, 0 while the connection is lost; 1 where there is none to lose."""
+        """Return the number of connected routers: 0 while the connection is lost, 1 if the transport has no router."""
         ...
 
     def decode(self, message: Received) -> Any:
-        """The message of what was received; None, and counted as refused, where it cannot be decoded."""
+        """Decode a message; return None and count it as refused if that fails."""
         ...
 
     def close(self) -> None:
-        """End the connection."""
+        """Close the connection."""
         ...
 
 
 @runtime_checkable
 class RobotSettings(Protocol):
-    """How a robot is reached. Each process of a drive is sent them, and connects by itself: they can be pickled."""
+    """Settings of the connection to a robot. They can be pickled: each process of a drive connects by itself."""
 
     @property
     def says_types(self) -> bool:
-        """Whether a message's type comes with it, or with its publisher; else the rig has to say it."""
+        """Whether messages or publishers state the message type; otherwise the rig must."""
         ...
 
     def require(self) -> None:
-        """Check that what it needs is installed.
-
-        Raises:
-            MissingExtra: it is not.
-        """
+        """Raise `MissingExtra` if a required package is not installed."""
         ...
 
     def connect(self, definitions: Sequence[Path] = ()) -> Transport:
-        """A new connection.
+        """Open a connection.
 
         Args:
-            definitions: files of message types that rosbags does not know.
+            definitions: files of message types that rosbags lacks.
 
         Raises:
-            TransportError: nobody answers, or a setting is wrong.
+            TransportError: the robot does not answer, or a setting is wrong.
         """
         ...
 
     def hosted(self) -> AbstractContextManager["RobotSettings"]:
-        """Settings of all processes of a drive; what they connect through outlives the one that enters this.
+        """Return settings for all processes of a drive; a router started here outlives the calling process.
 
         Raises:
             TransportError: it cannot be started.

@@ -1,8 +1,7 @@
 """Keys and attachments of ROS 2 messages on zenoh, by the conventions of rmw_zenoh and of zenoh-bridge-ros2dds.
 
-`rmw_zenoh` (ros2/rmw_zenoh): `DOMAIN/TOPIC/TYPE/HASH`; who is there is said by liveliness tokens under
-`@ros2_lv`. The bridge (eclipse-zenoh/zenoh-plugin-ros2dds): `NAMESPACE/TOPIC`, types by tokens of the bridge alone.
-With each message of rmw_zenoh go its number, the time it was sent, and the identity of its publisher.
+rmw_zenoh (ros2/rmw_zenoh) publishes on `DOMAIN/TOPIC/TYPE/HASH` and lists endpoints by liveliness tokens under
+`@ros2_lv`. The bridge (eclipse-zenoh/zenoh-plugin-ros2dds) publishes on `NAMESPACE/TOPIC`; only its tokens state types.
 """
 
 import struct
@@ -10,12 +9,12 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 NO_HASH: Final = "TypeHashNotSupported"
-"""Hash in keys of a robot whose ROS computes none (Humble)."""
+"""Hash in the keys of ROS distributions that compute none (Humble)."""
 
 
 @dataclass(frozen=True)
 class Address:
-    """Topic, type and hash in a key; "" for parts that the key lacks."""
+    """Topic, type and hash of a key; "" for parts that the key lacks."""
 
     topic: str
     type: str = ""
@@ -24,7 +23,7 @@ class Address:
 
 @dataclass(frozen=True)
 class Endpoint:
-    """A publisher or a subscription of this process.
+    """Publisher or subscription of this process.
 
     Attributes:
         number: unique in the session.
@@ -42,9 +41,7 @@ class Endpoint:
 
 @dataclass(frozen=True)
 class RmwZenohKeys:
-    """Keys of rmw_zenoh.
-
-    Methods that parse return None for a key or a token of another convention.
+    """Keys of rmw_zenoh; `parsed` and `announced` return None for other keys and tokens.
 
     Attributes:
         domain: ROS_DOMAIN_ID.
@@ -53,15 +50,15 @@ class RmwZenohKeys:
     domain: int = 0
 
     def publication(self, address: Address) -> str:
-        """Key on which a topic is published: `DOMAIN/TOPIC/TYPE/HASH`."""
+        """Return the key of a publisher: `DOMAIN/TOPIC/TYPE/HASH`."""
         return f"{self.domain}/{address.topic.strip('/')}/{dds_type(address.type)}/{address.hash}"
 
     def subscription(self, topic: str) -> str:
-        """Key expression of a topic with any type and hash, so that a mismatch is refused with its reason."""
+        """Return the key expression of a topic with any type and hash, so that a mismatch is refused with a reason."""
         return f"{self.domain}/{topic.strip('/')}/*/*"
 
     def parsed(self, key: str) -> Address | None:
-        """Topic, type and hash."""
+        """Return topic, type and hash."""
         domain, _, rest = key.partition("/")
         parts = rest.rsplit("/", 2)
         if domain != str(self.domain) or len(parts) != 3:
@@ -69,7 +66,7 @@ class RmwZenohKeys:
         return Address(f"/{parts[0]}", ros_type(parts[1]), parts[2])
 
     def tokens(self, session: str, node: str, endpoint: Endpoint) -> list[str]:
-        """Liveliness tokens of the node and of one endpoint, by which others list them."""
+        """Return the liveliness tokens of the node and of one endpoint."""
         begin, named = f"@ros2_lv/{self.domain}/{session}/0", f"%/%/{node}"
         kind = "MP" if endpoint.publishes else "MS"
         quality = f":{1 if endpoint.keep else ''}:,{1 if endpoint.keep else 10}:,:,:,,"
@@ -82,7 +79,7 @@ class RmwZenohKeys:
         return f"@ros2_lv/{self.domain}/*/*/*/MP/**"
 
     def announced(self, token: str) -> Address | None:
-        """Topic, type and hash of a publisher's token."""
+        """Return topic, type and hash from a publisher's token."""
         parts = token.split("/")
         if len(parts) != 13:
             return None
@@ -91,29 +88,29 @@ class RmwZenohKeys:
 
 @dataclass(frozen=True)
 class BridgeKeys:
-    """Keys of zenoh-bridge-ros2dds, which carries the topics of a robot on Fast DDS or Cyclone DDS.
+    """Keys of zenoh-bridge-ros2dds, for robots on Fast DDS or Cyclone DDS.
 
     Attributes:
-        namespace: that the bridge is configured with.
+        namespace: namespace in the bridge's configuration.
     """
 
     namespace: str = ""
 
     def publication(self, address: Address) -> str:
-        """Key on which a topic is published: its name."""
+        """Return the key of a publisher: namespace and topic."""
         return self.subscription(address.topic)
 
     def subscription(self, topic: str) -> str:
-        """Key expression of a topic: its name."""
+        """Return the key expression of a topic: namespace and topic."""
         return "/".join(part for part in (self.namespace.strip("/"), topic.strip("/")) if part)
 
     def parsed(self, key: str) -> Address | None:
-        """The topic alone."""
+        """Return the topic."""
         begin = f"{self.namespace.strip('/')}/" if self.namespace.strip("/") else ""
         return Address(f"/{key.removeprefix(begin)}") if key.startswith(begin) else None
 
     def tokens(self, session: str, node: str, endpoint: Endpoint) -> list[str]:
-        """No tokens: the bridge declares tokens of the endpoints on DDS."""
+        """Return no tokens: the bridge declares those of the endpoints on DDS."""
         return []
 
     @property
@@ -122,7 +119,7 @@ class BridgeKeys:
         return "@/*/@ros2_lv/MP/**"
 
     def announced(self, token: str) -> Address | None:
-        """`@/BRIDGE/@ros2_lv/MP/TOPIC/TYPE/QUALITY`, with § for / in names."""
+        """Return topic and type from `@/BRIDGE/@ros2_lv/MP/TOPIC/TYPE/QUALITY`, with § for / in names."""
         parts = token.split("/")
         if len(parts) != 7:
             return None
@@ -134,35 +131,35 @@ Keys = RmwZenohKeys | BridgeKeys
 
 
 def dds_type(msgtype: str) -> str:
-    """`nav_msgs::msg::dds_::Odometry_` of `nav_msgs/msg/Odometry`."""
+    """Convert `nav_msgs/msg/Odometry` to `nav_msgs::msg::dds_::Odometry_`."""
     package, kind, name = msgtype.split("/")
     return f"{package}::{kind}::dds_::{name}_"
 
 
 def ros_type(dds: str) -> str:
-    """`nav_msgs/msg/Odometry` of `nav_msgs::msg::dds_::Odometry_`."""
+    """Convert `nav_msgs::msg::dds_::Odometry_` to `nav_msgs/msg/Odometry`."""
     return dds.replace("::dds_::", "::").removesuffix("_").replace("::", "/")
 
 
 _ATTACHMENT: Final = struct.Struct("<qqB16s")
-"""A zenoh serialisation of two numbers and 16 bytes, which have their length before them: 33 bytes."""
+"""Serialisation of two integers and 16 bytes after their length (33 bytes)."""
 ATTACHMENT_SIZE: Final = _ATTACHMENT.size
 
 
 class Attachment(NamedTuple):
-    """Number of a message since its publisher began, time it was sent [ns since 1970], and its publisher's GID."""
+    """Sequence number of a message, sending time [ns since 1970], and GID of its publisher."""
 
     sequence: int
     sent: int
     publisher: bytes
 
     def packed(self) -> bytes:
-        """As 33 bytes."""
+        """Serialise it to 33 bytes."""
         return _ATTACHMENT.pack(self.sequence, self.sent, len(self.publisher), self.publisher)
 
 
 def attachment_of(data: bytes) -> Attachment | None:
-    """The attachment in 33 bytes; None for anything else, as messages of the bridge have none."""
+    """Parse an attachment; return None for other data (messages of the bridge have none)."""
     if len(data) != ATTACHMENT_SIZE:
         return None
     sequence, sent, length, publisher = _ATTACHMENT.unpack(data)

@@ -1,4 +1,4 @@
-"""Message types that can be carried, and their hashes: those of ROS 2, and others from their definitions."""
+"""Known message types and their hashes: those of ROS 2, and others from their definition files."""
 
 from collections.abc import Sequence
 from functools import cache
@@ -13,17 +13,17 @@ from offpiste.core.errors import TransportError
 from offpiste.logs.ros.writer import new_typestore
 
 _LONGEST: Final = 1 << 20
-"""Largest file of a definition [bytes]."""
+"""Maximum size of a definition file [bytes]."""
 
 
 class MessageTypes:
-    """Types that are known, by names like `nav_msgs/msg/Odometry`.
+    """Known message types, by names such as `nav_msgs/msg/Odometry`.
 
     Args:
-        definitions: files `PACKAGE/msg/NAME.msg`, of types that rosbags does not know; each after those it is made of.
+        definitions: files `PACKAGE/msg/NAME.msg` of types that rosbags lacks; each after the types that it contains.
 
     Raises:
-        TransportError: a file cannot be read, or is no definition.
+        TransportError: a file is unreadable or no definition.
     """
 
     def __init__(self, definitions: Sequence[Path] = ()) -> None:
@@ -36,19 +36,19 @@ class MessageTypes:
         return msgtype in self.store.types
 
     def _hash_of(self, msgtype: str) -> str:
-        """Hash of a type by REP 2011 (`RIHS01_` and the SHA-256 of its description).
+        """Return a type's hash by REP 2011 (`RIHS01_` and the SHA-256 of its description).
 
         Raises:
-            TransportError: the type, or one that it is made of, is not known.
+            TransportError: the type, or one that it contains, is unknown.
         """
         try:
             return str(self.store.hash_rihs01(msgtype))
         except KeyError as error:
             how = "give the file of its definition in the rig: live.definitions"
-            raise TransportError(f"message type {msgtype} is not known", where=str(error.args[0]), how=how) from error
+            raise TransportError(f"message type {msgtype} is unknown", where=str(error.args[0]), how=how) from error
 
     def empty(self, msgtype: str) -> Any:
-        """A message of zeros and empty texts; sequences are empty, too."""
+        """Return a message of zeros, empty strings and empty sequences."""
         fields = self.store.get_msgdef(msgtype).fields
         return self.store.types[msgtype](**{name: self._empty_field(*kind) for name, kind in fields})
 
@@ -65,22 +65,29 @@ class MessageTypes:
         return [self._empty_field(inner, element) for _ in range(length)]
 
     def definition(self, msgtype: str) -> str:
-        """Definition of a type with those that it is made of, as MCAP files and viewers read it ("ros2msg")."""
+        """Return a type's definition with its dependencies, in the format of MCAP files ("ros2msg")."""
         return str(self.store.generate_msgdef(msgtype, ros_version=2)[0])
+
+    def decoded(self, msgtype: str, data: bytes) -> Any:
+        """Decode a message; return None if that fails."""
+        try:
+            return self.store.deserialize_cdr(data, msgtype)
+        except Exception:  # noqa: BLE001 - damaged bytes from outside make rosbags raise anything
+            return None
 
     def _register(self, file: Path) -> None:
         how = "give a file PACKAGE/msg/NAME.msg of its package"
         try:
             text = file.read_bytes()[:_LONGEST].decode()
         except (OSError, UnicodeDecodeError) as error:
-            raise TransportError(f"no message definition: {error}", where=file, how=how) from error
+            raise TransportError(f"cannot read a message definition: {error}", where=file, how=how) from error
         if file.suffix != ".msg" or file.parent.name != "msg":
-            raise TransportError("its place does not say which type it defines", where=file, how=how)
+            raise TransportError("its path does not name the message type", where=file, how=how)
         name = f"{file.parent.parent.name}/msg/{file.stem}"
         try:
             self.store.register(get_types_from_msg(text, name))
             self.store.hash_rihs01(name)
         except Exception as error:  # rosbags parses and compiles it
             reason = " ".join(str(error).split())[:100]
-            how = "give the definitions that it is made of before it"
+            how = "list the definitions that it contains before it"
             raise TransportError(f"is no message definition: {reason}", where=file, how=how) from error

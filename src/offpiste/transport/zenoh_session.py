@@ -1,4 +1,4 @@
-"""Sessions of zenoh: what they listen and connect to; and a router that outlives the process that started it."""
+"""Zenoh sessions and their configuration, and a router that outlives the process that started it."""
 
 import json
 import multiprocessing
@@ -13,21 +13,21 @@ from offpiste.core.errors import TransportError, extra
 from offpiste.core.signals import group_signals_blocked, ignore_group_signals
 
 ROUTER: Final = "tcp/127.0.0.1:7447"
-"""Where rmw_zenoh's router listens by default, on the loopback."""
+"""Default endpoint of rmw_zenoh's router on the loopback interface."""
 OUTLIVES: Final = 10.0
-"""Once the process that started it is gone, a router serves those that stop the vehicle for so long [s]."""
+"""Time that a router outlives its parent process, so that the vehicle can be stopped [s]."""
 Mode = Literal["client", "router", "part"]
-"""As `ZenohSettings` has it."""
+"""See `ZenohSettings`."""
 _STARTS: Final = 60.0
-"""Longest time until a router's process serves [s]."""
+"""Time limit for starting a router process [s]."""
 
 
 def opened_session(endpoint: str, mode: Mode, file: str) -> Any:
-    """A session (arguments as in `ZenohSettings`).
+    """Open a session (arguments as in `ZenohSettings`).
 
     Raises:
         MissingExtra: the extra `live` is not installed.
-        TransportError: no router answers, or the configuration is wrong.
+        TransportError: no router answers, or the configuration is invalid.
     """
     with extra("live"):
         import zenoh
@@ -37,7 +37,7 @@ def opened_session(endpoint: str, mode: Mode, file: str) -> Any:
     try:
         return zenoh.open(configuration(endpoint, mode, file))
     except (zenoh.ZError, ValueError, OSError) as error:
-        reason = " ".join(str(error).split(" at /")[0].split())[:200]  # without the place in zenoh's own source
+        reason = " ".join(str(error).split(" at /")[0].split())[:200]  # without the line of zenoh's source
         if mode == "router":
             raise TransportError(f"cannot be a router there: {reason}", where=where, how="end the other one") from error
         how = "start the robot's router (ros2 run rmw_zenoh_cpp rmw_zenohd), or give --router"
@@ -45,7 +45,7 @@ def opened_session(endpoint: str, mode: Mode, file: str) -> Any:
 
 
 def configuration(endpoint: str, mode: Mode, file: str) -> Any:
-    """What is given, else what the file says; where neither says it, nothing listens, or looks for others."""
+    """Return the configuration: arguments, then the file, then defaults that neither listen nor scout."""
     import zenoh
 
     config, unset = zenoh.Config.from_file(file) if file else zenoh.Config(), zenoh.Config()
@@ -60,7 +60,7 @@ def configuration(endpoint: str, mode: Mode, file: str) -> Any:
     is_client = config.get_json("mode") == '"client"'
     default("scouting/multicast/enabled", "false")
     default("scouting/gossip/enabled", "false")
-    default("transport/shared_memory/enabled", "false")  # unused, and what is killed leaves files of it
+    default("transport/shared_memory/enabled", "false")  # unused, and killed processes would leave files
     default("timestamping/enabled", "true")  # publishers that keep their last message need it
     side = "listen/endpoints" if mode == "router" else "connect/endpoints"
     if endpoint:
@@ -78,17 +78,17 @@ def configuration(endpoint: str, mode: Mode, file: str) -> Any:
 
 @contextmanager
 def router_process(endpoint: str, file: str) -> Iterator[str]:
-    """A router in a process of its own; the endpoint at which those on this computer connect to it.
+    """Run a router in its own process and yield its endpoint for this computer.
 
-    It ends with the context, or some time after the process that entered it.
+    It ends with the context, or `OUTLIVES` seconds after its parent process.
 
     Raises:
-        TransportError: it cannot be the router there.
+        TransportError: the endpoint is taken, or the router did not start.
     """
     context = multiprocessing.get_context("spawn")
     ours, its = context.Pipe()
     process = context.Process(target=_serve, args=(endpoint, file, its), name="offpiste router", daemon=True)
-    with group_signals_blocked():  # one to all processes at once must not end it before the vehicle is stopped
+    with group_signals_blocked():  # a signal to the group must not end it before the vehicle is stopped
         process.start()
     its.close()
     try:
@@ -108,9 +108,9 @@ def router_process(endpoint: str, file: str) -> Iterator[str]:
 
 
 def _serve(endpoint: str, file: str, pipe: Connection) -> None:
-    """Be the router until asked to end, or for some time after the parent is gone."""
+    """Run the router until asked to end, or until `OUTLIVES` seconds after the parent's end."""
     ignore_group_signals()
-    os.setsid()  # the stop goes through it, also where a signal to the whole group stops all others
+    os.setsid()  # the stop goes through it even if a signal to the group ends all others
     try:
         session = opened_session(endpoint, "router", file)
     except TransportError as error:
@@ -125,7 +125,7 @@ def _serve(endpoint: str, file: str, pipe: Connection) -> None:
 
 
 def _reached_at(file: str) -> str:
-    """The endpoint at which processes on this computer reach the router of a file."""
+    """Return the endpoint by which this computer reaches the router configured in a file."""
     listens: Any = json.loads(configuration("", "router", file).get_json("listen/endpoints"))
     if isinstance(listens, dict):  # by mode
         listens = listens["router"]

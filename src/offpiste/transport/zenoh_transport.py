@@ -1,7 +1,7 @@
-"""ROS 2 over zenoh: publishes and subscribes with the keys of a convention, and refuses what does not fit.
+"""ROS 2 over zenoh.
 
-A router has to run (`rmw_zenohd`, `zenohd`, or a session of mode "router"); multicast is off, nothing listens unless it
-is asked to, and then on the loopback unless another endpoint is given.
+A router must run (`rmw_zenohd`, `zenohd`, or a session of mode "router"). Multicast is off. Only a router listens, on
+the loopback interface unless another endpoint is given.
 """
 
 import os
@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 from offpiste.core.errors import extra, require
-from offpiste.transport.interface import Deliver, Publish, Received
+from offpiste.transport.interface import Deliver, Publish, Received, Tally
 from offpiste.transport.keys import (
     ATTACHMENT_SIZE,
     NO_HASH,
@@ -27,30 +27,29 @@ from offpiste.transport.keys import (
     attachment_of,
 )
 from offpiste.transport.message_types import MessageTypes
-from offpiste.transport.tally import Tally
 from offpiste.transport.zenoh_session import Mode, opened_session, router_process
 
 _GID: Final = 16
-"""Length of a publisher's identity [bytes]."""
+"""Length of a publisher's GID [bytes]."""
 _MIB: Final = 1 << 20
 
 
 @dataclass(frozen=True)
 class ZenohSettings:
-    """How to reach a robot.
+    """Settings of the connection to a robot (`RobotSettings`).
 
     Attributes:
-        endpoint: of the router, that one connects to, or is.
-        mode: "client", "router" to be the router itself, or "part": a client, whatever `config` says.
+        endpoint: of the router to connect to, or to be.
+        mode: "client", "router" to run the router as well, or "part": a client whatever `config` states.
         keys: "rmw_zenoh" or "bridge" (zenoh-bridge-ros2dds).
-        domain: ROS_DOMAIN_ID, of rmw_zenoh's keys.
-        namespace: of the bridge.
-        config: a file of zenoh's configuration (JSON5), e.g. with certificates for TLS; `endpoint` and `mode` override
-            what it says only where they are not the defaults. What it does not say is as without one.
-        largest: messages above are refused [MiB].
-        patient: whether publishers wait where a link is full, instead of dropping the message.
-        node: name by which others list us.
-        identity: first 8 bytes of our publishers' identities, so that processes of one run know each other's messages.
+        domain: ROS_DOMAIN_ID in rmw_zenoh's keys.
+        namespace: namespace of the bridge.
+        config: zenoh configuration file (JSON5), e.g. with certificates for TLS. `endpoint` and `mode` override it if
+            they differ from their defaults.
+        largest: maximum message size [MiB].
+        patient: publishers wait while a link is full instead of dropping the message.
+        node: node name shown to others.
+        identity: first 8 bytes of our publishers' GIDs, shared by the processes of a drive.
     """
 
     endpoint: str = ""
@@ -66,37 +65,34 @@ class ZenohSettings:
 
     @property
     def says_types(self) -> bool:
-        """Whether the keys have it (see `RobotSettings`)."""
+        """Whether keys state the message type."""
         return self.keys != "bridge"
 
     def require(self) -> None:
-        """Check that the extra `live` is installed (see `RobotSettings`)."""
+        """Check that the extra `live` is installed."""
         require("live", "zenoh")
 
     def connect(self, definitions: Sequence[Path] = ()) -> "ZenohTransport":
-        """A new session (see `RobotSettings`)."""
+        """Open a session."""
         return ZenohTransport(self, definitions)
 
     @contextmanager
     def hosted(self) -> Iterator["ZenohSettings"]:
-        """Clients of the same router, which is a process of its own where this is it (see `RobotSettings`)."""
-        with (
-            router_process(self.endpoint, self.config)
-            if self.mode == "router"
-            else nullcontext(self.endpoint) as endpoint
-        ):
+        """Return settings of clients; in mode "router" the router runs in its own process meanwhile."""
+        is_router = self.mode == "router"
+        with router_process(self.endpoint, self.config) if is_router else nullcontext(self.endpoint) as endpoint:
             yield replace(self, mode="part", endpoint=endpoint)
 
 
 class ZenohTransport:
-    """A session of zenoh (a `Transport`).
+    """Zenoh session (a `Transport`).
 
     Args:
-        definitions: files of message types that rosbags does not know.
+        definitions: files of message types that rosbags lacks.
 
     Raises:
         MissingExtra: the extra `live` is not installed.
-        TransportError: no router answers, or the configuration is wrong.
+        TransportError: no router answers, or the configuration is invalid.
     """
 
     def __init__(self, settings: ZenohSettings | None = None, definitions: Sequence[Path] = ()) -> None:
@@ -112,18 +108,18 @@ class ZenohTransport:
         self._session = opened_session(given.endpoint, given.mode, given.config)
         self._session_id = str(self._session.info.zid())
         self._known: dict[str, str] = {}
-        if given.keys == "bridge":  # whose keys do not say the type: it is announced, when the robot's node is there
+        if given.keys == "bridge":  # its keys lack the type, which is announced once the robot's node runs
             token: Any = zenoh.handlers.Callback(lambda sample: self._learn(str(sample.key_expr)), indirect=False)
             tokens = self._session.liveliness().declare_subscriber(self.keys.publishers, token, history=True)
             self._held.append(tokens)
 
     @property
     def identity(self) -> bytes:
-        """What the identities of all our publishers begin with."""
+        """Prefix of the GIDs of our publishers."""
         return self.settings.identity
 
     def publisher(self, topic: str, msgtype: str, *, keep: bool = False) -> Publish:
-        """Function that publishes on a topic (see `Transport`)."""
+        """Return a function that publishes on a topic (see `Transport`)."""
         send, store = self.raw_publisher(topic, msgtype, keep=keep), self.types.store
 
         def publish(message: Any) -> None:
@@ -132,7 +128,7 @@ class ZenohTransport:
         return publish
 
     def raw_publisher(self, topic: str, msgtype: str, *, keep: bool = False) -> Publish:
-        """Function that publishes messages that are CDR already."""
+        """Return a function that publishes serialised messages."""
         zenoh, number = self._zenoh, self._next()
         address = Address(topic, msgtype, self.types.hash_of(msgtype))
         key, gid = self.keys.publication(address), self.identity + os.urandom(4) + number.to_bytes(4, "little")
@@ -159,7 +155,7 @@ class ZenohTransport:
     def subscribe(
         self, topic: str, deliver: Deliver, *, msgtype: str = "", history: bool = False, unchecked: bool = False
     ) -> None:
-        """Have the messages of a topic delivered (see `Transport`)."""
+        """Deliver the messages of a topic (see `Transport`)."""
         zenoh = self._zenoh
 
         def heard(sample: Any) -> None:
@@ -167,10 +163,10 @@ class ZenohTransport:
                 message = self._present(topic, sample) if unchecked else self._accepted(topic, msgtype, sample)
                 if message is not None:
                     deliver(message)
-            except Exception as error:  # noqa: BLE001 - whatever comes from outside, zenoh's thread delivers the next
+            except Exception as error:  # noqa: BLE001 - outside data must not end zenoh's thread
                 self._refuse(topic, f"cannot be taken ({type(error).__name__})")
 
-        # Called in zenoh's own thread, one after the other: the order across topics is that of arrival.
+        # Called one after the other in zenoh's thread: the order across topics is that of arrival.
         handler = zenoh.handlers.Callback(heard, indirect=False)
         key = self.keys.subscription(topic)
         elsewhere = zenoh.Locality.REMOTE
@@ -186,7 +182,7 @@ class ZenohTransport:
         self._held.append(subscriber)
 
     def topics(self) -> dict[str, str]:
-        """Topics that others publish, with their types, by their liveliness tokens."""
+        """Return topics published by others, with their types, by their liveliness tokens."""
         found: dict[str, str] = {}
         for reply in self._session.liveliness().get(self.keys.publishers, timeout=2.0):
             if reply.ok is not None and self._session_id not in str(reply.ok.key_expr):
@@ -196,19 +192,18 @@ class ZenohTransport:
         return found
 
     def routers(self) -> int:
-        """Number of routers it is connected to; 0 while the connection is lost."""
+        """Return the number of connected routers; 0 while the connection is lost."""
         return len(self._session.info.routers_zid())
 
     def decode(self, message: Received) -> Any:
-        """The decoded message; None, and counted, where it cannot be decoded."""
-        try:
-            return self.types.store.deserialize_cdr(message.data, message.type)
-        except Exception:  # noqa: BLE001 - whatever bytes from outside make rosbags raise: they are refused
+        """Decode a message; return None and count it if that fails."""
+        decoded = self.types.decoded(message.type, message.data)
+        if decoded is None:
             self._refuse(message.topic, "cannot be decoded")
-            return None
+        return decoded
 
     def close(self) -> None:
-        """End the session."""
+        """Close the session."""
         self._session.close()
 
     def _learn(self, token: str) -> None:
@@ -217,7 +212,7 @@ class ZenohTransport:
             self._known[address.topic] = address.type
 
     def _present(self, topic: str, sample: Any) -> Received | None:
-        """That something was published, whatever it is."""
+        """Return a message without its data: the sign of a publisher."""
         if sample.kind != self._zenoh.SampleKind.PUT:
             return None
         number, publisher = _publisher_of(sample)
@@ -255,7 +250,7 @@ class ZenohTransport:
 
 
 def _publisher_of(sample: Any) -> tuple[int, bytes]:
-    """Number and identity of the publisher that a message carries; -1 and nothing where it carries none."""
+    """Return a message's sequence number and its publisher's GID; -1 and b"" if missing."""
     attached = sample.attachment
     about = attachment_of(bytes(attached) if attached is not None and len(attached) == ATTACHMENT_SIZE else b"")
     return (about.sequence, about.publisher) if about else (-1, b"")

@@ -1,1 +1,151 @@
-"""Viewers of a drive: what `offpiste live --view NAME` shows it in, a file each."""
+"""Viewers of a drive for `offpiste live --view NAME`, one module each."""
+
+import socket
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, Final, Protocol, runtime_checkable
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+from matplotlib import colormaps
+
+from offpiste.core.errors import LiveError
+from offpiste.core.registry import Registry
+from offpiste.logs.measurements import Image
+from offpiste.runtime.estimator import VehicleReading
+
+WIDEST: Final = 640
+"""Maximum width of shown images [px]."""
+_QUALITY: Final = 80
+"""JPEG quality of images."""
+_FASTEST: Final = 10.0
+"""Speed at the upper end of the colours of a plan [m/s]."""
+NUMBERS: Final = {"latencies": "latencies [ms]", "command": "command", "speed": "speed [m/s]"}
+"""Kinds of plotted numbers, and titles of their plots."""
+
+
+@dataclass(frozen=True)
+class ShownPlan:
+    """Plan for a viewer.
+
+    Attributes:
+        time: of its first control [s].
+        places: predicted positions, slightly above the ground [m].
+        speed: predicted speeds [m/s].
+        regions: closed lines around the vehicle's positions with probability `view.WITHIN` [m]; empty if the run has no
+            spread.
+    """
+
+    time: float
+    places: Float[np.ndarray, "P 3"]
+    speed: Float[np.ndarray, " P"]
+    regions: tuple[Float[np.ndarray, "_ 3"], ...] = ()
+
+    @property
+    def colours(self) -> UInt8[np.ndarray, "P 3"]:
+        """Colours of the positions by speed."""
+        return (255 * colormaps["plasma"](np.clip(self.speed / _FASTEST, 0, 1))[:, :3]).astype(np.uint8)
+
+
+@dataclass(frozen=True)
+class ShownGround:
+    """Known cells of the map for a viewer.
+
+    Attributes:
+        time: of the newest scan [s].
+        places: centres of the cells on the ground [m].
+        layers: values of each cell, by name.
+        colours: by obstacle height, or by slope without an obstacle.
+    """
+
+    time: float
+    places: Float[np.ndarray, "C 3"]
+    layers: Mapping[str, Float[np.ndarray, " C"]]
+    colours: UInt8[np.ndarray, "C 3"]
+
+
+@runtime_checkable
+class Viewer(Protocol):
+    """Viewer of a drive, registered in `VIEWERS`. Its calls may block: they run in a process of their own.
+
+    Args:
+        place: where it listens or writes; "" for its default.
+        wheels: positions in the body frame [m].
+        cameras: names of the cameras whose images are shown.
+
+    Attributes:
+        package: module that the extra `view` installs for it; "" for none.
+        where: instructions for opening it.
+
+    Raises:
+        MissingExtra: the extra is not installed.
+        LiveError: it cannot listen there.
+    """
+
+    package: ClassVar[str]
+    where: str
+
+    def __init__(self, place: str, wheels: Float[np.ndarray, "4 2"], cameras: tuple[str, ...]) -> None: ...
+
+    def pose(self, reading: VehicleReading) -> None:
+        """Show the vehicle's pose."""
+        ...
+
+    def course(self, time: float, places: Float[np.ndarray, "P 3"]) -> None:
+        """Show the course, slightly above the ground [m]."""
+        ...
+
+    def plan(self, plan: ShownPlan) -> None:
+        """Replace the shown plan."""
+        ...
+
+    def ground(self, ground: ShownGround) -> None:
+        """Replace the shown map."""
+        ...
+
+    def image(self, image: Image) -> None:
+        """Show the newest image of a camera."""
+        ...
+
+    def mode(self, time: float, mode: str, why: str) -> None:
+        """Show a change of the mode or its reason."""
+        ...
+
+    def numbers(self, time: float, kind: str, values: Mapping[str, float]) -> None:
+        """Plot numbers of a kind in `NUMBERS`."""
+        ...
+
+    def close(self) -> None:
+        """Close the viewer."""
+        ...
+
+
+VIEWERS: Final[Registry[type[Viewer]]] = Registry("viewer", package=__name__, error=LiveError)
+
+
+def listening_at(place: str) -> tuple[str, int]:
+    """Return the free host and port of a place; port 0 selects a free one.
+
+    Raises:
+        LiveError: the place is invalid or in use.
+    """
+    host, _, port = place.rpartition(":")
+    if not host or not port.isdigit() or int(port) > 65535:
+        raise LiveError("is no host and port", where=f"--view-at {place}", how="give e.g. 127.0.0.1:8765")
+    try:
+        with socket.create_server((host, int(port))) as probe:
+            return host, int(probe.getsockname()[1])
+    except OSError as error:
+        how = "end the other program, or give another --view-at HOST:PORT"
+        reason = str(error.strerror).partition(" (")[0]  # without the address that Python adds
+        raise LiveError(f"cannot listen there: {reason}", where=place, how=how) from error
+
+
+def jpeg_of(image: Image) -> bytes:
+    """Encode an image as JPEG, scaled down to `WIDEST`."""
+    scale, pixels = min(1.0, WIDEST / image.pixels.shape[1]), image.pixels
+    if scale < 1:
+        pixels = cv2.resize(pixels, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    data: Any = cv2.imencode(".jpg", pixels[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1]
+    return bytes(data.tobytes())

@@ -1,26 +1,25 @@
-"""The Foxglove app: a WebSocket server (foxglove-sdk), on the loopback unless another place is given.
+"""Foxglove: a WebSocket server for the app (foxglove-sdk), by default on the loopback interface.
 
-Nobody can publish to it, and what nobody has subscribed to is not made. Messages wait for a slow app only up to a
-number; older ones are dropped by the server.
+Clients cannot publish. Images are encoded only for subscribers. The server drops the oldest messages for a slow client.
 """
 
 from collections.abc import Mapping
 from typing import Any, ClassVar, Final, cast
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 
 from offpiste.core.errors import LiveError, extra
-from offpiste.live.viewers.viewer import NUMBERS, VIEWERS, ShownGround, ShownPlan, jpeg_of, listening_at
+from offpiste.live.viewers import NUMBERS, VIEWERS, ShownGround, ShownPlan, jpeg_of, listening_at
 from offpiste.logs.measurements import Image
 from offpiste.runtime.estimator import VehicleReading
 
 WORLD, BODY = "map", "base_link"
 """Frames."""
 _WAITING: Final = 64
-"""Messages that may wait for a client; older ones are dropped."""
+"""Maximum number of messages that wait for a client."""
 _HEIGHT: Final = 1.0
-"""Height of the box that stands for the vehicle [m]."""
+"""Height of the box that represents the vehicle [m]."""
 WHITE, BLUE, ORANGE = (255, 255, 255), (20, 90, 200), (230, 80, 30)
 _MODE: Final = {"type": "object", "properties": {"mode": {"type": "string"}, "why": {"type": "string"}}}
 _NUMBERS: Final = {"type": "object", "additionalProperties": {"type": "number"}}
@@ -28,7 +27,7 @@ _NUMBERS: Final = {"type": "object", "additionalProperties": {"type": "number"}}
 
 @VIEWERS.register("foxglove")
 class FoxgloveViewer:
-    """Serves a drive to the Foxglove app (a `Viewer`)."""
+    """Server for the Foxglove app (a `Viewer`)."""
 
     package: ClassVar[str] = "foxglove"
 
@@ -36,7 +35,7 @@ class FoxgloveViewer:
         with extra("view"):
             import foxglove
             from foxglove import channels, messages
-        # Channels are closed with their context: it has to be kept.
+        # Channels are closed when their context is collected.
         self._messages, self._context = messages, foxglove.Context()
         self._channels: dict[str, Any] = {
             "/tf": channels.FrameTransformChannel("/tf", context=self._context),
@@ -54,13 +53,9 @@ class FoxgloveViewer:
         host, port = listening_at(place or "127.0.0.1:8765")
         try:
             self._server = foxglove.start_server(
-                name="offpiste",
-                host=host,
-                port=port,
-                context=self._context,
-                message_backlog_size=_WAITING,
+                name="offpiste", host=host, port=port, context=self._context, message_backlog_size=_WAITING,
                 server_listener=cast(Any, self._kept),
-            )
+            )  # fmt: skip
         except RuntimeError as error:
             raise LiveError(f"cannot listen: {error}", where=place, how="give another --view-at HOST:PORT") from error
         self.where = f"Foxglove on ws://{host}:{port} ({self._server.app_url()})"
@@ -84,13 +79,13 @@ class FoxgloveViewer:
         self._scene("/course", time, [self._line(places, 0.12, WHITE)])
 
     def plan(self, plan: ShownPlan) -> None:
-        """Publish the predicted path in colours of speed, and lines around where the vehicle will be."""
+        """Publish the predicted path, coloured by speed, and the regions of the vehicle's position."""
         lines = [self._line(plan.places, 0.16, plan.colours)]
         lines += [self._line(region, 0.05, BLUE) for region in plan.regions]
         self._scene("/plan", plan.time, lines)
 
     def ground(self, ground: ShownGround) -> None:
-        """Publish known cells as points with the layers' values, relative to the first of them."""
+        """Publish the cells as points with the layers' values, relative to the first cell."""
         made, kind = self._messages, self._messages.PackedElementFieldNumericType
         origin = np.floor(ground.places[0]) if len(ground.places) else np.zeros(3)
         names = ("x", "y", "z", *ground.layers)
@@ -100,25 +95,19 @@ class FoxgloveViewer:
             points[name] = values
         for name, values in zip(shades, (*ground.colours.T, 255), strict=True):
             points[name] = values
+        kinds = dict.fromkeys(names, kind.Float32) | dict.fromkeys(shades, kind.Uint8)
         fields = [
-            made.PackedElementField(
-                name=name, offset=int(offset), type=kind.Uint8 if form.itemsize == 1 else kind.Float32
-            )
-            for name, (form, offset, *_) in (points.dtype.fields or {}).items()
+            made.PackedElementField(name=name, offset=int(offset), type=kinds[name])
+            for name, (_, offset, *_) in (points.dtype.fields or {}).items()
         ]
-        pose = made.Pose(position=_vector(made, origin), orientation=made.Quaternion(x=0.0, y=0.0, z=0.0, w=1.0))
         cloud = made.PointCloud(
-            timestamp=_stamp(made, ground.time),
-            frame_id=WORLD,
-            pose=pose,
-            point_stride=points.dtype.itemsize,
-            fields=fields,
-            data=points.tobytes(),
-        )
+            timestamp=_stamp(made, ground.time), frame_id=WORLD, pose=self._upright(origin),
+            point_stride=points.dtype.itemsize, fields=fields, data=points.tobytes(),
+        )  # fmt: skip
         self._log("/map", ground.time, cloud)
 
     def image(self, image: Image) -> None:
-        """Publish an image, if anybody watches it."""
+        """Publish an image if a client has subscribed to it."""
         topic = f"/images/{image.camera}"
         if topic in self._channels and self._channels[topic].has_sinks():
             made = self._messages
@@ -127,11 +116,11 @@ class FoxgloveViewer:
             self._log(topic, image.time, data)
 
     def mode(self, time: float, mode: str, why: str) -> None:
-        """Publish mode and reason as JSON: for a panel of state transitions."""
+        """Publish mode and reason as JSON, for a panel of state transitions."""
         self._log("/mode", time, {"mode": mode, "why": why})
 
     def numbers(self, time: float, kind: str, values: Mapping[str, float]) -> None:
-        """Publish numbers as JSON: for plots."""
+        """Publish numbers as JSON, for plots."""
         self._log(f"/{kind}", time, dict(values))
 
     def close(self) -> None:
@@ -141,25 +130,24 @@ class FoxgloveViewer:
     def _show_vehicle(self, wheels: Float[np.ndarray, "4 2"]) -> None:
         made = self._messages
         length, width = np.ptp(wheels, axis=0)
-        middle = np.append(wheels.mean(axis=0), _HEIGHT / 2)
-        pose = made.Pose(position=_vector(made, middle), orientation=made.Quaternion(x=0.0, y=0.0, z=0.0, w=1.0))
+        pose = self._upright(np.append(wheels.mean(axis=0), _HEIGHT / 2))
         size = made.Vector3(x=float(length), y=float(width), z=_HEIGHT)
         box = made.CubePrimitive(pose=pose, size=size, color=_colour(made, ORANGE))
         entity = made.SceneEntity(frame_id=BODY, id="/vehicle", frame_locked=True, cubes=[box])
         self._log("/vehicle", 0.0, made.SceneUpdate(entities=[entity]))
 
+    def _upright(self, position: Float[np.ndarray, " 3"]) -> Any:
+        turn = self._messages.Quaternion(x=0.0, y=0.0, z=0.0, w=1.0)
+        return self._messages.Pose(position=_vector(self._messages, position), orientation=turn)
+
     def _scene(self, topic: str, time: float, lines: list[Any]) -> None:
-        """An entity that replaces the last one of the topic."""
+        """Publish lines that replace the topic's previous ones."""
         made = self._messages
         entity = made.SceneEntity(timestamp=_stamp(made, time), frame_id=WORLD, id=topic, lines=lines)
         self._log(topic, time, made.SceneUpdate(entities=[entity]))
 
-    def _line(
-        self,
-        places: Float[np.ndarray, "P 3"],
-        thickness: float,
-        colour: tuple[int, int, int] | UInt8[np.ndarray, "P 3"],
-    ) -> Any:
+    def _line(self, places: Float[np.ndarray, "P 3"], thickness: float, colour: Any) -> Any:
+        """Return a line of one colour, or of a colour per point."""
         made = self._messages
         points = [made.Point3(x=x, y=y, z=z) for x, y, z in places.tolist()]
         if isinstance(colour, tuple):
@@ -171,7 +159,7 @@ class FoxgloveViewer:
 
 
 class _Kept:
-    """Gives those who subscribe later the last message of a topic; foxglove calls it in a thread of its own."""
+    """Listener that sends the last message of a topic to later subscribers; called in a thread of foxglove."""
 
     def __init__(self, channels: Mapping[str, Any]) -> None:
         self._channels, self._last = channels, dict[str, tuple[Any, int]]()

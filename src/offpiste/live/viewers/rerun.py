@@ -1,4 +1,4 @@
-"""Rerun (rerun-sdk): a server for its viewer, on the loopback unless another place is given, or a recording file."""
+"""Rerun (rerun-sdk): a server for its viewer, by default on the loopback interface, or a recording file."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,7 +10,7 @@ from jaxtyping import Float
 from offpiste.closed_loop.recording import LEVEL, PLOTS
 from offpiste.core.errors import LiveError, extra
 from offpiste.core.geometry import rotation_of_one
-from offpiste.live.viewers.viewer import NUMBERS, VIEWERS, ShownGround, ShownPlan, jpeg_of, listening_at
+from offpiste.live.viewers import NUMBERS, VIEWERS, ShownGround, ShownPlan, jpeg_of, listening_at
 from offpiste.logs.measurements import Image
 from offpiste.runtime.estimator import VehicleReading
 from offpiste.visualization.rerun_recording import EPOCH, following_eye
@@ -18,14 +18,14 @@ from offpiste.visualization.rerun_recording import EPOCH, following_eye
 TIMELINE: Final = "robot"
 """Name of the timeline, the robot's clock."""
 _MEMORY: Final = "256MiB"
-"""What a viewer that connects later is still given; older data are dropped."""
+"""Memory of the data sent to viewers that connect later; older data are dropped."""
 
 
 @VIEWERS.register("rerun")
 class RerunViewer:
-    """Serves a drive to Rerun's viewer, or writes it to a file (a `Viewer`).
+    """Server for Rerun's viewer, or recording (a `Viewer`).
 
-    Places are relative to where the vehicle was first, because viewers count in float32.
+    Positions are relative to the first one, because viewers use float32.
     """
 
     package: ClassVar[str] = "rerun"
@@ -37,7 +37,7 @@ class RerunViewer:
         self._placed = False
         if place.endswith(".rrd"):
             if Path(place).exists():
-                raise LiveError("exists already", where=place, how="remove it, or give another name")
+                raise LiveError("already exists", where=place, how="remove it, or give another name")
             sink: Any = rr.FileSink(place)
             self.where = f"Rerun: {place}"
         else:
@@ -50,7 +50,7 @@ class RerunViewer:
         self._show_vehicle(wheels)
 
     def pose(self, reading: VehicleReading) -> None:
-        """Log where the vehicle is."""
+        """Log the vehicle's pose."""
         if not self._placed:
             self._origin, self._placed = reading.position.copy(), True
         self._at(reading.time)
@@ -63,7 +63,7 @@ class RerunViewer:
         self._lines("world/course", time, [places], radii=0.06, colors=[255, 255, 255])
 
     def plan(self, plan: ShownPlan) -> None:
-        """Log the predicted path in colours of speed, and lines around where the vehicle will be."""
+        """Log the predicted path, coloured by speed, and the regions of the vehicle's position."""
         pieces, shade = [], plan.colours[:-1]
         if len(plan.places) > 1:
             pieces = list(np.stack((plan.places[:-1], plan.places[1:]), axis=1))
@@ -83,7 +83,7 @@ class RerunViewer:
         self._stream.log(f"images/{image.camera}", encoded)
 
     def mode(self, time: float, mode: str, why: str) -> None:
-        """Log a line, and the mode as a number to plot."""
+        """Log a line of text, and the mode as a number."""
         self._at(time)
         self._stream.log("events", self._rr.TextLog(f"{mode}: {why}" if why else mode))
         if mode in LEVEL:
@@ -96,15 +96,14 @@ class RerunViewer:
             self._stream.log(f"{kind}/{name}", self._rr.Scalars([value]))
 
     def close(self) -> None:
-        """Write what is left."""
+        """Write remaining data and disconnect."""
         self._stream.flush()
         self._stream.disconnect()
 
     def _show_vehicle(self, wheels: Float[np.ndarray, "4 2"]) -> None:
         rr, outline = self._rr, np.pad(wheels[[0, 1, 3, 2, 0]], ((0, 0), (0, 1)))
-        self._stream.log(
-            "world/vehicle/frame", rr.LineStrips3D([outline], radii=0.06, colors=[230, 80, 30]), static=True
-        )
+        frame = rr.LineStrips3D([outline], radii=0.06, colors=[230, 80, 30])
+        self._stream.log("world/vehicle/frame", frame, static=True)
 
     def _lines(self, name: str, time: float, lines: list[np.ndarray], **look: Any) -> None:
         self._at(time)
@@ -119,7 +118,7 @@ class RerunViewer:
 
 
 def _blueprint(cameras: tuple[str, ...]) -> Any:
-    """The world from above the vehicle; images, plots and changes of mode beside it."""
+    """Return the layout: the world from above the vehicle; beside it images, plots and changes of mode."""
     import rerun.blueprint as rrb
 
     eye = following_eye("/world/vehicle", np.zeros(3))

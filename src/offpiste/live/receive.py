@@ -1,45 +1,93 @@
-"""Receives and decodes: readings at once, of images and scans the newest."""
+"""Process that receives and decodes messages: every reading, and the newest images and scans."""
 
 import threading
-import time
+from collections import Counter, deque
 from dataclasses import replace
 from functools import partial
+from itertools import count
 from pathlib import Path
+from time import monotonic
 from typing import Final
 
 import numpy as np
 
 from offpiste.core.errors import LiveError
-from offpiste.live.backlog import Backlog
-from offpiste.live.packing import pack_course, pack_measured, pack_sensors
 from offpiste.live.part import RUNS_ON, STAMP, Part, keep_loaded
 from offpiste.live.reception import Reception
-from offpiste.live.session import Session
+from offpiste.live.ring import pack_fields, pack_sensors
+from offpiste.live.session import CLOCK, Session
 from offpiste.logs.measurements import Cloud, Image
 from offpiste.planning.course import Course
 from offpiste.rig.rig import load_rig
 from offpiste.runtime.estimator import VehicleReading
-from offpiste.transport.interface import Received
+from offpiste.transport.interface import Received, Tally
 
-CLOCK = "/clock"
 DEAF: Final = 5.0
-"""Where nothing has come for so long, the connection is made anew [s]: its thread may have ended for want of memory."""
+"""Time without any message after which the process restarts [s]: the transport's thread may have run out of memory."""
 _WAITING: Final = 256
-"""Readings that may wait to be decoded; the same number of calibrations and transforms may wait beside."""
+"""Maximum number of readings that wait to be decoded; the same number of calibrations and transforms may wait, too."""
+
+
+class Backlog:
+    """Queue of messages between threads; when full, the largest topic loses its oldest message, but not its only one.
+
+    Args:
+        most: maximum number of messages.
+        dropped: counter of dropped messages by topic.
+        size: maximum total size [bytes].
+        why: reason given for dropped messages.
+    """
+
+    def __init__(
+        self, most: int, dropped: Tally, *, size: int = 1 << 62, why: str = "comes faster than it is decoded"
+    ) -> None:
+        self._most, self._size, self._dropped, self._why = most, size, dropped, why
+        self._waiting: dict[str, deque[tuple[int, Received]]] = {}  # with a number in the order of arrival
+        self._bytes, self._numbers = Counter[str](), count()
+        self._changed = threading.Condition()
+
+    def __len__(self) -> int:
+        return sum(map(len, self._waiting.values()))
+
+    def put(self, received: Received) -> None:
+        """Add a message."""
+        with self._changed:
+            self._waiting.setdefault(received.topic, deque()).append((next(self._numbers), received))
+            self._bytes[received.topic] += len(received.data)
+            while (many := len(self) > self._most) or self._bytes.total() > self._size:
+                room = {topic: len(of) if many else self._bytes[topic] for topic, of in self._waiting.items()}
+                fullest = max(room, key=lambda topic: (len(self._waiting[topic]) > 1, room[topic]))
+                self._dropped.add(f"{self._taken(fullest).topic}: {self._why}")
+            self._changed.notify()
+
+    def get(self, timeout: float) -> Received | None:
+        """Remove and return the oldest message; None if none arrives within the timeout [s]."""
+        with self._changed:
+            if not self._waiting:
+                self._changed.wait(timeout)
+            if not self._waiting:
+                return None
+            return self._taken(min(self._waiting, key=lambda topic: self._waiting[topic][0][0]))
+
+    def _taken(self, topic: str) -> Received:
+        _, received = self._waiting[topic].popleft()
+        self._bytes[topic] -= len(received.data)
+        if not self._waiting[topic]:
+            del self._waiting[topic], self._bytes[topic]
+        return received
 
 
 class Receiver:
-    """Hands on what is received; images and scans are decoded in a thread beside the readings'."""
+    """Write received values to the rings; images and scans are decoded in a thread of their own."""
 
     def __init__(self, part: Part, *, cameras: bool) -> None:
         self.part, self.rig = part, load_rig(part.settings.rig)
         self.reception = Reception(self.rig, part.settings.course, cameras=cameras)
-        definitions = [Path(name) for name in self.rig.live.definitions]
-        self.transport = part.settings.robot.connect(definitions)
+        self.transport = part.settings.robot.connect([Path(name) for name in self.rig.live.definitions])
         self._small, self._calibrations = Backlog(_WAITING, part.dropped), Backlog(_WAITING, part.dropped)
         self._newest: dict[str, Received] = {}
         self._stamp, self._heard_at = -1.0, np.inf
-        clock = part.settings.clock  # what has no header is stamped with its arrival, by the clock of all that has one
+        clock = part.settings.clock  # the arrival of messages without a header is measured by the clock of the others
         self._by_robot, self._sets_clock = clock != "system", ""
         if clock == "stamps":
             self._sets_clock = self.reception.vehicle.position_topic
@@ -48,7 +96,7 @@ class Receiver:
         for topic, history in self.reception.topics.items():
             msgtype = self.reception.type_of(topic)
             self.transport.subscribe(topic, self._deliver, msgtype=msgtype, history=history)
-        if part.settings.clock == "clock":
+        if clock == "clock":
             self.transport.subscribe(CLOCK, self._small.put, msgtype="rosgraph_msgs/msg/Clock")
         if self.reception.course is not None:
             self._course(self.reception.course)
@@ -57,19 +105,16 @@ class Receiver:
 
     @property
     def state(self) -> str:
-        """What it waits for and what was refused meanwhile, or that it is ready."""
+        """Description of what is missing and what was refused meanwhile, or "ready"."""
         if waits := self.reception.waiting_for:
-            return "; ".join((f"waits for {waits}", *(f"refused: {what}" for what in self._refused())))
+            refused = self.transport.refused.snapshot()
+            frequent = sorted(refused, key=lambda what: -refused[what])[:3]
+            return "; ".join((f"waits for {waits}", *(f"refused: {what}" for what in frequent)))
         late = ", ".join(self.reception.sensors.left_out)
-        return f"ready, without {late}: optional, and first heard once the others were set up" if late else "ready"
-
-    def _refused(self) -> list[str]:
-        """The most frequent refusals of the transport, by topic and reason."""
-        refused = self.transport.refused.snapshot()
-        return sorted(refused, key=lambda what: -refused[what])[:3]
+        return f"ready, without {late}: optional, and first heard after the setup of the others" if late else "ready"
 
     def _deliver(self, received: Received) -> None:
-        """Called in zenoh's thread."""
+        """Queue a message; called in the transport's thread."""
         self._heard_at = received.steady
         if self._by_robot and received.topic != self._sets_clock:
             with self._lock:
@@ -87,8 +132,8 @@ class Receiver:
             self._small.put(received)
 
     def read(self) -> None:
-        """Decode and hand on readings, courses and the clock, as many as may wait; wait a moment for the first."""
-        received, most = self._small.get(0.05), _WAITING  # more may come meanwhile, and signs of life are due
+        """Process waiting readings, courses and clock messages, at most `_WAITING`, so that signs of life are given."""
+        received, most = self._small.get(0.05), _WAITING
         while received is not None:
             self._take(received)
             most -= 1
@@ -106,12 +151,12 @@ class Receiver:
                 if self.part.settings.clock == "stamps":
                     self._clock(taken.time, received.steady)
                 given = self.reception.vehicle.given(taken.time)
-                self.part.hand_on("readings", pack_measured(taken, **given._asdict(), came=received.steady))
+                self.part.hand_on("readings", pack_fields(taken, **given._asdict(), came=received.steady))
             elif isinstance(taken, Course):
                 self._course(taken)
 
     def _clock(self, stamp: float, steady: float) -> None:
-        """Hand on the clock; a stamp that repeats is no sign that it runs."""
+        """Write a new stamp of the clock; a repeated one does not show that it runs."""
         if stamp != self._stamp:
             if self._stamp >= 0 and not -RUNS_ON <= stamp - self._stamp <= RUNS_ON:
                 self.part.dropped.add("the clock jumped")
@@ -119,26 +164,22 @@ class Receiver:
             self.part.hand_on("clock", STAMP.pack(stamp, steady))
 
     def _course(self, course: Course) -> None:
-        """Hand on a course, unless it is the one that is being driven, as mostly after a restart."""
-        newest, data = self.part.ring("course").newest(), pack_course(course)
+        """Write a course unless it is the current one, as after a restart."""
+        newest, data = self.part.ring("course").newest(), pack_fields(course)
         if newest is None or newest.data != data:
             self.part.hand_on("course", data)
 
     def check(self) -> None:
-        """End what no longer receives or decodes: it is started again.
-
-        Raises:
-            LiveError: why.
-        """
+        """Raise `LiveError` if messages are no longer received or decoded; the process is then restarted."""
         if self.part.ending:
             return
         if not self._sensing.is_alive():
-            raise LiveError("images and scans are not decoded any more", how="see what it said before")
-        if self.transport.routers() and time.monotonic() - self._heard_at > DEAF:
-            raise LiveError(f"nothing has been heard for {DEAF:g} s", how="see whether the robot still publishes")
+            raise LiveError("images and scans are not decoded any more", how="see its earlier output")
+        if self.transport.routers() and monotonic() - self._heard_at > DEAF:
+            raise LiveError(f"nothing has been heard for {DEAF:g} s", how="check that the robot still publishes")
 
     def _sense(self) -> None:
-        """Decode images and scans, the newest of each sensor."""
+        """Decode the newest image or scan of each sensor."""
         while not self.part.ending:
             self._any.wait(0.1)
             self._any.clear()
@@ -149,15 +190,15 @@ class Receiver:
                 message = self.transport.decode(received)
                 taken = message and self.reception.sensors.take(received.topic, message, received.received)
                 if isinstance(taken, Image):
-                    self.part.hand_on("images", pack_measured(taken))
+                    self.part.hand_on("images", pack_fields(taken))
                 elif isinstance(taken, Cloud):
-                    self.part.hand_on("scans", pack_measured(taken))
+                    self.part.hand_on("scans", pack_fields(taken))
             if self.reception.sensors.sensors is not None and not self._handed_over:
                 self._handed_over = self.part.ring("sensors").write(pack_sensors(self.reception.sensors.sensors))
 
 
 def receive(session: Session, *, cameras: bool) -> None:
-    """The process that receives."""
+    """Run the process."""
     part = Part("receive", session)
     receiver, connected = Receiver(part, cameras=cameras), True
     keep_loaded()

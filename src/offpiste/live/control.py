@@ -1,4 +1,4 @@
-"""Control at 50 Hz: follows the newest plan, or stops; what it sends has passed the gate."""
+"""Processes that command the vehicle: control at 50 Hz, and the watchdog that stops it when commands stop."""
 
 import shutil
 import time
@@ -11,37 +11,72 @@ import numpy as np
 from offpiste.core.conventions import DT
 from offpiste.live.command_messages import Command, CommandMessages
 from offpiste.live.gate import Gate, Passed
-from offpiste.live.lockstep import COMMAND
-from offpiste.live.packing import packed, plan_from, unpacked
-from offpiste.live.part import Part, TrackFeed, keep_loaded
-from offpiste.live.parts.setup import NewestCourse, last_command
-from offpiste.live.parts.watchdog import ENDS, SILENCE
+from offpiste.live.part import NewestCourse, Part, TrackFeed, keep_loaded
 from offpiste.live.reception import Pressed, read_switch
-from offpiste.live.session import Session
-from offpiste.live.steady_ages import SteadyAges
+from offpiste.live.ring import packed, plan_from, unpacked
+from offpiste.live.session import COMMAND, MODE, Session
 from offpiste.logs.ros.writer import header, make
 from offpiste.planning.course import CourseTracker
 from offpiste.rig.rig import load_rig
 from offpiste.runtime.estimator import Given
-from offpiste.runtime.follower import Follower, MapState
-from offpiste.runtime.modes import Controls, ModeDecision
+from offpiste.runtime.follower import Follower, MapState, TimedPlan
+from offpiste.runtime.modes import Ages, Controls, ModeDecision
 from offpiste.runtime.prediction import Prediction
 from offpiste.transport.interface import Received
 
-MODE = "/offpiste/mode"
-"""Topic of the mode and the reason for it (std_msgs/String), when either changes."""
+SILENCE: Final = 0.1
+"""Time without a command after which the watchdog sends the stop [s]."""
+ENDS: Final = 5.0
+"""Maximum duration of the stop by control at the end of a drive [s]."""
 _AT_LEAST: Final = 1.0
-"""At the end of a drive, the stop is sent for so long at least [s]; at most for `ENDS`."""
+"""Minimum duration of that stop [s]."""
+_LAST: Final = 0.5
+"""Duration of the watchdog's stop after control has ended [s], so that the last command is a stop."""
+
+
+class SteadyAges:
+    """Ages of the inputs of control by the monotonic clock.
+
+    They bound the ages by the robot's clock: if that clock froze, the newest plan and scan would look recent forever.
+    """
+
+    def __init__(self) -> None:
+        self._seen: dict[str, tuple[float, float]] = {}
+        self._starts: deque[tuple[float, float]] = deque(maxlen=32)
+
+    def planned(self, plan: TimedPlan, now: float, steady: float) -> None:
+        """Add a plan; both times are now, by the robot's and by the monotonic clock [s]."""
+        self._starts.append((plan.start, steady + plan.start - now))
+
+    def ages(self, came: float, state: MapState, acting: TimedPlan | None, steady: float) -> Ages:
+        """Return the ages.
+
+        Args:
+            came: arrival of the last reading [s].
+            acting: the followed plan.
+            steady: now [s].
+        """
+        start = next((at for start, at in self._starts if acting is not None and start == acting.start), -np.inf)
+        scan, image = (self._unchanged(name, getattr(state, name), steady) for name in ("scan_time", "image_time"))
+        return Ages(state=steady - came, scan=scan, image=image, plan=steady - start)
+
+    def _unchanged(self, name: str, value: float, steady: float) -> float:
+        """Return the time for which a stamp has been constant; minus infinity for an invalid one."""
+        if not np.isfinite(value):
+            return -np.inf
+        if self._seen.get(name, (np.nan, 0.0))[0] != value:
+            self._seen[name] = value, steady
+        return steady - self._seen[name][1]
 
 
 class Controller:
-    """Commands once every `conventions.DT`."""
+    """Command the vehicle once every `conventions.DT`: follow the newest plan, or stop."""
 
     def __init__(self, part: Part) -> None:
         self.part, settings, rig = part, part.settings, load_rig(part.settings.rig)
         self.follower: Follower | None = None
         self._feed = TrackFeed(part, settings.load_planner().dynamics.vehicle.actuators)
-        before, enable = last_command(part), rig.live.enable if settings.drive else None
+        before, enable = part.last_command, rig.live.enable if settings.drive else None
         self._gate = Gate(rig.live.limits, enable, settings.runtime.stop, before.get("applied"))
         self._course, self._plan_number = NewestCourse(part), part.ring("plans").written
         self._empty = self._stuck = False
@@ -87,10 +122,10 @@ class Controller:
         return self.follower is not None and self.follower.at_standstill()
 
     def tick(self, *, ending: bool = False) -> str:
-        """Command once; the state in words.
+        """Send a command and return the state.
 
         Args:
-            ending: the vehicle is stopped, whatever there is to follow.
+            ending: stop the vehicle, whatever the plans.
         """
         now = self.part.now()
         if self._feed.update(now):
@@ -104,12 +139,15 @@ class Controller:
             return "waits for a course" if self.follower is None else "waits for the clock"
         if latest is not None:
             self.follower.tracker.move(latest.position[:2])
-        elif not commanded:  # what was once commanded is stopped, whatever is known
+        elif not commanded:  # a vehicle that was commanded before is stopped even without readings
             return "waits for readings of the vehicle"
         self._take_plans(self.follower, now)
         controls = self._command(self.follower, now, "the drive ends" if ending else "")
-        self._say(controls)
-        return f"{controls.mode}: {controls.why}" if controls.why else controls.mode
+        said = f"{controls.mode}: {controls.why}" if controls.why else controls.mode
+        if said != self._said:
+            self._said = said
+            self._mode(make("std_msgs/String", data=said))
+        return said
 
     def _command(self, follower: Follower, now: float, held: str) -> Controls:
         newest = self.part.ring("map-state").newest()
@@ -121,7 +159,7 @@ class Controller:
         held = held or self._held() if drive else held
         if held and (decision.mode != "stopping" or decision.why == "no plan"):
             decision = ModeDecision("stopping", held)
-        if not drive:  # who drives need not complete our stops
+        if not drive:  # another driver need not complete our stops
             follower.stopping = False
         follower.driver = Given() if drive else self._feed.given
         passed: list[Passed] = []
@@ -129,7 +167,7 @@ class Controller:
         def applied(controls: Controls) -> np.ndarray:
             stopping = controls.mode in ("stopping", "stopped")
             command = controls.command.copy()
-            if stopping and acting is None:  # no plan says where to: straight ahead would lead out of a bend
+            if stopping and acting is None:  # without a plan, keep the steering: straight ahead would leave a bend
                 command[2] = self._gate.steer
             passed.append(self._gate.passed(command, follower.speed, time.monotonic(), stopping=stopping))
             return passed[-1].control
@@ -140,13 +178,13 @@ class Controller:
         self.ages.append((now - state.scan_time, np.inf if acting is None else now - acting.made))
         about = {"time": now, "applied": passed[-1].control, "stopping": follower.stopping, "mode": controls.mode}
         about |= {"gear": controls.gear, "course": self._course.number, "progress": follower.tracker.progress}
-        about["driver"] = follower.driver._asdict()  # plans begin from what the vehicle does
+        about["driver"] = follower.driver._asdict()  # plans begin from the vehicle's actual commands
         self.part.hand_on("commands", packed(about))
         self._sent_at = time.monotonic()
         return controls
 
     def _held(self) -> str:
-        """Why the vehicle is to be stopped, whatever its inputs say; empty for nothing."""
+        """Return the reason to stop the vehicle regardless of its inputs; empty if there is none."""
         stops, before = self.part.ring("stops").written, self._stops
         self._stops = stops
         why, self._why = self._why, ""
@@ -154,10 +192,10 @@ class Controller:
             return why
         if self.part.clock_stands_still:
             return "the clock stands still"
-        if self.part.ring("status-watchdog").written == 0:  # once it was, another follows within a second
+        if self.part.ring("status-watchdog").written == 0:  # once it was ready, it is restarted within a second
             return "the watchdog is not ready"
         if stops != before or time.monotonic() - self._sent_at > SILENCE:
-            return "commands were interrupted"  # and the vehicle was stopped, or stopped by itself
+            return "commands were interrupted"  # the watchdog, or the vehicle itself, has stopped it
         self._take_switch()
         return self._gate.blocked(time.monotonic())
 
@@ -175,12 +213,12 @@ class Controller:
     def _take_course(self, tracker: CourseTracker) -> None:
         if self.follower is None:
             self.follower = Follower(self.part.settings.runtime, self._feed.track, tracker)
-            self.follower.stopping = True  # whatever moves it is stopped before it is driven
-            self.follower.gear = self._gear  # as it was commanded: no gear is changed before
+            self.follower.stopping = True  # a moving vehicle is stopped before it is driven
+            self.follower.gear = self._gear  # as last commanded: the gear is not changed before the standstill
         self.follower.tracker = tracker
 
     def _take_plans(self, follower: Follower, now: float) -> None:
-        """Plans that are newer than those before, and were made of what still holds."""
+        """Take newer plans that are still valid."""
         settings = self.part.settings.runtime
         for entry in self.part.ring("plans").since(self._plan_number):
             self._plan_number, values = entry.number, unpacked(entry.data)
@@ -196,15 +234,9 @@ class Controller:
                 self._steady.planned(timed, now, time.monotonic())
                 self._predictions.append(prediction)
 
-    def _say(self, controls: Controls) -> None:
-        said = f"{controls.mode}: {controls.why}" if controls.why else controls.mode
-        if said != self._said:
-            self._said = said
-            self._mode(make("std_msgs/String", data=said))
-
 
 def control(session: Session) -> None:
-    """The process that commands; when the drive ends, or its parent is gone, it stops the vehicle first."""
+    """Run the process that commands; it stops the vehicle when the drive or the parent ends."""
     part = Part("control", session)
     controller = Controller(part)
     keep_loaded()
@@ -216,19 +248,19 @@ def control(session: Session) -> None:
         if since > ENDS or (since > _AT_LEAST and controller.has_stopped):
             break
         state = controller.tick(ending=ends < np.inf)
-        if state == "driving" and not drives:  # what it was late by while others loaded does not count
+        if state == "driving" and not drives:  # delays while other processes loaded do not count
             drives = True
             controller.late.clear()
             controller.ages.clear()
         controller.late.append(time.monotonic() - due)
         part.beat(state, lambda: _numbers(controller))
         due += DT
-        if time.monotonic() - due > 5 * DT:  # the process was stopped, or starved: what is missed is not made up for
+        if time.monotonic() - due > 5 * DT:  # the process was stopped or starved: missed ticks are skipped
             part.dropped["ticks missed"] += round((time.monotonic() - due) / DT)
             due = time.monotonic()
         time.sleep(max(due - time.monotonic(), 0.0))
     controller.transport.close()
-    if part.orphaned and not part.settings.drive:  # else the watchdog does so, which ends after it
+    if part.orphaned and not part.settings.drive:  # otherwise the watchdog, which ends later, removes it
         shutil.rmtree(session.folder, ignore_errors=True)
 
 
@@ -246,3 +278,47 @@ def _numbers(controller: Controller) -> dict[str, Any]:
         "progress_m": controller.follower.tracker.progress if controller.follower is not None else 0.0,
         "refused": controller.transport.refused.snapshot(),
     }
+
+
+def watchdog(session: Session) -> None:
+    """Run the process that sends the stop when commands stop coming, until the vehicle has been stopped."""
+    part = Part("watchdog", session)
+    rig, settings = load_rig(session.settings.rig), session.settings
+    transport = settings.robot.connect([Path(name) for name in rig.live.definitions])
+    outputs = CommandMessages(rig, transport.types)
+    send = {topic: transport.publisher(topic, msgtype) for topic, msgtype in outputs.topics.items()}
+    commands, stops, ends = part.ring("commands"), 0, np.inf
+    for name in ("stops", "clock", "end"):  # opened now: once the parent has ended, their files may vanish
+        part.ring(name)
+    keep_loaded()
+    while not _is_over(part, time.monotonic() - ends):
+        if ends == np.inf and part.ending:
+            ends = time.monotonic()
+        silent = commands.written > 0 and commands.age > SILENCE
+        if silent:
+            last = part.last_command
+            stop = Command(part.now(), np.array((0.0, settings.runtime.stop, last["applied"][2])), last["gear"])
+            for topic, message in outputs.messages(stop).items():
+                send[topic](message)
+            part.hand_on("stops", b"stop")  # a restarted control completes it
+            stops += 1
+        part.beat("stops the vehicle" if silent else "ready", stops=stops)
+        time.sleep(DT)
+    transport.close()
+    if part.orphaned:  # no other process is left to remove it
+        shutil.rmtree(session.folder, ignore_errors=True)
+
+
+def _is_over(part: Part, since: float) -> bool:
+    """Return whether the vehicle has been stopped.
+
+    Args:
+        since: time since the end of the drive [s]; minus infinity before it.
+    """
+    commands = part.ring("commands")
+    if since < 0:
+        return False
+    if commands.written == 0:
+        return since > SILENCE
+    at_standstill = part.last_command["mode"] == "stopped"
+    return (at_standstill and commands.age > SILENCE + _LAST) or since > ENDS + 2.0

@@ -1,0 +1,281 @@
+"""Processes that extract features from images, map the ground, and plan on the newest map."""
+
+import time
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+import torch
+from jaxtyping import Float
+
+from offpiste.core.errors import PerceptionError
+from offpiste.live.lockstep import sensor_setup_of
+from offpiste.live.part import LOADING, FreedMemory, NewestCourse, Part, TrackFeed, keep_loaded
+from offpiste.live.ring import (
+    from_fields,
+    layers_from,
+    pack_layers,
+    pack_plan,
+    packed,
+    sensors_from,
+    unpacked,
+)
+from offpiste.live.session import Session
+from offpiste.logs.measurements import Camera, Cloud, Image, Lidar
+from offpiste.mapping.replay import Keyframes
+from offpiste.mapping.terrain_map import TerrainLayers
+from offpiste.native.compilation import single_threaded_torch
+from offpiste.perception.camera import make_pinhole_camera
+from offpiste.rig.camera import CameraModel
+from offpiste.rig.outputs import can_reverse
+from offpiste.rig.rig import load_rig
+from offpiste.rig.sensors import OPTICAL, CameraSource
+from offpiste.runtime.estimator import Given, VehicleTrack
+from offpiste.runtime.follower import Follower
+from offpiste.runtime.perception import OnlineMapper, SensorSetup, Stopwatch, codes_of, encoder_on
+from offpiste.runtime.plan_maker import PlanMaker
+from offpiste.runtime.planner import Planner, warm_up
+from offpiste.runtime.prediction import reachable
+
+_SPARE: Final = 4.0
+"""Margin of the map beyond the reach of a plan from the vehicle's position at the time of the map [m]."""
+_WITHOUT_COURSE: Final = 3.0
+"""Speed for which the map is cropped before a course is known [m/s]."""
+
+
+def wait_for_sensors(part: Part, planner: Planner) -> SensorSetup | None:
+    """Wait for the sensors' calibrations; return None if the drive ends first."""
+    while not part.ending:
+        newest = part.ring("sensors").newest()
+        if newest is not None:
+            return sensor_setup_of(planner, sensors_from(unpacked(newest.data), load_rig(part.settings.rig)))
+        part.beat("waits for the sensors' calibrations")
+        time.sleep(0.05)
+    return None
+
+
+def load_kernels(part: Part, planner: Planner, device: str = "cpu") -> None:
+    """Drive for a second over synthetic ground, so that kernels are compiled before the robot is heard.
+
+    Args:
+        device: on which the process plans.
+    """
+    part.end_with(LOADING)
+    rig, still = load_rig(part.settings.rig), np.eye(4)
+    still[2, 3] = 1.5
+    lidars = {name: Lidar(name, still, entry) for name, entry in list(rig.lidars.items())[:1]}
+    setup = SensorSetup(lidars)
+    if planner.extractor is not None:
+        looks = still.copy()
+        looks[:3, :3] = OPTICAL
+        model = CameraModel(280, 210, np.array([[200.0, 0, 139.5], [0, 200.0, 104.5], [0, 0, 1]]))
+        camera = Camera("synthetic", model, looks, CameraSource("/synthetic"))
+        cameras = {"synthetic": make_pinhole_camera(camera, planner.extractor.patch)}
+        setup = SensorSetup(lidars, cameras, planner.extractor.extract)
+    runtime = replace(part.settings.runtime, device=device)
+    warm_up(planner.dynamics, setup, rig.wheel_positions(), runtime, spread=planner.spread)
+
+
+def codes(session: Session) -> None:
+    """Run the process that encodes keyframes: backbone, PCA and encoder."""
+    part = Part("codes", session)
+    device = part.settings.runtime.device
+    planner = part.settings.load_planner(device)
+    load_kernels(part, planner)  # on the CPU, since it plans nothing; the extractor is on the device
+    setup = wait_for_sensors(part, planner)
+    if setup is None or planner.extractor is None:
+        return
+    encoder = encoder_on(device, planner.dynamics.eval().requires_grad_(False).encoder)
+    assert encoder is not None
+    keep_loaded()
+    waiting: dict[str, Image] = {}  # the newest of each camera, until the pose is known
+    feed, number = TrackFeed(part, planner.dynamics.vehicle.actuators), part.ring("images").written
+    keyframes, took = Keyframes(setup.cameras, part.settings.runtime.replay), 0.0
+    while not part.ending:
+        if feed.update(part.now()):
+            keyframes = Keyframes(setup.cameras, part.settings.runtime.replay)
+            waiting.clear()
+        for entry in part.ring("images").since(number):
+            part.dropped["images: overwritten"] += entry.number - number - 1
+            number, image = entry.number, from_fields(Image, unpacked(entry.data))
+            part.dropped["images: replaced by a newer one"] += image.camera in waiting
+            if not feed.intake.ahead(image.camera, image.time):
+                waiting[image.camera] = image
+        due = [image for image in waiting.values() if not feed.track.awaits(image.time)]
+        for image in due:
+            del waiting[image.camera]
+            pose = feed.track.pose_at(image.time)
+            if pose is None or image.camera not in setup.cameras:
+                part.dropped["images: the pose at their stamp is unknown"] += 1
+                continue
+            found = None
+            if keyframes.due(image, pose):
+                began = time.monotonic()
+                try:
+                    pixels = setup.cameras[image.camera].rectifier(image.pixels)
+                    found = codes_of(pixels, planner.extractor.extract, encoder)
+                except PerceptionError as error:
+                    part.dropped[f"images: {error.what}"] += 1
+                    continue
+                took = time.monotonic() - began
+                keyframes.add(image.camera, image.time, pose, found, image.pixels[:0])
+            part.hand_on("codes", packed({"camera": image.camera, "time": image.time, "codes": found}))
+        part.beat("ready", extract_ms=1e3 * took)
+        if not due:
+            time.sleep(0.01)
+
+
+def map_ground(session: Session) -> None:
+    """Run the process that maps scans and codes."""
+    part = Part("map", session)
+    planner = part.settings.load_planner()
+    load_kernels(part, planner)
+    setup = wait_for_sensors(part, planner)
+    if setup is None:
+        return
+    encoder = planner.dynamics.eval().requires_grad_(False).encoder
+    feed, watch = TrackFeed(part, planner.dynamics.vehicle.actuators), Stopwatch(last=1)
+    mapper = OnlineMapper(setup, encoder, feed.track, part.settings.runtime.replay, watch)
+    mapper.dropped = part.dropped
+    keep_loaded()
+    scan_number, code_number, took = part.ring("scans").written, part.ring("codes").written, 0.0
+    course, fastest = NewestCourse(part), _WITHOUT_COURSE
+    while not part.ending:
+        if (tracker := course.changed()) is not None:
+            fastest = tracker.fastest
+        if feed.update(part.now()):
+            mapper.restart()
+            part.hand_on("map", pack_layers(None))
+        for entry in part.ring("codes").since(code_number):
+            code_number, values = entry.number, unpacked(entry.data)
+            mapper.coded(values["camera"], values["time"], values["codes"])
+        before = mapper.scan_time
+        newest: dict[str, Cloud] = {}
+        for entry in part.ring("scans").since(scan_number):
+            part.dropped["scans: overwritten"] += entry.number - scan_number - 1
+            scan_number, cloud = entry.number, from_fields(Cloud, unpacked(entry.data))
+            part.dropped["scans: replaced by a newer one"] += cloud.lidar in newest
+            newest[cloud.lidar] = cloud
+        began = time.monotonic()
+        mapper.catch_up()
+        for cloud in newest.values():
+            if not feed.intake.ahead(cloud.lidar, cloud.time):
+                mapper.scan(cloud)
+        if mapper.scan_time > before:
+            layers = _within_reach(mapper.layers(), feed.track, part, fastest)
+            part.hand_on("map", pack_layers(layers, scan_time=mapper.scan_time, image_time=mapper.state.image_time))
+            took = time.monotonic() - began
+        state = mapper.state
+        part.hand_on("map-state", packed({"scan_time": state.scan_time, "image_time": state.image_time}))
+        part.beat("ready" if mapper.scan_time > -np.inf else "waits for a scan", map_ms=1e3 * took)
+        if not newest:
+            time.sleep(0.01)
+
+
+def _within_reach(layers: TerrainLayers, track: VehicleTrack, part: Part, fastest: float) -> TerrainLayers:
+    """Crop the map to the reach of plans until the next map, at the course's maximum speed [m/s]."""
+    latest = track.latest
+    assert latest is not None
+    state, gear = track.rows(latest.time).state[-1], part.last_command.get("gear", 1.0)
+    return reachable(layers, state, fastest, gear, part.settings.runtime.margin + _SPARE)
+
+
+def ground_height(layers: TerrainLayers, xy: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, " N"]:
+    """Return the elevation of the nearest cells [m]; NaN where unknown."""
+    cell = np.rint((xy - layers.origin) / layers.resolution).astype(int)
+    inside = ((cell >= 0) & (cell < layers.known.shape[::-1])).all(axis=1)
+    height = np.full(len(xy), np.nan)
+    height[inside] = layers.elevation[cell[inside, 1], cell[inside, 0]]
+    return height
+
+
+class Plans:
+    """Plan on the values of the other processes."""
+
+    def __init__(self, part: Part) -> None:
+        self._part, settings = part, part.settings
+        self.planner, rig = settings.load_planner(), load_rig(settings.rig)
+        dynamics = self.planner.dynamics.eval().requires_grad_(False)
+        self._feed = TrackFeed(part, dynamics.vehicle.actuators)
+        self._maker = PlanMaker(
+            dynamics, rig.wheel_positions(), settings.runtime, watch=Stopwatch(last=1), spread=self.planner.spread,
+            seed=settings.seed, reverses=settings.drive and can_reverse(rig.outputs),
+        )  # fmt: skip
+        self._course = NewestCourse(part)
+        self._follower: Follower | None = None
+        self._commands, self._map_number = part.ring("commands").written, 0
+        self._layers: TerrainLayers | None = None
+        self._scan_time, self.took = -np.inf, 0.0
+
+    @torch.no_grad()
+    def plan(self) -> str:
+        """Write a plan if its inputs are available; return the state."""
+        part, now = self._part, self._part.now()
+        if self._feed.update(now):
+            self._layers = None
+            self._map_number = part.ring("map").written  # maps that were not taken yet are obsolete, too
+            self._maker.forget()
+            if self._follower is not None:
+                self._follower.restart()
+        self._take_over()
+        latest = self._feed.track.latest
+        if self._follower is None:
+            return "waits for a course"
+        if latest is None or not self._feed.track.enough:
+            return "waits for readings of the vehicle"
+        self._follower.tracker.move(latest.position[:2])
+        if self._layers is None:
+            return "waits for a map"
+        timeouts = part.settings.runtime.timeouts
+        if now - latest.time > timeouts.state or now - self._scan_time > timeouts.scan_limit:
+            return "waits for newer readings or scans"
+        began, rows = time.monotonic(), self._feed.track.rows(latest.time)
+        slow = now - self._scan_time > timeouts.scan
+        with single_threaded_torch():
+            planned = self._maker.plan(now, self._layers, self._follower, rows, latest.time, slow=slow)
+        self.took = time.monotonic() - began
+        if planned is None:
+            part.hand_on("plans", packed({"empty": self._maker.map_empty, "stuck": self._maker.stuck}))
+            if self._maker.map_empty or self._maker.stuck:
+                return "stuck" if self._maker.stuck else "empty map"
+            del self._maker.failures[:-1]
+            return f"no plan: {self._maker.failures[-1]}"
+        self._follower.schedule.add(planned.plan)
+        self._follower.schedule.acting(now)  # forgets the plans before it
+        more = {"empty": False, "stuck": False, "scan_time": self._scan_time}
+        part.hand_on("plans", pack_plan(planned.plan, planned.prediction, **more))
+        return "ready"
+
+    def _take_over(self) -> None:
+        """Take the newest map and course, and the commands since the last call."""
+        if (tracker := self._course.changed()) is not None:
+            if self._follower is None:
+                self._follower = Follower(self._part.settings.runtime, self._feed.track, tracker)
+            self._follower.tracker = tracker
+        newest = self._part.ring("map").newest()
+        if newest is not None and newest.number != self._map_number:
+            self._map_number, values = newest.number, unpacked(newest.data)
+            self._layers, self._scan_time = layers_from(values), values.get("scan_time", -np.inf)
+        for entry in self._part.ring("commands").since(self._commands):
+            self._commands, values = entry.number, unpacked(entry.data)
+            driver = Given(**values["driver"])
+            self._feed.track.commanded(values["time"], *driver.instead_of(values["applied"], values["gear"]))
+            if self._follower is not None:
+                self._follower.stopping, self._follower.gear = values["stopping"], values["gear"]
+                self._follower.driver = driver
+
+
+def plan(session: Session) -> None:
+    """Run the process that plans, as often as the settings demand or the processor allows."""
+    part = Part("plan", session)
+    plans = Plans(part)
+    load_kernels(part, plans.planner, part.settings.runtime.device)
+    keep_loaded()
+    freed = FreedMemory()
+    period = 1 / part.settings.runtime.plan_rate
+    while not part.ending:
+        began = time.monotonic()
+        state = plans.plan()
+        part.beat(state, plan_ms=1e3 * plans.took)
+        freed.give_back()
+        time.sleep(max(period - (time.monotonic() - began), 0.002))
