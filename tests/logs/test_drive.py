@@ -51,10 +51,6 @@ def test_a_topic_that_the_log_lacks_is_named():
         drive_from_log(log, small_rig())
 
 
-def test_the_common_span_is_what_all_channels_cover():
-    assert common_span([named("a", 0, 5), named("b", 1, 7), named("c", -2, 4)], "log") == (1, 4)
-
-
 def test_clocks_that_do_not_meet_are_an_error_that_names_both():
     with pytest.raises(LogError, match=r"'a' ends at 5\.000 s, before 'b' begins at 1700000000\.000 s"):
         common_span([named("a", 0, 5), named("b", 1.7e9, 1.7e9 + 5)], "log")

@@ -54,12 +54,7 @@ def test_clock_reaches_the_table(logs: dict[str, Path]) -> None:
     assert (samples.time.tolist(), samples.values.tolist()) == ([2.0], [[7.0]])
 
 
-def test_bag_without_a_header_is_stamped_on_arrival(logs: dict[str, Path]) -> None:
-    samples = open_log(logs["bag"]).read("/speed", ["data"], stamps="header")
-    assert (samples.time.tolist(), samples.values.tolist()) == ([1.0], [[3.5]])
-
-
-@pytest.mark.parametrize("name", ["tartan", "table", "bag", "mcap"])
+@pytest.mark.parametrize("name", ["table", "bag"])
 def test_links_and_dots_in_a_path_are_harmless(logs: dict[str, Path], tmp_path: Path, name: str) -> None:
     path = logs[name]
     link = tmp_path / f"link{path.suffix}"
@@ -80,15 +75,11 @@ def test_a_folder_of_another_format_may_hold_a_bag(logs: dict[str, Path]) -> Non
     assert isinstance(open_log(logs["tartan"]), TartanDriveLog)
 
 
-def test_dangling_link(tmp_path: Path) -> None:
-    (tmp_path / "a.bag").symlink_to(tmp_path / "gone.bag")
-    with pytest.raises(LogError, match=r"a\.bag: no such file or folder"):
-        open_log(tmp_path / "a.bag")
-
-
 def test_no_such_path(tmp_path: Path) -> None:
-    with pytest.raises(LogError, match=r"drive\.mcap: no such file or folder"):
-        open_log(tmp_path / "drive.mcap")
+    (tmp_path / "a.bag").symlink_to(tmp_path / "gone.bag")
+    for name in ("a.bag", "b.mcap"):
+        with pytest.raises(LogError, match=rf"{name}: no such file or folder"):
+            open_log(tmp_path / name)
 
 
 def test_unknown_format(tmp_path: Path) -> None:

@@ -67,35 +67,6 @@ def test_every_source_of_velocity_gives_the_same_known_motion(velocity, gyro, pi
     np.testing.assert_allclose(motion.state_causal[rows], wanted, atol=1.5e-2)
 
 
-def test_the_lever_arm_of_the_pose_point_shows_as_lateral_velocity():
-    circle = Circle()
-    found = estimate_motion(circle.drive(), circle.time).state[100]
-    np.testing.assert_allclose(found[3:], [SPEED, RATE * AHEAD, RATE], atol=3e-3)
-
-
-def test_a_slope_does_not_lengthen_positions():
-    """Straight up 20 degrees: vx is the horizontal speed, and integrates to the horizontal way."""
-    pitch, time = np.deg2rad(20), np.arange(0, 4, 0.02)
-    along = SPEED * time
-    place = np.stack((along * np.cos(pitch), 0 * along, along * np.sin(pitch)), axis=1)
-    attitude = np.tile(Rotation.from_euler("y", -pitch).as_quat(), (len(time), 1))
-    values = {"position": place, "orientation": attitude}
-    for rig in (RIG, RIG + rates_toml("linear", "body")):
-        channels = {name: Channel(name, "", time, value) for name, value in values.items()}
-        values["linear_velocity"] = np.tile([SPEED, 0.0, 0.0], (len(time), 1))
-        drive = Drive("hill", parse_rig(rig, where="test"), channels)
-        state = estimate_motion(drive, time).state[10:-10]
-        np.testing.assert_allclose(state[:, 3], SPEED * np.cos(pitch), rtol=1e-6)
-        assert np.sum(state[:-1, 3]) * 0.02 == pytest.approx(np.ptp(state[:, 0]), rel=1e-6)
-
-
-def test_on_a_slope_yaw_rate_is_the_derivative_of_yaw_and_not_the_gyro():
-    circle = Circle(pitch=np.deg2rad(20))
-    rate = estimate_motion(circle.drive("body", gyro=True), circle.time).state[50:-50, 5]
-    assert np.abs(rate - RATE).max() > 0.02
-    np.testing.assert_allclose(rate, circle.state()[50:-50, 5], atol=1e-3)
-
-
 @pytest.mark.parametrize(("velocity", "gyro"), SOURCES)
 @pytest.mark.parametrize("row", [120, 121, 200])
 def test_the_causal_estimate_uses_the_past_only(velocity, gyro, row):

@@ -171,19 +171,6 @@ def test_a_fast_spin_at_a_low_rate_is_no_fault() -> None:
     assert not len(found.jumps)
 
 
-def test_a_pose_in_another_unit_is_left_to_inspect() -> None:
-    time, place, _ = path(np.random.default_rng(4), 50, 5, 0.3, 0.01)
-    found = plausible_positions(time, 1000 * place)
-    assert found.hopeless
-    assert found.keep.all()
-
-
-def test_few_samples_are_all_kept() -> None:
-    for count in range(1, 10):
-        time = np.arange(count, dtype=float)
-        assert plausible_positions(time, 1e6 * np.random.default_rng(0).normal(size=(count, 3))).keep.all()
-
-
 @settings(max_examples=80, deadline=None)
 @given(seed=st.integers(0, 10**6), count=st.integers(1, 9))
 def test_the_chain_is_the_best_of_all(seed: int, count: int) -> None:

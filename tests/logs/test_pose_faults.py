@@ -8,7 +8,6 @@ from factories import MemoryLog, small_rig
 from offpiste.dataset.resample import extract_rows
 from offpiste.inspection.pose_samples import check_faults
 from offpiste.logs.drive import Drive, drive_from_log
-from offpiste.logs.pose_faults import DroppedRun, PoseFaults
 from offpiste.logs.poses import poses_from_drive
 
 TIME = np.arange(0, 40, 0.02)
@@ -145,10 +144,3 @@ def test_poses_are_unknown_between_the_samples_around_a_run() -> None:
     x[1000:1003] += 30.0
     found = poses_from_drive(drive_of(x)).at(np.array([TIME[999], TIME[999] + 0.01, TIME[1001], TIME[1003]]))
     assert np.isnan(found).all(axis=(1, 2)).tolist() == [False, True, True, False]
-
-
-def test_moments_that_remember_a_dropped_sample() -> None:
-    run = DroppedRun("position", 5, 6, 1.0, 1.02, after=0.98, until=1.04, since=1.0, off=9.0)
-    faults = PoseFaults((run,))
-    assert faults.touched(np.array([0.99, 1.0, 1.3, 1.35]), 0.3).tolist() == [False, True, True, False]
-    assert PoseFaults().unknown().shape == (0, 2)

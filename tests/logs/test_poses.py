@@ -40,20 +40,6 @@ def test_half_way_is_half_the_way_and_half_the_turn():
     np.testing.assert_allclose(found[:, 3], np.tile([0, 0, 0, 1], (3, 1)))
 
 
-def test_the_sign_of_a_quaternion_means_nothing():
-    one, other = (poses([0, 1], np.zeros((2, 3)), [yaw(10), sign * yaw(50)]) for sign in (1, -1))
-    at = np.linspace(0, 1, 7)
-    np.testing.assert_allclose(one.at(at), other.at(at), atol=1e-12)
-
-
-def test_any_turn_is_as_scipys():
-    time, rng = np.arange(6.0), np.random.default_rng(0)
-    turns = Rotation.random(6, random_state=1)
-    at = rng.uniform(0, 5, 50)
-    found = poses(time, np.zeros((6, 3)), turns.as_quat(), 2.0).at(at)
-    np.testing.assert_allclose(found[:, :3, :3], Slerp(time, turns)(at).as_matrix(), atol=1e-9)
-
-
 def plain(given: Poses, at: np.ndarray) -> np.ndarray:
     """What `Poses.at` gives, in NumPy and SciPy, one moment after the other."""
     found = np.full((len(at), 4, 4), np.nan)

@@ -11,7 +11,7 @@ from offpiste.core.errors import LogError
 from offpiste.inspection.channel_guesses import guess_channels
 from offpiste.logs.formats.bag import BagLog
 from offpiste.logs.ros.writer import McapWriter
-from offpiste.logs.transforms import STAMPED_FIELDS, FramePair, frame_pair, listed
+from offpiste.logs.transforms import STAMPED_FIELDS, frame_pair, listed
 from sensor_bags import SECOND, stamp, transforms
 
 STILL = (0, 0, 0, 1)
@@ -100,9 +100,3 @@ def test_frames_say_which_way_round_a_pose_is() -> None:
         one = frame_pair(f"/tf {pair}")
         assert one is not None
         assert (one.is_of_a_body, one.is_inverse) == expected
-
-
-def test_names_that_are_no_transforms() -> None:
-    assert frame_pair("/tf") is frame_pair("") is frame_pair("/tf odom ->") is None
-    assert frame_pair(BODY) == FramePair("/tf", "odom", "base_link")
-    assert frame_pair(BODY).name == BODY

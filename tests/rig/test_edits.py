@@ -21,12 +21,6 @@ def test_an_edit_sets_one_entry_and_leaves_the_rest() -> None:
     assert edited(changed, [Edit("channels.steer.sign", -1), Edit("clock.max_gap", RIG.clock.max_gap)]) == RIG
 
 
-def test_a_channel_is_removed_and_declared_absent() -> None:
-    changed = edited(RIG, [Edit("channels.brake", None), Edit("absent", [*RIG.absent, "brake"])])
-    assert "brake" not in changed.channels
-    assert "brake" in changed.absent
-
-
 @pytest.mark.parametrize(
     "edit", [Edit("channels.steer.sign", 2), Edit("channels.steer.nonsense", 1), Edit("channels.position", None)]
 )

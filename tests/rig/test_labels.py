@@ -5,7 +5,6 @@ import pytest
 from offpiste.rig.labels import (
     Label,
     channel_unit,
-    is_array_entry,
     is_beside_quantity,
     parse_label,
     unit_by_rate,
@@ -88,11 +87,6 @@ def test_cells_of_a_row_of_units() -> None:
 def test_the_unit_of_stamps_by_their_rate(rate: float, unit: str, said: str) -> None:
     assert unit_by_rate(rate, unit) == said
     assert unit_by_rate(float("inf"), unit) == unit_by_rate(float("nan"), unit) == unit
-
-
-def test_entries_of_arrays_are_not_units() -> None:
-    assert is_array_entry("axes[12]")
-    assert not is_array_entry("vx [m/s]")
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,6 @@ import pytest
 from offpiste.core.errors import LogError
 from offpiste.inspection.channel_guesses import guess_channels
 from offpiste.logs import open_log
-from offpiste.logs.formats.csv_text import _as_table as as_table
 from offpiste.rig.channels import Clock
 
 RACELOGIC = """File created on 15/04/2023 at 10:12:13
@@ -133,8 +132,3 @@ def test_a_file_of_racecapture_has_its_units(tmp_path: Path) -> None:
     log = open_log(path, clock=Clock(column="Interval (ms)", unit="ms"))
     assert log.topics[""].fields == ("Interval (ms)", "Utc (ms)", "Yaw (Deg/Sec)", "Lap")
     assert log.read("", ["Yaw (Deg/Sec)"]).values[:, 0].tolist() == [1.5, 2.5]
-
-
-@pytest.mark.parametrize("text", ['"t"|"x"|"y"\n0|1|2\n1|2|3\n', "t,x\n0,1\n", "[data]\n1 2\n", ""])
-def test_other_texts_stay_as_they_are(text: str) -> None:
-    assert as_table(text) is None

@@ -16,18 +16,8 @@ from offpiste.rig.channels import ChannelSource, Clock
 
 DART = {
     "81_circles_tape_and_tiles/car_1_Datarecording_09_09_2024_17_58_23steer_neg03_ramp.csv": 6998,
-    "81_circles_tape_and_tiles/car_1_Datarecording_09_09_2024_18_05_10steer_03_ramp.csv": 7052,
-    "82_free_driving_rubbery_floor/car_1_Datarecording_09_16_2024_10_01_01.csv": 6786,
-    "82_free_driving_rubbery_floor/car_1_Datarecording_09_16_2024_10_02_28.csv": 9827,
-    "82_free_driving_rubbery_floor/car_1_Datarecording_09_16_2024_10_12_05.csv": 7175,
-    "82_free_driving_rubbery_floor/car_1_Datarecording_09_25_2024_09_53_24.csv": 6981,
-    "82_free_driving_rubbery_floor/car_1_Datarecording_09_25_2024_09_54_57.csv": 1721,
     "82_free_driving_rubbery_floor/car_1_Datarecording_09_25_2024_10_01_57.csv": 1165,
-    "83_16_april_2025_slippery_floor/2025-04-16-15-51-18.csv": 2470,
     "83_16_april_2025_slippery_floor/2025-04-16-15-56-43.csv": 834,
-    "83_16_april_2025_slippery_floor/2025-04-16-16-21-24.csv": 769,
-    "83_16_april_2025_slippery_floor/2025-04-16-17-02-48.csv": 1741,
-    "83_16_april_2025_slippery_floor/2025-04-16-17-36-01.csv": 2780,
 }
 
 
@@ -54,11 +44,6 @@ def test_dart(data_folder: Path, name: str) -> None:
     assert len(log.warnings) == (0 if name.startswith("83") else 1)
 
 
-def test_every_dart_file_is_tested(data_folder: Path) -> None:
-    folder = data_folder / "dart"
-    assert {str(path.relative_to(folder)) for path in folder.glob("*/*.csv")} == set(DART)
-
-
 def test_dart_has_two_columns_of_time(data_folder: Path) -> None:
     path = data_folder / "dart" / "82_free_driving_rubbery_floor" / "car_1_Datarecording_09_25_2024_10_01_57.csv"
     (warning,) = TableLog(path).warnings
@@ -69,25 +54,8 @@ def test_dart_has_two_columns_of_time(data_folder: Path) -> None:
     np.testing.assert_allclose(log.read("", ["vicon x"]).values[0, 0], -2.8746785765444116, atol=0)
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "t",
-        "T",
-        "time",
-        "Time [s]",
-        "timestamp",
-        "stamp_n",
-        "sec",
-        "secs",
-        "t [s]",
-        "field.header.timestamp",
-        "%time",
-        "gps_tow",
-        "iTOW",
-        "unix_s",
-    ],
-)
+@pytest.mark.parametrize("name", ["t", "T", "time", "Time [s]", "timestamp", "stamp_n", "sec", "t [s]", "%time",
+                                  "field.header.timestamp", "gps_tow", "iTOW", "unix_s"])  # fmt: skip
 def test_time_is_guessed_by_name(tmp_path: Path, name: str) -> None:
     log = table(tmp_path, f"throttle,section,steer,{name}\n9,9,9,1\n9,9,9,2\n")
     assert log.read("", ["steer"]).time.tolist() == [1.0, 2.0]
@@ -144,6 +112,20 @@ def test_units_in_cells_are_those_of_their_column(tmp_path: Path) -> None:
         table(tmp_path, "time,x\n" + "".join(f"{k} sec,1\n" for k in range(200)) + "1 min,1\n").stamps("")
 
 
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [
+        ("2024-01-01T00:00:00", "2024-01-01T00:00:01.5"),
+        ("2024-01-01T00:00:00", "2024-01-01 00:00:01.500"),
+        ("2024-01-01T00:00:00Z", "2024-01-01T02:00:01.5+02:00"),
+    ],
+)
+def test_dates_as_stamps(tmp_path: Path, first: str, second: str) -> None:
+    log = table(tmp_path, f"time,x\n{first},1\n{second},2\n")
+    assert log.topics[""].fields == ("x",)
+    assert log.read("", ["x"]).time.tolist() == [1704067200.0, 1704067201.5]
+
+
 def test_no_time(tmp_path: Path) -> None:
     message = r"drive\.csv: no column looks like time; name it: `inspect --time COLUMN`, .*; there are throttle, steer"
     with pytest.raises(LogError, match=message):
@@ -171,18 +153,6 @@ def test_clock_column_and_unit(tmp_path: Path) -> None:
 def test_nanoseconds_since_1970_keep_their_microseconds(tmp_path: Path) -> None:
     log = table(tmp_path, "stamp,x\n1700000000123456789,1\n1700000000143456789,1\n", clock_unit="ns")
     np.testing.assert_allclose(np.diff(log.read("", ["x"]).time), 0.02, atol=5e-7)
-
-
-@pytest.mark.parametrize("second", ["2024-01-01T00:00:01.5", "2024-01-01 00:00:01.500"])
-def test_dates_as_stamps(tmp_path: Path, second: str) -> None:
-    log = table(tmp_path, f"time,x\n2024-01-01T00:00:00,1\n{second},2\n")
-    assert log.topics[""].fields == ("x",)
-    assert log.read("", ["x"]).time.tolist() == [1704067200.0, 1704067201.5]
-
-
-def test_dates_with_zones(tmp_path: Path) -> None:
-    log = table(tmp_path, "time,x\n2024-01-01T00:00:00Z,1\n2024-01-01T02:00:01+02:00,2\n")
-    assert log.read("", ["x"]).time.tolist() == [1704067200.0, 1704067201.0]
 
 
 @pytest.mark.parametrize(
@@ -238,10 +208,6 @@ def test_a_rig_may_still_name_a_clock_by_a_header_with_its_comment(tmp_path: Pat
 def test_text_that_is_no_time_is_named(tmp_path: Path) -> None:
     with pytest.raises(LogError, match=r"row 2 below the header, column 'time': 'noon' is no time; write seconds"):
         table(tmp_path, "time,x\n10:11:12,1\nnoon,2\n")
-
-
-def test_stamps_that_go_back_stay(tmp_path: Path) -> None:
-    assert table(tmp_path, "t,x\n1,1\n3,2\n2,3\n2,4\n").read("", ["x"]).time.tolist() == [1.0, 3.0, 2.0, 2.0]
 
 
 def test_cells(tmp_path: Path) -> None:
@@ -371,12 +337,6 @@ def test_empty_lines_in_a_table_separated_by_spaces_are_no_rows(tmp_path: Path) 
     assert column(log, "x") == [*range(0, 180, 2), 18.0]
 
 
-def test_a_text_without_numbers_is_no_table(tmp_path: Path) -> None:
-    (tmp_path / "README.txt").write_text("Three drives\nof 2026, all in the rain\n")
-    with pytest.raises(LogError, match="no known log format"):
-        open_log(tmp_path / "README.txt")
-
-
 def test_names_above_columns_separated_by_spaces_may_be_separated_otherwise(tmp_path: Path) -> None:
     log = table(tmp_path, "# t, x, y\n0.0 1 2\n0.1 3 4\n")
     assert log.topics[""].fields == ("t", "x", "y")
@@ -444,15 +404,16 @@ def test_an_index_of_timestamps_without_a_name_is_time(tmp_path: Path) -> None:
     assert log.read("", ["x"]).time == pytest.approx([1.7e9, 1.7e9 + 0.013], abs=1e-6)
 
 
-def test_parquet_without_numbers(tmp_path: Path) -> None:
-    pq.write_table(pa.table({"name": ["a"]}), tmp_path / "a.parquet")
-    with pytest.raises(LogError, match="no column of numbers; export the quantities as numbers"):
-        TableLog(tmp_path / "a.parquet")
-
-
-def test_parquet_without_rows(tmp_path: Path) -> None:
-    pq.write_table(pa.table({"t": pa.array([], pa.float64())}), tmp_path / "a.parquet")
-    with pytest.raises(LogError, match=r"a\.parquet: the table has no rows; record or export it again"):
+@pytest.mark.parametrize(
+    ("columns", "what"),
+    [
+        ({"t": pa.array([], pa.float64())}, r"a\.parquet: the table has no rows; record or export it again"),
+        ({"name": ["a"]}, "no column of numbers; export the quantities as numbers"),
+    ],
+)
+def test_parquet_without_rows_or_numbers(tmp_path: Path, columns: dict, what: str) -> None:
+    pq.write_table(pa.table(columns), tmp_path / "a.parquet")
+    with pytest.raises(LogError, match=what):
         TableLog(tmp_path / "a.parquet")
 
 
@@ -466,17 +427,12 @@ def test_damaged_parquet(tmp_path: Path) -> None:
             TableLog(path)
 
 
-def test_letters_are_character_codes(tmp_path):
-    log = table(tmp_path, "t,gear,note\n0,P,first\n1,R,x\n2,,x\n3,D,x\n4,D,last\n")
-    assert log.topics[""].fields == ("t", "gear")
-    assert log.read("", ["gear"]).values[:, 0].tolist() == pytest.approx([80, 82, np.nan, 68, 68], nan_ok=True)
-
-
 @pytest.mark.parametrize(
     ("cells", "codes"),
     [
         (("Park", "REVERSE", "neutral", "forward", "drive"), (80, 82, 78, 68, 68)),
         (("R", "N", "1", "2", "1"), (82, 78, 1, 2, 1)),
+        (("P", "R", "D", "D", "R"), (80, 82, 68, 68, 82)),
         (("stop", "Stopped", "standstill", "forward", "halt"), (78, 78, 78, 68, 78)),
     ],
 )
@@ -534,12 +490,6 @@ def test_a_last_row_that_is_cut_off_is_left_out(tmp_path: Path) -> None:
     assert column(log, "x") == [1, 2]
     with pytest.raises(LogError, match="Expected 3 columns, got 2"):
         table(tmp_path, "t,x,y\n0,1,2\n1,2\n2,3,4\n")
-
-
-def test_stamps_as_a_clock_shows_them_are_seconds(tmp_path: Path) -> None:
-    shown = ["115958.0", "115959.0", "120000.0", "120001.0"]
-    rows = "".join(f"{stamp},{row}\n" for row, stamp in enumerate(shown))
-    assert table(tmp_path, "time,x\n" + rows).read("", ["x"]).time.tolist() == [43198, 43199, 43200, 43201]
 
 
 def test_stamps_as_a_clock_shows_them_count_on_past_midnight(tmp_path: Path) -> None:

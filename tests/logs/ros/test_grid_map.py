@@ -41,13 +41,6 @@ def test_every_cell_lies_where_grid_map_says() -> None:
             assert made.data[0].data[column * NX + row] == 10 * j + i
 
 
-def test_by_hand() -> None:
-    made = message(elevation=np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]))
-    assert made.data[0].data.tolist() == [6, 5, 4, 3, 2, 1]
-    assert (made.info.length_x, made.info.length_y) == (1.5, 1.0)
-    assert (made.info.pose.position.x, made.info.pose.position.y) == (-1.5, 10.25)
-
-
 def test_there_and_back_through_bytes() -> None:
     store, name = message_types(), "grid_map_msgs/msg/GridMap"
     made = message(elevation=layer(), friction=layer() ** 2)

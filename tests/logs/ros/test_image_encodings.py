@@ -118,12 +118,6 @@ def test_a_layout_named_last_is_that_of_the_file(name: str) -> None:
     assert_same(read(in_jpeg, bits), name, 12)
 
 
-@pytest.mark.parametrize("name", ["mono8", "bayer_rggb8", "bayer_grbg16"])
-def test_a_mosaic_that_was_made_grey_is_grey(name: str) -> None:
-    in_jpeg = compressed(f"{name}; jpeg compressed mono8", GREY[..., :1], ".jpg")
-    assert_same(read(in_jpeg, 16), "mono8", 6)
-
-
 @pytest.mark.parametrize("form", ["", *CODECS, "PNG", "image/png", "png compressed"])
 def test_a_format_without_an_encoding_is_what_files_hold(form: str) -> None:
     suffix = "." + (form.lower().removeprefix("image/").split() or ["png"])[0]
@@ -189,10 +183,4 @@ def test_data_that_does_not_fill_the_image_is_damaged(name: str) -> None:
     message.data = message.data[:-30]
     assert pixels_of(message, "/image") is None
     message.height = 0
-    assert pixels_of(message, "/image") is None
-
-
-def test_odd_sizes_that_a_layout_cannot_have_are_damaged() -> None:
-    message = raw("nv12", encoded("nv12", SCENE))
-    message.width = 23
     assert pixels_of(message, "/image") is None

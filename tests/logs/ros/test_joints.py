@@ -9,7 +9,6 @@ import pytest
 
 from bag_files import custom, mcap_file
 from offpiste.core.errors import LogError, RigError
-from offpiste.inspection.channel_guesses import guess_channels
 from offpiste.inspection.draft_rig import draft_rig
 from offpiste.inspection.inspect import inspect_log
 from offpiste.logs.channel import read_channel
@@ -44,32 +43,10 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_entries_are_listed_with_their_names(log: Path) -> None:
-    topic = open_log(log).topics["odometry"]
-    assert topic.joints == {f"position[{i}]": name for i, name in enumerate(COLUMNS)}
-    assert topic.in_words("position[2]") == "position[2] (yaw)"
-
-
-def test_channels_are_guessed_from_them(log: Path) -> None:
-    guessed = {guess.channel: (guess.topic, guess.fields) for guess in guess_channels(open_log(log))}
-    assert guessed["position"] == ("odometry", ("position[0]", "position[1]"))
-    assert guessed["yaw"] == ("odometry", ("position[2]",))
-    assert guessed["throttle"] == ("command", ("position[0]",))
-    assert guessed["steer"] == ("command", ("position[1]",))
-
-
 def test_a_first_rig_says_which_entry_is_what_and_reads_the_log(log: Path) -> None:
     text = draft_rig(open_log(log))
     assert "yaw is position[2]" in text
     assert inspect_log(open_log(log), parse_rig(text, where="draft")).usable
-
-
-def test_a_rig_with_the_names_is_led_to_the_entries(log: Path) -> None:
-    text = draft_rig(open_log(log)).replace('fields = ["position[2]"]', 'fields = ["yaw"]')
-    found = [f for f in inspect_log(open_log(log), parse_rig(text, where="draft")).findings if f.where == "yaw"]
-    (finding,) = (f for f in found if not f.what.startswith("is computed"))  # as this made-up drive is
-    assert "position[2] (yaw)" in finding.evidence
-    assert finding.remedy == 'channels.yaw.fields = ["position[2]"]'
 
 
 def test_kinds_follow_the_names_and_what_has_no_name_keeps_none() -> None:

@@ -68,14 +68,6 @@ def test_messages_that_arrive_out_of_order_across_chunks(tmp_path):
     assert (np.diff(quick.stamps("/odom", stamps="receive")) > 0).all()
 
 
-def test_a_header_of_zero_gives_way_to_the_arrival(tmp_path):
-    message = odometry(0.0)
-    message.header.stamp.sec = message.header.stamp.nanosec = 0
-    quick, plain = both(record(tmp_path / "log.mcap", [(0.5, "/unstamped", message)]))
-    same(quick, plain, "/unstamped")
-    assert quick.stamps("/unstamped").tolist() == [100.5]
-
-
 def test_damage_is_left_to_the_plain_reader(tmp_path):
     path = record(tmp_path / "log.mcap")
     data = bytearray(path.read_bytes())

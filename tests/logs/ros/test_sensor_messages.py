@@ -67,11 +67,6 @@ def test_rows_with_padding_between_them() -> None:
     assert read["x"].tolist() == [1, 2, 3, 4]
 
 
-def test_wrong_row_step_of_a_single_row_does_not_matter() -> None:
-    data = np.arange(6, dtype="<f4").tobytes()
-    assert points_from_message(cloud(data, [("x", 4, 7, 1)], row_step=0))["x"].tolist() == [1, 4]
-
-
 def test_padding_fields_counts_and_nothing() -> None:
     data = np.arange(6, dtype="<f4").tobytes()
     read = points_from_message(cloud(data, [("", 0, 7, 1), ("_", 4, 7, 0), ("_", 8, 7, 1), ("normal", 4, 7, 2)]))

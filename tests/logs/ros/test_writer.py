@@ -14,8 +14,7 @@ from rosbags.highlevel import AnyReader
 
 from offpiste.core.errors import LogError
 from offpiste.logs import open_log
-from offpiste.logs.formats.bag import BagLog
-from offpiste.logs.ros.writer import McapWriter, header, make, message_types
+from offpiste.logs.ros.writer import McapWriter, header, make
 
 START = 1_700_000_000 * 10**9
 PERIOD = 20_000_000
@@ -200,28 +199,12 @@ def test_a_killed_recorder_leaves_what_the_reader_recovers(tmp_path: Path) -> No
     np.testing.assert_array_equal(found, np.arange(len(found)))
 
 
-@pytest.mark.parametrize("after", [0.3, 0.41])
-def test_ctrl_c_at_any_moment_leaves_a_finished_file(tmp_path: Path, after: float) -> None:
+def test_ctrl_c_at_any_moment_leaves_a_finished_file(tmp_path: Path) -> None:
     path = tmp_path / "drive.mcap"
-    done = killed(path, signal.SIGINT, after)
+    done = killed(path, signal.SIGINT, 0.35)
     assert "KeyboardInterrupt" in done.stderr
     log = open_log(path)
     assert log.warnings == ()
     found = log.read("/brake", ["fluid_pressure"]).values[:, 0]
     assert len(found) > 100
     np.testing.assert_array_equal(found, np.arange(len(found)))
-
-
-def test_messages_come_back_one_by_one(tmp_path: Path) -> None:
-    log = BagLog(write(tmp_path / "drive.mcap", 3))
-    assert [(t, m.fluid_pressure) for t, m in log.messages("/brake")] == [
-        (1_700_000_000 - 0.5, 0.0), (1_700_000_000 - 0.48, 1.0), (1_700_000_000 - 0.46, 2.0),
-    ]  # fmt: skip
-    assert next(log.messages("/brake", stamps="receive"))[0] == 1_700_000_000
-    with pytest.raises(LogError, match=r"no topic '/breaks'; did you mean '/brake'\? it has: /brake"):
-        next(log.messages("/breaks"))
-
-
-def test_grid_map_is_a_known_type() -> None:
-    definition, _ = message_types().generate_msgdef("grid_map_msgs/msg/GridMap", ros_version=2)
-    assert definition.startswith("std_msgs/Header header\ngrid_map_msgs/GridMapInfo info\nstring[] layers\n")
