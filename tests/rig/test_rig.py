@@ -145,7 +145,7 @@ def test_a_gear_is_optional_and_a_column_of_its_own():
     rig = small_rig(gear)
     assert [control.name for control in rig.controls] == ["throttle", "brake", "steer", "gear"]
     assert rig.channels["gear"].meanings() == {68.0: 1, 1.0: 0, 2.0: -1}
-    with pytest.raises(RigError, match=r"values has a key 'reverse' that is no recorded number"):
+    with pytest.raises(RigError, match=r"values has a key 'reverse' that is not a recorded number"):
         small_rig(gear.replace('"D"', '"reverse"'))
     with pytest.raises(RigError, match=r"channels.linear_velocity.values needs a single field"):
         small_rig(gear.replace("gear", "linear_velocity").replace('["x"]', '["x", "y"]') + 'frame = "body"\n')

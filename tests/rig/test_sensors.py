@@ -29,7 +29,7 @@ WRONG = {
         r"body_from_lidar\.orientation is not a unit quaternion",
     ),
     "range backwards": (LIDAR + "min_range = 5.0\nmax_range = 2.0\n", r"min_range 5\.0 is not below max_range 2\.0"),
-    "box inside out": (LIDAR + "own_body = [[1, 1, 1], [0, 0, 0]]\n", r"own_body is no box"),
+    "box inside out": (LIDAR + "own_body = [[1, 1, 1], [0, 0, 0]]\n", r"own_body is not a box"),
     "unit of time": (LIDAR + 'time_unit = "minutes"\n', r"minutes"),
     "delay is no number": (LIDAR + "delay = nan\n", r"lidars\.top\.delay is nan"),
     "one name for two": (CAMERA + LIDAR.replace("lidars.top", "lidars.front"), r"'front' is both a camera and a LiDAR"),

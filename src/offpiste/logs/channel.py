@@ -54,18 +54,12 @@ _BODY_DOWN: Final = ("body down", "ned")
 
 @dataclass(frozen=True)
 class Channel:
-    """Samples of one quantity, strictly increasing in time, all finite.
-
-    Attributes:
-        unit: SI unit of the values (`offpiste.rig.channels.known_channels`).
-        time: native stamps, corrected by the rig's delay [s].
-        values: a column per component.
-    """
+    """Samples of one quantity, strictly increasing in time, all finite."""
 
     name: str
-    unit: str
-    time: Float[np.ndarray, " n"]
-    values: Float[np.ndarray, "n k"]
+    unit: str  # SI unit of the values (`offpiste.rig.channels.known_channels`)
+    time: Float[np.ndarray, " n"]  # native stamps, corrected by the rig's delay [s]
+    values: Float[np.ndarray, "n k"]  # a column per component
 
     def linear(self, at: Float[np.ndarray, " N"], *, max_gap: float) -> Float[np.ndarray, "N k"]:
         """Interpolate linearly; NaN outside the record and between samples further apart than `max_gap` [s]."""

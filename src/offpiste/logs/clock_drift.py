@@ -42,15 +42,10 @@ ALIGNED: Final = "clock of"
 
 @dataclass(frozen=True)
 class ClockLag:
-    """Lag of a clock: stamp minus true time.
+    """Lag of a clock: stamp minus true time."""
 
-    Attributes:
-        time: times by the poses' clock [s].
-        lag: stamp minus time [s]; `time + lag` never decreases.
-    """
-
-    time: Float[np.ndarray, " n"]
-    lag: Float[np.ndarray, " n"]
+    time: Float[np.ndarray, " n"]  # times by the poses' clock [s]
+    lag: Float[np.ndarray, " n"]  # stamp minus time [s]; `time + lag` never decreases
 
     def happened(self, stamps: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
         """Return the true times of samples with given stamps [s]."""
@@ -138,15 +133,10 @@ def _cheapest_path(misfit: Float[np.ndarray, "n L"], cost: Float[np.ndarray, "L 
 
 
 class ClockDifference(NamedTuple):
-    """Difference between the poses' clock and a sensor's.
+    """Difference between the poses' clock and a sensor's."""
 
-    Attributes:
-        offset: delay of the sensor's clock in the middle of the drive [s].
-        drift: increase of that delay from the start of the drive to its end [s].
-    """
-
-    offset: float
-    drift: float
+    offset: float  # delay of the sensor's clock in the middle of the drive [s]
+    drift: float  # increase of that delay from the start of the drive to its end [s]
 
 
 def clock_difference(

@@ -90,15 +90,10 @@ class Topic:
 
 @dataclass(frozen=True)
 class Samples:
-    """Recorded numbers in file order, neither sorted, cleaned nor converted.
+    """Recorded numbers in file order, neither sorted, cleaned nor converted."""
 
-    Attributes:
-        time: stamps [s].
-        values: a column per field.
-    """
-
-    time: Float[np.ndarray, " n"]
-    values: Float[np.ndarray, "n k"]
+    time: Float[np.ndarray, " n"]  # stamps [s]
+    values: Float[np.ndarray, "n k"]  # a column per field
 
 
 @dataclass(frozen=True)
@@ -118,29 +113,18 @@ class RawImage:
 
 @dataclass(frozen=True)
 class RawCloud:
-    """Recorded point cloud.
+    """Recorded point cloud."""
 
-    Attributes:
-        time: stamp [s].
-        frame: frame of the points.
-        points: records with x, y, z and other fields.
-    """
-
-    time: float
-    frame: str
-    points: np.ndarray
+    time: float  # stamp [s]
+    frame: str  # frame of the points
+    points: np.ndarray  # records with x, y, z and other fields
 
 
 class SetBack(NamedTuple):
-    """Backward step of a clock.
+    """Backward step of a clock."""
 
-    Attributes:
-        time: last stamp before the step [s].
-        by: size of the step [s].
-    """
-
-    time: float
-    by: float
+    time: float  # last stamp before the step [s]
+    by: float  # size of the step [s]
 
 
 _Raw = TypeVar("_Raw", RawImage, RawCloud)

@@ -39,17 +39,12 @@ _ORIGINS: Final = {"stamp": "the stamp", "epoch": "1970"}
 
 @dataclass(frozen=True)
 class Camera:
-    """Camera of a log.
-
-    Attributes:
-        body_from_camera: camera axes are z forward, x right, y down.
-        source: entry in the rig.
-    """
+    """Camera of a log."""
 
     name: str
     model: CameraModel
-    body_from_camera: Float[np.ndarray, "4 4"]
-    source: CameraSource
+    body_from_camera: Float[np.ndarray, "4 4"]  # camera axes are z forward, x right, y down
+    source: CameraSource  # entry in the rig
 
 
 @dataclass(frozen=True)
@@ -63,35 +58,22 @@ class Lidar:
 
 @dataclass(frozen=True)
 class Image:
-    """RGB image.
+    """RGB image."""
 
-    Attributes:
-        time: stamp, corrected by the rig's delay [s].
-        camera: name in `SensorLog.cameras`.
-    """
-
-    time: float
-    camera: str
+    time: float  # stamp, corrected by the rig's delay [s]
+    camera: str  # name in `SensorLog.cameras`
     pixels: UInt8[np.ndarray, "h w 3"]
 
 
 @dataclass(frozen=True)
 class Cloud:
-    """Scan whose points are finite, within range and not on the vehicle itself.
+    """Scan whose points are finite, within range and not on the vehicle itself."""
 
-    Attributes:
-        time: stamp, corrected by the rig's delay [s].
-        lidar: name in `SensorLog.lidars`.
-        points: each in the LiDAR's frame at the time of the point [m].
-        offset: time of each point after `time` [s]; None if points have no times.
-        intensity: as recorded; NaN if not recorded.
-    """
-
-    time: float
-    lidar: str
-    points: Float[np.ndarray, "n 3"]
-    offset: Float[np.ndarray, " n"] | None
-    intensity: Float[np.ndarray, " n"]
+    time: float  # stamp, corrected by the rig's delay [s]
+    lidar: str  # name in `SensorLog.lidars`
+    points: Float[np.ndarray, "n 3"]  # each in the LiDAR's frame at the time of the point [m]
+    offset: Float[np.ndarray, " n"] | None  # time of each point after `time` [s]; None if points have no times
+    intensity: Float[np.ndarray, " n"]  # as recorded; NaN if not recorded
 
     @property
     def times(self) -> Float[np.ndarray, " n"]:
@@ -226,15 +208,10 @@ def usable_points(points_lidar: Float[np.ndarray, "n 3"], lidar: Lidar) -> Bool[
 
 @dataclass(frozen=True)
 class MisreadTimes:
-    """Point times that are inconsistent with the rig.
+    """Point times that are inconsistent with the rig."""
 
-    Attributes:
-        what: the fault in words.
-        entries: corrected entries of the LiDAR in the rig; empty if no unit and origin fit.
-    """
-
-    what: str
-    entries: dict[str, str]
+    what: str  # the fault in words
+    entries: dict[str, str]  # corrected entries of the LiDAR in the rig; empty if no unit and origin fit
 
     def remedy(self, name: str) -> str:
         """Return the lines of the rig that correct the fault."""

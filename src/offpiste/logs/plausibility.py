@@ -22,27 +22,16 @@ Between = Callable[[Int[np.ndarray, " m"], Int[np.ndarray, " m"]], Float[np.ndar
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of a vehicle's motion, and of noise, in metres or in radians.
+    """Limits of a vehicle's motion, and of noise, in metres or in radians."""
 
-    Attributes:
-        speed: largest speed [m/s].
-        acceleration: largest acceleration [m/s^2].
-        least: smallest faulty step [m] ...
-        least_time: ... or distance at the median speed in this time, if larger [s].
-        noise: limit of the local scatter that is taken for noise [m].
-        common: limit of the 99th percentile of steps that is taken for noise [m].
-        far: length of a jump that costs one more second [m].
-        lost: largest share of time that may be dropped; beyond it the pose itself is in doubt.
-    """
-
-    speed: float
-    acceleration: float
-    least: float
-    least_time: float
-    noise: float
-    common: float
-    far: float
-    lost: float
+    speed: float  # largest speed [m/s]
+    acceleration: float  # largest acceleration [m/s^2]
+    least: float  # smallest faulty step [m]
+    least_time: float  # ... or distance at the median speed in this time, if larger [s]
+    noise: float  # limit of the local scatter that is taken for noise [m]
+    common: float  # limit of the 99th percentile of steps that is taken for noise [m]
+    far: float  # length of a jump that costs one more second [m]
+    lost: float  # largest share of time that may be dropped; beyond it the pose itself is in doubt
 
 
 _POSITION: Final = Limits(120.0, 20.0, 0.1, 0.05, 8.0, 1.0, 5.0, 0.5)
@@ -81,17 +70,11 @@ _BRAKES: Final = 15.0
 
 @dataclass(frozen=True)
 class Plausible:
-    """Samples that a vehicle can have produced.
+    """Samples that a vehicle can have produced."""
 
-    Attributes:
-        keep: samples to keep.
-        jumps: kept samples that follow a remaining jump.
-        hopeless: nothing was dropped, since too much would have been.
-    """
-
-    keep: Bool[np.ndarray, " n"]
-    jumps: Int[np.ndarray, " j"]
-    hopeless: bool = False
+    keep: Bool[np.ndarray, " n"]  # samples to keep
+    jumps: Int[np.ndarray, " j"]  # kept samples that follow a remaining jump
+    hopeless: bool = False  # nothing was dropped, since too much would have been
 
 
 def plausible_positions(

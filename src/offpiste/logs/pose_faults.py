@@ -17,27 +17,18 @@ _NAMED: Final = 3
 
 @dataclass(frozen=True)
 class DroppedRun:
-    """Consecutive samples of a channel that were dropped, since no vehicle can have produced them.
-
-    Attributes:
-        first, last: numbers in the log, from 0.
-        start, end: stamps [s].
-        after, until: stamps of the kept samples before and after the run; infinite if there are none [s].
-        since: time from the channel's first sample to `start` [s].
-        off: largest distance from the vehicle [m or rad]; 0 if unknown, as for a position held to the end.
-        held: the samples hold one position while the vehicle drives on.
-    """
+    """Consecutive samples of a channel that were dropped, since no vehicle can have produced them."""
 
     channel: str
-    first: int
+    first: int  # first, last: numbers in the log, from 0
     last: int
-    start: float
+    start: float  # start, end: stamps [s]
     end: float
-    after: float
+    after: float  # after, until: stamps of the kept samples before and after the run; infinite if there are none [s]
     until: float
-    since: float
-    off: float
-    held: bool = False
+    since: float  # time from the channel's first sample to `start` [s]
+    off: float  # largest distance from the vehicle [m or rad]; 0 if unknown, as for a position held to the end
+    held: bool = False  # the samples hold one position while the vehicle drives on
 
     def __str__(self) -> str:
         unit = "m" if self.channel == "position" else "rad"
@@ -54,33 +45,21 @@ class DroppedRun:
 
 @dataclass(frozen=True)
 class PoseJump:
-    """Lasting step of the pose that no vehicle can make, as where SLAM or GPS corrects it.
-
-    Attributes:
-        sample: number in the log of the first sample after the step, from 0.
-        time: stamp of that sample [s].
-        since: time from the channel's first sample [s].
-    """
+    """Lasting step of the pose that no vehicle can make, as where SLAM or GPS corrects it."""
 
     channel: str
-    sample: int
-    time: float
-    since: float
+    sample: int  # number in the log of the first sample after the step, from 0
+    time: float  # stamp of that sample [s]
+    since: float  # time from the channel's first sample [s]
 
 
 @dataclass(frozen=True)
 class PoseFaults:
-    """Implausible samples of a drive's pose.
+    """Implausible samples of a drive's pose."""
 
-    Attributes:
-        dropped: dropped runs of samples.
-        jumps: remaining jumps.
-        hopeless: channels of which so much is implausible that nothing was dropped.
-    """
-
-    dropped: tuple[DroppedRun, ...] = ()
-    jumps: tuple[PoseJump, ...] = ()
-    hopeless: tuple[str, ...] = ()
+    dropped: tuple[DroppedRun, ...] = ()  # dropped runs of samples
+    jumps: tuple[PoseJump, ...] = ()  # remaining jumps
+    hopeless: tuple[str, ...] = ()  # channels of which so much is implausible that nothing was dropped
 
     @property
     def notes(self) -> list[str]:

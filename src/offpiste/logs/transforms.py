@@ -51,12 +51,12 @@ class FramePair(NamedTuple):
 
     @property
     def is_of_a_body(self) -> bool:
-        """Whether it may be the vehicle's pose, by the names of the frames."""
+        """True for a possible pose of the vehicle, by the names of the frames."""
         return bool(_WORLDS.search(self.parent) and _BODIES.search(self.child))
 
     @property
     def is_inverse(self) -> bool:
-        """Whether it may be the inverse of the vehicle's pose, by the names of the frames."""
+        """True for a possible inverse of the vehicle's pose, by the names of the frames."""
         return bool(_BODIES.search(self.parent) and _WORLDS.search(self.child)) and not self.is_of_a_body
 
     def of(self, message: Any) -> list[Any]:

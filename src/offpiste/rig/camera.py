@@ -31,20 +31,13 @@ _ITERATIONS: Final = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-1
 
 @dataclass(frozen=True)
 class CameraModel:
-    """Calibration of a camera; axes z forward, x right, y down; the centre of the first pixel is (0, 0).
+    """Calibration of a camera; axes z forward, x right, y down; the centre of the first pixel is (0, 0)."""
 
-    Attributes:
-        width, height: size of the image [px].
-        matrix: K [px].
-        distortion: coefficients in the order of OpenCV and of CameraInfo's d; none for a pinhole.
-        distortion_model: key of `COEFFICIENTS`; `validate` refuses others.
-    """
-
-    width: int
+    width: int  # width, height: size of the image [px]
     height: int
-    matrix: Float[np.ndarray, "3 3"]
-    distortion: tuple[float, ...] = ()
-    distortion_model: str = "plumb_bob"
+    matrix: Float[np.ndarray, "3 3"]  # K [px]
+    distortion: tuple[float, ...] = ()  # coefficients in the order of OpenCV and of CameraInfo's d; none for a pinhole
+    distortion_model: str = "plumb_bob"  # key of `COEFFICIENTS`; `validate` refuses others
 
     @property
     def size(self) -> tuple[int, int]:

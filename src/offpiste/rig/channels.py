@@ -119,12 +119,12 @@ class ChannelSource(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def holds(self) -> bool:
-        """Whether a sample is valid until the next."""
+        """True if a sample is valid until the next."""
         return self.interpolation != "linear"
 
     @property
     def turns(self) -> bool:
-        """Whether steering is commanded as a turn rate, from which a bicycle model gives the steering angle."""
+        """True if steering is commanded as a turn rate, from which a bicycle model gives the steering angle."""
         return len(self.fields) == 2 and self.unit in TURN_RATES
 
     def meanings(self) -> dict[float, float]:
@@ -142,7 +142,7 @@ def _recorded(key: str) -> float:
         if len(key) == 1:
             return float(ord(key))
         how = 'write recorded numbers, "true", "false" or single letters, such as values = { "R" = -1, "D" = 1 }'
-        raise RigError(f"values has a key '{key}' that is no recorded number", how=how) from None
+        raise RigError(f"values has a key '{key}' that is not a recorded number", how=how) from None
 
 
 def topic_in_words(topic: str) -> str:

@@ -18,15 +18,10 @@ from offpiste.rig.rig import Rig, check_rig, parse_rig
 
 @dataclass(frozen=True)
 class Edit:
-    """Setting or removal of an entry of a rig.
+    """Setting or removal of an entry of a rig."""
 
-    Attributes:
-        key: path of the entry, e.g. "channels.steer.sign".
-        value: TOML value; None removes the entry.
-    """
-
-    key: str
-    value: Any
+    key: str  # path of the entry, e.g. "channels.steer.sign"
+    value: Any  # TOML value; None removes the entry
 
     def __hash__(self) -> int:
         """Hash the text, since values may be lists."""

@@ -83,15 +83,10 @@ _CLOCKS: Final = re.compile("m(illi)?s(ec(ond)?s?)?|u(s(ec)?s?)|ns(ec)?s?|(milli
 
 @dataclass(frozen=True)
 class Label:
-    """Name and unit in a column's header.
+    """Name and unit in a column's header."""
 
-    Attributes:
-        name: in English and in snake case, without the unit: `posX` is `pos_x`.
-        unit: as rigs write it, e.g. "deg", "km/h" or "us"; "" if the header has none.
-    """
-
-    name: str
-    unit: str = ""
+    name: str  # in English and in snake case, without the unit: `posX` is `pos_x`
+    unit: str = ""  # as rigs write it, e.g. "deg", "km/h" or "us"; "" if the header has none
 
 
 def parse_label(header: str) -> Label:

@@ -43,22 +43,16 @@ _TOPIC: Final = re.compile(r"(/[a-zA-Z_]\w*)+")
 
 
 class OutputField(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Field of a command message; the entries mean the same as for a `ChannelSource` that reads it back.
-
-    Attributes:
-        value: value of a constant.
-        ahead: look-ahead on the plan for speed and yaw rate [s].
-        clip: interval to which the field is limited.
-    """
+    """Field of a command message; the entries mean the same as for a `ChannelSource` that reads it back."""
 
     of: Quantity
     unit: str = ""
     scale: float = 1.0
     offset: float = 0.0
     sign: Literal[-1, 1] = 1
-    value: float = 0.0
-    ahead: float = 0.2
-    clip: tuple[float, float] | None = None
+    value: float = 0.0  # value of a constant
+    ahead: float = 0.2  # look-ahead on the plan for speed and yaw rate [s]
+    clip: tuple[float, float] | None = None  # interval to which the field is limited
 
     def written(self, value: float, max_steer: float) -> float:
         """Return the field for a value in the internal unit."""
@@ -70,31 +64,20 @@ class OutputField(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Output(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Topic with commands.
-
-    Attributes:
-        type: message type, such as `ackermann_msgs/msg/AckermannDriveStamped`.
-        fields: by their paths, such as `drive.speed` or `axes[2]`; all others are zero or empty.
-        frame: frame of the header, if the type has one.
-    """
+    """Topic with commands."""
 
     topic: str
-    type: str
-    fields: dict[str, OutputField]
-    frame: str = "base_link"
+    type: str  # message type, such as `ackermann_msgs/msg/AckermannDriveStamped`
+    fields: dict[str, OutputField]  # by their paths, such as `drive.speed` or `axes[2]`; all others are zero or empty
+    frame: str = "base_link"  # frame of the header, if the type has one
 
 
 class Enable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Dead man's switch: commands are sent only while its messages arrive and it is pressed.
-
-    Attributes:
-        field: number or boolean; above 0.5 is pressed.
-        timeout: largest age of a message [s].
-    """
+    """Dead man's switch: commands are sent only while its messages arrive and it is pressed."""
 
     topic: str
-    field: str = "data"
-    timeout: float = 0.3
+    field: str = "data"  # number or boolean; above 0.5 is pressed
+    timeout: float = 0.3  # largest age of a message [s]
 
 
 class CommandLimits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -120,23 +103,14 @@ class CommandLimits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True)
 class Timeouts:
-    """Largest ages of inputs [s].
+    """Largest ages of inputs [s]."""
 
-    Attributes:
-        state: age of the vehicle's state beyond which it makes a controlled stop.
-        scan: age of scans beyond which it slows down.
-        scan_limit: age of scans beyond which it makes a controlled stop.
-        image: age of images beyond which it continues in degraded mode, on the features in the map.
-        plan: age of the followed plan beyond which it makes a controlled stop.
-        ahead: messages stamped further ahead of the clock are dropped.
-    """
-
-    state: float = 0.1
-    scan: float = 0.5
-    scan_limit: float = 1.0
-    image: float = 1.5
-    plan: float = 0.5
-    ahead: float = 0.1
+    state: float = 0.1  # age of the vehicle's state beyond which it makes a controlled stop
+    scan: float = 0.5  # age of scans beyond which it slows down
+    scan_limit: float = 1.0  # age of scans beyond which it makes a controlled stop
+    image: float = 1.5  # age of images beyond which it continues in degraded mode, on the features in the map
+    plan: float = 0.5  # age of the followed plan beyond which it makes a controlled stop
+    ahead: float = 0.1  # messages stamped further ahead of the clock are dropped
 
 
 class Live(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

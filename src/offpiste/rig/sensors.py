@@ -51,7 +51,7 @@ class Mounting(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def is_rough(self) -> bool:
-        """Whether it is a rough guess."""
+        """True for a rough guess."""
         return bool(self.looks)
 
     def matrix(self, *, optical: bool = False) -> Float[np.ndarray, "4 4"]:
@@ -89,32 +89,19 @@ class Intrinsics(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class CameraSource(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Source of a camera's images.
+    """Source of a camera's images."""
 
-    Attributes:
-        topic: topic of images, compressed or not.
-        info: topic of CameraInfo; exclusive with `intrinsics`.
-        frame: frame of the images (z forward, x right, y down); "" for the frame in their headers.
-        body_from_camera: mounting in place of the log's transforms.
-        rectified: images are rectified; CameraInfo's P holds instead of K and d.
-        delay: how much later than its exposure an image is stamped [s].
-        bits: bit depth of the sensor for images stored in 16 bits; 0 for images of 8 bits.
-        optional: read a log without this topic, without this camera.
-        mask: image of the recorded size, not black where the vehicle sees itself; path relative to the rig file.
-        own_body: further polygons in the recorded image in which the vehicle sees itself.
-    """
-
-    topic: str
-    info: str = ""
+    topic: str  # topic of images, compressed or not
+    info: str = ""  # topic of CameraInfo; exclusive with `intrinsics`
     intrinsics: Intrinsics | None = None
-    frame: str = ""
-    body_from_camera: Mounting | None = None
-    rectified: bool = False
-    delay: float = 0.0
-    bits: int = 0
-    optional: bool = False
-    mask: str = ""
-    own_body: tuple[Polygon, ...] = ()
+    frame: str = ""  # frame of the images (z forward, x right, y down); "" for the frame in their headers
+    body_from_camera: Mounting | None = None  # mounting in place of the log's transforms
+    rectified: bool = False  # images are rectified; CameraInfo's P holds instead of K and d
+    delay: float = 0.0  # how much later than its exposure an image is stamped [s]
+    bits: int = 0  # bit depth of the sensor for images stored in 16 bits; 0 for images of 8 bits
+    optional: bool = False  # read a log without this topic, without this camera
+    mask: str = ""  # image of the recorded size, not black where the vehicle sees itself; path relative to the rig file
+    own_body: tuple[Polygon, ...] = ()  # further polygons in the recorded image in which the vehicle sees itself
 
     @property
     def mounting(self) -> Mounting | None:
@@ -123,32 +110,19 @@ class CameraSource(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class LidarSource(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Source of a LiDAR's point clouds.
+    """Source of a LiDAR's point clouds."""
 
-    Attributes:
-        topic: topic of point clouds.
-        frame: frame of the points; "" for the frame in their headers.
-        body_from_lidar: mounting in place of the log's transforms.
-        delay: how much later than measured a cloud is stamped [s].
-        time_field: field of the points' own times; "" if they have none or are motion-compensated already.
-        time_unit: unit of that field.
-        time_origin: zero of that field: the cloud's stamp, or 1970.
-        min_range, max_range: points nearer or further are dropped [m].
-        own_body: box in the body frame; points in it belong to the vehicle itself and are dropped.
-        optional: read a log without this topic, without this LiDAR.
-    """
-
-    topic: str
-    frame: str = ""
-    body_from_lidar: Mounting | None = None
-    delay: float = 0.0
-    time_field: str = ""
-    time_unit: Literal["s", "ms", "us", "ns"] = "s"
-    time_origin: Literal["stamp", "epoch"] = "stamp"
-    min_range: float = 0.0
+    topic: str  # topic of point clouds
+    frame: str = ""  # frame of the points; "" for the frame in their headers
+    body_from_lidar: Mounting | None = None  # mounting in place of the log's transforms
+    delay: float = 0.0  # how much later than measured a cloud is stamped [s]
+    time_field: str = ""  # field of the points' own times; "" if they have none or are motion-compensated already
+    time_unit: Literal["s", "ms", "us", "ns"] = "s"  # unit of that field
+    time_origin: Literal["stamp", "epoch"] = "stamp"  # zero of that field: the cloud's stamp, or 1970
+    min_range: float = 0.0  # min_range, max_range: points nearer or further are dropped [m]
     max_range: float = 1000.0
-    own_body: Box | None = None
-    optional: bool = False
+    own_body: Box | None = None  # box in the body frame; points in it belong to the vehicle itself and are dropped
+    optional: bool = False  # read a log without this topic, without this LiDAR
 
     @property
     def mounting(self) -> Mounting | None:
@@ -190,7 +164,7 @@ def _check_lidar(key: str, lidar: LidarSource) -> None:
     if not 0 <= lidar.min_range < lidar.max_range:
         raise RigError(f"{key}: min_range {lidar.min_range} is not below max_range {lidar.max_range}", how="fix one")
     if lidar.own_body is not None and not np.all(np.less(*lidar.own_body)):
-        raise RigError(f"{key}.own_body is no box", how="give the lowest and the highest x, y, z [m]")
+        raise RigError(f"{key}.own_body is not a box", how="give the lowest and the highest x, y, z [m]")
     _check_mounting(f"{key}.body_from_lidar", lidar.mounting)
     _check_finite(f"{key}.delay", lidar.delay)
 

@@ -206,7 +206,7 @@ def test_a_rig_may_still_name_a_clock_by_a_header_with_its_comment(tmp_path: Pat
 
 
 def test_text_that_is_no_time_is_named(tmp_path: Path) -> None:
-    with pytest.raises(LogError, match=r"row 2 below the header, column 'time': 'noon' is no time; write seconds"):
+    with pytest.raises(LogError, match=r"row 2 below the header, column 'time': 'noon' is not a time; write seconds"):
         table(tmp_path, "time,x\n10:11:12,1\nnoon,2\n")
 
 

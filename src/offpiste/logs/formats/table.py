@@ -204,7 +204,7 @@ class TableLog(Log):
             if not self._is_numeric(name):
                 cells = enumerate(column.to_pylist(), 1 + self._rows_of_units)
                 row, cell = next((r, c) for r, c in cells if c and clock_times(pa.chunked_array([[c]])) is None)
-                what = f"row {row} below the header, column '{name}': '{cell[:40]}' is no time"
+                what = f"row {row} below the header, column '{name}': '{cell[:40]}' is not a time"
                 raise LogError(what, where=self.path, how="write seconds, or 2024-05-03T10:11:12.345")
         if nanoseconds := self._beside(name):
             return self._numbers(name) + self._numbers(nanoseconds) / 1e9

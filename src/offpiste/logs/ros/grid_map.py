@@ -18,15 +18,10 @@ from offpiste.logs.ros.writer import header, make, quaternion, vector
 
 @dataclass(frozen=True)
 class MapLayers:
-    """Named layers of equal size.
+    """Named layers of equal size."""
 
-    Attributes:
-        origin: x, y of node [0, 0] in the frame of the message [m].
-        resolution: spacing of the nodes [m].
-    """
-
-    origin: tuple[float, float]
-    resolution: float
+    origin: tuple[float, float]  # x, y of node [0, 0] in the frame of the message [m]
+    resolution: float  # spacing of the nodes [m]
     layers: dict[str, Float[np.ndarray, "ny nx"]]
 
 

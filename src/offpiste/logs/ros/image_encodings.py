@@ -18,19 +18,12 @@ from offpiste.logs.measurements import Pixels, decoded_picture
 
 @dataclass(frozen=True)
 class Encoding:
-    """Pixel layout of an encoding.
+    """Pixel layout of an encoding."""
 
-    Attributes:
-        depth: bits per value, 8 or 16.
-        channels: values per pixel; of the brightness plane in planar layouts.
-        to_rgb: conversion of OpenCV; None for RGB.
-        rows: rows of data for two rows of pixels; more than two in planar layouts.
-    """
-
-    depth: int
-    channels: int
-    to_rgb: int | None
-    rows: int = 2
+    depth: int  # bits per value, 8 or 16
+    channels: int  # values per pixel; of the brightness plane in planar layouts
+    to_rgb: int | None  # conversion of OpenCV; None for RGB
+    rows: int = 2  # rows of data for two rows of pixels; more than two in planar layouts
 
 
 _LAYOUTS: Final = {
