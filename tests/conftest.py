@@ -65,7 +65,7 @@ SLOW = (
     "reproduction/test_reproduce.py", "runtime/test_compiled_and_loaded.py",
     "core/test_cluster.py::test_a_worker_and_a_node_that_are_killed",
     "test_kill.py::test_a_killed_training_and_simulation", "core/test_object_store.py::test_a_bucket_that_is_not_there",
-    "training/test_distributed.py::test_on_two_hosts",
+    "rig/test_sensors.py::test_the_proving_grounds_rig_masks", "training/test_distributed.py::test_on_two_hosts",
 )  # fmt: skip
 """Tests that only `.ci/full` runs, but for those in `SMOKE`."""
 

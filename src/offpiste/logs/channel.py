@@ -69,8 +69,7 @@ class Channel:
 
     def hold(self, at: Float[np.ndarray, " N"], *, max_gap: float) -> Float[np.ndarray, "N k"]:
         """Return the last value stamped at or before each time, e.g. of a command; NaN as in `linear`."""
-        index = np.searchsorted(self.time, at, side="right") - 1
-        values = self.values[np.maximum(index, 0)].copy()
+        values = self.latest(at, max_gap=np.inf)
         values[~self.covered(at, max_gap)] = np.nan
         return values
 

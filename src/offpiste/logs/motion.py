@@ -150,8 +150,8 @@ def _states(drive: Drive, at: Float[np.ndarray, " N"], *, causal: bool) -> Float
         last = value.latest(at, max_gap=gap)
         if rate is None:
             return last
-        width = rate.values.shape[1]
-        return extrapolated(last[:, :width], rate.latest(at, max_gap=gap), _age(value, at))
+        age = at - value.time[np.maximum(np.searchsorted(value.time, at, side="right") - 1, 0)]
+        return extrapolated(last[:, : rate.values.shape[1]], rate.latest(at, max_gap=gap), age)
 
     covered = np.isfinite(sampled(place)[:, 0] + sampled(yaw)[:, 0])
     if causal:
@@ -182,12 +182,6 @@ def planar_state(
 ) -> Float[np.ndarray, "N 6"]:
     """Return states (`offpiste.core.conventions.STATE`) from positions [m] and world velocities [m/s]."""
     return np.concatenate((xy, yaw, planar_body_from_world(velocity, yaw[:, 0]), yaw_rate), axis=1)
-
-
-def _age(channel: Channel, at: Float[np.ndarray, " N"]) -> Float[np.ndarray, " N"]:
-    """Return the time since the last sample [s]."""
-    last = np.maximum(np.searchsorted(channel.time, at, side="right") - 1, 0)
-    return at - channel.time[last]
 
 
 def _at_stamps(channel: Channel, of: Channel, *, causal: bool) -> Float[np.ndarray, "n k"]:

@@ -253,7 +253,11 @@ def _gather(topic: _Topic, data: UInt8[np.ndarray, " n"], index: Int[np.ndarray,
     head = _rows(data, begin, 12) if topic.headed else None
     if head is not None and (size.min() < 12 or not (head[:, 1] == 1).all()):
         raise ValueError("messages without a little-endian header")
-    topic.stamp.append(np.zeros(len(index), np.int64) if head is None else _stamps(head))
+    if head is None:
+        topic.stamp.append(np.zeros(len(index), np.int64))
+    else:
+        seconds, rest = _numbers_at(head, 4, "i4").astype(np.int64), _numbers_at(head, 8, "u4").astype(np.int64)
+        topic.stamp.append(seconds * 10**9 + rest)
     topic.sender.append(_senders(topic, data, begin, size))
     if not topic.regular:
         return
@@ -303,11 +307,6 @@ def _joined(topic: _Topic) -> Columns:
 
 def _rows(data: UInt8[np.ndarray, " n"], begin: Int[np.ndarray, " m"], size: int) -> UInt8[np.ndarray, "m k"]:
     return np.asarray(data[begin[:, None] + np.arange(size)])
-
-
-def _stamps(head: UInt8[np.ndarray, "m k"]) -> Int[np.ndarray, " m"]:
-    seconds, rest = _numbers_at(head, 4, "i4").astype(np.int64), _numbers_at(head, 8, "u4").astype(np.int64)
-    return seconds * 10**9 + rest
 
 
 def _numbers_at(rows: UInt8[np.ndarray, "m k"], at: int, kind: str) -> np.ndarray:

@@ -28,10 +28,12 @@ def points_from_message(message: Any) -> np.ndarray:
     for field in message.fields:
         if field.name:
             fields.setdefault(field.name, field)
+    kinds: list[Any] = []
     for field in fields.values():
         if field.datatype not in _TYPES:
             raise LogError(f"field '{field.name}' of a point cloud has the unknown type {field.datatype}")
-    kinds = [_kind(order, field) for field in fields.values()]
+        kind = order + _TYPES[field.datatype]
+        kinds.append((kind, (field.count,)) if field.count > 1 else kind)  # old drivers write a count of 0 for 1
     try:
         point = np.dtype(
             {
@@ -72,12 +74,6 @@ def message_from_points(points: np.ndarray, stamp_ns: int, frame: str) -> Any:
         data=np.frombuffer(points.tobytes(), dtype=np.uint8),
         is_dense=True,
     )
-
-
-def _kind(order: str, field: Any) -> Any:
-    # Old drivers write a count of 0 for 1.
-    kind = order + _TYPES[field.datatype]
-    return (kind, (field.count,)) if field.count > 1 else kind
 
 
 def images_of(messages: Iterator[tuple[float, Any]], topic: str) -> Iterator[RawImage]:
