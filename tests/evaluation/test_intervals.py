@@ -40,29 +40,11 @@ def test_statistics_worked_by_hand() -> None:
     assert found.ci95[0] < 4.0 < found.ci95[1]
 
 
-@pytest.mark.parametrize("count", [1, 4])
-def test_fewer_than_five_blocks_of_one_drive_have_no_interval(count: int) -> None:
-    values = np.arange(12.0)
-    block = np.arange(12) % count
+def test_fewer_than_five_blocks_of_one_drive_have_no_interval() -> None:
+    values, block = np.arange(12.0), np.arange(12) % 4
     assert np.isnan(summary(values, drawn(block)).ci95).all()
     assert np.isnan(paired(values, values + 1, drawn(block)).ci95).all()
     assert paired(values, values + 1, drawn(block)).mean == -1.0
-
-
-@pytest.mark.parametrize("groups", [6])
-def test_intervals_hold_the_truth_about_95_times_in_100(groups: int) -> None:
-    """Windows of a block are copies of each other; an interval over windows would hold it far less often."""
-    rng = np.random.default_rng(1)
-    block = np.repeat(np.arange(groups), 30)
-    blocked = naive = 0
-    for seed in range(300):
-        values = rng.normal(5.0, 1.0, groups)[block]
-        low, high = summary(values, drawn(block, seed)).ci95
-        blocked += low <= 5.0 <= high
-        half = 1.96 * values.std() / np.sqrt(len(values))
-        naive += abs(values.mean() - 5.0) <= half
-    assert 0.90 <= blocked / 300 <= 0.985
-    assert naive / 300 < 0.5
 
 
 def test_four_drives_have_no_interval_since_their_blocks_are_not_independent() -> None:
@@ -143,10 +125,9 @@ def test_failed_predictions_make_the_mean_infinite_and_leave_low_quantiles() -> 
     assert np.isnan(relative(values, np.ones(5), drawn([0, 1, 2, 3, 4])).mean)
 
 
-@pytest.mark.parametrize("drives", [5])
-def test_intervals_hold_the_truth_about_worlds_where_pooled_blocks_do_not(drives: int) -> None:
+def test_intervals_hold_the_truth_about_worlds_where_pooled_blocks_do_not() -> None:
     """Worlds differ as much as blocks do; the truth is the mean over all worlds."""
-    rng = np.random.default_rng(3)
+    rng, drives = np.random.default_rng(3), 5
     hierarchical = pooled = 0
     for seed in range(300):
         world = np.repeat(rng.normal(5.0, 1.0, drives), 4)
@@ -240,18 +221,9 @@ def test_the_order_of_windows_does_not_matter() -> None:
     assert Sampling().on(errors).levels() == Levels(5, 20)
 
 
-def test_blocks_do_not_mix_drives() -> None:
-    drive = np.repeat([0, 1, 2], 100)
-    row = np.tile(np.arange(100) * 5, 3)
-    block = blocks(drive, row)
-    assert all(len(set(drive[block == b])) == 1 for b in set(block))
-
-
-@pytest.mark.parametrize("gaps", [False, True])
-def test_windows_of_a_block_and_of_the_next_but_one_share_no_row(gaps: bool) -> None:
+def test_windows_of_a_block_and_of_the_next_but_one_share_no_row() -> None:
     row = np.arange(0, 6000, 5)
-    if gaps:
-        row = row[np.random.default_rng(0).random(len(row)) < 0.1]
+    row = row[np.random.default_rng(0).random(len(row)) < 0.1]
     block = blocks(np.zeros(len(row), dtype=int), row)
     assert (np.diff(block) >= 0).all()
     assert set(block) == set(range(block.max() + 1))
@@ -267,3 +239,4 @@ def test_short_rests_join_the_last_block_and_gaps_separate_blocks() -> None:
     assert blocks(np.zeros(len(row), dtype=int), row, seconds=6.0).max() == 3  # 6, 6, 6 and 4 s
     row = np.array([0, 5, 10, 5000, 5005])
     assert blocks(np.zeros(5, dtype=int), row).tolist() == [0, 0, 0, 1, 1]
+    assert blocks(np.array([0, 0, 1, 1, 1]), np.array([0, 5, 0, 5, 10])).tolist() == [0, 0, 1, 1, 1]

@@ -24,11 +24,7 @@ from offpiste.reproduction.settings import SIZES, ReproductionSettings, Size
 from offpiste.training.config import TrainConfig
 
 TINY = Size(
-    "tiny",
-    (30.0, 15.0, 15.0),
-    seeds=2,
-    stride=40,
-    train=TrainConfig(epochs=1, bicycle_epochs=1, batch=64, stride=40),
+    "tiny", (30.0, 15.0, 15.0), seeds=2, stride=40, train=TrainConfig(epochs=1, bicycle_epochs=1, batch=64, stride=40)
 )
 
 

@@ -11,8 +11,7 @@ from offpiste.visualization.view_log import draw_sensors, gaps
 
 
 @pytest.mark.parametrize(
-    ("text", "wanted"),
-    [("", (0, np.inf)), ("2:3.5", (2, 3.5)), ("7:", (7, np.inf)), (":4", (0, 4))],
+    ("text", "wanted"), [("", (0, np.inf)), ("2:3.5", (2, 3.5)), ("7:", (7, np.inf)), (":4", (0, 4))]
 )
 def test_a_stretch(text: str, wanted: tuple[float, float]) -> None:
     assert parse_stretch(text) == wanted

@@ -24,7 +24,7 @@ SPLIT = parse_split("blocks:0.5,0.25,0.25")
 SETS = len(FEATURE_SETS)
 
 
-def with_features(rows: Rows, *, shift: int = 0) -> Rows:
+def with_features(rows: Rows) -> Rows:
     """Features that grow by 0.1 with every set, valid in every second cell from 0 m on."""
     xy = rows.state[:, :2].astype(np.float64) + rows.origin
     wheels = wheel_positions(xy, rows.state[:, 2].astype(np.float64), small_rig().wheel_positions())
@@ -36,7 +36,7 @@ def with_features(rows: Rows, *, shift: int = 0) -> Rows:
     features[0, :, 0] = np.linspace(0, 1, count)
     features[~valid] = np.nan
     known = np.where(valid, 5.0, np.nan).astype(np.float32)
-    return replace(rows, cells=Cells(passes.index + shift, features.astype(np.float16), valid, known, known))
+    return replace(rows, cells=Cells(passes.index, features.astype(np.float16), valid, known, known))
 
 
 def written(folder: Path, rows: list[Rows], features: tuple[str, ...] = ("pca_0", "pca_1")) -> Path:

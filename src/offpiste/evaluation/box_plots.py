@@ -127,4 +127,10 @@ def _legend(figure: Figure, axes: Axes, names: Sequence[str]) -> None:
     handles: list[Artist] = [Patch(facecolor=colour_of(name), alpha=0.4, label=name) for name in names]
     handles += axes.plot([], [], color=MEDIAN, linewidth=1.5, label="median")
     handles += axes.plot([], [], color=MEAN, linewidth=3.2, label="mean")
-    figure.legend(handles=handles, frameon=False, fontsize=8, ncols=len(handles), loc="outside lower right")
+    figure.legend(
+        handles=handles,
+        frameon=False,
+        fontsize=8,
+        ncols=max(3, int(figure.get_figwidth() / 1.2)),
+        loc="outside lower right",
+    )

@@ -308,9 +308,7 @@ def _refuse_unlike(models: Sequence[EvaluatedModel], dataset: Dataset) -> None:
             )
         if len({_identity(run) for run in runs}) < len(runs):
             raise RunError(
-                f"two runs of model '{name}' have the same seed and fold",
-                where=dataset.path,
-                how="give each run once",
+                f"two runs of model '{name}' have the same seed and fold", where=dataset.path, how="give each run once"
             )
 
 

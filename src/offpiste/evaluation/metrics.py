@@ -296,13 +296,9 @@ def _rows(
     loss_minus = {other: paired(errors.loss, result.loss, drawn) for other, result in others.items()}
     return [
         ResultRow(
-            model=case.model,
-            variant=case.variant,
+            **vars(case),
             seed=run.seed,
             fold=run.fold,
-            start=case.start,
-            feature_set=case.feature_set,
-            lookup=case.lookup,
             part=part,
             horizon_s=float(seconds),
             n=len(errors.row),
@@ -350,11 +346,7 @@ def band_rows(errors: Mapping[Case, SeededErrors], windows: EvaluatedWindows, sa
             drawn = sampling.on(some)
             rows += [
                 BandRow(
-                    model=case.model,
-                    variant=case.variant,
-                    start=case.start,
-                    feature_set=case.feature_set,
-                    lookup=case.lookup,
+                    **vars(case),
                     band=name,
                     horizon_s=float(seconds),
                     n=int(mine.sum()),

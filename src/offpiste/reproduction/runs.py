@@ -61,12 +61,7 @@ def evaluation_windows(windows: Windows, reading: Reading, stride: int) -> np.nd
 
 
 def errors_of_runs(
-    runs: Sequence[Run],
-    windows: Windows,
-    index: np.ndarray,
-    reading: Reading,
-    *,
-    scale: torch.Tensor,
+    runs: Sequence[Run], windows: Windows, index: np.ndarray, reading: Reading, *, scale: torch.Tensor
 ) -> list[Errors]:
     """Compute the errors of runs with one terrain lookup; windows and maps are read once.
 

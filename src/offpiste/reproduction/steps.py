@@ -135,11 +135,7 @@ class _Pace:
 
 
 def _side_by_side(
-    steps: Sequence[Step],
-    numbers: Mapping[str, str],
-    processes: int,
-    pace: _Pace,
-    record: Record | None,
+    steps: Sequence[Step], numbers: Mapping[str, str], processes: int, pace: _Pace, record: Record | None
 ) -> None:
     named = {step.name: step for step in steps}
     logger.info(f"{len(steps)} steps, {min(processes, len(steps))} at a time: {', '.join(named)}")

@@ -73,12 +73,7 @@ class Mosaic:
     """
 
     def __init__(
-        self,
-        low: Float[np.ndarray, " 2"],
-        high: Float[np.ndarray, " 2"],
-        resolution: float,
-        *,
-        most: int = MOST_CELLS,
+        self, low: Float[np.ndarray, " 2"], high: Float[np.ndarray, " 2"], resolution: float, *, most: int = MOST_CELLS
     ) -> None:
         cells = (high - low) / resolution
         self.step = max(1, int(np.ceil(np.sqrt(cells.prod() / most))))

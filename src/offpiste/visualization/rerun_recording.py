@@ -5,7 +5,7 @@ position, because viewers use float32.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -25,6 +25,12 @@ OFFSET: Final = np.array([-14.0, -14.0, 11.0])
 """Offset of the viewer's eye from the vehicle's first position [m]."""
 EPOCH: Final = 1e8
 """Times above this are dates; smaller times count from the log's zero [s]."""
+SCAN_POINTS, SCAN_INTERVAL = 10_000, 0.2
+"""Largest number of points of a scan, and time between two scans [s]."""
+MAP_METRES, MAP_STEP = 5.0, 2
+"""Distance driven between two updates of the map [m], and step between its written cells, which divides `TILE`."""
+QUALITY: Final = 80
+"""JPEG quality of images."""
 GREY: Final = np.array([120, 120, 120], np.uint8)
 """Colour of ground without features."""
 TILE: Final = 100
@@ -96,35 +102,6 @@ def _between(tile: int, low: int, count: int, step: int) -> slice:
     return slice(first - low, min((tile + 1) * TILE + 1, low + count) - low, step)
 
 
-@dataclass(frozen=True)
-class RecordingSettings:
-    """Amount of data in a recording.
-
-    Attributes:
-        scan_points: largest number of points of a scan, evenly chosen.
-        scan_interval: time between two scans [s].
-        map_metres: distance driven between two updates of the map [m].
-        map_step: step between the cells of the map that are written; divides `TILE`.
-        quality: JPEG quality of images.
-    """
-
-    scan_points: int = 10_000
-    scan_interval: float = 0.2
-    map_metres: float = 5.0
-    map_step: int = 2
-    quality: int = 80
-
-
-@dataclass
-class _Written:
-    """Data already in the file."""
-
-    images: dict[str, float] = field(default_factory=dict)
-    scan: float = -np.inf
-    map_at: Float[np.ndarray, " 3"] | None = None
-    tiles: dict[tuple[int, int], tuple[int, float]] = field(default_factory=dict)
-
-
 class Recorder:
     """Writer of one recording.
 
@@ -142,13 +119,15 @@ class Recorder:
         origin: Float[np.ndarray, " 3"],
         limits: Float[np.ndarray, "2 3"] | None,
         cameras: tuple[str, ...],
-        settings: RecordingSettings | None = None,
     ) -> None:
         with extra("view", otherwise="go without: --no-rrd"):
             import rerun as rr
         self._rr = rr
-        self._origin, self._limits, self._settings = origin, limits, settings or RecordingSettings()
-        self._written = _Written()
+        self._origin, self._limits = origin, limits
+        # Times, position and content of what was last written
+        self._image_times: dict[str, float] = {}
+        self._scan_time, self._map_at = -np.inf, np.full(3, np.inf)
+        self._tiles: dict[tuple[int, int], tuple[int, float]] = {}
         self._stream = rr.RecordingStream("offpiste")
         self._stream.save(path, default_blueprint=_blueprint(cameras, limits is not None))
         self._stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
@@ -178,23 +157,23 @@ class Recorder:
     def add(self, moment: Moment, world_from_body: Float[np.ndarray, "4 4"]) -> None:
         """Add the new data of a moment."""
         for view, image, features in zip(moment.views, moment.images, moment.features, strict=True):
-            if self._written.images.get(view.camera.name) != view.time:
-                self._written.images[view.camera.name] = view.time
+            if self._image_times.get(view.camera.name) != view.time:
+                self._image_times[view.camera.name] = view.time
                 self._add_image(view, image, features)
         self._at(moment.time)
-        self._add_pose(world_from_body)
-        if moment.time - self._written.scan >= self._settings.scan_interval:
-            self._written.scan = moment.time
+        place = world_from_body[:3, 3] - self._origin
+        self._stream.log("world/vehicle", self._rr.Transform3D(translation=place, mat3x3=world_from_body[:3, :3]))
+        if moment.time - self._scan_time >= SCAN_INTERVAL:
+            self._scan_time = moment.time
             self._add_scan(moment)
-        before = self._written.map_at
-        if before is None or np.linalg.norm(moment.vehicle - before) >= self._settings.map_metres:
+        if not np.linalg.norm(moment.vehicle - self._map_at) < MAP_METRES:
             self.add_map(moment)
 
     def add_map(self, moment: Moment) -> None:
         """Add the tiles of the map with news since they were last written."""
         self._at(moment.time)
-        self._written.map_at = moment.vehicle.copy()
-        for tile in tiles(moment.layers, self._settings.map_step):
+        self._map_at = moment.vehicle.copy()
+        for tile in tiles(moment.layers, MAP_STEP):
             if self._has_news(moment.layers, tile):
                 self._add_tile(moment.layers, tile)
 
@@ -203,11 +182,6 @@ class Recorder:
             self._stream.set_time("log", timestamp=time)
         else:
             self._stream.set_time("log", duration=time)
-
-    def _add_pose(self, world_from_body: Float[np.ndarray, "4 4"]) -> None:
-        rr, pose = self._rr, world_from_body
-        place = rr.Transform3D(translation=pose[:3, 3] - self._origin, mat3x3=pose[:3, :3])
-        self._stream.log("world/vehicle", place)
 
     def _add_image(
         self, view: CameraView, image: UInt8[np.ndarray, "h w 3"], features: Float[np.ndarray, "rows columns F"]
@@ -226,13 +200,13 @@ class Recorder:
                 image_plane_distance=1.5,
             ),
         )
-        jpeg = cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, self._settings.quality])[1]
+        jpeg = cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1]
         self._stream.log(f"{place}/image", rr.EncodedImage(contents=jpeg.tobytes(), media_type="image/jpeg"))
         if self._limits is not None:
             self._stream.log(f"features/{camera.name}", rr.Image(colours(features, self._limits)))
 
     def _add_scan(self, moment: Moment) -> None:
-        every = max(1, -(-len(moment.points_world) // self._settings.scan_points))
+        every = max(1, -(-len(moment.points_world) // SCAN_POINTS))
         points = (moment.points_world[::every] - self._origin).astype(np.float32)
         shade = np.broadcast_to(GREY, (len(points), 3)).copy()
         if self._limits is not None and moment.projection is not None:
@@ -245,11 +219,11 @@ class Recorder:
         part = tile.rows, tile.columns
         count, near = int(layers.known[part].sum()), layers.distance[part][layers.valid[part]]
         seen = float((1 / np.maximum(near, 2.0)).sum())
-        before = self._written.tiles.get(tile.place, (0, 0.0))
+        before = self._tiles.get(tile.place, (0, 0.0))
         news = count > 1.03 * before[0] or seen > 1.15 * before[1]
         # A tile that leaves the map shrinks; its last state stays in the file.
         if news and count >= before[0]:
-            self._written.tiles[tile.place] = count, seen
+            self._tiles[tile.place] = count, seen
             return True
         return False
 
