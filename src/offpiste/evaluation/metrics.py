@@ -296,7 +296,7 @@ def _rows(
     loss_minus = {other: paired(errors.loss, result.loss, drawn) for other, result in others.items()}
     return [
         ResultRow(
-            **vars(case),
+            **vars(case) | {name: summary(errors.at(h, c), drawn) for c, name in enumerate(COMPONENTS)},
             seed=run.seed,
             fold=run.fold,
             part=part,
@@ -304,7 +304,6 @@ def _rows(
             n=len(errors.row),
             n_failed=int(run.errors.failed[:, h].sum()),
             levels=drawn.levels(len(errors.runs)),
-            **{name: summary(errors.at(h, c), drawn) for c, name in enumerate(COMPONENTS)},
             loss=loss,
             minus={
                 other: Minus(paired(errors.at(h, 0), result.at(h, 0), drawn), loss_minus[other])
