@@ -1,17 +1,9 @@
-"""Extraction on a real Ray cluster of three nodes, of which workers and a whole node are killed while it runs.
+"""Extraction on a Ray cluster of three nodes, whose workers and nodes can be killed."""
 
-    python -m tests.cluster --kills 10
-
-extracts 24 drives, of which two are broken, in one process, and then again and again on such a cluster; the dataset
-must be the same to the byte each time, and the two broken drives must be reported.
-"""
-
-import argparse
 import os
 import random
 import shutil
 import signal
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -27,13 +19,13 @@ from offpiste.rig.rig import load_rig
 from offpiste.simulation.simulate import DriveSettings, simulate
 from offpiste.simulation.world.world import WorldSettings
 
-DRIVES, BROKEN, NODES = 24, ("drive-03", "drive-07"), 3
+BROKEN, NODES = ("drive-03", "drive-07"), 3
 STORE = 80 * 2**20
 """Memory of a node's objects [bytes]."""
 
 
-def write_logs(folder: Path, drives: int = DRIVES) -> list[Path]:
-    """Logs of some drives; two of them are broken."""
+def write_logs(folder: Path, drives: int) -> list[Path]:
+    """Write the logs of drives, two of which are broken."""
     world = WorldSettings("uniform", size=150.0, resolution=0.5)
     logs = [folder / f"drive-{number:02}.mcap" for number in range(drives)]
     for number, log in enumerate(logs):
@@ -48,7 +40,7 @@ def write_logs(folder: Path, drives: int = DRIVES) -> list[Path]:
 
 
 def extracted(logs: list[Path], out: Path, cluster: str = "") -> str:
-    """Extract the logs; returns what it says of those that failed."""
+    """Extract the logs, and return the error about failed ones."""
     try:
         extract(logs, load_rig("proving_ground"), out, processes=1, cluster=cluster, force=True)
     except DatasetError as error:
@@ -57,13 +49,13 @@ def extracted(logs: list[Path], out: Path, cluster: str = "") -> str:
 
 
 def content(path: Path) -> dict[str, bytes]:
-    """All files of a folder, by their names in it."""
+    """Content of all files of a folder."""
     return {str(file.relative_to(path)): file.read_bytes() for file in sorted(path.rglob("*")) if file.is_file()}
 
 
 @contextmanager
 def nodes() -> Iterator[Any]:
-    """A cluster of three nodes on this machine, the head and two others, which can import the modules of the tests."""
+    """Three nodes on this machine that can import the modules of the tests."""
     found = [str(Path(__file__).parent), *filter(None, [os.environ.get("PYTHONPATH")])]
     with mock.patch.dict(os.environ, {"RAY_USAGE_STATS_ENABLED": "0", "PYTHONPATH": os.pathsep.join(found)}):
         from ray.cluster_utils import Cluster
@@ -79,7 +71,7 @@ def nodes() -> Iterator[Any]:
 
 
 def kill_worker(cluster: Any, generator: random.Random) -> None:
-    """Kill a process that does a job, as soon as there is one."""
+    """Kill a worker process."""
     while not (workers := _workers()):
         time.sleep(0.1)
     with suppress(ProcessLookupError):
@@ -87,7 +79,7 @@ def kill_worker(cluster: Any, generator: random.Random) -> None:
 
 
 def kill_node(cluster: Any, generator: random.Random) -> None:
-    """Kill a node, with all that runs on it, but neither the head nor this process's own."""
+    """Kill a node other than the head and that of this process."""
     import ray
 
     mine = ray.get_runtime_context().get_node_id()
@@ -106,16 +98,9 @@ def _workers() -> list[int]:
 
 @contextmanager
 def killing(
-    kills: list[Callable[[Any, random.Random], None]], cluster: Any, out: Path, seed: int, drives: int = DRIVES
+    kills: list[Callable[[Any, random.Random], None]], cluster: Any, out: Path, seed: int, drives: int
 ) -> Iterator[list[str]]:
-    """Kill one after another at random moments while drives are extracted: each once some more drives are there.
-
-    Args:
-        drives: how many there are, broken ones as well.
-
-    Yields:
-        Names of what was killed.
-    """
+    """Kill workers and nodes at random times of an extraction; yields the names of what was killed."""
     generator, over, done = random.Random(seed), threading.Event(), []
 
     def work() -> None:
@@ -135,30 +120,3 @@ def killing(
     finally:
         over.set()
         thread.join()
-
-
-def main() -> None:
-    """Extract, kill, compare, as often as asked for."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--kills", type=int, default=10)
-    parser.add_argument("--seed", type=int, default=0)
-    options = parser.parse_args()
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        logs = write_logs(folder)
-        said = extracted(logs, folder / "whole.zarr")
-        whole = content(folder / "whole.zarr")
-        assert all(broken in said for broken in BROKEN), said
-        for number in range(options.kills):
-            out, began = folder / f"{number}.zarr", time.monotonic()
-            with nodes() as cluster, killing([kill_worker, kill_node], cluster, out, options.seed + number) as killed:
-                said = extracted(logs, out, cluster.address)
-            assert killed == ["kill_worker", "kill_node"], killed
-            same = content(out) == whole and all(broken in said for broken in BROKEN)
-            print(f"{number + 1}: a worker and a node killed; {'the same' if same else 'ANOTHER'} dataset", end="; ")
-            print(f"{time.monotonic() - began:.0f} s", flush=True)
-            assert same, said
-
-
-if __name__ == "__main__":
-    main()

@@ -1,10 +1,4 @@
-"""Work that is killed at random moments and done again leaves the same files as work that was not.
-
-    python -m tests.kill --moments 20
-
-runs each piece of work once to its end, then, for each moment, in a new process that SIGKILL ends there, and once
-more in another new process; what lies in its folder afterwards must be the same, to the byte.
-"""
+"""Jobs that are killed at random times and repeated leave the same bytes as others: `python -m tests.kill`."""
 
 import argparse
 import hashlib
@@ -27,11 +21,11 @@ ROOT = Path(__file__).parents[1]
 READY = "ready\n"
 
 DURATIONS = {"metrics.jsonl": {"seconds"}, "result.json": {"stages"}}
-"""Entries of files that hold durations, which no two runs share."""
+"""Entries of files that contain durations."""
 
 
 def simulate_drive(inputs: Path, out: Path) -> None:
-    """A short drive with camera and LiDAR; the log of a killed one has to be removed, as its message says."""
+    """A short drive with camera and LiDAR; the log of a killed process must be removed, as its message says."""
     from offpiste.simulation.simulate import DriveSettings, simulate
     from offpiste.simulation.world.world import WorldSettings
 
@@ -63,7 +57,7 @@ def train_model(inputs: Path, out: Path) -> None:
 
 
 def drive_closed_loop(inputs: Path, out: Path) -> None:
-    """A short drive with a plan; what a killed one left has to be removed, as its message says."""
+    """A short drive with a plan; files of a killed process must be removed, as its message says."""
     from offpiste.closed_loop.courses import CourseSettings
     from offpiste.closed_loop.drive_course import CourseDriveSettings, drive_course
     from offpiste.runtime.planner import Planner
@@ -84,7 +78,7 @@ IMPORTED = {
     "train": "offpiste.training.train",
     "drive": "offpiste.closed_loop.drive_course",
 }
-"""What each imports before it is ready, and no more: that is half of the time of the short ones."""
+"""Module that a job imports before it is ready."""
 
 WORK: dict[str, Callable[[Path, Path], None]] = {
     "simulate": simulate_drive,
@@ -95,7 +89,7 @@ WORK: dict[str, Callable[[Path, Path], None]] = {
 
 
 def make_inputs(inputs: Path, names: Iterable[str]) -> None:
-    """What works read: logs and a PCA to extract from, a dataset of a vehicle with recorded actuators to train on."""
+    """Write the inputs of jobs: logs and a PCA to extract from, a dataset to train on."""
     if "extract" in names:
         logs_and_pca(inputs)
     if "train" in names:
@@ -146,7 +140,7 @@ def recorded_steering(inputs: Path) -> None:
 
 
 def contents(folder: Path) -> dict[str, str]:
-    """SHA-256 of each file of a folder by its place, hidden ones too; without entries that hold durations."""
+    """Return the SHA-256 of each file of a folder without entries that contain durations."""
     return {
         str(file.relative_to(folder)): hashlib.sha256(_timeless(file)).hexdigest()
         for file in sorted(folder.rglob("*"))
@@ -165,9 +159,8 @@ def _timeless(file: Path) -> bytes:
 
 
 def start(name: str, inputs: Path, out: Path) -> subprocess.Popen[str]:
-    """Begin some work in a new process; it has imported what it needs and begins when this returns."""
+    """Start a job in a new process and wait until it has imported its modules."""
     out.mkdir(parents=True, exist_ok=True)
-    # Where this process finds offpiste: Numba keeps what it compiles by the place of the source.
     path = os.pathsep.join((str(ROOT), str(ROOT / "tests"), *filter(None, sys.path)))
     process = subprocess.Popen(
         [sys.executable, "-m", "tests.kill", "--work", name, str(inputs), str(out)],
@@ -185,14 +178,14 @@ def start(name: str, inputs: Path, out: Path) -> subprocess.Popen[str]:
 
 
 def finish(process: subprocess.Popen[str]) -> None:
-    """Let some work come to its end."""
+    """Wait for a job to finish."""
     error = process.communicate()[1]
     if process.returncode:
         raise RuntimeError(error)
 
 
 def kill_at(name: str, inputs: Path, out: Path, moment: float) -> bool:
-    """Begin some work, kill it after `moment` seconds, and do it again; says whether it was still at work."""
+    """Start a job, kill it after `moment` seconds, and repeat it; returns whether it was still running."""
     process = start(name, inputs, out)
     time.sleep(moment)
     at_work = process.poll() is None
@@ -204,12 +197,12 @@ def kill_at(name: str, inputs: Path, out: Path, moment: float) -> bool:
 
 
 def differences(one: dict[str, str], other: dict[str, str]) -> list[str]:
-    """Files that are not the same."""
+    """Return the names of files that differ."""
     return sorted(name for name in one.keys() | other.keys() if one.get(name) != other.get(name))
 
 
 def kill_often(name: str, inputs: Path, folder: Path, moments: int, seed: int) -> list[str]:
-    """What differs after work that was killed, by moment; empty if nothing does."""
+    """Return a line for each kill after which files differ."""
     began = time.perf_counter()
     finish(start(name, inputs, folder / "first"))  # compiles kernels
     process = start(name, inputs, folder / "whole")
@@ -236,11 +229,11 @@ def kill_often(name: str, inputs: Path, folder: Path, moments: int, seed: int) -
 
 
 def main() -> int:
-    """The command."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--moments", type=int, default=20, help="how often each work is killed")
+    """Parse arguments and run all jobs, or one job for `start`."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--moments", type=int, default=20, help="number of kills of each job")
     parser.add_argument("--only", nargs="*", default=list(WORK), choices=list(WORK))
-    parser.add_argument("--seed", type=int, default=0, help="of the moments")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the kill times")
     parser.add_argument("--work", nargs=3, help=argparse.SUPPRESS)
     given = parser.parse_args()
     if given.work:

@@ -1,4 +1,4 @@
-"""A case: a sound input, mutated as its number and the seed say, a command that reads it, and the verdict on it."""
+"""Fuzzing cases: a mutated input, a command that reads it, and a verdict."""
 
 import json
 import re
@@ -17,21 +17,21 @@ from tests.fuzz.mutations import Generator, mutate_bytes, mutate_text
 
 TEXTS = {".toml", ".txt", ".csv", ".json", ".yaml"}
 GOOD = ("ok", "refused")
-"""Verdicts as they should be."""
+"""Accepted verdicts."""
 LONGEST_LINE = 700
 """Longest message [characters]."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """What was done and what came of it; a line of the output.
+    """Result of a case.
 
     Attributes:
-        mutation: of the input, in words.
+        mutation: description of the mutation.
         verdict: ok, refused, traceback, hang, memory, killed, or wrong message.
-        why: the message, or the last line of a traceback.
+        why: message, or last line of a traceback.
         memory: largest resident memory [MB].
-        warnings: number of Python's warnings on standard error.
+        warnings: number of Python warnings on standard error.
     """
 
     case: int
@@ -52,11 +52,7 @@ class Case:
 
 
 def run_case(number: int, seed: int, corpus: Sequence[Sound], folder: Path) -> Case:
-    """Build the input of a case anew in a folder, and run its command.
-
-    Args:
-        folder: holds the input, the output and the messages afterwards.
-    """
+    """Build the input of a case in a folder, and run its command."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     rng = np.random.default_rng([seed, number])
@@ -72,23 +68,15 @@ def run_case(number: int, seed: int, corpus: Sequence[Sound], folder: Path) -> C
     given = copy / sound.input if sound.input else copy
     outcome = run_isolated(partial(_run, command, given, folder), folder)
     verdict, why = verdict_of(outcome, command.split()[0])
+    warnings = sum("Warning: " in line for line in outcome.err.splitlines())
     return Case(
-        case=number,
-        seed=seed,
-        kind=sound.kind,
-        source=sound.files.name,
-        command=command.split()[0],
-        mutation=mutation,
-        verdict=verdict,
-        why=why,
-        seconds=round(outcome.seconds, 2),
-        memory=outcome.memory >> 20,
-        warnings=sum("Warning: " in line for line in outcome.err.splitlines()),
-    )
+        number, seed, sound.kind, sound.files.name, command.split()[0], mutation, verdict, why,
+        round(outcome.seconds, 2), outcome.memory >> 20, warnings,
+    )  # fmt: skip
 
 
 def _chosen(corpus: Sequence[Sound], rng: Generator) -> Sound:
-    """A sound input; where there are no recorded drives, the other cases are the same."""
+    """Choose an input; cases without recorded drives are the same if there are none."""
     made, recorded = ([sound for sound in corpus if sound.recorded == which] for which in (False, True))
     shares = np.array([sound.share for sound in made])
     sound, instead, which = made[int(rng.choice(len(made), p=shares / shares.sum()))], rng.random() < 0.1, rng.random()
@@ -103,14 +91,14 @@ def _run(command: str, given: Path, folder: Path) -> None:
 
 
 def _small_worlds() -> None:
-    """A world takes seconds to make, and its size is no option: mutated presets are tried on a small square."""
+    """Use small worlds, because worlds take seconds to make and their size is not an option."""
     from offpiste.simulation.world.world import WorldSettings
 
     WorldSettings.__init__.__defaults__ = (*WorldSettings.__init__.__defaults__[:-2], 120.0, 1.0)
 
 
 def _mutate(sound: Sound, copy: Path, rng: Generator) -> None:
-    """Copy the input and mutate it; prints how. Most checksums are written anew: what is behind them is tried, too."""
+    """Copy and mutate the input, mostly with new checksums, and print the mutation."""
     shutil.copytree(sound.files, copy) if sound.files.is_dir() else shutil.copy(sound.files, copy)
     sealed = sound.seal is not None and rng.random() < 0.7
     how = _mutated(sound, copy, rng)
@@ -125,7 +113,7 @@ def _mutated(sound: Sound, copy: Path, rng: Generator) -> str:
     if sound.rewrite is not None and rng.random() < 0.45:
         return f"rewritten: {sound.rewrite(copy, rng)}"
     files = sorted(p for p in copy.rglob("*") if p.is_file()) if copy.is_dir() else [copy]
-    # A folder of many files like one: each folder of it is as likely as another.
+    # Folders are equally likely, whatever their number of files.
     places = sorted({file.parent for file in files})
     place = places[int(rng.integers(len(places)))]
     files = [file for file in files if file.parent == place]
@@ -142,7 +130,7 @@ def _mutated(sound: Sound, copy: Path, rng: Generator) -> str:
 
 def verdict_of(outcome: Outcome, command: str = "") -> tuple[str, str]:
     """Verdict on the process of a command, and the reason in one line."""
-    # libpng writes to standard error by itself, before our message.
+    # libpng writes to standard error.
     lines = [line for line in outcome.err.splitlines() if line.strip() and not line.startswith("libpng ")]
     last = lines[-1][:300] if lines else ""
     if outcome.hung:
@@ -159,11 +147,11 @@ def verdict_of(outcome: Outcome, command: str = "") -> tuple[str, str]:
         return ("refused", last) if lines else ("wrong message", "exit code 2 without a message")
     if outcome.code != 1:
         return "wrong message", f"exit code {outcome.code}"
-    # `inspect` says why in its report; `--write-rig` says on standard error what it wrote, and what the rig lacks.
+    # The reason is in the report of `inspect`; `--write-rig` writes to standard error.
     others = [line for line in lines if not line.startswith(("wrote ", "  cured: ", "  missing: "))]
     if not others and "NOT usable for training" in outcome.out:
         return "refused", "NOT usable for training"
-    if not others and command == "check":  # says on standard output what is damaged, a line each
+    if not others and command == "check":  # reports damage on standard output
         lines = [f"offpiste: {line}" for line in outcome.out.splitlines()]
         wrong = next(filter(None, (_wrong([line]) for line in lines)), "") if lines else "no report"
         why = "; ".join(filter(None, (wrong, *lines[:1])))[:300]
@@ -172,7 +160,7 @@ def verdict_of(outcome: Outcome, command: str = "") -> tuple[str, str]:
 
 
 def _wrong(lines: list[str]) -> str:
-    """What is wrong with the message of a refusal; empty if nothing."""
+    """Return the fault of an error message; "" for none."""
     messages = [line for line in lines if line.startswith("offpiste: ")]
     if len(messages) != 1 or len(lines) != 1:
         return f"{len(lines)} lines"

@@ -1,4 +1,4 @@
-"""Sound inputs of every kind, small, and the commands that read them; mutations begin here."""
+"""Small valid inputs of every kind, and the commands that read them."""
 
 import shutil
 from collections.abc import Callable
@@ -23,22 +23,22 @@ from tests.fuzz.recordings import CONTAINERS, absurd, driven, rig_text
 from tests.fuzz.seals import seal_dataset, seal_run, seal_tensors
 
 Rewrite = Callable[[Path, Generator], str]
-"""Writes an input anew, through its format's own writer, with absurd content; says what is absurd."""
+"""Rewrites an input through its format with absurd content, and returns a description."""
 
 
 @dataclass(frozen=True)
 class Sound:
-    """A sound input and what reads it.
+    """Valid input.
 
     Attributes:
-        kind: what it is, for the summary.
-        files: a file or folder that is copied.
-        input: what the commands are given of it, relative to the copy; "" for all.
-        commands: `{input}`, `{out}` and `{corpus}` stand for paths.
-        rewrite: of the copy; None where only bytes and text are mutated.
-        share: how often it is chosen, against others.
-        recorded: whether it is part of a real drive.
-        seal: writes its checksums anew; None where it has none.
+        kind: kind in the summary.
+        files: file or folder to copy.
+        commands: commands with the placeholders `{input}` and `{out}`.
+        input: argument of the commands, relative to the copy; "" for all.
+        rewrite: rewriting of the copy; without it only bytes and text are mutated.
+        share: relative frequency.
+        recorded: part of a real drive.
+        seal: writes new checksums.
     """
 
     kind: str
@@ -52,12 +52,12 @@ class Sound:
 
 
 def run_command(line: str, **places: object) -> None:
-    """A command of the CLI; exits as that does."""
+    """Run a command of offpiste."""
     main([word.format(**places) for word in line.split()])
 
 
 def _made(line: str, **places: object) -> None:
-    """A command that must succeed."""
+    """Run a command that must succeed."""
     try:
         run_command(line, **places)
     except SystemExit as exit_:
@@ -70,11 +70,7 @@ EXTRACT = "extract {input} --out {out}/d.zarr --force --processes 1"
 
 
 def make_corpus(folder: Path, data: Path | None) -> list[Sound]:
-    """All sound inputs, written into a new folder.
-
-    Args:
-        data: recorded drives beside the project, small parts of which are inputs, too.
-    """
+    """Write all valid inputs into a new folder, including small parts of recorded drives in `data`."""
     folder.mkdir(parents=True)
     sound = [*_tables(folder), *_sensors(folder), *_kitti(folder), *_learned(folder), *_texts(folder)]
     return [*sound, *(_recorded(folder, data) if data is not None else ())]
@@ -149,7 +145,7 @@ def _sensors(folder: Path) -> list[Sound]:
 
 
 def _absurd_drive(copy: Path, rng: Generator) -> str:
-    """The sensor drive with one kind of message absurd: declared sizes, values, calibrations, transforms."""
+    """A sensor drive with one absurd kind of message."""
     parts = {"static": STATIC, "images": images(), "clouds": clouds(), "poses": poses()}
     how = int(rng.integers(7))
     large = int(rng.choice((0, 1, 2**31 - 1, 2**32 - 1, 100_000, 65_535)))

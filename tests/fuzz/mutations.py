@@ -1,4 +1,4 @@
-"""Mutations of bytes, of text and of arrays; each a pure function of its input and a generator."""
+"""Mutations of bytes, text and arrays as pure functions of input and generator."""
 
 import re
 from collections.abc import Callable
@@ -14,24 +14,23 @@ NUMBERS: Final = (
     "nan", "inf", "-inf", "1e308", "-1e308", "1e-320", "-1", "0", "", "18446744073709551616", "1" + 400 * "0",
     "1e18", "-9223372036854775809", "0x10", "1_000", "true", "null", '"text"', "[]", "{}", "2026-01-01", "1.2.3",
 )  # fmt: skip
-"""What a number of a text file becomes."""
+"""Replacements of numbers in text."""
 WORDS: Final = ("", "x", "..", "/", "/etc/passwd", "\u0000", "\U0001f697", "nan", "-1", "a" * 5000, "%s{0}\n", "CON")
-"""What a word of a text file becomes."""
+"""Replacements of words in text."""
 VALUES: Final = (
     np.nan, np.inf, -np.inf, 1e308, -1e308, 1e200, 1e30, -1e18, 1e12, 1e9, -1e6, 1e5, 1e-300, 0.0, -1.0, 65535.0,
 )  # fmt: skip
-"""What values of an array become."""
+"""Replacements of array values."""
 INTEGERS: Final = (0, 1, -1, 0x7FFFFFFF, -0x80000000, 0x7FFFFFFFFFFFFFFF, 0x40000000, 0xFFFF, 0x10000000)
 
 
 def _place(size: int, rng: Generator, longest: int = 4096) -> slice:
-    """A random stretch, seldom long."""
+    """A random range, rarely long."""
     begin = int(rng.integers(max(size, 1)))
     return slice(begin, min(size, begin + 1 + int(np.exp(rng.uniform(0, np.log(longest))))))
 
 
 def flip_bits(data: bytes, rng: Generator) -> bytes:
-    """1 to 8 bits turned over."""
     changed = bytearray(data)
     for place in rng.integers(max(len(data), 1), size=int(rng.integers(1, 9))) if data else ():
         changed[place] ^= 1 << int(rng.integers(8))
@@ -39,36 +38,30 @@ def flip_bits(data: bytes, rng: Generator) -> bytes:
 
 
 def random_bytes(data: bytes, rng: Generator) -> bytes:
-    """A stretch of noise."""
     part = _place(len(data), rng, 64)
     return data[: part.start] + rng.bytes(part.stop - part.start) + data[part.stop :]
 
 
 def truncate(data: bytes, rng: Generator) -> bytes:
-    """Cut off, anywhere or near the end."""
     return data[: int(rng.integers(len(data) + 1))] if rng.random() < 0.7 else data[: -int(rng.integers(1, 40))]
 
 
 def zero_block(data: bytes, rng: Generator) -> bytes:
-    """A stretch of zeros."""
     part = _place(len(data), rng)
     return data[: part.start] + bytes(part.stop - part.start) + data[part.stop :]
 
 
 def repeat_block(data: bytes, rng: Generator) -> bytes:
-    """A stretch once more."""
     part = _place(len(data), rng)
     return data[: part.stop] + data[part] + data[part.stop :]
 
 
 def drop_block(data: bytes, rng: Generator) -> bytes:
-    """A stretch left out."""
     part = _place(len(data), rng)
     return data[: part.start] + data[part.stop :]
 
 
 def swap_blocks(data: bytes, rng: Generator) -> bytes:
-    """Two stretches of one length exchanged."""
     length = min(1 + int(np.exp(rng.uniform(0, 8))), len(data) // 2)
     if not length:
         return data
@@ -79,7 +72,6 @@ def swap_blocks(data: bytes, rng: Generator) -> bytes:
 
 
 def extreme_integer(data: bytes, rng: Generator) -> bytes:
-    """A number of 2, 4 or 8 bytes that is 0, or the largest: lengths and counts of a format."""
     size = int(rng.choice((2, 4, 8)))
     value = INTEGERS[int(rng.integers(len(INTEGERS)))] & ((1 << (8 * size)) - 1)
     at = int(rng.integers(max(len(data) - size, 1)))
@@ -87,12 +79,10 @@ def extreme_integer(data: bytes, rng: Generator) -> bytes:
 
 
 def emptied(data: bytes, rng: Generator) -> bytes:
-    """Nothing left."""
     return b""
 
 
 def appended(data: bytes, rng: Generator) -> bytes:
-    """Noise behind the end."""
     return data + rng.bytes(int(rng.integers(1, 200)))
 
 
@@ -118,17 +108,14 @@ def _replaced(text: str, pattern: re.Pattern[str], new: tuple[str, ...], rng: Ge
 
 
 def absurd_number(text: str, rng: Generator) -> str:
-    """Numbers become others, or none."""
     return _replaced(text, _NUMBER, NUMBERS, rng)
 
 
 def absurd_word(text: str, rng: Generator) -> str:
-    """Words become others: keys, names, paths."""
     return _replaced(text, _WORD, WORDS, rng)
 
 
 def other_word(text: str, rng: Generator) -> str:
-    """A word becomes another one of the same text: a key given twice, a topic taken for another."""
     words = tuple(sorted({match.group() for match in _WORD.finditer(text)})) or ("x",)
     return _replaced(text, _WORD, words, rng)
 
@@ -139,32 +126,27 @@ def _lines(text: str, rng: Generator, count: int) -> tuple[list[str], list[int]]
 
 
 def swap_lines(text: str, rng: Generator) -> str:
-    """Two lines exchanged."""
     lines, (a, b) = _lines(text, rng, 2)
     lines[a], lines[b] = lines[b], lines[a]
     return "".join(lines)
 
 
 def drop_line(text: str, rng: Generator) -> str:
-    """A line left out."""
     lines, (at,) = _lines(text, rng, 1)
     return "".join(lines[:at] + lines[at + 1 :])
 
 
 def repeat_line(text: str, rng: Generator) -> str:
-    """A line twice."""
     lines, (at,) = _lines(text, rng, 1)
     return "".join([*lines[: at + 1], "\n", *lines[at:]])
 
 
 def nested(text: str, rng: Generator) -> str:
-    """Brackets in brackets, more than a parser can hold."""
     at = int(rng.integers(len(text) + 1))
     return text[:at] + str(rng.choice(("[", "{", '{"a":', "[[x."))) * 20_000 + text[at:]
 
 
 def another_encoding(text: str, rng: Generator) -> str:
-    """Characters that are no UTF-8."""
     at = int(rng.integers(len(text) + 1))
     return text[:at] + "\udcff\udcfe" + text[at:]
 
@@ -176,20 +158,20 @@ TEXT: Final[tuple[Text, ...]] = (
 
 
 def mutate_bytes(data: bytes, rng: Generator) -> tuple[bytes, str]:
-    """Bytes mutated in one way, and its name."""
+    """Mutate bytes in one way; returns also its name."""
     mutation = BYTES[int(rng.integers(len(BYTES)))]
     return mutation(data, rng), mutation.__name__
 
 
 def mutate_text(data: bytes, rng: Generator) -> tuple[bytes, str]:
-    """Text mutated in one way, and its name."""
+    """Mutate text in one way; returns also its name."""
     mutation = TEXT[int(rng.integers(len(TEXT)))]
     changed = mutation(data.decode("utf-8", "surrogateescape"), rng)
     return changed.encode("utf-8", "surrogateescape"), mutation.__name__
 
 
 def mutate_values(values: np.ndarray, rng: Generator) -> tuple[np.ndarray, str]:
-    """An array with some entries absurd, in its own type, and in words how."""
+    """Replace some entries of an array by absurd values of its type; returns also a description."""
     changed = np.array(values, copy=True)
     if not changed.size:
         return changed, "empty"

@@ -1,4 +1,4 @@
-"""A short drive as tables, and its writers: every container that offpiste reads, whatever the numbers are."""
+"""A short drive as tables, and its writers for every log format."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -62,12 +62,10 @@ def absurd(recording: Recording, rng: Generator) -> tuple[Recording, str]:
 
 
 def write_csv(recording: Recording, path: Path) -> None:
-    """Everything at the stamps of the pose."""
     pa_csv.write_csv(_one_table(recording), path)
 
 
 def write_parquet(recording: Recording, path: Path) -> None:
-    """Everything at the stamps of the pose."""
     pq.write_table(_one_table(recording), path)
 
 
@@ -79,7 +77,6 @@ def _one_table(recording: Recording) -> pa.Table:
 
 
 def write_tartandrive(recording: Recording, path: Path) -> None:
-    """A folder a topic."""
     for topic, table in recording.items():
         (path / topic).mkdir(parents=True)
         np.save(path / topic / "data.npy", table.values)
@@ -87,7 +84,6 @@ def write_tartandrive(recording: Recording, path: Path) -> None:
 
 
 def write_ros1(recording: Recording, path: Path) -> None:
-    """A ROS 1 bag."""
     store = get_typestore(Stores.ROS1_NOETIC)
     writer = rosbag1.Writer(path)
     writer.chunk_threshold = 20_000
@@ -99,12 +95,10 @@ def write_ros1(recording: Recording, path: Path) -> None:
 
 
 def write_mcap(recording: Recording, path: Path) -> None:
-    """A ROS 2 folder of MCAP."""
     _write_ros2(recording, path, StoragePlugin.MCAP)
 
 
 def write_db3(recording: Recording, path: Path) -> None:
-    """A ROS 2 folder of SQLite."""
     _write_ros2(recording, path, StoragePlugin.SQLITE3)
 
 

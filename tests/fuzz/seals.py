@@ -1,4 +1,4 @@
-"""Checksums written anew after a mutation, so that it reaches what is behind them."""
+"""New checksums after a mutation."""
 
 import contextlib
 import json
@@ -12,7 +12,6 @@ from offpiste.core.checksums import sha256_of, sha256_of_arrays, sha256_of_json,
 
 
 def seal_dataset(folder: Path) -> None:
-    """Of every array and of the metadata of a dataset and its drives."""
     for file in sorted(folder.rglob("*")):
         if file.is_file() and "c" in file.parts and file.suffix == "":
             content = file.read_bytes()[:-4]
@@ -23,7 +22,6 @@ def seal_dataset(folder: Path) -> None:
 
 
 def seal_run(folder: Path) -> None:
-    """Of a run's weights and of its model.json."""
     for file in folder.glob("*.safetensors"):
         seal_tensors(file)
     about_file = folder / "model.json"
@@ -36,7 +34,6 @@ def seal_run(folder: Path) -> None:
 
 
 def seal_tensors(file: Path) -> None:
-    """Of a safetensors file, unless it cannot be read."""
     with contextlib.suppress(Exception):
         with safe_open(file, framework="numpy") as opened:
             tensors = {name: opened.get_tensor(name) for name in opened.keys()}  # noqa: SIM118
