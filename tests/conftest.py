@@ -12,7 +12,9 @@ if "PYTEST_XDIST_WORKER" in os.environ:  # each worker has a core; libraries rea
 
 # Machine code of yesterday is as good as today's; fitted stages of yesterday must not be taken.
 os.environ.setdefault("NUMBA_CACHE_DIR", str(pathlib.Path(__file__).parents[1] / ".numba_cache"))
-os.environ["OFFPISTE_CACHE"] = (_shared := tempfile.TemporaryDirectory(prefix="offpiste-cache-")).name
+os.environ["OFFPISTE_CACHE"] = (_cache := tempfile.TemporaryDirectory(prefix="offpiste-cache-")).name
+if "PYTEST_XDIST_WORKER" not in os.environ:  # workers inherit it
+    os.environ["OFFPISTE_TEST_SESSION"] = (_session := tempfile.TemporaryDirectory(prefix="offpiste-tests-")).name
 
 # While the hook imports a module, Python compiles whatever that imports anew, and other people's packages are large.
 import cv2  # noqa: F401

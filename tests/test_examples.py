@@ -8,10 +8,9 @@ import pytest
 import torch
 
 from feature_datasets import dataset_with_features
-from offpiste.simulation.simulate import DriveSettings, simulate
-from offpiste.simulation.world.world import WorldSettings
 from offpiste.training.config import TrainConfig
 from offpiste.training.run import build, save_run, vehicle_of
+from shared_drives import drive_with_sensors
 from warm import run_warm
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -35,10 +34,7 @@ def test_predict_and_plot(tmp_path: Path) -> None:
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A simulated drive of a few seconds."""
-    log = tmp_path_factory.mktemp("drive") / "drive.mcap"
-    world = WorldSettings("mojave", seed=3, size=60.0, resolution=0.5)
-    simulate(DriveSettings(world, 2.5, seed=1, sensors="light"), log)
-    return log
+    return drive_with_sensors(tmp_path_factory.mktemp("drive") / "drive.mcap")
 
 
 def test_plan_on_map(drive: Path, tmp_path: Path) -> None:

@@ -12,8 +12,7 @@ from offpiste.dataset.merge import merge_datasets
 from offpiste.dataset.place import drive_names
 from offpiste.inspection.extract import extract
 from offpiste.rig.rig import load_rig
-from offpiste.simulation.simulate import DriveSettings, simulate
-from offpiste.simulation.world.world import WorldSettings
+from shared_drives import blind_drives
 
 RIG = load_rig("proving_ground")
 SPLIT = "blocks:0.6,0.2,0.2"
@@ -23,10 +22,7 @@ SPLIT = "blocks:0.6,0.2,0.2"
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Three logs, their dataset, and two shards of it."""
     folder = tmp_path_factory.mktemp("shards")
-    world = WorldSettings("uniform", size=150.0, resolution=0.5)
-    logs = [folder / f"drive-{number}.mcap" for number in range(3)]
-    for seed, log in enumerate(logs):
-        simulate(DriveSettings(world, 20.0, seed=seed, sensors="none"), log)
+    logs = blind_drives(folder)
     extract(logs, RIG, folder / "whole.zarr", split=SPLIT)
     # In another order: which shard a log is in follows from its name.
     for number in (1, 2):

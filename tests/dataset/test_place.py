@@ -18,8 +18,7 @@ from offpiste.dataset.place import drive_names
 from offpiste.dataset.store import open_dataset
 from offpiste.inspection.extract import extract
 from offpiste.rig.rig import load_rig
-from offpiste.simulation.simulate import DriveSettings, simulate
-from offpiste.simulation.world.world import WorldSettings
+from shared_drives import blind_drives
 
 RIG = load_rig("proving_ground")
 SPLIT = "blocks:0.6,0.2,0.2"
@@ -42,10 +41,7 @@ def remove(url: str) -> None:
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """Three logs, here and in the bucket, and their dataset."""
     folder = tmp_path_factory.mktemp("place")
-    world = WorldSettings("uniform", size=150.0, resolution=0.5)
-    logs = [folder / f"drive-{number}.mcap" for number in range(3)]
-    for seed, log in enumerate(logs):
-        simulate(DriveSettings(world, 20.0, seed=seed, sensors="none"), log)
+    logs = blind_drives(folder)
     extract(logs, RIG, folder / "whole.zarr", split=SPLIT)
     with s3_server("bucket"):
         for log in logs:

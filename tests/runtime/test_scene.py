@@ -12,14 +12,12 @@ from offpiste.core.errors import LogError
 from offpiste.logs import Log
 from offpiste.mapping import replay
 from offpiste.runtime import scene
+from shared_drives import drive_with_sensors
 
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Log:
-    file = tmp_path_factory.mktemp("scene") / "drive.mcap"
-    world = offpiste.WorldSettings("mojave", seed=3, size=60.0, resolution=0.5)
-    offpiste.simulate(offpiste.DriveSettings(world, 2.0, seed=1, sensors="light"), file)
-    return offpiste.open_log(file)
+    return offpiste.open_log(drive_with_sensors(tmp_path_factory.mktemp("scene") / "drive.mcap"))
 
 
 def test_a_scene_holds_no_measurement_from_after_its_last_row(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:

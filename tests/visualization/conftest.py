@@ -6,8 +6,7 @@ from pathlib import Path
 import pytest
 
 from offpiste.cli import main
-from offpiste.simulation.simulate import DriveSettings, simulate
-from offpiste.simulation.world.world import WorldSettings
+from shared_drives import drive_with_sensors
 
 
 def _run(*arguments: str) -> int:
@@ -26,8 +25,7 @@ def run() -> Callable[..., int]:
 def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with drive.mcap and pca.safetensors."""
     folder = tmp_path_factory.mktemp("viewing")
-    world = WorldSettings("mojave", seed=3, size=60.0, resolution=0.5)
-    simulate(DriveSettings(world, 2.5, seed=1, sensors="light"), folder / "drive.mcap")
+    drive_with_sensors(folder / "drive.mcap")
     options = {"--rig": "proving_ground", "--backbone": "filterbank", "--images": "2", "--components": "5"}
     options |= {"--split": "blocks:1,0,0", "--out": str(folder / "pca.safetensors")}
     assert _run("fit-pca", str(folder / "drive.mcap"), *(word for pair in options.items() for word in pair)) == 0
