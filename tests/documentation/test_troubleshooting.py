@@ -33,7 +33,9 @@ def strings_of_the_source() -> frozenset[str]:
 def occurs(message: str) -> bool:
     """Whether a message, or a line that contains it, is a string of the source; `…` stands for anything filled in."""
     pattern = re.compile(r"(?:.*…)?" + re.escape(message).replace("…", "…+") + r"(?:$|…|[;,: ].*)", re.DOTALL)
-    return any(pattern.fullmatch(text) for text in strings_of_the_source())
+    fragments = message.split("…")
+    candidates = (text for text in strings_of_the_source() if all(fragment in text for fragment in fragments))
+    return any(pattern.fullmatch(text) for text in candidates)
 
 
 def test_quoted_messages_occur_in_the_source_and_others_do_not() -> None:
