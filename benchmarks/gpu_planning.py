@@ -62,7 +62,7 @@ class Plans:
         self.dynamics, self.device, self.at = dynamics, device, replace(situation(), caution=caution)
         self.weights, self.codes = CostWeights(path=5.0), encode_map(self.at.ground, dynamics.encoder)
         units = torch.zeros(1, dynamics.recurrent_size)
-        self.start = ModelState(self.at.state[None], torch.tensor([[0.0, 0.0, 0.0, 1.0]]), units, units)
+        self.start = ModelState(self.at.state[None], torch.tensor([[0.0, 0.0, 0.0, 1.0]]), units)
         on_gpu = device.type == "cuda"
         self.kernels = open_kernels(plan_text(dynamics, self.at.costs.table, caution, lanes=on_gpu), device)
         self.capture = captured if on_gpu and not given.small else None

@@ -31,13 +31,13 @@ def windows(dynamics: Dynamics, batch: int, device: torch.device) -> tuple[Model
     """Recorded ground for training."""
     draw = torch.Generator().manual_seed(0)
     state = torch.randn(batch, 6, generator=draw) + torch.tensor([0.0, 0, 0, 5, 0, 0])
-    hidden, cell = 0.3 * torch.randn(2, batch, dynamics.recurrent_size, generator=draw)
+    recurrent = 0.3 * torch.randn(batch, dynamics.recurrent_size, generator=draw)
     actuators = 0.1 * torch.rand(batch, len(ACTUATORS), generator=draw)
     shape = batch, HORIZON_STEPS
     controls = 0.5 * torch.rand(*shape, len(dynamics.vehicle.control_columns), generator=draw)
     latent = torch.randn(*shape, 4, dynamics.codes, generator=draw)
     up = torch.tensor([0.0, 0, 1]).expand(*shape, 4, 3)
-    start = ModelState(*(part.to(device) for part in (state, actuators, hidden, cell)))
+    start = ModelState(*(part.to(device) for part in (state, actuators, recurrent)))
     known = torch.ones(*shape, 4, dtype=torch.bool)
     return start, controls.to(device), Terrain(up.to(device), known.to(device), latent.to(device))
 

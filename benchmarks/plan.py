@@ -93,8 +93,8 @@ def stepwise(model: Hybrid, at: Situation, weights: CostWeights, samples: int) -
 
 def start(model: Hybrid, at: Situation) -> ModelState:
     """At rest within, at speed without."""
-    units = torch.zeros(1, model.compensator.hidden + model.actuators.hidden)
-    return ModelState(at.state[None], torch.full((1, 4), torch.nan), units, units)
+    units = torch.zeros(1, model.recurrent_size)
+    return ModelState(at.state[None], torch.full((1, 4), torch.nan), units)
 
 
 def pytorch_mppi(

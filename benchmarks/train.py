@@ -134,9 +134,7 @@ def recurrent(model: Hybrid, batch: Batch, roll: Rollout) -> Callable[[Mark], No
         read = replace(batch, terrain=replace(batch.terrain, latent=latent))
         with torch.no_grad():
             model_state = model.start(batch.history, batch.state, batch.actuators)
-        model_state = replace(
-            model_state, hidden=model_state.hidden.requires_grad_(), cell=model_state.cell.requires_grad_()
-        )
+        model_state = replace(model_state, recurrent=model_state.recurrent.requires_grad_())
         mark("start")
         loss = roll(model_state, read).state[..., 3:].square().mean()
         mark("forward")

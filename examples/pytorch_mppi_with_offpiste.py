@@ -41,8 +41,8 @@ def drive(steps: int = 200, seed: int = 0) -> Tensor:
     step = as_callable(model, ground)
 
     state = torch.tensor([[RADIUS, 0.0, 1.57, 4.0, 0.0, 0.2]])
-    recurrent = torch.zeros(1, model.compensator.hidden + model.actuators.hidden)
-    packed = ModelState(state, torch.full((1, 4), torch.nan), recurrent, recurrent).pack()
+    recurrent = torch.zeros(1, model.recurrent_size)
+    packed = ModelState(state, torch.full((1, 4), torch.nan), recurrent).pack()
     planner = MPPI(
         step,
         cost,

@@ -57,6 +57,7 @@ the time here."""
 
 
 SLOW = (
+    "dynamics/kernels/test_rollout.py::test_kernels_stay_inside_their_arrays",
     "documentation/test_tutorials.py::test_a_tutorial_runs_as_it_stands[log-to-model]",
     "experiments/illnesses/", "experiments/closed_loop_table/", "experiments/control_experiments/",
     "experiments/probe/",

@@ -3,31 +3,32 @@
     export PYTHONPATH=examples/extending OFFPISTE_EXTENSIONS=gated
     offpiste train dataset.zarr --out run --model b-gru
 
-The generated kernels cover LSTMs only, so that offpiste warns once and steps this model eagerly.
+The generated kernels cover LSTMs only, so offpiste warns once and steps this model eagerly.
 """
 
+from functools import partial
+
+import torch
 from torch import Tensor, nn
 
-from offpiste.dynamics import Hybrid, Vehicle, register_model
+from offpiste.dynamics import Hybrid, register_model
 
 
-class GatedCell(nn.Module):
-    """A GRU cell with the interface of `nn.LSTMCell`; the cell state passes through unread."""
+class GRU(nn.GRUCell):
+    """GRU cell; its state is its hidden units."""
 
     def __init__(self, inputs: int, hidden: int) -> None:
-        super().__init__()
-        self.gru = nn.GRUCell(inputs, hidden)
+        super().__init__(inputs, hidden)
+        self.state_size = hidden
 
-    def forward(self, inputs: Tensor, state: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
-        """Return the next hidden state [B, S] and the cell state as it was [B, S]."""
-        hidden, cell = state
-        return self.gru(inputs, hidden), cell
+    def initial(self, raw: Tensor) -> Tensor:
+        """Bound the hidden units [B, S] by tanh."""
+        return torch.tanh(raw)
+
+    def advance(self, inputs: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the hidden units and the next state, both [B, S]."""
+        hidden = self(inputs, state)
+        return hidden, hidden
 
 
-@register_model("b-gru", colour="#4d4d4d", what="b with a GRU")
-def gated(vehicle: Vehicle) -> Hybrid:
-    """Return the hybrid model without terrain features, with a GRU."""
-    model = Hybrid(vehicle)
-    network = model.compensator
-    network.cell = GatedCell(network.cell.input_size, network.hidden)  # type: ignore[assignment]
-    return model
+register_model("b-gru", colour="#4d4d4d", what="b with a GRU")(partial(Hybrid, cell=GRU))

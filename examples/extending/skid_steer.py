@@ -15,10 +15,10 @@ from torch import Tensor, nn
 from offpiste.core.channels import Control, register_control
 from offpiste.core.conventions import DT
 from offpiste.core.errors import RunError
-from offpiste.core.state import History, ModelState, Terrain
+from offpiste.core.state import ModelState, Terrain
 from offpiste.dynamics import Dynamics, Vehicle, register_model
 from offpiste.dynamics.base import Step
-from offpiste.dynamics.inputs import body_normal
+from offpiste.dynamics.torch_physics import mean_normal
 
 TRACKS = ("left_track", "right_track")
 
@@ -56,11 +56,6 @@ class SkidSteer(Dynamics):
         self.register_buffer("width", high - low, persistent=False)
         self.raw = nn.Parameter(torch.logit((initial - low) / (high - low)))
 
-    def start(self, history: History, state: Tensor, actuators: Tensor) -> ModelState:
-        """Nothing but the state."""
-        nothing = state.new_zeros(len(state), 0)
-        return ModelState(state, actuators, nothing, nothing)
-
     def stepper(self) -> Step:
         """Rates, then forward Euler."""
         c = dict(zip(RANGES, (self.low + self.width * torch.sigmoid(self.raw)).unbind(), strict=True))
@@ -69,7 +64,7 @@ class SkidSteer(Dynamics):
         def step(model_state: ModelState, control: Tensor, terrain: Terrain) -> ModelState:
             _, _, yaw, vx, vy, yaw_rate = model_state.state.unbind(-1)
             left, right = control[:, left_column], control[:, right_column]
-            normal = body_normal(terrain, yaw)
+            normal = mean_normal(terrain, yaw)
             change = (
                 torch.cos(yaw) * vx - torch.sin(yaw) * vy,
                 torch.sin(yaw) * vx + torch.cos(yaw) * vy,
@@ -79,6 +74,6 @@ class SkidSteer(Dynamics):
                 c["turning_rate"] * (c["turning"] * (right - left) / self.vehicle.track - yaw_rate),
             )
             state = model_state.state + DT * torch.stack(change, dim=-1)
-            return ModelState(state, model_state.actuators, model_state.hidden, model_state.cell)
+            return ModelState(state, model_state.actuators, model_state.recurrent)
 
         return step

@@ -17,7 +17,7 @@ from offpiste.core.channels import (
 )
 from offpiste.dynamics import Vehicle
 from offpiste.dynamics.actuator_lags import LAGS, lagging
-from offpiste.dynamics.inputs import DriveTrain
+from offpiste.dynamics.bicycle import DriveTrain
 
 
 def test_names_are_unique_and_refer_to_each_other() -> None:

@@ -11,7 +11,7 @@ import torch
 
 from offpiste.core.errors import MissingExtra, OffpisteError, extra, require
 from offpiste.perception.backbones.vision_transformer import load_vision_transformer
-from offpiste.training.loop import also_tensorboard
+from offpiste.training.loop import metrics_writer
 
 PYPROJECT = Path(__file__).parents[2] / "pyproject.toml"
 
@@ -48,7 +48,7 @@ def test_functions_name_the_extra_that_they_need(monkeypatch: pytest.MonkeyPatch
     with pytest.raises(MissingExtra, match=r"'.\[vit\]', or use the backbone filterbank"):
         load_vision_transformer("facebook/dinov2-small", device=torch.device("cpu"))
     with pytest.raises(MissingExtra, match=r"'.\[tensorboard\]"):
-        also_tensorboard(lambda line: None, tmp_path)
+        metrics_writer(tmp_path, tensorboard=True)
 
 
 def test_only_a_missing_package_is_explained_by_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -51,7 +51,7 @@ class Off(ConstantMotion):
 
         def step(model_state, control, terrain):
             moved = move(model_state, control, terrain)
-            return ModelState(moved.state + self.by, moved.actuators, moved.hidden, moved.cell)
+            return ModelState(moved.state + self.by, moved.actuators, moved.recurrent)
 
         return step
 
@@ -129,7 +129,7 @@ def test_a_prediction_that_diverges_has_infinite_errors_from_then_on() -> None:
                 broken = moved.state.clone()
                 if self.steps > 120:
                     broken[0, 5] = np.nan
-                return ModelState(broken, moved.actuators, moved.hidden, moved.cell)
+                return ModelState(broken, moved.actuators, moved.recurrent)
 
             return step
 

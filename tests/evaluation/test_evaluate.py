@@ -91,7 +91,7 @@ class Slipping(Kinematic):
             moved = move(model_state, control, terrain)
             lost = (moved.state[:, :2] - model_state.state[:, :2]) * self.share
             state = torch.cat((moved.state[:, :2] - lost, moved.state[:, 2:]), dim=-1)
-            return ModelState(state, moved.actuators, moved.hidden, moved.cell)
+            return ModelState(state, moved.actuators, moved.recurrent)
 
         return step
 
@@ -266,7 +266,7 @@ class Broken(ConstantMotion):
 
         def step(model_state, control, terrain):
             moved = move(model_state, control, terrain)
-            return ModelState(moved.state * 1e3, moved.actuators, moved.hidden, moved.cell)
+            return ModelState(moved.state * 1e3, moved.actuators, moved.recurrent)
 
         return step
 

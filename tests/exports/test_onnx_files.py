@@ -68,7 +68,7 @@ def test_images_become_the_codes_that_the_run_time_computes(tmp_path):
         assert 0 < loss["rms"] < 0.5 * loss["spread"], name
         assert float((again - torch.from_numpy(kept["codes"])).abs().max()) == pytest.approx(loss["largest"], abs=1e-3)
     started = np.load(tmp_path / "out" / "start-parity.npz")
-    assert (started["hidden"].shape, started["known"].shape) == ((16, run.dynamics.recurrent_size), (16, 10, 4))
+    assert (started["hidden"].shape, started["known"].shape) == ((16, run.dynamics.recurrent_size // 2), (16, 10, 4))
 
 
 def test_images_of_another_size_have_a_graph_of_their_own(tmp_path):

@@ -14,7 +14,7 @@ import torch
 from offpiste.dataset.store import open_dataset
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics import MODELS
-from offpiste.dynamics.inputs import drive_train
+from offpiste.dynamics.torch_physics import drive_train
 from offpiste.training.run import vehicle_of
 from offpiste.training.prediction import predict_batch
 

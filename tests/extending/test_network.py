@@ -22,7 +22,8 @@ with torch.no_grad():
     start = run.dynamics.start(batch.history, batch.state, batch.actuators)
     eager = rollout(run.dynamics, start, batch.control, RecordedTerrain(batch.terrain)).state
     assert torch.equal(predict_batch(run.dynamics, batch).state, eager)
-assert type(run.dynamics.compensator.cell).__name__ == "GatedCell"
+assert type(run.dynamics.compensator.cell).__name__ == "GRU"
+assert start.recurrent.shape[1] == run.dynamics.recurrent_size == 4 + run.dynamics.actuators.recurrent_size
 """
 
 
@@ -34,8 +35,8 @@ def test_a_hybrid_model_with_a_gru_trains_with_a_warning_and_predicts_its_own_st
     trained = offpiste("train", dataset, *words, extension="gated")
     assert trained.returncode == 0, trained.stderr
     said = " ".join((trained.stderr + trained.stdout).split())
-    assert said.count("its LSTMCell is a GatedCell): it is stepped eagerly") == 1
+    assert said.count("its LSTM is a GRU): it is stepped eagerly") == 1
     succeeded("-c", PREDICT, dataset, tmp_path / "run", extension="gated")
     exported = offpiste("export", tmp_path / "run", "--out", tmp_path / "out", extension="gated")
     assert exported.returncode == 1
-    assert "GatedCell" in exported.stderr
+    assert "its LSTM is a GRU" in exported.stderr

@@ -42,6 +42,7 @@ from offpiste.dataset.splits import parse_split
 from offpiste.dataset.windows import Batch, FeaturesUnderWheels, Windows
 from offpiste.dynamics import MODELS, Dynamics, Vehicle, as_callable, rollout
 from offpiste.dynamics.kernels.autograd import rollout_recorded, supports
+from offpiste.dynamics.kernels.model_arrays import to_kernel_state
 from offpiste.evaluation.evaluate import EvaluatedModel, evaluate_models
 from offpiste.inspection.draft_rig import draft_rig
 from offpiste.inspection.extract import extract
@@ -244,13 +245,14 @@ def models() -> Results:
         standardised(dynamics, batch)
         read = encoded(dynamics, batch)
         model_state = dynamics.start(read.history, read.state, read.actuators)
-        found |= summarised(f"{label}.carry", torch.nan_to_num(model_state.pack()), keep=120)
+        found |= summarised(f"{label}.carry", torch.nan_to_num(to_kernel_state(model_state)), keep=120)
         source = RecordedTerrain(read.terrain)
         found |= learned(f"{label}.eager", dynamics, rollout(dynamics, model_state, read.control, source), read)
         call, packed = as_callable(dynamics, source), model_state.pack()
         for step in range(3):
             packed = call(packed, read.control[:, step], step)
-        found |= summarised(f"{label}.callable", torch.nan_to_num(packed), keep=60)
+        after = to_kernel_state(ModelState.unpack(packed))
+        found |= summarised(f"{label}.callable", torch.nan_to_num(after), keep=60)
 
         dynamics, batch = dynamics.float(), as_type(batch, torch.float32)
         if dynamics.actuators is not None:
@@ -587,7 +589,7 @@ def plan() -> Results:
         terms = driving_terms(trajectory, drawn, at, weights)
         found[f"{label}.eager.terms"] = torch.stack(tuple(terms.values())).double().numpy()
         after = kernel_model_state(dynamics, past, drawn[0, :8], at, codes)
-        found |= summarised(f"{label}.carry", torch.nan_to_num(after.pack()), keep=60)
+        found |= summarised(f"{label}.carry", torch.nan_to_num(to_kernel_state(after)), keep=60)
     return found
 
 

@@ -77,11 +77,10 @@ def model(kind, vehicle=COMMANDED):
 
 
 def start(dynamics, at):
-    units = dynamics.actuators.hidden + (dynamics.compensator.hidden if isinstance(dynamics, Hybrid) else 0)
     actuators = torch.tensor([[0.1, 0.05, 0.0, 1.5]])
     present = torch.tensor([name in dynamics.vehicle.actuators for name in ACTUATORS])
     actuators = torch.where(present, actuators, torch.nan)
-    return ModelState(at.state[None], actuators, torch.zeros(1, units), torch.zeros(1, units))
+    return ModelState(at.state[None], actuators, torch.zeros(1, dynamics.recurrent_size))
 
 
 def commands(samples, seed=0):
@@ -169,7 +168,7 @@ def test_the_model_state_after_controls_equals_that_of_eager_steps(kind, vehicle
     source = MapTerrain(at.ground, torch.zeros(1, dtype=torch.long), at.offset[None], at.wheels, encoder)
     for t, control in enumerate(controls[:8]):
         model_state = dynamics.step(model_state, control[None], source.at(t, model_state.state))
-    for part in ("state", "actuators", "hidden", "cell"):
+    for part in ("state", "actuators", "recurrent"):
         torch.testing.assert_close(
             getattr(found, part), getattr(model_state, part), atol=1e-4, rtol=1e-4, equal_nan=True
         )

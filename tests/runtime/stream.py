@@ -84,7 +84,7 @@ class Stream:
         """Continue the drive; returns the controls since the start."""
         empty = torch.zeros(1, 0)
         if not self.states:
-            self.model_state = ModelState(torch.tensor([self.state]), torch.full((1, 4), torch.nan), empty, empty)
+            self.model_state = ModelState(torch.tensor([self.state]), torch.full((1, 4), torch.nan), empty)
         with torch.no_grad():
             for row in range(len(self.controls), len(self.controls) + round(seconds / DT)):
                 self._step(row)

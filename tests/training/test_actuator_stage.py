@@ -1,4 +1,4 @@
-"""Actuators that are fitted once: the same weights whether fitted or taken, and never those of something else."""
+"""The cached fit of the actuators: the same weights whether fitted or read, and never those of other inputs."""
 
 import json
 import logging
@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from safetensors.torch import load_file
 
 import kill
 from factories import circle_rows, small_rig
@@ -48,7 +47,7 @@ def epochs(run: Path) -> list[dict]:
     return [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()]
 
 
-def test_a_second_run_takes_what_the_first_has_fitted(
+def test_a_second_run_reads_the_fit_of_the_first(
     dataset: Dataset, cache: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO)
@@ -63,34 +62,25 @@ def test_a_second_run_takes_what_the_first_has_fitted(
     assert len(list(cache.iterdir())) == 1
 
 
-def test_a_damaged_entry_is_fitted_again(
-    dataset: Dataset, cache: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+def test_damaged_entries_and_caches_that_cannot_be_written_are_ignored(
+    dataset: Dataset, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     train(dataset, QUICK, tmp_path / "first")
     (entry,) = cache.iterdir()
     whole = entry.read_bytes()
-    other = entry.with_name("other.safetensors")
-    for number, damaged in enumerate((whole[:-100], whole[:-1] + bytes([whole[-1] ^ 1]), b"")):
-        entry.write_bytes(damaged)
-        caplog.clear()
-        train(dataset, QUICK, tmp_path / f"again-{number}")
-        assert "cannot be used, so the actuators are fitted again" in caplog.text
-        assert files(tmp_path / f"again-{number}") == files(tmp_path / "first")
-        assert load_file(entry).keys() == load_file(tmp_path / "first" / "actuators.safetensors").keys()
-    assert not other.exists()
-
-
-def test_a_cache_that_cannot_be_written_is_done_without(
-    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+    entry.write_bytes(whole[:-1] + bytes([whole[-1] ^ 1]))
+    train(dataset, QUICK, tmp_path / "again")
+    assert "cannot be used, so the actuators are fitted again" in caplog.text
+    assert files(tmp_path / "again") == files(tmp_path / "first")
+    assert entry.read_bytes() == whole
     caplog.set_level(logging.INFO)
     (tmp_path / "file").write_text("no folder")
     monkeypatch.setenv(VARIABLE, str(tmp_path / "file"))
-    train(dataset, QUICK, tmp_path / "run")
+    train(dataset, QUICK, tmp_path / "uncached")
     assert "actuators: fitted; not cached for other runs" in caplog.text
 
 
-def test_the_key_changes_with_all_that_the_fit_reads(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_key_depends_on_all_inputs_of_the_fit(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
     vehicle = vehicle_of(dataset)
 
     def key(config: TrainConfig = QUICK, *, processes: int = 1, part: str = "train", **changed: object) -> str:
@@ -108,7 +98,7 @@ def test_the_key_changes_with_all_that_the_fit_reads(dataset: Dataset, monkeypat
     assert key(alike) == key() == key(mass=1.0, codes=2)
 
 
-def test_motion_alone_gives_the_same_loss(dataset: Dataset) -> None:
+def test_the_loss_depends_on_motion_alone(dataset: Dataset) -> None:
     windows, lags = Windows(dataset, "train"), initial_actuators(vehicle_of(dataset), 0)
     loss = actuator_loss(lags, windows)
     index = np.arange(0, len(windows), 50)
@@ -118,9 +108,9 @@ def test_motion_alone_gives_the_same_loss(dataset: Dataset) -> None:
         assert torch.equal(loss(windows.without_terrain(FITTED_STEPS).gather(index)), whole)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_an_actuator_is_scaled_by_all_training_rows(seed: int) -> None:
-    """Also where gaps leave stretches hardly longer than a window, and a brake is pressed now and then."""
+    """Gaps leave stretches hardly longer than a window, and the brake is applied rarely."""
     rng, count = np.random.default_rng(seed), 16_000
     rows, valid = circle_rows(count, seed=seed), np.ones(count, bool)
     brake = 0.6 * (rng.random(count // 200) < 0.1).repeat(200)
@@ -135,7 +125,7 @@ def test_an_actuator_is_scaled_by_all_training_rows(seed: int) -> None:
     np.testing.assert_allclose(found[:2], actuators[:, :2].var(axis=0), rtol=0.35)
 
 
-def test_where_there_are_many_windows_fewer_are_taken_further_apart(
+def test_of_many_windows_fewer_are_used_with_a_larger_stride(
     dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     seen = []

@@ -1,4 +1,4 @@
-"""Several processes train what one does; sharing out leaves nothing over."""
+"""Training by several processes, which share all windows and arrive at the weights of a single process."""
 
 import json
 import os
@@ -33,26 +33,17 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_every_window_belongs_to_one_process():
+def test_processes_share_all_windows_and_ddp_needs_torchrun(monkeypatch):
     for count in (0, 1, 2, 7, 128):
         for size in (1, 2, 3):
             shares = [np.arange(count)[Group(rank, size).share(count)] for rank in range(size)]
             np.testing.assert_array_equal(np.concatenate(shares), np.arange(count))
-            parts = [np.array([n]) for n in range(count)]
-            mine = sorted(number for rank in range(size) for number, _ in Group(rank, size).mine(parts))
-            assert mine == list(range(count))
-
-
-def test_one_process_adds_nothing():
     value = torch.tensor(3.0, requires_grad=True)
     assert ALONE.sum(value) is value
     ALONE.sum_gradients([value])
     assert value.grad is None
     with pytest.raises(RunError, match="here"):
         ALONE.together(RunError("here"))
-
-
-def test_ddp_without_torchrun_ends_in_one_line(monkeypatch):
     monkeypatch.delenv("WORLD_SIZE", raising=False)
     with pytest.raises(RunError, match="torchrun"), joined("cpu"):
         raise AssertionError

@@ -1,4 +1,4 @@
-"""`offpiste calibrate` from end to end: what it keeps, shows and refuses."""
+"""`offpiste calibrate` from end to end: stored spreads, reports, refusals."""
 
 import json
 import shutil
@@ -20,9 +20,7 @@ from offpiste.training.config import TrainConfig
 from offpiste.training.run import Run, load_run, predict
 from offpiste.training.train import train
 from offpiste.uncertainty.calibration import (
-    CalibrationRow,
     calibrate,
-    calibration_table,
     evaluate_kept_spreads,
     kept_or_fitted,
 )
@@ -57,7 +55,7 @@ def exit_code(*arguments: object) -> object:
     return stopped.value.code
 
 
-def test_a_spread_is_kept_with_its_run_and_belongs_to_its_weights(dataset: Dataset, run: Run) -> None:
+def test_a_spread_is_stored_with_its_run_and_belongs_to_its_weights(dataset: Dataset, run: Run) -> None:
     spread = kept_or_fitted(run, dataset, QUICK)
     windows = Windows(dataset, "test")
     residuals = residuals_on_maps(run, windows, np.arange(3))
@@ -73,7 +71,7 @@ def test_a_spread_is_kept_with_its_run_and_belongs_to_its_weights(dataset: Datas
         load_spread(run)
 
 
-def test_predictions_come_with_the_regions_that_hold_the_vehicle(dataset: Dataset, run: Run) -> None:
+def test_predictions_have_regions_that_contain_the_vehicle(dataset: Dataset, run: Run) -> None:
     kept_or_fitted(run, dataset, QUICK)
     windows = Windows(dataset, "test")[:7]
     found = predict_with_spread(run, windows)
@@ -84,16 +82,12 @@ def test_predictions_come_with_the_regions_that_hold_the_vehicle(dataset: Datase
     assert (half < most).all()
     recorded = predict_with_spread(run, windows, "recorded")
     assert torch.equal(recorded.trajectory.state, predict(run, windows, "recorded").state)
-
-
-def test_a_run_refuses_windows_of_another_dataset(dataset: Dataset, run: Run) -> None:
-    kept_or_fitted(run, dataset, QUICK)
     windows = Windows(replace(dataset, features=tuple(f"other{k}" for k in range(FEATURES))), "test")[:2]
     with pytest.raises(RunError, match="reads the terrain features pca0, pca1"):
         predict_with_spread(run, windows)
 
 
-def test_runs_whose_folders_have_one_name_are_told_apart(dataset: Dataset, run: Run, tmp_path: Path) -> None:
+def test_runs_in_folders_of_the_same_name_are_distinguished(dataset: Dataset, run: Run, tmp_path: Path) -> None:
     kept_or_fitted(run, dataset, QUICK)
     folders = [Path(shutil.copytree(run.folder, tmp_path / seed / "dc")) for seed in ("s0", "s1")]
     evaluate_kept_spreads(folders, dataset.path).write(tmp_path / "out")
@@ -105,8 +99,8 @@ def test_runs_whose_folders_have_one_name_are_told_apart(dataset: Dataset, run: 
     assert widths[1] == pytest.approx(2 * widths[0], rel=0.01), "a panel for each"
 
 
-def test_a_spread_is_not_evaluated_on_what_it_was_fitted_to(dataset: Dataset, run: Run, tmp_path: Path) -> None:
-    """Also where the run itself was trained elsewhere."""
+def test_a_spread_is_not_evaluated_on_data_it_was_fitted_to(dataset: Dataset, run: Run, tmp_path: Path) -> None:
+    """The run itself was trained on other data."""
     about = load_json(run.folder / "model.json")
     save_json(run.folder / "model.json", about | {"seen": []})
     stranger = load_run(run.folder)
@@ -117,9 +111,12 @@ def test_a_spread_is_not_evaluated_on_what_it_was_fitted_to(dataset: Dataset, ru
         evaluate_kept_spreads([run.folder], again.path)
 
 
-def test_what_cannot_be_evaluated_is_refused_before_anything_is_fitted_or_written(
-    dataset: Dataset, run: Run, tmp_path: Path
+def test_impossible_calibrations_are_refused_before_anything_is_fitted_or_written(
+    dataset: Dataset, run: Run, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
+    assert exit_code("calibrate", tmp_path / "none", "--dataset", dataset.path) == 1
+    (line,) = capfd.readouterr().err.strip().splitlines()
+    assert "none" in line
     untested = dataset_with_features(tmp_path / "untested.zarr", ("train", "validation", "train"))
     with pytest.raises(DatasetError, match="test part has no window"):
         calibrate([run.folder], untested.path, tmp_path / "out", QUICK)
@@ -130,7 +127,7 @@ def test_what_cannot_be_evaluated_is_refused_before_anything_is_fitted_or_writte
     assert not (tmp_path / "out").exists()
 
 
-def test_maps_as_they_were_are_read(dataset: Dataset, run: Run, tmp_path: Path) -> None:
+def test_map_snapshots_are_read(dataset: Dataset, run: Run, tmp_path: Path) -> None:
     snapped = with_snapshots(dataset, tmp_path / "snapshots", [200, 300])
     windows = Windows(replace(snapped, min_speed=0.0), "test")
     index = windows.evaluation_indices(5)
@@ -165,30 +162,3 @@ def test_the_command_writes_table_numbers_and_picture(
     with pytest.raises(RunError, match=r"has no spread.*offpiste calibrate"):
         view_regions(run.folder, dataset, out)
     assert load_memory_bank(run).novel(features_at_starts(dataset, "validation", 100)).float().mean() < 0.1
-
-
-def test_what_cannot_be_calibrated_is_refused_in_a_line(
-    dataset: Dataset, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    assert exit_code("calibrate", tmp_path / "none", "--dataset", dataset.path) == 1
-    lines = capfd.readouterr().err.strip().splitlines()
-    assert len(lines) == 1
-    assert "none" in lines[0]
-
-
-def test_intervals_of_shares_are_shares() -> None:
-    row = CalibrationRow(
-        run="b",
-        windows="all",
-        horizon=1.0,
-        n=9,
-        error_m=1.0,
-        scale_m=1.0,
-        coverage=(0.74, 0.2, 0.5),
-        ci95=((0.474, 1.0), (0.0, 0.4), (np.nan, np.nan)),
-        crps_m=1.0,
-        auroc=0.5,
-        auroc_by_speed=0.5,
-    )
-    (line,) = calibration_table([row]).lines
-    assert line[5:8] == ("74 [47, 100]", "20 [0, 40]", "50 –")

@@ -1,4 +1,4 @@
-"""Novel ground: what training's features tell from it, what a model makes of it, what is kept with a run."""
+"""Novel ground: detected by distance from training features, encoded as missing, stored with a run."""
 
 from pathlib import Path
 
@@ -32,37 +32,29 @@ def ground(count: int, seed: int) -> torch.Tensor:
     return drawn
 
 
-def test_what_lies_between_known_kinds_is_novel():
+def test_ground_between_known_kinds_is_novel_and_the_quantile_sets_the_threshold():
     bank = fit_memory_bank(ground(4000, 0), ground(1000, 1))
     novel = ground(1000, 2)
     novel[:, 0] = torch.randn(1000, generator=torch.Generator().manual_seed(3))
     assert bank.novel(ground(1000, 4)).float().mean() < 0.03
     assert bank.novel(novel).float().mean() > 0.97, "their mean is that of all, but none looks like it"
+    bank = fit_memory_bank(ground(4000, 0), ground(1000, 1), NoveltySettings(quantile=0.9))
+    assert bank.novel(ground(1000, 1)).float().mean() == pytest.approx(0.1, abs=0.01)
+    with pytest.raises(DatasetError, match="2 cells of ground for training"):
+        fit_memory_bank(ground(2, 0), ground(50, 1))
 
 
-@pytest.mark.parametrize("neighbours", [1, 3])
-def test_the_distance_is_the_mean_to_the_nearest_features(neighbours):
-    settings = NoveltySettings(size=50, neighbours=neighbours, power=1.0)
+def test_the_distance_is_the_mean_to_the_nearest_features():
+    settings = NoveltySettings(size=50, neighbours=3, power=1.0)
     training, other = ground(50, 0), ground(20, 1)
     bank = fit_memory_bank(training, ground(20, 2), settings)
     scale = training.double().std(dim=0)
     apart = ((other[:, None] - training) / scale).square().sum(dim=-1).sqrt().sort(dim=1).values
     found = bank.distance(other).double()
-    torch.testing.assert_close(found, apart[:, :neighbours].mean(dim=1), rtol=1e-3, atol=1e-3)
+    torch.testing.assert_close(found, apart[:, :3].mean(dim=1), rtol=1e-3, atol=1e-3)
 
 
-def test_the_limit_holds_the_share_of_validation_that_is_to_be_known():
-    validation = ground(1000, 1)
-    bank = fit_memory_bank(ground(4000, 0), validation, NoveltySettings(quantile=0.9))
-    assert bank.novel(validation).float().mean() == pytest.approx(0.1, abs=0.01)
-
-
-def test_too_few_cells_are_refused():
-    with pytest.raises(DatasetError, match="2 cells of ground for training"):
-        fit_memory_bank(ground(2, 0), ground(50, 1))
-
-
-def test_a_masking_encoder_takes_novel_cells_as_missing_and_leaves_others():
+def test_a_masking_encoder_encodes_novel_cells_as_missing_and_no_others():
     torch.manual_seed(0)
     encoder = Compressor(4)
     masking = NoveltyMask(encoder, fit_memory_bank(ground(4000, 0), ground(1000, 1)))
@@ -76,15 +68,12 @@ def test_a_masking_encoder_takes_novel_cells_as_missing_and_leaves_others():
     torch.testing.assert_close(codes[novel | ~valid], encoder.missing().expand(int((novel | ~valid).sum()), -1))
     torch.testing.assert_close(codes[valid & ~novel], encoder(features, valid)[valid & ~novel])
     torch.testing.assert_close(masking.missing(), encoder.missing())
-
-
-def test_a_model_without_features_stays_as_it_is():
     model = build("b", VEHICLE, seed=0)
-    mask_novel_ground(model, fit_memory_bank(ground(50, 0), ground(50, 1)))
+    mask_novel_ground(model, masking.bank)
     assert model.encoder is None
 
 
-def test_features_are_kept_with_its_run_and_belong_to_its_weights(tmp_path: Path) -> None:
+def test_the_memory_bank_is_stored_with_its_run_and_belongs_to_its_weights(tmp_path: Path) -> None:
     dataset = dataset_with_features(tmp_path / "dataset.zarr")
     config = TrainConfig(model="dc", epochs=1, bicycle_epochs=1, actuator_epochs=1, batch=64, stride=80)
     train(dataset, config, tmp_path / "dc")

@@ -27,7 +27,6 @@ class Control:
         declared: a rig must declare it absent if its logs lack it.
         absent: value that replaces it if a log lacks it.
         discrete: integer that is held between samples and clipped to `low` and `high`.
-        lateral: changes its sign if left and right are exchanged.
     """
 
     name: str
@@ -39,7 +38,6 @@ class Control:
     declared: bool = False
     absent: float = 0.0
     discrete: bool = False
-    lateral: bool = False
 
 
 @dataclass(frozen=True)
@@ -52,10 +50,10 @@ class Actuator:
         low, high: plausible range for log checks.
         follows: control that it lags behind.
         lag: lag model (`offpiste.dynamics.actuator_lags.LAGS`).
-        drives: input of the bicycle that it measures (`offpiste.dynamics.inputs.DriveTrain`), which has a reduced form
+        drives: input of the bicycle that it measures (`offpiste.dynamics.bicycle.DriveTrain`), which has a reduced form
             if it is absent; "" for an input of the networks alone.
         rate_of: actuator whose rate of change it is; both are the state of that actuator's lag.
-        pattern, declared, lateral: see `Control`.
+        pattern, declared: see `Control`.
     """
 
     name: str
@@ -69,7 +67,6 @@ class Actuator:
     rate_of: str = ""
     pattern: str = ""
     declared: bool = False
-    lateral: bool = False
 
     @property
     def label(self) -> str:
@@ -91,7 +88,6 @@ CONTROLS: Final = (
         rate=4.0,
         pattern=r"steer|(?<![a-z])str_?(cmd|com+and|pct|in(put)?)(?![a-z])",
         declared=True,
-        lateral=True,
     ),
 )
 """Commanded throttle and brake from 0 to 1, and steering from -1 (right) to 1 (left)."""
@@ -114,9 +110,9 @@ ACTUATORS: Final = (
     ),
     Actuator(
         "steer", "steer_angle", "rad", low=-1.0, high=1.0, follows="steer", lag="second-order", drives="steer",
-        declared=True, lateral=True,
+        declared=True,
     ),
-    Actuator("steer_rate", "steer_rate", "rad/s", rate_of="steer", declared=True, lateral=True),
+    Actuator("steer_rate", "steer_rate", "rad/s", rate_of="steer", declared=True),
     Actuator(
         "engine_rpm", "engine_rpm", "1000 rev/min", low=0.0, high=15.0, follows="throttle", lag="engine",
         drives="engine", pattern=r"engine.*(rpm|speed)|^rpm(?![_ ]?(fl|fr|rl|rr|front|rear))", declared=True,

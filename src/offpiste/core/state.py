@@ -66,23 +66,21 @@ class ModelState:
     Attributes:
         state: px, py [m], yaw [rad], vx, vy [m/s], yaw rate [rad/s].
         actuators: in the columns of `Vehicle.actuator_columns`; NaN where absent.
-        hidden, cell: recurrent state.
+        recurrent: states of the model's networks, which only these can read.
     """
 
     state: Float[Tensor, "B 6"]
     actuators: Float[Tensor, "B A"]
-    hidden: Float[Tensor, "B H"]
-    cell: Float[Tensor, "B H"]
+    recurrent: Float[Tensor, "B R"]
 
     def pack(self) -> Float[Tensor, "B P"]:
-        """Concatenate all fields to P = 6 + A + 2 H numbers, for planners whose state is a vector."""
-        return torch.cat((self.state, self.actuators, self.hidden, self.cell), dim=-1)
+        """Return one row of P = 6 + A + R numbers per sample, for planners whose state is a vector."""
+        return torch.cat((self.state, self.actuators, self.recurrent), dim=-1)
 
     @staticmethod
     def unpack(packed: Float[Tensor, "B P"], actuators: int = len(ACTUATORS)) -> "ModelState":
-        """Invert `pack` for A columns of actuators."""
-        size = (packed.shape[-1] - len(STATE) - actuators) // 2
-        return ModelState(*packed.split((len(STATE), actuators, size, size), dim=-1))
+        """Return the model state of packed rows with this number of actuator columns."""
+        return ModelState(*packed.tensor_split((len(STATE), len(STATE) + actuators), dim=-1))
 
 
 @dataclass(frozen=True)

@@ -76,7 +76,7 @@ def compile_training() -> None:
     codes = encode_cells(encoder, torch.zeros(2, vehicle.features), torch.ones(2, dtype=torch.bool))
     level = Terrain.of(torch.tensor([0.0, 0.0, 1.0]).expand(1, STEPS, 4, 3))
     ground = Terrain(level.normal, level.known, codes_under_wheels(codes, torch.zeros(1, STEPS, 4, dtype=torch.int64)))
-    rollout_recorded(model, ModelState(state, actuators, recurrent, recurrent), controls, ground).state.sum().backward()
+    rollout_recorded(model, ModelState(state, actuators, recurrent), controls, ground).state.sum().backward()
     maps = CellStack(
         0.2,
         torch.zeros(1, 2, dtype=torch.float64),
@@ -88,9 +88,9 @@ def compile_training() -> None:
     origin = torch.zeros(1, 2, dtype=torch.float64)
     terrain = MapTerrain(maps, torch.zeros(1, dtype=torch.int64), origin, torch.zeros(4, 2), encoder)
     with torch.no_grad():
-        predict_on(model, ModelState(state, actuators, recurrent, recurrent), controls, terrain)
-    units = torch.zeros(1, lags.hidden)
-    rollout_actuators(lags, controls, torch.zeros(1, STEPS), actuators, units, units).sum().backward()
+        predict_on(model, ModelState(state, actuators, recurrent), controls, terrain)
+    recurrent = torch.zeros(1, lags.recurrent_size)
+    rollout_actuators(lags, controls, torch.zeros(1, STEPS), actuators, recurrent).sum().backward()
 
 
 def rehearse(run: str, processes: int) -> None:

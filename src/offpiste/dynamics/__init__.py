@@ -1,4 +1,4 @@
-"""Dynamics models: one interface, all batched, any device and float type."""
+"""Batched dynamics models with one interface, for any device and float type."""
 
 from offpiste.dynamics.base import Dynamics, as_callable, rollout
 from offpiste.dynamics.baselines import ConstantMotion, Kinematic, Recurrent

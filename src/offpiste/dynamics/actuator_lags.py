@@ -1,8 +1,4 @@
-"""Delay models of actuators, once, as functions of plain scalars: how fast each follows its command.
-
-The elementary functions are passed in, as in `offpiste.dynamics.bicycle`: torch's give the reference on batches,
-SymPy's the expressions from which kernels are derived.
-"""
+"""Delay models of actuators as functions of plain scalars, with elementary functions as arguments (see `bicycle`)."""
 
 from collections.abc import Callable, Mapping
 from typing import Final, NamedTuple
@@ -12,21 +8,21 @@ from offpiste.dynamics.bicycle import Elementary, Scalar
 from offpiste.dynamics.vehicle import Vehicle
 
 Values = tuple[Scalar, ...]
-"""An actuator and, of a second-order lag, its rate."""
+"""Value of an actuator and, of a second-order lag, its rate."""
 
 Constants = Mapping[str, Scalar]
 """Constants of one lag by name."""
 
 Change = Callable[[Values, Scalar, Scalar, Constants, Elementary], Values]
-"""From an actuator's values, its command, vx [m/s] and the lag's constants to d(values)/dt."""
+"""Function from an actuator's values, its command, vx [m/s] and the lag's constants to d(values)/dt."""
 
 
 class Lag(NamedTuple):
-    """A delay model.
+    """Delay model.
 
     Attributes:
         change: d(values)/dt.
-        constants: least, largest and initial value of each constant.
+        constants: lower bound, upper bound and initial value of each constant.
         residual: whether a network corrects the last derivative.
     """
 
@@ -36,27 +32,27 @@ class Lag(NamedTuple):
 
 
 def first_order(values: Values, command: Scalar, vx: Scalar, c: Constants, f: Elementary) -> Values:
-    """A first-order lag.
+    """Return the derivative of a first-order lag.
 
-    Constants: rate, how fast the command is followed [1/s].
+    Constants: rate [1/s].
     """
     (value,) = values
     return (c["rate"] * (command - value),)
 
 
 def apply_release(values: Values, command: Scalar, vx: Scalar, c: Constants, f: Elementary) -> Values:
-    """A first-order lag that applies and releases at its own speeds: brake pressure.
+    """Return the derivative of a first-order lag with different rates for applying and releasing: brake pressure.
 
-    Constants: apply, release, how fast a rising and a falling command are followed [1/s].
+    Constants: apply, release [1/s].
     """
     (brake,) = values
     return (c["apply"] * f.maximum(command - brake, 0 * brake) - c["release"] * f.maximum(brake - command, 0 * brake),)
 
 
 def second_order(values: Values, command: Scalar, vx: Scalar, c: Constants, f: Elementary) -> Values:
-    """A second-order lag behind gain u + offset: the steering angle and its rate.
+    """Return the derivatives of a second-order lag behind gain u + offset: the steering angle and its rate.
 
-    Constants: gain, offset [rad], frequency (natural, [rad/s]), damping (ratio).
+    Constants: gain, offset [rad], natural frequency [rad/s], damping ratio.
     """
     steer, rate = values
     wanted = c["gain"] * command + c["offset"]
@@ -64,9 +60,9 @@ def second_order(values: Values, command: Scalar, vx: Scalar, c: Constants, f: E
 
 
 def engine(values: Values, command: Scalar, vx: Scalar, c: Constants, f: Elementary) -> Values:
-    """Engine speed: follows what throttle and speed ask for, idle + t u_th + s |vx| + b u_th |vx| [1000 rev/min].
+    """Return the derivative of the engine speed, a first-order lag behind idle + t u_th + s |vx| + b u_th |vx|.
 
-    Constants: rate [1/s], idle, throttle (t), speed (s), both (b).
+    Constants: rate [1/s], idle [1000 rev/min], throttle (t), speed (s), both (b).
     """
     (revolutions,) = values
     speed = f.maximum(vx, -vx)
@@ -99,16 +95,14 @@ LAGS: Final[dict[str, Lag]] = {
         },
     ),
 }
-"""Delay models by the names that `offpiste.core.channels.Actuator.lag` gives; an extension may add its own."""
+"""Delay models by name (`offpiste.core.channels.Actuator.lag`); extensions may add their own."""
 
 
 class Lagging(NamedTuple):
-    """An actuator with its delay model.
+    """Actuator with its delay model.
 
     Attributes:
-        actuator: which one.
         columns: the actuator and, of a second-order lag, its rate.
-        lag: how they follow `actuator.follows`.
     """
 
     actuator: Actuator
@@ -117,16 +111,16 @@ class Lagging(NamedTuple):
 
     @property
     def label(self) -> str:
-        """What the names of its constants and networks begin with."""
+        """Prefix of the names of its constants and networks."""
         return self.actuator.label
 
     def steps(self, vehicle: Vehicle) -> bool:
-        """Whether the vehicle's log has both the actuator and the command that it follows."""
+        """Return whether the vehicle's log has both the actuator and the command that it follows."""
         return self.actuator.name in vehicle.actuators and self.actuator.follows in vehicle.control
 
 
 def lagging(actuators: tuple[Actuator, ...] = ACTUATORS) -> tuple[Lagging, ...]:
-    """Actuators that lag behind a command, in order; rates of others belong to those."""
+    """Return the actuators that lag behind a command, in order, each with its rate."""
     return tuple(
         Lagging(one, (one.name, *(rate.name for rate in actuators if rate.rate_of == one.name)), LAGS[one.lag])
         for one in actuators
@@ -135,5 +129,5 @@ def lagging(actuators: tuple[Actuator, ...] = ACTUATORS) -> tuple[Lagging, ...]:
 
 
 def lagging_of(vehicle: Vehicle) -> tuple[Lagging, ...]:
-    """The same of the columns that a vehicle's datasets have."""
+    """Return `lagging` of the columns of a vehicle's datasets."""
     return lagging(actuator_columns(vehicle.actuators))

@@ -1,4 +1,4 @@
-"""The interface of every dynamics model, and the rollout that training, evaluation and planning share."""
+"""Interface of all dynamics models, and the rollout that training, evaluation and planning share."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -10,9 +10,9 @@ from torch import Tensor, nn
 
 from offpiste.core.state import History, ModelState, Terrain, TerrainSource, Trajectory
 from offpiste.dynamics.actuators import Actuators
-from offpiste.dynamics.bicycle import BicycleConstants
 from offpiste.dynamics.feature_encoder import FeatureEncoder
 from offpiste.dynamics.lstm import Compensator
+from offpiste.dynamics.torch_physics import BicycleConstants
 from offpiste.dynamics.vehicle import Vehicle
 
 Step = Callable[[ModelState, Tensor, Terrain], ModelState]
@@ -22,8 +22,7 @@ class KernelParts(NamedTuple):
     """Parts of a model that the generated kernels step, besides its actuators.
 
     Attributes:
-        bicycle: constants of the parametric bicycle.
-        compensator: network that corrects the bicycle's forces; None without.
+        compensator: network that corrects the bicycle's forces; None if there is none.
         force_scale: units of the network's outputs.
     """
 
@@ -33,15 +32,14 @@ class KernelParts(NamedTuple):
 
 
 class Dynamics(nn.Module, ABC):
-    """A model of how the vehicle moves, batched, on any device and in any float type. Subclasses are final.
+    """Model of the vehicle's motion, batched, on any device and in any float type. Subclasses are final.
 
-    What a model can do, and what others must do for it, it declares here; the defaults are those of a model without
-    networks, features and kernels.
+    The defaults are those of a model without networks, features and kernels.
 
     Attributes:
-        encoder: turns terrain features into the codes that the model reads; None if it reads no features.
+        encoder: encoder of terrain features into the codes that the model reads; None if it reads no features.
         actuators: delay models, fitted before the model itself; None if it has none.
-        reads_terrain: whether predictions depend on the ground at all.
+        reads_terrain: whether predictions depend on the ground.
     """
 
     vehicle: Vehicle
@@ -55,25 +53,26 @@ class Dynamics(nn.Module, ABC):
         self.encoder = None
         self.actuators = None
 
-    @abstractmethod
     def start(self, history: History, state: Float[Tensor, "B 6"], actuators: Float[Tensor, "B A"]) -> ModelState:
-        """What the model remembers at the start of a prediction.
+        """Return the model state at the start of a prediction; here only the actuators' residuals are recurrent.
 
         Args:
-            history: the rows before the start.
+            history: rows before the start.
             state, actuators: at the start (row t).
         """
+        recurrent = state[:, :0] if self.actuators is None else self.actuators.start(history)
+        return ModelState(state, actuators, recurrent)
 
     @abstractmethod
     def stepper(self) -> Step:
-        """A step with everything that does not change along a rollout computed once."""
+        """Return the step function of a rollout; what stays constant during the rollout is computed once here."""
 
     def step(self, model_state: ModelState, control: Float[Tensor, "B U"], terrain: Terrain) -> ModelState:
-        """One step of `conventions.DT`.
+        """Return the model state after one step of `conventions.DT`.
 
         Args:
-            control: as commanded during the step (`Vehicle.control_columns`).
-            terrain: under each wheel now; fields are [B, 4, ...].
+            control: commands during the step (`Vehicle.control_columns`).
+            terrain: ground under each wheel; fields are [B, 4, ...].
         """
         return self.stepper()(model_state, control, terrain)
 
@@ -84,22 +83,22 @@ class Dynamics(nn.Module, ABC):
 
     @property
     def recurrent_size(self) -> int:
-        """Hidden units of all its networks: the width of `ModelState.hidden` and `ModelState.cell`."""
-        return self.actuators.hidden if self.actuators is not None else 0
+        """Length of the recurrent states of all networks together."""
+        return sum(module.state_size for module in self.modules() if isinstance(module, Compensator))
 
     def kernel_parts(self) -> KernelParts | None:
-        """Parts that the generated kernels step; None if they cannot step this model."""
+        """Return the parts that the generated kernels step; None if they cannot step this model."""
         return None
 
     def physics(self) -> "Dynamics | None":
-        """The same model without networks, which is fitted first; None if there is nothing to fit first."""
+        """Return the same model without networks, which is fitted first; None if there is nothing to fit first."""
         return None
 
     def adopt_physics(self, fitted: "Dynamics", *, learns: bool = False) -> None:
-        """Take over the parameters of what `physics` returned, once they are fitted; they learn no more by default."""
+        """Copy the fitted parameters of the model from `physics`; they are frozen unless `learns`."""
 
     def standardise_on(self, history: History) -> None:
-        """Set mean and scale of the inputs of the model's networks from training windows, their codes included."""
+        """Set mean and scale of the networks' inputs from training windows with encoded features."""
 
 
 def rollout(
@@ -109,8 +108,8 @@ def rollout(
 
     Args:
         model_state: from `dynamics.start`.
-        controls: as commanded during each step.
-        source: asked for the ground under the wheels before each step.
+        controls: commands during each step.
+        source: ground under the wheels, read before each step.
     """
     step = dynamics.stepper()
     states, actuators = [], []
@@ -124,7 +123,7 @@ def rollout(
 def as_callable(
     dynamics: Dynamics, source: TerrainSource
 ) -> Callable[[Float[Tensor, "B P"], Float[Tensor, "B U"], int], Float[Tensor, "B P"]]:
-    """The model as pytorch_mppi and similar planners want it: `f(packed model state, control, t)` -> the next one."""
+    """Return the model as pytorch_mppi expects it: a function of packed model state, control and t."""
     step = dynamics.stepper()
 
     def call(packed: Tensor, control: Tensor, t: int = 0) -> Tensor:

@@ -1,4 +1,4 @@
-"""From terrain features under a wheel to what the network reads of them."""
+"""Encoders of the terrain features under a wheel."""
 
 from abc import ABC, abstractmethod
 
@@ -8,13 +8,13 @@ from torch import Tensor, nn
 
 
 class FeatureEncoder(nn.Module, ABC):
-    """Codes of single cells; the same weights serve all four wheels. Subclasses are final.
+    """Encoder of single cells with the same weights for all four wheels. Subclasses are final.
 
-    Cells may have more features than an encoder was made for: the first ones are read (of a PCA, those that vary most).
+    If cells have more features than the encoder reads, it reads the first ones (principal components in order).
 
     Attributes:
         size: E, length of a code.
-        mean: what stands for missing features, from training cells.
+        mean: mean features of training cells, which replace missing ones.
     """
 
     size: int
@@ -22,21 +22,21 @@ class FeatureEncoder(nn.Module, ABC):
 
     @abstractmethod
     def forward(self, features: Float[Tensor, "M F"], valid: Bool[Tensor, " M"]) -> Float[Tensor, "M E"]:
-        """Codes of cells; features that are not valid are not looked at."""
+        """Return the codes of cells; invalid features are ignored."""
 
     def missing(self) -> Float[Tensor, " E"]:
-        """The code of a cell without features."""
+        """Return the code of a cell without features."""
         nothing = self.mean[None]
         return self(nothing, torch.zeros(1, dtype=torch.bool, device=nothing.device))[0]
 
     def fill_with(self, features: Float[Tensor, "M F"], valid: Bool[Tensor, " M"]) -> None:
-        """Take the mean of training cells."""
+        """Set the mean from training cells."""
         if valid.any():
             self.mean.copy_(features[valid, : len(self.mean)].double().mean(dim=0))
 
 
 class Identity(FeatureEncoder):
-    """`df`: the features as they are, missing ones filled, and a flag: +1 where missing, -1 where present."""
+    """Unencoded features (`df`), missing ones filled, and a flag: +1 missing, -1 present."""
 
     def __init__(self, features: int) -> None:
         super().__init__()
@@ -44,12 +44,12 @@ class Identity(FeatureEncoder):
         self.register_buffer("mean", torch.zeros(features))
 
     def forward(self, features: Float[Tensor, "M F"], valid: Bool[Tensor, " M"]) -> Float[Tensor, "M E"]:
-        """Features and flag."""
+        """Return features and flag."""
         return with_flag(features[:, : len(self.mean)], valid, self.mean)
 
 
 class Compressor(FeatureEncoder):
-    """`cf`, `dc`: features and flag through two hidden layers (64, 32; tanh) to a code (paper, section V)."""
+    """Network with two hidden layers (64, 32; tanh) from features and flag to a code (`cf`, `dc`; paper, section V)."""
 
     scale: Tensor
 
@@ -63,13 +63,13 @@ class Compressor(FeatureEncoder):
         self.register_buffer("scale", torch.ones(features))
 
     def forward(self, features: Float[Tensor, "M F"], valid: Bool[Tensor, " M"]) -> Float[Tensor, "M E"]:
-        """The code of standardised features and flag."""
+        """Return the codes of standardised features and flag."""
         nothing = torch.zeros_like(self.mean)
         read = features[:, : len(self.mean)]
         return self.layers(with_flag((read - self.mean) / self.scale, valid, nothing))
 
     def fill_with(self, features: Float[Tensor, "M F"], valid: Bool[Tensor, " M"]) -> None:
-        """Take mean and scale of training cells; a feature that hardly varies keeps its unit."""
+        """Set mean and scale from training cells; features that hardly vary keep their unit."""
         super().fill_with(features, valid)
         if valid.sum() > 1:
             scale = features[valid, : len(self.mean)].double().std(dim=0)
@@ -79,7 +79,7 @@ class Compressor(FeatureEncoder):
 def with_flag(
     features: Float[Tensor, "M F"], valid: Bool[Tensor, " M"], mean: Float[Tensor, " F"]
 ) -> Float[Tensor, "M G"]:
-    """Missing features replaced by the mean, then the flag (G = F + 1; docs/method.md, "Terrain features")."""
+    """Replace missing features by the mean and append the flag (G = F + 1; docs/method.md, "Terrain features")."""
     known = torch.where(valid[:, None], features.to(mean.dtype), mean)
     flag = torch.where(valid, -1.0, 1.0).to(mean.dtype)
     return torch.cat((known, flag[:, None]), dim=-1)

@@ -1,30 +1,38 @@
-"""The hybrid model: parametric bicycle, and a recurrent network that compensates its forces (paper, eq. 5)."""
+"""Parametric bicycle, and the hybrid model whose recurrent network corrects the bicycle's forces (paper, eq. 5)."""
 
+from collections.abc import Callable
 from copy import deepcopy
+from dataclasses import replace
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from offpiste.core.conventions import DT
 from offpiste.core.state import History, ModelState, Terrain
 from offpiste.dataset.feature_sets import hindsight_throughout, per_trajectory
-from offpiste.dynamics.actuators import TORCH, Actuators
+from offpiste.dynamics.actuators import Actuators
 from offpiste.dynamics.base import Dynamics, KernelParts, Step
-from offpiste.dynamics.bicycle import BicycleConstants, Constants, Force, Rates, forces, rates
 from offpiste.dynamics.feature_encoder import Compressor, FeatureEncoder, Identity
-from offpiste.dynamics.inputs import UNKNOWN, body_normal, drive_train, select_present, unknown_normals
-from offpiste.dynamics.lstm import Compensator
+from offpiste.dynamics.lstm import LSTM, Cell, Compensator
 from offpiste.dynamics.models import register_model
+from offpiste.dynamics.torch_physics import (
+    UNKNOWN,
+    BicycleConstants,
+    advance,
+    mean_normal,
+    parametric_forces,
+    select_present,
+    unknown_normals,
+)
 from offpiste.dynamics.vehicle import Vehicle
 
 
 @register_model("parametric", colour="#56b4e9", what="actuator lags and a bicycle with fitted constants")
 class Parametric(Dynamics):
-    """Actuator lags and the bicycle, nothing learned but constants (`parametric`).
+    """Actuator lags and the bicycle; only constants are learned (`parametric`).
 
     Args:
-        actuators: delay models to use; new ones where none are given.
+        actuators: delay models; new ones by default.
     """
 
     actuators: Actuators
@@ -34,29 +42,21 @@ class Parametric(Dynamics):
         self.actuators = actuators or Actuators(vehicle)
         self.bicycle = BicycleConstants(vehicle)
 
-    def start(self, history: History, state: Float[Tensor, "B 6"], actuators: Float[Tensor, "B A"]) -> ModelState:
-        """Only the actuators' residuals remember anything."""
-        return ModelState(state, actuators, *self.actuators.start(history))
-
     def stepper(self) -> Step:
-        """Forces, then rates, then forward Euler."""
+        """Step by parametric forces, rates and forward Euler."""
         lags, constants = self.actuators.constants(), self.bicycle()
 
         def step(model_state: ModelState, control: Tensor, terrain: Terrain) -> ModelState:
-            normal = body_normal(terrain, model_state.state[:, 2])
-            force = parametric_forces(
-                self.vehicle, constants, model_state.state, model_state.actuators, control, normal
-            )
-            state = advance(self.vehicle, constants, model_state.state, model_state.actuators, control, normal, force)
-            moved = self.actuators.step(
-                lags, model_state.actuators, control, model_state.state[:, 3], model_state.hidden, model_state.cell
-            )
-            return ModelState(state, *moved)
+            state, actuators = model_state.state, model_state.actuators
+            normal = mean_normal(terrain, state[:, 2])
+            force = parametric_forces(self.vehicle, constants, state, actuators, control, normal)
+            after = advance(self.vehicle, constants, state, actuators, control, normal, force)
+            return ModelState(after, *self.actuators.step(lags, actuators, control, state[:, 3], model_state.recurrent))
 
         return step
 
     def kernel_parts(self) -> KernelParts:
-        """The bicycle."""
+        """Return the bicycle."""
         return KernelParts(self.bicycle)
 
 
@@ -64,18 +64,21 @@ class Parametric(Dynamics):
     "b", colour="#0072b2", display_name="blind", what="parametric, corrected by a network that does not see the ground"
 )
 class Hybrid(Dynamics):
-    """The paper's model without (`b`) or with encoded terrain features: the network sees the physics and corrects F.
+    """Bicycle with a network that corrects its force vector, without (`b`) or with encoded terrain features.
 
-    It sees vx, vy, yaw rate, actuators and controls that the log has, the mean normal, the share of the wheels whose
-    normal is unknown, the parametric forces and the codes of the four wheels; never position or yaw.
+    The network reads vx, vy, yaw rate, recorded actuators and controls, the mean normal, the fraction of unknown
+    normals, the parametric forces and the codes of the four wheels; never position or yaw.
 
     Args:
-        encoder: of the terrain features; None for `b`.
+        encoder: encoder of the terrain features; None for `b`.
+        cell: recurrent cell of the network (`offpiste.dynamics.lstm.Cell`).
     """
 
     actuators: Actuators
 
-    def __init__(self, vehicle: Vehicle, *, encoder: FeatureEncoder | None = None) -> None:
+    def __init__(
+        self, vehicle: Vehicle, *, encoder: FeatureEncoder | None = None, cell: Callable[[int, int], Cell] = LSTM
+    ) -> None:
         super().__init__(vehicle)
         self.encoder = encoder
         self.actuators = Actuators(vehicle)
@@ -83,71 +86,60 @@ class Hybrid(Dynamics):
         before = 3 + len(vehicle.actuators) + len(vehicle.control) + 3
         self.unknown = slice(before, before + UNKNOWN)
         inputs = before + UNKNOWN + 4 + 4 * self.codes
-        self.compensator = Compensator(inputs, 4)
+        self.compensator = Compensator(inputs, 4, cell=cell)
         self.force_scale: Tensor
-        # One unit of the network's output is 1 m/s^2 of the whole vehicle, or 1 rad/s^2.
+        # An output of 1 is an acceleration of the vehicle of 1 m/s^2, or a yaw acceleration of 1 rad/s^2.
         self.register_buffer("force_scale", torch.tensor([vehicle.mass / 2, vehicle.mass, vehicle.mass, 1.0]))
 
     def start(self, history: History, state: Float[Tensor, "B 6"], actuators: Float[Tensor, "B A"]) -> ModelState:
-        """The LSTM's state comes from the last 0.2 s."""
-        hidden, cell = self.compensator.start(self.recorded_inputs(history))
-        others = self.actuators.start(history)
-        return ModelState(state, actuators, torch.cat((hidden, others[0]), -1), torch.cat((cell, others[1]), -1))
+        """Initialise the networks from the last 0.2 s."""
+        own, begun = self.compensator.start(self.recorded_inputs(history)), super().start(history, state, actuators)
+        return replace(begun, recurrent=torch.cat((own, begun.recurrent), dim=-1))
 
     def stepper(self) -> Step:
-        """Parametric forces, their compensation, then rates and forward Euler."""
+        """Step by parametric forces, their correction, rates and forward Euler."""
         lags, constants = self.actuators.constants(), self.bicycle()
-        own = self.compensator.hidden
+        sizes = self.compensator.state_size, self.actuators.recurrent_size
 
         def step(model_state: ModelState, control: Tensor, terrain: Terrain) -> ModelState:
-            hidden, cell = model_state.hidden[:, :own], model_state.cell[:, :own]
-            normal = body_normal(terrain, model_state.state[:, 2])
-            force = parametric_forces(
-                self.vehicle, constants, model_state.state, model_state.actuators, control, normal
-            )
-            seen = self._inputs(model_state.state, model_state.actuators, control, normal, force, terrain)
-            correction, hidden, cell = self.compensator(seen, hidden, cell)
+            state, actuators = model_state.state, model_state.actuators
+            own, of_lags = model_state.recurrent.split(sizes, dim=-1)
+            normal = mean_normal(terrain, state[:, 2])
+            force = parametric_forces(self.vehicle, constants, state, actuators, control, normal)
+            correction, own = self.compensator(self._inputs(state, actuators, control, normal, force, terrain), own)
             force = force + correction * self.force_scale
-            state = advance(self.vehicle, constants, model_state.state, model_state.actuators, control, normal, force)
-            return self.actuators.advance(lags, model_state, control, state, hidden, cell)
+            after = advance(self.vehicle, constants, state, actuators, control, normal, force)
+            actuators, of_lags = self.actuators.step(lags, actuators, control, state[:, 3], of_lags)
+            return ModelState(after, actuators, torch.cat((own, of_lags), dim=-1))
 
         return step
 
-    @property
-    def recurrent_size(self) -> int:
-        """Units of the network and of the actuators' residuals."""
-        return self.compensator.hidden + self.actuators.hidden
-
     def standardise_on(self, history: History) -> None:
-        """Set mean and scale of the network's inputs, and the range of those that are no codes.
-
-        Codes change while their encoder learns.
-        """
+        """Set mean and scale of the network's inputs, and the range of all except the codes."""
         inputs = self.recorded_inputs(history).flatten(0, 1)
         self.compensator.standardise_on(inputs, self.unknown, ranged=inputs.shape[-1] - 4 * self.codes)
 
     def kernel_parts(self) -> KernelParts:
-        """The bicycle, and what corrects its forces."""
+        """Return the bicycle and the network that corrects its forces."""
         return KernelParts(self.bicycle, self.compensator, self.force_scale)
 
     def physics(self) -> Parametric:
-        """A bicycle alone, not yet fitted, with a copy of the actuators, where they lie."""
+        """Return an unfitted bicycle with a copy of the actuators, on the same device."""
         return Parametric(self.vehicle, deepcopy(self.actuators)).to(self.bicycle.raw.device)
 
     def adopt_physics(self, fitted: Dynamics, *, learns: bool = False) -> None:
-        """Take over the bicycle's constants, and keep them unless the bicycle `learns` further."""
+        """Copy the bicycle's constants; they are frozen unless `learns`."""
         parts = fitted.kernel_parts()
         assert parts is not None
         self.bicycle.load_state_dict(parts.bicycle.state_dict())
         self.bicycle.requires_grad_(learns)
 
     def recorded_inputs(self, history: History) -> Float[Tensor, "B H I"]:
-        """What the network would have seen at recorded rows."""
-        normal = body_normal(history.terrain, history.state[..., 2])
-        force = parametric_forces(
-            self.vehicle, self.bicycle(), history.state, history.actuators, history.control, normal
-        )
-        return self._inputs(history.state, history.actuators, history.control, normal, force, history.terrain)
+        """Return the network's inputs at recorded rows."""
+        state, actuators, control = history.state, history.actuators, history.control
+        normal = mean_normal(history.terrain, state[..., 2])
+        force = parametric_forces(self.vehicle, self.bicycle(), state, actuators, control, normal)
+        return self._inputs(state, actuators, control, normal, force, history.terrain)
 
     def _inputs(
         self,
@@ -163,23 +155,13 @@ class Hybrid(Dynamics):
         return torch.cat(columns + ([terrain.latent.flatten(-2)] if self.codes else []), dim=-1)
 
 
-def _compressing(vehicle: Vehicle) -> Hybrid:
-    return Hybrid(vehicle, encoder=Compressor(vehicle.read, size=vehicle.codes))
-
-
 register_model("b-hindsight", draw=hindsight_throughout, colour="#7fb8e6")(Hybrid)
 
 
 @register_model("df", colour="#d55e00", what="b that reads features of the ground")
 def direct(vehicle: Vehicle) -> Hybrid:
-    """Terrain features straight in."""
+    """Return the hybrid model with unencoded terrain features."""
     return Hybrid(vehicle, encoder=Identity(vehicle.read))
-
-
-@register_model("cf", colour="#009e73", what="b that reads features of the ground, compressed")
-def compressed(vehicle: Vehicle) -> Hybrid:
-    """Compressed terrain features, trained on hindsight."""
-    return _compressing(vehicle)
 
 
 @register_model(
@@ -189,40 +171,7 @@ def compressed(vehicle: Vehicle) -> Hybrid:
     display_name="visual",
     what="cf trained on ground seen from all distances",
 )
-def compressed_distance_independent(vehicle: Vehicle) -> Hybrid:
-    """Compressed terrain features, trained on a random feature set for each trajectory."""
-    return _compressing(vehicle)
-
-
-def parametric_forces(
-    vehicle: Vehicle,
-    constants: Constants,
-    state: Float[Tensor, "*B 6"],
-    actuators: Float[Tensor, "*B A"],
-    control: Float[Tensor, "*B U"],
-    normal: Float[Tensor, "*B 3"],
-) -> Float[Tensor, "*B 4"]:
-    """The force vector F (eq. 1) on batches."""
-    train = drive_train(vehicle, state, actuators, control)
-    _, _, _, vx, vy, yaw_rate = state.unbind(-1)
-    read = train.brake, train.steer, train.engine, train.throttle, train.gear
-    force = forces(vx, vy, yaw_rate, *read, normal[..., 2], constants, TORCH)
-    return torch.stack(force, dim=-1)
-
-
-def advance(
-    vehicle: Vehicle,
-    constants: Constants,
-    state: Float[Tensor, "B 6"],
-    actuators: Float[Tensor, "B A"],
-    control: Float[Tensor, "B U"],
-    normal: Float[Tensor, "B 3"],
-    force: Float[Tensor, "B 4"],
-) -> Float[Tensor, "B 6"]:
-    """The state one step later: h(F, x) (eq. 4) and forward Euler."""
-    steer = drive_train(vehicle, state, actuators, control).steer
-    _, _, yaw, vx, vy, yaw_rate = state.unbind(-1)
-    change: Rates = rates(
-        yaw, vx, vy, yaw_rate, steer, normal[..., 0], normal[..., 1], Force(*force.unbind(-1)), constants, TORCH
-    )
-    return state + DT * torch.stack(change, dim=-1)
+@register_model("cf", colour="#009e73", what="b that reads features of the ground, compressed")
+def compressed(vehicle: Vehicle) -> Hybrid:
+    """Return the hybrid model with compressed terrain features."""
+    return Hybrid(vehicle, encoder=Compressor(vehicle.read, size=vehicle.codes))

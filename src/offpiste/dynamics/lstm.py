@@ -1,48 +1,87 @@
-"""The recurrent network that compensates what physics leaves: an LSTM whose state is set from the recent past."""
+"""The network that corrects the physics: a recurrent cell whose state is initialised from the recent past."""
 
-from typing import Final
+from collections.abc import Callable
+from typing import Final, Protocol
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
 RANGE: Final = (0.005, 0.995)
-"""Quantiles of the training rows between which lies the range of an input that has one."""
+"""Quantiles of the training inputs that bound the range of an input."""
 
 FADE: Final = 10.0
 """Outputs are divided by 1 + FADE d^2 at the distance d of the inputs from their ranges, in standard deviations."""
 
 UNLIMITED: Final = 1e9
-"""Bound of an input without a range: finite, so that a run's weights can be checked."""
+"""Bound of an input without a range; finite, because the weights of a run are checked for infinities."""
+
+
+class Cell(Protocol):
+    """A module that steps a recurrent state whose content only the module itself knows.
+
+    Attributes:
+        state_size: length S of the state.
+    """
+
+    state_size: int
+
+    def initial(self, raw: Float[Tensor, "B S"]) -> Float[Tensor, "B S"]:
+        """Return the initial state from unbounded outputs of a network."""
+
+    def advance(self, inputs: Float[Tensor, "B I"], state: Float[Tensor, "B S"]) -> tuple[Tensor, Tensor]:
+        """Return the hidden units [B, H], which the output network reads, and the next state [B, S]."""
+
+
+class LSTM(nn.LSTMCell):
+    """LSTM cell; its state is the hidden units, then the cells."""
+
+    def __init__(self, inputs: int, hidden: int) -> None:
+        super().__init__(inputs, hidden)
+        self.state_size = 2 * hidden
+
+    def initial(self, raw: Float[Tensor, "B S"]) -> Float[Tensor, "B S"]:
+        """Bound the hidden units by tanh."""
+        hidden, cell = raw.chunk(2, dim=-1)
+        return torch.cat((torch.tanh(hidden), cell), dim=-1)
+
+    def advance(self, inputs: Float[Tensor, "B I"], state: Float[Tensor, "B S"]) -> tuple[Tensor, Tensor]:
+        """Return the hidden units and the next state."""
+        hidden, cell = self(inputs, state.chunk(2, dim=-1))
+        return hidden, torch.cat((hidden, cell), dim=-1)
 
 
 class Compensator(nn.Module):
-    """zeta of eq. 5: LSTM (hidden 4) and output network (20 units), started by an init LSTM (hidden 20).
+    """The correction zeta of eq. 5: recurrent cell (4 units) and output network (20), initialised by an LSTM (20).
 
-    The output network sees the LSTM's hidden state and its inputs. Its last layer starts at zero, so that an untrained
-    compensator leaves the physics as it is.
+    The output network reads the cell's hidden units and the inputs. Its last layer starts at zero, so that an untrained
+    compensator leaves the physics unchanged. Inputs beyond their range in training are clamped, and the outputs fade.
 
-    Where inputs leave their range in training, the network sees the range's end, and its outputs fade.
+    Args:
+        cell: constructor of the recurrent cell from the numbers of inputs and hidden units.
     """
+
+    cell: Cell
 
     def __init__(
         self,
         inputs: int,
         outputs: int,
         *,
+        cell: Callable[[int, int], Cell] = LSTM,
         hidden: int = 4,
         width: int = 20,
         init_hidden: int = 20,
         init_width: int = 20,
     ) -> None:
         super().__init__()
-        self.hidden = hidden
-        self.cell = nn.LSTMCell(inputs, hidden)
+        self.cell = cell(inputs, hidden)
+        self.state_size = self.cell.state_size
         last = nn.Linear(width, outputs)
         self.output = nn.Sequential(nn.Linear(hidden + inputs, width), nn.Tanh(), last)
         self.init_cell = nn.LSTM(inputs, init_hidden, batch_first=True)
         self.init_output = nn.Sequential(
-            nn.Linear(init_hidden, init_width), nn.Tanh(), nn.Linear(init_width, 2 * hidden)
+            nn.Linear(init_hidden, init_width), nn.Tanh(), nn.Linear(init_width, self.state_size)
         )
         self.mean: Tensor
         self.scale: Tensor
@@ -56,11 +95,11 @@ class Compensator(nn.Module):
         nn.init.zeros_(last.bias)
 
     def standardise_on(self, inputs: Float[Tensor, "N I"], shares: slice, *, ranged: int = 0) -> None:
-        """Take mean and scale from training inputs; one that hardly varies keeps its unit.
+        """Set mean and scale from training inputs; inputs that hardly vary keep their unit.
 
         Args:
-            shares: inputs from 0 to 1, which stay as they are: one that is rare in training may be common later.
-            ranged: number of inputs, the first ones, that have a range unless they are shares.
+            shares: inputs in [0, 1] that are not standardised: values rare in training may be common later.
+            ranged: number of leading inputs that have a range, unless they are shares.
         """
         mean, scale = inputs.mean(dim=0), inputs.std(dim=0)
         mean[shares], scale[shares] = 0.0, 1.0
@@ -74,18 +113,17 @@ class Compensator(nn.Module):
     def _standardised(self, inputs: Float[Tensor, "*B I"]) -> Float[Tensor, "*B I"]:
         return (inputs - self.mean) / self.scale
 
-    def start(self, inputs: Float[Tensor, "B H I"]) -> tuple[Float[Tensor, "B S"], Float[Tensor, "B S"]]:
-        """Hidden and cell state from the inputs of the history."""
+    def start(self, inputs: Float[Tensor, "B H I"]) -> Float[Tensor, "B S"]:
+        """Return the recurrent state after the inputs of the history."""
         _, (last, _) = self.init_cell(self._standardised(inputs).clamp(self.low, self.high))
-        hidden, cell = self.init_output(last[0]).chunk(2, dim=-1)
-        return torch.tanh(hidden), cell
+        return self.cell.initial(self.init_output(last[0]))
 
     def forward(
-        self, inputs: Float[Tensor, "B I"], hidden: Float[Tensor, "B S"], cell: Float[Tensor, "B S"]
-    ) -> tuple[Float[Tensor, "B O"], Float[Tensor, "B S"], Float[Tensor, "B S"]]:
-        """One step: compensation, next hidden state, next cell state."""
+        self, inputs: Float[Tensor, "B I"], state: Float[Tensor, "B S"]
+    ) -> tuple[Float[Tensor, "B O"], Float[Tensor, "B S"]]:
+        """Return the correction of one step and the next recurrent state."""
         standardised = self._standardised(inputs)
         seen = standardised.clamp(self.low, self.high)
         trust = 1 / (1 + FADE * (standardised - seen).square().sum(dim=-1, keepdim=True))
-        hidden, cell = self.cell(seen, (hidden, cell))
-        return self.output(torch.cat((hidden, seen), dim=-1)) * trust, hidden, cell
+        hidden, state = self.cell.advance(seen, state)
+        return self.output(torch.cat((hidden, seen), dim=-1)) * trust, state

@@ -1,4 +1,4 @@
-"""Models by name: each registers itself where it is defined."""
+"""Registry of dynamics models by name."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -19,16 +19,16 @@ Build = TypeVar("Build", bound=Callable[[Vehicle], Dynamics])
 
 @dataclass(frozen=True)
 class Model:
-    """What belongs to a model's name.
+    """Entry of the registry.
 
     Attributes:
-        build: makes an untrained model.
-        draw: feature sets that training windows read beside those drawn for their normals.
-        baseline: whether it is evaluated beside every trained model; it has nothing to train but its actuators.
-        colour: in figures; "" for one from the spare colours.
-        display_name: in tables, figures and reports; "" for the registered name.
-        what: it is, in a few words for reports; "" to say nothing.
-        fits: whether the model can be made for a vehicle.
+        build: constructor of an untrained model.
+        draw: feature sets of training windows, in addition to those drawn for their normals.
+        baseline: whether it is evaluated beside every trained model; only its actuators are trained.
+        colour: colour in figures; "" for a spare one.
+        display_name: name in tables, figures and reports; "" for the registered name.
+        what: short description for reports; "" for none.
+        fits: whether the model supports a vehicle.
     """
 
     build: Callable[[Vehicle], Dynamics]
@@ -41,26 +41,26 @@ class Model:
 
     @property
     def needs_sets(self) -> bool:
-        """Whether it can train only where the dataset has feature sets by distance."""
+        """Whether training needs feature sets by distance in the dataset."""
         return self.draw not in (hindsight, hindsight_throughout)
 
     def __call__(self, vehicle: Vehicle, *, seed: int) -> Dynamics:
-        """An untrained model of this vehicle, whose initial weights follow from the seed alone."""
+        """Return an untrained model of this vehicle; its initial weights depend only on the seed."""
         with seeded(seed):
             return self.build(vehicle)
 
 
 @contextmanager
 def seeded(seed: int) -> Iterator[None]:
-    """Networks that are made inside draw their initial weights from this seed, and from nothing that came before."""
-    # torch's layers draw from the global generator and take no other; it is left as it was.
+    """Seed the initial weights of networks that are constructed in this context."""
+    # Layers of torch can only draw from the global generator, whose state is restored.
     with torch.random.fork_rng(devices=[]):
         torch.default_generator.manual_seed(seed)
         yield
 
 
 MODELS: Final[Registry[Model]] = Registry("model", package="offpiste.dynamics", error=RunError)
-"""Models by the names of docs/method.md and the paper."""
+"""Models by their names in docs/method.md and the paper."""
 
 
 def register_model(
@@ -73,7 +73,7 @@ def register_model(
     what: str = "",
     fits: Callable[[Vehicle], bool] = lambda vehicle: True,
 ) -> Callable[[Build], Build]:
-    """Add the class or function below it, which makes a model from a `Vehicle`, under a name (see `Model`).
+    """Register the decorated class or function, which constructs a model from a `Vehicle` (arguments: see `Model`).
 
     Raises:
         RunError: the name is taken.
@@ -87,18 +87,18 @@ def register_model(
 
 
 def initial_actuators(vehicle: Vehicle, seed: int) -> Actuators:
-    """Delay models to be fitted, with the same initial weights for every model of a vehicle and seed."""
+    """Return unfitted delay models; their initial weights are the same for all models of a vehicle and seed."""
     with seeded(seed):
         return Actuators(vehicle)
 
 
 def reference_of(vehicle: Vehicle) -> str:
-    """Name of the model whose errors are the units of the loss: `kinematic`, or `ctrv` where nothing steers."""
+    """Return the name of the model whose errors scale the loss: `kinematic`, or `ctrv` if the vehicle cannot steer."""
     return "kinematic" if MODELS["kinematic"].fits(vehicle) else "ctrv"
 
 
 def is_baseline(name: str) -> bool:
-    """Whether a model of this name is evaluated beside every trained one; False for a name that is not registered."""
+    """Return whether a registered model of this name is evaluated beside every trained model."""
     return name in MODELS and MODELS[name].baseline
 
 

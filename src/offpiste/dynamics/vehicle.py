@@ -1,4 +1,4 @@
-"""What a dynamics model must know of the vehicle and of its log."""
+"""Parameters of a vehicle and channels of its log, as dynamics models need them."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -8,19 +8,19 @@ from offpiste.core.channels import actuator_columns, all_actuators, control_colu
 
 @dataclass(frozen=True)
 class Vehicle:
-    """A vehicle and the channels that its log has.
+    """Vehicle and the channels of its log.
 
     Attributes:
         mass: [kg].
         wheelbase: [m].
-        max_steer: road-wheel angle at a steering command of 1 [rad]; 0 where nothing steers.
-        control: names of controls (`offpiste.core.channels`) that the log has.
-        actuators: names of actuators that the log has; "steer" only together with "steer_rate".
-        rear_axle: how far behind the pose point the rear axle lies [m].
-        features: how many terrain features the dataset has under each wheel.
-        pca: how many of them a model reads, the first ones; 0: all.
-        codes: length of the code that an encoder makes of them.
-        track: distance between the left and the right wheels, or tracks [m].
+        max_steer: road-wheel angle at a steering command of 1 [rad]; 0 without steering.
+        control: recorded controls (`offpiste.core.channels`).
+        actuators: recorded actuators; "steer" only together with "steer_rate".
+        rear_axle: distance of the rear axle behind the pose point [m].
+        features: number of terrain features under each wheel in the dataset.
+        pca: number of leading features that a model reads; 0: all.
+        codes: length of an encoded feature vector.
+        track: distance between left and right wheels or tracks [m].
     """
 
     mass: float
@@ -41,26 +41,26 @@ class Vehicle:
 
     @cached_property
     def control_columns(self) -> tuple[str, ...]:
-        """Columns of `control` in this vehicle's datasets, those that the log lacks included."""
+        """Columns of `control` in this vehicle's datasets, including absent channels."""
         return tuple(control.name for control in control_columns(self.control))
 
     @cached_property
     def actuator_columns(self) -> tuple[str, ...]:
-        """Columns of `actuators` in this vehicle's datasets, those that the log lacks included."""
+        """Columns of `actuators` in this vehicle's datasets, including absent channels."""
         return tuple(actuator.name for actuator in actuator_columns(self.actuators))
 
     @cached_property
     def measured_inputs(self) -> dict[str, str]:
-        """Inputs of the bicycle that an actuator measures (`Actuator.drives`), and the names of those actuators."""
+        """Actuators that measure an input of the bicycle, by that input (`Actuator.drives`)."""
         present = (actuator for actuator in actuator_columns(self.actuators) if actuator.name in self.actuators)
         return {actuator.drives: actuator.name for actuator in present if actuator.drives}
 
     @property
     def steers(self) -> bool:
-        """Whether the log has a steering angle or a steering command."""
+        """Whether a steering angle or a steering command is recorded."""
         return "steer" in self.actuators or "steer" in self.control
 
     @property
     def read(self) -> int:
-        """How many terrain features a model reads."""
+        """Number of terrain features that a model reads."""
         return self.pca or self.features

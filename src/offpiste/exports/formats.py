@@ -15,6 +15,7 @@ from offpiste.core.registry import Registry
 from offpiste.dynamics.header.step_text import absent_actuators
 from offpiste.dynamics.kernels import layout
 from offpiste.dynamics.kernels.coverage import uncovered, uncovered_encoder
+from offpiste.dynamics.kernels.model_arrays import units
 from offpiste.training.checkpoint import WEIGHTS, save_json
 from offpiste.training.run import Run, load_run
 
@@ -100,7 +101,7 @@ def write_about(run: Run, folder: Path, **more: Any) -> dict[str, Any]:
         "step": DT,
         "state": list(layout.STEPPED),
         "absent_actuators": [layout.STEPPED[row] for row in absent_actuators(dynamics)],
-        "recurrent_units": dynamics.recurrent_size,
+        "recurrent_units": units(dynamics),
         "controls": list(dynamics.vehicle.control_columns),
         "wheels": list(WHEELS),
         "codes_per_wheel": dynamics.codes,

@@ -15,6 +15,7 @@ from offpiste.core.errors import OffpisteError, RunError, require
 from offpiste.core.shipped import PREFIX, pca_file
 from offpiste.core.state import History, Terrain
 from offpiste.dynamics.base import Dynamics
+from offpiste.dynamics.kernels.model_arrays import hidden_and_cells
 from offpiste.exports.c_files import write_readme
 from offpiste.exports.formats import FORMATS, ImageOptions, write_about
 from offpiste.exports.parity import parity_case, past_of
@@ -107,7 +108,7 @@ class PastToMemory(nn.Module):
         """Return hidden units and cells; states include the actuators."""
         past = History(states[..., :6], states[..., 6:], controls, Terrain(normals, known, codes))
         started = self.dynamics.start(past, states[:, -1, :6], states[:, -1, 6:])
-        return started.hidden, started.cell
+        return hidden_and_cells(started.recurrent)
 
 
 def checked_graph(

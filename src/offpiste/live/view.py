@@ -25,7 +25,7 @@ from offpiste.rig.rig import load_rig
 from offpiste.runtime.estimator import VehicleReading
 from offpiste.runtime.follower import TimedPlan
 from offpiste.runtime.prediction import Prediction, coded_area
-from offpiste.uncertainty.spread import EVERY, INTERVAL, Moments, Spread, radius, spread_inputs
+from offpiste.uncertainty.spread import EVERY, INTERVAL, Spread, radius, spread_inputs
 from offpiste.visualization.map_figure import STEEP, TALL
 
 PERIODS: Final = {"readings": 0.05, "plans": 0.1, "map": 1.0, "images": 0.2, "commands": 0.1, "course": 0.5}
@@ -73,7 +73,7 @@ class PlanRegions:
         under = area.terrain(torch.from_numpy(offset), self._wheels, len(moments)).at(0, moments)
         terrain = Terrain(under.normal[None], under.known[None], under.latent[None])
         control = complete(self._dynamics.vehicle, plan.controls[: len(prediction.state) : EVERY], plan.gear)
-        inputs = spread_inputs(self._dynamics.vehicle, Moments(moments[None], control[None], terrain))
+        inputs = spread_inputs(self._dynamics.vehicle, moments[None], control[None], terrain)
         axes = radius(WITHIN, float(self._spread.freedom)) * self._spread(inputs)[0].double().numpy()
         each = round(1 / INTERVAL)
         ends = prediction.state[EVERY - 1 :: EVERY][each - 1 :: each]

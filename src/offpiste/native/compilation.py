@@ -190,7 +190,7 @@ FILTER_SUMS: Final = Compiler(_RESPONSES, loops_make_arrays=False, entries_make_
 FEATURE_SETS_KEPT: Final = Compiler(("dataset/feature_sets.py",), loops_make_arrays=False, entries_make_arrays=False)
 _STEP: Final = (
     "dynamics/kernels",
-    *(f"dynamics/{name}.py" for name in ("actuator_lags", "bicycle", "inputs", "lstm")),
+    *(f"dynamics/{name}.py" for name in ("actuator_lags", "bicycle", "lstm")),
     "core/channels.py",
     "core/conventions.py",
     "mapping/terrain_map.py",

@@ -23,9 +23,11 @@ from offpiste.dynamics.kernels.autograd import supports
 from offpiste.dynamics.kernels.model_arrays import (
     compensator_weights,
     constants,
+    from_kernel_state,
     learned_constants,
     networks,
     recorded_channels,
+    to_kernel_state,
 )
 from offpiste.mapping.terrain_sampler import MapStack
 from offpiste.native.compilation import spread_kernel
@@ -114,10 +116,9 @@ def kernel_model_state(
     codes: Codes,
 ) -> ModelState:
     """Return the model state after at least one step of controls."""
-    packed = model_state.pack()
-    after = torch.empty(1, len(controls), packed.shape[1])
+    after = torch.empty(1, len(controls), model_state.pack().shape[1])
     _bind(dynamics, model_state, situation, CostWeights(), codes)(controls[None], after)
-    result = ModelState.unpack(after[:, -1])
+    result = from_kernel_state(after[:, -1])
     recorded = torch.tensor([name in dynamics.vehicle.actuators for name in ACTUATORS])
     return replace(result, actuators=result.actuators.where(recorded, model_state.actuators))
 
@@ -142,7 +143,7 @@ def _bind(
         stray_weights(situation.caution, vehicle, dynamics.codes),
         costs.numbers(weights),
     )
-    start = model_state.pack()[0].contiguous().numpy()
+    start = to_kernel_state(model_state)[0].contiguous().numpy()
 
     def roll(controls: Tensor, states: Tensor) -> Tensor:
         widths, wanted = {len(CONTROL), len(vehicle.control_columns)}, (torch.float32, torch.device("cpu"))
@@ -192,8 +193,8 @@ def _check(dynamics: Dynamics, model_state: ModelState, codes: Codes) -> None:
     """Raise for inputs that the kernel would read wrongly or out of bounds."""
     if not supports(dynamics, model_state.state.device, model_state.state.dtype):
         raise ValueError("no kernel for this model; see `supports`")
-    wanted, units = dynamics.codes, dynamics.recurrent_size
-    result, needed = list(model_state.pack().shape), [1, len(layout.STEPPED) + 2 * units]
+    wanted = dynamics.codes
+    result, needed = list(model_state.pack().shape), [1, len(layout.STEPPED) + dynamics.recurrent_size]
     if result != needed:
         raise ValueError(f"the start is {result}; the kernel wants {needed}")
     if codes[0].shape[-1] != wanted or len(codes[1]) != wanted:

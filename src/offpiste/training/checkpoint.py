@@ -1,7 +1,6 @@
 """Files of runs: safetensors and JSON with digests, written whole or not at all; no pickle."""
 
 import json
-import logging
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -16,8 +15,6 @@ from offpiste.core.checksums import sha256_of, sha256_of_arrays, sha256_of_json
 from offpiste.core.errors import RunError
 from offpiste.core.files import PARTIAL, remove_partials, write_bytes, write_text
 from offpiste.core.limits import open_tensors, parsed, read_small
-
-logger = logging.getLogger(__name__)
 
 REMEDY: Final = "train again, or restore the file"
 
@@ -77,15 +74,14 @@ def load_beside_weights(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
 
 
 def sha256_of_tensors(tensors: Mapping[str, Tensor], about: Mapping[str, Any]) -> str:
-    """SHA-256 of named tensors, such as a `state_dict`, and of JSON values."""
+    """Return the SHA-256 of named tensors, such as a `state_dict`, and of JSON values."""
     return sha256_of_arrays({name: tensor.cpu().numpy() for name, tensor in tensors.items()}, about)
 
 
 def _refuse_changed(path: Path, written: object, found: str) -> None:
-    if written is None:
-        logger.warning(f"{path}: has no checksum, since an older offpiste wrote it: damage would not be noticed")
-    elif written != found:
-        raise RunError("is damaged: its checksum differs", where=path, how=REMEDY)
+    if written != found:
+        what = "has no checksum" if written is None else "is damaged: its checksum differs"
+        raise RunError(what, where=path, how=REMEDY)
 
 
 def save_json(path: Path, content: dict[str, Any]) -> None:
@@ -110,11 +106,8 @@ def load_json(path: Path) -> dict[str, Any]:
     return content
 
 
-def refuse_other_file(path: Path, digest: str | None) -> None:
+def refuse_other_file(path: Path, digest: str) -> None:
     """Check that a file of a run has the digest stated in its JSON.
-
-    Args:
-        digest: SHA-256; None if unknown.
 
     Raises:
         RunError: the file is missing, or its digest differs.
@@ -135,10 +128,8 @@ def load_weights(module: nn.Module, tensors: dict[str, Tensor], where: Path) -> 
     try:
         module.load_state_dict(tensors)
     except RuntimeError as error:
-        reason = str(error).splitlines()[-1].strip()
-        raise RunError(
-            f"weights do not fit the model: {reason}", where=where, how="use the files of one run"
-        ) from error
+        what = f"weights do not fit the model: {str(error).splitlines()[-1].strip()}"
+        raise RunError(what, where=where, how="use the files of one run") from error
 
 
 def save_checkpoint(
@@ -146,8 +137,8 @@ def save_checkpoint(
 ) -> None:
     """Write weights and an optimiser's state."""
     state = optimiser.state_dict()
-    tensors = {f"{name}.{key}": value for name, result in weights.items() for key, value in result.items()}
-    tensors |= {f"optimiser.{n}.{key}": value for n, result in state["state"].items() for key, value in result.items()}
+    named = weights | {f"optimiser.{number}": values for number, values in state["state"].items()}
+    tensors = {f"{name}.{key}": value for name, values in named.items() for key, value in values.items()}
     save_tensors(path, tensors, param_groups=state["param_groups"], **about)
 
 
@@ -161,14 +152,13 @@ def load_checkpoint(
     """
     tensors, about = load_tensors(path)
     weights: dict[str, dict[str, Tensor]] = {}
-    state: dict[int, dict[str, Tensor]] = {}
     for name, value in tensors.items():
         head, rest = name.split(".", 1)
-        if head == "optimiser":
-            number, key = rest.split(".", 1)
-            state.setdefault(int(number), {})[key] = value
-        else:
-            weights.setdefault(head, {})[rest] = value
+        weights.setdefault(head, {})[rest] = value
+    state: dict[int, dict[str, Tensor]] = {}
+    for name, value in weights.pop("optimiser", {}).items():
+        number, key = name.split(".", 1)
+        state.setdefault(int(number), {})[key] = value
     try:
         optimiser.load_state_dict({"state": state, "param_groups": about.pop("param_groups")})
     except (KeyError, ValueError) as error:
@@ -183,19 +173,13 @@ def fold_folders(folder: Path) -> list[Path]:
 
 
 def refuse_other_folder(folder: Path) -> None:
-    """Check that a folder may become a run: it does not exist, or holds only folds or stages.
+    """Check that a folder may become a run: it does not exist, or holds only folds, shared stages and partial files.
 
     Raises:
         RunError: it holds other files, which might be overwritten.
     """
-    if not folder.exists():
-        return
-    if any(not _of_training(each.name) for each in folder.iterdir()):
-        raise RunError("holds files that are not of a run", where=folder, how="give another folder as --out")
-    remove_partials(folder)
-
-
-def _of_training(name: str) -> bool:
-    """Whether a name is that of a fold, a shared stage or a partial file."""
     stages = {f"{stage}.safetensors" for stage in SHARED_STAGES}
-    return name in stages or name.endswith(PARTIAL) or _FOLD.fullmatch(name) is not None
+    for name in (each.name for each in folder.glob("*")):
+        if not (name in stages or name.endswith(PARTIAL) or _FOLD.fullmatch(name)):
+            raise RunError("holds files that are not of a run", where=folder, how="give another folder as --out")
+    remove_partials(folder)

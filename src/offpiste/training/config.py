@@ -1,8 +1,7 @@
 """Settings of a training, with defaults for logs of some minutes to some hours."""
 
-import json
 import math
-from dataclasses import asdict, dataclass, field
+from dataclasses import astuple, dataclass, field
 from typing import Any, Literal
 
 from offpiste.core.errors import RunError
@@ -21,9 +20,9 @@ class Weights:
     vy: float = 1.0
     yaw_rate: float = 1.0
 
-    def in_order(self) -> tuple[float, float, float, float, float]:
+    def in_order(self) -> tuple[float, ...]:
         """Return the weights in the order of `offpiste.training.losses.COMPONENTS`."""
-        return (self.position, self.yaw, self.vx, self.vy, self.yaw_rate)
+        return astuple(self)
 
 
 @dataclass(frozen=True)
@@ -47,9 +46,6 @@ class TrainConfig:
         start: estimate of the state that predictions start from.
         min_speed: smallest speed at the start of a window [m/s]; 0: standstills as well; None: as in the dataset.
         loss: name of the loss; an unknown name lists all losses.
-        relative: 0: errors in metres count alike at any speed, as in the paper; 1: errors relative to the distance
-            driven, so that slow windows matter.
-        mirror: train on the mirror image of a random half of the windows; not the actuators.
         weights: weights of the loss's components.
         seed: seed of the initial weights and the order of the windows.
         device: where to train: "cpu", "cuda", ...
@@ -70,8 +66,6 @@ class TrainConfig:
     start: Literal["causal", "smoothed"] = "causal"
     min_speed: float | None = None
     loss: str = "squared"
-    relative: float = 0.0
-    mirror: bool = False
     weights: Weights = field(default_factory=Weights)
     seed: int = 0
     device: str = "cpu"
@@ -96,8 +90,6 @@ def refuse_impossible(config: TrainConfig) -> None:
             _refuse(name, getattr(config, name), "a number above 0")
     if config.min_speed is not None and not 0 <= config.min_speed < math.inf:
         _refuse("min_speed", config.min_speed, "a speed of 0 or more [m/s]")
-    if not 0 <= config.relative <= 1:
-        _refuse("relative", config.relative, "a number from 0 to 1")
     weights = config.weights.in_order()
     if not (all(0 <= weight < math.inf for weight in weights) and any(weights)):
         raise RunError(f"weights of the loss are {weights}", how="give numbers of 0 or more, and one above 0")
@@ -110,14 +102,11 @@ def _refuse(name: str, value: int | float, allowed: str) -> None:
 
 def other_settings(before: dict[str, Any], now: dict[str, Any]) -> str:
     """Describe how the settings of two runs differ; "" if they do not."""
-    if isinstance(before.get("train"), dict):  # a run may be older than a setting
-        before["train"] = {**json.loads(json.dumps(asdict(TrainConfig()))), **before["train"]}
-    for key in now:
-        then, new = before.get(key), now[key]
+    for key, new in now.items():
+        then = before.get(key)
         if then != new and isinstance(then, dict):
-            other = [name for name in new if then.get(name) != new[name]]
-            if other:  # else an older run has an additional setting
-                return ", ".join(f"{name} {then.get(name)} then, {new[name]} now" for name in other)
-        elif then != new:
+            other = [name for name in {**then, **new} if then.get(name) != new.get(name)]
+            return ", ".join(f"{name} {then.get(name)} then, {new.get(name)} now" for name in other)
+        if then != new:
             return key
     return ""

@@ -9,7 +9,6 @@ from datetime import timedelta
 import numpy as np
 import torch
 import torch.distributed as dist
-from jaxtyping import Int
 from torch import Tensor
 
 from offpiste.core.errors import OffpisteError, RunError
@@ -40,10 +39,6 @@ class Group:
         edges = np.linspace(0, count, self.size + 1).round().astype(int)
         return slice(int(edges[self.rank]), int(edges[self.rank + 1]))
 
-    def mine(self, parts: list[Int[np.ndarray, " n"]]) -> Iterator[tuple[int, Int[np.ndarray, " n"]]]:
-        """Yield the parts that this process works on, with their numbers."""
-        return ((number, part) for number, part in enumerate(parts) if number % self.size == self.rank)
-
     def sum(self, value: Tensor) -> Tensor:
         """Return the sum of a value over all processes."""
         if self.size > 1:
@@ -56,14 +51,11 @@ class Group:
         """Sum gradients over all processes; missing ones count as zero."""
         if self.size == 1:
             return
-        result = list(parameters)
-        for parameter in result:
-            if parameter.grad is None:
-                parameter.grad = torch.zeros_like(parameter)
-        flat = torch.cat([p.grad.flatten() for p in result if p.grad is not None])
+        summed = list(parameters)
+        flat = torch.cat([(torch.zeros_like(p) if p.grad is None else p.grad).flatten() for p in summed])
         with _with_the_others():
             dist.all_reduce(flat)
-        for parameter, part in zip(result, flat.split([p.numel() for p in result]), strict=True):
+        for parameter, part in zip(summed, flat.split([p.numel() for p in summed]), strict=True):
             parameter.grad = part.view_as(parameter).clone()
 
     def together(self, error: OffpisteError | None) -> None:

@@ -6,9 +6,9 @@ import logging
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import torch
@@ -21,7 +21,7 @@ from offpiste.core.progress import track
 from offpiste.dataset.feature_sets import Draw
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.native.compilation import single_threaded_torch
-from offpiste.training.batches import Mirror, batches_of, draw_sets
+from offpiste.training.batches import batches_of, draw_sets
 from offpiste.training.checkpoint import load_checkpoint, load_tensors, load_weights, save_checkpoint, save_tensors
 from offpiste.training.config import TrainConfig
 from offpiste.training.distributed import ALONE, Group
@@ -69,11 +69,6 @@ class BestEpoch:
     gained: float | None = None
 
     @classmethod
-    def of(cls, about: dict[str, Any], epochs: int) -> "BestEpoch":
-        """Read from the values stored beside a stage's weights."""
-        return cls(about["kept_epoch"], epochs, about["validation_loss"], about["gained"])
-
-    @classmethod
     def last_of(cls, epoch: int, losses: Sequence[float], epochs: int, best: float) -> "BestEpoch":
         """Compute the improvement from the validation losses of all epochs."""
         before = min(losses[:-_RECENT], default=None)
@@ -85,19 +80,15 @@ class BestEpoch:
         gains = self.gained is None or self.gained > _CONVERGED
         return not (self.epoch == self.epochs > 1 and gains)
 
-    def about(self) -> dict[str, Any]:
-        """Values to store beside a stage's weights."""
-        return {"validation_loss": self.validation_loss, "kept_epoch": self.epoch, "gained": self.gained}
-
     def line(self, stage: str) -> str:
-        """One line for the log."""
+        """Return a line for the log."""
         loss = f"validation {self.validation_loss:.4f}"
         if self.epoch == 0:
             return f"{stage}: kept the initial weights, {loss}: no epoch of {self.epochs} was better"
         return f"{stage}: kept epoch {self.epoch} of {self.epochs}, {loss}"
 
     def warnings(self, stage: str) -> Iterator[str]:
-        """Warnings about the choice of this epoch."""
+        """Yield warnings about the choice of this epoch."""
         if stage not in EPOCH_SETTINGS:
             return
         if not self.has_converged:
@@ -124,19 +115,6 @@ def write_metrics(path: Path, lines: Sequence[Metrics]) -> None:
     write_text(path, "".join(json.dumps(line) + "\n" for line in [*others, *lines]))
 
 
-def metrics_writer(path: Path) -> Record:
-    """Return a function that adds an epoch to a file of JSON lines and logs it."""
-
-    def record(line: Metrics) -> None:
-        write_metrics(path, [line])
-        logger.info(
-            f"{line['stage']:>10} {line['epoch']:>3}  train {line['train_loss']:.4f}  "
-            f"validation {line['validation_loss']:.4f}  {line['seconds']:.1f} s"
-        )
-
-    return record
-
-
 def check_tensorboard() -> None:
     """Check that TensorBoard is installed.
 
@@ -147,24 +125,34 @@ def check_tensorboard() -> None:
         import torch.utils.tensorboard  # noqa: F401
 
 
-def also_tensorboard(record: Record, folder: Path) -> Record:
-    """Return a function that also writes scalars for TensorBoard.
+def metrics_writer(folder: Path, *, tensorboard: bool = False) -> Record:
+    """Return a function that logs an epoch and adds it to `metrics.jsonl` in a run's folder.
+
+    Args:
+        tensorboard: whether to write scalars for TensorBoard, too.
 
     Raises:
-        MissingExtra: TensorBoard is not installed.
+        MissingExtra: TensorBoard is needed and not installed.
     """
-    check_tensorboard()
-    from torch.utils.tensorboard import SummaryWriter
+    writer = None
+    if tensorboard:
+        check_tensorboard()
+        from torch.utils.tensorboard import SummaryWriter
 
-    writer = SummaryWriter(folder)
+        writer = SummaryWriter(folder / "tensorboard")
 
-    def both(line: Metrics) -> None:
-        record(line)
-        for key in ("train_loss", "validation_loss", "seconds"):
-            writer.add_scalar(f"{line['stage']}/{key}", float(line[key]), int(line["epoch"]))
-        writer.flush()
+    def record(line: Metrics) -> None:
+        write_metrics(folder / "metrics.jsonl", [line])
+        logger.info(
+            f"{line['stage']:>10} {line['epoch']:>3}  train {line['train_loss']:.4f}  "
+            f"validation {line['validation_loss']:.4f}  {line['seconds']:.1f} s"
+        )
+        if writer is not None:
+            for key in ("train_loss", "validation_loss", "seconds"):
+                writer.add_scalar(f"{line['stage']}/{key}", float(line[key]), int(line["epoch"]))
+            writer.flush()
 
-    return both
+    return record
 
 
 @dataclass(frozen=True)
@@ -179,7 +167,6 @@ class Stage:
         draw: draws the feature sets that windows read; None: the windows' own.
         on_map: mean loss on the maps of validation windows, used to choose the epoch; None: mean of `loss` over all
             validation windows, at recorded places.
-        mirror: mirrors half of the training windows; None: no window.
     """
 
     name: str
@@ -188,7 +175,6 @@ class Stage:
     epochs: int
     draw: Draw | None = None
     on_map: Callable[[], float] | None = None
-    mirror: Mirror | None = None
 
 
 def run_stage(
@@ -218,10 +204,10 @@ def run_stage(
         if group.writes:
             running.unlink(missing_ok=True)
         try:
-            return BestEpoch.of(about, stage.epochs)
-        except KeyError as error:
+            return BestEpoch(**about)
+        except TypeError as error:
             how = "delete the file and resume: the stage is trained again"
-            raise RunError(f"was written by another version of offpiste (no {error})", where=done, how=how) from error
+            raise RunError("was written by another version of offpiste", where=done, how=how) from error
     state = StageState(stage, config)
     if running.exists():
         state.restore(running)
@@ -253,7 +239,7 @@ def run_stage(
     load_weights(stage.module, state.best, done)
     best = BestEpoch.last_of(state.best_epoch, state.losses, stage.epochs, state.best_score)
     if group.writes:
-        save_tensors(done, state.best, **best.about())
+        save_tensors(done, state.best, **asdict(best))
         running.unlink(missing_ok=True)
     group.together(None)
     return best
@@ -270,20 +256,17 @@ def keep_freed_memory() -> None:
         mallopt(-1, (1 << 31) - 1)  # M_TRIM_THRESHOLD: this much of the heap is kept
 
 
-def _score(stage: Stage, validation: Windows, config: TrainConfig, group: Group) -> float:
-    """Validation loss by which the epoch is chosen."""
-    return stage.on_map() if stage.on_map is not None else mean_loss(stage, validation, config, group)
-
-
-def mean_loss(stage: Stage, windows: Windows, config: TrainConfig, group: Group = ALONE) -> float:
-    """Mean loss over windows, `config.stride` rows apart, without gradients."""
+def _score(stage: Stage, windows: Windows, config: TrainConfig, group: Group) -> float:
+    """Return the validation loss by which the epoch is chosen: on maps, or over windows `config.stride` rows apart."""
+    if stage.on_map is not None:
+        return stage.on_map()
     index, rng = windows.strided(config.stride), np.random.default_rng(config.seed)
     parts = np.array_split(index, math.ceil(len(index) / max(EVALUATED_AT_ONCE, config.batch)))
-    feature_set_choice = [draw_sets(stage.draw, windows, part, rng) for part in parts]
+    sets = [draw_sets(stage.draw, windows, part, rng) for part in parts]
     total = torch.zeros((), dtype=torch.float64, device=windows.device)
     with torch.no_grad():
-        for number, part in group.mine(parts):
-            total += stage.loss(windows.gather(part, feature_set_choice[number])).double().sum()
+        for number in range(group.rank, len(parts), group.size):
+            total += stage.loss(windows.gather(parts[number], sets[number])).double().sum()
     return float(group.sum(total)) / len(index)
 
 
@@ -292,14 +275,12 @@ class StageState:
 
     def __init__(self, stage: Stage, config: TrainConfig) -> None:
         self.module = stage.module
-        free = {p: name for name, p in stage.module.named_parameters() if p.requires_grad}
-        self.names: dict[Tensor, str] = dict(free.items())
-        constants = [p for p, name in free.items() if name.split(".")[-1] == "raw"]
-        networks = [p for p, name in free.items() if name.split(".")[-1] != "raw"]
+        self.names: dict[Tensor, str] = {p: name for name, p in stage.module.named_parameters() if p.requires_grad}
+        constants = [p for p, name in self.names.items() if name.split(".")[-1] == "raw"]
+        networks = [p for p, name in self.names.items() if name.split(".")[-1] != "raw"]
         groups = [(networks, config.learning_rate), (constants, config.constants_learning_rate)]
         self.optimiser = torch.optim.Adam([{"params": p, "lr": lr, "peak": lr} for p, lr in groups if p])
-        self.best, self.best_score, self.epoch = self._weights(), math.inf, 0
-        self.best_epoch = 0
+        self.best, self.best_score, self.best_epoch, self.epoch = self._weights(), math.inf, 0, 0
         self.losses: list[float] = []
 
     def keep_if_best(self, score: float) -> None:
@@ -332,12 +313,13 @@ def train_epoch(
     rng = np.random.default_rng((config.seed, epoch))
     order = rng.permutation(train.strided(config.stride, phase=int(rng.integers(config.stride))))
     parts = np.array_split(order, math.ceil(len(order) / config.batch))
-    batches, total = batches_of(train, parts, stage.draw, rng, group, stage.mirror), 0.0
+    batches, total = batches_of(train, parts, stage.draw, rng, group), 0.0
     for number, index in enumerate(track(parts, f"{stage.name} {epoch + 1}/{stage.epochs}")):
         _set_learning_rate(state.optimiser, (epoch + number / len(parts)) / stage.epochs)
         where = f"{stage.name}, epoch {epoch + 1}, batch {number + 1}"
         try:
-            loss = _share_of_loss(stage, next(batches), len(index), train.device)
+            batch = next(batches)
+            loss = torch.zeros((), device=train.device) if batch is None else stage.loss(batch).sum() / len(index)
         except TrainingError as error:
             raise TrainingError(error.what, where=where, how=error.how) from error
         mean = group.sum(loss.detach())
@@ -347,27 +329,18 @@ def train_epoch(
         if loss.requires_grad:
             loss.backward()  # type: ignore[no-untyped-call]
         group.sum_gradients(state.names)
-        _check_gradients(state, where)
+        for parameter, name in state.names.items():
+            if parameter.grad is not None and not torch.isfinite(parameter.grad).all():
+                raise TrainingError(f"the gradient of '{name}' is not finite", where=where, how=REMEDY)
         nn.utils.clip_grad_norm_(list(state.names), config.gradient_clip)
         state.optimiser.step()
         total += mean.item() * len(index)
     return total / len(order)
 
 
-def _share_of_loss(stage: Stage, batch: Batch | None, count: int, device: torch.device) -> Float[Tensor, ""]:
-    """Contribution of this process to the mean loss of a batch of `count` windows."""
-    return torch.zeros((), device=device) if batch is None else stage.loss(batch).sum() / count
-
-
-def _check_gradients(state: StageState, where: str) -> None:
-    for parameter, name in state.names.items():
-        if parameter.grad is not None and not torch.isfinite(parameter.grad).all():
-            raise TrainingError(f"the gradient of '{name}' is not finite", where=where, how=REMEDY)
-
-
 def _set_learning_rate(optimiser: torch.optim.Adam, progress: float) -> None:
     """Warm up over the first 5 %, then follow a half cosine down to a hundredth (Loshchilov and Hutter 2017)."""
-    # By the share of the stage, not by steps: the number of batches differs between epochs.
+    # Progress is a fraction of the stage, since the number of batches differs between epochs.
     warm = min(1.0, progress / 0.05 + 0.1)
     factor = warm * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * progress)))
     for group in optimiser.param_groups:

@@ -11,7 +11,6 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from offpiste.core.conventions import min_evaluation_speed
 from offpiste.core.errors import RunError, TrainingError
 from offpiste.core.registry import Registry
 from offpiste.core.state import Trajectory, wrap_angle
@@ -125,26 +124,6 @@ def loss_scale(reference: Dynamics, windows: Windows, config: TrainConfig) -> Fl
     return scale
 
 
-def speed_weights(windows: Windows, relative: float) -> Callable[[Batch], Float[Tensor, " B"]]:
-    """Return weights (speed + least)^(-2 relative) of windows, with a mean of 1 over the training windows.
-
-    Errors grow with the distance, so that slow windows hardly count without such weights.
-
-    Args:
-        windows: training windows.
-        relative: 0: errors in metres count alike at any speed, as in the paper; 1: errors relative to the distance
-            driven. `least` is the speed from which windows are evaluated (`min_evaluation_speed`).
-    """
-    least = min_evaluation_speed(windows.dataset.rig.vehicle.wheelbase)
-
-    def weigh(state: Tensor) -> Tensor:
-        return (torch.linalg.vector_norm(state[:, 3:5], dim=-1) + least) ** (-2 * relative)
-
-    states = torch.as_tensor(windows.motion()["state_causal"][windows.rows])
-    mean = float(weigh(states).double().mean())
-    return lambda batch: weigh(batch.state) / mean
-
-
 @dataclass(frozen=True)
 class MapLoss:
     """Mean loss over validation windows, each read on its own map at predicted places.
@@ -232,7 +211,7 @@ def roll_actuators(actuators: Actuators, batch: Batch) -> Float[Tensor, "B S A"]
     """Predict the actuators over the first `FITTED_STEPS` steps along the recorded speed; by kernels if supported."""
     speed = torch.cat((batch.state[:, None, 3], batch.target[:, :-1, 3]), dim=1)[:, :FITTED_STEPS]
     control = batch.control[:, :FITTED_STEPS]
-    start = batch.actuators, *actuators.start(batch.history)
+    start = batch.actuators, actuators.start(batch.history)
     if supports_actuators(actuators, control.device, control.dtype):
         return rollout_actuators(actuators, control, speed, *start)
     return actuators.rollout(*start, control, speed)

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final, Literal, get_args
+from typing import Any, Final, Literal, TypeVar, get_args
 
 import numpy as np
 import torch
@@ -14,7 +14,7 @@ from offpiste.core.channels import absent_value
 from offpiste.core.errors import DatasetError, OffpisteError, did_you_mean
 from offpiste.core.state import RecordedTerrain, Terrain, TerrainSource, Trajectory
 from offpiste.dataset.windows import Batch, Windows
-from offpiste.dynamics import Dynamics, Vehicle, rollout
+from offpiste.dynamics import Dynamics, rollout
 from offpiste.dynamics.feature_encoder import Compressor
 from offpiste.dynamics.header.gpu import gpu_kernels
 from offpiste.dynamics.header.recorded import rollout_by_kernels
@@ -25,6 +25,8 @@ from offpiste.mapping.terrain_sampler import MapTerrain
 
 Lookup = Literal["recorded", "map"]
 """Where a model reads the terrain: under the wheels' recorded future places, or on a map at predicted places."""
+
+Joined = TypeVar("Joined")
 
 AT_ONCE: Final = 1024
 """Number of windows that are rolled out together."""
@@ -60,8 +62,12 @@ def predict_windows(dynamics: Dynamics, windows: Windows, lookup: Lookup = "reco
     if not len(windows):
         raise DatasetError("no window to predict", how="give at least one")
     parts = in_parts(np.arange(len(windows)), windows, lookup)
-    result = [roll_out(dynamics, windows, part, lookup)[1] for part in parts]
-    return Trajectory(torch.cat([part.state for part in result]), torch.cat([part.actuators for part in result]))
+    return joined([roll_out(dynamics, windows, part, lookup)[1] for part in parts])
+
+
+def joined(parts: Sequence[Joined]) -> Joined:
+    """Concatenate dataclasses of tensors, field by field."""
+    return type(parts[0])(*(torch.cat(values) for values in zip(*(vars(part).values() for part in parts), strict=True)))
 
 
 def in_parts(
@@ -89,17 +95,8 @@ def roll_out(
 
 
 def batch_for(dynamics: Dynamics, windows: Windows, batch: Batch) -> Batch:
-    """Return a batch of these windows in the columns that a model reads."""
-    return in_columns_of(dynamics.vehicle, batch, [control.name for control in windows.dataset.rig.controls])
-
-
-def in_columns_of(vehicle: Vehicle, batch: Batch, columns: Sequence[str]) -> Batch:
-    """Return a batch with the control columns of a vehicle's models; `Control.absent` for those it lacks.
-
-    Args:
-        columns: control columns of the batch.
-    """
-    wanted = vehicle.control_columns
+    """Return a batch of windows with the control columns that a model reads; `Control.absent` for those it lacks."""
+    wanted, columns = dynamics.vehicle.control_columns, [control.name for control in windows.dataset.rig.controls]
     if wanted == tuple(columns):
         return batch
 
@@ -143,9 +140,8 @@ def encoded(dynamics: Dynamics, batch: Batch) -> Batch:
     if encoder is None:
         return batch
     if batch.ground is None:
-        raise DatasetError(
-            "the model reads terrain features and the dataset has none", how="extract with --pca (see fit-pca)"
-        )
+        what = "the model reads terrain features and the dataset has none"
+        raise DatasetError(what, how="extract with --pca (see fit-pca)")
     features, valid = batch.ground.features, batch.ground.valid
     if isinstance(encoder, Compressor) and supports_encoder(encoder, features):
         codes = encode_cells(encoder, features, valid)
@@ -218,11 +214,6 @@ class PathTerrain:
         return Terrain.of(normal[:, None, :].expand(-1, 4, -1))
 
 
-def path_terrain(windows: Windows, index: Int[np.ndarray, " B"]) -> PathTerrain:
-    """Return the path around each window, from 1 s before its start to 8 s after, where its drive has valid rows."""
-    return PathTerrain(*windows.path(index))
-
-
 def on_map(
     dynamics: Dynamics, windows: Windows, index: Int[np.ndarray, " B"], batch: Batch
 ) -> tuple[Batch, TerrainSource]:
@@ -241,7 +232,7 @@ def on_map(
             snapshot of it.
     """
     if not windows.dataset.features and not windows.maps.kept:
-        return batch, path_terrain(windows, index)
+        return batch, PathTerrain(*windows.path(index))
     source = map_terrain(dynamics, windows, index)
     return with_past_on(source, batch), source
 
@@ -262,21 +253,12 @@ def map_terrain(dynamics: Dynamics, windows: Windows, index: Int[np.ndarray, " B
     if (number < 0).any():
         name = windows.drive_names[windows.drive[index][number < 0][0]]
         raise DatasetError(f"drive '{name}' has no map", how="extract it again")
-    return MapTerrain(
-        maps,
-        torch.as_tensor(number, device=windows.device),
-        windows.places(index),
-        windows.wheels,
-        dynamics.encoder,
-    )
+    numbers = torch.as_tensor(number, device=windows.device)
+    return MapTerrain(maps, numbers, windows.places(index), windows.wheels, dynamics.encoder)
 
 
 def with_past_on(source: TerrainSource, batch: Batch) -> Batch:
     """Return a batch whose ground before the start is read from a terrain source."""
     past = [source.at(0, state) for state in batch.history.state.unbind(dim=1)]
-    rows = Terrain(
-        torch.stack([t.normal for t in past], dim=1),
-        torch.stack([t.known for t in past], dim=1),
-        torch.stack([t.latent for t in past], dim=1),
-    )
+    rows = Terrain(*(torch.stack(parts, dim=1) for parts in zip(*(vars(t).values() for t in past), strict=True)))
     return replace(batch, history=replace(batch.history, terrain=rows))

@@ -79,15 +79,12 @@ def build(model: str, vehicle: Vehicle, *, seed: int) -> Dynamics:
     if vehicle.codes < 1:
         raise RunError(f"a code of length {vehicle.codes}", how="give --codes 1 or more")
     if vehicle.features and not 0 <= vehicle.pca <= vehicle.features:
-        raise RunError(
-            f"reads {vehicle.pca} terrain features; the dataset has {vehicle.features}", how="give a smaller --pca"
-        )
+        what = f"reads {vehicle.pca} terrain features; the dataset has {vehicle.features}"
+        raise RunError(what, how="give a smaller --pca")
     dynamics = make(vehicle, seed=seed)
     if dynamics.encoder is not None and not vehicle.features:
-        raise RunError(
-            f"model '{model}' reads terrain features and the dataset has none",
-            how="extract with --pca (see fit-pca), or train b",
-        )
+        what = f"model '{model}' reads terrain features and the dataset has none"
+        raise RunError(what, how="extract with --pca (see fit-pca), or train b")
     return dynamics
 
 
@@ -118,10 +115,14 @@ class _Stated(msgspec.Struct):
     loss: _Loss
     split: str
     seen: tuple[Stretch, ...]
+    weights_sha256: str | None = None
     pca: str | None = None
     features: tuple[str, ...] = ()
-    weights_sha256: str | None = None
     assumptions: tuple[str, ...] = ()
+
+
+_SAME: Final = ("model", "seed", "split", "seen", "pca", "features", "assumptions")
+"""Entries of model.json that are attributes of a `Run`."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -191,25 +192,22 @@ def load_run(folder: str | Path, *, device: str = "cpu") -> Run:
     folder = run_folder(folder)
     check_device(device)
     if not folder.is_dir():
-        raise RunError(
-            "no such folder", where=folder, how=f"{alike(folder)}give the folder that `offpiste train` wrote"
-        )
+        how = f"{alike(folder)}give the folder that `offpiste train` wrote"
+        raise RunError("no such folder", where=folder, how=how)
     if (folder / "config.json").exists() and not (folder / "model.json").exists():
         raise RunError("training has not finished", where=folder, how="resume it with `offpiste train --resume`")
     about = load_json(folder / "model.json")
-    if about.get("schema", SCHEMA) != SCHEMA:
-        raise RunError(
-            f"schema {about['schema']}, this offpiste reads {SCHEMA}: the physics has changed since",
-            where=folder / "model.json",
-            how="train again",
-        )
+    if (schema := about.get("schema", SCHEMA)) != SCHEMA:
+        what = f"schema {schema}, this offpiste reads {SCHEMA}: the physics has changed since"
+        raise RunError(what, where=folder / "model.json", how="train again")
     try:
         stated = msgspec.convert(about, type=_Stated)
         _refuse_impossible(stated)
     except (ValueError, msgspec.ValidationError) as error:
         raise RunError(f"cannot be used ({error})", where=folder / "model.json", how="train again") from error
     dynamics = build(stated.model, stated.vehicle, seed=stated.seed).to(device)
-    refuse_other_file(folder / WEIGHTS, stated.weights_sha256)
+    if stated.weights_sha256 is not None:
+        refuse_other_file(folder / WEIGHTS, stated.weights_sha256)
     tensors = load_tensors(folder / WEIGHTS)[0]
     load_weights(dynamics, tensors, folder)
     for name, values in tensors.items():
@@ -218,15 +216,9 @@ def load_run(folder: str | Path, *, device: str = "cpu") -> Run:
     return Run(
         folder=folder,
         dynamics=dynamics.eval(),
-        model=stated.model,
-        seed=stated.seed,
         weights=stated.loss.weights,
         scale=torch.tensor([stated.loss.scale[name] for name in COMPONENTS]),
-        split=stated.split,
-        seen=stated.seen,
-        pca=stated.pca,
-        features=stated.features,
-        assumptions=stated.assumptions,
+        **{name: getattr(stated, name) for name in _SAME},
     )
 
 
@@ -275,7 +267,7 @@ def save_run(
 ) -> None:
     """Write model.safetensors, and model.json with the best epoch of each stage; the latter marks a run as finished."""
     # model.safetensors is also the file of the last stage: a run that is killed here reads it back when it resumes.
-    last = best["model"].about() if best and "model" in best else {}
+    last = asdict(best["model"]) if best and "model" in best else {}
     save_tensors(folder / WEIGHTS, dynamics.state_dict(), **last)
     about = {
         "schema": SCHEMA,
@@ -392,45 +384,30 @@ def refuse_unfit(run: Run, dataset: Dataset) -> None:
         RunError: says what it was trained with.
     """
     needed, given, where = run.dynamics.vehicle, vehicle_of(dataset), named(run.folder)
-    reads = run.dynamics.encoder is not None
-    if reads and needed.features != given.features:
-        raise RunError(
-            f"reads {needed.features} terrain features; the dataset has {given.features}",
-            where=where,
-            how=f"use a dataset that was extracted with {_extracted_with(run)}",
-        )
-    if reads and run.pca is not None and dataset.pca is not None and run.pca != dataset.pca:
-        raise RunError(
-            f"reads features of the PCA {run.pca}; the dataset's are of {dataset.pca}",
-            where=where,
-            how="evaluate it on a dataset that was extracted with the PCA of its training",
-        )
-    if reads and run.features and run.features != dataset.features:
-        raise RunError(
-            f"reads the terrain features {_listed(run.features)}; the dataset has {_listed(dataset.features)}",
-            where=where,
-            how="evaluate it on a dataset with the same",
-        )
-    for kind in ("control", "actuators"):
-        if without_optional(getattr(needed, kind)) != without_optional(getattr(given, kind)):
-            raise RunError(
-                f"was trained with {kind} {', '.join(getattr(needed, kind)) or 'none'}; the dataset has "
-                f"{', '.join(getattr(given, kind)) or 'none'}",
-                where=where,
-                how="evaluate it on a dataset whose rig has the same channels",
+    what = how = ""
+    if run.dynamics.encoder is not None:
+        if needed.features != given.features:
+            what = f"reads {needed.features} terrain features; the dataset has {given.features}"
+            pca = where.rpartition("/")[0] if where.startswith(PREFIX) else "and the PCA of its training"
+            how = (
+                f"use a dataset that was extracted with {'the same --features' if run.pca is None else f'--pca {pca}'}"
             )
-
-
-def _extracted_with(run: Run) -> str:
-    """Return the option of `extract` that gives the features that a run reads."""
-    if run.pca is None:
-        return "the same --features"
-    name = named(run.folder)
-    return f"--pca {name.rpartition('/')[0]}" if name.startswith(PREFIX) else "--pca and the PCA of its training"
-
-
-def _listed(names: Sequence[str]) -> str:
-    return ", ".join(names[:4]) + (" …" if len(names) > 4 else "")
+        elif None not in (run.pca, dataset.pca) and run.pca != dataset.pca:
+            what = f"reads features of the PCA {run.pca}; the dataset's are of {dataset.pca}"
+            how = "evaluate it on a dataset that was extracted with the PCA of its training"
+        elif run.features and run.features != dataset.features:
+            read, there = (
+                ", ".join(names[:4]) + (" …" if len(names) > 4 else "") for names in (run.features, dataset.features)
+            )
+            what = f"reads the terrain features {read}; the dataset has {there}"
+            how = "evaluate it on a dataset with the same features"
+    for kind in ("control", "actuators"):
+        mine, its = getattr(needed, kind), getattr(given, kind)
+        if not what and without_optional(mine) != without_optional(its):
+            what = f"was trained with {kind} {', '.join(mine) or 'none'}; the dataset has {', '.join(its) or 'none'}"
+            how = "evaluate it on a dataset whose rig has the same channels"
+    if what:
+        raise RunError(what, where=where, how=how)
 
 
 def differing_vehicle(trained: Vehicle, driven: RigVehicle) -> str | None:

@@ -5,11 +5,10 @@ import logging
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from offpiste.core.checksums import CHECKSUMS, sha256_of, sha256_of_json
 from offpiste.core.conventions import DT, STATE
@@ -28,20 +27,10 @@ from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import MODELS, Dynamics
 from offpiste.dynamics.models import reference_of
 from offpiste.training.actuator_stage import actuators_to_fit, fit_actuators
-from offpiste.training.batches import mirror_of
 from offpiste.training.checkpoint import load_json, refuse_other_folder, save_json
 from offpiste.training.config import TrainConfig, other_settings, refuse_impossible
 from offpiste.training.distributed import ALONE, Group
-from offpiste.training.loop import (
-    FEW_WINDOWS,
-    REMEDY,
-    BestEpoch,
-    Record,
-    Stage,
-    also_tensorboard,
-    metrics_writer,
-    run_stage,
-)
+from offpiste.training.loop import FEW_WINDOWS, REMEDY, BestEpoch, Stage, metrics_writer, run_stage
 from offpiste.training.losses import (
     LOSSES,
     Loss,
@@ -49,7 +38,6 @@ from offpiste.training.losses import (
     WindowLoss,
     loss_scale,
     map_loss,
-    speed_weights,
     squared_errors,
 )
 from offpiste.training.prediction import encoded, predict_batch
@@ -95,7 +83,7 @@ def train(
     _refuse_poor(dynamics, windows, config, dataset)
     validation = Windows(dataset, "validation", start=config.start, device=device, ground=ground)
     group.together(_refusal(folder, dataset, config, resume) if group.writes else None)
-    record = _recording(folder, tensorboard=tensorboard) if group.writes else _unrecorded
+    record = metrics_writer(folder, tensorboard=tensorboard) if group.writes else lambda line: None
     if group.writes:
         _warn_beforehand(dataset, validation, config, dynamics)
     best: dict[str, BestEpoch] = {}
@@ -107,49 +95,60 @@ def train(
             for warning in epoch.warnings(name):
                 logger.warning(warning)
 
-    def fit(stage: Stage, model: Dynamics) -> None:
-        read = [w if model.encoder is not None else w.without_features() for w in (windows, validation)]
-        keep(stage.name, run_stage(stage, read[0], read[1], config, folder, record, group))
-
     reference = MODELS[reference_of(vehicle)](vehicle, seed=config.seed).to(device)
     if vehicle.actuators:
         lags = actuators_to_fit(vehicle, config, device, group)
         keep("actuators", fit_actuators(lags, config, windows, validation, folder, record, group))
-        _freeze(lags, reference, dynamics)
+        for actuators in (model.actuators for model in (reference, dynamics)):
+            if actuators is not None:
+                actuators.load_state_dict(lags.state_dict())
+                actuators.requires_grad_(False)
     scale = loss_scale(reference, windows, config)
-    window_loss = _window_loss(loss, windows, config, scale)
-    maps, mirror = maps or map_loss(validation, group), mirror_of(windows) if config.mirror else None
+    window_loss = _window_loss(loss, config, scale)
+    maps = maps or map_loss(validation, group)
 
-    def rolled_out(name: str, model: Dynamics, epochs: int, draw: Draw) -> Stage:
-        on_map = None if maps is None else partial(maps.of, model, window_loss)
-
+    def fit(name: str, model: Dynamics, epochs: int, draw: Draw) -> None:
         def loss(batch: Batch) -> Tensor:
             return window_loss(predict_batch(model, batch), batch)
 
-        return Stage(name, model, loss, epochs, draw, on_map, mirror)
+        on_map = None if maps is None else partial(maps.of, model, window_loss)
+        stage = Stage(name, model, loss, epochs, draw, on_map)
+        read = [part if model.encoder is not None else part.without_features() for part in (windows, validation)]
+        keep(name, run_stage(stage, read[0], read[1], config, folder, record, group))
 
     if (physics := dynamics.physics()) is not None:
         if physics.actuators is not None:
             physics.actuators.requires_grad_(False)
         # Always on hindsight, so that all models of a seed share the result.
-        fit(rolled_out("bicycle", physics, config.bicycle_epochs, hindsight), physics)
+        fit("bicycle", physics, config.bicycle_epochs, hindsight)
         dynamics.adopt_physics(physics, learns=config.refit_constants)
     standardise(dynamics, windows)
     if any(p.requires_grad for p in dynamics.parameters()):
-        fit(rolled_out("model", dynamics, config.epochs, draw), dynamics)
+        fit("model", dynamics, config.epochs, draw)
     if group.writes:
         save_run(folder, dynamics, config, dataset, scale, best)
     return dynamics
 
 
-def _window_loss(loss: Loss, windows: Windows, config: TrainConfig, scale: Tensor) -> WindowLoss:
-    """Return the loss of windows, weighted by component and speed, in units of `scale` (`loss_scale`)."""
+def _window_loss(loss: Loss, config: TrainConfig, scale: Tensor) -> WindowLoss:
+    """Return the loss of windows, weighted by component, in units of `scale` (`loss_scale`).
+
+    It raises TrainingError, naming the first state that is not finite, or the fault in the dataset.
+    """
     weights = torch.tensor(config.weights.in_order(), device=scale.device) / scale
-    weigh = speed_weights(windows, config.relative)
 
     def of_windows(predicted: Trajectory, batch: Batch) -> Tensor:
-        squared = squared_errors(_checked(predicted, batch).state, batch.target)
-        return weigh(batch) * loss(squared, weights.to(squared.device))
+        broken = ~torch.isfinite(predicted.state).all(dim=0)
+        if broken.any():
+            ground = batch.ground  # opening a dataset does not check its features
+            if ground is not None and not torch.isfinite(ground.features[ground.valid]).all():
+                what = "valid terrain features of the dataset are not finite"
+                raise TrainingError(what, how="extract it again")
+            step, column = (int(i) for i in broken.nonzero()[0])
+            when = f"from step {step + 1} ({(step + 1) * DT:.2f} s) on"
+            raise TrainingError(f"the predicted {STATE[column]} is not finite {when}", how=REMEDY)
+        squared = squared_errors(predicted.state, batch.target)
+        return loss(squared, weights.to(squared.device))
 
     return of_windows
 
@@ -169,16 +168,6 @@ def _warn_beforehand(dataset: Dataset, validation: Windows, config: TrainConfig,
             f"the validation part, by which epochs are chosen, has only {len(validation)} windows: "
             f"extract more or longer drives{'' if fold else ', or choose another --split'}"
         )
-
-
-def _recording(folder: Path, *, tensorboard: bool) -> Record:
-    """Return the function that writes a line of metrics."""
-    record = metrics_writer(folder / "metrics.jsonl")
-    return also_tensorboard(record, folder / "tensorboard") if tensorboard else record
-
-
-def _unrecorded(line: dict[str, Any]) -> None:
-    """Discard the metrics in processes that do not write."""
 
 
 def _refusal(folder: Path, dataset: Dataset, config: TrainConfig, resume: bool) -> OffpisteError | None:
@@ -250,37 +239,6 @@ def digest_of(dataset: Dataset) -> str:
     drives = [dataset.path / drive.name for drive in dataset.drives]
     files = [[file.parent.name, sha256_of(file)] for each in (dataset.path, *drives) for file in each.glob(CHECKSUMS)]
     return sha256_of_json(files + [[each.name, other] for each in drives if (other := changed_arrays(each))])
-
-
-def _refuse_ground(batch: Batch) -> None:
-    """Check features that a batch has read from disk; opening a dataset does not."""
-    if batch.ground is not None and not torch.isfinite(batch.ground.features[batch.ground.valid]).all():
-        raise TrainingError("valid terrain features of the dataset are not finite", how="extract it again")
-
-
-def _freeze(fitted: nn.Module, *models: Dynamics) -> None:
-    """Copy fitted actuators into models and freeze them."""
-    for actuators in (model.actuators for model in models):
-        if actuators is not None:
-            actuators.load_state_dict(fitted.state_dict())
-            actuators.requires_grad_(False)
-
-
-def _checked(trajectory: Trajectory, batch: Batch) -> Trajectory:
-    """Return the trajectory if it is finite.
-
-    Raises:
-        TrainingError: names the first step and state that is not finite, or the fault in the dataset.
-    """
-    broken = ~torch.isfinite(trajectory.state).all(dim=0)
-    if broken.any():
-        _refuse_ground(batch)
-        step, column = (int(i) for i in broken.nonzero()[0])
-        raise TrainingError(
-            f"the predicted {STATE[column]} is not finite from step {step + 1} ({(step + 1) * DT:.2f} s) on",
-            how=REMEDY,
-        )
-    return trajectory
 
 
 def train_folds(

@@ -1,7 +1,7 @@
 """Spread of a trained run: fitted by likelihood, stored in the run's folder, and used in predictions."""
 
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
@@ -15,12 +15,12 @@ from offpiste.core.errors import RunError
 from offpiste.core.progress import track
 from offpiste.core.state import RecordedTerrain, TerrainSource, Trajectory
 from offpiste.dataset.feature_sets import FeatureSetChoice, drawn
-from offpiste.dataset.windows import Batch, Windows
-from offpiste.dynamics import MODELS, Dynamics
+from offpiste.dataset.windows import Windows
+from offpiste.dynamics import MODELS
 from offpiste.dynamics.kernels.map_rollout import predict_on
 from offpiste.dynamics.models import seeded
 from offpiste.training.checkpoint import load_beside_weights, load_tensors, load_weights
-from offpiste.training.prediction import Lookup, batch_for, encoded, in_parts, on_map, predict_batch
+from offpiste.training.prediction import Lookup, batch_for, encoded, in_parts, joined, on_map, predict_batch
 from offpiste.training.run import Run, Stretch, refuse_unfit
 from offpiste.uncertainty.spread import (
     Spread,
@@ -133,52 +133,42 @@ def residuals_at_recorded(run: Run, windows: Windows, index: np.ndarray, rng: np
     def choose(some: np.ndarray) -> FeatureSetChoice:
         return drawn(draw, rng, len(some), windows.sets)
 
-    return _joined([residuals for _, residuals in predictions_of(run, windows, index, "recorded", choose)])
+    return predictions_of(run, windows, index, "recorded", choose)[1]
 
 
 def residuals_on_maps(run: Run, windows: Windows, index: np.ndarray) -> Residuals:
     """Return residuals on the map at each window's start, read at predicted places."""
-    return _joined([residuals for _, residuals in predictions_of(run, windows, index, "map")])
+    return predictions_of(run, windows, index, "map")[1]
 
 
+@torch.no_grad()
 def predictions_of(
     run: Run,
     windows: Windows,
     index: np.ndarray,
     lookup: Lookup,
     choose: Callable[[np.ndarray], FeatureSetChoice] | None = None,
-) -> Iterator[tuple[Trajectory, Residuals]]:
-    """Yield predictions and residuals, part by part.
+) -> tuple[Trajectory, Residuals]:
+    """Return the predictions of windows and their residuals.
 
     Args:
         choose: chooses feature sets at recorded places; None: the windows' own.
     """
+    dynamics, trajectories, residuals = run.dynamics, [], []
     for some in track(in_parts(index, windows, lookup), f"predicting with {run.folder.name}"):
-        yield _predictions_of(run.dynamics, windows, some, lookup, choose(some) if choose is not None else None)
-
-
-@torch.no_grad()
-def _predictions_of(
-    dynamics: Dynamics, windows: Windows, index: np.ndarray, lookup: Lookup, choice: FeatureSetChoice | None
-) -> tuple[Trajectory, Residuals]:
-    batch = encoded(dynamics, batch_for(dynamics, windows, windows.gather(index, choice)))
-    source: TerrainSource = RecordedTerrain(batch.terrain)
-    if lookup == "map":
-        batch, source = on_map(dynamics, windows, index, batch)
-        start = dynamics.start(batch.history, batch.state, batch.actuators)
-        trajectory = predict_on(dynamics, start, batch.control, source)
-    else:
-        trajectory = predict_batch(dynamics, batch)
-    return trajectory, _residuals(dynamics, batch, trajectory, source)
-
-
-def _residuals(dynamics: Dynamics, batch: Batch, trajectory: Trajectory, source: TerrainSource) -> Residuals:
-    inputs = inputs_along(dynamics.vehicle, batch.state, trajectory, batch.control, source)
-    return Residuals(inputs, errors_in_heading(trajectory.state, batch.target))
-
-
-def _joined(parts: list[Residuals]) -> Residuals:
-    return Residuals(torch.cat([part.inputs for part in parts]), torch.cat([part.error for part in parts]))
+        gathered = windows.gather(some, None if choose is None else choose(some))
+        batch = encoded(dynamics, batch_for(dynamics, windows, gathered))
+        source: TerrainSource = RecordedTerrain(batch.terrain)
+        if lookup == "map":
+            batch, source = on_map(dynamics, windows, some, batch)
+            start = dynamics.start(batch.history, batch.state, batch.actuators)
+            trajectory = predict_on(dynamics, start, batch.control, source)
+        else:
+            trajectory = predict_batch(dynamics, batch)
+        inputs = inputs_along(dynamics.vehicle, batch.state, trajectory, batch.control, source)
+        trajectories.append(trajectory)
+        residuals.append(Residuals(inputs, errors_in_heading(trajectory.state, batch.target)))
+    return joined(trajectories), joined(residuals)
 
 
 @dataclass(frozen=True)
@@ -213,12 +203,8 @@ def predict_with_spread(run: Run, windows: Windows, lookup: Lookup = "map") -> S
     """
     refuse_unfit(run, windows.dataset)
     spread = load_spread(run)
-    parts = list(predictions_of(run, windows, np.arange(len(windows)), lookup))
-    trajectory = Trajectory(
-        torch.cat([each.state for each, _ in parts]), torch.cat([each.actuators for each, _ in parts])
-    )
-    scale = torch.cat([spread(residuals.inputs) for _, residuals in parts])
-    return SpreadPrediction(trajectory, scale, float(spread.freedom))
+    trajectory, residuals = predictions_of(run, windows, np.arange(len(windows)), lookup)
+    return SpreadPrediction(trajectory, spread(residuals.inputs), float(spread.freedom))
 
 
 def load_spread(run: Run) -> Spread:

@@ -9,7 +9,7 @@ are those of the scale matrix, along and across the predicted heading, which sha
 """
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from typing import Final
 
 import numpy as np
@@ -36,39 +36,30 @@ LEAST_FREEDOM: Final = 2.0
 """Lower bound of the degrees of freedom, so that a variance exists."""
 
 
-@dataclass(frozen=True)
-class Moments:
-    """A rollout at every `EVERY` steps, from its start.
-
-    Attributes:
-        state: [m, rad, m/s, rad/s].
-        control: command from each moment on.
-        terrain: under the wheels, with the model's codes.
-    """
-
-    state: Float[Tensor, "B K 6"]
-    control: Float[Tensor, "B K U"]
-    terrain: Terrain
-
-
 def states_at_moments(start: Float[Tensor, "B 6"], trajectory: Trajectory) -> Float[Tensor, "B K 6"]:
     """Return the states at the moments of a spread: the start, and every `EVERY` steps except the last."""
     return torch.cat((start[:, None], trajectory.state[:, EVERY - 1 : -1 : EVERY]), dim=1)
 
 
-def spread_inputs(vehicle: Vehicle, moments: Moments) -> Float[Tensor, "B K I"]:
-    """Return the network's inputs at every moment: `MOTION`, present commands, mean code under the wheels."""
-    _, _, yaw, vx, vy, yaw_rate = moments.state.unbind(dim=-1)
-    known = moments.terrain.known.to(vx.dtype)
+def spread_inputs(
+    vehicle: Vehicle, state: Float[Tensor, "B K 6"], control: Float[Tensor, "B K U"], terrain: Terrain
+) -> Float[Tensor, "B K I"]:
+    """Return the network's inputs at every moment: `MOTION`, present commands, mean code under the wheels.
+
+    Args:
+        control: command from each moment on.
+        terrain: under the wheels, with the model's codes.
+    """
+    _, _, yaw, vx, vy, yaw_rate = state.unbind(dim=-1)
+    known = terrain.known.to(vx.dtype)
     share = known.mean(dim=-1)
-    normal = (moments.terrain.normal * known[..., None]).sum(dim=-2) / known.sum(dim=-1).clamp(min=1)[..., None]
+    normal = (terrain.normal * known[..., None]).sum(dim=-2) / known.sum(dim=-1).clamp(min=1)[..., None]
     cos, sin = torch.cos(yaw), torch.sin(yaw)
     along = -(cos * normal[..., 0] + sin * normal[..., 1])
     across = sin * normal[..., 0] - cos * normal[..., 1]
     motion = (torch.hypot(vx, vy), yaw_rate.abs(), (vx * yaw_rate).abs(), along, across.abs(), 1 - share)
     present = [vehicle.control_columns.index(name) for name in vehicle.control]
-    read = (torch.stack(motion, dim=-1), moments.control[..., present], moments.terrain.latent.mean(dim=-2))
-    return torch.cat(read, dim=-1)
+    return torch.cat((torch.stack(motion, dim=-1), control[..., present], terrain.latent.mean(dim=-2)), dim=-1)
 
 
 def inputs_along(
@@ -85,7 +76,7 @@ def inputs_along(
     state = states_at_moments(start, trajectory)
     read = [source.at(EVERY * k, moment) for k, moment in enumerate(state.unbind(dim=1))]
     terrain = Terrain(*(torch.stack([getattr(each, f.name) for each in read], dim=1) for f in fields(Terrain)))
-    return spread_inputs(vehicle, Moments(state, control[:, ::EVERY], terrain))
+    return spread_inputs(vehicle, state, control[:, ::EVERY], terrain)
 
 
 class Spread(nn.Module):
@@ -155,28 +146,23 @@ def errors_in_heading(predicted: Float[Tensor, "B T 6"], target: Float[Tensor, "
     return torch.stack((cos * x + sin * y, cos * y - sin * x), dim=-1)
 
 
-def squared_distance(error: Float[Tensor, "*B 2"], scale: Float[Tensor, "*B 2"]) -> Float[Tensor, "*B"]:
-    """Squared distance of an error from zero, in units of the scales.
+def negative_log_likelihood(
+    error: Float[Tensor, "*B 2"], scale: Float[Tensor, "*B 2"], freedom: Float[Tensor, ""]
+) -> Float[Tensor, "*B"]:
+    """Return the negative log-likelihood of errors under a bivariate t with `freedom` > 0 degrees of freedom.
 
     Args:
         error, scale: along and across [m].
     """
-    return (error / scale).square().sum(dim=-1)
-
-
-def negative_log_likelihood(
-    error: Float[Tensor, "*B 2"], scale: Float[Tensor, "*B 2"], freedom: Float[Tensor, ""]
-) -> Float[Tensor, "*B"]:
-    """Negative log-likelihood of errors under a bivariate t with `freedom` > 0 degrees of freedom."""
-    tail = (freedom / 2 + 1) * torch.log1p(squared_distance(error, scale) / freedom)
+    tail = (freedom / 2 + 1) * torch.log1p((error / scale).square().sum(dim=-1) / freedom)
     return math.log(2 * math.pi) + scale.log().sum(dim=-1) + tail
 
 
 def probability_within(squared: Float[np.ndarray, "*B"], freedom: float) -> Float[np.ndarray, "*B"]:
-    """Probability of the region up to a squared distance from zero."""
+    """Return the probability of the region up to a squared distance from zero, in units of the scales."""
     return np.asarray(1 - (1 + squared / freedom) ** (-freedom / 2))
 
 
 def radius(probability: float, freedom: float) -> float:
-    """Radius of the region with a probability, in units of the scales."""
+    """Return the radius of the region with a probability, in units of the scales."""
     return math.sqrt(freedom * ((1 - probability) ** (-2 / freedom) - 1))

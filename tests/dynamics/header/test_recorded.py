@@ -28,14 +28,12 @@ def errors(model, batch, steps, *, double=False):
     result = {name: difference(gradients[name], wanted_gradients[name]) for name in gradients}
     result["states"] = difference(found.state, wanted.state)
     result["actuators"] = difference(found.actuators, wanted.actuators)
-    print({name: f"{error:.1e}" for name, error in result.items()})
     return result
 
 
-@pytest.mark.parametrize("kind", [Hybrid, Parametric])
-@pytest.mark.parametrize("channels", CHANNELS)
-def test_the_printed_step_and_its_adjoint_agree_with_autograd(channels, kind):
-    model = example(*CHANNELS[channels], codes=0, kind=kind)
+@pytest.mark.parametrize("channels", [name for name in CHANNELS if name not in ("all", "no throttle")])
+def test_the_printed_step_and_its_adjoint_agree_with_autograd(channels):
+    model = example(*CHANNELS[channels], codes=0, kind=Parametric if "gear" in channels else Hybrid)
     assert max(errors(model, 33, 8, double=True).values()) < 1e-6
 
 
@@ -63,18 +61,14 @@ def test_with_codes_of_the_ground(channels, batch):
     assert max(errors(model, batch, 8, double=True).values()) < 1e-6
 
 
-def test_in_float32_along_a_second_as_near_as_the_numba_kernels():
+def test_float32_over_a_second_is_as_close_as_the_numba_kernels_also_with_a_frozen_compensator():
     model = example(*CHANNELS["all"], codes=2, kind=Hybrid)
     assert max(errors(model, 20, 50).values()) < TOLERANCE
-
-
-def test_a_frozen_compensator_gets_no_gradient():
-    model = example(*CHANNELS["all"], codes=0, kind=Hybrid)
     model.compensator.requires_grad_(False)
     assert max(errors(model, 3, 5, double=True).values()) < 1e-6
 
 
-def test_slots_of_absent_actuators_are_left_alone_and_a_window_with_nan_leaves_the_others_alone():
+def test_absent_actuators_and_windows_beside_one_with_nan_are_unchanged():
     model = example(*CHANNELS["brake and steer"], codes=0, kind=Hybrid).float().requires_grad_(False)
     kernels = HostKernels(recorded_text(model))
     model_state, control, terrain = windows(model, 40, 5)
@@ -87,7 +81,7 @@ def test_slots_of_absent_actuators_are_left_alone_and_a_window_with_nan_leaves_t
     assert torch.equal(bad.state[others], good.state[others])
 
 
-def test_kernels_are_checked_before_their_first_use_and_the_cpu_has_others():
+def test_kernels_are_checked_before_their_first_use():
     model, cpu = example(*CHANNELS["all"], codes=4, kind=Hybrid).float(), torch.device("cpu")
     for last in model.compensator.output[-1].parameters():  # as before training
         torch.nn.init.zeros_(last)
@@ -106,8 +100,7 @@ def test_kernels_are_checked_before_their_first_use_and_the_cpu_has_others():
 
 
 def test_kernels_are_prepared_once_for_each_model_and_device():
-    model, cpu = example(*CHANNELS["all"], codes=0, kind=Parametric).float(), torch.device("cpu")
-    compiled = []
+    model, cpu, compiled = example(*CHANNELS["all"], codes=0, kind=Parametric).float(), torch.device("cpu"), []
 
     def compile_here(text, device):
         compiled.append((text, device))

@@ -11,6 +11,7 @@ from offpiste.core.state import RecordedTerrain
 from offpiste.dynamics import Hybrid, rollout
 from offpiste.dynamics.header.networks import packed_parameters
 from offpiste.dynamics.header.step_text import step_text
+from offpiste.dynamics.kernels.model_arrays import to_kernel_state
 
 LANES = 16
 TOP = """
@@ -40,7 +41,7 @@ def test_a_vector_of_samples_steps_as_each_alone():
     unknown = (~terrain.known).float().mean(dim=-1, keepdim=True)
     given = torch.cat((controls, terrain.normal.mean(dim=-2), unknown, terrain.latent.flatten(-2)), dim=-1)
     rows = given.permute(1, 2, 0).contiguous().numpy()
-    state = model_state.pack().t().contiguous().numpy()
+    state = to_kernel_state(model_state).t().contiguous().numpy()
     params = packed_parameters(model).numpy()
     library.follow(*(ctypes.c_void_p(array.ctypes.data) for array in (params, rows, state)), ctypes.c_int(6))
     np.testing.assert_allclose(state[:6].T, wanted.state[:, -1].numpy(), atol=2e-4, rtol=1e-4)

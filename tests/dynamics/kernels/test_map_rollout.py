@@ -16,7 +16,7 @@ from offpiste.mapping.terrain_sampler import CellStack, MapTerrain, last_cells
 
 FEATURES, MAPS, SIDE = 5, 3, (60, 45)
 TOLERANCE = 2e-5
-"""Of the largest value of each tensor."""
+"""Absolute and relative."""
 
 CELLS = MAPS * SIDE[0] * SIDE[1]
 
@@ -61,8 +61,8 @@ def run(model: Hybrid | Parametric, batch: int, *, eager: bool) -> Trajectory:
     state[1::13, 0] += 1e4
     actuators = torch.rand(batch, 4, generator=draw) * torch.tensor([1.0, 0.6, 0.5, 3.0])
     controls = torch.rand(batch, 8, 3, generator=draw) - torch.tensor([0.0, 0.0, 0.5])
-    hidden, cell = 0.5 * torch.randn(2, batch, model.recurrent_size, generator=draw)
-    start = ModelState(*(each.to(dtype) for each in (state, actuators, hidden, cell)))
+    recurrent = 0.5 * torch.randn(batch, model.recurrent_size, generator=draw)
+    start = ModelState(*(each.to(dtype) for each in (state, actuators, recurrent)))
     number = torch.randint(MAPS, (batch,), generator=draw)
     offset = torch.rand(batch, 2, generator=draw).double() + torch.tensor([11.0, 15.0]).double()
     wheels = torch.tensor([[1.2, 0.7], [1.2, -0.7], [-0.9, 0.7], [-0.9, -0.7]])
@@ -70,40 +70,27 @@ def run(model: Hybrid | Parametric, batch: int, *, eager: bool) -> Trajectory:
     return (rollout if eager else predict_on)(model, start, controls.to(dtype), source)
 
 
-def difference(found: torch.Tensor, wanted: torch.Tensor) -> float:
-    """The largest error over the largest value."""
-    assert (found.isnan() == wanted.isnan()).all()
-    found, wanted = found.double().nan_to_num(), wanted.nan_to_num()
-    return float(((found - wanted).abs() / (1 + wanted.abs())).max())
-
-
-@pytest.mark.parametrize("batch", [1, 33])
-@pytest.mark.parametrize("kind", ["compressed", "direct", "blind", "parametric"])
+@pytest.mark.parametrize(("kind", "batch"), [("compressed", 1), ("compressed", 33), ("direct", 33), ("parametric", 33)])
 @torch.no_grad()
 def test_kernels_agree_with_the_eager_model(kind: str, batch: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    model = model_of(kind, VEHICLE)
-    called = []
+    model, called = model_of(kind, VEHICLE), []
     monkeypatch.setattr(map_rollout, "rollout_on_maps", lambda *given: called.append(1) or rollout_on_maps(*given))
     found = run(model, batch, eager=False)
     wanted = run(copy.deepcopy(model).double(), batch, eager=True)
     assert called
-    assert difference(found.state, wanted.state) < TOLERANCE
-    assert difference(found.actuators, wanted.actuators) < TOLERANCE
+    for one, other in ((found.state, wanted.state), (found.actuators, wanted.actuators)):
+        torch.testing.assert_close(one.double(), other, rtol=TOLERANCE, atol=TOLERANCE, equal_nan=True)
 
 
-def test_gradients_are_left_to_the_eager_model() -> None:
-    model = model_of("compressed", VEHICLE)
-    assert run(model, 3, eager=False).state.requires_grad
-
-
-@torch.no_grad()
-def test_maps_in_single_precision_are_left_to_the_eager_model() -> None:
+def test_gradients_and_maps_in_single_precision_are_left_to_the_eager_model() -> None:
     model, maps = model_of("compressed", VEHICLE), stack()
-    state = ModelState(torch.zeros(1, 6), torch.zeros(1, 4), *torch.zeros(2, 1, model.recurrent_size))
+    assert run(model, 3, eager=False).state.requires_grad
+    state = ModelState(torch.zeros(1, 6), torch.zeros(1, 4), torch.zeros(1, model.recurrent_size))
     given = torch.zeros(1, dtype=torch.long), torch.full((1, 2), 9.0).double(), torch.zeros(4, 2)
     wide = replace(maps, features=maps.features.float())
-    first, second = (
-        predict_on(model, state, torch.zeros(1, 5, 3), MapTerrain(each, *given, model.encoder)).state
-        for each in (maps, wide)
-    )
+    with torch.no_grad():
+        first, second = (
+            predict_on(model, state, torch.zeros(1, 5, 3), MapTerrain(each, *given, model.encoder)).state
+            for each in (maps, wide)
+        )
     torch.testing.assert_close(first, second, rtol=1e-5, atol=1e-5)

@@ -26,6 +26,7 @@ from offpiste.dynamics.kernels.model_arrays import (
     kernel_parts,
     learned_constants,
     terms_of_codes,
+    to_kernel_state,
 )
 from offpiste.native.cuda_kernels import Kernels
 
@@ -78,7 +79,7 @@ def rollout_by_kernels(
     unknown = (~terrain.known).to(controls).mean(dim=-1, keepdim=True)
     columns = [controls.detach(), terrain.normal.detach().mean(dim=-2), unknown, terms.detach()]
     rows = torch.cat(columns, dim=-1).permute(1, 2, 0).contiguous()
-    start = model_state.pack()
+    start = to_kernel_state(model_state)
     matrices = compensator_weights(dynamics, apart=True) if parts.compensator is not None else ()
     tensors = (start, learned_constants(dynamics), terms, *matrices)
     differentiate = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in tensors)

@@ -11,6 +11,7 @@ from offpiste.dynamics.header.networks import PrintedNetwork, printed_networks, 
 from offpiste.dynamics.header.step_text import MOVED, inputs_text, shipped_text
 from offpiste.dynamics.kernels import layout
 from offpiste.dynamics.kernels.coverage import uncovered_encoder
+from offpiste.dynamics.kernels.model_arrays import units
 
 
 def start_text(dynamics: Dynamics) -> str:
@@ -75,7 +76,7 @@ def _members(of: PrintedNetwork) -> dict[str, Tensor]:
 
 
 def _start(dynamics: Dynamics, networks: Sequence[PrintedNetwork]) -> str:
-    units = dynamics.recurrent_size
+    count = units(dynamics)
     remember, begin = [], []
     for number, of in enumerate(networks):
         hidden = MOVED + layout.HIDDEN * number
@@ -83,7 +84,7 @@ def _start(dynamics: Dynamics, networks: Sequence[PrintedNetwork]) -> str:
             inputs_text(of),
             f"offpiste_{of.name}_remember(&params->{of.name}, &starts->{of.name}, {of.name}_inputs, &{of.name});",
         ]
-        places = f"state + {hidden}, state + {hidden + units}"
+        places = f"state + {hidden}, state + {hidden + count}"
         begin.append(f"offpiste_{of.name}_begin(&starts->{of.name}, &{of.name}, {places});")
     members = [f"    offpiste_{of.name}_start_network {of.name};" for of in networks]
     return "\n".join(

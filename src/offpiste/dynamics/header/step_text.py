@@ -7,6 +7,7 @@ from offpiste.core.conventions import ACTUATORS, STATE
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.header.networks import LANE, PrintedNetwork, printed_networks
 from offpiste.dynamics.kernels import layout
+from offpiste.dynamics.kernels.model_arrays import units
 
 LANES = 4
 """Threads that share a step, a unit of each LSTM and a wheel for each: OFFPISTE_LANES in `lanes.h`."""
@@ -60,10 +61,10 @@ def term_count(dynamics: Dynamics) -> int:
 
 
 def _declarations(dynamics: Dynamics, networks: Sequence[PrintedNetwork], apart: bool) -> str:
-    units, codes = dynamics.recurrent_size, 0 if apart else 4 * dynamics.codes
+    count, codes = units(dynamics), 0 if apart else 4 * dynamics.codes
     sizes = {
-        "STATE": MOVED + 2 * units,
-        "UNITS": units,
+        "STATE": MOVED + 2 * count,
+        "UNITS": count,
         "CONTROLS": len(dynamics.vehicle.control_columns),
         "CODES": codes,
         "TERMS": term_count(dynamics) if apart else 0,
@@ -140,7 +141,7 @@ def inputs_text(of: PrintedNetwork) -> str:
 
 
 def _step(dynamics: Dynamics, networks: Sequence[PrintedNetwork]) -> str:
-    units, absent = dynamics.recurrent_size, absent_actuators(dynamics)
+    count, absent = units(dynamics), absent_actuators(dynamics)
     corrected = {row for of in networks for row in range(of.first_output, of.first_output + of.outputs)}
     left = [name for name in (*layout.CORRECTION, *layout.RESIDUALS) if layout.ROW[name] not in corrected]
     body = ["const offpiste_real zero = {0.0f};"] if left else []
@@ -151,7 +152,7 @@ def _step(dynamics: Dynamics, networks: Sequence[PrintedNetwork]) -> str:
         body += [
             inputs_text(of),
             f"offpiste_{of.name}_step(&params->{of.name}, {of.name}_inputs, {'given->terms' if of.terms else '0'},",
-            f"    state + {hidden}, state + {hidden + units}, &a->{of.name});",
+            f"    state + {hidden}, state + {hidden + count}, &a->{of.name});",
             *(f"w[{of.first_output + k}] = a->{of.name}.outputs[{k}];" for k in range(of.outputs)),
         ]
     body.append("offpiste_advance(w, params->constants);")
@@ -176,7 +177,7 @@ def _step(dynamics: Dynamics, networks: Sequence[PrintedNetwork]) -> str:
 
 
 def _adjoint(dynamics: Dynamics, networks: Sequence[PrintedNetwork]) -> str:
-    units, first_code = dynamics.recurrent_size, len(layout.ROWS)
+    count, first_code = units(dynamics), len(layout.ROWS)
     lines = [
         "/* bar->codes: adjoint of the codes; of each network, see its adjoints. */",
         "typedef struct {",
@@ -201,7 +202,7 @@ def _adjoint(dynamics: Dynamics, networks: Sequence[PrintedNetwork]) -> str:
         hidden = MOVED + layout.HIDDEN * number
         body += [
             f"offpiste_{of.name}_adjoint(&params->{of.name}, &a->{of.name}, w_bar + {of.first_output},",
-            f"    state_bar + {hidden}, state_bar + {hidden + units}, &bar->{of.name});",
+            f"    state_bar + {hidden}, state_bar + {hidden + count}, &bar->{of.name});",
             *(f"w_bar[{row}] += bar->{of.name}.inputs[{k}];" for k, row in enumerate(of.inputs) if row < first_code),
         ]
     body.append("offpiste_sense_adjoint(a->w, params->constants, w_bar, c_bar);")

@@ -18,7 +18,12 @@ from offpiste.dynamics.kernels.coverage import uncovered_actuators, warn_of_eage
 from offpiste.dynamics.kernels.elementary import copy, f4
 from offpiste.dynamics.kernels.generated import actuate, actuate_adjoint
 from offpiste.dynamics.kernels.layout import LANES, ROW
-from offpiste.dynamics.kernels.model_arrays import recorded_channels, residual_networks, switches
+from offpiste.dynamics.kernels.model_arrays import (
+    hidden_and_cells,
+    recorded_channels,
+    residual_networks,
+    switches,
+)
 from offpiste.dynamics.kernels.network import Network, compensate, compensate_adjoint, make_buffers, weights
 from offpiste.native.compilation import KERNELS, spread_kernel
 
@@ -62,12 +67,11 @@ def rollout_actuators(
     controls: Float[Tensor, "B T U"],
     speed: Float[Tensor, "B T"],
     start: Float[Tensor, "B A"],
-    hidden: Float[Tensor, "B S"],
-    cell: Float[Tensor, "B S"],
+    recurrent: Float[Tensor, "B R"],
 ) -> Float[Tensor, "B T A"]:
     """`actuators.rollout(...)` of the same arguments, many times as fast.
 
-    Gradients reach the lags' constants, the residuals, `start`, `hidden` and `cell`; not controls and speed.
+    Gradients reach the lags' constants, the residuals, `start` and `recurrent`; not controls and speed.
 
     Raises:
         ValueError: what `supports_actuators` is false for.
@@ -76,7 +80,7 @@ def rollout_actuators(
         raise ValueError("no kernels for these actuators; see `supports_actuators`")
     lags = actuators.flat_constants()
     matrices = [weights(actuators.networks.get(one.label)) for one in layout.LAGGING if one.lag.residual]
-    tensors = (torch.cat((start, hidden, cell), dim=-1), lags, *(m for of in matrices for m in of))
+    tensors = (torch.cat((start, *hidden_and_cells(recurrent)), dim=-1), lags, *(m for of in matrices for m in of))
     commanded, vx = (tensor.detach().contiguous().numpy() for tensor in (controls, speed))
     constants = np.zeros(len(layout.CONSTANTS), np.float32)
     constants[len(layout.LEARNED) :] = (*lags.tolist(), *switches(actuators.vehicle))

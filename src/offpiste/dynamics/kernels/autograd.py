@@ -16,7 +16,6 @@ from torch.autograd.function import once_differentiable
 from offpiste.core.conventions import ACTUATORS, STATE
 from offpiste.core.state import ModelState, Terrain, Trajectory
 from offpiste.dynamics.base import Dynamics
-from offpiste.dynamics.inputs import drive_train
 from offpiste.dynamics.kernels import layout
 from offpiste.dynamics.kernels.coverage import uncovered, warn_of_eager_steps
 from offpiste.dynamics.kernels.lanes import unpack
@@ -28,9 +27,11 @@ from offpiste.dynamics.kernels.model_arrays import (
     networks,
     record,
     terms_of_codes,
+    to_kernel_state,
 )
 from offpiste.dynamics.kernels.parity import APART, largest_difference
 from offpiste.dynamics.kernels.rollout import backward, forward
+from offpiste.dynamics.torch_physics import drive_train
 from offpiste.native.compilation import spread_kernel
 
 _agrees: WeakKeyDictionary[Dynamics, bool] = WeakKeyDictionary()
@@ -94,7 +95,7 @@ def _recorded(
 ) -> Trajectory:
     latent = read_codes(dynamics, terrain)
     check_shapes(dynamics, model_state, controls, terrain, latent)
-    start, learned = model_state.pack(), learned_constants(dynamics)
+    start, learned = to_kernel_state(model_state), learned_constants(dynamics)
     terms, matrices = terms_of_codes(dynamics, latent.flatten(-2)), compensator_weights(dynamics, apart=True)
     tensors = (start, learned, terms, *matrices)
     given = Given(
@@ -164,15 +165,13 @@ def check_shapes(
         DatasetError: there is neither a steering angle nor a steering command.
     """
     batch, steps = controls.shape[:2]
-    codes, units = dynamics.codes, dynamics.recurrent_size
     expected = {
         "controls": (controls, (batch, steps, len(dynamics.vehicle.control_columns))),
         "normals": (terrain.normal, (batch, steps, 4, 3)),
-        "latent": (latent, (batch, steps, 4, codes)),
+        "latent": (latent, (batch, steps, 4, dynamics.codes)),
         "state": (model_state.state, (batch, len(STATE))),
         "actuators": (model_state.actuators, (batch, len(ACTUATORS))),
-        "hidden": (model_state.hidden, (batch, units)),
-        "cell": (model_state.cell, (batch, units)),
+        "recurrent state": (model_state.recurrent, (batch, dynamics.recurrent_size)),
     }
     if terrain.known.shape != (batch, steps, 4) or terrain.known.dtype != torch.bool:
         raise ValueError(f"known normals are {list(terrain.known.shape)}, {terrain.known.dtype}")

@@ -13,11 +13,11 @@ from torch import nn
 from offpiste.core.conventions import ACTUATORS
 from offpiste.dynamics.actuators import Actuators
 from offpiste.dynamics.base import Dynamics
-from offpiste.dynamics.bicycle import BicycleConstants
 from offpiste.dynamics.feature_encoder import Compressor, FeatureEncoder, Identity
 from offpiste.dynamics.hybrid import Hybrid, Parametric
 from offpiste.dynamics.kernels import layout
-from offpiste.dynamics.lstm import Compensator
+from offpiste.dynamics.lstm import LSTM, Compensator
+from offpiste.dynamics.torch_physics import BicycleConstants
 from offpiste.dynamics.vehicle import Vehicle
 
 logger = logging.getLogger(__name__)
@@ -53,10 +53,11 @@ def uncovered_network(network: nn.Module) -> str:
     if reason := _not_exactly(network, Compensator):
         return reason
     assert isinstance(network, Compensator)
-    if reason := _not_exactly(network.cell, nn.LSTMCell) or _not_exactly(network.init_cell, nn.LSTM):
+    if reason := _not_exactly(network.cell, LSTM) or _not_exactly(network.init_cell, nn.LSTM):
         return reason
     cell, first = network.cell, network.init_cell
-    if cell.hidden_size != layout.HIDDEN or network.hidden != layout.HIDDEN:
+    assert isinstance(cell, LSTM)
+    if cell.hidden_size != layout.HIDDEN:
         return f"its LSTM has {cell.hidden_size} units, theirs {layout.HIDDEN}"
     if not cell.bias or (first.num_layers, first.proj_size, first.bidirectional, first.bias) != (1, 0, False, True):
         return "its LSTMs have other biases, layers or projections"

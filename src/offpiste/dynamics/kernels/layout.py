@@ -11,8 +11,7 @@ from typing import Final
 from offpiste.core.channels import KERNEL_CONTROLS
 from offpiste.core.conventions import ACTUATORS, STATE
 from offpiste.dynamics.actuator_lags import lagging
-from offpiste.dynamics.bicycle import Constants, Force
-from offpiste.dynamics.inputs import DriveTrain
+from offpiste.dynamics.bicycle import Constants, DriveTrain, Force
 
 LANES: Final = 32
 """Windows in a block: two AVX-512 vectors."""
@@ -21,7 +20,7 @@ HIDDEN: Final = 4
 """Hidden units of every compensator that the kernels step."""
 
 STEPPED: Final = (*STATE, *ACTUATORS)
-"""States and actuators, which the physics steps, in `ModelState.pack`'s order."""
+"""States and actuators, which the physics steps, in order."""
 
 COMMANDS: Final = tuple(control.name for control in KERNEL_CONTROLS)
 """Controls that kernels know; the columns of a vehicle's are the first of them."""

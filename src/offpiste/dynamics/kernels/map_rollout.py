@@ -23,6 +23,7 @@ from offpiste.dynamics.kernels.model_arrays import (
     learned_constants,
     networks,
     recorded_channels,
+    to_kernel_state,
 )
 from offpiste.dynamics.kernels.rollout import (
     CODES,
@@ -82,7 +83,7 @@ def rollout_on_maps(
     states = torch.empty(batch, steps, len(STATE), dtype=torch.float32)
     actuators = torch.empty(batch, steps, len(ACTUATORS), dtype=torch.float32)
     given = (
-        model_state.pack().detach().contiguous().numpy(),
+        to_kernel_state(model_state).detach().contiguous().numpy(),
         controls.detach().contiguous().numpy(),
         recorded_channels(dynamics.vehicle),
         constants(dynamics, learned_constants(dynamics)),

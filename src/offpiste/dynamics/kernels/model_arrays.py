@@ -1,6 +1,7 @@
 """What the kernels read of a model, as arrays: a record, the vector of constants, three networks."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +11,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from offpiste.core.conventions import ACTUATORS
-from offpiste.core.state import Terrain
+from offpiste.core.state import ModelState, Terrain
 from offpiste.dynamics.actuator_lags import Lagging
 from offpiste.dynamics.actuators import Actuators
 from offpiste.dynamics.base import Dynamics, KernelParts
@@ -26,7 +27,7 @@ class Given(NamedTuple):
     """Arguments of the kernels.
 
     Attributes:
-        start: packed model states [B, P].
+        start: model states [B, P] (`to_kernel_state`).
         record: see `Record`.
         constants: in the order of `layout.CONSTANTS`.
         networks: of the forces, the brake and the steering.
@@ -38,6 +39,29 @@ class Given(NamedTuple):
     constants: np.ndarray
     networks: Networks
     differentiate: bool
+
+
+def hidden_and_cells(recurrent: Float[Tensor, "B R"]) -> tuple[Float[Tensor, "B S"], Float[Tensor, "B S"]]:
+    """Return the hidden units of all LSTMs and their cells, from the recurrent state of a model."""
+    networks = recurrent.unflatten(-1, (recurrent.shape[-1] // (2 * layout.HIDDEN), 2, layout.HIDDEN))
+    return networks[..., 0, :].flatten(-2), networks[..., 1, :].flatten(-2)
+
+
+def to_kernel_state(model_state: ModelState) -> Float[Tensor, "B P"]:
+    """Return a model state in the order of the kernels: state, actuators, all hidden units, all cells."""
+    return torch.cat((model_state.state, model_state.actuators, *hidden_and_cells(model_state.recurrent)), dim=-1)
+
+
+def from_kernel_state(packed: Float[Tensor, "B P"]) -> ModelState:
+    """Return the model state of a row in the order of the kernels."""
+    moved = ModelState.unpack(packed)
+    kinds = moved.recurrent.unflatten(-1, (2, moved.recurrent.shape[-1] // (2 * layout.HIDDEN), layout.HIDDEN))
+    return replace(moved, recurrent=kinds.transpose(-3, -2).flatten(-3))
+
+
+def units(dynamics: Dynamics) -> int:
+    """Return the number of hidden units of all LSTMs of a model."""
+    return dynamics.recurrent_size // 2
 
 
 def record(

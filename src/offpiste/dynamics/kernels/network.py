@@ -15,7 +15,7 @@ from offpiste.dynamics.kernels.elementary import Lane, add_outer, add_product, c
 from offpiste.dynamics.kernels.generated import cell, cell_adjoint
 from offpiste.dynamics.kernels.layout import CELL_ROW, CELL_ROWS, HIDDEN, LANES
 from offpiste.dynamics.kernels.vectors import WIDTH, clamp, load, store
-from offpiste.dynamics.lstm import FADE, Compensator
+from offpiste.dynamics.lstm import FADE, LSTM, Compensator
 from offpiste.native.compilation import KERNELS
 
 
@@ -74,6 +74,7 @@ def weights(compensator: Compensator | None, scale: Tensor | None = None, *, apa
     if compensator is None:
         return Weights(*(torch.zeros(0, 0, dtype=torch.float32) for _ in Weights._fields))
     cell = compensator.cell
+    assert isinstance(cell, LSTM)
     first, last = (layer for layer in compensator.output.children() if isinstance(layer, nn.Linear))
     seen = cell.input_size - apart
     from_hidden, from_inputs, _ = first.weight.split((HIDDEN, seen, apart), dim=1)
@@ -89,6 +90,7 @@ def weights(compensator: Compensator | None, scale: Tensor | None = None, *, apa
 def weights_apart(compensator: Compensator, apart: int) -> Float[Tensor, "N I"]:
     """Weights of gates, then hidden layer, on the last `apart` inputs, differentiable; padded rows as `weights`."""
     first = next(layer for layer in compensator.output.children() if isinstance(layer, nn.Linear))
+    assert isinstance(compensator.cell, LSTM)
     parts = (matrix[:, -apart:] for matrix in (compensator.cell.weight_ih, first.weight))
     return torch.cat([pad(part, (0, 0, 0, -len(part) % 4)) for part in parts])
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from copy import deepcopy
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -37,7 +38,7 @@ def largest_difference(
 
     def results(rolled: Rollout) -> list[Tensor]:
         leaves = [part.detach().clone().requires_grad_(gradients) for part in (model_state.state, terrain.latent)]
-        start = ModelState(leaves[0], model_state.actuators, model_state.hidden, model_state.cell)
+        start = replace(model_state, state=leaves[0])
         found = rolled(dynamics, start, controls, Terrain(terrain.normal, terrain.known, leaves[1]))
         if not gradients:
             return [found.state]
@@ -69,13 +70,13 @@ def _random_input(
 ) -> tuple[ModelState, Tensor, Terrain]:
     draw = torch.Generator().manual_seed(0)
     state = torch.randn(batch, 6, generator=draw) + torch.tensor([0.0, 0, 0, 5, 0, 0])
-    hidden, cell = 0.3 * torch.randn(2, batch, dynamics.recurrent_size, generator=draw)
+    recurrent = 0.3 * torch.randn(batch, dynamics.recurrent_size, generator=draw)
     actuators = 0.1 * torch.rand(batch, len(ACTUATORS), generator=draw)
     controls = 0.5 * torch.rand(batch, steps, len(dynamics.vehicle.control_columns), generator=draw)
     normal = torch.nn.functional.normalize(
         0.1 * torch.randn(batch, steps, 4, 3, generator=draw) + torch.tensor([0.0, 0, 1]), dim=-1
     )
     latent = torch.randn(batch, steps, 4, dynamics.codes, generator=draw)
-    model_state = ModelState(*(part.to(device) for part in (state, actuators, hidden, cell)))
+    model_state = ModelState(*(part.to(device) for part in (state, actuators, recurrent)))
     known = torch.rand(batch, steps, 4, generator=draw) > 0.1
     return model_state, controls.to(device), Terrain(normal.to(device), known.to(device), latent.to(device))

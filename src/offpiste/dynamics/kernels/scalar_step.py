@@ -5,8 +5,8 @@ is written here once more for scalars; tests compare both.
 """
 
 from offpiste.core.conventions import DT, STATE
-from offpiste.dynamics.bicycle import Constants, Elementary, Force, Scalar, forces, rates
-from offpiste.dynamics.inputs import REDUCED, DriveTrain
+from offpiste.dynamics import bicycle
+from offpiste.dynamics.bicycle import Constants, DriveTrain, Elementary, Force, Scalar, forces, rates, reduced_inputs
 from offpiste.dynamics.kernels import layout
 
 Values = dict[str, Scalar]
@@ -14,7 +14,7 @@ Values = dict[str, Scalar]
 
 
 def drive_train(v: Values, f: Elementary) -> DriveTrain:
-    """`inputs.drive_train` with switches; slots of absent actuators are 0."""
+    """`torch_physics.drive_train` with switches; slots of absent actuators are 0."""
 
     def pick(switch: str, measured: Scalar, reduced: Scalar) -> Scalar:
         return v[switch] * measured + (1 - v[switch]) * reduced
@@ -22,27 +22,25 @@ def drive_train(v: Values, f: Elementary) -> DriveTrain:
     def command(name: str) -> Scalar:
         return v[layout.CONTROLS[layout.COMMANDS.index(name)]]
 
-    found = []
-    for name, reduced_form in zip(DriveTrain._fields, REDUCED, strict=True):
-        reduced = reduced_form(command, v["vx"], v["max_steer"], f)
-        actuator = layout.MEASURED.get(name)
-        found.append(reduced if actuator is None else pick(f"{name}_measured", v[actuator], reduced))
-    return DriveTrain(*found)
+    reduced = reduced_inputs(command, v["vx"], v["max_steer"], f)
+    measured = {
+        name: pick(f"{name}_measured", v[actuator], getattr(reduced, name))
+        for name, actuator in layout.MEASURED.items()
+    }
+    return reduced._replace(**measured)
 
 
 def body_normal(v: Values, f: Elementary) -> tuple[Scalar, Scalar, Scalar]:
-    """`inputs.body_normal` of the mean normal."""
+    """`bicycle.body_normal` of the mean normal."""
     x, y, z = (v[name] for name in layout.NORMAL)
-    cos, sin = f.cos(v["yaw"]), f.sin(v["yaw"])
-    return cos * x + sin * y, cos * y - sin * x, z
+    return bicycle.body_normal(x, y, z, v["yaw"], f)
 
 
 def sense(v: Values, f: Elementary) -> Values:
     """The normal in the body frame and the parametric forces: what the networks see besides what is recorded."""
-    train, normal = drive_train(v, f), body_normal(v, f)
+    inputs, normal = drive_train(v, f), body_normal(v, f)
     constants = Constants(*(v[name] for name in Constants._fields))
-    read = train.brake, train.steer, train.engine, train.throttle, train.gear
-    force = forces(v["vx"], v["vy"], v["yaw_rate"], *read, normal[2], constants, f)
+    force = forces(v["vx"], v["vy"], v["yaw_rate"], inputs, normal[2], constants, f)
     return dict(zip(layout.BODY_NORMAL + layout.FORCE, (*normal, *force), strict=True))
 
 

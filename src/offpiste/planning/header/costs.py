@@ -13,6 +13,7 @@ from offpiste.core.state import ModelState
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.header.networks import LANE, packed_parameters
 from offpiste.dynamics.kernels.layout import COMMANDS
+from offpiste.dynamics.kernels.model_arrays import to_kernel_state
 from offpiste.mapping.terrain_sampler import MapStack
 from offpiste.native.cuda_kernels import Kernels
 from offpiste.planning.caution import Caution
@@ -81,7 +82,7 @@ def packed_situation(
         situation.control.cpu(),
         [0.0 if math.isnan(value) else value for value in situation.costs.outside],
         vector_of_numbers(weights, names),
-        model_state.pack()[0].cpu(),
+        to_kernel_state(model_state)[0].cpu(),
         packed_stray(dynamics, situation.caution),
     )
     return torch.from_numpy(np.concatenate(parts, dtype=np.float32))
