@@ -9,8 +9,7 @@ import numpy as np
 from factories import circle_rows, small_rig
 from offpiste.core.conventions import FEATURE_SETS
 from offpiste.dataset.features_under_wheels import Cells
-from offpiste.dataset.known_cells import crop
-from offpiste.dataset.map_snapshots import SnapshotWriter, open_snapshots
+from offpiste.dataset.map_snapshots import SnapshotWriter, crop, open_snapshots
 from offpiste.dataset.resample import Rows
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import Dataset, add_drive, create, open_dataset

@@ -15,8 +15,7 @@ from factories import small_rig
 from feature_datasets import FEATURES, rows_with_features
 from offpiste.cli import main
 from offpiste.core.errors import OffpisteError
-from offpiste.dataset.known_cells import crop
-from offpiste.dataset.map_snapshots import SnapshotWriter
+from offpiste.dataset.map_snapshots import SnapshotWriter, crop
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import add_drive, create, open_dataset
 from offpiste.mapping.terrain_map import TerrainMap

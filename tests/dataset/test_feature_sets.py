@@ -9,7 +9,6 @@ from offpiste.dataset.feature_sets import (
     Draw,
     FeatureSetChoice,
     FeatureSetRecorder,
-    MapCellValues,
     drawn,
     hindsight,
     hindsight_throughout,
@@ -17,6 +16,7 @@ from offpiste.dataset.feature_sets import (
 )
 from offpiste.dataset.wheel_passes import PAUSE, find_passes
 from offpiste.dynamics import MODELS
+from offpiste.mapping.voxels_to_layers import MapCells
 
 STORED = len(FEATURE_SETS)
 
@@ -90,7 +90,7 @@ class ChangingMap:
         self.seed = seed
 
     def at(self, step: int):
-        def read(cells: np.ndarray) -> MapCellValues:
+        def read(cells: np.ndarray) -> MapCells:
             column, row = cells.T
             mixed = (column * 7919 + row * 104729 + step * 31 + self.seed) % 97
             valid = mixed % 3 > 0
@@ -98,7 +98,8 @@ class ChangingMap:
             elevation = np.where(mixed % 5 > 0, mixed / 4.0, np.nan)
             slope = np.where(mixed % 7 > 1, mixed / 100.0, np.nan)
             normal = np.column_stack((0 * slope, np.sin(slope), np.cos(slope)))
-            return MapCellValues(value[:, None], valid, mixed / 2.0, elevation, normal)
+            numbers = (part.astype(np.float32) for part in (elevation, mixed / 2.0, normal, value[:, None]))
+            return MapCells(np.isfinite(elevation), valid, *numbers)
 
         return read
 

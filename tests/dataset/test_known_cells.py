@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from offpiste.dataset.known_cells import CellList, crop, stack_cells
+from offpiste.dataset.map_snapshots import CellList, crop, stack_cells
 from offpiste.mapping.terrain_map import TerrainMap
 from offpiste.mapping.terrain_sampler import sample_maps, stack_maps
 

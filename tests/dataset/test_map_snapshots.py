@@ -14,8 +14,14 @@ from offpiste.core.files import temporary_folder
 from offpiste.dataset import store
 from offpiste.dataset.extract import ExtractSettings, Job, snapshot_starts
 from offpiste.dataset.ground_truth_features import with_ground_truth
-from offpiste.dataset.known_cells import crop
-from offpiste.dataset.map_snapshots import CHUNK, SnapshotSchedule, SnapshotSettings, SnapshotWriter, open_snapshots
+from offpiste.dataset.map_snapshots import (
+    CHUNK,
+    SnapshotSchedule,
+    SnapshotSettings,
+    SnapshotWriter,
+    crop,
+    open_snapshots,
+)
 from offpiste.dataset.splits import PARTS, parse_split
 from offpiste.dataset.window_starts import evaluation_starts
 from offpiste.dataset.windows import Windows

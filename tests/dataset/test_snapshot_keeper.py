@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from factories import circle_rows
-from offpiste.dataset.known_cells import CellList
-from offpiste.dataset.map_snapshots import SnapshotSchedule, SnapshotSettings, SnapshotWriter
+from offpiste.dataset.map_snapshots import CellList, SnapshotSchedule, SnapshotSettings, SnapshotWriter
 from offpiste.dataset.visual_features import SnapshotKeeper
 from offpiste.logs.measurements import Cloud
 from offpiste.mapping.replay import replay

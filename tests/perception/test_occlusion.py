@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from offpiste.perception.occlusion import FREE, SECTORS, occluded_points
+from offpiste.perception.projection import FREE, SECTORS, occluded_points
 
 
 def plain(pixels, depth, reach, cell=2, relative=0.06, absolute=0.3):

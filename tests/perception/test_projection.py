@@ -10,12 +10,12 @@ from offpiste.logs.measurements import Camera, Cloud, Lidar
 from offpiste.logs.poses import Poses
 from offpiste.perception.camera import PinholeCamera, make_pinhole_camera
 from offpiste.perception.motion_compensation import inverse, points_in_world, transformed
-from offpiste.perception.occlusion import occluded_points
 from offpiste.perception.projection import (
     NEAREST,
     CameraView,
     Projection,
     ProjectionSettings,
+    occluded_points,
     project,
     project_to_pinhole,
 )

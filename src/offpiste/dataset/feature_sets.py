@@ -5,11 +5,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from offpiste.core.conventions import FEATURE_SETS
 from offpiste.core.errors import DatasetError
 from offpiste.dataset.wheel_passes import Passes
+from offpiste.mapping.voxels_to_layers import MapCells
 from offpiste.native.compilation import FEATURE_SETS_KEPT, single_threaded_torch
 
 TOLERANCE = 5.0
@@ -85,26 +86,7 @@ def drawn(draw: Draw, rng: np.random.Generator, count: int, stored: int) -> Feat
     return draw(rng.spawn(1)[0], normals, stored)
 
 
-@dataclass(frozen=True)
-class MapCellValues:
-    """Values of map cells at one time.
-
-    Attributes:
-        features: NaN where not `valid`.
-        valid: whether the map has features that still lie on the ground.
-        distance: from sensor to point at observation [m].
-        elevation: NaN where unknown [m].
-        normal: unit surface normal in the world frame; NaN where unknown.
-    """
-
-    features: Float[np.ndarray, "K F"]
-    valid: Bool[np.ndarray, " K"]
-    distance: Float[np.ndarray, " K"]
-    elevation: Float[np.ndarray, " K"]
-    normal: Float[np.ndarray, "K 3"]
-
-
-Read = Callable[[Int[np.ndarray, "K 2"]], MapCellValues]
+Read = Callable[[Int[np.ndarray, "K 2"]], MapCells]
 """Function that reads cells (column, row on the world-aligned grid) of the current map."""
 
 
@@ -146,11 +128,7 @@ class FeatureSetRecorder:
         there = read(p.cell[active])
         with single_threaded_torch():
             halves = torch.from_numpy(np.ascontiguousarray(there.features, np.float32)).half().numpy()
-        values = KeptValues(
-            halves.view(np.uint16),
-            np.ascontiguousarray(there.valid),
-            *(np.ascontiguousarray(part, np.float32) for part in (there.distance, there.elevation, there.normal)),
-        )
+        values = KeptValues(halves.view(np.uint16), there.valid, there.distance, there.elevation, there.normal)
         kept = KeptValues(self.features.view(np.uint16), self.valid, self.distance, self.elevation, self.normal)
         keep_values(active, signed, DISTANCES, TOLERANCE, self._nearest, values, kept)
 

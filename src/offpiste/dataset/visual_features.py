@@ -5,10 +5,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from offpiste.dataset.feature_sets import FeatureSetRecorder, MapCellValues
+from offpiste.dataset.feature_sets import FeatureSetRecorder
 from offpiste.dataset.features_under_wheels import Cells
-from offpiste.dataset.known_cells import CellList, crop
-from offpiste.dataset.map_snapshots import SnapshotSchedule, SnapshotSettings, SnapshotWriter
+from offpiste.dataset.map_snapshots import CellList, SnapshotSchedule, SnapshotSettings, SnapshotWriter, crop
 from offpiste.dataset.resample import Rows
 from offpiste.dataset.wheel_passes import find_passes
 from offpiste.logs.poses import Poses
@@ -16,6 +15,7 @@ from offpiste.logs.sensor_log import SensorLog
 from offpiste.mapping.pipeline import MapPipeline
 from offpiste.mapping.replay import MapperSettings, Moment, pinhole_cameras, replay
 from offpiste.mapping.terrain_map import wheel_positions
+from offpiste.mapping.voxels_to_layers import MapCells
 from offpiste.perception.feature_extractor import FeatureExtractor
 from offpiste.rig.rig import Rig
 
@@ -97,25 +97,17 @@ def with_visual_features(
     return replace(rows, normal=normal, cells=cells)
 
 
-def _reader(terrain: MapPipeline) -> Callable[[np.ndarray], MapCellValues]:
+def _reader(terrain: MapPipeline) -> Callable[[np.ndarray], MapCells]:
     grid = terrain.voxel_map
     first = np.floor(grid.origin / grid.settings.size).astype(np.int64)  # the origin is a centre: cell i starts at i
 
-    def read(cells: np.ndarray) -> MapCellValues:
+    def read(cells: np.ndarray) -> MapCells:
         at = cells - first
         inside = np.asarray(((at >= 0) & (at < grid.cells)).all(axis=1))
         column, row = np.where(inside[:, None], at, 0).T
         there = terrain.cells(row, column)
-        if inside.all():  # `there` is NaN itself where unknown
-            return MapCellValues(there.features, there.valid, there.distance, there.elevation, there.normal)
-        valid, ground = inside & there.valid, inside & there.known
-        known = inside & np.isfinite(there.normal).all(axis=1)
-        return MapCellValues(
-            features=np.where(valid[:, None], there.features, np.float32(np.nan)),
-            valid=valid,
-            distance=np.where(valid, there.distance, np.float32(np.nan)),
-            elevation=np.where(ground, there.elevation, np.nan).astype(np.float32),
-            normal=np.where(known[:, None], there.normal, np.float32(np.nan)),
-        )
+        for values in there:
+            values[~inside] = False if values.dtype == bool else np.nan
+        return there
 
     return read

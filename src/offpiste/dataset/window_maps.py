@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 
 from offpiste.core.errors import DatasetError
-from offpiste.dataset.known_cells import CellList, stack_cells
+from offpiste.dataset.map_snapshots import CellList, stack_cells
 from offpiste.dataset.store import StoredDrive
 from offpiste.mapping.terrain_sampler import CellStack, MapStack, stack_maps
 

@@ -20,8 +20,7 @@ from offpiste.inspection.sensor_samples import Grey, Scan, SmallCamera, pairs
 from offpiste.logs.measurements import Lidar
 from offpiste.logs.poses import Poses
 from offpiste.perception.motion_compensation import inverse, transformed
-from offpiste.perception.occlusion import occluded_points
-from offpiste.perception.projection import project_to_pinhole
+from offpiste.perception.projection import occluded_points, project_to_pinhole
 
 _HALF: Final = 6
 """Half the side of a square [px]."""

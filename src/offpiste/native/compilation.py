@@ -182,7 +182,7 @@ FUSED_PROJECTION: Final = replace(PROJECTION, fastmath=FUSED)
 CLOUDS: Final = Compiler(("logs/usable_points.py",), loops_make_arrays=False, entries_make_arrays=False)
 FUSED_CLOUDS: Final = replace(CLOUDS, fastmath=FUSED)
 """Compilers of loops over points of scans, with fused multiply-add where BLAS uses it."""
-OCCLUSION: Final = Compiler(("perception/occlusion.py",))
+OCCLUSION: Final = Compiler(("perception/projection.py",))
 _RESPONSES: Final = ("perception/filter_responses.py",)
 FILTERS: Final = Compiler(_RESPONSES, FUSED, loops_make_arrays=False, entries_make_arrays=False)
 FILTER_SUMS: Final = Compiler(_RESPONSES, loops_make_arrays=False, entries_make_arrays=False)
