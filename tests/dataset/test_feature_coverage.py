@@ -75,17 +75,6 @@ def test_unrelated_cells_differ_by_their_spread() -> None:
     assert np.isnan(feature_coverage.unrelated([cells_of(features[:, :1])], np.array([4.0]), np.random.default_rng(0)))
 
 
-def test_quartiles_are_of_valid_cells_only() -> None:
-    features = np.full((SETS, 5, 1), np.nan)
-    features[0] = 1.0
-    cells = cells_of(features)
-    cells.distance[0] = 1, 2, 3, 4, 5
-    cells.distance[1] = 99
-    quartiles = feature_coverage.observation_quartiles([cells])
-    np.testing.assert_allclose(quartiles[0], (2, 3, 4))
-    assert np.isnan(quartiles[1:]).all()
-
-
 def test_what_lies_at_the_ends_of_a_drive_was_never_at_some_distances() -> None:
     """50 m straight ahead, one cell a metre, wheels at the pose point."""
     time = np.arange(51.0)

@@ -1,8 +1,6 @@
 """A store that is not as datasets are written is refused in one line, and nothing that it names is run."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -82,10 +80,3 @@ def test_metadata_that_datasets_do_not_have_are_refused(dataset, capsys, changes
     edit(dataset / "kept" / "time" / "zarr.json", **changes)
     write_checksums(dataset / "kept", (dataset / "kept").rglob("zarr.json"))
     refused(dataset, capsys, what)
-
-
-def test_reading_and_checking_a_dataset_warns_of_nothing(dataset):
-    code = f"import offpiste; d = offpiste.open_dataset({str(dataset)!r}); d.drives[1].load_map()"
-    for command in (["-c", code], ["-m", "offpiste", "check", str(dataset)]):
-        done = subprocess.run([sys.executable, "-W", "always", *command], capture_output=True, text=True, check=True)
-        assert "ZarrUserWarning" not in done.stderr, done.stderr

@@ -12,7 +12,7 @@ from offpiste.dataset import store
 from offpiste.dataset.ground_truth_features import with_ground_truth
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.windows import Windows
-from offpiste.dynamics import MODELS, Hybrid
+from offpiste.dynamics import Hybrid
 from offpiste.mapping.terrain_map import TerrainMap, wheel_positions
 from offpiste.training.prediction import encoded, on_map
 from offpiste.training.run import build, vehicle_of
@@ -78,15 +78,6 @@ def test_recorded_and_predicted_places_read_the_same_ground(tmp_path):
         # Float32 places may fall on the other side of a border between cells.
         assert same.float().mean() > 0.99
         torch.testing.assert_close(found.latent, batch.terrain.latent[:, t], atol=1.0, rtol=1e-3)
-
-
-def test_models_without_an_encoder_do_not_see_features(tmp_path):
-    dataset = made(tmp_path / "data.zarr")
-    windows, index = Windows(dataset, "test"), np.array([0, 50])
-    b = MODELS["b"](vehicle_of(dataset), seed=0)
-    batch = encoded(b, windows.gather(index))
-    assert batch.terrain.latent.shape[-1] == 0
-    assert on_map(b, windows, index, batch)[1].at(0, batch.state).latent.shape == (2, 4, 0)
 
 
 def test_a_model_of_features_refuses_a_dataset_without(tmp_path):

@@ -69,15 +69,6 @@ def test_only_known_cells_are_kept_and_come_back_in_their_places(tmp_path):
         assert (np.isnan(found.features).all(axis=2) == (~known | np.isnan(found.features[..., 0]))).all()
 
 
-def test_a_chunk_that_is_missing_is_not_read_as_zeros(tmp_path):
-    writer = SnapshotWriter(tmp_path / "s", 0.25, 2)
-    writer.add(0, crop(tilted(), np.array([60.0, 0, 0, 3.0, 0, 0]), 18.0))
-    writer.close()
-    next(path for path in (tmp_path / "s" / "features" / "c").rglob("*") if path.is_file()).unlink()
-    with pytest.raises(ValueError, match="'features' is missing"):
-        open_snapshots(tmp_path / "s")
-
-
 def test_flat_ground_that_looks_of_nothing_is_kept(tmp_path):
     level = TerrainMap(np.zeros(2), 0.25, np.zeros((300, 300), np.float32), np.zeros((300, 300, 2), np.float16), None)
     level = dataclasses.replace(level, rise=np.zeros((300, 300, 2), np.float16))

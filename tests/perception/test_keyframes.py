@@ -9,11 +9,6 @@ from offpiste.core.errors import PerceptionError
 from offpiste.perception.keyframes import image_statistics, keyframes_by_travel, most_diverse
 
 
-def test_noise_while_parked_is_no_travel():
-    position = np.random.default_rng(0).normal(scale=0.05, size=(5000, 3))
-    assert len(keyframes_by_travel(position, 1.0)) == 1
-
-
 def test_zero_metres_take_every_frame_with_a_pose():
     position = np.array([[np.nan, 0.0], [0.0, 0.0], [0.0, 0.0], [1.0, np.nan], [2.0, 0.0]])
     assert keyframes_by_travel(position, 0.0).tolist() == [1, 2, 4]
@@ -51,12 +46,9 @@ def test_the_same_seed_chooses_the_same_and_units_do_not_matter():
 def test_fewer_images_than_asked_for_and_images_all_alike():
     assert most_diverse(np.zeros((5, 3)), 175, seed=0).tolist() == [0, 1, 2, 3, 4]
     assert len(np.unique(most_diverse(np.zeros((5, 3)), 3, seed=0))) == 3
-
-
-@pytest.mark.parametrize("statistics", [np.empty((0, 3)), np.full((2, 3), np.nan)])
-def test_nothing_to_choose_from(statistics: np.ndarray):
-    with pytest.raises(PerceptionError, match="no images to choose from"):
-        most_diverse(statistics, 3, seed=0)
+    for statistics in (np.empty((0, 3)), np.full((2, 3), np.nan)):
+        with pytest.raises(PerceptionError, match="no images to choose from"):
+            most_diverse(statistics, 3, seed=0)
 
 
 def test_statistics_tell_light_colour_and_texture_apart():

@@ -45,16 +45,11 @@ def test_equals_the_singular_vectors_of_all_patches():
     assert np.allclose(pca.variance, singular[:4] ** 2 / 399, rtol=1e-5)
     assert np.allclose(np.abs((pca.basis.T * rows[:4]).sum(axis=1)), 1.0, atol=1e-6)
     assert pca.total_variance == pytest.approx(np.var(features, axis=0, ddof=1).sum())
-
-
-def test_components_are_uncorrelated_with_the_stated_variance():
-    features = correlated(400, 10)
-    pca = fit(Moments.of(features), BACKBONE, components=4)
     components = pca.project(torch.from_numpy(features.reshape(4, 10, 10, 10)))
     assert components.shape == (4, 10, 10, 4)
-    covariance = np.cov(components.reshape(-1, 4).numpy().T)
-    assert np.allclose(covariance, np.diag(pca.variance), atol=1e-4)
-    assert np.allclose(components.mean(dim=(0, 1, 2)), 0.0, atol=1e-4)
+    assert np.allclose(np.cov(components.reshape(-1, 4).numpy().T), np.diag(pca.variance), atol=1e-4)
+    with pytest.raises(PerceptionError, match="features of 5 channels for a PCA of 10"):
+        pca.project(torch.zeros(3, 5))
 
 
 def test_only_ground_counts():
@@ -96,11 +91,6 @@ def test_ground_that_is_too_little_flat_or_not_finite_is_refused():
         features[7, 2] = value
         with pytest.raises(PerceptionError, match="features to be reduced are not finite"):
             Moments.of(features)
-
-
-def test_features_of_another_length():
-    with pytest.raises(PerceptionError, match="features of 5 channels for a PCA of 12"):
-        fitted().project(torch.zeros(3, 5))
 
 
 def test_saved_and_read_again(tmp_path: Path):

@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from offpiste.core.errors import PerceptionError
@@ -11,7 +13,9 @@ from offpiste.logs.poses import Poses
 from offpiste.perception.camera import PinholeCamera, make_pinhole_camera
 from offpiste.perception.motion_compensation import inverse, points_in_world, transformed
 from offpiste.perception.projection import (
+    FREE,
     NEAREST,
+    SECTORS,
     CameraView,
     Projection,
     ProjectionSettings,
@@ -65,18 +69,6 @@ def test_the_middle_of_the_first_pixel_is_the_origin():
     np.testing.assert_allclose(pixels, at[1:3])
 
 
-def test_a_moving_vehicle_is_compensated_between_scan_and_image():
-    """A post at rest, scanned 0.1 s before the image at 10 m/s: seen 10 m away, it is 9 m away in the image."""
-    poses, made = straight(10.0), camera()
-    lidar = Lidar("top", np.eye(4), LidarSource(topic="top"))
-    scan = Cloud(-0.1, "top", np.array([[10.0, 2.0, 0.0]]), None, np.ones(1))
-    world = points_in_world(scan, lidar, poses)
-    seen = CameraView(made, 0.0, poses.at(np.zeros(1))[0] @ made.body_from_camera)
-    np.testing.assert_allclose(project(world, [seen]).pixel, [[79.5 - 100 * 2 / 9, 59.5]])
-    ignored = project(world, [CameraView(made, 0.0, poses.at(np.array([-0.1]))[0] @ made.body_from_camera)])
-    np.testing.assert_allclose(ignored.pixel, [[59.5, 59.5]])  # 2.2 px off
-
-
 def test_a_sweep_is_unbent_while_the_vehicle_drives_and_turns():
     """Points of a wall at rest, each as the LiDAR saw it at its own moment."""
     poses = straight(12.0, yaw_rate=0.8)
@@ -126,12 +118,6 @@ def test_of_two_cameras_the_one_that_looks_at_the_point_is_taken():
     assert project(np.stack((points[2], wall)), views).view.tolist() == [-1, 1]
 
 
-def test_patches_of_the_vehicle_itself_show_nothing():
-    hood = (((0.0, 100.0), (159.0, 100.0), (159.0, 119.0), (0.0, 119.0)),)
-    points = np.array([[5.0, 0.0, -1.9], [5.0, 0.0, -2.1]])  # pixels 97.5 and 101.5
-    assert project(points, [view(own_body=hood)]).seen.tolist() == [True, False]
-
-
 def test_senseless_settings_are_refused():
     with pytest.raises(PerceptionError, match=r"reach 0\.0 deg.*give a reach"):
         ProjectionSettings(reach=0.0)
@@ -148,14 +134,14 @@ def plain_pinhole(points: np.ndarray, pinhole: CameraModel) -> tuple[np.ndarray,
     return ahead[inside], pixels[inside]
 
 
-def plain(points_world: np.ndarray, views: list[CameraView], settings: ProjectionSettings) -> Projection:
+def plain(points_world: np.ndarray, views: list[CameraView]) -> Projection:
     n = len(points_world)
     view, pixel, distance = np.full(n, -1), np.full((n, 2), np.nan), np.full(n, np.nan)
     row, column, best = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64), np.full(n, np.inf)
     for index, this in enumerate(views):
         points, model = transformed(points_world, inverse(this.world_from_camera)), this.camera.model
         result, at = plain_pinhole(points, model)
-        reach = float(model.matrix[0, 0]) * np.tan(np.deg2rad(settings.reach))
+        reach = float(model.matrix[0, 0]) * np.tan(np.deg2rad(1.0))
         occluded = occluded_points(at, points[result, 2], model.size, reach=reach)
         result, at = result[~occluded], at[~occluded]
         grid, free = this.camera.grid, this.camera.free
@@ -187,12 +173,11 @@ def random_views(count: int) -> list[CameraView]:
 @pytest.mark.parametrize("count", [0, 1, 4001])
 @pytest.mark.parametrize("views", [0, 1, 3])
 def test_a_projection_is_that_of_numpy(count: int, views: int):
-    settings = ProjectionSettings()
     rng = np.random.default_rng(count + views)
     points = rng.normal(size=(count, 3)) * (8, 6, 15)
     points[5::50] = np.nan
     seen_from = random_views(views)
-    expected, found = plain(points, seen_from, settings), project(points, seen_from, settings)
+    expected, found = plain(points, seen_from), project(points, seen_from)
     np.testing.assert_array_equal(found.view, expected.view)
     for name in ("pixel", "row", "column", "distance"):
         # BLAS may fuse a product with the sum that it goes into, or not, by machine.
@@ -213,3 +198,42 @@ def test_pixels_of_a_pinhole_are_those_of_numpy():
     pinhole = CameraModel(160, 120, SKEWED)
     for one, other in zip(project_to_pinhole(points, pinhole), plain_pinhole(points, pinhole), strict=True):
         np.testing.assert_array_equal(one, other)
+
+
+def plain_occlusion(pixels, depth, reach, cell=2, relative=0.06, absolute=0.3):
+    """The definition, slowly."""
+    window = int(np.ceil(reach / cell))
+    place = np.floor((pixels + 0.5) / cell).astype(int)
+    answer = []
+    for here, own in zip(place, depth, strict=True):
+        nearer = place[depth < own - (relative * own + absolute)] - here
+        near = nearer[(nearer**2).sum(axis=1) <= window**2]
+        if (near == 0).all(axis=1).any():
+            answer.append(True)
+            continue
+        taken = np.zeros(SECTORS, bool)
+        taken[np.round(np.arctan2(near[:, 1], near[:, 0]) / (2 * np.pi) * SECTORS).astype(int) % SECTORS] = True
+        gaps = [len(run) for run in "".join("x" if t else "." for t in np.tile(taken, 2)).split("x")]
+        answer.append(max(gaps) <= FREE)
+    return np.array(answer)
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 2**31), reach=st.floats(2, 12))
+def test_occlusion_is_as_defined(seed, reach):
+    rng = np.random.default_rng(seed)
+    pixels = rng.uniform(-0.5, 59.5, (80, 2))
+    depth = rng.choice([3.0, 3.5, 8.0, 20.0], 80) * rng.uniform(0.95, 1.05, 80)
+    np.testing.assert_array_equal(
+        occluded_points(pixels, depth, (60, 60), reach=reach), plain_occlusion(pixels, depth, reach)
+    )
+
+
+def test_occlusion_by_hand():
+    around = np.array([[30.0, 24.0], [36.0, 30.0], [30.0, 36.0], [24.0, 30.0], [30.0, 30.0]])
+    depth = np.array([5.0, 5.0, 5.0, 5.0, 9.0])
+    assert occluded_points(around, depth, (60, 60), reach=8.0).tolist() == [False] * 4 + [True]
+    assert not occluded_points(around, depth, (60, 60), reach=4.0).any()  # too far away
+    assert not occluded_points(around[[0, 1, 4]], depth[[0, 1, 4]], (60, 60), reach=8.0).any()  # one side is open
+    assert not occluded_points(around, np.where(depth == 9, 5.5, depth), (60, 60), reach=8.0).any()  # the same surface
+    assert len(occluded_points(np.zeros((0, 2)), np.zeros(0), (60, 60), reach=8.0)) == 0

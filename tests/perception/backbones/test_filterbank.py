@@ -18,7 +18,7 @@ from offpiste.perception.backbones.filterbank import (
     oriented_filters,
     respond,
 )
-from offpiste.perception.filter_responses import PRODUCTS, TAPS, patch_means
+from offpiste.perception.filter_responses import PRODUCTS, TAPS
 
 TEXTURE = slice(6, 6 + 2 * ORIENTATIONS * len(SCALES))
 """After 3 of colour and 3 of its spread."""
@@ -95,14 +95,11 @@ def test_trail_and_vegetation_differ_in_a_photograph(data_folder: Path):
     assert right > 0.97
 
 
-FILTERS = derivatives(1.0), [derivatives(1.0), derivatives(2.0)]
-
-
 def reference(images: np.ndarray) -> torch.Tensor:
     return Backbone._features_of_pixels(Filterbank(), torch.from_numpy(images))
 
 
-@pytest.mark.parametrize("shape", [(1, 28, 28), (2, 56, 70), (1, 42, 126), (1, 588, 952)])
+@pytest.mark.parametrize("shape", [(1, 28, 28), (2, 56, 70), (1, 42, 126)])
 def test_loops_give_the_features_of_torch(shape: tuple[int, int, int]):
     images = np.random.default_rng(len(shape)).integers(0, 256, (*shape, 3)).astype(np.uint8)
     images[:, : shape[1] // 3] //= 50  # dark, and nearly flat
@@ -120,12 +117,3 @@ def test_products_of_lines_make_the_filters(scale: float):
     assert filters.lines.shape[1] % TAPS == 0
     products = np.stack([np.outer(lines[down], lines[across]) for across, down in PRODUCTS])
     np.testing.assert_allclose(np.einsum("kp,pij->kij", filters.weights, products), expected, atol=2e-7)
-
-
-def test_a_flat_image_has_no_texture():
-    for value in (0, 128, 255):
-        means = patch_means(
-            np.full((28, 42, 3), value, np.uint8), np.log(np.arange(256, dtype=np.float32) + 1), *FILTERS, 14
-        )
-        assert means.responses.shape == (24, 2, 3)
-        assert means.responses.max() < 3e-6
