@@ -29,27 +29,16 @@ WHEEL = np.dtype(
 
 @dataclass(frozen=True)
 class Truth:
-    """Ground truth of a drive; wheels are front-left, front-right, rear-left, rear-right.
+    """Ground truth of a drive; wheels are front-left, front-right, rear-left, rear-right."""
 
-    Attributes:
-        time: header stamps [s].
-        contact: contact points of the wheels in the world frame [m].
-        properties: `GROUND_PROPERTIES` at the contact points.
-        kind: index into `GROUND_KINDS` at the contact points.
-        load: normal load [N].
-        slip_ratio: limited to [-1, 1].
-        slip_angle: [rad].
-        map: layers of the whole world: `elevation` [m], ground properties, share of each ground kind, `wetness`.
-    """
-
-    time: Float[np.ndarray, " n"]
-    contact: Float[np.ndarray, "n 4 3"]
-    properties: Float[np.ndarray, "n 4 4"]
-    kind: Int[np.ndarray, "n 4"]
-    load: Float[np.ndarray, "n 4"]
-    slip_ratio: Float[np.ndarray, "n 4"]
-    slip_angle: Float[np.ndarray, "n 4"]
-    map: MapLayers
+    time: Float[np.ndarray, " n"]  # header stamps [s]
+    contact: Float[np.ndarray, "n 4 3"]  # contact points of the wheels in the world frame [m]
+    properties: Float[np.ndarray, "n 4 4"]  # `GROUND_PROPERTIES` at the contact points
+    kind: Int[np.ndarray, "n 4"]  # index into `GROUND_KINDS` at the contact points
+    load: Float[np.ndarray, "n 4"]  # normal load [N]
+    slip_ratio: Float[np.ndarray, "n 4"]  # limited to [-1, 1]
+    slip_angle: Float[np.ndarray, "n 4"]  # [rad]
+    map: MapLayers  # `elevation` [m], ground properties, share of each ground kind, `wetness`
 
 
 def read_truth(path: str | Path) -> Truth:

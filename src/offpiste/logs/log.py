@@ -103,7 +103,7 @@ class RawImage:
     Attributes:
         time: stamp [s].
         frame: optical frame of the camera.
-        pixels: RGB at the recorded bit depth (`measurements.in_eight_bits`); None if it cannot be decoded.
+        pixels: RGB at the recorded bit depth; None if damaged.
     """
 
     time: float

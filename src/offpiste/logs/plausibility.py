@@ -213,28 +213,18 @@ def _resolution(values: Float[np.ndarray, " n"]) -> float:
 
 @dataclass(frozen=True)
 class _Segments:
-    """Runs of samples without a fault between them; repeated samples count once.
+    """Runs of samples without a fault between them; repeated samples count once."""
 
-    Attributes:
-        first, last: first and last samples.
-        begin, end: times of these samples [s]; repetitions are cut short.
-        weight: time that keeping a segment adds [s].
-        velocity_in, velocity_out: at the beginning and the end; NaN for a single sample [m/s].
-        span: time over which these velocities are estimated [s].
-        noise: noise of a step [m].
-        entered, left: unexplained distance of the steps before and after a segment [m].
-    """
-
-    first: Int[np.ndarray, " s"]
+    first: Int[np.ndarray, " s"]  # first, last: first and last samples
     last: Int[np.ndarray, " s"]
-    begin: Float[np.ndarray, " s"]
+    begin: Float[np.ndarray, " s"]  # begin, end: times of these samples [s]; repetitions are cut short
     end: Float[np.ndarray, " s"]
-    weight: Float[np.ndarray, " s"]
-    velocity_in: Float[np.ndarray, "s k"]
+    weight: Float[np.ndarray, " s"]  # time that keeping a segment adds [s]
+    velocity_in: Float[np.ndarray, "s k"]  # velocity_in, velocity_out: NaN for a single sample [m/s]
     velocity_out: Float[np.ndarray, "s k"]
-    span: Float[np.ndarray, " s"]
-    noise: Float[np.ndarray, " s"]
-    entered: Float[np.ndarray, " s"]
+    span: Float[np.ndarray, " s"]  # time over which these velocities are estimated [s]
+    noise: Float[np.ndarray, " s"]  # noise of a step [m]
+    entered: Float[np.ndarray, " s"]  # entered, left: unexplained distance of the steps before and after a segment [m]
     left: Float[np.ndarray, " s"]
 
     def costs(

@@ -5,7 +5,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import replace
-from itertools import pairwise
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import Any, Final
 
@@ -111,10 +111,8 @@ class BagLog(Log):
         for k, reader in enumerate(self._readers):
             filed = [one.filed for one in self._columns_of(k).values()]
             if isinstance(reader, Rosbag1):
-                indexes = (
-                    sorted(index, key=lambda one: (one.chunk_pos, one.offset)) for index in reader.indexes.values()
-                )
-                filed = [np.array([one.time for one in index], np.int64) for index in indexes]
+                places = [sorted((one.chunk_pos, one.offset, one.time) for one in i) for i in reader.indexes.values()]
+                filed = [np.array([time for *_, time in index], np.int64) for index in places]
             if (step := common_step([one / 1e9 for one in filed])) is not None:
                 return step
         return None
@@ -142,20 +140,16 @@ class BagLog(Log):
         if others := {c.msgtype for c in connections} - {main.msgtype}:
             notes.append(f"{self.path}: topic '{name}' also carries {', '.join(sorted(others))}, which are not read")
 
-        decoded = (message for _, message in self._messages(name, main.msgtype))
-        kept: list[object] = []
+        decoded, kept = islice(self._messages(name, main.msgtype), _FIRST), list[object]()
 
         def first() -> Iterator[object]:
-            for k in range(_FIRST):
-                if k == len(kept):
-                    try:
-                        kept.append(next(decoded))
-                    except StopIteration:
-                        return
-                    except LogError as error:
-                        notes.append(str(error))
-                        return
-                yield kept[k]
+            yield from kept
+            try:
+                for _, message in decoded:
+                    kept.append(message)
+                    yield message
+            except LogError as error:
+                notes.append(str(error))
 
         try:
             store = typestore_of(main, self.path)

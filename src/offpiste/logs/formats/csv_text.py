@@ -5,7 +5,7 @@ import csv
 import io
 import re
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
@@ -122,7 +122,8 @@ def read_csv(path: Path, notes: list[str], units: dict[str, str]) -> tuple[pa.Ta
     Returns:
         the table, and the number of rows between its header and its data (units and descriptions).
     """
-    lines = _first_lines(path)
+    text = _text(path, notes)
+    lines = _first_lines(text, path)
     there = [line for line in lines if line.strip()]
     spaces = _are_numbers(there[-1 if len(there) < 3 else -2], " ")
     lines = [" ".join(line.split()) for line in there] if spaces else lines
@@ -151,16 +152,16 @@ def read_csv(path: Path, notes: list[str], units: dict[str, str]) -> tuple[pa.Ta
         column_types=dict.fromkeys(names, pa.string()), strings_can_be_null=True, null_values=_NOTHING
     )
     try:
-        with _opened(path, notes) as file:
-            text = _in_one_space(file.read()) if spaces else b""
-            cut = _last_row_may_be_cut(path, text, notes)
-            table = pa_csv.read_csv(
-                io.BytesIO(text) if spaces else file,
-                read_options=pa_csv.ReadOptions(use_threads=False, column_names=names, skip_rows=above + 1 + between),
-                parse_options=pa_csv.ParseOptions(delimiter=delimiter, invalid_row_handler=cut),
-                convert_options=as_text,
-            )
-    except (pa.ArrowException, OSError) as error:
+        text = _in_one_space(text) if spaces else text
+        table = pa_csv.read_csv(
+            pa.BufferReader(text),
+            read_options=pa_csv.ReadOptions(use_threads=False, column_names=names, skip_rows=above + 1 + between),
+            parse_options=pa_csv.ParseOptions(
+                delimiter=delimiter, invalid_row_handler=lambda row: _skip_or_error(row, text, notes)
+            ),
+            convert_options=as_text,
+        )
+    except pa.ArrowException as error:
         raise LogError(str(error), where=path, how="fix that line") from error
     if table.num_rows == 0:
         raise LogError("no row below the header", where=path, how="record or export it again")
@@ -205,7 +206,7 @@ def _are_numbers(line: str, separators: str) -> bool:
 def has_numbers(path: Path) -> bool:
     """Return whether one of the first lines of a text is a row of numbers."""
     try:
-        return any(_are_numbers(line, f" {_SEPARATORS}") for line in _first_lines(path))
+        return any(_are_numbers(line, f" {_SEPARATORS}") for line in _first_lines(_text(path, []), path))
     except LogError:
         return False
 
@@ -255,52 +256,38 @@ def _lines_above_header(table: Sequence[Sequence[str]]) -> int:
     return 0
 
 
-def _last_row_may_be_cut(path: Path, text: bytes, notes: list[str]) -> Callable[[pa_csv.InvalidRow], str]:
-    """Return a handler of rows with too few or too many cells, which skips a truncated last row.
-
-    Args:
-        text: the text that was read, unless it is the file's own.
-    """
-
-    def handle(row: pa_csv.InvalidRow) -> str:
-        if row.actual_columns > row.expected_columns:
-            return "error"
-        with io.BytesIO(text) if text else _opened(path) as file:
-            file.seek(-min(file.seek(0, 2), len(row.text.encode()) + 8), 2)
-            if file.read().strip(b"\r\n").endswith(b"\n" + row.text.strip("\r\n").encode()):
-                notes.append(f"the last row is cut off after {row.actual_columns} cells, and left out")
-                return "skip"
+def _skip_or_error(row: pa_csv.InvalidRow, text: bytes, notes: list[str]) -> str:
+    """Skip a truncated last row; other rows with too few or too many cells are errors."""
+    content = row.text.strip("\r\n").encode()
+    end = text[-len(content) - 8 :].strip(b"\r\n")
+    if row.actual_columns > row.expected_columns or not end.endswith(b"\n" + content):
         return "error"
-
-    return handle
-
-
-def _opened(path: Path, notes: list[str] | None = None) -> io.BufferedIOBase:
-    """Open a table's text as UTF-8 with a line of names, from UTF-16, cp1252 (with a note) or a logger's format."""
-    file = path.open("rb")
-    begin = file.peek(_BEGIN)[:_BEGIN]
-    is_known = begin.startswith(_UTF_16) or any(mark in begin for mark in _MARKS)
-    as_it_is = not is_known and _is_utf_8(file)
-    file.seek(0)
-    if as_it_is:
-        return file
-    with file:
-        try:
-            text = _with_one_header(file.read())
-        except UnicodeDecodeError as error:
-            raise LogError("the text is neither UTF-8 nor cp1252", where=path, how="save it as UTF-8") from error
-    if not is_known and notes is not None:
-        notes.append("the text is not UTF-8, and read as cp1252; where names look wrong, save it as UTF-8")
-    return io.BytesIO(text)
+    notes.append(f"the last row is cut off after {row.actual_columns} cells, and left out")
+    return "skip"
 
 
-def _first_lines(path: Path) -> list[str]:
-    """Return the first lines; the last one may be truncated."""
+def _text(path: Path, notes: list[str]) -> bytes:
+    """Read a table's text as UTF-8 with a line of names, from UTF-16, cp1252 (with a note) or a logger's format."""
     try:
-        with _opened(path) as file:
-            lines = [line for _ in range(_MOST_PREAMBLE + _ROWS_BELOW) if (line := file.readline(1 << 20))] or [b""]
+        read = path.read_bytes()
     except OSError as error:
         raise LogError(f"cannot be opened: {error.strerror}", where=path) from error
+    is_known = read.startswith(_UTF_16) or any(mark in read[:_BEGIN] for mark in _MARKS)
+    if not is_known and _is_utf_8(read):
+        return read
+    try:
+        text = _with_one_header(read)
+    except UnicodeDecodeError as error:
+        raise LogError("the text is neither UTF-8 nor cp1252", where=path, how="save it as UTF-8") from error
+    if not is_known:
+        notes.append("the text is not UTF-8, and read as cp1252; where names look wrong, save it as UTF-8")
+    return text
+
+
+def _first_lines(content: bytes, path: Path) -> list[str]:
+    """Return the first lines; the last one may be truncated."""
+    file = io.BytesIO(content)
+    lines = [line for _ in range(_MOST_PREAMBLE + _ROWS_BELOW) if (line := file.readline(1 << 20))] or [b""]
     if not lines[0].strip():
         raise LogError("the file is empty, or begins with an empty line", where=path, how="record or export it again")
     text = [line.decode("utf-8-sig", "replace").rstrip("\r\n") for line in lines]
@@ -387,13 +374,9 @@ def _with_one_header(read: bytes) -> bytes:
     return read if table is None else table.encode()
 
 
-def _is_utf_8(file: io.BufferedIOBase) -> bool:
-    """Return whether the rest of a file is UTF-8."""
-    decoder = codecs.getincrementaldecoder("utf-8")()
+def _is_utf_8(text: bytes) -> bool:
     try:
-        while block := file.read(1 << 20):
-            decoder.decode(block)
-        decoder.decode(b"", final=True)
+        text.decode()
     except UnicodeDecodeError:
         return False
     return True

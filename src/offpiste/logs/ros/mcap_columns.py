@@ -45,7 +45,7 @@ class _Layout:
 
     Attributes:
         at: position while walking along the message.
-        lengths: position and value of each length of a text or sequence, and of all words of a sequence of texts.
+        lengths: position and value of lengths and of texts in sequences.
         fields: position and type of each kept number, by its path.
     """
 
@@ -119,22 +119,14 @@ def _layout(store: Typestore, msgtype: str, raw: bytes) -> _Layout | None:
 
 @dataclass(frozen=True)
 class Columns:
-    """Numbers of a topic in order of arrival.
+    """Numbers of a topic in order of arrival."""
 
-    Attributes:
-        arrival, stamp: times by the recorder and by the message, the latter 0 if it has none [ns].
-        filed: `arrival` in file order [ns].
-        frames: distinct frames of the messages (`frames_reader`); empty without a header.
-        sender: index into `frames` of each message.
-        fields, values: a column each; empty for messages that are long or change their layout.
-    """
-
-    arrival: Int[np.ndarray, " n"]
+    arrival: Int[np.ndarray, " n"]  # arrival, stamp: by the recorder and by the message, 0 if it has none [ns]
     stamp: Int[np.ndarray, " n"]
-    filed: Int[np.ndarray, " n"]
-    frames: tuple[tuple[str, str], ...]
-    sender: Int[np.ndarray, " n"]
-    fields: tuple[str, ...]
+    filed: Int[np.ndarray, " n"]  # `arrival` in file order [ns]
+    frames: tuple[tuple[str, str], ...]  # distinct frames of the messages (`frames_reader`); empty without a header
+    sender: Int[np.ndarray, " n"]  # index into `frames` of each message
+    fields: tuple[str, ...]  # a column of `values` each; empty for messages that are long or change their layout
     values: Float[np.ndarray, "n k"]
 
     def seconds(self, stamps: str) -> Float[np.ndarray, " n"]:
