@@ -33,11 +33,6 @@ def test_first_calls_are_checked_and_some_later_ones():
     assert is_refused()
 
 
-@pytest.mark.parametrize("run", range(2))
-def test_each_test_begins_anew(run):
-    assert all(is_refused() for _ in range(FIRST))
-
-
 def test_the_package_is_checked():
     pose = Pose(np.zeros(3), np.array((0.0, 0.0, 0.0, 1.0)))
     with pytest.raises(jaxtyping.TypeCheckError):

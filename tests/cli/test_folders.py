@@ -88,13 +88,13 @@ class Interrupted:
     ],
 )
 def test_an_interrupted_command_names_the_one_that_goes_on(name, said, monkeypatch, capsys):
-    monkeypatch.setattr(entry, "_parsed", lambda arguments, commands: Interrupted())
+    monkeypatch.setattr(entry, "parse", lambda arguments, commands: Interrupted())
     assert run(name, "my drive.mcap", "--out", "d.zarr") == 1
     assert said in capsys.readouterr().err
 
 
 def test_commands_that_resume_exist():
-    assert set(entry.RESUMING) <= set(COMMANDS)
+    assert set(entry.RESUMABLE) <= set(COMMANDS)
 
 
 def test_a_split_without_validation_leads_to_one_that_works(tmp_path):

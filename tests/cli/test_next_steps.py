@@ -8,7 +8,7 @@ import pytest
 
 from feature_datasets import dataset_with_features
 from offpiste.cli import next_steps
-from offpiste.cli.entry import _parsed, commands_in_order
+from offpiste.cli.entry import commands_in_order, parse
 from offpiste.cli.extract import Extract
 from offpiste.cli.reproduce import Reproduce
 from offpiste.cli.view import View
@@ -33,7 +33,7 @@ def dataset(tmp_path: Path) -> Dataset:
 def command_of(line: str) -> str:
     """The command that a line names, after a check that the command line accepts it."""
     command = line.splitlines()[-1].removeprefix("next: offpiste ")
-    _parsed(shlex.split(command), commands_in_order())
+    parse(shlex.split(command), commands_in_order())
     return command
 
 

@@ -8,11 +8,10 @@ import signal
 import tomllib
 
 import pytest
-import tyro
 from packaging.requirements import Requirement
 
 from installation import wheels
-from offpiste.cli.entry import commands_in_order
+from offpiste.cli.entry import commands_in_order, parse
 from offpiste.core.signals import GROUP_SIGNALS
 from offpiste.live.control import ENDS
 from offpiste.live.part import AFTER
@@ -23,12 +22,6 @@ UNIT, DOCKERFILE = ROOT / "deploy" / "offpiste.service", ROOT / "deploy" / "Dock
 PAGE = (ROOT / "docs" / "install-on-a-robot.md").read_text("utf-8")
 EXTRAS = tomllib.loads(wheels.PYPROJECT.read_text())["project"]["optional-dependencies"]
 INSTALLED = "/opt/offpiste/bin/offpiste"
-
-
-def parsed(words):
-    """Parse a command line."""
-    name, *rest = words
-    return tyro.cli(commands_in_order()[name], args=rest, config=(tyro.conf.FlagCreatePairsOff,))
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +35,7 @@ def unit():
 def test_the_unit_runs_a_command_in_shadow_mode(unit):
     program, *words = shlex.split(unit["Service"]["ExecStart"])
     assert program == INSTALLED
-    live = parsed(words)
+    live = parse(words, commands_in_order())
     assert live.rig == "/etc/offpiste/rig.toml"
     assert not live.drive, "what starts with the computer moves nothing"
     program, *words = shlex.split(unit["Service"]["ExecStartPre"])
@@ -96,7 +89,7 @@ def test_the_container_installs_what_there_is():
     assert set(extras) <= set(EXTRAS)
     assert json.loads(dict(steps)["ENTRYPOINT"]) == [next(iter(project["scripts"]))]
     with pytest.raises(SystemExit) as ended:
-        parsed(["live", *json.loads(dict(steps)["CMD"])])
+        parse(["live", *json.loads(dict(steps)["CMD"])], commands_in_order())
     assert ended.value.code == 0
 
 
@@ -107,7 +100,7 @@ def test_commands_of_the_page_are_understood(monkeypatch):
     assert len(runs) >= 4
     for words in runs:
         start = words.index("offpiste", 0 if words[0] == "offpiste" else 1)
-        parsed(words[start + 1 :])
+        parse(words[start + 1 :], commands_in_order())
     memory = next(words[words.index("--shm-size") + 1] for words in runs if "--shm-size" in words)
     assert int(memory.removesuffix("m")) << 20 > sum(slots * size for slots, size in RINGS.values()) + len(PARTS) * (
         2 << 16

@@ -28,23 +28,9 @@ class Command(Protocol):
 COMMANDS: Final[Registry[Callable[..., Command]]] = Registry("command", package=__package__)
 
 PIPELINE: Final = (
-    "demo",
-    "simulate",
-    "inspect",
-    "view",
-    "fit-pca",
-    "extract",
-    "train",
-    "evaluate",
-    "calibrate",
-    "reproduce",
-    "drive",
-    "doctor",
-    "live",
-    "play",
-    "export",
-    "check",
-)
+    "demo", "simulate", "inspect", "view", "fit-pca", "extract", "train", "evaluate", "calibrate", "reproduce", "drive",
+    "doctor", "live", "play", "export", "check", "merge", "warm-up",
+)  # fmt: skip
 """Order of commands in the help; others follow."""
 
 LIBRARIES: Final = {
@@ -54,11 +40,6 @@ LIBRARIES: Final = {
 }
 """Environment variables that libraries read on import. OpenCV's messages would repeat our errors, BLAS threads would
 spin beside ours, and waiting OpenMP threads would take time from other processes."""
-
-_NO_ROOM: Final = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
-_NO_FOLDER: Final = {errno.EEXIST, errno.ENOTDIR}
-_NOT_ALLOWED: Final = {errno.EACCES, errno.EPERM, errno.EROFS}
-_MAKE_ROOM: Final = "make room on the disk and run it again; finished results are kept"
 
 
 def commands_in_order() -> dict[str, Callable[..., Command]]:
@@ -70,11 +51,12 @@ def commands_in_order() -> dict[str, Callable[..., Command]]:
 def user_error_of(error: OSError) -> OffpisteError | None:
     """Return the error for users of an error of the operating system; None if it names no file."""
     where = error.filename or "a file"
-    if error.errno in _NO_FOLDER:
+    if error.errno in {errno.EEXIST, errno.ENOTDIR}:
         return OffpisteError("is a file, or is inside one", where=where, how="give a folder as --out")
-    if error.errno in _NO_ROOM:
-        return OffpisteError(f"cannot be written: {error.strerror}", where=where, how=_MAKE_ROOM)
-    if error.errno in _NOT_ALLOWED:
+    if error.errno in {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}:
+        how = "make room on the disk and run it again; finished results are kept"
+        return OffpisteError(f"cannot be written: {error.strerror}", where=where, how=how)
+    if error.errno in {errno.EACCES, errno.EPERM, errno.EROFS}:
         how = "give readable files and writable folders"
         return OffpisteError(f"cannot be opened: {error.strerror}", where=where, how=how)
     if error.filename:
@@ -82,13 +64,7 @@ def user_error_of(error: OSError) -> OffpisteError | None:
     return None
 
 
-def _no_command(word: str, commands: Sequence[str]) -> OffpisteError:
-    """Return the error for an unknown command."""
-    how = f"{did_you_mean(word, commands)}Commands: {', '.join(commands)}"
-    return OffpisteError(f"unknown command '{word}'", how=how)
-
-
-def _parsed(arguments: list[str], commands: dict[str, Callable[..., Command]]) -> Command:
+def parse(arguments: list[str], commands: dict[str, Callable[..., Command]]) -> Command:
     """Parse arguments to a command; prints and exits on wrong usage or `--help`."""
     config = (tyro.conf.FlagCreatePairsOff,)
     if arguments and arguments[0] in commands:
@@ -104,20 +80,16 @@ def _parsed(arguments: list[str], commands: dict[str, Callable[..., Command]]) -
     )
 
 
-RESUMING: Final = {
-    "demo": (), "extract": (), "merge": (), "reproduce": (), "simulate": (), "train": ("--resume",),
-}  # fmt: skip
-"""Commands that can be resumed, with the required option."""
+RESUMABLE: Final = ("demo", "extract", "merge", "reproduce", "simulate", "train")
+"""Commands that can be resumed."""
 
 
 def _again(arguments: Sequence[str]) -> str:
     """Return the command line that continues an interrupted command."""
     name = arguments[0] if arguments else ""
-    more = [each for each in RESUMING.get(name, ()) if each not in arguments]
-    command = join(["offpiste", *arguments, *more])
-    if name in RESUMING:
-        return f"finished results are kept; resume: {command}"
-    return f"no partial files remain; run it again: {command}"
+    more = ["--resume"] if name == "train" and "--resume" not in arguments else []
+    what = "finished results are kept; resume" if name in RESUMABLE else "no partial files remain; run it again"
+    return f"{what}: {join(['offpiste', *arguments, *more])}"
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -136,26 +108,21 @@ def main(arguments: list[str] | None = None) -> None:
     try:
         commands = commands_in_order()
         if arguments and not arguments[0].startswith("-") and arguments[0] not in commands:
-            print(f"offpiste: {_no_command(arguments[0], tuple(commands))}", file=sys.stderr)  # noqa: T201
+            how = f"{did_you_mean(arguments[0], commands)}Commands: {', '.join(commands)}"
+            unknown = OffpisteError(f"unknown command '{arguments[0]}'", how=how)
+            print(f"offpiste: {unknown}", file=sys.stderr)  # noqa: T201
             sys.exit(2)
-        command = _parsed(arguments, commands)
+        command = parse(arguments, commands)
         log_to_terminal()
         sys.exit(command.run())
-    except OffpisteError as error:
-        if debug:
-            raise
-        print(f"offpiste: {error}", file=sys.stderr)  # noqa: T201
-        sys.exit(1)
-    except KeyboardInterrupt:
-        print(f"offpiste: interrupted; {_again(arguments)}", file=sys.stderr)  # noqa: T201
-        sys.exit(1)
     except BrokenPipeError:
         # The reader of a pipe, e.g. `head`, has closed it; flushing at exit would raise again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(1)
-    except OSError as error:
-        said = user_error_of(error)
+    except KeyboardInterrupt:
+        print(f"offpiste: interrupted; {_again(arguments)}", file=sys.stderr)  # noqa: T201
+    except (OffpisteError, OSError) as error:
+        said = user_error_of(error) if isinstance(error, OSError) else error
         if debug or said is None:
             raise
         print(f"offpiste: {said}", file=sys.stderr)  # noqa: T201
-        sys.exit(1)
+    sys.exit(1)

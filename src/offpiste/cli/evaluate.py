@@ -1,4 +1,4 @@
-"""`offpiste evaluate`."""
+"""`offpiste evaluate` and `offpiste calibrate`."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from offpiste.cli.entry import COMMANDS
-from offpiste.cli.next_steps import after_evaluation
+from offpiste.cli.next_steps import after_evaluation, next_line
 from offpiste.core.conventions import FEATURE_SETS
 from offpiste.core.progress import show
 
@@ -61,4 +61,26 @@ class Evaluate:
         if spreads is not None:
             spreads.write(self.out)
         show(after_evaluation(self.runs, self.dataset))
+        return 0
+
+
+@COMMANDS.register("calibrate")
+@dataclass(frozen=True)
+class Calibrate:
+    """Fit the spread of the predictions of runs, and test its calibration on held-out drives."""
+
+    runs: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="RUN...")]
+    """Run folders. Each receives a spread (spread.safetensors) and, if it reads features, a memory bank of known ground
+    (memory_bank.safetensors); existing ones are reused."""
+    dataset: Path
+    """Training dataset of the runs."""
+    out: Path = Path("calibration")
+    """Folder of the table, the figure and the numbers."""
+
+    def run(self) -> int:
+        """Fit and evaluate the spread."""
+        from offpiste.uncertainty.calibration import calibrate
+
+        calibrate(self.runs, self.dataset, self.out)
+        show(next_line("evaluate", *self.runs, "--dataset", self.dataset))
         return 0

@@ -1,4 +1,4 @@
-"""`offpiste extract`."""
+"""`offpiste extract` and `offpiste merge`."""
 
 import math
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import tyro
 
 from offpiste.cli.entry import COMMANDS
-from offpiste.cli.next_steps import after_extraction
+from offpiste.cli.next_steps import after_dataset, after_extraction
 from offpiste.core.conventions import PERCEPTION_LATENCY
 from offpiste.core.errors import PerceptionError
 from offpiste.core.progress import show
@@ -84,4 +84,22 @@ class Extract:
         )
         show(assumptions_block(assumptions_of(dataset)))
         show(after_extraction(self, dataset))
+        return 0
+
+
+@COMMANDS.register("merge")
+@dataclass(frozen=True)
+class Merge:
+    """Merge the datasets of `extract --shard K/N`, from one or several machines."""
+
+    parts: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="DATASET...")]
+    """Datasets with the same rig, split and settings."""
+    out: Path
+    """Merged dataset; existing drives are kept."""
+
+    def run(self) -> int:
+        """Merge the datasets."""
+        from offpiste.dataset.merge import merge_datasets
+
+        show(after_dataset(merge_datasets(self.parts, self.out), self.out))
         return 0

@@ -1,17 +1,57 @@
-"""`offpiste live`."""
+"""`offpiste live`, `offpiste play` and `offpiste doctor`, and the connection to a robot."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 import tyro
 
 from offpiste.cli.entry import COMMANDS
-from offpiste.cli.robot_options import RUN, RobotOptions
+from offpiste.cli.next_steps import next_line
+from offpiste.core.command_line import options
 from offpiste.core.conventions import PERCEPTION_LATENCY
+from offpiste.core.errors import LiveError
+from offpiste.core.progress import show
 
 if TYPE_CHECKING:
     from offpiste.transport.interface import RobotSettings
+    from offpiste.transport.zenoh_transport import ZenohSettings
+
+
+RUN: Final = "pretrained:proving-ground/b"
+"""Default run of `live` and `doctor`."""
+
+
+@dataclass(frozen=True)
+class RobotOptions:
+    """Connection to the robot over zenoh."""
+
+    endpoint: str = ""
+    """Address of the zenoh router; by default tcp/127.0.0.1:7447, the address of rmw_zenohd."""
+    router: bool = False
+    """Act as the router if no rmw_zenohd runs."""
+    keys: Literal["rmw_zenoh", "bridge"] = "rmw_zenoh"
+    """Key format: rmw_zenoh, or that of zenoh-bridge-ros2dds for robots on Fast DDS or Cyclone DDS."""
+    domain: int = 0
+    """ROS_DOMAIN_ID of rmw_zenoh."""
+    namespace: str = ""
+    """Namespace of the bridge."""
+    zenoh_config: Path | None = None
+    """Configuration file of zenoh, e.g. with TLS certificates."""
+
+    def settings(self, patient: bool = False) -> "ZenohSettings":
+        """Return the settings of the transport."""
+        from offpiste.transport.zenoh_transport import ZenohSettings
+
+        return ZenohSettings(
+            endpoint=self.endpoint,
+            mode="router" if self.router else "client",
+            keys=self.keys,
+            domain=self.domain,
+            namespace=self.namespace,
+            config=str(self.zenoh_config or ""),
+            patient=patient,
+        )
 
 
 @COMMANDS.register("live")
@@ -79,7 +119,6 @@ class Live:
 
     def run_on(self, robot: "RobotSettings") -> int:
         """Drive over another transport, without the options of `robot`."""
-        from offpiste.core.errors import LiveError
         from offpiste.live.commands import run_live
         from offpiste.live.reception import CourseRequest
         from offpiste.live.session import LiveSettings, RecordSettings, ViewSettings
@@ -113,3 +152,66 @@ class Live:
             commands=self.commands,
         )
         return 0
+
+
+@COMMANDS.register("play")
+@dataclass(frozen=True)
+class Play:
+    """Play a ROS 2 log to `offpiste live`, or to any ROS 2 system over zenoh (needs the extra `live`)."""
+
+    log: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="LOG")]
+    """An .mcap or .db3 file, or the folder of a bag."""
+    rig: str = ""
+    """Rig of the vehicle: only its topics are played, and each cloud after its last point; without it all topics."""
+    rate: float = 1.0
+    """Factor of the playback speed."""
+    seconds: float = float("inf")
+    """Duration to play [s]."""
+    lockstep: bool = False
+    """Wait for the command of `offpiste live --lockstep` after each step."""
+    without: tuple[str, ...] = ()
+    """Topics to skip, e.g. recorded commands; /clock and /offpiste/… are always skipped."""
+    robot: Annotated[RobotOptions, tyro.conf.OmitArgPrefixes] = field(default_factory=RobotOptions)
+
+    def run(self) -> int:
+        """Play the log."""
+        from offpiste.live.commands import play_log
+
+        settings = self.robot.settings(patient=self.lockstep)
+        play_log(self.log, self.rig, settings, self.rate, self.seconds, lockstep=self.lockstep, without=self.without)
+        return 0
+
+
+@COMMANDS.register("doctor")
+@dataclass(frozen=True)
+class Doctor:
+    """Check a robot before it moves: which messages arrive, and what is missing (needs the extra `live`)."""
+
+    rig: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="RIG")]
+    """Rig of the vehicle: a .toml file or the name of a preset."""
+    run_folder: Annotated[str, tyro.conf.arg(name="run", metavar="RUN")] = RUN
+    """Run for `live`, whose inputs the robot must measure."""
+    pca: Path | None = None
+    """PCA of the run, as in `live`."""
+    seconds: float = 3.0
+    """Duration of the check [s]."""
+    clock: Literal["system", "clock", "stamps"] = "system"
+    """Reference of stamps, as in `live`; with `system`, stamps must fit the clock of this computer."""
+    robot: Annotated[RobotOptions, tyro.conf.OmitArgPrefixes] = field(default_factory=RobotOptions)
+
+    def run(self) -> int:
+        """Show all findings; exit with 1 if one is an error."""
+        from offpiste.live.doctor import examined
+
+        wrong = 0
+        robot = self.robot.settings()
+        for level, what in examined(self.rig, self.run_folder, self.pca, robot, self.seconds, self.clock):
+            show(f"{level}: {what}")
+            wrong += level == "error"
+        run = ["--run", self.run_folder] if self.run_folder != RUN else []
+        words = [self.rig, *run, *options(self, "rig", "run_folder", "seconds", "robot"), *options(self.robot)]
+        if wrong:
+            show(next_line("doctor", *words, first=["correct the errors above"]))
+        else:
+            show(next_line("live", *words, "--goal", "50", "0", "--speed", "3"))
+        return 1 if wrong else 0

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from offpiste.cli.entry import COMMANDS
+from offpiste.cli.live import RobotOptions
 from offpiste.cli.next_steps import next_line
-from offpiste.cli.robot_options import RobotOptions
 
 if TYPE_CHECKING:
     from offpiste.simulation.simulate import DriveSettings
