@@ -31,7 +31,7 @@ def small_dataset(path: Path, rig: Rig, **drive: object) -> Dataset:
     split = parse_split("blocks:0.6,0.2,0.2")
     create(path, rig, split)
     notes = drive.pop("notes", ())
-    add_drive(path, "drive", circle_rows(6000, seed=0), split, notes, **drive)
+    add_drive(path, "drive", circle_rows(3000, seed=0), split, notes, **drive)
     return open_dataset(path)
 
 

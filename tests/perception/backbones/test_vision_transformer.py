@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import torch
 from torch import Tensor
-from torch.nn import functional
 from transformers import (
     Dinov2Config,
     Dinov2Model,
@@ -59,19 +58,9 @@ def test_agrees_with_transformers_for_the_same_weights(model: Dinov2Model, image
     with torch.no_grad():
         tokens = model(normalised(images)).last_hidden_state
     wanted = tokens[:, 1:].reshape(2, 5, 7, 384)
-    assert torch.allclose(VisionTransformer(model, name="random")(images), wanted, atol=1e-4)
-
-
-def test_bf16_is_close_to_fp32(model: Dinov2Model, images: np.ndarray):
-    exact = VisionTransformer(model, name="random")(images)
-    rough = VisionTransformer(model, name="random", precision="bf16")(images)
-    assert rough.dtype == torch.float32
-    error = (rough - exact).norm() / exact.norm()
-    assert 0 < error < 0.02
-    plain = VisionTransformer(model, name="a").fingerprint
-    assert VisionTransformer(model, name="b", precision="bf16").fingerprint == plain
-    assert VisionTransformer(model, name="a", mean=(0.5, 0.5, 0.5)).fingerprint != plain
-    assert functional.cosine_similarity(rough, exact, dim=-1).min() > 0.999
+    transformer = VisionTransformer(model, name="random")
+    assert torch.allclose(transformer(images), wanted, atol=1e-4)
+    assert VisionTransformer(model, name="a", mean=(0.5, 0.5, 0.5)).fingerprint != transformer.fingerprint
 
 
 def test_the_hash_of_weights_sees_one_bit_and_not_their_names():

@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Final, Literal, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
 import torch
@@ -24,8 +24,6 @@ from offpiste.perception.patch_grid import PatchGrid
 
 DINOV2_SMALL: Final = "facebook/dinov2-small"
 """DINOv2 ViT-S/14, the paper's backbone and the default."""
-
-Precision = Literal["fp32", "bf16"]
 
 
 class Backbone(ABC):
@@ -43,7 +41,7 @@ class Backbone(ABC):
 
     @abstractmethod
     def settings(self) -> dict[str, Any]:
-        """Return all settings that determine the features, with a hash of weights; not precision and device."""
+        """Return all settings that determine the features, with a hash of weights; not the device."""
 
     @abstractmethod
     def _features(self, images: Float[Tensor, "B 3 h w"]) -> Float[Tensor, "B rows columns C"]:
@@ -132,14 +130,13 @@ BACKBONES: Final[Registry[MakeBackbone]] = Registry("backbone", package=__name__
 """Registered backbones; vision transformers are opened by the name of their weights."""
 
 
-def open_backbone(name: str = DINOV2_SMALL, *, device: str = "cpu", precision: Precision = "fp32") -> Backbone:
+def open_backbone(name: str = DINOV2_SMALL, *, device: str = "cpu") -> Backbone:
     """Open a backbone by name.
 
     Args:
         name: of `BACKBONES`, or a vision transformer: a folder with config.json and model.safetensors, or `owner/model`
             on the Hugging Face hub.
         device: "cpu", "cuda", "cuda:1" ...
-        precision: of a transformer's matrix products; features are always float32.
 
     Raises:
         PerceptionError: the backbone, its weights or the device is missing, or the model is of another family.
@@ -153,7 +150,7 @@ def open_backbone(name: str = DINOV2_SMALL, *, device: str = "cpu", precision: P
         raise PerceptionError(f"no backbone '{name}'", how=how)
     from offpiste.perception.backbones.vision_transformer import load_vision_transformer
 
-    return load_vision_transformer(name, device=place, precision=precision)
+    return load_vision_transformer(name, device=place)
 
 
 def _device(name: str) -> torch.device:

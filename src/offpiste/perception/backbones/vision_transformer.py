@@ -14,7 +14,7 @@ from torch import Tensor
 
 from offpiste.core.errors import PerceptionError, did_you_mean, extra
 from offpiste.core.limits import parsed, read_small
-from offpiste.perception.backbones import DINOV2_SMALL, Backbone, Precision
+from offpiste.perception.backbones import DINOV2_SMALL, Backbone
 
 if TYPE_CHECKING:
     from transformers import PreTrainedModel
@@ -45,7 +45,6 @@ class VisionTransformer(Backbone):
         mean: tuple[float, float, float] = IMAGENET_MEAN,
         std: tuple[float, float, float] = IMAGENET_STD,
         device: torch.device | None = None,
-        precision: Precision = "fp32",
     ) -> None:
         if model.config.model_type not in FAMILY:
             raise PerceptionError(
@@ -55,7 +54,6 @@ class VisionTransformer(Backbone):
         self._weights = weights_hash(model)
         self._mean, self._std = mean, std
         self._device = device or torch.device("cpu")
-        self._precision = precision
         module: torch.nn.Module = model
         self._model = module.to(self._device).eval().requires_grad_(False)
 
@@ -80,10 +78,9 @@ class VisionTransformer(Backbone):
 
     def _features(self, images: Float[Tensor, "B 3 h w"]) -> Float[Tensor, "B rows columns C"]:
         mean, std = (images.new_tensor(values).view(1, 3, 1, 1) for values in (self._mean, self._std))
-        with torch.autocast(self._device.type, torch.bfloat16, enabled=self._precision == "bf16"):
-            tokens = self._model(pixel_values=(images - mean) / std).last_hidden_state
+        tokens = self._model(pixel_values=(images - mean) / std).last_hidden_state
         rows, columns = images.shape[2] // self.patch, images.shape[3] // self.patch
-        return tokens[:, -rows * columns :].float().reshape(len(images), rows, columns, self.channels)
+        return tokens[:, -rows * columns :].reshape(len(images), rows, columns, self.channels)
 
 
 def weights_hash(model: torch.nn.Module) -> str:
@@ -93,7 +90,7 @@ def weights_hash(model: torch.nn.Module) -> str:
     return hashlib.sha256("".join(digests).encode()).hexdigest()[:16]
 
 
-def load_vision_transformer(name: str, *, device: torch.device, precision: Precision = "fp32") -> VisionTransformer:
+def load_vision_transformer(name: str, *, device: torch.device) -> VisionTransformer:
     """Load a model from safetensors in a folder, the hub's cache or the hub, in this order.
 
     Raises:
@@ -125,7 +122,7 @@ def load_vision_transformer(name: str, *, device: torch.device, precision: Preci
         raise PerceptionError(
             f"weights lack {lacking[0]} and {len(lacking) - 1} others", where=folder, how="download them again"
         )
-    return VisionTransformer(model, name=name, mean=mean, std=std, device=device, precision=precision)
+    return VisionTransformer(model, name=name, mean=mean, std=std, device=device)
 
 
 def _own_folder(folder: Path) -> Path:
