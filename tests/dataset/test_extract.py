@@ -17,7 +17,7 @@ from offpiste.dataset import extract as extraction
 from offpiste.dataset import store
 from offpiste.dataset.extract import ExtractSettings, Job, pca_overlap, snapshot_starts
 from offpiste.dataset.log_findings import LogFinding, UnusableLog, findings_by_drive, warning_line
-from offpiste.dataset.map_snapshots import SnapshotSettings
+from offpiste.dataset.map_snapshots import SNAPSHOT_PARTS
 from offpiste.dataset.splits import GAP, PARTS, parse_split, write_drives
 from offpiste.inspection.extract import extract, findings_on
 from offpiste.logs.log import Log
@@ -128,9 +128,8 @@ def test_an_unusable_log_comes_back_from_another_process() -> None:
     assert "(and 1 more)" in str(error)
 
 
-def job(split: str, snapshots: SnapshotSettings | None = None) -> Job:
-    settings = ExtractSettings(parse_split(split), snapshots=snapshots or SnapshotSettings())
-    return Job(Path("drive.mcap"), "drive", small_rig(), Path("d.zarr"), settings)
+def job(split: str) -> Job:
+    return Job(Path("drive.mcap"), "drive", small_rig(), Path("d.zarr"), ExtractSettings(parse_split(split)))
 
 
 @pytest.mark.parametrize(("then", "now", "seen"), [("train", "test", True), ("test", "test", False)])
@@ -146,14 +145,11 @@ def test_a_pca_fitted_on_test_rows_is_noticed(tmp_path, then, now, seen):
     assert [note.startswith("warning: the PCA may have seen 120 s of") for note in notes] == [True] * seen
 
 
-@pytest.mark.parametrize("parts", [("validation", "test"), ("train", "validation"), ("test",)])
-def test_snapshots_start_in_the_requested_parts(parts: tuple[str, ...]) -> None:
-    found = snapshot_starts(
-        circle_rows(ROWS, seed=0, speed=5), job("blocks:0.5,0.25,0.25", SnapshotSettings(parts=parts))
-    )
+def test_snapshots_start_in_validation_and_test() -> None:
+    found = snapshot_starts(circle_rows(ROWS, seed=0, speed=5), job("blocks:0.5,0.25,0.25"))
     # Blocks end at 3000, 4500 and 6000; the first rows of all but the first block are the gap.
     edges = dict(zip(PARTS, ((0, 3000), (3000 + GAP, 4500), (4500 + GAP, ROWS)), strict=True))
-    for starts, name in zip(found, parts, strict=True):
+    for starts, name in zip(found, SNAPSHOT_PARTS, strict=True):
         first, last = edges[name]
         assert len(starts) == ROWS
         assert np.flatnonzero(starts)[[0, -1]].tolist() == pytest.approx([first + 10, last - 251], abs=5)

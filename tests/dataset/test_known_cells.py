@@ -16,7 +16,7 @@ def test_a_snapshot_reaches_as_far_as_five_seconds_and_a_margin():
     flat = dataclasses.replace(flat, rise=np.zeros((481, 481, 2), np.float32))
     for yaw, speed in ((0.0, 4.0), (np.pi / 2, 4.0), (1.0, 0.0), (2.0, -0.1), (3.0, -4.0)):
         ahead = (-1 if speed < -1 else 1) * np.array([np.cos(yaw), np.sin(yaw)])
-        cells = crop(flat, np.array([1.0, 2.0, yaw, speed, 0.0, 0.0]), 18.0)  # a disc of 10 + 18 m, 10 m ahead
+        cells = crop(flat, np.array([1.0, 2.0, yaw, speed, 0.0, 0.0]))  # a disc of 10 + 18 m, 10 m ahead
         row, column = np.divmod(cells.place, cells.shape[1])
         places = cells.origin + 0.25 * np.stack((column, row), axis=-1)
         along = (places - [1.0, 2.0]) @ ahead

@@ -48,7 +48,7 @@ def test_only_known_cells_are_kept_and_come_back_in_their_places(tmp_path):
     terrain = tilted()
     writer = SnapshotWriter(tmp_path / "s", terrain.resolution, 2)
     states = [np.array([60.0 + 5 * n, 10.0 * n, 0.3 * n, 3.0, 0.0, 0.0]) for n in range(4)]
-    cells = [crop(terrain, state, 18.0) for state in states]
+    cells = [crop(terrain, state) for state in states]
     for number, kept in enumerate(cells):
         writer.add(100 * number, kept)
     writer.close()
@@ -74,7 +74,7 @@ def test_flat_ground_that_looks_of_nothing_is_kept(tmp_path):
     level = dataclasses.replace(level, rise=np.zeros((300, 300, 2), np.float16))
     writer = SnapshotWriter(tmp_path / "s", 0.25, 2)
     for row in range(3):
-        writer.add(row, crop(level, np.array([30.0, 30.0, 0, 3.0, 0, 0]), 18.0))
+        writer.add(row, crop(level, np.array([30.0, 30.0, 0, 3.0, 0, 0])))
     writer.close()
     snapshots = open_snapshots(tmp_path / "s")
     assert snapshots.first[-1] > 3 * CHUNK
@@ -124,7 +124,7 @@ def made(path: Path) -> store.Dataset:
             for row in evaluation_starts(rows, part == PARTS.index("test"))[::20]:
                 state = rows.state_causal[row].astype(np.float64)
                 state[:2] += rows.origin
-                writer.add(int(row), crop(tilted(), state, 18.0))
+                writer.add(int(row), crop(tilted(), state))
             writer.close()
             store.add_drive(path, f"drive {number}", rows, SPLIT, (), tilted(), folder / "s")
     return store.open_dataset(path)

@@ -47,7 +47,7 @@ def test_another_split_or_other_features_are_named_with_both(tmp_path: Path) -> 
         (SnapshotSettings(2.0), MapperSettings(), "snapshot_seconds: it has 0.5, wanted is 2.0"),
         (SnapshotSettings(0.5, min_speed=0.0), MapperSettings(), "snapshot_speed: it has 1.5, wanted is 0.0"),
         (SnapshotSettings(0.5, latency=0.0), MapperSettings(), "latency: it has 0.1, wanted is 0.0"),
-        (SnapshotSettings(0.5, margin=9.0), MapperSettings(), "snapshot_settings: it has none, wanted is margin 9.0"),
+        (SnapshotSettings(0.5, most=9), MapperSettings(), "snapshot_settings: it has none, wanted is most 9"),
         (SnapshotSettings(0.5), FINER, "map_settings: it has none, wanted is map.voxels.size 0.1"),
     ],
 )

@@ -16,7 +16,7 @@ from offpiste.core.object_store import brought, expanded
 from offpiste.core.parallel import Report, at_a_time, run_all
 from offpiste.dataset.ground_truth_features import LAYERS, FeatureSource, truth_map, with_ground_truth
 from offpiste.dataset.log_findings import LogFinding, UnusableLog, refuse_unusable
-from offpiste.dataset.map_snapshots import SnapshotSchedule, SnapshotSettings, SnapshotWriter
+from offpiste.dataset.map_snapshots import SNAPSHOT_PARTS, SnapshotSchedule, SnapshotSettings, SnapshotWriter
 from offpiste.dataset.place import drive_names, remove_if_empty, working_copy
 from offpiste.dataset.resample import Rows, extract_rows
 from offpiste.dataset.split_balance import fitting_split, split_warning
@@ -194,7 +194,7 @@ def snapshot_starts(rows: Rows, job: Job) -> list[Bool[np.ndarray, " N"]]:
     speed = min_evaluation_speed(job.rig.vehicle.wheelbase) if speed is None else speed
     part = job.settings.split.label(job.name, rows.world_xy)
     result = []
-    for name in job.settings.snapshots.parts:
+    for name in SNAPSHOT_PARTS:
         starts = np.zeros(len(part), bool)
         starts[evaluation_starts(rows, part == PARTS.index(name), min_speed=speed)] = True
         result.append(starts)

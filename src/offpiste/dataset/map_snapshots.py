@@ -29,6 +29,12 @@ CELL_ARRAYS = ("place", "elevation", "rise", "features")
 _STARTING, _BACKWARDS = 4.0, 0.5
 """Mean speed that a starting vehicle may reach, and speed above which it drives backwards [m/s]."""
 
+SNAPSHOT_PARTS = ("validation", "test")
+"""Parts with snapshots; training needs none."""
+
+MARGIN = 18.0
+"""Added to the radius of a snapshot [m]."""
+
 CHUNK = 8192
 """Cells per chunk of the store; a snapshot has some ten thousand."""
 
@@ -84,12 +90,11 @@ class CellList:
         return CellList(origin, (ny, nx), place, self.elevation[kept], self.rise[kept], self.features[kept])
 
 
-def crop(terrain: TerrainMap, state: Float[np.ndarray, " 6"], margin: float) -> CellList:
-    """Copy the known cells of a map within reach of a window.
+def crop(terrain: TerrainMap, state: Float[np.ndarray, " 6"], margin: float = MARGIN) -> CellList:
+    """Copy the known cells of a map within reach of a window, whose start has px and py in the world frame.
 
-    Args:
-        state: at the window's start, with px and py in the world frame.
-        margin: of `map_snapshots.SnapshotSettings` [m].
+    Their radius is half the distance of five seconds at the initial speed, plus a margin [m], around the point half
+    that distance ahead, or behind when driving backwards.
     """
     half = 0.5 * HORIZON_STEPS * DT * max(float(np.hypot(state[3], state[4])), _STARTING)
     ahead = -half if state[3] < -_BACKWARDS else half
@@ -138,10 +143,7 @@ class SnapshotSettings:
 
     Attributes:
         seconds: shortest time between two snapshots of a part [s].
-        parts: parts with snapshots; training needs none.
         most: largest number of snapshots per part of a drive; a longer part has them further apart.
-        margin: added to the radius of the map: half the distance of five seconds at the window's first speed, around
-            the point half that distance ahead, or behind when driving backwards [m].
         latency: shortest age of a measurement in the map at the window's start [s].
         min_speed: speed above which windows get a snapshot [m/s]; 0 includes standstills, None: the dataset's.
 
@@ -150,9 +152,7 @@ class SnapshotSettings:
     """
 
     seconds: float = 0.5
-    parts: tuple[str, ...] = ("validation", "test")
     most: int = 2000
-    margin: float = 18.0
     latency: float = PERCEPTION_LATENCY
     min_speed: float | None = None
 

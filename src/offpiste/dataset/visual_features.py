@@ -46,7 +46,7 @@ class SnapshotKeeper:
             return
         state = self.rows.state_causal[row].astype(np.float64)
         state[:2] += self.rows.origin
-        self._cells = crop(moment.layers.terrain_map(), state, self.settings.margin)
+        self._cells = crop(moment.layers.terrain_map(), state)
 
     def close(self) -> None:
         """Write the last map and the index of all, once the drive is over."""

@@ -209,17 +209,16 @@ def own_body(camera: Camera) -> Bool[np.ndarray, "h w"]:
     return mask
 
 
-def make_pinhole_camera(camera: Camera, patch: int, *, size: tuple[int, int] | None = None) -> PinholeCamera:
+def make_pinhole_camera(camera: Camera, patch: int) -> PinholeCamera:
     """Compute the rectification and the usable patches of a camera.
 
     Args:
         patch: side of a patch [px].
-        size: width and height of the rectified image [px]; the recorded image's by default.
 
     Raises:
         PerceptionError: a calibration or mask is invalid, or the image is smaller than a patch.
     """
-    rectifier = make_rectifier(camera.model, name=camera.name, size=size)
+    rectifier = make_rectifier(camera.model, name=camera.name)
     grid = PatchGrid(*rectifier.pinhole.size, patch)
     unusable = rectifier.mask(own_body(camera)) | ~rectifier.valid
     free = grid.share(unusable) <= MOST_OF_A_PATCH
