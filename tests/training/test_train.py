@@ -74,7 +74,7 @@ def test_a_stage_minimises_its_loss(dataset: Dataset, tmp_path: Path) -> None:
         speed = batch.state[:, 3:4]
         return (line(speed) - 2 * speed + 1)[:, 0].square()
 
-    stage = loop.Stage("line", line, misfit, 150)
+    stage = loop.Stage("line", line, misfit, 60)
     loop.run_stage(stage, windows, windows, replace(QUICK, learning_rate=0.1), tmp_path, lines.append)
     assert lines[-1]["validation_loss"] < 0.01 * lines[0]["validation_loss"]
     assert torch.equal(load_file(tmp_path / "line.safetensors")["weight"], line.weight)

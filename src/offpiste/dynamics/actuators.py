@@ -20,7 +20,7 @@ LagConstants = dict[str, Constants]
 
 
 class Actuators(nn.Module):
-    """All recorded actuators.
+    """Delay models of all recorded actuators.
 
     Residuals are added to the last derivative of a lag, such as d(pressure)/dt [1/s] and d(steer_rate)/dt [rad/s^2].
     They read the actuator, its command and the forward speed.

@@ -1,4 +1,4 @@
-"""The physics of the parametric bicycle as functions of plain scalars (paper, eqs. 1-4).
+"""Physics of the parametric bicycle as functions of plain scalars (paper, eqs. 1-4).
 
 The elementary functions are arguments: torch's evaluate the physics on batches (`offpiste.dynamics.torch_physics`),
 SymPy's yield the expressions that kernels are derived from. docs/method.md explains deviations from the printed
@@ -11,7 +11,7 @@ from typing import Any, Final, NamedTuple
 from offpiste.core.conventions import DT, GRAVITY
 
 Scalar = Any
-"""A number, a tensor of any shape, or a symbol."""
+"""Number, tensor of any shape, or symbol."""
 
 
 class Elementary(NamedTuple):

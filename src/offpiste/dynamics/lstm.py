@@ -1,4 +1,4 @@
-"""The network that corrects the physics: a recurrent cell whose state is initialised from the recent past."""
+"""Network that corrects the physics: a recurrent cell whose state is initialised from the recent past."""
 
 from collections.abc import Callable
 from typing import Final, Protocol
@@ -18,7 +18,7 @@ UNLIMITED: Final = 1e9
 
 
 class Cell(Protocol):
-    """A module that steps a recurrent state whose content only the module itself knows.
+    """Module that steps a recurrent state with a layout known only to itself.
 
     Attributes:
         state_size: length S of the state.
@@ -52,7 +52,7 @@ class LSTM(nn.LSTMCell):
 
 
 class Compensator(nn.Module):
-    """The correction zeta of eq. 5: recurrent cell (4 units) and output network (20), initialised by an LSTM (20).
+    """Correction zeta of eq. 5: recurrent cell (4 units) and output network (20), initialised by an LSTM (20).
 
     The output network reads the cell's hidden units and the inputs. Its last layer starts at zero, so that an untrained
     compensator leaves the physics unchanged. Inputs beyond their range in training are clamped, and the outputs fade.

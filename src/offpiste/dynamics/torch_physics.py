@@ -1,4 +1,4 @@
-"""The scalar physics on batches of tensors, and the learned constants as a module."""
+"""Scalar physics on batches of tensors, and the learned constants as a module."""
 
 from typing import Final
 

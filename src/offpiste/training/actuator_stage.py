@@ -96,7 +96,7 @@ def fit_actuators(
 
 
 def stage_key(windows: Windows, validation: Windows, vehicle: Vehicle, config: TrainConfig, processes: int) -> str:
-    """Digest of the inputs of the fit: recorded rows, channels, settings, code and machine.
+    """Return the digest of the inputs of the fit: recorded rows, channels, settings, code and machine.
 
     Args:
         windows, validation: windows of the two parts.
@@ -124,13 +124,13 @@ def stage_key(windows: Windows, validation: Windows, vehicle: Vehicle, config: T
 
 
 def _code_of(function: Any) -> list[str]:
-    """Byte code of a function, which an extension may define."""
+    """Return the byte code of a function, which may be defined by an extension."""
     code = function.__code__
     return [code.co_code.hex(), repr(code.co_names), repr([c for c in code.co_consts if not hasattr(c, "co_code")])]
 
 
 def stage_entry(key: str) -> Path:
-    """Path of a cache entry."""
+    """Return the path of a cache entry."""
     return cache_folder() / "stages" / f"{NAME}-{key[:32]}.safetensors"
 
 

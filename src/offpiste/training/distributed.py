@@ -19,7 +19,7 @@ TIMEOUT = timedelta(minutes=30)
 
 @dataclass(frozen=True)
 class Group:
-    """The processes of a training.
+    """Processes of a training.
 
     Attributes:
         rank: number of this process; process 0 writes files.

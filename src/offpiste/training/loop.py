@@ -54,7 +54,7 @@ Record = Callable[[Metrics], None]
 
 @dataclass(frozen=True)
 class BestEpoch:
-    """The epoch with the least validation loss.
+    """Epoch with the least validation loss.
 
     Attributes:
         epoch: its number, from 1; 0: the initial weights.
@@ -76,7 +76,7 @@ class BestEpoch:
 
     @property
     def has_converged(self) -> bool:
-        """Whether an earlier epoch was better than the last one, or the last ones hardly improved."""
+        """Whether an earlier epoch was better than the last one, or the last epochs hardly improved."""
         gains = self.gained is None or self.gained > _CONVERGED
         return not (self.epoch == self.epochs > 1 and gains)
 

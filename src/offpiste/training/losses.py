@@ -66,13 +66,13 @@ WindowLoss = Callable[[Trajectory, Batch], Float[Tensor, " B"]]
 
 @LOSSES.register("squared")
 def squared_loss(squared: Float[Tensor, "B T 5"], weights: Float[Tensor, " 5"]) -> Float[Tensor, " B"]:
-    """Mean over steps, weighted sum over components, as in the paper."""
+    """Return the mean over steps and weighted sum over components, as in the paper."""
     return (squared.mean(dim=1) * weights).sum(dim=-1)
 
 
 @LOSSES.register("charbonnier")
 def charbonnier_loss(squared: Float[Tensor, "B T 5"], weights: Float[Tensor, " 5"]) -> Float[Tensor, " B"]:
-    """Squared loss x with its tail bent: 2 d (sqrt(x + d²) - d) with d = `BEND` (Charbonnier et al. 1994).
+    """Return the squared loss x with a bent tail: 2 d (sqrt(x + d²) - d) with d = `BEND` (Charbonnier et al. 1994).
 
     It equals x far below d² and grows as sqrt(x) far above, so that the few worst windows do not dominate.
     """
@@ -80,7 +80,7 @@ def charbonnier_loss(squared: Float[Tensor, "B T 5"], weights: Float[Tensor, " 5
 
 
 def squared_errors(predicted: Float[Tensor, "B T 6"], target: Float[Tensor, "B T 6"]) -> Float[Tensor, "B T 5"]:
-    """Squared errors by component (`COMPONENTS`): of position as a vector, of yaw wrapped."""
+    """Return squared errors by component (`COMPONENTS`): of the position vector, of the wrapped yaw."""
     difference = predicted - target
     position = difference[..., :2].square().sum(dim=-1)
     yaw = wrap_angle(difference[..., 2]).square()
@@ -93,7 +93,7 @@ def summed_loss(
     scale: Float[Tensor, " 5"],
     weights: Float[Tensor, " 5"],
 ) -> Float[Tensor, " B"]:
-    """Squared loss of each window, by which models are evaluated.
+    """Return the squared loss of each window, by which models are evaluated.
 
     Args:
         scale: mean square error of the reference (`loss_scale`).
@@ -103,7 +103,7 @@ def summed_loss(
 
 
 def loss_scale(reference: Dynamics, windows: Windows, config: TrainConfig) -> Float[Tensor, " 5"]:
-    """Mean square error of the reference model on training windows, by component: the units of the loss.
+    """Return the mean square error of the reference model on training windows by component: the units of the loss.
 
     Raises:
         TrainingError: an error is so large that no vehicle moved so.
@@ -142,7 +142,7 @@ class MapLoss:
 
     @torch.no_grad()
     def of(self, dynamics: Dynamics, loss: WindowLoss) -> float:
-        """Mean loss of a model."""
+        """Return the mean loss of a model."""
         trained, here = next(dynamics.parameters()).device, self.windows.device
         total = torch.zeros((), dtype=torch.float64, device=here)
         if len(self._mine):
@@ -162,7 +162,7 @@ class MapLoss:
 
     @cached_property
     def kept(self) -> tuple[Batch, CellStack]:
-        """Batch of this process's windows, and their maps near the recorded path."""
+        """Windows of this process and their maps near the recorded path."""
         batch = replace(self.windows.gather(self._mine), ground=None)
         path = torch.cat((batch.state[:, None, :2], batch.target[:, EVERY - 1 :: EVERY, :2]), dim=1)
         places = path.double() + self.windows.places(self._mine)[:, None]
@@ -202,7 +202,7 @@ def actuator_loss(actuators: Actuators, windows: Windows) -> Callable[[Batch], F
 
 
 def actuator_variance(windows: Windows) -> Float[Tensor, " A"]:
-    """Variance of each recorded actuator, over evenly spread windows."""
+    """Return the variance of each recorded actuator over evenly spread windows."""
     spread = np.unique(np.linspace(0, len(windows) - 1, min(len(windows), _SAMPLED)).astype(int))
     return windows.gather(spread).target_actuators.flatten(0, 1).var(dim=0).clamp(min=1e-6)
 

@@ -24,7 +24,7 @@ from offpiste.dynamics.kernels.map_rollout import predict_on
 from offpiste.mapping.terrain_sampler import MapTerrain
 
 Lookup = Literal["recorded", "map"]
-"""Where a model reads the terrain: under the wheels' recorded future places, or on a map at predicted places."""
+"""Source of the terrain: under the recorded future positions of the wheels, or on a map at predicted positions."""
 
 Joined = TypeVar("Joined")
 
@@ -168,14 +168,14 @@ class _Codes(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, codes: Tensor, cells: Tensor) -> Tensor:
-        """Codes [*S, E]."""
+        """Return codes [*S, E]."""
         ctx.cells, ctx.count = cells, len(codes)
         return _rows(codes, cells)
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, bar: Tensor) -> tuple[Tensor, None]:
-        """Adjoint of the codes."""
+        """Return the adjoint of the codes."""
         if not ctx.cells.numel():
             return bar.new_zeros(ctx.count, bar.shape[-1]), None
         cells, order = torch.sort(ctx.cells.flatten().int(), stable=True)  # half the bits sort in half the time

@@ -127,7 +127,7 @@ _SAME: Final = ("model", "seed", "split", "seen", "pca", "features", "assumption
 
 @dataclass(frozen=True, repr=False)
 class Run:
-    """A trained model and the data it was trained on.
+    """Trained model and the data it was trained on.
 
     Attributes:
         scale: units of the loss (`losses.loss_scale`).
@@ -322,7 +322,7 @@ def check_device(name: str) -> torch.device:
 
 
 class Overlap(NamedTuple):
-    """A drive, and the time of it in a part that a model was fitted to."""
+    """Drive with the time that a model was fitted to."""
 
     drive: str
     seconds: float

@@ -203,7 +203,7 @@ def draw_calibration(within: Mapping[str, Float[np.ndarray, "N H"]]) -> Figure:
 
 
 def crps(error: Float[np.ndarray, "*B"], scale: Float[np.ndarray, "*B"], freedom: float) -> Float[np.ndarray, "*B"]:
-    """Continuous ranked probability score of a component [m]; 0 is perfect (Jordan et al. 2019, appendix A).
+    """Return the continuous ranked probability score of a component [m]; 0 is perfect (Jordan et al. 2019, appendix A).
 
     Args:
         error, scale: of the component [m].
@@ -217,7 +217,7 @@ def crps(error: Float[np.ndarray, "*B"], scale: Float[np.ndarray, "*B"], freedom
 
 
 def area_under_curve(score: Float[np.ndarray, " N"], positive: Bool[np.ndarray, " N"]) -> float:
-    """Probability that a positive has a higher score than a negative, ties counting half; NaN without both."""
+    """Return the probability that a positive scores higher than a negative; ties count half, NaN without both."""
     positives, others = int(positive.sum()), int((~positive).sum())
     if not positives or not others:
         return math.nan

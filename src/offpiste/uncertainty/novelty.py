@@ -76,7 +76,7 @@ class MemoryBank(nn.Module):
         return apart.topk(int(self.neighbours), dim=1, largest=False).values.mean(dim=1)
 
     def novel(self, features: Float[Tensor, "N F"]) -> Bool[Tensor, " N"]:
-        """Whether features are beyond the threshold; false if a feature is NaN."""
+        """Return whether features are beyond the threshold; false if a feature is NaN."""
         return self.distance(features) > self.limit
 
 
