@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from factories import RIG, circle_rows, small_rig
-from offpiste.core.errors import DatasetError, OffpisteError, RunError
+from offpiste.core.errors import OffpisteError, RunError
 from offpiste.dataset.resample import Rows
 from offpiste.dataset.splits import Split
 from offpiste.dataset.store import Dataset, StoredDrive, add_drive, create, open_dataset
@@ -122,14 +122,6 @@ def test_every_window_is_in_one_band(dataset: Dataset) -> None:
         REVERSE: {"backwards"},
     }
     assert np.sum(list(members(windows).values()), axis=0).tolist() == [1] * len(windows.row)
-
-
-def test_by_default_windows_start_where_they_always_did(dataset: Dataset) -> None:
-    assert dataset.starting_above(None) is dataset
-    assert {dataset.drives[d].name for d in of(dataset).drive} == {"slow", "usual", "fast", "backwards"}
-    assert {dataset.drives[d].name for d in of(dataset.starting_above(3.0)).drive} == {"usual", "fast"}
-    with pytest.raises(DatasetError, match="starts above 20 m/s"):
-        Windows(dataset.starting_above(20.0), "test")
 
 
 def test_a_gear_says_what_is_in_reverse(dataset: Dataset) -> None:

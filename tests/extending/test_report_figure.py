@@ -26,7 +26,7 @@ def test_the_report_has_the_figure_of_an_extension(tmp_path: Path) -> None:
     succeeded("evaluate", tmp_path / "run", "--dataset", path, "--out", out, extension="yaw_rate_figure")
     assert (out / "yaw_rate.png").read_bytes().startswith(b"\x89PNG")
     page = (out / "report.html").read_text("utf-8")
-    assert "by the yaw rate at the start; every bin holds as many windows.</figcaption>" in page
+    assert "by the initial yaw rate; all bins hold equal numbers of windows.</figcaption>" in page
     headings = [part.partition("</h2>")[0] for part in page.split("<h2>")[1:]]
     assert headings[-3:] == ["Worst windows", "Error by yaw rate", "How to read this"]
     assert page.count("data:image/png;base64,") == page.count('<figure class="charts">') == 7

@@ -1,1 +1,1 @@
-"""`offpiste demo`: shipped models in a new world, or the whole path from simulation to driving."""
+"""`offpiste demo`: shipped models in a new world, or all stages from simulation to driving."""

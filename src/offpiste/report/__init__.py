@@ -1,1 +1,1 @@
-"""What commands write for people: tables of text, figures, and HTML pages that need no other file."""
+"""Output of commands for people: tables of text, figures, and self-contained HTML pages."""

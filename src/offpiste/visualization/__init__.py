@@ -1,1 +1,1 @@
-"""Pictures of logs and datasets, Rerun recordings, and reports of what features cover."""
+"""Pictures of logs and datasets, Rerun recordings, and reports of feature coverage."""
