@@ -49,7 +49,8 @@ WHOLE_PATHS = (
     "golden/", "reproduction/", "inspection/test_inspect.py", "inspection/test_late_poses.py",
     "inspection/test_recorded.py", "inspection/test_remedies.py",
     "inspection/test_several_clocks.py", "inspection/test_steering.py",
-    "runtime/test_backing_out.py", "runtime/test_compiled_and_loaded.py",
+    "closed_loop/test_drive_course.py", "closed_loop/test_recording.py", "runtime/test_backing_out.py",
+    "runtime/test_compiled_and_loaded.py", "runtime/test_runtime.py", "runtime/test_settings.py",
     "simulation/test_recorder.py",
 )  # fmt: skip
 """Tests that run without checks of shapes, as users do: their parts have tests with checks, which take up to half of

@@ -227,8 +227,12 @@ class Mud(Held):
 
 
 def test_a_stuck_vehicle_backs_out_and_goes_around():
-    stream = straight_drive(dynamics=geared(), wanted=3.0, stream={"truth": Mud()})
-    stream.run(19.0)
+    stream = straight_drive(
+        dynamics=geared(), wanted=3.0, stream={"truth": Mud()}, backing_out=BackingOutSettings(after=2.0)
+    )
+    stream.run(10.0)
+    while stream.states[-1][0] < 9.5 and len(stream.states) < 950:
+        stream.run(0.5)
     x, y = np.array([state[:2] for state in stream.states]).T
     stuck = int(np.flatnonzero(x > 6.0)[0])
     behind = stuck + int(np.argmin(x[stuck:]))
