@@ -1,4 +1,4 @@
-"""Shared by all tests; modules that declare shapes have shapes and types checked while they run."""
+"""Fixtures and settings of all tests; modules with declared shapes are checked at run time."""
 
 import fcntl
 import os
@@ -10,13 +10,13 @@ from typing import Any
 if "PYTEST_XDIST_WORKER" in os.environ:  # each worker has a core; libraries read this when they are first imported
     os.environ.setdefault("OMP_NUM_THREADS", "1")
 
-# Machine code of yesterday is as good as today's; fitted stages of yesterday must not be taken.
+# Machine code is kept between sessions, fitted stages are not.
 os.environ.setdefault("NUMBA_CACHE_DIR", str(pathlib.Path(__file__).parents[1] / ".numba_cache"))
 os.environ["OFFPISTE_CACHE"] = (_cache := tempfile.TemporaryDirectory(prefix="offpiste-cache-")).name
 if "PYTEST_XDIST_WORKER" not in os.environ:  # workers inherit it
     os.environ["OFFPISTE_TEST_SESSION"] = (_session := tempfile.TemporaryDirectory(prefix="offpiste-tests-")).name
 
-# While the hook imports a module, Python compiles whatever that imports anew, and other people's packages are large.
+# While the hook imports a module, Python recompiles its imports, so large packages are imported before.
 import cv2  # noqa: F401
 import jaxtyping
 import numba  # noqa: F401
@@ -40,7 +40,7 @@ from pathlib import Path  # noqa: E402
 import pytest  # noqa: E402
 from hypothesis import settings  # noqa: E402
 
-# The suite gives the same answer every time; `--hypothesis-profile=default` looks for new counterexamples.
+# Tests are repeatable; `--hypothesis-profile=default` searches for new counterexamples.
 settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.load_profile("repeatable")
 
@@ -53,8 +53,7 @@ WHOLE_PATHS = (
     "runtime/test_compiled_and_loaded.py", "runtime/test_runtime.py", "runtime/test_settings.py",
     "simulation/test_recorder.py",
 )  # fmt: skip
-"""Tests that run without checks of shapes, as users do: their parts have tests with checks, which take up to half of
-the time here."""
+"""Tests without shape checks, which take up to half of their time; other tests check the same code."""
 
 
 SLOW = (
@@ -67,19 +66,23 @@ SLOW = (
     "live/test_live_faults.py::", "live/test_lockstep.py::test_a_signal",
     "live/test_record.py::test_a_recording_in_several", "transport/test_zenoh.py::test_a_router_outlives",
     "reproduction/test_reproduce.py", "runtime/test_compiled_and_loaded.py",
-    "core/test_cluster.py::test_a_worker_and_a_node_that_are_killed",
+    "core/test_cluster.py::", "dataset/test_place.py::", "test_bombs.py::", "test_poison.py::",
+    "test_benchmarks.py::test_inspection", "test_benchmarks.py::test_the_pictures",
     "test_kill.py::test_a_killed_training_and_simulation", "core/test_object_store.py::test_a_bucket_that_is_not_there",
     "rig/test_sensors.py::test_the_proving_grounds_rig_masks", "training/test_distributed.py::test_on_two_hosts",
 )  # fmt: skip
-"""Tests that only `.ci/full` runs, but for those in `SMOKE`."""
+"""Tests that only `.ci/full` runs, except those in `SMOKE`."""
 
 SMOKE = (
     "exports/test_onnx_files.py::test_images_become_the_codes", "live/test_live_faults.py::test_a_clock_that_stands",
     "live/test_live_faults.py::test_a_drive_with_every_process", "live/test_live_faults.py::test_a_drive_ends_by",
     "reproduction/test_reproduce.py::test_every_size_can_be_started",
     "experiments/closed_loop_table/test_command_line.py",
+    "core/test_cluster.py::test_a_cluster_that_does_not", "dataset/test_place.py::test_from_and_to_a_store",
+    "test_bombs.py::test_every_compression", "test_bombs.py::test_rosbags", "test_bombs.py::test_a_definition",
+    "test_bombs.py::test_the_json_of_a_run", "test_poison.py::test_a_draw", "test_poison.py::test_models_are_trained",
 )  # fmt: skip
-"""One test or so of each slow group."""
+"""A few tests of each slow group for the default suite."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -92,7 +95,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture(scope="module", autouse=True)
 def shapes_checked(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Check shapes and types, but for tests of whole paths."""
+    """Check shapes and types, except in `WHOLE_PATHS`."""
     where = request.path.relative_to(Path(__file__).parent).as_posix()
     before = jaxtyping.config.jaxtyping_disable
     jaxtyping.config.update("jaxtyping_disable", before or where.startswith(WHOLE_PATHS))
@@ -102,31 +105,31 @@ def shapes_checked(request: pytest.FixtureRequest) -> Iterator[None]:
 
 @pytest.fixture(autouse=True)
 def first_calls_checked() -> None:
-    """Check the first calls in each test, whatever ran before it in this process."""
+    """Check the first calls of each test."""
     sampled_checks.begin_test()
 
 
 @pytest.fixture(autouse=True)
 def no_lines_of_progress(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Print no lines of progress, however slow the machine is, but in their own test."""
+    """Print no progress lines on slow machines, except in their own test."""
     if request.path.name != "test_progress.py":
         monkeypatch.setattr("offpiste.core.progress.EVERY", float("inf"))
 
 
 @pytest.fixture(scope="session")
 def bounds_checked() -> dict[str, str]:
-    """Environment of a process that compiles kernels with bounds checks, and keeps them apart from those without."""
+    """Environment of a process that compiles kernels with bounds checks, with a cache of its own."""
     folder = Path(os.environ["NUMBA_CACHE_DIR"]) / "bounds-checked"
     return os.environ | {"NUMBA_BOUNDSCHECK": "1", "NUMBA_OPT": "0", "NUMBA_CACHE_DIR": str(folder)}
 
 
 REAL_TIME = ("live/test_live_faults.py", "live/test_play.py", "live/test_supervisor.py")
-"""Tests with deadlines of a tenth of a second: two of them at once would miss them on two cores."""
+"""Tests with deadlines of 0.1 s, which must not run in parallel on two cores."""
 
 
 @pytest.fixture(autouse=True)
 def in_turn(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Let no two tests in real time run at once."""
+    """Run tests in real time one at a time."""
     if not request.path.relative_to(Path(__file__).parent).as_posix().startswith(REAL_TIME):
         yield
         return
@@ -136,13 +139,13 @@ def in_turn(request: pytest.FixtureRequest) -> Iterator[None]:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Files go to workers in their order: those with few tests are long ones, and would come last."""
+    """Keep the order of files: xdist would run long files with few tests last."""
     config.option.loadscopereorder = False
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> object | None:
-    """Files to workers, those in real time to one: two workers that take turns wait for each other."""
+    """Distribute files over workers, with all tests in real time on one."""
     if config.getvalue("dist") != "loadfile":
         return None
     from xdist.scheduler import LoadFileScheduling
@@ -156,13 +159,13 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> object | Non
 
 
 def pytest_xdist_auto_num_workers() -> int:
-    """One more than cores: tests of processes wait for them most of the time."""
+    """Return one more than the number of cores, because tests of processes mostly wait."""
     return len(os.sched_getaffinity(0)) + 1
 
 
 @pytest.fixture(scope="session")
 def data_folder() -> Path:
-    """Recorded data beside the project (its README says what it is)."""
+    """Recorded data beside the project (see its README)."""
     beside = Path(__file__).parents[2] / "shared" / "data"
     folder = Path(os.environ.get("OFFPISTE_DATA") or beside)
     if not folder.is_dir():
