@@ -64,9 +64,7 @@ def test_time_is_guessed_by_name(tmp_path: Path, name: str) -> None:
 
 @pytest.mark.parametrize(
     ("name", "per_second"),
-    [(name, 1000) for name in ("millis", "ms", "msec", "time_ms", "ticks_ms", "elapsed_millis", "milliseconds")]
-    + [(name, 1_000_000) for name in ("micros", "usec", "t_us", "microseconds")]
-    + [("timestamp_ns", 1_000_000_000)],
+    [("millis", 1000), ("ms", 1000), ("ticks_ms", 1000), ("t_us", 1e6), ("microseconds", 1e6), ("timestamp_ns", 1e9)],
 )
 def test_a_clock_that_is_named_by_its_unit(tmp_path: Path, name: str, per_second: int) -> None:
     """As an Arduino writes it: a slow logger, whose rate alone does not tell the unit, and a gap."""
