@@ -32,6 +32,8 @@ RATES: Final = (0.2, 20_000.0)
 
 _TABLES: Final = tomllib.loads((resources.files("offpiste.rig") / "labels.toml").read_text("utf-8"))
 
+_PATTERNS: Final = {name: re.compile(pattern) for name, pattern in _TABLES["patterns"].items()}
+"""Patterns of names (see labels.toml)."""
 PRESSURES: Final = frozenset(("pa", "kpa", "mpa", "bar", "psi"))
 """Units of pressures."""
 
@@ -45,40 +47,17 @@ _AFTER: Final[dict[str, str]] = {spelling: unit for spelling, unit in _UNITS.ite
 _WORD_BEGINS: Final = re.compile(r"(?<=[a-z0-9])(?=[A-Z])(?!(?<=[\W_][mk])(V|A|W|Pa|Hz)(?![a-z]))")
 """Starts of words marked by a capital, except in units such as mV or kPa."""
 _BRACKET: Final = re.compile(r"^(.*?)[\s_]*(?:\[([^\[\]]*)\]|\(([^()]*)\)|\{([^{}]*)\}|<([^<>]*)>)$")
-_PRESSED: Final = re.compile("brake|press|line|circuit|hydr|air")
-"""Names of quantities measured in psi, which otherwise is a heading."""
 _WORDED: Final = re.compile(r"^(.*\S)(?:\s+/\s*|,\s*|\s+in\s+)\(?([^\s()]+)\)?$")
 _SUFFIX: Final = re.compile(
     r"^(.*?[^\W_])(?:[_\s-]+("
     + "|".join(re.escape(s) for s in sorted(_AFTER, key=len, reverse=True))
     + r")|\s*([%‰°º]))$"
 )
-_OF_THE_TOPIC: Final = re.compile(
-    r"^(vector|point|quaternion|angle)\.[xyzw]$|^(manual_input|command|output)$|^(front|rear)_(left|right)$"
-    r"|^(percent|pressure|torque)_(cmd|com+and|input|output)$"
-    r"|^pedal(_(cmd|com+and|value|input|output|pos(ition)?))?$"
-)
-"""Fields whose quantity is named by the topic only: components of vectors, reports of actuators, pedals."""
-_COMMAND_WORDS: Final = "cmd|com+and(ed)?|setpoint|desired|target|req(uest(ed)?)?|ref(erence)?"
-_PLACE_WORDS: Final = "((road_?|front_?)?wheel_?|tyre_?|tire_?)?(angle|ang|pos(ition)?|pedal|value|percent|pct|effort)"
-_ASKED: Final = re.compile(
-    rf"^({_PLACE_WORDS}_)?({_COMMAND_WORDS})$|^({_COMMAND_WORDS})_{_PLACE_WORDS}$|^(measured|actual)_(wheel_)?angle$"
-    r"|^(wheel_)?angle_(meas(ured)?|act(ual)?|feedback|fb)$"
-)
-"""Fields of commanded or measured positions whose quantity is named by the topic only."""
-_BESIDES: Final = re.compile(
-    r"(?<![a-z])(lim(it)?s?|max(imum)?|min(imum)?|seq(uence)?|crc|checksum|ok|id|valid(ity)?|status|mode|enabled?|active"
-    r"|priority|faults?|overrid(e|den)|time_?out|(alive|rolling|message|msg)_?count(er)?|counter)$"
-    r"|^(max(imum)?|min(imum)?|enable|override|ignore|clear|watchdog)_"
-)
-"""Attributes of a quantity: limits, validity flags, switches and message counters."""
 _NUMBER_ONLY: Final = re.compile(r"[/.](data|value)$")
 _COMMENT: Final = re.compile(r"^ *(#+|//+|%+(?!.*[,;|\t] *%)) *(?=[^\s,;|])")
 """Comment sign before a header, as numpy.savetxt or `rostopic echo -p` writes it; signs before each name are units."""
 _NAMES: Final = {"rpm"}
 """Units that are also the name of a quantity and stay part of it."""
-_CLOCKS: Final = re.compile("m(illi)?s(ec(ond)?s?)?|u(s(ec)?s?)|ns(ec)?s?|(milli|micro|nano)(s|seconds?)")
-"""Units of time that are also names of clocks, such as `millis` of an Arduino."""
 
 
 @dataclass(frozen=True)
@@ -104,10 +83,10 @@ def _as_written(header: str) -> Label:
             return Label(name.strip(" /,"), unit)
     if (match := _WORDED.match(text)) and (unit := unit_of(match[2])) is not None:
         return Label(match[1].strip(), unit)
-    if (match := _SUFFIX.match(text)) and (match[2] != "psi" or _PRESSED.search(match[1])):
+    if (match := _SUFFIX.match(text)) and (match[2] != "psi" or _PATTERNS["pressed"].search(match[1])):
         spelling = match[2] or match[3]
         return Label(text if spelling in _NAMES else match[1], _AFTER[spelling])
-    return Label(text, _UNITS[text] if _CLOCKS.fullmatch(text) else "")
+    return Label(text, _UNITS[text] if _PATTERNS["clock"].fullmatch(text) else "")
 
 
 def field_labels(
@@ -123,7 +102,7 @@ def field_labels(
     result = {}
     quantities = [name for name in fields if not is_beside_quantity(name)]
     for name in fields:
-        asked = _OF_THE_TOPIC.search(name) or _ASKED.search(parse_label(name).name)
+        asked = _PATTERNS["of_the_topic"].search(name) or _PATTERNS["asked"].search(parse_label(name).name)
         alone = len(quantities) <= 2 and name in quantities
         by_topic = len(fields) <= 2 or (topic and (alone or asked))
         whole = joints.get(name) or (f"{topic}/{name}" if by_topic else name)
@@ -136,7 +115,7 @@ def field_labels(
 
 def is_beside_quantity(field: str) -> bool:
     """Return whether a field is a limit, counter, switch or the like, rather than a quantity."""
-    return _BESIDES.search(re.split("[./]", parse_label(field).name)[-1]) is not None
+    return _PATTERNS["beside_quantity"].search(re.split("[./]", parse_label(field).name)[-1]) is not None
 
 
 def is_array_entry(field: str) -> bool:
@@ -210,8 +189,6 @@ GEOGRAPHIC_NAMES: Final = tuple(
 """Patterns of names of latitude, longitude and height."""
 COURSE_NAMES: Final = r"track|head(ing)?_?(of_?)?mot(ion)?|trk_gnd|course([_ ]over[_ ]ground|[_ ]?angle)?|cog"
 """Pattern of names of a course over ground, without its boundaries."""
-_COURSE_WORD: Final = re.compile(r"(?i)course|(?<![a-z])(cog|trk|track)(?![a-z])|gps[ _.]?(heading|hdg)|head\w*mot")
-"""Pattern of any name that contains a course over ground."""
 
 
 def with_letters(name: str) -> str:
@@ -246,7 +223,7 @@ def named_direction(field: str) -> bool:
 
 def named_course(field: str) -> bool:
     """Return whether a field is named as a course over ground, which is not a heading."""
-    return _COURSE_WORD.search(field) is not None
+    return _PATTERNS["course"].search(field) is not None
 
 
 def _last_letter(name: str) -> str:

@@ -1,10 +1,12 @@
 """Writer of MCAP files of ROS 2 messages that remain readable after an interruption."""
 
 import functools
+import tomllib
 from concurrent.futures import Future, ThreadPoolExecutor
+from importlib import resources
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from mcap.writer import CompressionType, Writer
@@ -13,41 +15,12 @@ from rosbags.typesys.store import Typestore
 
 from offpiste.core.errors import LogError
 
-DEFINITIONS: Final = {
-    "grid_map_msgs/msg/GridMapInfo": """
-        float64 resolution
-        float64 length_x
-        float64 length_y
-        geometry_msgs/Pose pose
-    """,
-    "grid_map_msgs/msg/GridMap": """
-        std_msgs/Header header
-        GridMapInfo info
-        string[] layers
-        string[] basic_layers
-        std_msgs/Float32MultiArray[] data
-        uint16 outer_start_index
-        uint16 inner_start_index
-    """,
-    "ackermann_msgs/msg/AckermannDrive": """
-        float32 steering_angle
-        float32 steering_angle_velocity
-        float32 speed
-        float32 acceleration
-        float32 jerk
-    """,
-    "ackermann_msgs/msg/AckermannDriveStamped": """
-        std_msgs/Header header
-        AckermannDrive drive
-    """,
-}
-"""Definitions of types that rosbags lacks, of ANYbotics/grid_map and ros-drivers/ackermann_msgs (branches ros2)."""
-
 
 def new_typestore() -> Typestore:
-    """Return the message types of ROS 2 and of `DEFINITIONS`."""
+    """Return the message types of ROS 2 and of definitions.toml."""
     store = get_typestore(Stores.ROS2_JAZZY)
-    for name, text in DEFINITIONS.items():
+    definitions = (resources.files("offpiste.logs.ros") / "definitions.toml").read_text("utf-8")
+    for name, text in tomllib.loads(definitions).items():
         store.register(get_types_from_msg(text, name))
     return store
 
