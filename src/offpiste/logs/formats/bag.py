@@ -200,8 +200,12 @@ class BagLog(Log):
         """Yield the arrival [ns] and the decoded message."""
         one = frame_pair(name)
         if one is not None and self._topics[one.topic].type not in TRANSFORMS:
-            decode = decoder or whole_messages
-            both = self._messages(one.topic, msgtype, lambda c, path: _with_frames(c, path, decode(c, path)))
+
+            def framed(connection: Connection, path: Path) -> Callable[[bytes], object]:
+                frames, decode = _frames_only(connection, path), (decoder or whole_messages)(connection, path)
+                return lambda raw: (frames(raw), decode(raw))
+
+            both = self._messages(one.topic, msgtype, framed)
             yield from ((received, message) for received, (frames, message) in both if frames == one[1:])
             return
         if one is not None:
@@ -338,13 +342,6 @@ def _frames_only(connection: Connection, path: Path) -> Callable[[bytes], tuple[
     if read is None:
         raise LogError("no header", where=path)
     return lambda raw: read(raw)[:2]
-
-
-def _with_frames(
-    connection: Connection, path: Path, decode: Callable[[bytes], object]
-) -> Callable[[bytes], tuple[tuple[str, str], object]]:
-    frames = _frames_only(connection, path)
-    return lambda raw: (frames(raw), decode(raw))
 
 
 def _others(readers: Sequence[Reader], path: Path) -> list[str]:
