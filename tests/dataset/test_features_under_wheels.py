@@ -10,7 +10,7 @@ from feature_datasets import dataset_with_features
 from offpiste.core.errors import DatasetError
 from offpiste.dataset.feature_sets import FeatureSetChoice, same_feature_set, set_number
 from offpiste.dataset.features_under_wheels import ArrayReader, Cells, CellTable, NormalsUnderWheels
-from offpiste.dataset.ground_tables import ResidentCells, ResidentNormals, free_budget, ground_tables
+from offpiste.dataset.ground_tables import ResidentCells, free_budget, ground_tables
 from offpiste.dataset.windows import Windows
 
 SETS, FEATURES = 3, 2
@@ -80,13 +80,13 @@ def test_a_file_that_is_cut_short_is_refused(tmp_path):
         slabs.read(1, 0, np.empty(4, np.float32))
 
 
-@pytest.mark.parametrize("table", [NormalsUnderWheels, ResidentNormals])
+@pytest.mark.parametrize("resident", [False, True])
 @pytest.mark.parametrize("disk", [False, True])
-def test_normals_of_a_window_are_of_its_set(tmp_path, disk, table):
+def test_normals_of_a_window_are_of_its_set(tmp_path, disk, resident):
     rng = np.random.default_rng(1)
     arrays = [rng.normal(size=(SETS, rows, 4, 3)).astype(np.float32) for rows in (30, 20)]
     given_ = [on_disk(a, tmp_path / str(n)) for n, a in enumerate(arrays)] if disk else arrays
-    normals, start = table(given_, torch.device("cpu")), np.array([0, 24, 30, 44])
+    normals, start = NormalsUnderWheels(given_, torch.device("cpu"), resident=resident), np.array([0, 24, 30, 44])
     whole = np.concatenate(arrays, axis=1)
     for sets in (rng.integers(0, SETS, 4), np.zeros(4, int)):
         found = normals.at(start, 6, sets).numpy()

@@ -23,6 +23,11 @@ def to_device(array: np.ndarray, device: torch.device) -> Tensor:
     return tensor.pin_memory().to(device, non_blocking=True) if device.type == "cuda" else tensor.to(device)
 
 
+def rows_from(start: Int[np.ndarray, " B"], count: int, device: torch.device) -> Int[Tensor, "B R"]:
+    """Return R = `count` rows from `start`, counted on the device to keep the transfer small."""
+    return torch.from_numpy(start).to(device)[:, None] + torch.arange(count, device=device)
+
+
 class ArrayReader:
     """Reader of pieces [d, first:end] of an array [D, M, ...].
 
@@ -181,28 +186,33 @@ def _merged(
 
 
 class NormalsUnderWheels:
-    """Surface normals of all drives; those by feature set are read on demand.
+    """Surface normals of all drives, resident on the device or read on demand.
 
     Args:
         normals: [D, N, 4, 3] of the drives, in the order of their rows; NaN where unknown.
+        resident: always true for a single feature set.
     """
 
-    def __init__(self, normals: Sequence[np.ndarray], device: torch.device) -> None:
-        self._device = device
+    def __init__(self, normals: Sequence[np.ndarray], device: torch.device, *, resident: bool = False) -> None:
+        self._arrays, self._device = normals, device
         self._first = np.cumsum([0, *(n.shape[1] for n in normals)])
         self._readers = [ArrayReader(n) for n in normals]
-        self._arrays = normals
-        self._whole = self.whole() if len(normals[0]) == 1 else None
+        resident = resident or len(normals[0]) == 1
+        self._values = (
+            torch.cat([torch.from_numpy(np.array(n)).to(device) for n in normals], dim=1) if resident else None
+        )
 
     def whole(self) -> Float[Tensor, "N 4 3"]:
         """Return normals of the first feature set at every row."""
+        if self._values is not None:
+            return self._values[0]
         return torch.as_tensor(np.concatenate([n[0] for n in self._arrays]), device=self._device)
 
     def at(self, start: Int[np.ndarray, " B"], count: int, sets: Int[np.ndarray, " B"]) -> Float[Tensor, "B R 4 3"]:
         """Return normals at R = `count` rows from `start`, with a feature set per window."""
-        if self._whole is not None:
-            rows = torch.as_tensor(start[:, None] + np.arange(count), device=self._device)
-            return self._whole[rows]
+        if self._values is not None:
+            chosen = torch.from_numpy(np.ascontiguousarray(sets)).to(self._device)
+            return self._values[chosen[:, None], rows_from(start, count, self._device)]
         result = np.empty((len(start), count, 4, 3), np.float32)
         drive = np.searchsorted(self._first, start, side="right") - 1
         first = (start - self._first[drive]).tolist()

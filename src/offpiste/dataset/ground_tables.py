@@ -5,11 +5,16 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
-from torch import Tensor
+from jaxtyping import Int
 
 from offpiste.dataset.feature_sets import FeatureSetChoice
-from offpiste.dataset.features_under_wheels import Cells, CellTable, FeaturesUnderWheels, NormalsUnderWheels
+from offpiste.dataset.features_under_wheels import (
+    Cells,
+    CellTable,
+    FeaturesUnderWheels,
+    NormalsUnderWheels,
+    rows_from,
+)
 from offpiste.dataset.store import Dataset
 
 
@@ -57,34 +62,12 @@ class ResidentCells:
         )
 
 
-def rows_from(start: Int[np.ndarray, " B"], count: int, device: torch.device) -> Int[Tensor, "B R"]:
-    """Return R = `count` rows from `start`, counted on the device to keep the transfer small."""
-    return torch.from_numpy(start).to(device)[:, None] + torch.arange(count, device=device)
-
-
-class ResidentNormals:
-    """`NormalsUnderWheels` with all normals resident on the device."""
-
-    def __init__(self, normals: Sequence[np.ndarray], device: torch.device) -> None:
-        self._values = torch.cat([torch.from_numpy(np.array(n)).to(device) for n in normals], dim=1)
-
-    def whole(self) -> Float[Tensor, "N 4 3"]:
-        """Return normals of the first feature set at every row."""
-        return self._values[0]
-
-    def at(self, start: Int[np.ndarray, " B"], count: int, sets: Int[np.ndarray, " B"]) -> Float[Tensor, "B R 4 3"]:
-        """Return normals at R = `count` rows from `start`, with a feature set per window."""
-        device = self._values.device
-        chosen = torch.from_numpy(np.ascontiguousarray(sets)).to(device)
-        return self._values[chosen[:, None], rows_from(start, count, device)]
-
-
 @dataclass(frozen=True)
 class GroundTables:
     """Ground of a dataset, which several `Windows` may share; no cells in datasets without features."""
 
     cells: CellTable | ResidentCells | None
-    normals: NormalsUnderWheels | ResidentNormals
+    normals: NormalsUnderWheels
 
 
 def ground_tables(dataset: Dataset, device: torch.device, budget: int = 0) -> GroundTables:
@@ -98,9 +81,8 @@ def ground_tables(dataset: Dataset, device: torch.device, budget: int = 0) -> Gr
     cells = [r.cells for r in rows if r.cells is not None] if dataset.features else []
     arrays = [*normals, *(array for c in cells for array in (c.features, c.valid, c.index, c.index))]  # 64-bit numbers
     resident = sum(array.nbytes for array in arrays) <= budget
-    if resident:
-        return GroundTables(ResidentCells(cells, device) if cells else None, ResidentNormals(normals, device))
-    return GroundTables(CellTable(cells, device) if cells else None, NormalsUnderWheels(normals, device))
+    table = (ResidentCells if resident else CellTable)(cells, device) if cells else None
+    return GroundTables(table, NormalsUnderWheels(normals, device, resident=resident))
 
 
 def free_budget(device: torch.device) -> int:

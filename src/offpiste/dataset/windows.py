@@ -17,7 +17,7 @@ from offpiste.core.state import History, Terrain, wrap_angle
 from offpiste.dataset.columns import COLUMNS, Segment
 from offpiste.dataset.feature_sets import FeatureSetChoice, same_feature_set, set_number
 from offpiste.dataset.features_under_wheels import FeaturesUnderWheels, LevelNormals, NormalsUnderWheels
-from offpiste.dataset.ground_tables import GroundTables, ResidentNormals, ground_tables
+from offpiste.dataset.ground_tables import GroundTables, ground_tables
 from offpiste.dataset.resample import OWN_COLUMNS
 from offpiste.dataset.splits import part_number
 from offpiste.dataset.store import Dataset
@@ -102,7 +102,7 @@ class Windows:
         self._valid = self._joined([r.valid for r in rows])
         ground = ground or ground_tables(dataset, self.device)
         self._cells, self._with_features, self.read_ahead = ground.cells, True, self.device.type == "cuda"
-        self._normals: NormalsUnderWheels | ResidentNormals | LevelNormals = ground.normals
+        self._normals: NormalsUnderWheels | LevelNormals = ground.normals
         self.sets = self._cells.sets if self._cells is not None else 1
         self._set, self._level = set_number(feature_set, self.sets), False
         self.control, self.actuators = dataset.rig.present_controls, dataset.rig.present_actuators
