@@ -204,7 +204,7 @@ def test_a_folder_that_may_not_be_written_to_is_one_line(log: str, tmp_path: Pat
     assert re.match(r"offpiste: .*closed.*: cannot be opened: Permission denied; give files", capsys.readouterr().err)
 
 
-def test_errors_user_error_of_that_a_user_can_put_right_are_one_line() -> None:
+def test_errors_of_the_operating_system_are_one_line() -> None:
     for number, said in (
         (errno.EACCES, "my.toml: cannot be opened: Permission denied; give readable files"),
         (errno.EROFS, "my.toml: cannot be opened: Read-only file system"),

@@ -86,9 +86,6 @@ SMALL = 400
 """Arrays of up to so many numbers are kept whole."""
 
 
-# ---------------------------------------------------------------------------------------------------------------- help
-
-
 def digest(*parts: bytes) -> str:
     made = hashlib.sha256()
     for part in parts:
@@ -164,8 +161,6 @@ def filled(module: torch.nn.Module, rebuilt: torch.nn.Module, *, seed: int = 0) 
 def made(name: str, vehicle: Vehicle, seed: int = 0) -> Dynamics:
     return filled(build(name, vehicle, seed=1), build(name, vehicle, seed=2), seed=seed)
 
-
-# -------------------------------------------------------------------------------------------------------------- models
 
 FEATURES = 5
 STEPS, WINDOWS = 30, 20
@@ -292,8 +287,6 @@ def standardised(dynamics: Dynamics, batch: Batch) -> None:
     standardise(dynamics, Fake())
 
 
-# ------------------------------------------------------------------------------------------------------ simulated logs
-
 WORLD = WorldSettings("mojave", seed=3, size=120.0, resolution=0.5)
 
 
@@ -388,9 +381,6 @@ def simulated_log() -> Results:
     return found
 
 
-# ----------------------------------------------------------------------------------------------------------------- map
-
-
 @cache
 def pca_file() -> Path:
     out = temporary_folder() / "pca.safetensors"
@@ -456,9 +446,6 @@ def random_map(rule: str) -> TerrainLayers:
     return pipeline.layers()
 
 
-# ------------------------------------------------------------------------------------------------------------- dataset
-
-
 @cache
 def visual_dataset() -> object:
     listed = temporary_folder() / "visual.txt"
@@ -521,9 +508,6 @@ def recorded_dataset() -> Results:
         found[f"{path.name}.notes"] = json.dumps(sorted(number for note in drive.notes for number in numbers(note)))
         found |= parts(path.name, extract_rows(drive), keep=300)
     return found
-
-
-# ------------------------------------------------------------------------------------------------------------ planning
 
 
 def rough(seed: int = 0) -> TerrainLayers:
@@ -615,8 +599,6 @@ def standardised_for_plans(dynamics: Dynamics) -> None:
     dynamics.float()
 
 
-# ------------------------------------------------------------------------------------------------------------- inspect
-
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
 RIG_WORDS = re.compile(r'\[?[a-z_]+(?:\.\w+)+\]?|"[^"]*"')
 
@@ -680,9 +662,6 @@ def findings() -> Results:
     return found
 
 
-# ------------------------------------------------------------------------------------------------------------ training
-
-
 def training() -> Results:
     """Short trainings: weights in the order of registration, losses of every epoch, and what an evaluation finds."""
     made = dataset_with_features(temporary_folder() / "seen.zarr", rows=700)
@@ -744,9 +723,6 @@ def trained(label: str, dynamics: Dynamics, folder: Path) -> Results:
     return found
 
 
-# --------------------------------------------------------------------------------------------------------- closed loop
-
-
 def closed_loop() -> Results:
     """A drive of 2.4 s by the planner, in lockstep: controls, path, predictions, messages."""
     asked = CourseDriveSettings(
@@ -767,8 +743,6 @@ def closed_loop() -> Results:
         found |= parts(f"prediction.{number}", prediction, keep=60)
     return found
 
-
-# ----------------------------------------------------------------------------------------------------------- all of it
 
 GROUPS: dict[str, Callable[[], Results]] = {
     "models": models,

@@ -1,7 +1,7 @@
 """Quaternions (xyzw), planar rotations, local polynomials and geographic coordinates, row by row in NumPy."""
 
 import math
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -22,26 +22,22 @@ def planar_body_from_world(
 def rotation_from_quaternion(quaternion: Float[np.ndarray, "N 4"]) -> Float[np.ndarray, "N 3 3"]:
     """Return the rotation matrices `world_from_body` of quaternions of any norm; NaN for zeros."""
     # SciPy's matrices differ in the last bit, which would change simulated logs, and it refuses NaN and zeros.
-    x, y, z, w = (quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)).T
-    rows = (
-        (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
-        (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
-        (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
-    )
-    return np.moveaxis(np.array(rows), 2, 0)
+    return np.moveaxis(np.array(_rows(*(quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)).T)), 2, 0)
 
 
 def rotation_of_one(quaternion: Float[np.ndarray, " 4"]) -> Float[np.ndarray, "3 3"]:
     """Return the same bits as `rotation_from_quaternion` for one non-zero quaternion, in a tenth of the time."""
     x, y, z, w = quaternion.tolist()
-    length = math.sqrt(x * x + y * y + z * z + w * w)
-    x, y, z, w = x / length, y / length, z / length, w / length
-    return np.array(
-        (
-            (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
-            (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
-            (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
-        )
+    norm = math.sqrt(x * x + y * y + z * z + w * w)
+    return np.array(_rows(x / norm, y / norm, z / norm, w / norm))
+
+
+def _rows(x: Any, y: Any, z: Any, w: Any) -> tuple[tuple[Any, ...], ...]:
+    """Return the rows of the rotation matrix of a unit quaternion of floats or arrays."""
+    return (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
+        (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
+        (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
     )
 
 

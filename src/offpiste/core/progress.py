@@ -36,61 +36,58 @@ class Track(Protocol):
 class _Lines:
     """Progress lines on standard error, for output to a file."""
 
-    def __init__(self, description: str) -> None:
-        self._description, self._begun = description, monotonic()
+    def __init__(self, description: str, total: float | None, *, in_percent: bool) -> None:
+        self._description, self._total, self._in_percent = description, total, in_percent
+        self._begun = monotonic()
         self._next = self._begun + EVERY
 
-    def update(self, done: float, total: float | None, *, in_percent: bool = False) -> None:
+    def update(self, done: float) -> None:
         """Print a line every `EVERY` seconds."""
-        now = monotonic()
+        now, total = monotonic(), self._total
         if now < self._next:
             return
         self._next, spent = now + EVERY, now - self._begun
         what = f"{done:.0f}" if total is None else f"{done:.0f} of {total:.0f} ({done / total:.0%})"
-        what = f"{done / total:.0%}" if in_percent and total else what
+        what = f"{done / total:.0%}" if self._in_percent and total else what
         left = f", {spent * (total / done - 1):.0f} s left" if total and done >= FORETOLD * total else ""
         print(f"{self._description}: {what} after {spent:.0f} s{left}", file=sys.stderr, flush=True)  # noqa: T201
 
 
-def track(items: Iterable[Item], description: str, *, total: int | None = None) -> Generator[Item, None, None]:
-    """Yield the items and show progress on standard error: a bar on a terminal, else occasional lines."""
+@contextmanager
+def _bar(description: str, total: float | None, *, in_percent: bool = False) -> Iterator[Callable[[float], None]]:
+    """Give a function that shows completed work: on a bar on a terminal, else in occasional lines."""
     console = Console(stderr=True)
+    if not console.is_terminal:
+        yield _Lines(description, total, in_percent=in_percent).update
+        return
+    count = TaskProgressColumn() if in_percent else MofNCompleteColumn()
+    columns = (TextColumn("{task.description}"), BarColumn(), count, TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True) as progress:
+        task = progress.add_task(description, total=total)
+        yield lambda done: progress.update(task, completed=done)
+
+
+def track(items: Iterable[Item], description: str, *, total: int | None = None) -> Generator[Item, None, None]:
+    """Yield the items and show progress on standard error."""
     if total is None and isinstance(items, Sized):
         total = len(items)
-    if not console.is_terminal:
-        lines = _Lines(description)
+    with _bar(description, total) as update:
         for done, item in enumerate(items):
-            lines.update(done, total)
+            update(done)
             yield item
-        return
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True) as progress:
-        yield from progress.track(items, total=total, description=description)
 
 
 @contextmanager
 def jobs_bar(total: int, description: str) -> Iterator[Callable[[int, float], None]]:
     """Show the progress of parallel jobs; gives a function of the number and completed share of a job."""
-    console = Console(stderr=True)
-    done = [0.0] * total
-    if not console.is_terminal:
-        lines = _Lines(description)
+    shares = [0.0] * total
+    with _bar(description, float(total), in_percent=True) as update:
 
         def report(number: int, share: float) -> None:
-            done[number] = share
-            lines.update(sum(done), total, in_percent=True)
+            shares[number] = share
+            update(sum(shares))
 
         yield report
-        return
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True) as progress:
-        task = progress.add_task(description, total=float(total))
-
-        def update(number: int, share: float) -> None:
-            done[number] = share
-            progress.update(task, completed=sum(done))
-
-        yield update
 
 
 def show(result: object) -> None:
