@@ -19,7 +19,7 @@ def settled(limits=LIMITS, enable=None, control=FULL):
     if enable is not None:
         gate.enabled(True, 0.0)
     for _ in range(100):
-        gate.passed(control, 1.0, 0.0, stopping=False)
+        gate.check(control, 1.0, 0.0, stopping=False)
     return gate
 
 
@@ -30,7 +30,7 @@ def switched():
 @given(st.lists(st.tuples(*(st.floats(-2, 2),) * 3, st.booleans()), min_size=2, max_size=30))
 def test_commands_stay_within_their_limits_and_rates(commands):
     gate = Gate(LIMITS, None, 0.5)
-    sent = [gate.passed(np.array(c[:3]), 1.0, 0.0, stopping=c[3]).control for c in commands]
+    sent = [gate.check(np.array(c[:3]), 1.0, 0.0, stopping=c[3]).control for c in commands]
     change = np.diff(sent, axis=0)
     assert (np.array(sent)[:, 0] <= 0.6).all()
     assert (np.abs(np.array(sent)[:, 2]) <= 0.8).all()
@@ -41,27 +41,27 @@ def test_commands_stay_within_their_limits_and_rates(commands):
 
 
 def test_a_stop_is_applied_at_once():
-    stopped = settled().passed(np.array((0.0, 0.9, 1.0)), 1.0, 0.0, stopping=True)
+    stopped = settled().check(np.array((0.0, 0.9, 1.0)), 1.0, 0.0, stopping=True)
     assert stopped.control.tolist() == [0.0, 0.9, 0.8]
     assert stopped.why == ""
 
 
 @pytest.mark.parametrize(("limits", "speed"), [(LIMITS, 5.1), (LIMITS, np.nan), (CommandLimits(), np.inf)])
 def test_above_the_maximum_or_at_an_unknown_speed_the_throttle_is_released(limits, speed):
-    assert settled(limits).passed(FULL, speed, 0.0, stopping=False).control[0] == 0.0
+    assert settled(limits).check(FULL, speed, 0.0, stopping=False).control[0] == 0.0
 
 
 def test_the_switch_must_be_heard_and_pressed():
     gate = switched()
-    assert gate.passed(FULL, 1.0, 0.0, stopping=False).why == "the enable topic is not heard"
+    assert gate.check(FULL, 1.0, 0.0, stopping=False).why == "the enable topic is not heard"
     gate.enabled(None, 0.5)
     assert gate.blocked(0.6) == "the messages of the enable topic have no number 'value'"
     gate.enabled(False, 1.0)
     assert gate.blocked(1.1) == "not enabled"
     gate.enabled(True, 2.0)
     assert gate.blocked(1.999) == "", "another thread may hear it slightly later"
-    assert gate.passed(FULL, 1.0, 2.29, stopping=False).control[0] > 0
-    lost = gate.passed(FULL, 1.0, 2.31, stopping=False)
+    assert gate.check(FULL, 1.0, 2.29, stopping=False).control[0] > 0
+    lost = gate.check(FULL, 1.0, 2.31, stopping=False)
     assert lost.why == "the enable topic is not heard"
     assert lost.control[:2].tolist() == [0.0, 0.5]
     gate.enabled(True, 3.0)
@@ -95,7 +95,7 @@ def test_a_switch_with_a_wrong_stamp_does_not_count(age, why):
     assert gate.blocked(1.0) == ""
     for now in (1.0, 1.1, 1.3):
         gate.enabled(True, now, age=age)
-    assert why in gate.passed(FULL, 1.0, 1.31, stopping=False).why
+    assert why in gate.check(FULL, 1.0, 1.31, stopping=False).why
 
 
 def test_a_second_publisher_of_the_switch_is_a_stop():
@@ -115,8 +115,8 @@ def test_a_second_publisher_of_the_switch_is_a_stop():
 def test_commands_of_another_publisher_are_a_stop():
     gate = settled()
     gate.other(10.0)
-    assert gate.passed(FULL, 1.0, 10.9, stopping=False).why == "another publisher commands the vehicle"
-    assert gate.passed(FULL, 1.0, 11.1, stopping=False).why == ""
+    assert gate.check(FULL, 1.0, 10.9, stopping=False).why == "another publisher commands the vehicle"
+    assert gate.check(FULL, 1.0, 11.1, stopping=False).why == ""
 
 
 @pytest.mark.parametrize("place", [0, 1, 2])
@@ -124,6 +124,6 @@ def test_a_command_that_is_not_finite_is_a_stop(place):
     command = np.array((0.5, 0.0, 0.4))
     gate = settled(control=command)
     command[place] = np.nan
-    passed = gate.passed(command, 1.0, 0.0, stopping=False)
+    passed = gate.check(command, 1.0, 0.0, stopping=False)
     assert passed.why == "the command is not finite"
     assert passed.control.tolist() == [0.0, 0.5, pytest.approx(0.4)]

@@ -30,7 +30,7 @@ from offpiste.core.signals import BACKGROUND, ENDING, GROUP_SIGNALS
 from offpiste.live.part import AFTER
 from offpiste.live.ring import unpacked
 from offpiste.live.session import MODE, RecordSettings, new_session
-from offpiste.live.supervisor import Supervisor, asked_to_end
+from offpiste.live.supervisor import Supervisor, end_requested
 from offpiste.logs import open_log
 from offpiste.logs.ros.writer import make
 from offpiste.transport.zenoh_transport import ZenohSettings, ZenohTransport
@@ -244,7 +244,7 @@ def test_the_memory_of_a_killed_session_is_removed_by_the_next_one(tmp_path):
 def test_a_drive_ends_by_any_signal_of_a_terminal(number):
     before = signal.signal(number, signal.SIG_DFL)  # nohup ignores some
     try:
-        with asked_to_end() as asked:
+        with end_requested() as asked:
             os.kill(os.getpid(), number)
             assert asked.wait(2.0)
     finally:
@@ -256,9 +256,9 @@ import sys
 from pathlib import Path
 from live.test_live_faults import Elsewhere
 from live.test_supervisor import Drive
-from offpiste.live.supervisor import asked_to_end
+from offpiste.live.supervisor import end_requested
 
-with asked_to_end():
+with end_requested():
     drive = Drive(Path(sys.argv[1]), network=Elsewhere(sys.argv[2]))
     assert drive.drives(), drive.supervisor.look()
     while True:

@@ -85,7 +85,7 @@ def test_signs_of_life_are_cheap_and_large_messages_are_dropped(tmp_path):
         assert asked == [0]
         status = part.session.ring("status-map")
         assert unpacked(status.newest().data)["number"] == 0
-        part.hand_on("stops", b"x" * 65)
+        part.write("stops", b"x" * 65)
         assert part.dropped == {"stops: larger than its shared memory": 1}
         part._beat = -1.0
         part.beat("full", refused={f"{k}": "x" * 100 for k in range(1000)})
@@ -107,7 +107,7 @@ def test_freed_memory_is_given_back_and_loaded_objects_are_excluded_from_garbage
         freed.give_back()
         print(held, part._resident() - before)
         loaded = [[] for _ in range(400_000)]
-        part.keep_loaded()
+        part.freeze_loaded_objects()
         before, held = gc.get_stats()[2]["collections"], [None] * 2000
         for number in range(200_000):
             held[number % 2000] = itself = []

@@ -1,6 +1,7 @@
 """Messages of commands, as described by the rig's outputs."""
 
 import struct
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -10,10 +11,11 @@ from msgspec.structs import replace
 from rosbags.serde import SerdeError
 
 from offpiste.core.errors import RigError
-from offpiste.logs.ros.writer import header
+from offpiste.logs.ros.writer import header, make
 from offpiste.rig.outputs import CommandLimits, Output, OutputField
 from offpiste.rig.rig import Rig
 from offpiste.runtime.prediction import Prediction
+from offpiste.transport.interface import Transport
 from offpiste.transport.message_types import MessageTypes
 
 _BEYOND: Final = (100.0, 20.0)
@@ -77,6 +79,16 @@ class CommandMessages:
         """Return the messages of a command, by topic."""
         return {output.topic: self._message(output, command) for output in self._rig.outputs.values()}
 
+    def sender(self, transport: Transport) -> Callable[[Command], None]:
+        """Return a function that publishes a command."""
+        publish = {topic: transport.publisher(topic, msgtype) for topic, msgtype in self.topics.items()}
+
+        def send(command: Command) -> None:
+            for topic, message in self.messages(command).items():
+                publish[topic](message)
+
+        return send
+
     def _check(self, name: str, output: Output, command: Command) -> None:
         """Raise `RigError` if the only field of an output cannot be sent."""
         where, ((path, field),) = f"outputs.{name}", output.fields.items()
@@ -99,6 +111,12 @@ class CommandMessages:
             value = command.value(field, self._rig.live.limits)
             _put(message, path, field.written(value, self._rig.vehicle.max_steer))
         return message
+
+
+def joy_message(nanoseconds: int, control: Float[np.ndarray, " n"]) -> Any:
+    """Return a sensor_msgs/Joy whose axes are throttle, brake, steer."""
+    axes, buttons = control.astype(np.float32), np.zeros(0, np.int32)
+    return make("sensor_msgs/Joy", header=header(nanoseconds, "base_link"), axes=axes, buttons=buttons)
 
 
 def _ends(limits: CommandLimits) -> tuple[Command, Command]:

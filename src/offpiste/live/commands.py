@@ -14,12 +14,12 @@ from offpiste.core.files import write_whole
 from offpiste.core.progress import track
 from offpiste.live.command_messages import CommandMessages
 from offpiste.live.lockstep import Lockstep, OnStep, Step, StepDriver
-from offpiste.live.part import keep_loaded
+from offpiste.live.part import freeze_loaded_objects
 from offpiste.live.play import LogPlayer, RecordedDrive, replayed
 from offpiste.live.reception import Reception, check_types
 from offpiste.live.record import refuse_full_disk
 from offpiste.live.session import LiveSettings, RecordSettings, ViewSettings
-from offpiste.live.supervisor import asked_to_end, supervise
+from offpiste.live.supervisor import end_requested, supervise
 from offpiste.planning.caution import caution_of
 from offpiste.planning.gpu import require_device
 from offpiste.rig.rig import Rig, load_rig
@@ -63,7 +63,7 @@ def run_live(settings: LiveSettings, *, lockstep: bool, replay: Path | None, com
         if replay is not None:
             _replay(settings, rig, driver, reception, types, replay, on_step)
         elif lockstep:
-            with asked_to_end() as asked, closing(settings.robot.connect(definitions)) as transport:
+            with end_requested() as asked, closing(settings.robot.connect(definitions)) as transport:
                 outputs = CommandMessages(rig, transport.types) if settings.drive else None
                 Lockstep(transport, driver, reception, outputs).run(on_step, asked, settings.seconds)
                 for what, count in sorted(transport.refused.items()):
@@ -190,7 +190,7 @@ def play_log(
         player = LogPlayer(drive, transport, without)
         if player.left_out:
             logger.info(f"left out: {', '.join(player.left_out)}")
-        keep_loaded()
+        freeze_loaded_objects()
         played = player.play_in_lockstep(seconds) if lockstep else player.play(rate, seconds)
     late = f", {1e3 * played.late:.0f} ms late at worst" if not lockstep else ""
     logger.info(f"played {played.messages} messages in {played.steps} steps{late}")

@@ -9,13 +9,13 @@ from typing import Any, Final
 import numpy as np
 
 from offpiste.core.conventions import DT
-from offpiste.live.command_messages import Command, CommandMessages
-from offpiste.live.gate import Gate, Passed
-from offpiste.live.part import NewestCourse, Part, TrackFeed, keep_loaded
-from offpiste.live.reception import Pressed, read_switch
+from offpiste.live.command_messages import Command, CommandMessages, joy_message
+from offpiste.live.gate import Checked, Gate
+from offpiste.live.part import NewestCourse, Part, TrackFeed, freeze_loaded_objects
+from offpiste.live.reception import Pressed, switch_of
 from offpiste.live.ring import packed, plan_from, unpacked
 from offpiste.live.session import COMMAND, MODE, Session
-from offpiste.logs.ros.writer import header, make
+from offpiste.logs.ros.writer import make
 from offpiste.planning.course import CourseTracker
 from offpiste.rig.rig import load_rig
 from offpiste.runtime.estimator import Given
@@ -86,12 +86,10 @@ class Controller:
         self._why = "control was started again" if before else ""
         self._gear = before.get("gear", settings.runtime.gear)
         self.transport = settings.robot.connect([Path(name) for name in rig.live.definitions])
-        self._outputs = CommandMessages(rig, self.transport.types)
-        self._send = {}
-        if settings.drive:
-            for topic, msgtype in self._outputs.topics.items():
-                self._send[topic] = self.transport.publisher(topic, msgtype)
-                self.transport.subscribe(topic, self._other, unchecked=True)
+        outputs = CommandMessages(rig, self.transport.types)
+        self._send = outputs.sender(self.transport) if settings.drive else None
+        for topic in outputs.topics if settings.drive else ():
+            self.transport.subscribe(topic, self._other, unchecked=True)
         self._preview = self.transport.publisher(COMMAND, "sensor_msgs/msg/Joy")
         self._mode = self.transport.publisher(MODE, "std_msgs/msg/String", keep=True)
         self._said, self.late, self.ages = "", deque[float](maxlen=3000), deque[tuple[float, float]](maxlen=3000)
@@ -106,7 +104,7 @@ class Controller:
             message, at = self.transport.decode(received), received.steady
             heard = Pressed(False)
             if message is not None:
-                heard = read_switch(self._rig, message, self.part.now() - (time.monotonic() - at))
+                heard = switch_of(self._rig, message, self.part.now() - (time.monotonic() - at))
             self._gate.enabled(heard.pressed, at, age=heard.age, publisher=received.publisher)
 
     def _other(self, received: Received) -> None:
@@ -162,14 +160,14 @@ class Controller:
         if not drive:  # another driver need not complete our stops
             follower.stopping = False
         follower.driver = Given() if drive else self._feed.given
-        passed: list[Passed] = []
+        passed: list[Checked] = []
 
         def applied(controls: Controls) -> np.ndarray:
             stopping = controls.mode in ("stopping", "stopped")
             command = controls.command.copy()
             if stopping and acting is None:  # without a plan, keep the steering: straight ahead would leave a bend
                 command[2] = self._gate.steer
-            passed.append(self._gate.passed(command, follower.speed, time.monotonic(), stopping=stopping))
+            passed.append(self._gate.check(command, follower.speed, time.monotonic(), stopping=stopping))
             return passed[-1].control
 
         controls = follower.follow(now, decision, applied)
@@ -179,7 +177,7 @@ class Controller:
         about = {"time": now, "applied": passed[-1].control, "stopping": follower.stopping, "mode": controls.mode}
         about |= {"gear": controls.gear, "course": self._course.number, "progress": follower.tracker.progress}
         about["driver"] = follower.driver._asdict()  # plans begin from the vehicle's actual commands
-        self.part.hand_on("commands", packed(about))
+        self.part.write("commands", packed(about))
         self._sent_at = time.monotonic()
         return controls
 
@@ -190,7 +188,7 @@ class Controller:
         why, self._why = self._why, ""
         if why:
             return why
-        if self.part.clock_stands_still:
+        if self.part.clock_stopped:
             return "the clock stands still"
         if self.part.ring("status-watchdog").written == 0:  # once it was ready, it is restarted within a second
             return "the watchdog is not ready"
@@ -199,16 +197,12 @@ class Controller:
         self._take_switch()
         return self._gate.blocked(time.monotonic())
 
-    def _publish(self, controls: Controls, passed: Passed, now: float) -> None:
+    def _publish(self, controls: Controls, passed: Checked, now: float) -> None:
         moving = controls.mode in ("driving", "degraded") and not passed.why
         followed = next((p for p in reversed(self._predictions) if p.time <= now), None) if moving else None
-        command = Command(now, passed.control, controls.gear, followed)
-        if self._send:
-            for topic, message in self._outputs.messages(command).items():
-                self._send[topic](message)
-        axes = passed.control.astype(np.float32)
-        head = header(max(round(now * 1e9), 0), "base_link")
-        self._preview(make("sensor_msgs/Joy", header=head, axes=axes, buttons=np.zeros(0, np.int32)))
+        if self._send is not None:
+            self._send(Command(now, passed.control, controls.gear, followed))
+        self._preview(joy_message(max(round(now * 1e9), 0), passed.control))
 
     def _take_course(self, tracker: CourseTracker) -> None:
         if self.follower is None:
@@ -239,7 +233,7 @@ def control(session: Session) -> None:
     """Run the process that commands; it stops the vehicle when the drive or the parent ends."""
     part = Part("control", session)
     controller = Controller(part)
-    keep_loaded()
+    freeze_loaded_objects()
     due, ends, drives = time.monotonic(), np.inf, False
     while True:
         if ends == np.inf and part.ending:
@@ -285,22 +279,19 @@ def watchdog(session: Session) -> None:
     part = Part("watchdog", session)
     rig, settings = load_rig(session.settings.rig), session.settings
     transport = settings.robot.connect([Path(name) for name in rig.live.definitions])
-    outputs = CommandMessages(rig, transport.types)
-    send = {topic: transport.publisher(topic, msgtype) for topic, msgtype in outputs.topics.items()}
+    send = CommandMessages(rig, transport.types).sender(transport)
     commands, stops, ends = part.ring("commands"), 0, np.inf
     for name in ("stops", "clock", "end"):  # opened now: once the parent has ended, their files may vanish
         part.ring(name)
-    keep_loaded()
+    freeze_loaded_objects()
     while not _is_over(part, time.monotonic() - ends):
         if ends == np.inf and part.ending:
             ends = time.monotonic()
         silent = commands.written > 0 and commands.age > SILENCE
         if silent:
             last = part.last_command
-            stop = Command(part.now(), np.array((0.0, settings.runtime.stop, last["applied"][2])), last["gear"])
-            for topic, message in outputs.messages(stop).items():
-                send[topic](message)
-            part.hand_on("stops", b"stop")  # a restarted control completes it
+            send(Command(part.now(), np.array((0.0, settings.runtime.stop, last["applied"][2])), last["gear"]))
+            part.write("stops", b"stop")  # a restarted control completes it
             stops += 1
         part.beat("stops the vehicle" if silent else "ready", stops=stops)
         time.sleep(DT)

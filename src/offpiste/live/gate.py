@@ -14,7 +14,7 @@ OTHERS_FOR: Final = 1.0
 
 
 @dataclass(frozen=True)
-class Passed:
+class Checked:
     """Checked command.
 
     Attributes:
@@ -99,7 +99,7 @@ class Gate:
         when = f"{timeout:g} s {'ago' if self._age > 0 else 'in the future'}"
         return f"the messages of the enable topic are stamped more than {when}: check the clocks"
 
-    def passed(self, control: Float[np.ndarray, " 3"], speed: float, now: float, *, stopping: bool) -> Passed:
+    def check(self, control: Float[np.ndarray, " 3"], speed: float, now: float, *, stopping: bool) -> Checked:
         """Check a command.
 
         Args:
@@ -126,4 +126,4 @@ class Gate:
         turn = limits.steer_rate * DT
         steer = min(max(steer, float(before[2]) - turn), float(before[2]) + turn)
         self._last = np.array((throttle, brake, steer))
-        return Passed(self._last.copy(), why)
+        return Checked(self._last.copy(), why)

@@ -17,14 +17,14 @@ import numpy as np
 from offpiste.core.channels import all_actuators
 from offpiste.core.conventions import DT
 from offpiste.core.errors import LiveError
-from offpiste.live.command_messages import Command, CommandMessages
-from offpiste.live.gate import Gate, Passed
+from offpiste.live.command_messages import Command, CommandMessages, joy_message
+from offpiste.live.gate import Checked, Gate
 from offpiste.live.reception import Pressed, Reception, Taken
 from offpiste.live.robot_messages import Sensors
 from offpiste.live.session import CLOCK, COMMAND, END, READY
 from offpiste.logs.measurements import Cloud, Image
 from offpiste.logs.ros.bag_files import heard_at
-from offpiste.logs.ros.writer import header, make
+from offpiste.logs.ros.writer import make
 from offpiste.perception.camera import make_pinhole_camera
 from offpiste.planning.course import Course, CourseTracker
 from offpiste.rig.outputs import can_reverse
@@ -131,11 +131,11 @@ class StepDriver:
                 self._pass_on(taken)
         if (runtime := self.runtime) is None:
             return None
-        passed: list[Passed] = []
+        passed: list[Checked] = []
 
         def applied(controls: Controls) -> np.ndarray:
             stopping = controls.mode in ("stopping", "stopped")
-            passed.append(self._gate.passed(controls.command, runtime.follower.speed, now, stopping=stopping))
+            passed.append(self._gate.check(controls.command, runtime.follower.speed, now, stopping=stopping))
             return passed[-1].control
 
         if self._shadow:  # another driver need not complete our stops
@@ -273,10 +273,9 @@ class Lockstep:
         transport.subscribe(CLOCK, self._clock, msgtype="rosgraph_msgs/msg/Clock")
         transport.subscribe(END, self._received.put, msgtype="std_msgs/msg/String")
         self._answer = transport.publisher(COMMAND, "sensor_msgs/msg/Joy")
-        self._outputs = outputs
-        topics = {} if outputs is None else outputs.topics
-        self._publish = {topic: transport.publisher(topic, msgtype) for topic, msgtype in topics.items()}
-        for topic in topics:
+        self._commands = None if outputs is None else outputs.sender(transport)
+        self._outputs = set() if outputs is None else set(outputs.topics)
+        for topic in self._outputs:
             transport.subscribe(topic, self._other, unchecked=True)
         transport.publisher(READY, "std_msgs/msg/String", keep=True)(make("std_msgs/String", data="ready"))
 
@@ -341,24 +340,21 @@ class Lockstep:
     def _step(self, batch: list[Received], nanoseconds: int, on_step: OnStep) -> None:
         """Answer a message on /clock."""
         now = nanoseconds / 10**9
-        if any(one.topic in self._publish and not one.data for one in batch):
+        if any(one.topic in self._outputs and not one.data for one in batch):
             self._driver.other(now)
         decoded = [(one, self._transport.decode(one)) for one in batch if one.type]
         heard = [Heard(one.topic, message, now, one.publisher) for one, message in decoded if message is not None]
         step = self._driver.step(heard, now)
         if step is not None:
             self._send(step.command)
-        axes = np.zeros(0, np.float32) if step is None else step.command.control.astype(np.float32)
-        head = header(nanoseconds, "base_link")
-        self._answer(make("sensor_msgs/Joy", header=head, axes=axes, buttons=np.zeros(0, np.int32)))
+        self._answer(joy_message(nanoseconds, np.zeros(0) if step is None else step.command.control))
         on_step(now, step)
 
     def _send(self, command: Command) -> None:
         """Send a command to the vehicle, except in shadow mode."""
-        if self._outputs is not None:
+        if self._commands is not None:
             self._commanded = True
-            for topic, message in self._outputs.messages(command).items():
-                self._publish[topic](message)
+            self._commands(command)
 
     def _clock(self, received: Received) -> None:
         """Queue a message of /clock; called in the transport's thread."""

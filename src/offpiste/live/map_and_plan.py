@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from offpiste.core.errors import PerceptionError
 from offpiste.live.lockstep import sensor_setup_of
-from offpiste.live.part import LOADING, FreedMemory, NewestCourse, Part, TrackFeed, keep_loaded
+from offpiste.live.part import LOADING, FreedMemory, NewestCourse, Part, TrackFeed, freeze_loaded_objects
 from offpiste.live.ring import (
     from_fields,
     layers_from,
@@ -60,7 +60,7 @@ def load_kernels(part: Part, planner: Planner, device: str = "cpu") -> None:
     Args:
         device: on which the process plans.
     """
-    part.end_with(LOADING)
+    part.report(LOADING)
     rig, still = load_rig(part.settings.rig), np.eye(4)
     still[2, 3] = 1.5
     lidars = {name: Lidar(name, still, entry) for name, entry in list(rig.lidars.items())[:1]}
@@ -87,7 +87,7 @@ def codes(session: Session) -> None:
         return
     encoder = encoder_on(device, planner.dynamics.eval().requires_grad_(False).encoder)
     assert encoder is not None
-    keep_loaded()
+    freeze_loaded_objects()
     waiting: dict[str, Image] = {}  # the newest of each camera, until the pose is known
     feed, number = TrackFeed(part, planner.dynamics.vehicle.actuators), part.ring("images").written
     keyframes, took = Keyframes(setup.cameras, part.settings.runtime.replay), 0.0
@@ -119,7 +119,7 @@ def codes(session: Session) -> None:
                     continue
                 took = time.monotonic() - began
                 keyframes.add(image.camera, image.time, pose, found, image.pixels[:0])
-            part.hand_on("codes", packed({"camera": image.camera, "time": image.time, "codes": found}))
+            part.write("codes", packed({"camera": image.camera, "time": image.time, "codes": found}))
         part.beat("ready", extract_ms=1e3 * took)
         if not due:
             time.sleep(0.01)
@@ -137,7 +137,7 @@ def map_ground(session: Session) -> None:
     feed, watch = TrackFeed(part, planner.dynamics.vehicle.actuators), Stopwatch(last=1)
     mapper = OnlineMapper(setup, encoder, feed.track, part.settings.runtime.replay, watch)
     mapper.dropped = part.dropped
-    keep_loaded()
+    freeze_loaded_objects()
     scan_number, code_number, took = part.ring("scans").written, part.ring("codes").written, 0.0
     course, fastest = NewestCourse(part), _WITHOUT_COURSE
     while not part.ending:
@@ -145,7 +145,7 @@ def map_ground(session: Session) -> None:
             fastest = tracker.fastest
         if feed.update(part.now()):
             mapper.restart()
-            part.hand_on("map", pack_layers(None))
+            part.write("map", pack_layers(None))
         for entry in part.ring("codes").since(code_number):
             code_number, values = entry.number, unpacked(entry.data)
             mapper.coded(values["camera"], values["time"], values["codes"])
@@ -163,10 +163,10 @@ def map_ground(session: Session) -> None:
                 mapper.scan(cloud)
         if mapper.scan_time > before:
             layers = _within_reach(mapper.layers(), feed.track, part, fastest)
-            part.hand_on("map", pack_layers(layers, scan_time=mapper.scan_time, image_time=mapper.state.image_time))
+            part.write("map", pack_layers(layers, scan_time=mapper.scan_time, image_time=mapper.state.image_time))
             took = time.monotonic() - began
         state = mapper.state
-        part.hand_on("map-state", packed({"scan_time": state.scan_time, "image_time": state.image_time}))
+        part.write("map-state", packed({"scan_time": state.scan_time, "image_time": state.image_time}))
         part.beat("ready" if mapper.scan_time > -np.inf else "waits for a scan", map_ms=1e3 * took)
         if not newest:
             time.sleep(0.01)
@@ -235,7 +235,7 @@ class Plans:
             planned = self._maker.plan(now, self._layers, self._follower, rows, latest.time, slow=slow)
         self.took = time.monotonic() - began
         if planned is None:
-            part.hand_on("plans", packed({"empty": self._maker.map_empty, "stuck": self._maker.stuck}))
+            part.write("plans", packed({"empty": self._maker.map_empty, "stuck": self._maker.stuck}))
             if self._maker.map_empty or self._maker.stuck:
                 return "stuck" if self._maker.stuck else "empty map"
             del self._maker.failures[:-1]
@@ -243,7 +243,7 @@ class Plans:
         self._follower.schedule.add(planned.plan)
         self._follower.schedule.acting(now)  # forgets the plans before it
         more = {"empty": False, "stuck": False, "scan_time": self._scan_time}
-        part.hand_on("plans", pack_plan(planned.plan, planned.prediction, **more))
+        part.write("plans", pack_plan(planned.plan, planned.prediction, **more))
         return "ready"
 
     def _take_over(self) -> None:
@@ -270,7 +270,7 @@ def plan(session: Session) -> None:
     part = Part("plan", session)
     plans = Plans(part)
     load_kernels(part, plans.planner, part.settings.runtime.device)
-    keep_loaded()
+    freeze_loaded_objects()
     freed = FreedMemory()
     period = 1 / part.settings.runtime.plan_rate
     while not part.ending:

@@ -37,14 +37,14 @@ LOADING: Final = "loads its kernels"
 """State of a process that temporarily gives no sign of life."""
 
 
-def keep_loaded() -> None:
+def freeze_loaded_objects() -> None:
     """Exclude loaded objects from garbage collection, which would take a quarter of a second."""
     gc.collect()
     gc.freeze()
     gc.collect()  # Python delays the next collection until a quarter as many objects as in this one are new
 
 
-def free_file(path: Path) -> Path:
+def unused_path(path: Path) -> Path:
     """Return the path, or the first numbered one that is free: files of a killed process are kept."""
     numbered = (path.with_stem(f"{path.stem}-{number}") for number in count(2))
     return next(one for one in chain((path,), numbered) if not one.exists())
@@ -87,7 +87,7 @@ class Part:
             self._rings[name] = self.session.ring(name)
         return self._rings[name]
 
-    def hand_on(self, name: str, data: bytes) -> None:
+    def write(self, name: str, data: bytes) -> None:
         """Write to a ring; drop and count a message that is too large."""
         if not self.ring(name).write(data):
             self.dropped.add(f"{name}: larger than its shared memory")
@@ -139,7 +139,7 @@ class Part:
         if not self._status.write(packed(about | values | dict(numbers()))):
             self._status.write(packed(about))  # a sign of life, even if the other values are too large
 
-    def end_with(self, state: str) -> None:
+    def report(self, state: str) -> None:
         """Write a last state."""
         self._beat = -1.0
         self.beat(state)
@@ -159,7 +159,7 @@ class Part:
         return self._latest_now
 
     @property
-    def clock_stands_still(self) -> bool:
+    def clock_stopped(self) -> bool:
         """Whether the robot's clock has had no new stamp for so long that ages by it are meaningless."""
         return self.settings.clock != "system" and time.monotonic() - self._stamp()[1] > RUNS_ON
 

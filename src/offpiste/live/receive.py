@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from offpiste.core.errors import LiveError
-from offpiste.live.part import RUNS_ON, STAMP, Part, keep_loaded
+from offpiste.live.part import RUNS_ON, STAMP, Part, freeze_loaded_objects
 from offpiste.live.reception import Reception
 from offpiste.live.ring import pack_fields, pack_sensors
 from offpiste.live.session import CLOCK, Session
@@ -151,7 +151,7 @@ class Receiver:
                 if self.part.settings.clock == "stamps":
                     self._clock(taken.time, received.steady)
                 given = self.reception.vehicle.given(taken.time)
-                self.part.hand_on("readings", pack_fields(taken, **given._asdict(), came=received.steady))
+                self.part.write("readings", pack_fields(taken, **given._asdict(), came=received.steady))
             elif isinstance(taken, Course):
                 self._course(taken)
 
@@ -161,13 +161,13 @@ class Receiver:
             if self._stamp >= 0 and not -RUNS_ON <= stamp - self._stamp <= RUNS_ON:
                 self.part.dropped.add("the clock jumped")
             self._stamp = stamp
-            self.part.hand_on("clock", STAMP.pack(stamp, steady))
+            self.part.write("clock", STAMP.pack(stamp, steady))
 
     def _course(self, course: Course) -> None:
         """Write a course unless it is the current one, as after a restart."""
         newest, data = self.part.ring("course").newest(), pack_fields(course)
         if newest is None or newest.data != data:
-            self.part.hand_on("course", data)
+            self.part.write("course", data)
 
     def check(self) -> None:
         """Raise `LiveError` if messages are no longer received or decoded; the process is then restarted."""
@@ -190,9 +190,9 @@ class Receiver:
                 message = self.transport.decode(received)
                 taken = message and self.reception.sensors.take(received.topic, message, received.received)
                 if isinstance(taken, Image):
-                    self.part.hand_on("images", pack_fields(taken))
+                    self.part.write("images", pack_fields(taken))
                 elif isinstance(taken, Cloud):
-                    self.part.hand_on("scans", pack_fields(taken))
+                    self.part.write("scans", pack_fields(taken))
             if self.reception.sensors.sensors is not None and not self._handed_over:
                 self._handed_over = self.part.ring("sensors").write(pack_sensors(self.reception.sensors.sensors))
 
@@ -201,7 +201,7 @@ def receive(session: Session, *, cameras: bool) -> None:
     """Run the process."""
     part = Part("receive", session)
     receiver, connected = Receiver(part, cameras=cameras), True
-    keep_loaded()
+    freeze_loaded_objects()
     while not part.ended:  # control needs readings until the vehicle is at a standstill
         receiver.read()
         receiver.check()

@@ -136,7 +136,7 @@ class Reception:
         """
         taken: list[Taken] = []
         if topic == self._enable_topic:
-            taken.append(read_switch(self._rig, message, received))
+            taken.append(switch_of(self._rig, message, received))
         if topic == self._request.topic:
             taken += self._new_course(message)
         if topic in self.vehicle.topics and (reading := self.vehicle.take(topic, message, received)) is not None:
@@ -260,7 +260,7 @@ def _course(xy: Float[np.ndarray, "P 2"], speed: Float[np.ndarray, " P"], *, whe
     return Course(xy[keep], speed[keep])
 
 
-def read_switch(rig: Rig, message: Any, received: float) -> Pressed:
+def switch_of(rig: Rig, message: Any, received: float) -> Pressed:
     """Convert a message of the dead man's switch.
 
     Args:

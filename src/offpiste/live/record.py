@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from offpiste.core.errors import LogError
-from offpiste.live.part import Part, free_file
+from offpiste.live.part import Part, unused_path
 from offpiste.live.receive import Backlog
 from offpiste.live.reception import Reception
 from offpiste.live.session import CLOCK, COMMAND, DIAGNOSTICS, MODE, PLAN, RecordSettings, Session
@@ -99,7 +99,7 @@ class Recording:
         self._writer.close()
 
     def _open(self) -> None:
-        self._writer = McapWriter(free_file(self._settings.path))
+        self._writer = McapWriter(unused_path(self._settings.path))
         self.path = self._writer.path
         self._began = None
 
@@ -158,5 +158,5 @@ def record(session: Session) -> None:
                 refused = transport.refused.snapshot()
                 part.beat(f"records {recording.path}", messages=recording.messages, refused=refused)
     except LogError as error:
-        part.end_with(str(error))
+        part.report(str(error))
     transport.close()

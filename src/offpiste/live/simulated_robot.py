@@ -4,8 +4,10 @@ import logging
 import queue
 import threading
 import time
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any, Final
 
 import numpy as np
@@ -17,7 +19,7 @@ from offpiste.closed_loop.scores import scores_of
 from offpiste.core.conventions import DT
 from offpiste.core.errors import LiveError, require
 from offpiste.core.progress import track
-from offpiste.live.part import keep_loaded
+from offpiste.live.part import freeze_loaded_objects
 from offpiste.live.play import clock_message
 from offpiste.live.session import CLOCK
 from offpiste.logs.ros.writer import header, make, quaternion, vector
@@ -88,9 +90,9 @@ class SimulatedSensors:
     """
 
     def __init__(self, world: World, suite_name: str, seed: int, transport: Transport) -> None:
-        self.suite, self._transport = sensor_suite(suite_name), transport
+        self.suite = sensor_suite(suite_name)
         self._sensing = Sensing(world, self.suite, np.random.default_rng([seed, 2]))
-        self._publish: dict[str, Any] = {}
+        self._publish = _publisher(transport)
         self._waiting: queue.SimpleQueue[VehicleSample | None] = queue.SimpleQueue()
         self.left_out = self.published = 0
         self._latest, self._ends = 0.0, False
@@ -118,9 +120,7 @@ class SimulatedSensors:
                 self.left_out += self._sensing.pass_by(sample)
                 continue
             for topic, message in self._sensing.observe(sample, stamp_ns):
-                if topic not in self._publish:
-                    self._publish[topic] = self._transport.publisher(topic, message.__msgtype__)
-                self._publish[topic](message)
+                self._publish(topic, message)
                 self.published += 1
 
 
@@ -142,7 +142,7 @@ class SimulatedRobot:
         self._rig, self._parameters = load_rig("proving_ground"), load_vehicle(vehicle or None)
         self._imperfections = Imperfections(pose_noise)
         self.commands = RemoteCommands()
-        self._rng, self._publish = np.random.default_rng([seed, 3]), dict[str, Any]()
+        self._rng, self._publish = np.random.default_rng([seed, 3]), _publisher(transport)
         transport.subscribe(_command_topic(self._rig), self._commanded, msgtype="sensor_msgs/msg/Joy")
         self._clock = transport.publisher(CLOCK, "rosgraph_msgs/msg/Clock")
         self._sensors = SimulatedSensors(world, sensors, seed, transport)
@@ -201,9 +201,7 @@ class SimulatedRobot:
         del messages[_command_topic(self._rig)]
         odometry = messages.pop("/odometry")  # last: it completes a reading
         for topic, message in {**messages, "/odometry": odometry}.items():
-            if topic not in self._publish:
-                self._publish[topic] = self._transport.publisher(topic, message.__msgtype__)
-            self._publish[topic](message)
+            self._publish(topic, message)
         self._clock(clock_message(stamp))
 
     def _commanded(self, received: Received) -> None:
@@ -227,7 +225,7 @@ def simulate_live(
     parameters = load_vehicle(vehicle or None)
     made = make_world(world)
     chosen = choose_course(made, world.seed, CourseSettings(speed=speed))
-    keep_loaded()
+    freeze_loaded_objects()
     with closing(ZenohTransport(robot)) as transport:
         simulated = SimulatedRobot(transport, made, chosen, sensors, world.seed, vehicle=vehicle, pose_noise=pose_noise)
         simulated.warm_up()
@@ -241,6 +239,12 @@ def simulate_live(
         f" off the course, cost {result['driven_cost']:.0f}; {simulated.commands.lost} steps without a command"
     )
     return result
+
+
+def _publisher(transport: Transport) -> Callable[[str, Any], None]:
+    """Return a function that publishes a message on a topic."""
+    publisher = cache(lambda topic, msgtype: transport.publisher(topic, msgtype))
+    return lambda topic, message: publisher(topic, message.__msgtype__)(message)
 
 
 def _command_topic(rig: Rig) -> str:

@@ -73,17 +73,17 @@ def run_part(name: str, session: Session, cameras: bool) -> None:
     try:
         _run(name, session, cameras)
     except OffpisteError as error:
-        _leave(name, session, str(error))
+        _report_last(name, session, str(error))
         sys.exit(1)
     except Exception as error:
-        _leave(name, session, f"{type(error).__name__}: {error}"[:300])
+        _report_last(name, session, f"{type(error).__name__}: {error}"[:300])
         raise
 
 
-def _leave(name: str, session: Session, state: str) -> None:
+def _report_last(name: str, session: Session, state: str) -> None:
     """Write a last state if the session's memory still exists."""
     with suppress(LiveError):
-        Part(name, session).end_with(state)
+        Part(name, session).report(state)
 
 
 def _end_after(parent: int) -> None:
@@ -379,7 +379,7 @@ def supervise(settings: LiveSettings, planner: Planner, definitions: list[Path])
         OffpisteError: the connection or the shared memory fails.
     """
     with ExitStack() as stack:
-        asked = stack.enter_context(asked_to_end())
+        asked = stack.enter_context(end_requested())
         robot = stack.enter_context(settings.robot.hosted())
         transport = robot.connect(definitions)
         stack.callback(transport.close)
@@ -414,7 +414,7 @@ def summary(parts: States) -> str:
 
 
 @contextmanager
-def asked_to_end() -> Iterator[threading.Event]:
+def end_requested() -> Iterator[threading.Event]:
     """Yield an event that SIGTERM (a service manager), SIGHUP (a lost terminal), SIGQUIT or Ctrl-Z sets.
 
     Ctrl-C raises. A drive is never suspended, by Ctrl-Z or by output in the background, as its processes would

@@ -13,7 +13,7 @@ from offpiste.closed_loop.recording import LIFT
 from offpiste.core.state import Terrain
 from offpiste.dynamics.base import Dynamics
 from offpiste.live.map_and_plan import ground_height
-from offpiste.live.part import Part, free_file
+from offpiste.live.part import Part, unused_path
 from offpiste.live.ring import from_fields, layers_from, plan_from, unpacked
 from offpiste.live.session import PARTS, Session
 from offpiste.live.viewers import VIEWERS, ShownGround, ShownPlan, Viewer
@@ -216,7 +216,7 @@ def view(session: Session, *, cameras: bool) -> None:
     names = tuple(rig.cameras) if cameras else ()
     place = settings.view.place
     if place:  # if it is a file, keep that of a killed process
-        place = str(free_file(Path(place)))
+        place = str(unused_path(Path(place)))
     viewer = VIEWERS[settings.view.name](place, rig.wheel_positions(), names)
     regions = None
     if planner.spread is not None:
