@@ -23,8 +23,8 @@ from offpiste.evaluation.intervals import Resampling, Sampling
 from offpiste.evaluation.report import REPORT_FILES, UNFINISHED
 from offpiste.report.figure import plain, write_png
 from offpiste.report.text_table import TextTable, interval, number
-from offpiste.training.checkpoint import load_json, save_beside_weights
-from offpiste.training.run import Run, load_run, overlap_with, refuse_seen, refuse_unfit, seen_stretches
+from offpiste.training.checkpoint import load_json, load_tensors, save_beside_weights
+from offpiste.training.run import Run, Stretch, load_run, overlap_with, refuse_seen, refuse_unfit, seen_stretches
 from offpiste.uncertainty.fit import (
     FILE,
     Residuals,
@@ -32,7 +32,6 @@ from offpiste.uncertainty.fit import (
     fit_spread,
     load_spread,
     residuals_on_maps,
-    spread_seen,
 )
 from offpiste.uncertainty.novelty import keep_memory_bank
 from offpiste.uncertainty.spread import INTERVAL, Spread, probability_within
@@ -145,17 +144,16 @@ def calibration_rows(
                     error_m=float(distance[mine].mean()),
                     scale_m=float(reach[mine].mean()),
                     coverage=tuple(covered.mean(axis=0).tolist()),
-                    ci95=_intervals(covered, drawn) if name == ALL else ((np.nan, np.nan),) * len(NOMINAL),
+                    ci95=tuple(
+                        drawn.interval(drawn.means(column.astype(float))) if name == ALL else (np.nan, np.nan)
+                        for column in covered.T
+                    ),
                     crps_m=float(score[mine].mean()),
                     auroc=area_under_curve(reach[mine], worst),
                     auroc_by_speed=area_under_curve(errors.speed[mine], worst),
                 )
             )
     return rows
-
-
-def _intervals(covered: Bool[np.ndarray, "N R"], drawn: Resampling) -> tuple[tuple[float, float], ...]:
-    return tuple(drawn.interval(drawn.means(column.astype(float))) for column in covered.T)
 
 
 def calibration_table(rows: list[CalibrationRow]) -> TextTable:
@@ -168,7 +166,10 @@ def calibration_table(rows: list[CalibrationRow]) -> TextTable:
             f"{row.horizon:g} s",
             f"{row.n}",
             number(row.error_m),
-            *(_covered(share, bounds) for share, bounds in zip(row.coverage, row.ci95, strict=True)),
+            *(
+                f"{number(100 * share, 0)} {interval((100 * low, 100 * high), 0)}"
+                for share, (low, high) in zip(row.coverage, row.ci95, strict=True)
+            ),
             number(row.crps_m),
             number(row.auroc),
             number(row.auroc_by_speed),
@@ -176,11 +177,6 @@ def calibration_table(rows: list[CalibrationRow]) -> TextTable:
         for row in rows
     ]
     return TextTable("Calibration", names, tuple(lines), ABOUT, left=3)
-
-
-def _covered(share: float, bounds: tuple[float, float]) -> str:
-    """Format a share and its interval in percent."""
-    return f"{number(100 * share, 0)} {interval((100 * bounds[0], 100 * bounds[1]), 0)}"
 
 
 def draw_calibration(within: Mapping[str, Float[np.ndarray, "N H"]]) -> Figure:
@@ -313,7 +309,10 @@ def _fitting_run(folder: Path, dataset: Dataset) -> Run:
     refuse_unfit(run, dataset)
     refuse_seen(run, dataset, PART)
     kept = run.folder / FILE
-    if kept.exists() and (overlap := overlap_with(spread_seen(run), dataset, PART)) is not None:
+    if not kept.exists():
+        return run
+    seen = msgspec.convert(load_tensors(kept)[1].get("seen", run.seen), list[Stretch])  # shipped files lack it
+    if (overlap := overlap_with(seen, dataset, PART)) is not None:
         what = f"was fitted to {overlap.seconds:.0f} s of the {PART} part of drive '{overlap.drive}'"
         how = "delete it and run `offpiste calibrate` again, or evaluate it on other drives"
         raise RunError(what, where=kept, how=how)

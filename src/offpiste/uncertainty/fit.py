@@ -5,7 +5,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
-import msgspec
 import numpy as np
 import torch
 from jaxtyping import Float
@@ -19,9 +18,9 @@ from offpiste.dataset.windows import Windows
 from offpiste.dynamics import MODELS
 from offpiste.dynamics.kernels.map_rollout import predict_on
 from offpiste.dynamics.models import seeded
-from offpiste.training.checkpoint import load_beside_weights, load_tensors, load_weights
+from offpiste.training.checkpoint import load_beside_weights, load_weights
 from offpiste.training.prediction import Lookup, batch_for, encoded, in_parts, joined, on_map, predict_batch
-from offpiste.training.run import Run, Stretch, refuse_unfit
+from offpiste.training.run import Run, refuse_unfit
 from offpiste.uncertainty.spread import (
     Spread,
     errors_in_heading,
@@ -221,12 +220,3 @@ def load_spread(run: Run) -> Spread:
         spread = Spread(inputs_of(run.dynamics.vehicle, run.dynamics.codes))
     load_weights(spread, tensors, path)
     return spread.requires_grad_(False)
-
-
-def spread_seen(run: Run) -> list[Stretch]:
-    """Return the stretches of drives that the spread in a run's folder was fitted to.
-
-    If the file does not state them, those of the run.
-    """
-    _, about = load_tensors(run.folder / FILE)
-    return msgspec.convert(about.get("seen", run.seen), list[Stretch])
