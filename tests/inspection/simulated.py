@@ -1,4 +1,4 @@
-"""A log in memory of a bicycle with known speed, steering and pedals, in which tests plant one fault at a time."""
+"""Log in memory of a bicycle with known speed, steering and pedals, for tests that plant one fault at a time."""
 
 from collections.abc import Callable
 from functools import cache
@@ -8,7 +8,11 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
 import factories
+from offpiste.inspection.driven_path import DrivenPath, driven_path
+from offpiste.inspection.findings import Finding
+from offpiste.inspection.inspect import inspect_log
 from offpiste.logs.channel import to_z_up
+from offpiste.logs.drive import Drive, drive_from_log
 from offpiste.rig.channels import ChannelSource
 from offpiste.rig.edits import Edit, edited
 from offpiste.rig.rig import Rig, parse_rig
@@ -59,10 +63,16 @@ class MemoryLog(factories.MemoryLog):
     def __init__(self, topics: dict[str, tuple[np.ndarray, dict[str, np.ndarray]]]) -> None:
         super().__init__(**topics)
 
-    def change(self, topic: str, field: str, how: Callable[[np.ndarray], np.ndarray]) -> "MemoryLog":
-        """The same log with one field changed."""
+    def change(self, topic: str, fields: str, how: Callable[[np.ndarray], np.ndarray]) -> "MemoryLog":
+        """The same log with one field changed, or with several whose names are separated by spaces."""
         time, columns = self.data[topic]
-        return MemoryLog({**self.data, topic: (time, {**columns, field: how(columns[field].copy())})})
+        names = [fields] if fields in columns else fields.split()
+        return MemoryLog({**self.data, topic: (time, columns | {name: how(columns[name].copy()) for name in names})})
+
+    def put(self, topic: str, **columns: np.ndarray) -> "MemoryLog":
+        """The same log with columns of one topic replaced or added."""
+        time, before = self.data[topic]
+        return MemoryLog({**self.data, topic: (time, before | columns)})
 
     def restamp(self, topic: str, how: Callable[[np.ndarray], np.ndarray]) -> "MemoryLog":
         """The same log with the stamps of one topic changed."""
@@ -138,6 +148,17 @@ def drive_log(seconds: float = 90.0, seed: int = 0, *, braking: float = 5.0) -> 
             "wheels": (stamps[::2], {"rear": v[::2] / 0.04 + 2 * random.standard_normal(len(v[::2]))}),
         }
     )
+
+
+def checked(check: Callable[[Drive, DrivenPath], list[Finding]], log: MemoryLog, *changes: tuple[str, str]) -> list:
+    """Findings of one check on a log, read by the right rig with changes."""
+    drive = drive_from_log(log, rig(*changes))
+    return check(drive, driven_path(drive))
+
+
+def severe(log: MemoryLog, now: Rig | None = None) -> list[Finding]:
+    """Findings of a whole inspection but for notes; by the right rig unless another one is given."""
+    return [finding for finding in inspect_log(log, now or rig()).findings if finding.severity != "note"]
 
 
 def steered(log: MemoryLog, command: np.ndarray, *, follows: float) -> MemoryLog:

@@ -1,24 +1,13 @@
 """Robots that are asked for a speed and a turn rate: what their first rigs read, and what is no such command."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from simulated import MemoryLog
-from simulated import rig as bicycle
+from simulated import MemoryLog, severe
 from test_draft_topics import Typed
 
-from offpiste.inspection.channel_guesses import labels
-from offpiste.inspection.commanded_motion import (
-    commanded_curvature,
-    is_asked_for,
-    motion_commands,
-)
 from offpiste.inspection.draft_rig import draft_rig
 from offpiste.inspection.inspect import inspect_log
 from offpiste.logs.drive import drive_from_log
-from offpiste.logs.log import Topic
-from offpiste.rig.labels import is_measured_steering
 from offpiste.rig.rig import Rig, parse_rig
 
 START, STEP = 1.7e9, 0.02
@@ -100,48 +89,13 @@ def test_a_turn_rate_and_a_speed_are_steering_and_throttle() -> None:
     assert 0.7 < float(scale.split()[3]) < 0.85, scale
 
 
-def test_a_steering_in_the_fields_of_a_twist_is_a_steering() -> None:
-    log, _ = robot("steering")
-    rig = drafted(log)
-    assert rig.channels["steer"].fields == ("angular.z",)
-    assert rig.channels["steer"].unit == ""
-    assert rig.channels["throttle"].scale == 1.0
-    assert not [f for f in inspect_log(log, rig).findings if f.severity != "note" and f.where != "throttle"]
-
-
 def test_a_speed_beside_a_steering_angle_is_the_throttle_and_no_late_clock() -> None:
     log, asked = robot("ackermann")
     rig = drafted(log)
     assert rig.channels["steer"].fields == ("drive.steering_angle",)
     assert rig.channels["throttle"].fields == ("drive.speed",)
     assert rig.channels["throttle"].scale == pytest.approx(1 / asked["drive.speed"].max(), rel=1e-3)
-    assert not [f for f in inspect_log(log, rig).findings if f.severity != "note"]
-
-
-class Asked(MemoryLog):
-    """Commands of the ROS package `ackermann_msgs` on a topic that does not say so."""
-
-    @property
-    def topics(self) -> dict[str, Topic]:
-        stamped = "ackermann_msgs/msg/AckermannDriveStamped"
-        return {name: replace(t, type=stamped if name == "/drive" else "") for name, t in super().topics.items()}
-
-
-def test_a_message_that_is_a_command_by_its_type_is_no_measured_angle() -> None:
-    data = robot("ackermann")[0].data
-    odom, command = data["odom/Odometry"], data["ackermann_cmd/AckermannDrive"]
-    rig = drafted(Asked({"/odom": odom, "/drive": command}))
-    assert rig.channels["steer"].fields == ("drive.steering_angle",)
-    assert "steer_angle" not in rig.channels
-    assert "steer_angle" in rig.absent
-    assert rig.vehicle.max_steer == pytest.approx(0.4, rel=0.03)
-
-
-@pytest.mark.parametrize(
-    ("topic", "asked"), [("/drive", True), ("/ackermann_cmd", True), ("/ackermann_feedback", False)]
-)
-def test_a_type_says_what_is_asked_for_unless_the_topic_is_measured(topic: str, asked: bool) -> None:
-    assert is_asked_for(Topic(topic, "ackermann_msgs/msg/AckermannDrive", 1000, ("speed",))) is asked
+    assert not severe(log, rig)
 
 
 @pytest.mark.parametrize("kind", ["twist", "ackermann", "angle"])
@@ -155,38 +109,7 @@ def test_a_speed_below_zero_is_a_throttle_in_reverse(kind: str) -> None:
     clear = np.abs(speed) > 0.01 * np.abs(speed).max()
     np.testing.assert_array_equal(drive.channels["gear"].values[clear, 0], np.sign(speed[clear]))
     assert "brake" not in rig.channels
-    assert not [f for f in inspect_log(log, rig).findings if f.severity != "note"]
-
-
-@pytest.mark.parametrize(
-    ("topic", "fields", "found"),
-    [
-        ("", ("cmd_linear_x", "cmd_angular_z"), ["cmd_linear_x", "cmd_angular_z cmd_linear_x"]),
-        ("", ("v_cmd", "w_cmd", "v"), ["v_cmd", "w_cmd v_cmd"]),
-        ("", ("target_speed", "speed"), ["target_speed"]),
-        ("", ("vel_x", "linear.x", "angular.z"), []),
-        ("/cmd", ("steering_angle_velocity", "speed"), ["speed"]),
-        ("/arm/command", ("joint_velocity", "angular_velocity"), []),
-        ("/odom", ("linear.x", "angular.z"), []),
-        ("/drive", ("steering_angle", "steering_angle_velocity", "speed", "acceleration"), ["speed"]),
-        ("/limits_cmd", ("max_speed",), []),
-        ("/commands/motor/speed", ("data",), ["data"]),
-    ],
-)
-def test_names_of_commanded_motions(topic: str, fields: tuple[str, ...], found: list[str]) -> None:
-    there = Topic(topic, "ackermann_msgs/msg/AckermannDrive" if topic == "/drive" else "table", 1000, fields)
-    commanded = motion_commands(there, labels(there))
-    assert [" ".join(names) for channel, names, _ in commanded if channel != "gear"] == found
-
-
-def test_turns_on_the_spot_are_no_curvature() -> None:
-    rig = drafted(robot("twist")[0])
-    random = np.random.default_rng(1)
-    speed = random.uniform(1.0, 2.0, 1000)
-    raw = np.column_stack((0.5 * speed, speed))
-    raw[:100, 1] = 0.0
-    assert commanded_curvature(raw, rig) == pytest.approx(0.5)
-    assert commanded_curvature(0 * raw, rig) == 0.0
+    assert not severe(log, rig)
 
 
 def test_a_turn_rate_that_no_vehicle_has_is_in_degrees() -> None:
@@ -195,13 +118,3 @@ def test_a_turn_rate_that_no_vehicle_has_is_in_degrees() -> None:
     plain, turned = drafted(log), drafted(degrees)
     assert turned.channels["steer"].unit == "deg/s"
     assert turned.vehicle.wheelbase == pytest.approx(plain.vehicle.wheelbase, rel=0.01)
-
-
-@pytest.mark.parametrize(
-    ("field", "measured"),
-    [("Steering Wheel Angle (deg)", True), ("steering_wheel_angle", True), ("HandwheelPos", True),
-     ("Steering Wheel Angle Command", False), ("steering", False)],
-)  # fmt: skip
-def test_the_angle_of_a_steering_wheel_is_measured_however_its_words_are_joined(field: str, measured: bool) -> None:
-    given = bicycle(('fields = ["command"]', f'fields = ["{field}"]'))
-    assert is_measured_steering("steer", given) is measured

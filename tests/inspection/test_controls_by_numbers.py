@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from simulated import MemoryLog, drive_log, rig
 
 from offpiste.inspection.controls_by_numbers import find_controls, is_measured_topic, why_no_steering
@@ -48,26 +47,6 @@ def test_the_axes_of_a_joystick_are_found() -> None:
     assert all(0.3 < correlation <= 1 for _, correlation in found.values())
 
 
-@pytest.mark.parametrize("topic", ["/platform/joy", "/simulator/setpoint", "/purpose"])
-def test_names_that_only_contain_those_of_measurements_are_looked_at(topic: str) -> None:
-    log = joystick()
-    assert find_controls(MemoryLog({"odom": log.data["odom"], topic: log.data["joy"]}), posed()).keys() == {
-        "steer",
-        "throttle",
-        "brake",
-    }
-
-
-def test_a_control_that_is_written_down_twice_is_found_once() -> None:
-    """As of PX4, whose servos' pulses stand beside the commands that they are of."""
-    log = joystick()
-    time, axes = log.data["joy"]
-    pulses = {f"output[{number}]": 1500 + 400 * axes[f"axes[{number}]"] for number in (0, 5)}
-    found = find_controls(MemoryLog({**log.data, "outputs": (time, pulses)}), posed())
-    assert (found["steer"][0].topic, found["steer"][0].fields) == ("joy", ("axes[0]",))
-    assert (found["throttle"][0].topic, found["throttle"][0].fields) == ("joy", ("axes[5]",))
-
-
 def test_a_command_is_not_measured_whatever_its_type_is() -> None:
     """TartanDrive keeps the commands in `cmd/twist.npy`."""
     log = joystick()
@@ -81,35 +60,6 @@ def test_a_command_is_not_measured_whatever_its_type_is() -> None:
     assert find_controls(exported, posed())["steer"][0].topic == "cmd"
     topics = ("/vehicle/accel_cmd", "std_msgs/Float64"), ("/twist", "geometry_msgs/TwistStamped")
     assert [is_measured_topic(Topic(name, kind, 100, ("data",))) for name, kind in topics] == [False, True]
-
-
-@pytest.mark.parametrize(("topic", "pedals"), [("/joy", True), ("/husky/joy_teleop", True), ("/enjoyed", False)])
-def test_pedals_of_a_remote_control_are_found_beside_a_steering_that_has_a_name(topic: str, pedals: bool) -> None:
-    log = joystick()
-    time, axes = log.data["joy"]
-    triggers = {name: axes[name] for name in ("axes[2]", "axes[3]", "axes[5]", "axes[6]")}
-    steered = MemoryLog(
-        {"odom": log.data["odom"], "steering": (time, {"angle": axes["axes[0]"]}), topic: (time, triggers)}
-    )
-    known = edited(
-        posed(),
-        [
-            Edit("channels.steer", {"topic": "steering", "fields": ["angle"]}),
-            Edit("absent", [name for name in posed().absent if name != "steer"]),
-        ],
-    )
-    assert set(find_controls(steered, known)) == ({"throttle", "brake"} if pedals else set())
-
-
-def test_a_steering_whose_turning_does_not_grow_with_the_speed_is_found() -> None:
-    """Of a vehicle that understeers, the yaw rate follows the steering alone as well as times the speed."""
-    log = joystick()
-    time, odom = log.data["odom"]
-    joy_time, axes = log.data["joy"]
-    yaw = np.unwrap(2 * np.arctan2(odom["qz"], odom["qw"]))
-    later = np.interp(joy_time + 0.3, time, np.gradient(yaw, time))
-    found = find_controls(MemoryLog({"odom": log.data["odom"], "joy": (joy_time, axes | {"axes[0]": later})}), posed())
-    assert found["steer"][0].fields == ("axes[0]",)
 
 
 def test_noise_and_what_is_measured_is_no_control() -> None:

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from simulated import MemoryLog
 
 from offpiste.core.errors import LogError
 from offpiste.inspection.draft_pose import pose_cure
@@ -14,7 +13,6 @@ from offpiste.inspection.draft_sensors import missing
 from offpiste.inspection.draft_values import check_draft_values
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.inspect import inspect_log
-from offpiste.inspection.usual_ranges import is_signed
 from offpiste.logs import open_log
 from offpiste.logs.drive import drive_from_log
 from offpiste.rig.edits import Edit, edited
@@ -93,28 +91,6 @@ TABLES: dict[str, tuple[Columns, dict[str, tuple[str, ...]]]] = {
             "steer": ("delta",), "steer_angle": ("delta",), "throttle": ("acc_pedal",),
         },
     ),
-    "Euler angles": (
-        {
-            "timestamp_ns": ("t", 1e9), "posX": ("x", 1), "posY": ("y", 1), "phi": ("zero", 1), "theta": ("zero", 1),
-            "psi": ("yaw", 1), "omega": ("yaw_rate", 1), "duty": ("throttle", 1), "delta_cmd": ("angle", 1),
-        },
-        {
-            "position": ("posX", "posY"), "yaw": ("psi",), "yaw_rate": ("omega",), "throttle": ("duty",),
-            "steer": ("delta_cmd",),
-        },
-    ),
-    "a prefix": (
-        {
-            "t": ("t", 1), "utm_e": ("x", 1), "utm_n": ("y", 1), "heading": ("yaw", 1), "gas": ("throttle", 1),
-            "steering": ("angle", 1 / WIDEST), "gz": ("yaw_rate", 1), "wheel_speed_fl": ("speed", 1),
-            "wheel_speed_fr": ("speed", 1), "wheel_speed_rl": ("speed", 1), "wheel_speed_rr": ("speed", 1),
-        },
-        {
-            "position": ("utm_e", "utm_n"), "yaw": ("heading",), "throttle": ("gas",), "steer": ("steering",),
-            "yaw_rate": ("gz",),
-            "wheel_speed": ("wheel_speed_fl", "wheel_speed_fr", "wheel_speed_rl", "wheel_speed_rr"),
-        },
-    ),
 }  # fmt: skip
 
 
@@ -152,75 +128,10 @@ def test_an_angle_gives_steering_and_wheelbase(tmp_path: Path, header: str) -> N
     assert rig.vehicle.wheelbase == pytest.approx(WHEELBASE, rel=0.1)
 
 
-def test_an_angle_that_is_commanded_gives_the_wheelbase(tmp_path: Path) -> None:
-    """Of which `max_steer` is the largest, too: with another wheelbase, the two would contradict the turning."""
-    vehicle = drafted(written(tmp_path / "drive.csv", {**POSE, "steering_angle_cmd": ("angle", 1)})).vehicle
-    assert vehicle.max_steer == pytest.approx(WIDEST, rel=1e-3)
-    assert vehicle.wheelbase == pytest.approx(WHEELBASE, rel=0.1)
-
-
 def test_an_angle_of_the_steering_wheel_is_scaled(tmp_path: Path) -> None:
     rig = drafted(written(tmp_path / "drive.csv", {**POSE, "steering_angle": ("angle", 400 / WIDEST)}))
     assert "steer_angle" in rig.absent
     assert rig.channels["steer"].scale == pytest.approx(1 / 400, rel=0.01)
-
-
-def test_a_height_of_one_letter_beside_places_of_a_grid(tmp_path: Path) -> None:
-    columns = {"t": ("t", 1), "x_utm": ("x", 1), "y_utm": ("y", 1), "z": ("zero", 1), "yaw": ("yaw", 1)}
-    assert drafted(written(tmp_path / "drive.csv", columns)).channels["position"].fields == ("x_utm", "y_utm", "z")
-
-
-@pytest.mark.parametrize("header", ["handwheel_deg", "hand_wheel_angle"])
-def test_a_hand_wheel_steers(tmp_path: Path, header: str) -> None:
-    rig = drafted(written(tmp_path / "drive.csv", {**POSE, header: ("angle", 460 / WIDEST)}))
-    assert rig.channels["steer"].scale == pytest.approx(1 / 460, rel=0.01)
-
-
-def test_a_steering_wheel_in_radians_is_no_road_wheel_in_degrees(tmp_path: Path) -> None:
-    rig = drafted(written(tmp_path / "drive.csv", {**POSE, "steering_wheel_angle": ("angle", 8.2 / WIDEST)}))
-    assert "steer_angle" in rig.absent
-    assert rig.channels["steer"].scale == pytest.approx(1 / 8.2, rel=0.01)
-
-
-def test_without_an_angle_the_motion_gives_max_steer_also_beside_a_compass(tmp_path: Path) -> None:
-    compass = np.degrees(np.pi / 2 - DRIVEN["yaw"]) % 360
-    path = tmp_path / "drive.csv"
-    columns = np.column_stack([DRIVEN["t"], DRIVEN["x"], DRIVEN["y"], compass, DRIVEN["angle"] * 400 / WIDEST])
-    np.savetxt(path, columns, delimiter=",", header="t,east,north,heading_deg,steering_wheel_angle", comments="")
-    vehicle = drafted(path).vehicle
-    assert np.tan(vehicle.max_steer) / vehicle.wheelbase == pytest.approx(np.tan(WIDEST) / WHEELBASE, rel=0.1)
-
-
-def test_a_pedal_in_percent_that_is_hardly_ever_pressed_is_in_percent(tmp_path: Path) -> None:
-    path, drive = tmp_path / "drive.csv", driven(200.0)
-    brake = 12.7 * np.clip(1 - np.abs(drive["t"] - 20) / 0.4, 0, 1)  # once
-    columns = np.column_stack([*(drive[name] for name in ("t", "x", "y", "yaw", "angle")), brake])
-    np.savetxt(path, columns, delimiter=",", header="t,x,y,yaw,steer,brake_pedal_pct", comments="")
-    rig = drafted(path)
-    assert rig.channels["brake"].unit == "percent"
-    assert not [f for f in inspect_log(open_log(path), rig).findings if "spikes" in f.what]
-
-
-def test_heights_and_measured_steering_of_short_names_are_read(tmp_path: Path) -> None:
-    columns = {"unix_ms": ("t", 1000), "utm_x": ("x", 1), "utm_y": ("y", 1), "utm_h": ("zero", 1), "yaw": ("yaw", 1),
-               "steer_cmd": ("angle", DEG), "steer_meas": ("angle", DEG)}  # fmt: skip
-    rig = drafted(written(tmp_path / "drive.csv", columns))
-    assert rig.channels["position"].fields == ("utm_x", "utm_y", "utm_h")
-    assert (rig.channels["steer"].fields, rig.channels["steer_angle"].fields) == (("steer_cmd",), ("steer_meas",))
-    assert (rig.clock.column, rig.clock.unit) == ("unix_ms", "ms")
-
-
-def test_latitudes_stay_latitudes_beside_a_compass(tmp_path: Path) -> None:
-    """Longitudes in their place would fit as well, in a world that is distorted and seen in a mirror."""
-    path = tmp_path / "drive.csv"
-    degrees = np.stack((47.0 + DRIVEN["y"] / 111_195, 8.0 + DRIVEN["x"] / (111_195 * np.cos(np.radians(47.0)))))
-    compass = np.degrees(np.pi / 2 - DRIVEN["yaw"])
-    columns = np.column_stack((DRIVEN["t"], *degrees, compass, DRIVEN["angle"]))
-    np.savetxt(path, columns, delimiter=",", header="t,lat,lon,heading,steer", comments="", fmt="%.9f")
-    findings = inspect_log(open_log(path)).findings
-    (heading,) = (finding for finding in findings if finding.severity == "fatal")
-    assert "it counts clockwise" in heading.what
-    assert {edit.key for edit in heading.cures[0]} == {"channels.yaw.sign", "channels.yaw.offset"}
 
 
 def test_a_brake_pressure_beside_a_command_is_the_actuator(tmp_path: Path) -> None:
@@ -232,34 +143,6 @@ def test_a_brake_pressure_beside_a_command_is_the_actuator(tmp_path: Path) -> No
     assert (pressure.fields, pressure.clip) == (("brake_pressure",), (0.0, 1.0))
     largest = 8.5 * DRIVEN["brake"].max()
     assert pressure.scale == pytest.approx(1 / largest, rel=0.02)
-
-
-def test_a_brake_pressure_is_no_percent(tmp_path: Path) -> None:
-    columns = {**POSE, "brake pressure (bar)": ("brake", 100), "throttle": ("throttle", 1), "steer": ("angle", 1)}
-    path = written(tmp_path / "drive.csv", columns)
-    brake = drafted(path).channels["brake"]
-    assert (brake.unit, brake.scale) == ("", pytest.approx(1 / 60, rel=0.01))
-    assert "scaled from 0..60 bar to 0..1, the most that this log holds" in draft_rig(open_log(path))
-
-
-def test_a_pedal_that_rests_above_zero_is_released_there(tmp_path: Path) -> None:
-    path = tmp_path / "drive.csv"
-    columns = np.column_stack([*(DRIVEN[name] for name in ("t", "x", "y", "yaw", "angle")), 0.15 + DRIVEN["brake"]])
-    np.savetxt(path, columns, delimiter=",", header="t,x,y,yaw,steer,brake_cmd", comments="")
-    values = drive_from_log(open_log(path), drafted(path)).channels["brake"].values[:, 0]
-    assert (values.min(), values.max()) == (pytest.approx(0.0, abs=0.01), pytest.approx(1.0, abs=0.01))
-
-
-def test_a_steering_wheel_that_is_once_turned_far_is_not_cut_off(tmp_path: Path) -> None:
-    """A tight turn is rarer than one sample in a hundred; a spike is no turn."""
-    turned = np.degrees(DRIVEN["angle"]) * 15 * np.where(np.abs(DRIVEN["t"] - 20.5) < 0.4, 2.0, 1.0)
-    turned[100] = 9000.0
-    path = tmp_path / "drive.csv"
-    columns = np.column_stack([*(DRIVEN[name] for name in ("t", "x", "y", "yaw")), turned])
-    np.savetxt(path, columns, delimiter=",", header="t,x,y,yaw,steering_wheel_angle_deg", comments="")
-    largest = np.abs(np.delete(turned, 100)).max()
-    assert drafted(path).channels["steer"].scale == pytest.approx(1 / largest, rel=0.01)
-    assert "max_steer is that over the steering's ratio" in draft_rig(open_log(path))
 
 
 @pytest.mark.parametrize(("ratio", "in_hand"), [(1.0, False), (4.0, True), (7.0, True)])
@@ -281,14 +164,6 @@ def test_an_angle_that_hardly_turns_the_vehicle_is_of_the_steering_wheel(
     assert np.tan(rig.vehicle.max_steer) / rig.vehicle.wheelbase == pytest.approx(turned, rel=0.25)
 
 
-def test_a_command_beside_an_angle_keeps_its_own_column(tmp_path: Path) -> None:
-    columns = {**POSE, "steer_cmd": ("angle", 1 / WIDEST), "delta": ("angle", 1)}
-    rig = drafted(written(tmp_path / "drive.csv", columns))
-    assert rig.channels["steer"].fields == ("steer_cmd",)
-    assert rig.channels["steer_angle"].fields == ("delta",)
-    assert rig.vehicle.max_steer == pytest.approx(WIDEST, rel=0.02)
-
-
 @pytest.mark.parametrize("factor", [1.0, 100.0, 0.5])
 def test_a_pedal_with_a_sign_is_throttle_and_brake(tmp_path: Path, factor: float) -> None:
     path = written(tmp_path / "drive.csv", {**POSE, "throttle": ("pedal", factor), "steer": ("angle", 1)})
@@ -299,22 +174,6 @@ def test_a_pedal_with_a_sign_is_throttle_and_brake(tmp_path: Path, factor: float
     np.testing.assert_allclose(channels["throttle"].values[:, 0], DRIVEN["throttle"] * scale, atol=1e-3)
     np.testing.assert_allclose(channels["brake"].values[:, 0], DRIVEN["brake"] * scale, atol=1e-3)
     assert "brake" not in rig.absent
-
-
-def test_a_signed_throttle_beside_a_brake_is_clipped(tmp_path: Path) -> None:
-    columns = {**POSE, "throttle": ("pedal", 1.0), "brake": ("brake", 1.0), "steer": ("angle", 1)}
-    rig = drafted(written(tmp_path / "drive.csv", columns))
-    assert rig.channels["brake"].fields == ("brake",)
-    assert (rig.channels["throttle"].clip, rig.channels["throttle"].offset) == ((0.0, 1.0), 0.0)
-
-
-def test_pedals_at_rest_away_from_zero_are_not_signed() -> None:
-    pressed = np.clip(np.sin(np.linspace(0, 60, 3000)), 0, 1)
-    assert not is_signed(100 + 230 * pressed)  # an idle offset
-    assert not is_signed(2 * pressed - 1)  # a trigger that rests at -1
-    assert not is_signed(pressed - 0.01)
-    assert is_signed(np.sin(np.linspace(0, 60, 3000)))
-    assert is_signed(np.where(pressed > 0.9, -0.3, pressed))
 
 
 @pytest.mark.parametrize(
@@ -358,19 +217,6 @@ def test_what_was_never_measured_is_noted_until_it_is(tmp_path: Path) -> None:
     assert check_draft_values(load_rig("tartandrive2")) == []
 
 
-def test_latitude_and_longitude_become_metres(tmp_path: Path) -> None:
-    t, x, y, yaw, pedal = (DRIVEN[name] for name in ("t", "x", "y", "yaw", "throttle"))
-    # Metres of a degree at 48 degrees north, of a table of WGS 84.
-    rows = np.stack((t, 11 + x / 74_628, 48 + y / 111_200, 500 + 0 * t, yaw, pedal, DRIVEN["angle"]), axis=1)
-    header = "t,Longitude,Latitude (deg),altitude,yaw,throttle,steering_angle"
-    np.savetxt(tmp_path / "gps.csv", rows, "%.9f", ",", header=header, comments="")
-    rig = drafted(tmp_path / "gps.csv")
-    assert rig.channels["position"].fields == ("Latitude (deg)", "Longitude", "altitude")
-    position = drive_from_log(open_log(tmp_path / "gps.csv"), rig).channels["position"].values
-    np.testing.assert_allclose(np.diff(position[:, :2], axis=0), np.diff(np.stack((x, y), axis=1), axis=0), atol=1e-3)
-    np.testing.assert_array_equal(position[:, 2], 500)
-
-
 def compass(path: Path, columns: Columns) -> Path:
     """The drive with a heading clockwise from north and a servo that is positive to the right."""
     table = written(path, {**columns, "Heading [deg]": ("yaw", DEG), "Servo [deg]": ("angle", -DEG)})
@@ -409,46 +255,6 @@ def test_a_compass_is_turned_round_and_the_world_not_mirrored(tmp_path: Path) ->
     assert again.channels["steer"].sign == -1
 
 
-def test_a_size_of_no_vehicle_is_another_unit(tmp_path: Path) -> None:
-    path = written(tmp_path / "drive.csv", {**POSE, "steering": ("angle", 1 / WIDEST)})
-    places = [[90, 70], [90, -70], [-90, 70], [-90, -70]]
-    numbers = {"wheel_positions": places, "mass": 700.0, "source": "data sheet", "max_steer": WIDEST}
-    rig = edited(drafted(path), [Edit(f"vehicle.{name}", value) for name, value in numbers.items()])
-    inspection = inspect_log(open_log(path), rig)
-    assert "too light" in inspection.findings[0].what
-    assert inspection.cure == (Edit("vehicle.wheel_positions", [[x / 100, y / 100] for x, y in places]),)
-    left = inspect_log(open_log(path), edited(rig, inspection.cure)).findings
-    assert [finding.what for finding in left] == ["is computed from channel steer", "there is no throttle"]
-
-
-def test_slip_does_not_make_the_drafted_wheelbase_longer(tmp_path: Path) -> None:
-    """A vehicle that turns less the faster it goes: at 5 m/s by a fifth."""
-    path, slip = tmp_path / "drive.csv", 1 + 0.01 * DRIVEN["speed"] ** 2
-    yaw = np.cumsum(DRIVEN["yaw_rate"] / slip) * 0.05
-    x, y = (np.cumsum(DRIVEN["speed"] * along(yaw)) * 0.05 for along in (np.cos, np.sin))
-    columns = np.column_stack([DRIVEN["t"], x, y, yaw, DRIVEN["angle"]])
-    np.savetxt(path, columns, delimiter=",", header="t,x,y,yaw,steering_angle_rad", comments="")
-    assert drafted(path).vehicle.wheelbase == pytest.approx(WHEELBASE, rel=0.05)
-
-
-@pytest.mark.parametrize("unit", ["rad", "deg"])
-def test_a_heading_that_is_never_wrapped_has_the_unit_that_the_course_shows(unit: str) -> None:
-    time = np.arange(0, 60, 0.02)
-    speed, steer = 4 * (1 + 0.2 * np.sin(time / 5)), 0.5 + 0.1 * np.sin(time / 3)
-    yaw = np.cumsum(speed * np.tan(0.5 * steer) / 1.6) * 0.02
-    columns = {
-        "x": np.cumsum(speed * np.cos(yaw)) * 0.02,
-        "y": np.cumsum(speed * np.sin(yaw)) * 0.02,
-        "yaw": yaw if unit == "rad" else np.rad2deg(yaw),
-        "throttle": 0.3 + 0.1 * np.cos(time / 5),
-        "steer": steer,
-    }
-    assert np.ptp(yaw) > 25
-    text = draft_rig(MemoryLog({"car": (time, columns)}))
-    assert parse_rig(text, where="test").channels["yaw"].unit == ("" if unit == "rad" else "deg")
-    assert f"in {unit} by the course" in text
-
-
 @pytest.mark.parametrize("more", [(), ("bus",)])
 def test_a_long_table_is_said_to_be_one(tmp_path: Path, more: tuple[str, ...]) -> None:
     signals = [name for name in POSE if name != "t"]
@@ -462,14 +268,6 @@ def test_a_long_table_is_said_to_be_one(tmp_path: Path, more: tuple[str, ...]) -
     with pytest.raises(LogError, match="the table is long: it has a line, not a column, for each signal") as caught:
         draft_rig(open_log(path))
     assert "pivot_table(values='value', index='timestamp', columns='signal')" in caught.value.how
-
-
-def test_positions_from_the_middle_of_the_earth_are_said_not_to_be_read(tmp_path: Path) -> None:
-    columns: Columns = {"t": ("t", 1), "ecef_x": ("x", 1), "ecef_y": ("y", 1), "ecef_z": ("zero", 1)}
-    with pytest.raises(
-        LogError, match=r"frame \(ECEF\) are not read; write latitude and longitude \[deg\] beside ecef_x"
-    ):
-        draft_rig(open_log(written(tmp_path / "comma.csv", columns)))
 
 
 def test_latitude_and_longitude_in_messages_of_their_own_are_a_position(tmp_path: Path) -> None:
@@ -487,18 +285,6 @@ def test_latitude_and_longitude_in_messages_of_their_own_are_a_position(tmp_path
     drive = drive_from_log(open_log(path), rig)
     assert len(drive.channels["position"].time) == len(DRIVEN["t"])
     assert drive.notes == ()
-
-
-@pytest.mark.parametrize("size", [0.8, 1.0])
-def test_a_throttle_that_is_at_full_for_long_is_no_trigger(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, size: float
-) -> None:
-    """Beside a brake of its own, what is below zero is none."""
-    full = (DRIVEN["pedal"] > 0.4).astype(float) - (DRIVEN["pedal"] < -0.59)
-    monkeypatch.setitem(DRIVEN, "both", size * full)
-    columns = {**POSE, "throttle": ("both", 1.0), "brake": ("brake", 1.0), "steer": ("angle", 1)}
-    throttle = drafted(written(tmp_path / "drive.csv", columns)).channels["throttle"]
-    assert (throttle.scale, throttle.offset, throttle.clip) == (1.0, 0.0, (0.0, 1.0))
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from simulated import MemoryLog, drive_log, rig
+from simulated import MemoryLog, drive_log, rig, severe
 
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.inspect import inspect_log
@@ -46,11 +46,11 @@ def read_by(fields: tuple[str, str], heading: dict[str, object]) -> Rig:
 
 
 def wrong(log: MemoryLog, given: Rig) -> list[Finding]:
-    return [finding for finding in inspect_log(log, given).findings if finding.severity != "note"]
+    return severe(log, given)
 
 
 @pytest.mark.parametrize("heading", [COMPASS, AS_IT_STANDS], ids=["compass", "as it stands"])
-@pytest.mark.parametrize("place", [(50.0, 8.0), (40.0, -80.0), (-33.9, 18.4), (37.0, -122.0)], ids=str)
+@pytest.mark.parametrize("place", [(50.0, 8.0), (-33.9, -70.6)], ids=str)
 def test_latitude_and_longitude_are_exchanged_back_and_nothing_is_left(
     place: tuple[float, float], heading: dict[str, object]
 ) -> None:
@@ -72,14 +72,6 @@ def test_a_rig_that_reads_north_before_east_is_cured_by_the_exchange_alone(field
     turned = read_by((fields[1], fields[0]), COMPASS)
     assert inspect_log(log, turned).cure == (Edit("channels.position.fields", list(fields)),)
     assert wrong(log, read_by(fields, COMPASS)) == []
-
-
-@pytest.mark.parametrize(("one", "other"), [EAST_NORTH, ("x", "y")])
-def test_columns_under_each_others_names_are_exchanged_where_the_heading_is_a_compass(one: str, other: str) -> None:
-    log, given = exchanged(located(50.0, 8.0), one, other), read_by((one, other), COMPASS)
-    cure = inspect_log(log, given).cure
-    assert cure == (Edit("channels.position.fields", [other, one]),)
-    assert wrong(log, edited(given, cure)) == []
 
 
 @pytest.mark.parametrize("fields", [LAT_LON, EAST_NORTH], ids=" ".join)

@@ -1,12 +1,11 @@
-"""One fault at a time, planted in a simulated drive: it is named, its remedy silences it, nothing else is reported."""
+"""Fault injection into a simulated drive: each fault is named alone, and its remedy silences it."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable
 
 import numpy as np
 import pytest
-from simulated import MemoryLog, drive_log, rig
+from simulated import MemoryLog, drive_log, rig, severe
 
-from offpiste.inspection import inspect, recorded_log
 from offpiste.inspection.draft_rig import draft_rig
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.inspect import inspect_log
@@ -27,7 +26,7 @@ def the_only(findings: list[Finding], where: str) -> Finding:
     return findings[0]
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_clean_log_raises_nothing_and_is_usable(seed: int) -> None:
     log = drive_log(seed=seed)
     for found in (inspect_log(log, rig()), inspect_log(log)):
@@ -57,8 +56,7 @@ def _world(log: MemoryLog) -> MemoryLog:
 def _wxyz(log: MemoryLog) -> MemoryLog:
     _, odom = log.data["odom"]
     stored = {"qx": odom["qw"], "qy": odom["qx"], "qz": odom["qy"], "qw": odom["qz"]}
-    for field, values in stored.items():
-        log = log.change("odom", field, lambda _, values=values: values)
+    log = log.put("odom", **stored)
     return log
 
 
@@ -73,141 +71,49 @@ def _with_spikes(values: np.ndarray) -> np.ndarray:
     return values
 
 
-FAULTS: list[tuple[str, Fault, str, str, tuple[str, str], str]] = [
-    (
-        "flipped steering",
-        lambda log: log.change("steering", "command", np.negative),
-        "steer",
-        "channels.steer.sign = -1",
-        (STEER, STEER + "\nsign = -1"),
-        "",
-    ),
-    (
-        "steering 0.3 s late",
-        lambda log: log.restamp("steering", lambda t: t + 0.3),
-        "steer",
-        "channels.steer.delay = 0.4",
-        (STEER, STEER + "\ndelay = 0.3"),
-        "steer_angle",
-    ),
-    (
-        "degrees",
-        lambda log: log.change("steering", "angle", np.degrees),
-        "steer_angle",
-        'channels.steer_angle.unit = "deg"',
-        (ANGLE, ANGLE + '\nunit = "deg"'),
-        "",
-    ),
-    (
-        "percent",
-        lambda log: log.change("pedals", "throttle", lambda x: 100 * x),
-        "throttle",
-        'channels.throttle.unit = "percent"',
-        (THROTTLE, THROTTLE + '\nunit = "percent"'),
-        "",
-    ),
-    (
-        "pedal the wrong way round",
-        lambda log: log.change("pedals", "throttle", lambda x: 1 - x),
-        "throttle",
-        "channels.throttle.scale = -1.0, channels.throttle.offset = 1.0",
-        (THROTTLE, THROTTLE + "\nscale = -1.0\noffset = 1.0"),
-        "",
-    ),
-    (
-        "pedals 1 s late",
-        lambda log: log.restamp("pedals", lambda t: t + 1.0),
-        "throttle",
-        "channels.throttle.delay = 1.",
-        (THROTTLE, THROTTLE + "\ndelay = 1.0"),
-        "brake",
-    ),
-    (
-        "velocity in the world",
-        _world,
-        "linear_velocity",
-        'channels.linear_velocity.frame = "world"',
-        ("frame", "frame"),
-        "",
-    ),
-    (
-        "km/h",
-        lambda log: log.change("odom", "vx", lambda v: 3.6 * v).change("odom", "vy", lambda v: 3.6 * v),
-        "linear_velocity",
-        'channels.linear_velocity.unit = "km/h"',
-        (VELOCITY, VELOCITY + '\nunit = "km/h"'),
-        "",
-    ),
-    (
-        "velocity 0.4 s late",
-        lambda log: log.change("odom", "vx", lambda v: np.roll(v, 20)).change("odom", "vy", lambda v: np.roll(v, 20)),
-        "linear_velocity",
-        "channels.linear_velocity.delay = 0.4",
-        (VELOCITY, VELOCITY + "\ndelay = 0.4"),
-        "",
-    ),
-    (
-        "deg/s",
-        lambda log: log.change("odom", "wz", np.degrees),
-        "angular_velocity",
-        'channels.angular_velocity.unit = "deg/s"',
-        (RATES, RATES + '\nunit = "deg/s"'),
-        "",
-    ),
-    (
-        "clockwise rates",
-        lambda log: log.change("odom", "wz", np.negative),
-        "angular_velocity",
-        "channels.angular_velocity.sign = -1",
-        (RATES, RATES + "\nsign = -1"),
-        "",
-    ),
-    (
-        "wxyz",
-        _wxyz,
-        "orientation",
-        'channels.orientation.fields = ["qy", "qz", "qw", "qx"]',
-        (QUATERNION, 'fields = ["qy", "qz", "qw", "qx"]'),
-        "",
-    ),
-    (
-        "millimetres",
-        lambda log: log.change("odom", "x", lambda x: 1e3 * x).change("odom", "y", lambda x: 1e3 * x),
-        "position",
-        'channels.position.unit = "mm"',
-        (PLACE, 'fields = ["x", "y"]\nunit = "mm"'),
-        "",
-    ),
-    (
-        "wrapped counter",
-        lambda log: log.change("pedals", "throttle", _wrapped),
-        "throttle",
-        "channels.throttle.wrap = { above =",
-        (THROTTLE, THROTTLE + "\nwrap = { above = 3400.0, period = 6553.6 }\nscale = 0.003333\nclip = [0.0, 1.0]"),
-        "throttle",
-    ),
-    (
-        "spikes",
-        lambda log: log.change("pedals", "throttle", _with_spikes),
-        "throttle",
-        "channels.throttle.valid = [",
-        (THROTTLE, THROTTLE + "\nvalid = [0.0, 1.5]"),
-        "",
-    ),
-    (
-        "dead channel",
-        lambda log: log.change("steering", "angle", np.zeros_like),
-        "steer_angle",
-        "remove channels.steer_angle, absent = [",
-        (f"[channels.steer_angle]\n{ANGLE}", ""),
-        "",
-    ),
-]
+def changed(topic: str, fields: str, how: Callable[[np.ndarray], np.ndarray]) -> Fault:
+    return lambda log: log.change(topic, fields, how)
 
 
-@pytest.mark.parametrize(
-    ("fault", "where", "remedy", "change", "also"), [f[1:] for f in FAULTS], ids=[f[0] for f in FAULTS]
-)
+FAULTS: dict[str, tuple[Fault, str, str, tuple[str, str], str]] = {
+    "flipped steering": (changed("steering", "command", np.negative), "steer", "channels.steer.sign = -1",
+                         (STEER, STEER + "\nsign = -1"), ""),
+    "steering 0.3 s late": (lambda log: log.restamp("steering", lambda t: t + 0.3), "steer",
+                            "channels.steer.delay = 0.4", (STEER, STEER + "\ndelay = 0.3"), "steer_angle"),
+    "degrees": (changed("steering", "angle", np.degrees), "steer_angle", 'channels.steer_angle.unit = "deg"',
+                (ANGLE, ANGLE + '\nunit = "deg"'), ""),
+    "percent": (changed("pedals", "throttle", lambda x: 100 * x), "throttle", 'channels.throttle.unit = "percent"',
+                (THROTTLE, THROTTLE + '\nunit = "percent"'), ""),
+    "pedal the wrong way round": (changed("pedals", "throttle", lambda x: 1 - x), "throttle",
+                                  "channels.throttle.scale = -1.0, channels.throttle.offset = 1.0",
+                                  (THROTTLE, THROTTLE + "\nscale = -1.0\noffset = 1.0"), ""),
+    "pedals 1 s late": (lambda log: log.restamp("pedals", lambda t: t + 1.0), "throttle",
+                        "channels.throttle.delay = 1.", (THROTTLE, THROTTLE + "\ndelay = 1.0"), "brake"),
+    "velocity in the world": (_world, "linear_velocity", 'channels.linear_velocity.frame = "world"',
+                              ("frame", "frame"), ""),
+    "km/h": (changed("odom", "vx vy", lambda v: 3.6 * v), "linear_velocity",
+             'channels.linear_velocity.unit = "km/h"', (VELOCITY, VELOCITY + '\nunit = "km/h"'), ""),
+    "velocity 0.4 s late": (changed("odom", "vx vy", lambda v: np.roll(v, 20)), "linear_velocity",
+                            "channels.linear_velocity.delay = 0.4", (VELOCITY, VELOCITY + "\ndelay = 0.4"), ""),
+    "deg/s": (changed("odom", "wz", np.degrees), "angular_velocity", 'channels.angular_velocity.unit = "deg/s"',
+              (RATES, RATES + '\nunit = "deg/s"'), ""),
+    "clockwise rates": (changed("odom", "wz", np.negative), "angular_velocity",
+                        "channels.angular_velocity.sign = -1", (RATES, RATES + "\nsign = -1"), ""),
+    "wxyz": (_wxyz, "orientation", 'channels.orientation.fields = ["qy", "qz", "qw", "qx"]',
+             (QUATERNION, 'fields = ["qy", "qz", "qw", "qx"]'), ""),
+    "millimetres": (changed("odom", "x y", lambda x: 1e3 * x), "position", 'channels.position.unit = "mm"',
+                    (PLACE, 'fields = ["x", "y"]\nunit = "mm"'), ""),
+    "wrapped counter": (changed("pedals", "throttle", _wrapped), "throttle", "channels.throttle.wrap = { above =",
+                        (THROTTLE, THROTTLE + "\nwrap = { above = 3400.0, period = 6553.6 }\nscale = 0.003333"
+                         "\nclip = [0.0, 1.0]"), "throttle"),
+    "spikes": (changed("pedals", "throttle", _with_spikes), "throttle", "channels.throttle.valid = [",
+               (THROTTLE, THROTTLE + "\nvalid = [0.0, 1.5]"), ""),
+    "dead channel": (changed("steering", "angle", np.zeros_like), "steer_angle",
+                     "remove channels.steer_angle, absent = [", (f"[channels.steer_angle]\n{ANGLE}", ""), ""),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("fault", "where", "remedy", "change", "also"), FAULTS.values(), ids=FAULTS)
 def test_a_fault_is_named_with_the_line_that_fixes_it(
     fault: Fault, where: str, remedy: str, change: tuple[str, str], also: str
 ) -> None:
@@ -307,34 +213,16 @@ def test_what_cannot_be_trained_on_is_not_usable(log: MemoryLog, what: str) -> N
     assert what in [f.what for f in found.findings] or not what
 
 
-def test_no_control_is_not_forgotten_where_the_heading_does_not_follow_the_course() -> None:
-    names = ("throttle", "brake", "steer", "steer_angle")
-    without = [Edit(f"channels.{name}", None) for name in names] + [Edit("absent", [*rig().absent, *names])]
-    log = MemoryLog({"odom": CLEAN.data["odom"]}).change("odom", "qz", np.negative)
-    found = inspect_log(log, edited(rig(), without))
-    assert any(f.what.startswith("the heading does not follow") for f in found.findings)
-    assert "there is no control channel" in [f.what for f in found.findings if f.severity == "fatal"]
-
-
 def test_no_control_at_all() -> None:
     found = inspect_log(MemoryLog({"odom": CLEAN.data["odom"]}))
     assert [f.what for f in found.findings if f.severity == "fatal"] == ["there is no control channel"]
-
-
-def test_pedals_alone_are_not_enough() -> None:
-    without = rig(
-        (f"[channels.steer]\n{STEER}", ""), ('absent = ["brake_pressure"', 'absent = ["steer", "brake_pressure"')
-    )
-    found = inspect_log(CLEAN, without)
-    assert not found.usable
-    assert [f.what for f in found.findings if f.severity == "fatal"] == ["there is no steering"]
 
 
 def test_steering_alone_is_warned_of() -> None:
     pedals = rig().absent
     without = edited(rig(), [Edit("channels.throttle", None), Edit("channels.brake", None),
                              Edit("absent", ["throttle", "brake", *pedals])])  # fmt: skip
-    (finding,) = (f for f in inspect_log(CLEAN, without).findings if f.severity != "note")
+    (finding,) = severe(CLEAN, without)
     assert (finding.severity, finding.what) == ("warning", "there is no throttle")
 
 
@@ -376,8 +264,7 @@ def test_wheels_in_another_unit_are_found(scale: float, cure: str) -> None:
 
 def test_places_in_feet_are_likelier_than_wheels_of_another_size() -> None:
     log = CLEAN
-    for axis in ("x", "y", "z"):
-        log = log.change("odom", axis, lambda values: values / 0.3048)
+    log = log.change("odom", "x y z", lambda values: values / 0.3048)
     wheels = '[channels.wheel_speed]\ntopic = "wheels"\nfields = ["rear"]\nscale = 0.04\n'
     found = complaints(log, ("[channels.position]", f"{wheels}[channels.position]"))[0]
     assert found.cures[0] == (Edit("channels.position.unit", "ft"),)
@@ -385,50 +272,23 @@ def test_places_in_feet_are_likelier_than_wheels_of_another_size() -> None:
 
 def test_velocities_that_stay_zero_are_to_be_removed_from_the_rig() -> None:
     log = CLEAN
-    for field in ("vx", "vy", "wz"):
-        log = log.change("odom", field, np.zeros_like)
+    log = log.change("odom", "vx vy wz", np.zeros_like)
     remedies = {f.remedy for f in complaints(log) if f.what == "is zero while the vehicle moves"}
     names = ("linear_velocity", "angular_velocity")
     assert remedies == {f"remove channels.{name}; the pose is differentiated instead" for name in names}
 
 
-@pytest.mark.parametrize("rows", [5, 7])
-def test_a_log_of_a_moment_hardly_moves(rows: int) -> None:
-    log = MemoryLog(
-        {topic: (time[:rows], {f: c[:rows] for f, c in of.items()}) for topic, (time, of) in CLEAN.data.items()}
-    )
-    assert "hardly moves" in [f.what for f in inspect_log(log, rig()).findings if f.severity == "fatal"]
-
-
 def test_without_a_rig_the_summary_is_of_the_log_as_its_draft_will_be_cured() -> None:
     in_cm = CLEAN
-    for field in ("x", "y", "z"):
-        in_cm = in_cm.change("odom", field, lambda values: 100 * values)
+    in_cm = in_cm.change("odom", "x y z", lambda values: 100 * values)
     found = inspect_log(in_cm)
     assert [edit.value for edit in found.cure] == ["cm"]
     assert found.summary.distance == pytest.approx(inspect_log(CLEAN).summary.distance, rel=0.01)
 
 
-def test_progress_is_shown_of_the_topics_once_and_of_all_remedies_together(monkeypatch: pytest.MonkeyPatch) -> None:
-    shown: list[list[object]] = []
-
-    def track(items: Iterable[object], description: str, *, total: int | None = None) -> Iterator[object]:
-        shown.append([description])
-        for item in items:
-            shown[-1].append(item)
-            yield item
-
-    for module in (inspect, recorded_log):
-        monkeypatch.setattr(module, "track", track)
-    inspect_log(CLEAN.change("steering", "command", lambda x: -x), rig())
-    assert [bar[0] for bar in shown] == ["topics", "trying remedies"]
-    assert len(shown[1]) > 2
-
-
-@pytest.mark.parametrize("seed", [0, 1])
-def test_a_steering_whose_sign_is_lost_is_said_to_have_none(seed: int) -> None:
+def test_a_steering_whose_sign_is_lost_is_said_to_have_none() -> None:
     """Also where the vehicle turns more to one side, so that its size has an effect."""
-    drive = drive_log(seconds=90, seed=seed)
+    drive = drive_log()
     lost = drive.change("steering", "angle", np.abs).change("steering", "command", np.abs)
     found = [f for f in inspect_log(lost, rig()).findings if f.what == "has no sign"]
     assert {(f.severity, f.where) for f in found} == {("warning", "steer"), ("warning", "steer_angle")}

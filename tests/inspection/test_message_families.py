@@ -1,14 +1,15 @@
 """First rigs of logs with the messages of drivers and stacks that off-road vehicles run."""
 
 import dataclasses
+import re
 from collections.abc import Mapping
 
 import numpy as np
 import pytest
-from simulated import MAX_STEER, MemoryLog, drive_log
+from simulated import MAX_STEER, MemoryLog, drive_log, severe
 
 from offpiste.core.errors import LogError
-from offpiste.inspection.channel_guesses import by_topic, guess_channels
+from offpiste.inspection.channel_guesses import guess_channels
 from offpiste.inspection.draft_rig import draft_rig
 from offpiste.inspection.inspect import inspect_log
 from offpiste.logs.drive import drive_from_log
@@ -16,7 +17,7 @@ from offpiste.logs.log import Topic
 from offpiste.rig.edits import Edit, edited
 from offpiste.rig.rig import Rig, parse_rig
 
-CLEAN = drive_log(seed=0)
+CLEAN = drive_log()
 TIME, ODOM = CLEAN.data["odom"]
 STEERING = CLEAN.data["steering"]
 
@@ -87,55 +88,17 @@ FAMILIES: Mapping[str, tuple[dict[str, dict[str, str]], dict[str, tuple[str, ...
         {"position": ("latitude", "longitude", "height"), "yaw": ("azimuth",),
          "linear_velocity": ("east_velocity", "north_velocity", "up_velocity")},
     ),
-    "SBG Ellipse": (
-        {"/sbg/ekf_nav": {"latitude": "latitude", "longitude": "longitude", "altitude": "height", "undulation": "1"},
-         "/sbg/ekf_euler": {"angle.x": "0", "angle.y": "0", "angle.z": "azimuth in rad", "accuracy.z": "0"}}
-        | COMMANDS,
-        {"position": ("latitude", "longitude", "altitude"), "yaw": ("angle.z",)},
-    ),
     "u-blox NavPVT": (
         {"/ublox/navpvt": {"lon": "counted longitude", "lat": "counted latitude", "height": "counted height",
                            "vel_n": "counted north", "vel_e": "counted east", "heading": "counted azimuth"}}
         | COMMANDS,
         {"position": ("lat", "lon"), "yaw": ("heading",), "linear_velocity": ("vel_e", "vel_n")},
     ),
-    "u-blox NavPVT, of a receiver that measures a heading": (
-        {"/ublox/navpvt": {"lon": "counted longitude", "lat": "counted latitude", "heading": "counted north",
-                           "head_veh": "counted azimuth"}}
-        | COMMANDS,
-        {"position": ("lat", "lon"), "yaw": ("head_veh",)},
-    ),
-    "u-blox NavPVT, of one that measures none": (
-        {"/ublox/navpvt": {"lon": "counted longitude", "lat": "counted latitude", "heading": "counted azimuth",
-                           "head_veh": "0"}}
-        | COMMANDS,
-        {"position": ("lat", "lon"), "yaw": ("heading",)},
-    ),
-    "GPSFix beside an IMU": (
-        {"/gps": {"latitude": "latitude", "longitude": "longitude", "altitude": "height", "track": "north"},
-         "/imu": {f"orientation.{axis}": f"q{axis}" for axis in "xyzw"}}
-        | COMMANDS,
-        {"position": ("latitude", "longitude", "altitude"),
-         "orientation": tuple(f"orientation.{axis}" for axis in "xyzw")},
-    ),
-    "Inertial Sense, angles": (
-        {"/ins1": {"theta[0]": "0", "theta[1]": "0", "theta[2]": "azimuth in rad", "uvw[0]": "vx", "uvw[1]": "0",
-                   "uvw[2]": "0", "lla[0]": "latitude", "lla[1]": "longitude", "lla[2]": "height"}}
-        | COMMANDS,
-        {"position": ("lla[0]", "lla[1]", "lla[2]"), "yaw": ("theta[2]",),
-         "linear_velocity": ("uvw[0]", "uvw[1]", "uvw[2]")},
-    ),
     "Inertial Sense, quaternion": (
         {"/ins2": {"qn2b[0]": "half azimuth cos", "qn2b[1]": "0", "qn2b[2]": "0", "qn2b[3]": "half azimuth sin",
                    "lla[0]": "latitude", "lla[1]": "longitude", "lla[2]": "height"}}
         | COMMANDS,
         {"position": ("lla[0]", "lla[1]", "lla[2]"), "orientation": ("qn2b[1]", "qn2b[2]", "qn2b[3]", "qn2b[0]")},
-    ),
-    "GPSFix": (
-        {"/gps": {"latitude": "latitude", "longitude": "longitude", "altitude": "height", "track": "azimuth",
-                  "speed": "vx", "climb": "vz"}}
-        | COMMANDS,
-        {"position": ("latitude", "longitude", "altitude"), "yaw": ("track",), "wheel_speed": ("speed",)},
     ),
     "PX4": (
         {"/fmu/out/vehicle_odometry": {
@@ -159,26 +122,6 @@ FAMILIES: Mapping[str, tuple[dict[str, dict[str, str]], dict[str, tuple[str, ...
         {"/odom": POSE, "/pacmod/accel_rpt": report("throttle", "throttle"),
          "/pacmod/brake_rpt": report("brake", "brake"), "/pacmod/steering_rpt": report("steer", "wheel")},
         {"throttle": ("output",), "brake": ("output",), "steer": ("output",)},
-    ),
-    "commands of pacmod3": (
-        {"/odom": POSE}
-        | {f"/pacmod/{name}_cmd": {"enable": "1", "ignore_overrides": "0", "command": quantity}
-           for name, quantity in (("accel", "throttle"), ("brake", "brake"), ("steering", "wheel"))},
-        {"throttle": ("command",), "brake": ("command",), "steer": ("command",)},
-    ),
-    "Dataspeed ULC": (
-        {"/odom": POSE,
-         "/vehicle/ulc_cmd": {"enable_pedals": "1", "linear_velocity": "speed command", "steering_mode": "1",
-                              "yaw_command": "tire command", "linear_accel": "1"}},
-        {"throttle": ("linear_velocity",), "steer": ("yaw_command",)},
-    ),
-    "Applanix": (
-        {"/ins_solution": {"lla.latitude": "latitude", "lla.longitude": "longitude", "lla.altitude": "height",
-                           "velocity.north": "north", "velocity.east": "east", "velocity.down": "sinking",
-                           "heading": "azimuth", "track_angle": "azimuth"}}
-        | COMMANDS,
-        {"position": ("lla.latitude", "lla.longitude", "lla.altitude"), "yaw": ("heading",),
-         "linear_velocity": ("velocity.east", "velocity.north")},
     ),
     "Autoware": (
         {"/localization/kinematic_state": POSE,
@@ -205,13 +148,6 @@ FAMILIES: Mapping[str, tuple[dict[str, dict[str, str]], dict[str, tuple[str, ...
          "/vehicle/brake/report": {"cmd_type": "0", "torque_input": "brake", "percent_input": "brake", "enabled": "1"},
          "/vehicle/steering/report": {"steering_wheel_angle": "wheel", "steering_wheel_torque": "wy", "enabled": "1"}},
         {"throttle": ("percent_input",), "brake": ("percent_input",), "steer": ("steering_wheel_angle",)},
-    ),
-    "AirSim": (
-        {"/airsim_node/Car/odom_local_ned": {
-            "position.x": "y", "position.y": "x", "position.z": "down", "orientation.w": "half azimuth cos",
-            "orientation.x": "0", "orientation.y": "0", "orientation.z": "half azimuth sin"}}
-        | COMMANDS,
-        {"position": ("position.x", "position.y", "position.z")},
     ),
     "MAVROS": (
         {"/mavros/local_position/odom": POSE,
@@ -250,7 +186,7 @@ def log_of(topics: Mapping[str, Mapping[str, str]]) -> Log:
 def cured(log: MemoryLog, rig: Rig) -> list[str]:
     """What is left of the warnings once the rig has the first cures."""
     for _ in range(3):
-        findings = [f for f in inspect_log(log, rig).findings if f.severity != "note"]
+        findings = severe(log, rig)
         if not any(f.cures for f in findings):
             break
         rig = edited(rig, [edit for f in findings for edit in (f.cures[0] if f.cures else ())])
@@ -266,128 +202,36 @@ def test_channels_are_found_in_messages_of(name: str) -> None:
     assert cured(log, rig) == []
 
 
-@pytest.mark.parametrize(
-    ("columns", "channel", "first"),
-    [
-        ("steer_pwm throttle_pwm", "steer", "steer_pwm"),
-        ("steer_pwm throttle_pwm", "throttle", "throttle_pwm"),
-        ("steering_torque steering_rate steering_pos", "steer_angle", "steering_pos"),
-        ("steering_torque steering_cmd", "steer", "steering_cmd"),
-        ("steering_angle_cmd steering_torque_cmd drive_torque_cmd brake_torque_cmd", "throttle", "drive_torque_cmd"),
-        ("parking_brake brake_light brake_pedal", "brake", "brake_pedal"),
-        ("brake_temp_fl brakePressed brake", "brake", "brake"),
-        ("brake_psi yaw_deg", "yaw", "yaw_deg"),
-        ("brake_psi yaw_deg", "brake_pressure", "brake_psi"),
-        ("brake_line_kpa brake_pct", "brake_pressure", "brake_line_kpa"),
-        ("brake_pct brake_front_bar", "brake_pressure", "brake_front_bar"),
-        ("Brk_Circuit[MPa] brake", "brake_pressure", "Brk_Circuit[MPa]"),
-        ("park_brake_psi brake_line_psi", "brake_pressure", "brake_line_psi"),
-        ("gyro_yaw yaw", "yaw", "yaw"),
-        ("gyro_yaw yaw", "yaw_rate", "gyro_yaw"),
-        ("Engine_Speed Vehicle_Speed", "engine_rpm", "Engine_Speed"),
-        ("EngPercentLoadAtCurrentSpeed EngSpeed WheelBasedVehicleSpeed", "wheel_speed", "WheelBasedVehicleSpeed"),
-        ("headMot headVeh lat", "yaw", "headVeh"),
-        ("head_mot head_veh imu_yaw lat", "yaw", "head_veh"),
-        ("Engine_Speed Vehicle_Speed", "wheel_speed", "Vehicle_Speed"),
-        ("rpm_fl rpm_fr rpm_rl rpm_rr", "wheel_speed", "rpm_fl"),
-        ("front_left_wheel_speed front_right_wheel_speed rear_left_wheel_speed rear_right_wheel_speed", "wheel_speed",
-         "front_left_wheel_speed"),
-        ("is_wheel_spd_fl_valid wheel_spd_fl wheel_spd_fr wheel_spd_rl wheel_spd_rr", "wheel_speed", "wheel_spd_fl"),
-        ("GForceLat GForceLong latitude longitude", "position", "latitude"),
-        ("v_lat v_lon a_lat lat lon", "position", "lat"),
-        ("bearing lat", "yaw", "bearing"),
-        ("compass_deg cog_deg lat", "yaw", "compass_deg"),
-        ("cog hdg_rad lat", "yaw", "hdg_rad"),
-        ("azimuth_deg lat", "yaw", "azimuth_deg"),
-        ("course_over_ground lat", "yaw", "course_over_ground"),
-        ("location.x location.y location.z", "position", "location.x"),
-        ("gt_x gt_y gt_yaw", "position", "gt_x"),
-        ("ekf_x ekf_y", "position", "ekf_x"),
-        ("PN PE PD", "position", "PE"),
-        ("timestamp tx ty tz qx qy qz qw", "position", "tx"),
-        ("Car.tx Car.ty Car.tz Car.Yaw", "position", "Car.tx"),
-        ("Angle_Yaw_Vehicle_CoorSys_E[deg] YawRate_Vehicle[deg|s]", "yaw", "Angle_Yaw_Vehicle_CoorSys_E[deg]"),
-        ("estimated_curvature commanded_curvature", "steer", "commanded_curvature"),
-        ("normalized_steering_angle throttle_body_x", "steer", "normalized_steering_angle"),
-        ("APPS1 APPS2", "throttle", "APPS1"),
-        ("Model_Root/Angle_SteeringWheel Model_Root/Pos_AccPedal", "steer", "Model_Root/Angle_SteeringWheel"),
-        ("DM.Steer.AngVel DM.Steer.Ang", "steer_angle", "DM.Steer.Ang"),
-        ("steering_angle_rate steering_angle", "steer_angle", "steering_angle"),
-        ("tx ty tz lat lon", "position", "lat"),
-        ("fx fy fz tx ty tz x y", "position", "x"),
-        ("shift_cmd", "gear", "shift_cmd"),
-        ("MotorTorqueReq", "throttle", "MotorTorqueReq"),
-        ("handlebar tiller", "steer", "handlebar"),
-        ("HandlebarPosition", "steer", "HandlebarPosition"),
-        ("handle_bar_rad", "steer", "handle_bar_rad"),
-    ],
-)  # fmt: skip
-def test_of_several_columns_the_one_that_says_most_comes_first(columns: str, channel: str, first: str) -> None:
+FIRST = """
+steer_pwm throttle_pwm: steer steer_pwm, throttle throttle_pwm; steering_torque steering_cmd: steer steering_cmd
+steering_torque steering_rate steering_pos: steer_angle steering_pos; MotorTorqueReq: throttle MotorTorqueReq
+steering_angle_cmd steering_torque_cmd drive_torque_cmd brake_torque_cmd: throttle drive_torque_cmd
+parking_brake brake_light brake_pedal: brake brake_pedal; brake_temp_fl brakePressed brake: brake brake
+brake_psi yaw_deg: yaw yaw_deg, brake_pressure brake_psi; brake_pct brake_front_bar: brake_pressure brake_front_bar
+park_brake_psi brake_line_psi: brake_pressure brake_line_psi; gyro_yaw yaw: yaw yaw, yaw_rate gyro_yaw
+Engine_Speed Vehicle_Speed: engine_rpm Engine_Speed, wheel_speed Vehicle_Speed
+rpm_fl rpm_fr rpm_rl rpm_rr: wheel_speed rpm_fl
+head_mot head_veh imu_yaw lat: yaw head_veh; compass_deg cog_deg lat: yaw compass_deg; bearing lat: yaw bearing
+is_wheel_spd_fl_valid wheel_spd_fl wheel_spd_fr wheel_spd_rl wheel_spd_rr: wheel_speed wheel_spd_fl
+PN PE PD: position PE
+GForceLat GForceLong latitude longitude: position latitude; v_lat v_lon a_lat lat lon: position lat
+timestamp tx ty tz qx qy qz qw: position tx; tx ty tz lat lon: position lat; fx fy fz tx ty tz x y: position x
+estimated_curvature commanded_curvature: steer commanded_curvature; APPS1 APPS2: throttle APPS1
+DM.Steer.AngVel DM.Steer.Ang: steer_angle DM.Steer.Ang; handlebar tiller: steer handlebar; shift_cmd: gear shift_cmd
+"""
+"""Columns, and for each channel the one that is read."""
+
+
+@pytest.mark.parametrize("case", re.split(r"[;\n]\s*", FIRST.strip()))
+def test_the_most_informative_of_several_columns_comes_first(case: str) -> None:
+    columns, wanted = case.split(": ")
     log = MemoryLog({"": (TIME, dict.fromkeys(columns.split(), ODOM["x"]))})
-    assert next(guess.fields[0] for guess in guess_channels(log) if guess.channel == channel) == first
+    for channel, first in (each.split() for each in wanted.split(", ")):
+        assert next(guess.fields[0] for guess in guess_channels(log) if guess.channel == channel) == first
 
 
-@pytest.mark.parametrize("columns", ["latitude longitude altitude(ft)", "easting(m) northing(m) altitude(ft)"])
-def test_a_height_in_feet_is_no_height_of_places_in_other_units(columns: str) -> None:
-    """A channel has one unit: hills would be three times as high."""
-    log = MemoryLog({"": (TIME, dict.fromkeys(columns.split(), ODOM["x"]))})
-    place = next(guess for guess in guess_channels(log) if guess.channel == "position")
-    assert place.fields == tuple(columns.split()[:2])
-
-
-def test_a_pedal_of_an_actuators_message_is_found() -> None:
-    """Of PX4's rovers: motors and servos are topics of their own, whose entries have no names."""
-    topics = {"/odom": POSE, "/fmu/out/actuator_motors": {"control[0]": "pedal", "control[1]": "0"}}
-    topics["/fmu/out/actuator_servos"] = {"control[0]": "steer", "control[1]": "0"}
-    channels = parse_rig(draft_rig(log_of(topics)), where="draft").channels
-    assert channels["steer"].topic == "/fmu/out/actuator_servos"
-    for pedal, sign in (("throttle", 1), ("brake", -1)):
-        assert (channels[pedal].topic, channels[pedal].sign) == ("/fmu/out/actuator_motors", sign)
-
-
-class Joints(Log):
-    """Messages whose entries of arrays are joints."""
-
-    @property
-    def topics(self) -> dict[str, Topic]:
-        names = (
-            "front_left_wheel",
-            "front_right_wheel",
-            "rear_left_wheel",
-            "rear_right_wheel",
-            "front_left_wheel_steer",
-        )
-        joints = {f"velocity[{number}]": f"{name}_joint_vel" for number, name in enumerate(names)}
-        joints["position[0]"] = "front_left_wheel_joint"
-        return super().topics | {"/joint_states": dataclasses.replace(super().topics["/joint_states"], joints=joints)}
-
-
-def test_the_motion_shows_how_large_the_wheels_are_whose_joints_turn() -> None:
-    """As of Clearpath's robots, in rad/s; the joints of positions and of the steering are none of them."""
-    wheels = dict.fromkeys(("position[0]", *(f"velocity[{number}]" for number in range(5))), ODOM["vx"] / 0.165)
-    log = Joints(log_of({"/odom": POSE} | COMMANDS).data | {"/joint_states": (TIME, wheels)})
-    rig = parse_rig(draft_rig(log), where="draft")
-    assert rig.channels["wheel_speed"].fields == tuple(f"velocity[{number}]" for number in range(4))
-    (edit,) = (edit for edit in inspect_log(log, rig).cure if edit.key.startswith("channels.wheel_speed"))
-    assert (edit.key, edit.value) == ("channels.wheel_speed.scale", pytest.approx(0.165, rel=0.01))
-
-
-def test_a_vector_that_commands_is_found_by_its_numbers() -> None:
-    columns = dict(zip(VECTOR, ("throttle", "brake", "steer"), strict=True))
-    channels = parse_rig(draft_rig(log_of({"/odom": POSE, "/vehicle/cmd": columns})), where="draft").channels
-    assert [channels[name].fields[0] for name in ("throttle", "brake", "steer")] == list(VECTOR)
-
-
-def test_the_velocity_of_a_world_of_north_east_down_has_its_frame() -> None:
-    topics, _ = FAMILIES["PX4"]
-    velocity = parse_rig(draft_rig(log_of(topics)), where="draft").channels["linear_velocity"]
-    assert (velocity.fields[0], velocity.frame) == ("velocity[0]", "world")
-
-
-@pytest.mark.parametrize(
-    "asked", ["wheel_angle_setpoint", "wheel_angle_cmd", "desired_angle", "setpoint", "target", "position_cmd"]
-)
-@pytest.mark.parametrize("others", ["enable rate_limit", "seq rate_limit timeout_ms is_valid", "enable torque current"])
+@pytest.mark.parametrize("asked", ["wheel_angle_setpoint", "desired_angle", "target"])
+@pytest.mark.parametrize("others", ["seq rate_limit timeout_ms is_valid", "enable torque current"])
 def test_limits_and_switches_do_not_hide_what_a_topic_commands(asked: str, others: str) -> None:
     """Nor do other quantities, of a field that says that it is asked for."""
     beside = dict.fromkeys(others.split(), "1")
@@ -405,35 +249,9 @@ def test_limits_and_switches_do_not_hide_what_a_topic_commands(asked: str, other
         assert channels[pedal].topic == f"/dbw/{pedal}_cmd"
 
 
-def test_the_angle_of_a_steering_wheel_beside_its_command_is_that_of_the_road_wheels() -> None:
-    topics = {"/odom": POSE, "/dbw/steering_status": {"wheel_angle": "wheel in deg", "column_torque": "wy", "seq": "1"}}
-    topics["/dbw/steering_command"] = {"enable": "1", "wheel_angle_setpoint": "wheel command", "rate_limit": "1"}
-    rig = parse_rig(draft_rig(log_of(topics)), where="draft")
-    assert rig.channels["steer_angle"].topic == "/dbw/steering_status"
-    largest = np.abs(QUANTITIES["wheel command"]).max()
-    assert rig.channels["steer_angle"].scale == pytest.approx(rig.vehicle.max_steer / largest, rel=0.01)
-
-
-def test_a_pressure_beside_the_brakes_command_is_read() -> None:
-    pedals = {"accelerator_pct": "throttle", "brake_pct": "brake", "enable": "1"}
-    status = {"accelerator_pct": "throttle", "brake_line_kpa": "pressure", "engine_rpm": "height"}
-    topics = {"/odom": POSE, "/pedal_command": pedals, "/pedal_status": status, "/steer": {"steer": "steer"}}
-    channels = parse_rig(draft_rig(log_of(topics)), where="draft").channels
-    assert (channels["brake"].fields, channels["brake_pressure"].fields) == (("brake_pct",), ("brake_line_kpa",))
-    assert channels["brake_pressure"].scale * QUANTITIES["pressure"].max() == pytest.approx(1, rel=0.01)
-
-
 @pytest.mark.parametrize("field", ["steering_rate_limit", "steering_angle_max", "throttle_limit", "brake_fault"])
 def test_a_limit_is_no_channel(field: str) -> None:
     assert guess_channels(MemoryLog({"": (TIME, dict.fromkeys((field, "x", "y"), ODOM["x"]))}))[1:] == []
-
-
-def test_east_and_north_velocities_are_no_place() -> None:
-    columns = ("EAST VELOCITY", "NORTH VELOCITY", "UP VELOCITY", "LATITUDE", "LONGITUDE")
-    log = MemoryLog({"": (TIME, dict.fromkeys(columns, ODOM["x"]))})
-    found = by_topic(guess_channels(log))[""]
-    assert found["position"].fields == columns[3:]
-    assert found["linear_velocity"].fields == columns[:3]
 
 
 def test_half_of_a_pose_is_named() -> None:
@@ -443,22 +261,6 @@ def test_half_of_a_pose_is_named() -> None:
         draft_rig(MemoryLog({"": (TIME, columns)}))
     with pytest.raises(LogError, match=r"/imu \(yaw\) may be a heading, and no name is that of a position"):
         draft_rig(log_of({"/imu": {"yaw": "azimuth in rad", "temperature": "1"}} | COMMANDS))
-
-
-@pytest.mark.parametrize("name", ["attitude", "pose.attitude", "pose_q", "att", "heading_and_tilt", "ins_r"])
-def test_unit_quaternions_are_an_orientation_whatever_they_are_called(name: str) -> None:
-    turned = {f"{name}.{axis}": f"q{axis}" for axis in "xyzw"}
-    ins = {"lat": "latitude", "lon": "longitude", "alt": "height", "temperature": "1"} | turned
-    channels = parse_rig(draft_rig(log_of({"/ins": ins} | COMMANDS)), where="draft").channels
-    assert channels["orientation"].fields == tuple(turned)
-    assert "yaw" not in channels
-
-
-def test_a_vector_of_four_that_is_no_quaternion_is_no_orientation() -> None:
-    columns = {f"att.{axis}": axis for axis in "xyz"} | {"att.w": "height", "lat": "latitude"}
-    assert "orientation" not in {guess.channel for guess in guess_channels(log_of({"/ins": columns}))}
-    columns = {f"attitude_error.{axis}": f"q{axis}" for axis in "xyzw"} | {"lat": "latitude"}
-    assert list(guess_channels(log_of({"/ins": columns}))) == []
 
 
 def test_what_never_changes_is_no_half_of_a_pose() -> None:
@@ -477,13 +279,6 @@ def test_a_table_without_a_drive_is_said_to_have_none(rows: int, what: str) -> N
         draft_rig(MemoryLog({"/odom": (TIME[:rows], columns), "/cmd": (TIME[:rows], columns)}))
 
 
-def test_a_pose_in_the_earths_frame_comes_last() -> None:
-    more = POSE | {f"twist.twist.angular.{axis}": f"w{axis}" for axis in "xyz"}
-    for name in ("/odometry_ecef", "/odometry_earth"):
-        log = log_of({name: more, "/odometry_enu": POSE} | COMMANDS)
-        assert parse_rig(draft_rig(log), where="draft").channels["position"].topic == "/odometry_enu"
-
-
 def test_a_pose_in_the_earths_frame_comes_last_by_its_numbers() -> None:
     """As a rotated world far away, whose name says nothing."""
     more = POSE | {f"twist.twist.angular.{axis}": f"w{axis}" for axis in "xyz"}
@@ -491,11 +286,6 @@ def test_a_pose_in_the_earths_frame_comes_last_by_its_numbers() -> None:
     for axis, far in (("x", 4.18e6), ("y", 0.86e6), ("z", 4.72e6)):
         log = log.change("/ins/odometry", f"pose.pose.position.{axis}", lambda values, far=far: values + far)
     assert parse_rig(draft_rig(log), where="draft").channels["position"].topic == "/ins/local"
-
-
-def test_a_world_with_its_z_down_is_known_by_its_name() -> None:
-    topics, _ = FAMILIES["AirSim"]
-    assert parse_rig(draft_rig(log_of(topics)), where="draft").motion.axes == "ned"
 
 
 @pytest.mark.parametrize("named", [("latitude", "longitude", "altitude"), ("position.x", "position.y", "position.z")])

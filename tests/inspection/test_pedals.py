@@ -1,16 +1,15 @@
-"""Pedals: one that never comes back to zero, one that drives backwards."""
-
-from dataclasses import replace
+"""Pedals: rest position, sign, unit, missing effect, lost samples."""
 
 import numpy as np
 import pytest
-from simulated import MAX_STEER, START, WHEELBASE, MemoryLog, drive_log, rig
+from simulated import MAX_STEER, START, WHEELBASE, MemoryLog, drive_log, rig, severe
 
 from offpiste.core.conventions import GRAVITY
 from offpiste.inspection.driven_path import driven_path
+from offpiste.inspection.findings import Finding
 from offpiste.inspection.inspect import inspect_log
-from offpiste.inspection.lags import LAGS, LagFit
-from offpiste.inspection.pedals import check_pedals, pedal_fits
+from offpiste.inspection.lost_throttle import check_lost_throttle
+from offpiste.inspection.pedals import pedal_fits
 from offpiste.logs.drive import drive_from_log
 from offpiste.rig.edits import Edit, edited
 
@@ -37,20 +36,6 @@ def test_swapped_pedals_are_exchanged() -> None:
     assert cure["channels.brake.fields"] == ["throttle"]
 
 
-def test_a_throttle_that_is_pressed_at_the_only_standstill_shows_no_rest() -> None:
-    log = _downhill(braking=0.0).change("pedals", "brake", lambda x: 1e-3 * np.arange(len(x)) / len(x))
-    for field in ("x", "y", "z"):
-        log = log.change("odom", field, lambda x: np.where(np.arange(len(x)) < 200, x[200], x))
-
-    def whats(waiting: float) -> list[str]:
-        start = np.arange(len(log.data["pedals"][0])) < 200
-        changed = log.change("pedals", "throttle", lambda x: np.where(start, waiting, np.maximum(x, 0.15)))
-        return [f.what for f in inspect_log(changed, rig()).findings]
-
-    assert "never comes back to zero" in whats(0.15)
-    assert "never comes back to zero" not in whats(0.4)
-
-
 def test_a_brake_that_only_holds_speed_downhill_has_an_effect() -> None:
     """Over the whole drive the slope explains what the brake does; where the throttle is released it shows."""
     log = _downhill(braking=1.5)
@@ -70,33 +55,12 @@ def test_a_brake_that_is_dead_shows_where_the_vehicle_brakes_without_it() -> Non
     assert Edit("channels.brake", None) in dead.cure
 
 
-def test_a_brake_that_is_dead_at_fully_pressed_is_not_called_released() -> None:
-    dead = inspect_log(CLEAN.change("pedals", "brake", lambda x: 0.0 * x + 1.0), rig())
-    whats = {f.what for f in dead.findings if f.where == "brake"}
-    assert "stays where it is fully pressed, and the vehicle brakes" in whats
-    assert not any("never pressed" in what for what in whats)
-
-
 def test_a_vehicle_that_only_rolls_out_was_not_braked() -> None:
     """Uphill slopes and drag slow it down, and the brake stays where it is."""
     log = _downhill(braking=-6.0).change("pedals", "brake", lambda x: 0.0 * x)
     assert driven_path(drive_from_log(log, rig())).acceleration.min() < -2.5
     found = inspect_log(log, rig())
     assert not any(f.where == "brake" and f.severity != "note" for f in found.findings)
-
-
-def test_a_pedal_acts_in_reverse_as_it_does_forwards_on_slopes_too() -> None:
-    """The same drive, turned round for every other 15 s: the motion, the hills and the pedals stay as they are."""
-    drive = drive_from_log(_downhill(3.0), rig())
-    path = driven_path(drive)
-    assert np.ptp(path.slope) > 0.2
-    way = np.where(path.time % 30 < 15, 1.0, -1.0)
-    turned = replace(path, forward=way * path.forward, acceleration=way * path.acceleration)
-    forwards, backwards = (pedal_fits(drive, one) for one in (path, turned))
-    assert forwards.keys() == backwards.keys() == {"throttle", "brake"}
-    for name, fit in forwards.items():
-        np.testing.assert_allclose(backwards[name].r, fit.r, atol=1e-9)
-        np.testing.assert_allclose(backwards[name].gain, fit.gain, atol=1e-9)
 
 
 def _downhill(braking: float) -> MemoryLog:
@@ -155,32 +119,10 @@ def test_a_pedal_that_moves_the_vehicle_as_none_could_is_in_another_unit(pedal, 
     assert (finding.severity, finding.where) == ("warning", pedal)
 
 
-def test_a_vehicle_that_is_driven_gently_has_its_pedals() -> None:
-    for name in ("throttle", "brake"):
-        gently = CLEAN.change("pedals", name, lambda x: 0.14 * x / x.max())
-        assert not any("too small" in f.what for f in inspect_log(gently, rig()).findings)
-
-
-def test_a_pedal_that_is_a_second_late_is_late_and_not_reversed() -> None:
-    """Driven in waves, a pedal that is half a wave late looks reversed; what explains more is that it is late."""
-    drive = drive_from_log(CLEAN, rig())
-    path = driven_path(drive)
-    whats = {}
-    for explains in (0.8, 0.1):
-        r = explains * np.exp(-(((LAGS + 1.0) / 0.2) ** 2)) - 0.4 * np.exp(-(((LAGS - 0.2) / 0.2) ** 2))
-        fit = LagFit(LAGS, r, r, 1000, np.tile(r, (9, 1)), np.tile(r, (9, 1)))
-        whats[explains] = [(f.what, f.cures[0][0].key) for f in check_pedals({"throttle": fit}, drive, path)]
-    assert whats[0.8] == [("is stamped after the motion that it causes", "channels.throttle.delay")]
-    assert whats[0.1] == [("acts the wrong way", "channels.throttle.scale")]
-    unsure = LagFit(LAGS, r, r, 1000, np.outer(np.linspace(0.0, 2.0, 9), r), np.tile(r, (9, 1)))
-    assert check_pedals({"throttle": unsure}, drive, path) == [], "some stretches alone say so"
-
-
 def _triggers(low: float, high: float) -> MemoryLog:
     """The log with pedals as triggers: `high` when released, `low` when pressed fully."""
     log = CLEAN
-    for name in ("throttle", "brake"):
-        log = log.change("pedals", name, lambda x: high - (high - low) * np.clip(1.25 * x - 0.25, 0, 1))
+    log = log.change("pedals", "throttle brake", lambda x: high - (high - low) * np.clip(1.25 * x - 0.25, 0, 1))
     return log
 
 
@@ -194,16 +136,7 @@ def test_two_triggers_that_rest_high_are_both_reversed_and_not_exchanged(low: fl
     for name in ("throttle", "brake"):
         pressed = np.clip(1.25 * CLEAN.data["pedals"][1][name] - 0.25, 0, 1)
         np.testing.assert_allclose(channels[name].values[:, 0], pressed, atol=1e-3)
-    assert not [f for f in inspect_log(log, cured).findings if f.severity != "note"]
-
-
-def test_a_range_of_valid_values_never_drops_most_samples() -> None:
-    """As `sign = -1` leaves a trigger: -1 when released, some quick touches beyond."""
-    log = _triggers(-1.0, 1.0)
-    half = edited(rig(), [Edit("channels.throttle.sign", -1), Edit("channels.brake.sign", -1)])
-    cure = inspect_log(log, half).cure
-    assert {edit.key.rpartition(".")[2] for edit in cure} == {"scale", "offset"}
-    assert not [f for f in inspect_log(log, edited(half, cure)).findings if f.severity != "note"]
+    assert not severe(log, cured)
 
 
 def test_a_brake_that_is_never_released_is_the_wrong_way_round() -> None:
@@ -214,3 +147,64 @@ def test_a_brake_that_is_never_released_is_the_wrong_way_round() -> None:
     cured = edited(rig(), finding.cures[0])
     assert drive_from_log(rare, cured).channels["brake"].values.min() == pytest.approx(0.0, abs=1e-6)
     assert not [f for f in inspect_log(rare, cured).findings if f.where == "brake" and f.severity != "note"]
+
+
+LONG = drive_log(seconds=120, seed=3)
+TIME, PEDALS = LONG.data["pedals"]
+
+
+def _found(log: MemoryLog) -> list[Finding]:
+    drive = drive_from_log(log, rig())
+    path = driven_path(drive)
+    return check_lost_throttle(pedal_fits(drive, path)["throttle"], drive, path)
+
+
+def _lost(*starts: int, count: int) -> MemoryLog:
+    """The log with the throttle at zero from some samples on."""
+
+    def lose(values: np.ndarray) -> np.ndarray:
+        for first in starts:
+            values[first : first + count] = 0.0
+        return values
+
+    return LONG.change("pedals", "throttle", lose)
+
+
+def _most_pressed(count: int) -> int:
+    """First of so many samples in which the throttle is pressed most."""
+    return int(np.convolve(PEDALS["throttle"], np.ones(count), "valid").argmax())
+
+
+@pytest.mark.parametrize("seconds", [1.0, 4.0])
+def test_zeros_through_which_the_vehicle_is_driven_on_are_named_with_what_was_pressed(seconds: float) -> None:
+    count = round(seconds / 0.02)
+    first = _most_pressed(count)
+    (finding,) = _found(_lost(first, count=count))
+    assert (finding.severity, finding.where) == ("warning", "throttle")
+    assert (
+        f"once, for {TIME[first + count - 1] - TIME[first]:.1f} s from {TIME[first] - TIME[0]:.2f} s on"
+        in finding.evidence
+    )
+    said = float(finding.evidence.split("that of ")[1].split(" ")[0])
+    assert said == pytest.approx(PEDALS["throttle"][first : first + count].mean(), abs=0.15)
+
+
+def test_a_throttle_that_is_released_is_none_that_is_lost() -> None:
+    released = PEDALS["throttle"] == 0
+    runs = np.diff(np.flatnonzero(np.diff(released.astype(int), prepend=0, append=0)).reshape(-1, 2))
+    assert (runs > 50).sum() >= 3  # longer than a second
+    assert _found(LONG) == []
+
+
+def test_a_brake_that_acts_less_than_usual_is_no_lost_throttle() -> None:
+    """On slippery ground a vehicle slows by less than the same brake does elsewhere."""
+    count = 200
+    first = _most_pressed(count)
+
+    def pressed(values: np.ndarray) -> np.ndarray:
+        values[first : first + count] = 0.5
+        return values
+
+    lost = _lost(first, count=count)
+    assert len(_found(lost)) == 1
+    assert _found(lost.change("pedals", "brake", pressed)) == []

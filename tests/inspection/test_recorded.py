@@ -54,12 +54,6 @@ def test_the_vehicle_bus_has_a_clock_that_drifts(unknown: Inspection) -> None:
     assert 'topic = "wheel_rpm"' in finding.remedy
 
 
-def test_the_draft_unwraps_the_throttle(turnpike: Path) -> None:
-    wrap = parse_rig(draft_rig(open_log(turnpike)), where="").channels["throttle"].wrap
-    assert wrap is not None
-    assert wrap.period == 6553.6
-
-
 def test_frames_of_velocities(turnpike: Path, meadows: Path) -> None:
     assert parse_rig(draft_rig(open_log(turnpike)), where="").channels["linear_velocity"].frame == "world"
     superb = parse_rig(draft_rig(open_log(meadows)), where="")
@@ -88,13 +82,6 @@ def test_a_wrong_preset_gets_the_right_line(turnpike: Path, name: str, wrong: di
     rig = change(load_rig("tartandrive2"), name, **wrong)
     found = inspect_log(open_log(turnpike), rig)
     assert any(m.startswith(remedy) for m in remedies(found)), remedies(found)
-
-
-def test_cmd_is_no_command(turnpike: Path) -> None:
-    rig = change(load_rig("tartandrive2"), "steer", topic="cmd", fields=("1",), scale=1.0)
-    found = inspect_log(open_log(turnpike), rig)
-    (finding,) = (f for f in found.findings if f.where == "steer" and f.severity == "warning")
-    assert finding.what in ("has a delay that changes", "is stamped after the motion that it causes")
 
 
 def test_bags_without_controls_or_pose_are_not_usable(data_folder: Path) -> None:

@@ -1,10 +1,8 @@
-"""What becomes a warning, what a note, and what the remedies say.
-
-KITTI's drive is cleared; with a camera planted wrongly it is not.
-"""
+"""Findings about mountings and stamps of sensors; first rigs of their topics."""
 
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,22 +10,25 @@ import simulated
 from scipy.spatial.transform import Rotation
 from simulated import MemoryLog
 
-import textured_world as world
-from offpiste.inspection.findings import Finding
+from offpiste.cli import main
+from offpiste.core.errors import LogError
+from offpiste.inspection.draft_sensors import draft_sensors, missing
 from offpiste.inspection.inspect import Inspection, inspect_log
 from offpiste.inspection.misfit import Misfit
 from offpiste.inspection.misfit import turned as turned_mounting
 from offpiste.inspection.own_body import check_own_body
-from offpiste.inspection.sensor_samples import Gathered, gather, small_camera
+from offpiste.inspection.sensor_samples import gather, small_camera
 from offpiste.inspection.sensor_stamps import check_sensor_stamps
-from offpiste.inspection.sensors import CheckedSensor, camera_misfits, can_be_checked, check_mountings, lidar_misfits
+from offpiste.inspection.sensors import CheckedSensor, camera_misfits, check_mountings, check_sensors, lidar_misfits
 from offpiste.logs import open_log
 from offpiste.logs.log import RawCloud, Topic
 from offpiste.logs.measurements import Camera, Lidar
+from offpiste.logs.ros.writer import quaternion
 from offpiste.logs.sensor_log import open_sensors
 from offpiste.rig.camera import CameraModel
-from offpiste.rig.rig import load_rig
+from offpiste.rig.rig import load_rig, parse_rig
 from offpiste.rig.sensors import CameraSource, LidarSource
+from sensor_bags import IMAGE, SENSORS, cloud, compressed, info, odometry, opened, record, sensor_rig, tree
 
 LIDAR = Lidar("top", np.eye(4), LidarSource(topic="/points", delay=0.02))
 CAMERA = Camera("front", CameraModel(8, 6, np.eye(3)), np.eye(4), CameraSource(topic="/image"))
@@ -79,12 +80,6 @@ def test_remedies_are_rig_lines():
     assert cures == [turn.remedy.partition("; or ")[2], late.remedy]
 
 
-def test_points_without_their_times_are_no_reason_for_a_delay():
-    (late,) = check_mountings([replace(checked((0, 0, 0, 30)), untimed='lidars.top.time_field = "t"')])
-    assert late.remedy.startswith('lidars.top.time_field = "t"; only if its scans are compensated: ')
-    assert late.cures == ()
-
-
 def test_if_all_sensors_agree_the_pose_may_be_off():
     late = (0, 0, 0, 50)
     both = check_mountings([checked(late), checked(late, sensor=CAMERA)])
@@ -94,32 +89,6 @@ def test_if_all_sensors_agree_the_pose_may_be_off():
     alone = check_mountings([checked(late), checked(sensor=CAMERA)])
     assert not any("the pose's" in f.remedy for f in alone)
     assert not any("the pose's" in f.remedy for f in check_mountings([checked(late)]))
-
-
-def test_a_camera_that_seems_turned_may_be_late(monkeypatch):
-    """The fit is begun again from other delays; the smallest residuals count, unless there are few of them."""
-    turned, late = checked((0, 0, 4.0, 20), scale=0.7).misfit, checked((0, 0, 0, 195), scale=0.5).misfit
-    few = replace(checked((0, 30, 0, -150), scale=0.4).misfit, residuals=600)
-
-    def check(*given, start=None):
-        return turned if start is None else late if start[3] > 0 else few
-
-    monkeypatch.setattr("offpiste.inspection.sensors.check_camera", check)
-    gathered = Gathered({"top": []}, {"front": []}, 0.0, 1.0, 1.0)
-    given = {"front": world.camera()}, [CheckedSensor(LIDAR, None)], gathered, world.poses()
-    assert camera_misfits(*given)[0].misfit is late
-    turned = checked((0, 0, 4.0, 20), scale=0.45).misfit
-    assert camera_misfits(*given)[0].misfit is turned
-
-
-def test_what_could_not_be_checked_is_a_note():
-    assert reported(CheckedSensor(CAMERA, None)) == [("note", "front", "could not be checked against the poses")]
-    (note,) = check_mountings([checked(sigma=(3.0, 0.1, 0.1, 90))])
-    assert note.evidence == "not known: roll (± 3.0 degrees), delay (± 90 ms)"
-
-
-def test_scans_without_a_common_world():
-    assert reported(checked(scale=0.5)) == [("warning", "top", "its scans show no common world")]
 
 
 def test_kitti(data_folder):
@@ -145,15 +114,6 @@ def test_kitti(data_folder):
     assert camera.is_turned
     assert camera.misfit is not None
     np.testing.assert_allclose(np.rad2deg(camera.misfit.parameters[1]), -2.0, atol=0.4)
-
-
-@pytest.mark.parametrize(
-    ("where", "checked"), [("controls", True), ("steer", True), ("position", False), ("oxts", False)]
-)
-def test_only_the_pose_decides_whether_sensors_are_checked(where, checked):
-    finding = Finding("fatal", where, "is wrong", "", "")
-    assert can_be_checked([finding], load_rig("kitti")) == checked
-    assert can_be_checked([replace(finding, severity="warning")], load_rig("kitti"))
 
 
 class AmongWalls(MemoryLog):
@@ -202,7 +162,7 @@ def turned(degrees: float) -> MemoryLog:
     log = simulated.drive_log(seconds=60)
     _, odom = log.data["odom"]
     yaw = 2 * np.arctan2(odom["qz"], odom["qw"]) + np.radians(degrees)
-    return log.change("odom", "qz", lambda _: np.sin(yaw / 2)).change("odom", "qw", lambda _: np.cos(yaw / 2))
+    return log.put("odom", qz=np.sin(yaw / 2), qw=np.cos(yaw / 2))
 
 
 @pytest.mark.parametrize(("degrees", "severity"), [(25.0, "warning"), (-90.0, "fatal")])
@@ -224,3 +184,171 @@ def test_what_the_cure_of_a_late_pose_leaves_is_no_delay_of_the_lidar() -> None:
 
 def test_a_turn_that_only_the_lidar_shows_is_cured_there() -> None:
     assert [edit.key for edit in among_walls(turned(5.0)).cure] == ["lidars.top.body_from_lidar"]
+
+
+FIXED = [(0, "/tf_static", tree()), (0, "/info", info())]
+
+
+def stamped(tmp_path, *, image=lambda t: t, arrival=lambda t: t, until=20.0, last=np.inf):
+    """Findings about a drive of two images and clouds a second; the images' stamps and arrivals as given."""
+    times = np.arange(0.2, until, 0.5).tolist()
+    messages = [(t + 0.05, "/points", cloud(t)) for t in times]
+    messages += [(arrival(t) + 0.05, "/image", compressed(image(t), IMAGE)) for t in times if t < last]
+    path = record(tmp_path / f"{last}.mcap", messages + FIXED, until=until)
+    return [(f.severity, f.where, f.what) for f in check_sensor_stamps(open_log(path), opened(path))]
+
+
+def test_even_stamps_are_right(tmp_path):
+    assert stamped(tmp_path) == []
+
+
+def test_a_camera_that_stops_early(tmp_path):
+    assert stamped(tmp_path, last=15.0) == [("note", "/image", "starts late or stops early")]
+    assert stamped(tmp_path, last=8.0) == [("warning", "/image", "starts late or stops early")]
+
+
+def test_a_camera_that_pauses(tmp_path):
+    assert ("warning", "/image", "has a gap") in stamped(tmp_path, image=lambda t: t if t < 10 else t + 6, until=30)
+
+
+def test_a_clock_that_drifts(tmp_path):
+    found = stamped(tmp_path, image=lambda t: t * 0.99, until=40)
+    assert ("warning", "/image", "its clock drifts") in found
+
+
+def test_a_calibration_of_another_size_is_reported_and_stops_nothing(tmp_path):
+    messages = [(0.3, "/points", cloud(0.2)), (0.3, "/image", compressed(0.1, np.zeros((60, 80, 3), np.uint8))), *FIXED]
+    path = record(tmp_path / "drive.mcap", messages)
+    (finding,) = [f for f in check_sensors(open_log(path), sensor_rig()) if f.severity == "warning"]
+    assert "images of 80x60, and a calibration for 8x6" in finding.what
+    assert "calibration of these images" in finding.remedy
+
+
+def test_without_sensors_there_are_no_findings(tmp_path):
+    path = record(tmp_path / "drive.mcap")
+    assert check_sensors(open_log(path), sensor_rig("")) == []
+    optional = sensor_rig('[lidars.top]\ntopic = "/none"\noptional = true\n')
+    assert check_sensors(open_log(path), optional) == []
+    (finding,) = check_sensors(open_log(path), sensor_rig('[lidars.top]\ntopic = "/none"\n'))
+    assert finding.severity == "warning"
+    assert "no messages on topic '/none'" in finding.what
+
+
+def stamped_as(tmp_path, *, image=lambda t: t, cloud_stamp=lambda t: t, every=0.5, until=20.0, sensors=SENSORS):
+    """Findings about sensors whose messages arrive in order, stamped as given; the vehicle is right."""
+    times = np.arange(0.2, until, every).tolist()
+    messages = [(t + 0.05, "/points", cloud(cloud_stamp(t))) for t in times]
+    messages += [(t + 0.05, "/image", compressed(image(t), IMAGE)) for t in times]
+    path = record(tmp_path / f"{len(sensors)}.mcap", messages + FIXED, until=until)
+    return check_sensor_stamps(open_log(path), opened(path, sensors))
+
+
+def test_what_is_wrong_with_a_sensor_spoils_no_channel_and_edits_no_clock(tmp_path):
+    shuffled = np.random.default_rng(0).permutation(np.arange(0.2, 20.0, 0.5))
+    found = stamped_as(tmp_path, image=lambda t: shuffled[round(2 * (t - 0.2))])
+    assert [(f.severity, f.where, f.what) for f in found] == [
+        ("warning", "/image", "samples are not in the order of their stamps")
+    ]
+    assert found[0].cures == ()
+    assert "are dropped on reading" in found[0].remedy
+
+
+def test_a_sensor_that_is_slow_on_purpose_is_right(tmp_path):
+    assert stamped_as(tmp_path, every=8.0, until=193.0) == []
+
+
+def test_a_sensor_by_another_clock_is_given_the_delay_that_puts_it_right(tmp_path):
+    (found,) = stamped_as(tmp_path, image=lambda t: t - 30.0)
+    assert (found.severity, found.where) == ("warning", "/image")
+    assert found.remedy.startswith("cameras.front.delay = -30.05, ")  # by its arrival
+    assert found.cures == ()  # it may as well be sent late
+    cured = SENSORS.replace('info = "/info"', 'info = "/info"\ndelay = -30.05')
+    assert stamped_as(tmp_path, image=lambda t: t - 30.0, sensors=cured) == []
+
+
+SCAN = np.random.default_rng(0).uniform(1, 5, (150, 3))
+
+
+def turning(seconds: float):
+    """A pose that turns: a heading that never changes may be one that is never measured."""
+    message = odometry(seconds)
+    message.pose.pose.orientation = quaternion((0, 0, np.sin(seconds / 4), np.cos(seconds / 4)))
+    return message
+
+
+def recorded(path: Path, **left_out: bool) -> Path:
+    """One image and one scan of 150 points beside a cloud of three, without some of what they need."""
+    messages = [
+        (0.2, "/front/image_raw/compressed", compressed(0.1, IMAGE)),
+        (0.3, "/front/depth/compressed", compressed(0.2, IMAGE)),
+        (0.25, "/top/points", cloud(0.2, SCAN)),
+        (0.25, "/wheels/points", cloud(0.2)),
+    ]
+    messages += [(t, "/odom", turning(t)) for t in np.arange(0.05, 1, 0.1).tolist()]
+    messages += [] if left_out.get("info") else [(0, "/front/camera_info", info())]
+    messages += [] if left_out.get("transforms") else [(0, "/tf_static", tree())]
+    return record(path, messages)
+
+
+def test_the_draft_can_be_read_through(tmp_path: Path) -> None:
+    log = open_log(recorded(tmp_path / "log.mcap"))
+    text = draft_sensors(log, "/odom")
+    rig = sensor_rig(text)
+    assert {name: camera.topic for name, camera in rig.cameras.items()} == {"front": "/front/image_raw/compressed"}
+    assert {name: lidar.topic for name, lidar in rig.lidars.items()} == {"top": "/top/points"}
+    assert rig.cameras["front"].info == "/front/camera_info"
+    assert rig.frames.body == "base_link"
+    # A mast of 2 m, and the LiDAR half a metre above it.
+    sensors = open_sensors(log, rig)
+    assert sensors.lidars["top"].body_from_lidar[:3, 3] == pytest.approx([1, 0, 2.5])
+    top = rig.lidars["top"]
+    assert (top.time_field, top.time_unit, top.time_origin) == ("t", "ns", "stamp")
+    assert missing(text) == []
+
+
+def test_what_the_log_does_not_say_is_missing(tmp_path: Path) -> None:
+    text = draft_sensors(open_log(recorded(tmp_path / "log.mcap", info=True, transforms=True)), "/odom")
+    rig = sensor_rig(text)
+    assert not rig.cameras, "a camera without calibration waits in comments"
+    assert "# [cameras.front]" in text
+    lines = missing(text)
+    assert any(line.startswith("transforms: no TF") for line in lines)
+    assert any(line.startswith("calibration of front: no CameraInfo") for line in lines)
+    assert any(line.startswith("mounting of top: no fixed transform joins 'lidar' to 'base_link'") for line in lines)
+    given = rig.lidars["top"].body_from_lidar
+    assert given is not None
+    assert given.looks == "forward"
+    with pytest.raises(LogError, match="the mounting of 'top' is a rough guess"):
+        open_sensors(open_log(tmp_path / "log.mcap"), rig)
+
+
+def test_images_of_16_bits_are_drafted_with_the_bits_that_they_use(tmp_path: Path) -> None:
+    deep = np.arange(48, dtype=np.uint16).reshape(6, 8, 1) * 80
+    message = compressed(0.2, deep, "mono16; png compressed ")
+    messages = [(0.2, "/cam/image/compressed", message), (0, "/cam/camera_info", info()), (0, "/tf_static", tree())]
+    log = open_log(record(tmp_path / "log.mcap", messages))
+    rig = sensor_rig(draft_sensors(log, "/odom"))
+    assert rig.cameras["cam"].bits == 12
+    image = next(open_sensors(log, rig).stream(["cam"]))
+    assert (image.pixels.min(), image.pixels.max()) == (0, round(47 * 80 * 255 / 4095))
+
+
+def test_a_topic_without_pictures_waits_in_comments(tmp_path: Path) -> None:
+    message = compressed(0.2, np.zeros((6, 8, 1), np.uint16), "16UC1; png compressed ")
+    messages = [(0.2, "/cam/image/compressed", message), (0, "/cam/camera_info", info()), (0, "/tf_static", tree())]
+    text = draft_sensors(open_log(record(tmp_path / "log.mcap", messages)), "/odom")
+    assert not sensor_rig(text).cameras
+    (line,) = missing(text)
+    assert line.startswith("pictures of cam: topic '/cam/image/compressed' holds images encoded as '16UC1', which are")
+
+
+def test_the_command_says_what_is_missing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = recorded(tmp_path / "log.mcap", info=True)
+    with pytest.raises(SystemExit):
+        main(["inspect", str(log), "--write-rig", str(tmp_path / "my.toml")])
+    printed = capsys.readouterr().err
+    assert f"wrote {tmp_path / 'my.toml'}\n" in printed
+    assert "  missing: calibration of front" in printed
+    assert "  missing: steering: no field looks like it" in printed
+    assert "All topics are named like measurements." in printed
+    parse_rig((tmp_path / "my.toml").read_text(), where="my.toml")

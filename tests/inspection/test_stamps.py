@@ -1,90 +1,27 @@
-"""Stamps with known faults."""
+"""Stamps and clocks: order, gaps, delays, drift, and topics published on change."""
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from simulated import RIG, MemoryLog, drive_log, rig
+from jaxtyping import Float
+from simulated import MemoryLog, drive_log, rig, severe
 
+from offpiste.dataset.resample import extract_rows
+from offpiste.inspection.clocks import check_clocks
+from offpiste.inspection.driven_path import driven_path
+from offpiste.inspection.findings import Finding
 from offpiste.inspection.inspect import inspect_log
 from offpiste.inspection.recorded_log import RememberedLog, read_topics
-from offpiste.inspection.stamps import check_headers
 from offpiste.inspection.timing import timing
 from offpiste.logs import open_log
+from offpiste.logs.drive import drive_from_log
 from offpiste.rig.edits import Edit, edited
+from offpiste.rig.rig import Rig
 
 CLEAN = drive_log(seconds=60)
-
-
-def findings(log: MemoryLog, topic: str) -> dict[str, tuple[str, str]]:
-    return {f.what: (f.severity, f.evidence) for f in inspect_log(log, rig()).findings if f.where == topic}
-
-
-def test_messages_that_are_sent_twice_are_no_losses() -> None:
-    time, _ = CLEAN.data["pedals"]
-    twice = CLEAN.keep("pedals", np.repeat(np.arange(len(time)), 2))
-    twice = twice.restamp("pedals", lambda stamps: stamps + np.tile([0, 0.0005], len(time)))
-    assert timing(twice.data["pedals"][0], max_gap=0.5).lost == 0
-    assert "samples are missing" not in findings(twice, "pedals")
-
-
-def test_dropped_samples() -> None:
-    time, _ = CLEAN.data["pedals"]
-    kept = np.flatnonzero(np.random.default_rng(0).random(len(time)) > 0.2)
-    severity, evidence = findings(CLEAN.keep("pedals", kept), "pedals")["samples are missing"]
-    assert severity == "warning"
-    assert float(evidence.split("%")[0]) == pytest.approx(20, abs=2)
-
-
-def test_backward_stamps() -> None:
-    def back(time: np.ndarray) -> np.ndarray:
-        time[1000] -= 0.5
-        return time
-
-    severity, evidence = findings(CLEAN.restamp("steering", back), "steering")["stamps go back"]
-    assert severity == "warning"
-    assert evidence.startswith("1 of 1500; by 0.460 s at 39.9")
-
-
-@pytest.mark.filterwarnings("error::RuntimeWarning")
-def test_infinite_stamps() -> None:
-    def infinite(time: np.ndarray) -> np.ndarray:
-        time[1000:1002], time[1010] = np.inf, -np.inf
-        return time
-
-    severity, evidence = findings(CLEAN.restamp("steering", infinite), "steering")["stamps are not finite"]
-    assert severity == "warning"
-    assert evidence == "3 of 1500"
-
-
-def test_repeated_stamps() -> None:
-    def repeat(time: np.ndarray) -> np.ndarray:
-        time[1::50] = time[::50]
-        return time
-
-    severity, evidence = findings(CLEAN.restamp("steering", repeat), "steering")["stamps repeat"]
-    assert severity == "note"
-    assert evidence.startswith("30 of 1500 (2.0%)")
-
-
-def test_stamps_that_rows_of_several_sensors_share_lose_nothing() -> None:
-    """A table of an autopilot's messages: a row each, in which the columns of all others are empty."""
-    stamps, odom = CLEAN.data["odom"]
-    time, row = np.repeat(stamps, 2), np.arange(2 * len(stamps))
-    columns = {field: np.where(row % 2, np.nan, np.repeat(values, 2)) for field, values in odom.items()}
-    for own, each in (CLEAN.data["pedals"], CLEAN.data["steering"]):
-        columns |= {field: np.where(row % 2, np.interp(time, own, values), np.nan) for field, values in each.items()}
-    text = "[channels" + RIG.partition("[channels")[2]
-    one = rig((text, re.sub('topic = "[a-z]+"', 'topic = ""', text)))
-
-    def said(stamps: np.ndarray) -> list[str]:
-        found = inspect_log(MemoryLog({"": (stamps, columns)}), one).findings
-        return [finding.evidence for finding in found if finding.what == "stamps repeat"]
-
-    assert said(time) == []
-    time[2001] = time[2003]  # two samples of one sensor
-    assert said(time) == [f"1 of {len(time)} (0.0%)"]
 
 
 class _Received(MemoryLog):
@@ -107,22 +44,6 @@ def test_samples_that_came_late_ask_for_no_other_clock() -> None:
     assert finding.evidence.startswith("3 of 1500")
 
 
-def test_a_topic_that_nothing_reads_changes_no_clock() -> None:
-    class Apart(MemoryLog):
-        def stamps(self, topic: str, *, stamps: str = "header") -> np.ndarray:
-            late = 0.0 if stamps == "header" else 1.7 if topic == apart else 0.01
-            return super().stamps(topic) + late
-
-    time, odom = CLEAN.data["odom"]
-    for apart, severity in (("spare", "note"), ("steering", "warning")):
-        log = Apart({**CLEAN.data, "spare": (time, odom)})
-        found = check_headers(
-            read_topics(RememberedLog(log), rig())[0], rig().clock, used={"odom", "pedals", "steering"}
-        )
-        assert [(f.where, f.severity) for f in found] == [(apart, severity)]
-        assert bool(found[0].cures) == (severity == "warning")
-
-
 def test_a_clock_that_was_set_back_is_not_believed() -> None:
     class Received(MemoryLog):
         def stamps(self, topic: str, *, stamps: str = "header") -> np.ndarray:
@@ -132,28 +53,6 @@ def test_a_clock_that_was_set_back_is_not_believed() -> None:
     found = inspect_log(log, rig())
     assert [f.severity for f in found.findings if f.where == "odom" and "back" in f.what] == ["warning"]
     assert Edit("clock.stamps", "receive") in found.cure
-
-
-def test_the_order_of_many_samples_is_that_of_their_stamps() -> None:
-    time, columns = CLEAN.data["steering"]
-    order = np.arange(len(time))
-    order[::50], order[1::50] = order[1::50].copy(), order[::50].copy()
-    log = _Received({**CLEAN.data, "steering": (time[order], {name: each[order] for name, each in columns.items()})})
-    (finding,) = (f for f in inspect_log(log, rig()).findings if f.what == "stamps go back")
-    assert finding.severity == "warning"
-    assert finding.cures[0] == (Edit("clock.sort", True),)
-
-
-@pytest.mark.parametrize("copies", [True, False])
-def test_samples_that_are_recorded_twice_ask_for_no_other_clock(copies: bool) -> None:
-    time, columns = CLEAN.data["steering"]
-    other = 0.0 if copies else 1e-3 * (np.arange(2 * len(time)) % 2)
-    twice = {field: np.repeat(column, 2) + other for field, column in columns.items()}
-    log = _Received({**CLEAN.data, "steering": (np.repeat(time, 2), twice)})
-    (finding,) = (f for f in inspect_log(log, rig()).findings if f.what == "stamps repeat")
-    assert finding.evidence.startswith("1500 of 3000 (50.0%)")
-    assert finding.severity == ("note" if copies else "warning")
-    assert ("they are copies" in finding.remedy) == copies
 
 
 def test_stamps_that_change_more_seldom_than_the_rows_are_one_finding() -> None:
@@ -187,10 +86,6 @@ def test_stamps_that_are_one_time_or_none_are_a_finding(tmp_path: Path, stamp: s
 
 
 def test_a_gap_of_two_minutes() -> None:
-    def gap(time: np.ndarray) -> np.ndarray:
-        time[1000:] += 120.0
-        return time
-
     log = CLEAN
     for topic in ("odom", "pedals", "steering"):
         log = log.restamp(topic, lambda t: np.where(t - t[0] > 30, t + 120.0, t))
@@ -221,38 +116,28 @@ def test_clocks_that_do_not_overlap() -> None:
     assert inspect_log(CLEAN.restamp("steering", lambda t: t - 1000.0), edited(rig(), found.cure)).usable
 
 
-def test_a_clock_of_another_time_zone_is_moved_by_whole_quarters_of_an_hour() -> None:
-    found = inspect_log(CLEAN.restamp("steering", lambda t: t + 7200.0 + 0.7), rig())
-    assert Edit("channels.steer.delay", 7200.0) in found.findings[0].cures[0]
+BACK = lambda time: time - 0.5 * (np.arange(len(time)) == 1000)  # noqa: E731
+SET_BACK = lambda time: time - 5.0 * (time > np.median(time))  # noqa: E731
 
 
-def test_a_topic_that_stops_early() -> None:
-    severity, evidence = findings(CLEAN.keep("pedals", np.arange(1500)), "pedals")["starts late or stops early"]
-    assert severity == "warning"
-    assert "30.0 s before the end" in evidence
-
-
-def test_a_pose_that_stops_early_is_named_and_not_the_topics_that_go_on() -> None:
-    found = inspect_log(CLEAN.keep("odom", np.arange(1500)), rig()).findings
-    short = [(f.severity, f.where, f.evidence) for f in found if f.what == "starts late or stops early"]
-    assert [(severity, where) for severity, where, _ in short] == [("warning", "odom")]
-    assert "30.0 s before the end of the other topics" in short[0][2]
-
-
-@pytest.mark.parametrize("share", [0.3, 0.5, 0.6])
-def test_samples_lost_at_random_however_many(share: float) -> None:
-    kept = np.flatnonzero(np.random.default_rng(0).random(3000) > share)
-    severity, evidence = findings(CLEAN.keep("pedals", kept), "pedals")["samples are missing"]
-    assert severity == "warning"
-    assert float(evidence.split("%")[0]) == pytest.approx(100 * share, abs=3)
-
-
-def test_stamps_that_are_not_finite() -> None:
-    def broken(time: np.ndarray) -> np.ndarray:
-        time[77] = np.nan
-        return time
-
-    assert findings(CLEAN.restamp("pedals", broken), "pedals")["stamps are not finite"][1] == "1 of 3000"
+@pytest.mark.parametrize(
+    ("topic", "log", "what", "evidence"),
+    [
+        ("steering", CLEAN.restamp("steering", BACK), "stamps go back", r"1 of 1500; by 0\.460 s at 39\.9.*"),
+        (
+            "odom",
+            CLEAN.restamp("odom", SET_BACK),
+            "stamps go back",
+            r"1 of 3000; by 4\.980 s.*drops 250 of 3000 samples",
+        ),
+        ("pedals", CLEAN.keep("pedals", np.arange(1500)), "starts late or stops early", r".*30\.0 s before the end.*"),
+    ],
+    ids=["one stamp back", "clock set back", "early end"],
+)
+def test_faults_of_stamps_say_where_and_how_large(topic: str, log: MemoryLog, what: str, evidence: str) -> None:
+    (finding,) = (f for f in inspect_log(log, rig()).findings if (f.where, f.what) == (topic, what))
+    assert finding.severity == "warning"
+    assert re.fullmatch(evidence, finding.evidence)
 
 
 @pytest.mark.parametrize("topic", ["odom", "steering"])
@@ -272,8 +157,153 @@ def test_stamps_that_are_far_off_cost_their_own_samples_and_nothing_else_is_foun
     assert inspection.summary.duration == pytest.approx(60, abs=0.1)
 
 
-def test_a_clock_that_was_set_back_names_all_samples_that_it_costs() -> None:
-    log = CLEAN.restamp("odom", lambda time: time - 5.0 * (time > np.median(time)))
-    evidence = findings(log, "odom")["stamps go back"][1]
-    assert evidence.startswith("1 of 3000; by 4.980 s")
-    assert evidence.endswith("; reading drops 250 of 3000 samples")
+def findings_with_a_throttle(ahead: float, of: Rig) -> list[Finding]:
+    """Findings where the throttle is a share of the speed that the vehicle has so long after it [s]."""
+    time, odom = CLEAN.data["odom"]
+    pedals, _ = CLEAN.data["pedals"]
+    speed = np.interp(pedals + ahead, time, odom["vx"]) / odom["vx"].max()
+    log = CLEAN.change("pedals", "throttle", lambda _: speed)
+    recorded, _ = read_topics(RememberedLog(log), of)
+    return check_clocks(recorded, driven_path(drive_from_log(log, of)), of, besides={"odom"})
+
+
+@pytest.mark.parametrize("fields", [["throttle"], ["brake"]])
+def test_a_speed_that_follows_a_command_is_no_clock(fields: list[str]) -> None:
+    """An electric car goes as fast as its throttle says, 0.6 s later; so does a robot whose speed is commanded, whether
+    a channel reads that or not."""
+    assert findings_with_a_throttle(0.6, edited(rig(), [Edit("channels.throttle.fields", fields)])) == []
+
+
+def test_a_speed_that_comes_late_beside_commands_is_by_a_late_clock() -> None:
+    (found,) = findings_with_a_throttle(-0.6, edited(rig(), [Edit("channels.throttle.fields", ["brake"])]))
+    assert found.what == "is late"
+    assert found.cures == ((Edit("channels.throttle.delay", 0.6), Edit("channels.brake.delay", 0.6)),)
+
+
+@pytest.mark.parametrize(("late", "drifts"), [(-0.5, False), (0.5, True)])
+def test_wheels_that_run_ahead_slip_and_those_that_come_late_have_a_clock_that_drifts(
+    late: float, drifts: bool
+) -> None:
+    time, odom = CLEAN.data["odom"]
+    stamps, columns = CLEAN.data["steering"]
+    lag = late * (0.5 - 0.5 * np.cos(2 * np.pi * (stamps - stamps[0]) / 30))
+    log = MemoryLog(
+        {**CLEAN.data, "steering": (stamps, columns | {"wheels": np.interp(stamps - lag, time, odom["vx"])})}
+    )
+    recorded, _ = read_topics(RememberedLog(log), rig())
+    found = check_clocks(recorded, driven_path(drive_from_log(log, rig())), rig(), besides={"odom"})
+    assert [finding.what for finding in found] == (["has a clock that drifts"] if drifts else [])
+
+
+@pytest.mark.parametrize(
+    ("late", "what"),
+    [
+        (lambda t: -0.8 * np.sin(t / 5) ** 2, None),
+        (lambda t: 0.4 * np.sin(t / 5), None),
+        (lambda t: 0.8 * np.sin(t / 5) ** 2, "drifts"),
+        (0.5, "is late"),
+    ],
+)
+def test_what_has_the_stamps_of_the_pose_is_not_late_with_it(
+    late: float | Callable[[Float[np.ndarray, " n"]], Float[np.ndarray, " n"]], what: str | None
+) -> None:
+    """However far wheels run ahead, their clock is that of the pose; where they are late, the pose is not."""
+    time, odom = CLEAN.data["odom"]
+    lag = late(time) if callable(late) else late
+    log = MemoryLog({**CLEAN.data, "wheels": (time, {"speed": np.interp(time - lag, time, odom["vx"])})})
+    of = edited(rig(), [Edit("channels.wheel_speed", {"topic": "wheels", "fields": ["speed"]})])
+    recorded, _ = read_topics(RememberedLog(log), of)
+    found = check_clocks(recorded, driven_path(drive_from_log(log, of)), of, besides={"odom"})
+    assert [finding.where for finding in found] == ([] if what is None else ["wheels"])
+    assert all(what in finding.what for finding in found)
+    cured = {edit.key for finding in found for cure in finding.cures for edit in cure}
+    assert cured <= {"alignment", "channels.wheel_speed.delay"}
+
+
+def test_timing_of_even_stamps() -> None:
+    seen = timing(np.arange(0, 10, 0.02), max_gap=0.5)
+    assert seen.rate == pytest.approx(50)
+    assert (seen.repeated, seen.backward, seen.gaps) == (0, 0, ())
+    assert seen.lost == 0
+    assert seen.jitter < 1e-6
+
+
+@pytest.mark.parametrize(("rate", "step"), [(30, 0.01), (40, 0.01), (70, 0.005), (15, 0.01)])
+def test_stamps_in_steps_of_a_clock_are_no_losses(rate: float, step: float) -> None:
+    time = np.round(np.arange(0, 60, 1 / rate) / step) * step
+    assert timing(time, max_gap=0.5).lost == 0
+
+
+DRIVE = drive_log()
+WHAT = "is published only when it changes"
+
+
+def stepped(topic: str, step: float) -> MemoryLog:
+    """A topic in steps, as of a joystick."""
+    log = DRIVE
+    for field in log.data[topic][1]:
+        log = log.change(topic, field, lambda values: np.round(values / step) * step)
+    return log
+
+
+def on_change(log: MemoryLog, topic: str) -> MemoryLog:
+    """The log as it is where only what is new is published."""
+    values = np.stack(list(log.data[topic][1].values()), axis=1)
+    return log.keep(topic, np.append(True, (np.diff(values, axis=0) != 0).any(axis=1)))
+
+
+@pytest.mark.parametrize(
+    ("topic", "channels"), [("pedals", ("throttle", "brake")), ("steering", ("steer", "steer_angle"))]
+)
+@pytest.mark.parametrize("step", [0.05])
+def test_it_is_found_and_cured(topic: str, channels: tuple[str, ...], step: float) -> None:
+    log = on_change(stepped(topic, step), topic)
+    found = inspect_log(log, rig())
+    (finding,) = (f for f in found.findings if f.severity != "note")
+    assert (finding.where, finding.what) == (topic, WHAT)
+    assert found.cure == tuple(Edit(f"channels.{name}.interpolation", "on change") for name in channels)
+    assert not severe(log, edited(rig(), found.cure))
+
+
+def test_rows_are_then_those_of_a_log_that_repeats_what_stays() -> None:
+    """All rows that the steady log has, and the same controls in them."""
+    steady = stepped("pedals", 0.05)
+    held = edited(rig(), [Edit(f"channels.{name}.interpolation", "hold") for name in ("throttle", "brake")])
+    changing = edited(rig(), [Edit(f"channels.{name}.interpolation", "on change") for name in ("throttle", "brake")])
+    wanted = extract_rows(drive_from_log(steady, held))
+    found = extract_rows(drive_from_log(on_change(steady, "pedals"), changing))
+    cut = extract_rows(drive_from_log(on_change(steady, "pedals"), held))
+    np.testing.assert_array_equal(found.time, wanted.time)
+    np.testing.assert_array_equal(found.control, wanted.control)
+    assert found.valid.sum() == wanted.valid.sum() > 1.5 * cut.valid.sum()
+
+
+@pytest.mark.parametrize("changes", [0, 5])
+def test_a_gear_is_found_however_seldom_it_changes(changes: int) -> None:
+    at = np.linspace(DRIVE.data["odom"][0][0] + 0.1, DRIVE.data["odom"][0][-1] - 1, changes + 1)
+    log = MemoryLog({**DRIVE.data, "box": (at, {"selected": 1.0 - np.arange(len(at)) % 2})})
+    geared = rig(("[channels.throttle]", '[channels.gear]\ntopic = "box"\nfields = ["selected"]\n[channels.throttle]'))
+    found = inspect_log(log, geared)
+    said = [f.what for f in found.findings if f.severity != "note"]
+    assert said == [WHAT if changes else "channel 'gear' (topic 'box') has no usable samples"]
+    assert Edit("channels.gear.interpolation", "on change") in found.cure
+    assert not any(edit.key == "clock.max_gap" for edit in found.cure)
+    drive = drive_from_log(log, edited(geared, [Edit("channels.gear.interpolation", "on change")]))
+    assert extract_rows(drive).valid.mean() > 0.95
+    box = drive.channels["gear"]
+    np.testing.assert_array_equal(box.hold(at, max_gap=0.5)[:, 0], log.data["box"][1]["selected"])
+
+
+@pytest.mark.parametrize(("topic", "noisy"), [("pedals", True), ("steering", False)])
+@pytest.mark.parametrize("lost", ["at random", "in bursts"])
+def test_samples_that_are_lost_are_not_taken_for_it(topic: str, lost: str, noisy: bool) -> None:
+    count, draw = len(DRIVE.data[topic][0]), np.random.default_rng(1)
+    time, columns = DRIVE.data[topic]
+    more = {"voltage": 12.4 + 0.02 * draw.standard_normal(count)} if noisy else {}
+    log = MemoryLog({**DRIVE.data, topic: (time, columns | more)})
+    kept = draw.random(count) < 0.1
+    if lost == "in bursts":
+        kept[:] = True
+        for begin in draw.integers(0, count - 100, 12):
+            kept[begin : begin + draw.integers(30, 100)] = False
+    assert WHAT not in {finding.what for finding in severe(log.keep(topic, kept))}

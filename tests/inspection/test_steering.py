@@ -1,15 +1,12 @@
-"""Steering: its scale where no rig knows the wheelbase."""
+"""Steering: scale, offset, agreement with the measured angle, copies and delays."""
 
 import numpy as np
 import pytest
-from simulated import MAX_STEER, START, MemoryLog, drive_log, rig
+from simulated import MAX_STEER, START, MemoryLog, drive_log, rig, steered
 
-from offpiste.inspection.driven_path import DrivenPath, driven_path
+from offpiste.inspection.driven_path import driven_path
 from offpiste.inspection.inspect import inspect_log
-from offpiste.inspection.lags import LagFit
-from offpiste.inspection.steering import check_steering
-from offpiste.inspection.steering_fit import SteeringFit, steering_fit, steering_fits
-from offpiste.logs.channel import Channel
+from offpiste.inspection.steering_delays import WindowDelays, changing_delay, uneven_delay, window_delays
 from offpiste.logs.drive import drive_from_log
 from offpiste.rig.edits import Edit, edited
 
@@ -44,144 +41,36 @@ def _curves(most: float) -> MemoryLog:
     throttle = np.clip(0.5 + np.gradient(v, time) + 0.1 * v, 0, 1)
     pedals = {"throttle": throttle, "brake": np.where(time % 30 > 29, 0.1, 0.0)}
     return MemoryLog(
-        {
-            "odom": (START + time, odom),
-            "pedals": (START + time, pedals),
-            "steering": (START + time, {"command": steer}),
-        }
+        {"odom": (START + time, odom), "pedals": (START + time, pedals), "steering": (START + time, {"command": steer})}
     )
 
 
-@pytest.mark.parametrize("off", [0.12, -0.2])
-def test_a_steering_that_is_not_zero_straight_ahead_gets_its_offset(off: float) -> None:
-    log = drive_log(seed=0).change("steering", "command", lambda values: values + off)
-    (finding,) = (f for f in inspect_log(log, rig()).findings if f.what == "is not zero straight ahead")
-    assert finding.where == "steer"
-    assert float(finding.cures[0][0].value) == pytest.approx(-off, abs=0.02)
+WITHOUT_ANGLE = [Edit("channels.steer_angle", None), Edit("absent", [*rig().absent, "steer_angle"])]
+SERVO = [Edit("channels.steer.offset", -0.53), *WITHOUT_ANGLE]
+PLACES = [Edit("channels.linear_velocity", None)]
+FAULTS = {
+    "offset": ("steering command", lambda v: v - 0.2, [], "channels.steer.offset", 0.2),
+    "places of no unit": ("odom x y z", lambda v: 2 * v, PLACES, "channels.position.scale", 0.5),
+    "servo without a scale": ("steering command", lambda v: 0.53 + 0.2 * v, SERVO, "channels.steer.scale", 5.0),
+    "narrow range": ("", None, [Edit("vehicle.max_steer", 0.67 * MAX_STEER)], "vehicle.max_steer", MAX_STEER),
+    "wide range": ("", None, [Edit("vehicle.max_steer", 1.5 * MAX_STEER)], "vehicle.max_steer", MAX_STEER),
+    "scale of the angle": ("steering angle", lambda v: 1.5 * v, [], "channels.steer_angle.scale", 1 / 1.5),
+    "range of no vehicle": ("steering command", lambda v: 0.4 * v, [], "channels.steer.scale", 2.5),
+}
 
 
-def test_small_trims_are_healthy() -> None:
-    log = drive_log(seed=0).change("steering", "command", lambda values: values + 0.03)
-    assert [f for f in inspect_log(log, rig()).findings if f.what == "is not zero straight ahead"] == []
-
-
-def test_places_in_feet_are_likelier_than_wheels_that_hardly_turn() -> None:
-    log = drive_log(seed=0)
-    for axis in "xyz":
-        log = log.change("odom", axis, lambda values: 3.28084 * values)
-    drive = drive_from_log(log, rig())
-    path = driven_path(drive)
-    found = check_steering(steering_fits(drive, path, measured=True), drive, path, measured=True)
-    (finding,) = (f for f in found if f.where == "steer" and f.what == "turns the vehicle less than the rig says")
-    first, *others = (str(edit) for cure in finding.cures for edit in cure)
-    assert first == 'channels.position.unit = "ft"'
-    assert any(other.startswith("vehicle.max_steer") for other in others)
-
-
-def test_places_of_no_unit_are_scaled_where_command_and_wheels_agree() -> None:
-    log = drive_log(seed=0)
-    for axis in "xyz":
-        log = log.change("odom", axis, lambda values: 2 * values)
-    posed = edited(rig(), [Edit("channels.linear_velocity", None)])
-    (finding,) = (f for f in inspect_log(log, posed).findings if f.severity == "warning")
-    (edit,) = finding.cures[0]
-    assert edit.key == "channels.position.scale"
-    assert edit.value == pytest.approx(0.5, rel=0.1)
-
-
-def test_a_range_of_steering_and_places_that_are_both_wrong_are_both_cured() -> None:
-    log = drive_log(seed=0)
-    for axis in "xyz":
-        log = log.change("odom", axis, lambda values: 3.28084 * values)
-    wrong = rig((f"max_steer = {MAX_STEER}", f"max_steer = {2 * MAX_STEER}"))
-    found = inspect_log(log, edited(wrong, [Edit("channels.linear_velocity", None)])).findings
-    cures = {edit.key: edit.value for f in found if f.severity != "note" for edit in f.cures[0]}
-    assert cures == {"channels.position.unit": "ft", "vehicle.max_steer": pytest.approx(MAX_STEER, rel=0.05)}
-
-
-def test_a_command_of_another_unit_is_likelier_than_wheels_that_turn_further_than_any() -> None:
-    """A servo from 0 to 1, 0.53 straight ahead, whose rig has no scale yet."""
-    servo = drive_log(seed=0).change("steering", "command", lambda values: 0.53 + 0.2 * values)
-    without = [Edit("channels.steer_angle", None), Edit("absent", [*rig().absent, "steer_angle"])]
-    first = edited(rig(), [Edit("channels.steer.offset", -0.53), *without])
-    (finding,) = (f for f in inspect_log(servo, first).findings if f.severity == "warning")
-    scale, offset = finding.cures[0]
-    assert (scale.key, offset.key) == ("channels.steer.scale", "channels.steer.offset")
-    assert scale.value == pytest.approx(5, rel=0.15)
-    assert offset.value / scale.value == pytest.approx(-0.53, rel=1e-3)
-
-
-@pytest.mark.parametrize("factor", [0.5, 2.0])
-def test_wheels_in_another_place_are_likelier_than_places_of_no_unit(factor: float) -> None:
-    places = [[factor * x, y] for x, y in rig().vehicle.wheel_positions]
-    wrong = edited(rig(), [Edit("vehicle.wheel_positions", places), Edit("channels.linear_velocity", None)])
-    (finding,) = (f for f in inspect_log(drive_log(seed=0), wrong).findings if f.severity == "warning")
-    assert [edit.key for edit in finding.cures[0]] == ["vehicle.wheel_positions"]
-
-
-def test_places_are_not_scaled_where_the_wheels_go_as_far() -> None:
-    wrong = rig((f"max_steer = {MAX_STEER}", f"max_steer = {MAX_STEER * 0.2:.3f}"))
-    findings = inspect_log(drive_log(seed=0), wrong).findings
-    assert not any(edit.key == "channels.position.scale" for f in findings for cure in f.cures for edit in cure)
-
-
-@pytest.mark.parametrize("understeer", [0.0, 0.005, 0.02])
-def test_slip_that_grows_with_the_speed_is_taken_out_of_the_scale(understeer: float) -> None:
-    """At no speed, a bicycle turns as its geometry says, whatever its understeer."""
-    time = np.arange(0, 120, 0.05)
-    speed = 6 + 4 * np.sin(time / 9)
-    steer = 0.6 * np.sin(time / 1.9) * np.sin(time / 7)
-    yaw_rate = speed * np.tan(MAX_STEER) * steer / (2.5 * (1 + understeer * speed**2))
-    yaw = np.cumsum(yaw_rate) * 0.05
-    velocity = speed[:, None] * np.stack((np.cos(yaw), np.sin(yaw)), axis=1)
-    still = np.zeros(len(time))
-    path = DrivenPath(time, np.cumsum(velocity, axis=0) * 0.05, velocity, speed, speed, yaw, yaw_rate, still, still)
-    fit = steering_fit(Channel("steer", "", time, steer[:, None]), path, rig(), measured=True)
-    assert fit is not None
-    assert fit.extrapolated is not None
-    assert 1 / fit.extrapolated.gain[0] == pytest.approx(np.tan(MAX_STEER) / 2.5, rel=0.03)
-
-
-@pytest.mark.parametrize("factor", [0.5, 0.67, 1.5, 2.0])
-def test_a_range_of_steering_that_is_wrong_by_a_half_is_found(factor: float) -> None:
-    wrong = rig((f"max_steer = {MAX_STEER}", f"max_steer = {MAX_STEER * factor:.3f}"))
-    (finding,) = (f for f in inspect_log(drive_log(seed=0), wrong).findings if f.severity == "warning")
-    assert finding.where == "steer"
-    assert finding.cures[0][0].key == "vehicle.max_steer"
-    assert finding.cures[0][0].value == pytest.approx(MAX_STEER, rel=0.1)
-
-
-def test_a_range_that_no_vehicle_has_speaks_for_another_wheelbase() -> None:
-    """Without a measured angle, wheels four times too far apart would ask for wheels that turn by 1.2 rad."""
-    far = rig()
-    places = [[4 * x, y] for x, y in far.vehicle.wheel_positions]
-    far = edited(far, [Edit("vehicle.wheel_positions", places)])
-    drive = drive_from_log(drive_log(seed=0), far)
-    del drive.channels["steer_angle"]
-    path = driven_path(drive)
-    (finding,) = check_steering(steering_fits(drive, path, measured=True), drive, path, measured=True)
-    assert finding.what == "turns the vehicle more than the rig says"
-    assert [cure[0].key for cure in finding.cures] == [
-        "vehicle.wheel_positions",
-        "channels.steer.scale",
-    ]
-    found = np.ptp([x for x, _ in finding.cures[0][0].value])
-    assert found == pytest.approx(np.ptp([x for x, _ in rig().vehicle.wheel_positions]), rel=0.1)
-
-
-def test_a_rig_of_no_vehicles_shape_has_the_wrong_wheelbase() -> None:
-    """2.5 m of wheelbase on 1.2 m of track; with 5 m, the wheels would still turn as far as some vehicle's."""
-    long = edited(rig(), [Edit("vehicle.wheel_positions", [[2 * x, y] for x, y in rig().vehicle.wheel_positions])])
-    drive = drive_from_log(drive_log(seed=0), long)
-    del drive.channels["steer_angle"]
-    path = driven_path(drive)
-    (finding,) = check_steering(steering_fits(drive, path, measured=True), drive, path, measured=True)
-    assert [cure[0].key for cure in finding.cures][:2] == ["vehicle.wheel_positions", "vehicle.max_steer"]
+@pytest.mark.parametrize(("fields", "change", "edits", "key", "value"), FAULTS.values(), ids=FAULTS)
+def test_a_fault_of_the_steering_gets_the_edit_that_fixes_it(fields, change, edits, key, value) -> None:
+    topic, _, names = fields.partition(" ")
+    log = drive_log().change(topic, names, change) if change else drive_log()
+    (finding,) = (f for f in inspect_log(log, edited(rig(), edits)).findings if f.severity == "warning")
+    edit = finding.cures[0][0]
+    assert (edit.key, edit.value) == (key, pytest.approx(value, rel=0.15))
 
 
 def test_a_command_that_is_the_angle_of_the_wheels_is_read_as_one() -> None:
-    without = edited(rig(), [Edit("channels.steer_angle", None), Edit("absent", [*rig().absent, "steer_angle"])])
-    log = drive_log(seed=0).change("steering", "command", lambda steer: MAX_STEER * steer)
+    without = edited(rig(), WITHOUT_ANGLE)
+    log = drive_log().change("steering", "command", lambda steer: MAX_STEER * steer)
     (finding,) = (f for f in inspect_log(log, without).findings if f.severity == "warning")
     assert finding.cures[0] == (Edit("channels.steer.unit", "rad"),)
     # An angle whose zero is elsewhere: the rig knows where, and it stays there.
@@ -191,22 +80,9 @@ def test_a_command_that_is_the_angle_of_the_wheels_is_read_as_one() -> None:
     assert finding.cures[0] == (Edit("channels.steer.unit", "rad"),)
 
 
-@pytest.mark.parametrize(("steady", "sign"), [(0.98, 1), (0.6, -1)])
-def test_who_goes_where_he_steers_does_not_drift(steady: float, sign: int) -> None:
-    """What the steering changes about the turning decides about a drift, in which drivers countersteer."""
-    lags = np.arange(-0.1, 0.11, 0.05)
-
-    def fit(r: float) -> LagFit:
-        ones = np.ones((10, len(lags)))
-        return LagFit(lags, r * ones[0], r * ones[0], 1000, r * ones, r * ones)
-
-    turned = fit(-0.31)
-    assert SteeringFit(fit(steady), turned, fit(steady), fit(steady), None, 0.0, np.inf).sign == sign
-
-
 @pytest.mark.parametrize("topics", [["steering"], ["pedals", "steering"]])
 def test_a_clock_that_is_seconds_apart_is_found_by_where_it_begins_and_ends(topics: list[str]) -> None:
-    log = drive_log(seed=0)
+    log = drive_log()
     for topic in topics:
         log = log.restamp(topic, lambda time: time + 18.0)
     cure = {edit.key: edit.value for edit in inspect_log(log, rig()).cure}
@@ -219,8 +95,101 @@ def test_a_clock_that_is_seconds_apart_is_found_by_where_it_begins_and_ends(topi
     }
 
 
-def test_a_steering_that_begins_late_and_ends_in_time_has_the_right_clock() -> None:
-    log = drive_log(seed=0)
-    late = log.keep("steering", np.flatnonzero(log.data["steering"][0] > START + 18.0))
-    late = late.change("steering", "command", lambda values: np.random.default_rng(0).permutation(values))
-    assert not [edit for edit in inspect_log(late, rig()).cure if edit.key.endswith("delay")]
+def test_a_linkage_that_is_not_quite_linear_is_healthy() -> None:
+    log = drive_log().change("steering", "angle", lambda angle: angle * (1 - 0.1 * np.abs(angle) / MAX_STEER))
+    assert [f for f in inspect_log(log, rig()).findings if f.severity == "warning"] == []
+
+
+CLEAN = drive_log(seed=3)
+COMMAND = CLEAN.data["steering"][1]["command"]
+
+
+def _found(log: MemoryLog, *edits: Edit) -> list[str]:
+    findings = inspect_log(log, edited(rig(), list(edits))).findings
+    assert "fatal" not in {f.severity for f in findings}
+    return [f"{f.where} {f.what}; {f.remedy}" for f in findings if f.what.startswith("is computed")]
+
+
+def test_a_pose_that_is_the_steering_times_the_speed_is_computed() -> None:
+    """As of a VESC's odometry, which no tyre and no servo delays."""
+    (found,) = _found(steered(CLEAN, COMMAND, follows=0.0))
+    assert found.startswith("orientation is computed from channel steer;")
+    assert "measured" in found
+    assert "may be one" not in found
+
+
+@pytest.mark.parametrize("follows", [0.1])
+def test_wheels_that_follow_their_command_are_no_formula_of_it(follows: float) -> None:
+    """The measured angle of a simulator's own is left out: its pose is one."""
+    log = steered(CLEAN, COMMAND, follows=follows)
+    assert _found(log, *WITHOUT_ANGLE) == []
+
+
+def test_a_measured_pose_is_not_computed() -> None:
+    assert _found(CLEAN) == []
+
+
+@pytest.mark.parametrize("slip", [0.05])
+def test_a_rear_axle_that_slips_is_not_computed(slip: float) -> None:
+    """It goes aside of where it heads, in proportion to its turning."""
+    log = steered(CLEAN, COMMAND, follows=0.0)
+    time, odom = log.data["odom"]
+    yaw = np.unwrap(2 * np.arctan2(odom["qz"], odom["qw"]))
+    step, course = float(np.median(np.diff(time))), yaw - slip * odom["wz"]
+    x, y = (np.cumsum(odom["vx"] * way(course)) * step for way in (np.cos, np.sin))
+    assert _found(MemoryLog({**log.data, "odom": (time, odom | {"x": x, "y": y})})) == []
+
+
+LONG = drive_log(seconds=120)
+
+
+def _delays(log: MemoryLog) -> WindowDelays:
+    drive = drive_from_log(log, rig())
+    return window_delays(drive.channels["steer"], driven_path(drive), rig())
+
+
+def _late(by: np.ndarray | float) -> MemoryLog:
+    """The log with its command `by` late [s]."""
+    time, _ = LONG.data["steering"]
+    return LONG.change("steering", "command", lambda values: np.interp(time - by, time, values))
+
+
+@pytest.mark.parametrize("by", [0.0, 0.3, -0.4])
+def test_stretches_show_the_delay(by: float) -> None:
+    """The bicycle turns at once."""
+    delays = _delays(_late(by))
+    assert len(delays.delay) > 10
+    assert np.median(delays.delay) == pytest.approx(-by, abs=0.03)
+    assert changing_delay("steer", delays) == []
+    assert uneven_delay("steer", delays) == []
+
+
+def _drifting(first: float, last: float) -> MemoryLog:
+    """The log with its command late by `first` at its beginning and by `last` at its end [s]."""
+    time, _ = LONG.data["steering"]
+    return _late(np.interp(time, time[[0, -1]], (first, last)))
+
+
+@pytest.mark.parametrize(("first", "last"), [(0.0, 0.5), (0.3, -0.2), (0.0, -1.2)])
+def test_a_clock_that_drifts_is_named_with_its_change(first: float, last: float) -> None:
+    (finding,) = changing_delay("steer", _delays(_drifting(first, last)))
+    assert (finding.severity, finding.what) == ("warning", "has a clock that drifts")
+    said = float(finding.evidence.split("and ")[1].split(" s")[0])
+    assert said == pytest.approx(first - last, rel=0.2)
+
+
+def test_a_steering_that_is_moved_slowly_shows_no_delay() -> None:
+    """It fits at any: where the best one lies is chance."""
+    time, _ = LONG.data["steering"]
+    slow = steered(LONG, 0.4 * np.sin((time - time[0]) / 5), follows=0.0)
+    assert len(_delays(slow).delay) < 3
+    assert not any("delay" in f.what for f in inspect_log(slow, rig()).findings)
+    quick = steered(LONG, 0.4 * np.sin(2 * (time - time[0])), follows=0.0)
+    assert len(_delays(quick).delay) > 10
+
+
+def test_a_copy_that_is_late_by_turns_has_a_delay_that_changes() -> None:
+    time, _ = LONG.data["steering"]
+    by_turns = np.where(((time - time[0]) // 15) % 2 == 0, 0.0, 0.8)
+    (finding,) = changing_delay("steer", _delays(_late(by_turns)))
+    assert finding.what == "has a delay that changes"

@@ -1,10 +1,10 @@
-"""Gain, sign and delay estimated together, and their uncertainties."""
+"""Estimators of lags and of sensor misalignments against known answers."""
 
 import numpy as np
 import pytest
-from simulated import rig
 
-from offpiste.inspection.lags import LAGS, LagFit, check_delay, fit_lags, jackknife
+from offpiste.inspection.lags import LAGS, fit_lags, jackknife
+from offpiste.inspection.misfit import PRIOR, Pair, fit_misfit, turned
 
 
 def _wave(random: np.random.Generator, count: int) -> np.ndarray:
@@ -43,16 +43,6 @@ def test_one_lag_is_a_plain_partial_regression() -> None:
     assert fit.gain[0] == pytest.approx(expected, rel=1e-3)
 
 
-def test_glitches_hardly_move_it() -> None:
-    random = np.random.default_rng(1)
-    source = _wave(random, 1500)
-    target = source + 0.05 * random.standard_normal(1500)
-    target[700:706] = 1e4
-    fit = fit_lags(target, np.zeros((1500, 0)), _lagged(source), LAGS, np.ones(1500, bool))
-    assert fit is not None
-    assert abs(fit.delay(fit.best())[0]) < 0.02
-
-
 def test_each_block_is_left_out_as_if_it_had_not_been_driven() -> None:
     random = np.random.default_rng(4)
     source, base = _wave(random, 1000), random.standard_normal((1000, 2))
@@ -69,15 +59,6 @@ def test_each_block_is_left_out_as_if_it_had_not_been_driven() -> None:
         np.testing.assert_allclose(fit.gain_left_out[block], other.gain, atol=2e-3)
 
 
-def test_a_block_without_which_nothing_varies_is_not_left_out() -> None:
-    random = np.random.default_rng(4)
-    source = np.where(np.arange(1000) // 100 == 5, 1e4 * random.standard_normal(1000), 0.0)
-    rows = np.abs(np.arange(1000) - 550) < 400
-    fit = fit_lags(source, np.zeros((1000, 0)), source[None], np.zeros(1), rows)
-    assert fit is not None
-    assert len(fit.left_out) == 8
-
-
 def test_the_jackknife_of_a_mean_is_its_standard_error() -> None:
     values = np.random.default_rng(2).standard_normal(50)
     left_out = (values.sum() - values) / 49
@@ -85,12 +66,64 @@ def test_the_jackknife_of_a_mean_is_its_standard_error() -> None:
     assert jackknife(left_out[:1]) == np.inf
 
 
-@pytest.mark.parametrize(("spread", "found"), [(0.002, 1), (0.05, 0)])
-def test_a_delay_counts_where_all_blocks_agree_that_it_explains_more(spread: float, found: int) -> None:
-    """0.09 of the variance more, by blocks that differ little or much."""
-    before = -0.3
-    r = np.where(np.isclose(LAGS, before), 0.5, np.where(np.abs(LAGS - before) < 0.16, 0.48, 0.4))
-    blocks = 1 + spread * np.random.default_rng(5).standard_normal((20, 1)) * (LAGS < -0.08)
-    fit = LagFit(LAGS, r, r, 1000, r * blocks, r * blocks)
-    findings = check_delay("brake", fit, (-0.07, 0.5), rig(), usual=0.06, clear=0.3)
-    assert [f.what for f in findings] == ["is stamped after the motion that it causes"] * found
+TRUE = np.array([0.02, -0.03, 0.01, 0.05])
+
+
+def pairs(parameters, *, seed=0, count=20, rows=50, noise=1e-3, blind=(), outliers=0.0):
+    """Residuals that vanish at TRUE."""
+    rng, made = np.random.default_rng(seed), []
+    for _ in range(count):
+        slope = rng.standard_normal((rows, 4))
+        slope[:, list(blind)] = 0
+        residual = slope @ (parameters - TRUE) + noise * rng.standard_normal(rows)
+        residual[: int(outliers * rows)] += 5.0
+        made.append(Pair(residual, slope))
+    return made
+
+
+def test_finds_what_was_planted_within_its_own_uncertainty():
+    errors = []
+    for seed in range(30):
+        found = fit_misfit(lambda p, seed=seed: pairs(p, seed=seed))
+        errors.append((found.parameters - TRUE) / found.sigma)
+    spread = np.std(errors, axis=0)
+    assert ((spread > 0.3) & (spread < 1.3)).all()  # it may say too much, and hardly too little
+    assert found.pairs == 20
+    np.testing.assert_allclose(found.scale, 1e-3, rtol=0.1)
+
+
+def test_a_fifth_of_outliers_does_not_move_it():
+    found = fit_misfit(lambda p: pairs(p, outliers=0.2))
+    np.testing.assert_allclose(found.parameters, TRUE, atol=5e-4)
+
+
+def test_what_the_data_do_not_show_stays_as_uncertain_as_the_prior():
+    found = fit_misfit(lambda p: pairs(p, blind=(0, 3)))
+    np.testing.assert_allclose(found.parameters[[0, 3]], 0, atol=1e-9)
+    np.testing.assert_allclose(found.sigma[[0, 3]], PRIOR[[0, 3]], rtol=1e-6)
+    np.testing.assert_allclose(found.parameters[[1, 2]], TRUE[[1, 2]], atol=5e-4)
+
+
+def test_errors_that_pairs_share_count_once_a_pair():
+    """All rows of a pair are off by the same: more rows of it are worth nothing."""
+
+    def compare(parameters, rows):
+        rng = np.random.default_rng(5)
+        shared = 0.01 * rng.standard_normal(30)
+        weights = rng.standard_normal((30, 4))
+        return [
+            Pair(w @ (parameters - TRUE) + np.full(rows, s), np.tile(w, (rows, 1)))
+            for w, s in zip(weights, shared, strict=True)
+        ]
+
+    few, many = (fit_misfit(lambda p, n=n: compare(p, n)) for n in (10, 1000))
+    assert (many.sigma > 0.7 * few.sigma).all()
+
+
+def test_a_mounting_turns_about_the_axes_of_the_body_where_it_is():
+    given = np.eye(4)
+    given[:3, :3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]  # x of the sensor looks to the left
+    given[:3, 3] = 1, 2, 3
+    matrix = turned(given, np.array([0, 0, np.pi / 2, 0.1]))
+    np.testing.assert_allclose(matrix[:3, 0], [-1, 0, 0], atol=1e-12)  # now back
+    np.testing.assert_allclose(matrix[:3, 3], [1, 2, 3])
