@@ -15,24 +15,28 @@ from offpiste.simulation.world.world import Bushes, Trees, World, WorldSettings
 DT = 0.02
 
 
+NOTHING, NO_FEET = np.zeros(0), np.zeros((0, 3))
+NO_TREES = Trees(NO_FEET, NOTHING, NOTHING, NOTHING)
+NO_BUSHES = Bushes(NO_FEET, NOTHING, NOTHING, NOTHING)
+
+
+def bare_world(elevation: np.ndarray, origin: tuple[float, float], resolution: float, **more: object) -> World:
+    """A world of the first kind of ground without grass and trails; `more` replaces any of its attributes."""
+    kinds = np.zeros((7, *elevation.shape))
+    kinds[0] = 1
+    flat = np.zeros(elevation.shape)
+    plain = {"settings": WorldSettings(), "kinds": kinds, "wetness": flat, "properties": np.ones((*flat.shape, 4)),
+             "grass_height": flat, "trees": NO_TREES, "bushes": NO_BUSHES, "trails": ()}  # fmt: skip
+    return World(origin=origin, resolution=resolution, elevation=elevation, **(plain | more))
+
+
 def small_world() -> World:
     """A plain that tilts, neither square nor symmetric: 7 x 4 nodes."""
     ny, nx = 4, 7
     y, x = np.meshgrid(np.arange(ny), np.arange(nx), indexing="ij")
-    none, feet = np.zeros(0), np.zeros((0, 3))
-    return World(
-        settings=WorldSettings(),
-        origin=(-3.0, 5.0),
-        resolution=0.5,
-        elevation=x + 10.0 * y,
-        kinds=np.full((7, ny, nx), 1 / 7),
-        wetness=np.zeros((ny, nx)),
-        properties=np.stack([100.0 * k + x + 10.0 * y for k in range(4)], axis=2),
-        grass_height=np.zeros((ny, nx)),
-        trees=Trees(feet, none, none, none),
-        bushes=Bushes(feet, none, none, none),
-        trails=(),
-    )
+    properties = np.stack([100.0 * k + x + 10.0 * y for k in range(4)], axis=2)
+    kinds = np.full((7, ny, nx), 1 / 7)
+    return bare_world(x + 10.0 * y, (-3.0, 5.0), 0.5, kinds=kinds, properties=properties)
 
 
 @cache
@@ -67,7 +71,6 @@ def samples(seconds: float = 60.0, seed: int = 0) -> tuple[VehicleSample, ...]:
             steer_rate=float(rate[i]),
             engine_speed=1200.0 + 4000.0 * throttle[i],
             wheel_speed=np.full(4, v[i]),
-            suspension=np.full(4, 0.1),
             truth=_truth(i),
         )
         for i in range(len(time))
@@ -103,22 +106,8 @@ def _wander(random: np.random.Generator, time: np.ndarray, period: float) -> np.
 def plain(friction: float, size: float = 400.0, resolution: float = 1.0) -> World:
     """Flat ground of one grip, around the origin."""
     n = int(size / resolution) + 1
-    flat, none, feet = np.zeros((n, n)), np.zeros(0), np.zeros((0, 3))
-    kinds = np.zeros((7, n, n))
-    kinds[0] = 1
-    return World(
-        settings=WorldSettings(),
-        origin=(-size / 2, -size / 2),
-        resolution=resolution,
-        elevation=flat,
-        kinds=kinds,
-        wetness=flat,
-        properties=np.broadcast_to((friction, 10 * friction, 0.05, 0.05), (n, n, 4)).copy(),
-        grass_height=flat,
-        trees=Trees(feet, none, none, none),
-        bushes=Bushes(feet, none, none, none),
-        trails=(),
-    )
+    properties = np.broadcast_to((friction, 10 * friction, 0.05, 0.05), (n, n, 4)).copy()
+    return bare_world(np.zeros((n, n)), (-size / 2, -size / 2), resolution, properties=properties)
 
 
 @cache

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from offpiste.logs.ground_truth import GROUND_KINDS
 from offpiste.simulation.vehicle.parameters import load_vehicle
 from offpiste.simulation.vehicle.vehicle import VehicleSimulation
-from offpiste.simulation.world.world import Bushes, Trees, World, WorldSettings
+from offpiste.simulation.world.world import Bushes, Trees, WorldSettings
+from synthetic_drive import bare_world
 
 PLAIN = (0.6, 6.0, 0.05, 0.02)
 """Friction, cornering stiffness, rolling resistance, sinkage drag."""
@@ -24,21 +24,18 @@ def flat_world(
     x = np.arange(nx) * resolution - size[0] / 2
     y = np.arange(ny)[:, None] * resolution - size[1] / 2
     elevation = slope * x + side_slope * y + (0.0 if bumps is None else bumps(x))
-    kinds = np.zeros((len(GROUND_KINDS), ny, nx))
+    kinds = np.zeros((7, ny, nx))
     kinds[2] = 1
     trees, bushes = np.array(trees, float).reshape(-1, 3), np.array(bushes, float).reshape(-1, 4)
-    return World(
+    return bare_world(
+        elevation,
+        (-size[0] / 2, -size[1] / 2),
+        float(resolution),
         settings=WorldSettings(preset="uniform", size=float(size[0]), resolution=float(resolution)),
-        origin=(-size[0] / 2, -size[1] / 2),
-        resolution=float(resolution),
-        elevation=elevation,
         kinds=kinds,
-        wetness=np.zeros((ny, nx)),
         properties=np.broadcast_to(np.array(properties, float), (ny, nx, 4)).copy(),
-        grass_height=np.zeros((ny, nx)),
         trees=Trees(np.pad(trees[:, :2], ((0, 0), (0, 1))), trees[:, 2], trees[:, 2] * 5, trees[:, 2] * 20),
         bushes=Bushes(np.pad(bushes[:, :2], ((0, 0), (0, 1))), bushes[:, 2], bushes[:, 2], bushes[:, 3]),
-        trails=(),
     )
 
 

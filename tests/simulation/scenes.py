@@ -2,45 +2,22 @@
 
 import numpy as np
 
-from offpiste.logs.ground_truth import GROUND_KINDS
 from offpiste.simulation.sample import Motion, Pose
 from offpiste.simulation.world.world import Bushes, Trees, World, WorldSettings
-
-NO_TREES = Trees(np.zeros((0, 3)), np.zeros(0), np.zeros(0), np.zeros(0))
-NO_BUSHES = Bushes(np.zeros((0, 3)), np.zeros(0), np.zeros(0), np.zeros(0))
+from synthetic_drive import bare_world
 
 
 def world(
-    *,
-    size=40.0,
-    resolution=0.5,
-    slope=(0.0, 0.0),
-    kind=lambda x, y: np.zeros(np.broadcast(x, y).shape, int),
-    trees=NO_TREES,
-    bushes=NO_BUSHES,
-    grass=0.0,
-    seed=0,
-):
+    *, size=40.0, resolution=0.5, slope=(0.0, 0.0), kind=lambda x, y: 0 * x, grass=0.0, **plants: object
+) -> World:
     """A plane z = slope . (x, y), not square, of ground `kind(x, y)`, with its centre near the origin."""
     nx, ny = round(size / resolution) + 1, round(size / resolution) + 5
-    origin = (-size / 2, -size / 2)
-    x = origin[0] + resolution * np.arange(nx)
-    y = origin[1] + resolution * np.arange(ny)[:, None]
-    kinds = np.zeros((len(GROUND_KINDS), ny, nx))
-    np.put_along_axis(kinds, np.broadcast_to(kind(x, y), (ny, nx))[None], 1.0, axis=0)
-    return World(
-        settings=WorldSettings(seed=seed, size=float(size), resolution=resolution),
-        origin=origin,
-        resolution=resolution,
-        elevation=slope[0] * x + slope[1] * y,
-        kinds=kinds,
-        wetness=np.zeros((ny, nx)),
-        properties=np.ones((ny, nx, 4)),
-        grass_height=np.full((ny, nx), grass),
-        trees=trees,
-        bushes=bushes,
-        trails=(),
-    )
+    x, y = -size / 2 + resolution * np.arange(nx), -size / 2 + resolution * np.arange(ny)[:, None]
+    kinds = np.zeros((7, ny, nx))
+    np.put_along_axis(kinds, np.broadcast_to(kind(x, y), (ny, nx)).astype(int)[None], 1.0, axis=0)
+    settings = WorldSettings(seed=0, size=float(size), resolution=resolution)
+    looks = {"settings": settings, "kinds": kinds, "grass_height": np.full((ny, nx), grass), **plants}
+    return bare_world(slope[0] * x + slope[1] * y, (-size / 2, -size / 2), resolution, **looks)
 
 
 def tree(x, y, *, radius=0.3, crown=1.5, height=6.0):

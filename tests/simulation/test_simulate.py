@@ -1,24 +1,32 @@
-"""How drives begin and end; files with the same bytes again, readable after an interruption."""
+"""Drives from settings to files: ends, repeatability, interruptions, several at once."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from io import BytesIO
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from mcap.reader import make_reader
 
 from offpiste.cli import main
 from offpiste.core.errors import OffpisteError
-from offpiste.inspection.extract import extract
 from offpiste.logs import read_drive
-from offpiste.logs.ground_truth import read_truth
 from offpiste.rig.rig import load_rig
 from offpiste.simulation import simulate as simulation
 from offpiste.simulation.recorder import Imperfections
-from offpiste.simulation.sensors.suite import SensorSuite, light_suite
-from offpiste.simulation.simulate import DriveSettings, DriveSummary, Start, drive, record, simulate
+from offpiste.simulation.simulate import (
+    DriveSettings,
+    DriveSummary,
+    Recording,
+    Start,
+    drive,
+    simulate,
+    simulate_all,
+)
+from offpiste.simulation.top_view import draw_top_view, shaded_colours
 from offpiste.simulation.vehicle.parameters import load_vehicle
 from offpiste.simulation.world.build import make_world
 from offpiste.simulation.world.world import WorldSettings
@@ -41,22 +49,6 @@ class Always:
     def command(self, sample):
         self.timeouts -= 1
         return np.array(self.wanted)
-
-
-def small(seed):
-    return make_world(WorldSettings("mojave", seed=seed, size=100.0, resolution=0.5))
-
-
-def test_another_suite_instead_of_the_settings(tmp_path):
-    (lidar,) = light_suite().lidars
-    suite = SensorSuite((), (replace(lidar, name="lidar_mast", rings=4, columns=16),))
-    settings = DriveSettings(WorldSettings("mojave", seed=1, size=100.0, resolution=0.5))
-    start, file = Start(0.0, 0.0, 0.0, 2.0), tmp_path / "drive.mcap"
-    record(settings, small(1), VEHICLE, start, Always((0.2, 0, 0)), file, steps=20, suite=suite)
-    with file.open("rb") as stream:
-        topics = {channel.topic for channel in make_reader(stream).get_summary().channels.values()}
-    assert "/lidar_mast/points" in topics
-    assert not [topic for topic in topics if "camera" in topic or "lidar_top" in topic]
 
 
 def test_a_rollover_ends_the_drive():
@@ -107,35 +99,6 @@ def test_the_same_settings_give_the_same_bytes_and_another_seed_others(driven, t
     assert mine["/tf_static"] == others["/tf_static"]
     assert mine["/odometry"] != others["/odometry"]
     assert mine["/truth/map"] == others["/truth/map"]
-
-
-def test_what_is_told_is_what_was_driven(driven):
-    first, drive = driven, read_drive(driven.log, RIG)
-    assert first.seconds == pytest.approx(6.0)
-    assert first.path.shape == (300, 2)
-    assert first.speed.shape == (300,)
-    recorded = drive.channels["position"].values[:, :2]
-    assert np.abs(recorded - first.path).max() < 0.05  # noise of the pose
-    assert first.metres == pytest.approx(first.speed.sum() * 0.02, rel=0.05)
-    assert str(first).startswith(f"{first.log}: 6 s, ")
-
-
-def test_ground_truth_features_are_the_world_under_the_wheels(driven, tmp_path):
-    dataset = extract([driven.log], RIG, tmp_path / "truth.zarr", split="blocks:1,0,0", features="ground-truth")
-    cells, world = dataset.drives[0].rows.cells, make_world(WORLD)
-    truth = read_truth(driven.log)
-    rows = dataset.drives[0].rows.time
-    # The truth's own record of each wheel's contact, next to the row.
-    at = np.clip(np.searchsorted(truth.time, rows), 0, len(truth.time) - 1)
-    contact = truth.contact[at][..., :2]
-    i, j = np.moveaxis(np.round((contact - np.array(world.origin)) / world.resolution).astype(int), -1, 0)
-    wanted = world.properties[j, i].astype(np.float16)
-    found = cells.features[0, cells.index]
-    assert (cells.index >= 0).all()
-    same = (found == wanted).all(axis=-1)
-    # Wheels are placed as of a level vehicle with a noisy pose: now and then that is the cell next to it.
-    assert same.mean() > 0.75
-    assert np.abs(found.astype(float) - truth.properties[at]).mean(axis=(0, 1))[0] < 0.03
 
 
 def test_ctrl_c_leaves_a_readable_file(tmp_path, monkeypatch):
@@ -193,6 +156,9 @@ def run(*arguments: str) -> int:
         (("--drive-seed", "-1"), "seed is -1"),
         (("--grip-contrast", "2"), "grip_contrast is 2"),
         (("--out", "{tmp}/there.mcap"), "exists already"),
+        (("--drives", "0"), "0 drives"),
+        (("--drives", "2", "--drive-seed", "1"), "--drive-seed cannot be combined with --drives"),
+        (("--drives", "2", "--processes", "-1"), "--processes is -1; give 1 or more, or 0"),
     ],
 )
 def test_a_mistake_ends_in_one_line_and_exit_code_1(arguments, said, tmp_path, capsys):
@@ -207,15 +173,6 @@ def test_a_mistake_ends_in_one_line_and_exit_code_1(arguments, said, tmp_path, c
     assert [file.name for file in tmp_path.iterdir()] == ["there.mcap"]
 
 
-def test_the_command_line_records_what_can_be_extracted(tmp_path, capsys):
-    log, dataset = str(tmp_path / "drive.mcap"), str(tmp_path / "data.zarr")
-    assert run("simulate", "--sensors", "none", "--seconds", "5", "--out", log) == 0
-    assert "drive.mcap: 5 s, " in capsys.readouterr().out
-    assert run("extract", log, "--rig", "proving_ground", "--out", dataset, "--force") == 0
-    drive = read_drive(log, RIG)
-    assert len(drive.channels["position"].time) == 250
-
-
 def test_a_log_with_manoeuvres_reverses_and_is_found_healthy(tmp_path, capsys):
     log, dataset = str(tmp_path / "drive.mcap"), str(tmp_path / "data.zarr")
     # The driver of this seed reverses within the time.
@@ -226,3 +183,42 @@ def test_a_log_with_manoeuvres_reverses_and_is_found_healthy(tmp_path, capsys):
     assert run("inspect", log, "--rig", "proving_ground_gear") == 0
     assert "nothing to fix" in capsys.readouterr().out
     assert run("extract", log, "--rig", "proving_ground_gear", "--out", dataset, "--force") == 0
+
+
+UNIFORM = WorldSettings("uniform", size=150.0, resolution=0.5)
+
+
+def recordings(folder: Path) -> list[Recording]:
+    folder.mkdir()
+    return [Recording(DriveSettings(UNIFORM, 3.0, seed, "none"), folder / f"{seed}.mcap") for seed in range(3)]
+
+
+def test_processes_record_what_one_does_and_what_is_there_stays(tmp_path: Path) -> None:
+    alone, shared = recordings(tmp_path / "alone"), recordings(tmp_path / "shared")
+    simulate_all(alone, 1)
+    shared[0].log.write_bytes(b"there")
+    shared[1].log.with_name("1.partial.mcap").write_bytes(b"left by a process that was killed")
+    simulate_all(shared, 2)
+    assert shared[0].log.read_bytes() == b"there"
+    assert [one.log.read_bytes() for one in shared[1:]] == [one.log.read_bytes() for one in alone[1:]]
+    assert sorted(path.name for path in (tmp_path / "shared").iterdir()) == ["0.mcap", "1.mcap", "2.mcap"]
+
+
+def test_one_that_fails_does_not_keep_the_others(tmp_path: Path) -> None:
+    good = recordings(tmp_path / "logs")
+    bad = Recording(DriveSettings(WorldSettings("nowhere"), 3.0, 0, "none"), tmp_path / "logs" / "bad.mcap")
+    with pytest.raises(OffpisteError, match="nowhere"):
+        simulate_all([bad, *good], 1)
+    assert sorted(path.name for path in (tmp_path / "logs").iterdir()) == ["0.mcap", "1.mcap", "2.mcap"]
+
+
+def test_a_world_is_drawn():
+    world = make_world(WorldSettings(preset="halter-ranch", size=80.0, resolution=1.0))
+    colours = shaded_colours(world)
+    assert colours.min() >= 0
+    assert colours.max() <= 1
+    assert colours.std(axis=(0, 1)).min() > 0.02
+    figure = Figure()
+    draw_top_view(world, figure.subplots())
+    figure.savefig(BytesIO(), format="png", dpi=40)
+    assert figure.axes[0].get_xlim() == (-40, 40)

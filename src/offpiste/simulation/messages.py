@@ -33,17 +33,17 @@ LIDAR_POINT = np.dtype(
 
 
 def stamp_ns(time: float) -> int:
-    """Stamp [ns] of a time since the start of the drive [s]."""
+    """Return the stamp [ns] of a time since the start of the drive [s]."""
     return START_NS + round(time * 1e9)
 
 
 def in_body(sample: VehicleSample, vector_world: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:
-    """World-frame vector in the body frame."""
+    """Return the world-frame vector in the body frame."""
     return vector_world @ rotation_of_one(sample.orientation)
 
 
 def vehicle_messages(sample: VehicleSample, stamp: int, *, wheel_radius: float) -> dict[str, Any]:
-    """Messages of the vehicle by topic, as read by the rigs `proving_ground` and `proving_ground_gear`."""
+    """Return the messages of the vehicle by topic, as read by the rigs `proving_ground` and `proving_ground_gear`."""
     body = header(stamp, BODY)
     throttle_brake_steer = np.asarray(sample.command[:3], np.float32)
     return {
@@ -60,7 +60,7 @@ def vehicle_messages(sample: VehicleSample, stamp: int, *, wheel_radius: float) 
 
 
 def odometry_message(sample: VehicleSample, stamp: int) -> Any:
-    """nav_msgs/Odometry message: pose in the frame map, twist in the body frame."""
+    """Return a nav_msgs/Odometry message: pose in the frame map, twist in the body frame."""
     velocity = in_body(sample, sample.velocity)
     pose = make(
         "geometry_msgs/Pose",
@@ -79,7 +79,7 @@ def odometry_message(sample: VehicleSample, stamp: int) -> Any:
 
 
 def imu_message(force: Float[np.ndarray, " 3"], rate: Float[np.ndarray, " 3"], stamp: int) -> Any:
-    """sensor_msgs/Imu message without orientation, marked by a covariance of -1."""
+    """Return a sensor_msgs/Imu message without orientation, marked by a covariance of -1."""
     no_orientation = np.array([-1.0] + 8 * [0.0])
     return make(
         "sensor_msgs/Imu",
@@ -94,7 +94,7 @@ def imu_message(force: Float[np.ndarray, " 3"], rate: Float[np.ndarray, " 3"], s
 
 
 def events_message(events: Sequence[str], stamp: int) -> Any:
-    """diagnostic_msgs/DiagnosticArray message with an error for each event."""
+    """Return a diagnostic_msgs/DiagnosticArray message with an error for each event."""
     error = 2
     status = [
         make("diagnostic_msgs/DiagnosticStatus", level=error, name=event, message=event, hardware_id="", values=[])
@@ -104,7 +104,7 @@ def events_message(events: Sequence[str], stamp: int) -> Any:
 
 
 def true_wheels_message(truth: WheelTruth, stamp: int) -> Any:
-    """sensor_msgs/PointCloud2 message of the four contact points (`logs.ground_truth.WHEEL`)."""
+    """Return a sensor_msgs/PointCloud2 message of the four contact points (`logs.ground_truth.WHEEL`)."""
     points = np.zeros(4, WHEEL)
     points["x"], points["y"], points["z"] = truth.contact.T
     for name, column in zip(GROUND_PROPERTIES, truth.properties.T, strict=True):
@@ -115,7 +115,7 @@ def true_wheels_message(truth: WheelTruth, stamp: int) -> Any:
 
 
 def true_map_message(world: World, stamp: int) -> Any:
-    """grid_map_msgs/GridMap message of the world: elevation, ground properties, kinds and wetness."""
+    """Return a grid_map_msgs/GridMap message of the world: elevation, ground properties, kinds and wetness."""
     layers = {"elevation": world.elevation, "wetness": world.wetness}
     layers |= {name: world.properties[:, :, i] for i, name in enumerate(GROUND_PROPERTIES)}
     layers |= dict(zip(GROUND_KINDS, world.kinds, strict=True))
@@ -146,7 +146,7 @@ class Mounting:
 
 
 def mountings_message(mountings: Sequence[Mounting], stamp_ns: int) -> Any:
-    """tf2_msgs/TFMessage of all mountings."""
+    """Return a tf2_msgs/TFMessage of all mountings."""
     transforms = [
         make(
             "geometry_msgs/TransformStamped",
@@ -164,14 +164,14 @@ def mountings_message(mountings: Sequence[Mounting], stamp_ns: int) -> Any:
 
 
 def image_message(image: UInt8[np.ndarray, "h w 3"], stamp_ns: int, frame: str) -> Any:
-    """sensor_msgs/CompressedImage message: JPEG of an RGB image."""
+    """Return a sensor_msgs/CompressedImage message: JPEG of an RGB image."""
     done, data = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY))
     assert done, "OpenCV encodes every RGB image"
     return make("sensor_msgs/CompressedImage", header=header(stamp_ns, frame), format="jpeg", data=data.reshape(-1))
 
 
 def camera_info_message(model: CameraModel, stamp_ns: int, frame: str) -> Any:
-    """sensor_msgs/CameraInfo message of a monocular camera; the rectified image keeps K (P = [K 0])."""
+    """Return a sensor_msgs/CameraInfo message of a monocular camera; the rectified image keeps K (P = [K 0])."""
     projection = np.hstack((model.matrix, np.zeros((3, 1))))
     region = make("sensor_msgs/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False)
     return make(
@@ -198,7 +198,7 @@ def points_message(
     stamp_ns: int,
     frame: str,
 ) -> Any:
-    """sensor_msgs/PointCloud2 message of one revolution of a LiDAR (`LIDAR_POINT`).
+    """Return a sensor_msgs/PointCloud2 message of one revolution of a LiDAR (`LIDAR_POINT`).
 
     Args:
         xyz: points in the sensor's frame [m].

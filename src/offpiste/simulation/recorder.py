@@ -109,13 +109,13 @@ def with_noise(sample: VehicleSample, imperfections: Imperfections, rng: np.rand
 
 
 def random_turn(degrees: float, rng: np.random.Generator) -> Rotation:
-    """Rotation by an angle [deg] about a random axis."""
+    """Return a rotation by an angle [deg] about a random axis."""
     axis = rng.standard_normal(3)
     return Rotation.from_rotvec(np.radians(degrees) * axis / np.linalg.norm(axis))
 
 
 def _tilted(orientation: Float[np.ndarray, " 4"], angles: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 4"]:
-    """Quaternion rotated about the body axes by small angles [rad], to first order; 50 times faster than SciPy."""
+    """Rotate a quaternion about the body axes by small angles [rad], to first order; 50 times faster than SciPy."""
     x, y, z, w = orientation.tolist()
     a, b, c = (0.5 * angles).tolist()
     tilted = np.array(
@@ -182,11 +182,11 @@ class Recorder:
         self._writer.write(topic, message, stamp.sec * 10**9 + stamp.nanosec)
 
     def sensor_stamp_ns(self, time: float) -> int:
-        """Stamp [ns] of a camera or LiDAR measurement at a time since the start of the drive [s]."""
+        """Return the stamp [ns] of a camera or LiDAR measurement at a time since the start of the drive [s]."""
         return stamp_ns(time + self._imperfections.stamp_offset_ms / 1000)
 
     def _imu(self, before: VehicleSample, sample: VehicleSample, measured: VehicleSample, stamp: int) -> Any:
-        """IMU message with the specific force: mean acceleration since the last sample plus gravity, body frame."""
+        """Return the IMU message; its specific force is the mean acceleration since the last sample plus gravity."""
         acceleration = (sample.velocity - before.velocity) / (sample.time - before.time) + np.array((0, 0, GRAVITY))
         force = in_body(sample, acceleration)
         force += NOISE.acceleration * self._noise_rng.standard_normal(3)

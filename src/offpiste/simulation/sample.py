@@ -26,12 +26,12 @@ class Pose:
         return points @ self.rotation.T + self.position
 
     def inverse(self) -> "Pose":
-        """Pose of the other frame in this frame."""
+        """Return the pose of the other frame in this frame."""
         rotation = Rotation.from_quat(self.orientation).inv()
         return Pose(-rotation.apply(self.position), rotation.as_quat())
 
     def __matmul__(self, inner: "Pose") -> "Pose":
-        """`world_from_body @ body_from_sensor` is `world_from_sensor`."""
+        """Compose poses: `world_from_body @ body_from_sensor` is `world_from_sensor`."""
         orientation = Rotation.from_quat(self.orientation) * Rotation.from_quat(inner.orientation)
         return Pose(self.apply(inner.position[None])[0], orientation.as_quat())
 
@@ -45,7 +45,7 @@ class Motion:
     orientation: Float[np.ndarray, "n 4"]
 
     def at(self, time: Float[np.ndarray, " m"]) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, "m 3 3"]]:
-        """Positions [m] and rotations `world_from_body` at given times, clamped to the first and last time."""
+        """Return positions [m] and rotations `world_from_body` at given times, clamped to the first and last one."""
         matrix, samples = np.empty((len(time), 4, 4)), (self.time, self.position, self.time, self.orientation)
         put_poses(np.clip(time, self.time[0], self.time[-1]), *samples, np.zeros((0, 2)), np.inf, matrix)
         return np.ascontiguousarray(matrix[:, :3, 3]), np.ascontiguousarray(matrix[:, :3, :3])
@@ -79,7 +79,6 @@ class VehicleSample:
     steer_rate: float  # [rad/s]
     engine_speed: float  # [rev/min]
     wheel_speed: Float[np.ndarray, " 4"]  # rolling speed (rotation times radius) of each wheel [m/s]
-    suspension: Float[np.ndarray, " 4"]  # compression of each spring from full droop [m]
     truth: WheelTruth
     events: tuple[str, ...] = ()  # events since the last sample: "rollover", "collision with a tree", "left the world"
     gear: float = 1.0  # engaged gear: 1 forward, 0 neutral, -1 reverse

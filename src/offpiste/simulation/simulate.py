@@ -48,7 +48,7 @@ class Controller(Protocol):
         ...
 
     def command(self, sample: VehicleSample) -> Float[np.ndarray, " U"]:
-        """Throttle [0..1], brake [0..1], steer [-1..1, positive left] for the next `conventions.DT`.
+        """Return the throttle [0..1], brake [0..1], steer [-1..1, positive left] for the next `conventions.DT`.
 
         An optional fourth number is the gear (1, 0, -1), shifted at a standstill.
         """
@@ -68,7 +68,7 @@ class Start:
 def drive(
     world: World, parameters: VehicleParameters, start: Start, controller: Controller, *, steps: int
 ) -> Iterator[VehicleSample]:
-    """Samples of a drive, which ends early at a rollover, at the world's border, or if the controller gives up."""
+    """Yield the samples of a drive, which ends early at a rollover, at the border, or if the controller gives up."""
     vehicle = VehicleSimulation(world, parameters, x=start.x, y=start.y, yaw=start.yaw, speed=start.speed)
     for _ in range(steps):
         sample = vehicle.sample()
@@ -83,7 +83,7 @@ def drive(
 def start_and_driver(
     world: World, parameters: VehicleParameters, *, seed: int, settings: DriverSettings | None = None
 ) -> tuple[Start, Driver | ManoeuvringDriver]:
-    """A driver on a trail of a world, with manoeuvres if the settings ask for them."""
+    """Return a start and a driver on a trail of a world, with manoeuvres if the settings ask for them."""
     settings = settings or DriverSettings()
     driver = Driver(world, parameters, np.random.default_rng([seed, 0xD21]), settings)
     start = Start(*driver.start())

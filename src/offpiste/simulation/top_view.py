@@ -30,7 +30,7 @@ def draw_top_view(world: World, axes: Axes) -> None:
 
 
 def shaded_colours(world: World) -> Float[np.ndarray, "ny nx 3"]:
-    """Colours of the ground and its tall grass, with hillshade, sRGB [0..1]."""
+    """Return the colours of the ground and its tall grass, with hillshade, sRGB [0..1]."""
     dry, wet = colour_table().astype(np.float32)
     shares = np.moveaxis(world.kinds, 0, -1)
     wetness = world.wetness[..., None]

@@ -1,6 +1,5 @@
 """Manoeuvres between stretches of trail: the whole range of speeds, within limits, from a seed."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +7,6 @@ import pytest
 
 from offpiste.core.conventions import DT
 from offpiste.simulation.driver.driver import WITH_MANOEUVRES, DriverSettings, pose_and_speed
-from offpiste.simulation.driver.manoeuvres import ManoeuvringDriver
 from offpiste.simulation.sample import VehicleSample
 from offpiste.simulation.simulate import drive, start_and_driver
 from offpiste.simulation.vehicle.parameters import load_vehicle
@@ -69,13 +67,6 @@ def test_speeds_cover_the_whole_range(drives):
     assert -6 < speed.min() < -2
 
 
-def test_commands_stay_within_their_limits(drives):
-    commands = np.array([sample.command for samples in drives.values() for sample in samples])
-    assert ((commands >= (0, 0, -1, -1)) & (commands <= (1, 1, 1, 1))).all()
-    assert set(commands[:, 3]) == {-1.0, 1.0}
-    assert ((commands[:, 0] > 0.3) & (commands[:, 1] > 0.3)).mean() < 0.01
-
-
 def test_gears_change_at_a_standstill_only(drives):
     changes = 0
     for samples in drives.values():
@@ -99,35 +90,6 @@ def test_it_reverses_along_its_own_path(drives):
     assert len(away) > 100
     assert np.median(away) < 0.3
     assert np.quantile(away, 0.75) < 0.8
-
-
-@pytest.fixture
-def pinned(world) -> Callable[[float], tuple[ManoeuvringDriver, list[VehicleSample]]]:
-    """A driver after some trail, whose vehicle is held in place from then on until it gives up; its gear box works."""
-
-    def run(seconds: float) -> tuple[ManoeuvringDriver, list[VehicleSample]]:
-        start, driver = start_and_driver(world, VEHICLE, seed=3, settings=DriverSettings(manoeuvres=1e-6))
-        samples = list(drive(world, VEHICLE, start, driver, steps=300))
-        still = replace(samples[-1], velocity=np.zeros(3), wheel_speed=np.zeros(4), angular_velocity=np.zeros(3))
-        held: list[VehicleSample] = []
-        while not driver.stuck and len(held) < seconds / DT:
-            gear = held[-1].command[3] if held else 1.0
-            now = replace(still, time=still.time + len(held) * DT, gear=float(gear))
-            held.append(replace(now, command=driver.command(now)))
-        return driver, held
-
-    return run
-
-
-def test_a_stuck_vehicle_digs_rocks_and_gives_up(pinned):
-    driver, held = pinned(120)
-    assert driver.stuck
-    throttle, _, _, gear = np.array([sample.command for sample in held]).T
-    assert (np.diff(gear) == -2).sum() >= 3  # into reverse, again and again
-    assert (np.diff(gear) == 2).sum() >= 3
-    assert throttle[gear < 0].max() > 0.9
-    # Without traction control, full throttle is there from one step to the next.
-    assert np.diff(throttle[gear > 0]).max() > 0.4
 
 
 def test_a_vehicle_with_its_nose_at_a_trunk_rocks_free(world):

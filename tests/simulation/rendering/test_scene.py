@@ -1,7 +1,12 @@
+"""Ray casting against formulas, and packets against single rays."""
+
+import ctypes
+
 import numpy as np
 import pytest
 
-from offpiste.simulation.rendering.scene import SURFACES, Scene, box_mesh, world_scene
+from offpiste.simulation.rendering.embree import Mesh, RayPackets, SingleRays, _library
+from offpiste.simulation.rendering.scene import SURFACES, ground_mesh, world_scene
 from simulation import scenes
 
 
@@ -40,14 +45,6 @@ def test_hits_do_not_depend_on_how_rays_are_split():
     assert set(np.unique(one.surface)) >= {SURFACES.index(name) for name in ("sky", "ground", "crown", "grass")}
 
 
-def test_a_trunk_stops_rays_and_is_named():
-    scene = world_scene(scenes.world(trees=scenes.tree(8.0, 0.0, radius=0.3)))
-    hits = scene.cast(np.array([[0.0, 0.0, 0.5]]), np.array([[1.0, 0.0, 0.0]]))
-    assert hits.surface[0] == SURFACES.index("trunk")
-    assert hits.distance[0] == pytest.approx(8.0 - 0.3, abs=0.07)
-    assert hits.normal[0, 0] < -0.8
-
-
 def test_tall_grass_hides_the_ground_from_far_and_shows_it_from_above():
     scene = world_scene(scenes.world(grass=0.5))
     ground, grass = SURFACES.index("ground"), SURFACES.index("grass")
@@ -61,9 +58,61 @@ def test_tall_grass_hides_the_ground_from_far_and_shows_it_from_above():
     assert (flat.surface == grass).mean() > 0.6
 
 
-def test_nearer_hits_are_kept():
-    box = np.array([[[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]]])
-    origins, directions = np.array([[-5.0, 0, 0], [-5.0, 0, 3.0]]), np.array([[1.0, 0, 0], [1.0, 0, 0]])
-    own = Scene([box_mesh(box)]).cast(origins, directions)
-    hits = Scene([box_mesh(box * [1, 9, 9] + [3, 0, 0])]).cast(origins, directions, own)
-    np.testing.assert_allclose(hits.distance, [4.0, 7.0], atol=1e-5)
+def parts(quadrilaterals):
+    rng = np.random.default_rng(0)
+    soup = rng.normal(size=(200, 1, 3)) * np.array((20, 20, 1)) + rng.normal(size=(200, 3, 3))
+    faces = np.arange(600, dtype=np.int32).reshape(-1, 3)
+    triangles = Mesh("crown", soup.reshape(-1, 3).astype(np.float32), faces, np.arange(200))
+    ground = ground_mesh(scenes.world(size=80, resolution=2.0, slope=(0.1, 0.2)))
+    return [ground, triangles] if quadrilaterals else [triangles]
+
+
+def rays(n, *, one_origin):
+    rng = np.random.default_rng(1)
+    directions = rng.normal(size=(n, 3)).astype(np.float32)
+    origins = rng.uniform(-20, 20, (1 if one_origin else n, 3)) + np.array((0, 0, 12))
+    return origins.astype(np.float32), directions
+
+
+def none(n, farthest=np.inf):
+    """Distance, part, face and normal before a cast."""
+    return np.full(n, farthest, np.float32), *np.full((2, n), -7, np.int32), np.zeros((n, 3), np.float32)
+
+
+@pytest.mark.parametrize("n", [1, 7, 16, 1003])
+@pytest.mark.parametrize("one_origin", [True, False])
+@pytest.mark.parametrize("farthest", [np.inf, 25.0])
+def test_packets_hit_what_single_rays_hit(n, one_origin, farthest):
+    library = _library()
+    if library is None:
+        pytest.skip("embreex does not bring Embree as a file here")
+    origins, directions = rays(n, one_origin=one_origin)
+    for quadrilaterals in (False, True):
+        single, packets = SingleRays(parts(quadrilaterals)), RayPackets(parts(quadrilaterals), library)
+        expected, hits = none(n, farthest), none(n, farthest)
+        single.intersect(origins, directions, *expected)
+        packets.intersect(origins, directions, *hits)
+        part = hits[1]
+        for k in (1, 2):
+            np.testing.assert_array_equal(hits[k], expected[k])
+        # A quadrilateral's second triangle is given by other corners than embreex's.
+        np.testing.assert_allclose(hits[0], expected[0], rtol=2e-6 if quadrilaterals else 0)
+        np.testing.assert_allclose(hits[3], expected[3], rtol=1e-5 if quadrilaterals else 0)
+        np.testing.assert_array_equal(packets.occluded(origins, directions), single.occluded(origins, directions))
+        if n > 1000 and not one_origin:
+            assert 0.01 < (part >= 0).mean() < 0.99
+            assert (np.unique(part[part >= 0]) == np.arange(1 + quadrilaterals)).all()
+
+
+def test_scenes_that_do_not_fit_into_memory_are_refused():
+    class Full(ctypes.CDLL):
+        """Embree's library when memory runs out."""
+
+        def __init__(self):
+            pass
+
+        def __getattr__(self, name):
+            return lambda *_: 2
+
+    with pytest.raises(MemoryError, match="cannot build"):
+        RayPackets([], Full())

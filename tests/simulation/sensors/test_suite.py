@@ -4,7 +4,6 @@ import threading
 import time
 from dataclasses import replace
 from functools import partial
-from types import SimpleNamespace
 from unittest.mock import create_autospec
 
 import numpy as np
@@ -52,24 +51,6 @@ def test_each_sample_comes_with_its_own_measurements_in_order(count):
     assert [messages for _, messages in found] == [[("/topic0", 10 * n), ("/topic1", 10 * n)] for n in range(count)]
     assert len(threads) == min(count, 1)
     assert threading.current_thread() not in threads
-
-
-def test_an_error_of_a_sensor_reaches_the_drive():
-    def broken(time):
-        if time == 2:
-            raise OSError("broken")
-        return [("/topic", SimpleNamespace())]
-
-    def while_drawn(sample, stamp_ns):
-        broken(sample.time)
-        yield from ()
-
-    def while_measured(sample, stamp_ns):
-        yield partial(broken, sample.time)
-
-    for measurements in (while_drawn, while_measured):
-        with pytest.raises(OSError, match="broken"):
-            list(observed(samples(100), sensing(measurements), int))
 
 
 def test_an_interruption_leaves_no_thread():

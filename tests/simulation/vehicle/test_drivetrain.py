@@ -1,18 +1,14 @@
+"""Drive train and gear box."""
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from offpiste.simulation.vehicle.drivetrain import (
-    clutch_rate,
-    engine_torque,
-    shifted_ratio,
-    spin,
-    steered,
-    wheel_angles,
-)
+from offpiste.simulation.vehicle.drivetrain import GearBox, engine_torque, spin, steered, wheel_angles
 from offpiste.simulation.vehicle.parameters import load_vehicle
+from simulation.drives import drive, flat_world, vehicle_on, yaw_of
 
 PARAMETERS = load_vehicle()
 P = PARAMETERS.as_record()
@@ -33,20 +29,6 @@ def test_engine_has_its_power_and_its_limiter():
     assert engine_torque(P.engine_torque_speed, 1.0, P) == pytest.approx(P.engine_torque)
     assert engine_torque(P.limiter_speed, 1.0, P) < 0
     assert engine_torque(500.0, 0.0, P) == pytest.approx(-(P.engine_drag + 500 * P.engine_drag_slope))
-
-
-def test_ratio_settles_where_the_engine_has_its_wanted_speed():
-    ratio = 3.0
-    for _ in range(2000):
-        ratio = shifted_ratio(ratio, 400.0, 1.0, DT, P)
-    assert ratio * 400 == pytest.approx(P.power_speed, rel=1e-3)
-
-
-def test_clutch_is_open_at_idle_and_never_above_its_capacity():
-    assert clutch_rate(P.idle_speed, P.idle_speed, P) == 0.0
-    capacity = P.clutch_gain * (300.0**2 - P.clutch_speed**2)
-    assert clutch_rate(300.0, 250.0, P) * 250.0 == pytest.approx(capacity)
-    assert clutch_rate(0.0, -300.0, P) > 0  # overrun: the wheels turn the engine
 
 
 @settings(deadline=None)  # the first call compiles
@@ -112,3 +94,36 @@ def test_front_wheels_point_at_one_centre():
     assert np.tan(left) == pytest.approx(P.wheelbase / (radius - P.track / 2))
     assert np.tan(right) == pytest.approx(P.wheelbase / (radius + P.track / 2))
     assert wheel_angles(-0.3, P) == pytest.approx((-right, -left))
+
+
+GEAR_TIME = load_vehicle().gear_time
+
+
+def test_a_shift_takes_its_time_and_is_neutral_meanwhile():
+    box, engaged = GearBox(3), []
+    for wanted in (None, 1.0, -1.0, -1.0, -1.0, -1.0, None, 0.0, 0.0, 0.0, 0.0):
+        box.shift(wanted, moving=False)
+        engaged.append(box.engaged)
+    assert engaged == [1, 1, 0, 0, 0, -1, -1, 0, 0, 0, 0]
+
+
+def test_it_reverses_with_its_wheels_and_turns_the_other_way():
+    samples = drive(vehicle_on(), 4, (0.5, 0.0, 0.5, -1.0))
+    waiting = [s for s in samples if s.time < GEAR_TIME]
+    assert {s.gear for s in waiting[2:]} == {0}
+    assert max(np.hypot(*s.velocity[:2]) for s in waiting) < 0.05
+    last = samples[-1]
+    assert last.gear == -1
+    assert last.velocity[0] < -0.5
+    assert last.wheel_speed.max() < 0
+    assert last.angular_velocity[2] < -0.05
+    assert -2 < yaw_of(last) < -0.1
+    assert last.engine_speed > 1200
+
+
+def test_reverse_is_not_engaged_at_speed_and_brakes_still_brake():
+    driven = drive(vehicle_on(flat_world(), speed=5.0), 1, (0.0, 0.0, 0.0, -1.0))
+    assert {s.gear for s in driven} == {1}
+    backwards = drive(vehicle_on(flat_world()), 6, lambda s: (0.6 * (s.time < 3), float(s.time >= 3), 0.0, -1.0))
+    assert min(s.velocity[0] for s in backwards) < -1
+    assert abs(backwards[-1].velocity[0]) < 0.05

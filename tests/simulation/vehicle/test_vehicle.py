@@ -14,8 +14,9 @@ from simulation.drives import cruise, drive, flat_world, vehicle_on, yaw_of
 PARAMETERS = load_vehicle()
 NEUTRAL = replace(PARAMETERS, clutch_gain=1e-12)
 DRY, WET = property_table()
-GROUNDS = [pytest.param(ground, id=kind) for kind, ground in zip(GROUND_KINDS, DRY, strict=True)]
-SOAKED = [pytest.param(ground, id=f"soaked {kind}") for kind, ground in zip(GROUND_KINDS, WET, strict=True)]
+KINDS = ("loose_sand", "dirt_trail", "mud")
+GROUNDS = [pytest.param(DRY[GROUND_KINDS.index(kind)], id=kind) for kind in KINDS]
+SOAKED = [pytest.param(WET[GROUND_KINDS.index(kind)], id=f"soaked {kind}") for kind in KINDS]
 WEIGHT = PARAMETERS.mass * GRAVITY
 
 
@@ -62,15 +63,6 @@ def test_coasts_down_by_its_resistance(ground):
     assert (first - last) / 2.0 == pytest.approx((rolling + air + shafts) / (p.mass + spinning), rel=0.02)
 
 
-def test_top_speed_on_firm_ground_is_the_limiters():
-    samples = drive(vehicle_on(flat_world(properties=DRY[2], size=(900, 40)), x=-400, speed=20.0), 15, (1, 0, 0))
-    p = PARAMETERS
-    limit = p.limiter_speed / p.ratio_high / p.final_ratio * p.rolling_radius
-    assert samples[-1].velocity[0] == pytest.approx(samples[-100].velocity[0], abs=0.02)
-    assert 0.95 * limit < samples[-1].velocity[0] < limit
-    assert 22 < samples[-1].velocity[0] < 28
-
-
 @pytest.mark.parametrize("ground", GROUNDS)
 def test_climbs_what_friction_less_resistance_allows(ground):
     # All wheels drive, locked front to rear: tan(slope) = thrust(slip) - rolling - sinkage slip, at its best slip;
@@ -88,13 +80,6 @@ def test_climbs_what_friction_less_resistance_allows(ground):
 def _creep(sample):
     """Wheels held at 1.8 m/s: the vehicle finds the slip that carries it."""
     return float(np.clip(0.5 + 2.0 * (1.8 - sample.wheel_speed.mean()), 0, 1)), 0.0, 0.0
-
-
-def test_static_loads_sum_to_the_weight_and_split_by_the_centre_of_mass():
-    load = drive(vehicle_on(), 2, (0, 1, 0))[-1].truth.load
-    assert load.sum() == pytest.approx(WEIGHT, rel=1e-3)
-    assert load[:2].sum() / load.sum() == pytest.approx(PARAMETERS.front_share, abs=2e-3)
-    np.testing.assert_allclose(load[::2], load[1::2], rtol=1e-6)
 
 
 def test_loads_on_slopes_follow_the_height_of_the_centre_of_mass():
@@ -146,14 +131,6 @@ def test_free_roll_gains_no_energy(bumps):
         assert windows[-1] == pytest.approx(windows[0], rel=1e-3)
 
 
-def test_gentle_turn_has_the_radius_of_the_bicycle():
-    sample = drive(vehicle_on(speed=2.0), 5, cruise(2.0, steer=0.3))[-1]
-    radius = np.linalg.norm(sample.velocity) / sample.angular_velocity[2]
-    p = PARAMETERS
-    # Slow: only the rear differential's scrub widens it.
-    assert radius == pytest.approx(p.wheelbase / np.tan(0.3 * p.max_steer), rel=0.08)
-
-
 def test_steer_left_and_right_mirror_each_other():
     paths = []
     for side in (1, -1):
@@ -174,14 +151,6 @@ def test_one_call_a_step_gives_the_bytes_of_a_call_a_substep(monkeypatch):
     for one, other in zip(at_once, samples(), strict=True):
         assert one.position.tobytes() == other.position.tobytes()
         assert one.truth.slip_angle.tobytes() == other.truth.slip_angle.tobytes()
-
-
-def test_brake_waits_for_its_delay_then_lags():
-    pressure = [s.brake_pressure for s in drive(vehicle_on(), 1, (0, 1, 0))]
-    delayed = round(PARAMETERS.brake_delay / 0.02)
-    assert pressure[delayed] == 0
-    assert pressure[delayed + 1] > 0.1
-    assert pressure[-1] > 0.999
 
 
 def test_each_wheel_feels_its_own_ground():

@@ -1,8 +1,13 @@
+"""Grids, height fields and trails of worlds."""
+
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
-from offpiste.simulation.world import grids
+from offpiste.simulation.world import grids, terrain
 from offpiste.simulation.world.grids import smooth_noise
+from offpiste.simulation.world.terrain import carve_trails
+from offpiste.simulation.world.world import find_world_preset
 
 X0, Y0, STEP = -3.0, 7.0, 0.5
 NX, NY = 13, 9  # not square: swapped axes fall off the grid
@@ -29,12 +34,6 @@ def test_a_plane_is_read_exactly(a, b):
     np.testing.assert_allclose(grids.normals_of(elevation, STEP), np.broadcast_to(expected, (NY, NX, 3)), atol=1e-12)
 
 
-def test_inside_a_cell_the_surface_is_bilinear():
-    elevation = np.array([[0.0, 1.0], [2.0, 5.0]])
-    # 0 + u + 2 v + 2 u v at u = 1/4, v = 1/2
-    assert grids.height(elevation, 0.0, 0.0, 2.0, 0.5, 1.0) == pytest.approx(0.25 + 1.0 + 0.25)
-
-
 def test_the_compiled_reading_is_the_plain_one_also_beyond_the_border():
     rng = np.random.default_rng(1)
     elevation = rng.normal(size=(NY, NX)).astype(np.float32)
@@ -56,14 +55,6 @@ def test_no_place_crashes(x):
     assert grids.main_kind(np.ones((2, NY, NX)), X0, Y0, STEP, x, x) == 0
 
 
-def test_the_main_kind_is_that_of_the_nearest_node():
-    rng = np.random.default_rng(2)
-    kinds = rng.dirichlet(np.ones(5), (NY, NX)).transpose(2, 0, 1)
-    for x, y in _places():
-        i, j = round((x - X0) / STEP), round((y - Y0) / STEP)
-        assert grids.main_kind(kinds, X0, Y0, STEP, x, y) == kinds[:, j, i].argmax()
-
-
 def test_mean_zero_and_variance_one():
     x, y = np.arange(0, 300, 1.0), np.arange(0, 200, 1.0)
     field = smooth_noise(np.random.default_rng(0), x, y, 4.0)
@@ -77,3 +68,56 @@ def test_the_same_place_has_the_same_value_at_every_resolution():
     a = smooth_noise(np.random.default_rng(3), fine, fine, 7.0)
     b = smooth_noise(np.random.default_rng(3), coarse, coarse, 7.0)
     np.testing.assert_allclose(a[::2, ::2], b, atol=1e-5)
+
+
+@pytest.fixture(scope="module", params=[(0, 320.0), (2, 120.0), (3, 60.0)])
+def network(request):
+    seed, size = request.param
+    return terrain.make_trails(np.random.default_rng(seed), size), size
+
+
+def test_distances_of_a_grid_are_those_of_its_nodes(network):
+    loops, size = network
+    x, y = np.arange(-size / 2, size / 2, 0.7), np.arange(-0.4 * size, 0.6 * size, 1.1)  # some of it beyond the trails
+    grid = terrain.trail_distance_grid(loops, x, y)
+    places = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    lines = np.concatenate([terrain.resample(loop, 0.1) for loop in loops])
+    away = np.minimum(cKDTree(lines).query(places)[0], terrain.NEAR)
+    np.testing.assert_array_equal(grid.ravel(), away.astype(np.float32))
+    assert 0 < (grid < terrain.NEAR).mean() < 1
+
+
+def test_trails_stay_inside_and_can_be_driven(network):
+    loops, size = network
+    for loop in loops:
+        assert np.abs(loop).max() <= size / 2 - terrain.MARGIN + 1e-6
+        steps = np.linalg.norm(np.roll(loop, -1, axis=0) - loop, axis=1)
+        np.testing.assert_allclose(steps, terrain.SPACING, rtol=0.1)  # evenly spaced, and the loop closes
+        if size >= 120:
+            assert 1 / np.abs(terrain.curvature(loop)).max() > 8
+
+
+def test_the_network_is_connected(network):
+    loops, _ = network
+    reached, waiting = [loops[0]], list(loops[1:])
+    while waiting:
+        near = [loop for loop in waiting if cKDTree(np.concatenate(reached)).query(loop)[0].min() < terrain.SPACING]
+        assert near
+        reached += near
+        waiting = [loop for loop in waiting if not any(loop is other for other in near)]
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_straight_trail_across_a_slope_is_level(axis):
+    step = 0.5
+    x = y = np.arange(-40, 40 + step, step)
+    hillside = (0.2 * (x[None, :] if axis == 0 else y[:, None]) + np.zeros((len(y), len(x)))).astype(np.float32)
+    along = np.linspace(-30, 30, 121)
+    line = np.stack((np.zeros(121), along) if axis == 0 else (along, np.zeros(121)), axis=1)
+    distance = terrain.trail_distance_grid((line,), x, y)
+    carved = carve_trails(np.random.default_rng(0), find_world_preset("mojave"), x, y, hillside, (line,), distance)
+    middle = carved[80] if axis == 0 else carved[:, 80]
+    sides = np.abs(x) <= 1.5
+    assert np.ptp(middle[sides]) < 0.15  # 0.6 m before; ruts and roughness are left
+    far = np.abs(x) > 9
+    np.testing.assert_allclose(middle[far], 0.2 * x[far], atol=0.3)

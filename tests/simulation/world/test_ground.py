@@ -1,18 +1,17 @@
+"""Kinds of ground, plants and forks."""
+
+from dataclasses import replace
+
 import msgspec
 import numpy as np
 import pytest
-from scipy.spatial import cKDTree
 
-from offpiste.logs.ground_truth import GROUND_KINDS, GROUND_PROPERTIES
-from offpiste.simulation.world.ground import (
-    grounds,
-    grow_grass,
-    mix_properties,
-    plant_bushes,
-    plant_trees,
-    property_table,
-)
-from offpiste.simulation.world.world import BareTerrain, find_world_preset
+from offpiste.logs.ground_truth import GROUND_KINDS
+from offpiste.simulation.world.build import make_world
+from offpiste.simulation.world.forks import ASIDE, LENGTH, MUD, WAVE, WEAVE, WETNESS, fork_trails
+from offpiste.simulation.world.grids import read_grid
+from offpiste.simulation.world.ground import grow_grass, mix_properties, plant_bushes, plant_trees, property_table
+from offpiste.simulation.world.world import BareTerrain, WorldSettings, find_world_preset
 
 K = len(GROUND_KINDS)
 X = np.arange(-100.0, 101.0, 1.0)
@@ -24,17 +23,6 @@ def _shares(seed=0, ny=5, nx=7):
     rng = np.random.default_rng(seed)
     kinds = rng.dirichlet(np.ones(K), (ny, nx)).transpose(2, 0, 1).astype(np.float32)
     return kinds, rng.uniform(size=(ny, nx)).astype(np.float32)
-
-
-def test_the_table_lies_within_published_ranges():
-    dry, wet = property_table()
-    for friction, stiffness, rolling, sinkage in np.concatenate((dry, wet)):
-        assert 0.2 <= friction <= 0.7
-        assert 2.5 <= stiffness <= 8
-        assert 0.02 <= rolling <= 0.35
-        assert 0 <= sinkage <= 0.15
-        assert rolling < friction  # or a vehicle could not move
-    assert all(getattr(ground, name).source for ground in grounds() for name in GROUND_PROPERTIES)
 
 
 def test_pure_ground_has_its_row_of_the_table():
@@ -66,12 +54,6 @@ def test_as_many_plants_a_hectare_as_the_preset_says():
     assert np.mean(trees) == pytest.approx(4 * 10, rel=0.3)  # some stood too near to another
 
 
-def test_trees_stand_apart():
-    trees = plant_trees(np.random.default_rng(0), _preset(trees=300.0), BareTerrain(X, X, FLAT, FAR))
-    distance, _ = cKDTree(trees.foot).query(trees.foot, k=2)
-    assert distance[:, 1].min() >= 3
-
-
 def test_nothing_grows_on_a_trail():
     preset, on_trail = _preset(trees=300.0, bushes=300.0), BareTerrain(X, X, FLAT, np.zeros_like(FLAT))
     kinds = np.zeros((len(GROUND_KINDS), *FLAT.shape), np.float32)
@@ -82,3 +64,62 @@ def test_nothing_grows_on_a_trail():
     assert grow_grass(rng, preset, on_trail, kinds).max() == 0
     share = (grow_grass(rng, preset, BareTerrain(X, X, FLAT, FAR), kinds) > 0.1).mean()
     assert share == pytest.approx(preset.grass, abs=0.2)
+
+
+SPACING = 0.5
+SETTINGS = WorldSettings("mojave", seed=3, resolution=0.5, forks=True)
+
+
+def ring(radius, straight=0.0):
+    """Closed loop of two half circles with straight pieces between, counter-clockwise from the lower one's start."""
+    angle = np.arange(0, np.pi, SPACING / radius)
+    bend = radius * np.stack((np.sin(angle), -np.cos(angle)), axis=1)
+    along = np.arange(-straight / 2, straight / 2, SPACING)
+    lower = np.stack((along, np.full_like(along, -radius)), axis=1)
+    half = np.concatenate((lower, bend + np.array((straight / 2, 0.0))))
+    return np.concatenate((half, -half))
+
+
+def test_the_ways_by_hand():
+    loop = ring(30.0, straight=100.0)
+    (forked, island), (fork,) = fork_trails(np.random.default_rng(0), (loop,), SPACING)
+    middle = (fork.left + fork.right) / 2
+    start = int(np.argmin(np.linalg.norm(loop - fork.left[0], axis=1)))
+    np.testing.assert_allclose(middle, np.roll(loop, -start, axis=0)[: len(middle)], atol=1e-9)
+    assert np.ptp(middle[:, 1]) == pytest.approx(0, abs=1e-9), "on a straight piece: only there are both alike"
+    share = np.linspace(0, 1, len(middle))
+    apart = np.linalg.norm(fork.left - fork.right, axis=1)
+    beside = ASIDE + WEAVE * np.sin(2 * np.pi * LENGTH / WAVE * share)
+    np.testing.assert_allclose(apart, 2 * beside * np.sin(np.pi * share) ** 2, atol=1e-9)
+    ahead, aside = middle[1] - middle[0], fork.left[60] - middle[60]
+    assert ahead[0] * aside[1] - ahead[1] * aside[0] > 0, "to the left of the direction of driving"
+    np.testing.assert_array_equal(forked[: len(fork.left)], fork.left)
+    assert len(forked) == len(loop)
+    assert np.linalg.norm(np.diff(forked, axis=0, append=forked[:1]), axis=1).max() < 1.2 * SPACING
+    np.testing.assert_array_equal(island[: len(fork.right)], fork.right)
+    np.testing.assert_array_equal(np.concatenate((island[len(fork.right) :], island[:1])), fork.left[-2::-1])
+
+
+def test_no_fork_beside_another_trail_or_on_a_short_one():
+    rng, loop = np.random.default_rng(0), ring(30.0, straight=100.0)
+    for trails in ((loop, ring(36.0, straight=100.0)), (ring(20.0),)):
+        same, forks = fork_trails(rng, trails, SPACING)
+        assert not forks
+        assert all(one is other for one, other in zip(same, trails, strict=True))
+
+
+def test_one_way_is_mud_and_the_other_firm():
+    world = make_world(SETTINGS)
+    assert len(world.forks) > 1
+    assert len(world.trails) == len(make_world(replace(SETTINGS, forks=False)).trails) + len(world.forks)
+    np.testing.assert_allclose(world.kinds.sum(axis=0), 1, atol=1e-5)
+    kinds = np.moveaxis(world.kinds, 0, -1)
+    for fork in world.forks:
+        ways, count = (fork.left, fork.right), len(fork.left)
+        inside = slice(round((MUD[0] + 0.05) * count), round((MUD[1] - 0.05) * count))
+        mud = read_grid(kinds, world.origin, world.resolution, ways[fork.muddy][inside])
+        firm = read_grid(kinds, world.origin, world.resolution, ways[1 - fork.muddy])
+        assert mud[:, GROUND_KINDS.index("mud")].min() > 0.99
+        assert firm[:, GROUND_KINDS.index("dirt_trail")].min() > 0.99
+        wetness = read_grid(world.wetness, world.origin, world.resolution, ways[fork.muddy][inside])
+        np.testing.assert_allclose(wetness, WETNESS, atol=1e-3)

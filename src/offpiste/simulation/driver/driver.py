@@ -109,7 +109,7 @@ class RandomIntent:
         self._time_left, self._until_next = 0.0, float(rng.exponential(pause))
 
     def advance(self) -> Intent:
-        """The next intent."""
+        """Return the next intent."""
         noise = self._rng.standard_normal(3).tolist()
         self._processes = [k * old + r * new for (k, r), old, new in zip(_KEEP, self._processes, noise, strict=True)]
         self._time_left -= DT
@@ -137,7 +137,7 @@ class SpeedControl:
         self._held = 0.1
 
     def pedals(self, lack: float) -> tuple[float, float]:
-        """Throttle and brake for the next `DT`, 0..1.
+        """Return the throttle and brake for the next `DT`, 0..1.
 
         Args:
             lack: wanted speed minus speed, both in the direction of the gear [m/s].
@@ -158,7 +158,7 @@ class TractionControl:
         self._throttle, self._spin, self._held = 0.0, 0.0, _USUAL_THROTTLE
 
     def throttle(self, requested: float, spin: float, allowed_spin: float) -> float:
-        """Throttle for the next `DT`, 0..1, for a requested throttle, measured and allowed spin.
+        """Return the throttle for the next `DT`, 0..1, for a requested throttle, measured and allowed spin.
 
         Spin is the rolling speed of the wheels minus the vehicle's speed [m/s].
         """
@@ -200,7 +200,7 @@ class StuckRecovery:
             self._time += DT
 
     def recover(self, speed: float, leans_left: float) -> tuple[float, float, float]:
-        """Throttle, allowed spin of the wheels [m/s], and steering while the vehicle is stuck.
+        """Return the throttle, allowed spin of the wheels [m/s], and steering while the vehicle is stuck.
 
         Args:
             speed: forward speed [m/s].
@@ -276,7 +276,7 @@ class Driver:
         return x, y, yaw, 0.0 if chance < self._settings.standing_start and climb < _LEVEL else speed
 
     def command(self, sample: VehicleSample, *, keep: float | None = None) -> Float[np.ndarray, " 3"]:
-        """Throttle, brake and steering for the next `conventions.DT`.
+        """Return the throttle, brake and steering for the next `conventions.DT`.
 
         Args:
             keep: speed to keep instead of the random intent, as far as the ground ahead allows [m/s]; the vehicle then
@@ -334,7 +334,7 @@ class Driver:
         self._speed_limit = self._limit_speed(hazards, best, float(risk[best]), cornering)
 
     def _limit_speed(self, hazards: ArcHazards, arc: int, risk: float, cornering: float) -> float:
-        """Speed allowed by the selected arc and the bends beyond it [m/s]."""
+        """Return the speed allowed by the selected arc and the bends beyond it [m/s]."""
         settings = self._settings
         gentle, hard = settings.cornering
         lateral = gentle + (hard - gentle) * _clip(0.5 + 0.4 * cornering, 0.0, 1.0)
@@ -352,7 +352,7 @@ class Driver:
         return max(min(limits), 2.5 + 20 * min(self._climb, 0.15) * level)
 
     def _risk(self, hazards: ArcHazards) -> Float[np.ndarray, " A"]:
-        """Risk of each arc, expressed as a detour [m]."""
+        """Return the risk of each arc, expressed as a detour [m]."""
         max_slope = self._settings.max_slope
         belly = self._vehicle.rest_height + self._vehicle.belly_height
         return np.asarray(
@@ -366,7 +366,7 @@ class Driver:
         )
 
     def _pedals(self, speed: float, intent: Intent, keep: float | None) -> tuple[float, float]:
-        """Throttle and brake."""
+        """Return the throttle and brake."""
         settings = self._settings
         limit = self._speed_limit
         # A run-up helps on a climb.
@@ -384,7 +384,7 @@ class Driver:
         return throttle, _clip(-0.25 * (lack + 1), 0.0, 1.0)
 
     def _steering(self, speed: float, yaw_rate: float, intent: Intent) -> float:
-        """Steering for the arc's curvature with yaw-rate feedback and some random steering."""
+        """Return the steering for the arc's curvature with yaw-rate feedback and some random steering."""
         vehicle = self._vehicle
         curvature = self._curvature + 0.02 * intent.steering
         angle = math.atan(vehicle.wheelbase * curvature) + 0.12 * (curvature * speed - yaw_rate)
@@ -396,7 +396,7 @@ class Driver:
 
 
 def pose_and_speed(sample: VehicleSample) -> tuple[float, float, float, float]:
-    """Pose x, y [m] and yaw [rad], and horizontal forward speed, negative in reverse [m/s]."""
+    """Return the pose x, y [m] and yaw [rad], and horizontal forward speed, negative in reverse [m/s]."""
     i, j, k, w = sample.orientation.tolist()
     yaw = math.atan2(2 * (i * j + k * w), 1 - 2 * (j * j + k * k))
     x, y, _ = sample.position.tolist()

@@ -67,14 +67,14 @@ class ManoeuvringDriver:
         return self._driver.stuck
 
     def command(self, sample: VehicleSample) -> Float[np.ndarray, " 4"]:
-        """Throttle, brake, steering and gear for the next `conventions.DT`."""
+        """Return the throttle, brake, steering and gear for the next `conventions.DT`."""
         self._sample = sample
         self._x, self._y, self._yaw, self._speed = pose_and_speed(sample)
         throttle, brake, self._steer = next(self._pedals)
         return np.array((throttle, brake, self._steer, self._gear))
 
     def _drive(self) -> Iterator[Pedals]:
-        """Commands of the whole drive, one per sample."""
+        """Yield the commands of the whole drive, one per sample."""
         kinds: tuple[Callable[[], Iterator[Pedals]], ...] = (self._stand, self._crawl, self._reverse, self._rush)
         while True:
             yield from self._follow_trail(float(self._rng.exponential(self._pause)))
@@ -120,7 +120,7 @@ class ManoeuvringDriver:
         yield from self._back_up(self._between(_REVERSING_TIME), self._between(_REVERSING))
 
     def _dig(self) -> Iterator[Pedals]:
-        """Full throttle without traction control, which spins the wheels on soft ground."""
+        """Apply full throttle without traction control, which spins the wheels on soft ground."""
         until = self._sample.time + self._between(_DIGGING_TIME)
         while self._sample.time < until and self._speed < 3.0:
             yield 1.0, 0.0, self._remembered(self._driver.command(self._sample, keep=3.0))[2]
@@ -158,7 +158,7 @@ class ManoeuvringDriver:
             yield throttle, brake, self._steer
 
     def _steering_back(self) -> float | None:
-        """Steering along the remembered path, which is consumed; None if it ends or is not behind the vehicle."""
+        """Return the steering along the remembered path, consuming it; None where it ends or is not behind."""
         rear, path = self._rear_axle(), self._path
         while path and math.dist(path[-1], rear) < _REVERSE_LOOKAHEAD:
             path.pop()
@@ -174,7 +174,7 @@ class ManoeuvringDriver:
         return self._turned_to(min(max(steer, -1.0), 1.0))
 
     def _turned_to(self, steer: float) -> float:
-        """Steering after one step towards a target at the limited rate."""
+        """Return the steering after one step towards a target at the limited rate."""
         return self._steer + min(max(steer - self._steer, -_STEERING_RATE * DT), _STEERING_RATE * DT)
 
     def _rear_axle(self) -> tuple[float, float]:

@@ -59,12 +59,12 @@ class VisibleTerrain:
 
     @classmethod
     def of(cls, world: World) -> "VisibleTerrain":
-        """Visible part of a world."""
+        """Return the visible part of a world."""
         trees = np.column_stack((world.trees.foot[:, :2], world.trees.trunk_radius)).astype(np.float64)
         return cls(np.ascontiguousarray(world.elevation), world.origin, world.resolution, trees, world.trails)
 
     def max_slope(self, line: Float[np.ndarray, "n 2"]) -> float:
-        """Steepest slope of a straight line (rise over run): climbs over 2 m, half of descents, and lean.
+        """Return the steepest slope of a straight line (rise over run): climbs over 2 m, half of descents, and lean.
 
         The lean over a vehicle's width matters as a vehicle that crosses a ditch at a small angle tips into it.
         """
@@ -80,7 +80,7 @@ class VisibleTerrain:
         return float(max(lean.max(), slope.max(initial=0.0), -slope.min(initial=0.0) / 2))
 
     def first_climb(self, line: Float[np.ndarray, "n 2"], limit: float) -> int:
-        """Index of the first point before a climb of more than `limit` (rise over run) over 2 m; n if none."""
+        """Return the index of the first point before a climb over `limit` (rise over run) within 2 m; n if none."""
         heights = read_grid(self.elevation, self.origin, self.resolution, line)
         apart = max(1, round(2 / max(float(np.hypot(*(line[1] - line[0]))), 1e-3))) if len(line) > 1 else 1
         steep = np.flatnonzero(heights[apart:] - heights[:-apart] > 2 * limit)
@@ -113,7 +113,7 @@ def hazards_along_arcs(
     size: tuple[float, float, float],
     margin: float,
 ) -> ArcHazards:
-    """Hazards along arcs from a pose.
+    """Return the hazards along arcs from a pose.
 
     Args:
         curvatures: curvature of each arc, positive left [1/m].
@@ -196,7 +196,7 @@ class Route:
         return float(first[0]), float(first[1]), float(np.arctan2(*(then - first)[::-1])), climb
 
     def ahead(self, xy: Float[np.ndarray, " 2"], distance: float) -> Float[np.ndarray, " 2"]:
-        """First point of the route ahead at least this far away [m]."""
+        """Return the first point of the route ahead at least this far away [m]."""
         away = _distance(self._points[self._next : self._next + _WINDOW], xy)
         nearest = int(np.argmin(away))
         if away[nearest] > _LOST:
@@ -224,7 +224,7 @@ class Route:
             self._points, self._next = kept
 
     def bend_speed(self, lateral: float, braking: float) -> float:
-        """Highest speed for the bends ahead [m/s] with given lateral acceleration and braking [m/s^2]."""
+        """Return the highest speed for the bends ahead [m/s] with given lateral acceleration and braking [m/s^2]."""
         while len(self._points) - self._next <= _WINDOW:
             self._extend()
         return float(_bend_speed(self._points[self._next : self._next + _WINDOW + 1 : _STRIDE], lateral, braking))

@@ -28,9 +28,11 @@ from offpiste.simulation.rendering.shading import (
     SUN,
     TRAIL,
     TRAIL_REACH,
+    WAVELENGTHS,
     GroundTexture,
+    octave_turns,
+    random_lattice,
 )  # fmt: skip
-from offpiste.simulation.rendering.texture_noise import WAVELENGTHS, octave_turns, random_lattice
 from offpiste.simulation.world.grids import Axis, Grid, normals_of, smooth_noise, smooth_step
 from offpiste.simulation.world.ground import colour_table
 from offpiste.simulation.world.world import World
@@ -56,7 +58,7 @@ class Light(NamedTuple):
 
 
 def draw_light(rng: np.random.Generator, noise: float) -> Light:
-    """Random light: a fixed clear afternoon at noise 0; any dry weather, sun 20 to 70 degrees high, at 1."""
+    """Draw a random light: a fixed clear afternoon at noise 0; any dry weather, sun 20 to 70 degrees high, at 1."""
     azimuth = 2.3 + noise * rng.uniform(-np.pi, np.pi)
     elevation = np.radians(np.clip(48 + noise * rng.uniform(-26, 22), 15, 80))
     overcast = float(np.clip(0.15 + noise * rng.uniform(-0.15, 0.75) * rng.uniform(), 0.0, 0.95))
@@ -82,7 +84,7 @@ def draw_light(rng: np.random.Generator, noise: float) -> Light:
 
 
 def sunlit_ground(world: World, scene: Scene, light: Light, rng: np.random.Generator) -> tuple[Grid, Grid]:
-    """Share of sunlight [0..1] at each node: on the ground, with slope and all shadows, and on plants above it."""
+    """Return the share of sunlight [0..1] at each node: on the ground, with all shadows, and on plants above it."""
     nodes = world.elevation.shape
     x, y = (origin + world.resolution * np.arange(n) for origin, n in zip(world.origin, nodes[::-1], strict=True))
     clouds = smooth_noise(rng, x, y, 40.0) + 0.4 * smooth_noise(rng, x, y, 15.0)
@@ -142,7 +144,7 @@ class Appearance:
 
 
 def make_appearance(world: World, scene: Scene, drive_seed: int) -> Appearance:
-    """Appearance of a world with its scene during a drive; takes about half a second, mostly for the shadows.
+    """Build the appearance of a world during a drive; takes about half a second, mostly for the shadows.
 
     The world's seed decides textures, tints and colours of plants, the drive's seed light and clouds.
     `WorldSettings.appearance_noise` scales all of them.
@@ -186,7 +188,7 @@ def _ground(
 def _nodes(
     world: World, scene: Scene, light: Light, of_world: np.random.Generator, of_drive: np.random.Generator
 ) -> UInt8[np.ndarray, "ny nx c"]:
-    """`GroundTexture.nodes`."""
+    """Return `GroundTexture.nodes`."""
     noise, resolution = world.settings.appearance_noise, world.resolution
     nodes = np.empty((*world.elevation.shape, CHANNELS), np.uint8)
     shares = np.square(world.kinds, dtype=np.float32)
@@ -219,7 +221,7 @@ def _nodes(
 
 
 def _colours(rng: np.random.Generator, noise: float) -> Float[np.ndarray, "2 2 3 K"]:
-    """Linear RGB, dry and wet, on either side of the accent; soils differ between worlds independently of grip."""
+    """Return linear RGB, dry and wet, on either side of the accent; soils of worlds differ independently of grip."""
     colour = linear_from_srgb(colour_table())
     local = noise * (rng.normal(0, 0.10, (len(GROUND_KINDS), 1)) + rng.normal(0, 0.04, (len(GROUND_KINDS), 3)))
     colour = colour * np.exp(np.clip(local, -0.6, 0.6))
@@ -239,7 +241,7 @@ def _mix(shares: Float[np.ndarray, "K ny nx"], values: Float[np.ndarray, " K"]) 
 
 
 def _distance_to_trails(world: World) -> Grid:
-    """Distance to the nearest centre line, to about half a node [m]."""
+    """Return the distance to the nearest centre line, to about half a node [m]."""
     free = np.full(world.elevation.shape, 255, np.uint8)
     for trail in world.trails:
         pixels = np.rint((trail - np.array(world.origin)) / world.resolution).astype(np.int32)
@@ -249,7 +251,7 @@ def _distance_to_trails(world: World) -> Grid:
 
 
 def linear_from_srgb(colour: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
-    """Linear from sRGB values (IEC 61966-2-1), both in [0..1]."""
+    """Convert sRGB (IEC 61966-2-1) to linear values, both in [0..1]."""
     return np.where(colour <= 0.04045, colour / 12.92, ((colour + 0.055) / 1.055) ** 2.4)
 
 

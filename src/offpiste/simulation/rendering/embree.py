@@ -40,7 +40,7 @@ class Mesh:
 
 
 def ray_caster(parts: Sequence[Mesh]) -> "SingleRays | RayPackets":
-    """Fastest ray caster available on this machine.
+    """Return the fastest ray caster available on this machine.
 
     Both cast rays in single precision with one origin each, or a common origin. `intersect` updates distance, face and
     normal where a hit is nearer than `distance`, in lengths of the direction; `part` is -1 without a hit. Normals have
@@ -67,7 +67,7 @@ class SingleRays:
     def intersect(
         self, origins: Points, directions: Points, distance: Numbers, part: Indices, face: Indices, normal: Points
     ) -> None:
-        """First hits of rays."""
+        """Find the first hits of rays."""
         each = np.ascontiguousarray(np.broadcast_to(origins, directions.shape))
         result = self._scene.run(each, directions, output=True, dists=distance.copy())
         part[:] = result["geomID"]
@@ -76,7 +76,7 @@ class SingleRays:
         face[hit] = result["primID"][hit] // self._split[part[hit]]
 
     def occluded(self, origins: Points, directions: Points) -> Bool[np.ndarray, " n"]:
-        """Whether each ray hits anything."""
+        """Return whether each ray hits anything."""
         each = np.ascontiguousarray(np.broadcast_to(origins, directions.shape))
         return np.asarray(self._scene.run(each, directions, query="OCCLUDED") == 0)
 
@@ -123,18 +123,18 @@ class RayPackets:
     def intersect(
         self, origins: Points, directions: Points, distance: Numbers, part: Indices, face: Indices, normal: Points
     ) -> None:
-        """First hits of rays."""
+        """Find the first hits of rays."""
         _first_hits(*self._intersect, *_packet(self._lanes), origins, directions, distance, part, face, normal)
 
     def occluded(self, origins: Points, directions: Points) -> Bool[np.ndarray, " n"]:
-        """Whether each ray hits anything."""
+        """Return whether each ray hits anything."""
         blocked = np.empty(len(directions), np.bool_)
         _any_hits(*self._occluded, *_packet(self._lanes), origins, directions, blocked)
         return blocked
 
 
 def _library() -> ctypes.CDLL | None:
-    """Embree 4 library in the wheel of embreex, if present."""
+    """Return the Embree 4 library in the wheel of embreex, if present."""
     folder = Path(embreex.__file__).parent
     files = [file for place in (folder.with_name("embreex.libs"), folder) for file in place.glob("libembree4*")]
     if not files:
@@ -175,7 +175,7 @@ _DIRECTION, _FAR, _MASK, _NORMAL, _FACE, _PART, _ROWS = 4, 8, 9, 12, 17, 18, 21
 
 
 def _packet(lanes: int) -> tuple[Float[np.ndarray, "rows lanes"], Int[np.ndarray, "rows lanes"]]:
-    """Views of an aligned packet as floats and as integers, followed by the mask of used lanes."""
+    """Return views of an aligned packet as floats and as integers, followed by the mask of used lanes."""
     size = 4 * (_ROWS + 1) * lanes
     memory = np.zeros(size + 64, np.uint8)
     start = -memory.ctypes.data % 64

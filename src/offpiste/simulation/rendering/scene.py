@@ -55,7 +55,7 @@ Wheelbase, track, tyres and roof match side_by_side.toml; the rest is invented. 
 
 
 def ground_mesh(world: World) -> Mesh:
-    """One quadrilateral per cell of the heightfield; all normals point up."""
+    """Return one quadrilateral per cell of the heightfield; all normals point up."""
     ny, nx = world.elevation.shape
     vertices = np.empty((ny, nx, 3), np.float32)
     vertices[..., 0] = world.origin[0] + world.resolution * np.arange(nx)
@@ -68,7 +68,7 @@ def ground_mesh(world: World) -> Mesh:
 
 
 def trunk_mesh(trees: Trees) -> Mesh:
-    """Tapered prisms from below the ground to three quarters of the tree's height."""
+    """Return tapered prisms from below the ground to three quarters of the tree's height."""
     n, sides = len(trees.height), 7
     angle = 2 * np.pi * np.arange(sides) / sides
     circle = np.stack((np.cos(angle), np.sin(angle), np.zeros(sides)), axis=1)
@@ -85,7 +85,7 @@ def trunk_mesh(trees: Trees) -> Mesh:
 
 
 def crown_mesh(trees: Trees, rng: np.random.Generator) -> Mesh:
-    """Single triangles in an ellipsoid from a third of the height to the top."""
+    """Return single triangles in an ellipsoid from a third of the height to the top."""
     n = len(trees.height)
     radius = np.stack((trees.crown_radius, trees.crown_radius, 0.36 * trees.height), axis=1)
     centre = trees.foot + np.array([0.0, 0.0, 0.66]) * trees.height[:, None]
@@ -94,7 +94,7 @@ def crown_mesh(trees: Trees, rng: np.random.Generator) -> Mesh:
 
 
 def bush_mesh(bushes: Bushes, rng: np.random.Generator) -> Mesh:
-    """Single triangles in an ellipsoid on the ground."""
+    """Return single triangles in an ellipsoid on the ground."""
     n = len(bushes.height)
     radius = np.stack((bushes.radius, bushes.radius, 0.5 * bushes.height), axis=1)
     centre = bushes.foot + np.array([0.0, 0.0, 0.5]) * bushes.height[:, None]
@@ -103,7 +103,7 @@ def bush_mesh(bushes: Bushes, rng: np.random.Generator) -> Mesh:
 
 
 def grass_mesh(world: World, rng: np.random.Generator) -> Mesh:
-    """Bent blades where `grass_height` is positive, which hide the ground from afar but not from above."""
+    """Return bent blades where `grass_height` is positive, which hide the ground from afar but not from above."""
     cell = world.resolution**2
     height = np.asarray(world.grass_height, float)
     density = BLADES_PER_AREA * cell * np.clip(height / 0.3, 0.0, 1.0)
@@ -126,7 +126,7 @@ def grass_mesh(world: World, rng: np.random.Generator) -> Mesh:
 
 
 def box_mesh(boxes: Float[np.ndarray, "n 2 3"]) -> Mesh:
-    """Axis-aligned boxes, given by their lowest and highest corners [m]."""
+    """Return axis-aligned boxes, given by their lowest and highest corners [m]."""
     corner = np.array([[x, y, z] for z in (0, 1) for y in (0, 1) for x in (0, 1)])
     vertices = np.where(corner[None], boxes[:, 1:], boxes[:, :1])
     quads = np.array([[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]])
@@ -143,7 +143,7 @@ def _leaves(
     dense: float,
     rng: np.random.Generator,
 ) -> Mesh:
-    """Random triangles in ellipsoids, denser near the hull; `dense`: about total area over the plant's area."""
+    """Return random triangles in ellipsoids, denser near the hull; `dense`: about total area over the plant's area."""
     n = len(centre)
     towards = rng.normal(size=(n, per_plant, 3))
     towards /= np.linalg.norm(towards, axis=2, keepdims=True)
@@ -191,7 +191,7 @@ class Scene:
     def cast(
         self, origins: Float[np.ndarray, "m 3"], directions: Float[np.ndarray, "n 3"], nearer: Hits | None = None
     ) -> Hits:
-        """First hit of each ray, computed in the calling thread.
+        """Return the first hit of each ray, computed in the calling thread.
 
         Args:
             origins: origin of each ray, or of all rays.
@@ -209,7 +209,7 @@ class Scene:
     def occluded(
         self, origins: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]
     ) -> Bool[np.ndarray, " n"]:
-        """Whether each ray hits anything."""
+        """Return whether each ray hits anything."""
         blocked = np.zeros(len(directions), bool)
 
         def block(first: int, last: int) -> None:
@@ -221,7 +221,7 @@ class Scene:
 
 
 def world_scene(world: World, *, threads: int = 2) -> Scene:
-    """Scene of a world's ground and plants; takes about 1 s and 300 MB at 320 m and 0.25 m."""
+    """Build the scene of a world's ground and plants; takes about 1 s and 300 MB at 320 m and 0.25 m."""
     rng = np.random.default_rng([world.settings.seed, 3])
     plants = (trunk_mesh(world.trees), crown_mesh(world.trees, rng), bush_mesh(world.bushes, rng))
     return Scene((ground_mesh(world), *plants, grass_mesh(world, rng)), threads=threads)
@@ -253,6 +253,6 @@ def _identify(part, face, directions, surfaces, first, items, surface, item, nor
 
 
 def body_hits(origin: Float[np.ndarray, " 3"], directions: Float[np.ndarray, "n 3"]) -> Hits:
-    """Hits on the vehicle itself of rays in the body frame."""
+    """Return the hits on the vehicle itself of rays in the body frame."""
     body = Scene([box_mesh(np.array(list(BOXES.values()), np.float32))], threads=1)
     return body.cast(origin[None], directions)

@@ -1,16 +1,142 @@
 """Shading of rays: the colour of ground, plants, sky and the vehicle itself, linear RGB (compiled).
 
 Ground is shaded in batches whose loops run in vectors of single precision; all else ray by ray. A plain reference for
-the ground is in `tests/simulation/rendering/test_ground_shading.py`.
+the ground is in `tests/simulation/rendering/test_shading.py`.
+
+Textures are value noise (Ebert et al., Texturing and Modeling, 2003, ch. 2) of the place in the world, in octaves from
+centimetres to metres, which reads one small table of random numbers. Each octave is rotated by another angle to hide
+the period. Octaves finer than a pixel are left out, so that the same ground looks different from near and far.
 """
 
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 from numpy import float32 as f32
 
 from offpiste.native.compilation import RAYS
-from offpiste.simulation.rendering.texture_noise import hashed, octaves, pebbles, value_noise
+
+WAVELENGTHS: Final = 0.0125 * 2.0 ** np.arange(10)
+"""Wavelengths of the octaves, 1.25 cm to 6.4 m [m]."""
+
+PERIOD: Final = 128
+"""Period of the table, a power of two."""
+
+_WRAP, _NEXT = np.int32(PERIOD - 1), np.uint32(1)
+_ZERO, _ONE, _TWO, _THREE, _SIX = np.float32(0), np.float32(1), np.float32(2), np.float32(3), np.float32(6)
+
+
+def random_lattice(rng: np.random.Generator) -> Float[np.ndarray, "n n"]:
+    """Return periodic random numbers in [-1, 1], with the first row and column repeated at the end."""
+    return np.pad(rng.uniform(-1, 1, (PERIOD, PERIOD)).astype(np.float32), ((0, 1), (0, 1)), mode="wrap")
+
+
+def octave_turns(rng: np.random.Generator) -> Float[np.ndarray, "O 2"]:
+    """Return the cosine and sine of each octave's angle, divided by its wavelength [1/m]."""
+    angle = rng.uniform(0, 2 * np.pi, len(WAVELENGTHS))
+    return (np.stack((np.cos(angle), np.sin(angle)), axis=1) / WAVELENGTHS[:, None]).astype(np.float32)
+
+
+@RAYS.inlined
+def hashed(i, j, seed):  # type: ignore[no-untyped-def]
+    """Return a pseudorandom number in [0, 1) (after the finaliser of MurmurHash3)."""
+    h = np.uint64(i) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(j) * np.uint64(0xC2B2AE3D27D4EB4F) + np.uint64(seed)
+    h = (h ^ (h >> np.uint64(33))) * np.uint64(0xFF51AFD7ED558CCD)
+    h = (h ^ (h >> np.uint64(29))) * np.uint64(0xC4CEB9FE1A85EC53)
+    return np.float32(h >> np.uint64(40)) * np.float32(1.0 / 16777216.0)
+
+
+@RAYS.inlined
+def value_noise(lattice, x, y):  # type: ignore[no-untyped-def]
+    """Return smooth noise of unit wavelength in [-1, 1], and its slopes."""
+    low_x, low_y = np.floor(x), np.floor(y)
+    i, j = np.int32(low_x) & _WRAP, np.int32(low_y) & _WRAP
+    u, v = np.float32(x - low_x), np.float32(y - low_y)
+    return blended(lattice[j, i], lattice[j, i + 1], lattice[j + 1, i], lattice[j + 1, i + 1], u, v)
+
+
+@RAYS.inlined
+def blended(corner, right, far, opposite, u, v):  # type: ignore[no-untyped-def]
+    """Return the noise and its slopes at (u, v) in a cell with given values at its corners."""
+    along_x, along_y = right - corner, far - corner
+    twist = opposite - corner - along_x - along_y
+    s, t = u * u * (_THREE - _TWO * u), v * v * (_THREE - _TWO * v)
+    value = corner + along_x * s + (along_y + twist * s) * t
+    slope_x = (along_x + twist * t) * (_SIX * u * (_ONE - u))
+    slope_y = (along_y + twist * s) * (_SIX * v * (_ONE - v))
+    return value, slope_x, slope_y
+
+
+@RAYS.loop
+def octaves(lattice, turn, sun, x, y, finest, cells, work, value, slope):  # type: ignore[no-untyped-def]
+    """Write the noise of each octave at many places and its slope towards the sun, faded where a pixel is too coarse.
+
+    Places are processed in batches, so that all but table look-ups run in vectors.
+
+    Args:
+        turn: `octave_turns`.
+        sun: horizontal direction to the sun in each octave's lattice [O, 2].
+        x, y: places in double precision [n] [m].
+        finest: highest frequency that a pixel resolves (Nyquist) [n] [1/m].
+        cells, work: integer and float buffers [2, >= n], [6, >= n].
+        value, slope: results [O, >= n].
+    """
+    places, sharpest = len(x), _ZERO
+    column, row, off_x, off_y = cells[0], cells[1], work[0], work[1]
+    corner, right, far, opposite = work[2], work[3], work[4], work[5]
+    for n in range(places):
+        sharpest = max(sharpest, finest[n])
+    for o in range(len(turn) - 1, -1, -1):
+        cos, sin = turn[o, 0], turn[o, 1]
+        wavelength = _ONE / np.sqrt(cos * cos + sin * sin)
+        if sharpest * wavelength <= _ONE:
+            for finer in range(o + 1):
+                for n in range(places):
+                    value[finer, n] = slope[finer, n] = 0
+            break
+        # Shift the lattices so that they share no origin.
+        shift_x, shift_y = float(o * 17), float(o * 29)
+        # LLVM does not vectorise loops over more arrays than these.
+        for n in range(places):
+            at = cos * x[n] + sin * y[n] + shift_x
+            low = np.floor(at)
+            off_x[n], column[n] = np.float32(at - low), np.int32(low) & _WRAP
+        for n in range(places):
+            at = cos * y[n] - sin * x[n] + shift_y
+            low = np.floor(at)
+            off_y[n], row[n] = np.float32(at - low), np.int32(low) & _WRAP
+        for n in range(places):
+            i, j = np.uint32(column[n]), np.uint32(row[n])
+            corner[n], right[n] = lattice[j, i], lattice[j, i + _NEXT]
+            far[n], opposite[n] = lattice[j + _NEXT, i], lattice[j + _NEXT, i + _NEXT]
+        values, slopes, sun_x, sun_y = value[o], slope[o], sun[o, 0], sun[o, 1]
+        for n in range(places):
+            fade = min(max(finest[n] * wavelength - _ONE, _ZERO), _ONE)
+            result, _, _ = blended(corner[n], right[n], far[n], opposite[n], off_x[n], off_y[n])
+            values[n] = fade * result
+        for n in range(places):
+            fade = min(max(finest[n] * wavelength - _ONE, _ZERO), _ONE)
+            _, slope_x, slope_y = blended(corner[n], right[n], far[n], opposite[n], off_x[n], off_y[n])
+            slopes[n] = -fade * (slope_x * sun_x + slope_y * sun_y)
+
+
+@RAYS.inlined
+def pebbles(lattice, x, y):  # type: ignore[no-untyped-def]
+    """Return the brightness of round stones about one unit apart (Worley noise, SIGGRAPH 1996, over four cells)."""
+    low_x, low_y = np.floor(x - 0.5), np.floor(y - 0.5)
+    nearest, tone = np.float32(9.0), np.float32(0.0)
+    for n in range(4):
+        cell_x, cell_y = low_x + (n & 1), low_y + (n >> 1)
+        i, j = np.int32(cell_x) & _WRAP, np.int32(cell_y) & _WRAP
+        off_x = np.float32(x - cell_x - 0.5) - np.float32(0.42) * lattice[j, i]
+        off_y = np.float32(y - cell_y - 0.5) - np.float32(0.42) * lattice[i, j]
+        distance = off_x * off_x + off_y * off_y
+        if distance < nearest:
+            nearest, tone = distance, lattice[(j + 64) & _WRAP, i]
+    # Large stones are rarer than small ones; stones are brightest in the middle.
+    size = np.float32(0.16) + np.float32(0.10) * tone
+    return np.float32(0.5) * tone + np.float32(0.45) - nearest if nearest < size else np.float32(-0.3)
+
 
 SKY, GROUND, TRUNK, CROWN, BUSH, GRASS, BODY = range(7)
 """Indices of `scene.SURFACES`."""
@@ -51,8 +177,8 @@ class GroundTexture(NamedTuple):
     y0: float  # y of node [0, 0] [m]
     resolution: float  # spacing of the nodes [m]
     elevation: np.ndarray  # [ny, nx] [m]
-    lattice: np.ndarray  # tables of the noise (`texture_noise`)
-    turn: np.ndarray  # tables of the noise (`texture_noise`)
+    lattice: np.ndarray  # tables of the noise
+    turn: np.ndarray  # tables of the noise
     sun: np.ndarray  # horizontal direction to the sun in each octave's lattice [O, 2]
     soil: np.ndarray  # colour between blades [3]
     # Colours of trunks, crowns and bushes, and factor of blades on the colour of the ground below [4, 3]
@@ -71,7 +197,7 @@ class Vehicle(NamedTuple):
 
 @RAYS.inlined
 def meets(boxes, b, px, py, pz, ix, iy, iz):  # type: ignore[no-untyped-def]
-    """Whether a ray from p with inverse direction i meets a box (slab test, Kay and Kajiya, SIGGRAPH 1986)."""
+    """Return whether a ray from p with inverse direction i meets a box (slab test, Kay and Kajiya, SIGGRAPH 1986)."""
     x0, x1 = (boxes[b, 0, 0] - px) * ix, (boxes[b, 1, 0] - px) * ix
     y0, y1 = (boxes[b, 0, 1] - py) * iy, (boxes[b, 1, 1] - py) * iy
     z0, z1 = (boxes[b, 0, 2] - pz) * iz, (boxes[b, 1, 2] - pz) * iz
@@ -81,7 +207,7 @@ def meets(boxes, b, px, py, pz, ix, iy, iz):  # type: ignore[no-untyped-def]
 
 @RAYS.inlined
 def sunlit(vehicle, x, y, z):  # type: ignore[no-untyped-def]
-    """0 if a place in the world frame lies in the vehicle's shadow, else 1."""
+    """Return 0 if a place in the world frame lies in the vehicle's shadow, else 1."""
     position, rotation, sun = vehicle.position, vehicle.rotation, vehicle.sun
     bx, by, bz = x - position[0], y - position[1], z - position[2]
     if bx * bx + by * by >= SHADOW_REACH * SHADOW_REACH:
@@ -99,7 +225,7 @@ def sunlit(vehicle, x, y, z):  # type: ignore[no-untyped-def]
 
 @RAYS.inlined
 def read_nodes(ground, x, y, c):  # type: ignore[no-untyped-def]
-    """All channels at (x, y), bilinear, 0..1, into `c`; clamped at the border."""
+    """Read all channels at (x, y), bilinear, 0..1, into `c`; clamped at the border."""
     ny, nx = ground.nodes.shape[:2]
     px = min(max((x - ground.x0) / ground.resolution, 0.0), nx - 1.001)
     py = min(max((y - ground.y0) / ground.resolution, 0.0), ny - 1.001)
@@ -114,7 +240,7 @@ def read_nodes(ground, x, y, c):  # type: ignore[no-untyped-def]
 
 
 def ground_buffers(octave_count: int) -> tuple[np.ndarray, ...]:
-    """Buffers of `shade_ground` for one thread."""
+    """Return buffers of `shade_ground` for one thread."""
     n = TOGETHER
     numbers = [np.zeros(shape, np.float32) for shape in ((6, n), (2, octave_count, n), (n, CHANNELS), (8, n), (3, n))]
     return (np.zeros((4, n)), np.zeros((2, n), np.int32), *numbers)
@@ -122,7 +248,7 @@ def ground_buffers(octave_count: int) -> tuple[np.ndarray, ...]:
 
 @RAYS.loop
 def shade_ground(ground, light, vehicle, pixel, origin, rays, distance, normal, index, buffers, out):  # type: ignore[no-untyped-def]
-    """Colour of ground, with haze, for at most `TOGETHER` rays in `index`; other arguments as in `shade_rays`."""
+    """Shade ground, with haze, for at most `TOGETHER` rays in `index`; other arguments as in `shade_rays`."""
     places, cells, seen, noise, channels, work, colours = buffers
     count, x, y = len(index), places[0, : len(index)], places[1, : len(index)]
     _see_places(light, vehicle, pixel, origin, rays, distance, normal, index, x, y, seen)
@@ -266,14 +392,14 @@ def _light_ground(ground, light, count, seen, channels, work, out):  # type: ign
 
 
 def shading_buffers(octave_count: int) -> tuple[Any, ...]:
-    """Buffers of `shade_rays` for one thread."""
+    """Return buffers of `shade_rays` for one thread."""
     channels, colour = np.zeros(CHANNELS, np.float32), np.zeros(3, np.float32)
     return np.zeros(TOGETHER, np.int64), ground_buffers(octave_count), channels, colour
 
 
 @RAYS.inlined
 def shade_plant(ground, light, kind, item, x, y, z, nx, ny, nz, phase, shadow, c, out):  # type: ignore[no-untyped-def]
-    """Colour of a leaf, blade or trunk: lit from both sides, darker below."""
+    """Shade a leaf, blade or trunk: lit from both sides, darker below."""
     read_nodes(ground, x, y, c)
     own = hashed(item, kind, 43)
     up = 1.0
@@ -295,7 +421,7 @@ def shade_plant(ground, light, kind, item, x, y, z, nx, ny, nz, phase, shadow, c
 
 @RAYS.inlined
 def shade_sky(lattice, light, dx, dy, dz, out):  # type: ignore[no-untyped-def]
-    """Colour of the sky: brighter towards the horizon and the sun, with clouds."""
+    """Shade the sky: brighter towards the horizon and the sun, with clouds."""
     rise = max(dz, np.float32(0.0))
     flat = (1 - rise) ** 4
     towards = max(dx * light.sun[0] + dy * light.sun[1] + dz * light.sun[2], 0.0)
@@ -315,7 +441,7 @@ def shade_sky(lattice, light, dx, dy, dz, out):  # type: ignore[no-untyped-def]
 def shade_rays(  # type: ignore[no-untyped-def]
     ground, light, vehicle, pixel, origin, rays, distance, surface, item, normal, buffers, out
 ):
-    """Linear RGB of rays with known hits.
+    """Shade rays with known hits, linear RGB.
 
     Args:
         pixel: angle of a pixel [rad].
@@ -352,7 +478,7 @@ def shade_rays(  # type: ignore[no-untyped-def]
 
 @RAYS.inlined
 def shade_body(light, vehicle, box, nx, ny, nz, out):  # type: ignore[no-untyped-def]
-    """Colour of the vehicle itself, with the normal in the body frame."""
+    """Shade the vehicle itself, with the normal in the body frame."""
     facing = max(nx * vehicle.sun[0] + ny * vehicle.sun[1] + nz * vehicle.sun[2], 0.0)
     for channel in range(3):
         sky = (0.6 + 0.4 * nz) * light.sky_colour[channel]

@@ -12,8 +12,7 @@ from offpiste.native.compilation import RAYS
 from offpiste.rig.camera import CameraModel
 from offpiste.simulation.rendering.appearance import Appearance
 from offpiste.simulation.rendering.scene import Hits, Scene, body_hits
-from offpiste.simulation.rendering.shading import Vehicle, shade_rays, shading_buffers
-from offpiste.simulation.rendering.texture_noise import hashed
+from offpiste.simulation.rendering.shading import Vehicle, hashed, shade_rays, shading_buffers
 from offpiste.simulation.sample import Pose
 
 LENS_BLUR = 0.6
@@ -64,12 +63,12 @@ class Camera:
         self.own = body_hits(self.origin, self.rays)
 
     def hits(self, scene: Scene, world_from_body: Pose) -> Hits:
-        """True hit of the ray through each pixel's centre, row-major."""
+        """Return the true hit of the ray through each pixel's centre, row-major."""
         rays = self.rays @ world_from_body.rotation.T.astype(np.float32)
         return self.in_rows(scene.cast(world_from_body.apply(self.origin[None]), rays, self.own))
 
     def in_rows(self, hits: Hits) -> Hits:
-        """Hits of `rays` in row-major order of the image."""
+        """Return the hits of `rays` in row-major order of the image."""
         rows = Hits(*(np.empty_like(values) for values in vars(hits).values()))
         for name, values in vars(hits).items():
             getattr(rows, name)[self.pixels] = values
@@ -77,7 +76,7 @@ class Camera:
 
 
 def tiled(width: int, height: int) -> Int[np.ndarray, " n"]:
-    """Row-major pixel indices of an image in the order of its tiles."""
+    """Return the row-major pixel indices of an image in the order of its tiles."""
     down, across = -(-height // TILE), -(-width // TILE)
     number = np.full((down * TILE, across * TILE), -1, np.int32)
     number[:height, :width] = np.arange(width * height, dtype=np.int32).reshape(height, width)
@@ -86,7 +85,7 @@ def tiled(width: int, height: int) -> Int[np.ndarray, " n"]:
 
 
 def pixel_rays(model: CameraModel) -> Float[np.ndarray, "n 3"]:
-    """Unit vectors in the optical frame through the pixel centres of the distorted image, row-major."""
+    """Return the unit vectors in the optical frame through the pixel centres of the distorted image, row-major."""
     u, v = np.meshgrid(np.arange(model.width, dtype=float), np.arange(model.height, dtype=float))
     flat = model.unproject(np.column_stack((u.ravel(), v.ravel())))
     rays = np.column_stack((flat, np.ones(len(flat))))
@@ -96,7 +95,7 @@ def pixel_rays(model: CameraModel) -> Float[np.ndarray, "n 3"]:
 def project_points(
     points_camera: Float[np.ndarray, "n 3"], model: CameraModel
 ) -> tuple[Float[np.ndarray, "n 2"], Bool[np.ndarray, " n"]]:
-    """Distorted pixels of points in the optical frame, and whether they lie inside the image."""
+    """Return the distorted pixels of points in the optical frame, and whether they lie inside the image."""
     x, y, z = points_camera.T
     ahead = z > 0.1
     pixels = np.full((len(points_camera), 2), -1.0)
@@ -112,7 +111,7 @@ def project_points(
 def render(
     scene: Scene, appearance: Appearance, camera: Camera, world_from_body: Pose, seed: int
 ) -> UInt8[np.ndarray, "height width 3"]:
-    """Distorted RGB image with exposure, noise (by `seed`) and tone curve of a real camera."""
+    """Render a distorted RGB image with exposure, noise (by `seed`) and tone curve of a real camera."""
     s, (width, height) = camera.settings, camera.settings.model.size
     linear = np.empty((height, width, 3), np.float32)
     _shade(scene, appearance, camera, world_from_body, linear.reshape(-1, 3))
@@ -130,7 +129,7 @@ def render(
 
 
 def exposure(linear: Float[np.ndarray, "height width 3"]) -> float:
-    """Gain that brings the lower two thirds of an image close to middle grey; real exposure also falls short."""
+    """Return the gain that brings the lower two thirds of an image close to middle grey, as real exposure does."""
     green = linear[linear.shape[0] // 3 :: 8, ::8, 1]
     return float((MIDDLE_GREY / max(float(np.minimum(green, 1.5).mean()), 1e-3)) ** 0.8)
 
@@ -169,7 +168,7 @@ def _put(light, pixels, linear):  # type: ignore[no-untyped-def]
 
 @cache
 def _tone_curve() -> UInt8[np.ndarray, " n"]:
-    """Tone curve for brightness 0 ... 2: sRGB (IEC 61966-2-1) with a soft shoulder."""
+    """Return the tone curve for brightness 0 ... 2: sRGB (IEC 61966-2-1) with a soft shoulder."""
     value = np.linspace(0, 2, 4096)
     value = np.where(value < 0.6, value, 0.6 + 0.4 * (1 - np.exp(-(value - 0.6) / 0.4)))
     value = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)

@@ -66,7 +66,7 @@ class Lidar:
         self._own = replace(own, distance=np.minimum(own.distance, np.float32(settings.max_range)))
 
     def scan(self, scene: Scene, motion: Motion, start: float, rng: np.random.Generator) -> Scan:
-        """Points of one revolution, from the motion `world_from_body` and the time of the first column [s]."""
+        """Return the points of a revolution, from the motion `world_from_body` and the time of the first column [s]."""
         distance, echo, surface = self._echoes(scene, *motion.at(start + self._time))
         n, rings, s = len(distance), self.settings.rings, self.settings
         random, noise = rng.random(n), s.range_noise * rng.standard_normal(n)
@@ -86,7 +86,7 @@ class Lidar:
     def _echoes(
         self, scene: Scene, position: Float[np.ndarray, "columns 3"], rotation: Float[np.ndarray, "columns 3 3"]
     ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-        """Distance, reflectivity times the cosine of incidence, and surface of each hit, column by column."""
+        """Return distance, reflectivity times the cosine of incidence, and surface of each hit, column by column."""
         rings, columns = self._ray_body.shape[:2]
         origin = (position + rotation @ self._origin).astype(np.float32)
         distance, echo = (np.empty((columns, rings), np.float32) for _ in range(2))

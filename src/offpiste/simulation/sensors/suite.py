@@ -37,14 +37,14 @@ class SensorSuite:
     lidars: tuple[LidarSettings, ...]
 
     def mountings(self) -> tuple[Mounting, ...]:
-        """Mountings of all sensors."""
+        """Return the mountings of all sensors."""
         poses = [(camera.name, camera.body_from_camera) for camera in self.cameras]
         poses += [(lidar.name, lidar.body_from_lidar) for lidar in self.lidars]
         return tuple(Mounting(n, tuple(p.position.tolist()), tuple(p.orientation.tolist())) for n, p in poses)
 
 
 def full_suite() -> SensorSuite:
-    """Four cameras around the roof, a LiDAR above it, and a LiDAR at the tail that sees the ground just driven over.
+    """Return four cameras around the roof, a LiDAR above it, and a LiDAR at the tail that sees the driven ground.
 
     Rates and image sizes follow the paper (section "Visual features"), which gives no lenses and mountings.
     """
@@ -69,7 +69,7 @@ def full_suite() -> SensorSuite:
 
 
 def light_suite() -> SensorSuite:
-    """The front camera at 2 Hz and the upper LiDAR with 32 x 512 rays; simulated faster than real time."""
+    """Return the front camera at 2 Hz and the upper LiDAR with 32 x 512 rays; simulated faster than real time."""
     full = full_suite()
     return SensorSuite(
         cameras=(replace(full.cameras[0], rate=2.0),), lidars=(replace(full.lidars[0], rings=32, columns=512),)
@@ -84,7 +84,7 @@ PROFILES: Final[dict[str, Callable[[], SensorSuite]]] = {
 
 
 def sensor_suite(profile: str) -> SensorSuite:
-    """Sensors of a profile: `full`, `light` or `none`.
+    """Return the sensors of a profile: `full`, `light` or `none`.
 
     Raises:
         OffpisteError: unknown profile.
@@ -95,7 +95,7 @@ def sensor_suite(profile: str) -> SensorSuite:
 
 
 def remounted(suite: SensorSuite, degrees: float, rng: np.random.Generator) -> SensorSuite:
-    """Sensors rotated in place by an angle [deg], each about a random axis."""
+    """Rotate sensors in place by an angle [deg], each about a random axis."""
 
     def rotated(pose: Pose) -> Pose:
         return Pose(pose.position, (random_turn(degrees, rng) * Rotation.from_quat(pose.orientation)).as_quat())
@@ -111,7 +111,7 @@ def remounted(suite: SensorSuite, degrees: float, rng: np.random.Generator) -> S
 def mounted(
     position: tuple[float, float, float], *, yaw: float = 0.0, pitch: float = 0.0, optical: bool = False
 ) -> Pose:
-    """`body_from_sensor` of a sensor at a position [m] that looks left by `yaw` and down by `pitch` [deg].
+    """Return `body_from_sensor` of a sensor at a position [m] that looks left by `yaw` and down by `pitch` [deg].
 
     Args:
         optical: whether the sensor has the axes of a camera (z forward, x right, y down).
@@ -164,7 +164,7 @@ class Sensing:
         self._past: deque[VehicleSample] = deque(maxlen=max(turns, default=0) + 1)
 
     def observe(self, sample: VehicleSample, stamp_ns: StampNs) -> Messages:
-        """All measurements completed by a sample."""
+        """Return all measurements completed by a sample."""
         return [message for measure in self.measurements(sample, stamp_ns) for message in measure()]
 
     def warm_up(self, sample: VehicleSample) -> None:
@@ -184,7 +184,7 @@ class Sensing:
         return sum(row % round(1 / (rate * DT)) == 0 for rate in rates)
 
     def measurements(self, sample: VehicleSample, stamp_ns: StampNs) -> Iterator[Callable[[], Messages]]:
-        """All measurements completed by a sample, as functions to be called at any time and in any thread.
+        """Yield all measurements completed by a sample, as functions to be called at any time and in any thread.
 
         Random numbers are drawn before, in the order of the measurements.
         """
@@ -223,7 +223,7 @@ class Sensing:
 def observed(
     samples: Iterable[VehicleSample], sensing: Sensing | None, stamp_ns: StampNs
 ) -> Iterator[tuple[VehicleSample, Messages]]:
-    """Samples of a drive with the measurements they complete; sensors run in threads while the vehicle drives on."""
+    """Yield samples with the measurements they complete; sensors run in threads while the vehicle drives on."""
     if sensing is None:
         yield from ((sample, []) for sample in samples)
         return

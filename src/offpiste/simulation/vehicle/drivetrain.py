@@ -15,7 +15,7 @@ COULOMB_SPEED = 1e-4
 
 @PHYSICS.entry
 def engine_torque(speed, throttle, p):  # type: ignore[no-untyped-def]
-    """Torque of the engine with limiter and idle governor at a speed [rad/s] and throttle 0..1 [N m]."""
+    """Return the torque of the engine with limiter and idle governor at a speed [rad/s] and throttle 0..1 [N m]."""
     bend = (speed - p.engine_torque_speed) / p.engine_torque_speed
     full = p.engine_torque * max(1.0 - p.engine_torque_bend * bend * bend, 0.0)
     open_share = throttle * min(max((p.limiter_speed - speed) / p.limiter_band, 0.0), 1.0)
@@ -26,7 +26,7 @@ def engine_torque(speed, throttle, p):  # type: ignore[no-untyped-def]
 
 @PHYSICS.entry
 def shifted_ratio(ratio, shaft_speed, throttle, dt, p):  # type: ignore[no-untyped-def]
-    """Belt ratio (engine over secondary shaft) one step later: lags behind the ratio for the wanted engine speed.
+    """Return the belt ratio (engine over secondary shaft) one step later; it lags behind the wanted engine speed.
 
     Args:
         shaft_speed: speed of the secondary shaft [rad/s].
@@ -38,7 +38,7 @@ def shifted_ratio(ratio, shaft_speed, throttle, dt, p):  # type: ignore[no-untyp
 
 @PHYSICS.entry
 def clutch_rate(engine_speed, slip, p):  # type: ignore[no-untyped-def]
-    """Torque over slip of the centrifugal clutch, limited by its capacity [N m s/rad].
+    """Return the torque over slip of the centrifugal clutch, limited by its capacity [N m s/rad].
 
     Args:
         engine_speed: [rad/s].
@@ -51,7 +51,7 @@ def clutch_rate(engine_speed, slip, p):  # type: ignore[no-untyped-def]
 
 @PHYSICS.entry
 def spin(speeds, ratio, throttle, brake, tyre_torque, dt, p, matrix):  # type: ignore[no-untyped-def]
-    """Engine and wheels one step later.
+    """Advance engine and wheels by one step.
 
     Args:
         speeds: [5], updated in place [rad/s].
@@ -113,7 +113,7 @@ def braked_pressure(pressure, command, dt, p):  # type: ignore[no-untyped-def]
 
 @PHYSICS.entry
 def steered(angle, rate, command, dt, p):  # type: ignore[no-untyped-def]
-    """Steering angle [rad] and rate [rad/s] one step later, both limited; command -1..1, positive left."""
+    """Return the steering angle [rad] and rate [rad/s] one step later, both limited; command -1..1, positive left."""
     frequency = p.steer_frequency
     pull = frequency * frequency * (command * p.max_steer - angle) - 2.0 * p.steer_damping * frequency * rate
     rate = min(max(rate + pull * dt, -p.max_steer_rate), p.max_steer_rate)
@@ -125,7 +125,7 @@ def steered(angle, rate, command, dt, p):  # type: ignore[no-untyped-def]
 
 @PHYSICS.entry
 def wheel_angles(angle, p):  # type: ignore[no-untyped-def]
-    """Ackermann angles of the front-left and front-right wheel for the angle of a wheel midway between them [rad]."""
+    """Return the Ackermann angles of both front wheels for the angle of a wheel midway between them [rad]."""
     curvature = np.tan(angle) / p.wheelbase
     side = 0.5 * p.track * curvature
     return np.arctan(p.wheelbase * curvature / (1.0 - side)), np.arctan(p.wheelbase * curvature / (1.0 + side))

@@ -191,7 +191,7 @@ def _react(q, i, angle, body, qvel, acceleration, speed, body_forces):  # type: 
 
 @PHYSICS.entry
 def suspension_force(travel, rate, other, spring, damper, anti_roll, load, p):  # type: ignore[no-untyped-def]
-    """Force of spring, damper, anti-roll bar and stops, pushing the wheel down and the chassis up [N].
+    """Return the force of spring, damper, anti-roll bar and stops, pushing the wheel down and the chassis up [N].
 
     Args:
         travel, rate: travel of the wheel from rest, positive up [m], and its rate [m/s].

@@ -179,7 +179,7 @@ _HEADER: Final = """\
 
 
 def vehicle_rig(preset: str, vehicle: Path) -> str:
-    """TOML text of a rig that reads drives of `simulate --vehicle`.
+    """Return the TOML text of a rig that reads drives of `simulate --vehicle`.
 
     Args:
         preset: rig of the proving ground for the side-by-side.
@@ -197,7 +197,7 @@ def vehicle_rig(preset: str, vehicle: Path) -> str:
 
 
 def _entries(vehicle: VehicleParameters, name: str) -> dict[str, str]:
-    """Patterns of the entries that differ between vehicles, with the value as a group, and the new values."""
+    """Return patterns of the entries that differ between vehicles, with the value as a group, and the new values."""
     x, y = vehicle.wheelbase / 2, vehicle.track / 2
     plain = re.sub(r"[^\w -]", "_", name)
     return {

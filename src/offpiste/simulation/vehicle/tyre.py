@@ -13,32 +13,32 @@ from offpiste.simulation.world.grids import height
 
 @PHYSICS.entry
 def dot(a, b):  # type: ignore[no-untyped-def]
-    """Scalar product."""
+    """Return the scalar product."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @PHYSICS.entry
 def cross(a, b):  # type: ignore[no-untyped-def]
-    """Vector product."""
+    """Return the vector product."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 @PHYSICS.entry
 def add(a, b, scale):  # type: ignore[no-untyped-def]
-    """The vector a + scale b."""
+    """Return the vector a + scale b."""
     return a[0] + scale * b[0], a[1] + scale * b[1], a[2] + scale * b[2]
 
 
 @PHYSICS.entry
 def unit(a):  # type: ignore[no-untyped-def]
-    """Unit vector."""
+    """Return the unit vector."""
     scale = 1.0 / np.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2] + 1e-300)
     return a[0] * scale, a[1] * scale, a[2] * scale
 
 
 @PHYSICS.entry
 def axes(w, x, y, z):  # type: ignore[no-untyped-def]
-    """Forward, left and up axes in the world frame of a body with quaternion (w, x, y, z)."""
+    """Return the forward, left and up axes in the world frame of a body with quaternion (w, x, y, z)."""
     forward = 1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)
     left = 2 * (x * y - z * w), 1 - 2 * (x * x + z * z), 2 * (y * z + x * w)
     up = 2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y)
@@ -47,7 +47,7 @@ def axes(w, x, y, z):  # type: ignore[no-untyped-def]
 
 @PHYSICS.entry
 def turned(v, forward, left, up):  # type: ignore[no-untyped-def]
-    """Body-frame vector in the world frame."""
+    """Return the body-frame vector in the world frame."""
     return (
         v[0] * forward[0] + v[1] * left[0] + v[2] * up[0],
         v[0] * forward[1] + v[1] * left[1] + v[2] * up[1],
@@ -57,7 +57,7 @@ def turned(v, forward, left, up):  # type: ignore[no-untyped-def]
 
 @PHYSICS.entry
 def brush_force(slip_x, slip_y, stiffness_x, stiffness_y, friction, load):  # type: ignore[no-untyped-def]
-    """Force (forward, left) on the tyre, opposite to slip and at most friction * load (eqs. 3.36, 3.37) [N].
+    """Return the force (forward, left) on the tyre, opposite to slip, at most friction * load (eqs. 3.36, 3.37) [N].
 
     Args:
         slip_x, slip_y: sliding over rolling velocity, of the tyre over the ground [1].
@@ -78,7 +78,7 @@ def brush_force(slip_x, slip_y, stiffness_x, stiffness_y, friction, load):  # ty
 
 @PHYSICS.entry
 def limit_deflection(slip_x, slip_y, stiffness_x, stiffness_y, friction):  # type: ignore[no-untyped-def]
-    """Slip limited to the onset of full sliding, as sliding bristles store no further deflection."""
+    """Limit the slip to the onset of full sliding, as sliding bristles store no further deflection."""
     x, y = stiffness_x * slip_x, stiffness_y * slip_y
     excess = np.sqrt(x * x + y * y) / (3.0 * friction + 1e-12)
     if excess <= 1.0:
@@ -88,7 +88,7 @@ def limit_deflection(slip_x, slip_y, stiffness_x, stiffness_y, friction):  # typ
 
 @PHYSICS.entry
 def relax(deflection, sliding, rolling, length, dt):  # type: ignore[no-untyped-def]
-    """Deflection u of the bristles one step later: du/dt = sliding - |rolling| u / length (eq. 7.9).
+    """Return the deflection u of the bristles one step later: du/dt = sliding - |rolling| u / length (eq. 7.9).
 
     The decay is implicit. u / length is the transient slip; at standstill, u is a spring that holds a parked vehicle.
 
@@ -102,7 +102,7 @@ def relax(deflection, sliding, rolling, length, dt):  # type: ignore[no-untyped-
 
 @PHYSICS.entry
 def standstill_fade(speed, fade_speed):  # type: ignore[no-untyped-def]
-    """Weight of a stopped tyre's damping: 1 at standstill, 0 from `fade_speed` on (ch. 8.6)."""
+    """Return the weight of a stopped tyre's damping: 1 at standstill, 0 from `fade_speed` on (ch. 8.6)."""
     if abs(speed) >= fade_speed:
         return 0.0
     return 0.5 * (1.0 + np.cos(np.pi * speed / fade_speed))
@@ -110,7 +110,7 @@ def standstill_fade(speed, fade_speed):  # type: ignore[no-untyped-def]
 
 @PHYSICS.entry
 def limit_force(x, y, limit):  # type: ignore[no-untyped-def]
-    """Force limited in size [N]."""
+    """Limit a force in size [N]."""
     size = np.sqrt(x * x + y * y)
     if size <= limit or size == 0.0:
         return x, y
@@ -119,7 +119,7 @@ def limit_force(x, y, limit):  # type: ignore[no-untyped-def]
 
 @PHYSICS.entry
 def ground_under(elevation, x0, y0, resolution, centre, forward, p):  # type: ignore[no-untyped-def]
-    """Height under the wheel's centre [m] and unit normal of the plane under a tyre, averaged over five points.
+    """Return the height under the wheel's centre [m] and the unit normal under a tyre, averaged over five points.
 
     Args:
         elevation, x0, y0, resolution: as in `grids.height`.
@@ -141,7 +141,7 @@ def ground_under(elevation, x0, y0, resolution, centre, forward, p):  # type: ig
 
 @PHYSICS.entry
 def touch(centre, ground, normal, axle, radius):  # type: ignore[no-untyped-def]
-    """Compression of the tyre in its plane, negative in the air, and point of contact in the world frame [m].
+    """Return the compression of the tyre in its plane, negative in the air, and the point of contact in the world [m].
 
     Args:
         centre: centre of the wheel [m].
@@ -157,7 +157,7 @@ def touch(centre, ground, normal, axle, radius):  # type: ignore[no-untyped-def]
 
 @PHYSICS.entry
 def normal_load(compression, closing, p):  # type: ignore[no-untyped-def]
-    """Load of a tyre from spring, damper and rim, at least 0 [N].
+    """Return the load of a tyre from spring, damper and rim, at least 0 [N].
 
     Args:
         compression, closing: compression [m] and its rate [m/s].
@@ -170,6 +170,6 @@ def normal_load(compression, closing, p):  # type: ignore[no-untyped-def]
 
 @PHYSICS.entry
 def contact_axes(normal, axle):  # type: ignore[no-untyped-def]
-    """Forward and left axes of a tyre in the contact plane, in the world frame."""
+    """Return the forward and left axes of a tyre in the contact plane, in the world frame."""
     forward = unit(cross(axle, normal))
     return forward, cross(normal, forward)

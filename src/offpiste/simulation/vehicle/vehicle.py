@@ -59,7 +59,7 @@ _WHEEL = """
 
 
 def build_bodies(parameters: VehicleParameters) -> Any:
-    """`mujoco.MjModel` of a vehicle; qpos: pose point (3), quaternion wxyz (4), upward travel of the wheels (4)."""
+    """Build `mujoco.MjModel` of a vehicle; qpos: pose point (3), quaternion wxyz (4), travel of the wheels (4)."""
     p = parameters
     x, y = p.wheelbase / 2, p.track / 2
     places = ((x, y), (x, -y), (-x, y), (-x, -y))
@@ -81,7 +81,7 @@ def build_bodies(parameters: VehicleParameters) -> Any:
 
 @cache
 def mj_step_address() -> int | None:
-    """Address of MuJoCo's `mj_step` for compiled code; None if its library is not found in the package."""
+    """Return the address of MuJoCo's `mj_step` for compiled code; None if its library is not found in the package."""
     for file in Path(mujoco.__file__).parent.glob("*mujoco.*"):
         with suppress(OSError, AttributeError):
             return ctypes.cast(ctypes.CDLL(str(file)).mj_step, ctypes.c_void_p).value
@@ -141,7 +141,7 @@ class VehicleSimulation:
         self._report_events()
 
     def sample(self) -> VehicleSample:
-        """Current measurements and ground truth; each event is reported once."""
+        """Return the current measurements and ground truth; each event is reported once."""
         quaternion = self._qpos[[4, 5, 6, 3]]
         events, self._events = tuple(self._events), []
         return VehicleSample(
@@ -156,7 +156,6 @@ class VehicleSimulation:
             steer_rate=float(self._actuators[STEER_RATE]),
             engine_speed=float(self._speeds[0] * 60 / (2 * np.pi)),
             wheel_speed=self._speeds[1:] * self._parameters.rolling_radius,
-            suspension=self._qpos[7:] + self._parameters.droop_travel,
             truth=self._wheel_truth(),
             events=events,
             gear=self._gears.engaged,
@@ -257,7 +256,7 @@ class VehicleSimulation:
 
 
 def _grid_of(world: World) -> tuple[np.ndarray, np.ndarray, float, float, float]:
-    """Elevation, properties, origin and resolution of a world, as `substep` reads them."""
+    """Return the elevation, properties, origin and resolution of a world, as `substep` reads them."""
     return (
         np.ascontiguousarray(world.elevation, dtype=np.float64),
         np.ascontiguousarray(world.properties, dtype=np.float64),

@@ -104,14 +104,14 @@ def lay_forks(
 def _around(
     line: Float[np.ndarray, "n 2"], bare: BareTerrain
 ) -> tuple[tuple[slice, slice], Float[np.ndarray, "ny nx 2"]]:
-    """Slices of the rows and columns around a line, and the places of their nodes [m]."""
+    """Return the slices of the rows and columns around a line, and the places of their nodes [m]."""
     low, high = line.min(axis=0) - 2 * HALF_WIDTH, line.max(axis=0) + 2 * HALF_WIDTH
     columns, rows = (slice(*np.searchsorted(at, (low[k], high[k]))) for k, at in enumerate((bare.x, bare.y)))
     return (rows, columns), np.stack(np.meshgrid(bare.x[columns], bare.y[rows]), axis=-1)
 
 
 def _ways(trail: Float[np.ndarray, "n 2"]) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2"]]:
-    """Two winding ways beside a piece of trail, which leave it gently; mirror images where it is straight."""
+    """Return two winding ways beside a piece of trail, which leave it gently; mirror images where it is straight."""
     ahead = np.gradient(trail, axis=0)
     left = np.stack((-ahead[:, 1], ahead[:, 0]), axis=1) / np.linalg.norm(ahead, axis=1, keepdims=True)
     share = np.linspace(0, 1, len(trail))
@@ -121,7 +121,7 @@ def _ways(trail: Float[np.ndarray, "n 2"]) -> tuple[Float[np.ndarray, "n 2"], Fl
 
 
 def unevenness(left: Float[np.ndarray, "n 2"], right: Float[np.ndarray, "n 2"]) -> float:
-    """Difference of two ways in length [m] and total turning, where one radian counts as 5 m."""
+    """Return the difference of two ways in length [m] and total turning, where one radian counts as 5 m."""
     step, other = np.diff(left, axis=0), np.diff(right, axis=0)
     longer = np.linalg.norm(step, axis=1).sum() - np.linalg.norm(other, axis=1).sum()
     return float(abs(longer) + 5.0 * abs(_turning(step) - _turning(other)))
@@ -132,7 +132,7 @@ def _turning(step: Float[np.ndarray, "n 2"]) -> float:
 
 
 def _sharpest(way: Float[np.ndarray, "n 2"]) -> float:
-    """Greatest curvature of a way [1/m]."""
+    """Return the greatest curvature of a way [1/m]."""
     ahead = np.diff(way, axis=0)
     turn = np.diff(np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0])))
     return float((np.abs(turn) / np.linalg.norm(ahead[1:], axis=1)).max())

@@ -19,13 +19,13 @@ Line = Float[np.ndarray, "_ 2"]
 
 
 def smooth_step(value: Float[np.ndarray, "..."], start: float, end: float) -> Float[np.ndarray, "..."]:
-    """0 at `start`, 1 at `end`, 3 t^2 - 2 t^3 in between; `start` may exceed `end`."""
+    """Return 0 at `start`, 1 at `end`, 3 t^2 - 2 t^3 in between; `start` may exceed `end`."""
     t = np.clip((value - start) / (end - start), 0, 1)
     return t * t * (3 - 2 * t)
 
 
 def smooth_noise(rng: np.random.Generator, x: Axis, y: Axis, grain: float | tuple[float, float]) -> Grid:
-    """Random field with mean 0 and variance about 1: a cubic B-spline with normal coefficients.
+    """Return a random field with mean 0 and variance about 1: a cubic B-spline with normal coefficients.
 
     The coefficients are smoothed to hide the lattice of knots. The field does not depend on the sampling: the same
     generator gives the same hills at every resolution that divides the size.
@@ -49,7 +49,7 @@ _VARIANCE = 0.2440
 
 @PHYSICS.entry
 def _spline(coefficients, first_x, weight_x, first_y, weight_y, row, field):  # type: ignore[no-untyped-def]
-    """Weighted sum of the coefficients around each place; `row` is a buffer."""
+    """Write the weighted sum of the coefficients around each place; `row` is a buffer."""
     for j in range(len(first_y)):
         a, b, c, d = weight_y[j]
         at = first_y[j]
@@ -64,7 +64,7 @@ def _spline(coefficients, first_x, weight_x, first_y, weight_y, row, field):  # 
 
 
 def _weights(at: Float[np.ndarray, " n"], knots: float) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 4"]]:
-    """Index of the first of four coefficients, and their uniform cubic B-spline weights (de Boor, 1978)."""
+    """Return the index of the first of four coefficients, and their uniform cubic B-spline weights (de Boor, 1978)."""
     position = (at - at[0]) / knots
     first = position.astype(int)
     t = position - first
@@ -86,7 +86,7 @@ def _cell(distance, resolution, nodes):  # type: ignore[no-untyped-def]
 
 @PHYSICS.entry
 def height(elevation, x0, y0, resolution, x, y):  # type: ignore[no-untyped-def]
-    """Elevation at (x, y), bilinear [m].
+    """Return the elevation at (x, y), bilinear [m].
 
     Args:
         elevation: [ny, nx], at least 2 x 2 [m].
@@ -102,7 +102,7 @@ def height(elevation, x0, y0, resolution, x, y):  # type: ignore[no-untyped-def]
 
 @PHYSICS.entry
 def properties_at(properties, x0, y0, resolution, x, y, out):  # type: ignore[no-untyped-def]
-    """Properties [ny, nx, 4] of the ground at (x, y), bilinear, written to `out` [4]."""
+    """Write the properties [ny, nx, 4] of the ground at (x, y), bilinear, to `out` [4]."""
     i, u = _cell(x - x0, resolution, properties.shape[1])
     j, v = _cell(y - y0, resolution, properties.shape[0])
     for p in range(properties.shape[2]):
@@ -113,7 +113,7 @@ def properties_at(properties, x0, y0, resolution, x, y, out):  # type: ignore[no
 
 @PHYSICS.entry
 def main_kind(kinds, x0, y0, resolution, x, y):  # type: ignore[no-untyped-def]
-    """Index of the kind [K, ny, nx] with the largest share at the node nearest to (x, y); the first if tied."""
+    """Return the index of the kind [K, ny, nx] with the largest share at the nearest node; the first if tied."""
     i, u = _cell(x - x0, resolution, kinds.shape[2])
     j, v = _cell(y - y0, resolution, kinds.shape[1])
     if u >= 0.5:
@@ -133,7 +133,7 @@ def read_grid(
     resolution: float,
     places: Float[np.ndarray, "n 2"],
 ) -> Float[np.ndarray, "n ..."]:
-    """Values of a grid of a world at many places x, y [m], bilinear, clamped at the border."""
+    """Return the values of a grid of a world at many places x, y [m], bilinear, clamped at the border."""
     nodes = np.array(grid.shape[1::-1])
     position = np.clip((places - np.array(origin)) / resolution, 0, nodes - 1)
     index = np.minimum(position.astype(int), nodes - 2)
@@ -145,7 +145,7 @@ def read_grid(
 
 
 def normals_of(elevation: Grid, resolution: float) -> Float[np.ndarray, "ny nx 3"]:
-    """Unit normals at the nodes, from central differences."""
+    """Return the unit normals at the nodes, from central differences."""
     slope_y, slope_x = np.gradient(elevation, resolution)
     normals = np.stack((-slope_x, -slope_y, np.ones_like(slope_x)), axis=-1)
     return normals / np.linalg.norm(normals, axis=-1, keepdims=True)

@@ -59,27 +59,27 @@ class GroundKind(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @cache
 def grounds() -> tuple[GroundKind, ...]:
-    """All kinds of ground, in the order of `GROUND_KINDS`."""
+    """Return all kinds of ground, in the order of `GROUND_KINDS`."""
     text = resources.files("offpiste.simulation.world").joinpath("grounds.toml").read_text(encoding="utf-8")
     rows = msgspec.convert(tomllib.loads(text), dict[str, GroundKind])
     return tuple(rows[kind] for kind in GROUND_KINDS)
 
 
 def property_table() -> Float[np.ndarray, "2 K 4"]:
-    """Properties of each kind of ground, dry and wet."""
+    """Return the properties of each kind of ground, dry and wet."""
     properties = [[getattr(ground, name) for name in GROUND_PROPERTIES] for ground in grounds()]
     return np.array([[[p.dry for p in row] for row in properties], [[p.wet for p in row] for row in properties]])
 
 
 def colour_table() -> Float[np.ndarray, "2 K 3"]:
-    """Colours of each kind of ground, dry and wet, sRGB [0..1]."""
+    """Return the colours of each kind of ground, dry and wet, sRGB [0..1]."""
     return np.array([[g.colour.dry for g in grounds()], [g.colour.wet for g in grounds()]])
 
 
 def lay_grounds(
     rng: np.random.Generator, preset: WorldPreset, bare: BareTerrain
 ) -> tuple[Float[np.ndarray, "K ny nx"], Grid]:
-    """Shares of the kinds at each node, which sum to 1, and wetness 0..1.
+    """Return the shares of the kinds at each node, which sum to 1, and wetness 0..1.
 
     Each kind has its own smooth noise, and a soft maximum picks the strongest. A kind is more or less frequent on
     trails than on open ground, but its patches continue across.
@@ -103,7 +103,7 @@ def lay_grounds(
 
 
 def mix_properties(kinds: Float[np.ndarray, "K ny nx"], wetness: Grid, contrast: float) -> Float[np.ndarray, "ny nx 4"]:
-    """Properties of mixed ground.
+    """Return the properties of mixed ground.
 
     Args:
         kinds: shares, which sum to 1.
@@ -121,7 +121,7 @@ def mix_properties(kinds: Float[np.ndarray, "K ny nx"], wetness: Grid, contrast:
 
 
 def weighted_sum(kinds: Float[np.ndarray, "K ny nx"], weights: Float[np.ndarray, " K"]) -> Grid:
-    """Weighted sum over the kinds in a fixed order; rounding in a matrix product depends on the number of threads."""
+    """Sum over the kinds in a fixed order; rounding in a matrix product would depend on the number of threads."""
     total = np.zeros(kinds.shape[1:], np.float32)
     for share, weight in zip(kinds, weights, strict=True):
         total += np.float32(weight) * share
@@ -129,7 +129,7 @@ def weighted_sum(kinds: Float[np.ndarray, "K ny nx"], weights: Float[np.ndarray,
 
 
 def _water(rng: np.random.Generator, preset: WorldPreset, x: Axis, y: Axis, elevation: Grid) -> Grid:
-    """Wetness before the effect of the kinds: the preset's on average, higher where the terrain is low and level."""
+    """Return the wetness without the kinds' effect: the preset's on average, higher where terrain is low and level."""
     step = x[1] - x[0]
     low = (elevation.mean() - elevation) / (elevation.std() + np.float32(0.1))
     slope = np.hypot(*np.gradient(gaussian_filter(elevation, 2.0 / step), step))
@@ -146,7 +146,7 @@ def _soft_maximum(strength: Float[np.ndarray, "K ny nx"]) -> None:
 
 
 def plant_trees(rng: np.random.Generator, preset: WorldPreset, bare: BareTerrain) -> Trees:
-    """Trees in groves, at least `TREE_CLEARANCE` from trails and 3 m from each other."""
+    """Plant trees in groves, at least `TREE_CLEARANCE` from trails and 3 m from each other."""
     x, y, elevation, trail_distance = bare
     place = _scatter(rng, preset.trees, x, y, grain=14.0, clumping=1.2)
     away = _read(trail_distance, x, y, place) - (HALF_WIDTH + TREE_CLEARANCE)
@@ -163,7 +163,7 @@ def plant_trees(rng: np.random.Generator, preset: WorldPreset, bare: BareTerrain
 
 
 def plant_bushes(rng: np.random.Generator, preset: WorldPreset, bare: BareTerrain) -> Bushes:
-    """Bushes in thickets; a few grow at the edges of trails, none in the middle."""
+    """Plant bushes in thickets; a few grow at the edges of trails, none in the middle."""
     x, y, elevation, trail_distance = bare
     place = _scatter(rng, preset.bushes, x, y, grain=9.0, clumping=0.9)
     tolerated = smooth_step(_read(trail_distance, x, y, place), 0.6 * HALF_WIDTH, 2.0 * HALF_WIDTH)
@@ -182,7 +182,7 @@ def plant_bushes(rng: np.random.Generator, preset: WorldPreset, bare: BareTerrai
 def grow_grass(
     rng: np.random.Generator, preset: WorldPreset, bare: BareTerrain, kinds: Float[np.ndarray, "K ny nx"]
 ) -> Grid:
-    """Height of tall grass in patches [m]: mostly on grassy ground, worn short on trails."""
+    """Return the height of tall grass in patches [m]: mostly on grassy ground, worn short on trails."""
     x, y, _, trail_distance = bare
     grassy = weighted_sum(kinds, np.array([_GRASSY.get(kind, 0.0) for kind in GROUND_KINDS]))
     threshold = 1.2 - 2.4 * preset.grass  # of normal noise: the share above it is about `grass`
@@ -195,7 +195,7 @@ def grow_grass(
 def _scatter(
     rng: np.random.Generator, per_hectare: float, x: Axis, y: Axis, grain: float, clumping: float
 ) -> Float[np.ndarray, "n 2"]:
-    """Random places with a smooth log-normal density and a given mean number per hectare."""
+    """Return random places with a smooth log-normal density and a given mean number per hectare."""
     low, high = np.array([x[0], y[0]]), np.array([x[-1], y[-1]])
     largest = 4.0
     candidates = rng.poisson(per_hectare * np.prod(high - low) / 1e4 * largest)
@@ -205,7 +205,7 @@ def _scatter(
 
 
 def _apart(place: Float[np.ndarray, "n 2"], distance: float) -> Bool[np.ndarray, " n"]:
-    """Mask that drops places within `distance` of an earlier kept place."""
+    """Return a mask that drops places within `distance` of an earlier kept place."""
     keep = np.ones(len(place), bool)
     for first, second in sorted(cKDTree(place).query_pairs(distance)) if len(place) else ():
         keep[second] &= not keep[first]

@@ -26,7 +26,7 @@ RUT_OFFSET = 0.65
 
 
 def make_trails(rng: np.random.Generator, size: float) -> tuple[Line, ...]:
-    """Centre lines of a connected network in a square of `size` metres around the origin.
+    """Return the centre lines of a connected network in a square of `size` metres around the origin.
 
     One loop runs around the world; smaller loops between its centre and its border each cross an earlier one. Loops
     are closed and counter-clockwise, with points about `SPACING` apart and the first not repeated at the end.
@@ -50,7 +50,7 @@ def make_trails(rng: np.random.Generator, size: float) -> tuple[Line, ...]:
 
 
 def trail_distance_grid(trails: tuple[Line, ...], x: Axis, y: Axis) -> Grid:
-    """Distance from the nodes of a grid to the nearest centre line, at most `NEAR` [m].
+    """Return the distance from the nodes of a grid to the nearest centre line, at most `NEAR` [m].
 
     Args:
         x, y: evenly spaced coordinates of the columns and rows [m].
@@ -62,7 +62,7 @@ def trail_distance_grid(trails: tuple[Line, ...], x: Axis, y: Axis) -> Grid:
 
 @PHYSICS.entry
 def _nearest_squares(points, x, y, reach, square):  # type: ignore[no-untyped-def]
-    """Squared distance of each node to the nearest point within reach, in place."""
+    """Update the squared distance of each node to the nearest point within reach, in place."""
     step_x, step_y = x[1] - x[0], y[1] - y[0]
     for p in range(len(points)):
         first = max(int((points[p, 0] - reach - x[0]) / step_x), 0)
@@ -77,7 +77,7 @@ def _nearest_squares(points, x, y, reach, square):  # type: ignore[no-untyped-de
 
 
 def resample(loop: Float[np.ndarray, "n 2"], spacing: float) -> Float[np.ndarray, "m 2"]:
-    """Closed loop with evenly spaced points, about `spacing` apart [m]."""
+    """Resample a closed loop with evenly spaced points, about `spacing` apart [m]."""
     closed = np.concatenate((loop, loop[:1]))
     arc = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(closed, axis=0), axis=1))))
     at = np.linspace(0, arc[-1], max(round(arc[-1] / spacing), 8), endpoint=False)
@@ -85,14 +85,14 @@ def resample(loop: Float[np.ndarray, "n 2"], spacing: float) -> Float[np.ndarray
 
 
 def curvature(loop: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
-    """Curvature of a closed, evenly spaced loop by central differences, positive to the left [1/m]."""
+    """Return the curvature of a closed, evenly spaced loop by central differences, positive to the left [1/m]."""
     ahead, behind = np.roll(loop, -1, axis=0) - loop, loop - np.roll(loop, 1, axis=0)
     turn = np.arctan2(ahead[:, 0] * -behind[:, 1] + ahead[:, 1] * behind[:, 0], (ahead * behind).sum(axis=1))
     return turn / ((np.linalg.norm(ahead, axis=1) + np.linalg.norm(behind, axis=1)) / 2)
 
 
 def _loop(rng: np.random.Generator, centre: Float[np.ndarray, " 2"], extent: float) -> Float[np.ndarray, "n 2"]:
-    """Loop r(angle) = 1 + sum of waves, as wavy as the sharpest bend allows, scaled to the square +-extent."""
+    """Return a loop r(angle) = 1 + sum of waves, as wavy as the sharpest bend allows, scaled to the square +-extent."""
     # The shortest waves are about 40 m long.
     orders = np.arange(2, int(np.clip(extent / 6, 3, 24)) + 1)
     amplitude = rng.uniform(0.2, 1.0, len(orders)) / orders**0.9
@@ -121,7 +121,7 @@ def _cross(loop: Float[np.ndarray, "n 2"], others: Float[np.ndarray, "m 2"]) -> 
 
 
 def make_hills(rng: np.random.Generator, preset: WorldPreset, x: Axis, y: Axis) -> Grid:
-    """Elevation of the landscape without trails [m]."""
+    """Return the elevation of the landscape without trails [m]."""
     elevation = np.zeros((len(y), len(x)), np.float32)
     for grain, height in preset.hills:
         elevation += np.float32(height) * smooth_noise(rng, x, y, grain)
@@ -139,7 +139,7 @@ def carve_trails(
     trails: tuple[Line, ...],
     trail_distance: Grid,
 ) -> Grid:
-    """Elevation with trails, level across and smooth along, with ditches and banks in places, ruts and roughness."""
+    """Carve trails, level across and smooth along, with ditches and banks in places, ruts and roughness."""
     step = x[1] - x[0]
     bed = _trail_bed(gaussian_filter(elevation, 7.0 / step), trails, float(x[0]), float(y[0]), float(step))
     on_trail = smooth_step(trail_distance, HALF_WIDTH + 4.5, HALF_WIDTH + 0.2)
@@ -157,14 +157,14 @@ def carve_trails(
 
 
 def _dunes(rng: np.random.Generator, x: Axis, y: Axis, height: float) -> Grid:
-    """Ridges along y with a sharp crest where the noise is zero."""
+    """Return ridges along y with a sharp crest where the noise is zero."""
     noise = smooth_noise(rng, x, y, (16.0, 34.0))
     strength = 0.5 + smooth_step(smooth_noise(rng, x, y, 30.0), -1.0, 1.5) / 2
     return np.float32(height) * strength * np.exp(-np.sqrt(2.5 * noise**2 + np.float32(0.02)))
 
 
 def _banks(rng: np.random.Generator, x: Axis, y: Axis, height: float) -> Grid:
-    """Local banks along the zero contour of a noise field, about as steep as `STEEPEST`."""
+    """Return local banks along the zero contour of a noise field, about as steep as `STEEPEST`."""
     noise = smooth_noise(rng, x, y, 22.0)
     slope_y, slope_x = np.gradient(noise, x[1] - x[0])
     from_line = noise / np.maximum(np.hypot(slope_x, slope_y), np.float32(0.02))
@@ -201,7 +201,7 @@ def _slump(elevation, rise):  # type: ignore[no-untyped-def]
 
 
 def _trail_bed(smoothed: Grid, trails: tuple[Line, ...], x0: float, y0: float, step: float) -> Grid:
-    """Gaussian-weighted mean elevation of the centre lines around each place.
+    """Return the Gaussian-weighted mean elevation of the centre lines around each place.
 
     The bed is level across a straight trail, since the weights along it do not depend on the distance, and smooth where
     trails cross.

@@ -183,7 +183,7 @@ for _file in sorted(resources.files(__package__).joinpath("presets").iterdir(), 
 
 
 def find_world_preset(world: str) -> WorldPreset:
-    """Preset of a world, given by name or by the path of a TOML file.
+    """Return the preset of a world, given by name or by the path of a TOML file.
 
     Raises:
         OffpisteError: the name or file does not exist, or the file is wrong.
