@@ -46,9 +46,10 @@ settings.load_profile("repeatable")
 
 
 WHOLE_PATHS = (
-    "golden/", "reproduction/", "inspection/test_inspect.py", "inspection/test_late_poses.py",
-    "inspection/test_recorded.py", "inspection/test_remedies.py",
-    "inspection/test_several_clocks.py", "inspection/test_steering.py",
+    "golden/", "reproduction/",
+    "inspection/test_course.py", "inspection/test_draft", "inspection/test_gear.py", "inspection/test_inspect.py",
+    "inspection/test_late_poses.py", "inspection/test_message", "inspection/test_pedals.py", "inspection/test_pose.py",
+    "inspection/test_re", "inspection/test_s", "inspection/test_table",
     "closed_loop/test_drive_course.py", "closed_loop/test_recording.py", "runtime/test_backing_out.py",
     "runtime/test_compiled_and_loaded.py", "runtime/test_runtime.py", "runtime/test_settings.py",
     "simulation/test_recorder.py",
