@@ -154,11 +154,7 @@ class Flattener:
         self._margin = int(np.abs(self._offsets).max()) + self._plane_cells + self._overhang_cells
 
     def layers(self, out: TerrainLayers | None = None) -> TerrainLayers:
-        """Return the map's layers.
-
-        Args:
-            out: earlier layers of this map, unmodified, to be overwritten and returned.
-        """
+        """Return the map's layers; `out`: earlier layers of this map, unmodified, to be overwritten and returned."""
         voxel_map, buffers, surface = self._map, self._buffers, self._surface
         size, n, threads = voxel_map.settings.size, voxel_map.cells, voxel_map.settings.threads
         out = out or empty_layers(n, voxel_map.channels)
