@@ -28,12 +28,12 @@ time_unit = "ns"
 
 
 def sensor_rig(sensors: str = SENSORS) -> Rig:
-    """A vehicle with /odom and these sensors."""
+    """Return a rig with /odom and these sensors."""
     return parse_rig(sensor_rig_text(sensors), where="test")
 
 
 def sensor_rig_text(sensors: str = SENSORS) -> str:
-    """The same as a rig file has it."""
+    """Return the text of `sensor_rig`."""
     odom = RIG.replace('topic = "odom"', 'topic = "/odom"')
     position = ", ".join(f'"pose.pose.position.{axis}"' for axis in "xyz")
     orientation = ", ".join(f'"pose.pose.orientation.{axis}"' for axis in "xyzw")
@@ -44,7 +44,7 @@ def sensor_rig_text(sensors: str = SENSORS) -> str:
 
 
 def odometry(seconds: float, aside: float = 0.0):
-    """At SPEED along x."""
+    """Return odometry at SPEED along x."""
     pose = make(
         "geometry_msgs/Pose",
         position=vector((SPEED * seconds, aside, 1), "geometry_msgs/Point"),
@@ -61,12 +61,12 @@ def odometry(seconds: float, aside: float = 0.0):
 
 
 def stamp(seconds: float) -> int:
-    """From 100 s on [ns]."""
+    """Return a stamp from 100 s on [ns]."""
     return 100 * SECOND + round(seconds * SECOND)
 
 
 def transforms(*joints, seconds: float = 0.0):
-    """(parent, child, translation, xyzw) -> tf2_msgs/TFMessage."""
+    """Return a tf2_msgs/TFMessage of (parent, child, translation, xyzw)."""
     return make(
         "tf2_msgs/TFMessage",
         transforms=[
@@ -82,7 +82,7 @@ def transforms(*joints, seconds: float = 0.0):
 
 
 def tree():
-    """A mast on the body carries both sensors; the camera's transform is given the other way round."""
+    """Return transforms to a mast with both sensors; the camera's is inverted."""
     return transforms(
         ("base_link", "mast", (1, 0, 2), (0, 0, 0, 1)),
         ("mast", "lidar", (0, 0, 0.5), (0, 0, np.sqrt(0.5), np.sqrt(0.5))),
@@ -91,7 +91,7 @@ def tree():
 
 
 def info(width: int = 8, height: int = 6, **changed):
-    """A sensor_msgs/CameraInfo."""
+    """Return a sensor_msgs/CameraInfo."""
     fields = {
         "header": header(stamp(0), "camera"),
         "width": width,
@@ -109,7 +109,7 @@ def info(width: int = 8, height: int = 6, **changed):
 
 
 def compressed(seconds: float, pixels: np.ndarray | None = None, form: str = "png"):
-    """A PNG of an RGB image, or of numbers [h, w, 1]; one that cannot be decoded if there is none."""
+    """Return a PNG of an RGB image or of numbers [h, w, 1]; invalid data without pixels."""
     data = np.arange(40, dtype=np.uint8)
     if pixels is not None:
         data = cv2.imencode(".png", np.ascontiguousarray(pixels[:, :, ::-1]))[1].ravel()
@@ -117,7 +117,7 @@ def compressed(seconds: float, pixels: np.ndarray | None = None, form: str = "pn
 
 
 def raw_image(seconds: float, encoding: str, pixels: np.ndarray):
-    """A sensor_msgs/Image, with two bytes of padding a row."""
+    """Return a sensor_msgs/Image with two bytes of padding per row."""
     height = len(pixels)
     rows = np.pad(pixels.reshape(height, -1), ((0, 0), (0, 2)))
     return make(
@@ -133,7 +133,7 @@ def raw_image(seconds: float, encoding: str, pixels: np.ndarray):
 
 
 def cloud(seconds: float, xyz=POINTS, dtype=POINT):
-    """Points 10 ms apart."""
+    """Return a cloud of points 10 ms apart."""
     points = np.zeros(len(xyz), dtype)
     if len(xyz):
         points["x"], points["y"], points["z"] = np.array(xyz, np.float32).T
@@ -159,5 +159,5 @@ def record(path: Path, messages=None, *, until: float = 1.0) -> Path:
 
 
 def opened(path: Path, sensors: str = SENSORS) -> SensorLog:
-    """Its sensors."""
+    """Open the sensors of a recording."""
     return open_sensors(open_log(path), sensor_rig(sensors))

@@ -256,7 +256,7 @@ def test_an_orientation_is_turned_about_the_bodys_z_axis():
 
 
 def _rows_of(rate: float, seconds: float = 30.0, table: float = 100.0) -> np.ndarray:
-    """Which rows of a table hold no sample of a sensor of this rate [Hz]."""
+    """Mark the rows of a table without a sample of a sensor of this rate [Hz]."""
     slot = np.floor(np.arange(0, seconds, 1 / table) * rate + 1e-9)
     return np.append(False, np.diff(slot) == 0)
 
@@ -381,7 +381,7 @@ def test_an_offset_turns_to_the_left_by_its_sign() -> None:
 
 
 def test_latitude_and_longitude_have_no_axes_and_are_laid_into_the_world_of_the_others() -> None:
-    """Where the log's world is north, east, down, all else becomes north, west, up; the height is up as it is."""
+    """In a log with a north, east, down world, other channels become north, west, up; the height is up already."""
     east_north_up = np.array([[1.0, 2.0, 3.0], [-4.0, 5.0, -6.0]])
     north_west_up = np.array([[2.0, -1.0, 3.0], [5.0, 4.0, -6.0]])
     source = ChannelSource(fields=("lat", "lon", "height"), unit="lat lon")

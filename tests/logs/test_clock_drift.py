@@ -1,4 +1,4 @@
-"""Drifting clocks: planted lags, offsets and drifts are found again; the order of samples stays."""
+"""Estimates of known lags, offsets and drifts of clocks."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ speed = { topic = "wheels", fields = ["left", "right"] }
 
 
 def late(lag: np.ndarray) -> Channel:
-    """The speed as stamped by a clock that is late."""
+    """Return the speed stamped by a late clock."""
     return Channel("wheel_speed", "m/s", TIME + lag, SPEED[:, None])
 
 
@@ -138,7 +138,7 @@ def test_what_is_said():
 
 
 def with_drift(path, drift: float):
-    """Ten seconds; the camera's clock runs ahead of the true time by and by."""
+    """Open ten seconds with a camera whose clock runs ever further ahead."""
     arrive = np.arange(0, 10.05, 0.25).tolist()
     messages = [(t, "/image", compressed(t * (1 + drift / 10), IMAGE)) for t in arrive]
     messages += [(t, "/points", cloud(t)) for t in arrive]

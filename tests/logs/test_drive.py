@@ -1,4 +1,4 @@
-"""Drives: channels through a rig, what was repaired is noted, clocks that do not meet are an error."""
+"""Channels of a drive through a rig, notes on repairs, and clocks without a common span."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Formats are recognised by their path; other paths are refused in one line."""
+"""Recognition of log formats, and refusal of other paths."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Images and clouds of logs: limits of decoding, times of points, usable points against plain NumPy."""
+"""Decoding limits of images, times of points, and usable points against plain NumPy."""
 
 import subprocess
 import sys
@@ -30,7 +30,7 @@ print("" if picture is None else picture.shape)
 
 
 def black_png(side: int) -> bytes:
-    """A sound PNG of one bit a pixel."""
+    """Return a valid PNG of one bit per pixel."""
 
     def chunk(kind: bytes, data: bytes) -> bytes:
         return pack(">I", len(data)) + kind + data + pack(">I", crc32(kind + data))

@@ -1,4 +1,4 @@
-"""Planar motion of vehicles whose motion is known: circles, slopes, lever arms, frames."""
+"""Planar motion on known paths: circles, slopes, lever arms and frames."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ def rates_toml(which: str, frame: str) -> str:
 
 
 class Circle:
-    """A vehicle that rounds a circle, its whole world tilted by `pitch` about y."""
+    """Vehicle on a circle, in a world tilted by `pitch` about y."""
 
     def __init__(self, *, rate: float = 100.0, seconds: float = 6.0, pitch: float = 0.0) -> None:
         self.time = np.arange(0, seconds, 1 / rate)
@@ -88,7 +88,7 @@ def test_the_causal_estimate_uses_the_past_only(velocity, gyro, row):
 
 
 def shifted(drive: Drive) -> dict[str, Channel]:
-    """The channels, with the attitude stamped 7 ms after the others."""
+    """Return the channels with the attitude stamped 7 ms later."""
     return {
         name: Channel(name, "", c.time + (0.007 if name == "orientation" else 0.0), c.values)
         for name, c in drive.channels.items()
@@ -131,7 +131,7 @@ def test_in_a_gap_nothing_is_known():
 
 
 def hill(speed: np.ndarray, grade: float, noise: float = 0.0) -> np.ndarray:
-    """Positions of a vehicle that drives up a grade with the given horizontal speeds."""
+    """Return positions on a grade at given horizontal speeds."""
     along = np.cumsum(speed) * 0.02
     z = grade * along + np.random.default_rng(0).normal(0, noise, len(speed))
     return np.stack((along, 0 * along, z), axis=1)

@@ -1,4 +1,4 @@
-"""Plausible poses: healthy drives lose nothing, planted runs are dropped exactly, the chain is the best."""
+"""Plausible poses: fault-free drives stay whole, injected runs are dropped exactly, the chain is optimal."""
 
 from itertools import combinations, pairwise
 
@@ -14,7 +14,7 @@ RUNS = ("glitches", "constant", "random", "long constant", "fast tail", "fast he
 
 
 def driven(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Stamps, positions and yaw of a random drive: slow or fast, spinning, standing, noisy, held, with late stamps."""
+    """Return stamps, positions and yaw of a random drive: slow or fast, spinning, standing, noisy, held, or late."""
     rng = np.random.default_rng(seed)
     rate = float(rng.choice([1, 5, 10, 20, 50, 100, 200, 1000]))
     speed = min(float(rng.choice([0, 0.5, 2, 5, 15, 40, 80])), 40 * rate)
@@ -90,7 +90,7 @@ def test_a_place_that_hangs_to_the_end_is_held_unless_the_vehicle_can_have_stopp
 
 
 def planted(kind: str, rng: np.random.Generator, time: np.ndarray, place: np.ndarray, speed: float):
-    """The drive with corrupt samples, and which ones are good."""
+    """Return the drive with corrupt samples, and a mask of good ones."""
     count, result, good = len(time), place.copy(), np.ones(len(time), bool)
     first, length = int(rng.integers(20, count - 150)), int(rng.integers(2, 86))
     run = slice(first, first + length)

@@ -1,4 +1,4 @@
-"""Faults of the pose in a drive: dropped with the numbers of their samples, and never used by anything causal."""
+"""Faults of a drive's pose: dropped samples, their numbers, and causal estimates that exclude them."""
 
 import numpy as np
 from hypothesis import given, settings

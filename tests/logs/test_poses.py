@@ -1,4 +1,4 @@
-"""Poses between samples, never across a gap or a jump; jumps where a vehicle cannot have been so soon."""
+"""Interpolation of poses, never across gaps and jumps, and detection of jumps."""
 
 import numpy as np
 import pytest
@@ -41,7 +41,7 @@ def test_half_way_is_half_the_way_and_half_the_turn():
 
 
 def plain(given: Poses, at: np.ndarray) -> np.ndarray:
-    """What `Poses.at` gives, in NumPy and SciPy, one moment after the other."""
+    """Return `Poses.at` computed by NumPy and SciPy, one time after the other."""
     found = np.full((len(at), 4, 4), np.nan)
     between = np.concatenate((given.jumps, given.unknown))
     for n, moment in enumerate(at):

@@ -1,4 +1,4 @@
-"""Cameras and LiDARs of a log: in order, calibrated, cleaned; and what is wrong, in one exact line."""
+"""Cameras and LiDARs of a log: order, calibration, cleaning, and errors in one line."""
 
 import numpy as np
 import pytest

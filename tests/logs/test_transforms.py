@@ -1,4 +1,4 @@
-"""Bodies that move in a world as transforms: which have topics of their own, and what is read from them."""
+"""Topics of single pairs of frames, and the transforms read from them."""
 
 from pathlib import Path
 
@@ -19,7 +19,7 @@ BODY = "/tf odom -> base_link"
 
 
 def robot(seconds: float):
-    """The chain of a robot that maps, and a wheel, stamped 20 ms before."""
+    """Return the transforms of a mapping robot and a wheel, stamped 20 ms earlier."""
     chain = [("odom", "base_link", (2 * seconds, seconds, 0), STILL), ("base_link", "wheel", (0, 1, 0), STILL)]
     return transforms(*chain, ("map", "odom", (0.1, 0, 0), STILL), seconds=seconds - 0.02)
 

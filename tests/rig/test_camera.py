@@ -1,4 +1,4 @@
-"""The camera model: projection and its inverse for all distortion models; bad calibrations."""
+"""Projection and its inverse for all distortion models, and bad calibrations."""
 
 import dataclasses
 

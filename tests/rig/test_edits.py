@@ -1,4 +1,4 @@
-"""Edits of rigs: what they set, what they refuse, how they are written."""
+"""Edits of rigs: values, refusals and text."""
 
 import math
 import tomllib
@@ -73,7 +73,7 @@ EDITS = [
 
 
 def unless_refused(make: Callable[[], Any]) -> Any:
-    """What it makes; None where that is no rig."""
+    """Return the result of a function, or None if it refuses the rig."""
     try:
         return make()
     except RigError:

@@ -1,4 +1,4 @@
-"""What goes out: every mistake in [outputs] and [live] is named in one line."""
+"""Errors in [outputs] and [live] in one line."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Rigs: presets load, and every mistake in a file is named in one line."""
+"""Presets, and errors in rig files in one line."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Cameras and LiDARs in rigs: defaults, and every mistake in one line."""
+"""Cameras and LiDARs of rigs, and errors in one line."""
 
 import numpy as np
 import pytest

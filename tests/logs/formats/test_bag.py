@@ -1,4 +1,4 @@
-"""ROS 1 and ROS 2 bags: recorded ones, and small ones of every storage, encoding and field type."""
+"""Recorded ROS 1 and ROS 2 bags, and small bags of every storage, encoding and field type."""
 
 import copy
 from pathlib import Path

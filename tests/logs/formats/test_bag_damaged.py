@@ -1,4 +1,4 @@
-"""Damaged bags: what can be read, with a warning, or one line."""
+"""Damaged bags: partial data with a warning, or an error in one line."""
 
 import struct
 from collections.abc import Callable
@@ -128,7 +128,7 @@ def write_db3(path: Path) -> None:
 
 
 def trouble(path: Path) -> str:
-    """The error of reading all of a bag, or nothing; any other exception fails the test."""
+    """Return the error of reading a whole bag, or ""; other exceptions fail the test."""
     try:
         log = BagLog(path)
         for name, topic in log.topics.items():

@@ -1,4 +1,4 @@
-"""KITTI raw drives: a drive made up by hand, and the real one beside the project."""
+"""KITTI raw drives: a synthetic and a recorded one."""
 
 from pathlib import Path
 
@@ -27,7 +27,7 @@ CALIBRATION = {
 
 
 def made_up(day: Path) -> Path:
-    """Three OXTS rows, one image and two scans, of frames 0 and 2."""
+    """Write three OXTS rows, one image and two scans, of frames 0 and 2."""
     drive = day / "drive_sync"
     for folder in ("oxts", "image_02", "velodyne_points"):
         (drive / folder / "data").mkdir(parents=True)

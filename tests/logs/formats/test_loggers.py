@@ -1,4 +1,4 @@
-"""Texts of loggers of cars: read as tables, with names, units and conventions that are those of all others."""
+"""Tables of car data loggers, with standard names, units and conventions."""
 
 from pathlib import Path
 
@@ -47,7 +47,7 @@ def test_degrees_of_racelogic_are_read_in_either_encoding(tmp_path: Path, encodi
 
 
 def test_other_text_that_is_no_utf_8_is_refused_as_before(tmp_path: Path) -> None:
-    """Of a byte that Windows' text does not have either."""
+    """For a byte that cp1252 lacks, too."""
     path = tmp_path / "a.csv"
     path.write_bytes(b'"t"|"x \x81"\n0|1\n1|2\n')
     with pytest.raises(LogError, match="neither UTF-8 nor cp1252; save it as UTF-8"):
@@ -107,7 +107,7 @@ def test_a_file_of_racechrono_has_its_units_and_tells_two_columns_of_one_name_ap
 @pytest.mark.parametrize("ending", [".vbo", ".txt"])
 @pytest.mark.parametrize("newline", ["\n", "\r\n"])
 def test_a_file_of_racelogic_has_degrees_to_the_east(tmp_path: Path, units: str, ending: str, newline: str) -> None:
-    """Its minutes count to the west; units are of all columns or of the last ones."""
+    """Minutes of longitude count to the west; units are listed for all columns or for the last ones."""
     path = tmp_path / f"VBOX0001{ending}"
     path.write_bytes(RACELOGIC.format(units=units, rows=ROWS).replace("\n", newline).encode("latin-1"))
     log = open_log(path)

@@ -67,7 +67,7 @@ def test_time_is_guessed_by_name(tmp_path: Path, name: str) -> None:
     [("millis", 1000), ("ms", 1000), ("ticks_ms", 1000), ("t_us", 1e6), ("microseconds", 1e6), ("timestamp_ns", 1e9)],
 )
 def test_a_clock_that_is_named_by_its_unit(tmp_path: Path, name: str, per_second: int) -> None:
-    """As an Arduino writes it: a slow logger, whose rate alone does not tell the unit, and a gap."""
+    """For a slow Arduino logger with a gap, whose rate alone does not reveal the unit."""
     seconds = (34.0, 35.01, 35.99, 37.0, 51.0)
     rows = "".join(f"{1513 + row},{time * per_second:.0f}\n" for row, time in enumerate(seconds))
     log = table(tmp_path, f"ch1_us,{name}\n{rows}")
@@ -79,7 +79,7 @@ def test_a_clock_that_is_named_by_its_unit(tmp_path: Path, name: str, per_second
                                                   ("Temps [ms]", 1000),
                                                   ("tiempo", 1)])  # fmt: skip
 def test_a_time_of_week_or_of_another_language_is_time(tmp_path: Path, name: str, per_second: int) -> None:
-    """Its unit is that of its rate, of 20 Hz; a column that rises as evenly stands before it."""
+    """Its unit follows from the rate of 20 Hz; an equally steady column precedes it."""
     rows = "".join(f"{k},{(345600 + 0.05 * k) * per_second:.2f},{k % 3}\n" for k in range(20))
     log = table(tmp_path, f"odometer,{name},x\n{rows}")
     assert log.clock == Clock(column=name, unit="s" if per_second == 1 else "ms")
@@ -516,7 +516,7 @@ def test_columns_of_structs_are_their_fields(tmp_path: Path) -> None:
     [(1.75e12, 1000, "ms"), (1.75e15, 500, "us"), (1.75e9, 0.5, "s"), (1.75e18, 2e7, "ns"), (1.2e9, 2e4, "us")],
 )
 def test_seconds_since_1970_tell_their_unit_by_their_size(tmp_path: Path, first: float, step: float, unit: str) -> None:
-    """At rates that seem another unit's, too; microseconds since a computer was started are none of them."""
+    """Also at rates that suggest another unit; microseconds since the start of a computer do not qualify."""
     rows = "".join(f"{first + step * row!r},{row}\n" for row in range(5))
     assert table(tmp_path, "timestamp,x\n" + rows).clock.unit == unit
 

@@ -1,4 +1,4 @@
-"""Folders of tables, one a topic: which are a log, what their topics are called, what is refused and left out."""
+"""Folders of tables: recognition, names of topics, refusals and omissions."""
 
 from pathlib import Path
 
@@ -21,7 +21,7 @@ def _table(path: Path, names: str, *columns: np.ndarray, time: np.ndarray = TIME
 
 
 def _folder(path: Path) -> Path:
-    """A folder as ulog2csv writes it: a table a topic, all named after the log."""
+    """Write a folder like ulog2csv: a table per topic, all named after the log."""
     path.mkdir()
     _table(path / "log_vehicle_pose_0.csv", "timestamp,x,y,yaw", TIME, 2 * TIME, 0 * TIME, time=1e6 * TIME)
     _table(path / "log_actuator_0.csv", "timestamp,control[0]", np.sin(TIME[::2]), time=1e6 * TIME[::2])

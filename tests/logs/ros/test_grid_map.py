@@ -1,4 +1,4 @@
-"""Layers through grid_map messages and back, and in the layout of other writers."""
+"""Round trips of layers through grid_map messages, and layouts of other writers."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ ORIGIN, RESOLUTION = (-2.0, 10.0), 0.5
 
 
 def layer() -> np.ndarray:
-    """Node [j, i] holds 10 j + i: neither square nor symmetric."""
+    """Return a layer whose node [j, i] is 10 j + i: neither square nor symmetric."""
     return 10.0 * np.arange(NY)[:, None] + np.arange(NX)
 
 

@@ -1,4 +1,4 @@
-"""Every encoding of sensor_msgs/image_encodings, raw and compressed, against the picture that it was made from."""
+"""Every encoding of sensor_msgs/image_encodings, raw and compressed, against the encoded image."""
 
 import cv2
 import numpy as np
@@ -29,12 +29,12 @@ def picture(name: str) -> np.ndarray:
 
 
 def in_bits(pixels: np.ndarray, bits: int) -> np.ndarray:
-    """The same brightness in a number of bits."""
+    """Return the brightness in another bit depth."""
     return np.round(pixels * ((2**bits - 1) / 255)).astype(np.uint16 if bits > 8 else np.uint8)
 
 
 def encoded(name: str, rgb: np.ndarray) -> np.ndarray:
-    """What a driver sends [rows, columns, channels]: written from the definition of the encoding, not by OpenCV."""
+    """Encode an image [rows, columns, channels] by the definition of the encoding, without OpenCV."""
     if name in YUV:
         return as_yuv(name, rgb)
     if name.startswith("bayer"):

@@ -1,4 +1,4 @@
-"""Names of joints: entries of arrays are known by what messages call them."""
+"""Entries of sensor_msgs/JointState identified by their names."""
 
 from pathlib import Path
 from types import SimpleNamespace
@@ -29,7 +29,7 @@ def _joints(at: int, names: tuple[str, ...], values: list[float]) -> object:
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A drive along a winding path at 4 m/s, the whole of it in messages of joints."""
+    """Record a drive along a winding path at 4 m/s, entirely as messages of joints."""
     path = tmp_path_factory.mktemp("joints") / "drive.mcap"
     time = np.arange(0, 60, 0.05)
     rate = 0.4 * np.sin(time / 2)

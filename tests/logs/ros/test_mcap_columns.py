@@ -1,4 +1,4 @@
-"""Columns of an MCAP file are what the plain reader gives, message by message; what does not fit is left to it."""
+"""Columns of MCAP files against the plain reader."""
 
 import math
 from types import SimpleNamespace
@@ -26,7 +26,7 @@ def joints(seconds, positions, names=("a", "b")):
 
 
 def both(path):
-    """The same file, by columns and message by message."""
+    """Open a file twice, to read it by columns and message by message."""
     quick, plain = open_log(path), open_log(path)
     plain._columns = lambda topic: None
     return quick, plain

@@ -1,4 +1,4 @@
-"""Points through PointCloud2 messages and back; messages that contradict themselves."""
+"""Round trips of points through PointCloud2 messages, and inconsistent messages."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ PACKED = np.dtype([("x", "<f4"), ("ring", "<u2"), ("y", "<f8"), ("flag", "i1")])
 
 
 def cloud(data: bytes, fields: list[tuple[str, int, int, int]], **changes: object) -> object:
-    """A message by name, offset, datatype and count of its fields."""
+    """Return a message from the name, offset, datatype and count of its fields."""
     made = [make("sensor_msgs/PointField", name=n, offset=o, datatype=d, count=c) for n, o, d, c in fields]
     parts = {
         "header": header(0, ""), "height": 1, "width": 2, "fields": made, "is_bigendian": False,

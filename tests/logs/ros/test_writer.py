@@ -1,4 +1,4 @@
-"""MCAP files that other readers understand, after interruptions too."""
+"""MCAP files that other readers understand, also after interruptions."""
 
 import os
 import signal
@@ -174,7 +174,7 @@ with McapWriter({path!r}) as writer:
 
 
 def killed(path: Path, by: signal.Signals, after: float) -> subprocess.CompletedProcess[str]:
-    """A recording process that gets a signal after some seconds."""
+    """Send a signal to a recording process after some seconds."""
     script = RECORD.format(tests=str(Path(__file__).parent), path=str(path))
     with subprocess.Popen(
         [sys.executable, "-c", script], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
