@@ -312,13 +312,6 @@ def test_one_run_or_few_are_lost() -> None:
     assert between_samples(np.zeros(0, bool)).shape == (0,)
 
 
-def test_one_stamp_in_the_future_and_one_in_the_past_cost_a_row_each():
-    time = np.arange(100.0)
-    time[30] += 1e6
-    time[60] -= 1e6
-    assert np.flatnonzero(~increasing(time)).tolist() == [30, 60]
-
-
 def test_of_a_clock_that_was_set_back_the_rows_before_are_kept():
     time = np.append(np.arange(60.0), np.arange(50.0, 100.0))
     assert np.flatnonzero(~increasing(time)).tolist() == list(range(60, 70))
@@ -360,13 +353,6 @@ def test_orientations_and_vectors_turn_as_their_matrices_do(axes: str, world: in
         ("angular_velocity", "body", right),
     ):
         np.testing.assert_allclose(to_z_up(name, SOURCE[frame], vectors, axes), vectors @ matrix.T, atol=1e-12)
-
-
-def test_a_heading_that_counts_from_north_clockwise_is_turned() -> None:
-    heading = np.array([[0.3], [-1.0]])
-    assert (to_z_up("yaw", SOURCE[""], heading, "ned") == -heading).all()
-    assert (to_z_up("yaw", SOURCE[""], heading, "body down") == heading).all()
-    assert (to_z_up("throttle", SOURCE[""], heading, "ned") == heading).all()
 
 
 def test_an_offset_turns_to_the_left_by_its_sign() -> None:

@@ -25,13 +25,6 @@ def test_unprojecting_undoes_projecting(model: CameraModel):
     assert np.allclose(model.unproject(pixels[inside]), rays[inside], atol=1e-4)
 
 
-def test_many_points_are_projected_as_each_alone(model: CameraModel):
-    points = np.random.default_rng(1).uniform((-2, -2, 1), (2, 2, 5), size=(5000, 3))
-    some = np.arange(0, len(points), 97)
-    assert np.array_equal(model.project(points)[some], np.concatenate([model.project(points[[n]]) for n in some]))
-    assert model.project(points[:0]).shape == (0, 2)
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
