@@ -60,7 +60,7 @@ class GroundCells(NamedTuple):
 
 
 class CostCells(NamedTuple):
-    """Cells that the cost reads: `cost_map.CostMap`.
+    """Cells that the cost reads: `costs.layers.CostMap`.
 
     Attributes:
         layers: [ny * nx * max(C, 4)].

@@ -1,1 +1,1 @@
-"""Planning by the printed C: terrain, cost terms and rollouts as one text for GPUs and for the host."""
+"""Generated C of the planner: terrain, cost terms and rollouts for GPUs and the host."""

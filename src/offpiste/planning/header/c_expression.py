@@ -1,4 +1,4 @@
-"""Python functions of scalars traced into C: a function is called with expressions, and what it returns is the text."""
+"""Tracing of Python functions of scalars into C expressions."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from offpiste.core.errors import PlanningError
 
 @dataclass(frozen=True, eq=False)
 class CExpression:
-    """A number of C, by the text that gives it; arithmetic on it gives more text."""
+    """A C expression as text; arithmetic on it returns further expressions."""
 
     text: str
 
@@ -75,7 +75,7 @@ def traced(function: Callable[..., Any], given: Mapping[str, Any], arguments: tu
 
 
 def called(name: str) -> Callable[..., CExpression]:
-    """An elementary function of C."""
+    """Return an elementary function of C."""
     return lambda *arguments: CExpression(f"{name}({', '.join(map(_text, arguments))})")
 
 

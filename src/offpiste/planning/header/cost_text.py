@@ -1,4 +1,4 @@
-"""The declared cost terms and layers as C, and the text of the planner's kernels."""
+"""Generation of C for the declared cost terms and layers, and for the kernels of the planner."""
 
 import re
 from collections.abc import Iterable
@@ -30,10 +30,10 @@ PLACES: Final = {
     "world_normal_y": "normal[1]", "world_normal_z": "normal[2]", "throttle": "v->control[0]",
     "brake": "v->control[1]", "steer": "v->control[2]", "margin_along": "v->stray[0]", "margin_across": "v->stray[1]",
 }  # fmt: skip
-"""Where `offpiste_motion_cost` finds each of `declaration.MOTION`."""
+"""C expressions of `declaration.MOTION` in `offpiste_motion_cost`."""
 
 AS_PREDICTED: Final = {"margin_along": "0.0f", "margin_across": "0.0f"}
-"""The same without caution."""
+"""C expressions of the margins without caution."""
 
 INFINITE: Final = "3.4e38f * 10.0f"
 """Infinity, without a header that NVRTC lacks."""
@@ -44,7 +44,7 @@ FUNCTIONS: Final = {name: called(f"offpiste_{name}") for name in ELEMENTARY}
 def plan_text(
     dynamics: Dynamics, layers: tuple[CostLayer, ...], caution: Caution | None = None, *, lanes: bool = False
 ) -> str:
-    """C++ and CUDA text of the kernels `offpiste_roll_out` and `offpiste_keep_within`.
+    """Return the C++ and CUDA text of the kernels `offpiste_roll_out` and `offpiste_keep_within`.
 
     Args:
         caution: of the plans; its numbers are not in the text, but in the situation (`costs.packed_situation`).
@@ -62,7 +62,7 @@ def plan_text(
 
 
 def cost_text(layers: tuple[CostLayer, ...], caution: Caution | None = None, *, lanes: bool = False) -> str:
-    """C code of all declared terms, for cost maps of these layers; for the others, see `plan_text`."""
+    """Return the C code of all declared terms, for cost maps of these layers; for the others, see `plan_text`."""
     terms = list(cost_terms().values())
     numbers = places_of_numbers(terms)
     last = max(numbers, key=lambda name: numbers[name])
@@ -89,7 +89,7 @@ def cost_text(layers: tuple[CostLayer, ...], caution: Caution | None = None, *, 
 
 
 def _stray_sizes(caution: Caution | None) -> list[str]:
-    """What `stray.h` is compiled for."""
+    """Return the sizes for which `stray.h` is compiled."""
     if caution is None:
         return ["#define OFFPISTE_STRAY 0"]
     sizes = {"STRAY": caution.spread.hidden, "STRAY_EVERY": EVERY}
@@ -140,7 +140,7 @@ def _with_numbers(terms: Iterable[CostTerm], numbers: Numbers, body: list[str], 
 
 
 def _local(name: str) -> str:
-    """What a number is called in C: names of terms are those of quantities, too."""
+    """Return the C name of a number, which differs from that of a quantity of the same name."""
     return name if name in CONSTANTS else f"number_{name}"
 
 

@@ -1,4 +1,4 @@
-"""Costs of control sequences by the printed kernels: `kernel.fused_costs`, wherever the kernels run."""
+"""Costs of control sequences by the generated C kernels, on any device; the reference is `kernel.fused_costs`."""
 
 import math
 from typing import Protocol, runtime_checkable
@@ -26,12 +26,12 @@ from offpiste.planning.kernel_costs import places_of_numbers, vector_of_numbers
 from offpiste.planning.kernel_stray import GIVEN, MOVING, stray_weights
 
 Maps = tuple[Tensor, Tensor, Tensor]
-"""Slopes, codes and layers of cells, as `offpiste_roll_out` reads them."""
+"""Slopes, codes and layers of cells for `offpiste_roll_out`."""
 
 
 @runtime_checkable
 class Roll(Protocol):
-    """Costs [K] of control sequences [K, T, U]; a `CostOf` that also fills states [T, 6, K], where they are given."""
+    """Costs [K] of control sequences [K, T, U]; a `CostOf` that also fills states [T, 6, K] if given."""
 
     def __call__(self, controls: Float[Tensor, "K T U"], states: Float[Tensor, "T 6 K"] | None = None) -> Tensor:
         """Roll out."""
@@ -43,7 +43,7 @@ def costs_by_kernels(
     kernels: Kernels, dynamics: Dynamics, model_state: ModelState, situation: Situation, weights: CostWeights,
     codes: Codes,
 ) -> Roll:  # fmt: skip
-    """Costs of driving on the situation's map, by the kernels of `plan_text`.
+    """Return a function that computes the costs of driving by the kernels of `plan_text`.
 
     Args:
         kernels: of the model and the cost map's layers.
@@ -69,7 +69,7 @@ def costs_by_kernels(
 def packed_situation(
     dynamics: Dynamics, model_state: ModelState, situation: Situation, weights: CostWeights, codes: Codes
 ) -> Float[Tensor, " N"]:
-    """The numbers of `offpiste_situation` in order, on the CPU."""
+    """Return the numbers of `offpiste_situation` in order, on the CPU."""
     missing = codes[1].cpu()
     names = tuple(places_of_numbers(cost_terms().values()))[len(CONSTANTS) :]
     parts = (
@@ -89,7 +89,7 @@ def packed_situation(
 
 
 def packed_stray(dynamics: Dynamics, caution: Caution | None) -> Float[np.ndarray, " N"]:
-    """The numbers of `offpiste_stray_weights` in order; none without caution."""
+    """Return the numbers of `offpiste_stray_weights` in order; none without caution."""
     if caution is None:
         return np.empty(0)
     vehicle, codes = dynamics.vehicle, dynamics.codes
@@ -101,14 +101,14 @@ def packed_stray(dynamics: Dynamics, caution: Caution | None) -> Float[np.ndarra
 
 
 def packed_maps(situation: Situation, codes: Codes, device: torch.device) -> Maps:
-    """Cells of the ground and of the cost map."""
+    """Return the cells of the ground and of the cost map."""
     cells = situation.ground.slope[0], codes[0], situation.costs.layers
     slope, code, layers = (part.to(device, torch.float32).contiguous() for part in cells)
     return slope, code, layers
 
 
 def _grid(cells: MapStack | CostMap, situation: Situation) -> tuple[float | int, ...]:
-    """Where its first cell lies from the situation's place, cells a metre, rows, columns."""
+    """Return the offset of the first cell from the situation, cells per metre, rows and columns."""
     origin = cells.origin[0] if isinstance(cells, MapStack) else cells.origin
     rows, columns = cells.shape if isinstance(cells, MapStack) else cells.layers.shape[:2]
     return *(situation.offset.cpu() - origin.cpu()).tolist(), 1 / cells.resolution, rows, columns
