@@ -1,1 +1,1 @@
-"""From drives to rows at 50 Hz, splits and windows of 5 s."""
+"""Datasets: rows at 50 Hz, splits and windows of 5 s."""

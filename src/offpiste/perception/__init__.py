@@ -1,1 +1,1 @@
-"""From images to visual features on the points of a LiDAR."""
+"""Visual features of images and their projection onto LiDAR points."""

@@ -1,4 +1,4 @@
-"""Features of an image: a backbone, then its PCA."""
+"""Extraction of patch features by a backbone and its PCA."""
 
 from dataclasses import dataclass
 from pathlib import Path
