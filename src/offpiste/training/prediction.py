@@ -67,7 +67,9 @@ def predict_windows(dynamics: Dynamics, windows: Windows, lookup: Lookup = "reco
 
 def joined(parts: Sequence[Joined]) -> Joined:
     """Concatenate dataclasses of tensors, field by field."""
-    return type(parts[0])(*(torch.cat(values) for values in zip(*(vars(part).values() for part in parts), strict=True)))
+    kind: Any = type(parts[0])
+    whole: Joined = kind(*(torch.cat(values) for values in zip(*(vars(part).values() for part in parts), strict=True)))
+    return whole
 
 
 def in_parts(

@@ -93,7 +93,7 @@ def warn_of_eager_steps(model: str, reason: str) -> None:
     logger.warning(f"the kernels do not cover {model} ({reason}): it is stepped eagerly, {EAGER_COST}")
 
 
-def _not_exactly(module: nn.Module, kind: type) -> str:
+def _not_exactly(module: object, kind: type) -> str:
     """Return what else a module is than one of this very type, without hooks; empty if it is one."""
     methods = _methods(kind)
     if type(module) is not kind:
