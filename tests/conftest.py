@@ -3,6 +3,7 @@
 import fcntl
 import os
 import pathlib
+import sys
 import tempfile
 from collections.abc import Iterator
 from typing import Any
@@ -27,6 +28,10 @@ import scipy.stats  # noqa: F401
 import torch  # noqa: F401
 
 import sampled_checks
+
+# Without compiled modules each of the many processes of tests starts seconds later.
+sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 sampled_checks.install()
 _package = pathlib.Path(__file__).parents[1] / "src" / "offpiste"

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 import torch
-from transformers import Dinov2Config, Dinov2Model
 
 from offpiste.core.errors import PerceptionError
 from offpiste.perception.backbones import Backbone, open_backbone
@@ -12,6 +11,8 @@ from offpiste.perception.backbones.vision_transformer import VisionTransformer
 
 
 def tiny_vit(seed: int = 0) -> VisionTransformer:
+    from transformers import Dinov2Config, Dinov2Model  # takes seconds
+
     torch.manual_seed(seed)
     config = Dinov2Config(hidden_size=32, num_attention_heads=2, num_hidden_layers=2, image_size=70, patch_size=14)
     return VisionTransformer(Dinov2Model(config), name="tiny")

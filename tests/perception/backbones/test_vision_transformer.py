@@ -1,4 +1,4 @@
-"""DINOv2 against transformers' own output, and sources of weights."""
+"""Vision transformers against their own output, and sources of weights."""
 
 import json
 from pathlib import Path
@@ -7,16 +7,6 @@ import numpy as np
 import pytest
 import torch
 from torch import Tensor
-from transformers import (
-    Dinov2Config,
-    Dinov2Model,
-    Dinov2WithRegistersConfig,
-    Dinov2WithRegistersModel,
-    DINOv3ViTConfig,
-    DINOv3ViTModel,
-    ViTConfig,
-    ViTModel,
-)
 
 from offpiste.core.errors import PerceptionError
 from offpiste.perception.backbones import open_backbone
@@ -24,6 +14,13 @@ from offpiste.perception.backbones.vision_transformer import VisionTransformer, 
 
 SMALL = {"hidden_size": 384, "num_attention_heads": 6, "image_size": 518, "patch_size": 14}
 """config.json of facebook/dinov2-small without the number of layers."""
+
+
+def made(family: str, **settings: object) -> torch.nn.Module:
+    """A model of transformers, which takes seconds to import."""
+    import transformers
+
+    return getattr(transformers, f"{family}Model")(getattr(transformers, f"{family}Config")(**settings))
 
 
 def lively(model: torch.nn.Module) -> torch.nn.Module:
@@ -36,10 +33,10 @@ def lively(model: torch.nn.Module) -> torch.nn.Module:
 
 
 @pytest.fixture(scope="module")
-def model() -> Dinov2Model:
+def model() -> torch.nn.Module:
     """ViT-S/14 of two layers with random weights."""
     torch.manual_seed(0)
-    return lively(Dinov2Model(Dinov2Config(num_hidden_layers=2, **SMALL)))
+    return lively(made("Dinov2", num_hidden_layers=2, **SMALL))
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +51,7 @@ def normalised(images: np.ndarray) -> Tensor:
     return torch.from_numpy(scaled).permute(0, 3, 1, 2).float()
 
 
-def test_agrees_with_transformers_for_the_same_weights(model: Dinov2Model, images: np.ndarray):
+def test_agrees_with_transformers_for_the_same_weights(model: torch.nn.Module, images: np.ndarray):
     with torch.no_grad():
         tokens = model(normalised(images)).last_hidden_state
     wanted = tokens[:, 1:].reshape(2, 5, 7, 384)
@@ -75,21 +72,16 @@ def test_the_hash_of_weights_sees_one_bit_and_not_their_names():
 
 
 @pytest.mark.parametrize(
-    ("config", "kind", "patch"),
+    ("family", "settings", "patch"),
     [
-        (Dinov2WithRegistersConfig(num_register_tokens=4, image_size=70, patch_size=14), Dinov2WithRegistersModel, 14),
-        (
-            DINOv3ViTConfig(num_register_tokens=4, image_size=64, patch_size=16, intermediate_size=64),
-            DINOv3ViTModel,
-            16,
-        ),
+        ("Dinov2WithRegisters", {"image_size": 70}, 14),
+        ("DINOv3ViT", {"image_size": 64, "intermediate_size": 64}, 16),
     ],
 )
-def test_registers_are_no_patches(config, kind, patch: int):
-    for key, value in {"hidden_size": 32, "num_attention_heads": 2, "num_hidden_layers": 2}.items():
-        setattr(config, key, value)
+def test_registers_are_no_patches(family: str, settings: dict, patch: int):
     torch.manual_seed(0)
-    model = lively(kind(config))
+    sizes = {"hidden_size": 32, "num_attention_heads": 2, "num_hidden_layers": 2, "num_register_tokens": 4}
+    model = lively(made(family, patch_size=patch, **sizes, **settings))
     image = np.random.default_rng(0).integers(0, 256, size=(1, 2 * patch, 3 * patch, 3), dtype=np.uint8)
     features = VisionTransformer(model, name="family")(image)
     scaled = (image / 255 - [0.485, 0.456, 0.406]) / [0.229, 0.224, 0.225]
@@ -101,9 +93,9 @@ def test_registers_are_no_patches(config, kind, patch: int):
 
 
 def test_other_families_are_refused():
-    config = ViTConfig(hidden_size=32, num_attention_heads=2, num_hidden_layers=1, intermediate_size=32, image_size=32)
+    sizes = {"hidden_size": 32, "num_attention_heads": 2, "num_hidden_layers": 1, "intermediate_size": 32}
     with pytest.raises(PerceptionError, match=r"^google: a model of type 'vit'; use one of dinov2, "):
-        VisionTransformer(ViTModel(config), name="google")
+        VisionTransformer(made("ViT", image_size=32, **sizes), name="google")
 
 
 class TestWeights:
@@ -112,13 +104,15 @@ class TestWeights:
     @pytest.fixture
     def folder(self, tmp_path: Path) -> Path:
         torch.manual_seed(1)
-        tiny = Dinov2Config(hidden_size=32, num_attention_heads=2, num_hidden_layers=2, image_size=70, patch_size=14)
-        lively(Dinov2Model(tiny)).save_pretrained(tmp_path / "tiny")
+        sizes = {"hidden_size": 32, "num_attention_heads": 2, "num_hidden_layers": 2, "image_size": 70}
+        lively(made("Dinov2", patch_size=14, **sizes)).save_pretrained(tmp_path / "tiny")
         return tmp_path / "tiny"
 
     def test_a_folder_gives_back_what_was_saved(self, folder: Path):
         image = np.random.default_rng(0).integers(0, 256, size=(1, 42, 56, 3), dtype=np.uint8)
         opened = open_backbone(str(folder))
+        from transformers import Dinov2Model
+
         saved = VisionTransformer(Dinov2Model.from_pretrained(folder), name="same")
         assert opened.fingerprint == saved.fingerprint
         assert torch.equal(opened(image), saved(image))
