@@ -15,7 +15,6 @@ from offpiste.dataset.feature_sets import (
     per_trajectory,
 )
 from offpiste.dataset.wheel_passes import PAUSE, find_passes
-from offpiste.dynamics import MODELS
 from offpiste.mapping.voxels_to_layers import MapCells
 
 STORED = len(FEATURE_SETS)
@@ -60,12 +59,6 @@ def test_where_one_set_is_stored_nothing_is_drawn():
         choice = drawn(draw, np.random.default_rng(3), 40, 1)
         assert not choice.features.any()
         assert not choice.normals.any()
-
-
-def test_models_say_how_they_draw():
-    drawing = {name: model.draw for name, model in MODELS.items() if model.draw is not hindsight}
-    assert drawing == {"dc": per_trajectory, "b-hindsight": hindsight_throughout}
-    assert {name for name, model in MODELS.items() if model.needs_sets} == {"dc"}
 
 
 WHEELS = np.array([[0.5, 0.3], [0.5, -0.3], [-0.5, 0.3], [-0.5, -0.3]])

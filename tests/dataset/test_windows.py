@@ -1,4 +1,4 @@
-"""Windows against a slow loop over rows, and the rows that no window may touch."""
+"""Windows against a slow loop over rows, the rows that no window may touch, and the speed at which windows start."""
 
 from pathlib import Path
 
@@ -8,15 +8,23 @@ import torch
 
 from factories import circle_rows, small_rig
 from feature_datasets import dataset_with_features
-from offpiste.core.conventions import FEATURE_SETS, HISTORY_STEPS, HORIZON_STEPS
+from offpiste.core.conventions import (
+    FEATURE_SETS,
+    HISTORY_STEPS,
+    HORIZON_STEPS,
+    MIN_EVALUATION_SPEED,
+    min_evaluation_speed,
+)
 from offpiste.core.errors import DatasetError
 from offpiste.dataset.feature_sets import FeatureSetChoice
 from offpiste.dataset.features_under_wheels import Cells
 from offpiste.dataset.resample import Rows
 from offpiste.dataset.splits import PARTS, parse_split
-from offpiste.dataset.store import Dataset, StoredDrive
+from offpiste.dataset.store import Dataset, StoredDrive, add_drive, create, open_dataset
 from offpiste.dataset.window_starts import enough_hindsight
 from offpiste.dataset.windows import Windows
+from offpiste.rig.edits import Edit, edited
+from offpiste.rig.rig import load_rig, preset_names
 
 SPLIT = parse_split("blocks:0.5,0.25,0.25")
 
@@ -149,3 +157,35 @@ def test_windows_with_enough_of_it():
 )
 def test_nothing_is_left_out_without_feature_sets_or_where_all_is_wanted(given, least):
     assert enough_hindsight(given, least) is None
+
+
+def test_equal_froude_numbers_of_small_vehicles() -> None:
+    assert {min_evaluation_speed(wheelbase) for wheelbase in (1.5, 2.06, 9.0)} == {MIN_EVALUATION_SPEED} == {1.5}
+    wheelbases = np.array([0.05, 0.175, 0.5, 1.0, 1.5])
+    speeds = np.array([min_evaluation_speed(float(wheelbase)) for wheelbase in wheelbases])
+    np.testing.assert_allclose(speeds**2 / wheelbases, 1.5)
+    slower = {name for name in preset_names() if min_evaluation_speed(load_rig(name).vehicle.wheelbase) < 1.5}
+    assert slower == {"dart", "dart_filtered"}
+
+
+def slow_circle(path: Path, wheelbase: float) -> Path:
+    """A circle at 1 m/s by a vehicle of that wheelbase."""
+    wheels = [[wheelbase, 0.1], [wheelbase, -0.1], [0.0, 0.1], [0.0, -0.1]]
+    rig, split = edited(small_rig(), [Edit("vehicle.wheel_positions", wheels)]), parse_split("blocks:1.0,0.0,0.0")
+    create(path, rig, split)
+    rows = circle_rows(400)
+    speed = float(np.hypot(*rows.state_causal[0, 3:5]))
+    rows.state_causal[:, 3:5] /= speed
+    add_drive(path, "circle", rows, split, ())
+    return path
+
+
+def test_the_dataset_says_where_its_windows_start(tmp_path: Path) -> None:
+    small = open_dataset(slow_circle(tmp_path / "small.zarr", 0.175))
+    assert small.min_speed == pytest.approx(0.5123, abs=1e-4)
+    assert len(Windows(small, "train")) > 0
+    with pytest.raises(DatasetError, match=r"starts above 1\.2 m/s"):
+        Windows(small, "train", min_speed=1.2)
+    large = open_dataset(slow_circle(tmp_path / "large.zarr", 2.0))
+    with pytest.raises(DatasetError, match=r"starts above 1\.5 m/s"):
+        Windows(large, "train")
