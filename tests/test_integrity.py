@@ -149,7 +149,7 @@ def test_check_says_how_much_is_intact(made: Path, capsys: pytest.CaptureFixture
     assert run_check(*(made / name for name in READ)) == 0
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == len(READ)
-    assert all("MB are as they were written" in line for line in lines)
+    assert all("MB are intact" in line for line in lines)
     assert run_check(made) == 0, "a folder that holds some"
 
 
@@ -183,7 +183,7 @@ def test_check_names_a_damaged_file_and_what_to_do(
     assert run_check(tmp_path / top) == 1
     output = capsys.readouterr().out
     assert any(str(tmp_path / name) in line and remedy in line for line in output.splitlines()), output
-    assert "as they were written" not in output
+    assert "are intact" not in output
 
 
 def test_check_misses_no_missing_chunk(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -198,6 +198,6 @@ def test_check_refuses_what_is_nothing_of_ours(tmp_path: Path, capsys: pytest.Ca
     for path in (tmp_path, tmp_path / "notes.txt", tmp_path / "none"):
         assert run_check(path) == 1
     said = capsys.readouterr()
-    assert "is no run, dataset or PCA, and holds none" in said.err
-    assert "none: is not there" in said.err
+    assert "is not a run, dataset or PCA, and contains none" in said.err
+    assert "none: does not exist" in said.err
     assert "notes.txt: not a PCA" in said.out

@@ -60,7 +60,7 @@ def test_a_folder_that_was_not_written_whole_is_written_again(dataset, tmp_path)
     check_folder(out, own=(".mark",))
     with unfinished(out, ".mark"):
         pass
-    with pytest.raises(OffpisteError, match="holds something else"):
+    with pytest.raises(OffpisteError, match="contains other files"):
         check_folder(out, own=(".mark",))
 
 
@@ -70,7 +70,7 @@ def test_demo_leaves_a_folder_of_runs_alone(tmp_path, capsys):
     for name in ("model.json", "pca.safetensors"):
         (inside / name).write_text("mine")
     assert run("demo", "--out", tmp_path / "out") == 1
-    assert "holds something else" in capsys.readouterr().err
+    assert "contains other files" in capsys.readouterr().err
     assert {path.name for path in inside.iterdir()} == {"model.json", "pca.safetensors"}
 
 

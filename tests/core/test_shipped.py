@@ -45,7 +45,7 @@ def test_all_are_undamaged_and_small():
 @pytest.mark.parametrize("name", ["proving-ground/none", "../training"])
 def test_an_unknown_name_lists_those_there_are(name):
     with pytest.raises(
-        RunError, match=r"no model '.*' ships; (did you mean 'proving-ground/b'\? )?there are: .*proving-ground/dc"
+        RunError, match=r"no pretrained model '.*'; (did you mean 'proving-ground/b'\? )?there are: .*proving-ground/dc"
     ):
         offpiste.load(f"pretrained:{name}")
 
@@ -53,7 +53,8 @@ def test_an_unknown_name_lists_those_there_are(name):
 def test_the_features_of_a_family_ship_under_its_name():
     assert load_pca("pretrained:proving-ground").identity == offpiste.load("pretrained:proving-ground/dc").pca
     with pytest.raises(
-        RunError, match=r"no PCA 'proving-ground/dc' ships; did you mean 'proving-ground'\? there are: proving-ground$"
+        RunError,
+        match=r"no pretrained PCA 'proving-ground/dc'; did you mean 'proving-ground'\? there are: proving-ground$",
     ):
         load_pca("pretrained:proving-ground/dc")
 

@@ -84,7 +84,7 @@ def test_a_damaged_shard_is_found_before_anything_is_merged(shards, tmp_path):
 
 @pytest.mark.parametrize("text", ["0/2", "3/2", "1", "a/2", "1/2/3", "²/3"])
 def test_no_shard(text):
-    with pytest.raises(OffpisteError, match="is no shard; give K/N with K from 1 to N"):
+    with pytest.raises(OffpisteError, match="is not a shard; give K/N with K from 1 to N"):
         parse_shard(text)
 
 

@@ -43,5 +43,5 @@ def test_each_part_is_done(part: str, tmp_path: Path) -> None:
 
 
 def test_what_goes_wrong_is_said() -> None:
-    with pytest.raises(RunError, match="no model 'proving-ground/none' ships"):
+    with pytest.raises(RunError, match="no pretrained model 'proving-ground/none'"):
         rehearse(shipped("none"), 1)

@@ -109,7 +109,7 @@ def check_folder(out: Path, *, option: str = "--out", own: Sequence[str] | None 
         return
     if other := sorted(each.name for each in out.iterdir() if not each.name.startswith(".")):
         how = f"give a folder that is empty or does not exist yet as {option}"
-        raise OffpisteError(f"holds something else ({other[0]})", where=out, how=how)
+        raise OffpisteError(f"contains other files ({other[0]})", where=out, how=how)
 
 
 @contextmanager

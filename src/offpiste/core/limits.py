@@ -50,7 +50,7 @@ def read_small(path: Path | Traversable) -> str:
 def parsed(text: str, parse: Callable[[str], Any] = json.loads) -> Any:
     """Parse a JSON or TOML text; raises `ValueError` if it is invalid or nested too deeply."""
     if _DOTTED.search(text):
-        raise ValueError("a key of a hundred parts")
+        raise ValueError("a key has a hundred parts")
     try:
         return parse(text)
     except RecursionError:

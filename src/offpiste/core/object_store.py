@@ -76,7 +76,7 @@ def download(url: str, to: Path) -> None:
             raise OffpisteError("no such file or folder", where=url, how="check its spelling")
         for name in names:
             if ".." in PurePosixPath(name).parts or "\\" in name:
-                raise OffpisteError(f"'{name}' is not the name of a file", where=url, how="remove it from the store")
+                raise OffpisteError(f"'{name}' is not a valid file name", where=url, how="remove it from the store")
         files.get(root, str(to), recursive=True)
 
 
@@ -105,5 +105,5 @@ def brought(path: str | Path) -> Iterator[Path]:
 def refuse_url(path: str | Path) -> None:
     """Raise `OffpisteError` if a path is in an object store."""
     if (url := url_of(path)) is not None:
-        how = "give a place on this machine; `offpiste extract` reads and writes there"
-        raise OffpisteError("lies in an object store", where=url, how=how)
+        how = "give a local path; only `offpiste extract` reads and writes object stores"
+        raise OffpisteError("is in an object store", where=url, how=how)

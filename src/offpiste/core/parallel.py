@@ -129,7 +129,10 @@ def _side_by_side(
                     yield numbers[future], future.result()
                 except BrokenProcessPool:
                     how = "use fewer --processes; finished drives are kept"
-                    yield numbers[future], OffpisteError("a process was killed, perhaps for want of memory", how=how)
+                    yield (
+                        numbers[future],
+                        OffpisteError("a process was killed, perhaps because of too little memory", how=how),
+                    )
     except BaseException:
         pool.shutdown(wait=False, cancel_futures=True)
         for child in multiprocessing.active_children():
@@ -206,7 +209,9 @@ def _result_of(ray: Any, reference: Any) -> Any:
         raise  # a bug in offpiste
     except ray.exceptions.RayError as error:
         lost = f"its worker or its node was lost {RETRIES + 1} times ({type(error).__name__})"
-        return OffpisteError(lost, how="look at Ray's logs for why, e.g. want of memory; finished drives are kept")
+        return OffpisteError(
+            lost, how="see Ray's logs for the reason, e.g. too little memory; finished drives are kept"
+        )
 
 
 @contextmanager
@@ -249,5 +254,5 @@ def parse_shard(text: str) -> tuple[int, int]:
     """
     found = re.fullmatch(r"([0-9]+)/([0-9]+)", text)
     if not found or not 1 <= int(found[1]) <= int(found[2]):
-        raise OffpisteError(f"'{text}' is no shard", where="--shard", how="give K/N with K from 1 to N, as 2/4")
+        raise OffpisteError(f"'{text}' is not a shard", where="--shard", how="give K/N with K from 1 to N, as 2/4")
     return int(found[1]), int(found[2])

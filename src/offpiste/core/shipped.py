@@ -31,7 +31,7 @@ def run_folder(run: str | Path) -> Path:
     name = str(run).removeprefix(PREFIX)
     if name not in pretrained_names():
         how = f"{did_you_mean(name, pretrained_names())}there are: {', '.join(pretrained_names())}"
-        raise RunError(f"no model '{name}' ships", where=str(run), how=how)
+        raise RunError(f"no pretrained model '{name}'", where=str(run), how=how)
     return _FOLDER / name
 
 
@@ -65,5 +65,5 @@ def pca_file(pca: str | Path) -> Path:
     name, families = str(pca).removeprefix(PREFIX), sorted(path.parent.name for path in _FOLDER.glob(f"*/{PCA}"))
     if name not in families:
         how = f"{did_you_mean(name, families)}there are: {', '.join(families)}"
-        raise RunError(f"no PCA '{name}' ships", where=str(pca), how=how)
+        raise RunError(f"no pretrained PCA '{name}'", where=str(pca), how=how)
     return _FOLDER / name / PCA

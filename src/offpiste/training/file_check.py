@@ -28,7 +28,7 @@ def check_paths(paths: Sequence[Path]) -> list[str]:
     checks = {path: list(_checks_of(path)) for path in map(run_folder, paths)}
     for path, found in checks.items():
         if not found:
-            raise OffpisteError("is no run, dataset or PCA, and holds none", where=path, how="name one of these")
+            raise OffpisteError("is not a run, dataset or PCA, and contains none", where=path, how="name one of these")
     damaged: dict[Path, list[str]] = {path: [] for path in checks}
     for path, check in track([(path, check) for path, found in checks.items() for check in found], "check"):
         damaged[path] += check.damage()
@@ -37,7 +37,7 @@ def check_paths(paths: Sequence[Path]) -> list[str]:
         for line in dict.fromkeys(lines):  # several checks may meet the same damaged file
             logger.info(line)
         if not lines:
-            logger.info(f"{path}: {size / 1e6:.1f} MB are as they were written")
+            logger.info(f"{path}: {size / 1e6:.1f} MB are intact")
     return [line for lines in damaged.values() for line in dict.fromkeys(lines)]
 
 
@@ -48,7 +48,7 @@ def _checks_of(path: Path) -> Iterator[Check]:
         OffpisteError: the path does not exist.
     """
     if not path.exists():
-        raise OffpisteError("is not there", where=path, how="name a run, a dataset or a PCA file")
+        raise OffpisteError("does not exist", where=path, how="name a run, a dataset or a PCA file")
     if path.is_file():
         if _may_be_pca(path):
             yield Check(path, load_pca)
