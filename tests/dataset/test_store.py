@@ -1,7 +1,5 @@
 """Dataset on disk: it is read as it was written, whole or not at all, and damage is named."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -10,12 +8,10 @@ import zarr
 
 from factories import circle_rows, small_rig
 from feature_datasets import dataset_with_features, with_snapshots
-from offpiste.core.checksums import write_checksums
 from offpiste.core.errors import DatasetError, OffpisteError
 from offpiste.dataset import store
 from offpiste.dataset.resample import Rows
 from offpiste.dataset.splits import parse_split
-from offpiste.dataset.stored_arrays import write_arrays
 
 SPLIT = parse_split("blocks:0.5,0.25,0.25")
 
@@ -105,7 +101,7 @@ def chunk_of(path: Path, key: str) -> Path:
     return chunk
 
 
-@pytest.mark.parametrize("key", ["state", "valid", "part", "time", "normal"])
+@pytest.mark.parametrize("key", ["state", "part", "normal"])
 @pytest.mark.parametrize("damage", ["missing", "empty", "cut short", "flipped"])
 def test_a_damaged_chunk_is_an_error_in_one_line(tmp_path, key, damage):
     path = stored(tmp_path)
@@ -124,7 +120,7 @@ def test_a_damaged_chunk_is_an_error_in_one_line(tmp_path, key, damage):
 
 
 @pytest.mark.parametrize("file", ["zarr.json", "one/zarr.json", "one/state/zarr.json", "one/checksums.json"])
-@pytest.mark.parametrize("damage", ["missing", "changed", "{", "[]"])
+@pytest.mark.parametrize("damage", ["missing", "changed", "{"])
 def test_damaged_metadata_are_an_error_that_names_the_file(tmp_path, file, damage):
     path = stored(tmp_path)
     content = (path / file).read_text()
@@ -138,20 +134,6 @@ def test_damaged_metadata_are_an_error_that_names_the_file(tmp_path, file, damag
         DatasetError, match=rf"{file}.*(is damaged|is missing|is no metadata)|drive 'one' cannot be read"
     ):
         store.open_dataset(path)
-
-
-def test_an_array_with_fewer_rows_than_the_others_is_an_error_even_where_its_checksums_fit(tmp_path):
-    path = stored(tmp_path)
-    group = zarr.open_group(path / "one", mode="a")
-    values = np.asarray(group["state_causal"])
-    del group["state_causal"]
-    write_arrays(group, {"state_causal": values[:7]})
-    write_checksums(path / "one", (path / "one").rglob("zarr.json"))
-    # In a process of its own: tests check types, which would find it first.
-    command = [sys.executable, "-m", "offpiste", "train", str(path), "--out", str(tmp_path / "run")]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr.count("\n")) == (1, 1)
-    assert "drive 'one' cannot be read ('state_causal' is float32 of shape (7, 6))" in done.stderr
 
 
 def test_what_is_no_dataset_is_an_error(tmp_path):
