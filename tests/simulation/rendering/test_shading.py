@@ -23,9 +23,6 @@ def one_place(lattice, turn, sun, x, y, finest):
     return value, slope
 
 
-# Pixels of a millimetre show all octaves, those of 20 m none.
-
-
 PIXEL = 1 / 530.0
 
 
