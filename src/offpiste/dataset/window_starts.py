@@ -30,12 +30,6 @@ def window_starts(
     return np.flatnonzero(run[length:] - run[:-length] == length) + history
 
 
-def seen_in_hindsight(cells: Cells) -> Float[np.ndarray, " N"]:
-    """Return the share of wheels on ground with features in hindsight, by row."""
-    valid = np.append(cells.valid[FEATURE_SETS.index("hindsight")], False)
-    return np.asarray(valid[cells.index].mean(axis=1))
-
-
 def enough_hindsight(
     cells: Cells | None, least: float, *, horizon: int = HORIZON_STEPS
 ) -> Bool[np.ndarray, " N"] | None:
@@ -46,7 +40,8 @@ def enough_hindsight(
     """
     if cells is None or least <= 0 or len(cells.valid) != len(FEATURE_SETS):
         return None
-    run = np.concatenate(([0.0], np.cumsum(seen_in_hindsight(cells))))
+    valid = np.append(cells.valid[FEATURE_SETS.index("hindsight")], False)  # -1 is the last
+    run = np.concatenate(([0.0], np.cumsum(valid[cells.index].mean(axis=1))))
     end = np.minimum(np.arange(len(cells.index)) + horizon, len(cells.index))
     return np.asarray((run[end] - run[:-1]) / (end - np.arange(len(cells.index))) >= least - 1e-9)
 
