@@ -1,6 +1,6 @@
-"""Files that compiled code is made from: the functions that are compiled, and all that they read, by name.
+"""Source files of compiled code: compiled functions and everything that they read, without annotations.
 
-Numba compiles the values of globals into machine code. Annotations are not followed: no value comes from them.
+Numba compiles the values of globals into machine code.
 """
 
 import ast

@@ -23,7 +23,7 @@ VEHICLE = Vehicle(mass=800.0, wheelbase=2.2, max_steer=0.4, control=CONTROL, act
 """A vehicle whose log has everything."""
 
 COMMANDED = replace(VEHICLE, actuators=())
-"""The same, but its log has commands only."""
+"""Vehicle whose log has commands only."""
 
 
 def coded(vehicle: Vehicle, codes: int) -> Hybrid:
@@ -55,7 +55,7 @@ class _Run(nn.Module):
 
 
 def gradients_agree(module: nn.Module, run: Callable) -> bool:
-    """Do the gradients of `run(module)` by all parameters equal finite differences along random directions?"""
+    """Return whether the gradients of `run(module)` equal finite differences along random directions."""
     names, values = zip(*((n, p.detach().clone()) for n, p in module.named_parameters()), strict=True)
 
     def call(*parameters: Tensor) -> Tensor:
@@ -66,7 +66,7 @@ def gradients_agree(module: nn.Module, run: Callable) -> bool:
 
 
 def ground(slope_x: Tensor, slope_y: Tensor, codes: int = 0) -> Terrain:
-    """Planes z = slope_x x + slope_y y; the slopes are [..., 4], one a wheel."""
+    """Planes z = slope_x x + slope_y y; slopes are [..., 4], one per wheel."""
     normal = nn.functional.normalize(torch.stack((-slope_x, -slope_y, torch.ones_like(slope_x)), dim=-1), dim=-1)
     return replace(Terrain.of(normal), latent=normal.new_ones(*slope_x.shape, codes))
 
@@ -106,7 +106,7 @@ class Situation:
         self.controls, self.source = controls(batch, steps), RecordedTerrain(terrain(batch, steps))
 
     def mapped(self, change: Callable[[Tensor], Tensor]) -> "Situation":
-        """The same with every tensor changed, e.g. to another type or to one row."""
+        """Return a copy with every tensor changed, e.g. to another type or to one row."""
         other = object.__new__(Situation)
         past, ahead = self.history.terrain, self.source.terrain
 
@@ -125,7 +125,7 @@ class Situation:
         return other
 
     def filled(self, vehicle: Vehicle, value: float) -> "Situation":
-        """The same with `value` in the slots of channels that the vehicle's log lacks."""
+        """Return a copy with `value` for channels that the vehicle's log lacks."""
 
         def fill(values: Tensor, names: tuple[str, ...], present: tuple[str, ...]) -> Tensor:
             absent = torch.tensor([name not in present for name in names])

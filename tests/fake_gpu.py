@@ -1,7 +1,6 @@
-"""A GPU that is only said to be one: tensors with its name whose numbers lie on the CPU.
+"""Fake GPU: tensors on the CPU that report another device.
 
-Operations between it and the CPU fail as on a real one, so that what runs here does not stop there because of a tensor
-in the wrong place.
+Operations with tensors on both devices fail as on a real GPU.
 """
 
 from collections.abc import Callable, Iterator
@@ -17,7 +16,7 @@ from offpiste.dynamics.header.gpu import prepared
 from offpiste.dynamics.kernels.autograd import has_kernels
 
 GPU = torch.device("meta")
-"""Its name: a torch without CUDA refuses even the name of a GPU."""
+"""Device of the fake GPU; torch without CUDA refuses the name of a real one."""
 
 FREE = {torch.ops.aten._to_copy.default, torch.ops.aten.copy_.default}
 """Operations that bring numbers from one device to another."""
@@ -110,7 +109,7 @@ def tensors_in(value: Any) -> Iterator[Tensor]:
 
 
 def mapped(change: Callable[[Any], Any], value: Any) -> Any:
-    """What an operation is given or gives, with each of its values changed."""
+    """Return arguments or results of an operation with every value changed."""
     if isinstance(value, dict):
         return {name: mapped(change, each) for name, each in value.items()}
     if isinstance(value, list | tuple):

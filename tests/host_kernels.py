@@ -1,4 +1,4 @@
-"""The printed C compiled for this machine and called by ctypes: what stands for a GPU in tests."""
+"""Generated C compiled for this machine and called by ctypes, in place of a GPU."""
 
 import ctypes
 import hashlib

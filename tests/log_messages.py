@@ -1,4 +1,4 @@
-"""What offpiste logs while a test runs."""
+"""Log messages of offpiste in a test."""
 
 import logging
 from collections.abc import Iterator

@@ -1,8 +1,4 @@
-"""Shapes and types are checked in some calls: the first of a function in a test, and now and then after them.
-
-What is called for every row of a drive is called with the same shapes each time, and checking each call took half of
-the time of tests that drive.
-"""
+"""Shape and type checks of a sample of calls: the first ones of a function in a test, and some later ones."""
 
 from collections import defaultdict
 from collections.abc import Callable
@@ -20,12 +16,12 @@ _all_calls = _decorator.jaxtyped
 
 
 def begin_test() -> None:
-    """Check the first calls again."""
+    """Restart the count of calls."""
     _calls.clear()
 
 
 def sampled(function: Any = None, *, typechecker: Any) -> Any:
-    """As `jaxtyping.jaxtyped`, of some calls."""
+    """Like `jaxtyping.jaxtyped`, for a sample of the calls."""
     if function is None:
         return partial(sampled, typechecker=typechecker)
     if not isinstance(function, FunctionType):
@@ -48,5 +44,5 @@ def sampled(function: Any = None, *, typechecker: Any) -> Any:
 
 
 def install() -> None:
-    """Let the import hook decorate with this."""
+    """Use sampled checks in the import hook."""
     jaxtyping.jaxtyped = _decorator.jaxtyped = sampled

@@ -10,7 +10,7 @@ from sensor_bags import SENSORS, cloud, compressed, info, odometry, sensor_rig_t
 
 SECONDS = 6.0
 SIDE = 56
-"""Of images [px]: four patches."""
+"""Width and height of images [px], four patches."""
 _RNG = np.random.default_rng(0)
 PICTURES = _RNG.integers(0, 256, (40, SIDE, SIDE, 3), dtype=np.uint8)
 X, Y = np.meshgrid(np.arange(-6, 25, 0.25), np.arange(-5, 5.1, 0.25))

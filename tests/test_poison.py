@@ -1,4 +1,4 @@
-"""No draw without a seed: nothing along the pipeline draws from the global generators of torch, NumPy and `random`."""
+"""The pipeline never draws from the global generators of torch, NumPy and `random`."""
 
 import random
 from collections.abc import Callable, Iterator

@@ -1,4 +1,4 @@
-"""Shapes are checked in the first calls of a test, and now and then after them."""
+"""Sampled shape checks."""
 
 import jaxtyping
 import numpy as np

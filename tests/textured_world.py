@@ -54,7 +54,7 @@ def surfaces(rng: np.random.Generator, middle: np.ndarray) -> np.ndarray:
 
 
 def lidar(turn=(0.0, 0.0, 0.0)) -> Lidar:
-    """As the rig has it: turned by this, about the body's axes [rad], from where it is."""
+    """LiDAR whose mounting in the rig has a rotation error about the body's axes [rad]."""
     wrong = mounting(Rotation.from_rotvec(turn), (0, 0, 0))
     given = BODY_FROM_LIDAR.copy()
     given[:3, :3] = (wrong @ BODY_FROM_LIDAR)[:3, :3]
@@ -94,7 +94,7 @@ def camera(turn=(0.0, 0.0, 0.0)) -> SmallCamera:
 
 @cache
 def images(*, late=0.0, straight=False) -> list[Grey]:
-    """Of the ground, two a second, stamped late [s]."""
+    """Images of the ground at 2 Hz, stamped late [s]."""
     times = np.arange(0.25, SECONDS, 0.5)
     return [Grey(float(t + late), _image(poses(straight=straight).at(np.array([t]))[0])) for t in times]
 

@@ -86,7 +86,6 @@ def test_without_a_pose_the_next_step_is_one_that_works(
 def test_a_time_that_no_name_shows_is_named(
     log: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its steps are too uneven to be known by them."""
     monkeypatch.chdir(tmp_path)
     header, *rows = Path(log).read_text("utf-8").splitlines()
     assert header.startswith("t,")
@@ -108,7 +107,6 @@ def test_a_time_that_no_name_shows_is_named(
 def test_a_time_that_is_named_is_read_in_the_unit_of_its_name(
     log: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Or of its rate, where the name has none."""
     monkeypatch.chdir(tmp_path)
     header, *rows = Path(log).read_text("utf-8").splitlines()
     cells = (row.partition(",") for row in rows)

@@ -1,4 +1,4 @@
-"""Jobs on a Ray cluster: the same dataset whatever is lost while it runs, and clusters that are not there."""
+"""Jobs on a Ray cluster."""
 
 import socket
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""The command line that gives some settings."""
+"""Command lines that reproduce settings."""
 
 import shlex
 from pathlib import Path

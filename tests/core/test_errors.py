@@ -1,4 +1,4 @@
-"""Optional dependencies: without one, a command ends in one line that names the extra, and the rest works."""
+"""Error messages, and missing extras."""
 
 import re
 import subprocess

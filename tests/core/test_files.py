@@ -1,4 +1,4 @@
-"""Files are written whole or not at all; what another process still writes is left alone."""
+"""Atomic writing of files and folders."""
 
 import multiprocessing
 import os

@@ -1,4 +1,4 @@
-"""Progress of long work where output goes to a file."""
+"""Progress lines."""
 
 from itertools import count
 

@@ -1,4 +1,4 @@
-"""The code blocks of a page of docs/, run in order as by a reader, and what they print beside what the page shows."""
+"""Code blocks of a page of docs/, run in order, and comparison of their output with the page."""
 
 import contextlib
 import io
@@ -103,7 +103,7 @@ def difference(shown: str, printed: str) -> str:
 
 
 def alike(expected: list[str], words: list[str]) -> bool:
-    """Whether two lines have the same words and nearly the same numbers."""
+    """Return whether two lines have the same words and nearly the same numbers."""
     one, other = " ".join(expected), " ".join(words)
     if NUMBER.sub("#", one) != NUMBER.sub("#", other):
         return False
@@ -112,7 +112,7 @@ def alike(expected: list[str], words: list[str]) -> bool:
 
 
 def near(shown: str, printed: str) -> bool:
-    """Whether two numbers differ by a fifth at most, or by 0.05; small whole numbers do not differ."""
+    """Return whether two numbers differ by at most a fifth or 0.05; small integers must be equal."""
     a, b = float(shown), float(printed)
     if "." not in shown and a < SMALL:
         return a == b

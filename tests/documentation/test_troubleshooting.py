@@ -31,7 +31,7 @@ def strings_of_the_source() -> frozenset[str]:
 
 
 def occurs(message: str) -> bool:
-    """Whether a message, or a line that contains it, is a string of the source; `…` stands for anything filled in."""
+    """Return whether a message is, or is part of, a string of the source; `…` stands for inserted text."""
     pattern = re.compile(r"(?:.*…)?" + re.escape(message).replace("…", "…+") + r"(?:$|…|[;,: ].*)", re.DOTALL)
     fragments = message.split("…")
     candidates = (text for text in strings_of_the_source() if all(fragment in text for fragment in fragments))

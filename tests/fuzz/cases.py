@@ -47,7 +47,6 @@ class Case:
     warnings: int
 
     def as_line(self) -> str:
-        """As JSON."""
         return json.dumps(asdict(self))
 
 

@@ -51,7 +51,7 @@ def driven() -> Recording:
 
 
 def absurd(recording: Recording, rng: Generator) -> tuple[Recording, str]:
-    """The same with absurd stamps or values in one topic."""
+    """Return the recording with absurd stamps or values in one topic."""
     topic = str(rng.choice(sorted(recording)))
     table = recording[topic]
     if rng.random() < 0.3:

@@ -267,7 +267,7 @@ def models() -> Results:
 
 
 def standardised(dynamics: Dynamics, batch: Batch) -> None:
-    """As training does before the model's own stage."""
+    """Standardise the inputs as training does."""
 
     class Fake(Windows):
         def __init__(self) -> None: ...
@@ -460,7 +460,7 @@ def visual_dataset() -> object:
 
 
 def dataset() -> Results:
-    """What `extract` makes of a simulated drive: rows, features by distance, snapshots of the map, windows."""
+    """Dataset of a simulated drive: rows, features by distance, snapshots of the map, windows."""
     made = visual_dataset()
     (drive,) = made.drives
     found: Results = parts("rows", drive.rows) | summarised("part", drive.part)
@@ -756,7 +756,7 @@ GROUPS: dict[str, Callable[[], Results]] = {
     "closed_loop": closed_loop,
 }
 RECORDED = ("recorded_dataset", "findings")
-"""Those that need recorded logs."""
+"""Groups that need recorded logs."""
 
 
 STRICT = ("simulated_log", "closed_loop")

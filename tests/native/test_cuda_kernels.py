@@ -1,4 +1,4 @@
-"""What a user reads where a GPU's kernels cannot be compiled or run, with a stand-in for cuda-core."""
+"""Errors of GPU kernels that cannot be compiled or run, with a stand-in for cuda-core."""
 
 import sys
 from types import ModuleType, SimpleNamespace
@@ -11,7 +11,7 @@ from offpiste.native.cuda_kernels import CudaKernels, argument_of, machine_code
 
 
 class CUDAError(Exception):
-    """As cuda-core's."""
+    """Stand-in for the error of cuda-core."""
 
 
 class StandIn:
