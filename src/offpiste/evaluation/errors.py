@@ -158,17 +158,9 @@ def positions(windows: SeededErrors, among: SeededErrors) -> Int[np.ndarray, " n
     return np.asarray(result)
 
 
-@dataclass(frozen=True)
-class Predictor:
-    """Model with the weights of its loss."""
-
-    dynamics: Dynamics
-    weights: Float[Tensor, " 5"]
-
-
 @torch.no_grad()
 def errors_of_models(
-    predictors: Sequence[Predictor],
+    models: Sequence[tuple[Dynamics, Float[Tensor, " 5"]]],
     windows: Windows,
     index: Int[np.ndarray, " n"],
     *,
@@ -179,6 +171,7 @@ def errors_of_models(
     """Compute the errors of models on the same windows, each read once.
 
     Args:
+        models: each with the weights of its loss.
         index: indices of the windows.
         lookup: "recorded" or "map" (`training.prediction.Lookup`); None for models that do not read the terrain.
         scale: of the loss (`offpiste.training.losses.summed_loss`).
@@ -186,15 +179,15 @@ def errors_of_models(
     """
     steps = torch.tensor([round(seconds / DT) - 1 for seconds in HORIZONS], device=windows.device)
     scale = scale.to(windows.device)
-    values: list[list[Tensor]] = [[] for _ in predictors]
-    losses: list[list[Tensor]] = [[] for _ in predictors]
+    values: list[list[Tensor]] = [[] for _ in models]
+    losses: list[list[Tensor]] = [[] for _ in models]
     for part in track(in_parts(index, windows, lookup), description):
         batch = windows.gather(part)
-        for number, each in enumerate(predictors):
-            own = batch_for(each.dynamics, windows, batch)
-            state = roll_batch_out(each.dynamics, windows, part, own, lookup).state
+        for number, (dynamics, weights) in enumerate(models):
+            own = batch_for(dynamics, windows, batch)
+            state = roll_batch_out(dynamics, windows, part, own, lookup).state
             values[number].append(_absolute_errors(state[:, steps], batch.target[:, steps]))
-            losses[number].append(summed_loss(state, batch.target, scale, each.weights.to(windows.device)))
+            losses[number].append(summed_loss(state, batch.target, scale, weights.to(windows.device)))
     drive, row = windows.drive[index], windows.row_in_drive(index)
     measured = ((_infinite_if_failed(torch.cat(of)) for of in both) for both in zip(values, losses, strict=True))
     return [Errors(drive, row, *both) for both in measured]
@@ -204,7 +197,7 @@ def prediction_errors(
     dynamics: Dynamics, windows: Windows, index: Int[np.ndarray, " n"], *, weights: Float[Tensor, " 5"], **settings: Any
 ) -> Errors:
     """Compute the errors of one model; `weights` of the loss, `settings` as for `errors_of_models`."""
-    return errors_of_models([Predictor(dynamics, weights)], windows, index, **settings)[0]
+    return errors_of_models([(dynamics, weights)], windows, index, **settings)[0]
 
 
 @torch.no_grad()

@@ -14,7 +14,7 @@ from offpiste.core.files import write_bytes
 from offpiste.dataset.splits import PARTS
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
-from offpiste.evaluation.errors import Errors, Predictor, errors_of_models, save_errors
+from offpiste.evaluation.errors import Errors, errors_of_models, save_errors
 from offpiste.evaluation.evaluate import Reading
 from offpiste.reproduction.data import opened
 from offpiste.reproduction.settings import BASELINE, Figure, FigureModel, ReproductionSettings, feature_sets
@@ -70,7 +70,7 @@ def errors_of_runs(
     """
     lookup, chosen = reading
     return errors_of_models(
-        [Predictor(run.dynamics, torch.tensor(run.weights.in_order())) for run in runs],
+        [(run.dynamics, torch.tensor(run.weights.in_order())) for run in runs],
         windows.with_feature_set(chosen) if chosen else windows,
         index,
         lookup=lookup,
