@@ -228,7 +228,6 @@ def test_impossible_settings() -> None:
         ({"pca": -1}, "--pca is -1; give 0 or more"),
         ({"batch": 0}, "--batch is 0"),
         ({"stride": 0}, "--stride is 0"),
-        ({"relative": 1.5}, "--relative is 1.5"),
         ({"epochs": 0}, "--epochs is 0"),
         ({"seed": -1}, "--seed is -1"),
         ({"weights": Weights(yaw=-1.0)}, "weights of the loss"),

@@ -128,7 +128,7 @@ def run_apart(work: Callable[[], object], folder: Path) -> Outcome:
     The resident memory of a fork starts at that of its parent, and this process may be large.
     """
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["offpiste.inspection.inspect", "offpiste.logs.formats.tables"])
+    context.set_forkserver_preload(["offpiste.inspection.inspect", "offpiste.logs.formats.table"])
     with ProcessPoolExecutor(1, mp_context=context) as pool:
         return pool.submit(run_isolated, work, folder).result()
 
