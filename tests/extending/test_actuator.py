@@ -39,7 +39,7 @@ print(len(batch.state))
 DRIVE = """
 from pathlib import Path
 import numpy as np
-from live.made_up_robot import RIG, START, odometry
+from live.synthetic_robot import RIG, START, odometry
 from offpiste.runtime.planner import Planner, warm_up
 from offpiste.core.conventions import CONTROL
 from offpiste.dynamics import Parametric, Vehicle

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from live.made_up_robot import RIG, rig
+from live.synthetic_robot import RIG, rig
 from offpiste.core.errors import RigError
 from offpiste.live.command_messages import Command, CommandMessages
 from offpiste.logs.channel import convert

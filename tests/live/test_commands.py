@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from live.made_up_robot import ENABLE, RUN, live_settings, write_course, write_rig
+from live.synthetic_robot import ENABLE, RUN, live_settings, write_course, write_rig
 from offpiste.cli import main
 from offpiste.core.errors import LiveError, OffpisteError
 from offpiste.core.shipped import run_folder
@@ -64,9 +64,9 @@ def test_the_timeouts_of_the_rig_are_used(tmp_path, monkeypatch):
 
 
 def test_a_model_whose_inputs_the_rig_lacks_is_refused(tmp_path, caplog):
-    refused(live_settings(tmp_path, drive=True), r"reads brake, .*engine_rpm, which rig 'made up' does not have")
+    refused(live_settings(tmp_path, drive=True), r"reads brake, .*engine_rpm, which rig 'synthetic' does not have")
     assert "without a dead man's switch" in caplog.text
-    with pytest.raises(LiveError, match=r"reads images, and rig 'made up' has no cameras"):
+    with pytest.raises(LiveError, match=r"reads images, and rig 'synthetic' has no cameras"):
         refuse_unmeasured(load_planner("pretrained:proving-ground/dc"), load_rig(write_rig(tmp_path, actuators=True)))
 
 

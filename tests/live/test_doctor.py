@@ -8,7 +8,7 @@ import time
 import numpy as np
 import pytest
 
-from live.made_up_robot import ENABLE, START, cloud, odometry, tree, write_rig
+from live.synthetic_robot import ENABLE, START, cloud, odometry, tree, write_rig
 from offpiste.live import doctor
 from offpiste.live.doctor import examined
 from offpiste.logs.ros.writer import make

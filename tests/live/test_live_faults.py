@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from live.made_up_robot import (
+from live.synthetic_robot import (
     ACKERMANN,
     ENABLE,
     RUN,

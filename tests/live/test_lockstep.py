@@ -8,7 +8,7 @@ import threading
 import numpy as np
 import pytest
 
-from live.made_up_robot import (
+from live.synthetic_robot import (
     ENABLE,
     RUN,
     START,

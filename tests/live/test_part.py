@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 
-from live.made_up_robot import START, cloud, live_settings, odometry, planner, small_settings, tree
+from live.synthetic_robot import START, cloud, live_settings, odometry, planner, small_settings, tree
 from offpiste.live.control import Controller
 from offpiste.live.lockstep import Heard, StepDriver
 from offpiste.live.map_and_plan import Plans, _within_reach

@@ -5,7 +5,7 @@ import time
 import numpy as np
 import pytest
 
-from live.made_up_robot import START, odometry, rig, write_log
+from live.synthetic_robot import START, odometry, rig, write_log
 from offpiste.core.errors import LiveError, LogError
 from offpiste.live.commands import play_log
 from offpiste.live.play import LogPlayer, RecordedDrive, clock_message

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from live.made_up_robot import START, cloud, live_settings, odometry, path, tree
+from live.synthetic_robot import START, cloud, live_settings, odometry, path, tree
 from offpiste.core.conventions import ACTUATORS
 from offpiste.core.errors import LiveError
 from offpiste.live import receive

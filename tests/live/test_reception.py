@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from live.made_up_robot import ENABLE, RIG, START, odometry, path, rig
+from live.synthetic_robot import ENABLE, RIG, START, odometry, path, rig
 from offpiste.core.errors import LiveError
 from offpiste.core.geometry import local_from_geographic
 from offpiste.live.receive import Backlog

@@ -7,7 +7,7 @@ from contextlib import closing, contextmanager
 import numpy as np
 import pytest
 
-from live.made_up_robot import START, cloud, live_settings, odometry, path, planner, small_settings, tree
+from live.synthetic_robot import START, cloud, live_settings, odometry, path, planner, small_settings, tree
 from offpiste.cli import main
 from offpiste.core.errors import LogError
 from offpiste.dataset.store import open_dataset

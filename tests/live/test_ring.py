@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from live.made_up_robot import RIG, rig
+from live.synthetic_robot import RIG, rig
 from offpiste.core.errors import LiveError
 from offpiste.live import ring as rings
 from offpiste.live.ring import Ring, from_fields, pack_fields, packed, unpacked

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import sensor_bags
-from live.made_up_robot import RIG, START, cloud, odometry, planner, rig, small_settings, tree, write_course
+from live.synthetic_robot import RIG, START, cloud, odometry, planner, rig, small_settings, tree, write_course
 from offpiste.closed_loop.lockstep import reading_of
 from offpiste.core.conventions import ACTUATORS
 from offpiste.core.errors import LogError, RigError

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 import torch
 
-from live.made_up_robot import ACKERMANN, ENABLE, live_settings, planner
+from live.synthetic_robot import ACKERMANN, ENABLE, live_settings, planner
 from live.test_part import flat
 from offpiste.live import supervisor
 from offpiste.live.part import STAMP

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import torch
 
-from live.made_up_robot import RUN, live_settings
+from live.synthetic_robot import RUN, live_settings
 from offpiste.closed_loop.recording import LIFT
 from offpiste.live.part import Part
 from offpiste.live.ring import pack_fields, pack_layers, pack_plan, packed

@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from live.made_up_robot import START, odometry, planner, rig, small_settings, write_course, write_rig
+from live.synthetic_robot import START, odometry, planner, rig, small_settings, write_course, write_rig
 from offpiste.core.errors import MissingExtra, TransportError
 from offpiste.live.lockstep import Lockstep, StepDriver
 from offpiste.live.play import clock_message

@@ -21,7 +21,7 @@ ACKERMANN = "ackermann_msgs/msg/AckermannDriveStamped"
 START = 200 * 10**9
 POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("t", "<u4")])
 RIG = """
-name = "made up"
+name = "synthetic"
 absent = ["throttle", "brake", "steer", "brake_pressure", "steer_angle", "steer_rate", "engine_rpm"]
 [vehicle]
 mass = 1150.0
