@@ -242,7 +242,7 @@ def at_a_time(processes: int, device: str = "cpu") -> int:
         OffpisteError: the number is negative.
     """
     if processes < 0:
-        raise OffpisteError(f"--processes is {processes}", how="give 1 or more, or 0 for one a core")
+        raise OffpisteError(f"--processes is {processes}", how="give 1 or more, or 0 for one per core")
     return processes or (usable_cores() if device == "cpu" else 1)
 
 
@@ -254,5 +254,5 @@ def parse_shard(text: str) -> tuple[int, int]:
     """
     found = re.fullmatch(r"([0-9]+)/([0-9]+)", text)
     if not found or not 1 <= int(found[1]) <= int(found[2]):
-        raise OffpisteError(f"'{text}' is not a shard", where="--shard", how="give K/N with K from 1 to N, as 2/4")
+        raise OffpisteError(f"'{text}' is not a shard", where="--shard", how="give K/N with K from 1 to N, e.g. 2/4")
     return int(found[1]), int(found[2])

@@ -78,7 +78,7 @@ def _add(drive: Path, to: Path) -> None:
         write_folder(to, copy)
     elif not _same(filecmp.dircmp(drive, to, ignore=[], hide=[])):
         how = "choose another --out, or delete it"
-        raise DatasetError(f"holds another drive '{drive.name}' than {drive.parent}", where=to.parent, how=how)
+        raise DatasetError(f"contains another drive '{drive.name}' than {drive.parent}", where=to.parent, how=how)
 
 
 def _same(compared: "filecmp.dircmp[str]") -> bool:
