@@ -148,7 +148,7 @@ def _notes(metrics: Metrics) -> Sequence[str]:
             if metrics.headlines
             else []
         ),
-        "Start: a causal start uses only past data, as a planner does; a smoothed start also uses future data and is "
+        "Start: a causal start uses only past data, as in planning; a smoothed start also uses future data and is "
         "shown for comparison.",
         "Lookup: recorded reads the terrain under the recorded path, as in the paper, which also reveals the distance "
         f"driven; {map_reads}, and decides. Models without a lookup do not read the terrain.",
