@@ -448,8 +448,8 @@ def test_all_processes_end_with_their_command(tmp_path, network, number, router)
         else:
             os.killpg(live.pid, number)
             assert live.wait(30) == 0, said.read_text()
+            assert "Traceback" not in said.read_text()
         assert until(lambda: not any(runs(pid) for pid in children), 30)
         assert not list(Path("/dev/shm").glob(f"offpiste-live-{live.pid}-*"))
-        assert "Traceback" not in said.read_text()
     notices = [next(iter(state)) for _, state in heard]
     assert (notices[:2], notices[-1]) == (["READY", "WATCHDOG"], "WATCHDOG" if number == signal.SIGKILL else "STOPPING")
