@@ -76,7 +76,8 @@ def drive_train(
 
 def mean_normal(terrain: Terrain, yaw: Float[Tensor, "*B"]) -> Float[Tensor, "*B 3"]:
     """Return the mean surface normal under the wheels in the planar body frame (eta of eq. 1)."""
-    return torch.stack(bicycle.body_normal(*terrain.normal.mean(dim=-2).unbind(-1), yaw, TORCH), dim=-1)
+    x, y, z = terrain.normal.mean(dim=-2).unbind(-1)
+    return torch.stack(bicycle.body_normal(x, y, z, yaw, TORCH), dim=-1)
 
 
 def unknown_normals(terrain: Terrain) -> Float[Tensor, "*B 1"]:
@@ -103,7 +104,8 @@ def parametric_forces(
 ) -> Float[Tensor, "*B 4"]:
     """Return the force vector F (eq. 1)."""
     inputs = drive_train(vehicle, state, actuators, control)
-    return torch.stack(forces(*state[..., 3:].unbind(-1), inputs, normal[..., 2], constants, TORCH), dim=-1)
+    vx, vy, yaw_rate = state[..., 3:].unbind(-1)
+    return torch.stack(forces(vx, vy, yaw_rate, inputs, normal[..., 2], constants, TORCH), dim=-1)
 
 
 def advance(
@@ -117,5 +119,7 @@ def advance(
 ) -> Float[Tensor, "B 6"]:
     """Return the state after one step: h(F, x) (eq. 4) and forward Euler."""
     steer = drive_train(vehicle, state, actuators, control).steer
-    moving, slope = state[..., 2:].unbind(-1), normal[..., :2].unbind(-1)
-    return state + DT * torch.stack(rates(*moving, steer, *slope, Force(*force.unbind(-1)), constants, TORCH), dim=-1)
+    yaw, vx, vy, yaw_rate = state[..., 2:].unbind(-1)
+    total = Force(*force.unbind(-1))
+    change = rates(yaw, vx, vy, yaw_rate, steer, normal[..., 0], normal[..., 1], total, constants, TORCH)
+    return state + DT * torch.stack(change, dim=-1)
