@@ -1,4 +1,4 @@
-"""Check of topics that are published only when what they say changes, as joysticks and commanded gears are."""
+"""Check for topics that are published only on change, such as joysticks and commanded gears."""
 
 from collections.abc import Mapping, Set
 from typing import Final
@@ -15,19 +15,19 @@ from offpiste.rig.rig import Rig
 
 WHAT: Final = "is published only when it changes"
 _FEW: Final = 30
-"""Samples of a topic that tell, at least; gears change seldom, and one sample may be all that is said of them."""
+"""Minimum number of samples of a non-discrete channel for a decision."""
 _NEW: Final = 0.98
-"""Share of samples that differ from the one before, at least."""
+"""Minimum share of samples that differ from the previous sample."""
 _SILENCES: Final = 5
-"""Intervals longer than `clock.max_gap`, at least ..."""
+"""Minimum number of intervals longer than `clock.max_gap`."""
 _SILENT: Final = 0.05
-"""... and their share of the time."""
+"""Minimum share of the time in such intervals."""
 _JUMP: Final = 3.0
-"""A topic whose samples are lost has changed by then, this many times as much as from sample to sample."""
+"""Maximum ratio of the change across silences to the usual change; lost samples cause larger changes."""
 
 
 def check_on_change(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
-    """A finding for each topic of controls or actuators that is silent while they stay."""
+    """Return a finding for each control or actuator topic that is silent while its values are constant."""
     findings = []
     for topic, r in recorded.items():
         reads = {name: source for name, source in rig.channels.items() if source.topic == topic}
@@ -47,9 +47,9 @@ def check_on_change(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
 
 
 def _is_on_change(r: Recorded, reads: Mapping[str, ChannelSource], max_gap: float) -> bool:
-    """Whether no sample says again what the one before said, and none after a silence says something far from it.
+    """Return whether all samples differ from the previous sample and no value jumps after a silence.
 
-    Where samples are lost, those after a gap are far from those before.
+    Values that follow lost samples differ strongly from those before.
     """
     if not np.isfinite(r.time).all() or _changed(r) < _NEW:
         return False
@@ -63,13 +63,13 @@ def _is_on_change(r: Recorded, reads: Mapping[str, ChannelSource], max_gap: floa
 
 
 def _changed(r: Recorded) -> float:
-    """Share of samples that differ from the one before; times and counters, which grow with each, do not count."""
+    """Return the share of samples that differ from the previous one, ignoring times and counters."""
     values = r.values[:, [bool(np.isfinite(column).all()) and not _grows(column) for column in r.values.T]]
     return float((np.diff(values, axis=0) != 0).any(axis=1).mean()) if len(values) > 1 else 1.0
 
 
 def _jumps(r: Recorded, fields: Set[str], silence: Bool[np.ndarray, " n"]) -> float:
-    """How far fields are after silences from what they were before, over how far they change elsewhere."""
+    """Return the ratio of the median change of fields across silences to their usual change."""
     values = r.values[:, [field in fields for field in r.fields]]
     spread = np.ptp(values, axis=0)
     moves = spread > 0

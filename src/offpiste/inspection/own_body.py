@@ -1,4 +1,4 @@
-"""Check for parts of the vehicle in a LiDAR's view: what stands in the body frame while the vehicle drives on."""
+"""Check for returns from the vehicle itself, which are static in the body frame while the vehicle drives."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -13,30 +13,30 @@ from offpiste.logs.poses import Poses
 from offpiste.rig.edits import Edit
 
 _AROUND: Final = 1.5
-"""Parts are looked for between the wheels, and so far beyond them [m]."""
+"""Margin around the wheels within which vehicle parts are searched [m]."""
 _ABOVE_GROUND: Final = 0.5
-"""Height above the ground from which returns may be of the vehicle [m]: ground stands in the body frame as well."""
+"""Minimum height above the ground of returns from the vehicle [m]; the ground is static in the body frame as well."""
 _NEAR: Final = 8.0
-"""Distance within which the ground's height is measured [m]."""
+"""Distance within which the ground height is measured [m]."""
 _STEP: Final = 1.0
-"""Least way between two scans that are compared [m]: at a standstill everything stands."""
+"""Minimum distance between two compared scans [m]; at a standstill everything is static."""
 _SCANS: Final = 8
-"""Fewer scans than this do not tell what stands."""
+"""Minimum number of scans for a decision."""
 _VOXEL: Final = 0.2
 _NUMBERS: Final = np.array([1, 1000, 1_000_000])
-"""Make one number of a voxel's three: they lie within some metres of the vehicle."""
+"""Factors that combine the three indices of a voxel into one; voxels lie within a few metres of the vehicle."""
 _OFTEN: Final = 0.6
-"""A voxel in which so many of the scans have returns stands; bushes beside a trail do not stay in one."""
+"""Minimum share of scans with returns in a static voxel; bushes beside a trail stay below it."""
 _RETURNS: Final = 10
-"""Least number of returns a scan, on average, in all voxels that stand."""
+"""Minimum mean number of returns per scan in all static voxels."""
 _MARGIN: Final = 0.1
-"""Margin of the box around what stands [m]."""
+"""Margin of the box around static returns [m]."""
 
 
 def check_own_body(
     lidar: Lidar, scans: Sequence[Scan], poses: Poses, wheels: Sequence[tuple[float, float]]
 ) -> list[Finding]:
-    """Finding if returns above the ground, at the wheels and between them, stay where they are in the body frame.
+    """Return a finding if returns above the ground near the wheels are static in the body frame.
 
     Args:
         wheels: x, y in the body frame [m].
@@ -63,7 +63,7 @@ def check_own_body(
 
 
 def _apart(scans: Sequence[Scan], poses: Poses) -> list[Scan]:
-    """Scans that were taken `_STEP` from each other."""
+    """Select scans taken at least `_STEP` apart."""
     places = poses.at(np.array([scan.time for scan in scans]))[:, :3, 3]
     chosen: list[int] = []
     for number in np.flatnonzero(np.isfinite(places).all(axis=1)).tolist():
@@ -75,7 +75,7 @@ def _apart(scans: Sequence[Scan], poses: Poses) -> list[Scan]:
 def _above_ground(
     lidar: Lidar, scan: Scan, low: Float[np.ndarray, " 2"], high: Float[np.ndarray, " 2"]
 ) -> Float[np.ndarray, "n 3"]:
-    """Points in the body frame that are above the ground and in a rectangle [m]."""
+    """Return the points above the ground within a rectangle, in the body frame [m]."""
     body = scan.points @ lidar.body_from_lidar[:3, :3].T + lidar.body_from_lidar[:3, 3]
     near = np.linalg.norm(body[:, :2], axis=1) < _NEAR
     ground = float(np.percentile(body[near, 2], 20)) if near.any() else np.inf

@@ -1,4 +1,4 @@
-"""Response to throttle and brake: sign, delay and size; channels of the controls."""
+"""Checks of the response to throttle and brake (sign, delay, gain) and of missing controls."""
 
 from collections.abc import Mapping
 
@@ -21,29 +21,29 @@ from offpiste.rig.edits import Edit, absent, rounded
 from offpiste.rig.rig import Rig
 
 _EFFECT = 0.2
-"""Correlation with speed or yaw rate above which a control of another vehicle has an effect."""
+"""Minimum correlation with speed or yaw rate at which any other control has an effect."""
 
 
 def check_controls(
     steering: Mapping[str, SteeringFit], pedals: Mapping[str, LagFit], drive: Drive, path: DrivenPath, *, given: bool
 ) -> list[Finding]:
-    """Findings where there is no steering, or where no control has any effect.
+    """Return findings if steering or throttle is missing, or if no control has any effect.
 
     Args:
-        steering, pedals: of `steering_fits` and `pedal_fits`.
-        given: whether the rig was given, not guessed.
+        steering, pedals: results of `steering_fits` and `pedal_fits`.
+        given: whether the user gave the rig; otherwise it was guessed.
     """
     if not _present(drive):
         return check_control_channels(drive, path)
     findings: list[Finding] = []
-    # Where the heading does not follow the course, turning tells nothing.
+    # The steering cannot be judged if the heading does not follow the course.
     steers = any(fit.has_effect for fit in steering.values()) if heading_fits(path) else True
     drives = any(_has_effect(fit) for fit in pedals.values())
     if "steer" not in drive.channels and drives:
         what, evidence = "there is no steering", "pedals alone do not tell where the vehicle goes"
         remedy = "add [channels.steer] with the topic that holds it: commanded, or else measured"
         evidence += "" if given else "; no field is named so: a rig can name it, and without it nothing can be trained"
-        # Without a rig only names were guessed, and the topic may have another.
+        # Without a rig the channels are guessed from names, so the steering may have another name.
         findings.append(Finding("fatal" if given else "warning", "controls", what, evidence, remedy, 1.0))
     if given and steers and "throttle" not in drive.channels and not _others_work(drive, path):
         what, evidence = "there is no throttle", "no channel says how the vehicle is driven on"
@@ -57,7 +57,7 @@ def check_controls(
 
 
 def check_control_channels(drive: Drive, path: DrivenPath) -> list[Finding]:
-    """The finding that no control is read at all: it needs no motion, and a pose's cure must not seem to bring it."""
+    """Return a finding if the drive has no control channel; this check needs no motion."""
     return [] if _present(drive) else [_no_controls([], path)]
 
 
@@ -73,7 +73,7 @@ def _no_controls(present: list[str], path: DrivenPath) -> Finding:
 
 
 def _others_work(drive: Drive, path: DrivenPath) -> bool:
-    """Whether a control beyond throttle, brake and steering (`offpiste.core.channels`) drives or turns the vehicle."""
+    """Return whether a control other than throttle, brake and steering drives or turns the vehicle."""
     one, moving = np.ones((len(path.time), 1)), np.isfinite(path.speed)
     for control in (control for control in all_controls() if control not in KERNEL_CONTROLS):
         channel = drive.channels.get(control.name)
@@ -88,34 +88,34 @@ def _others_work(drive: Drive, path: DrivenPath) -> bool:
 
 
 EFFECTS = {"throttle": 1, "brake": -1}
-"""Signs of the pedals' effects on the acceleration."""
+"""Sign of each pedal's effect on the acceleration."""
 OWN_DELAY = {"throttle": (-0.07, 0.8), "brake": (-0.07, 0.5)}
-"""Delays of the acceleration that are the vehicle's own [s]: engines spool up, and brakes bite."""
+"""Range of delays between pedal and acceleration that the powertrain and the brakes cause [s]."""
 _USUAL_DELAY = {"throttle": 0.1, "brake": 0.06}
-"""Delays that healthy vehicles have in the middle [s]."""
+"""Typical delays of fault-free vehicles [s]."""
 _PEDAL_EFFECT = 0.2
-"""Correlation of acceleration and pedal, with speed, slope and the other pedal taken out, above which it is one."""
+"""Minimum partial correlation of pedal and acceleration, given speed, slope and the other pedal."""
 RELEASED = 0.08
-"""A pedal below this is released."""
+"""Value below which a pedal is released."""
 _PRESSED = 0.3
-"""A pedal above this is pressed."""
+"""Value above which a pedal is pressed."""
 _ALWAYS = 0.8
-"""Share of the time for which nobody presses a brake."""
+"""Share of the time above which a pressed brake is implausible."""
 _CLEAR = 0.3
-"""Correlation above which a delay is clear."""
+"""Minimum correlation for estimating a delay."""
 _STRONGEST = 60.0
-"""Acceleration per pedal that no vehicle has [m/s^2]: six times what tyres hold, since pedals may act at once."""
+"""Maximum plausible acceleration at full pedal [m/s^2]; six times the grip, as pedals may act abruptly."""
 _HARDLY = 0.15
-"""A pedal that never leaves this is hardly pressed, or in another unit."""
+"""Maximum value of a pedal that is hardly pressed or in another unit."""
 _BRAKED, _BRAKED_FOR, _BRAKED_OFTEN = 2.5, 0.3, 3
-"""Deceleration on level ground [m/s^2] that drag and engines hardly reach for so long [s] again and again."""
+"""Minimum deceleration on level ground [m/s^2], duration [s] and count of braking events that drag cannot explain."""
 
 
 def check_pedals(fits: Mapping[str, LagFit], drive: Drive, path: DrivenPath) -> list[Finding]:
-    """Findings on `throttle` and `brake`.
+    """Return findings on `throttle` and `brake`.
 
     Args:
-        fits: of `pedal_fits`.
+        fits: result of `pedal_fits`.
     """
     findings: list[Finding] = []
     both = _both_flipped(drive) if {*fits} == {*EFFECTS} else None
@@ -144,7 +144,7 @@ def check_pedals(fits: Mapping[str, LagFit], drive: Drive, path: DrivenPath) -> 
 
 
 def _braked_without(drive: Drive, path: DrivenPath) -> list[Finding]:
-    """A finding on brakes that are never pressed, though the vehicle brakes again and again."""
+    """Return a finding for each brake channel that is never pressed although the vehicle brakes repeatedly."""
     brakes = [name for name in BRAKES if name in drive.channels]
     if not all(is_untouched(name, drive.channels[name].values[:, 0]) for name in brakes):
         return []
@@ -164,10 +164,10 @@ def _braked_without(drive: Drive, path: DrivenPath) -> list[Finding]:
 
 
 def _too_small(name: str, fit: LagFit, right: int, drive: Drive) -> list[Finding]:
-    """A finding if a pedal that is hardly pressed moves the vehicle as none could.
+    """Return a finding if a hardly pressed pedal has an implausibly large effect.
 
     Args:
-        right: index of the lag at which it acts.
+        right: index of the lag with the strongest effect.
     """
     largest = float(np.percentile(np.abs(drive.channels[name].values), 99.9))
     gain, sigma = abs(float(fit.gain[right])), fit.gain_sigma(right)
@@ -178,7 +178,7 @@ def _too_small(name: str, fit: LagFit, right: int, drive: Drive) -> list[Finding
     edit = Edit(f"channels.{name}.scale", rounded(factor * source.scale))
     for unit in ("1", "percent"):
         if source.unit and np.isclose(unit_factor(name, unit), factor * unit_factor(name, source.unit)):
-            edit, sure = Edit(f"channels.{name}.unit", unit), 1.0  # which explains it without any chance
+            edit, sure = Edit(f"channels.{name}.unit", unit), 1.0  # explains the factor exactly
     if gain - sure * sigma < _STRONGEST:
         return []
     evidence = f"it never exceeds {largest:.3g}, and full {name} would mean {gain:.0f} ± {sigma:.0f} m/s2"
@@ -186,7 +186,7 @@ def _too_small(name: str, fit: LagFit, right: int, drive: Drive) -> list[Finding
 
 
 def _never_released(name: str, drive: Drive, path: DrivenPath) -> list[Finding]:
-    """A finding on a brake that is pressed while the vehicle drives, and rests there: it is the wrong way round."""
+    """Return a finding if the brake rests at its upper end and is pressed while driving, hence inverted."""
     channel = drive.channels[name]
     pressed = float(np.nanmean(sampled(channel, path.time, drive.rig) > _PRESSED))
     if name != "brake" or pressed < _ALWAYS or not rests_high(channel.values[:, 0]):
@@ -205,9 +205,9 @@ def _without_effect(name: str, fit: LagFit, drive: Drive, path: DrivenPath) -> F
 
 
 def _acts_alone(name: str, drive: Drive, path: DrivenPath) -> bool:
-    """Whether a pedal changes the acceleration while the other is released, after gravity is removed.
+    """Return whether a pedal changes the gravity-corrected acceleration while the other pedal is released.
 
-    Brakes are pressed rarely, and downhill: over a whole drive, throttle and slope would account for their effect.
+    Over a whole drive, throttle and slope would mask brakes, which are pressed rarely and downhill.
     """
     other = drive.channels.get("brake" if name == "throttle" else "throttle")
     if other is None:
@@ -227,7 +227,7 @@ def _acts_alone(name: str, drive: Drive, path: DrivenPath) -> bool:
 
 
 def _idle(name: str, drive: Drive, path: DrivenPath) -> list[Finding]:
-    """A finding if a pedal rests above zero: at a standstill, or while the other one is pressed."""
+    """Return a finding if a pedal rests above zero at a standstill or while the other pedal is pressed."""
     channel, source = drive.channels[name], drive.rig.channels[name]
     lowest = float(np.percentile(channel.values, 0.5))
     if lowest < RELEASED:
@@ -239,10 +239,10 @@ def _idle(name: str, drive: Drive, path: DrivenPath) -> list[Finding]:
     if (pressed | standing).sum() < 20:
         return []
     rest = float(np.nanpercentile(at[pressed | standing], 5))
-    # Where it is higher then than while driving, the driver presses it, and its rest is not seen.
+    # A higher value than while driving means that the driver presses the pedal, so its rest is unknown.
     if not RELEASED <= rest < lowest + RELEASED / 2:
         return []
-    # Motors do not answer to the least throttle: only who brakes has surely released it.
+    # Motors ignore a small throttle: only braking proves that it is released.
     severity: Severity = "warning" if pressed.sum() >= 20 else "note"
     per_unit = source.sign * unit_factor(name, source.unit)
     edit = Edit(f"channels.{name}.offset", rounded(source.offset - lowest / per_unit))
@@ -252,7 +252,7 @@ def _idle(name: str, drive: Drive, path: DrivenPath) -> list[Finding]:
 
 
 def pedal_fits(drive: Drive, path: DrivenPath) -> dict[str, LagFit]:
-    """Fits of the pedals that move, by name."""
+    """Return the fits of all pedals that move, by name."""
     moved = [name for name in EFFECTS if name in drive.channels and np.ptp(drive.channels[name].values) > 0]
     others = {"throttle": drive.channels.get("brake"), "brake": drive.channels.get("throttle")}
     fits = {name: pedal_fit(drive.channels[name], others[name], path, drive.rig) for name in moved}
@@ -264,13 +264,13 @@ def _has_effect(fit: LagFit) -> bool:
 
 
 def pedal_fit(channel: Channel, other: Channel | None, path: DrivenPath, rig: Rig) -> LagFit | None:
-    """Fit of the gain in speed, forwards or backwards, by a pedal, with drag, slope and the other pedal taken out."""
+    """Fit the acceleration along the direction of travel to a pedal, given drag, slope and the other pedal."""
     pedal, way = lagged(channel, path.time, rig), np.sign(path.forward)
     return fit_lags(path.acceleration * way, pedal_base(path, other, rig), pedal, LAGS, path.speed > 0.3)
 
 
 def pedal_base(path: DrivenPath, other: Channel | None, rig: Rig) -> Float[np.ndarray, "n b"]:
-    """What changes the speed besides a pedal, along the motion, in reverse as well: drag, slope and the other pedal."""
+    """Return the regressors of the acceleration besides a pedal: drag, slope and the other pedal."""
     base = [np.ones(len(path.time)), np.abs(path.forward), path.forward**2, path.slope]
     if other is not None and np.ptp(other.values) > 0:
         base.append(sampled(other, path.time - 0.2, rig))
@@ -278,7 +278,7 @@ def pedal_base(path: DrivenPath, other: Channel | None, rig: Rig) -> Float[np.nd
 
 
 def _flip(name: str, channel: Channel, rig: Rig) -> tuple[Edit, ...]:
-    """The edits that reverse a pedal: 0..1 becomes 1..0, -1..0 its opposite, and 1..-1, as of triggers, 0..1."""
+    """Return the edits that invert a pedal: 0..1 to 1..0, -1..0 to 0..1, and 1..-1 (triggers) to 0..1."""
     source, values = rig.channels[name], channel.values[:, 0]
     if held_range(values)[1] < RELEASED and np.median(values) < 0:
         return (Edit(f"channels.{name}.sign", -source.sign),)
@@ -287,9 +287,9 @@ def _flip(name: str, channel: Channel, rig: Rig) -> tuple[Edit, ...]:
 
 
 def _both_flipped(drive: Drive) -> tuple[Edit, ...] | None:
-    """The edits that reverse both pedals, where that is likelier than one in the place of the other; None else.
+    """Return the edits that invert both pedals if both rest at their upper end; None otherwise.
 
-    Reversed pedals are released, and exchanged ones pressed, where both rest: nobody presses both most of the time.
+    Swapped pedals would both be pressed most of the time, which is implausible.
     """
     pedals = {name: drive.channels[name] for name in EFFECTS}
     resting = [rests_high(pedal.values[:, 0]) for pedal in pedals.values()]

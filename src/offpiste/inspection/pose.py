@@ -1,4 +1,4 @@
-"""Checks of the pose: order of the quaternion, which way is up, jumps, units."""
+"""Checks of the pose: quaternion order, vertical axis, jumps and units."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -20,34 +20,33 @@ from offpiste.rig.edits import Edit, rounded
 from offpiste.rig.rig import Rig
 
 _UPRIGHT = 0.7
-"""Cosine of the tilt that no vehicle drives at for half of a log: 45 degrees."""
+"""Cosine of the maximum plausible tilt in half of a log (45 degrees)."""
 _GRIP: Final = 12.0
-"""Acceleration that tyres hold on the ground [m/s^2]."""
+"""Maximum acceleration that tyres transmit [m/s^2]."""
 _FASTEST: Final = 120.0
-"""No ground vehicle is faster [m/s]."""
+"""Maximum speed of a ground vehicle [m/s]."""
 _HARDEST: Final = 25.0
-"""No ground vehicle keeps up a larger acceleration over half a second, in a twentieth of its driving [m/s^2]."""
+"""Maximum plausible 95th percentile of the acceleration over half a second [m/s^2]."""
 _BESIDE: Final = (0.4, 1.0)
-"""Lengths of the stretches before and after an instant whose velocities are compared [s]: driving changes them little
-in a short time, and a jump for no long one ..."""
+"""Lengths of the segments before and after an instant whose velocities are compared [s]."""
 _BETWEEN: Final = (0.2, 0.4)
-"""... and of what lies between them."""
+"""Lengths of the gaps between these segments [s]."""
 _OTHERS: Final = 3.0
-"""An instant stands out by this many times what 95 % of the others change."""
+"""Minimum ratio of an outlier to the 95th percentile of the velocity changes."""
 _EARTH: Final = (6.34e6, 6.39e6)
-"""Distances of the ground from the earth's middle [m]."""
+"""Range of distances between the ground and the centre of the earth [m]."""
 _LARGEST_EASTING: Final = 1e6
-"""Largest easting of UTM [m]."""
+"""Maximum UTM easting [m]."""
 _JUMP_TIME = 0.05
-"""A jump is at least as long as the path driven in this time at cruising speed [s]."""
+"""Minimum length of a jump, as the time to drive it at cruising speed [s]."""
 _NOISY: Final = 0.03
-"""Uncertainty of a velocity [m/s], or of a place [m], over the cruising speed, from which it costs accuracy."""
+"""Maximum uncertainty of velocity [m/s] or position [m], as a share of the cruising speed."""
 _WIDEST: Final = 1.5
-"""Widest span over which positions are differentiated [s]."""
+"""Maximum differentiation window for positions [s]."""
 
 
 def check_orientation(quaternion: Float[np.ndarray, "n 4"], rig: Rig) -> list[Finding]:
-    """The order of the quaternion and the direction of up, from the raw rows in the rig's order."""
+    """Check the quaternion order and the direction of up in raw samples."""
     norm = np.linalg.norm(quaternion, axis=1)
     known = quaternion[np.isfinite(norm) & (norm > 1e-6)]
     if len(known) < 10:
@@ -84,7 +83,7 @@ def check_orientation(quaternion: Float[np.ndarray, "n 4"], rig: Rig) -> list[Fi
 
 
 def check_position_unit(drive: Drive, path: DrivenPath) -> list[Finding]:
-    """Degrees of latitude and longitude, the earth's own frame, or a unit in which no vehicle is that fast."""
+    """Return a finding if positions are in degrees, earth-centred, or in a unit with implausible speeds."""
     places, rig = drive.channels["position"].values, drive.rig
     xy, source = places[:, :2], rig.channels["position"]
     if _is_earth_centred(places):
@@ -102,7 +101,7 @@ def check_position_unit(drive: Drive, path: DrivenPath) -> list[Finding]:
         evidence += f"m/s2, read as {now}"
         per_unit = partial(unit_factor, "position")
         factors = {unit: per_unit(unit) / per_unit(now) for unit in ("cm", "mm", "m", "ft") if unit != now}
-        # Of several, those come first with which tyres hold.
+        # Units with plausible tyre forces come first.
         units = [unit for unit, factor in factors.items() if _plausible(path, factor)]
         units.sort(key=lambda unit: factors[unit] * _acceleration(path) > _GRIP)
         cures = tuple((Edit("channels.position.unit", unit),) for unit in units) or _scales(rig, path)
@@ -112,7 +111,7 @@ def check_position_unit(drive: Drive, path: DrivenPath) -> list[Finding]:
 
 
 def _is_earth_centred(places: Float[np.ndarray, "n k"]) -> bool:
-    """Whether places lie on the earth as seen from its middle; a northing may be as large, but no easting beside it."""
+    """Return whether positions are earth-centred; a northing may be as large, but not together with its easting."""
     if places.shape[1] < 3:
         return False
     middle = np.abs(np.median(places, axis=0))
@@ -133,7 +132,7 @@ def _geographic(rig: Rig, xy: Float[np.ndarray, "n 2"], path: DrivenPath) -> Fin
 
 
 def _acceleration(path: DrivenPath) -> float:
-    """95 % of the accelerations along and across the path, over half a second [m/s^2]."""
+    """Return the 95th percentile of the horizontal acceleration over half a second [m/s^2]."""
     rows = round(0.5 / STEP)
     change = np.hypot(*(path.velocity[rows:] - path.velocity[:-rows]).T) / (rows * STEP)
     change = change[np.isfinite(change)]
@@ -141,19 +140,19 @@ def _acceleration(path: DrivenPath) -> float:
 
 
 def _scales(rig: Rig, path: DrivenPath) -> tuple[tuple[Edit, ...], ...]:
-    """Powers of ten by which positions may be too large, where no unit explains it."""
+    """Return edits of the position scale by powers of ten that make the motion plausible."""
     source = rig.channels["position"]
     factors = [factor for factor in (0.01, 0.001, 0.1) if _plausible(path, factor)]
     return tuple((Edit("channels.position.scale", rounded(source.scale * factor)),) for factor in factors)
 
 
 def _plausible(path: DrivenPath, factor: float) -> bool:
-    """Whether a vehicle drives like that if the positions are this many times what they are read as."""
+    """Return whether speed and acceleration are plausible with positions scaled by a factor."""
     return factor * path.cruise < _FASTEST and 0.05 < factor * _acceleration(path) < _HARDEST
 
 
 def check_pose(drive: Drive, path: DrivenPath, origin: float) -> list[Finding]:
-    """Findings on positions; `origin` is where the log's time starts [s]."""
+    """Return findings on positions; `origin` is the start time of the log [s]."""
     place = drive.channels["position"]
     seldom = check_repeats(drive, path) + check_seldom(drive)
     noise = [] if seldom else _noise(drive, path)
@@ -161,13 +160,13 @@ def check_pose(drive: Drive, path: DrivenPath, origin: float) -> list[Finding]:
 
 
 def _noise(drive: Drive, path: DrivenPath) -> list[Finding]:
-    """Report positions too noisy for the start of predictions or, if the log has no velocity, for differentiation."""
+    """Report positions too noisy for initial states or, if the log has no velocity, for differentiation."""
     velocity = drive.rig.channels.get("linear_velocity")
     place = drive.channels["position"]
     if len(place.time) < 100:
         return []
     step = float(np.median(np.diff(place.time)))
-    # Third differences of white noise have 20 times its variance; driving hardly shows in them.
+    # Third differences of white noise have 20 times its variance; driving contributes little to them.
     sigma = SIGMA_PER_MEDIAN * float(np.median(np.abs(np.diff(place.values[:, :2], 3, axis=0)))) / np.sqrt(20)
     if velocity is not None and velocity.frame != "unknown":
         if sigma < max(_NOISY * path.cruise, 0.02):
@@ -187,7 +186,7 @@ def _noise(drive: Drive, path: DrivenPath) -> list[Finding]:
 
 
 def _jumps(place: Channel, path: DrivenPath, origin: float) -> list[Finding]:
-    """Steps that the velocity before and after does not explain, in any direction: along the ground, or in height."""
+    """Return findings on horizontal or vertical steps that the surrounding velocity does not explain."""
     dt = np.diff(place.time)
     if len(dt) < 50:
         return []
@@ -221,7 +220,7 @@ def _jumping(
 
 @dataclass(frozen=True)
 class Leap:
-    """An instant in which the velocity becomes another, and stays.
+    """A sudden and lasting change of velocity.
 
     Attributes:
         time: [s].
@@ -234,7 +233,7 @@ class Leap:
 
 
 def leap_of(path: DrivenPath) -> Leap | None:
-    """Where positions run away: the largest leap of the velocity; None where it may be driven."""
+    """Return the largest implausible leap of the velocity, or None."""
     sides = [_beside(path, beside, between) for beside, between in zip(_BESIDE, _BETWEEN, strict=True)]
     changes = [np.hypot(*(after - before).T) for before, after in sides]
     change = np.nan_to_num(np.minimum(*changes))
@@ -242,7 +241,7 @@ def leap_of(path: DrivenPath) -> Leap | None:
     if not known.any():
         return None
     at = int(change.argmax())
-    # In feet or with a noisy pose all changes are large.
+    # With positions in feet or a noisy pose, all changes are large.
     usual = float(np.percentile(changes[0][known], 95))
     if not change[at] > max(_HARDEST * (_BESIDE[0] + _BETWEEN[0]), _OTHERS * usual):
         return None
@@ -251,11 +250,11 @@ def leap_of(path: DrivenPath) -> Leap | None:
 
 
 def _beside(path: DrivenPath, length: float, between: float) -> Float[np.ndarray, "2 n 2"]:
-    """Median velocities before and after each instant [m/s], NaN where a side is not whole.
+    """Return the median velocities before and after each instant [m/s]; NaN for incomplete segments.
 
     Args:
-        length: of a side [s].
-        between: what is left out between them [s].
+        length: of a segment [s].
+        between: gap between the segments [s].
     """
     rows, gap = round(length / STEP), round(between / STEP / 2)
     result = np.full((2, len(path.time), 2), np.nan)

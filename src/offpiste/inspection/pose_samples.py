@@ -1,4 +1,4 @@
-"""Checks of the pose's samples: which axis is up, values of a slower sensor, samples too far apart, and wrong ones."""
+"""Checks of the pose's samples: vertical axis, sample-and-hold, low rate and implausible samples."""
 
 from collections.abc import Collection, Iterator, Sequence
 from typing import Final
@@ -18,24 +18,23 @@ from offpiste.rig.labels import named_axis
 from offpiste.rig.rig import Rig
 
 _LEVEL: Final = 0.2
-"""What the axis that is up spans of what the others do, at most."""
+"""Maximum span of the vertical axis, as a share of the smaller of the others."""
 _Y_UP: Final = ((2, 0, 1), (0, 2, 1))
-"""Axes of a right-handed and of a left-handed frame whose y is up, in the order in which z is."""
+"""Axis orders that turn a right-handed and a left-handed frame with y up into one with z up."""
 _STRIDE: Final = 5.0
-"""Length of the path over which its steepness counts [m]: positions scatter up and down."""
+"""Distance between the samples of the path's steepness [m]; positions are noisy vertically."""
 _ENOUGH: Final = 3.9
-"""Times between samples that `motion.window` must hold: four are fitted (`geometry.local_polynomial`)."""
+"""Minimum `motion.window`, in sample intervals: four samples are fitted (`geometry.local_polynomial`)."""
 _HELD, _EVENLY_HELD, _FEW = 0.6, 0.25, 200
-"""Share of samples that repeat the one before from which a channel is held, of this many that move or more; and where
-each value is held equally long."""
+"""Minimum shares of repeated samples of a held channel, in general and if held evenly; minimum number of samples."""
 _EVEN: Final = 0.9
-"""Share of values that are held as long as most, or one sample more or less."""
+"""Minimum share of values held for the typical number of samples, plus or minus one."""
 _QUANTA: Final = 3.0
-"""Median step of a held channel over its smallest, at least: values that only step by their resolution are rounded."""
+"""Minimum ratio of the median step to the smallest one in a held channel; it is lower for rounded values."""
 
 
 def check_level(place: Channel, rig: Rig, beside: Collection[str]) -> list[Finding]:
-    """Which axis is up, by what the positions span and how steep the path is; nothing where it is z.
+    """Return a finding if the spans of the positions and the path's steepness contradict z as the vertical axis.
 
     Args:
         beside: fields of the positions' topic.
@@ -65,7 +64,7 @@ def check_level(place: Channel, rig: Rig, beside: Collection[str]) -> list[Findi
 
 
 def _with_y_up(rig: Rig, order: Sequence[int], beside: Collection[str]) -> Iterator[Edit]:
-    """Edits by which positions, their velocity, and a heading that is called z are read in another order of axes."""
+    """Yield edits that reorder the axes of positions, their velocity and a heading about z."""
     for name in ("position", "linear_velocity"):
         source = rig.channels.get(name)
         if source is not None and len(source.fields) == len(order) and source.frame != "body":
@@ -76,7 +75,7 @@ def _with_y_up(rig: Rig, order: Sequence[int], beside: Collection[str]) -> Itera
 
 
 def _climbs(place: Float[np.ndarray, "n 3"], axis: int) -> bool:
-    """Whether a tenth of a path goes further along an axis than across it: no vehicle climbs like that."""
+    """Return whether over a tenth of the path is steeper than 45 degrees along an axis, which is implausible."""
     way = np.cumsum(np.linalg.norm(np.diff(place, axis=0, prepend=place[:1]), axis=1))
     step = np.diff(place[np.flatnonzero(np.diff(way // _STRIDE, prepend=-1))], axis=0)
     across = np.linalg.norm(np.delete(step, axis, axis=1), axis=1)
@@ -84,7 +83,7 @@ def _climbs(place: Float[np.ndarray, "n 3"], axis: int) -> bool:
 
 
 def check_repeats(drive: Drive, path: DrivenPath) -> list[Finding]:
-    """A finding if places repeat the one before while the vehicle moves: rows hold a slower sensor's value."""
+    """Return a finding if positions repeat while the vehicle moves, as with a slower sensor."""
     old = {name: share for name in (*POSE, "linear_velocity") if (share := _repeats(drive, path, name)) > 0}
     if "position" not in old:
         return []
@@ -100,7 +99,7 @@ def check_repeats(drive: Drive, path: DrivenPath) -> list[Finding]:
 
 
 def _repeats(drive: Drive, path: DrivenPath, name: str) -> float:
-    """Share of a channel's samples that hold the one before while the vehicle moves; 0 where it is none that holds."""
+    """Return the share of repeated samples while the vehicle moves; 0 for a channel that is not held."""
     if name not in drive.channels:
         return 0.0
     channel = drive.channels[name]
@@ -115,11 +114,11 @@ def _repeats(drive: Drive, path: DrivenPath, name: str) -> float:
 def _are_held_evenly(
     steps: Float[np.ndarray, "m k"], same: Bool[np.ndarray, " n"], moving: Bool[np.ndarray, " n"]
 ) -> bool:
-    """Whether values change as often as a slower sensor measures them, by more than rounding.
+    """Return whether values change at the even rate of a slower sensor and by more than rounding.
 
     Args:
-        steps: from value to value while the vehicle moves.
-        same, moving: which samples repeat the one before, and which are of a moving vehicle.
+        steps: changes between distinct values while the vehicle moves.
+        same, moving: whether each sample repeats the previous one, and whether the vehicle moves.
     """
     changes = np.flatnonzero(~same)
     lengths = np.diff(changes)[moving[changes[:-1]]]
@@ -131,7 +130,7 @@ def _are_held_evenly(
 
 
 def check_seldom(drive: Drive) -> list[Finding]:
-    """A finding if places or headings come too seldom for the span over which they are differentiated."""
+    """Return a finding if positions or headings are too infrequent for the differentiation window."""
     velocity, channels = drive.rig.channels.get("linear_velocity"), drive.rig.channels
     differentiated = [] if velocity is not None and velocity.frame != "unknown" else ["position"]
     if not {"yaw_rate", "angular_velocity"} & set(channels):
@@ -147,7 +146,7 @@ def check_seldom(drive: Drive) -> list[Finding]:
 
 
 def check_faults(drive: Drive) -> list[Finding]:
-    """Samples of the pose that no vehicle makes, and headings that jump."""
+    """Return findings on implausible samples of the pose and on jumps of the heading."""
     length = max(float(np.ptp(drive.channels["position"].time)), 1e-9)
     findings = _held([run for run in drive.faults.dropped if run.held], length)
     dropped = [run for run in drive.faults.dropped if not run.held]
@@ -155,7 +154,7 @@ def check_faults(drive: Drive) -> list[Finding]:
     for name in dict.fromkeys(run.channel for run in dropped):
         runs = [run for run in dropped if run.channel == name]
         if name != "position" and {(run.start, run.end) for run in runs} <= places:
-            continue  # the place says it
+            continue  # already reported for the position
         count, worst = sum(run.last - run.first + 1 for run in runs), max(runs, key=lambda run: run.off)
         unit = "m" if name == "position" else "rad"
         evidence = (
@@ -177,10 +176,10 @@ def check_faults(drive: Drive) -> list[Finding]:
 
 
 def _held(runs: Sequence[DroppedRun], length: float) -> list[Finding]:
-    """A finding where places stand still while the vehicle drives on.
+    """Return a finding if the position is constant while the vehicle drives.
 
     Args:
-        length: of the drive [s].
+        length: duration of the drive [s].
     """
     if not runs:
         return []

@@ -1,8 +1,8 @@
-"""Check of controls that end short of their range: cut off by the recorder, or in another scale.
+"""Check for controls that end short of their range: clipped by the recorder or in another scale.
 
-Presses of a driver end at different values, and the largest of them once. A limit is where many presses end, exactly,
-coming from values in between: a switch jumps there, and a lever has few steps. Only at the end of the range (a pedal on
-the floor, full lock) is that healthy. Whether the driver pressed further cannot be seen in the channel itself.
+The peaks of a driver's presses differ, and the largest occurs once. At a limit, many presses end at exactly the same
+value after passing values in between (switches jump, and levers have few steps). Such a limit is a fault unless it is
+the end of the range, e.g. full lock. The channel alone cannot show whether the driver pressed further.
 """
 
 from dataclasses import dataclass
@@ -17,27 +17,27 @@ from offpiste.logs.drive import Drive
 from offpiste.rig.edits import rescaled
 
 _WHOLE: Final = 0.9
-"""A control that reaches this share of its range has it all: stops and trims are not quite at 1."""
+"""Minimum share of its range that a fault-free control reaches; stops and trims may be slightly below 1."""
 _ENDS: Final = 5
-"""Presses that end at the limit, at least."""
+"""Minimum number of presses that end at the limit."""
 _CROWDED: Final = 3.0
-"""So many times as many presses end there as at each of the values just below."""
+"""Minimum ratio of the presses that end at the limit to the mean per value just below it."""
 _BELOW: Final = 0.8
-"""Share of the limit from which a value is just below it."""
+"""Minimum share of the limit of a value just below it."""
 _BETWEEN: Final = 0.3
-"""Share of the limit from which a value is on the way there: below it a switch may jump."""
+"""Minimum share of the limit of a value on the way to it; switches jump from below."""
 _LEVELS: Final = 12
-"""Values below the limit, at least: a lever with fewer steps, or keys, end at the same one again and again."""
+"""Minimum number of values below the limit; levers with fewer steps and keys repeat the same peak."""
 _ROUNDING: Final = 1e-6
 
 
 @dataclass(frozen=True)
 class Limit:
-    """A value at which many presses of a control end.
+    """Value at which many presses of a control end.
 
     Attributes:
-        value: largest of the control in this direction.
-        presses: that end there.
+        value: maximum of the control in this direction.
+        presses: number of presses that end there.
     """
 
     value: float
@@ -45,7 +45,7 @@ class Limit:
 
 
 def check_range_ends(drive: Drive) -> list[Finding]:
-    """A finding for each control that ends at one value, again and again, well within its range."""
+    """Return a finding for each control that repeatedly ends at the same value well within its range."""
     findings = []
     for control in CONTROLS:
         if control.name not in drive.channels:
@@ -60,10 +60,10 @@ def check_range_ends(drive: Drive) -> list[Finding]:
 
 
 def limit_of(values: Float[np.ndarray, " n"]) -> Limit | None:
-    """The largest value, if it is where many presses end; None where it is one press's, or a switch's."""
+    """Return the maximum if many presses end there; None for a single press or a switch."""
     values = values[np.isfinite(values)]
     first = np.append(0, np.flatnonzero(np.diff(values)) + 1)
-    level = values[first]  # of the runs of one value
+    level = values[first]  # one per run of equal values
     if len(level) < 3 or level.max() <= 0:
         return None
     before, after = level[:-2], level[2:]
@@ -87,6 +87,6 @@ def _finding(name: str, limits: list[Limit], drive: Drive) -> Finding:
     at = " and ".join(f"{limit.value:.3g}" for limit in limits)
     evidence = f"{presses} times it ends at exactly {at}, coming from less, and never goes further: the range is 1"
     how = f"record its whole range; or {edits} if that is full {name}"
-    # Whoever automates a vehicle holds its brake at one value.
+    # Automation holds a brake at a constant value.
     severity: Severity = "note" if name == "brake" else "warning"
     return Finding(severity, name, what, evidence, how, 0.5)

@@ -1,4 +1,4 @@
-"""Check of channels, as the rig converts them, against the range of their unit."""
+"""Check of converted channels against the range of their unit."""
 
 from typing import Final
 
@@ -26,33 +26,33 @@ from offpiste.rig.rig import Rig
 
 _ALTERNATIVES = {"percent": 0.01, "permille": 0.001, "deg": np.pi / 180, "rev/min": 0.001}
 _IN_A_UNIT = (1.0, 100.0, 1000.0)
-"""Ends of ranges that a unit stands for."""
+"""Full-scale values that have a unit."""
 _CLIPPED, _CUT = 0.2, 0.05
-"""Share of the samples that a rig may clip, of pedals, whose rest is clipped, and of controls with two ends."""
+"""Maximum shares of samples that a rig may clip, for pedals (at rest) and for controls with two ends."""
 _BEYOND = 0.025
-"""Share of the range beyond its end from which a clipped control of two ends is cut off."""
+"""Minimum excess of a clipped two-ended control, as a share of its range."""
 
 _SLACK = 1.1
-"""Largest value of a pedal from 0 to 1, with what noise adds."""
+"""Maximum of a pedal from 0 to 1, including noise."""
 BRAKES: Final = ("brake", "brake_pressure")
-"""Channels that stay where they are in a log in which nobody brakes."""
+"""Channels that are constant in a log without braking."""
 
 _AT_AN_END: Final = 0.15
-"""Distance from an end of its range, 0 or 1, at which a brake that never moves is at rest: some rest a little above."""
+"""Maximum distance of an unused brake from 0 or 1; some rest slightly above 0."""
 _TOO_FAR: Final = (
     "no road wheel turns so far: if it is the steering wheel, channels.{name}.scale is 1 over the steering's ratio"
 )
 
 
 def is_untouched(name: str, values: Float[np.ndarray, " n"]) -> bool:
-    """Whether a channel is a brake that stays at an end of its range, as where nobody brakes."""
+    """Return whether a channel is a brake that stays at an end of its range, as without braking."""
     if name not in BRAKES or not len(values) or np.ptp(values) > 0:
         return False
     return bool(min(abs(values[0]), abs(values[0] - 1)) <= _AT_AN_END)
 
 
 def check_ranges(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
-    """Findings on controls and actuators that leave their limits, or that the rig clips there."""
+    """Return findings on controls and actuators that exceed their limits or are clipped by the rig."""
     findings = []
     for name, low, high in _limits():
         source = rig.channels.get(name)
@@ -64,7 +64,7 @@ def check_ranges(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
         if len(values) < 20:
             continue
         slack = (0.1 if low == 0 or not source.clip else _BEYOND) * (high - low)
-        # A pedal at rest may well be below what is clipped to 0.
+        # A released pedal may be far below 0 before clipping.
         below = values < (low - slack if low < 0 or not source.clip else -1.0)
         outside = float(np.mean(below | (values > high + slack)))
         if outside <= (0.005 if not source.clip else _CLIPPED if low == 0 else _CUT):
@@ -90,12 +90,12 @@ def check_ranges(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
 
 
 def limits(channel: str) -> tuple[float, float] | None:
-    """Range of a control or actuator, by channel, in offpiste's units."""
+    """Return the range of a control or actuator channel in offpiste's units, or None."""
     return next(((low, high) for name, low, high in _limits() if name == channel), None)
 
 
 def _limits() -> list[tuple[str, float, float]]:
-    """Ranges of controls and actuators, by channel, in offpiste's units."""
+    """Return the ranges of controls and actuators by channel, in offpiste's units."""
     controls = [(control.name, control.low, control.high) for control in all_controls()]
     actuators = [(a.channel, a.low, a.high) for a in all_actuators() if a.low is not None and a.high is not None]
     return controls + actuators
@@ -116,7 +116,7 @@ def _unclipped(name: str, rig: Rig, raw: Float[np.ndarray, "n 1"]) -> Float[np.n
 
 
 def _at_rest(name: str, source: ChannelSource, values: Float[np.ndarray, " n"]) -> tuple[Edit, ...]:
-    """The edit that makes the one value of a brake zero: nobody pressed it, so no scale can be known."""
+    """Return the edit that shifts an unused, constant brake to zero; its scale is unknown."""
     if name not in BRAKES or np.ptp(values) > 0:
         return ()
     rest = float(values[0]) / (source.sign * unit_factor(name, source.unit))
@@ -124,10 +124,10 @@ def _at_rest(name: str, source: ChannelSource, values: Float[np.ndarray, " n"]) 
 
 
 def _unwrapped(name: str, rig: Rig, raw: Float[np.ndarray, "n 1"], fits: tuple[float, float]) -> tuple[Edit, ...]:
-    """The edit that undoes the wrap of a counter that stays below zero all the time; empty where that does not fit.
+    """Return the edit that unwraps a permanently negative counter; empty if the result does not fit.
 
     Args:
-        fits: range that its values have then.
+        fits: range of the unwrapped values.
     """
     low, high = np.percentile(raw[np.isfinite(raw)], (0.5, 99.5))
     for period in PERIODS:
@@ -140,10 +140,10 @@ def _unwrapped(name: str, rig: Rig, raw: Float[np.ndarray, "n 1"], fits: tuple[f
 
 
 def _of_whole_range(name: str, source: ChannelSource, values: Float[np.ndarray, " n"], low: float) -> tuple[Edit, ...]:
-    """The edits for numbers of a range that loggers write: of a pedal, or of a steering whose middle is above zero.
+    """Return the edits for a common raw range of a pedal, or of a steering with a positive centre.
 
     Returns:
-        None of them for percent, which is a unit, and for numbers of no such range.
+        Empty for percent, which is a unit, and for other ranges.
     """
     if low < 0:
         around = steering_middle(values, named=False) if not source.unit else None
@@ -159,7 +159,7 @@ def _of_whole_range(name: str, source: ChannelSource, values: Float[np.ndarray, 
 
 
 def _both_ways(source: ChannelSource, values: Float[np.ndarray, " n"], rig: Rig) -> tuple[Edit, ...]:
-    """The edits for a throttle that goes both ways from zero: what is below brakes, if no other channel does."""
+    """Return the edits for a signed throttle; its negative part becomes the brake if no brake channel exists."""
     if not is_signed(values):
         return ()
     largest = float(np.abs(np.percentile(values, (0.5, 99.5))).max())
@@ -180,7 +180,7 @@ def _both_ways(source: ChannelSource, values: Float[np.ndarray, " n"], rig: Rig)
 def _cure(
     name: str, source: ChannelSource, rig: Rig, wanted: tuple[float, float], seen: tuple[float, float]
 ) -> tuple[Edit, ...]:
-    """The edits that bring what was seen into the wanted range: another unit if one fits, or scale and offset."""
+    """Return the edits that convert the observed range to the wanted one: another unit, or scale and offset."""
     (low, high), (first, last) = wanted, seen
     extreme = max(abs(first), abs(last))
     plain = not source.unit and source.scale == 1.0
@@ -194,11 +194,11 @@ def _cure(
         except RigError:
             continue
         return (Edit(f"channels.{name}.unit", unit),)
-    if low < 0:  # of an angle 1 is no full lock
+    if low < 0:  # for an angle, 1 is not full lock
         return () if known_channels()[name][0] == "rad" else rescaled(name, source, high / extreme)
     if last < 0.1 * extreme and extreme <= 1.2 * high:
         return (Edit(f"channels.{name}.sign", -source.sign),)
-    # 0 to 1 over what was seen: value = sign * (raw * scale + offset) * unit.
+    # Map the observed range to 0..1: value = sign * (raw * scale + offset) * unit.
     span = last - first
     if not span > 0:
         return absent(name, rig)

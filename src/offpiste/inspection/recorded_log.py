@@ -25,23 +25,23 @@ from offpiste.rig.rig import Rig
 _BULK = re.compile(
     r"(Image|PointCloud2?|LaserScan|OccupancyGrid|GridMap|CameraInfo|TFMessage|tfMessage|Log|ParameterEvent)$"
 )
-"""Types that are slow to read and hold nothing about the motion."""
+"""Types that are slow to read and contain no motion data."""
 _ARRAY = "MultiArray"
-"""How types of messages end that are an array (std_msgs)."""
+"""Suffix of message types that are arrays (std_msgs)."""
 _LARGEST = 1e100
-"""Largest number that is taken for a measurement, whatever its unit."""
+"""Maximum magnitude of a measurement in any unit."""
 _MAX_FIELDS = 64
-"""Most fields of a topic that are read."""
+"""Maximum number of fields read per topic."""
 
 
 @dataclass(frozen=True)
 class Recorded:
-    """One topic's samples as they stand in the file.
+    """Samples of one topic as stored in the file.
 
     Attributes:
-        time: the stamps that the rig asks for [s].
-        other: the stamps of the other clock (arrival if `time` is the header's), None where the log has only one [s].
-        fields, values: names and one column each.
+        time: stamps selected by the rig [s].
+        other: stamps of the other clock (arrival if `time` is the header's) [s]; None if the log has only one clock.
+        fields, values: field names, and one column per field.
     """
 
     topic: Topic
@@ -52,14 +52,14 @@ class Recorded:
 
     @cached_property
     def rising(self) -> Float[np.ndarray, " m"]:
-        """The finite stamps that reading keeps, each later than the one before [s]."""
+        """Finite, strictly increasing stamps that reading keeps [s]."""
         return rising(self.time)
 
     @property
     def copies(self) -> bool:
-        """Whether samples with equal stamps hold equal values: another clock would only tear them apart.
+        """Return whether samples with equal stamps have equal values, so that another clock would not help.
 
-        Images and clouds are not compared: they are taken for different ones.
+        Images and point clouds are assumed to differ.
         """
         again = np.flatnonzero(np.diff(self.time) == 0)
         one, other = self.values[again], self.values[again + 1]
@@ -67,13 +67,13 @@ class Recorded:
 
 
 class RememberedLog(Log):
-    """Another log, each topic of which is decoded once for all checks (a bag would be decoded anew by every read).
+    """Log that decodes each topic once for all checks, whereas a bag is decoded on every read.
 
     Args:
-        rig: all fields that it reads are kept, arrays' entries as well.
+        rig: all fields that it reads are kept, including array entries.
 
     Attributes:
-        near: transforms with the names that are nearest to those which the rig reads and the log lacks.
+        near: transforms with names similar to those that the rig reads but the log lacks.
     """
 
     def __init__(self, log: Log, rig: Rig | None = None) -> None:
@@ -91,18 +91,18 @@ class RememberedLog(Log):
 
     @property
     def clock(self) -> Clock:
-        """The other log's clock."""
+        """Clock of the wrapped log."""
         return self._opened
 
     @property
     def set_back(self) -> SetBack | None:
-        """The other log's step back."""
+        """Backward step of the wrapped log's clock."""
         return self._log.set_back
 
     def by(self, clock: Clock) -> "RememberedLog":
-        """The same samples, their stamps in the unit of another clock where the format has no unit of its own.
+        """Return the same samples with stamps in another clock's unit, if the format has no fixed unit.
 
-        A clock that names neither column nor unit leaves the unit to the log, as on opening it.
+        A clock without column and unit leaves the unit to the log, as on opening.
         """
         other = copy(self)
         if self._log.has_clock_unit and (clock.column or clock.unit != Clock().unit):
@@ -111,13 +111,13 @@ class RememberedLog(Log):
 
     @property
     def topics(self) -> dict[str, Topic]:
-        """The other log's topics, of its many transforms those that are listed, read, or nearly what is read."""
+        """Topics of the wrapped log, with only those transforms that are listed, read or similar to read ones."""
         return self._topics
 
     def quantities(self, topic: Topic) -> tuple[str, ...]:
-        """Fields that are checked: no entries of arrays (scans, covariances) but named ones and what the rig reads.
+        """Return the fields to check, excluding array entries unless they are named or read by the rig.
 
-        Where an array is all that a message is made for, its entries are.
+        All entries are returned for message types that are arrays.
         """
         array = topic.type.endswith(_ARRAY)
         plain = tuple(f for f in topic.fields if array or f in topic.joints or not is_array_entry(f))[:_MAX_FIELDS]
@@ -126,7 +126,7 @@ class RememberedLog(Log):
         return plain + more or topic.fields[:1]
 
     def stamps(self, topic: str, *, stamps: str = "header") -> Float[np.ndarray, " n"]:
-        """The other log's stamps [s]; beyond any that a clock can hold they are infinite."""
+        """Return the stamps of the wrapped log [s]; implausibly large ones are infinite."""
         key = (topic, stamps)
         if key not in self._stamps:
             time = self._samples[key].time if key in self._samples else self._log.stamps(topic, stamps=stamps)
@@ -142,7 +142,7 @@ class RememberedLog(Log):
             try:
                 self._samples[key] = _of_usable_size(self._log.read(topic.name, quantities, stamps=stamps))
             except LogError:
-                # One field that cannot be read must not hide the others.
+                # One unreadable field must not hide the others.
                 return self._in_unit(_of_usable_size(self._log.read(topic.name, fields, stamps=stamps)))
         samples = self._samples[key]
         values = samples.values.view()
@@ -156,7 +156,7 @@ class RememberedLog(Log):
 
 
 class ReceivedLog(Log):
-    """Another log, whose samples are read by their times of arrival, whatever is asked for."""
+    """Log wrapper that always uses arrival times as stamps."""
 
     def __init__(self, log: Log) -> None:
         self._log = log
@@ -165,7 +165,7 @@ class ReceivedLog(Log):
 
     @property
     def topics(self) -> dict[str, Topic]:
-        """The other log's topics."""
+        """Topics of the wrapped log."""
         return self._log.topics
 
     def _read(self, topic: Topic, fields: Sequence[str], stamps: str) -> Samples:
@@ -173,13 +173,13 @@ class ReceivedLog(Log):
 
 
 def _nearest(lacking: Collection[str], transforms: Sequence[str]) -> set[str]:
-    """Transforms whose names are nearest to those that the rig reads and the log lacks, however far they are."""
+    """Return the transforms with names closest to the missing ones, at any distance."""
     wanted = [name for name in lacking if frame_pair(name) is not None]
     return {near for name in wanted for near in get_close_matches(name, transforms, 3, cutoff=0.0)}
 
 
 def with_fields_of(log: Log, rig: Rig) -> Rig:
-    """The rig with its fields by their names in this log (`Topic.fields_here`); those that it lacks are left."""
+    """Return the rig with field names of this log (`Topic.fields_here`); missing fields are unchanged."""
     channels = dict(rig.channels)
     for name, source in channels.items():
         with suppress(LogError):
@@ -190,18 +190,18 @@ def with_fields_of(log: Log, rig: Rig) -> Rig:
 
 
 def rising(time: Float[np.ndarray, " n"]) -> Float[np.ndarray, " m"]:
-    """The finite stamps that reading keeps, each later than the one before [s]."""
+    """Return the finite, strictly increasing stamps [s]."""
     time = time[np.isfinite(time)]
     return np.asarray(time[increasing(time)])
 
 
 def beginning(recorded: Mapping[str, Recorded]) -> float:
-    """The first stamp of a log that reading keeps [s]."""
+    """Return the first valid stamp of a log [s]."""
     return min((float(topic.rising[0]) for topic in recorded.values() if len(topic.rising)), default=0.0)
 
 
 def _of_usable_size(samples: Samples) -> Samples:
-    """Samples whose values and stamps beyond `_LARGEST` are infinite: their squares would be."""
+    """Return samples with values and stamps beyond `_LARGEST` set to infinity, as squares would overflow."""
 
     def limited(values: np.ndarray) -> np.ndarray:
         beyond = np.abs(values) > _LARGEST
@@ -211,19 +211,18 @@ def _of_usable_size(samples: Samples) -> Samples:
 
 
 def is_bulk(topic: Topic) -> bool:
-    """Whether a topic has no samples, or such as are slow to read and hold nothing about the motion."""
+    """Return whether a topic has no samples, or is slow to read and contains no motion data."""
     return topic.count == 0 or _BULK.search(topic.type) is not None
 
 
 def read_topics(
     log: RememberedLog, rig: Rig | None, *, again: bool = False
 ) -> tuple[dict[str, Recorded], list[Finding]]:
-    """Topics with numbers in them, and a finding for each topic or field that cannot be read.
+    """Return the topics with numeric fields, and a finding for each unreadable topic or field.
 
     Args:
-        rig: says which stamps count, and whether samples are put in their order; parts of topics are read if it
-            does, and those in `log.near`.
-        again: whether they were read before, which takes no time that is worth a progress bar.
+        rig: selects the stamps, the sorting, and the parts of topics to read besides those in `log.near`.
+        again: whether the topics are already decoded, so that no progress bar is needed.
     """
     clock = rig.clock if rig else Clock()
     stamps, used = clock.stamps, {source.topic for source in rig.channels.values()} if rig else set()
