@@ -1,8 +1,8 @@
-"""Check of a camera against the poses: points of a scan should look the same in two of its images.
+"""Check of camera mounting and stamps: scan points must look alike in two images.
 
-A small square of the ground or a wall, its plane known from a scan, is found in one image and drawn as it must look in
-the other if mounting and stamps are right. How far it has to be shifted to fit (normalised cross-correlation, Lewis
-1995) depends on the mounting wherever the vehicle drives on or turns, and on the delay wherever it turns: bumps do.
+A small square on a surface, whose plane is known from a scan, is extracted from one image and warped into the other
+with the assumed mounting and stamps. The shift that fits best (normalised cross-correlation, Lewis 1995) depends on
+the mounting while the vehicle moves or turns, and on the delay while it turns, including on bumps.
 """
 
 from collections.abc import Sequence
@@ -25,13 +25,13 @@ from offpiste.perception.projection import occluded_points, project_to_pinhole
 _HALF: Final = 6
 """Half the side of a square [px]."""
 _SEARCH: Final = 12
-"""Distance from its place within which a square is searched [px]."""
+"""Search radius of a square [px]."""
 _SQUARES: Final = 150
-"""Most squares in a pair of images."""
+"""Maximum number of squares per image pair."""
 _ALIKE: Final = 0.8
-"""Correlation above which it is the same square."""
+"""Minimum correlation of a match."""
 _OLD: Final = 0.3
-"""Most time between an image and the scan that gives its distances [s]."""
+"""Maximum time between an image and the scan used for its depths [s]."""
 _FURTHEST: Final = 40.0
 
 
@@ -46,12 +46,12 @@ def check_camera(
     prior: Parameters = PRIOR,
     start: Parameters | None = None,
 ) -> Misfit | None:
-    """Estimate by how much a camera's mounting and stamps are off; None with too few usable images.
+    """Estimate the errors of a camera's mounting and stamps; None with too few usable images.
 
     Args:
-        lidar, scans: measure the distances of what the images show.
-        lidar_parameters: misfit of the LiDAR, which is corrected.
-        prior, start: as for `fit_misfit`; with seven entries the place is estimated, too.
+        lidar, scans: source of the depths.
+        lidar_parameters: misfit of the LiDAR, used for correction.
+        prior, start: as for `fit_misfit`; seven entries also estimate the position.
     """
     given = np.zeros(4) if lidar_parameters is None else lidar_parameters
     times = np.array([scan.time for scan in scans]) - given[3]
@@ -71,7 +71,7 @@ def check_camera(
 def _compared(
     camera: SmallCamera, one: Grey, other: Grey, world: Float[np.ndarray, "n 3"], poses: Poses, parameters: Parameters
 ) -> Pair:
-    """Shifts of squares from where they should be, x and y [px], and how they change with the parameters."""
+    """Return the residual shifts of squares, x and y [px], and their Jacobian."""
     matrix, nothing = camera.rectifier.pinhole.matrix, Pair(np.zeros(0), np.zeros((0, len(parameters))))
     first, second = (_camera_pose(camera, image.time, poses, parameters) for image in (one, other))
     if first is None or second is None or len(world) < 100:
@@ -88,7 +88,7 @@ def _compared(
     back = _Mapping(matrix, second, first, points, normal)
 
     def residual(now: Parameters) -> np.ndarray:
-        # Where the two cameras would see the points; the second place is mapped back to the first image.
+        # Project the points into both cameras; the second projection is mapped back to the first image.
         views = [_camera_pose(camera, image.time, poses, now) for image in (one, other)]
         if views[0] is None or views[1] is None:
             return np.full(2 * len(points), np.nan)
@@ -101,7 +101,7 @@ def _compared(
 
 @dataclass(frozen=True)
 class _Mapping:
-    """Mapping from one image to another by planes in the world, one plane a square."""
+    """Mapping between two images by planes in the world, one plane per square."""
 
     matrix: Float[np.ndarray, "3 3"]
     world_from_one: Float[np.ndarray, "4 4"]
@@ -110,7 +110,7 @@ class _Mapping:
     normals: Float[np.ndarray, "n 3"]
 
     def __call__(self, pixels: Float[np.ndarray, "n k 2"]) -> Float[np.ndarray, "n k 2"]:
-        """Pixels in the other image; NaN where a plane is not seen [px]."""
+        """Return pixels in the other image [px]; NaN if a plane is not visible."""
         rays = np.concatenate((pixels, np.ones((*pixels.shape[:2], 1))), axis=2)
         rays = rays @ (self.world_from_one[:3, :3] @ np.linalg.inv(self.matrix)).T
         origin = self.world_from_one[:3, 3]
@@ -125,7 +125,7 @@ class _Mapping:
 def _camera_pose(
     camera: SmallCamera, time: float, poses: Poses, parameters: Parameters
 ) -> Float[np.ndarray, "4 4"] | None:
-    """`world_from_camera` with these parameters."""
+    """Return `world_from_camera` for these parameters."""
     matrix = poses.at(np.array([time - parameters[3]]))[0] @ turned(camera.camera.body_from_camera, parameters)
     return matrix if np.isfinite(matrix).all() else None
 
@@ -133,7 +133,7 @@ def _camera_pose(
 def _pixels(
     matrix: Float[np.ndarray, "3 3"], world_from_camera: Float[np.ndarray, "4 4"], points: Float[np.ndarray, "n 3"]
 ) -> Float[np.ndarray, "n 2"]:
-    """Pixels at which a pinhole camera sees points; NaN behind it [px]."""
+    """Project points with a pinhole camera [px]; NaN behind the camera."""
     seen = transformed(points, inverse(world_from_camera)) @ matrix.T
     depth = np.where(seen[:, 2:] > 0.1, seen[:, 2:], np.nan)
     return seen[:, :2] / depth
@@ -142,7 +142,7 @@ def _pixels(
 def _squares(
     camera: SmallCamera, image: Grey, world: Float[np.ndarray, "n 3"], world_from_camera: Float[np.ndarray, "4 4"]
 ) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, "m 2"]]:
-    """Points that an image shows, and where: the ones with most texture around them, spread over the image."""
+    """Return visible points and their pixels: the most textured ones, spread over the image."""
     pinhole = camera.rectifier.pinhole
     points = transformed(world, inverse(world_from_camera))
     result, at = project_to_pinhole(points, pinhole)
@@ -156,7 +156,7 @@ def _squares(
     result, at, column, row = result[inside], at[inside], column[inside], row[inside]
     texture = cv2.cornerMinEigenVal(image.pixels, 2 * _HALF + 1, ksize=3)[row, column]
     order = np.argsort(-texture, kind="stable")
-    # One a tile: squares that overlap carry the same information.
+    # One per tile: overlapping squares carry the same information.
     _, firsts = np.unique((row // 16 * 10_000 + column // 16)[order], return_index=True)
     chosen = order[np.sort(firsts)[:_SQUARES]]
     return world[result[chosen]], at[chosen]
@@ -165,7 +165,7 @@ def _squares(
 def _shifts(
     one: Grey, other: Grey, at: Float[np.ndarray, "n 2"], mapping: _Mapping
 ) -> tuple[Float[np.ndarray, "n 2"], Bool[np.ndarray, " n"]]:
-    """Shift of each square in the other image, in pixels of this one, and whether it was found."""
+    """Return the shift of each square in the other image, in pixels of this one, and a mask of matches."""
     reach = _HALF + _SEARCH
     side = np.arange(-reach, reach + 1.0)
     grid = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
@@ -190,7 +190,7 @@ def _sampled(image: Grey, places: Float[np.ndarray, "k 2"]) -> np.ndarray:
 
 
 def _peak(score: np.ndarray) -> Float[np.ndarray, " 2"]:
-    """Offset of the best score from the middle, refined by a parabola [px]; NaN at the edge or if it is too low."""
+    """Return the offset of the best score from the centre, refined by a parabola [px]; NaN at the edge or if low."""
     row, column = np.unravel_index(int(score.argmax()), score.shape)
     top = score[row, column]
     if not (top > _ALIKE and 0 < row < len(score) - 1 and 0 < column < len(score) - 1):

@@ -1,9 +1,9 @@
-"""Estimate of a camera's mounting from a rough guess: how features move in its images, against how the poses move.
+"""Estimate of a camera's mounting from a rough guess, by image motion and poses.
 
-Points that two images share (SIFT, Lowe 2004) must lie on the epipolar lines that the poses and the mounting give. That
-shows two axes wherever the vehicle drives on (the direction of travel in the image) and the third wherever it turns
-or rocks. All rotations within 45 degrees of the guess are tried; a robust fit refines the best. Once squares of images
-can be found where the LiDAR's points predict them, the fine fit takes over (`camera.check_camera`).
+Points matched in two images (SIFT, Lowe 2004) must lie on the epipolar lines given by the poses and the mounting.
+Translation determines two axes (the direction of travel in the image), rotation the third. All rotations within 45
+degrees of the guess are tried; a robust fit refines the best. Once image squares can be found at the pixels predicted
+from LiDAR points, `camera.check_camera` refines the result.
 """
 
 from collections.abc import Sequence
@@ -21,23 +21,23 @@ from offpiste.inspection.sensor_samples import Grey, SmallCamera, pairs
 from offpiste.logs.poses import Poses
 
 _FEATURES: Final = 1500
-"""Most features of an image."""
+"""Maximum number of features per image."""
 _CONTRAST: Final = 0.01
-"""Least contrast of a feature; OpenCV's default of 0.04 leaves few on sand."""
+"""Minimum contrast of a feature; OpenCV's default of 0.04 leaves few on sand."""
 _RATIO: Final = 0.75
-"""Largest ratio of the distances to the best and to the next feature (Lowe 2004)."""
+"""Maximum ratio of the distances to the best and the second-best feature (Lowe 2004)."""
 _LEAST: Final = 15
-"""Fewer matches than this are no pair."""
+"""Minimum number of matches in a pair."""
 _BASELINE: Final = 0.3
-"""Shorter ways between two images show no direction [m]."""
+"""Minimum baseline between two images [m]."""
 _WIDE: Final = np.deg2rad(45.0)
-"""Furthest rotation from the guess that is tried [rad]."""
+"""Maximum rotation from the guess [rad]."""
 _COARSE: Final = np.deg2rad(5.0)
-"""Spacing of the rotations that are tried [rad]."""
+"""Spacing of the candidate rotations [rad]."""
 _SAMPLE: Final = 600
-"""Matches by which rotations are compared."""
+"""Number of matches used to compare rotations."""
 _TRUNCATED: Final = np.deg2rad(1.0)
-"""Matches further from their line than this count as this far [rad]."""
+"""Truncation of a match's angle from its epipolar line [rad]."""
 _STARTS: Final = 5
 _PRIOR: Final = np.array([*np.deg2rad([30.0, 30.0, 30.0]), 0.1])
 """Standard deviations of the fit's prior [rad, rad, rad, s]."""
@@ -45,10 +45,10 @@ _PRIOR: Final = np.array([*np.deg2rad([30.0, 30.0, 30.0]), 0.1])
 
 @dataclass(frozen=True)
 class Matches:
-    """Directions in which two images see the same points.
+    """Directions of points matched in two images.
 
     Attributes:
-        times: of the two images [s].
+        times: stamps of the two images [s].
         one, other: unit vectors in the camera's frame.
     """
 
@@ -58,7 +58,7 @@ class Matches:
 
 
 def matched(camera: SmallCamera, images: Sequence[Grey]) -> list[Matches]:
-    """Features that neighbouring images share."""
+    """Return the features shared by consecutive images."""
     sift = cv2.SIFT.create(nfeatures=_FEATURES, contrastThreshold=_CONTRAST)
     mask = camera.free.astype(np.uint8) * 255
     inverse = np.linalg.inv(camera.rectifier.pinhole.matrix)
@@ -79,7 +79,7 @@ def matched(camera: SmallCamera, images: Sequence[Grey]) -> list[Matches]:
             continue
         best = cv2.BFMatcher().knnMatch(first, second, k=2)
         kept = [match[0] for match in best if len(match) == 2 and match[0].distance < _RATIO * match[1].distance]
-        # A feature that several claim is none of theirs.
+        # Ambiguous features are dropped.
         claims = np.bincount([match.trainIdx for match in kept], minlength=len(other))
         index = np.array([(m.queryIdx, m.trainIdx) for m in kept if claims[m.trainIdx] == 1], np.int64).reshape(-1, 2)
         if len(index) >= _LEAST:
@@ -91,9 +91,9 @@ def matched(camera: SmallCamera, images: Sequence[Grey]) -> list[Matches]:
 def epipolar_angles(
     matches: Matches, body_from_camera: Float[np.ndarray, "4 4"], poses: Poses, parameters: Parameters
 ) -> Float[np.ndarray, " n"]:
-    """Angles of the second directions from the epipolar planes of the first [rad]; NaN where no pose is known.
+    """Return angles of the second directions from the first ones' epipolar planes [rad]; NaN without a pose.
 
-    A match whose point would lie behind the cameras has the angle from the first direction, as if it did not move.
+    For a point behind the cameras, this is the angle from the first direction, as without motion.
     """
     mounting = turned(body_from_camera, parameters)
     one, other = poses.at(np.array(matches.times) - parameters[3])
@@ -114,7 +114,7 @@ def _angles(
     normal = np.cross(way[:, None], here)
     size = np.linalg.norm(normal, axis=2)
     angle = np.arcsin(np.clip(np.einsum("kni,ni->kn", normal, other) / (size + 1e-9), -1, 1))
-    # Positive depth: the second direction leaves the first towards the way, seen in their common plane.
+    # Positive depth: the second direction departs from the first towards the translation, within their common plane.
     across = np.cross(here, other)
     ahead = np.einsum("kni,kni->kn", np.cross(other, way[:, None]), across) > 0
     moved = np.arcsin(np.clip(np.linalg.norm(across, axis=2), 0, 1))
@@ -124,7 +124,7 @@ def _angles(
 def candidates(
     camera: Float[np.ndarray, "4 4"], matches: Sequence[Matches], poses: Poses, rng: np.random.Generator
 ) -> list[Parameters]:
-    """Rotations from the guess that fit the matches best, at most `_STARTS`, each with a delay of zero."""
+    """Return at most `_STARTS` rotations from the guess that fit the matches best, with zero delay."""
     steps = np.arange(-_WIDE, _WIDE + 1e-6, _COARSE)
     turns = np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3)
     turns = turns[np.linalg.norm(turns, axis=1) <= _WIDE + 1e-6]
@@ -151,20 +151,20 @@ def candidates(
 def estimate_rotation(
     guess: Float[np.ndarray, "4 4"], matches: Sequence[Matches], poses: Poses, *, seed: int = 0
 ) -> tuple[Float[np.ndarray, "4 4"], Misfit] | str:
-    """Mounting of a camera by the motion in its images; or in words why the drive does not show it.
+    """Estimate a camera's mounting from image motion; return the reason as text if the drive does not determine it.
 
     Args:
-        guess: `body_from_camera`; its rotation may be off by some 40 degrees.
+        guess: `body_from_camera`; its rotation may be off by about 40 degrees.
 
     Returns:
-        `body_from_camera`, where the place is the guess's, and the misfit of the fit, whose scale is an angle [rad].
+        `body_from_camera` with the position of the guess, and the misfit of the fit, whose scale is an angle [rad].
     """
     moving = [one for one in matches if _baseline(one, poses) > _BASELINE]
     if len(moving) < LEAST_PAIRS:
         return "too few pairs of its images share features while the vehicle moves"
     results = []
     for start in candidates(guess, moving, poses, np.random.default_rng(seed)):
-        # Linear near the candidate, so that a rotation of tens of degrees stays one.
+        # Linearised near the candidate, so that large rotations remain rotations.
         mounting = turned(guess, start)
 
         def compare(now: Parameters, at: np.ndarray = mounting) -> list[Pair]:
@@ -181,7 +181,7 @@ def estimate_rotation(
 def median_angle(
     matches: Sequence[Matches], mounting: Float[np.ndarray, "4 4"], poses: Poses, late: float = 0.0
 ) -> float:
-    """Median angle of matches from their epipolar planes [rad]; NaN without any."""
+    """Return the median angle of matches from their epipolar planes [rad]; NaN without matches."""
     parameters = np.array([0.0, 0.0, 0.0, late])
     angles = [epipolar_angles(one, mounting, poses, parameters) for one in matches]
     return float(np.nanmedian(np.abs(np.concatenate(angles)))) if angles else np.nan

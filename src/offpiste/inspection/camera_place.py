@@ -1,7 +1,7 @@
-"""Estimate of where a camera is mounted: points that its images show lie on the surfaces that a LiDAR measures.
+"""Estimate of a camera's position: triangulated image points must lie on surfaces measured by a LiDAR.
 
-With its rotation known, two images of a feature give its distance. The camera's place is that which brings the points
-onto the planes of the nearest scan (translation-only ICP); a fit with all three coordinates free, robust as ever.
+With a known rotation, features in two images are triangulated. The estimated position aligns these points with the
+planes of the nearest scan (translation-only ICP) in a robust fit of all three coordinates.
 """
 
 from collections.abc import Sequence
@@ -20,15 +20,15 @@ from offpiste.logs.measurements import Lidar
 from offpiste.logs.poses import Poses
 
 _REACHES: Final = (4.0, 3.0, 2.0, 1.5, 1.0, 0.7, 0.5)
-"""Distances within which a surface is searched, one after the other [m]."""
+"""Successive search radii for surfaces [m]."""
 _PARALLAX: Final = np.deg2rad(2.0)
-"""Directions that differ by less show no distance [rad]."""
+"""Minimum parallax for triangulation [rad]."""
 _FURTHEST: Final = 20.0
-"""Points further away are too vague [m]."""
+"""Maximum distance of triangulated points [m]."""
 _OLD: Final = 0.3
-"""Most time between an image and its scan [s]."""
+"""Maximum time between an image and its scan [s]."""
 _PRIOR: Final = np.array([*np.deg2rad([0.3, 0.3, 0.3]), 0.01, 3.0, 3.0, 3.0])
-"""Standard deviations of the prior: rotation and delay stay nearly as they are [rad, s, m]."""
+"""Standard deviations of the prior; rotation and delay are nearly fixed [rad, s, m]."""
 
 
 @dataclass(frozen=True)
@@ -45,11 +45,11 @@ def estimate_place(
     scans: Sequence[Scan],
     poses: Poses,
 ) -> Misfit | None:
-    """Shift of a camera along the body's axes, the last three parameters [m]; None where too little is seen by both.
+    """Estimate a camera's offset along the body axes, the last three parameters [m]; None with too little overlap.
 
     Args:
-        body_from_camera: its rotation is right to a degree or two; its place may be metres off.
-        lidar: its mounting is right.
+        body_from_camera: rotation correct to 1 to 2 degrees; the position may be metres off.
+        lidar: with a correct mounting.
     """
     times = np.array([scan.time for scan in scans])
     seen = []
@@ -93,7 +93,7 @@ def _compared(
 def _triangulated(
     matches: Matches, body_from_camera: Float[np.ndarray, "4 4"], poses: Poses, parameters: Parameters
 ) -> Float[np.ndarray, "n 3"]:
-    """Points in the world, nearest to the rays of both images; NaN where they are behind, too far, or not known [m]."""
+    """Return world points nearest to the rays of both images [m]; NaN if behind, too far or unknown."""
     one, other = poses.at(np.array(matches.times) - parameters[3]) @ turned(body_from_camera, parameters)
     here, there = matches.one @ one[:3, :3].T, matches.other @ other[:3, :3].T
     way = other[:3, 3] - one[:3, 3]

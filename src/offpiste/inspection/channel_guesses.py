@@ -1,4 +1,4 @@
-"""Guesses which topics and fields may feed which channel, by their names, units and types."""
+"""Candidate topics and fields for each channel, by names, units and types."""
 
 import re
 from collections.abc import Iterable, Iterator
@@ -24,15 +24,15 @@ from offpiste.rig.labels import (
 
 _ANGLE = r"(angle|ang(?!le))(?![ _]?(vel|rate|speed|acc|jerk))"
 _TURN_RATE: Final = re.compile(r"ang(ular)?_?vel(ocity)?[/._]z$|yaw[_ ]?vel(ocity)?$")
-"""The z component alone of an angular velocity, or the velocity of the yaw."""
+"""Names of a scalar angular velocity about z, or of a yaw rate."""
 _COMMANDED_JOINTS: Final = re.compile(r"cmd|com+and|desired|target|setpoint", re.IGNORECASE)
-"""Topics of joint states that are commanded, not measured."""
+"""Topics of commanded joint states."""
 MOTION: Final = 3
-"""Rank of a commanded speed or turn rate, which stands for the throttle or the steering where nothing else does."""
+"""Rank of a commanded speed or turn rate, used as throttle or steering only as a fallback."""
 MEASURED: Final = 2
-"""Rank of a steering's position, which beside its command is the measured angle, and without one the steering."""
+"""Rank of a steering position: the measured angle next to a command, otherwise the steering itself."""
 ACCELERATOR: Final = 9
-"""Rank of what is called `accel`: a pedal, or an acceleration, as its numbers say."""
+"""Rank of fields called `accel`: a pedal or an acceleration, depending on the values."""
 _SCALARS: tuple[tuple[str, int, str], ...] = (
     ("yaw_rate", 0, r"yaw_?rate|(^|[ ._/])w( \(imu\))?$|gyro_?z|(?<![a-z])(omega|gz|wz)$|(yaw|psi|theta)_?(dot|vel)$"),
     ("yaw_rate", 0, r"(gyro|rate)[_ ]yaw$"),
@@ -80,9 +80,9 @@ _SCALARS: tuple[tuple[str, int, str], ...] = (
     ("wheel_speed", 1, r"(^|[ ._/])speed \(\d+: (obd|can)\w*\)$"),
     ("wheel_speed", 2, r"(^|[ ._/])((vehicle|car|ego)_?)?speed$|(^|[ ._/])veh(icle)?_?spd$"),
 )
-"""Channels of one number: how far the name is from the channel's own, and its pattern. Nearer ones come first."""
+"""Scalar channels: rank of the name and its pattern, best match first."""
 _DESIRED: Final = re.compile(r"(?<![a-z])(des(ired)?|target|demand(ed)?|setpoint)(?![a-z])")
-"""What is asked for of a heading and its rate: no measurement, as `DesYaw` of ArduPilot."""
+"""Names of a desired heading or rate, which is not a measurement, such as ArduPilot's `DesYaw`."""
 _NEVER: Final = {
     "throttle": re.compile(r"steer|servo|brake|brk"),
     "brake": re.compile(r"temp|wear|fluid"),
@@ -93,24 +93,24 @@ _NEVER: Final = {
         r"(?<![a-z])(eng(?![a-z])|load|limit)|engine|motor|turbine|steer|fan|shaft|wind|gps|gnss|percent"
     ),
 }
-"""What a channel is not called; a throttle that has a name of its own may be."""
+"""Names excluded for a channel, except for a throttle with its own name."""
 _BESIDE: Final = re.compile(
     r"torque|rate|speed|(?<![a-z])vel(?![a-z])|press|current|force|effort|temp|engage|light|lamp|switch|bias|park|hand_?brake|on_off"
 )
-"""What is measured at a pedal or a steering, besides where it is; a channel only where nothing else is."""
+"""Names of other quantities measured at a pedal or the steering, used only as a fallback."""
 _SET: Final = re.compile(r"(?<![a-z])(set|req(uest(ed)?)?|demand(ed)?)(?![a-z])")
 _ACTUAL: Final = re.compile(r"(?<![a-z])(actual|measured|feedback|current)(?![a-z])")
-"""Words of what is asked for, besides those of commands, and of what is measured, whatever its topic is called."""
+"""Words for desired values, besides those of commands, and for measured values, whatever the topic."""
 _DEVICES: Final = re.compile(r"(can|bus|ecu|plc|gps|gnss|imu)_?\d*$", re.IGNORECASE)
-"""Namespaces of what one vehicle may have several of."""
+"""Namespaces of devices of which one vehicle may have several."""
 _SELDOM: Final = 0.04
-"""Samples of a slow copy, over those of the channel."""
+"""Maximum sample ratio of a slow copy to its channel."""
 FALLBACK: Final = 10
-"""Ranks from here on are those of such names."""
+"""First rank of fallback names."""
 
 
 def _scalars() -> tuple[tuple[str, int, re.Pattern[str]], ...]:
-    """Channels of one number, with the names of fields that may hold them; registered ones are tried first."""
+    """Return the scalar channels and their field name patterns, registered ones first."""
     named = [(control.name, control.pattern, control in CONTROLS) for control in all_controls()]
     named += [(actuator.channel, actuator.pattern, actuator in ACTUATORS) for actuator in all_actuators()]
     own, more = (
@@ -123,9 +123,9 @@ def _scalars() -> tuple[tuple[str, int, re.Pattern[str]], ...]:
 _CONTROLS: Final = tuple(control.name for control in CONTROLS)
 _NOT_SCALARS = re.compile(r"velocity|rate_of|status|enable|mode(?!l)|valid|stamp|count|jerk")
 _NUMBER: Final = re.compile(r"(^|\.)(data|value)$")
-"""Fields that are called as any number is."""
+"""Generic field names."""
 _APPLIED: Final = re.compile(r"^output$")
-"""What an actuator was given, by a driver or by commands, of reports that have either, too."""
+"""Name of an actuator's applied value in reports of manual and automatic driving."""
 _LAYOUTS: dict[str, tuple[tuple[str, tuple[str, ...]], ...]] = {
     "odometry.npy": (
         ("position", ("0", "1", "2")),
@@ -141,20 +141,20 @@ _LAYOUTS: dict[str, tuple[tuple[str, tuple[str, ...]], ...]] = {
         ("angular_velocity", ("angular_velocity[0]", "angular_velocity[1]", "angular_velocity[2]")),
     ),
 }
-"""Arrays whose entries have no names, by type: of TartanDrive's files, and of messages."""
+"""Unnamed array entries by type, for TartanDrive files and messages."""
 DOWN: Final = "px4_msgs/"
-"""Types of messages whose world is north, east, down, and whose body is forward, right, down."""
+"""Types of messages with a north-east-down world and a forward-right-down body."""
 
 
 @dataclass(frozen=True)
 class Guess:
-    """A channel and where it may come from.
+    """A channel and its possible source.
 
     Attributes:
-        unit: that the log states (`offpiste.rig.labels`); "" where it states none.
-        rank: how far the name is from the channel's own; 0 is nearest.
-        asked_for: whether the type or a name of its topic, or a name of its fields, says that it is a command.
-        in_hand: whether an angle is of the steering wheel, as the motion shows.
+        unit: as stated by the log (`offpiste.rig.labels`), or "".
+        rank: distance of the name from the channel's own; 0 is best.
+        asked_for: True if the topic's type or name, or a field name, marks a command.
+        in_hand: True if the motion shows that an angle is the steering wheel's.
     """
 
     channel: str
@@ -167,17 +167,17 @@ class Guess:
 
 
 def _is_of_a_body(part: Topic) -> bool:
-    """Whether a part of a topic is the transform of a body; of senders that take turns, the whole topic is guessed."""
+    """Return True for a part with a body transform; alternating senders are guessed from the whole topic."""
     pair = frame_pair(part.name)
     return part.type == STAMPED and pair is not None and pair.is_of_a_body
 
 
 def guess_channels(log: Log) -> list[Guess]:
-    """All guesses that names, units and types suggest, in the log's order, the nearest names first.
+    """Return all guesses from names, units and types, in log order, best names first.
 
-    Of commanded motions the one that comes most often is first: others ask, and one is passed on to the vehicle. What
-    comes `_SELDOM` as often as another of its channel is last, as from a monitor of the vehicle's state.
-    Transforms are guessed from where their frames are named like a body in a world.
+    The most frequent commanded motion is first: it is the one forwarded to the vehicle. A topic with a rate below
+    `_SELDOM` of another one of its channel is last, as it is likely a monitor. Transforms are included if their frames
+    are named like a body in a world.
     """
     topics = [one for one in log.topics.values() if not one.part_of or _is_of_a_body(one)]
     guesses = [guess for topic in topics if topic.count > 1 for guess in _of_topic(log, topic)]
@@ -192,7 +192,7 @@ def guess_channels(log: Log) -> list[Guess]:
 
 
 def labels(topic: Topic) -> dict[str, Label]:
-    """Name and unit of each field of a topic (`offpiste.rig.labels.field_labels`)."""
+    """Return name and unit of each field of a topic (`offpiste.rig.labels.field_labels`)."""
     return field_labels(topic.name, topic.fields, topic.units, topic.joints)
 
 
@@ -242,7 +242,7 @@ def _of_topic(log: Log, topic: Topic) -> Iterator[Guess]:
 
 
 def _guess(channel: str, topic: Topic, fields: tuple[str, ...], label: Label, rank: int = 0) -> Guess | None:
-    """A guess, unless the unit measures something else; pedals, steering and pressures may be recorded in any."""
+    """Return a guess unless the unit contradicts it; pedals, steering and pressures may have any unit."""
     in_any = {"brake_pressure", *(control.name for control in all_controls())}
     if channel_unit(channel, label.unit) is None and channel not in in_any:
         return None
@@ -252,7 +252,7 @@ def _guess(channel: str, topic: Topic, fields: tuple[str, ...], label: Label, ra
 
 
 def by_topic(result: Iterable[Guess]) -> dict[str, dict[str, Guess]]:
-    """First guess for each channel, by topic."""
+    """Return the first guess for each channel, by topic."""
     sorted_out: dict[str, dict[str, Guess]] = {}
     for guess in result:
         sorted_out.setdefault(guess.topic, {}).setdefault(guess.channel, guess)
@@ -260,11 +260,10 @@ def by_topic(result: Iterable[Guess]) -> dict[str, dict[str, Guess]]:
 
 
 def of_one_vehicle(guesses: Iterable[Guess], pose: str) -> list[Guess]:
-    """The guesses without those of another vehicle whose channel the pose's own has in such a topic, too.
+    """Drop guesses of other vehicles for channels that the pose's own vehicle has, too.
 
     Args:
-        pose: topic of the pose: `/robot2/odom` leaves out the throttle of `/robot1/pedals` where `/robot2/pedals` has
-            one.
+        pose: topic of the pose: `/robot2/odom` drops the throttle of `/robot1/pedals` if `/robot2/pedals` has one.
     """
     guesses = list(guesses)
     here = {(guess.topic, guess.channel) for guess in guesses}
@@ -276,7 +275,7 @@ def of_one_vehicle(guesses: Iterable[Guess], pose: str) -> list[Guess]:
 
 
 def other_vehicle(topic: str, pose: str) -> tuple[str, str] | None:
-    """Namespaces of a topic and of the pose, where they are those of two vehicles: they differ in a number."""
+    """Return the namespaces of a topic and the pose if they belong to two vehicles, i.e. differ in a number."""
     names = _namespaces(topic, pose)
     if names is None or re.sub(r"\d+", "", names[0]) != re.sub(r"\d+", "", names[1]) or _DEVICES.search(names[0]):
         return None
@@ -284,7 +283,7 @@ def other_vehicle(topic: str, pose: str) -> tuple[str, str] | None:
 
 
 def _namespaces(topic: str, pose: str) -> tuple[str, str, str] | None:
-    """Namespaces of two topics up to where they differ, and the first topic by the second one's; None for none."""
+    """Return the namespaces of two topics up to their difference and the first topic renamed to the second, or None."""
     parts, others = topic.split("/"), pose.split("/")
     differ = next((k for k, (a, b) in enumerate(zip(parts[:-1], others[:-1], strict=False)) if a != b), None)
     if differ is None:

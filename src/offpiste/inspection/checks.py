@@ -1,4 +1,4 @@
-"""The list of all checks of channels: a new check is a function in a file of its own, and an entry here."""
+"""Registry of the channel checks: to add one, write its function in a new file and list it here."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -42,14 +42,14 @@ from offpiste.rig.rig import Rig
 
 @dataclass(frozen=True)
 class Topics:
-    """The recorded topics that a check reads.
+    """The recorded topics read by a check.
 
     Attributes:
-        recorded: all topics with numbers, by name.
-        rig: the one that is given, or a drafted one; None where none could be drafted.
-        given: whether the rig is given.
-        listed: all topics of the log, and parts of them.
-        set_back: step back of the recorder's clock.
+        recorded: all numeric topics, by name.
+        rig: the given rig or a drafted one; None if drafting failed.
+        given: True if the rig is given.
+        listed: all topics of the log, including parts of topics.
+        set_back: backward step of the recorder's clock.
     """
 
     recorded: dict[str, Recorded]
@@ -60,12 +60,12 @@ class Topics:
 
     @property
     def clock(self) -> Clock:
-        """Clock settings of the rig, or the default ones."""
+        """Return the rig's clock settings, or the defaults."""
         return self.rig.clock if self.rig else Clock()
 
     @property
     def used(self) -> set[str]:
-        """Topics that the rig reads."""
+        """Return the topics read by the rig."""
         if self.rig is None:
             return set()
         aligned = {self.rig.alignment.speed.topic} if self.rig.alignment else set()
@@ -73,27 +73,27 @@ class Topics:
 
     @property
     def silent(self) -> set[str]:
-        """Topics that are silent while what they say stays, as the rig has it."""
+        """Return the topics recorded only on change, according to the rig."""
         channels = self.rig.channels.values() if self.rig else ()
         return {source.topic for source in channels} - {s.topic for s in channels if s.interpolation != "on change"}
 
     @cached_property
     def senders(self) -> list[Finding]:
-        """Findings on topics with several senders, which other checks read."""
+        """Return findings on topics with several senders, used by other checks."""
         return check_senders(self.listed, self.inspected, self.rig, used=self.used)
 
     @property
     def inspected(self) -> dict[str, Recorded]:
-        """Topics that a given rig reads; all where none is given."""
+        """Return the topics read by a given rig; all topics without one."""
         return {name: r for name, r in self.recorded.items() if not self.given or name in self.used}
 
 
 @dataclass(frozen=True)
 class Motion:
-    """The driven path that a check compares channels with.
+    """The driven path against which channels are checked.
 
     Attributes:
-        follows: whether the heading follows the course, so that turning can be checked by it.
+        follows: True if the heading follows the course, so that turning can be checked.
     """
 
     topics: Topics
@@ -103,22 +103,22 @@ class Motion:
 
     @cached_property
     def measured(self) -> bool:
-        """Whether the rig's wheelbase and `max_steer` are the vehicle's, not a draft's."""
+        """Return True if the rig's wheelbase and `max_steer` are measured, not drafted."""
         return self.topics.given and not check_draft_values(self.drive.rig)
 
     @cached_property
     def steering(self) -> dict[str, SteeringFit]:
-        """Fits of the steering, which several checks read."""
+        """Return the steering fits, used by several checks."""
         return steering_fits(self.drive, self.path, measured=self.measured)
 
     @cached_property
     def cut_off(self) -> list[Finding]:
-        """Channels beyond whose largest value the vehicle turns further: what they are scaled by cannot be known."""
+        """Return channels that saturate while the vehicle turns further; their scale is unknown."""
         return check_saturation(self.drive, self.path) if self.follows else []
 
     @cached_property
     def pedals(self) -> dict[str, LagFit]:
-        """Fits of the pedals, which several checks read."""
+        """Return the pedal fits, used by several checks."""
         return pedal_fits(self.drive, self.path)
 
 
@@ -228,7 +228,7 @@ def _heading_noise(motion: Motion) -> list[Finding]:
 
 
 def _cut_off(motion: Motion) -> list[Finding]:
-    """By how far the vehicle turns, and by where presses end; a channel is named once."""
+    """Combine the evidence of turning and of pedal presses; each channel is reported once."""
     ends = check_range_ends(motion.drive) if motion.topics.given else []
     return motion.cut_off + [f for f in ends if f.where not in {found.where for found in motion.cut_off}]
 
@@ -260,7 +260,7 @@ def _computed_pose(motion: Motion) -> list[Finding]:
 
 
 def _pedals(motion: Motion) -> list[Finding]:
-    reverses = pedal_reverses(motion.drive, motion.path)  # what is below zero is no brake, whose effect is sought
+    reverses = pedal_reverses(motion.drive, motion.path)  # negative values are not a brake
     fits = {name: fit for name, fit in motion.pedals.items() if not (reverses and name == "brake")}
     return check_pedals(fits, motion.drive, motion.path)
 
@@ -300,9 +300,9 @@ MOTION_CHECKS: Final[tuple[Callable[[Motion], list[Finding]], ...]] = (
     _controls,
     _gear,
 )
-"""Checks of channels against the motion; they run where the pose can be trusted."""
+"""Checks of channels against the motion; they require a trusted pose."""
 
 
 def motion_of(topics: Topics, drive: Drive, path: DrivenPath) -> Motion:
-    """Collect what checks of the motion read."""
+    """Collect the inputs of the motion checks."""
     return Motion(topics, drive, path, heading_fits(path))

@@ -1,4 +1,4 @@
-"""Check for clocks that drift against the pose's clock, by the speed of the wheels."""
+"""Check for clocks that drift against the pose's clock, by wheel speeds."""
 
 from dataclasses import dataclass
 
@@ -16,21 +16,21 @@ from offpiste.rig.edits import Edit, rounded
 from offpiste.rig.rig import Rig
 
 _FOLLOWS = 0.97
-"""Correlation with the speed above which a field is one of the wheels' speeds."""
+"""Minimum correlation of a wheel speed field with the speed."""
 _MAX_LAG = 4.0
 _LATE = 0.15
-"""Least lag that is reported [s]."""
+"""Minimum reported lag [s]."""
 _LEADS = -2.0
-"""A speed that vehicles take longer to come to is no command [s]."""
+"""Lower limit of a commanded speed's lag; vehicles respond faster than this [s]."""
 _SLIP = (-0.6, _LATE)
-"""Lags of wheels that spin or lock, and so run ahead of the vehicle [s]."""
+"""Lags explained by wheels that spin or lock [s]."""
 _CHANGE = 0.3
-"""A lag that changes by more than this between its 5th and 95th percentile drifts [s]."""
+"""Minimum change between the 5th and 95th percentile of the lag that counts as drift [s]."""
 
 
 @dataclass(frozen=True)
 class WheelSpeed:
-    """A field that follows the speed: speed = scale * value [m/s]."""
+    """A field proportional to the speed: speed = scale * value [m/s]."""
 
     topic: str
     field: str
@@ -40,7 +40,7 @@ class WheelSpeed:
 
 
 def find_wheel_speeds(recorded: dict[str, Recorded], path: DrivenPath, *, besides: set[str]) -> list[WheelSpeed]:
-    """Fields, of other topics than the pose's, that are proportional to the speed, lagging by up to two seconds."""
+    """Return fields of non-pose topics that are proportional to the speed, with lags up to two seconds."""
     result = []
     for topic, r in recorded.items():
         if topic in besides or len(r.time) < 200:
@@ -54,9 +54,9 @@ def find_wheel_speeds(recorded: dict[str, Recorded], path: DrivenPath, *, beside
 
 
 def check_clocks(recorded: dict[str, Recorded], path: DrivenPath, rig: Rig, *, besides: set[str]) -> list[Finding]:
-    """A finding for each clock behind the rig's channels that is late or drifts; topics with equal stamps share one."""
+    """Return a finding for each clock of the rig's channels that is late or drifts, one per group of equal stamps."""
     known = set(rig.alignment.topics) if rig.alignment else set()
-    # Where motors turn as fast as the throttle says, the speed follows it, later: a response and no clock.
+    # If motors turn at throttle speed, the vehicle's speed follows later: a response, not a clock error.
     controls = [source for name, source in rig.channels.items() if control_of(name) is not None]
     commanded = {(source.topic, field) for source in controls for field in source.fields}
     findings: list[Finding] = []
@@ -77,7 +77,7 @@ def check_clocks(recorded: dict[str, Recorded], path: DrivenPath, rig: Rig, *, b
         source = {"topic": wheel.topic, "fields": [wheel.field], "scale": rounded(wheel.scale)}
         readers = {name for name, source in rig.channels.items() if source.topic in shared}
         if all(map(control_of, readers)) and _LEADS < low <= high < _LATE:
-            continue  # a commanded speed, which the vehicle's follows
+            continue  # a commanded speed, followed by the vehicle's
         slips = _SLIP[0] < low <= high < _SLIP[1]
         if together & besides:  # a clock is not ahead of itself, however far wheels run ahead
             slips = low < -_LATE or high < _SLIP[1]
@@ -95,7 +95,7 @@ def check_clocks(recorded: dict[str, Recorded], path: DrivenPath, rig: Rig, *, b
 
 
 def _constant(topics: list[str], lag: float, evidence: str, rig: Rig) -> list[Finding]:
-    """A lag that does not change is the delay of the channels that read these topics, as far as the rig has it not."""
+    """Return a finding for a constant lag not yet covered by the delays of the rig's channels."""
     sources = {name: source for name, source in rig.channels.items() if source.topic in topics}
     readers = [name for name, source in sources.items() if abs(lag - source.delay) > _LATE]
     if abs(lag) <= _LATE or not readers:
@@ -106,7 +106,7 @@ def _constant(topics: list[str], lag: float, evidence: str, rig: Rig) -> list[Fi
 
 
 def _severity(topics: list[str], rig: Rig) -> Severity:
-    """Wheels that lock or spin run ahead of the vehicle: no harm where no model reads what shares their clock."""
+    """Return the severity; leads caused by wheel slip are harmless if no model reads channels of that clock."""
     readers = {name for name, source in rig.channels.items() if source.topic in topics}
     return "warning" if readers - {"wheel_speed"} else "note"
 
@@ -128,7 +128,7 @@ def _proportional(
             best, scale = correlation, float(np.median(speed[fast]) / max(np.median(value[fast]), 1e-9))
     if best < _FOLLOWS:
         return None
-    # Proportional, not only correlated: a gear or a throttle may rise with the speed too.
+    # Proportional, not only correlated: a gear or a throttle may rise with the speed, too.
     value = np.abs(np.interp(path.time, time, values)) * scale
     if np.sqrt(np.mean((value - speed) ** 2)) > 0.3 * np.sqrt(np.mean(speed**2)):
         return None

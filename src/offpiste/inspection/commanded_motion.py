@@ -1,4 +1,4 @@
-"""Commands that ask for a motion, a speed and a turn rate, where others ask for pedals and steering."""
+"""Commands of a motion, i.e. speed and turn rate instead of pedals and steering."""
 
 import re
 from collections.abc import Iterator, Mapping
@@ -18,21 +18,21 @@ from offpiste.rig.labels import COMMANDED, MEASURED, Label, channel_unit
 from offpiste.rig.rig import Rig
 
 _ALWAYS: Final = "ackermann_msgs/"
-"""Types of messages that are commands unless their topic is called measured."""
+"""Message types of commands unless the topic is named as measured."""
 _WORDS: Final = re.compile(r"[ ._/]*(cmd|com+and(ed)?|desired|target|setpoint|(?<![a-z])(des|ref)(?![a-z]))[ ._/]*")
 _OTHER: Final = re.compile(r"steer|angle|servo|joint|acc|jerk|limit|max|min|lateral|vertical")
 _SPEED: Final = re.compile(r"(^|[ ._/])((linear|velocity|vel|v|speed)[ ._/]*x?|v_x)$")
 _TURN: Final = re.compile(r"(^|[ ._/])(angular[ ._/]*(velocity|vel)?[ ._/]*z|(yaw|turn)[ ._/]*rate|omega|w|w_z)$")
 _FASTEST: Final = 6.5
-"""Turn rates above are in degrees: no vehicle turns round once a second [rad/s]."""
+"""Maximum turn rate in rad/s; larger values are in degrees per second."""
 _DIRECTION: Final = 100.0
-"""Scale of the largest speed that makes slow ones a gear, too: their rounded sign counts."""
+"""Scaled maximum speed, large enough that the rounded sign of slow speeds serves as gear, too."""
 _USUAL: Final = 95
-"""Percentile of the commanded curvatures that a full lock stands for; the largest are those of turns on the spot."""
+"""Percentile of the commanded curvatures taken as full lock; larger ones are turns on the spot."""
 
 
 def motion_commands(topic: Topic, named: Mapping[str, Label]) -> Iterator[tuple[str, tuple[str, ...], str]]:
-    """Throttle, gear and steering of a topic that commands a speed and a turn rate: channel, fields and unit.
+    """Yield channel, fields and unit of throttle, gear and steering from a topic of commanded motion.
 
     Args:
         named: name and unit of the topic's fields.
@@ -53,7 +53,7 @@ def motion_commands(topic: Topic, named: Mapping[str, Label]) -> Iterator[tuple[
 
 
 def is_asked_for(topic: Topic, fields: tuple[str, ...] = ()) -> bool:
-    """Whether a topic, or any of these fields of it, is a command by its type or its name."""
+    """Return True if the type or name of a topic, or any of these fields, marks a command."""
     if topic.type.startswith(_ALWAYS) and not MEASURED.search(topic.name):
         return True
     return any(COMMANDED.search(name) for name in (topic.name, *fields))
@@ -64,11 +64,11 @@ def _measures(channel: str, label: Label) -> bool:
 
 
 def motion_lines(channel: str, values: Float[np.ndarray, " n"], unit: str) -> tuple[tuple[str, ...], str]:
-    """What a first rig says of a commanded motion, and why.
+    """Return a first rig's entry for a commanded motion, and a comment.
 
     Args:
-        values: of the first field: the speed [m/s], or the turn rate.
-        unit: of a turn rate, as the log states it; rad/s where it states none.
+        values: of the first field: speed [m/s] or turn rate.
+        unit: of a turn rate, as stated by the log; rad/s by default.
 
     Returns:
         Lines of TOML, and a comment.
@@ -87,11 +87,11 @@ def motion_lines(channel: str, values: Float[np.ndarray, " n"], unit: str) -> tu
 
 
 def commanded_curvature(raw: Float[np.ndarray, "n 2"], rig: Rig) -> float:
-    """Curvature that turn rates and speeds ask for at full lock, which a few turns on the spot leave out [1/m].
+    """Return the commanded curvature at full lock [1/m], excluding a few turns on the spot.
 
     Args:
         raw: turn rate and speed of each command, as recorded.
-        rig: whose steering reads them.
+        rig: the rig with this steering.
     """
     source = rig.channels["steer"]
     rate, speed = raw[np.isfinite(raw).all(axis=1)].T
@@ -102,11 +102,11 @@ def commanded_curvature(raw: Float[np.ndarray, "n 2"], rig: Rig) -> float:
 
 
 def is_turn_rate(channel: Channel, path: DrivenPath, rig: Rig) -> bool:
-    """Whether the vehicle turns as a steering command says, and not as that times the speed.
+    """Return True if the vehicle's yaw rate follows a steering command itself, not the command times the speed.
 
     Args:
-        channel: the command's own number, as recorded.
-        rig: that reads it so.
+        channel: the command's value, as recorded.
+        rig: the rig with this steering.
     """
     fitted = steering_fit(channel, path, rig, measured=False)
     one = np.ones((len(path.time), 1))

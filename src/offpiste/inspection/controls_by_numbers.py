@@ -1,4 +1,4 @@
-"""Controls that no name gives away: fields that the vehicle's motion follows, such as the axes of a joystick."""
+"""Controls without telling names, found by the vehicle's response, e.g. joystick axes."""
 
 import re
 from collections.abc import Iterator, Sequence
@@ -26,57 +26,57 @@ from offpiste.rig.labels import COMMANDED
 from offpiste.rig.rig import Rig
 
 _FOLLOWS: Final = {"steer": 0.75, "throttle": 0.45, "brake": 0.35}
-"""Least correlation with the turning or the acceleration for a control that its numbers alone show."""
+"""Minimum correlation of an unnamed control with the turning or the acceleration."""
 _CLEARER: Final = 0.1
-"""By this much more than the next field."""
+"""Minimum margin over the next field's correlation."""
 _LEADS: Final = {"steer": (-0.05, 0.6), "throttle": (-0.05, 0.8), "brake": (-0.05, 0.8)}
-"""How long after a command the motion comes [s]: what moves before it is measured."""
+"""Allowed response time of the motion [s]; signals that lag the motion are measurements."""
 _COPIES: Final = 0.95
-"""Correlation of two fields that are one steering, commanded and measured."""
+"""Minimum correlation of commanded and measured steering."""
 _SAME: Final = 0.999
-"""Correlation of two fields at the same moments that are one control, written down twice."""
+"""Minimum correlation of simultaneous copies of one control."""
 _WHOLE: Final = 1.05
-"""Largest number of a control that is a share."""
+"""Maximum value of a normalised control."""
 _APART: Final = np.arange(-0.6, 0.61, 0.02)
-"""Lags of the one behind the other that are tried [s]."""
+"""Candidate lags between two fields [s]."""
 _NEARLY: Final = 0.95
-"""Share of the best correlation that counts as the best: slow signals hardly tell when."""
+"""Share of the best correlation that counts as equal; slow signals determine the lag poorly."""
 _AT_ONCE: Final = 0.1
-"""Wheels take longer to turn, and vehicles to follow them [s]."""
+"""Maximum lag of a simultaneous measurement; wheels and vehicles respond later [s]."""
 _MOST: Final = 24
-"""Most fields that are tried."""
+"""Maximum number of candidate fields."""
 _OF_MOTION: Final = re.compile(r"linear|angular")
-"""Names of the fields of a commanded motion."""
+"""Field names of a commanded motion."""
 _MEASURED: Final = re.compile(
     r"odom|gps|gnss|navsat|twist|accel|magn|image|scan|(?<![a-z])(?:imu|pose|point|tf(?![a-z]))", re.IGNORECASE
 )
-"""Topics and types of what is measured."""
+"""Topics and types of measurements."""
 _COMMANDING: Final = re.compile(rf"{COMMANDED.pattern}|actuator|motors", re.IGNORECASE)
-"""Topics of commands to a vehicle, or to its actuators."""
+"""Topics of commands to a vehicle or its actuators."""
 _BY_HAND: Final = re.compile(r"(?<![a-z])(joy(stick)?|gamepad|teleop|radio|rc(_?in)?)(?![a-z])", re.IGNORECASE)
-"""Topics of what a person drives with at a distance: sticks, and triggers that are pedals."""
+"""Topics of remote controls, with sticks and triggers."""
 _GOES_OUT: Final = re.compile(r"(?<![a-z])(rc)?out?(puts?)?(?![a-z])", re.IGNORECASE)
-"""Topics of what a flight controller gives its actuators, whatever came in by radio."""
+"""Topics of a flight controller's actuator outputs."""
 _SIDES: Final = {"left": "right", "right": "left"}
 _SIDE: Final = re.compile(r"(?<![a-z])(left|right)(?![a-z])", re.IGNORECASE)
-"""Names of the two sides of a vehicle, whose wheels or tracks have a command each."""
+"""Names of vehicle sides with separate commands per wheel or track."""
 _STEERING: Final = re.compile(r"steer|joy|com+and|cmd|control", re.IGNORECASE)
-"""Topics that may hold a steering, whatever its field is called."""
+"""Topics that may hold a steering under any field name."""
 _LISTED: Final = 60
-"""Columns of a table that are named."""
+"""Maximum number of table columns listed."""
 _FRAME: Final = re.compile(r"can_msgs/(msg/)?Frame$")
-"""Messages of bytes as they come on a CAN bus."""
+"""Type of raw CAN frames."""
 _MOTION: Final = re.compile(
     r"acc|gyro|omega|rate|vel|speed|pos|orient|quat|cov|curv|slip|wheel|rpm|yaw|pitch|roll|(?<![a-z])[xyz](?![a-z])"
 )
-"""Names of numbers that follow from the motion, and not the motion from them."""
+"""Names of quantities caused by the motion."""
 
 
 def find_controls(log: Log, rig: Rig) -> dict[str, tuple[Guess, float]]:
-    """Controls that a rig lacks, by the motion that follows them: where each is, and the correlation.
+    """Return controls missing from a rig, found by the vehicle's response, with their correlations.
 
     Args:
-        rig: with a pose.
+        rig: must have a pose.
     """
     lacking = [name for name in _FOLLOWS if name not in rig.channels]
     if not lacking:
@@ -107,14 +107,14 @@ def find_controls(log: Log, rig: Rig) -> dict[str, tuple[Guess, float]]:
 
 
 def _may_hold_pedals(topic: str) -> bool:
-    """Whether a topic is a command or a remote control by its name: too much else goes up and down with the speed."""
+    """Return True if a topic is named as a command or remote control; too many other fields follow the speed."""
     return bool(_COMMANDING.search(topic) or _BY_HAND.search(topic))
 
 
 def _without_copies(near: Sequence[tuple[float, Guess]], name: str, log: Log, rig: Rig) -> list[tuple[float, Guess]]:
-    """The same but for fields that are another one at the same moment in other numbers, as pulses of its command.
+    """Drop fields that duplicate another one at the same time in other units, e.g. command pulses.
 
-    Of these the one whose numbers are a share, within -1 to 1, is kept, else what goes out to the actuators.
+    The field within -1 to 1 is kept, otherwise the actuator output.
     """
     kept = list[tuple[float, Guess, Channel]]()
     read = [(score, guess, channel) for score, guess in near if (channel := _read(name, guess, log, rig)) is not None]
@@ -129,7 +129,7 @@ def _without_copies(near: Sequence[tuple[float, Guess]], name: str, log: Log, ri
 
 
 def _commanded_and_measured(pair: Sequence[tuple[float, Guess]], log: Log, rig: Rig) -> dict[str, tuple[Guess, float]]:
-    """Two fields that are one steering: the earlier is its command, the later what was measured; nothing for others."""
+    """Return command (earlier) and measurement (later) if two fields are one steering, otherwise nothing."""
     samples = [channel for _, guess in pair if (channel := _read("steer", guess, log, rig)) is not None]
     start, end = max(s.time[0] for s in samples), min(s.time[-1] for s in samples)
     at = np.arange(start + _APART[-1], end - _APART[-1], 0.02)
@@ -147,7 +147,7 @@ def _commanded_and_measured(pair: Sequence[tuple[float, Guess]], log: Log, rig: 
 
 
 def _follows(name: str, guess: Guess, log: Log, rig: Rig, path: DrivenPath) -> float:
-    """Correlation of the motion with a field as this control, later than it; 0 where it does not follow."""
+    """Return the correlation of the motion with a field read as this control; 0 if the motion does not follow it."""
     trial = _with(name, guess, rig)
     channel = _read(name, guess, log, rig)
     if channel is None:
@@ -163,13 +163,13 @@ def _follows(name: str, guess: Guess, log: Log, rig: Rig, path: DrivenPath) -> f
 
 
 def _with(name: str, guess: Guess, rig: Rig) -> Rig:
-    """A rig that reads a field as this control."""
+    """Return the rig with a field read as this control."""
     source = ChannelSource(guess.fields, guess.topic)
     return msgspec.structs.replace(rig, channels={**rig.channels, name: source})
 
 
 def _read(name: str, guess: Guess, log: Log, rig: Rig) -> Channel | None:
-    """A field as this control, without what is not finite or out of order; None where nothing usable is left."""
+    """Read a field as this control, dropping rows that are not finite or out of order; None if nothing is left."""
     trial = _with(name, guess, rig)
     try:
         return read_channel(log, trial, name, trial.channels[name])[0]
@@ -178,10 +178,10 @@ def _read(name: str, guess: Guess, log: Log, rig: Rig) -> Channel | None:
 
 
 def _is_turn_rate(channel: Channel, path: DrivenPath, rig: Rig, strength: float) -> bool:
-    """Whether a field explains the yaw rate of that moment alone, as a gyroscope does, no less than times the speed.
+    """Return True if a field explains the simultaneous yaw rate, like a gyroscope, at least as well as times the speed.
 
     Args:
-        strength: its correlation times the speed.
+        strength: correlation of the field times the speed.
     """
     one = np.ones((len(path.time), 1))
     fit = fit_lags(path.yaw_rate, one, lagged(channel, path.time, rig), LAGS, moving_rows(path))
@@ -189,12 +189,12 @@ def _is_turn_rate(channel: Channel, path: DrivenPath, rig: Rig, strength: float)
 
 
 def _pressed(channel: Channel) -> Channel | None:
-    """A pedal from 0, released, upwards, or what lies above the middle of a stick or of pulses; None for neither."""
+    """Return a pedal from 0 upwards, or the upper half of a stick or pulses; None if neither fits."""
     values: Float[np.ndarray, "n 1"] = channel.values
     high, pulses = rests_high(values[:, 0]), are_pulses(values[:, 0], named=False)
     rest = pulse_at_rest(values[:, 0]) if pulses else 0.0
     two_way = rests_between(values[:, 0], rest) and (pulses or is_signed(values[:, 0]))
-    # Whoever drives at full throttle for long is at an end of the range as well.
+    # Long driving at full throttle is also at an end of the range.
     if high is None or two_way:
         both_ways = channel.name == "throttle" and (pulses or is_signed(values[:, 0]))
         return replace(channel, values=np.maximum(values - rest, 0.0)) if both_ways else None
@@ -202,15 +202,15 @@ def _pressed(channel: Channel) -> Channel | None:
 
 
 def _later(fit: LagFit, name: str, *, sign: int) -> float:
-    """The correlation with motion that comes later; 0 where motion that comes before explains clearly more."""
+    """Return the correlation with later motion; 0 if earlier motion is a clearly better explanation."""
     best, inside = fit.best(sign=sign), fit.best(*_LEADS[name], sign=sign)
     return float(abs(fit.r[inside])) if abs(fit.r[inside]) >= _NEARLY * abs(fit.r[best]) else 0.0
 
 
 def is_measured_topic(topic: Topic) -> bool:
-    """Whether name or type of a topic say that it is measured; a table's columns say more than its name.
+    """Return True if a topic's name or type marks a measurement; for tables, the columns decide.
 
-    A topic named as a command is none, as TartanDrive's `cmd/twist.npy`, but for one that commands a motion.
+    Topics named as commands are excluded, such as TartanDrive's `cmd/twist.npy`, unless they command a motion.
     """
     if COMMANDED.search(topic.name) and not any(_OF_MOTION.search(field) for field in topic.fields):
         return False
@@ -218,7 +218,7 @@ def is_measured_topic(topic: Topic) -> bool:
 
 
 def _candidates(log: Log, rig: Rig) -> Iterator[Guess]:
-    """Fields that no channel reads, that change, and that no name says to be measured; those of commands come first."""
+    """Yield unused varying fields not named as measurements, commands first."""
     for guess in sorted(_unread(log, rig), key=lambda guess: not (guess.asked_for or _COMMANDING.search(guess.topic))):
         try:
             values = log.read(guess.topic, guess.fields).values[:, 0]
@@ -230,7 +230,7 @@ def _candidates(log: Log, rig: Rig) -> Iterator[Guess]:
 
 
 def _unread(log: Log, rig: Rig) -> Iterator[Guess]:
-    """Fields that no channel reads and that no name says to be measured, in the log's order."""
+    """Yield unused fields not named as measurements, in log order."""
     read = {(source.topic, field) for source in rig.channels.values() for field in source.fields}
     for topic in log.topics.values():
         if topic.count < 100 or topic.part_of or is_measured_topic(topic) or _FRAME.search(topic.type):
@@ -244,22 +244,22 @@ def _unread(log: Log, rig: Rig) -> Iterator[Guess]:
 
 
 def _sides(topic: Topic, log: Log) -> list[str]:
-    """Fields of one side of the vehicle that have a counterpart of the other side: one alone neither drives nor steers.
+    """Return fields of one vehicle side that have a counterpart on the other side.
 
-    The side is in the names of the fields, or in that of the topic.
+    The side is part of the field names or of the topic.
     """
     fields = [field for field in topic.fields if _other_side(field) in topic.fields]
     return fields or (list(topic.fields) if _other_side(topic.name) in log.topics else [])
 
 
 def _other_side(name: str) -> str | None:
-    """The same name of the other side; None where it names no side."""
+    """Return the name of the opposite side's counterpart; None if it names no side."""
     other = _SIDE.sub(lambda side: _SIDES[side[0].lower()], name)
     return None if other == name else other
 
 
 def why_no_steering(log: Log) -> str:
-    """Sentences on what holds a steering that cannot be read as it is: commands of two sides, raw bytes; or none."""
+    """Return sentences on unreadable steering sources (commands per side, raw bytes), or ""."""
     sided: list[str] = []
     words = ""
     for topic in log.topics.values():
@@ -275,7 +275,7 @@ def why_no_steering(log: Log) -> str:
 
 
 def steering_candidates(log: Log) -> str:
-    """Sentences on numbers that may be the steering under another name, and on what holds one that cannot be read."""
+    """Return sentences on possible steering fields under other names, and on unreadable sources."""
     why = why_no_steering(log)
     if list(log.topics) == [""]:
         return f"{why}The columns are: {', '.join(log.topics[''].fields[:_LISTED])}"

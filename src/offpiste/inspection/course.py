@@ -1,4 +1,4 @@
-"""Checks of the heading against the course: mirrored, in another unit, turned; or places with swapped axes."""
+"""Checks of the heading against the course: mirrored, rotated or in another unit; or swapped position axes."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -20,41 +20,41 @@ from offpiste.rig.labels import named_axis, named_coordinate, named_direction
 from offpiste.rig.rig import Rig
 
 _TOGETHER: Final = 0.8
-"""Resultant of angles that agree: a circular spread of some 40 degrees."""
+"""Minimum resultant of consistent angles: a circular spread of about 40 degrees."""
 _APART: Final = 0.6
-"""Resultant below which they surely do not agree; drifts and faults of the position alone come near it."""
+"""Maximum resultant of clearly inconsistent angles; position drift and faults alone come near it."""
 _TURNED: Final = np.deg2rad(10.0)
-"""Least turn of the heading against the course that is reported [rad]."""
+"""Minimum reported offset of the heading from the course [rad]."""
 _SPOILS: Final = np.deg2rad(45.0)
-"""Turn of the heading beyond which forward and sideways are confused, and nothing can be learned [rad]."""
+"""Maximum usable heading offset; beyond it forward and sideways are confused [rad]."""
 _NEARLY: Final = np.deg2rad(2.0)
-"""Conventions differ by quarters of a turn: what is this near to one is one [rad]."""
+"""Tolerance for snapping an offset to a multiple of 90 degrees [rad]."""
 _HELD: Final = 1e-9
-"""Turn rate up to which a heading is held: noise alone is more [rad/s]."""
+"""Maximum turn rate of a held heading; noise alone is larger [rad/s]."""
 _STRAIGHT: Final = 0.3
-"""Share of the moving rows, those that turn least, at which a vehicle goes where it heads."""
+"""Share of the moving rows, those with the least turning, that counts as straight driving."""
 _ONE_WAY: Final = 0.7
-"""Resultant of headings above which a vehicle drives to and fro in one direction."""
+"""Minimum resultant of headings of a drive back and forth along one direction."""
 _STRETCHES: Final = np.geomspace(1.0, 10.0, 30)
-"""Times that places are too long to the east against the north, tried where latitude and longitude are exchanged."""
+"""Candidate east/north scale ratios for swapped coordinates."""
 _STRETCHED: Final = 1.1
-"""Least of them that is seen; a compass beside iron errs by as much."""
+"""Minimum detectable ratio; a compass near iron has errors of this size."""
 _FITS_BETTER: Final = 0.5
-"""What the heading may lack of following the stretched course, as a share of what it lacks now ..."""
+"""Maximum misfit of the stretched course, as a share of the present misfit ..."""
 _LACKS: Final = 0.003
-"""... if it lacks this much now."""
+"""... if that is at least this large."""
 _OF_GEOGRAPHIC: Final = {"z up": ("ned", -np.pi / 2), "ned": ("z up", np.pi / 2)}
-"""Other axes of an orientation beside latitude and longitude, and how the course turns with them [rad]."""
+"""Alternative axes of an orientation with latitude and longitude, and the course rotation [rad]."""
 
 
 @dataclass(frozen=True)
 class Reading:
-    """One way to read the pose: edits of the rig, and how course and heading agree with them.
+    """A candidate reading of the pose: edits of the rig and the resulting agreement of course and heading.
 
     Attributes:
-        together: resultant of course minus heading while moving, from 0 to 1; backward counts as forward.
-        offset, offset_sigma: mean of course minus heading where the vehicle drives straight [rad].
-        stretch: times that exchanged places are too long to the east against the north.
+        together: resultant of course minus heading while moving, 0 to 1; backward counts as forward.
+        offset, offset_sigma: mean of course minus heading in straight driving [rad].
+        stretch: east/north scale ratio of swapped coordinates.
     """
 
     edits: tuple[Edit, ...]
@@ -65,19 +65,19 @@ class Reading:
 
     @property
     def exchanged(self) -> bool:
-        """Whether the first two fields of the position are exchanged."""
+        """Return True if the first two fields of the position are swapped."""
         return any(edit.key == "channels.position.fields" for edit in self.edits)
 
 
 def heading_fits(path: DrivenPath) -> bool:
-    """Whether the heading follows the course, so that turning and steering can be checked by it."""
+    """Return True if the heading follows the course, so that turning and steering can be checked."""
     moving = under_way(path)
     course = _course(path)
     return not moving.any() or _agreement(course - path.yaw, path.yaw, moving, _straight(path, moving)) > _TOGETHER
 
 
 def check_course(drive: Drive, path: DrivenPath) -> list[Finding]:
-    """Heading against the direction of travel."""
+    """Check the heading against the direction of travel."""
     if under_way(path).sum() < 40:
         return []
     name = "yaw" if "yaw" in drive.channels else "orientation"
@@ -87,9 +87,9 @@ def check_course(drive: Drive, path: DrivenPath) -> list[Finding]:
 
 
 def _check_exchanged(name: str, ways: Sequence[Reading], rig: Rig) -> list[Finding]:
-    """A finding if places are stretched as those are whose latitude is read as the longitude.
+    """Return a finding if positions are stretched as by swapped latitude and longitude.
 
-    A degree of longitude is shorter than one of latitude by the cosine of the latitude, wherever people live.
+    A degree of longitude is shorter than one of latitude by the cosine of the latitude.
     """
     if rig.channels["position"].unit != GEOGRAPHIC:
         return []
@@ -105,14 +105,14 @@ def _check_exchanged(name: str, ways: Sequence[Reading], rig: Rig) -> list[Findi
 
 
 def _check_heading(name: str, plain: Reading, others: Sequence[Reading], rig: Rig) -> list[Finding]:
-    """A finding if the heading does not follow the course, or at an angle."""
+    """Return a finding if the heading does not follow the course or has an offset."""
     if plain.together > _TOGETHER:
         if abs(plain.offset) > _TURNED + SURE * plain.offset_sigma:
             return [_turned(name, plain, rig)]
         return []
     better = [other for other in others if other.together > max(_TOGETHER, plain.together + 0.1)]
     ways = [(_with_offset(name, other, rig), other.together) for other in better]
-    # Axes that are named as they are read are the last to be wrong.
+    # Axes that match their names are the least likely to be wrong.
     ways.sort(key=lambda way: (against_names(way[0], rig), len(way[0]), -way[1]))
     cures = tuple(cure for cure, _ in ways)
     what = "the heading does not follow the course"
@@ -128,7 +128,7 @@ def _check_heading(name: str, plain: Reading, others: Sequence[Reading], rig: Ri
 
 
 def readings(drive: Drive, path: DrivenPath) -> Iterator[Reading]:
-    """All ways to read the pose that a rig can state, the present one first."""
+    """Yield all readings of the pose that a rig can state, the present one first."""
     moving = under_way(path)
     straight = _straight(path, moving)
     measured = straight & (np.abs(path.yaw_rate) > _HELD)  # receivers hold a heading until they move
@@ -142,7 +142,7 @@ def readings(drive: Drive, path: DrivenPath) -> Iterator[Reading]:
         units |= {unit: unit_factor("yaw", unit) / unit_factor("yaw", now) for unit in ("rad", "deg") if unit != now}
     places = drive.rig.channels["position"].unit == GEOGRAPHIC
     for swap, sign, (unit, factor) in product((False, True), (1, -1) if yaw else (1,), units.items()):
-        # Degrees read as radians were unwrapped at the wrong turn: from the samples, not from the path.
+        # Degrees read as radians were unwrapped incorrectly: use the samples, not the path.
         turned = np.interp(path.time, raw.time, np.unwrap(sign * factor * raw.values[:, 0]))
         edits = [Edit("channels.position.fields", _exchanged(drive.rig))] if swap else []
         edits += [Edit("channels.yaw.sign", -yaw.sign)] if yaw and sign < 0 else []
@@ -153,7 +153,7 @@ def readings(drive: Drive, path: DrivenPath) -> Iterator[Reading]:
             ways.append((_agreement(difference, turned, moving, straight), stretch, difference))
         agreement, stretch, difference = max(ways, key=lambda way: way[0])
         yield Reading(tuple(edits), agreement, *_offset(difference, measured, moving), stretch)
-    # All beside them may be north, east, down; a compass alone needs no other axes.
+    # With an orientation, all axes may be north-east-down; a compass alone needs no other axes.
     if places and (yaw is None or _has_axes(drive.rig)) and drive.rig.motion.axes in _OF_GEOGRAPHIC:
         other, quarter = _OF_GEOGRAPHIC[drive.rig.motion.axes]
         turned = np.interp(path.time, raw.time, np.unwrap(raw.values[:, 0]))
@@ -163,36 +163,36 @@ def readings(drive: Drive, path: DrivenPath) -> Iterator[Reading]:
 
 
 def _has_axes(rig: Rig) -> bool:
-    """Whether a rig reads a velocity or a turn rate whose axes show."""
+    """Return True if a rig reads a velocity or a turn rate that reveals its axes."""
     velocity = rig.channels.get("linear_velocity")
     turns = {"yaw_rate", "angular_velocity"} & set(rig.channels)
     return bool(turns) or (velocity is not None and velocity.frame != "unknown")
 
 
 def against_names(edits: Iterable[Edit], rig: Rig) -> float:
-    """How much the names of positions speak against edits that exchange x and y, in units of warnings.
+    """Return the evidence of position names against edits that swap x and y, in units of warnings.
 
-    Letters may be wrong, and among cures that explain as much they decide; nobody writes "east" for north.
+    Single letters may be wrong and only break ties between fixes; words such as "east" are reliable.
     """
     fields, yaw = rig.channels["position"].fields[:2], rig.channels.get("yaw")
     exchanged = any(edit.key == "channels.position.fields" for edit in edits)
     geographic = [named_coordinate(field) for field in fields] == ["lat", "lon"]
     if not exchanged or not (geographic or [named_axis(field) for field in fields] == ["x", "y"]):
         return 0.0
-    # A heading that is read as a compass's is as sure of its side as they are.
+    # A heading read as a compass heading is equally reliable.
     compass = yaw is not None and yaw.sign * turning_sign("yaw", rig.motion.axes) < 0
     named = geographic or all(named_direction(field) for field in fields)
     return 10.0 if named and not compass else 0.5
 
 
 def _exchanged(rig: Rig) -> list[str]:
-    """Fields of the position with its first two exchanged."""
+    """Return the position fields with the first two swapped."""
     x, y, *z = rig.channels["position"].fields
     return [y, x, *z]
 
 
 def _with_offset(name: str, reading: Reading, rig: Rig) -> tuple[Edit, ...]:
-    """The edits of a reading, and the one that takes its offset out."""
+    """Return the edits of a reading, including the correction of its offset."""
     if abs(reading.offset) < _TURNED:
         return reading.edits
     source = rig.channels[name]
@@ -214,7 +214,7 @@ def _turned(name: str, reading: Reading, rig: Rig) -> Finding:
     evidence = f"{size:.0f} ± {sigma:.0f} degrees where it drives straight"
     cure = _with_offset(name, reading, rig)
     how = ", ".join(map(str, cure))
-    backwards = abs(reading.offset) > np.radians(150)  # whether it reverses is known by what else follows from it
+    backwards = abs(reading.offset) > np.radians(150)  # other consequences show a reversed heading
     how += "; or it drives backwards" if backwards else ""
     what = "the heading is turned against the course"
     severity: Severity = "fatal" if not backwards and abs(reading.offset) > _SPOILS else "warning"
@@ -222,27 +222,27 @@ def _turned(name: str, reading: Reading, rig: Rig) -> Finding:
 
 
 def straight_rows(path: DrivenPath) -> Bool[np.ndarray, " n"]:
-    """Rows in which the vehicle moves and its course turns least."""
+    """Return the moving rows with the least turning of the course."""
     moving = under_way(path)
     return _straight(path, moving) if moving.any() else moving
 
 
 def course_minus_heading(path: DrivenPath) -> Float[np.ndarray, " n"]:
-    """Direction of travel minus heading, backward counted as forward: from -pi / 2 to pi / 2 [rad]."""
+    """Return direction of travel minus heading, backward counted as forward, from -pi / 2 to pi / 2 [rad]."""
     return np.asarray(np.angle(np.exp(2j * (_course(path) - path.yaw))) / 2)
 
 
 def under_way(path: DrivenPath) -> Bool[np.ndarray, " n"]:
-    """Rows in which the vehicle moves, not slowly for this drive."""
+    """Return the rows in motion, excluding slow ones for this drive."""
     moving: np.ndarray = np.isfinite(path.yaw) & (path.speed > max(0.3, 0.3 * path.cruise))
     return moving
 
 
 def _course(path: DrivenPath, exchanged: float = 0.0) -> Float[np.ndarray, " n"]:
-    """Direction of travel, the opposite where the gear is reverse [rad].
+    """Return the direction of travel, reversed in reverse gear [rad].
 
     Args:
-        exchanged: by how many times y is too long where x and y are exchanged; 0 where they are not.
+        exchanged: east/north scale ratio if x and y are swapped, otherwise 0.
     """
     x, y = path.velocity.T
     course = np.asarray(np.arctan2(x, y / exchanged) if exchanged else np.arctan2(y, x))
@@ -250,7 +250,7 @@ def _course(path: DrivenPath, exchanged: float = 0.0) -> Float[np.ndarray, " n"]
 
 
 def _straight(path: DrivenPath, moving: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-    """The moving rows whose course turns least: a vehicle that slides or drifts there does so briefly."""
+    """Return the moving rows with the least turning of the course; slides and drifts there are brief."""
     course = _course(path)
     rows = 5
     ahead, behind = np.roll(course, -rows), np.roll(course, rows)
@@ -264,9 +264,9 @@ def _straight(path: DrivenPath, moving: Bool[np.ndarray, " n"]) -> Bool[np.ndarr
 def _agreement(
     difference: Float[np.ndarray, " n"], yaw: Float[np.ndarray, " n"], moving: np.ndarray, straight: np.ndarray
 ) -> float:
-    """How far course and heading agree: where it drives straight, if it does so in many directions, or else anywhere.
+    """Return the agreement of course and heading in straight driving if it covers many directions, otherwise anywhere.
 
-    A vehicle that drifts goes elsewhere than it heads, but hardly where its course is straight.
+    A drifting vehicle's course differs from its heading, but rarely on a straight course.
     """
     overall = _together(difference[moving])
     if straight.sum() > 3 / STEP and _together(yaw[straight]) < _ONE_WAY:
@@ -275,17 +275,16 @@ def _agreement(
 
 
 def _together(difference: Float[np.ndarray, " n"]) -> float:
-    """Length of the mean of exp(i difference); backward stretches count as forward."""
+    """Return the length of the mean of exp(i difference); backward stretches count as forward."""
     return float(np.sqrt(np.abs(np.nanmean(np.exp(2j * difference)))))
 
 
 def _offset(
     difference: Float[np.ndarray, " n"], rows: Bool[np.ndarray, " n"], moving: Bool[np.ndarray, " n"]
 ) -> tuple[float, float]:
-    """Median angle of some rows, and the standard deviation of their mean, by a jackknife over blocks of 5 s [rad].
+    """Return the median angle of some rows and the standard error by a jackknife over blocks of 5 s [rad].
 
-    Angles are compared modulo pi, as a vehicle that reverses at times goes where its tail points; most of the moving
-    rows say which.
+    Angles are compared modulo pi, as the vehicle may reverse at times; the majority of moving rows decides.
     """
     at = np.flatnonzero(rows & np.isfinite(difference))
     if not len(at):
