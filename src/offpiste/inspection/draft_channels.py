@@ -42,18 +42,18 @@ _VECTORS: Final = ("position", "orientation", "linear_velocity", "angular_veloci
 _IN_HAND: Final = re.compile(
     r"(steering|hand)[ _]?wheel|(steer|str|stg)_?whl|(?<![a-z])swa?(?![a-z])|carState\.steer", re.IGNORECASE
 )
-"""Names of the steering wheel, in the driver's hands."""
+"""Names of the steering wheel."""
 _PEDAL: Final = 1.05
-"""Largest value of a pedal; of a commanded speed some value is larger [m/s]."""
+"""Maximum value of a pedal; commanded speeds exceed it [m/s]."""
 _STEERING_WHEEL: Final = 130.0
-"""Largest value from which a steering in degrees is surely that of the wheel in the driver's hands."""
+"""Minimum full-scale value in degrees that implies the steering wheel's angle."""
 _STEEPEST: Final = 1.4
-"""Largest `max_steer` that is drafted [rad]."""
+"""Maximum drafted `max_steer` [rad]."""
 _ALIKE: Final = (0.9, 1.1)
-"""What a command's largest number is of that of the measured angle, where it is an angle itself."""
+"""Ratio of the largest command to the largest measured angle if the command is an angle."""
 
 Found = Mapping[str, tuple[Guess, float]]
-"""Guesses of controls that only the motion shows, with its correlation (`controls_by_numbers`)."""
+"""Guesses of controls found by the vehicle's response only, with their correlation (`controls_by_numbers`)."""
 
 
 def draft_channels(
@@ -67,16 +67,16 @@ def draft_channels(
     backwards: bool = False,
     in_hand: bool = False,
 ) -> dict[str, Entry]:
-    """Entries by channel, the pose's first.
+    """Return entries by channel, the pose's first.
 
     Args:
         frame: of the linear velocity.
-        found: controls that no name shows.
-        straight: recorded steering at which the vehicle goes straight, where the motion shows it.
-        plain: whether what is named a speed and a turn rate is the throttle and the steering itself.
-        max_steer: of the road wheels at a steering command of 1 [rad], where the motion shows it; else 0.
-        backwards: whether the side below zero of a pedal drives backwards.
-        in_hand: whether what is called a steering angle is of the steering wheel.
+        found: controls found by the vehicle's response only.
+        straight: recorded steering in straight driving, if known from the motion.
+        plain: True if fields named as speed and turn rate are throttle and steering themselves.
+        max_steer: road wheel angle at a steering command of 1 [rad], if known from the motion, otherwise 0.
+        backwards: True if negative pedal values drive backwards.
+        in_hand: True if the steering angle is the steering wheel's.
     """
     guesses = [_as_it_is(guess) if plain else guess for guess in guess_channels(log)]
     entries = draft_pose(log, guesses, frame)
@@ -103,10 +103,10 @@ def draft_channels(
         scalars.pop("gear", None)
         scalars["throttle"] = replace(scalars["throttle"][0], unit="", rank=1), scalars["throttle"][1]
     if "brake" not in scalars and "brake_pressure" in scalars:
-        scalars["brake"] = scalars.pop("brake_pressure")  # which stands for the command
+        scalars["brake"] = scalars.pop("brake_pressure")  # used as the command
     if "steer" not in scalars and "steer_angle" in scalars and scalars["steer_angle"][0].rank == MEASURED:
         guess, numbers = scalars.pop("steer_angle")
-        # A position beside no command is the steering, of any unit; that of a joint is an angle.
+        # Without a command, a position of any unit is the steering; a joint's position is an angle.
         scalars["steer"] = (guess if is_array_entry(guess.fields[0]) else replace(guess, channel="steer")), numbers
     if in_hand and (angle := scalars.get("steer_angle")) is not None:
         scalars["steer_angle"] = replace(angle[0], in_hand=True), angle[1]
@@ -124,7 +124,7 @@ def draft_channels(
 
 
 def of_other_vehicles(entries: Mapping[str, Entry]) -> list[str]:
-    """Comments that name the controls and actuators that another vehicle's topics hold, by its name."""
+    """Return comments that list controls and actuators on topics named for another vehicle."""
     others: dict[tuple[str, str], list[str]] = {}
     for channel, entry in entries.items():
         names = other_vehicle(entry.guess.topic, entries["position"].guess.topic)
@@ -138,7 +138,7 @@ def of_other_vehicles(entries: Mapping[str, Entry]) -> list[str]:
 
 
 def _is_misnamed(guess: Guess, values: Float[np.ndarray, "n k"]) -> bool:
-    """Whether numbers belie a name: a gear that only drives forward or is an angle, a pedal that is an acceleration."""
+    """Return True if values contradict a name: a constant-forward gear, an angle as gear, an acceleration as pedal."""
     if guess.rank == ACCELERATOR:
         return bool(guess.unit) or float(values.min()) < 0
     if guess.channel != "gear":
@@ -147,13 +147,13 @@ def _is_misnamed(guess: Guess, values: Float[np.ndarray, "n k"]) -> bool:
 
 
 def _as_it_is(guess: Guess) -> Guess:
-    """A commanded turn rate as a steering of any unit."""
+    """Convert a commanded turn rate to a steering of arbitrary unit."""
     turns = guess.rank == MOTION and guess.channel == "steer"
     return replace(guess, fields=guess.fields[:1], unit="", rank=1) if turns else guess
 
 
 def _scalar(channel: str, guess: Guess, values: Float[np.ndarray, " n"], straight: float | None = None) -> Entry:
-    """Scale and wrap from the numbers: controls to 0..1 or -1..1, engine speed to 1000 rev/min."""
+    """Infer scale and wrap from the values: controls to 0..1 or -1..1, engine speed to 1000 rev/min."""
     if guess.rank == MOTION:
         return Entry(guess, *motion_lines(channel, values, guess.unit))
     lines: list[str] = []
@@ -165,7 +165,7 @@ def _scalar(channel: str, guess: Guess, values: Float[np.ndarray, " n"], straigh
     low, high = np.percentile(values, (0.5, 99.5))
     largest = max(-low, high)
     stated = unit_line(channel, guess)
-    # A pedal may hardly ever be pressed.
+    # A pedal may be pressed rarely.
     pressed = ("throttle", "brake", "brake_pressure")
     reached = max(largest, held_range(values)[1]) if channel in pressed else largest
     if stated and (channel not in (*pressed, "steer") or reached > 1.05):
@@ -209,10 +209,10 @@ def _scalar(channel: str, guess: Guess, values: Float[np.ndarray, " n"], straigh
 
 
 def _steering(scalars: Scalars, straight: float | None, max_steer: float) -> dict[str, Entry]:
-    """Commands and angles of the steering: an angle that is the only steering stands for its command, too."""
+    """Return commands and angles of the steering; an angle without a command serves as the command, too."""
     steer, angle = scalars.get("steer"), scalars.get("steer_angle")
     in_hand: dict[str, Entry] = {}
-    if angle is not None and not _angle_factor(*angle):  # of the steering wheel
+    if angle is not None and not _angle_factor(*angle):  # steering wheel angle
         if steer is not None and max_steer and steer[0].asked_for and not _angle_factor(*steer):
             in_hand = _in_hand(steer, angle, max_steer)
         steer, angle = steer if steer is not None and steer[0].rank < FALLBACK else angle, None
@@ -247,7 +247,7 @@ def _steering(scalars: Scalars, straight: float | None, max_steer: float) -> dic
 def _in_hand(
     steer: tuple[Guess, Float[np.ndarray, " n"]], angle: tuple[Guess, Float[np.ndarray, " n"]], max_steer: float
 ) -> dict[str, Entry]:
-    """The angle of the road wheels by that of the steering wheel, as far as the command in the same unit turns them."""
+    """Return the road wheel angle from the steering wheel angle, scaled by a command in the same unit."""
     largest = largest_size(steer[1])
     if not (_is_angle(steer[0]) and steer[0].unit == angle[0].unit and 0.5 < largest_size(angle[1]) / largest < 2):
         return {}
@@ -258,12 +258,12 @@ def _in_hand(
 
 
 def _are_alike(steer: tuple[Guess, np.ndarray], angle: tuple[Guess, np.ndarray]) -> bool:
-    """Whether a command of no unit has the numbers of the measured angle: as a share, 1 would be a radian."""
+    """Return True if a unitless command has the values of the measured angle; as a share, 1 would be 1 rad."""
     return not steer[0].unit and _ALIKE[0] < largest_size(steer[1]) / largest_size(angle[1]) < _ALIKE[1]
 
 
 def _from_angle(guess: Guess, values: Float[np.ndarray, " n"], factor: float, *, measured: bool) -> Entry:
-    """A steering command from an angle: 1 at its largest, which is the vehicle's `max_steer`."""
+    """Return a steering command from an angle, scaled to 1 at its maximum, the vehicle's `max_steer`."""
     max_angle = float(f"{largest_size(values) * factor:.4g}")
     unit = channel_unit("steer_angle", guess.unit) if guess.unit else "rad" if factor == 1 else "deg"
     lines = (f'unit = "{unit or "rad"}"', "clip = [-1.0, 1.0]")
@@ -281,13 +281,13 @@ def _is_curvature(guess: Guess) -> bool:
 
 
 def _is_in_hand(guess: Guess) -> bool:
-    """Whether a name, or the motion, says that an angle is of the steering wheel."""
+    """Return True if the name or the motion marks a steering wheel angle."""
     named = (parse_label(field).name for field in guess.fields)
     return guess.in_hand or any(map(_IN_HAND.search, (guess.topic, *guess.fields, *named)))
 
 
 def _angle_factor(guess: Guess, values: Float[np.ndarray, " n"]) -> float:
-    """Factor to radians of an angle of the road wheels; 0 where it is too large to be one, or called another's."""
+    """Return the factor to radians of a road wheel angle; 0 if it is too large or named otherwise."""
     if _is_in_hand(guess):
         return 0.0
     if guess.unit:

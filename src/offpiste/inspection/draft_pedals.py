@@ -1,4 +1,4 @@
-"""Pedals of a first rig: their scale by what loggers usually write, and one column for throttle and brake."""
+"""Pedals of a first rig: usual scales, and combined throttle and brake columns."""
 
 import re
 from typing import Final
@@ -29,22 +29,22 @@ from offpiste.rig.labels import channel_unit
 
 _PULSED: Final = re.compile(r"servo|pwm|pulse|(?<![a-z])(esc|rc)(?![a-z])", re.IGNORECASE)
 _SLACK: Final = 25.0
-"""Pulses below the one at rest that are none of a brake [us]."""
+"""Tolerance below the rest pulse that does not count as braking [us]."""
 
 Scalars = dict[str, tuple[Guess, Float[np.ndarray, " n"]]]
-"""Guesses of channels of one number, and their values."""
+"""Guesses of scalar channels, and their values."""
 
 
 def rests_above_zero(values: Float[np.ndarray, " n"]) -> bool:
-    """Whether a pedal within 0 to 1 is released well above 0."""
+    """Return True if a pedal within 0 to 1 is released well above 0."""
     low, high = seen_range(values)
     return rests_high(values) is False and low > 0.05 and high <= 1.05
 
 
 def pedal_lines(channel: str, guess: Guess, values: Float[np.ndarray, " n"]) -> tuple[list[str], str]:
-    """Scale of a pedal's numbers to 0..1, and why: by what loggers usually write, else by what this log holds."""
+    """Return lines that scale a pedal to 0..1, and the reason: usual logger ranges, otherwise the range in this log."""
     low, high = seen_range(values)
-    # Of a pressure no number is usual.
+    # Pressures have no usual range.
     measured = guess.channel == "brake_pressure" or bool(guess.unit and channel_unit(channel, guess.unit) is None)
     span = None if measured else whole_range(values)
     if span == (0.0, 100.0):
@@ -61,17 +61,17 @@ def pedal_lines(channel: str, guess: Guess, values: Float[np.ndarray, " n"]) -> 
 
 
 def signed_pedal(scalars: Scalars, *, backwards: bool = False) -> dict[str, Entry]:
-    """Throttle and brake where one column holds both, the brake below zero; nothing where it does not.
+    """Return throttle and brake (negative values) if one column holds both, otherwise nothing.
 
     Args:
-        backwards: what is below zero drives the vehicle backwards: throttle and gear.
+        backwards: True if negative values drive backwards: throttle and gear.
     """
     if "throttle" not in scalars or scalars["throttle"][0].rank == MOTION:
         return {}
     guess, values = scalars["throttle"]
     if are_pulses(values, named=are_named_pulses(guess)):
         return _pulsed_pedal(guess, values, alone="brake" not in scalars, backwards=backwards)
-    # A trigger rests at an end of its range; who drives at full throttle for long is at one, too.
+    # A trigger rests at an end of its range, but so does a throttle that is often fully open.
     trigger = "brake" in scalars and rests_high(values) and not rests_between(values)
     if find_wrap(values) is not None or not is_signed(values) or trigger:
         return {}
@@ -92,12 +92,12 @@ def signed_pedal(scalars: Scalars, *, backwards: bool = False) -> dict[str, Entr
 
 
 def _both_ways(guess: Guess, lines: tuple[str, ...], comment: str, full: float, rest: float = 0.0) -> dict[str, Entry]:
-    """Throttle and gear of a pedal that drives the vehicle backwards below its rest.
+    """Return throttle and gear of a pedal whose values below rest drive the vehicle backwards.
 
     Args:
         lines: scale of the throttle.
-        full: size of a full throttle, as recorded.
-        rest: of the released pedal, as recorded.
+        full: recorded amplitude of full throttle.
+        rest: recorded value of the released pedal.
     """
     scale = DIRECTION / full
     offset = (f"offset = {number(-rest * scale)}",) if rest else ()
@@ -107,7 +107,7 @@ def _both_ways(guess: Guess, lines: tuple[str, ...], comment: str, full: float, 
 
 
 def _pulsed_pedal(guess: Guess, values: Float[np.ndarray, " n"], *, alone: bool, backwards: bool) -> dict[str, Entry]:
-    """Throttle, and brake or gear where nothing else is one, of a speed controller's pulses [us]."""
+    """Return the throttle from speed controller pulses [us], and the brake or gear if no other field provides them."""
     rest = pulse_at_rest(values)
     low, high = held_range(values)
     whole = FULL_PULSE - rest
@@ -124,5 +124,5 @@ def _pulsed_pedal(guess: Guess, values: Float[np.ndarray, " n"], *, alone: bool,
 
 
 def are_named_pulses(guess: Guess) -> bool:
-    """Whether unit or name say that numbers are widths of pulses."""
+    """Return True if the unit or the name marks pulse widths."""
     return guess.unit == "us" or any(_PULSED.search(name) for name in (guess.topic, *guess.fields))

@@ -1,4 +1,4 @@
-"""The pose of a first rig, and velocities beside it: which topics hold them, by names, types and numbers."""
+"""Pose and velocities of a first rig: selection of topics by names, types and values."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -29,20 +29,20 @@ from offpiste.rig.rig import Rig
 _POSE: Final = ("position", "orientation", "yaw", "linear_velocity", "angular_velocity")
 _LAST: Final = re.compile(r"wheel|controller|encoder", re.IGNORECASE)
 _ODOMETRY: Final = re.compile(r"(^|/)odom(etry)?$", re.IGNORECASE)
-"""Names of the odometry of wheels, and of a plain one, as base controllers give."""
+"""Names of wheel odometry, including generic odometry of base controllers."""
 _CORRECTED: Final = re.compile(
     r"(?<![a-z])(filtered|fused|global|map(ping)?|icp|lio|slam|ekf|gps|gnss|ins|gt|(ground_?)?truth)(?![a-z])", re.I
 )
-"""Names of poses that scans, satellites or a filter correct."""
+"""Names of poses corrected by scan matching, GNSS or a filter."""
 _EARTH: Final = re.compile(r"(?<![a-z])(ecef|earth)(?![a-z])", re.IGNORECASE)
-"""Names of topics in the earth's own frame, whose z is not up."""
+"""Names of topics in the Earth-centred frame, whose z is not up."""
 _DENSE: Final = 4.0
-"""Rate below which a pose comes after others [1/s]."""
+"""Rate below which a pose has lower priority [1/s]."""
 _NED: Final = re.compile(
     r"(?<![a-zA-Z])(ned|frd)(?![a-z])|NED(?![a-z])|vehicle_local_position"
     r"|vehicle_odometry(_\d)?([./](position|q|[xyz])\b|\.csv)"
 )
-"""Names of poses of north, east, down: those that say so, and PX4's."""
+"""Names of north-east-down poses, including PX4's."""
 _RATES: Final = {"angular_velocity", "yaw_rate"}
 
 
@@ -52,8 +52,8 @@ class Entry:
 
     Attributes:
         lines: TOML besides topic and fields.
-        comment: why it was chosen.
-        max_angle: of road wheels at a steering command of 1 [rad], where this channel says so; else 0.
+        comment: reason of the choice.
+        max_angle: road wheel angle at a steering command of 1 [rad], if this channel states it, otherwise 0.
     """
 
     guess: Guess
@@ -63,10 +63,10 @@ class Entry:
 
 
 def draft_pose(log: Log, guesses: Sequence[Guess], frame: str) -> dict[str, Entry]:
-    """The topic with most of a pose and velocities, and the IMU's or other ones that it lacks.
+    """Return the topic with the most pose and velocity channels, completed by the IMU or other topics.
 
-    Where none has position and heading, as with a GNSS receiver beside an IMU, each has a topic, also where the one is
-    a course over ground. Poses in the earth's frame are read where nothing else is.
+    If no topic has both position and heading, e.g. a GNSS receiver with an IMU, they come from separate topics, and the
+    heading may be a course over ground. Poses in the Earth-centred frame are a last resort.
     """
     guesses = sorted(guesses, key=lambda guess: _is_doubtful(log, guess))
     channels_of = by_topic(guesses)
@@ -84,7 +84,7 @@ def draft_pose(log: Log, guesses: Sequence[Guess], frame: str) -> dict[str, Entr
         best |= _velocity_beside(log, channels_of)
     entries: dict[str, Entry] = {}
     for channel in _POSE:
-        if channel not in best or (channel == "yaw" and "orientation" in best):  # which says the heading, too
+        if channel not in best or (channel == "yaw" and "orientation" in best):  # includes the heading
             continue
         guess = best[channel]
         lines, comment = unit_line(channel, guess), f"GUESSED by its name, as of {log.topics[guess.topic].type}"
@@ -97,7 +97,7 @@ def draft_pose(log: Log, guesses: Sequence[Guess], frame: str) -> dict[str, Entr
         elif channel == "linear_velocity":
             down = len(guess.fields) == 3 and named_down(guess.fields[2])
             if down and not any(map(named_down, entries["position"].guess.fields)):
-                guess = replace(guess, fields=(guess.fields[1], guess.fields[0]))  # north, east, down of places z up
+                guess = replace(guess, fields=(guess.fields[1], guess.fields[0]))  # swap to the axes of a z-up position
             lines += (f'frame = "{frame}"',)
             comment += "" if frame == "unknown" else "; frame by the pose"
         elif channel == "angular_velocity":
@@ -111,10 +111,9 @@ def draft_pose(log: Log, guesses: Sequence[Guess], frame: str) -> dict[str, Entr
 
 
 def _whole_pose(log: Log, channels_of: Mapping[str, Mapping[str, Guess]]) -> dict[str, Guess]:
-    """The topic with most of a pose and velocities, by their number, its rate, then its place in the log.
+    """Return the topic with the most pose and velocity channels, then the highest rate, then the first in the log.
 
-    What comes seldom, or in a part of the log, comes after others, and the odometry of wheels, which slip, after poses
-    that are corrected.
+    Slow or incomplete topics have lower priority, and wheel odometry, which slips, comes after corrected poses.
     """
     whole = {
         topic: {c: g for c, g in each.items() if c not in _POSE or varies(field_values(log, g))}
@@ -136,7 +135,7 @@ def _whole_pose(log: Log, channels_of: Mapping[str, Mapping[str, Guess]]) -> dic
 
 
 def _pose_by_course(log: Log, guesses: Sequence[Guess]) -> dict[str, Guess]:
-    """A position, and the heading beside it that no name gives away; empty where either is missing."""
+    """Return a position and an unnamed heading found by the course; empty if either is missing."""
     places = (guess for guess in guesses if guess.channel == "position" and varies(field_values(log, guess)))
     place = next(places, None)
     heading = None if place is None else heading_by_numbers(log, place)
@@ -144,24 +143,24 @@ def _pose_by_course(log: Log, guesses: Sequence[Guess]) -> dict[str, Guess]:
 
 
 def _span(log: Log, topic: str) -> float:
-    """From a topic's first message to its last [s]."""
+    """Return the time from a topic's first to its last message [s]."""
     time = log.stamps(topic)
     time = time[np.isfinite(time)]
     return float(np.ptp(time)) if len(time) else 0.0
 
 
 def _has_heading(channels: Mapping[str, Guess]) -> bool:
-    """Whether one is the vehicle's heading; a course over ground is none."""
+    """Return True if the channels include the vehicle's heading; a course over ground does not count."""
     return "orientation" in channels or ("yaw" in channels and not named_course(channels["yaw"].fields[0]))
 
 
 def _is_doubtful(log: Log, guess: Guess) -> bool:
-    """Whether a heading never changes, as of a receiver that measures none, or is a course over ground."""
+    """Return True if a heading is constant, e.g. from a receiver without one, or is a course over ground."""
     return guess.channel == "yaw" and (named_course(guess.fields[0]) or not varies(field_values(log, guess)))
 
 
 def _is_earth_centred(log: Log, place: Guess | None) -> bool:
-    """Whether a position is one in the earth's own frame, by its name or its numbers."""
+    """Return True if a position is Earth-centred by its name or its values."""
     if place is None or place.unit == GEOGRAPHIC:
         return False
     values = field_values(log, place)
@@ -169,9 +168,9 @@ def _is_earth_centred(log: Log, place: Guess | None) -> bool:
 
 
 def _places_and_headings(log: Log, channels_of: Mapping[str, Mapping[str, Guess]]) -> dict[str, Guess]:
-    """A position and a heading of different topics, those with most samples; empty where one is missing.
+    """Return the most frequent position and heading of different topics; empty if one is missing.
 
-    A course over ground is a heading where nothing else is.
+    A course over ground is used only as a fallback.
     """
     often = sorted(channels_of, key=lambda topic: -log.topics[topic].count)
     places, headings = (
@@ -183,7 +182,7 @@ def _places_and_headings(log: Log, channels_of: Mapping[str, Mapping[str, Guess]
 
 
 def _from_imu(log: Log, channels_of: Mapping[str, Mapping[str, Guess]]) -> dict[str, Guess]:
-    """The angular velocity of the IMU that reports most often, where the pose's topic has none."""
+    """Return the angular velocity of the IMU with the most samples if the pose's topic has none."""
     imus = [topic for topic in channels_of if "imu" in log.topics[topic].type.lower()]
     for topic in sorted(imus, key=lambda topic: -log.topics[topic].count):
         guess = channels_of[topic].get("angular_velocity")
@@ -193,7 +192,7 @@ def _from_imu(log: Log, channels_of: Mapping[str, Mapping[str, Guess]]) -> dict[
 
 
 def _velocity_beside(log: Log, channels_of: Mapping[str, Mapping[str, Guess]]) -> dict[str, Guess]:
-    """The velocity that is reported most often, where the pose's topic has none; commands are none."""
+    """Return the velocity with the most samples if the pose's topic has none; commands do not count."""
     for topic in sorted(channels_of, key=lambda topic: -log.topics[topic].count):
         guess = channels_of[topic].get("linear_velocity")
         slips = any(names.search(topic) for names in (_ODOMETRY, _LAST, _EARTH))
@@ -203,7 +202,7 @@ def _velocity_beside(log: Log, channels_of: Mapping[str, Mapping[str, Guess]]) -
 
 
 def field_values(log: Log, guess: Guess) -> Float[np.ndarray, "n k"] | None:
-    """Finite rows of a guess's fields, None where they cannot be read."""
+    """Return the finite rows of a guess's fields, or None if they cannot be read."""
     try:
         samples = log.read(guess.topic, guess.fields)
     except OffpisteError:
@@ -214,15 +213,15 @@ def field_values(log: Log, guess: Guess) -> Float[np.ndarray, "n k"] | None:
 
 
 def unit_line(channel: str, guess: Guess) -> tuple[str, ...]:
-    """The unit that the log states, where it is one of the channel's and not offpiste's own."""
+    """Return the unit stated by the log if it is valid for the channel and not the default."""
     unit = channel_unit(channel, guess.unit)
     return (f'unit = "{unit}"',) if unit else ()
 
 
 def degrees(values: Float[np.ndarray, " n"]) -> tuple[str, ...]:
-    """The unit of an angle that no radians would be.
+    """Return the unit of an angle too large for radians.
 
-    Autopilots count hundredths of a degree, and receivers of u-blox hundred-thousandths.
+    Autopilots use hundredths of a degree, and u-blox receivers 1e-5 degrees.
     """
     largest, spanned = np.abs(values).max(), np.ptp(values)
     if spanned > 20 and largest <= 361:
@@ -235,12 +234,12 @@ def degrees(values: Float[np.ndarray, " n"]) -> tuple[str, ...]:
 
 
 def varies(values: Float[np.ndarray, "n k"] | None) -> bool:
-    """Whether the rows of a field are there and not all the same."""
+    """Return True if a field has rows that are not all equal."""
     return values is not None and bool(np.ptp(values, axis=0).max() > 0)
 
 
 def points_down(log: Log, pose: Guess) -> bool:
-    """Whether a position is one of north, east, down, by its names or the type of its messages."""
+    """Return True if a position is north-east-down by its names or its message type."""
     first = first_message(log, pose.topic)
     frames = getattr(getattr(first, "header", None), "frame_id", ""), getattr(first, "child_frame_id", "")
     names = (pose.topic or log.path.name, *pose.fields, *map(str, frames))
@@ -249,7 +248,7 @@ def points_down(log: Log, pose: Guess) -> bool:
 
 
 def first_message(log: Log, topic: str) -> Any:
-    """The first message of a topic; None where there is none, or the log has no messages."""
+    """Return the first message of a topic; None if the topic is empty or the log has no messages."""
     try:
         return next((message for _, message in log.messages(topic)), None)
     except LogError:
@@ -257,9 +256,9 @@ def first_message(log: Log, topic: str) -> Any:
 
 
 def pose_cure(log: Log, rig: Rig) -> Cure:
-    """Edits of a first rig by which quaternions begin with x, z is up, places are in m, and headings follow the course.
+    """Return edits of a first rig for quaternion order, z up, positions in metres and headings along the course.
 
-    Games and motion capture may have y up, and a compass counts clockwise.
+    Games and motion capture may have y up, and compass headings are clockwise.
     """
     try:
         source = rig.channels["position"]

@@ -1,4 +1,4 @@
-"""A first rig for a log: guessed from names and numbers, each guess stated in a comment."""
+"""First rig for a log, guessed from names and values; a comment states each guess."""
 
 import json
 import re
@@ -67,27 +67,27 @@ pose_point = "unknown"  # which point of the vehicle the pose is of
 wheel_positions = {wheels}
 """
 _MAX_STEER = 0.5
-"""Where no angle says what it is [rad]."""
+"""Default without a measured angle [rad]."""
 _COVARIANCE = re.compile(r"covariance")
 _LISTED = 60
-"""How many fields of a topic are listed."""
+"""Maximum number of fields listed per topic."""
 
 
 @dataclass(frozen=True)
 class _Seen:
-    """What the log shows through a rig that does not know it yet.
+    """Results of reading the log through an incomplete rig.
 
     Attributes:
         frame: of its velocity.
         wheelbase: [m], or 0.
-        max_steer: [rad], or 0; of the rig's wheelbase.
-        assumed: whether the wheelbase is one at which a usual `max_steer` turns the vehicle as it does.
-        found: controls that only the motion shows, with its correlation.
-        straight: recorded steering at which the vehicle goes straight; None where its middle is no guess.
-        plain: whether what is named a speed and a turn rate is the throttle and the steering itself.
-        heading: unit of a yaw, where the course shows another than its size, as of one that is never wrapped.
-        backwards: whether the side below zero of a pedal drives backwards.
-        in_hand: whether what is called a steering angle is of the steering wheel.
+        max_steer: for the rig's wheelbase [rad], or 0.
+        assumed: True if the wheelbase is chosen to match a usual `max_steer`.
+        found: controls found by the vehicle's response only, with their correlation.
+        straight: recorded steering in straight driving; None if its centre is not guessed.
+        plain: True if fields named as speed and turn rate are throttle and steering themselves.
+        heading: unit of a yaw if the course contradicts its range, e.g. for an unwrapped yaw.
+        backwards: True if negative pedal values drive backwards.
+        in_hand: True if the steering angle is the steering wheel's.
     """
 
     frame: str = "unknown"
@@ -106,31 +106,31 @@ def write_rig(text: str, path: Path) -> None:
     """Write the text of a rig to a new file.
 
     Raises:
-        RigError: the file is there already.
+        RigError: the file exists.
     """
     refuse_existing(path)
     write_text(path, text)
 
 
 def refuse_existing(path: Path) -> None:
-    """Raise where a new rig would replace a file.
+    """Raise an error if a new rig would replace a file.
 
     Raises:
-        RigError: it is there already.
+        RigError: the file exists.
     """
     if path.exists():
         raise RigError("is there already", where=path, how="give --write-rig a new name")
 
 
 def draft_rig(log: Log) -> str:
-    """A first rig as TOML that `offpiste.rig.rig.parse_rig` accepts.
+    """Return a first rig as TOML for `offpiste.rig.rig.parse_rig`.
 
     Raises:
-        LogError: nothing in the log looks like a pose, or its samples cannot be read.
+        LogError: no pose was found, or its samples cannot be read.
     """
     text = _text(log, _Seen())
     rig = parse_rig(text, where="the drafted rig")
-    if read_by_arrival(log, rig):  # as the remedy has it
+    if read_by_arrival(log, rig):  # as in the remedy
         log = ReceivedLog(log)
         rig = parse_rig(text := _text(log, _Seen()), where="the drafted rig")
     posed = pose_cure(log, rig)
@@ -145,10 +145,10 @@ def draft_rig(log: Log) -> str:
     frame = _frame(log, rig) if "linear_velocity" in rig.channels else "unknown"
     wheelbase = estimated_wheelbase(log, rig)
     max_steer, assumed = estimated_max_steer(log, rig, wheelbase or rig.vehicle.wheelbase), False
-    if not wheelbase and max_steer and rig.channels["steer"].unit in ("rad", "deg"):  # an angle that is commanded
+    if not wheelbase and max_steer and rig.channels["steer"].unit in ("rad", "deg"):  # a commanded angle
         shown = rig.vehicle.wheelbase * float(np.tan(rig.vehicle.max_steer) / np.tan(max_steer))
         wheelbase = shown if WHEELBASES[0] < shown < WHEELBASES[1] else 0.0
-    if max_steer > MAX_STEERS[1] and not wheelbase:  # a smaller vehicle than the made-up one
+    if max_steer > MAX_STEERS[1] and not wheelbase:  # a vehicle smaller than the default
         wheelbase, assumed = rig.vehicle.wheelbase * float(np.tan(_MAX_STEER) / np.tan(max_steer)), True
         max_steer = _MAX_STEER
     heading = next((str(edit.value) for edit in posed if edit.key == "channels.yaw.unit"), "")
@@ -158,7 +158,7 @@ def draft_rig(log: Log) -> str:
 
 
 def _is_plain(log: Log, rig: Rig) -> bool:
-    """Whether what is called a turn rate is the steering: the vehicle turns as that times the speed says."""
+    """Return True if a field named as a turn rate is the steering: the yaw rate follows it times the speed."""
     source = rig.channels.get("steer")
     if source is None or not source.turns:
         return False
@@ -202,14 +202,14 @@ def _text(log: Log, seen: _Seen) -> str:
 
 
 def _joints(log: Log, entry: Entry) -> str:
-    """What messages call the fields, where they name entries of arrays."""
+    """Return the message's names for fields that are array entries."""
     joints = log.topics[entry.guess.topic].joints
     named = [f"{joints[field]} is {field}" for field in entry.guess.fields if field in joints]
     return f"; {', '.join(named)}" if named else ""
 
 
 def _named_joints(log: Log, entry: Entry) -> list[str]:
-    """The names by which entries of arrays are found wherever a message has them."""
+    """Return the names used to look up array entries in each message."""
     names = [log.topics[entry.guess.topic].joint_of(field) for field in entry.guess.fields]
     return [f"joints = {_toml(names)}"] if all(names) else []
 
@@ -235,7 +235,7 @@ def _header(log: Log, entries: Mapping[str, Entry], absent: list[str], seen: _Se
 
 
 def _origin(seen: _Seen, stated: Entry | None) -> str:
-    """Where the drafted `max_steer` is from: of a command that is a share, from the angle that is measured."""
+    """Return the source of the drafted `max_steer`: the measured angle if the command is normalised."""
     if stated is not None:
         is_angle = any(f'unit = "{unit}"' in stated.lines for unit in ANGLES)
         return "; the largest of this log" if is_angle else "; by the steering angle of this log"
@@ -243,7 +243,7 @@ def _origin(seen: _Seen, stated: Entry | None) -> str:
 
 
 def _clock(log: Log) -> list[str]:
-    """The clock where the log has had to guess one."""
+    """Return the clock settings if the log had to guess the clock."""
     clock = log.clock
     if clock == Clock():
         return []
@@ -252,7 +252,7 @@ def _clock(log: Log) -> list[str]:
 
 
 def _unread(log: Log, entries: Mapping[str, Entry]) -> list[str]:
-    """Comments that list the fields that no channel reads, those of the topics first that one reads."""
+    """Return comments that list the unused fields, those of used topics first."""
     lines = []
     for name in dict.fromkeys((*(entry.guess.topic for entry in entries.values()), *log.topics)):
         read = {field for e in entries.values() if e.guess.topic == name for field in e.guess.fields}
@@ -270,7 +270,7 @@ def _unread(log: Log, entries: Mapping[str, Entry]) -> list[str]:
 
 
 def _why_missing(log: Log, *channels: str) -> str:
-    """Why a control has no field: what is called so cannot be read or never changes, or nothing is."""
+    """Return the reason why a control has no field: unreadable, constant or not found."""
     for guess in (guess for guess in guess_channels(log) if guess.channel in channels):
         try:
             log.read(guess.topic, guess.fields)
@@ -283,12 +283,12 @@ def _why_missing(log: Log, *channels: str) -> str:
 
 
 def _toml(value: object) -> str:
-    """Texts and lists of them are written alike in JSON and TOML."""
+    """Return a string or a list of strings; JSON and TOML share this syntax."""
     return json.dumps(value, ensure_ascii=False)
 
 
 def _frame(log: Log, rig: Rig) -> str:
-    """The frame that the recorded velocity fits, "unknown" where it is not clear."""
+    """Return the frame that best fits the recorded velocity, or "unknown" if ambiguous."""
     try:
         drive = drive_from_log(log, rig)
         fits = sorted(fit_frames(drive, driven_path(drive)).values(), key=lambda fit: fit.misfit)

@@ -1,4 +1,4 @@
-"""Cameras and LiDARs of a first rig: what the log says of them, and in comments what it does not."""
+"""Cameras and LiDARs of a first rig; unknown values are listed in comments."""
 
 import json
 import re
@@ -17,13 +17,13 @@ from offpiste.logs.transforms import TRANSFORMS, Transform, between
 from offpiste.rig.sensors import TIME_FIELDS
 
 BODY = "base_link"
-"""The usual name of the body frame (REP 105)."""
+"""Usual name of the body frame (REP 105)."""
 
 LEAST_POINTS = 100
-"""A cloud of fewer points is no scan."""
+"""Minimum number of points in a scan."""
 
 _FIRST: Final = 10
-"""Images that bits are guessed from."""
+"""Number of images used to guess the bit depth."""
 
 _IMAGES = ("sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image")
 _NO_PICTURE = re.compile(r"depth|disparity|mask|label|theora", re.IGNORECASE)
@@ -31,13 +31,13 @@ _NO_NAME = re.compile(r"^(image.*|compressed|raw|rect.*|color|rgb|points.*|cloud
 
 
 def draft_sensors(log: Log, pose_topic: str) -> str:
-    """TOML of `frames`, `cameras` and `lidars`; what is missing stands in comments that begin with MISSING.
+    """Return TOML of `frames`, `cameras` and `lidars`; comments that begin with MISSING list missing values.
 
     Args:
-        pose_topic: whose child frame is the body where no frame has the usual name.
+        pose_topic: topic whose child frame is the body if no frame has the usual name.
 
     Returns:
-        Nothing where the format or the log has no images and clouds.
+        An empty text if the format or the log has no images and clouds.
     """
     if not log.has_messages:
         return ""
@@ -58,12 +58,12 @@ def draft_sensors(log: Log, pose_topic: str) -> str:
 
 
 def missing(draft: str) -> list[str]:
-    """Lines of a drafted rig that say what is missing."""
+    """Return the lines of a drafted rig that report missing values."""
     return [line.partition("MISSING: ")[2] for line in draft.splitlines() if "MISSING: " in line]
 
 
 def _images(log: Log) -> list[str]:
-    """Topics of pictures, one a camera: compressed where both are there, as that is what is usually recorded whole."""
+    """Return one image topic per camera, preferring compressed ones, which are usually recorded completely."""
     result: dict[str, str] = {}
     for kind in _IMAGES:
         for name, topic in log.topics.items():
@@ -115,15 +115,15 @@ def _camera(log: Log, topic: str, name: str, body: str, transforms: list[Transfo
         lines.append(f"# MISSING: pictures of {name}: {error.what}")
     lines += _mounting(log, topic, name, body, transforms, "body_from_camera")
     lines += ["# own_body: polygons in the image [px] where the vehicle sees itself", ""]
-    # Without a calibration or pictures it would be refused as a whole: it waits in comments.
+    # Cameras without calibration or images would be rejected, so they are commented out.
     return "\n".join(lines if info else [line if line.startswith("#") or not line else f"# {line}" for line in lines])
 
 
 def _bits(log: Log, topic: str) -> list[str]:
-    """How many bits images of 16 bits use, by the first of them.
+    """Return the bit depth of 16-bit images, from the first ones.
 
     Raises:
-        LogError: the topic holds no pictures that can be read.
+        LogError: the topic has no readable images.
     """
     images = [pixels_of(message, topic) for _, message in islice(log.messages(topic), _FIRST)]
     deep = [int(pixels.max()) for pixels in images if pixels is not None and pixels.dtype == np.uint16]
@@ -139,7 +139,7 @@ def _lidar(log: Log, topic: str, name: str, body: str, transforms: list[Transfor
 
 
 def _times(log: Log, topic: str, name: str) -> list[str]:
-    """How to read the times of a LiDAR's points, by its first scan."""
+    """Return the settings for a LiDAR's point times, from its first scan."""
     try:
         first, stamps = next(log.clouds(topic)), np.sort(log.stamps(topic))
     except LogError:
@@ -174,9 +174,9 @@ _SIDES: tuple[tuple[Literal["left", "right", "back"], re.Pattern[str]], ...] = (
 
 
 def looks(name: str) -> Literal["forward", "left", "back", "right"]:
-    """Direction in which a sensor looks, guessed from its name: forward unless it says otherwise.
+    """Return a sensor's viewing direction, guessed from its name; forward by default.
 
-    A name with `front` is that of a sensor in front, left or right of a stereo pair.
+    A name with `front` denotes a forward sensor, even with `left` or `right` of a stereo pair.
     """
     if re.search(r"(^|_)(front|forward|stereo)(_|$)", name, re.I):
         return "forward"
@@ -184,7 +184,7 @@ def looks(name: str) -> Literal["forward", "left", "back", "right"]:
 
 
 def _info(log: Log, image: str) -> str:
-    """The CameraInfo that shares most of an image topic's path, and some of it unless there is only one."""
+    """Return the CameraInfo topic that shares the longest path with an image topic; a single one need not share any."""
     infos = [name for name, topic in log.topics.items() if topic.type == "sensor_msgs/msg/CameraInfo" and topic.count]
     parts = image.strip("/").split("/")
 
@@ -197,7 +197,7 @@ def _info(log: Log, image: str) -> str:
 
 
 def _name(topic: str, taken: set[str], kind: str) -> str:
-    """Parts of a topic's path that distinguish a sensor from others."""
+    """Return the parts of a topic's path that distinguish a sensor from others."""
     said = [part for part in topic.strip("/").split("/") if not _NO_NAME.match(part)]
     name = re.sub(r"\W+", "_", "_".join(said)) or kind
     number, wanted = 2, name

@@ -1,4 +1,4 @@
-"""Numbers of a first rig: mass and wheel positions, made up until they are measured, and what the motion shows."""
+"""Mass and wheel positions of a first rig: defaults until measured, and estimates from the motion."""
 
 from collections.abc import Iterator
 from itertools import product
@@ -24,39 +24,39 @@ from offpiste.rig.rig import Rig, Vehicle
 MASS: Final = 1000.0
 """Mass of a small car [kg]."""
 WHEELS: Final = ((1.0, 0.7), (1.0, -0.7), (-1.0, 0.7), (-1.0, -0.7))
-"""Its wheels, from its middle [m]."""
+"""Wheel positions of a small car, from its centre [m]."""
 SMALL_CAR: Final = WHEELS[0][0] - WHEELS[2][0]
-"""Its wheelbase [m]; the masses of vehicles go with the cube of theirs."""
+"""Wheelbase of a small car [m]; masses are scaled with its cube."""
 DRAFTED: Final = "mass and wheel positions are still those of the draft"
-"""The finding while `vehicle.source` still says so, or nothing."""
+"""Finding reported while `vehicle.source` still names the draft or is empty."""
 WIDEST: Final = 1.05
-"""Largest angle of road wheels [rad]; a larger one is of the steering wheel."""
+"""Maximum angle of road wheels [rad]; larger ones are the steering wheel's."""
 WHEELBASES: Final = (0.05, 8.0)
-"""Wheelbases that a vehicle can have [m]."""
+"""Plausible wheelbases [m]."""
 _DENSITIES: Final = (2.0, 5000.0)
-"""Mass over the wheelbase's cube of vehicles [kg/m^3]: cars have some 80, trucks 200, dense small robots 1000."""
+"""Plausible ratios of mass to cubed wheelbase [kg/m^3]: cars have about 80, trucks 200, dense small robots 1000."""
 _UNITS: Final = ("cm", "mm", "ft")
-"""What wheel positions may be in by mistake."""
+"""Units commonly mistaken for metres."""
 _CLEAR: Final = 0.8
-"""Least correlation of the yaw rate with what speed and steering angle make of it."""
+"""Minimum correlation of the yaw rate with the kinematic prediction."""
 BY_NUMBERS: Final = 5
-"""Rank of a heading that only the course shows."""
+"""Rank of a heading found by the course only."""
 _APART: Final = 0.5
-"""Time between two places that show the course [s]."""
+"""Time between two positions that define the course [s]."""
 _LEAST: Final = 20
-"""Number of such ways that show it."""
+"""Minimum number of such position pairs."""
 _FOLLOWS: Final = 0.95
-"""Least resultant of course minus heading, of one that has no name for it, ..."""
+"""Minimum resultant of course minus heading for an unnamed heading, ..."""
 _ONE_WAY: Final = 0.8
-"""... and the largest of the course itself: on a straight, whatever hardly changes follows it."""
+"""... and the maximum of the course itself; on a straight any near-constant field fits."""
 _CENTRE: Final = 0.01
-"""Steering at which a vehicle goes straight that is another middle than the usual one, and how sure it must be."""
+"""Minimum offset of the steering centre from the usual one, and its maximum standard deviation."""
 
 
 def heading_by_numbers(log: Log, place: Guess) -> Guess | None:
-    """The field that a position's course follows, whatever it is called; None where none does, or on a straight.
+    """Return the field that follows a position's course; None if none does, or on a straight.
 
-    It may count either way and from any direction, in radians or degrees.
+    It may be clockwise or counter-clockwise with any zero direction, in radians or degrees.
 
     Args:
         place: guess of the position.
@@ -82,7 +82,7 @@ def heading_by_numbers(log: Log, place: Guess) -> Guess | None:
 
 
 def _unnamed(log: Log, place: Guess) -> Iterator[tuple[str, str, Float[np.ndarray, " n"], Float[np.ndarray, "n 1"]]]:
-    """Topic, name, stamps and values of fields that are no place and no command, and change."""
+    """Yield topic, name, stamps and values of varying fields that are neither positions nor commands."""
     for topic in log.topics.values():
         for field in topic.fields:
             if topic.part_of or field in (log.clock.column, *place.fields) or COMMANDED.search(f"{topic.name} {field}"):
@@ -96,7 +96,7 @@ def _unnamed(log: Log, place: Guess) -> Iterator[tuple[str, str, Float[np.ndarra
 
 
 def _in_order(samples: Samples) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n k"]]:
-    """Stamps and values of the rows that are finite, by their stamps."""
+    """Return stamps and values of the finite rows, sorted by stamp."""
     known = np.isfinite(samples.time) & np.isfinite(samples.values).all(axis=1)
     order = np.argsort(samples.time[known], kind="stable")
     return samples.time[known][order], samples.values[known][order]
@@ -105,27 +105,27 @@ def _in_order(samples: Samples) -> tuple[Float[np.ndarray, " n"], Float[np.ndarr
 def _before(
     time: Float[np.ndarray, " n"], values: Float[np.ndarray, "n k"], at: Float[np.ndarray, " m"]
 ) -> Float[np.ndarray, "m k"]:
-    """The last samples before some moments: angles may jump by a turn between two."""
+    """Return the last sample before each time; angles may wrap between samples."""
     return np.asarray(values[np.maximum(np.searchsorted(time, at) - 1, 0)])
 
 
 def estimated_wheelbase(log: Log, rig: Rig) -> float:
-    """Wheelbase by yaw rate = speed * tan(angle) / wheelbase, from the steering angle and the poses alone [m].
+    """Estimate the wheelbase by yaw rate = speed * tan(angle) / wheelbase, from the steering angle and the poses [m].
 
     Returns:
-        0 where the rig has no steering angle, or the vehicle does not clearly follow it.
+        0 without a steering angle, or if the vehicle does not clearly follow it.
     """
     wheelbase = _shown_wheelbase(log, rig)
     return wheelbase if WHEELBASES[0] < wheelbase < WHEELBASES[1] else 0.0
 
 
 def is_of_steering_wheel(log: Log, rig: Rig) -> bool:
-    """Whether what a rig reads as the road wheels' angle turns the vehicle as little as a steering wheel's does."""
+    """Return True if the rig's road wheel angle turns the vehicle as little as a steering wheel angle."""
     return _shown_wheelbase(log, rig) > WHEELBASES[1]
 
 
 def _shown_wheelbase(log: Log, rig: Rig) -> float:
-    """Wheelbase at which the vehicle turns as its steering angle says, be it one that no vehicle has [m]; else 0."""
+    """Return the wheelbase implied by the steering angle, plausible or not [m], or 0."""
     if "steer_angle" not in rig.channels:
         return 0.0
     driven = _driven(log, rig)
@@ -135,7 +135,7 @@ def _shown_wheelbase(log: Log, rig: Rig) -> float:
     angle = drive.channels["steer_angle"].linear(path.time, max_gap=rig.clock.max_gap)[:, 0]
     turning = path.forward * np.tan(angle)
     rows = np.isfinite(turning) & np.isfinite(path.yaw_rate) & (path.speed > 0.2 * path.cruise)
-    rows &= np.abs(angle) < WIDEST  # the tangent has no bounds
+    rows &= np.abs(angle) < WIDEST  # the tangent is unbounded
     if rows.sum() < 40 or np.ptp(turning[rows]) == 0 or np.ptp(path.yaw_rate[rows]) == 0:
         return 0.0
     if abs(np.corrcoef(turning[rows], path.yaw_rate[rows])[0, 1]) < _CLEAR:
@@ -143,21 +143,21 @@ def _shown_wheelbase(log: Log, rig: Rig) -> float:
     wheelbase = abs(float(turning[rows] @ turning[rows] / (turning[rows] @ path.yaw_rate[rows])))
     fit = steering_fits(drive, path, measured=False).get("steer_angle")
     without_slip = None if fit is None else fit.extrapolated
-    if without_slip is not None and without_slip.strength > _CLEAR:  # which makes wheelbases look longer
+    if without_slip is not None and without_slip.strength > _CLEAR:  # slip increases the apparent wheelbase
         wheelbase = min(wheelbase, abs(float(without_slip.gain[0])))
     return wheelbase
 
 
 def estimated_max_steer(log: Log, rig: Rig, wheelbase: float) -> float:
-    """Angle of the road wheels at steer = 1 by yaw rate = speed * steer * tan(angle) / wheelbase, from the poses [rad].
+    """Estimate the road wheel angle at steer = 1 [rad] from poses: yaw rate = speed * steer * tan(angle) / wheelbase.
 
-    Of a commanded turn rate it is that of the sharpest curves that are asked for.
+    For a commanded turn rate, it is the angle of the sharpest commanded curves.
 
     Args:
-        wheelbase: that the angle is for [m].
+        wheelbase: assumed wheelbase [m].
 
     Returns:
-        0 where the rig has no steering, or the vehicle does not clearly follow it.
+        0 without a steering, or if the vehicle does not clearly follow it.
     """
     if "steer" in rig.channels and rig.channels["steer"].turns:
         raw = log.read(rig.channels["steer"].topic, rig.channels["steer"].fields).values
@@ -179,25 +179,25 @@ def _driven(log: Log, rig: Rig) -> tuple[Drive, DrivenPath] | None:
 
 
 def steering_straight(log: Log, rig: Rig) -> float | None:
-    """Recorded steering at which the vehicle goes straight, where its middle is a guess; None where it is not clear."""
+    """Return the recorded steering in straight driving if its centre is guessed; None if unclear."""
     source = rig.channels.get("steer")
     driven = None if source is None or not source.offset else _driven(log, rig)
     fit = None if driven is None else steering_fits(*driven, measured=False).get("steer")
     if source is None or fit is None or fit.gripping.strength < _CLEAR:
         return None
-    if not fit.centre_sigma < _CENTRE < abs(fit.centre):  # the usual middle may be right
+    if not fit.centre_sigma < _CENTRE < abs(fit.centre):  # the usual centre may be correct
         return None
     return (source.sign * fit.centre - source.offset) / source.scale
 
 
 def wheels_of(wheelbase: float) -> tuple[tuple[float, float], ...]:
-    """Wheels of a small car, scaled to a wheelbase [m]."""
+    """Return the wheel positions of a small car, scaled to a wheelbase [m]."""
     scale = wheelbase / SMALL_CAR
     return tuple((float(f"{x * scale:.3g}"), float(f"{y * scale:.3g}")) for x, y in WHEELS)
 
 
 def check_draft_values(rig: Rig) -> list[Finding]:
-    """A note while mass or wheel positions are those of a first rig: no log shows them, and models depend on them."""
+    """Return a note while mass or wheel positions are defaults: no log contains them, but models need them."""
     vehicle = rig.vehicle
     left = _left(vehicle)
     if not left:
@@ -208,7 +208,7 @@ def check_draft_values(rig: Rig) -> list[Finding]:
 
 
 def check_size(rig: Rig) -> list[Finding]:
-    """A warning where wheel positions and mass are those of no vehicle: one of them is in another unit."""
+    """Return a warning if wheel positions and mass are implausible, i.e. one of them is in another unit."""
     vehicle = rig.vehicle
     if _left(vehicle) or _DENSITIES[0] < vehicle.mass / vehicle.wheelbase**3 < _DENSITIES[1]:
         return []
@@ -226,7 +226,7 @@ def check_size(rig: Rig) -> list[Finding]:
 
 
 def _left(vehicle: Vehicle) -> list[str]:
-    """What may still be made up."""
+    """Return the parameters that may still be defaults."""
     guessed = vehicle.is_guessed
     as_drafted = not vehicle.source and vehicle.mass == MASS and vehicle.wheel_positions == WHEELS
     if not guessed and not as_drafted:

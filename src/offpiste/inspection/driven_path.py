@@ -1,4 +1,4 @@
-"""The driven path from the pose alone: the reference for all other channels."""
+"""Driven path from the pose alone, the reference for all other channels."""
 
 from dataclasses import dataclass, replace
 
@@ -14,30 +14,30 @@ from offpiste.logs.motion import across_jumps, driven_slope, heading
 STEP = 0.05
 """Time between rows [s]."""
 _WINDOW = 0.4
-"""Span of pose samples behind a velocity [s]; slower poses take six samples."""
+"""Time span of the pose samples used for a velocity [s]; slow poses use six samples."""
 MOVING = 0.3
-"""Speed below which a vehicle is at a standstill [m/s]."""
+"""Speed below which the vehicle is at a standstill [m/s]."""
 DELAYS = np.arange(-30, 31) * STEP
-"""Times by which a recorded motion is tried to be late [s]."""
+"""Candidate delays of a recorded motion [s]."""
 TURNING = 0.05
-"""Least spread of the yaw rates of a drive that shows turning [rad/s]."""
+"""Minimum standard deviation of the yaw rate in a drive with turning [rad/s]."""
 
 
 @dataclass(frozen=True)
 class DrivenPath:
-    """Motion on an even grid, from the pose, without delay; NaN in gaps.
+    """Motion on a uniform time grid, from the pose, without delay; NaN in gaps.
 
     Attributes:
         time: [s].
         place: horizontal position [m].
         velocity: horizontal world velocity [m/s].
-        speed: its norm [m/s].
+        speed: norm of `velocity` [m/s].
         forward: velocity along the heading [m/s].
         yaw, yaw_rate: heading and its rate [rad, rad/s].
         acceleration: d(forward)/dt [m/s^2].
-        slope: dz/ds of the path, s along the motion, in reverse as well; 0 where positions are planar.
-        reverse: where the log's gear is reverse; None where it has none.
-        window: span of pose samples behind each velocity [s].
+        slope: dz/ds of the path, s along the motion, also in reverse; 0 for planar positions.
+        reverse: True if the log's gear is reverse; None without a gear.
+        window: time span of the pose samples used for each velocity [s].
     """
 
     time: Float[np.ndarray, " n"]
@@ -54,26 +54,26 @@ class DrivenPath:
 
     @property
     def distance(self) -> float:
-        """Length of the path [m], without standstills."""
+        """Return the length of the path [m], without standstills."""
         return float(np.nansum(np.where(self.speed > self.slowest, self.speed, 0.0)) * STEP)
 
     @property
     def driving(self) -> float:
-        """Time in motion [s]."""
+        """Return the time in motion [s]."""
         return float(np.sum(np.nan_to_num(self.speed) > MOVING) * STEP)
 
     @property
     def slowest(self) -> float:
-        """Speed below which this vehicle is at a standstill [m/s]: less than `MOVING` where it is slow all along."""
+        """Return the standstill speed of this vehicle [m/s]: below `MOVING` for slow drives."""
         return min(MOVING, 0.1 * self.cruise)
 
     @property
     def cruise(self) -> float:
-        """The 95th percentile of the speed [m/s]: how fast this vehicle goes, whatever its size."""
+        """Return the 95th percentile of the speed [m/s], the characteristic speed of this vehicle."""
         return float(np.nanpercentile(self.speed, 95)) if np.isfinite(self.speed).any() else 0.0
 
     def longer_side(self, at: float) -> "DrivenPath":
-        """The part before or after a time [s], whichever is longer."""
+        """Return the part before or after a time [s], whichever is longer."""
         row = int(np.searchsorted(self.time, at))
         rows = slice(0, row) if row > len(self.time) - row else slice(row, None)
         return replace(
@@ -92,10 +92,10 @@ class DrivenPath:
 
 
 def driven_path(drive: Drive) -> DrivenPath:
-    """Motion from positions and headings; no velocity of the log is used.
+    """Compute the motion from positions and headings, without recorded velocities.
 
     Raises:
-        LogError: positions and headings share no time, or more of it than one drive takes.
+        LogError: positions and headings do not overlap in time, or overlap for longer than one drive.
     """
     place, yaw = drive.channels["position"], heading(drive)
     start, end = common_span([place, yaw], drive.name)
@@ -135,13 +135,13 @@ def driven_path(drive: Drive) -> DrivenPath:
 
 
 def on_path(path: DrivenPath, recorded: Channel) -> Float[np.ndarray, "n k"]:
-    """A channel at the path's times, smoothed as the path is; NaN outside of the record and in gaps."""
+    """Return a channel at the path's times with the path's smoothing; NaN outside of the record and in gaps."""
     window = max(path.window, 4 * float(np.median(np.diff(recorded.time))))
     return local_polynomial(recorded.time, recorded.values, path.time, window=window, causal=False)[0]
 
 
 def levelled(drive: Drive, path: DrivenPath, recorded: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n 2"]:
-    """Horizontal part of a velocity in the body frame, turned by minus yaw: pitch and roll taken out."""
+    """Return the horizontal part of a body-frame velocity, with pitch and roll removed (rotated by minus yaw)."""
     if recorded.shape[1] == 2 or "orientation" not in drive.channels:
         return recorded[:, :2]
     orientation = drive.channels["orientation"].linear(path.time, max_gap=np.inf)
@@ -157,12 +157,12 @@ def _reverse(drive: Drive, time: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " 
 
 @dataclass(frozen=True)
 class FrameFit:
-    """How well a velocity fits the pose's derivative in one frame.
+    """Fit of a velocity to the pose's derivative in one frame.
 
     Attributes:
-        misfit: RMS difference over the RMS speed, with the best gain and delay taken out.
-        gain, gain_sigma: recorded over true, and its standard deviation.
-        delay, delay_sigma: by how much the recorded one is late, and its standard deviation [s].
+        misfit: RMS difference over the RMS speed, after removal of the best gain and delay.
+        gain, gain_sigma: ratio of recorded to true, and its standard deviation.
+        delay, delay_sigma: delay of the recorded velocity, and its standard deviation [s].
     """
 
     frame: str
@@ -174,7 +174,7 @@ class FrameFit:
 
 
 def fit_delayed(frame: str, recorded: Float[np.ndarray, "n c"], true: Float[np.ndarray, "n c"]) -> FrameFit | None:
-    """Fit `recorded(t) = gain * true(t - delay)`; None where too little is known or moves."""
+    """Fit `recorded(t) = gain * true(t - delay)`; return None with too few data or too little motion."""
     count, parts = true.shape
     shifted = np.full((len(DELAYS), parts, count), np.nan)
     for lag, row in zip(np.rint(DELAYS / STEP).astype(int), shifted, strict=True):

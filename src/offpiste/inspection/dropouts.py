@@ -1,4 +1,4 @@
-"""Check of channels that fall to one value for a while and come back, as a connection that is lost does."""
+"""Check of channels that temporarily drop to a constant value, as after a lost connection."""
 
 from dataclasses import replace
 from typing import Final
@@ -13,29 +13,29 @@ from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
 
 _CHECKED: Final = ("steer", "steer_angle", "linear_velocity", "angular_velocity", "yaw_rate", "wheel_speed")
-"""Channels that change steadily, as wheels turn and bodies move; a pedal is let go in an instant."""
+"""Channels that change continuously, unlike pedals, which may be released instantly."""
 _LEAST: Final = 4
-"""Samples of one value that are a fall; fewer are spikes."""
+"""Minimum number of equal samples in a dropout; fewer are spikes."""
 _USUAL: Final = 99.0
-"""Percentile of the steps that the channel makes while it changes."""
+"""Percentile of the channel's non-zero steps."""
 _LARGER: Final = 4.0
-"""The steps into and out of a fall are this many times as large ..."""
+"""Minimum ratio of the steps into and out of a dropout to that percentile ..."""
 _LARGEST: Final = 1.5
-"""... and this many times as large as the largest of all others: a driver may turn the wheel at once, too ..."""
+"""... and to the largest of all other steps, as a driver may turn the wheel abruptly ..."""
 _SHARE: Final = 0.05
-"""... and at least this share of what the channel spans."""
+"""... and minimum share of the channel's range."""
 _RESPONSES: Final = {"steer": 0.1, "steer_angle": 0.0}
-"""Usual times after which a vehicle turns as its steering does [s]."""
+"""Usual response times of the yaw rate to the steering [s]."""
 _AFTER: Final = 0.3
-"""Time after a fall in which the vehicle still turns by it [s]."""
+"""Time after a dropout in which its steering still acts [s]."""
 _EXPLAINED: Final = 0.5
-"""Share of the squared error of the yaw rate, without the fall, that is left with it where the vehicle follows."""
+"""Maximum remaining share of the yaw rate's squared error if the vehicle follows the dropout."""
 
 
 def check_dropouts(drive: Drive, path: DrivenPath) -> list[Finding]:
-    """A finding for each channel that falls to one value and comes back while the vehicle moves.
+    """Return a finding for each channel that temporarily drops to a constant value while the vehicle moves.
 
-    Falls with the pose, as of a motion capture that measures both, are said of the pose alone.
+    Dropouts shared with the pose, e.g. of a motion capture, are reported for the pose only.
     """
     findings = []
     for name in _CHECKED:
@@ -44,7 +44,7 @@ def check_dropouts(drive: Drive, path: DrivenPath) -> list[Finding]:
         channel = drive.channels[name]
         runs = _falls(channel.values)
         if len(runs) == 1 and _at_its_end(name, channel.values[runs[0, 0]]):
-            continue  # a wheel that was turned as far as it goes, in an emergency
+            continue  # full lock in an emergency
         if name in _RESPONSES and not drive.rig.channels[name].turns:
             runs = runs[~_followed(channel, runs, path, _RESPONSES[name])]
         begin, end = channel.time[runs[:, 0]], channel.time[runs[:, 1]]
@@ -68,7 +68,7 @@ def check_dropouts(drive: Drive, path: DrivenPath) -> list[Finding]:
 def _followed(
     channel: Channel, runs: Int[np.ndarray, "r 2"], path: DrivenPath, response: float
 ) -> Bool[np.ndarray, " r"]:
-    """Return for each fall of a steering whether the vehicle turned by it, so that the wheel really was turned."""
+    """Return for each steering dropout whether the vehicle followed it, i.e. the wheel was really turned."""
     fallen = np.zeros(len(channel.time), bool)
     for first, last in runs:
         fallen[first : last + 1] = True
@@ -90,13 +90,13 @@ def _followed(
 
 
 def _at_its_end(name: str, value: Float[np.ndarray, " k"]) -> bool:
-    """Whether a control is where its range ends."""
+    """Return True if a control is at an end of its range."""
     control = control_of(name)
     return control is not None and bool((np.isclose(value, control.low) | np.isclose(value, control.high)).all())
 
 
 def _falls(values: Float[np.ndarray, "n k"]) -> Int[np.ndarray, "r 2"]:
-    """First and last samples of runs of one value with an unusually large step before and after them."""
+    """Return the first and last samples of constant runs with unusually large steps before and after them."""
     steps = np.abs(np.diff(values, axis=0)).max(axis=1)
     if not (steps > 0).any():
         return np.zeros((0, 2), int)

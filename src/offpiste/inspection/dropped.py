@@ -1,4 +1,4 @@
-"""Check of the rig's ranges of valid values: a range that drops measurements, not only faults."""
+"""Check of the rig's valid ranges, which may drop measurements as well as faults."""
 
 from typing import Final
 
@@ -14,15 +14,15 @@ from offpiste.rig.edits import Edit, rounded
 from offpiste.rig.rig import Rig
 
 _USUAL: Final = 99.5
-"""Percentile of the steps from sample to sample that measurements make."""
+"""Percentile of the steps between valid samples."""
 _LARGER: Final = 2.0
-"""A fault leaves the measurements by a step this many times as large."""
+"""Minimum ratio of a fault's step to that percentile."""
 _SHARE: Final = 0.005
-"""Share of the samples from which it matters that they are dropped."""
+"""Minimum reported share of dropped samples."""
 
 
 def check_dropped(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
-    """A finding for each channel whose `valid` interval drops values that continue those before and after them."""
+    """Return a finding for each channel whose `valid` interval drops values continuous with their neighbours."""
     findings = []
     for name, source in rig.channels.items():
         r = recorded.get(source.topic)
@@ -39,7 +39,7 @@ def check_dropped(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
         reached = values[measured | ~outside]
         low, high = float(reached.min()), float(reached.max())
         span = limits(name)
-        if span is not None:  # steps of a control may hide more of it
+        if span is not None:  # a control's steps may hide part of it
             low, high = min(low, span[0]), max(high, span[1])
         room = (high - low) / 20
         edit = Edit(f"channels.{name}.valid", [rounded(low - room), rounded(high + room)])
@@ -52,7 +52,7 @@ def check_dropped(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
 
 
 def _mostly(name: str, outside: Bool[np.ndarray, " n"]) -> list[Finding]:
-    """A note where most samples are dropped: logs may mark what is not known by a value, but seldom so often."""
+    """Return a note if most samples are dropped: logs may mark unknown values, but rarely so often."""
     share = float(outside.mean()) if len(outside) else 0.0
     if share <= 0.5:
         return []
@@ -61,7 +61,7 @@ def _mostly(name: str, outside: Bool[np.ndarray, " n"]) -> list[Finding]:
 
 
 def _continuing(values: Float[np.ndarray, "n k"], outside: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-    """Samples outside of the range in runs that no larger step leads to, through or from than samples inside make."""
+    """Return out-of-range samples in runs without larger steps into, within or out of them than valid samples have."""
     result = np.zeros(len(values), bool)
     if not outside.any() or outside.all():
         return result
@@ -72,7 +72,7 @@ def _continuing(values: Float[np.ndarray, "n k"], outside: Bool[np.ndarray, " n"
     large = steps > _LARGER * float(np.percentile(steps[inside], _USUAL))
     edges = np.flatnonzero(np.diff(np.concatenate(([False], outside, [False]))))
     for first, end in edges.reshape(-1, 2):
-        # Step i leads from sample i to sample i + 1: from the one before the run to the one behind it.
+        # Step i leads from sample i to i + 1: from the sample before the run to the one after it.
         if not large[max(first - 1, 0) : end].any():
             result[first:end] = True
     return result
