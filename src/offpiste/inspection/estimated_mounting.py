@@ -1,4 +1,4 @@
-"""A mounting as estimated, and how it is shown: angles, uncertainties, the rig's line, or why there is none."""
+"""Estimated mounting of a sensor and its presentation: angles, uncertainties and rig line, or the reason of failure."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,18 +19,18 @@ AXES: Final = ("roll", "pitch", "yaw")
 
 @dataclass(frozen=True)
 class EstimatedMounting:
-    """A sensor's mounting before and after, or why it could not be estimated.
+    """A sensor's mounting before and after estimation, or the reason of failure.
 
     Attributes:
         name: of the sensor in the rig.
         key: of the rig's entry, e.g. "lidars.top.body_from_lidar".
-        optical: whether it is a camera, whose axes are z forward, x right, y down.
-        guess, mounting: `body_from_sensor`; the same where it is refused.
-        sigma: standard deviations of the turn about the body's x, y and z [rad]; NaN where there is no estimate.
-        place_sigma: standard deviations of its place [m]; NaN for coordinates that are the guess's.
-        before, after: residual of the guess and of the estimate, in `unit`; NaN where nothing could be compared.
-        unit: "m" for LiDARs: median distance from planes of another scan; "px" for cameras: from epipolar lines.
-        refused: why there is no estimate; "" if there is one.
+        optical: True for a camera, with axes z forward, x right, y down.
+        guess, mounting: `body_from_sensor`; identical if the estimate failed.
+        sigma: standard deviations of the rotation about the body's x, y and z [rad]; NaN without an estimate.
+        place_sigma: standard deviations of the position [m]; NaN for coordinates taken from the guess.
+        before, after: residual of the guess and of the estimate, in `unit`; NaN without comparable data.
+        unit: "m" for LiDARs (median distance from another scan's planes), "px" for cameras (from epipolar lines).
+        refused: reason of failure; "" if there is an estimate.
     """
 
     name: str
@@ -47,12 +47,12 @@ class EstimatedMounting:
 
     @property
     def roll_pitch_yaw(self) -> Float[np.ndarray, " 3"]:
-        """Angles of the mounting [rad]; a camera's are of axes x forward, y left, z up."""
+        """Return the mounting's angles [rad]; for cameras, with axes x forward, y left, z up."""
         return _euler(self.mounting, self.optical)
 
     @property
     def edit(self) -> Edit | None:
-        """The rig's line; None if it is refused."""
+        """Return the rig line; None without an estimate."""
         if self.refused:
             return None
         orientation = Rotation.from_matrix(self.mounting[:3, :3]).as_quat()
@@ -60,7 +60,7 @@ class EstimatedMounting:
         return Edit(self.key, {"position": place, "orientation": [round(v, 6) + 0.0 for v in orientation.tolist()]})
 
     def finding(self) -> Finding:
-        """The result as `inspect` shows it: with the rig's line as its remedy."""
+        """Return the result as a finding of `inspect`, with the rig line as its remedy."""
         if self.edit is None:
             how = "nothing; drive turns and over rough ground, or give it by hand"
             return Finding("warning", self.name, "its mounting could not be estimated", self.refused, how, 1.0)
@@ -83,7 +83,7 @@ class EstimatedMounting:
         return Finding("note", self.name, said, evidence, str(self.edit), 0.0, ((self.edit,),))
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain numbers and texts, in degrees, for JSON; null where a number is not known."""
+        """Return plain numbers and strings for JSON, in degrees; unknown numbers are null."""
         return {
             "sensor": self.name,
             "refused": self.refused,
@@ -101,7 +101,7 @@ class EstimatedMounting:
 
 
 def render_mountings(results: Sequence[EstimatedMounting]) -> RenderableType:
-    """What was found of each sensor, with its rig line; for `rich.print`."""
+    """Return the results of all sensors with their rig lines, for `rich.print`."""
     text = Text()
     for index, one in enumerate(results, start=1):
         finding = one.finding()

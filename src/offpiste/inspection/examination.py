@@ -1,4 +1,4 @@
-"""All checks of a log's channels, as one rig reads them."""
+"""Run of all channel checks on a log with one rig."""
 
 import re
 from collections.abc import Iterator
@@ -27,23 +27,23 @@ from offpiste.rig.labels import named_axis, named_course, named_down
 from offpiste.rig.rig import Rig
 
 _LEAST_DRIVING = 6.0
-"""A window and its history take 5.2 s; less driving than this holds none to learn from [s]."""
+"""Minimum driving time [s]; a window with its history takes 5.2 s."""
 _LEAST_CRUISE = 0.2
-"""A log that never moves faster was not driven [m/s]."""
+"""Minimum cruising speed of a driven log [m/s]."""
 
 _LOCATION: Final = re.compile(r"(?<![a-z])location[._ ]?[xy]$", re.IGNORECASE)
 _ROTATION: Final = re.compile(r"(?<![a-z])rotat(ion|or)[._ ]?yaw$", re.IGNORECASE)
-"""What Unreal and CARLA call a pose: their y is to the right, and their yaw counts clockwise."""
+"""Unreal's and CARLA's name of a pose, with y to the right and clockwise yaw."""
 
 
 @dataclass(frozen=True)
 class Examination:
-    """What the checks found with one rig.
+    """Results of the checks with one rig.
 
     Attributes:
-        findings: the worst first.
-        recorded: the topics, as recorded.
-        path: the driven path; None where none can be estimated.
+        findings: worst first.
+        recorded: the topics as recorded.
+        path: the driven path; None if it cannot be estimated.
     """
 
     findings: tuple[Finding, ...]
@@ -52,12 +52,12 @@ class Examination:
 
 
 def examine(log: RememberedLog, rig: Rig | None, *, given: bool, again: bool = False) -> Examination:
-    """Run every check of the channels.
+    """Run all channel checks.
 
     Args:
-        rig: None where none could be drafted: then topics are checked only.
-        given: whether the rig is given, not drafted.
-        again: whether the log was examined before, with another rig.
+        rig: None if no rig could be drafted; then only topics are checked.
+        given: True if the rig is given, False if drafted.
+        again: True if the log was examined before with another rig.
     """
     log = log.by(rig.clock) if rig else log
     recorded, findings = read_topics(log, rig, again=again)
@@ -74,7 +74,7 @@ def examine(log: RememberedLog, rig: Rig | None, *, given: bool, again: bool = F
 
 
 def _check_driving(log: Log, topics: Topics, rig: Rig) -> tuple[list[Finding], DrivenPath | None]:
-    """Findings on the pose, and on channels against the driven path; and the path, where there is one."""
+    """Return the findings on the pose and on channels against the driven path, and the path if available."""
     pose = rig.channels["position"].topic
     findings: list[Finding] = []
     if pose in topics.inspected:
@@ -94,7 +94,7 @@ def _check_driving(log: Log, topics: Topics, rig: Rig) -> tuple[list[Finding], D
         return findings + unfit, path
     posed = check_pose(drive, path, beginning(topics.recorded)) + tipped
     if (leap := leap_of(path)) is not None:
-        path = path.longer_side(leap.time)  # what is beyond is not the vehicle's motion
+        path = path.longer_side(leap.time)  # the part beyond the leap is not the vehicle's motion
     posed += _check_heading(drive, path) + _check_pose_names(rig)
     findings += posed
     if is_fatal(tilted + posed):
@@ -107,7 +107,7 @@ def _check_driving(log: Log, topics: Topics, rig: Rig) -> tuple[list[Finding], D
 
 
 def _check_heading(drive: Drive, path: DrivenPath) -> list[Finding]:
-    """How the heading fits the course; what no entry of the rig explains may be a drift."""
+    """Check the heading against the course; an offset that no rig entry explains may be a drift."""
     found = check_course(drive, path)
     unexplained = any(not finding.cures and finding.severity != "note" for finding in found)
     if not found and heading_fits(path):
@@ -116,7 +116,7 @@ def _check_heading(drive: Drive, path: DrivenPath) -> list[Finding]:
 
 
 def _check_pose_names(rig: Rig) -> list[Finding]:
-    """What names of the pose's fields say against how the rig reads them."""
+    """Compare the names of the pose's fields with the rig."""
     findings = []
     down = [field for field in rig.channels["position"].fields[2:] if named_down(field)]
     if down and rig.motion.axes not in WORLD_DOWN:
@@ -133,9 +133,9 @@ def _check_pose_names(rig: Rig) -> list[Finding]:
 
 
 def _mirrored(rig: Rig) -> list[Finding]:
-    """A finding where left and right are exchanged by the names of the pose, and the heading follows all the same.
+    """Return a finding if left and right are swapped according to the pose's names although the heading fits.
 
-    Either y is read before x (a compass), or x before y of a game's world, whose y is to the right.
+    Either y is read before x (a compass), or x before y in a game world with y to the right.
     """
     fields, yaw = rig.channels["position"].fields, rig.channels.get("yaw")
     x, y, *z = fields
@@ -144,7 +144,7 @@ def _mirrored(rig: Rig) -> list[Finding]:
     if yaw is None or rig.motion.axes != "z up" or named != (["x", "y"] if game else ["y", "x"]):
         return []
     if not game and yaw.sign < 0:
-        return []  # the rig reads a compass: what comes first is north, whatever its name
+        return []  # the rig reads a compass: the first axis is north, whatever its name
     quarter = np.pi / 2 / (yaw.sign * unit_factor("yaw", yaw.unit))
     pose: tuple[Edit, ...] = (
         Edit("channels.position.fields", [y, x, *z]),
@@ -155,7 +155,7 @@ def _mirrored(rig: Rig) -> list[Finding]:
     signs = tuple(Edit(f"channels.{name}.sign", -rig.channels[name].sign) for name in steering)
     if game:
         pose += tuple(_velocities_mirrored(rig))
-    cure = (*pose, *signs)  # a steering that is right in a mirror is wrong without it
+    cure = (*pose, *signs)  # a steering fitted to a mirrored pose is wrong after the fix
     evidence = f"position reads {fields[0]} before {fields[1]}, and the heading, clockwise then, follows the course"
     how = ", ".join(map(str, cure)) + "; left and right are exchanged until then"
     if game:
@@ -169,14 +169,14 @@ def _mirrored(rig: Rig) -> list[Finding]:
 
 
 def _velocities_mirrored(rig: Rig) -> Iterator[Edit]:
-    """Edits of the velocities of a world that is seen in a mirror."""
+    """Yield edits for the velocities of a mirrored world."""
     for name in ("linear_velocity", "angular_velocity", "yaw_rate"):
         source = rig.channels.get(name)
         if source is not None and name == "linear_velocity" and source.frame != "body":
             x, y, *z = source.fields
             yield Edit(f"channels.{name}.fields", [y, x, *z])
         elif source is not None and name != "linear_velocity":
-            yield Edit(f"channels.{name}.sign", -source.sign)  # of its three rates the yaw's alone counts
+            yield Edit(f"channels.{name}.sign", -source.sign)  # only the yaw rate is used
 
 
 def _check_orientation(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
@@ -188,7 +188,7 @@ def _check_orientation(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]
 
 
 def _check_amount(path: DrivenPath) -> list[Finding]:
-    """A finding if there is too little driving to learn from."""
+    """Return a finding if there is too little driving."""
     if path.driving >= _LEAST_DRIVING and path.cruise >= _LEAST_CRUISE:
         return []
     evidence = f"{path.driving:.1f} s faster than {MOVING} m/s, {path.distance:.1f} m, 95 % of the speeds below "

@@ -17,7 +17,7 @@ from offpiste.rig.rig import Rig
 
 
 def findings_on(log: Log, rig: Rig) -> tuple[LogFinding, ...]:
-    """Return the fatal findings and warnings on the channels of a log; cameras and LiDARs are not examined."""
+    """Return the fatal findings and warnings on a log's channels; cameras and LiDARs are not examined."""
     found = inspect_log(log, rig).findings
     return tuple(LogFinding(f.severity, f.where, f.what, f.evidence, f.remedy) for f in found if f.severity != "note")
 
@@ -39,17 +39,17 @@ def extract(
     cluster: str = "",
     force: bool = False,
 ) -> Dataset:
-    """Inspect logs and extract the usable ones into a dataset; drives that it already holds are kept.
+    """Inspect logs and extract the usable ones into a dataset; existing drives are kept.
 
     Args:
         features: true ground properties of a simulated log (`dataset.ground_truth_features.LAYERS`).
-        pca: file of `fit-pca` for visual features instead; it names its backbone.
+        pca: `fit-pca` file for visual features instead; it names its backbone.
         device: of the backbone.
-        min_hindsight: smallest share of a window's ground with features in hindsight.
-        snapshots, replay: settings of the map, for visual features.
-        shard: (K, N) extracts every Nth log in the order of names, starting with the Kth.
-        processes: drives extracted at a time; 0: one per core, or one if the backbone runs on a GPU.
-        cluster: address of a Ray cluster that extracts instead (`parallel.run_all`); "" for none.
+        min_hindsight: minimum share of a window's ground with hindsight features.
+        snapshots, replay: map settings for visual features.
+        shard: (K, N) extracts every Nth log in order of names, starting with the Kth.
+        processes: number of drives extracted in parallel; 0: one per core, or one if the backbone runs on a GPU.
+        cluster: address of a Ray cluster for the extraction (`parallel.run_all`); "" for none.
         force: extract logs with fatal findings, too.
 
     Raises:

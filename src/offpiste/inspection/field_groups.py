@@ -1,4 +1,4 @@
-"""Fields that belong together: vectors, places and four wheels by their names, quaternions by their numbers."""
+"""Groups of fields: vectors, positions and wheel speeds by their names, quaternions by their values."""
 
 import re
 from collections.abc import Iterator, Mapping
@@ -14,18 +14,18 @@ from offpiste.rig.channels import GEOGRAPHIC
 from offpiste.rig.labels import GEOGRAPHIC_NAMES, Label, parse_label, with_letters
 
 Group = tuple[str, tuple[str, ...], str, int]
-"""A channel, the fields that may hold it, their unit, and how far their names are from the channel's own."""
+"""A channel, its candidate fields, their unit, and the rank of their names (0 is best)."""
 
 _RADII: Final = (6.34e6, 6.39e6)
 _EASTING: Final = 1e6
-"""Distances of the ground from the earth's middle, and the largest easting: a northing may be as far [m]."""
+"""Threshold between projected and Earth-centred coordinates; northings may exceed it [m]."""
 _UNIT, _MOST = 0.02, 0.95
-"""How far the length of quaternions is from 1, at most, and in how many of the rows."""
+"""Maximum deviation of a quaternion's norm from 1, and minimum share of such rows."""
 _AXIS = re.compile(r"(?<![a-z])([pqtvwg]?)x(?![a-z])")
 _TRANSLATION: Final = re.compile(r"(?<![a-z])t[._ ]*$")
-"""What stands before the letter x of TUM's `tx`, which may be a torque as well: a place only where nothing else is."""
+"""Prefix of the letter x in TUM's `tx`, which may also be a torque: a position only as a fallback."""
 _FRAMES: Final = re.compile(r"((?:^|[./ ])[pqvw])(_[a-z]{1,2}){1,2}$")
-"""Frames that follow a vector's letter, as of R to S, given in R: `p_RS_R_x`."""
+"""Frame suffixes of a vector's letter, e.g. from R to S, expressed in R: `p_RS_R_x`."""
 _PLACES = (
     "utm|enu|local|global|world|map|gps|gnss|ego|car|veh|vehicle|odom|rtk|slam|base|robot|center|cog|pos|gt|ground_?truth"
     "|ekf|est|state|cg|rear_?axle|loc(ation)?|coord(inate)?s?"
@@ -36,7 +36,7 @@ _GROUPS: tuple[tuple[str, re.Pattern[str], str], ...] = (
     ("linear_velocity", re.compile(r"linear_?vel|twist[._/]linear|vel|(^|[^a-z])(v|uvw)$"), "yz"),
     ("position", re.compile(rf"pos|vicon|mocap|optitrack|translation|(^|[^a-z])[pt]?$|(?<![a-z])({_PLACES})$"), "yz"),
 )
-"""Vectors, by what stands before the letter x, and the other letters."""
+"""Vectors by the prefix of the letter x, and the other letters."""
 _WIDTHS: Final = {"orientation": (4,), "angular_velocity": (3,), "linear_velocity": (2, 3), "position": (2, 3)}
 _NOT_GROUPS = re.compile(
     r"acc|magn|gravity|force|effort|imu.*orient|ll[ah](?![a-z])|(?<![a-z])g\("
@@ -44,25 +44,25 @@ _NOT_GROUPS = re.compile(
 )
 _NUMBERED: Final = re.compile(r"^(.+?)(?:\[(\d)\]|[._](\d)|(?:(?<=q)|(?<=quat))(\d))$")
 _LLA: Final = re.compile(r"(?<![a-z])ll[ah]$|(?<![a-z])geodetic(\.value)?$")
-"""An array of latitude, longitude and height."""
+"""Names of arrays of latitude, longitude and height."""
 _NED_VELOCITY: Final = re.compile(r"(?<![a-z])velocity_ned(\.value)?$")
 _NED_ANGLES: Final = re.compile(r"(?<![a-z])(calibrated_)?orientation_ned(\.value)?$|(?<![a-z])theta$")
-"""Arrays in north, east, down: velocities of openpilot, and roll, pitch, yaw of its device or, calibrated, of the car,
-and of Inertial Sense."""
+"""Names of north-east-down arrays: openpilot's velocities and roll, pitch, yaw (of device or, calibrated, of the car),
+and Inertial Sense's."""
 _EAST: Final = re.compile(r"(?<![a-z])(e|east)(?![a-z])")
-"""The second of north, east, down."""
+"""Names of the east component."""
 _ACTUATED: Final = re.compile(r"joint|wheel|motor|servo|actuator|output", re.IGNORECASE)
-"""What has positions and velocities that are no vehicle's."""
+"""Names of parts whose positions and velocities are not the vehicle's."""
 
 _TOGETHER: Final[tuple[tuple[frozenset[str], tuple[tuple[str, tuple[str, ...]], ...]], ...]] = (
     (frozenset("uvwpqr"), (("linear_velocity", ("u", "v", "w")), ("angular_velocity", ("p", "q", "r")))),
     (frozenset("uvr"), (("linear_velocity", ("u", "v")), ("yaw_rate", ("r",)))),
 )
-"""Names too short to mean anything alone; together they are of one notation (SNAME's, of marine vehicles)."""
+"""Names that are only meaningful together, in one notation (SNAME's, for marine vehicles)."""
 
 
 def field_groups(topic: Topic, named: Mapping[str, Label]) -> Iterator[Group]:
-    """Groups of a topic's fields, the surest first; units are not checked.
+    """Yield groups of a topic's fields, most reliable first; units are not checked.
 
     Args:
         named: name and unit of the topic's fields.
@@ -85,7 +85,7 @@ def _together(named: Mapping[str, Label]) -> Iterator[Group]:
 
 
 def _vectors(named: Mapping[str, Label]) -> Iterator[Group]:
-    """Fields that differ in one letter, x, y, z or w."""
+    """Yield fields that differ in one letter: x, y, z or w."""
     plain = {label.name: field for field, label in reversed(list(named.items()))}
     columns = {with_letters(name): field for name, field in plain.items()} | plain
     for name in dict.fromkeys(with_letters(label.name) for label in named.values()):
@@ -98,7 +98,7 @@ def _vectors(named: Mapping[str, Label]) -> Iterator[Group]:
             if channel == "position" and len(fields) == 2:
                 fields += tuple(field for field, label in named.items() if _HEIGHT.fullmatch(label.name))[:1]
             if len(fields) == 3 and (named[fields[2]].unit or "m") != (named[fields[0]].unit or "m"):
-                fields = fields[:2]  # a channel has one unit: east and north in m, and a height in ft
+                fields = fields[:2]  # a channel has one unit: east and north may be in m, the height in ft
             east = named[fields[0]].name
             if len(fields) == 2 and _EAST.search(east) and (down := plain.get(_EAST.sub(_down_of, east))):
                 fields = (fields[1], fields[0], down)
@@ -108,10 +108,10 @@ def _vectors(named: Mapping[str, Label]) -> Iterator[Group]:
 
 
 def fours(named: Mapping[str, Label]) -> Iterator[tuple[tuple[str, ...], bool]]:
-    """Fields that differ in one letter, x, y, z or w, and are not named as an orientation, which they may be.
+    """Yield fields that differ in one letter (x, y, z or w) without an orientation's name, but may be one.
 
     Returns:
-        The fields, and whether they may be the vehicle's: not those of a reference or an error.
+        The fields, and False if they belong to a reference or an error instead of the vehicle.
     """
     columns = {label.name: field for field, label in reversed(list(named.items()))}
     for name in dict.fromkeys(label.name for label in named.values()):
@@ -128,7 +128,7 @@ def _down_of(east: re.Match[str]) -> str:
 
 
 def _group_of(name: str, before: str, after: str) -> tuple[str, re.Pattern[str], str] | None:
-    """The group of a name, by what stands before its letter or, where nothing does, behind it."""
+    """Return the group of a name by the prefix of its letter, or by the suffix without a prefix."""
     if _NOT_GROUPS.search(name):
         return None
     words, behind = (text.strip("._ /") for text in (before, after))
@@ -140,7 +140,7 @@ def _group_of(name: str, before: str, after: str) -> tuple[str, re.Pattern[str],
 
 
 def _numbered(topic: Topic) -> Iterator[Group]:
-    """Arrays that have as many entries as a vector, counted from 0 or 1: `q[0]` to `q[3]`, `vel_1` to `vel_3`."""
+    """Yield arrays with as many entries as a vector, counted from 0 or 1: `q[0]` to `q[3]`, `vel_1` to `vel_3`."""
     if topic.joints or _ACTUATED.search(f"{topic.name} {topic.type}"):
         return
     arrays: dict[str, dict[int, str]] = {}
@@ -159,7 +159,7 @@ def _numbered(topic: Topic) -> Iterator[Group]:
 
 
 def _of_north_east_down(name: str, fields: tuple[str, ...]) -> Group | None:
-    """An array of three that is a place on earth, or velocities or angles in a frame of north, east, down."""
+    """Return a three-entry array of a geographic position, or of velocities or angles in a north-east-down frame."""
     if _LLA.search(name):
         return "position", fields, GEOGRAPHIC, 1
     if _NED_VELOCITY.search(name):
@@ -170,13 +170,13 @@ def _of_north_east_down(name: str, fields: tuple[str, ...]) -> Group | None:
 
 
 _HEIGHT: Final = re.compile(r"((utm|gps|gnss|pos|position)_)?(z|alt|altitude|elevation|height)")
-"""What the height of a place is called whose east and north are called otherwise."""
+"""Names of the height of a position whose east and north are named differently."""
 _LATERAL: Final = re.compile(r"acc|force|vel|speed|(^|[ ._/])[av]_")
-"""What is lateral or longitudinal, and no latitude or longitude."""
+"""Names of lateral or longitudinal quantities that are not coordinates."""
 
 
 def _places(named: Mapping[str, Label]) -> Iterator[Group]:
-    """Geographic positions, as of sensor_msgs/NavSatFix."""
+    """Yield geographic positions, e.g. of sensor_msgs/NavSatFix."""
     places = {field: label for field, label in named.items() if not _LATERAL.search(label.name)}
     degrees = {field: label for field, label in places.items() if label.unit in ("", "deg", "rad")}
     metres = {field: label for field, label in places.items() if label.unit in ("", "m")}
@@ -206,7 +206,7 @@ _NO_SPEED: Final = re.compile(r"valid|direction|steer|(?<![a-z])is_")
 
 
 def _wheels(topic: Topic, named: Mapping[str, Label]) -> Iterator[Group]:
-    """Speeds of four wheels; of those in rad/s, as of joints, the motion shows how large the wheels are."""
+    """Yield speeds of four wheels; if in rad/s, as for joints, the motion determines the wheel radius."""
     turned = {"lf": "fl", "rf": "fr", "lr": "rl", "lb": "rl", "rb": "rr"}
     columns: dict[str, str] = {}
     for field, label in named.items():
@@ -223,7 +223,7 @@ def _wheels(topic: Topic, named: Mapping[str, Label]) -> Iterator[Group]:
 
 
 def are_quaternions(log: Log, topic: str, fields: tuple[str, ...]) -> bool:
-    """Whether the rows of four fields have length 1, but for a few."""
+    """Return True if nearly all rows of four fields have norm 1."""
     try:
         rows = log.read(topic, fields).values
     except OffpisteError:
@@ -233,7 +233,7 @@ def are_quaternions(log: Log, topic: str, fields: tuple[str, ...]) -> bool:
 
 
 def w_comes_first(fields: tuple[str, ...], values: Float[np.ndarray, "n 4"]) -> bool:
-    """Whether quaternions whose entries have no letters are stored as w x y z: the vehicle is upright then."""
+    """Return True if unnamed quaternion entries are in w x y z order, which keeps the vehicle upright."""
     if any(re.search(r"[xyzw]$", field, re.IGNORECASE) for field in fields):
         return False
     turned = (rotation_from_quaternion(rows)[:, 2, 2] for rows in (values, np.roll(values, -1, axis=1)))
@@ -242,7 +242,7 @@ def w_comes_first(fields: tuple[str, ...], values: Float[np.ndarray, "n 4"]) -> 
 
 
 def are_earth_centred(places: Float[np.ndarray, "n k"]) -> bool:
-    """Whether places lie on the ground as seen from the earth's middle."""
+    """Return True if positions are at the Earth's radius from the origin."""
     middle = np.abs(np.median(places, axis=0))
     near = _RADII[0] < float(np.linalg.norm(middle)) < _RADII[1]
     return near and len(middle) > 2 and float(np.sort(middle)[1]) > _EASTING

@@ -1,4 +1,4 @@
-"""Findings: what an inspection reports about a log, and how to fix it."""
+"""Findings: problems that an inspection reports about a log, and their fixes."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -8,31 +8,31 @@ from offpiste.rig.edits import Edit
 
 Severity = Literal["fatal", "warning", "note"]
 EXCHANGED = "latitude and longitude are exchanged"
-"""What is wrong with places that the rig reads in the wrong order."""
+"""Description of positions that the rig reads in the wrong order."""
 TIPPED = "climbs as much as it drives"
-"""What is found of a position whose z is not up."""
+"""Description of a position whose z is not up."""
 
 Cure = tuple[Edit, ...]
-"""Rig edits that are made together."""
+"""Rig edits applied together."""
 _NAMED = 4
-"""Fields that a finding on many of them names."""
+"""Maximum number of fields named by a finding."""
 _ORDER: dict[Severity, int] = {"fatal": 0, "warning": 1, "note": 2}
 
 
 @dataclass(frozen=True)
 class Finding:
-    """What is wrong, where, how it was seen, and how to fix it.
+    """A problem of a log: its location, evidence and fix.
 
     Attributes:
-        severity: "fatal": not usable for training; "warning": training would be worse or wrong; "note": good to know.
+        severity: "fatal": unusable for training; "warning": degrades training; "note": for information.
         where: topic, field or channel.
-        what: in words, without a full stop.
-        evidence: the numbers it rests on, with units.
-        remedy: the exact rig line, or what to do where no rig line helps.
-        score: share of the drive that is affected, 0 to 1; ranks findings of one severity.
-        cures: rig edits that may fix it, the likeliest first; `remedies` applies and checks them.
-        sure: whether it is wrong whatever else is; otherwise it is a warning only if one of its cures proves right.
-        also: other findings of the same cause, which the same cure silences.
+        what: description without a full stop.
+        evidence: supporting numbers with units.
+        remedy: the exact rig line, or advice if no rig line helps.
+        score: affected share of the drive, 0 to 1; ranks findings of equal severity.
+        cures: candidate fixes as rig edits, most likely first; `remedies` applies and checks them.
+        sure: True if independent of other findings; otherwise it is a warning only if one of its fixes is confirmed.
+        also: other findings of the same cause, removed by the same fix.
     """
 
     severity: Severity
@@ -47,17 +47,17 @@ class Finding:
 
 
 def ranked(findings: Iterable[Finding]) -> tuple[Finding, ...]:
-    """Findings in order, the worst first."""
+    """Return the findings sorted by severity, worst first."""
     return tuple(sorted(findings, key=lambda f: (_ORDER[f.severity], -f.score, f.where, f.what)))
 
 
 def is_fatal(findings: Iterable[Finding]) -> bool:
-    """Whether one of the findings makes a log unusable."""
+    """Return True if a finding makes a log unusable."""
     return any(finding.severity == "fatal" for finding in findings)
 
 
 def merged(findings: list[Finding]) -> list[Finding]:
-    """Notes that say the same of several topics become one."""
+    """Merge equal notes on several topics."""
     together: dict[tuple[str, str], list[Finding]] = {}
     for finding in findings:
         key = (finding.what, finding.remedy) if finding.severity == "note" else (finding.where, finding.what)
@@ -76,7 +76,7 @@ def merged(findings: list[Finding]) -> list[Finding]:
 
 
 def of_one_cause(findings: list[Finding]) -> list[Finding]:
-    """Findings that name the same samples become one, as of a motion capture that loses the vehicle."""
+    """Merge findings on the same samples, e.g. of a motion capture that loses the vehicle."""
     together: dict[tuple[str, ...], list[Finding]] = {}
     for finding in findings:
         together.setdefault((finding.severity, finding.evidence, finding.remedy), []).append(finding)
@@ -84,7 +84,7 @@ def of_one_cause(findings: list[Finding]) -> list[Finding]:
 
 
 def _as_one(findings: Sequence[Finding]) -> Finding:
-    if findings[0].severity == "note":  # of fields that no channel reads
+    if findings[0].severity == "note":  # unused fields
         more = f" and {len(findings) - _NAMED} more" if len(findings) > _NAMED else ""
         return replace(findings[0], where=", ".join(finding.where for finding in findings[:_NAMED]) + more)
     channels, places = zip(*(finding.where.removesuffix(")").split(" (", 1) for finding in findings), strict=True)

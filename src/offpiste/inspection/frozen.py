@@ -1,4 +1,4 @@
-"""Check of channels that hold one value while the vehicle moves, as a sensor or a driver that hangs does."""
+"""Check of channels that are constant while the vehicle moves, e.g. of a stuck sensor or driver."""
 
 from typing import Final
 
@@ -14,29 +14,29 @@ from offpiste.logs.drive import Drive
 from offpiste.rig.rig import Rig
 
 _HEADINGS: Final = ("orientation", "yaw")
-"""Nobody drives so that a measured heading stays the same, unlike a control; a position that does is no motion."""
+"""Measured headings never stay constant while driving, unlike controls; a constant position is no motion."""
 _STEERINGS: Final = ("steer", "steer_angle")
 _STRAIGHT, _TURNED = 0.15, 0.7
-"""Standard deviation of the yaw rate in a run over its RMS in the drive: up to which a held steering may be the
-driver's, and from which the vehicle turns to and fro."""
+"""Standard deviation of the yaw rate in a run over its RMS in the drive: maximum for steering held by the driver, and
+minimum for weaving."""
 _SETTLES: Final = 1.0
-"""Time in which the turning follows a steering that begins to be held [s]."""
+"""Response time of the turning after the steering becomes constant [s]."""
 _NO_TURN, _SCATTER = np.radians(1.0), 4.0
-"""Turn of the course while a heading is held that is none [rad], and times its scatter about the heading."""
+"""Maximum course change that counts as none while the heading is constant [rad], and in units of its scatter."""
 _CONTROLS: Final = ("steer", "throttle", "brake")
-"""A driver holds them for some seconds now and then."""
+"""Controls that drivers hold for some seconds occasionally."""
 _LEAST, _LEAST_OF_HEADINGS, _LEAST_OF_CONTROLS = 3.0, 0.4, 4.7
-"""Shortest run that is reported [s]."""
+"""Minimum reported duration of a run [s]."""
 _UNUSUAL: Final = 20.0
-"""A run is reported from this many times the length that 1 in 100 of the channel's runs reach ..."""
+"""Minimum ratio of a reported run to the 99th percentile of the channel's runs ..."""
 _ALONE: Final = 3.0
-"""... and this many times as long as the third longest: what happens again and again is how it is driven ..."""
+"""... and to the third longest run, as repeated runs are normal driving ..."""
 _SAMPLES: Final = 10
-"""... and from this many samples on."""
+"""... and minimum number of samples."""
 
 
 def check_frozen(drive: Drive, path: DrivenPath) -> list[Finding]:
-    """A finding for each channel that usually changes, and for a while does not though the vehicle moves."""
+    """Return a finding for each usually varying channel that is constant for a while although the vehicle moves."""
     findings = []
     for name, channel in drive.channels.items():
         if name == "position":
@@ -56,10 +56,10 @@ def check_frozen(drive: Drive, path: DrivenPath) -> list[Finding]:
 
 
 def while_held(channel: Channel, path: DrivenPath, rig: Rig, *, beside: float) -> Bool[np.ndarray, " n"]:
-    """Rows of the path in which a channel is frozen, and those beside them.
+    """Return the path rows in which a channel is frozen, with a margin.
 
     Args:
-        beside: time before and after [s].
+        beside: margin before and after [s].
     """
     begin, end, *_ = _frozen(channel, path, rig)
     rows = np.zeros(len(path.time), bool)
@@ -71,9 +71,9 @@ def while_held(channel: Channel, path: DrivenPath, rig: Rig, *, beside: float) -
 def _frozen(
     channel: Channel, path: DrivenPath, rig: Rig
 ) -> tuple[Float[np.ndarray, " r"], Float[np.ndarray, " r"], Float[np.ndarray, " r"], Bool[np.ndarray, " r"]]:
-    """When the unusually long runs of one value begin and end, how long they last in motion [s], and which turn then.
+    """Return start, end and duration in motion [s] of unusually long constant runs, and a mask of runs with turning.
 
-    Runs of headings count that happen again and again, and only where the course turns.
+    Heading runs count even if repeated, but only if the course turns.
     """
     changes_alone = channel.name in rig.channels and rig.channels[channel.name].interpolation == "on change"
     again, nothing = channel.name in _HEADINGS, (np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0, bool))
@@ -83,12 +83,12 @@ def _frozen(
     changes = np.flatnonzero((np.diff(channel.values, axis=0) != 0).any(axis=1)) + 1
     first, last = np.append(0, changes), np.append(changes, len(channel.time)) - 1
     begin, end = channel.time[first], channel.time[last]
-    # Of other channels the turning says nothing: not a number is neither straight nor turned.
+    # For other channels turning is irrelevant: NaN is neither straight nor turning.
     turned = np.full(len(begin), np.nan)
     if channel.name in _STEERINGS:
         turned = _turned(path, np.minimum(begin + _SETTLES, end), end)
     straight, turns = turned <= _STRAIGHT, turned > _TURNED
-    # Who stops with the wheel turned holds it at the standstill, too.
+    # A steering held through a stop stays turned at the standstill, too.
     lasts = _time_in_motion(path, end) - _time_in_motion(path, begin)
     in_motion = _moving(path, begin) | _moving(path, end) | (lasts > least)
     moves = (~_rests(channel)[first] | turns) & in_motion
@@ -104,7 +104,7 @@ def _frozen(
 
 
 def _rests(channel: Channel) -> Bool[np.ndarray, " n"]:
-    """Samples at a value that a control keeps by nature: none, or an end of its range."""
+    """Return samples at values where a control rests naturally: zero or an end of its range."""
     if channel.values.shape[1] > 1:
         return np.zeros(len(channel.values), bool)
     values = channel.values[:, 0]
@@ -112,7 +112,7 @@ def _rests(channel: Channel) -> Bool[np.ndarray, " n"]:
 
 
 def _turned(path: DrivenPath, begin: Float[np.ndarray, " r"], end: Float[np.ndarray, " r"]) -> Float[np.ndarray, " r"]:
-    """How much the yaw rate changes within runs, over its RMS in the drive: with one steering it hardly does."""
+    """Return the yaw rate's variation within runs, over its RMS in the drive; it is small for constant steering."""
     rate = np.nan_to_num(path.yaw_rate)
     first, last = np.searchsorted(path.time, begin), np.searchsorted(path.time, end)
     sums = [np.cumsum(np.append(0.0, rate**power)) for power in (1, 2)]
@@ -124,12 +124,12 @@ def _turned(path: DrivenPath, begin: Float[np.ndarray, " r"], end: Float[np.ndar
 def _course_turns(
     path: DrivenPath, begin: Float[np.ndarray, " r"], end: Float[np.ndarray, " r"]
 ) -> Bool[np.ndarray, " r"]:
-    """Whether the course turns within runs by more than noise and slip: on a straight a heading may stay the same."""
+    """Return True for runs whose course turns by more than noise and slip; straight runs may have constant headings."""
     away, known = course_minus_heading(path), np.isfinite(path.velocity).all(axis=1) & (path.speed > MOVING)
     straight = away[straight_rows(path)]
     scatter = SIGMA_PER_MEDIAN * float(np.median(np.abs(straight - np.median(straight)))) if len(straight) else 0.0
     course = np.unwrap(np.arctan2(path.velocity[known, 1], path.velocity[known, 0]))
-    # Velocities at the ends of a run are also of what is beyond.
+    # Velocities at the ends of a run include samples beyond it.
     inside = np.minimum(path.window / 2, (end - begin) / 4)
     first, last = (np.searchsorted(path.time[known], ends) for ends in (begin + inside, end - inside))
     turned = [np.ptp(course[slice(*run)]) if run[1] > run[0] else 0.0 for run in zip(first, last, strict=True)]
@@ -141,5 +141,5 @@ def _moving(path: DrivenPath, at: Float[np.ndarray, " r"]) -> Bool[np.ndarray, "
 
 
 def _time_in_motion(path: DrivenPath, until: Float[np.ndarray, " r"]) -> Float[np.ndarray, " r"]:
-    """Time in which the vehicle has moved since the path began [s]."""
+    """Return the time in motion since the start of the path [s]."""
     return np.asarray(np.interp(until, path.time, np.cumsum(np.nan_to_num(path.speed) > MOVING) * STEP))

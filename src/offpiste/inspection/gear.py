@@ -1,4 +1,4 @@
-"""The gear: what recorded letters, switches and positions of a selector stand for, and checks against the motion."""
+"""Meaning of recorded gears (letters, switches, selector positions), and checks of the gear against the motion."""
 
 import re
 from collections.abc import Mapping
@@ -24,47 +24,47 @@ from offpiste.rig.edits import Edit, absent, rounded
 from offpiste.rig.rig import Rig
 
 _LASTS: Final = 2.0
-"""Shortest stretch of reversing that is reported [s]: rolling back before driving off is shorter."""
+"""Minimum reported duration of reversing [s]; rolling back before driving off is shorter."""
 _PRESSED: Final = 0.08
-"""Throttle above which a vehicle drives, and does not roll."""
+"""Minimum throttle of a driving, not rolling, vehicle."""
 _SHARE: Final = 0.1
-"""Share of the motion against the gear from which the gear is wrong; vehicles roll back now and then."""
+"""Minimum share of the motion against the gear for a wrong gear; vehicles roll back occasionally."""
 _LEAST_AGAINST: Final = 3.0
-"""The same in time [s]."""
+"""Minimum time of motion against the gear [s]."""
 _MOSTLY: Final = 0.7
-"""Share of the motion with one recorded value from which it is wrong, however seldom it is engaged."""
+"""Minimum share of the motion at one recorded value that contradicts the gear, however rare the value."""
 MOST_GEARS: Final = 16
-"""A field with more values is no gear."""
+"""Maximum number of values of a gear."""
 _REVERSE: Final = re.compile(r"reverse", re.IGNORECASE)
 _SELECTOR: Final = re.compile(r"prnd", re.IGNORECASE)
 _LETTERS: Final = {"P": 0, "R": -1, "N": 0, "D": 1}
-"""Positions of a selector, in its order, and the gear of each."""
+"""Selector positions in order, and their gears."""
 _BACKWARDS: Final = 0.2
-"""Share of the driving backwards for which a pedal that reverses the vehicle is below zero, at least."""
+"""Minimum share of backward driving at negative values of a pedal that reverses the vehicle."""
 _DRIVES: Final = -0.3
-"""Correlation of acceleration and pedal, with speed and slope taken out, below which it drives backwards."""
+"""Maximum correlation of acceleration and pedal, corrected for speed and slope, for driving backwards."""
 _OWN_DELAY: Final = (0.0, 0.8)
-"""Delays of the acceleration behind the pedal that are the vehicle's own [s]."""
+"""Plausible delays of the acceleration after the pedal [s]."""
 _DEAD_BAND: Final = 0.02
-"""Size of a pedal whose sign is the direction, from which it counts."""
+"""Dead band of a pedal whose sign is the direction."""
 DIRECTION: Final = 0.5 / _DEAD_BAND
-"""Scale of such a pedal, 1 at most, by which it is a gear: rounded, it is its sign."""
+"""Scale at which such a pedal, 1 at most, rounds to its sign and serves as a gear."""
 _HALFWAY: Final = (0.2, 0.8)
-"""Where a throttle that goes both ways is released, if its whole range is read as 0 to 1."""
+"""Released position of a bidirectional throttle whose whole range is read as 0 to 1."""
 _BRAKES: Final = 0.25
-"""Share of the motion with a pedal below zero that leads forwards, from which it is also the brake."""
+"""Minimum share of forward motion at negative pedal values for a pedal that also brakes."""
 _CODES: Final = frozenset(map(float, range(ord("A"), ord("Z") + 1)))
 """Character codes of letters."""
 
 
 def gear_values(guess: Guess, values: Float[np.ndarray, " n"]) -> tuple[str, ...]:
-    """What recorded gears stand for, where they are letters, a switch for reverse, or a selector's positions."""
+    """Return the meaning of recorded gears that are letters, a reverse switch or selector positions."""
     there = {float(value) for value in np.unique(values)}
     named = (guess.topic, *guess.fields)
     numbers = {value for value in there if abs(value) <= MOST_GEARS}
     letters = {chr(int(value)) for value in there - numbers if value in _CODES}
     if letters & set(_LETTERS) and len(letters) == len(there - numbers):
-        forward = dict.fromkeys(sorted(letters - set(_LETTERS)), 1)  # S, L, M: ways to drive forwards
+        forward = dict.fromkeys(sorted(letters - set(_LETTERS)), 1)  # S, L, M: forward modes
         meanings = _LETTERS | forward | {f"{number:g}": int(np.sign(number)) for number in sorted(numbers)}
     elif there <= {0.0, 1.0} and any(map(_REVERSE.search, named)):
         meanings = {"0": 1, "1": -1}
@@ -76,13 +76,13 @@ def gear_values(guess: Guess, values: Float[np.ndarray, " n"]) -> tuple[str, ...
 
 
 def check_gear(drive: Drive, path: DrivenPath, recorded: Mapping[str, Recorded]) -> list[Finding]:
-    """A note if the vehicle reverses and the rig has no gear; a warning if the gear is another than the motion's.
+    """Return a note if the vehicle reverses without a gear in the rig; a warning if the gear contradicts the motion.
 
-    Before them, a warning on a throttle that goes both ways and is read as a pedal.
+    A warning on a bidirectional throttle read as a pedal takes precedence.
     """
     halfway = _released_halfway(drive, path)
     if halfway is not None and ("gear" not in drive.channels or drive.rig.reads_alike("throttle", "gear")):
-        return [halfway]  # what it drives backwards shows once it is read around its rest
+        return [halfway]  # backward driving is visible once the throttle is read relative to its rest
     found = [halfway] if halfway is not None else []
     if "gear" not in drive.channels:
         below = _below_zero(drive, path, recorded)
@@ -94,7 +94,7 @@ def check_gear(drive: Drive, path: DrivenPath, recorded: Mapping[str, Recorded])
     with np.errstate(invalid="ignore"):
         driven_back = (gear == 0) & (path.forward < 0) & _pressed(drive, path)
         against = moving & ((gear * path.forward < 0) | driven_back)
-        if drive.rig.reads_alike("throttle", "gear"):  # such a pedal against the motion brakes
+        if drive.rig.reads_alike("throttle", "gear"):  # such a pedal brakes against the motion
             against &= gear * path.acceleration < 0
     share = float(against.sum() / max(moving.sum(), 1))
     raw = _raw(drive, path, recorded)
@@ -110,7 +110,7 @@ def check_gear(drive: Drive, path: DrivenPath, recorded: Mapping[str, Recorded])
 
 
 def pedal_reverses(drive: Drive, path: DrivenPath) -> bool:
-    """Whether the brake is the side below zero of the throttle's field, and drives the vehicle backwards."""
+    """Return True if the brake is the negative side of the throttle's field and drives the vehicle backwards."""
     if not drive.rig.reads_alike("throttle", "brake") or not {"throttle", "brake"} <= set(drive.channels):
         return False
     moving = _moving(path)
@@ -118,7 +118,7 @@ def pedal_reverses(drive: Drive, path: DrivenPath) -> bool:
         backwards = moving & (path.forward < 0)
         below = backwards & (sampled(drive.channels["brake"], path.time, drive.rig) > _DEAD_BAND)
     seconds = STEP * below.sum()
-    # A vehicle that moves backwards most of the time has a heading that is turned.
+    # A vehicle that mostly moves backwards has a reversed heading.
     if seconds < _LASTS or below.sum() < _BACKWARDS * backwards.sum() or backwards.sum() > 0.5 * moving.sum():
         return False
     base = np.stack([np.ones(len(path.time)), path.forward, path.slope], axis=1)
@@ -130,9 +130,9 @@ def pedal_reverses(drive: Drive, path: DrivenPath) -> bool:
 
 
 def reverses_by_pedal(log: Log, rig: Rig) -> bool:
-    """Whether what is below zero of a rig's throttle is reverse (`pedal_reverses`), as a log shows it.
+    """Return True if negative throttle values are reverse (`pedal_reverses`) in this log.
 
-    A brake of its own does not change that.
+    A separate brake does not change this.
     """
     throttle = rig.channels.get("throttle")
     if throttle is None or throttle.clip != (0.0, 1.0) or "gear" in rig.channels:
@@ -147,7 +147,7 @@ def reverses_by_pedal(log: Log, rig: Rig) -> bool:
 
 
 def _released_halfway(drive: Drive, path: DrivenPath) -> Finding | None:
-    """A finding on a throttle that is at one value above zero at standstills, and goes both ways, but not to brake."""
+    """Return a finding on a bidirectional throttle that rests above zero at standstills and does not brake."""
     throttle = drive.channels.get("throttle")
     if throttle is None:
         return None
@@ -157,9 +157,9 @@ def _released_halfway(drive: Drive, path: DrivenPath) -> Finding | None:
     if len(there) * STEP < _LASTS:
         return None
     rest = float(np.median(there))
-    stays = float(np.mean(np.abs(there - rest) < _DEAD_BAND / 2)) > 0.5  # a slow ramp through it is no rest
+    stays = float(np.mean(np.abs(there - rest) < _DEAD_BAND / 2)) > 0.5  # a slow ramp through this value is no rest
     braked = _pressed(drive, path, "brake") & np.isfinite(at) & (not drive.rig.reads_alike("throttle", "brake"))
-    let_go = braked.any() and np.median(at[braked]) < rest / 2  # what was held open while it stood
+    let_go = braked.any() and np.median(at[braked]) < rest / 2  # throttle held open at a standstill
     if not (_HALFWAY[0] < rest < _HALFWAY[1] and stays and rests_between(throttle.values[:, 0], rest)) or let_go:
         return None
     source = drive.rig.channels["throttle"]
@@ -170,9 +170,9 @@ def _released_halfway(drive: Drive, path: DrivenPath) -> Finding | None:
 
 
 def _braking_reverse(gear: Float[np.ndarray, " n"], moving: Bool[np.ndarray, " n"], path: DrivenPath) -> Finding | None:
-    """A finding on a pedal whose side below zero brakes while the vehicle rolls, and reverses from a standstill.
+    """Return a finding on a pedal whose negative side brakes a rolling vehicle and reverses from a standstill.
 
-    Speed controllers of model cars and rovers do so; where it reverses at once, it is soon over.
+    Speed controllers of model cars and rovers work this way; with immediate reversal, braking is brief.
     """
     with np.errstate(invalid="ignore"):
         back, forward = (moving & (gear < 0) & (way * path.forward > 0) for way in (-1, 1))
@@ -188,7 +188,7 @@ def _braking_reverse(gear: Float[np.ndarray, " n"], moving: Bool[np.ndarray, " n
 
 
 def _reverse_pedal(rig: Rig) -> Finding:
-    """The finding that what is read as the brake is reverse, and the edits that make it throttle and gear."""
+    """Return a finding that the brake is reverse, with the edits that convert it to throttle and gear."""
     source = rig.channels["throttle"]
     each = DIRECTION * unit_factor("throttle", source.unit)
     gear: dict[str, Any] = {"topic": source.topic, "fields": list(source.fields), "scale": rounded(each * source.scale)}
@@ -201,7 +201,7 @@ def _reverse_pedal(rig: Rig) -> Finding:
 
 
 def _below_zero(drive: Drive, path: DrivenPath, recorded: Mapping[str, Recorded]) -> Bool[np.ndarray, " n"]:
-    """Where a throttle that a rig clips at zero is below, and pushes backwards: a brake does not."""
+    """Return rows in which a clipped throttle is negative and drives backwards; braking does not count."""
     source = drive.rig.channels.get("throttle")
     if source is None or source.clip is None:
         return np.zeros(len(path.time), bool)
@@ -212,10 +212,10 @@ def _below_zero(drive: Drive, path: DrivenPath, recorded: Mapping[str, Recorded]
 
 
 def _hidden_reverse(drive: Drive, path: DrivenPath, below: Bool[np.ndarray, " n"]) -> list[Finding]:
-    """A note on stretches of reversing that no channel shows.
+    """Return a note on reversing that no channel records.
 
     Args:
-        below: where the throttle is below zero and drives backwards.
+        below: rows in which the throttle is negative and drives backwards.
     """
     if not _moving(path).any():
         return []
@@ -241,7 +241,7 @@ def _hidden_reverse(drive: Drive, path: DrivenPath, below: Bool[np.ndarray, " n"
 
 
 def _pressed(drive: Drive, path: DrivenPath, pedal: str = "throttle") -> Bool[np.ndarray, " n"]:
-    """Where a pedal is pressed; nowhere where it is not known."""
+    """Return the rows in which a pedal is pressed; none if it is unknown."""
     if pedal not in drive.channels:
         return np.zeros(len(path.time), bool)
     with np.errstate(invalid="ignore"):
@@ -256,7 +256,7 @@ def _moving(path: DrivenPath) -> Bool[np.ndarray, " n"]:
 def _one_is_wrong(
     raw: Float[np.ndarray, " n"], against: Bool[np.ndarray, " n"], moving: Bool[np.ndarray, " n"]
 ) -> bool:
-    """Whether the vehicle mostly moves against one of the recorded values: reverse, counted as the first gear."""
+    """Return True if the vehicle mostly moves against one of the recorded values; reverse counts as one gear."""
     shares = ((np.sum(against & (raw == value)), np.sum(moving & (raw == value))) for value in _gears(raw))
     return any(STEP * wrong >= _LEAST_AGAINST and wrong > _MOSTLY * moved for wrong, moved in shares)
 
@@ -264,7 +264,7 @@ def _one_is_wrong(
 def _meanings(
     drive: Drive, path: DrivenPath, moving: Bool[np.ndarray, " n"], raw: Float[np.ndarray, " n"]
 ) -> tuple[Edit, ...]:
-    """The edit that gives each recorded value the gear in which the vehicle moves meanwhile; empty where none fits."""
+    """Return the edit that maps each recorded value to the gear of the simultaneous motion; empty if none fits."""
     source = drive.rig.channels["gear"]
     there = _gears(raw)
     if len(there) < 2 or (source.scale, source.offset) != (1.0, 0.0):
@@ -276,7 +276,7 @@ def _meanings(
 def _raw(
     drive: Drive, path: DrivenPath, recorded: Mapping[str, Recorded], name: str = "gear"
 ) -> Float[np.ndarray, " n"]:
-    """A channel as recorded, held from each sample on; NaN before the first, and where the log lacks it."""
+    """Return a channel as recorded with zero-order hold; NaN before the first sample and if missing."""
     source = drive.rig.channels[name]
     r = recorded.get(source.topic)
     if r is None or source.fields[0] not in r.fields:
@@ -287,13 +287,13 @@ def _raw(
 
 
 def _gears(raw: Float[np.ndarray, " n"]) -> Float[np.ndarray, " g"]:
-    """The values there are; none where they are too many for gears."""
+    """Return the distinct values; none if there are too many for gears."""
     there = np.unique(raw[np.isfinite(raw)])
     return there if len(there) <= MOST_GEARS else there[:0]
 
 
 def _way(forward: Float[np.ndarray, " n"]) -> float:
-    """1 where it moves forwards most of the time, -1 backwards, 0 where neither, or where it hardly moves."""
+    """Return 1 for mostly forward motion, -1 for backward, 0 if ambiguous or nearly at rest."""
     if len(forward) * STEP < 1.0:
         return 0.0
     mean = float(np.mean(np.sign(forward)))

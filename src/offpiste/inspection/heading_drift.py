@@ -1,4 +1,4 @@
-"""Checks of the heading for drift (an angle against the course that grows, as an integrated gyroscope's) and noise."""
+"""Checks of the heading for drift (a growing angle to the course, as of an integrated gyroscope) and noise."""
 
 from typing import Final
 
@@ -14,27 +14,27 @@ from offpiste.logs.drive import Drive
 from offpiste.logs.motion import heading
 
 _DRIFT: Final = np.radians(6.0)
-"""Change over the whole drive that is reported [rad]."""
+"""Minimum reported change over the whole drive [rad]."""
 _BLOCKS: Final = 6
-"""Stretches of 5 s with straight driving that a drift is seen in, at least."""
+"""Minimum number of 5 s blocks with straight driving for a drift."""
 _MANY_BLOCKS: Final = 8
-"""The same where its rate is searched: among many, angles of few stretches agree by chance with one."""
+"""Minimum number of blocks if the drift rate is searched, as few angles fit some rate by chance."""
 _FASTEST: Final = np.radians(10.0)
-"""Largest drift that is looked for where the heading does not follow the course [rad/s]."""
+"""Maximum drift rate searched if the heading does not follow the course [rad/s]."""
 _EVENLY: Final = 0.9
-"""Resultant of angles, less an even turning, above which they turn evenly."""
+"""Minimum resultant of angles after removal of a constant drift rate."""
 _NOISY: Final = 0.02
-"""Scatter of single headings that is reported [rad]: ten times that of compasses, GNSS/INS and SLAM."""
+"""Minimum reported scatter of headings [rad]: ten times that of compasses, GNSS/INS and SLAM."""
 
 
 def check_heading_drift(drive: Drive, path: DrivenPath) -> list[Finding]:
-    """A finding if the angle between course and heading surely grows where the vehicle drives straight."""
+    """Return a finding if the angle between course and heading significantly grows in straight driving."""
     rows = straight_rows(path)
     if not rows.any():
         return []
     elapsed = path.time - path.time[0]
     away = course_minus_heading(path)
-    # Tyres slip to one side in left curves and to the other in right ones, of which a drive may have more at its end.
+    # Tyre slip has opposite signs in left and right curves, which may be unevenly distributed over the drive.
     slip = np.column_stack((np.ones(len(away)), path.yaw_rate, path.forward * path.yaw_rate))
     fit = fit_lags(away, slip, elapsed[None], np.zeros(1), rows)
     if fit is None or len(fit.gain_left_out) < _BLOCKS:
@@ -47,13 +47,13 @@ def check_heading_drift(drive: Drive, path: DrivenPath) -> list[Finding]:
 
 
 def check_fast_drift(drive: Drive, path: DrivenPath) -> list[Finding]:
-    """A finding if a heading that does not follow the course does so once an even turning is taken out."""
+    """Return a finding if a heading follows the course only after removal of a constant drift rate."""
     rows = np.flatnonzero(straight_rows(path))
     if len(np.unique(path.time[rows] // 5)) < _MANY_BLOCKS:
         return []
     away, time = course_minus_heading(path)[rows], path.time[rows]
     rate, together = _even_turning(away, time)
-    # Of a vehicle that goes in circles, the course turns evenly: then so it does against a heading that rests.
+    # On a circle, the course turns at a constant rate, and so does its angle to a constant heading.
     turning, circles = _even_turning(away + path.yaw[rows], time)
     lasts = float(np.ptp(time))
     if together < _EVENLY or abs(rate) * lasts < _DRIFT:
@@ -64,7 +64,7 @@ def check_fast_drift(drive: Drive, path: DrivenPath) -> list[Finding]:
 
 
 def _even_turning(angle: Float[np.ndarray, " n"], time: Float[np.ndarray, " n"]) -> tuple[float, float]:
-    """The rate of turning that explains angles modulo pi best [rad/s], and the resultant of what is left (0 to 1)."""
+    """Return the drift rate that best explains angles modulo pi [rad/s], and the remaining resultant (0 to 1)."""
     lasts = float(np.ptp(time))
     rates = np.arange(-_FASTEST, _FASTEST, np.pi / (8 * lasts))
     some = np.unique(np.linspace(0, len(time) - 1, 2000).astype(int))
@@ -81,13 +81,13 @@ def _drifts(drive: Drive, degrees: str, lasts: float) -> Finding:
 
 
 def check_heading_noise(drive: Drive, path: DrivenPath) -> list[Finding]:
-    """A finding if headings scatter from sample to sample while the vehicle moves."""
+    """Return a finding if headings scatter between samples while the vehicle moves."""
     yaw = heading(drive)
     moving = np.interp(yaw.time, path.time, np.nan_to_num(path.speed)) > path.slowest
     third = np.abs(np.diff(yaw.values[:, 0], 3))[moving[3:]]
     if len(third) < 100:
         return []
-    # Third differences of white noise have 20 times its variance; turning hardly shows in them.
+    # Third differences of white noise have 20 times its variance and suppress turning.
     sigma = SIGMA_PER_MEDIAN * float(np.median(third)) / np.sqrt(20)
     if sigma < _NOISY:
         return []

@@ -1,4 +1,4 @@
-"""Inspects a log: runs every check, and says what causes what was found."""
+"""Inspection of a log: all checks, and the causes of their findings."""
 
 from collections.abc import Iterable
 from contextlib import closing
@@ -24,12 +24,12 @@ from offpiste.rig.edits import Edit, edited
 from offpiste.rig.rig import Rig, parse_rig
 
 UNDRAFTED = "by names and types of topics"
-"""Evidence of the finding that no first rig can be written."""
+"""Evidence for the failure to draft a rig."""
 
 
 @dataclass(frozen=True)
 class TopicRow:
-    """A topic's row in the table: rate [Hz] and length [s] are None where they are not known."""
+    """A topic's row in the table: rate [Hz] and length [s], or None if unknown."""
 
     name: str
     type: str
@@ -40,7 +40,7 @@ class TopicRow:
 
 @dataclass(frozen=True)
 class Summary:
-    """What was driven, by the pose; fields are None where no pose was found.
+    """Summary of the drive from the pose; fields are None without a pose.
 
     Attributes:
         duration: length of the log [s].
@@ -59,11 +59,11 @@ class Summary:
 
 @dataclass(frozen=True)
 class Inspection:
-    """All that is known of a log before training on it.
+    """Results of inspecting a log before training.
 
     Attributes:
-        rig: name of the rig that it was read through; "" if channels were guessed.
-        findings: the worst first.
+        rig: name of the rig used; "" if channels were guessed.
+        findings: worst first.
     """
 
     log: str
@@ -75,26 +75,26 @@ class Inspection:
 
     @property
     def usable(self) -> bool:
-        """Whether the log can be trained on: no finding is fatal."""
+        """Return True if the log can be used for training, i.e. without fatal findings."""
         return not is_fatal(self.findings)
 
     @property
     def cure(self) -> tuple[Edit, ...]:
-        """The edits of the rig that cure what can be cured, in their order; notes cure nothing."""
+        """Return the rig edits that fix the findings, in order; notes have no fix."""
         return tuple(edit for f in self.findings if f.severity != "note" for cure in f.cures[:1] for edit in cure)
 
     def with_findings(self, more: Iterable[Finding]) -> "Inspection":
-        """The same inspection with further findings: causes keep the order in which to cure them, notes come last."""
+        """Add findings; causes keep the order of their fixes, notes come last."""
         together = (*self.findings, *ranked(more))
         return replace(self, findings=tuple(sorted(together, key=lambda finding: finding.severity == "note")))
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain numbers, texts and lists, for JSON."""
+        """Return plain numbers, strings and lists for JSON."""
         return {"schema": 2, "usable": self.usable, **asdict(self)}
 
 
 def summarise(recorded: dict[str, Recorded], path: DrivenPath | None) -> Summary:
-    """Length of the log, and of the driven path its length and speeds."""
+    """Return the length of the log, and the length and speeds of the driven path."""
     stamps = [r.rising for r in recorded.values() if len(r.rising)]
     duration = float(max(s[-1] for s in stamps) - min(s[0] for s in stamps)) if stamps else 0.0
     if path is None or not np.isfinite(path.speed).any():
@@ -107,7 +107,7 @@ def summarise(recorded: dict[str, Recorded], path: DrivenPath | None) -> Summary
 
 
 def topic_rows(log: Log, recorded: dict[str, Recorded], clock: Clock) -> tuple[TopicRow, ...]:
-    """A row for every topic of a log, and for those parts of one that the rig reads."""
+    """Return a row for every topic of a log, and for parts of topics read by the rig."""
     rows = []
     for name, topic in log.topics.items():
         seen = timing(recorded[name].time, max_gap=clock.max_gap) if name in recorded else None
@@ -121,12 +121,12 @@ def topic_rows(log: Log, recorded: dict[str, Recorded], clock: Clock) -> tuple[T
 
 
 def inspect_log(log: Log, rig: Rig | None = None, *, sensors: bool = False) -> Inspection:
-    """Find out what is wrong with a log, or with a log read through a rig.
+    """Inspect a log, optionally as read through a rig.
 
     Args:
-        rig: channels are checked as it converts them, so that the right rig silences a finding. Without one all
-            topics are checked as recorded, and motion through a rig drafted from names (`draft_rig`).
-        sensors: also check the cameras and LiDARs that the rig names; takes up to some minutes.
+        rig: channels are checked after conversion, so that a correct rig removes findings. Without one, topics are
+            checked as recorded, and the motion with a rig drafted from names (`draft_rig`).
+        sensors: also check the rig's cameras and LiDARs; takes up to some minutes.
     """
     rig = None if rig is None else with_fields_of(log, rig)
     remembered = RememberedLog(log, rig)
