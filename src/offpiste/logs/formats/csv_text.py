@@ -24,6 +24,8 @@ _MOST_PREAMBLE, _ROWS_BELOW = 64, 8
 _MOST_COLUMNS: Final = 10_000
 _BEGIN: Final = 4096
 """Number of bytes by which a kind of text is recognised."""
+_SAMPLE: Final = 1 << 20
+"""Number of bytes in which a text is searched for rows of numbers."""
 _NOTHING: Final = [*pa_csv.ConvertOptions().null_values, "-", "--"]
 """Empty cells, including dashes of loggers."""
 _SEPARATORS = ",;\t|"
@@ -206,7 +208,7 @@ def _are_numbers(line: str, separators: str) -> bool:
 def has_numbers(path: Path) -> bool:
     """Return whether one of the first lines of a text is a row of numbers."""
     try:
-        return any(_are_numbers(line, f" {_SEPARATORS}") for line in _first_lines(_text(path, []), path))
+        return any(_are_numbers(line, f" {_SEPARATORS}") for line in _first_lines(_text(path, [], _SAMPLE), path))
     except LogError:
         return False
 
@@ -266,10 +268,11 @@ def _skip_or_error(row: pa_csv.InvalidRow, text: bytes, notes: list[str]) -> str
     return "skip"
 
 
-def _text(path: Path, notes: list[str]) -> bytes:
+def _text(path: Path, notes: list[str], size: int = -1) -> bytes:
     """Read a table's text as UTF-8 with a line of names, from UTF-16, cp1252 (with a note) or a logger's format."""
     try:
-        read = path.read_bytes()
+        with path.open("rb") as file:
+            read = file.read(size)
     except OSError as error:
         raise LogError(f"cannot be opened: {error.strerror}", where=path) from error
     is_known = read.startswith(_UTF_16) or any(mark in read[:_BEGIN] for mark in _MARKS)
