@@ -1,8 +1,8 @@
-"""Which cure explains most: every cure is applied in memory and the log examined again before it is advised.
+"""Search for the fixes that explain most findings, each tested by inspecting the log with it.
 
-Findings propose edits of the rig; a few more are tried that no single finding shows (swapped columns, a whole topic
-that is late). The one that leaves least is taken, the findings that it silences count as of the same cause, and the
-search continues with the cured rig. A cure that does not help, or after which something is worse, is not advised.
+Findings propose edits of the rig; swapped columns and a common delay of several channels are tested as well. The fix
+with the smallest remaining badness is accepted, the findings that it removes are attributed to the same cause, and the
+search continues with the edited rig. Fixes that do not help or cause new findings are not recommended.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -22,34 +22,33 @@ from offpiste.rig.edits import Edit, edited, rounded
 from offpiste.rig.rig import Rig
 
 Examine = Callable[[Rig], tuple[Finding, ...]]
-"""Findings of a log as a rig reads it."""
+"""Function that returns the findings of a log for a given rig."""
 
 _WEIGHTS: Final = {"fatal": 100.0, "warning": 1.0, "note": 0.05}
 _PER_EDIT: Final = 0.1
-"""One thing more that is wrong must pay by silencing this much."""
+"""Penalty in badness for each fault that a fix implies."""
 _LEAST_GAIN: Final = 0.4
-"""A cure must silence this much to be advised."""
+"""Minimum gain in badness of a recommended fix."""
 _TURNED: Final = {"yaw", "orientation", "steer", "steer_angle", "yaw_rate", "angular_velocity", "linear_velocity"}
-"""Places of findings that a pose with wrong axes has."""
+"""Locations of findings that a pose with wrong axes causes."""
 _TURNING: Final = (("steer", "steer_angle"), ("yaw_rate", "angular_velocity"))
-"""Channels that turn as the vehicle does; those of one kind may be one sensor."""
+"""Channels that measure turning; channels of one group may share a sensor."""
 _ROUNDS: Final = 6
 _MOST: Final = 16
-"""Most cures that are tried in a round ..."""
+"""Maximum number of fixes tested per round."""
 _FEW: Final = 2
-"""... and most that are tried as the first of two."""
+"""Maximum number of fixes tested as the first of two."""
 
 
 def explain(findings: Sequence[Finding], rig: Rig, examine: Examine) -> tuple[Finding, ...]:
-    """Findings by their causes, in the order in which to cure them.
+    """Group findings by cause, in the order in which to fix them.
 
     Args:
-        examine: findings with another rig.
+        examine: returns the findings with another rig.
 
     Returns:
-        For each cause its worst finding, with the cure that was applied and checked as its remedy, and what else it
-        silences; then what is left, without cures that were tried in vain. Findings that show only once others are
-        cured are among them.
+        For each cause, its worst finding with the tested fix as remedy and the other findings that it removes; then the
+        remaining findings, without fixes that failed. Findings that appear only after others are fixed are included.
     """
     left, current, examine = tuple(findings), rig, _remembering(examine)
     causes: list[Finding] = []
@@ -61,21 +60,21 @@ def explain(findings: Sequence[Finding], rig: Rig, examine: Examine) -> tuple[Fi
         causes.append(_cause(cure, left, after))
         left, current = after, edited(current, cure)
     kept = ranked(_checked(finding, left, current, examine) for finding in left)
-    # What makes a log unusable and has no cure comes first.
+    # Fatal findings without a fix come first.
     fatal = [finding for finding in kept if finding.severity == "fatal"]
     return (*fatal, *causes, *_mirrored(causes, rig), *(finding for finding in kept if finding.severity != "fatal"))
 
 
 def badness(findings: Sequence[Finding]) -> float:
-    """How bad findings are together."""
+    """Return the total badness of findings."""
     return sum((_WEIGHTS[f.severity] * (1 + (f.score if f.severity == "warning" else 0)) for f in findings), 0.0)
 
 
 def _mirrored(causes: Sequence[Finding], rig: Rig) -> list[Finding]:
-    """Whether all that turns does so against the pose: either it counts to the right, or the pose is a mirror image.
+    """Return a finding if several channels turn opposite to the pose, so that their signs or the pose are mirrored.
 
-    Beside latitude and longitude a heading counts clockwise: one that need not be turned round says that the longitude
-    counts to the west.
+    With latitude and longitude, headings are clockwise. A heading that needs no sign change indicates longitudes
+    that are positive to the west.
     """
     edits = [edit for cause in causes for cure in cause.cures[:1] for edit in cure]
     keys = {edit.key for edit in edits}
@@ -95,7 +94,7 @@ def _mirrored(causes: Sequence[Finding], rig: Rig) -> list[Finding]:
 
 
 def _best_cure(left: Sequence[Finding], rig: Rig, examine: Examine) -> tuple[Cure, tuple[Finding, ...]] | None:
-    """The cure after which least is left, and what is; None where none is worth it."""
+    """Return the fix with the smallest remaining badness and its findings, or None if no fix is worthwhile."""
     serious = [finding for finding in left if finding.severity != "note"]
     if not serious:
         return None
@@ -105,7 +104,7 @@ def _best_cure(left: Sequence[Finding], rig: Rig, examine: Examine) -> tuple[Cur
         try:
             after = examine(edited(rig, cure))
         except OffpisteError:
-            continue  # an edit that this rig does not allow
+            continue  # the rig does not allow this edit
         remains = badness(after) + _PER_EDIT * _size(cure, rig)
         remains += 0.0 if cure in seen else against_names(cure, rig)
         if remains < least - 1e-9 and not _hides_motion(left, after):
@@ -114,9 +113,9 @@ def _best_cure(left: Sequence[Finding], rig: Rig, examine: Examine) -> tuple[Cur
 
 
 def _first_of_two(left: Sequence[Finding], rig: Rig, examine: Examine) -> tuple[Cure, tuple[Finding, ...]] | None:
-    """The cure that silences its own finding and after which another leaves least, and what the first one leaves.
+    """Return the first of the two best fixes and the findings after it, if it removes its own finding.
 
-    Two things that are wrong hide each other: with the first one cured, the second shows, at times as badly.
+    Two faults can mask each other: after the first is fixed, the second appears with similar badness.
     """
     proposed = [(finding, cure) for finding in left if finding.severity != "note" for cure in finding.cures[:_MOST]]
     firsts: list[tuple[Cure, tuple[Finding, ...]]] = []
@@ -140,14 +139,14 @@ def _first_of_two(left: Sequence[Finding], rig: Rig, examine: Examine) -> tuple[
 
 
 def _hides_motion(before: Sequence[Finding], after: Sequence[Finding]) -> bool:
-    """Whether a cure spoils the pose, so that nothing is compared with the motion any more: that silences much."""
+    """Return whether a fix breaks the pose, which removes findings by preventing comparisons with the motion."""
     now, then = ({f.where for f in each if f.severity == "fatal"} <= {"controls"} for each in (before, after))
     upright, on_its_side = (TIPPED not in {f.what for f in before}), (TIPPED in {f.what for f in after})
     return (now and not then) or (upright and on_its_side)
 
 
 def _remembering(examine: Examine) -> Examine:
-    """The same, each rig once."""
+    """Return the function with its results cached by rig."""
     known: dict[bytes, tuple[Finding, ...]] = {}
 
     def remembered(rig: Rig) -> tuple[Finding, ...]:
@@ -164,9 +163,9 @@ def _is_among(finding: Finding, findings: Sequence[Finding]) -> bool:
 
 
 def _size(cure: Cure, rig: Rig) -> int:
-    """Number of things that a cure says are wrong: entries, of which one kind for all channels of a topic is one.
+    """Return the number of faults that a fix implies, counting an entry of all channels of a topic once.
 
-    A scale and an offset of one channel are one thing, its unit.
+    Scale and offset of one channel count as one fault.
     """
     things, keys = set(), {edit.key for edit in cure}
     for edit in cure:
@@ -178,14 +177,14 @@ def _size(cure: Cure, rig: Rig) -> int:
 
 
 def _distinct(findings: Sequence[Finding], rig: Rig) -> list[Cure]:
-    """Cures to try; of those that explain as much, the first is taken."""
+    """Return the fixes to test; the first of equally good ones wins."""
     cures = dict.fromkeys(cure for finding in findings for cure in finding.cures)
     cures |= dict.fromkeys(_hypotheses(findings, rig))
     return [*cures][:_MOST]
 
 
 def _hypotheses(findings: Sequence[Finding], rig: Rig) -> Iterator[Cure]:
-    """Causes that no single finding shows."""
+    """Yield fixes for causes that no single finding shows."""
     delays = _delays(findings)
     if len(delays) > 1:
         yield tuple(delays)
@@ -193,7 +192,7 @@ def _hypotheses(findings: Sequence[Finding], rig: Rig) -> Iterator[Cure]:
     fields = rig.channels["position"].fields
     if "position" in places:
         others = list(permutations(fields))[1:]
-        if rig.channels["position"].unit == GEOGRAPHIC:  # a height is no degree
+        if rig.channels["position"].unit == GEOGRAPHIC:  # the height is not in degrees
             others = [(fields[1], fields[0], *fields[2:])]
         yield from ((Edit("channels.position.fields", list(other)),) for other in others)
     elif places & _TURNED:
@@ -206,12 +205,12 @@ def _hypotheses(findings: Sequence[Finding], rig: Rig) -> Iterator[Cure]:
 
 
 def _channels(cure: Cure) -> set[str]:
-    """Channels whose entries a cure sets."""
+    """Return the channels whose entries a fix sets."""
     return {edit.key.split(".")[1] for edit in cure if edit.key.startswith("channels.")}
 
 
 def _compass(rig: Rig) -> Iterator[Cure]:
-    """The yaw counted clockwise, from north or from x: along a diagonal, it follows the course all the same."""
+    """Yield fixes for a clockwise yaw, from north or from x; along a diagonal it still follows the course."""
     source = rig.channels.get("yaw")
     if source is not None:
         flipped = Edit("channels.yaw.sign", -source.sign)
@@ -221,12 +220,12 @@ def _compass(rig: Rig) -> Iterator[Cure]:
 
 
 def _delays(findings: Sequence[Finding]) -> list[Edit]:
-    """The delays that findings propose first."""
+    """Return the first proposed delay edits of all findings."""
     return [e for f in findings for cure in f.cures[:1] for e in cure if e.key.endswith(".delay")]
 
 
 def _swapped(one: str, other: str, rig: Rig) -> Cure:
-    """The edits that exchange where two channels come from, with their units and scales."""
+    """Return the edits that swap the sources of two channels, including units and scales."""
     first, second = rig.channels[one], rig.channels[other]
     return tuple(
         Edit(f"channels.{name}.{key}", list(new) if isinstance(new, tuple) else new)
@@ -237,7 +236,7 @@ def _swapped(one: str, other: str, rig: Rig) -> Cure:
 
 
 def _cause(cure: Cure, before: Sequence[Finding], after: Sequence[Finding]) -> Finding:
-    """The worst of the findings that a cure silences, the one that proposed it if that is as bad, with the others."""
+    """Return the worst finding that a fix removes, preferably one that proposed it, with the others attached."""
     gone = [f for f in before if not _is_among(f, after) and f.severity != "note"]
     own = [f for f in before if cure in f.cures]
     worst = ranked(gone or own)[0] if gone or own else before[0]
@@ -249,7 +248,7 @@ def _cause(cure: Cure, before: Sequence[Finding], after: Sequence[Finding]) -> F
 
 
 def _checked(finding: Finding, left: Sequence[Finding], rig: Rig, examine: Examine) -> Finding:
-    """A finding without those of its cures after which something is worse; a note if it was not sure without one."""
+    """Return a finding without its harmful fixes; an unsure finding becomes a note if no fix remains."""
     harmless = tuple(cure for cure in finding.cures if not _harms(cure, left, rig, examine))
     if harmless == finding.cures:
         return finding if harmless or finding.sure else replace(finding, severity="note")
@@ -261,7 +260,7 @@ def _checked(finding: Finding, left: Sequence[Finding], rig: Rig, examine: Exami
 
 
 def _harms(cure: Cure, left: Sequence[Finding], rig: Rig, examine: Examine) -> bool:
-    """Whether a cure makes things worse, or leaves what a warning proposed it for."""
+    """Return whether a fix worsens the findings, or does not help although a warning proposed it."""
     try:
         after = examine(edited(rig, cure))
     except OffpisteError:

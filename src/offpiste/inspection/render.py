@@ -1,4 +1,4 @@
-"""An inspection as text for people: a header, the topics, the findings with evidence and remedy, a verdict."""
+"""Text rendering of an inspection."""
 
 from rich.console import Console, Group, RenderableType
 from rich.table import Table
@@ -11,7 +11,7 @@ _STYLE = {"fatal": "bold red", "warning": "yellow", "note": "dim"}
 
 
 def render(inspection: Inspection) -> RenderableType:
-    """A header, the table of topics, the findings with evidence and remedy, a verdict; for `rich.print`."""
+    """Return the header, topics, findings and verdict for `rich.print`."""
     parts: list[RenderableType] = [Text(_headline(inspection), style="bold"), _topics(inspection)]
     parts += [Text(f"reader: {message}", style="dim") for message in inspection.warnings]
     if inspection.findings:
@@ -23,7 +23,7 @@ def render(inspection: Inspection) -> RenderableType:
 
 
 def render_text(inspection: Inspection, *, width: int = 120) -> str:
-    """An inspection as plain text."""
+    """Return an inspection as plain text."""
     console = Console(width=width, no_color=True, highlight=False)
     with console.capture() as capture:
         console.print(render(inspection))

@@ -1,4 +1,4 @@
-"""Check of the resolution: channels that are recorded in steps so coarse that the motion between two is lost."""
+"""Check for channels whose resolution is too coarse to represent the motion."""
 
 from typing import Final
 
@@ -11,19 +11,19 @@ from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
 
 _EVEN: Final = 0.01
-"""Distances between recorded values are multiples of the step to this share of it."""
+"""Maximum deviation of value differences from multiples of the step, as a share of the step."""
 _ONE_BY_ONE: Final = 0.8
-"""Share of the changes that go to the next step: what is driven in steps, by keys or a switch, leaps further."""
+"""Minimum share of changes by one step; keys and switches cause larger changes."""
 _LEVELS: Final = (4, 12)
-"""Numbers of steps over which a steering is coarse: with fewer, it is switched."""
+"""Range of the number of levels of a coarse steering; fewer levels indicate a switch."""
 _COARSE_PLACE: Final = (0.05, 0.03)
-"""Steps of a position from which they matter [m]: at least, and as a share of what is driven in a second."""
+"""Maximum acceptable position step [m], and as a share of the distance driven in a second."""
 _COARSE_VELOCITY: Final = (0.05, 0.1)
-"""Steps of a velocity from which they matter [m/s]: at least, and as a share of the cruising speed."""
+"""Maximum acceptable velocity step [m/s], and as a share of the cruising speed."""
 
 
 def check_resolution(drive: Drive, path: DrivenPath) -> list[Finding]:
-    """A finding for each channel whose steps are too coarse to drive by."""
+    """Return a finding for each channel with a too coarse resolution."""
     findings = []
     for name in ("position", "linear_velocity"):
         least, share = _COARSE_PLACE if name == "position" else _COARSE_VELOCITY
@@ -46,13 +46,13 @@ def _finding(name: str, step: float, evidence: str) -> Finding:
 
 
 def _step(values: Float[np.ndarray, "n k"]) -> float:
-    """The coarsest step that all values of a column are multiples of, apart from an offset; 0 where there is none."""
+    """Return the largest step of which all values of a column are multiples, up to an offset; 0 if none exists."""
     columns = [np.diff(_distinct(column)) for column in values[np.isfinite(values).all(axis=1)].T]
     return max((float(apart.min()) for apart in columns if len(apart) > 1 and _multiples(apart)), default=0.0)
 
 
 def _levels(channel: Channel) -> Float[np.ndarray, " s"]:
-    """Values of a channel that keeps to evenly spaced ones and goes from each to the next; empty for any other."""
+    """Return the evenly spaced levels of a channel that changes mostly by one level; empty otherwise."""
     values = channel.values[np.isfinite(channel.values[:, 0]), 0]
     levels = _distinct(values)
     apart = np.diff(levels)
@@ -66,7 +66,7 @@ def _levels(channel: Channel) -> Float[np.ndarray, " s"]:
 
 
 def _distinct(values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " s"]:
-    """The distinct values in order; those that differ by rounding alone are one."""
+    """Return the sorted distinct values; values that differ only by rounding count once."""
     ordered = np.unique(values)
     if len(ordered) < 2:
         return ordered
@@ -75,6 +75,6 @@ def _distinct(values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " s"]:
 
 
 def _multiples(apart: Float[np.ndarray, " s"]) -> bool:
-    """Whether distances are multiples of the smallest."""
+    """Return whether distances are multiples of the smallest."""
     shares = apart / apart.min()
     return bool((np.abs(shares - np.rint(shares)) < _EVEN * np.maximum(shares, 1.0)).all())

@@ -1,4 +1,4 @@
-"""Check of channels that are cut off: the vehicle turns further than their largest value can say."""
+"""Check for channels that are clipped although the vehicle turns further."""
 
 from typing import Final
 
@@ -14,23 +14,23 @@ from offpiste.logs.drive import Drive
 from offpiste.rig.rig import Rig
 
 _PILED: Final = 0.04
-"""Share of the samples that lie exactly at one of the two ends."""
+"""Minimum share of samples exactly at one of the two ends."""
 _NEAR: Final = 0.98
-"""Share of the largest value from which a row counts as one at the end."""
+"""Minimum share of the maximum for a sample at the end."""
 _FURTHER: Final = 0.1
-"""The vehicle turns this much more there than the other rows foretell; at full lock it turns less, as tyres slip."""
+"""Minimum excess of turning at the ends over the prediction; at full lock, slip reduces the turning."""
 _FURTHER_AT_LOCK: Final = 0.5
-"""The same where a command ends at 1, its natural end: wheels that follow slowly turn furthest where it is held."""
+"""The same for a command that ends at 1; slow actuators turn furthest while it is held there."""
 
 
 def check_saturation(drive: Drive, path: DrivenPath) -> list[Finding]:
-    """A finding for each of `steer`, `steer_angle` and `yaw_rate` that is cut off."""
+    """Return a finding for each clipped channel among `steer`, `steer_angle` and `yaw_rate`."""
     if np.nanstd(path.yaw_rate) < TURNING:
         return []
     findings = []
     for name in ("steer", "steer_angle", "yaw_rate"):
         channel = drive.channels.get(name)
-        if channel is None or drive.rig.channels[name].turns:  # turns on the spot are beyond any lock
+        if channel is None or drive.rig.channels[name].turns:  # turning on the spot exceeds any steering lock
             continue
         size = np.abs(channel.values[:, 0])
         piled = float(np.mean(size >= size.max() * (1 - 1e-6)))
@@ -48,9 +48,9 @@ def check_saturation(drive: Drive, path: DrivenPath) -> list[Finding]:
 
 
 def _further(channel: Channel, path: DrivenPath, rig: Rig) -> tuple[float, float]:
-    """By what share the vehicle turns more at the ends than the other rows foretell, and its standard deviation.
+    """Return the relative excess of turning at the ends over the prediction, and its standard deviation.
 
-    For a steering, slower turning at higher speed has a term of its own. (0, inf) where the rows do not show it.
+    For steering, understeer has its own term. Returns (0, inf) if the data do not show the excess.
     """
     value = lagged(channel, path.time, rig)
     rows = moving_rows(path)

@@ -14,15 +14,15 @@ from offpiste.rig.edits import Edit
 from offpiste.rig.rig import Rig
 
 _BEFORE: Final = 4
-"""Number of previous samples among which the nearest is taken to be of the same sender."""
+"""Number of previous samples among which the nearest belongs to the same sender."""
 _TURNS: Final = 0.3
-"""Share of samples that continue an earlier one than the last from which senders take turns."""
+"""Minimum share of samples of alternating senders that continue a sample before the last."""
 _NEARER: Final = 0.1
-"""Distance to the sample that is continued, over that to the last one."""
+"""Maximum distance to the continued sample, as a share of the distance to the last one."""
 _LARGE: Final = 0.1
-"""Least distance to the last sample, over the range of the values ..."""
+"""Minimum distance to the last sample, as a share of the range of values."""
 _LARGE_STEP: Final = 0.002
-"""... and of positions, over the extent of the path."""
+"""The same for positions, as a share of the extent of the path."""
 
 
 def check_senders(
@@ -66,7 +66,7 @@ def _by_frames(name: str, parts: list[Topic], rig: Rig | None, *, used: bool) ->
 
 
 def _alternating(topic: Recorded, rig: Rig) -> float:
-    """Largest share of samples, over a topic's channels, that are closer to an earlier sample than to the last one."""
+    """Return the largest share of samples, over a topic's channels, closer to an earlier sample than to the last."""
     shares = [0.0]
     for name, source in rig.channels.items():
         if source.topic == topic.topic.name and {*source.fields} <= {*topic.fields}:

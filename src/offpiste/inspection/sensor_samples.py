@@ -1,4 +1,4 @@
-"""The scans and images that sensors are checked by: the first minute of driving, held in memory."""
+"""Scans and images of the first minute of driving, held in memory for sensor checks."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -17,28 +17,28 @@ from offpiste.perception.camera import Rectifier, make_rectifier, own_body
 from offpiste.perception.motion_compensation import MOMENT
 
 SECONDS: Final = 60.0
-"""Driving that is read [s]."""
+"""Duration of driving that is read [s]."""
 _PAIRS: Final = 40
-"""Wanted number of pairs of measurements of a sensor."""
+"""Desired number of measurement pairs per sensor."""
 APART: Final = 0.5
-"""Time between the two of a pair [s]: enough to drive some metres, too short to lose sight of much."""
+"""Time between the measurements of a pair [s]; long enough for some metres, short enough for sufficient overlap."""
 _POINTS: Final = 20_000
-"""Most points of a scan."""
+"""Maximum number of points per scan."""
 _FINE: Final = 400.0
-"""Images with a longer focal length are halved [px]."""
+"""Focal length above which images are halved in size [px]."""
 _MOVING: Final = 1.0
 """Speed above which the vehicle is driving [m/s]."""
 
 
 @dataclass(frozen=True)
 class Scan:
-    """A scan, its points grouped by the moments at which they were measured.
+    """Scan with points grouped by measurement time.
 
     Attributes:
-        moments: [s].
-        which: each point's moment, an index.
-        points: in the LiDAR's frame at their own moments [m].
-        time: in the middle of it [s].
+        moments: measurement times [s].
+        which: index of each point's moment.
+        points: positions in the LiDAR frame at their own moments [m].
+        time: median measurement time [s].
     """
 
     moments: Float[np.ndarray, " t"]
@@ -53,7 +53,7 @@ class Scan:
         parameters: Parameters,
         chosen: np.ndarray | slice = slice(None),
     ) -> Float[np.ndarray, "m 3"]:
-        """Points in the world if the mounting were turned and the stamps late by these; NaN where no pose is known."""
+        """Return points in the world frame for a corrected mounting and delay [m]; NaN if the pose is unknown."""
         matrix = poses.at(self.moments - parameters[3]) @ turned(body_from_lidar, parameters)
         which = self.which[chosen]
         return np.einsum("nij,nj->ni", matrix[which, :3, :3], self.points[chosen]) + matrix[which, :3, 3]
@@ -61,7 +61,7 @@ class Scan:
 
 @dataclass(frozen=True)
 class Grey:
-    """A rectified image of brightness, made small."""
+    """Rectified and downscaled grey image."""
 
     time: float
     pixels: UInt8[np.ndarray, "h w"]
@@ -69,10 +69,10 @@ class Grey:
 
 @dataclass(frozen=True)
 class SmallCamera:
-    """A camera of rectified, smaller images.
+    """Camera with rectified and downscaled images.
 
     Attributes:
-        free: pixels that show the world.
+        free: pixels that show the environment.
     """
 
     camera: Camera
@@ -80,13 +80,13 @@ class SmallCamera:
     free: Bool[np.ndarray, "h w"]
 
     def grey(self, image: Image) -> Grey:
-        """Its image, rectified."""
+        """Return the rectified grey image."""
         return Grey(image.time, np.asarray(self.rectifier(cv2.cvtColor(image.pixels, cv2.COLOR_RGB2GRAY)), np.uint8))
 
 
 @dataclass(frozen=True)
 class Gathered:
-    """Scans by LiDAR and images by camera, in the order of time; `period`: pairs start so far apart [s]."""
+    """Time-ordered scans by LiDAR and images by camera; pairs start every `period` seconds."""
 
     scans: dict[str, list[Scan]]
     images: dict[str, list[Grey]]
@@ -96,10 +96,10 @@ class Gathered:
 
 
 def small_camera(camera: Camera) -> SmallCamera:
-    """Compute the maps of a camera once.
+    """Precompute the rectification maps of a camera.
 
     Raises:
-        PerceptionError: a calibration or mask is wrong.
+        PerceptionError: the calibration or mask is invalid.
     """
     model = camera.model
     halved = model.matrix[0, 0] > _FINE
@@ -109,10 +109,10 @@ def small_camera(camera: Camera) -> SmallCamera:
 
 
 def gather(log: SensorLog, cameras: dict[str, SmallCamera]) -> Gathered:
-    """Read what is needed of the first minute of driving.
+    """Read the measurements of the first minute of driving that form pairs.
 
     Raises:
-        LogError: the log is damaged, or a sensor's messages are of no use.
+        LogError: the log is damaged, or the messages of a sensor are unusable.
     """
     start, end = driving(log.poses)
     period = max((end - start) / _PAIRS, APART)
@@ -128,7 +128,7 @@ def gather(log: SensorLog, cameras: dict[str, SmallCamera]) -> Gathered:
 
 
 def _due(times: Float[np.ndarray, " n"], start: float, end: float, period: float) -> Int[np.ndarray, " m"]:
-    """Indices of those measurements that make pairs: of each moment when one is due, the first thereafter."""
+    """Return the indices of the first measurement after each time of `_wanted`."""
     order = np.argsort(times, kind="stable")
     order = order[(times[order] >= start) & (times[order] <= end)]
     chosen, done = [], 0
@@ -142,7 +142,7 @@ def _due(times: Float[np.ndarray, " n"], start: float, end: float, period: float
 
 
 def driving(poses: Poses) -> tuple[float, float]:
-    """The first minute, from where the vehicle starts to move [s]."""
+    """Return start and end of the first minute of driving [s]."""
     first, last = poses.span
     times = np.arange(first, last, 0.5)
     places = poses.at(times)[:, :3, 3]
@@ -153,7 +153,7 @@ def driving(poses: Poses) -> tuple[float, float]:
 
 
 def pairs(times: list[float]) -> Iterator[tuple[int, int]]:
-    """Indices of measurements `APART` from each other, about."""
+    """Yield the indices of measurements that are about `APART` apart."""
     for i, time in enumerate(times):
         for j in range(i + 1, len(times)):
             if times[j] - time > 1.6 * APART:
@@ -164,7 +164,7 @@ def pairs(times: list[float]) -> Iterator[tuple[int, int]]:
 
 
 def _wanted(index: int, period: float) -> float:
-    """When the measurements of pairs are due, after the start [s]."""
+    """Return the desired time of a measurement after the start [s]."""
     return index * APART if period < 2 * APART else index // 2 * period + index % 2 * APART
 
 

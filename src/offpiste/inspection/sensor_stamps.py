@@ -1,4 +1,4 @@
-"""Checks of images and clouds without geometry: stamps, spans, repeats."""
+"""Checks of images and point clouds without geometry: stamps, spans and repeated images."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -24,28 +24,28 @@ from offpiste.rig.rig import Rig
 from offpiste.rig.sensors import CameraSource, LidarSource
 
 Source = CameraSource | LidarSource | ChannelSource
-"""Topic of a sensor or of the pose, and the delay of its stamps."""
+"""Topic and delay of a sensor or the pose."""
 
 _PAUSE: Final = 1.0
-"""A sensor is silent for longer than this in a gap [s]; images come at some Hz, and are not interpolated."""
+"""Minimum gap of a sensor [s]; images are infrequent and not interpolated."""
 _DRIFT: Final = 0.1
-"""A clock that moves this much against the pose's within a log drifts [s]."""
+"""Minimum drift of a clock relative to the pose's clock within a log [s]."""
 _APART: Final = 0.5
-"""A clock that is off by this much is another one [s]; no sensor takes so long to send."""
+"""Minimum offset that indicates another clock [s]; sending takes less."""
 _STAMPS: Final = 50
-"""Fewer messages than this do not show a drift."""
+"""Minimum number of messages for detecting a drift."""
 _FROZEN: Final = 0.1
 _SCANS: Final = 5
-"""First scans whose points' times are checked."""
+"""Number of scans whose point times are checked."""
 _HALF: Final = 0.5
-"""A sensor that misses less of the drive than this is a note."""
+"""Maximum share of the drive without a sensor for a note instead of a warning."""
 
 
 def check_sensor_stamps(log: Log, sensors: SensorLog) -> list[Finding]:
-    """Gaps, losses, repeats, steps back, spans and clocks of all cameras and LiDARs; reads all stamps of the log.
+    """Check gaps, losses, repeats, backward steps, spans and clocks of all cameras and LiDARs from all stamps.
 
-    Nothing here is fatal, as channels can be trained on without sensors, and nothing has a cure: entries of the rig's
-    clock hold for all topics, and sensors are not read again to try one.
+    No finding is fatal, as training works without sensors, and none has an automatic fix: the rig's clock settings
+    apply to all topics, and sensors are not read again to test a fix.
     """
     rig, place = sensors.rig, sensors.rig.channels["position"]
     clock = msgspec.structs.replace(rig.clock, max_gap=max(_PAUSE, rig.clock.max_gap))
@@ -59,10 +59,10 @@ def check_sensor_stamps(log: Log, sensors: SensorLog) -> list[Finding]:
     unordered = {finding.where for finding in findings if finding.severity == "fatal"}
     named = {source.topic: key for key, source in sources.items() if source.topic not in unordered}
     clocks = [f for topic, key in named.items() for f in _clock(key, sources[key], recorded[topic], pose, rig)]
-    apart = unordered | {finding.where for finding in clocks}  # whose spans say nothing
+    apart = unordered | {finding.where for finding in clocks}  # their spans are meaningless
     spans = {place.topic: pose} | {topic: r for topic, r in recorded.items() if topic not in apart}
     for finding in check_spans(spans, place.topic, rig.clock, used=True):
-        # Where a sensor is silent, rows lack visual features and no more: as long as half of the drive has them.
+        # Without a sensor, rows lack only visual features, which is acceptable for less than half of the drive.
         severity: Severity = "note" if finding.score < _HALF else "warning"
         result.append(replace(finding, severity=severity))
         if finding.severity == "fatal":
@@ -73,12 +73,12 @@ def check_sensor_stamps(log: Log, sensors: SensorLog) -> list[Finding]:
 
 
 def _is_of_channels(finding: Finding) -> bool:
-    """Whether it is about the pace of channels: images come as seldom as they like, and are not interpolated."""
+    """Return whether a finding is about the sample rate of channels, which does not apply to images."""
     return any(edit.key in ("clock.unit", "clock.max_gap") for cure in finding.cures for edit in cure)
 
 
 def _in_words(finding: Finding) -> Finding:
-    """The finding on the order of a sensor's stamps, with what becomes of its messages instead of a cure."""
+    """Return a finding on a sensor's stamp order, with the effect on its messages as remedy instead of a fix."""
     remedy = "nothing where the rest is enough: messages whose stamps repeat or go back are dropped on reading"
     if any(edit.key == "clock.stamps" for cure in finding.cures for edit in cure):
         remedy += '; or clock.stamps = "receive", by which all topics are read then'
@@ -87,7 +87,7 @@ def _in_words(finding: Finding) -> Finding:
 
 
 def untimed_points(sensors: SensorLog) -> dict[str, str]:
-    """Rig lines that read the times of points, by the name of the LiDAR, where the rig does not name their field."""
+    """Return the rig lines that read point times, by LiDAR, for LiDARs without a time field in the rig."""
     result: dict[str, str] = {}
     for name, lidar in sensors.lidars.items():
         first = None if lidar.source.time_field else next(sensors.raw_clouds(name), None)
@@ -98,9 +98,9 @@ def untimed_points(sensors: SensorLog) -> dict[str, str]:
 
 
 def check_point_times(sensors: SensorLog) -> list[Finding]:
-    """Findings for LiDARs whose points, by their own times, are not measured within a sweep of the scan's stamp.
+    """Return findings for LiDARs with point times outside a sweep around the scan's stamp.
 
-    A finding has no cure where no unit and origin of these times explain them.
+    A finding has no fix if no unit and origin explain these times.
     """
     result = []
     for name, lidar in sensors.lidars.items():
@@ -119,7 +119,7 @@ def check_point_times(sensors: SensorLog) -> list[Finding]:
 
 
 def _recorded(log: Log, source: Source, rig: Rig) -> Recorded:
-    """Stamps of a topic as the rig reads them, and by the other clock."""
+    """Return the stamps of a topic as read by the rig and by the other clock."""
     topic, stamps = source.topic, rig.clock.stamps
     other = "receive" if stamps == "header" else "header"
     time, arrivals = log.stamps(topic, stamps=stamps), log.stamps(topic, stamps=other) if log.has_arrivals else None
@@ -127,7 +127,7 @@ def _recorded(log: Log, source: Source, rig: Rig) -> Recorded:
 
 
 def _clock(key: str, source: Source, sensor: Recorded, pose: Recorded, rig: Rig) -> list[Finding]:
-    """Messages that arrive ever later or earlier after their header than the poses' do, or all of them by far."""
+    """Return a finding if a sensor's clock drifts or is offset relative to the pose's clock, by arrival times."""
     if rig.clock.stamps != "header" or sensor.other is None or pose.other is None:
         return []
     result = clock_difference(sensor.time, sensor.other, pose.time, pose.other)
@@ -149,7 +149,7 @@ def _clock(key: str, source: Source, sensor: Recorded, pose: Recorded, rig: Rig)
 
 
 def check_repeated_images(name: str, images: Sequence[Grey]) -> list[Finding]:
-    """Finding if images repeat, bit for bit."""
+    """Return a finding if consecutive images are identical."""
     if len(images) < 10:
         return []
     same = [np.array_equal(a.pixels, b.pixels) for a, b in pairwise(images)]
@@ -161,7 +161,7 @@ def check_repeated_images(name: str, images: Sequence[Grey]) -> list[Finding]:
 
 
 def refused(error: OffpisteError, where: str) -> Finding:
-    """Finding for sensors that cannot be read."""
+    """Return a finding for unreadable sensors."""
     return Finding(
         "warning", where, error.what, f"on reading it{f': {error.where}' if error.where else ''}", error.how, 1.0
     )

@@ -1,7 +1,7 @@
-"""Checks of cameras and LiDARs: from misfits of mountings and stamps to findings.
+"""Checks of the mountings and delays of cameras and LiDARs.
 
-A finding has a cure where the fit leaves no other cause. It is not tried by another inspection, as those of channels
-are: the fit ended at the corrected mounting and stamps, and compared the measurements there.
+A finding has a fix if the fit allows no other cause. Unlike fixes of channels, it is not tested by another inspection,
+since the fit already compared the measurements at the corrected mounting and delay.
 """
 
 from collections.abc import Sequence
@@ -37,37 +37,37 @@ from offpiste.rig.rig import Rig
 from offpiste.rig.sensors import CameraSource, LidarSource
 
 TURN: Final = np.deg2rad(0.5)
-"""Clean drives show turns up to this, poses' own errors among them (KITTI's Velodyne: 0.44 degrees of yaw); one voxel
-of 0.2 m at 23 m [rad]."""
+"""Maximum mounting error in fault-free drives [rad]; it includes pose errors (KITTI's Velodyne: 0.44 degrees of yaw)
+and corresponds to one voxel of 0.2 m at 23 m."""
 LATE: Final = 0.010
-"""Clean drives show lateness up to this; 0.1 m at 10 m/s [s]."""
+"""Maximum delay in fault-free drives [s]; 0.1 m at 10 m/s."""
 SURE: Final = 3.0
-"""Standard deviations by which a misfit must exceed those."""
+"""Number of standard deviations by which a misfit must exceed these limits."""
 KNOWN_TURN: Final = np.deg2rad(0.5)
-"""A turn about an axis that is less certain than this says nothing [rad]."""
+"""Maximum standard deviation of a known angle [rad]."""
 KNOWN_LATE: Final = 0.020
-"""A delay that is less certain than this says nothing [s]."""
+"""Maximum standard deviation of a known delay [s]."""
 STARTS: Final = (-0.15, 0.15)
-"""Delays from which the fit of a camera that seems turned is begun again [s]: where the vehicle turns quickly, squares
-that are looked for at a wrong time are further away than the search reaches, and a turn fits what is left."""
+"""Initial delays for refitting a camera that seems rotated [s]: in fast turns, patches searched at a wrong time lie
+outside the search area, and a rotation fits the rest."""
 APART: Final = 0.2
-"""Scans whose points stay further than this from each other's planes show no common world [m]; clean: 0.02 to 0.04."""
+"""Distance between points and planes of two scans above which they are inconsistent [m]; fault-free: 0.02 to 0.04."""
 _POSE: Final = ("position", "orientation", "yaw")
 _TURNS_OF_POSE: Final = {"channels.orientation.offset"}
 _DELAYS_OF_POSE: Final = {f"channels.{name}.delay" for name in _POSE}
 _SAME: Final = "as all sensors say the same"
 _CURED: Final = "as the pose is cured above by what the other channels show"
-"""Why the pose may be what is off, and not a sensor."""
+"""Reasons to suspect the pose instead of a sensor."""
 _AXES: Final = ("roll", "pitch", "yaw")
 
 
 @dataclass(frozen=True)
 class CheckedSensor:
-    """A sensor and what its measurements say against the poses.
+    """Sensor and its misfit against the poses.
 
     Attributes:
-        misfit: None where it could not be estimated.
-        untimed: lines of the rig that read the times of its points, if it has them and the rig does not.
+        misfit: None if it could not be estimated.
+        untimed: rig lines that read the point times, if the sensor has them but the rig does not use them.
     """
 
     sensor: Camera | Lidar
@@ -76,12 +76,12 @@ class CheckedSensor:
 
     @property
     def key(self) -> str:
-        """Name of its table in the rig."""
+        """Name of the sensor's table in the rig."""
         return f"{'cameras' if isinstance(self.sensor, Camera) else 'lidars'}.{self.sensor.name}"
 
     @property
     def turn(self) -> tuple[float, float]:
-        """Angle about those axes that are known, and its standard deviation [rad]."""
+        """Angle about the known axes and its standard deviation [rad]."""
         if self.misfit is None:
             return 0.0, np.inf
         known = self.misfit.sigma[:3] < KNOWN_TURN
@@ -91,23 +91,23 @@ class CheckedSensor:
 
     @property
     def is_turned(self) -> bool:
-        """Whether it is surely turned, by more than clean drives show."""
+        """Return whether the rotation significantly exceeds that of fault-free drives."""
         angle, sigma = self.turn
         return bool(angle - SURE * sigma > TURN)
 
     @property
     def is_late(self) -> bool:
-        """Whether it is surely late or early, by more than clean drives show."""
+        """Return whether the delay significantly exceeds that of fault-free drives, in either direction."""
         if self.misfit is None or not self.misfit.sigma[3] < KNOWN_LATE:
             return False
         return bool(abs(self.misfit.parameters[3]) - SURE * self.misfit.sigma[3] > LATE)
 
 
 def check_mountings(checked: Sequence[CheckedSensor], cure: Cure = ()) -> list[Finding]:
-    """Warnings for sensors that are turned or late, and notes for what could not be checked.
+    """Return warnings for rotated or delayed sensors, and notes on parameters that could not be checked.
 
     Args:
-        cure: of the pose that they were compared with; it is less exact than the sensors are, who show what it leaves.
+        cure: fix of the pose used for comparison; sensors are more accurate and show its residual error.
     """
     cured, result = {edit.key for edit in cure}, list[Finding]()
     for one in checked:
@@ -130,7 +130,7 @@ def check_mountings(checked: Sequence[CheckedSensor], cure: Cure = ()) -> list[F
 def _turned(one: CheckedSensor, misfit: Misfit, blames_pose: str) -> Finding:
     sensor = one.sensor
     given = sensor.body_from_camera if isinstance(sensor, Camera) else sensor.body_from_lidar
-    # What is not known stays as the rig has it.
+    # Unknown angles keep the values of the rig.
     known = np.append(misfit.sigma[:3] < KNOWN_TURN, True)
     matrix = turned(given, np.where(known, misfit.parameters, 0.0))
     key = f"{one.key}.{'body_from_camera' if isinstance(sensor, Camera) else 'body_from_lidar'}"
@@ -166,7 +166,7 @@ def _late(one: CheckedSensor, misfit: Misfit, blames_pose: str) -> Finding:
 
 
 def _alike(checked: Sequence[CheckedSensor], part: slice, floor: float, of: int) -> bool:
-    """Whether these are all sensors of the log, more than one, and agree with each other."""
+    """Return whether these are all sensors of the log, at least two, with consistent misfits."""
     misfits = [one.misfit for one in checked if one.misfit is not None]
     if len(misfits) < 2 or len(misfits) < of:
         return False
@@ -224,19 +224,19 @@ def _basis(one: CheckedSensor, misfit: Misfit) -> str:
 
 
 def can_be_checked(findings: Sequence[Finding], rig: Rig) -> bool:
-    """Whether the pose is, or can be cured to be, good enough to check sensors by it; controls may be wrong."""
+    """Return whether the pose, possibly after a fix, is accurate enough to check sensors; controls do not matter."""
     about = {"log", *_POSE, *(rig.channels[name].topic for name in _POSE if name in rig.channels)}
     return not any(f.severity == "fatal" and not f.cures and f.where in about for f in findings)
 
 
 def check_sensors(log: Log, rig: Rig, cure: Cure = ()) -> list[Finding]:
-    """Findings on the cameras and LiDARs that a rig names; none where it names none.
+    """Return findings on the cameras and LiDARs of a rig.
 
-    Reads all stamps, and the images and scans of the first minute of driving. What makes a log unfit for visual
-    features is a warning: it can still be trained on without them.
+    Reads all stamps, and the images and scans of the first minute of driving. Faults that prevent visual features are
+    warnings, as training is still possible without them.
 
     Args:
-        cure: of the channels. Sensors are compared with the cured pose, or each would repeat what is wrong with it.
+        cure: fix of the channels. Sensors are compared with the fixed pose to avoid repeating its faults.
     """
     named: tuple[CameraSource | LidarSource, ...] = (*rig.cameras.values(), *rig.lidars.values())
     if all(source.optional and source.topic not in log.topics for source in named):
@@ -246,7 +246,7 @@ def check_sensors(log: Log, rig: Rig, cure: Cure = ()) -> list[Finding]:
         misread = check_point_times(sensors)
         findings = check_sensor_stamps(log, sensors) + misread
         if not all(finding.cures for finding in misread):
-            return findings  # scans cannot be read
+            return findings  # scans are unreadable
         edits = [edit for finding in misread for edit in finding.cures[0]]
         sensors = open_sensors(log, edited(sensors.rig, edits), poses=sensors.poses)
         cameras = {name: small_camera(camera) for name, camera in sensors.cameras.items()}
@@ -281,10 +281,10 @@ def lidar_misfits(lidars: dict[str, Lidar], gathered: Gathered, poses: Poses) ->
 def camera_misfits(
     cameras: dict[str, SmallCamera], lidars: Sequence[CheckedSensor], gathered: Gathered, poses: Poses
 ) -> list[CheckedSensor]:
-    """Check the cameras against the poses; distances come from the LiDAR with most scans, corrected if it is off.
+    """Check the cameras against the poses, using distances from the LiDAR with most scans, corrected if necessary.
 
     Args:
-        lidars: with their own misfits.
+        lidars: LiDARs with their misfits.
     """
     rulers = {one.sensor.name: one for one in lidars if isinstance(one.sensor, Lidar)}
     if not rulers:
@@ -304,7 +304,7 @@ def camera_misfits(
 
 
 def _best(misfits: Sequence[Misfit | None]) -> Misfit:
-    """The fit with the smallest residuals, of those that have almost as many as any: few agree anywhere."""
+    """Return the fit with the smallest residuals among those with almost the maximum number of residuals."""
     known = [misfit for misfit in misfits if misfit is not None]
     most = max(misfit.residuals for misfit in known)
     return min((misfit for misfit in known if misfit.residuals >= 0.9 * most), key=lambda misfit: misfit.scale)
