@@ -18,18 +18,18 @@ from offpiste.rig.rig import Rig
 
 RECEIVE: Final = Edit("clock.stamps", "receive")
 ORIGINS: Final = 86_400.0
-"""Least distance of clocks that count from different origins [s]; time zones differ by less."""
+"""Minimum distance between clocks with different origins [s]; time zones differ by less."""
 _DRIFT: Final = 0.1
-"""Least drift over the log that is reported [s]."""
+"""Minimum drift over the log that is reported [s]."""
 _STRAIGHT: Final = 0.2
-"""Largest distance from a line, over the drift, of a clock that runs at another rate; delays grow otherwise."""
+"""Maximum deviation from a line, as a share of the drift, for a clock of another rate; growing delays deviate more."""
 _ONE: Final = "stamp all topics by one clock (of a simulation: use_sim_time in all nodes, and in the recorder)"
 _REAL: Final = 0.05
-"""Largest difference of a clock of the real time from the recorder's rate; simulations run at any."""
+"""Maximum rate difference of a real-time clock from the recorder's clock; simulations run at any rate."""
 _REAL_TIME: Final = 1e-3
-"""Largest difference from the recorder's rate at which times of arrival are as good as a header's."""
+"""Maximum rate difference at which arrival times are as good as header stamps."""
 _BLOCKS: Final = 12
-"""Blocks of time over which the least delay is taken."""
+"""Number of time blocks over which the minimum delay is taken."""
 
 
 class Pace(NamedTuple):
@@ -37,7 +37,7 @@ class Pace(NamedTuple):
 
     Attributes:
         rate: seconds of the clock per second of the recorder's clock.
-        drift: how much later messages arrive after their stamps at the end than at the beginning [s].
+        drift: increase of the delay from stamp to arrival over the log [s].
         straight: whether the delay changes linearly.
     """
 
@@ -47,7 +47,7 @@ class Pace(NamedTuple):
 
 
 def arrivals(topic: Recorded) -> Float[np.ndarray, " n"]:
-    """Arrival times of a topic's messages, whose `time` is the header stamp [s]."""
+    """Return the arrival times of a topic whose `time` holds header stamps [s]."""
     return topic.time if topic.other is None else topic.other
 
 
@@ -69,7 +69,7 @@ def pace(topic: Recorded) -> Pace | None:
 
 
 def has_arrivals(recorded: Mapping[str, Recorded], clock: Clock) -> bool:
-    """Whether arrival times are known in addition to header stamps."""
+    """Return whether arrival times are known in addition to header stamps."""
     return clock.stamps == "header" and any(topic.other is not None for topic in recorded.values())
 
 
@@ -133,13 +133,13 @@ def check_rates(recorded: Mapping[str, Recorded], pose: str, clock: Clock, *, us
 
 
 def read_by_arrival(log: Log, rig: Rig) -> bool:
-    """Whether clocks differ so much from that of the drafted pose that controls must be matched by arrival times."""
+    """Return whether clocks differ so much from the pose's clock that controls must be matched by arrival times."""
     pose, clock = rig.channels["position"].topic, rig.clock
     recorded = {}
     for name, topic in log.topics.items():
         if not topic.fields or is_bulk(topic) or topic.part_of:
             continue
-        with suppress(LogError):  # what cannot be read is found elsewhere
+        with suppress(LogError):  # unreadable topics are reported elsewhere
             time, arrived = log.stamps(name), log.stamps(name, stamps="receive")
             other = None if np.array_equal(time, arrived, equal_nan=True) else arrived
             recorded[name] = Recorded(topic, time, other, (), np.zeros((len(time), 0)))
@@ -170,7 +170,7 @@ def check_steps(
 
 
 def _steady(topic: Recorded, set_back: SetBack) -> bool:
-    """Whether header stamps continued when the recorder's clock stepped back: the delay drops by the step."""
+    """Return whether header stamps continued when the recorder's clock stepped back: the delay drops by the step."""
     arrived = arrivals(topic)
     before, after = arrived < set_back.time - set_back.by, arrived > set_back.time
     if not before.any() or not after.any():

@@ -1,4 +1,4 @@
-"""Faults within single signals: isolated spikes, 16-bit counters below zero, degrees that are counted."""
+"""Faults of single signals: isolated spikes, wrapped 16-bit counters, and integer or radian coordinates."""
 
 from typing import Final
 
@@ -10,41 +10,41 @@ from offpiste.rig.channels import Wrap
 from offpiste.rig.labels import are_since_1970
 
 _SPIKE: Final = 8.0
-"""A spike stands out from its neighbours by this many times what 95 % of the samples do."""
+"""Minimum ratio of a spike's deviation from its neighbours to the 95th percentile of the deviations."""
 PERIODS: Final = (65536.0, 6553.6, 655.36)
-"""Periods of 16-bit counters, whole or in tenths or hundredths."""
+"""Periods of 16-bit counters in units of 1, 0.1 and 0.01."""
 MAX_SPIKES: Final = 0.02
-"""More than this share of the samples are no isolated spikes."""
+"""Maximum share of isolated spikes among the samples."""
 
 
 COUNTED_DEGREES: Final = 1e-7
-"""Degrees in which GPS receivers and autopilots count latitude and longitude, as integers."""
+"""Resolution of integer latitudes and longitudes from GPS receivers and autopilots [deg]."""
 _RADIAN: Final = float(np.rad2deg(1.0))
-"""In degrees."""
+"""One radian [deg]."""
 _EACH: Final = (COUNTED_DEGREES, _RADIAN)
-"""What one of a latitude may be, besides a degree [deg]."""
+"""Units of latitude and longitude besides the degree [deg]."""
 _FARTHEST: Final = 0.02
-"""No vehicle drives as far within a log [rad]: 130 km."""
+"""Maximum extent of a log [rad]; 130 km."""
 
 
 def find_spikes(values: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-    """Samples that leave their neighbours for one or two samples and come back; values are finite.
+    """Return a mask of spikes of one or two samples in finite values.
 
-    They stand out from the running median of seven by `_SPIKE` times what 95 % of the samples do, and by more than
-    half of what the middle 99 % of all values span, or of the others: bumps and switched signals do not.
+    Spikes deviate from the running median of seven by more than `_SPIKE` times the 95th percentile of the deviations
+    and by more than half the span of the middle 99 % of the values, unlike bumps and switched signals.
     """
     none = np.zeros(len(values), dtype=bool)
     if len(values) < 50 or len(np.unique(values[:: max(len(values) // 1000, 1)])) <= 4:
         return none
     away = np.abs(values - median_filter(values, 7, mode="mirror"))
     apart = away > _SPIKE * np.percentile(away, 95)
-    # Many spikes would be part of what all values span: then what the others span counts.
+    # Many spikes would widen the span of all values, so test against the span of the others as well.
     spikes: Bool[np.ndarray, " n"] = none
     for usual in (values, values[~apart]):
         spikes = apart & (away > _half_span(usual))
         if spikes.any():
             break
-    # The largest hide the others, which are as plain if no usual value is like them.
+    # Large spikes hide smaller ones, which are accepted if all lie outside the usual range.
     while (more := apart & (away > _half_span(values[~spikes]))).sum() > spikes.sum():
         low, high = values[~more].min(), values[~more].max()
         if ((values[more] >= low) & (values[more] <= high)).any():
@@ -54,10 +54,10 @@ def find_spikes(values: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
 
 
 def find_wrap(raw: Float[np.ndarray, " n"]) -> Wrap | None:
-    """Wrap of a 16-bit counter below zero; None where there is none.
+    """Return the wrap of a negative 16-bit counter in finite values, or None.
 
-    Its values keep to two bands with most of the period empty between them, none exceeds the period, and less a period
-    the upper band continues the lower one. Either may hold most of the samples. Values are finite.
+    The values form two bands separated by most of the period, none exceeds the period, and the upper band continues the
+    lower one after subtraction of the period. Either band may hold most samples.
     """
     high = float(raw.max())
     for period in PERIODS:
@@ -76,11 +76,11 @@ def find_wrap(raw: Float[np.ndarray, " n"]) -> Wrap | None:
 
 
 def degrees_each(latitude: Float[np.ndarray, " n"], longitude: Float[np.ndarray, " n"]) -> float:
-    """What one of latitude and longitude is in degrees: `COUNTED_DEGREES`, a radian, or 1.
+    """Return the unit of latitude and longitude in degrees: `COUNTED_DEGREES`, one radian, or 1.
 
-    Read as degrees, integers of the first would not be on earth, and radians would be at sea, off Africa.
+    Read as degrees, such integers exceed the valid range, and radians lie in the sea off Africa.
     """
-    known = [raw[np.isfinite(raw) & (raw != 0)] for raw in (latitude, longitude)]  # since the first fix
+    known = [raw[np.isfinite(raw) & (raw != 0)] for raw in (latitude, longitude)]  # ignore samples before the first fix
     if not all(map(len, known)):
         return 1.0
     usual = [float(np.median(np.abs(raw))) for raw in known]
@@ -92,13 +92,13 @@ def degrees_each(latitude: Float[np.ndarray, " n"], longitude: Float[np.ndarray,
 
 
 def are_off_the_earth(latitude: Float[np.ndarray, " n"], longitude: Float[np.ndarray, " n"]) -> bool:
-    """Whether most latitudes or longitudes are larger than degrees are, as minutes of arc."""
+    """Return whether most latitudes or longitudes exceed the range of degrees, e.g. as minutes of arc."""
     known = [np.abs(raw[np.isfinite(raw) & (raw != 0)]) for raw in (latitude, longitude)]
     return any(len(sizes) > 0 and np.median(sizes) > most for sizes, most in zip(known, (90, 360), strict=True))
 
 
 def unrolled(values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """Angles that jump from one end of a full turn to the other, unwrapped; all else as it is."""
+    """Unwrap angles that jump by a full turn; return other values unchanged."""
     for turn in (2 * np.pi, 360.0):
         jumps = np.abs(np.diff(values))
         if len(values) > 1 and np.ptp(values) <= 1.001 * turn and jumps.max() > 0.9 * turn:
@@ -107,19 +107,19 @@ def unrolled(values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
 
 
 def _half_span(values: Float[np.ndarray, " n"]) -> float:
-    """Half of what the middle 99 % of some values span; infinite for none."""
+    """Return half the span of the middle 99 % of values; infinity for no values."""
     return float(np.ptp(np.percentile(values, (0.5, 99.5)))) / 2 if len(values) else np.inf
 
 
 def _round(value: float) -> float:
-    """Two digits: a threshold in the middle of nowhere needs no more."""
+    """Round a threshold to two significant digits."""
     return float(f"{value:.2g}")
 
 
 def is_clock(column: Float[np.ndarray, " n"]) -> bool:
-    """Whether a column only ever grows, as a time or a sequence number does; whole seconds since 1970 repeat."""
+    """Return whether a column is monotonic like a time or sequence number; whole seconds since 1970 may repeat."""
     finite = column[np.isfinite(column)]
-    known = finite[finite != 0]  # a clock may not be set yet
+    known = finite[finite != 0]  # ignore samples before the clock is set
     if len(known) > 10 and are_since_1970(known):
         return bool(np.mean(np.diff(known) >= 0) > 0.9)
     return len(finite) > 10 and bool((np.diff(finite) > 0).all())

@@ -1,4 +1,4 @@
-"""Checks of single signals: values that are not finite, dead channels, spikes, wrapped counters."""
+"""Checks of single signals: non-finite values, constant channels, spikes and wrapped counters."""
 
 from dataclasses import dataclass
 
@@ -27,21 +27,21 @@ from offpiste.rig.edits import Edit, absent, rounded, toml_value
 from offpiste.rig.rig import Rig
 
 _MOST_LEFT = 0.5
-"""A range of valid values that leaves more than this share of the spikes is no remedy."""
+"""Maximum share of spikes that may remain within the proposed range of valid values."""
 
 
 @dataclass(frozen=True)
 class Signal:
-    """One number over time.
+    """Time series of one scalar.
 
     Attributes:
-        where: the name that a reader knows it by.
-        key: the rig's entry that reads it, "channels.throttle"; "" where none does.
-        raw: as recorded, wraps undone as the rig says.
-        values: converted by the rig, without what it calls not valid; the same as `raw` without a rig.
-        range: limits of the channel, where it has some.
-        largest: as recorded, that is a measurement and no fault.
-        beside: least and largest usual values of the channel's other components: one interval is valid for all.
+        where: name shown to users.
+        key: rig entry that reads the signal, e.g. "channels.throttle"; "" if none does.
+        raw: recorded values, unwrapped as defined in the rig.
+        values: values converted by the rig, without invalid ones; equal to `raw` without a rig.
+        range: limits of the channel, if any.
+        largest: maximum recorded magnitude of a measurement.
+        beside: usual minimum and maximum of the channel's other components, as one valid range applies to all.
     """
 
     where: str
@@ -53,7 +53,7 @@ class Signal:
     beside: tuple[float, float] = (np.inf, -np.inf)
 
     def cure(self, entry: str, value: object) -> tuple[str, tuple[tuple[Edit, ...], ...]]:
-        """A remedy that sets one entry of the channel, in words and as edits; words alone where no channel reads it."""
+        """Return a remedy that sets one entry of the channel, as text and edits; no edits if no channel reads it."""
         if not self.key:
             return f"where a channel reads it: {entry} = {toml_value(value)}", ()
         edit = Edit(f"{self.key}.{entry}", value)
@@ -61,7 +61,7 @@ class Signal:
 
 
 def other_signals(recorded: dict[str, Recorded], rig: Rig | None) -> list[Signal]:
-    """Every field as recorded that no channel of the rig reads."""
+    """Return all recorded fields that no channel of the rig reads."""
     read = {(source.topic, field) for source in (rig.channels.values() if rig else ()) for field in source.fields}
     return [
         Signal(field_in_words(topic, field), "", column, column)
@@ -72,7 +72,7 @@ def other_signals(recorded: dict[str, Recorded], rig: Rig | None) -> list[Signal
 
 
 def channel_signals(recorded: dict[str, Recorded], rig: Rig) -> list[Signal]:
-    """Every component of the rig's channels, as converted by it."""
+    """Return all components of the rig's channels after conversion."""
     signals = []
     for name, source in rig.channels.items():
         r = recorded.get(source.topic)
@@ -90,10 +90,10 @@ def channel_signals(recorded: dict[str, Recorded], rig: Rig) -> list[Signal]:
 
 
 def check_signals(signals: list[Signal], rig: Rig | None) -> list[Finding]:
-    """Findings on each signal; those that no channel reads are notes.
+    """Return findings on each signal, as notes if no channel reads it.
 
     Args:
-        rig: whose channels read them.
+        rig: rig whose channels read the signals.
     """
     findings, dead = _other_than_degrees(signals, rig), list[Signal]()
     counted = {where for finding in findings for where in finding.where.split(", ")}
@@ -104,7 +104,7 @@ def check_signals(signals: list[Signal], rig: Rig | None) -> list[Finding]:
             continue
         control = control_of(signal.key.removeprefix("channels."))
         if control is not None and control.discrete:
-            continue  # it stays where it is, and leaps
+            continue  # discrete controls are constant and jump
         if np.ptp(raw) == 0:
             dead.append(signal)
             continue
@@ -117,7 +117,7 @@ def check_signals(signals: list[Signal], rig: Rig | None) -> list[Finding]:
 
 
 def _other_than_degrees(signals: list[Signal], rig: Rig | None) -> list[Finding]:
-    """Latitude and longitude that are read as degrees, and are integers of a ten-millionth of one, radians or more."""
+    """Return findings on latitude and longitude read as degrees but recorded in another unit or swapped."""
     source = rig.channels.get("position") if rig else None
     if source is None or source.unit != GEOGRAPHIC or source.scale != 1:
         return []
@@ -141,7 +141,7 @@ def _other_than_degrees(signals: list[Signal], rig: Rig | None) -> list[Finding]
 
 
 def field_in_words(topic: str, field: str) -> str:
-    """A topic's field for people: `controls[1]`, `/odom pose.position.x`, a table's column by its name."""
+    """Return the displayed name of a field: `controls[1]`, `/odom pose.position.x`, or the column name of a table."""
     if not topic:
         return field
     return f"{topic}[{field}]" if field.isdigit() else f"{topic} {field}"
@@ -193,7 +193,7 @@ def _spiked(signal: Signal) -> list[Finding]:
     usual, at = values[~spikes], values[spikes]
     low, high = _limits(usual, at) if signal.range is None else _around(signal.range)
     low, high = min(low, signal.beside[0]), max(high, signal.beside[1])
-    # A quick foot on a pedal stays within what the pedal can show, and a bump within twice what rates usually span.
+    # A quick press stays within the pedal's range, and a bump within twice the usual span of rates.
     floor, ceiling = float(usual.min()), float(usual.max())
     room = ceiling - floor
     if signal.range is not None:
@@ -221,7 +221,7 @@ def _spiked(signal: Signal) -> list[Finding]:
 
 
 def _usual(others: Float[np.ndarray, "n k"]) -> tuple[float, float]:
-    """Least and largest values of components without their spikes, with half of the span as room; none for none."""
+    """Return the usual range of components without spikes, extended by half its span; (inf, -inf) for no components."""
     finite = [column[np.isfinite(column)] for column in others.T if np.isfinite(column).any()]
     known = [median_filter(column, 7, mode="mirror") for column in finite]
     ends = [np.percentile(column, (0.1, 99.9)).tolist() for column in known]
@@ -230,13 +230,13 @@ def _usual(others: Float[np.ndarray, "n k"]) -> tuple[float, float]:
 
 
 def _around(limits: tuple[float, float]) -> tuple[float, float]:
-    """A channel's range with a twentieth of room on both sides: what lies within may be real."""
+    """Return a channel's range extended by 5 % on both sides, as values inside may be real."""
     room = (limits[1] - limits[0]) / 20
     return limits[0] - room, limits[1] + room
 
 
 def _limits(usual: Float[np.ndarray, " n"], spikes: Float[np.ndarray, " k"]) -> tuple[float, float]:
-    """The usual values with half their span of room on both sides, as far as no spike lies in it."""
+    """Return the usual range extended by up to half its span on both sides, excluding spikes."""
     low, high = float(usual.min()), float(usual.max())
     room = (high - low) / 2
     above, below = spikes[spikes > high], spikes[spikes < low]
@@ -280,7 +280,7 @@ def _dead(signals: list[Signal], rig: Rig | None) -> list[Finding]:
 
 
 def _never_pressed(signal: Signal, rig: Rig) -> Finding:
-    """A note: other logs of the vehicle show what the brake does."""
+    """Return a note on an unused brake, which other logs of the vehicle may use."""
     name, pressed = signal.key.removeprefix("channels."), bool(signal.values[0] > 0.5)
     how = "nothing where nobody braked: the channel stays"
     if pressed:

@@ -1,4 +1,4 @@
-"""Checks of stamps: rate, gaps, repeats, steps back, clocks that disagree."""
+"""Checks of stamps: rate, gaps, repeats, backward steps and inconsistent clocks."""
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
@@ -18,20 +18,20 @@ from offpiste.rig.labels import PER_SECOND, unit_by_rate
 
 MISSING: Final = "samples are missing"
 _LATE = 2.0
-"""A topic that starts this much after the pose, or stops this much before it, is reported [s]."""
+"""Minimum time by which a reported topic starts after the pose or ends before it [s]."""
 _ZONE: Final = 900.0
-"""Time zones differ by multiples of a quarter of an hour [s]."""
+"""Resolution of time zone offsets [s]."""
 _APART = 0.5
-"""Messages that arrive this much later after their header than others do have another clock [s]."""
+"""Minimum difference in delay between header and arrival that indicates another clock [s]."""
 _SORT: Final = Edit("clock.sort", True)
 _REPEATED: Final = 0.05
-"""Share of repeated stamps from which they cost data: a warning."""
+"""Share of repeated stamps above which they are a warning."""
 _GAPS: Final = 0.02
-"""Share of the time in gaps from which they cost data: a warning."""
+"""Share of time in gaps above which they are a warning."""
 _DISORDER: Final = 0.2
-"""Share of stamps that go back from which a log has no order."""
+"""Share of backward steps above which a log is unordered."""
 _SHUFFLED: Final = 0.002
-"""Share of stamps that go back from which a log is not in the order of its stamps."""
+"""Share of backward steps above which a log is not sorted by stamp."""
 
 
 def check_stamps(
@@ -42,12 +42,12 @@ def check_stamps(
     silent: Collection[str] = (),
     channels: Mapping[str, ChannelSource] | None = None,
 ) -> list[Finding]:
-    """Findings on every topic's stamps by themselves.
+    """Return findings on the stamps of each topic.
 
     Args:
-        channels: of the rig, whose samples count where a topic's rows hold one sensor or the other.
-        used: topics that a rig reads; what the others have is but a note.
-        silent: topics that are silent while nothing changes, which is neither a gap nor a loss.
+        channels: channels of the rig, whose samples count separately if rows of a topic hold different sensors.
+        used: topics that a rig reads; findings on others are notes.
+        silent: topics that are published only on change, so that silence is neither gap nor loss.
     """
     findings: list[Finding] = []
     origin = beginning(recorded)
@@ -71,11 +71,11 @@ def check_spans(
     channels: Mapping[str, ChannelSource] | None = None,
     silent: Collection[str] = (),
 ) -> list[Finding]:
-    """Topics that do not cover the time of the topic `pose`, and a pose that does not cover theirs.
+    """Return findings for topics that do not overlap or cover the pose's time span, and vice versa.
 
     Args:
-        channels: of the rig, whose delays move the topics that they read.
-        silent: topics whose last sample holds to the end.
+        channels: channels of the rig, whose delays shift their topics.
+        silent: topics whose last sample remains valid to the end.
     """
     delays = {source.topic: source.delay for source in (channels or {}).values()}
     span = _span(recorded[pose], delays.get(pose, 0.0))
@@ -105,7 +105,7 @@ def check_spans(
         else:
             own = others[name] = (own[0], max(own[1], span[1])) if name in silent else own
             findings += _part_of(name, own, span, pose, used=used)
-    # Where several topics agree that the drive was longer, it is the pose that stops.
+    # If several topics agree on a longer drive, the pose stops early.
     if len(others) > 1:
         start, end = (float(np.median(edge)) for edge in zip(*others.values(), strict=True))
         if start <= span[1] and end >= span[0]:
@@ -114,7 +114,7 @@ def check_spans(
 
 
 def _other_clock(topic: str, apart: float, channels: Mapping[str, ChannelSource]) -> tuple[Edit, ...]:
-    """Delays that let a topic begin with the pose, or by whole quarters of an hour where it is in another time zone."""
+    """Return delays that align the start of a topic with the pose, or that correct a time zone offset."""
     zones = round(apart / _ZONE) * _ZONE
     apart = zones if abs(apart - zones) < _LATE else apart
     reading = {name: source for name, source in channels.items() if source.topic == topic}
@@ -124,7 +124,7 @@ def _other_clock(topic: str, apart: float, channels: Mapping[str, ChannelSource]
 def _part_of(
     name: str, own: tuple[float, float], span: tuple[float, float], whose: str, *, used: bool
 ) -> list[Finding]:
-    """A finding if a topic covers only a part of another one's time."""
+    """Return a finding if a topic covers only a part of another time span."""
     late, early = max(own[0] - span[0], 0.0), max(span[1] - own[1], 0.0)
     if max(late, early) <= _LATE:
         return []
@@ -141,14 +141,14 @@ def _span(topic: Recorded, delay: float) -> tuple[float, float]:
 
 
 def _repeated(topic: Recorded, seen: Timing, sources: Sequence[ChannelSource]) -> int:
-    """Stamps that repeat within one channel; of a topic that none reads, within the topic."""
+    """Return the maximum number of repeated stamps in a channel, or in the topic if no channel reads it."""
     at = [[topic.fields.index(f) for f in source.fields] for source in sources if {*source.fields} <= {*topic.fields}]
     samples = [topic.time[np.isfinite(np.column_stack((topic.time, topic.values[:, c]))).all(axis=1)] for c in at]
     return max((int((np.diff(time) == 0).sum()) for time in samples), default=seen.repeated)
 
 
 def _refused(topic: Recorded, sources: Sequence[ChannelSource]) -> bool:
-    """Whether so many samples of a channel share a stamp, and differ, that reading refuses it."""
+    """Return whether reading rejects a channel because too many different samples share a stamp."""
     for source in sources:
         if not {*source.fields} <= {*topic.fields}:
             continue
@@ -166,7 +166,7 @@ def _order(
 ) -> list[Finding]:
     findings, total = [], len(topic.time)
     arrives = topic.other if topic.other is not None and clock.stamps == "header" else np.zeros(0)
-    with np.errstate(invalid="ignore"):  # between stamps that are infinite
+    with np.errstate(invalid="ignore"):  # infinite stamps
         step, later = np.diff(topic.time), np.diff(arrives) > 0
     receives = later.size > 0 and bool(later.mean() > 0.99)
     remedy = str(RECEIVE) if receives else "nothing: those samples are dropped on reading"
@@ -186,7 +186,7 @@ def _order(
         if share > _SHUFFLED and not clock.sort:
             ways = ((_SORT,), *cures) if late else (*cures, (_SORT,))
             what = "samples are not in the order of their stamps" if share > _DISORDER else what
-        elif late:  # arrival would add its delays to all samples, for a few that came late
+        elif late:  # arrival times would add delays to all samples to fix a few late ones
             ways, severity = (), "note"
         how = str(ways[0][0]) if ways else "nothing: those samples are dropped on reading"
         findings.append(Finding(severity, where, what, evidence, how, seen.dropped / total, ways))
@@ -210,7 +210,7 @@ def _order(
 
 
 def _clock_was_set_back(time: Float[np.ndarray, " n"], arrives: Float[np.ndarray, " n"]) -> bool:
-    """Whether stamps lag behind arrivals by more once they went back; single samples that came late change nothing."""
+    """Return whether the lag behind arrivals increases after a backward step, rather than for single late samples."""
     late, back = arrives - time, np.flatnonzero(np.diff(time) < 0)
     return any(
         np.nanmedian(late[at + 1 : at + 21]) - np.nanmedian(late[max(at - 19, 0) : at + 1])
@@ -222,7 +222,7 @@ def _clock_was_set_back(time: Float[np.ndarray, " n"], arrives: Float[np.ndarray
 def _intervals(where: str, seen: Timing, origin: float, clock: Clock, *, used: bool) -> list[Finding]:
     findings: list[Finding] = []
     if not np.isfinite(seen.rate) or seen.backward > _DISORDER * seen.count:
-        return findings  # out of order, stamps show no rate
+        return findings  # unordered stamps have no rate
     unit = unit_by_rate(seen.rate, clock.unit, seen.start * PER_SECOND[clock.unit])
     if used and seen.count > 20 and unit != clock.unit:
         message = f"{seen.rate:.3g} samples a second, {seen.end - seen.start:.3g} s long"
@@ -233,7 +233,7 @@ def _intervals(where: str, seen: Timing, origin: float, clock: Clock, *, used: b
         evidence = f"one sample in {1 / seen.rate:.2f} s, clock.max_gap is {clock.max_gap} s"
         what, how = "is slower than the longest gap that is interpolated", f"{edit}; or use another topic"
         findings.append(Finding("warning", where, what, evidence, how, 1.0, ((edit,),)))
-    # Topics without a steady rate speak when they have something to say; their silence is no gap.
+    # Topics without a steady rate are published on events, so their silence is no gap.
     elif seen.gaps and (used or seen.jitter < 0.5):
         at, longest = max(seen.gaps, key=lambda gap: gap[1])
         share = sum(length for _, length in seen.gaps) / (seen.end - seen.start)
@@ -252,10 +252,10 @@ def _intervals(where: str, seen: Timing, origin: float, clock: Clock, *, used: b
 
 
 def check_headers(recorded: Mapping[str, Recorded], clock: Clock, *, used: Collection[str]) -> list[Finding]:
-    """Header against arrival: headers never filled in, or one topic's clock apart from the others'.
+    """Compare header stamps with arrival times: headers never set, or a topic's clock offset from the others.
 
     Args:
-        used: topics that a rig reads, if there is one; those of the others are but a note.
+        used: topics that a rig reads, if any; findings on others are notes.
     """
     both = {name: r for name, r in recorded.items() if len(r.time) > 2}
     if not has_arrivals(recorded, clock):

@@ -1,7 +1,7 @@
-"""Response to the steering: sign, delay and scale (`steering_fit.py`), and what is wrong with them.
+"""Checks of the steering response: sign, delay and scale (`steering_fit.py`).
 
-A pose whose z points down is seen in a mirror, in which a steering to the right is one to the left: what gravity does
-tells the two apart.
+A pose with z down is mirrored, so that its steering sign appears inverted; gravity distinguishes this from a wrong
+steering sign.
 """
 
 import re
@@ -30,44 +30,44 @@ from offpiste.rig.rig import Rig
 
 _STEADY_OWN: Final = (-0.08, 0.5)
 _DYNAMIC_OWN: Final = (-0.12, 0.4)
-"""Delays of the turning that are the vehicle's own, as either fit shows them [s]."""
+"""Ranges of delays that the vehicle itself causes in the steady and the dynamic fit [s]."""
 _USUAL: Final = {"steer": 0.1, "steer_angle": 0.0}
-"""Delay in the dynamic fit that healthy vehicles have in the middle, and that a remedy leaves [s]."""
+"""Typical delay of fault-free vehicles in the dynamic fit, kept by remedies [s]."""
 _TOGETHER: Final = 0.5
-"""Difference of the times by which a topic begins and ends after the pose, below which its clock is apart by it [s]."""
+"""Maximum difference between the time offsets at start and end of a topic with a constant clock offset [s]."""
 _CLEAR: Final = 0.7
-"""Correlation of the steady fit above which centre and changes of the delay are clear."""
+"""Minimum correlation of the steady fit for checking the centre and changes of the delay."""
 _LEAST_TURNING: Final = 10.0
-"""Time in motion that shows how a vehicle turns [s]."""
+"""Minimum time in motion for checking the turning [s]."""
 _UNSIGNED: Final = 0.85
-"""Correlation with the size of the yaw rate from which a steering without a clear effect has lost its sign."""
+"""Minimum correlation with the magnitude of the yaw rate of a steering channel that has lost its sign."""
 _CENTRED: Final = {"steer": 0.05, "steer_angle": 0.01}
-"""Steering at which a healthy vehicle may go straight: trims, and roads that slope to one side; of an angle [rad]."""
+"""Maximum steering at which fault-free vehicles drive straight due to trim or camber; [rad] for angles."""
 
 _LEANS: Final = 0.4
-"""Correlation with which a body leans into its curves where nothing but that speaks against a pose."""
+"""Minimum correlation of inward lean that is sufficient evidence against a pose."""
 _ON_SLOPES: Final = (0.5, 1.6)
-"""Acceleration over gravity times the slope, of either sign, that is gravity's."""
+"""Range of accelerations caused by gravity, as a multiple of gravity times slope, for either sign."""
 _PUSHED_AFTER: Final = 0.1
-"""Time after which pedals act [s]."""
+"""Delay of the pedals' effect [s]."""
 _VERTICAL: Final = 0.8
-"""Least share of gravity on the third axis of an accelerometer that is mounted level."""
+"""Minimum share of gravity on the z axis of a level accelerometer."""
 _ONE_MOTION: Final = 0.5
-"""Correlation above which two sensors measure one motion."""
+"""Minimum correlation of two sensors that measure the same motion."""
 _ACCELERATION: Final = re.compile(r"(?<![a-z])((lin(ear)?_?)?acc(el(eration|erometer)?)?s?[._ ]?|a[._ ]?)([xyz])$")
 _TURN: Final = re.compile(r"(?<![a-z])(angular_vel(ocity)?|gyro(scope)?s?|omega|g|w)[._ ]?(z)$")
-"""Fields of an IMU, without their units."""
+"""Names of IMU fields, without units."""
 
 
 def check_steering(
     fits: Mapping[str, SteeringFit], drive: Drive, path: DrivenPath, *, measured: bool, cut: Collection[str] = ()
 ) -> list[Finding]:
-    """Findings on `steer` and `steer_angle`.
+    """Return findings on `steer` and `steer_angle`.
 
     Args:
-        fits: of `steering_fits`.
-        measured: whether the rig's wheelbase and `max_steer` are the vehicle's, not a draft's.
-        cut: channels that are cut off, which show no scale.
+        fits: result of `steering_fits`.
+        measured: whether wheelbase and `max_steer` were measured, not drafted.
+        cut: clipped channels, whose scale cannot be estimated.
     """
     findings: list[Finding] = []
     unsigned = set[str]()
@@ -96,7 +96,7 @@ def check_steering(
 
 
 def _without_sign(name: str, drive: Drive, path: DrivenPath) -> list[Finding]:
-    """A finding if how much the vehicle turns follows a steering, and which way it turns does not."""
+    """Return a finding if the magnitude of the yaw rate follows the steering but its sign does not."""
     steering = on_path(path, drive.channels[name])[:, 0]
     rows = under_way(path) & np.isfinite(steering) & np.isfinite(path.yaw_rate)
     if rows.sum() * STEP < _LEAST_TURNING:
@@ -123,7 +123,7 @@ def _without_effect(name: str, fit: SteeringFit, drive: Drive) -> Finding:
 
 
 def _other_clocks(name: str, drive: Drive) -> tuple[Cure, ...]:
-    """Delays by which its topic begins and ends as the pose does, or the pose as it: GPS is 18 s ahead of UTC."""
+    """Return delays that align the steering topic with the pose or vice versa, e.g. for 18 s between GPS and UTC."""
     own, pose = drive.channels[name].time, drive.channels["position"].time
     begin, end = own[0] - pose[0], own[-1] - pose[-1]
     if abs(begin - end) > _TOGETHER or abs(begin) < LAGS[-1]:
@@ -147,7 +147,7 @@ def _sign(name: str, fit: SteeringFit, drive: Drive, path: DrivenPath) -> list[F
     evidence = f"correlation of the yaw rate (+ left) with speed times {name}: {steady.r[steady.best()]:+.2f}, "
     evidence += f"of its change {dynamic.r[dynamic.best()]:+.2f}"
     cures = [(Edit(f"channels.{name}.sign", -drive.rig.channels[name].sign),)]
-    # Poses whose z points down are seen in a mirror; the body's lean tells them from a steering to the right.
+    # A pose with z down is mirrored; lean distinguishes it from a steering channel that is positive to the right.
     if leans_inward(drive, path):
         cures.insert(0, (Edit("motion.axes", "ned" if drive.rig.motion.axes == "z up" else "z up"),))
     remedy = str(cures[0][0])
@@ -155,7 +155,7 @@ def _sign(name: str, fit: SteeringFit, drive: Drive, path: DrivenPath) -> list[F
 
 
 def leans_inward(drive: Drive, path: DrivenPath, least: float = 0.2) -> bool:
-    """Whether the body clearly leans into turns, which four-wheeled vehicles do not do; z may point down."""
+    """Return whether the body clearly leans into turns, which indicates z down for four-wheeled vehicles."""
     if "orientation" not in drive.channels:
         return False
     orientation = drive.channels["orientation"].linear(path.time, max_gap=np.inf)
@@ -169,14 +169,14 @@ def leans_inward(drive: Drive, path: DrivenPath, least: float = 0.2) -> bool:
 def check_upside_down(
     fits: Mapping[str, SteeringFit], drive: Drive, path: DrivenPath, recorded: Mapping[str, Recorded]
 ) -> list[Finding]:
-    """A finding if gravity shows that a pose that is read as z up has its z down, and nothing shows the opposite."""
+    """Return a finding if gravity indicates that a pose read as z up has z down, without contrary evidence."""
     hills, imu = _rises(drive, path), _turns_as_pose(path, recorded)
     lean = leans_inward(drive, path, _LEANS)
     if max(hills, imu) > 0 or not (lean or min(hills, imu) < 0) or drive.rig.motion.axes != "z up":
         return []
     seen = ["the body leans into its curves"] * lean + ["it gains speed where its path rises"] * (hills < 0)
     seen += ["gyroscope and accelerometer turn the other way than it"] * (imu < 0)
-    # What is positive to the left in a mirror is so to the right without it.
+    # Without mirroring, signs change from positive left to positive right.
     signs = (
         Edit(f"channels.{name}.sign", -drive.rig.channels[name].sign) for name, fit in fits.items() if fit.sign > 0
     )
@@ -187,7 +187,7 @@ def check_upside_down(
 
 
 def _rises(drive: Drive, path: DrivenPath) -> int:
-    """1 where the vehicle surely loses speed as its path rises, -1 where it surely gains speed, 0 where neither is."""
+    """Return 1 if the vehicle loses speed where its path rises, -1 if it gains speed, and 0 if unclear."""
     pedals = [name for name in ("throttle", "brake") if name in drive.channels]
     if "throttle" not in pedals:
         return 0
@@ -201,9 +201,9 @@ def _rises(drive: Drive, path: DrivenPath) -> int:
 
 
 def _turns_as_pose(path: DrivenPath, recorded: Mapping[str, Recorded]) -> int:
-    """1 where an IMU turns about the vertical as the pose does, -1 where it turns the other way, 0 where none shows it.
+    """Return 1 if an IMU turns about the vertical like the pose, -1 if opposite, and 0 if unclear.
 
-    Its accelerometer says where up is, also of one that is mounted upside down.
+    The accelerometer gives the vertical, even if it is mounted upside down.
     """
     for topic in recorded.values():
         names = [parse_label(field).name for field in topic.fields]
@@ -216,7 +216,7 @@ def _turns_as_pose(path: DrivenPath, recorded: Mapping[str, Recorded]) -> int:
         )
         up, size = float(np.nanmedian(z)), float(np.nanmedian(np.sqrt(x**2 + y**2 + z**2)))
         turned, pushed = (_correlation(*pair) for pair in ((turn, path.yaw_rate), (x, path.acceleration)))
-        # Gravity itself, as phones have it, is measured with the opposite sign, and so is what pushes the vehicle.
+        # Phones may report gravity with the opposite sign, which then also applies to the vehicle's acceleration.
         if abs(up) > _VERTICAL * size and abs(turned) > _ONE_MOTION and pushed > _ONE_MOTION:
             return int(np.sign(up) * np.sign(turned))
     return 0
@@ -229,7 +229,7 @@ def _correlation(one: Float[np.ndarray, " n"], other: Float[np.ndarray, " n"]) -
 
 
 def _delay(name: str, fit: SteeringFit, rig: Rig) -> list[Finding]:
-    """A finding if both fits show a delay that is not the vehicle's own."""
+    """Return a finding if both fits show a delay that the vehicle cannot cause."""
     lags = []
     for part, own, clear in ((fit.steady, _STEADY_OWN, _CLEAR), (fit.dynamic, _DYNAMIC_OWN, DYNAMIC_EFFECT)):
         best = part.best(sign=fit.sign)
@@ -255,7 +255,7 @@ def _delay(name: str, fit: SteeringFit, rig: Rig) -> list[Finding]:
 
 
 def _centre(name: str, fit: SteeringFit, rig: Rig) -> list[Finding]:
-    """A finding if the vehicle surely goes straight at another steering than zero."""
+    """Return a finding if the vehicle clearly drives straight at a non-zero steering value."""
     off_centre = abs(fit.centre) > _CENTRED[name] + SURE * fit.centre_sigma
     source = rig.channels[name]
     if fit.gripping.strength < _CLEAR or not off_centre or source.turns:

@@ -1,6 +1,6 @@
-"""What the steering's command and the measured angle of the wheels say of each other's scale.
+"""Comparison of the scales of the steering command and the measured wheel angle.
 
-No tyre slips between the two: their ratio is known far better than that of either to the turning of the vehicle.
+Tyre slip does not affect their ratio, which is therefore known more accurately than the response of the vehicle.
 """
 
 from dataclasses import dataclass
@@ -14,21 +14,21 @@ from offpiste.inspection.lags import LAGS, SURE, fit_lags, lagged, sampled
 from offpiste.logs.drive import Drive
 
 _AVERAGED: Final = 1.0
-"""Time over which both are averaged: actuators follow quick steering in part only [s]."""
+"""Averaging time [s]; actuators follow fast steering only partly."""
 _CLEAR: Final = 0.9
-"""Correlation above which the ratio is clear."""
+"""Minimum correlation for estimating the ratio."""
 _SHARES: Final = (0.8, 1.25)
-"""Angle over the command times `max_steer`: linkages are not quite linear, and `max_steer` is read off a data sheet."""
+"""Range of angle / (command * `max_steer`): linkages are nonlinear, and `max_steer` comes from a data sheet."""
 
 
 @dataclass(frozen=True)
 class Agreement:
-    """The wheels' angle by the command, at the lag that explains most.
+    """Fit of the wheel angle to the command at the lag with the highest correlation.
 
     Attributes:
-        share: angle over the command times the rig's `max_steer`, whatever their signs.
-        sigma: its standard deviation.
-        strength: correlation of the two.
+        share: absolute ratio of the angle to command times `max_steer`.
+        sigma: standard deviation of `share`.
+        strength: correlation of angle and command.
     """
 
     share: float
@@ -37,14 +37,14 @@ class Agreement:
 
     @property
     def is_off(self) -> bool:
-        """Whether one of the two surely has another scale than the rig says."""
+        """Return whether the scale of one of the two clearly differs from the rig."""
         margin = SURE * self.sigma
         inside = _SHARES[0] - margin < self.share < _SHARES[1] + margin
         return self.strength >= _CLEAR and np.isfinite(margin) and not inside
 
 
 def agreement(drive: Drive, path: DrivenPath) -> Agreement | None:
-    """Compare `steer` and `steer_angle`; None where the log lacks one of them, or one rests."""
+    """Compare `steer` and `steer_angle`; None if one of them is missing or constant."""
     if "steer" not in drive.channels or "steer_angle" not in drive.channels:
         return None
     angle = _averaged(sampled(drive.channels["steer_angle"], path.time, drive.rig))
@@ -58,7 +58,7 @@ def agreement(drive: Drive, path: DrivenPath) -> Agreement | None:
 
 
 def _averaged(values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """Means over `_AVERAGED` around each value; NaN where one of them is unknown."""
+    """Return moving averages over `_AVERAGED`; NaN if a value is unknown."""
     count = round(_AVERAGED / STEP) + 1
     result = np.full(len(values), np.nan)
     if len(values) >= count:

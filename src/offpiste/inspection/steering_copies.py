@@ -1,4 +1,4 @@
-"""What repeats the steering: copies that are late and pass for commands, and poses that are computed from it."""
+"""Checks for late copies of the steering command and for poses computed from the steering."""
 
 from collections.abc import Iterator, Mapping
 from typing import Final
@@ -20,28 +20,25 @@ from offpiste.logs.drive import Drive
 from offpiste.logs.motion import heading
 
 _LAGS = np.arange(-2.0, 2.01, 0.1)
-"""Lags of a copy that are tried [s]."""
+"""Candidate lags of a copy [s]."""
 _COPY_WINDOW = 8.0
-"""Length of a stretch [s]."""
+"""Length of a segment [s]."""
 _ALIKE = 0.95
-"""Correlation within a stretch above which it holds a copy."""
+"""Minimum correlation of a copy within a segment."""
 _MOST = 0.6
-"""Share of the stretches that must hold one."""
+"""Minimum share of segments with a copy."""
 _LATE = 0.3
-"""A copy that is later than this in a tenth of the stretches is reported [s]."""
+"""Minimum 90th percentile of the lag of a reported copy [s]."""
 _AT_ONCE: Final = np.arange(-0.03, 0.0301, 0.005)
-"""Ages of a steering that a pose may be computed from [s]: the last one that had come."""
+"""Candidate ages of the steering from which a pose may be computed [s]."""
 _COMPUTED: Final = 0.01
-"""RMS difference to a formula over the RMS, below which the pose is computed by it."""
+"""Maximum relative RMS deviation of a computed pose from the formula."""
 _BOTH_WAYS: Final = 0.1
-"""Share of the moving time in which the vehicle turns to either side, at least."""
+"""Minimum share of the moving time for turning in each direction."""
 
 
 def check_copies(drive: Drive, recorded: dict[str, Recorded]) -> list[Finding]:
-    """Notes on fields that repeat the steering late, and that no channel reads: what is measured follows it rightly.
-
-    So does what is measured of the motion, as by an IMU.
-    """
+    """Return notes on unread fields that are late copies of the steering, except in measured topics."""
     source = drive.rig.channels.get("steer")
     if source is None or source.topic not in recorded:
         return []
@@ -76,7 +73,7 @@ def _copy_window_lags(
     other_time: Float[np.ndarray, " m"],
     other: Float[np.ndarray, " m"],
 ) -> tuple[Float[np.ndarray, " w"], int]:
-    """Lags of `other` in the stretches in which `values` moves and both agree [s], and how many stretches move."""
+    """Return the lags of `other` in segments with matching steering [s], and the number of segments with steering."""
     if not np.isfinite(other).all() or np.ptp(other) == 0:
         return np.zeros(0), 1
     at = np.arange(time[0] + 2, time[-1] - 2, 0.1)
@@ -98,9 +95,9 @@ def _copy_window_lags(
 
 
 def check_computed_pose(drive: Drive, path: DrivenPath, recorded: Mapping[str, Recorded]) -> list[Finding]:
-    """A warning if the pose is the steering's: speed times its tangent, at once, and straight ahead of the heading.
+    """Return a warning if the yaw rate equals the speed times the tangent of the steering, without delay or sideslip.
 
-    No vehicle goes so exactly where it is steered: nothing measured how it turns, and a model would learn a formula.
+    No vehicle follows its steering this exactly: the turning was not measured, and a model would learn a formula.
     """
     moving = moving_rows(path)
     turning = path.yaw_rate[moving]
@@ -109,7 +106,7 @@ def check_computed_pose(drive: Drive, path: DrivenPath, recorded: Mapping[str, R
     position, yaw = drive.channels["position"], heading(drive)
     facing = np.interp(position.time, yaw.time, yaw.values[:, 0])
     steps = np.diff(position.values[:, :2], axis=0)
-    # A step may be made by the heading at its beginning, its end or between.
+    # The heading may be taken at the start, the end or the middle of a step.
     ways = [planar_body_from_world(steps, at) for at in (facing[:-1], facing[1:], (facing[:-1] + facing[1:]) / 2)]
     ahead, aside = min(ways, key=lambda way: float(np.abs(way[:, 1]).sum())).T
     if np.sqrt(np.mean(aside**2)) > _COMPUTED * np.sqrt(np.mean(ahead**2)):
@@ -127,10 +124,10 @@ def check_computed_pose(drive: Drive, path: DrivenPath, recorded: Mapping[str, R
 
 
 def _misfits(drive: Drive, path: DrivenPath, ahead: Float[np.ndarray, " n"]) -> Iterator[tuple[str, float]]:
-    """RMS difference of the turning to that of a bicycle over its RMS, by steering channel.
+    """Yield the steering channels with the relative RMS deviation of the yaw rate from a bicycle model.
 
     Args:
-        ahead: way from each place to the next [m].
+        ahead: longitudinal distance between successive positions [m].
     """
     time, rig = drive.channels["position"].time, drive.rig
     for name in ("steer", "steer_angle"):
@@ -148,7 +145,7 @@ def _misfits(drive: Drive, path: DrivenPath, ahead: Float[np.ndarray, " n"]) -> 
 
 
 def _is_pose(recorded: Recorded) -> bool:
-    """Whether a topic holds places and orientations by its names, and places that change."""
+    """Return whether a topic contains position and orientation by name, and the position changes."""
     named = {channel: fields for channel, fields, *_ in field_groups(recorded.topic, labels(recorded.topic))}
     if not {"position", "orientation"} <= set(named) or not set(named["position"][:2]) <= set(recorded.fields):
         return False

@@ -1,4 +1,4 @@
-"""Delays of the turning behind the steering, by stretches: clocks that drift, copies that are late by turns."""
+"""Delay of the yaw rate behind the steering by segment, to detect drifting clocks and copies of varying lag."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -14,31 +14,30 @@ from offpiste.logs.channel import Channel
 from offpiste.rig.rig import Rig
 
 _WINDOW: Final = 8.0
-"""Length of a stretch [s]; each begins in the middle of the one before."""
+"""Length of a segment [s]; segments overlap by half."""
 _TURNS: Final = 0.5
-"""Spread of a stretch's yaw rates over the drive's, at least."""
+"""Minimum standard deviation of the yaw rate in a segment, as a share of that of the drive."""
 _FITS: Final = 0.85
-"""Correlation of the turning with the steering in a stretch, at least."""
+"""Minimum correlation of yaw rate and steering in a segment."""
 _SHARP: Final = (0.2, 0.005)
-"""So much away from the best delay [s] this much less of the variance is explained, at least: a steering that is moved
-slowly fits at any delay."""
+"""Distance from the best delay [s] and minimum loss of explained variance there; slow steering fits at any delay."""
 _FEW: Final = 5
-"""Stretches that show a change ..."""
+"""Minimum number of segments for a clear change of the delay."""
 _EARLY: Final = 3
-"""Stretches in which the motion comes first, at least: one event lies in two that overlap."""
+"""Minimum number of segments with motion before steering; one event affects two overlapping segments."""
 _SEVERAL: Final = 8
-"""... and a slight one."""
+"""Minimum number of segments for a slight change of the delay."""
 _DRIFT: Final = 0.15
-"""Change of the delay over the drive that is surely exceeded [s]; of 60 healthy channels none exceeds 0.08."""
+"""Minimum significant change of the delay over the drive [s]; 60 fault-free channels stay below 0.08."""
 _SLOWER: Final = 0.8
-"""Change of the delay that a vehicle's own steering does not make [s]; the largest of healthy logs is 0.54."""
+"""Maximum change of the delay due to the vehicle's actuator [s]; the largest in fault-free logs is 0.54."""
 _WIDE: Final = (0.35, 25.0, -0.2)
-"""Width of the delays (10 to 90 %) that is a change [s], and how early the motion comes [s] in this share [%] then: a
-vehicle does not turn before it is steered."""
+"""Clear change of the delay: minimum 10-90 % range [s], and minimum share of segments [%] with a delay below the last
+value [s], as a vehicle does not turn before it is steered."""
 _SLIGHT: Final = (0.2, 10.0, -0.1)
-"""The same of a slight change."""
+"""The same for a slight change."""
 _MIDDLE: Final = 0.15
-"""Median of the delays up to which a slight change counts: where most are usual, few stretches deceive [s]."""
+"""Maximum median delay for a slight change [s]."""
 
 
 @dataclass(frozen=True)
@@ -46,8 +45,8 @@ class WindowDelays:
     """Steering delay in each segment with sufficient yaw rate.
 
     Attributes:
-        time: middle of the stretch [s].
-        delay: of the yaw rate behind speed times steering [s].
+        time: middle of the segment [s].
+        delay: delay of the yaw rate behind speed times steering [s].
     """
 
     time: Float[np.ndarray, " w"]
@@ -55,14 +54,14 @@ class WindowDelays:
 
     @property
     def words(self) -> str:
-        """The delays in words."""
+        """Description of the delays for findings."""
         low, middle, high = np.percentile(self.delay, (10, 50, 90))
         spread = f"{low:+.2f} to {high:+.2f} s after it (10 to 90 %, median {middle:+.2f})"
         return f"the motion comes {spread} in {len(self.delay)} stretches of {_WINDOW:.0f} s"
 
 
 def window_delays(channel: Channel, path: DrivenPath, rig: Rig) -> WindowDelays:
-    """Delays by stretches, of those in which the vehicle turns enough and as it is steered."""
+    """Estimate the delay in each segment where the vehicle turns sufficiently and follows the steering."""
     turning = path.forward * lagged(channel, path.time, rig)
     usual = np.nanstd(path.yaw_rate[moving_rows(path)])
     found = []
@@ -83,17 +82,17 @@ def window_delays(channel: Channel, path: DrivenPath, rig: Rig) -> WindowDelays:
 
 
 def _is_sharp(fit: LagFit, best: int) -> bool:
-    """Whether other delays explain less."""
+    """Return whether other delays explain significantly less variance."""
     away, less = _SHARP
     beside = np.abs(np.abs(fit.lags - fit.lags[best]) - away) < 1e-6
     return bool((fit.r[best] ** 2 - fit.r[beside] ** 2 > less).all())
 
 
 def changing_delay(name: str, delays: WindowDelays) -> list[Finding]:
-    """A warning if the delay grows or shrinks all along, or differs widely and the motion comes first in some."""
+    """Return a warning if the delay drifts, or if it varies widely and is negative in some segments."""
     if len(delays.delay) < _FEW:
         return []
-    from scipy.stats import theilslopes  # here, because it takes a third of a second
+    from scipy.stats import theilslopes  # imported here since it takes a third of a second
 
     slope, _, least, most = theilslopes(delays.delay, delays.time, 0.99)
     lasts = float(np.ptp(delays.time))
@@ -101,14 +100,14 @@ def changing_delay(name: str, delays: WindowDelays) -> list[Finding]:
         evidence = f"{delays.words}, and {slope * lasts:+.2f} s more at the end than at the beginning "
         evidence += f"({least * lasts:+.2f} to {most * lasts:+.2f}, 99 %)"
         how = "no constant delay fixes it: record it with the clock of the pose, or align its clock with [alignment]"
-        # A steering may be slow at times; nothing turns before it is steered.
+        # A slow actuator may delay the motion, but no vehicle turns before it is steered.
         own = np.percentile(delays.delay, 10) >= 0 and abs(slope) * lasts < _SLOWER
         return [Finding("note" if own else "warning", name, "has a clock that drifts", evidence, how, 0.9)]
     return _uneven(name, delays, *_WIDE)
 
 
 def uneven_delay(name: str, delays: WindowDelays) -> list[Finding]:
-    """A warning if the delay differs slightly between stretches, where no constant delay is wrong."""
+    """Return a warning if the delay varies slightly between segments and its median is small."""
     if len(delays.delay) < _SEVERAL or np.median(delays.delay) > _MIDDLE:
         return []
     return _uneven(name, delays, *_SLIGHT)

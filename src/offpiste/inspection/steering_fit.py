@@ -1,11 +1,11 @@
-"""Fits of the response to the steering: its sign, delay and scale, estimated together.
+"""Fits of the steering response: sign, delay and scale.
 
-The **steady** fit explains the yaw rate by speed times steering; the **dynamic** one explains the yaw rate a moment
-later by the yaw rate now and the steering in between. A vehicle that drifts countersteers: the steady relation then
-turns round or vanishes, but steering to the left still turns it further to the left than it would go.
+The **steady** fit explains the yaw rate by speed times steering; the **dynamic** fit explains the yaw rate a moment
+later by the current yaw rate and the steering in between. A drifting vehicle countersteers: the steady relation then
+vanishes or changes its sign, but steering to the left still increases the yaw rate.
 
-Tyres slip the more, the faster a vehicle turns (understeer: yaw rate = speed * steering / (wheelbase (1 + K speed^2))).
-The **extrapolated** fit takes that out: what is left at no speed is geometry alone.
+Understeer grows with speed: yaw rate = speed * steering / (wheelbase (1 + K speed^2)). The **extrapolated** fit
+estimates it, so that only the geometry remains at zero speed.
 """
 
 from dataclasses import dataclass, replace
@@ -23,33 +23,33 @@ from offpiste.logs.drive import Drive
 from offpiste.rig.rig import Rig
 
 _AHEAD: Final = 0.2
-"""The dynamic fit explains the yaw rate this much later [s]."""
+"""Time from the regressors to the yaw rate in the dynamic fit [s]."""
 _STEADY_EFFECT: Final = 0.5
 DYNAMIC_EFFECT: Final = 0.3
-"""Correlations above which there is an effect."""
+"""Minimum correlations that indicate an effect."""
 _NO_DRIFT: Final = 0.95
-"""Correlation of the steady fit above which the vehicle goes where it is steered."""
+"""Minimum correlation of the steady fit of a vehicle that does not drift."""
 _SMOOTHINGS: Final = (2, 4, 6)
-"""Tried lags over which the steering is averaged for its scale: actuators follow quick steering in part only."""
+"""Candidate averaging lengths of the steering, in lags; actuators follow fast steering only partly."""
 _GRIPPING: Final = 3.0
-"""Lateral acceleration up to which tyres follow their wheels [m/s^2]."""
+"""Maximum lateral acceleration with little tyre slip [m/s^2]."""
 _ROUNDS: Final = 5
-"""Rounds in which the scale of the steering, and with it the rows where tyres grip, come to rest."""
+"""Number of iterations for the steering scale and the rows with little slip."""
 
 
 @dataclass(frozen=True)
 class SteeringFit:
-    """Both fits of a steering channel, and three more for its scale.
+    """Steady and dynamic fits of a steering channel, and three more fits for its scale.
 
     Attributes:
-        steady, dynamic: over all moving rows.
-        settled: the steady fit with the steering averaged over the time that explains most.
-        gripping: the same where speed and steering, not the turning, ask for little lateral acceleration; `settled`
-            where there are too few such rows.
-        extrapolated: speed times steering by the yaw rate, with an understeer of its own: in units of the channel times
-            m, so its inverse is the curvature of a unit at no speed; None where that is not known.
-        centre, centre_sigma: steering at which those rows go straight, in the channel's unit (of an angle the tangent),
-            and its standard deviation; 0 and infinity where there are too few.
+        steady, dynamic: fits to all moving rows.
+        settled: steady fit with the averaging time of the steering that explains most variance.
+        gripping: the same for rows in which speed and steering imply a small lateral acceleration; equal to `settled`
+            if these rows are too few.
+        extrapolated: fit of speed times steering to the yaw rate with understeer, in units of the channel times m, so
+            that its inverse is the curvature per unit at zero speed; None if unknown.
+        centre, centre_sigma: steering for driving straight in the `gripping` rows, in the channel's unit (for angles,
+            the tangent), and its standard deviation; 0 and infinity if the rows are too few.
     """
 
     steady: LagFit
@@ -62,12 +62,12 @@ class SteeringFit:
 
     @property
     def has_effect(self) -> bool:
-        """Whether the steering turns the vehicle, in either direction."""
+        """Return whether the steering turns the vehicle, in either direction."""
         return self.steady.strength >= _STEADY_EFFECT or self.dynamic.strength >= DYNAMIC_EFFECT
 
     @property
     def sign(self) -> int:
-        """Sign of the effect, 0 where it is not clear: where the two differ, the dynamic fit decides about a drift."""
+        """Sign of the effect, 0 if unclear; if the fits differ, as in a drift, the dynamic fit decides."""
         steady, dynamic = (_sure_sign(fit) for fit in (self.steady, self.dynamic))
         if steady == dynamic or not dynamic or (steady and self.steady.strength > _NO_DRIFT):
             return steady
@@ -76,19 +76,19 @@ class SteeringFit:
 
 def _sure_sign(fit: LagFit) -> int:
     best, blocks = fit.best(), len(fit.left_out)
-    # Few blocks show their own scatter badly: as many deviations of Student's t as `SURE` of the normal.
+    # With few blocks, use Student's t at the significance of `SURE` in a normal distribution.
     sure = stdtrit(blocks - 1, ndtr(SURE)) if blocks > 1 else np.inf
     return int(np.sign(fit.r[best])) if abs(fit.r[best]) > sure * fit.r_sigma(best) else 0
 
 
 def steering_fit(channel: Channel, path: DrivenPath, rig: Rig, *, measured: bool) -> SteeringFit | None:
-    """Fit of the yaw rate by forward speed times steering (its tangent, if it is an angle), with a free centre.
+    """Fit the yaw rate to forward speed times steering (the tangent for an angle) with a free centre.
 
     Args:
-        measured: whether the rig's geometry says in which rows tyres grip; otherwise the scale that is found does.
+        measured: whether the rig's geometry defines the rows with little slip; otherwise the fitted scale does.
 
     Returns:
-        Gains in 1/m a unit of the channel; None where too little moves.
+        Gains in 1/m per unit of the channel; None if the motion is insufficient.
     """
     angle = lagged(channel, path.time, rig)
     wheel = np.tan(np.clip(angle, -1.4, 1.4)) if channel.name == "steer_angle" else angle
@@ -108,11 +108,11 @@ def steering_fit(channel: Channel, path: DrivenPath, rig: Rig, *, measured: bool
 def _scale_fits(
     wheel: Float[np.ndarray, "L n"], steady: LagFit, path: DrivenPath, per_unit: float | None
 ) -> tuple[LagFit, LagFit, LagFit | None, float, float]:
-    """The fits `settled`, `gripping` and `extrapolated`, and the centre with its standard deviation.
+    """Return the fits `settled`, `gripping` and `extrapolated`, and the centre with its standard deviation.
 
     Args:
         wheel: steering at each of `LAGS`.
-        per_unit: curvature at a steering of 1 [1/m]; None where it is not known.
+        per_unit: curvature at a steering of 1 [1/m], or None.
     """
     moving = moving_rows(path)
     settled, averaged = steady, path.forward * wheel[steady.best()]
@@ -124,14 +124,14 @@ def _scale_fits(
     extrapolated = _extrapolated(averaged, path, moving)
     gripping, at = settled, settled.lags[[settled.best()]]
     few = moving
-    # Without a rig the scale is what is sought: tyres that slide show too small a one, and each round fewer of them.
+    # Without a rig the scale is unknown: sliding tyres bias it low, and each iteration excludes more of these rows.
     for _ in range(_ROUNDS if per_unit is None else 1):
         scale = abs(float(gripping.gain[gripping.best()])) if per_unit is None else per_unit
         asked = np.abs(averaged) * path.speed * scale
         with np.errstate(invalid="ignore"):
             few = moving & (asked < max(_GRIPPING, float(np.nanpercentile(asked[moving], 30))))
         gripping = fit_lags(path.yaw_rate, path.forward[:, None], averaged[None], at, few) or gripping
-    # yaw rate = gain * (forward * steering - centre * forward): the other coefficient of the same fit.
+    # yaw rate = gain * (forward * steering - centre * forward): `other` estimates the second coefficient.
     other = fit_lags(path.yaw_rate, averaged[:, None], path.forward[None], at, few)
     if gripping is settled or other is None:
         return settled, settled, extrapolated, 0.0, np.inf
@@ -140,7 +140,7 @@ def _scale_fits(
 
 
 def _extrapolated(asked: Float[np.ndarray, " n"], path: DrivenPath, rows: Bool[np.ndarray, " n"]) -> LagFit | None:
-    """`asked` by the yaw rate and its slip; None where vehicles would turn the more, the faster they are."""
+    """Fit `asked` to the yaw rate with understeer; None if the result implies oversteer."""
     slip = path.forward**2 * path.yaw_rate
     turn, of_slip = (
         fit_lags(asked, np.stack((path.forward, other), axis=1), one[None], np.zeros(1), rows)
@@ -152,31 +152,31 @@ def _extrapolated(asked: Float[np.ndarray, " n"], path: DrivenPath, rows: Bool[n
 
 
 def _averaged(values: Float[np.ndarray, "L ..."], count: int) -> Float[np.ndarray, "m ..."]:
-    """Means over neighbouring lags."""
+    """Return means over neighbouring lags."""
     return np.asarray(np.lib.stride_tricks.sliding_window_view(values, count, axis=0).mean(axis=-1))
 
 
 def moving_rows(path: DrivenPath) -> Bool[np.ndarray, " n"]:
-    """Rows that are fast enough to show how the steering turns the vehicle."""
+    """Return a mask of the rows that are fast enough to show the steering response."""
     return np.asarray(path.speed > max(0.3, 0.2 * path.cruise))
 
 
 def curvature_per_unit(name: str, rig: Rig) -> float:
-    """Curvature at a steering of 1, by the rig's geometry [1/m]."""
+    """Return the curvature at a steering of 1 from the rig's geometry [1/m]."""
     return (np.tan(rig.vehicle.max_steer) if name == "steer" else 1.0) / rig.vehicle.wheelbase
 
 
 def _shifted(values: Float[np.ndarray, "... n"], rows: int) -> Float[np.ndarray, "... n"]:
-    """The values some rows later; NaN at the end."""
+    """Return the values shifted to a number of rows earlier; NaN at the end."""
     end = np.full((*values.shape[:-1], rows), np.nan)
     return np.concatenate((values[..., rows:], end), axis=-1)[..., : values.shape[-1]]
 
 
 def steering_fits(drive: Drive, path: DrivenPath, *, measured: bool) -> dict[str, SteeringFit]:
-    """Fits of the steering channels that move in a drive that turns, by name, without the time in which they hang.
+    """Return the fits of the steering channels that move in a drive with turns, by name, without frozen samples.
 
     Args:
-        measured: whether the rig's wheelbase and `max_steer` are the vehicle's, not a draft's.
+        measured: whether wheelbase and `max_steer` were measured, not drafted.
     """
     if np.nanstd(path.yaw_rate) < TURNING:
         return {}

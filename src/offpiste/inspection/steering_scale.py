@@ -1,4 +1,4 @@
-"""Scale of the steering: how much the vehicle turns, against what the rig's geometry asks for."""
+"""Checks of the steering scale against the rig's geometry."""
 
 from collections.abc import Mapping
 from typing import Final
@@ -14,37 +14,37 @@ from offpiste.rig.edits import Edit, number, rescaled, rounded
 from offpiste.rig.rig import Rig
 
 _CLEAR: Final = 0.7
-"""Correlation of the steady fit above which the scale is clear."""
+"""Minimum correlation of the steady fit for estimating the scale."""
 _SHARES: Final = (0.55, 1.1)
-"""Turning over what the wheels' angle asks for. Of 200 healthy channels, none had less than 0.6 in the fit that shows
-more, on ice and with much slip, too, and none more than 1.0 in the fit that shows less."""
+"""Range of turning relative to the wheels' angle. Of 200 fault-free channels, even on ice, none was below 0.6 in the
+larger fit or above 1.0 in the smaller one."""
 _USUAL_SHARE: Final = 0.83
-"""The share that a remedy assumes: tyres slip."""
+"""Typical ratio assumed by remedies, including tyre slip."""
 _SHARES_WITHOUT_SLIP: Final = (0.75, 1.15)
-"""The same, extrapolated to no speed: of 260 healthy channels all lay within, where that was clear."""
+"""The same extrapolated to zero speed; 260 fault-free channels with a clear fit lie within."""
 _CLEAR_WITHOUT_SLIP: Final = 0.85
-"""Correlation of that fit above which it is clear."""
+"""Minimum correlation of the extrapolated fit."""
 _USUAL_WITHOUT_SLIP: Final = 0.94
 _MARGIN: Final = 2.0
-"""Standard deviations by which it has to lie outside."""
+"""Minimum distance outside `_SHARES_WITHOUT_SLIP`, in standard deviations."""
 _RIGHT: Final = 0.5
-"""A steering is right whose turning is off by less than this share of the other's, as logarithms."""
+"""Maximum error of a correct steering channel, as a share of the other's, both as logarithms."""
 MAX_STEERS: Final = (0.25, 0.9)
-"""Largest steering angles that vehicles have [rad]."""
+"""Range of maximum steering angles of vehicles [rad]."""
 _AN_ANGLE: Final = 0.2
-"""A command that is off by what makes it an angle is one, within this share: tyres slip."""
+"""Maximum log deviation of a scale factor from that of an angle, due to tyre slip."""
 _SHAPES: Final = (1.0, 2.8)
-"""Wheelbases in tracks that vehicles have."""
+"""Range of wheelbase / track of vehicles."""
 
 
 def check_scale(fits: Mapping[str, SteeringFit], agreement: Agreement | None, drive: Drive) -> list[Finding]:
-    """Findings on the scale of `steer` and `steer_angle`: yaw rate over speed is tan(angle) / wheelbase without slip.
+    """Return findings on the steering scale; without slip, yaw rate / speed = tan(angle) / wheelbase.
 
-    Where the two contradict each other, one of them is blamed: the one that the turning fits less. The other may be
-    off as well, by the positions or the wheelbase.
+    If the two contradict each other, the one with the poorer fit to the turning is reported. Errors of the positions or
+    the wheelbase may affect the other as well.
 
     Args:
-        fits: of those that have an effect.
+        fits: fits of the channels with an effect.
     """
     rig = drive.rig
     suspect = _suspect(fits, rig) if agreement is not None and agreement.is_off else None
@@ -55,14 +55,14 @@ def check_scale(fits: Mapping[str, SteeringFit], agreement: Agreement | None, dr
         if ratio is None or name == suspect:
             continue
         others = [_share(other, fits[other], rig) for other in fits if both and suspect is None and other != name]
-        # Of two that agree with each other, one is not off where the other surely is not.
+        # A channel is not off if it agrees with another that clearly fits the turning.
         if not any(share is not None and abs(np.log(share)) < _RIGHT * abs(np.log(ratio)) for share in others):
             findings.append(_off(name, ratio, drive, both=both))
     return findings
 
 
 def _suspect(fits: Mapping[str, SteeringFit], rig: Rig) -> str | None:
-    """Which of the two steerings the turning fits less; None where it does not tell."""
+    """Return the steering channel with the poorer fit to the turning, or None if unclear."""
     shares = {name: _share(name, fit, rig) for name, fit in fits.items()}
     steer, angle = shares.get("steer"), shares.get("steer_angle")
     if steer is None or angle is None:
@@ -71,7 +71,7 @@ def _suspect(fits: Mapping[str, SteeringFit], rig: Rig) -> str | None:
 
 
 def _share(name: str, fit: SteeringFit, rig: Rig) -> float | None:
-    """Turning over what is usual at this steering, by the fit that is clear; None where none is."""
+    """Return the ratio of turning to the typical turning at this steering, or None if unclear."""
     part = fit.extrapolated
     if part is not None and part.strength >= _CLEAR_WITHOUT_SLIP:
         return 1 / (abs(float(part.gain[0])) * curvature_per_unit(name, rig) * _USUAL_WITHOUT_SLIP)
@@ -82,7 +82,7 @@ def _share(name: str, fit: SteeringFit, rig: Rig) -> float | None:
 
 
 def _contradiction(name: str, agreement: Agreement, rig: Rig) -> Finding:
-    """The finding on the one that is wrong where command and angle contradict each other."""
+    """Return the finding on the faulty channel if command and angle contradict each other."""
     share = agreement.share
     evidence = (
         f"the wheels' angle is {share:.2f} ± {agreement.sigma:.2f} times steer * max_steer, and the vehicle turns "
@@ -95,14 +95,14 @@ def _contradiction(name: str, agreement: Agreement, rig: Rig) -> Finding:
     evidence += "as the angle says"
     angle = share * rig.vehicle.max_steer
     cures = [(Edit("vehicle.max_steer", rounded(angle)),), rescaled("steer", rig.channels["steer"], share)]
-    if not MAX_STEERS[0] < angle < MAX_STEERS[1]:  # which no vehicle has: the command is in another unit
+    if not MAX_STEERS[0] < angle < MAX_STEERS[1]:  # implausible for a vehicle: the command is in another unit
         cures.reverse()
     remedy = "; or ".join(", ".join(map(str, cure)) for cure in cures)
     return Finding("warning", name, "does not fit the wheels' angle", evidence, remedy, 0.6, tuple(cures))
 
 
 def _other_angle(factor: float, rig: Rig) -> Cure:
-    """The edits that make the wheels' angle `factor` times as large: another unit where that explains it."""
+    """Return the edits that scale the wheels' angle by `factor`, as another unit if possible."""
     source = rig.channels["steer_angle"]
     if abs(factor * 180 / np.pi - 1) < 0.4:
         return (Edit("channels.steer_angle.unit", "deg"),)
@@ -112,10 +112,10 @@ def _other_angle(factor: float, rig: Rig) -> Cure:
 
 
 def _off(name: str, ratio: float, drive: Drive, *, both: bool) -> Finding:
-    """The finding where the vehicle turns `ratio` times as much as the rig says.
+    """Return the finding if the vehicle turns `ratio` times as much as the rig implies.
 
     Args:
-        both: whether command and measured angle have been compared with each other: then both are hardly wrong alike.
+        both: whether command and measured angle agree with each other, so that a common error is unlikely.
     """
     rig = drive.rig
     evidence = f"yaw rate and a wheelbase of {rig.vehicle.wheelbase:.2f} m imply "
@@ -136,11 +136,11 @@ def _off(name: str, ratio: float, drive: Drive, *, both: bool) -> Finding:
     if name == "steer":
         angle_of = _as_an_angle(rig, ratio)
         command = ("", angle_of[0] if angle_of else rescaled("steer", rig.channels["steer"], ratio))
-        # A range of steering that no vehicle has speaks for the places, the wheels' own, or a command of another unit.
+        # An implausible steering range indicates wrong positions, wheel positions or command units.
         if MAX_STEERS[0] < angle < MAX_STEERS[1]:
             ways.append(command)
             reached = float(np.abs(drive.channels["steer"].values).max())
-            if angle_of and reached < (1 + _AN_ANGLE) / angle_of[1]:  # nor does it ever go further than the wheels do
+            if angle_of and reached < (1 + _AN_ANGLE) / angle_of[1]:  # the command never exceeds the wheels' range
                 ways.insert(0, command)
         else:
             ways = [unit, long, places, command, *([own] if angle < MAX_STEERS[1] else [])]
@@ -152,8 +152,8 @@ def _off(name: str, ratio: float, drive: Drive, *, both: bool) -> Finding:
 
 
 def _gripping_ratio(name: str, fit: SteeringFit, rig: Rig) -> float | None:
-    """True curvature over the rig's, from rows where tyres grip; None where it may be right."""
-    # Tyres that slide spoil one fit, little steering the other: only what both show is a wrong scale.
+    """Return the ratio of true to nominal curvature from rows with little slip; None if it may be correct."""
+    # Sliding tyres bias one fit, and little steering the other: only a scale error affects both.
     usual = _USUAL_SHARE * curvature_per_unit(name, rig)
     gains = [(abs(float(part.gain[part.best()])), part) for part in (fit.gripping, fit.settled)]
     gain, part = min(gains, key=lambda pair: abs(np.log(max(pair[0], 1e-9) / usual)))
@@ -168,21 +168,21 @@ def _gripping_ratio(name: str, fit: SteeringFit, rig: Rig) -> float | None:
 
 
 def _extrapolated_ratio(name: str, fit: SteeringFit, rig: Rig) -> float | None:
-    """True curvature over the rig's, extrapolated to where no tyre slips; None where it may be right."""
+    """Return the ratio of true to nominal curvature extrapolated to zero slip; None if it may be correct."""
     part = fit.extrapolated
     if part is None or part.strength < _CLEAR_WITHOUT_SLIP:
         return None
     factor = 1 / (abs(float(part.gain[0])) * curvature_per_unit(name, rig))
     margin = _MARGIN * part.gain_sigma(0) / abs(float(part.gain[0]))
     low, high = _SHARES_WITHOUT_SLIP
-    # Noise of the yaw rate makes the factor too large, by the correlation squared at the most.
+    # Yaw rate noise increases the factor by at most the inverse of the squared correlation.
     if not margin < 0.5 or (low < factor * (1 + margin) and factor * min(1 - margin, part.strength**2) < high):
         return None
     return factor / _USUAL_WITHOUT_SLIP
 
 
 def _other_wheelbase(rig: Rig, factor: float) -> Cure | None:
-    """Wheel positions whose wheelbase is `factor` times as long; None where no vehicle has that shape."""
+    """Return the wheel positions for a wheelbase scaled by `factor`; None if implausible."""
     if not _is_shaped(factor * rig.vehicle.wheelbase, rig):
         return None
     places = [[rounded(x * factor), y] for x, y in rig.vehicle.wheel_positions]
@@ -190,12 +190,12 @@ def _other_wheelbase(rig: Rig, factor: float) -> Cure | None:
 
 
 def _is_shaped(wheelbase: float, rig: Rig) -> bool:
-    """Whether a vehicle of the rig's track may have this wheelbase."""
+    """Return whether the wheelbase is plausible for the rig's track."""
     return bool(_SHAPES[0] < wheelbase / max(rig.vehicle.track, 1e-6) < _SHAPES[1])
 
 
 def _other_unit(rig: Rig, ratio: float) -> Cure | None:
-    """The unit of positions that explains a turning `ratio` times the rig's; None where none does."""
+    """Return the unit of positions that explains turning at `ratio` times the rig's, or None."""
     for unit in ("ft", "cm"):
         if not rig.channels["position"].unit and abs(np.log(ratio / unit_factor("position", unit))) < 0.3:
             return (Edit("channels.position.unit", unit),)
@@ -203,32 +203,32 @@ def _other_unit(rig: Rig, ratio: float) -> Cure | None:
 
 
 def _other_scale(rig: Rig, ratio: float) -> Cure | None:
-    """Positions `ratio` times as far apart, in whatever unit; None for degrees of the globe."""
+    """Return the edit that scales positions by `ratio`; None for latitude and longitude."""
     source = rig.channels["position"]
     return None if source.unit == GEOGRAPHIC else (Edit("channels.position.scale", rounded(source.scale * ratio)),)
 
 
 def _as_an_angle(rig: Rig, factor: float) -> tuple[Cure, float] | None:
-    """The edits for a command that is an angle of the road wheels, and their factor; None where `factor` is another."""
+    """Return the edits for a command that is a road wheel angle, and their factor; None if `factor` does not match."""
     source = rig.channels["steer"]
     for unit in ("rad", "deg") if not source.unit else ():
         exact = unit_factor("steer", unit, rig.vehicle.max_steer) / source.scale
         if abs(np.log(factor / exact)) < _AN_ANGLE:
-            # Without a scale, the zero stays where it is.
+            # The zero is unchanged without a scale.
             plain = rescaled("steer", source, 1 / source.scale) if source.scale != 1.0 else ()
             return (Edit("channels.steer.unit", unit), *plain), exact
     return None
 
 
 def _is_of_an_angle(rig: Rig) -> bool:
-    """Whether the command is recorded as an angle of the road wheels, by its unit or a scale of 1 / `max_steer`."""
+    """Return whether the command is recorded as a road wheel angle, by its unit or a scale of 1 / `max_steer`."""
     source = rig.channels["steer"]
     scaled = source.scale * rig.vehicle.max_steer
     return source.unit in ANGLES or any(abs(scaled / ANGLES[unit] - 1) < 0.02 for unit in ("rad", "deg"))
 
 
 def scale_note(name: str, fit: SteeringFit, rig: Rig) -> Finding:
-    """The scale of the steering where the wheelbase is a guess."""
+    """Return a note on the steering scale if the wheelbase is a guess."""
     curvature = abs(float(fit.gripping.gain[fit.gripping.best()]))
     if rig.channels[name].turns:
         share = curvature / curvature_per_unit(name, rig)

@@ -1,4 +1,4 @@
-"""Many logs inspected side by side, and what was found in each, a row a log."""
+"""Inspection of several logs and a summary table."""
 
 import io
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ from offpiste.rig.rig import Rig
 
 @dataclass(frozen=True)
 class Job:
-    """What a process needs to inspect a log."""
+    """Input for the inspection of one log in a worker process."""
 
     log: str
     rig: Rig | None
@@ -28,11 +28,11 @@ class Job:
 
 @dataclass(frozen=True)
 class Survey:
-    """What `inspect` finds in several logs.
+    """Inspections of several logs.
 
     Attributes:
-        inspections: of the logs that can be read, in their order, as `Inspection.as_dict` has them.
-        failed: errors of those that cannot.
+        inspections: results for readable logs in their order, as returned by `Inspection.as_dict`.
+        failed: errors of unreadable logs.
     """
 
     inspections: tuple[dict[str, Any], ...]
@@ -40,21 +40,21 @@ class Survey:
 
     @property
     def usable(self) -> bool:
-        """Whether all logs can be trained on."""
+        """Return whether all logs are usable for training."""
         return not self.failed and all(one["usable"] for one in self.inspections)
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain numbers, texts and lists, for JSON."""
+        """Return the survey as plain numbers, strings and lists for JSON."""
         failed = [{"log": error.where, "error": str(error)} for error in self.failed]
         return {"schema": 2, "usable": self.usable, "logs": list(self.inspections), "failed": failed}
 
 
 def inspect_logs(logs: Sequence[str], rig: Rig | None, *, processes: int = 1, cluster: str = "") -> Survey:
-    """Inspect several logs (`inspect_log`, with their sensors).
+    """Inspect several logs including their sensors (`inspect_log`).
 
     Args:
-        processes: logs that are inspected at a time; 0: one a core.
-        cluster: address of a Ray cluster that inspects them instead (`parallel.run_all`); "" for none.
+        processes: number of parallel inspections; 0: one per core.
+        cluster: address of a Ray cluster to use instead (`parallel.run_all`); "" for none.
     """
     jobs = [Job(log, rig) for log in logs]
     found, failed = run_all(_inspect, jobs, at_a_time(processes), "inspect", cluster=cluster, finished=lambda _: None)
@@ -62,7 +62,7 @@ def inspect_logs(logs: Sequence[str], rig: Rig | None, *, processes: int = 1, cl
 
 
 def survey_table(survey: Survey) -> Table:
-    """A row a log: whether it is usable, its length, and its findings, the worst in words."""
+    """Return a table with one row per log: usability, length and findings, with serious findings in full."""
     table = Table(box=None, pad_edge=False, header_style="dim")
     for name in ("log", "for training", "findings"):
         table.add_column(name, overflow="fold")
@@ -85,6 +85,6 @@ def _words(findings: Sequence[dict[str, Any]]) -> str:
 
 
 def _inspect(job: Job, report: Report) -> dict[str, Any]:
-    with redirect_stderr(io.StringIO()), brought(job.log) as path:  # bars of its own would run into those of others
+    with redirect_stderr(io.StringIO()), brought(job.log) as path:  # suppresses the workers' progress bars
         log = open_log(path, clock=job.rig.clock if job.rig else None)
         return replace(inspect_log(log, job.rig, sensors=True), log=job.log).as_dict()

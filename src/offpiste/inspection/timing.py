@@ -1,4 +1,4 @@
-"""Statistics of stamps: rate, jitter, losses, repeats, steps back, gaps."""
+"""Statistics of stamps: rate, jitter, losses, repeats, backward steps and gaps."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -9,7 +9,7 @@ from jaxtyping import Float
 from offpiste.inspection.recorded_log import rising
 
 _SINGLE: Final = 0.25
-"""Share of intervals of one period where up to three in four samples are lost at random."""
+"""Minimum share of single-period intervals; up to three in four samples may be lost at random."""
 
 
 @dataclass(frozen=True)
@@ -17,13 +17,13 @@ class Timing:
     """Statistics of a topic's stamps.
 
     Attributes:
-        rate: samples a second, losses and gaps left aside [Hz]; NaN for fewer than three samples.
-        jitter: half the spread from the 5th to the 95th percentile of the intervals, over the median interval.
-        lost: share of samples missing by that rate, gaps left aside.
-        repeated, backward: counts of stamps equal to, or before, the one before.
-        start, end, gaps: of the stamps that reading keeps; gaps are intervals longer than the clock's `max_gap` and ten
-            times the median one [s], and where they begin.
-        dropped: stamps that reading drops since they repeat or go back.
+        rate: samples per second excluding losses and gaps [Hz]; NaN for fewer than three samples.
+        jitter: half the spread from the 5th to the 95th percentile of the intervals, divided by the sample interval.
+        lost: share of samples missing at this rate, excluding gaps.
+        repeated, backward: number of stamps equal to, or earlier than, the previous one.
+        start, end, gaps: statistics of the stamps kept on reading [s]; gaps are (start, length) of intervals longer
+            than the clock's `max_gap` and ten times the sample interval.
+        dropped: number of stamps dropped on reading as they repeat or go back.
     """
 
     start: float
@@ -39,7 +39,7 @@ class Timing:
 
 
 def timing(time: Float[np.ndarray, " n"], *, max_gap: float) -> Timing:
-    """Statistics of stamps [s]; those that are not finite are left out."""
+    """Return statistics of stamps [s], ignoring non-finite ones."""
     time = time[np.isfinite(time)]
     step = np.diff(time)
     forward = step[step > 0]
@@ -49,7 +49,7 @@ def timing(time: Float[np.ndarray, " n"], *, max_gap: float) -> Timing:
     if len(forward) < 2:
         return Timing(start, end, len(time), np.nan, 0.0, 0.0, repeated, backward, (), dropped)
     low, typical, high = np.percentile(forward, (5, 50, 95))
-    # Where samples arrive in bunches or at odd times only the mean gives the rate; elsewhere losses would bias it.
+    # For samples in bunches or at irregular times, only the mean gives the rate; otherwise losses would bias it.
     short = forward[forward <= max(max_gap, 10 * typical)]
     lost = _lost(short / typical) if repeated < 0.02 * len(time) else None
     if lost is None and repeated == 0 and (more := _lost_half(short)) is not None:
@@ -63,19 +63,19 @@ def timing(time: Float[np.ndarray, " n"], *, max_gap: float) -> Timing:
 
 
 def _lost(periods: Float[np.ndarray, " n"]) -> float | None:
-    """Share of samples missing, from the intervals in periods; None where they are no whole numbers of them."""
+    """Return the share of missing samples from intervals in periods; None if these are not integers."""
     whole = np.round(periods)
-    # A message that is sent twice at once is no period: hardly any log lacks three in four samples.
+    # The interval between duplicate messages is not a period: a loss of three in four samples is implausible.
     if len(periods) < 50 or np.mean(np.abs(periods - whole)) > 0.1 or np.mean(periods) > 1 / _SINGLE:
         return None
     return float(np.sum(whole - 1) / max(np.sum(whole), 1))
 
 
 def _lost_half(interval: Float[np.ndarray, " n"]) -> tuple[float, float] | None:
-    """Period [s] and share lost where so many samples are missing that the median interval is not one period."""
+    """Return the period [s] and share lost if the median interval exceeds one period due to losses."""
     for period in (np.median(interval) / 2, np.median(interval) / 3):
         lost = _lost(interval / period)
-        # Stamps in steps of a clock are whole numbers of them as well, and hardly ever one step apart.
+        # Stamps with a coarse clock are integer multiples of its tick as well, but rarely one tick apart.
         if lost is not None and np.mean(np.round(interval / period) == 1) > _SINGLE:
             return float(period), lost
     return None

@@ -1,6 +1,6 @@
-"""Numbers that loggers write for controls: pedals from released to pressed, and what goes both ways from a middle.
+"""Raw value ranges of controls in logs: pedals and steering or throttle with a centre.
 
-A middle is above zero where the numbers are servo pulses, or counts of a potentiometer.
+The centre is above zero for servo pulses and potentiometer counts.
 """
 
 from typing import Final
@@ -14,38 +14,38 @@ from offpiste.rig.channels import ChannelSource, unit_factor
 from offpiste.rig.edits import Edit, rounded
 
 _FULL: Final = (1.0, 10.0, 100.0, 127.0, 255.0, 1000.0, 1023.0, 4095.0, 32767.0, 65535.0)
-"""Numbers for a pedal that is pressed fully."""
+"""Common full-scale values of pedals."""
 _PRESSED: Final = 0.45
-"""Least share of one of them that drivers reach; from zero, of what rests at an end of its range any."""
+"""Minimum share of the full scale that a drive reaches, for ranges from zero."""
 _SLACK: Final = 0.02
 _NOTHING: Final = 1e-6
-"""Share of the largest number below which one is zero, as what a filter lets decay."""
+"""Maximum share of the largest value that counts as zero, e.g. after a decaying filter."""
 _PULSES: Final = (900.0, 2100.0)
-"""Widths of the pulses that servos and speed controllers take [us]."""
+"""Range of pulse widths of servos and speed controllers [us]."""
 _MIDDLE_PULSE: Final = 1500.0
 _LEAST_PULSE: Final = 1000.0
 _BEGINS: Final = 1080.0
-"""A speed controller that only drives is at its least pulse when it is released, and so up to here at times [us]."""
+"""Maximum released pulse of a forward-only speed controller [us]."""
 FULL_PULSE: Final = 2000.0
-"""Pulse of full throttle [us]."""
+"""Pulse width at full throttle [us]."""
 _COUNTS: Final = (100.0, 180.0, 255.0, 1023.0, 4095.0, 65535.0)
-"""Ends of ranges from zero whose middle is straight ahead."""
+"""Full-scale values of ranges from zero with straight ahead at the centre."""
 _REACHED: Final = 0.4
-"""Least share of a whole range that a drive covers ..."""
+"""Minimum share of the range covered by a drive."""
 _CENTRAL: Final = (0.35, 0.65)
-"""... and where its median lies in it."""
+"""Range of the median, as a share of the range."""
 
 
 def held_range(values: Float[np.ndarray, " n"]) -> tuple[float, float]:
-    """Least and largest value that a pedal has for longer than a spike; presses may be rare, so no percentiles."""
+    """Return the minimum and maximum of a pedal without spikes; presses may be too rare for percentiles."""
     held = median_filter(values, size=5)
     return float(held.min()), float(held.max())
 
 
 def seen_range(values: Float[np.ndarray, " n"]) -> tuple[float, float]:
-    """What a pedal covers in this drive: from where it rests to the farthest that it is held.
+    """Return the range of a pedal in this drive, from rest to the strongest sustained press.
 
-    Rare readings beyond its rest are none of it.
+    Rare values beyond the rest are ignored.
     """
     (low, high), (least, most) = held_range(values), np.percentile(values, (0.5, 99.5))
     least, most = (low, float(most)) if rests_high(values) else (float(least), high)
@@ -54,21 +54,21 @@ def seen_range(values: Float[np.ndarray, " n"]) -> tuple[float, float]:
 
 
 def largest_size(values: Float[np.ndarray, " n"]) -> float:
-    """Largest absolute value, spikes left out."""
+    """Return the maximum magnitude without spikes."""
     usual, largest = float(np.percentile(np.abs(values), 99)), float(np.abs(values).max())
     return largest if largest < 1.2 * usual else usual
 
 
 def full_scale(largest: float) -> float:
-    """The number that loggers write for fully pressed, where the largest of a drive is this; 0 for none."""
+    """Return the common full-scale value for the maximum of a drive; 0 if none matches."""
     return next((full for full in _FULL if _PRESSED * full <= largest <= (1 + _SLACK) * full), 0.0)
 
 
 def whole_range(values: Float[np.ndarray, " n"]) -> tuple[float, float] | None:
-    """The range of a pedal that rests at one end of it: 0..full, or -full..full as of triggers; None for another.
+    """Return the range 0..full or -full..full (triggers) of a pedal that rests at one end; None otherwise.
 
     Args:
-        values: without NaN.
+        values: finite values.
     """
     low, high = held_range(values)
     for full in _FULL:
@@ -84,9 +84,9 @@ def whole_range(values: Float[np.ndarray, " n"]) -> tuple[float, float] | None:
 
 
 def rests_high(values: Float[np.ndarray, " n"]) -> bool | None:
-    """Whether a pedal is released at the upper end of its values; None where it rests at neither end."""
+    """Return whether a pedal is released at its upper end; None if it rests at neither end."""
     low, high = np.percentile(values, (0.5, 99.5))
-    if not high - low > _SLACK * np.ptp(held_range(values)):  # hardly ever pressed
+    if not high - low > _SLACK * np.ptp(held_range(values)):  # rarely pressed
         low, high = held_range(values)
     at_low, at_high = (float(np.mean(np.abs(values - end) <= _SLACK * (high - low))) for end in (low, high))
     if max(at_low, at_high) < 0.1:
@@ -95,9 +95,9 @@ def rests_high(values: Float[np.ndarray, " n"]) -> bool | None:
 
 
 def rests_between(values: Float[np.ndarray, " n"], middle: float = 0.0) -> bool:
-    """Whether a pedal goes both ways from a middle and is released there.
+    """Return whether a pedal has a centre at which it is released.
 
-    It is at full throttle at times, too, but hardly more than twice as often; a trigger only passes its middle.
+    It may be at full throttle up to about twice as often; a trigger only passes its centre.
     """
     low, high = (end - middle for end in held_range(values))
     reach, slack = max(-low, high), _SLACK * (high - low)
@@ -109,7 +109,7 @@ def rests_between(values: Float[np.ndarray, " n"], middle: float = 0.0) -> bool:
 
 
 def is_signed(values: Float[np.ndarray, " n"]) -> bool:
-    """Whether a pedal's numbers go both ways from zero: often near it, and not at rest at the lower end."""
+    """Return whether a pedal is signed: often near zero and not at rest at its lower end."""
     low, high = np.percentile(values, (0.5, 99.5))
     largest = max(-low, high)
     if min(-low, high) < 0.05 * largest:
@@ -123,17 +123,17 @@ def is_signed(values: Float[np.ndarray, " n"]) -> bool:
 def scaled_to_unit(
     name: str, source: ChannelSource, span: tuple[float, float], *, turned: bool = False
 ) -> tuple[Edit, ...]:
-    """The edits that bring a pedal's converted values from a range to 0..1, or to 1..0.
+    """Return the edits that map a pedal's converted values from a range to 0..1, or to 1..0.
 
     Args:
-        span: least and largest value, as the rig converts them now.
-        turned: the least becomes 1 and the largest 0.
+        span: minimum and maximum as currently converted by the rig.
+        turned: whether to map the minimum to 1 and the maximum to 0.
     """
     low, high = span
     if not high > low:
-        return ()  # it never changes, but for a few samples
+        return ()  # constant except for a few samples
     per_unit = source.sign * unit_factor(name, source.unit)
-    # value = sign * (raw * scale + offset) * unit, so (value - low) / (high - low) is again of this form.
+    # value = sign * (raw * scale + offset) * unit, so (value - low) / (high - low) has the same form.
     factor, start = (-1 / (high - low), high) if turned else (1 / (high - low), low)
     wanted = {"scale": factor * source.scale, "offset": factor * (source.offset - start / per_unit)}
     now = {"scale": source.scale, "offset": source.offset}
@@ -143,10 +143,10 @@ def scaled_to_unit(
 
 
 def are_pulses(values: Float[np.ndarray, " n"], *, named: bool) -> bool:
-    """Whether numbers are widths of pulses [us].
+    """Return whether values are pulse widths [us].
 
     Args:
-        named: whether their unit or name says so; else they must lie on both sides of the middle pulse.
+        named: whether unit or name indicate pulses; otherwise values must lie on both sides of the centre pulse.
     """
     low, high = np.percentile(values, (0.5, 99.5))
     inside = low >= _PULSES[0] and high <= _PULSES[1] and high - low > 20
@@ -156,12 +156,12 @@ def are_pulses(values: Float[np.ndarray, " n"], *, named: bool) -> bool:
 def steering_middle(
     values: Float[np.ndarray, " n"], *, named: bool, straight: float | None = None
 ) -> tuple[float, float, str] | None:
-    """Number straight ahead, that of full lock beyond it, and why; None for numbers on both sides of zero.
+    """Return the value straight ahead, the distance to full lock, and the reason; None for values of both signs.
 
     Args:
-        values: as recorded, finite.
-        named: whether unit or name say that they are pulses.
-        straight: number at which the vehicle goes straight, where the motion shows it: servos are trimmed.
+        values: finite recorded values.
+        named: whether unit or name indicate pulses.
+        straight: value straight ahead according to the motion, as servos are trimmed.
     """
     around = _usual_middle(values, named=named)
     if around is None or straight is None:
@@ -173,9 +173,9 @@ def steering_middle(
 
 
 def _usual_middle(values: Float[np.ndarray, " n"], *, named: bool) -> tuple[float, float, str] | None:
-    """The same by the numbers alone."""
+    """Return the same from the values alone."""
     low, high = (float(end) for end in np.percentile(values, (0.5, 99.5)))
-    if low == high:  # a steering that is never turned shows no full lock
+    if low == high:  # a constant steering shows no full lock
         return None
     seen = f"{low:.4g}..{high:.4g} seen"
     if are_pulses(values, named=named):
@@ -195,7 +195,7 @@ def _usual_middle(values: Float[np.ndarray, " n"], *, named: bool) -> tuple[floa
 
 
 def pulse_at_rest(values: Float[np.ndarray, " n"]) -> float:
-    """The pulse of a speed controller that is released [us]: the middle one, or the least where it is more often."""
+    """Return the released pulse of a speed controller [us]: the centre, or the minimum if it is more frequent."""
     near = float(np.mean(np.abs(values - _MIDDLE_PULSE) <= 0.05 * (FULL_PULSE - _MIDDLE_PULSE)))
     begins = float(np.percentile(values, 1)) <= _BEGINS and float(np.mean(values <= _BEGINS)) > near
     return _LEAST_PULSE if begins else _MIDDLE_PULSE

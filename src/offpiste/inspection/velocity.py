@@ -19,37 +19,37 @@ from offpiste.rig.edits import Edit, rescaled, rounded
 from offpiste.rig.rig import Rig
 
 _FITS = 0.2
-"""A frame fits if the RMS difference to the pose's derivative is below this share of the RMS speed."""
+"""Maximum RMS difference to the pose's derivative of a matching frame, as a share of the RMS speed."""
 _FOLLOWS = 0.6
-"""A yaw rate follows the pose's if the RMS difference is below this share of its RMS."""
+"""Maximum RMS difference to the pose's yaw rate, as a share of its RMS."""
 _LATE: Final = 0.12
-"""Delays from here on are reported [s]."""
+"""Minimum delay that is reported [s]."""
 _BIASED: Final = 0.02
-"""Rate without turning that gyroscopes may have [rad/s]."""
+"""Maximum gyroscope bias [rad/s]."""
 _SAME: Final = (0.85, 1.18)
-"""Gains at which a channel is in its unit ..."""
+"""Range of gains of a channel in the correct unit."""
 _SAME_VELOCITY: Final = (0.92, 1.09)
-"""... and a velocity, which states what the pose's derivative is."""
+"""Range of gains of a velocity in the correct unit."""
 _SIDEWAYS: Final = 0.5
-"""Correlation of two velocities to the side from which they are one; of 90 healthy logs none has less than 0.86."""
+"""Minimum correlation of identical lateral velocities; 90 fault-free logs are above 0.86."""
 _OTHER_BODY: Final = {"z up": "body down", "body down": "z up", "ned": "world down", "world down": "ned"}
-"""Axes of the same world and a body whose z axis points the other way."""
+"""Axes with the same world frame and the opposite direction of the body's z axis."""
 _ROLLING: Final = (0.6, 1.8)
-"""Speed of wheels over the vehicle's, slip and worn tyres included."""
+"""Range of wheel speed / vehicle speed, including slip and worn tyres."""
 _PROPORTIONAL: Final = 0.03
-"""Misfit of wheels up to which they roll, so that a gain is that of a unit or a radius ..."""
+"""Maximum misfit of rolling wheels, so that the gain is that of a unit or radius."""
 _ONE_UNIT: Final = 0.01
-"""... and what such a gain may be off that of a unit, over it ..."""
+"""Maximum relative deviation of such a gain from that of a unit."""
 _TYRES: Final = 0.3
-"""... and off 1 where tyres of another size may be the cause."""
+"""Maximum deviation of such a gain from 1 that another tyre size may cause."""
 _COUNTED: Final = 0.02
-"""A gain this near to a power of ten is one, as of cm/s or mm/s."""
+"""Maximum relative deviation of a gain from a power of ten, as for cm/s or mm/s."""
 _UNITS = {"km/h": 3.6, "mph": 2.23694, "kn": 1.94384}
 _RATE_UNITS = {"deg/s": 180 / np.pi, "rev/min": 60 / (2 * np.pi)}
 
 
 def fit_frames(drive: Drive, path: DrivenPath) -> dict[str, FrameFit]:
-    """Fits of channel `linear_velocity` by frame, "world" and "body"; empty where too little moves."""
+    """Fit the channel `linear_velocity` in the frames "world" and "body"; empty if the motion is insufficient."""
     if path.driving < 3:
         return {}
     recorded = on_path(path, drive.channels["linear_velocity"])
@@ -61,14 +61,14 @@ def fit_frames(drive: Drive, path: DrivenPath) -> dict[str, FrameFit]:
 
 
 def _read_in(frame: str, velocity: Float[np.ndarray, "n k"], rig: Rig) -> Float[np.ndarray, "n k"]:
-    """A velocity with z up as it were if its frame were this one, where the rig says another or none."""
+    """Return the velocity with z up, read in `frame` instead of the frame in the rig."""
     source, name = rig.channels["linear_velocity"], "linear_velocity"
-    recorded = to_z_up(name, source, velocity, rig.motion.axes)  # half a turn undoes itself
+    recorded = to_z_up(name, source, velocity, rig.motion.axes)  # half a turn is its own inverse
     return to_z_up(name, structs.replace(source, frame=frame), recorded, rig.motion.axes)
 
 
 def check_linear_velocity(drive: Drive, path: DrivenPath) -> list[Finding]:
-    """Frame, unit, sign and delay of the recorded velocity."""
+    """Check frame, unit, sign and delay of the recorded velocity."""
     name, source = "linear_velocity", drive.rig.channels["linear_velocity"]
     if path.driving >= 3 and not drive.channels[name].values[:, :2].any():
         return [_zero(name)]
@@ -101,21 +101,21 @@ def check_linear_velocity(drive: Drive, path: DrivenPath) -> list[Finding]:
         what = f"is in the {best.frame} frame, not the {stated.frame}'s"
         findings.append(Finding("warning", name, what, evidence, str(frame), 1.0, ((frame,),)))
     if stated is None:
-        return findings  # what is not used does no harm
+        return findings  # an unused velocity is harmless
     fit = best if findings else stated
     findings += _gain(name, fit, drive.rig, "m/s", _UNITS, _SAME_VELOCITY) + _delay(name, fit, source)
     return findings or mirrored
 
 
 def _fits_north_east(drive: Drive, path: DrivenPath) -> bool:
-    """Whether the velocity fits the pose's derivative in the world with its first two fields exchanged."""
+    """Return whether the velocity fits the world frame with its first two fields swapped."""
     recorded = _read_in("world", on_path(path, drive.channels["linear_velocity"]), drive.rig)
     fit = fit_delayed("world", recorded[:, 1::-1], path.velocity)
     return fit is not None and fit.misfit < _FITS and fit.gain > 0
 
 
 def _sideways(drive: Drive, path: DrivenPath) -> list[Finding]:
-    """A finding if a body's velocity to the side goes the other way than the pose: it is positive to the right."""
+    """Return a finding if the lateral body velocity is opposite to the pose's, i.e. positive to the right."""
     recorded = levelled(drive, path, on_path(path, drive.channels["linear_velocity"]))
     aside = planar_body_from_world(path.velocity, path.yaw)[:, 1]
     fit = fit_lags(aside, np.ones((len(aside), 1)), recorded[None, :, 1], np.zeros(1), moving_rows(path))
@@ -129,12 +129,12 @@ def _sideways(drive: Drive, path: DrivenPath) -> list[Finding]:
 
 
 def turn_rate_name(drive: Drive) -> str:
-    """The channel that holds the yaw rate."""
+    """Return the name of the channel that contains the yaw rate."""
     return "yaw_rate" if "yaw_rate" in drive.channels else "angular_velocity"
 
 
 def fit_turn_rate(drive: Drive, path: DrivenPath) -> FrameFit | None:
-    """Fit of the recorded yaw rate by the heading's derivative; None where there is none, or too little turns."""
+    """Fit the recorded yaw rate to the heading's derivative; None without a recorded yaw rate or enough turns."""
     name = turn_rate_name(drive)
     if name not in drive.channels or np.nanstd(path.yaw_rate) < TURNING:
         return None
@@ -142,7 +142,7 @@ def fit_turn_rate(drive: Drive, path: DrivenPath) -> FrameFit | None:
 
 
 def fit_wheel_speed(drive: Drive, path: DrivenPath) -> FrameFit | None:
-    """Fit of the wheels' speed by the path's; None where there is none, or too little moves."""
+    """Fit the wheel speed to the path's speed; None without wheel speeds or enough motion."""
     if "wheel_speed" not in drive.channels or path.driving < 3:
         return None
     recorded = on_path(path, drive.channels["wheel_speed"]).mean(axis=1)
@@ -150,7 +150,7 @@ def fit_wheel_speed(drive: Drive, path: DrivenPath) -> FrameFit | None:
 
 
 def check_wheel_speed(drive: Drive, path: DrivenPath) -> list[Finding]:
-    """Unit of the wheels' speed, which spinning and locking change by less than most units do."""
+    """Check the unit of the wheel speed; wheel slip changes it less than most units do."""
     fit = fit_wheel_speed(drive, path)
     if fit is None or fit.misfit > _FOLLOWS:
         return []
@@ -158,7 +158,7 @@ def check_wheel_speed(drive: Drive, path: DrivenPath) -> list[Finding]:
         return found
     if _ROLLING[0] < abs(fit.gain) < _ROLLING[1]:
         return []
-    # At a nearly constant speed what varies is slip, which has a gain of its own.
+    # At a nearly constant speed, slip dominates the variation and has another gain.
     recorded = on_path(path, drive.channels["wheel_speed"]).mean(axis=1)
     known = np.isfinite(recorded) & np.isfinite(path.forward)
     level = float(recorded[known] @ path.forward[known]) / max(float(path.forward[known] @ path.forward[known]), 1e-9)
@@ -168,7 +168,7 @@ def check_wheel_speed(drive: Drive, path: DrivenPath) -> list[Finding]:
 
 
 def _other_speed_unit(fit: FrameFit, source: ChannelSource) -> list[Finding]:
-    """A finding if wheels of a stated unit are in another one; a note where tyres may be as far off."""
+    """Return a finding if wheel speeds are in another unit than stated; a note if tyre size may explain it."""
     name, stated = "wheel_speed", unit_factor("wheel_speed", source.unit) * source.scale
     evidence = f"it is {fit.gain:.4g} ± {fit.gain_sigma:.1g} times the pose's speed, and follows it to {fit.misfit:.1%}"
     here = [unit for unit, each in _UNITS.items() if abs(stated * each - 1) < _ONE_UNIT]
@@ -191,7 +191,7 @@ def _other_speed_unit(fit: FrameFit, source: ChannelSource) -> list[Finding]:
 
 
 def check_turn_rate(drive: Drive, path: DrivenPath) -> list[Finding]:
-    """Unit, sign and delay of `yaw_rate`, or of the z component of `angular_velocity`."""
+    """Check unit, sign and delay of `yaw_rate`, or of the z component of `angular_velocity`."""
     name = turn_rate_name(drive)
     if name not in drive.channels or np.nanstd(path.yaw_rate) < TURNING:
         return []
@@ -210,7 +210,7 @@ def check_turn_rate(drive: Drive, path: DrivenPath) -> list[Finding]:
 
 
 def _bias(recorded: Float[np.ndarray, " n"], path: DrivenPath, rig: Rig) -> list[Finding]:
-    """A finding if the yaw rate is surely not zero where the vehicle does not turn."""
+    """Return a finding if the yaw rate has a significant bias."""
     one, everywhere = np.ones((1, len(recorded))), np.ones(len(recorded), bool)
     fit = fit_lags(recorded, path.yaw_rate[:, None], one, np.zeros(1), everywhere)
     if fit is None or abs(fit.gain[0]) < _BIASED + SURE * fit.gain_sigma(0):
@@ -254,7 +254,7 @@ def _gain(
     size = power if abs(size / power - 1) < _COUNTED else size
     if same[0] - SURE * fit.gain_sigma < size < same[1] + SURE * fit.gain_sigma:
         return findings
-    # A unit that is stated and should not be is as likely as one that should be and is not; joints turn in rad/s.
+    # A superfluous unit is as likely as a missing one; joints turn in rad/s.
     named = {u: f for u, f in units.items() if abs(size / f - 1) < 0.1 and not (source.unit or source.joints)}
     plain = source.unit in units and abs(size * units[source.unit] - 1) < 0.1
     value = min(named) if named else unit
@@ -269,7 +269,7 @@ def _gain(
 
 
 def _other_unit_of_places(size: float, rig: Rig) -> Iterator[tuple[Edit, ...]]:
-    """Units in which positions fit a velocity of `size` times their derivative: they may be what is wrong."""
+    """Yield units of positions that explain a velocity of `size` times their derivative."""
     source = rig.channels["position"]
     for unit in ("ft", "cm", "mm"):
         if not source.unit and abs(size / unit_factor("position", unit) - 1) < 0.1:
