@@ -57,7 +57,7 @@ def check_controls(
 
 
 def check_control_channels(drive: Drive, path: DrivenPath) -> list[Finding]:
-    """Return a finding if the drive has no control channel; this check needs no motion."""
+    """Return a finding if there is no control channel; it needs no motion, so no fix of the pose seems to cause it."""
     return [] if _present(drive) else [_no_controls([], path)]
 
 

@@ -28,7 +28,8 @@ _FASTEST: Final = 120.0
 _HARDEST: Final = 25.0
 """Maximum plausible 95th percentile of the acceleration over half a second [m/s^2]."""
 _BESIDE: Final = (0.4, 1.0)
-"""Lengths of the segments before and after an instant whose velocities are compared [s]."""
+"""Lengths of the segments before and after an instant whose velocities are compared [s]; driving changes the
+velocity little over the short ones, and a brief jump little over the long ones."""
 _BETWEEN: Final = (0.2, 0.4)
 """Lengths of the gaps between these segments [s]."""
 _OTHERS: Final = 3.0

@@ -25,9 +25,9 @@ _APART = 0.5
 """Minimum difference in delay between header and arrival that indicates another clock [s]."""
 _SORT: Final = Edit("clock.sort", True)
 _REPEATED: Final = 0.05
-"""Share of repeated stamps above which they are a warning."""
+"""Share of repeated stamps above which the finding is a warning."""
 _GAPS: Final = 0.02
-"""Share of time in gaps above which they are a warning."""
+"""Share of time in gaps above which the finding is a warning."""
 _DISORDER: Final = 0.2
 """Share of backward steps above which a log is unordered."""
 _SHUFFLED: Final = 0.002

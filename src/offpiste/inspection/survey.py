@@ -85,6 +85,6 @@ def _words(findings: Sequence[dict[str, Any]]) -> str:
 
 
 def _inspect(job: Job, report: Report) -> dict[str, Any]:
-    with redirect_stderr(io.StringIO()), brought(job.log) as path:  # suppresses the workers' progress bars
+    with redirect_stderr(io.StringIO()), brought(job.log) as path:  # suppress progress bars of the worker
         log = open_log(path, clock=job.rig.clock if job.rig else None)
         return replace(inspect_log(log, job.rig, sensors=True), log=job.log).as_dict()
