@@ -64,7 +64,12 @@ WHOLE_PATHS = (
 
 SLOW = (
     "dynamics/kernels/test_rollout.py::test_kernels_stay_inside_their_arrays",
+    "demo/test_whole_path.py", "dynamics/header/test_cuda.py::test_kernels_keep_a_step_in_registers[sm_8",
     "documentation/test_tutorials.py::test_a_tutorial_runs_as_it_stands[log-to-model]",
+    "documentation/test_tutorials.py::test_a_tutorial_runs_as_it_stands[predict]",
+    "experiments/test_pretrained_models.py",
+    "golden/test_golden.py::test_golden[findings]", "inspection/test_sensors.py::test_kitti",
+    "planning/test_kernel.py::test_it_never_reads_out_of_bounds", "reproduction/test_data.py::test_portions",
     "experiments/illnesses/", "experiments/closed_loop_table/", "experiments/control_experiments/",
     "experiments/probe/",
     "experiments/test_unseen_kinds.py",
@@ -73,7 +78,7 @@ SLOW = (
     "live/test_record.py::test_a_recording_in_several", "transport/test_zenoh.py::test_a_router_outlives",
     "reproduction/test_reproduce.py", "runtime/test_compiled_and_loaded.py",
     "core/test_cluster.py::", "dataset/test_place.py::", "test_bombs.py::", "test_poison.py::",
-    "test_benchmarks.py::test_inspection", "test_benchmarks.py::test_the_pictures",
+    "test_benchmarks.py::test_inspection", "test_benchmarks.py::test_the_pictures", "test_benchmarks.py::test_training",
     "test_kill.py::test_a_killed_training_and_simulation", "core/test_object_store.py::test_a_bucket_that_is_not_there",
     "rig/test_sensors.py::test_the_proving_grounds_rig_masks", "training/test_distributed.py::test_on_two_hosts",
 )  # fmt: skip
