@@ -1,7 +1,7 @@
-"""How well a signal explains the motion at each lag: gain, sign and delay together, with their uncertainties.
+"""Lagged regression of the motion on a signal: gain, sign and delay, with their uncertainties.
 
-A vehicle follows its controls: motion up to half a second after steering is a response, motion before it is a wrong
-stamp. Uncertainties are those of a jackknife over blocks of driving, since neighbouring samples are not independent.
+A vehicle follows its controls: motion up to half a second after steering is a response, motion before it indicates a
+wrong stamp. Uncertainties are from a jackknife over blocks, since neighbouring samples are not independent.
 """
 
 from dataclasses import dataclass
@@ -18,30 +18,30 @@ from offpiste.rig.edits import Edit
 from offpiste.rig.rig import Rig
 
 LAGS: Final = np.arange(-1.5, 1.51, 0.05)
-"""Lags of the motion behind a control that are tried [s]."""
+"""Candidate lags of the motion behind a control [s]."""
 _BLOCK: Final = 5.0
 """Length of a block [s]."""
 _CLEARER: Final = 0.03
-"""A lag outside of the vehicle's own must explain this much more of the variance than the best one inside."""
+"""Minimum gain in explained variance of an implausible lag over the best plausible one."""
 _LATE_CLEARER, _LATE_GAIN = 0.2, 0.1
-"""Correlation that must be added, and variance that must be explained, where the motion comes late."""
+"""Minimum gain in correlation and minimum explained variance for a late motion."""
 _OUTSIDE: Final = 0.05
-"""How far a lag must be beyond the vehicle's own [s]: the step of those tried; poses are as late as that, too."""
+"""Minimum distance of a reported lag from the plausible ones [s]: one grid step, and the usual delay of poses."""
 SURE: Final = 3.0
-"""Standard deviations at which a difference is sure."""
+"""Significance threshold in standard deviations."""
 _OUTLIER: Final = 4.0
-"""Rows whose residual exceeds this many times its scale weigh less."""
+"""Ratio of residual to scale above which a row is down-weighted."""
 
 
 @dataclass(frozen=True)
 class LagFit:
-    """Least squares `target = base + gain * source(t - lag)` for each lag.
+    """Least-squares fit `target = base + gain * source(t - lag)` for each lag.
 
     Attributes:
-        lags: tried lags [s]; positive: the target follows the source.
+        lags: candidate lags [s]; positive: the target follows the source.
         r: partial correlation at each lag, with the sign of the gain.
         gain: at each lag.
-        count: rows that were used.
+        count: number of rows used.
         left_out: `r` with one block of rows left out at a time.
         gain_left_out: `gain` likewise.
     """
@@ -54,18 +54,18 @@ class LagFit:
     gain_left_out: Float[np.ndarray, "B L"]
 
     def best(self, low: float = -np.inf, high: float = np.inf, *, sign: int = 0) -> int:
-        """Index of the lag within [low, high] that explains most, with a gain of this sign if it is not 0."""
+        """Return the index of the best lag within [low, high], with a gain of this sign if it is not 0."""
         score = np.abs(self.r) if sign == 0 else sign * self.r
         score = np.where((self.lags >= low - 1e-9) & (self.lags <= high + 1e-9), score, -np.inf)
         return int(score.argmax())
 
     @property
     def strength(self) -> float:
-        """Largest correlation at any lag, of either sign."""
+        """Return the largest absolute correlation over all lags."""
         return float(np.abs(self.r).max())
 
     def delay(self, index: int) -> tuple[float, float]:
-        """The lag of the best explanation near an index, between the tried lags, and its standard deviation [s]."""
+        """Return the interpolated lag of the peak near an index, and its standard deviation [s]."""
         sign = np.sign(self.r[index])
         lag = _peak(self.lags, sign * self.r, index)
         near = slice(max(index - 6, 0), index + 7)
@@ -73,11 +73,11 @@ class LagFit:
         return lag, jackknife(np.array(tops))
 
     def r_sigma(self, index: int) -> float:
-        """Standard deviation of the correlation at an index."""
+        """Return the standard deviation of the correlation at an index."""
         return jackknife(self.left_out[:, index])
 
     def gained(self, index: int, other: int) -> tuple[float, float]:
-        """How much more of the variance one lag explains than another, by the same sign, and its standard deviation."""
+        """Return the gain in explained variance over another lag, for equal signs, and its standard deviation."""
         sign = np.sign(self.r[index])
 
         def more(r: np.ndarray) -> np.ndarray:
@@ -86,12 +86,12 @@ class LagFit:
         return float(more(self.r)), jackknife(more(self.left_out))
 
     def gain_sigma(self, index: int) -> float:
-        """Standard deviation of the gain at an index."""
+        """Return the standard deviation of the gain at an index."""
         return jackknife(self.gain_left_out[:, index])
 
 
 def jackknife(left_out: Float[np.ndarray, " B"]) -> float:
-    """Standard deviation of an estimate from its values without one block each (Quenouille 1956); inf for one block."""
+    """Return the jackknife standard deviation of leave-one-block-out estimates (Quenouille 1956); inf for one block."""
     count = len(left_out)
     return float(np.sqrt((count - 1) * np.var(left_out))) if count > 1 else np.inf
 
@@ -108,12 +108,12 @@ def fit_lags(
     """Fit `target` by `base` and one row of `lagged` at a time (partial regression, Frisch and Waugh 1933).
 
     Args:
-        lagged: the source at `t - lag`, one row a lag; NaN where unknown.
-        rows: which to use; those with a NaN anywhere are left out as well, so that all lags see the same rows.
+        lagged: the source at `t - lag`, one row per lag; NaN if unknown.
+        rows: rows to use; rows with any NaN are dropped, so that all lags use the same rows.
         step: time between rows [s].
 
     Returns:
-        None where too few rows remain or nothing varies.
+        None with too few rows or constant signals.
     """
     use = rows & np.isfinite(target) & np.isfinite(base).all(axis=1) & np.isfinite(lagged).all(axis=0)
     if use.sum() < 40:
@@ -121,7 +121,7 @@ def fit_lags(
     y, known, columns = target[use], base[use], np.flatnonzero(use)
     starts = np.flatnonzero(np.diff(columns // round(_BLOCK / step), prepend=-1))
     weight = np.ones(len(y))
-    # Glitches must not decide: rows far off the best explanation weigh less, in two steps.
+    # Robust to glitches: rows with large residuals are down-weighted in two steps.
     for last in (False, False, True):
         sums = _Sums.of(known, lagged, y, weight, columns, starts)
         r, gain, varies = sums.whole().solve()
@@ -139,7 +139,7 @@ def fit_lags(
 
 @dataclass(frozen=True)
 class _Sums:
-    """Sums of products, of blocks or of all of them: base with itself and the target, each lag with all of them."""
+    """Sums of products per block or in total: base with itself and the target, each lag with both."""
 
     base: Float[np.ndarray, "*B b b"]
     target: Float[np.ndarray, "*B b"]
@@ -158,9 +158,9 @@ class _Sums:
         columns: Int[np.ndarray, " n"],
         starts: Int[np.ndarray, " B"],
     ) -> "_Sums":
-        """Sums of each block; `columns` are those of `lagged` that are used, `starts` the first one of each block."""
+        """Return the sums per block; `columns` selects columns of `lagged`, `starts` are the blocks' first rows."""
         sums = []
-        # Block by block: all at once would be most of the memory that a long log takes.
+        # Block by block, to limit memory on long logs.
         for block in (slice(*ends) for ends in pairwise((*starts, len(y)))):
             part, weighed = lagged[:, columns[block]], base[block] * weight[block, None]
             target = weight[block] * y[block]
@@ -170,15 +170,15 @@ class _Sums:
         return cls(*(np.stack(each) for each in zip(*sums, strict=True)))
 
     def whole(self) -> "_Sums":
-        """Sums of all blocks."""
+        """Return the sums over all blocks."""
         return _Sums(*(np.asarray(part.sum(axis=0)) for part in vars(self).values()))
 
     def without_each(self) -> "_Sums":
-        """Leave-one-out sums: for each block, the sum of all others."""
+        """Return leave-one-out sums: for each block, the sum of all others."""
         return _Sums(*map(_without_each, vars(self).values()))
 
     def solve(self) -> tuple[Float[np.ndarray, "*B L"], Float[np.ndarray, "*B L"], Bool[np.ndarray, "*B"]]:
-        """Partial correlation and gain at each lag, and whether anything varies; elsewhere they say nothing."""
+        """Return partial correlation and gain at each lag, and a mask of solvable cases; other values are undefined."""
         inverse = np.linalg.pinv(self.base)
         projected = self.crossed @ inverse
         product = self.product - np.einsum("...Lb,...b->...L", projected, self.target)
@@ -190,7 +190,7 @@ class _Sums:
 
 
 def _without_each(part: Float[np.ndarray, "B ..."]) -> Float[np.ndarray, "B ..."]:
-    """Sums over all but one, for each; a difference from the sum of all would leave its rounding where all are zero."""
+    """Return leave-one-out sums; subtraction from the total would leave rounding errors in place of zeros."""
     none = np.zeros_like(part[:1])
     before = np.concatenate((none, part[:-1].cumsum(axis=0)))
     return before + np.concatenate((part[:0:-1].cumsum(axis=0)[::-1], none))
@@ -204,7 +204,7 @@ def _residual(base: np.ndarray, x: np.ndarray, y: np.ndarray, weight: np.ndarray
 
 
 def _peak(lags: Float[np.ndarray, " L"], score: Float[np.ndarray, " L"], index: int) -> float:
-    """The lag of a maximum between the tried ones, by a parabola through its neighbours."""
+    """Return the lag of a maximum, refined by a parabola through its neighbours."""
     if not 0 < index < len(lags) - 1:
         return float(lags[index])
     before, at, after = score[index - 1 : index + 2]
@@ -214,12 +214,12 @@ def _peak(lags: Float[np.ndarray, " L"], score: Float[np.ndarray, " L"], index: 
 
 
 def lagged(channel: Channel, time: Float[np.ndarray, " n"], rig: Rig) -> Float[np.ndarray, "L n"]:
-    """A control at `time - lag` for each of `LAGS`, as the rig interpolates it; NaN in gaps."""
+    """Return a control at `time - lag` for each of `LAGS`, interpolated as in the rig; NaN in gaps."""
     return np.stack([sampled(channel, time - lag, rig) for lag in LAGS])
 
 
 def sampled(channel: Channel, at: Float[np.ndarray, " n"], rig: Rig) -> Float[np.ndarray, " n"]:
-    """A control at some times, as the rig interpolates it; NaN in gaps."""
+    """Return a control at some times, interpolated as in the rig; NaN in gaps."""
     read = channel.hold if rig.channels[channel.name].holds else channel.linear
     return read(at, max_gap=max(rig.clock.max_gap, 1.0))[:, 0]
 
@@ -227,18 +227,18 @@ def sampled(channel: Channel, at: Float[np.ndarray, " n"], rig: Rig) -> Float[np
 def check_delay(
     name: str, fit: LagFit, own: tuple[float, float], rig: Rig, *, usual: float, clear: float, sign: int = 0
 ) -> list[Finding]:
-    """A finding if the motion comes earlier or later than the vehicle's own response.
+    """Return a finding if the motion is earlier or later than the vehicle's own response.
 
     Args:
-        own: delays of the motion that are the vehicle's own [s].
-        usual: one of them, that a remedy leaves [s].
-        clear: correlation above which a delay is clear.
-        sign: of the right effect; 0: either.
+        own: plausible response delays [s].
+        usual: the response delay that a remedy leaves [s].
+        clear: minimum correlation for a reliable delay.
+        sign: expected sign of the effect; 0: either.
     """
     best, inside = fit.best(sign=sign), fit.best(*own, sign=sign)
     gained, gained_sigma = fit.gained(best, inside)
-    # A best lag at the end of those tried is no maximum: slow signals fit anywhere.
-    # Drifts and spinning wheels answer late by themselves, weakly; motion before its cause has no such excuse.
+    # A best lag at an end of the range is no maximum: slow signals fit anywhere.
+    # Drifts and spinning wheels may cause weak late responses; motion before its cause has no such explanation.
     late = fit.lags[best] > own[1]
     if abs(fit.r[best]) < (clear + _LATE_CLEARER if late else clear) or gained < (_LATE_GAIN if late else _CLEARER):
         return []
@@ -259,10 +259,10 @@ def check_delay(
 def delay_cures(
     name: str, lag: float, own: tuple[float, float], rig: Rig, *, usual: float
 ) -> tuple[tuple[Edit, ...], ...]:
-    """Delays of a channel after which the motion follows it as usual: none at all first, if the rig's is what is wrong.
+    """Return candidate delays that restore the usual response, first no delay if the rig's own delay is the fault.
 
     Args:
-        lag: of the motion behind it now [s].
+        lag: present lag of the motion behind the channel [s].
         own, usual: as in `check_delay`.
     """
     stated = rig.channels[name].delay

@@ -1,8 +1,8 @@
-"""Poses that are stamped wrong: the one delay that explains most of the times by which all else is apart from them.
+"""Check for incorrectly stamped poses: the common delay that best explains all measured time differences.
 
-A late pose looks like a yaw rate, a velocity and a steering that are all early. Every measured time between two
-channels is compared with what healthy vehicles have, once as stamped and once with the heading, the position or both
-late by some time. Each other sensor may be wrong by itself, too, at a cost: its differences count no more than that.
+A late pose makes yaw rate, velocity and steering appear early. Each measured delay between two channels is compared
+with usual values, as stamped and with the heading, the position or both delayed. Any other sensor may also be wrong,
+at a fixed cost that limits its contribution.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -23,49 +23,49 @@ from offpiste.rig.edits import Edit
 from offpiste.rig.labels import is_measured_steering
 
 _LATE: Final = 0.12
-"""Delays from here on are reported [s]."""
+"""Minimum reported delay [s]."""
 _ONE_MORE: Final = 9.0
-"""Cost of one thing that is wrong: a difference of three standard deviations."""
+"""Cost of one faulty sensor: a difference of three standard deviations."""
 _TRIED: Final = np.arange(-1.6, 1.61, 0.01)
-"""Delays that are tried [s]."""
+"""Candidate delays [s]."""
 _SENSOR: Final = (0.0, 0.03)
-"""Time by which one sensor is behind another of the same motion, and its spread among healthy logs [s]."""
+"""Usual delay between two sensors of the same motion, and its standard deviation [s]."""
 _FOLLOWS: Final = 0.4
-"""RMS difference to the pose's derivative over its RMS, below which a sensor shows the same motion."""
+"""Maximum RMS difference to the pose's derivative over its RMS for a sensor of the same motion."""
 _SPINNING: Final = (-0.1, 0.2)
-"""The same of wheels that spin before the vehicle moves."""
+"""Usual delay and standard deviation for wheels that spin up before the vehicle moves [s]."""
 _ROLLING: Final = 0.06
-"""Spread of wheels that roll [s]."""
+"""Standard deviation for rolling wheels [s]."""
 _ALL_SPIN: Final = 0.2
-"""Misfit of the wheels' speed from which they count as spinning."""
+"""Misfit of the wheel speed above which the wheels count as spinning."""
 _PEDAL: Final = (0.1, 0.15)
 _STEERING: Final = {"steer": (0.12, 0.07), "steer_angle": (0.0, 0.07)}
-"""The same of the motion behind its controls."""
+"""Usual delay of the motion behind its controls, and its standard deviation [s]."""
 _POSE: Final = ("position", "orientation", "yaw")
 _SENSORS: Final = {"steer": "steering", "steer_angle": "steering", "throttle": "pedals", "brake": "pedals"}
-"""Channels of a topic that are late together."""
+"""Groups of channels delayed together."""
 _SLOW: Final = 0.4
-"""Delay of the pose behind its controls that a slow vehicle may have [s]: a tractor, one with much load."""
+"""Maximum delay of the pose behind its controls for a slow vehicle, such as a tractor or a loaded one [s]."""
 _CLEAR: Final = 0.5
-"""Correlation above which a pedal shows a delay, of its own effect."""
+"""Minimum correlation for a pedal to determine a delay."""
 _SLIP: Final = (-0.025, 0.012, 0.06)
-"""Time by which the heading is behind the course, over the speed, its spread [s^2/m], and the spread of the rest [s]:
-a rear axle slips in proportion to its lateral acceleration, at 1 rad for some 40 m/s^2."""
+"""Delay of the heading behind the course over the speed, its standard deviation [s^2/m], and that of the remainder [s]:
+a rear axle slips in proportion to its lateral acceleration, by 1 rad at about 40 m/s^2."""
 _COURSE: Final = 0.03
-"""Lateral velocity over speed times yaw rate, both RMS, below which the heading is the course, as a GPS says it [s]."""
+"""Maximum RMS lateral velocity over RMS speed times yaw rate for a heading from the course, e.g. by GNSS [s]."""
 _FAR: Final = 0.4
-"""Delay of the heading's turning behind the course's that no slip makes, where they follow each other [s]: of 40
-healthy drives none has more than 0.27, drifts included."""
+"""Minimum delay of the heading's turning behind the course's that slip cannot explain [s]: the maximum of 40 sound
+drives is 0.27, drifts included."""
 _SIDEWAYS: Final = 0.35
-"""Lateral speed over forward speed beyond which a vehicle drifts."""
+"""Ratio of lateral to forward speed above which a vehicle drifts."""
 
 
 @dataclass(frozen=True)
 class Interval:
-    """A measured time by which one channel is behind another [s].
+    """Measured delay of one channel behind another [s].
 
     Attributes:
-        usual, spread: mean and standard deviation of what healthy logs show, uncertainty of the measurement included.
+        usual, spread: mean and standard deviation in sound logs, including measurement uncertainty.
     """
 
     behind: str
@@ -75,7 +75,7 @@ class Interval:
     spread: float
 
     def cost(self, late: frozenset[str], by: np.ndarray) -> np.ndarray:
-        """Squared difference from what is usual, in standard deviations, if some channels are late by these times."""
+        """Return the squared deviation from the usual delay, in sigmas, with some channels late by these times."""
         moved = by * (int(self.behind in late) - int(self.other in late))
         return np.asarray(((self.time - self.usual - moved) / self.spread) ** 2)
 
@@ -83,7 +83,7 @@ class Interval:
 def check_late_poses(
     drive: Drive, path: DrivenPath, steering: Mapping[str, SteeringFit], pedals: Mapping[str, LagFit]
 ) -> list[Finding]:
-    """A finding if the pose's stamps explain more than those of all other channels do."""
+    """Return a finding if a pose delay explains the measurements better than delays of all other channels."""
     measured = [*_intervals(drive, path, steering, pedals)]
     found, least, delay = None, float(_costs(measured, (), np.zeros(1), drive)[0]) - _ONE_MORE - 1, 0.0
     for late in _hypotheses(drive):
@@ -102,7 +102,7 @@ def check_late_poses(
 
 
 def _beside_controls(measured: Sequence[Interval], late: Sequence[str], by: float, drive: Drive) -> bool:
-    """Whether a delay explains enough also if all that controls show may be a vehicle that answers slowly."""
+    """Return True if a delay still explains enough when all control delays may be due to a slow vehicle."""
     before = _costs(measured, (), np.zeros(1), drive, slow=True)[0]
     after = _costs(measured, late, np.full(1, by), drive, slow=True)[0]
     return bool(after < before - _ONE_MORE - 1)
@@ -111,10 +111,10 @@ def _beside_controls(measured: Sequence[Interval], late: Sequence[str], by: floa
 def _costs(
     measured: Sequence[Interval], late: Sequence[str], by: np.ndarray, drive: Drive, *, slow: bool = False
 ) -> np.ndarray:
-    """Costs of all intervals if some channels are late; those of one sensor cost no more than that it is wrong.
+    """Return the total cost of all intervals for delayed channels; each sensor's cost is capped at that of a fault.
 
     Args:
-        slow: those of all controls cost no more than one thing, a vehicle that answers slowly.
+        slow: cap the cost of all controls at that of one fault, a slow vehicle.
     """
     sensors: dict[object, np.ndarray] = {}
     for one in measured:
@@ -130,7 +130,7 @@ def _wrong(interval: Interval) -> bool:
 
 
 def _hypotheses(drive: Drive) -> Iterator[tuple[str, ...]]:
-    """Channels that may be late together: the heading, the position, both, and with them what shares their topic."""
+    """Yield channels that may be late together: heading, position, both, or both with channels of their topic."""
     heading, channels = _heading(drive), drive.rig.channels
     topic = channels["position"].topic
     beside = [name for name in ("linear_velocity", "angular_velocity", "yaw_rate") if name in channels]
@@ -166,16 +166,16 @@ def _intervals(
             usual = _STEERING["steer_angle" if is_measured_steering(name, drive.rig) else "steer"]
             yield _interval(heading, name, *fit.dynamic.delay(fit.dynamic.best(sign=fit.sign)), usual)
     for name, pedal in pedals.items():
-        best = pedal.best(sign=EFFECTS[name])  # a driver who looks ahead lets go before it is slower
+        best = pedal.best(sign=EFFECTS[name])  # drivers may lift off in anticipation before the vehicle slows
         if EFFECTS[name] * pedal.r[best] > _CLEAR and 0 < best < len(pedal.lags) - 1:
             yield _interval("position", name, *pedal.delay(best), _PEDAL)
     yield from _behind_the_course(heading, path)
 
 
 def _of_wheels(misfit: float) -> tuple[float, float]:
-    """Time by which wheels are behind the vehicle, and its spread [s]: the better they fit, the less they spin.
+    """Return the usual delay of wheels behind the vehicle, and its standard deviation [s]: better fits have less spin.
 
-    Wheels that roll show almost as surely as a velocity whether the pose is on time.
+    Rolling wheels determine a pose delay almost as well as a velocity.
     """
     spin, (ahead, spread) = min(misfit / _ALL_SPIN, 1.0), _SPINNING
     return spin * ahead, float(np.hypot(_ROLLING, spin * spread))
@@ -186,7 +186,7 @@ def _interval(behind: str, other: str, time: float, sigma: float, usual: tuple[f
 
 
 def _behind_the_course(heading: str, path: DrivenPath) -> Iterator[Interval]:
-    """With the heading late by h, lateral velocity = x * rate + h * speed * rate, x forward of the rear axle."""
+    """Yield the heading's delay h from lateral velocity = x * rate + h * speed * rate, x forward of the rear axle."""
     far = _far_behind(path)
     if far is not None:
         yield _interval(heading, "position", *far, _SENSOR)
@@ -199,15 +199,15 @@ def _behind_the_course(heading: str, path: DrivenPath) -> Iterator[Interval]:
     if fit is not None:
         share, spread, rest = _SLIP
         if np.nanmean(lateral[rows] ** 2) < _COURSE**2 * np.nanmean(turning[rows] ** 2):
-            share = spread = 0.0  # no tyre slips against a heading that is the course
+            share = spread = 0.0  # no tyre slip in a heading derived from the course
         slip, scatter = share * path.cruise, float(np.hypot(spread * path.cruise, rest))
         yield _interval(heading, "position", float(fit.gain[0]), fit.gain_sigma(0), (slip, scatter))
 
 
 def _far_behind(path: DrivenPath) -> tuple[float, float] | None:
-    """Delay of the heading's turning behind the course's, and its uncertainty [s]; None where it is not surely large.
+    """Return the delay of the heading's turning behind the course's and its uncertainty [s]; None if not clearly large.
 
-    A heading that is late by much points anywhere: its angle to the course says no longer by how much.
+    For long delays, the angle between heading and course no longer measures the delay.
     """
     change = np.gradient(path.velocity, STEP, axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):

@@ -1,8 +1,7 @@
-"""Check of a LiDAR against the poses: two of its scans should show one world.
+"""Check of a LiDAR against the poses, by the consistency of scan pairs.
 
-Points of one scan are moved by the poses to the other's surroundings; their distances from the planes there
-(Chen and Medioni, 1992) depend on how the LiDAR is mounted, wherever the vehicle drives on or turns, and on its delay,
-wherever it turns or changes its speed.
+Points of one scan are transformed by the poses into another; their distances from its planes (Chen and Medioni, 1992)
+depend on the LiDAR's mounting while the vehicle moves or turns, and on its delay while it turns or changes speed.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,11 +17,11 @@ from offpiste.logs.measurements import Lidar
 from offpiste.logs.poses import Poses
 
 _SAMPLE: Final = 1500
-"""Points of a scan that are compared with planes of the other."""
+"""Number of points per scan compared with planes of the other."""
 _REACH: Final = 1.0
-"""Distance within which a plane is searched [m]: a few degrees at 20 m."""
+"""Search radius for a plane [m]: a few degrees at 20 m."""
 _FURTHEST: Final = 40.0
-"""Further away neighbours are too far from each other for planes [m]."""
+"""Maximum range; beyond it, points are too sparse for planes [m]."""
 _NEIGHBOURS: Final = 12
 
 
@@ -36,10 +35,10 @@ def check_lidar(
     start: Parameters | None = None,
     rounds: int = 6,
 ) -> Misfit | None:
-    """Estimate by how much a LiDAR's mounting and stamps are off; None with too few usable scans.
+    """Estimate the errors of a LiDAR's mounting and stamps; None with too few usable scans.
 
     Args:
-        prior, start, rounds: as for `fit_misfit`; with more than four entries the place is estimated, too.
+        prior, start, rounds: as for `fit_misfit`; more than four entries also estimate the position.
     """
     rng = np.random.default_rng(seed)
     chosen = [rng.permutation(len(scan.points))[:_SAMPLE] for scan in scans]
@@ -52,7 +51,7 @@ def check_lidar(
 
 
 def median_distance(lidar: Lidar, scans: Sequence[Scan], poses: Poses, *, seed: int = 0) -> float:
-    """Median distance of points from planes of the next scan, as they are mounted now [m]; NaN without pairs."""
+    """Return the median distance of points from the next scan's planes as mounted now [m]; NaN without pairs."""
     rng = np.random.default_rng(seed)
     couples = list(pairs([scan.time for scan in scans]))
     distances = []
@@ -64,7 +63,7 @@ def median_distance(lidar: Lidar, scans: Sequence[Scan], poses: Poses, *, seed: 
 
 
 def _compared(lidar: Lidar, one: Scan, other: Scan, chosen: np.ndarray, poses: Poses, parameters: Parameters) -> Pair:
-    """Distances of points of one scan from planes of the other, and how they change with the parameters."""
+    """Return distances of one scan's points from planes of another, and their Jacobian."""
     mounting = lidar.body_from_lidar
     there = other.in_world(mounting, poses, parameters)
     here = one.in_world(mounting, poses, parameters, chosen)
@@ -88,7 +87,7 @@ def _compared(lidar: Lidar, one: Scan, other: Scan, chosen: np.ndarray, poses: P
 
 
 def differentiated(residual: Callable[[Parameters], Float[np.ndarray, " n"]], parameters: Parameters) -> Pair:
-    """A residual [n] and its slopes by central differences; rows that are unknown anywhere are left out."""
+    """Return a residual [n] and its Jacobian by central differences; rows with unknown values are dropped."""
     steps = np.diag(STEPS[: len(parameters)])
     slopes = [(residual(parameters + s) - residual(parameters - s)) / (2 * s.sum()) for s in steps]
     value, slope = residual(parameters), np.stack(slopes, axis=1)
@@ -99,7 +98,7 @@ def differentiated(residual: Callable[[Parameters], Float[np.ndarray, " n"]], pa
 def planes(
     points: Float[np.ndarray, "n 3"], tree: cKDTree, at: Float[np.ndarray, "m 3"]
 ) -> tuple[Float[np.ndarray, "m 3"], Bool[np.ndarray, " m"]]:
-    """Unit normals of the neighbours of some places, and where these do lie in a plane and not along one ring."""
+    """Return unit normals of point neighbourhoods, and a mask of the planar ones that are not a single ring."""
     if len(points) < _NEIGHBOURS or not len(at):
         return np.zeros((len(at), 3)), np.zeros(len(at), dtype=bool)
     distance, index = tree.query(at, k=_NEIGHBOURS)

@@ -1,8 +1,8 @@
-"""Estimate of a LiDAR's mounting from a rough guess: the ground levels it, the driven path turns it, a fit refines it.
+"""Estimate of a LiDAR's mounting from a rough guess, by the ground plane, the driven path and a final fit.
 
-Roll and pitch: the ground around the vehicle is level in the body frame, on average over the drive. Yaw: scans taken
-some metres apart fall onto each other if, and only if, the mounting's heading fits the direction in which the poses
-move; the full circle is searched. From the best headings on, points are fitted to planes (`lidar.check_lidar`).
+Roll and pitch: the mean ground normal over the drive is vertical in the body frame. Yaw: scans taken some metres apart
+align only if the mounting's heading matches the direction of travel; the full circle is searched. From the best
+headings, a point-to-plane fit (`lidar.check_lidar`) refines the result.
 """
 
 from collections.abc import Sequence
@@ -21,46 +21,46 @@ from offpiste.logs.measurements import Lidar
 from offpiste.logs.poses import Poses
 
 GROUND: Final = np.deg2rad(1.0)
-"""Standard deviation of the ground's slope, seen from the body, from level: camber, load, springs [rad]."""
+"""Standard deviation of the ground slope in the body frame, due to camber, load and suspension [rad]."""
 _LEVEL: Final = np.cos(np.deg2rad(40.0))
-"""A plane that is steeper than this under the guess is not the ground."""
+"""Minimum vertical component of a ground normal under the guess."""
 _THICK: Final = 0.1
-"""Points this close to a plane belong to it [m]."""
+"""Inlier distance of a plane [m]."""
 _AROUND: Final = 15.0
-"""Distance within which the ground is taken for a plane [m]."""
+"""Radius within which the ground is assumed planar [m]."""
 _SHARE: Final = 0.25
-"""Share of the points around the vehicle that the ground has at least."""
+"""Minimum share of ground points around the vehicle."""
 _PLANES: Final = 200
-"""Planes that are tried in a scan."""
+"""Number of candidate planes per scan."""
 _PATH: Final = (2.0, 8.0)
-"""Distance driven between two scans that show the heading [m]."""
+"""Range of distances driven between two scans used for the heading [m]."""
 _COUPLES: Final = 8
-"""Pairs of scans that show the heading."""
+"""Number of scan pairs used for the heading."""
 _HEADINGS: Final = 72
-"""Headings that are tried, all around."""
+"""Number of candidate headings over the full circle."""
 _STARTS: Final = 3
-"""Most headings from which the fit starts."""
+"""Maximum number of headings from which the fit starts."""
 _DISTINCT: Final = 0.5
-"""Headings whose cost is above the least by this share of the way to the median are no candidates."""
+"""Maximum cost of a candidate heading, as a share of the way from the minimum to the median."""
 _TURNING: Final = np.deg2rad(3.0)
-"""Turn between the scans of a pair from which they show where the LiDAR is [rad]."""
+"""Minimum rotation between the scans of a pair that determines the LiDAR's position [rad]."""
 _HELD: Final = 0.1
-"""Share of its prior that roll keeps where the drive does not show it."""
+"""Share of its prior to which roll is held if the drive does not determine it."""
 _TRUNCATED: Final = 1.0
-"""Distances beyond this count as this [m]."""
+"""Truncation of distances [m]."""
 _PRIOR: Final = np.array([GROUND, GROUND, np.deg2rad(30.0), 0.1, 0.5, 0.5])
-"""Standard deviations of the fit's prior: roll and pitch about level, yaw, delay, place x and y [rad, s, m]."""
+"""Standard deviations of the fit's prior: roll and pitch about level, yaw, delay, position x and y [rad, s, m]."""
 
 
 @dataclass(frozen=True)
 class LidarMounting:
-    """A LiDAR's mounting as estimated.
+    """Estimated mounting of a LiDAR.
 
     Attributes:
-        body_from_lidar: z of its place is the guess's.
-        misfit: of the fit's last step: its sigma is that of roll, pitch, yaw [rad], delay [s], x and y [m].
-        runner_up: residual of the best other heading over that of the chosen one; infinite where there is none.
-        tilt: median angle between the scans' ground and its mean [rad]; NaN where no ground was found.
+        body_from_lidar: the z position is that of the guess.
+        misfit: of the last fit, with sigma of roll, pitch, yaw [rad], delay [s], x and y [m].
+        runner_up: ratio of the second-best heading's residual to the best; infinite if there is none.
+        tilt: median angle between the scans' ground normals and their mean [rad]; NaN without ground.
     """
 
     body_from_lidar: Float[np.ndarray, "4 4"]
@@ -70,11 +70,11 @@ class LidarMounting:
 
 
 def estimate_lidar(lidar: Lidar, scans: Sequence[Scan], poses: Poses, *, seed: int = 0) -> LidarMounting | str:
-    """Mounting of a LiDAR from a rough guess; or in words why the drive does not show it.
+    """Estimate a LiDAR's mounting from a rough guess; return the reason as text if the drive does not determine it.
 
     Args:
-        lidar: with the guess: its up should be right to some 30 degrees; its heading does not matter.
-        scans: without points of the vehicle itself, which the guess may not tell from others (`beyond`).
+        lidar: with the guess, whose vertical must be correct to about 30 degrees; its heading is ignored.
+        scans: without points of the vehicle itself, which the guess may not separate from others (`beyond`).
     """
     rng = np.random.default_rng(seed)
     normals = [n for scan in scans[:: max(1, len(scans) // 30)] if (n := ground(scan, lidar, rng)) is not None]
@@ -90,7 +90,7 @@ def estimate_lidar(lidar: Lidar, scans: Sequence[Scan], poses: Poses, *, seed: i
         return "too few of its points lie on planes that two scans share"
     (start, _), *others = results
     apart = [m.scale for s, m in others if _between(s, start) > np.deg2rad(10)]
-    # About the levelled mounting at the found heading, so that the prior holds level what the drive does not show.
+    # Relative to the levelled mounting at the estimated heading, so that the prior keeps undetermined angles level.
     upright = _headed(level, start)
     misfit = _refined(upright, scans, poses, GROUND if np.isfinite(tilt) else np.deg2rad(30.0))
     if misfit is None:
@@ -101,10 +101,9 @@ def estimate_lidar(lidar: Lidar, scans: Sequence[Scan], poses: Poses, *, seed: i
 
 
 def ground(scan: Scan, lidar: Lidar, rng: np.random.Generator) -> Float[np.ndarray, " 3"] | None:
-    """Normal of the ground around a LiDAR in its own frame, upwards under the guess; None where there is no plane.
+    """Return the ground normal in the LiDAR frame, upwards under the guess; None without a plane.
 
-    The plane with most points among those through three points at random (RANSAC, Fischler and Bolles, 1981), then
-    their principal axes.
+    RANSAC over planes through three random points (Fischler and Bolles, 1981), then principal axes of the inliers.
     """
     points = scan.points[np.linalg.norm(scan.points, axis=1) < _AROUND]
     if len(points) < 200:
@@ -137,7 +136,7 @@ def headings(
     poses: Poses,
     rng: np.random.Generator,
 ) -> list[float]:
-    """Yaws by which a levelled LiDAR should be turned, the likeliest first, at most `_STARTS` [rad]."""
+    """Return the most likely yaws of a levelled LiDAR, best first, at most `_STARTS` [rad]."""
     chosen = {i: rng.permutation(len(scans[i].points))[:600] for i, _ in couples}
     thinned = {j: rng.permutation(len(scans[j].points))[:5000] for _, j in couples}
     tried = np.linspace(-np.pi, np.pi, _HEADINGS, endpoint=False)
@@ -160,7 +159,7 @@ def headings(
 def _fitted(
     level: Lidar, yaw: float, scans: Sequence[Scan], poses: Poses
 ) -> tuple[Float[np.ndarray, "4 4"], Misfit] | None:
-    """A first fit on few pairs from a heading: the mounting, and its misfit."""
+    """Fit few pairs from a heading; return the mounting and its misfit."""
     start = turned(level.body_from_lidar, np.array([0.0, 0.0, yaw, 0.0]))
     few = [_thinned(scan) for scan in _some(scans)]
     misfit = check_lidar(replace(level, body_from_lidar=start), few, poses, prior=_PRIOR[:4], rounds=4)
@@ -168,24 +167,24 @@ def _fitted(
 
 
 def _refined(upright: Lidar, scans: Sequence[Scan], poses: Poses, known: float) -> Misfit | None:
-    """The last fit, of all pairs: the place as well where the vehicle turns; without turns, roll is that of the ground.
+    """Fit all pairs, including the position if the vehicle turns; without turns, roll is taken from the ground.
 
     Args:
-        known: standard deviation of roll and pitch beforehand [rad].
+        known: prior standard deviation of roll and pitch [rad].
     """
     prior = np.concatenate(([known, known], _PRIOR[2:]))
     if mean_turn(poses, scans) > _TURNING:
         first = check_lidar(upright, scans, poses, prior=prior[:4])
         start = None if first is None else np.append(first.parameters, [0.0, 0.0])
         return None if first is None else check_lidar(upright, scans, poses, prior=prior, start=start)
-    # A wrong roll moves scans against each other by roll times turn: below the errors of the poses.
+    # A roll error shifts scans by roll times rotation, which is below the pose errors.
     prior[0] *= _HELD
     misfit = check_lidar(upright, scans, poses, prior=prior[:4])
     return None if misfit is None else replace(misfit, sigma=np.append(known, misfit.sigma[1:]))
 
 
 def mean_turn(poses: Poses, measured: Sequence[Scan] | Sequence[Grey]) -> float:
-    """Root mean square of the vehicle's turn between the measurements of pairs [rad]; 0 without pairs."""
+    """Return the RMS rotation of the vehicle between the measurements of pairs [rad]; 0 without pairs."""
     times = [one.time for one in measured]
     couples = np.array(list(pairs(times))).reshape(-1, 2)
     pose = poses.at(np.array(times))[:, :3, :3]
@@ -200,14 +199,14 @@ def _thinned(scan: Scan, count: int = 6000) -> Scan:
 
 
 def _some(scans: Sequence[Scan], count: int = 8) -> list[Scan]:
-    """Scans of pairs that are spread over the drive."""
+    """Return scans of pairs spread over the drive."""
     couples = list(pairs([scan.time for scan in scans]))
     kept = {k for i, j in couples[:: max(1, len(couples) // count)] for k in (i, j)}
     return [scans[k] for k in sorted(kept)]
 
 
 def _couples(scans: Sequence[Scan], poses: Poses) -> list[tuple[int, int]]:
-    """Pairs of scans between which the vehicle has driven some metres, spread over the drive."""
+    """Return pairs of scans some metres apart along the path, spread over the drive."""
     if not scans:
         return []
     place = poses.at(np.array([scan.time for scan in scans]))[:, :2, 3]
@@ -221,7 +220,7 @@ def _couples(scans: Sequence[Scan], poses: Poses) -> list[tuple[int, int]]:
 
 
 def _levelled(lidar: Lidar, normals: Float[np.ndarray, "n 3"]) -> Lidar:
-    """The guess, turned by the least angle that makes the ground level."""
+    """Rotate the guess by the smallest angle that makes the ground level."""
     up = lidar.body_from_lidar[:3, :3] @ _middle(normals)
     axis = np.cross(up, [0.0, 0.0, 1.0])
     sine = float(np.linalg.norm(axis))
@@ -230,7 +229,7 @@ def _levelled(lidar: Lidar, normals: Float[np.ndarray, "n 3"]) -> Lidar:
 
 
 def _middle(normals: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " 3"]:
-    """Direction with the least sum of distances, nearly: the mean of the half that is nearest to the median."""
+    """Return the approximate geometric median: the mean of the half nearest to the median."""
     median = np.median(normals, axis=0)
     near = np.argsort(np.linalg.norm(normals - median, axis=1))[: max(3, len(normals) // 2)]
     middle = normals[near].mean(axis=0)
@@ -242,18 +241,18 @@ def _scatter(normals: Float[np.ndarray, "n 3"]) -> float:
 
 
 def _headed(level: Lidar, mounting: Float[np.ndarray, "4 4"]) -> Lidar:
-    """A levelled LiDAR, turned about the vertical to look as a mounting does."""
+    """Rotate a levelled LiDAR about the vertical to the heading of a mounting."""
     relative = Rotation.from_matrix(mounting[:3, :3] @ level.body_from_lidar[:3, :3].T)
     yaw = relative.as_euler("ZYX")[0]
     return replace(level, body_from_lidar=turned(level.body_from_lidar, np.array([0.0, 0.0, yaw, 0.0])))
 
 
 def _between(one: Float[np.ndarray, "4 4"], other: Float[np.ndarray, "4 4"]) -> float:
-    """Angle between two mountings [rad]."""
+    """Return the angle between two mountings [rad]."""
     return float(Rotation.from_matrix(one[:3, :3].T @ other[:3, :3]).magnitude())
 
 
 def beyond(scan: Scan, near: float) -> Scan:
-    """A scan without the points nearer than this [m]."""
+    """Drop the points of a scan nearer than this [m]."""
     kept = np.linalg.norm(scan.points, axis=1) > near
     return replace(scan, which=scan.which[kept], points=scan.points[kept])

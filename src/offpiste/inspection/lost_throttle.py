@@ -1,4 +1,4 @@
-"""Check of a throttle that is zero while the vehicle is driven on, as one reads whose connection is lost."""
+"""Check for a throttle that reads zero while the vehicle is driven, as after a lost connection."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -14,34 +14,34 @@ from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
 
 _LEAST: Final = 0.5
-"""Shortest run of zeros that is looked at [s]; an acceleration takes 0.6 s of samples."""
+"""Minimum duration of a run of zeros [s]; an acceleration uses 0.6 s of samples."""
 _SETTLED: Final = 0.3
-"""What the vehicle needs to answer [s]: as much is left out at the ends of a run."""
+"""Response time of the vehicle [s], excluded at both ends of a run."""
 _ROWS: Final = 200
-"""Rows besides a run that a fit needs: 10 s of driving."""
+"""Minimum number of rows outside a run for a fit: 10 s of driving."""
 _STRETCH: Final = 5.0
-"""Longest stretch of other driving that a run is compared with [s]: a drive has few that are longer."""
+"""Maximum duration of the reference stretches [s]; longer ones are rare in a drive."""
 _SURE, _SURE_ALONE = 3.5, 5.0
-"""Standard deviations, of stretches as long as the run, by which the vehicle is driven on: where the throttle leaps
-there or back, and where it does not."""
+"""Minimum acceleration in standard deviations of equally long stretches, with and without a throttle step at an end of
+the run."""
 _LEAP: Final = 0.3
-"""A step into or out of the run is a leap from this share of the throttle that explains the motion."""
+"""Minimum step into or out of the run, as a share of the throttle that explains the motion."""
 _PRESSED: Final = 0.3
-"""That throttle is surely one from this share of what the driver usually presses ..."""
+"""Minimum explained throttle as a share of the driver's usual one ..."""
 _FULL: Final = 1.5
-"""... up to here; more than full throttle is something else: a hill, a push, a gear that changes."""
+"""... and its maximum; more than full throttle has another cause: a hill, a push, a gear change."""
 _CRUISE: Final = 0.2
-"""Share of the cruising speed below which a motor's first jerk and a change of gear are seen, not the throttle."""
+"""Share of the cruising speed below which starting jerks and gear changes dominate the throttle's effect."""
 
 
 def check_lost_throttle(fit: LagFit, drive: Drive, path: DrivenPath) -> list[Finding]:
-    """A finding if the vehicle accelerates through zeros of the throttle as if it were pressed.
+    """Return a finding if the vehicle accelerates during zeros of the throttle as if it were pressed.
 
-    The acceleration is fitted without each run of zeros; what the fit lacks within the run, over what full throttle
-    brings, is the throttle that was really pressed.
+    The acceleration is fitted without each run of zeros; the residual within the run, divided by the gain of full
+    throttle, is the actual throttle.
 
     Args:
-        fit: of the throttle, by `pedals.pedal_fits`.
+        fit: of the throttle, from `pedals.pedal_fits`.
     """
     push = _push(fit, drive, path)
     runs = [run for run in _runs(drive.channels["throttle"]) if _is_lost(run, push, drive, path)]
@@ -59,7 +59,7 @@ def check_lost_throttle(fit: LagFit, drive: Drive, path: DrivenPath) -> list[Fin
 
 
 def _runs(channel: Channel) -> list[tuple[float, float]]:
-    """First and last times of runs of zeros that are long enough."""
+    """Return the first and last times of sufficiently long runs of zeros."""
     zero = np.concatenate(([False], channel.values[:, 0] == 0, [False]))
     first, after = np.flatnonzero(np.diff(zero.astype(int))).reshape(-1, 2).T
     begin, end = channel.time[first], channel.time[after - 1]
@@ -69,16 +69,16 @@ def _runs(channel: Channel) -> list[tuple[float, float]]:
 
 @dataclass(frozen=True)
 class _Push:
-    """What drives the vehicle on, for all runs alike.
+    """Regression data of the acceleration, shared by all runs.
 
     Attributes:
         lag: of the acceleration behind the throttle [s].
-        throttle: at the times of the path less this lag.
-        columns: what changes the speed; the throttle is the last.
+        throttle: at the path's times minus this lag.
+        columns: regressors; the throttle is the last.
         gained: acceleration along the motion [m/s^2].
-        known: rows in which all of that is known.
+        known: rows in which all of these are known.
         braked: rows in which the brake acts.
-        normal, target: sums over the known rows of the columns' products with each other, and with what is gained.
+        normal, target: normal equations over the known rows.
     """
 
     lag: float
@@ -91,7 +91,7 @@ class _Push:
     target: Float[np.ndarray, " b"]
 
     def without(self, rows: slice) -> Float[np.ndarray, " b"]:
-        """Least squares over the known rows but these; by sums, as a long drive has hundreds of runs."""
+        """Solve least squares over the known rows except these, by sums, as a long drive has hundreds of runs."""
         left_out = self.columns[rows][self.known[rows]]
         normal = self.normal - left_out.T @ left_out
         target = self.target - left_out.T @ self.gained[rows][self.known[rows]]
@@ -120,10 +120,10 @@ def _is_lost(run: tuple[float, float], push: _Push, drive: Drive, path: DrivenPa
 
 
 def _pressed(begin: float, end: float, push: _Push, path: DrivenPath) -> tuple[float, float, float]:
-    """The throttle that explains the motion within a run, its standard deviations, and what is usually pressed.
+    """Return the throttle that explains the motion within a run, its significance in sigmas, and the usual throttle.
 
     Returns:
-        Zeros where too little is known.
+        Zeros with too few data.
     """
     near = slice(int(np.searchsorted(path.time, begin)), int(np.searchsorted(path.time, end + 1.0, side="right")))
     others = push.known.copy()
@@ -143,7 +143,7 @@ def _pressed(begin: float, end: float, push: _Push, path: DrivenPath) -> tuple[f
 
 
 def _braked(drive: Drive, path: DrivenPath) -> Bool[np.ndarray, " n"]:
-    """Rows in which the brake is pressed, or was just before: it may act less than usual, on slippery ground."""
+    """Return rows with the brake pressed now or just before; its effect may be reduced on slippery ground."""
     brake = drive.channels.get("brake")
     if brake is None:
         return np.zeros(len(path.time), bool)
@@ -152,11 +152,11 @@ def _braked(drive: Drive, path: DrivenPath) -> Bool[np.ndarray, " n"]:
 
 
 def _driven(within: Bool[np.ndarray, " n"], path: DrivenPath) -> bool:
-    """Whether a run has rows at some speed."""
+    """Return True if a run has rows at some speed."""
     return bool(within.sum() >= 4 and path.speed[within].mean() > max(2 * MOVING, _CRUISE * path.cruise))
 
 
 def _means(values: Float[np.ndarray, " n"], count: int) -> Float[np.ndarray, " m"]:
-    """Means of stretches of so many values, one after the other."""
+    """Return the means of consecutive stretches of `count` values."""
     whole = len(values) // count * count
     return np.asarray(values[:whole].reshape(-1, count).mean(axis=1))

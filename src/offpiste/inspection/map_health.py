@@ -1,6 +1,6 @@
-"""What scans and poses do to a map: ghosts below the ground, a height that drifts, things that move.
+"""Effects of scan and pose errors on a map: ghosts below the ground, height drift, moving objects.
 
-All of it is measured on the scans of the first minute of driving (`sensor_samples.gather`), without a map.
+All are measured on scans of the first minute of driving (`sensor_samples.gather`), without a map.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -20,51 +20,51 @@ from offpiste.mapping.free_space import FreeSpaceSettings, nearest_returns, pass
 from offpiste.mapping.ghosts import GhostFinder
 
 MANY_GHOSTS: Final = 1e-4
-"""Share of returns below the ground that is worth a note: ten in a scan of 100,000. Simulated drives: below 3e-5."""
+"""Minimum reported share of returns below the ground: ten in a scan of 100,000. Simulated drives: below 3e-5."""
 MUCH_DRIFT: Final = 0.05
-"""Drift of the height that is a warning [m/s]: one voxel of 0.2 m in the 4 s that a cell is in view before the wheels
-reach it, so that level ground is drawn as an obstacle."""
+"""Height drift for a warning [m/s]: one voxel of 0.2 m within the 4 s that a cell is in view before the wheels reach
+it, which turns level ground into an obstacle."""
 SOME_DRIFT: Final = 0.02
-"""Drift that is a note [m/s]. Simulated drives: 0.002; KITTI's GPS: 0.05."""
+"""Height drift for a note [m/s]. Simulated drives: 0.002; KITTI's GPS: 0.05."""
 SURE: Final = 3.0
-"""Standard errors by which the drift must exceed these."""
+"""Minimum excess over these limits in standard errors."""
 MUCH_MOVING: Final = 0.004
-"""Share of moving returns that is worth a note. Simulated drives: up to 0.0012; with 1 % of dust: 0.006."""
+"""Minimum reported share of moving returns. Simulated drives: up to 0.0012; with 1 % of dust: 0.006."""
 LEAST_PAIRS: Final = 8
-"""Pairs of scans that a number rests on, at least."""
+"""Minimum number of scan pairs per statistic."""
 
 _APART: Final = (1.5, 4.0)
-"""Least and most time between scans whose ground is compared [s]."""
+"""Range of times between scans whose ground is compared [s]."""
 _GROUND_REACH: Final = 25.0
 _MOVING_REACH: Final = 30.0
-"""Distance from the sensor up to which ground, ghosts in it, and moving things are looked at [m]."""
+"""Maximum range from the sensor for ground, ghosts and moving objects [m]."""
 _CELL: Final = 1.0
-"""Side of a cell of ground [m]."""
+"""Side of a ground cell [m]."""
 _FLAT: Final = 0.2
-"""Largest range of heights in a cell that is ground [m]."""
+"""Maximum range of heights in a ground cell [m]."""
 _LEAST_CELLS: Final = 20
 _MOVED: Final = (0.3, 0.8)
-"""Least and most time between scans that moving things are seen in [s]."""
+"""Range of times between scans used to detect moving objects [s]."""
 _PIT_DEPTH: Final = 0.5
-"""Depth of a pit below the ground around it [m]."""
+"""Minimum depth of a pit below the surrounding ground [m]."""
 _PIT_REACH: Final = 5
-"""The ground around a cell are the known cells up to so many rows and columns away: 1 m with cells of 0.2 m."""
+"""Half-width in cells of the ground around a pit: 1 m with cells of 0.2 m."""
 _PIT_LONE: Final = 0.1
-"""Largest share of the ground around that may lie so low: a ditch or a hole in the ground takes more."""
+"""Maximum share of equally low ground around a pit; ditches and holes cover more."""
 
 
 @dataclass(frozen=True)
 class MapHealth:
-    """What scans and poses do to a map; NaN where it cannot be measured.
+    """Effects of scan and pose errors on a map; NaN if not measurable.
 
     Attributes:
-        returns: number within 25 m that was looked at.
-        ghosts: share of them below the ground; further away too few rays tell a ghost from a gap between branches.
-        drift: change of the height of the same ground between scans 1.5 to 4 s apart: median of its size [m/s].
+        returns: number of examined returns within 25 m.
+        ghosts: share of them below the ground; at longer range, gaps between branches are indistinguishable.
+        drift: median absolute height change of the same ground between scans 1.5 to 4 s apart [m/s].
         drift_error: its standard error [m/s].
-        drift_pairs: pairs of scans.
-        moving: share of returns within 30 m at places that the rays of a scan half a second earlier passed through.
-        moving_pairs: pairs of scans.
+        drift_pairs: number of scan pairs.
+        moving: share of returns within 30 m in space that rays of a scan half a second earlier passed through.
+        moving_pairs: number of scan pairs.
     """
 
     returns: int
@@ -84,7 +84,7 @@ class MapHealth:
 
 @dataclass(frozen=True)
 class PlacedScan:
-    """A scan in the world, its sensor, and which points are ghosts."""
+    """A scan in the world frame, its sensor position, and a mask of ghosts."""
 
     time: float
     points: Float[np.ndarray, "n 3"]
@@ -93,7 +93,7 @@ class PlacedScan:
 
 
 def map_health(lidars: Mapping[str, Lidar], gathered: Gathered, poses: Poses) -> MapHealth:
-    """Measure ghosts, drift of height and moving returns of a log's LiDARs."""
+    """Measure ghosts, height drift and moving returns of a log's LiDARs."""
     placed = {name: list(_placed(lidar, gathered.scans[name], poses)) for name, lidar in lidars.items()}
     scans = [scan for mine in placed.values() for scan in mine]
     near = [_within(scan, _GROUND_REACH) for scan in scans]
@@ -101,7 +101,7 @@ def map_health(lidars: Mapping[str, Lidar], gathered: Gathered, poses: Poses) ->
     ghosts = float(sum((scan.ghosts & inside).sum() for scan, inside in zip(scans, near, strict=True)))
     rates = np.array([rate for mine in placed.values() for rate in height_rates(mine)])
     moving = np.array([share for mine in placed.values() for share in moving_shares(mine)])
-    error = 1.25 * rates.std() / np.sqrt(len(rates)) if len(rates) else np.nan  # of a median
+    error = 1.25 * rates.std() / np.sqrt(len(rates)) if len(rates) else np.nan  # standard error of a median
     return MapHealth(
         returns=returns,
         ghosts=ghosts / returns if returns else np.nan,
@@ -125,12 +125,12 @@ def _placed(lidar: Lidar, scans: Sequence[Scan], poses: Poses) -> Iterator[Place
 
 
 def _within(scan: PlacedScan, reach: float) -> Bool[np.ndarray, " n"]:
-    """Points up to a horizontal distance from the sensor [m]."""
+    """Return a mask of points up to a horizontal distance from the sensor [m]."""
     return np.asarray(np.linalg.norm(scan.points[:, :2] - scan.sensor[:2], axis=1) < reach)
 
 
 def height_rates(scans: Sequence[PlacedScan]) -> list[float]:
-    """Change of the height of the ground that two scans share, for each pair that is 1.5 to 4 s apart [m/s]."""
+    """Return the height change rate of the shared ground for each pair of scans 1.5 to 4 s apart [m/s]."""
     ground = [_ground(scan) for scan in scans]
     rates = []
     for i, one in enumerate(scans):
@@ -147,7 +147,7 @@ def height_rates(scans: Sequence[PlacedScan]) -> list[float]:
 
 
 def _ground(scan: PlacedScan) -> tuple[np.ndarray, np.ndarray]:
-    """Numbers of the cells in which a scan shows flat ground, and its mean height there [m]."""
+    """Return the cells of a scan with flat ground, and their mean heights [m]."""
     near = ~scan.ghosts & _within(scan, _GROUND_REACH)
     points = scan.points[near & (scan.points[:, 2] < scan.sensor[2])]
     column, row = np.floor(points[:, :2] / _CELL).astype(np.int64).T
@@ -161,7 +161,7 @@ def _ground(scan: PlacedScan) -> tuple[np.ndarray, np.ndarray]:
 
 
 def moving_shares(scans: Sequence[PlacedScan]) -> list[float]:
-    """Share of the near returns of a scan at places that rays of the one before passed through, for each pair."""
+    """Return for each pair the share of near returns in space that rays of the previous scan passed through."""
     settings = FreeSpaceSettings(beyond=1.0)
     shares = []
     for before, after in pairwise(scans):
@@ -175,10 +175,10 @@ def moving_shares(scans: Sequence[PlacedScan]) -> list[float]:
 
 
 def check_map_health(health: MapHealth, *, turned: bool = False) -> list[Finding]:
-    """A warning for a height that drifts, notes for ghosts and for many moving returns.
+    """Return a warning for height drift, and notes for ghosts and many moving returns.
 
     Args:
-        turned: a LiDAR is mounted otherwise than the rig says, from which ground seems to rise or sink as well.
+        turned: True if a LiDAR's mounting differs from the rig, which also causes apparent height drift.
     """
     result = []
     least = health.drift - SURE * health.drift_error
@@ -209,10 +209,10 @@ def check_map_health(health: MapHealth, *, turned: bool = False) -> list[Finding
 
 
 def find_pits(elevation: Float[np.ndarray, "ny nx"]) -> Bool[np.ndarray, "ny nx"]:
-    """Which cells are pits.
+    """Return a mask of pits.
 
     Args:
-        elevation: of the map, NaN where it is unknown [m].
+        elevation: of the map; NaN if unknown [m].
     """
     known = np.isfinite(elevation)
     result = np.zeros(elevation.shape, bool)
@@ -222,7 +222,7 @@ def find_pits(elevation: Float[np.ndarray, "ny nx"]) -> Bool[np.ndarray, "ny nx"
     side = 2 * _PIT_REACH + 1
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = uniform_filter(level, side) / uniform_filter(known.astype(float), side)
-        # What is below nine tenths of its surroundings by _PIT_DEPTH is below their mean by nine tenths of that.
+        # Below 90 % of the surroundings by _PIT_DEPTH implies below their mean by 0.9 _PIT_DEPTH.
         maybe = known & (level < mean - (1 - _PIT_LONE) * _PIT_DEPTH + 1e-6)
     for row, column in np.argwhere(maybe):
         around = elevation[

@@ -1,8 +1,8 @@
-"""Estimate of how far a mounting is turned and stamps are late, from residuals of many pairs of measurements.
+"""Estimate of mounting and stamp errors from residuals of many pairs of measurements.
 
-Robust Gauss-Newton: Tukey's biweight (Beaton and Tukey, 1974) on residuals scaled by their median. The uncertainty is
-that of the pairs, taken as independent of each other (a sandwich estimate, Huber 1967), plus that of the rows: what
-all points of a pair share (poses, weather, a hedge in the wind) counts once a pair and not once a point.
+Robust Gauss-Newton with Tukey's biweight (Beaton and Tukey, 1974) on residuals scaled by their median. The uncertainty
+is that of independent pairs (a sandwich estimate, Huber 1967) plus that of the rows: errors shared by all points of a
+pair (poses, weather, moving vegetation) count once per pair, not per point.
 """
 
 from collections.abc import Callable, Sequence
@@ -16,26 +16,26 @@ from scipy.spatial.transform import Rotation
 from offpiste.core.conventions import SIGMA_PER_MEDIAN
 
 PRIOR: Final = np.array([*np.deg2rad([5.0, 5.0, 5.0]), 0.3])
-"""Standard deviation of the prior [rad, rad, rad, s]: what the data do not tell stays as uncertain as this."""
+"""Standard deviation of the prior [rad, rad, rad, s]; undetermined parameters keep it."""
 STEPS: Final = np.array([*np.deg2rad([0.05, 0.05, 0.05]), 0.04, 0.01, 0.01, 0.01])
-"""Steps of the differences [rad, rad, rad, s, m, m, m]. Long in time: over less, noise of the poses would pass for
-motion."""
+"""Step sizes of the central differences [rad, rad, rad, s, m, m, m]. The time step is long, as pose noise would
+dominate a short one."""
 LEAST_PAIRS: Final = 8
-"""Least number of pairs: fewer do not show their own scatter."""
+"""Minimum number of pairs; fewer do not show their own scatter."""
 _BIWEIGHT: Final = 4.685
-"""95 % efficient on normal errors."""
+"""Tuning constant for 95 % efficiency with normal errors."""
 
 Parameters = Float[np.ndarray, " k"]
-"""A turn about the body's axes [rad] and a delay [s]; where the place is sought as well, a shift along them [m]."""
+"""Rotation about the body axes [rad] and delay [s]; translation along them [m] if the position is estimated, too."""
 
 
 @dataclass(frozen=True)
 class Pair:
-    """Residuals of two measurements, linear near some parameters.
+    """Residuals of two measurements, linearised at some parameters.
 
     Attributes:
-        residual: zero where all is right [m or px].
-        slope: its derivatives by the parameters: turn [rad], lateness [s], shift [m].
+        residual: zero without errors [m or px].
+        slope: Jacobian with respect to rotation [rad], delay [s] and translation [m].
     """
 
     residual: Float[np.ndarray, " n"]
@@ -44,15 +44,15 @@ class Pair:
 
 @dataclass(frozen=True)
 class Misfit:
-    """Error of a sensor's mounting and stamps.
+    """Errors of a sensor's mounting and stamps.
 
     Attributes:
-        parameters: turn about the body's axes, so that the right mounting is `exp(turn) @ body_from_sensor` [rad];
-            lateness: it happened so much before the time that the rig makes of the stamp [s]; shift, if sought [m].
+        parameters: rotation about the body axes, so that the correct mounting is `exp(turn) @ body_from_sensor` [rad];
+            delay: rig time of the stamp minus time of measurement [s]; translation, if estimated [m].
         sigma: standard deviation of each.
-        pairs: that were used.
-        scale: of the residuals that remain [m or px].
-        residuals: number of them.
+        pairs: number of pairs used.
+        scale: of the remaining residuals [m or px].
+        residuals: number of residuals.
     """
 
     parameters: Parameters
@@ -63,9 +63,9 @@ class Misfit:
 
 
 def turned(mounting: Float[np.ndarray, "4 4"], parameters: Parameters) -> Float[np.ndarray, "4 4"]:
-    """The mounting `body_from_sensor` with its axes turned about the body's; the sensor stays where it is.
+    """Return the mounting `body_from_sensor` rotated about the body axes at a fixed sensor position.
 
-    It is shifted along the body's axes by what parameters beyond the fourth say.
+    Parameters beyond the fourth translate it along the body axes.
     """
     matrix = mounting.copy()
     matrix[: len(parameters[4:7]), 3] += parameters[4:7]
@@ -80,12 +80,12 @@ def fit_misfit(
     prior: Parameters = PRIOR,
     start: Parameters | None = None,
 ) -> Misfit | None:
-    """The parameters that bring measurements together.
+    """Estimate the parameters that best align measurements.
 
     Args:
-        compare: pairs near some parameters; called once a round, each time nearer to the answer.
-        prior: standard deviations about zero of what is known beforehand; as many as parameters.
-        start: first parameters; zeros by default.
+        compare: returns pairs near some parameters; called once per iteration.
+        prior: prior standard deviations about zero, one per parameter.
+        start: initial parameters; zeros by default.
 
     Returns:
         None with fewer than `LEAST_PAIRS` pairs.
@@ -103,7 +103,7 @@ def fit_misfit(
 
 
 def _step(pairs: Sequence[Pair], start: Parameters, prior: Parameters) -> Misfit:
-    """One linear fit, outliers weighed down; in units of the prior, so that all numbers are of one size."""
+    """Return one robust linear fit, scaled by the prior for conditioning."""
     slope = np.concatenate([pair.slope for pair in pairs]) * prior
     residual = np.concatenate([pair.residual for pair in pairs])
     step, scale = np.zeros(len(prior)), 0.0

@@ -1,4 +1,4 @@
-"""What a log lacks, and what of it nothing reads: its topics and fields against a rig's channels; or no pose at all."""
+"""Missing and unused data: a log's topics and fields compared with a rig's channels, or a log without a pose."""
 
 import re
 from collections.abc import Iterator, Sequence
@@ -28,23 +28,23 @@ _NAMES: Final = {
     "brake": "brak(e|ing)|pedal",
     "steer": "steer",
 }
-"""What topics and fields of a control are called."""
+"""Names of topics and fields of a control."""
 _BESIDES: Final = re.compile(r"(^|[._/])stamp([._]|$)|covariance")
-"""Numbers beside a quantity that are none of a control."""
+"""Numeric fields that do not belong to a control."""
 _FIELDS: Final = 6
-"""Fields of a topic that are listed."""
+"""Maximum number of fields listed per topic."""
 BY_HAND: Final = "write a rig that names one"
-"""Remedy where no name shows the pose."""
+"""Remedy if no name indicates a pose."""
 _LONG: Final = "the table is long: it has a line, not a column, for each signal"
 _IN_EARTH: Final = "positions in the earth's own frame (ECEF) are not read"
 _SIGNAL: Final = re.compile(r"signal|name|channel|variable|parameter|field|topic|key", re.IGNORECASE)
 _VALUE: Final = re.compile(r"(?<![a-z])(value|val|data|reading)$", re.IGNORECASE)
-"""Columns of a long table."""
+"""Value columns of a long-format table."""
 _ECEF: Final = re.compile(r"(?<![a-z])ecef[_. ]*(pos(ition)?)?[_. ]*[xyz](?![a-z])", re.IGNORECASE)
 
 
 def check_missing(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
-    """Findings on channels whose topic or fields are not in the log, with names that are nearly the same."""
+    """Return findings on channels whose topic or fields are missing, with similar names."""
     if (nothing := _nothing(recorded, rig)) is not None:
         return [nothing]
     findings = []
@@ -76,7 +76,7 @@ def _inverse(name: str, pair: FramePair) -> Finding:
 
 
 def _nothing(recorded: dict[str, Recorded], rig: Rig) -> Finding | None:
-    """The one finding on a log that has nothing of what the rig reads, under no similar name either."""
+    """Return a single finding on a log that has no topic of the rig, not even under a similar name."""
     if not recorded:
         how = "record it again, or repair it if it was cut off"
         return Finding("fatal", "log", "holds no numbers", "no topic has samples", how, 1.0)
@@ -93,7 +93,7 @@ def _listed(there: Sequence[str]) -> str:
 
 
 def _cures(name: str, source: ChannelSource, recorded: dict[str, Recorded], rig: Rig) -> Iterator[tuple[Edit, ...]]:
-    """Names that are nearly the same, and the channel's absence."""
+    """Yield edits to similar names, and one that declares the channel absent."""
     for topic in [source.topic] if source.topic in recorded else get_close_matches(source.topic, recorded, 3):
         there = recorded[topic]
         by_joint = {joint: field for field, joint in there.topic.joints.items()}
@@ -108,13 +108,13 @@ def _cures(name: str, source: ChannelSource, recorded: dict[str, Recorded], rig:
 
 
 def _renamed(fields: Sequence[str], there: Sequence[str]) -> list[str]:
-    """The nearest name of each field, where all have one and no two the same; empty otherwise."""
+    """Return the most similar name of each field if all are found and distinct; otherwise nothing."""
     nearest = [f if f in there else next(iter(get_close_matches(f, there, 1)), "") for f in fields]
     return nearest if all(nearest) and len(set(nearest)) == len(nearest) else []
 
 
 def check_same_pedals(rig: Rig) -> list[Finding]:
-    """A warning where throttle and brake read the same numbers alike, as after a copied entry."""
+    """Return a warning if throttle and brake read the same values with the same settings, e.g. a copied entry."""
     throttle, brake = rig.channels.get("throttle"), rig.channels.get("brake")
     if throttle is None or brake is None or _as_read(throttle) != _as_read(brake):
         return []
@@ -124,12 +124,12 @@ def check_same_pedals(rig: Rig) -> list[Finding]:
 
 
 def _as_read(source: ChannelSource) -> tuple[object, ...]:
-    """What two channels of one quantity have in common, whatever limits it."""
+    """Return the settings that identify a channel's source, without its limits."""
     return source.topic, source.fields, source.sign, source.scale, source.offset, source.values
 
 
 def check_unread(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
-    """A note if the rig lacks a control, and topics or fields that it does not read are named like one."""
+    """Return a note if the rig lacks a control although unused topics or fields are named like one."""
     lacking = [control.name for control in CONTROLS if control.name not in rig.channels]
     named = re.compile("|".join((_COMMAND, *(_NAMES[name] for name in lacking))), re.IGNORECASE)
     there = list(_unread(recorded, rig, named)) if lacking else []
@@ -142,7 +142,7 @@ def check_unread(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
 
 
 def _unread(recorded: dict[str, Recorded], rig: Rig, named: re.Pattern[str]) -> Iterator[str]:
-    """What is named like a control and not read, in words: topic, type and fields."""
+    """Yield descriptions of unused topics and fields named like a control: topic, type and fields."""
     for name, r in recorded.items():
         read = {field for source in rig.channels.values() if source.topic == name for field in source.fields}
         still = {field for field, column in zip(r.fields, r.values.T, strict=True) if not _changes(column)}
@@ -161,7 +161,7 @@ def _changes(column: np.ndarray) -> bool:
 
 
 def no_pose(log: Log) -> LogError:
-    """The error where no topic looks like a pose: what there is instead, and what to do."""
+    """Return the error for a log without a recognisable pose: available data and advice."""
     most = max((topic.count for topic in log.topics.values()), default=2)
     if most < 2 and not _not_read(log):
         has = ("the table has no rows", "the table has one row")
@@ -180,7 +180,7 @@ def no_pose(log: Log) -> LogError:
 
 
 def _half_of_a_pose(log: Log) -> str:
-    """Which half of a pose there is, in words; empty where there is none, or none that ever changes."""
+    """Return the available part of a pose as text; "" without one or if it is constant."""
     found = {g.channel: g for g in reversed(guess_channels(log)) if g.channel in POSE and varies(field_values(log, g))}
     place, heading = found.get("position"), found.get("orientation") or found.get("yaw")
     if (half := place or heading) is None or (place and heading):
@@ -191,7 +191,7 @@ def _half_of_a_pose(log: Log) -> str:
 
 
 def _inverse_pose(log: Log) -> str:
-    """The beginning of a remedy, where a transform is of the world in a body; empty where none is."""
+    """Return the start of a remedy if a transform is of the world in a body; otherwise ""."""
     for name in log.topics:
         if (pair := frame_pair(name)) is not None and pair.is_inverse:
             turned = f"{pair.topic} has it the other way round (child {pair.child} in {pair.parent}), which is not read"
@@ -200,7 +200,7 @@ def _inverse_pose(log: Log) -> str:
 
 
 def _pivoted(log: Log) -> str:
-    """How a table of signals' names beside their values becomes one of a column each; empty for another log."""
+    """Return advice to pivot a long-format table to one column per signal; "" for other logs."""
     table = log.topics.get("")
     if table is None:
         return ""
@@ -214,7 +214,7 @@ def _pivoted(log: Log) -> str:
 
 
 def _from_earth(log: Log) -> str:
-    """What to write in place of ECEF positions; empty where no field is called one."""
+    """Return the replacement for ECEF positions; "" if no field is named as one."""
     fields = [field for topic in log.topics.values() for field in topic.fields if _ECEF.search(field)]
     if len(fields) < 3:
         return ""
@@ -223,13 +223,13 @@ def _from_earth(log: Log) -> str:
 
 
 def _not_read(log: Log) -> str:
-    """Why topics cannot be read, and what to do; empty where they can."""
+    """Return the reason why topics cannot be read, with advice; "" if all can be read."""
     reasons = [f"{topic.name}: {topic.type}" for topic in log.topics.values() if not topic.fields and " " in topic.type]
     return f"record it as ROS messages, or write its numbers to a .csv ({'; '.join(reasons[:4])})" if reasons else ""
 
 
 def _contents(log: Log) -> str:
-    """Topics, or the columns of a log that is one table."""
+    """Return the topics, or the columns of a log with a single table."""
     if list(log.topics) == [""]:
         text = [why for name, why in log.topics[""].unread.items() if named_coordinate(name) or named_axis(name)]
         columns = f"columns {', '.join(log.topics[''].fields) or 'without numbers'}"

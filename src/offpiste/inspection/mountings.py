@@ -1,4 +1,4 @@
-"""Mountings of a log's sensors, estimated from rough guesses: rig lines that can be used, or why there are none."""
+"""Sensor mountings of a log, estimated from rough guesses: usable rig lines, or reasons of failure."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -27,29 +27,29 @@ from offpiste.rig.rig import Rig
 from offpiste.rig.sensors import CameraSource, LidarSource
 
 KNOWN: Final = np.deg2rad(1.2)
-"""Largest standard deviation of roll, pitch and yaw of an estimate; the ground alone tells roll to 1 degree [rad]."""
+"""Maximum standard deviation of an estimated roll, pitch or yaw [rad]; the ground alone determines roll to 1 degree."""
 PLACE: Final = 0.15
-"""Largest standard deviation of a coordinate of the place that is given [m]."""
+"""Maximum standard deviation of a reported position coordinate [m]."""
 _WORLD: Final = 0.2
-"""Scans further from each other's planes than this show no common world [m]."""
+"""Maximum distance of scans from each other's planes for a consistent world [m]."""
 _LINES: Final = np.deg2rad(0.3)
-"""Matches further from their epipolar lines than this do not fit any rotation [rad]."""
+"""Maximum angle of matches from their epipolar lines for a valid rotation [rad]."""
 _RIVAL: Final = 1.15
-"""Another heading whose residual is less than this times that of the best could be the right one as well."""
+"""Maximum residual ratio at which the second-best heading makes the result ambiguous."""
 _REPLACED: Final = np.deg2rad(5.0)
-"""The fine fit's answer is taken if it is this near to where it started [rad]."""
+"""Maximum change by the fine fit for its result to be accepted [rad]."""
 _STRAIGHT: Final = np.deg2rad(3.0)
-"""A drive turns less than this in half a second where it is straight [rad]."""
+"""Maximum rotation in half a second of a straight drive [rad]."""
 
 
 def estimate_mountings(log: Log, rig: Rig) -> list[EstimatedMounting]:
-    """Estimate how all cameras and LiDARs that a rig names are mounted.
+    """Estimate the mountings of all cameras and LiDARs of a rig.
 
-    Reads the first minute of driving. What the rig or the log says of a mounting is the guess: the heading of a LiDAR
-    does not matter, its tilt may be off by 30 degrees and a camera by 40; without any, the sensor's name is one.
+    Reads the first minute of driving. The guess is the mounting of the rig or the log, otherwise from the sensor's
+    name; a LiDAR's heading is ignored and its tilt may be off by 30 degrees, a camera's rotation by 40.
 
     Raises:
-        LogError: the log cannot be read, or names no sensors.
+        LogError: the log cannot be read, or has no sensors.
         RigError: the rig has no full poses.
     """
     rig = with_guesses(log, rig)
@@ -59,7 +59,7 @@ def estimate_mountings(log: Log, rig: Rig) -> list[EstimatedMounting]:
 
 
 def with_guesses(log: Log, rig: Rig) -> Rig:
-    """The rig, with guesses by name where neither it nor the log's transforms say how a sensor is mounted."""
+    """Add guesses by name for sensors whose mounting neither the rig nor the log's transforms state."""
     transforms, edits = log.transforms(rig.frames.topics), []
     entries: dict[str, CameraSource | LidarSource] = {**rig.cameras, **rig.lidars}
     for name, entry in entries.items():
@@ -73,7 +73,7 @@ def with_guesses(log: Log, rig: Rig) -> Rig:
 
 
 def given_places(log: Log, rig: Rig) -> dict[str, tuple[Float[np.ndarray, "4 4"], bool]]:
-    """`body_from_sensor` of each sensor as the rig or the log gives it, and whether its place is more than nothing."""
+    """Return `body_from_sensor` of each sensor from the rig or the log, and True if its position is non-zero."""
     transforms = log.transforms(rig.frames.topics)
     result = {}
     entries: dict[str, CameraSource | LidarSource] = {**rig.cameras, **rig.lidars}
@@ -91,7 +91,7 @@ def estimated(
     gathered: Gathered,
     given: dict[str, tuple[Float[np.ndarray, "4 4"], bool]],
 ) -> list[EstimatedMounting]:
-    """The estimates from measurements that are read already; LiDARs come first, as cameras rest on them."""
+    """Return the estimates from measurements already read; LiDARs come first, as cameras depend on them."""
     near = 1.5 * float(np.linalg.norm(sensors.rig.vehicle.wheel_positions, axis=1).max())
     scans = {name: [beyond(scan, near) for scan in taken] for name, taken in gathered.scans.items()}
     result, rulers = [], []
@@ -150,11 +150,11 @@ def _camera(
     given: Float[np.ndarray, "4 4"],
     placed: bool,
 ) -> EstimatedMounting:
-    """Epipolar geometry first; then squares of the images against the LiDAR's points, where there is one.
+    """Estimate by epipolar geometry, then by image squares and LiDAR points if available.
 
     Args:
-        given: the mounting as the rig gives it, of the camera before rectification.
-        placed: whether its place is known.
+        given: mounting in the rig, of the camera before rectification.
+        placed: True if the position is known.
     """
     name, guess = camera.camera.name, camera.camera.body_from_camera
     focal, nothing = float(camera.rectifier.pinhole.matrix[0, 0]), np.full(3, np.nan)
@@ -184,7 +184,7 @@ def _camera(
     if why:
         return replace(refused, refused=why)
     after = focal * median_angle(matches, mounting, poses)
-    # The camera before rectification turns and moves about the body's axes like that after it.
+    # The unrectified camera rotates and translates about the body axes like the rectified one.
     turn = mounting[:3, :3] @ guess[:3, :3].T
     unrectified = given.copy()
     unrectified[:3, :3] = turn @ given[:3, :3]
@@ -201,7 +201,7 @@ def _fine(
     misfit: Misfit,
     placed: bool,
 ) -> tuple[Float[np.ndarray, "4 4"], Misfit]:
-    """The mounting by squares of the images, if they are found and agree with what is known already."""
+    """Return the mounting refined by image squares if they are found and agree with the first estimate."""
     moved = replace(camera, camera=replace(camera.camera, body_from_camera=mounting))
     prior: Parameters = PRIOR if placed else np.append(PRIOR, [0.3, 0.3, 0.3])
     fine = check_camera(moved, images, ruler[0], ruler[1], poses, prior=prior)
