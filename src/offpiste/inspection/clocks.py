@@ -56,7 +56,7 @@ def find_wheel_speeds(recorded: dict[str, Recorded], path: DrivenPath, *, beside
 def check_clocks(recorded: dict[str, Recorded], path: DrivenPath, rig: Rig, *, besides: set[str]) -> list[Finding]:
     """Return a finding for each clock of the rig's channels that is late or drifts, one per group of equal stamps."""
     known = set(rig.alignment.topics) if rig.alignment else set()
-    # If motors turn at throttle speed, the vehicle's speed follows later: a response, not a clock error.
+    # If the throttle commands the motor speed, the vehicle's speed follows later: a response, not a clock error.
     controls = [source for name, source in rig.channels.items() if control_of(name) is not None]
     commanded = {(source.topic, field) for source in controls for field in source.fields}
     findings: list[Finding] = []

@@ -214,7 +214,7 @@ def _turned(name: str, reading: Reading, rig: Rig) -> Finding:
     evidence = f"{size:.0f} ± {sigma:.0f} degrees where it drives straight"
     cure = _with_offset(name, reading, rig)
     how = ", ".join(map(str, cure))
-    backwards = abs(reading.offset) > np.radians(150)  # other consequences show a reversed heading
+    backwards = abs(reading.offset) > np.radians(150)  # confirmed by related findings only
     how += "; or it drives backwards" if backwards else ""
     what = "the heading is turned against the course"
     severity: Severity = "fatal" if not backwards and abs(reading.offset) > _SPOILS else "warning"

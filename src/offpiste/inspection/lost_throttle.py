@@ -22,8 +22,8 @@ _ROWS: Final = 200
 _STRETCH: Final = 5.0
 """Maximum duration of the reference stretches [s]; longer ones are rare in a drive."""
 _SURE, _SURE_ALONE = 3.5, 5.0
-"""Minimum acceleration in standard deviations of equally long stretches, with and without a throttle step at an end of
-the run."""
+"""Minimum residual acceleration in standard deviations of equally long stretches, with and without a throttle step at
+an end of the run."""
 _LEAP: Final = 0.3
 """Minimum step into or out of the run, as a share of the throttle that explains the motion."""
 _PRESSED: Final = 0.3
