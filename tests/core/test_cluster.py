@@ -55,11 +55,11 @@ def test_a_cluster_that_does_not_answer_is_an_error_in_one_line(address: str) ->
 
 def test_a_worker_and_a_node_that_are_killed_change_nothing(logs: list[Path], three: Any, tmp_path: Path) -> None:
     whole, out = tmp_path / "whole.zarr", tmp_path / "out.zarr"
-    expected = cluster.extract(logs, whole)
+    expected = cluster.extracted(logs, whole)
     assert all(broken in expected for broken in cluster.BROKEN)
     kills = [cluster.kill_worker, cluster.kill_node]
     with cluster.killing(kills, three, out, 0, DRIVES) as killed:
-        said = cluster.extract(logs, out, three.address)
+        said = cluster.extracted(logs, out, three.address)
     assert killed == ["kill_worker", "kill_node"]
     assert said == expected.replace("whole.zarr", "out.zarr")
     assert cluster.content(out) == cluster.content(whole)

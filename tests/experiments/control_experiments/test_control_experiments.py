@@ -1,6 +1,5 @@
 """Controls from end to end on a made-up reproduction: tables, files, and what is used again."""
 
-import json
 import shutil
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -25,7 +24,7 @@ TINY = Size("tiny", (30.0, 15.0, 15.0), stride=320, train=TrainConfig(epochs=1, 
 def reproduction(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("reproduced")
     dataset_with_features(folder / "dataset.zarr", rows=3000, yaw_rate=0.08, cells=800)
-    (folder / "settings.json").write_text(json.dumps({"size": asdict(TINY), "dataset": "simulated"}))
+    save_json(folder / "settings.json", {"size": asdict(TINY), "dataset": "simulated"})
     of = open_reproduction(folder)
     for model in ("b", "dc"):
         config = of.member(model).config(of.size, 0, "cpu")
@@ -44,7 +43,7 @@ def test_what_is_no_reproduction_is_said_in_a_line(tmp_path: Path, reproduction:
         open_reproduction(reproduction).runs("cf")
     with pytest.raises(RunError, match="log is missing"):
         open_reproduction(reproduction).logs()
-    (tmp_path / "settings.json").write_text('{"size": {}}')
+    save_json(tmp_path / "settings.json", {"size": {}})
     with pytest.raises(RunError, match="lacks or misstates"):
         open_reproduction(tmp_path)
 
@@ -75,7 +74,7 @@ def test_experiments_refuse_a_reproduction_that_was_made_anew_with_another_size(
     ControlExperiment("strata", folder, out).run()
     older = load_json(out / "settings.json")
     more_seeds = {"size": asdict(replace(TINY, seeds=5)), "dataset": "simulated"}
-    (folder / "settings.json").write_text(json.dumps(more_seeds))
+    save_json(folder / "settings.json", more_seeds)
     ControlExperiment("strata", folder, out).run()
     save_json(out / "settings.json", older | {"size": older["size"] | {"stride": 7}})
     with pytest.raises(RunError, match=r"was begun with other settings \(size.stride\)"):

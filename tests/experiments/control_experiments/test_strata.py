@@ -14,6 +14,7 @@ from offpiste.dataset.windows import Windows
 from offpiste.evaluation.evaluated_windows import BANDS, REVERSE
 from offpiste.reproduction.runs import errors_path
 from offpiste.reproduction.settings import Size
+from offpiste.training.checkpoint import save_json
 from offpiste.training.config import TrainConfig
 
 SIZE = Size("tiny", (72.0, 18.0, 18.0), stride=320, train=TrainConfig(epochs=1, bicycle_epochs=1, batch=64, stride=80))
@@ -23,7 +24,7 @@ def test_strata_from_end_to_end(tmp_path: Path) -> None:
     folder = tmp_path / "reproduced"
     folder.mkdir()
     dataset_with_features(folder / "dataset.zarr", ("train", "train", "validation", "test", "test"))
-    (folder / "settings.json").write_text(json.dumps({"size": asdict(SIZE), "dataset": "simulated"}))
+    save_json(folder / "settings.json", {"size": asdict(SIZE), "dataset": "simulated"})
     of = open_reproduction(folder)
     runs = [trained(of.dataset, of.member(m).config(of.size, 0, "cpu"), folder / "runs").folder for m in ("b", "dc")]
     windows = Windows(of.dataset, "test")
