@@ -24,7 +24,7 @@ class VehicleError(OffpisteError):
     """Invalid vehicle file."""
 
 
-class VehicleParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class VehicleParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Parameters of a side-by-side; side_by_side.toml documents meaning, unit and source of each.
 
     The pose point is the centre of the wheel base at the height of the wheel centres at rest, with wheels at
