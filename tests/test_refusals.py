@@ -120,10 +120,13 @@ def test_features_that_are_not_finite(copied: Path, tmp_path: Path, error_of: Ca
     assert "extract it again" in line
 
 
+@pytest.mark.parametrize("height", [2.0, np.nan])
 def test_normals_that_are_neither_unit_vectors_nor_unknown(
-    copied: Path, tmp_path: Path, error_of: Callable[..., str]
+    copied: Path, tmp_path: Path, error_of: Callable[..., str], height: float
 ) -> None:
-    change(copied, "normal", lambda values: np.concatenate((values[..., :2], np.full_like(values[..., 2:], 2.0)), -1))
+    change(
+        copied, "normal", lambda values: np.concatenate((values[..., :2], np.full_like(values[..., 2:], height)), -1)
+    )
     line = error_of("train", copied, "--model", "cf", "--out", tmp_path / "run", *QUICK)
     assert "surface normals of the dataset are not unit vectors" in line
     assert "extract it again" in line
@@ -306,6 +309,7 @@ def test_a_run_that_states_the_impossible(
     ("key", "new", "why"),
     [
         ("time", lambda values: values[::-1], "'time' does not rise"),
+        ("cells/index", lambda values: np.full_like(values, -7), "'cells/index' "),
         ("part", lambda values: np.full_like(values, 9), "'part' holds no parts"),
         ("cells/index", lambda values: np.full_like(values, 10_000_000), "'cells/index' exceeds the cells"),
     ],

@@ -165,3 +165,11 @@ def test_a_second_pass_begins_after_a_pause_and_does_not_leak_into_the_first():
     later = (passes.contact > turned) & (passes.approach > 0)
     np.testing.assert_allclose(passes.approach[later], turned, atol=0.2)
     assert (passes.approach <= passes.contact).all()
+
+
+def test_rows_without_a_place_have_no_pass():
+    time, xy = there_and_back()
+    xy[5] = np.nan
+    passes = passes_of(time, xy)
+    assert (passes.index[5] == -1).all()
+    assert (np.delete(passes.index, 5, axis=0) >= 0).all()

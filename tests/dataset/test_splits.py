@@ -171,3 +171,44 @@ def test_window_starts_are_the_rows_with_everything_usable_around_them(usable, h
     usable = np.array(usable, dtype=bool)
     wanted = [t for t in range(history, len(usable) - horizon) if usable[t - history : t + horizon + 1].all()]
     assert window_starts(usable, history=history, horizon=horizon).tolist() == wanted
+
+
+def test_where_the_place_is_not_known_the_vehicle_is_where_it_was():
+    place = np.array([[np.nan, 0], [10, 10], [10, 10], [np.nan, np.nan], [1010, 10], [np.nan, 10]])
+    split = parse_split("places:50")
+    assert split.label("drive", place).tolist() == split.label("drive", place[[1, 1, 2, 2, 4, 4]]).tolist()
+
+
+def test_drives_go_where_their_file_says(tmp_path):
+    path = tmp_path / "split.txt"
+    path.write_text("monday train\n\nfriday test\n")
+    split = parse_split(f"drives:{path}")
+    assert (split.label("monday", wandering(10)) == 0).all()
+    assert (split.label("friday", wandering(10)) == 2).all()
+    with pytest.raises(DatasetError, match="names no part for drive 'sunday'"):
+        split.label("sunday", wandering(10))
+
+
+def test_shares_that_do_not_sum_to_one_are_named():
+    with pytest.raises(DatasetError, match=r"'blocks:0\.7,0\.1,0\.3' sum to 1\.1.*shares that sum to 1"):
+        parse_split("blocks:0.7,0.1,0.3")
+
+
+def test_a_drive_that_is_in_two_parts_is_an_error(tmp_path):
+    path = tmp_path / "split.txt"
+    path.write_text("monday train\nmonday train\nmonday test\n")
+    with pytest.raises(DatasetError, match="line 3 puts drive 'monday' into test, an earlier one into train"):
+        parse_split(f"drives:{path}")
+
+
+@pytest.mark.parametrize("content", ["monday\n", "monday train extra\n", "monday exam\n"])
+def test_a_wrong_line_of_a_split_file_is_named(tmp_path, content):
+    path = tmp_path / "split.txt"
+    path.write_text("sunday train\n" + content)
+    with pytest.raises(DatasetError, match=r"split\.txt: line 2 is not 'NAME PART'"):
+        parse_split(f"drives:{path}")
+
+
+def test_a_split_file_that_is_missing_is_an_error(tmp_path):
+    with pytest.raises(DatasetError, match="cannot read the split"):
+        parse_split(f"drives:{tmp_path / 'none.txt'}")

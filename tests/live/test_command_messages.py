@@ -107,7 +107,9 @@ def test_missing_fields_are_named(msgtype, fields, what):
     [
         ("UInt8", 'of = "brake", scale = 0.0039', 'of = "brake", scale = 0.004'),
         ("UInt8", 'of = "steer", scale = 0.01', 'of = "steer", scale = 0.01, offset = -1'),
+        ("UInt8", 'of = "gear"', 'of = "gear", clip = [0, 1]'),
         ("UInt8", 'of = "constant", value = 300', 'of = "constant", value = 200'),
+        ("Int8", 'of = "pedal", scale = 0.005', 'of = "pedal", scale = 0.01'),
         ("Int16", 'of = "speed", scale = 0.001', 'of = "speed", scale = 0.001, clip = [-30000, 30000]'),
         ("Int16", 'of = "yaw_rate", scale = 0.0001', 'of = "yaw_rate", scale = 0.001'),
     ],

@@ -152,3 +152,10 @@ def test_a_camera_that_drifts_is_told_and_then_refused(tmp_path):
     wrong = r"x\.mcap: 'front': its stamps drift against the poses' by 0\.5. s over the drive; use clock\.stamps"
     with pytest.raises(LogError, match=wrong):
         with_drift(tmp_path / "x.mcap", 0.5).coverage()
+
+
+def test_noise_does_not_make_the_lag_wander():
+    noisy = late(np.zeros_like(TIME))
+    noisy = Channel("", "", noisy.time, noisy.values + np.random.default_rng(0).normal(0, 0.3, noisy.values.shape))
+    found = estimate_lag(reference(), noisy, max_lag=2.0)
+    assert np.ptp(found.lag[(found.time > 2) & (found.time < 78)]) < 0.3

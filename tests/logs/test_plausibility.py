@@ -183,3 +183,9 @@ def test_the_chain_is_the_best_of_all(seed: int, count: int) -> None:
     chain = best_chain(weight, lambda origins, to: table[origins, to])
     every = [c for size in range(1, count + 1) for c in combinations(range(count), size)]
     assert worth(tuple(chain.tolist())) == pytest.approx(max(map(worth, every)))
+
+
+def test_few_samples_are_all_kept() -> None:
+    for count in range(1, 10):
+        time = np.arange(count, dtype=float)
+        assert plausible_positions(time, 1e6 * np.random.default_rng(0).normal(size=(count, 3))).keep.all()

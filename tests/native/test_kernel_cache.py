@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from offpiste.native import kernel_cache
+
 CODE = """
 import logging, sys
 logging.basicConfig(level=logging.INFO, format="%(message)s")
@@ -139,3 +141,21 @@ def test_a_compilation_that_fails_keeps_no_other_process_from_it(module: Path, t
     assert first.stdout.readline() == "failed\n"
     assert called(module, cache) == WAITS
     first.communicate()
+
+
+def test_without_a_place_for_the_code_no_process_waits(tmp_path: Path) -> None:
+    class Machine:
+        def codegen(self) -> "Machine":
+            return self
+
+        def magic_tuple(self) -> tuple[str]:
+            return ("machine",)
+
+    first, other = (kernel_cache._Lock(tmp_path, "kernel", "") for _ in range(2))
+    first.acquire(Machine())
+    first.give_up()
+    began = time.monotonic()
+    other.acquire(Machine())
+    assert time.monotonic() - began < 5
+    for lock in (first, other):
+        lock.release()

@@ -57,3 +57,10 @@ def test_a_region_that_is_the_full_image_is_none(given: dict):
 def test_part_of_an_image_is_refused(given: dict):
     with pytest.raises(LogError, match="binning or a region of interest"):
         model_from_message(_region(**given), "/info", rectified=False)
+
+
+def test_many_points_are_projected_as_each_alone(model: CameraModel):
+    points = np.random.default_rng(1).uniform((-2, -2, 1), (2, 2, 5), size=(5000, 3))
+    some = np.arange(0, len(points), 97)
+    assert np.array_equal(model.project(points)[some], np.concatenate([model.project(points[[n]]) for n in some]))
+    assert model.project(points[:0]).shape == (0, 2)

@@ -245,3 +245,14 @@ def test_the_package_is_one_of_ament_python(monkeypatch):
     options = configparser.ConfigParser()
     options.read("setup.cfg")
     assert options["install"]["install_scripts"] == "$base/lib/offpiste_ros"
+
+
+def test_who_publishes_is_not_asked_with_each_message(connect, graph, monkeypatch):
+    ours, robot, heard = connect(), connect("robot"), []
+    publish = robot.publisher("/odom", STRING)
+    ours.subscribe("/odom", heard.append, msgtype=STRING)
+    asked, who = ours._publishers, []
+    monkeypatch.setattr(ours, "_publishers", lambda topic: who.append(threading.current_thread()) or asked(topic))
+    publish(text())
+    assert len(heard) == 1
+    assert threading.current_thread() not in who

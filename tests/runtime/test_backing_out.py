@@ -340,3 +340,14 @@ def test_plans_start_from_the_control_and_gear_of_another_driver(monkeypatch):
     assert commanded.gear == follower.gear == 1.0
     follower.driver = Given()
     assert follower.committed(1.0, 1.1, rows)[0].tolist() != given.tolist()
+
+
+def test_places_that_are_apart_are_counted_apart():
+    backing = BackingOut(SETTINGS)
+    for number in range(4):
+        driven_along(backing, np.full(32, 10.0 * number), begin=20.0 * number)
+        assert backing.gear == -1
+        backing.choose_side(np.array((10.0 * number, 0.0)), STRAIGHT, no_hazard)
+        driven_along(backing, 10.0 * number - 0.2 * np.arange(30), begin=20.0 * number + 5)
+        assert backing.gear == 1
+    assert len(backing.places) == 4

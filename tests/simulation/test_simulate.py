@@ -29,7 +29,7 @@ from offpiste.simulation.simulate import (
 from offpiste.simulation.top_view import draw_top_view, shaded_colours
 from offpiste.simulation.vehicle.parameters import load_vehicle
 from offpiste.simulation.world.build import make_world
-from offpiste.simulation.world.world import WorldSettings
+from offpiste.simulation.world.world import WorldSettings, read_world_preset
 from simulation.drives import flat_world
 
 VEHICLE = load_vehicle()
@@ -222,3 +222,14 @@ def test_a_world_is_drawn():
     draw_top_view(world, figure.subplots())
     figure.savefig(BytesIO(), format="png", dpi=40)
     assert figure.axes[0].get_xlim() == (-40, 40)
+
+
+@pytest.mark.parametrize(
+    ("read", "text", "meant"),
+    [(load_vehicle, "wheelbsae = 2.0", "wheelbase"), (read_world_preset, "open_gruond = {}", "open_ground")],
+)
+def test_a_misspelled_key_is_answered_by_the_nearest_one(read, text, meant, tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(text)
+    with pytest.raises(OffpisteError, match=f"did you mean '{meant}'"):
+        read(path)

@@ -3,7 +3,7 @@
 import inspect
 import json
 import shutil
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -24,7 +24,7 @@ from offpiste.dynamics import Hybrid, Parametric
 from offpiste.rig.channels import ChannelSource
 from offpiste.training import loop, prediction
 from offpiste.training.checkpoint import fold_folders, load_json, load_tensors, save_json, save_tensors
-from offpiste.training.config import TrainConfig
+from offpiste.training.config import TrainConfig, other_settings
 from offpiste.training.prediction import Lookup, predict_batch, predict_windows, roll_out
 from offpiste.training.run import check_device, load_run, predict, refuse_seen
 from offpiste.training.train import train, train_folds
@@ -354,3 +354,22 @@ def test_lstms_on_a_gpu_compute_in_float32(monkeypatch):
     monkeypatch.setattr(torch, "zeros", lambda *size, device: SimpleNamespace(device=gpu, item=lambda: 0.0))
     assert check_device("cuda") == gpu
     assert not torch.backends.cudnn.allow_tf32
+
+
+def test_a_setting_that_one_run_lacks_as_none_hides_no_others() -> None:
+    now = {"train": json.loads(json.dumps(asdict(TrainConfig()))), "dataset": "/b", "split": "fold:1/5"}
+    without = {name: value for name, value in now["train"].items() if name != "min_speed"}
+    before = {"train": without, "dataset": "/b", "split": "fold:0/5"}
+    assert now["train"]["min_speed"] is None
+    assert other_settings(before, now) == "split"
+    assert other_settings({**before, "split": "fold:1/5"}, now) == ""
+    assert other_settings({**before, "train": {**without, "epochs": 7}}, now) == (
+        f"epochs 7 then, {TrainConfig().epochs} now"
+    )
+
+
+def test_a_stride_beyond_all_windows_takes_every_one(dataset: Dataset, tmp_path: Path) -> None:
+    config = replace(QUICK, model="parametric", epochs=1, stride=100_000)
+    assert not len(Windows(dataset, "train").every(config.stride, phase=1))
+    train(dataset, config, tmp_path / "run")
+    load_run(tmp_path / "run")

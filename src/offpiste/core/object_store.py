@@ -105,5 +105,5 @@ def brought(path: str | Path) -> Iterator[Path]:
 def refuse_url(path: str | Path) -> None:
     """Raise `OffpisteError` if a path is in an object store."""
     if (url := url_of(path)) is not None:
-        how = "give a local path; only `offpiste extract` reads and writes object stores"
+        how = "give a local path; `inspect`, `fit-pca` and `extract` read object stores"
         raise OffpisteError("is in an object store", where=url, how=how)

@@ -140,29 +140,32 @@ def fit_pca(
     do = partial(run_all, processes=at_a_time(processes), cluster=cluster, finished=lambda _: None)
     found = do(_find_images, jobs, description="finding images").checked()
     candidates = [candidate for of_a_log in found for candidate in of_a_log]
+    log_of = [number for number, of_a_log in enumerate(found) for _ in of_a_log]
     if not candidates:
         raise PerceptionError("no image in the training part", how="give logs with cameras, or another --split")
     if isinstance(images, int):
-        diverse = most_diverse(np.stack([c.statistics for c in candidates]), images, seed=seed)
-        chosen = [candidates[number].image for number in diverse]
+        chosen = most_diverse(np.stack([c.statistics for c in candidates]), images, seed=seed).tolist()
     else:
         chosen = [_listed(image, candidates) for image in images]
-    names = [drive_name(log) for log in logs]
-    mine = [frozenset(image for image in chosen if image.drive == name) for name in names]
+    mine = [frozenset(candidates[i].image for i in chosen if log_of[i] == number) for number in range(len(logs))]
     jobs = [replace(job, images=listed) for job, listed in zip(jobs, mine, strict=True) if listed]
     moments = Moments.none(backbone.channels)
     for part in do(_read_features, jobs, description="features of the chosen images").checked():
         moments += part
-    about = {"logs": names, "split": split.text, "split_drives": [list(pair) for pair in split.drives]}
+    about = {
+        "logs": [drive_name(log) for log in logs],
+        "split": split.text,
+        "split_drives": [list(pair) for pair in split.drives],
+    }
     pca = fit(moments, backbone, components=components, **about)
     logger.info(f"{len(chosen)} of {len(candidates)} images, {moments.count:.0f} patches of ground")
-    return FittedPca(pca, chosen)
+    return FittedPca(pca, [candidates[i].image for i in chosen])
 
 
-def _listed(image: ListedImage, candidates: Sequence[Candidate]) -> ListedImage:
-    for found, _ in candidates:
+def _listed(image: ListedImage, candidates: Sequence[Candidate]) -> int:
+    for number, (found, _) in enumerate(candidates):
         if found[:2] == image[:2] and abs(found.time - image.time) <= NEAR:
-            return found
+            return number
     raise PerceptionError(
         f"image '{image.drive} {image.camera} {image.time:.6f}' is not in the training part of these logs",
         how="remove it from the list; only the training part may be used",

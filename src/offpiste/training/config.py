@@ -106,7 +106,8 @@ def other_settings(before: dict[str, Any], now: dict[str, Any]) -> str:
         then = before.get(key)
         if then != new and isinstance(then, dict):
             other = [name for name in {**then, **new} if then.get(name) != new.get(name)]
-            return ", ".join(f"{name} {then.get(name)} then, {new.get(name)} now" for name in other)
-        if then != new:
+            if other:  # else one lacks a setting that the other has as None
+                return ", ".join(f"{name} {then.get(name)} then, {new.get(name)} now" for name in other)
+        elif then != new:
             return key
     return ""

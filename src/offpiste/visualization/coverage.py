@@ -107,23 +107,18 @@ def _by_distance(cells: Cells | None) -> bool:
 def passes_of(drive: StoredDrive, rig: Rig) -> Passes | None:
     """Return the passes of a drive's cells; None if they were not made with the usual map."""
     rows = drive.rows
-    xy = path_of(drive)
+    xy = drive.rows.world_xy
     wheels = wheel_positions(xy, rows.state[:, 2].astype(np.float64), rig.wheel_positions())
     passes = find_passes(rows.time, xy, wheels, resolution=VoxelSettings().size)
     same = rows.cells is not None and np.array_equal(passes.index, rows.cells.index)
     return passes if same else None
 
 
-def path_of(drive: StoredDrive) -> Float[np.ndarray, "N 2"]:
-    """Return the positions of the pose point in the world frame [m]; NaN if unknown."""
-    return drive.rows.world_xy
-
-
 def _reached(drive: StoredDrive, passes: Passes | None) -> np.ndarray:
     if passes is None:
         assert drive.rows.cells is not None
         return np.zeros_like(drive.rows.cells.valid)
-    time, xy = drive.rows.time[::STRIDE], path_of(drive)[::STRIDE]
+    time, xy = drive.rows.time[::STRIDE], drive.rows.world_xy[::STRIDE]
     return feature_coverage.within_reach(passes, time, xy, VoxelSettings().size)
 
 

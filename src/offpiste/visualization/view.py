@@ -25,7 +25,6 @@ from offpiste.visualization.coverage import (
     coverage_sections,
     headline,
     measure_coverage,
-    path_of,
     tables,
 )
 from offpiste.visualization.predicted_regions import view_regions
@@ -60,7 +59,7 @@ def draw_paths(drives: Sequence[StoredDrive]) -> Figure:
     figure = Figure(figsize=(11, 0.4 + 4.6 * len(drives)), dpi=120, layout="constrained")
     panels = figure.subplots(len(drives), 2, squeeze=False)
     for drive, (left, right) in zip(drives, panels, strict=True):
-        path = path_of(drive)
+        path = drive.rows.world_xy
         _draw_parts(left, drive)
         speed = np.hypot(*drive.rows.state[:, 3:5].T).astype(np.float64)
         pieces = coloured_path(right, path, speed)
@@ -80,7 +79,7 @@ def draw_paths(drives: Sequence[StoredDrive]) -> Figure:
 
 
 def _draw_parts(axes: Axes, drive: StoredDrive) -> None:
-    path, part = path_of(drive), drive.part
+    path, part = drive.rows.world_xy, drive.part
     plain(axes, f"{drive.name}: {_seconds(drive):.0f} s, {drive.rows.distance / 1000:.2f} km")
     present = [label for label in PART_COLOURS if (part == label).any()]
     for label in present:

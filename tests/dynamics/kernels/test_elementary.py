@@ -9,6 +9,8 @@ import pytest
 from host_kernels import compiled, needs_gcc
 from offpiste.dynamics.header.step_text import shipped_text
 from offpiste.dynamics.kernels import elementary, generate
+from offpiste.dynamics.kernels.layout import LANES
+from offpiste.dynamics.kernels.vectors import WIDTH, load, read_fours, store
 
 ANGLES = np.concatenate((np.linspace(-10, 10, 20001), np.linspace(-1e4, 1e4, 200001), np.linspace(-1e-3, 1e-3, 2001)))
 WIDE = np.concatenate(
@@ -62,3 +64,37 @@ def test_errors_of_the_header_are_small_and_nan_stays(dtype, room):
 def test_generated_code_is_current():
     for path, text in generate.files().items():
         assert path.read_text() == text, "run `python -m offpiste.dynamics.kernels.generate`"
+
+
+f4, checked = np.float32, numba.njit(boundscheck=True)
+
+
+@checked
+def read_checked(numbers, index, outside, rows):
+    read_fours(numbers, index, 1, outside, rows)
+
+
+@checked
+def move_checked(a, at, b, to):
+    store(b, to, load(a, at))
+
+
+def test_bounds_are_checked_where_numba_checks_them():
+    numbers, index, rows = np.zeros(100, f4), np.full(LANES, 95, np.int32), np.zeros(4 * LANES, f4)
+    read_checked(numbers, index, numbers, rows)
+    index[7] = 96
+    with pytest.raises(IndexError):
+        read_checked(numbers, index, numbers, rows)
+    index[7] = 95
+    for wrong in (
+        (numbers, index, numbers[:4], rows),
+        (numbers, index, numbers, rows[1:]),
+        (numbers, index[1:], numbers, rows),
+    ):
+        with pytest.raises(IndexError):
+            read_checked(*wrong)
+    a = np.zeros(WIDTH + 1, f4)
+    move_checked(a, 1, a, 0)
+    for at, to in ((2, 0), (0, 2), (-1, 0)):
+        with pytest.raises(IndexError):
+            move_checked(a, at, a, to)

@@ -1,6 +1,7 @@
 """Recorded ROS 1 and ROS 2 bags, and small bags of every storage, encoding and field type."""
 
 import copy
+import sqlite3
 from pathlib import Path
 
 import numpy as np
@@ -216,3 +217,11 @@ def test_bag_without_definition_of_a_custom_type(tmp_path: Path) -> None:
     assert "my_robot/msg/Status is not defined in the bag; record as .mcap, or run `ros2 bag convert`" in warning
     with pytest.raises(LogError, match=r"'/odom' \(my_robot/msg/Status is not defined in the bag\) has no field"):
         log.read("/odom", ["speed"])
+
+
+def test_database_of_something_else(tmp_path: Path) -> None:
+    database = sqlite3.connect(tmp_path / "a.db3")
+    database.execute("CREATE TABLE songs(name TEXT)")
+    database.close()
+    with pytest.raises(LogError, match=r"cannot be read: .*missing tables"):
+        BagLog(tmp_path / "a.db3")

@@ -184,3 +184,9 @@ def test_data_that_does_not_fill_the_image_is_damaged(name: str) -> None:
     assert pixels_of(message, "/image") is None
     message.height = 0
     assert pixels_of(message, "/image") is None
+
+
+def test_odd_sizes_that_a_layout_cannot_have_are_damaged() -> None:
+    message = raw("nv12", encoded("nv12", SCENE))
+    message.width = 23
+    assert pixels_of(message, "/image") is None

@@ -127,3 +127,11 @@ def test_a_number_that_is_called_stamp_is_no_time(tmp_path):
     quick, plain = both(mcap_file(tmp_path / "log.mcap", messages, msgtype=name, store=store))
     same(quick, plain, "/odom")
     np.testing.assert_array_equal(plain.stamps("/odom"), START + np.arange(20))
+
+
+def test_a_header_of_zero_gives_way_to_the_arrival(tmp_path):
+    message = odometry(0.0)
+    message.header.stamp.sec = message.header.stamp.nanosec = 0
+    quick, plain = both(record(tmp_path / "log.mcap", [(0.5, "/unstamped", message)]))
+    same(quick, plain, "/unstamped")
+    assert quick.stamps("/unstamped").tolist() == [100.5]

@@ -4,6 +4,7 @@ import threading
 import time
 from dataclasses import replace
 from functools import partial
+from types import SimpleNamespace
 from unittest.mock import create_autospec
 
 import numpy as np
@@ -74,3 +75,21 @@ def test_a_lidar_measures_the_same_without_cameras_where_sensors_are_apart(apart
     assert [len(cloud) > 1000 for cloud in clouds[0]] == [True, True]
     same = [np.array_equal(one, other) for one, other in zip(*clouds, strict=True)]
     assert same == [apart, apart]
+
+
+def test_an_error_of_a_sensor_reaches_the_drive():
+    def broken(time):
+        if time == 2:
+            raise OSError("broken")
+        return [("/topic", SimpleNamespace())]
+
+    def while_drawn(sample, stamp_ns):
+        broken(sample.time)
+        yield from ()
+
+    def while_measured(sample, stamp_ns):
+        yield partial(broken, sample.time)
+
+    for measurements in (while_drawn, while_measured):
+        with pytest.raises(OSError, match="broken"):
+            list(observed(samples(100), sensing(measurements), int))

@@ -12,8 +12,8 @@ from offpiste.evaluation.report_figures import deciding_errors, distance_errors,
 from offpiste.report.chart import Chart, Line, Panel, by_end
 
 CAPTION_BOX_PLOT = (
-    "Distance error after 5 s. Boxes: quartiles; whiskers: last value within 1.5 IQR; green: median; orange: mean. "
-    "Values beyond the whiskers are not drawn."
+    "Distance error after 5 s. Boxes: quartiles; whiskers: last value within 1.5 IQR; line in the box: median; "
+    "orange: mean. Values beyond the whiskers are not drawn."
 )
 
 

@@ -276,7 +276,7 @@ def _text(path: Path, notes: list[str], size: int = -1) -> bytes:
     except OSError as error:
         raise LogError(f"cannot be opened: {error.strerror}", where=path) from error
     is_known = read.startswith(_UTF_16) or any(mark in read[:_BEGIN] for mark in _MARKS)
-    if not is_known and _is_utf_8(read):
+    if not is_known and _is_utf_8(read, is_whole=len(read) != size):
         return read
     try:
         text = _with_one_header(read)
@@ -377,9 +377,9 @@ def _with_one_header(read: bytes) -> bytes:
     return read if table is None else table.encode()
 
 
-def _is_utf_8(text: bytes) -> bool:
+def _is_utf_8(text: bytes, *, is_whole: bool) -> bool:
     try:
-        text.decode()
+        codecs.getincrementaldecoder("utf-8")().decode(text, final=is_whole)
     except UnicodeDecodeError:
         return False
     return True

@@ -38,7 +38,7 @@ class TartanDriveLog(Log):
     @classmethod
     def open(cls, path: Path, clock: Clock) -> Log:
         """Open a drive whose stamps are in the clock's unit."""
-        return cls(path, clock=clock)
+        return cls(path, clock=clock if clock.unit else None)
 
     @property
     def clock(self) -> Clock:

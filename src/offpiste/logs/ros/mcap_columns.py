@@ -160,12 +160,12 @@ def columns_of(reader: object, path: Path) -> dict[int, Columns]:
     storage = reader.storage if isinstance(reader, Rosbag2) else None
     if not isinstance(storage, McapReader):
         return {}
-    topics = {c.id: topic for c in storage.connections if (topic := _topic(c, path)) is not None}
-    if not storage.chunks or not topics:
-        return {}
     result = {}
     try:
         with reported(path, "cannot be read by columns"):
+            topics = {c.id: topic for c in storage.connections if (topic := _topic(c, path)) is not None}
+            if not storage.chunks or not topics:
+                return {}
             for chunk, data in _chunks(storage.path, sorted(storage.chunks, key=lambda one: one.chunk_start_offset)):
                 for channel, index in chunk.items():
                     if channel in topics:
