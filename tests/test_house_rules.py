@@ -13,7 +13,7 @@ SHARED_LINES = 6
 LONGEST_FUNCTION = 80
 LIMITS = {
     "src": 70_400,
-    "tests": 45_700,
+    "tests": 45_800,
     "experiments": 6_810,
     "benchmarks": 1_600,
     "docs [bytes]": 220_000,

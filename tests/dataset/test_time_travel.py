@@ -1,17 +1,21 @@
 """Time travel: nothing that a model is given for a window changes when the log is changed after the window's start."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.csv
 import pyarrow.parquet
 import pytest
 import torch
 from msgspec import structs
+from rosbags import rosbag1, rosbag2
+from rosbags.rosbag2.enums import StoragePlugin
 from scipy.spatial.transform import Rotation
 
+from bag_files import ROS1, ROS2
 from factories import RIG
 from offpiste.dataset.columns import COLUMNS
 from offpiste.dataset.resample import Rows, extract_rows
@@ -42,6 +46,12 @@ CHANNELS = {
     "steer": ("steering", "command"),
     "steer_angle": ("steering", "angle"),
 }
+STAMPED = {
+    "odom": ("geometry_msgs/msg/PoseStamped", "pose.position.{} pose.orientation.{}", "xyz", "xyzw"),
+    "pedals": ("geometry_msgs/msg/TwistStamped", "twist.linear.{} twist.angular.{}", "xyz", "x"),
+    "steering": ("geometry_msgs/msg/TwistStamped", "twist.linear.{} twist.angular.{}", "xy", ""),
+}
+"""ROS messages that have a number for each field."""
 
 
 def driven(change: str = "") -> Topics:
@@ -78,27 +88,110 @@ def driven(change: str = "") -> Topics:
     return topics
 
 
-def write(path: Path, topics: Topics) -> None:
-    """Write a table with a row per stamp and empty cells for topics without a sample."""
-    time = np.unique(np.concatenate([stamps for stamps, _ in topics.values()]))
-    columns = {"time": pa.array(time)}
-    for name, (stamps, values) in topics.items():
-        for field, column in zip(FIELDS[name], values.T, strict=True):
-            cells = np.full(len(time), np.nan)
-            cells[np.searchsorted(time, stamps)] = column
-            columns[field] = pa.array(cells, mask=np.isnan(cells))
-    pa.parquet.write_table(pa.table(columns), path)
+def paths(topic: str) -> list[str]:
+    _, pattern, *axes = STAMPED[topic]
+    return [path.format(axis) for path, names in zip(pattern.split(), axes, strict=True) for axis in names]
 
 
-def table_rig() -> Rig:
+def messages(store, topics: Topics):
+    """Stamp [ns], topic, type and message of every sample, in the order of time."""
+    for at, topic, row in sorted((t, name, i) for name, (time, _) in topics.items() for i, t in enumerate(time)):
+        kind, values = STAMPED[topic][0], topics[topic][1][row]
+        ns, numbers = round(at * 1e9), dict(zip(paths(topic), values.tolist(), strict=True))
+
+        def part(kind: str, path: str, numbers=numbers):
+            names = "xyzw" if kind.endswith("Quaternion") else "xyz"
+            return store.types[f"geometry_msgs/msg/{kind}"](**{n: numbers.get(f"{path}.{n}", 0.0) for n in names})
+
+        stamp = store.types["builtin_interfaces/msg/Time"](sec=ns // 10**9, nanosec=ns % 10**9)
+        sequence = {"seq": row} if store is ROS1 else {}
+        header = store.types["std_msgs/msg/Header"](stamp=stamp, frame_id="map", **sequence)
+        if topic == "odom":
+            position, orientation = part("Point", "pose.position"), part("Quaternion", "pose.orientation")
+            pose = store.types["geometry_msgs/msg/Pose"](position=position, orientation=orientation)
+            yield ns, topic, kind, store.types[kind](header=header, pose=pose)
+        else:
+            linear, angular = part("Vector3", "twist.linear"), part("Vector3", "twist.angular")
+            twist = store.types["geometry_msgs/msg/Twist"](linear=linear, angular=angular)
+            yield ns, topic, kind, store.types[kind](header=header, twist=twist)
+
+
+def bag(path: Path, topics: Topics) -> None:
+    with rosbag1.Writer(path) as writer:
+        known = {name: writer.add_connection(f"/{name}", STAMPED[name][0], typestore=ROS1) for name in topics}
+        for ns, topic, kind, message in messages(ROS1, topics):
+            writer.write(known[topic], ns, ROS1.serialize_ros1(message, kind))
+
+
+def ros2(storage: StoragePlugin) -> Callable[[Path, Topics], None]:
+    def write(path: Path, topics: Topics) -> None:
+        with rosbag2.Writer(path, version=9, storage_plugin=storage) as writer:
+            known = {name: writer.add_connection(f"/{name}", STAMPED[name][0], typestore=ROS2) for name in topics}
+            for ns, topic, kind, message in messages(ROS2, topics):
+                writer.write(known[topic], ns, ROS2.serialize_cdr(message, kind))
+
+    return write
+
+
+def tartandrive(path: Path, topics: Topics) -> None:
+    for name, (time, values) in topics.items():
+        (path / name).mkdir(parents=True)
+        np.save(path / name / "data.npy", values)
+        np.savetxt(path / name / "timestamps.txt", time, "%.9f")
+
+
+def table(write: Callable[[pa.Table, Path], None]) -> Callable[[Path, Topics], None]:
+    """One row a stamp; cells of topics without a sample then are empty."""
+
+    def whole(path: Path, topics: Topics) -> None:
+        time = np.unique(np.concatenate([stamps for stamps, _ in topics.values()]))
+        columns = {"time": pa.array(time)}
+        for name, (stamps, values) in topics.items():
+            for field, column in zip(FIELDS[name], values.T, strict=True):
+                cells = np.full(len(time), np.nan)
+                cells[np.searchsorted(time, stamps)] = column
+                columns[field] = pa.array(cells, mask=np.isnan(cells))
+        write(pa.table(columns), path)
+
+    return whole
+
+
+def kitti(path: Path, topics: Topics) -> None:
+    """Poses alone, as latitudes and longitudes."""
+    (path / "oxts" / "data").mkdir(parents=True)
+    time, (x, y, z, *quaternion) = topics["odom"][0], topics["odom"][1].T
+    stamps = np.round(time * 1e9).astype(np.int64).astype("datetime64[ns]")
+    (path / "oxts" / "timestamps.txt").write_text("\n".join(str(stamp).replace("T", " ") for stamp in stamps))
+    euler = np.unwrap(2 * np.arctan2(quaternion[2], quaternion[3]))
+    degrees = np.rad2deg(1 / 6378137.0)
+    rates = np.diff(np.stack((y, x, z, euler)), axis=1, prepend=0.0) / np.diff(time, prepend=0.0)
+    for row in range(len(time)):
+        values = [y[row] * degrees, x[row] * degrees, z[row], 0.0, 0.0, euler[row], *24 * [0.0]]
+        values[6:8], values[10], values[19] = rates[:2, row].tolist(), rates[2, row], rates[3, row]
+        (path / "oxts" / "data" / f"{row:010}.txt").write_text(" ".join(map(repr, map(float, values))))
+
+
+def rig_of(name: Callable[[str, str], str], topic: str = 'topic = "{}"\n') -> Rig:
+    """A rig for a format, by how it names a topic's fields."""
     text = "\n".join(line for line in RIG.split("[channels")[0].split("\n") if not line.startswith("absent"))
-    for channel, (_, *fields) in CHANNELS.items():
+    for channel, (of, *fields) in CHANNELS.items():
         unit = 'unit = "rev/min"\n' if channel == "engine_rpm" else ""
-        text += f"[channels.{channel}]\nfields = {fields}\n{unit}"
+        text += f"[channels.{channel}]\n{topic.format(of)}fields = {[name(of, f) for f in fields]}\n{unit}"
     return parse_rig(text, where="test")
 
 
-TABLE = table_rig()
+ROS = rig_of(lambda topic, field: paths(topic)[FIELDS[topic].index(field)], 'topic = "/{}"\n')
+NUMBERED = rig_of(lambda topic, field: str(FIELDS[topic].index(field)))
+NAMED = rig_of(lambda topic, field: field, "")
+FORMATS: dict[str, tuple[str, Rig, Callable[[Path, Topics], None]]] = {
+    "bag": ("drive.bag", ROS, bag),
+    "mcap": ("drive", ROS, ros2(StoragePlugin.MCAP)),
+    "db3": ("drive", ROS, ros2(StoragePlugin.SQLITE3)),
+    "tartandrive": ("drive", NUMBERED, tartandrive),
+    "csv": ("drive.csv", NAMED, table(pa.csv.write_csv)),
+    "parquet": ("drive.parquet", NAMED, table(pa.parquet.write_table)),
+    "kitti": ("drive_sync", load_rig("kitti"), kitti),
+}
 
 
 def windows_of(rows: Rows, rig: Rig, until: float) -> Windows:
@@ -136,17 +229,20 @@ def differing(ours: Rows, others: Rows, rig: Rig, until: float = CHANGE) -> set[
     return {name for name, values in one.items() if not np.array_equal(values, other[name], equal_nan=True)}
 
 
-def extracted(folder: Path, change: str = "") -> Rows:
-    path = folder / f"{change or 'unchanged'}.parquet"
-    write(path, driven(change))
-    return extract_rows(read_drive(path, TABLE))
+def extracted(format_name: str, folder: Path, change: str = "") -> Rows:
+    name, rig, write = FORMATS[format_name]
+    folder = folder / (change or "as it was")
+    folder.mkdir()
+    write(folder / name, driven(change))
+    return extract_rows(read_drive(folder / name, rig))
 
 
-def test_what_a_model_is_given_does_not_depend_on_later_samples(tmp_path: Path) -> None:
-    rows = extracted(tmp_path)
+@pytest.mark.parametrize("format_name", FORMATS)
+def test_what_a_model_is_given_does_not_depend_on_later_samples(format_name: str, tmp_path: Path) -> None:
+    rows, rig = extracted(format_name, tmp_path), FORMATS[format_name][1]
     assert rows.time[0] < CHANGE - 5
     for change in ("motion", "stamps", "values", "gap"):
-        changed = differing(rows, extracted(tmp_path, change), TABLE)
+        changed = differing(rows, extracted(format_name, tmp_path, change), rig)
         # No window reaches across noise or a gap, so that there may be no target to differ.
         assert changed == {"targets"} or (not changed and change in ("values", "gap")), change
 
@@ -155,8 +251,8 @@ def test_what_a_model_is_given_does_not_depend_on_later_samples(tmp_path: Path) 
 def test_a_column_that_reads_a_later_sample_is_found(name: str, monkeypatch, tmp_path: Path) -> None:
     monkeypatch.setattr(COLUMNS, "_entries", dict(COLUMNS.items()))
     COLUMNS._entries[f"{name}_causal"] = replace(COLUMNS[f"{name}_causal"], read=COLUMNS[name].read)
-    rows, others = (extracted(tmp_path, change) for change in ("", "stamps"))
-    assert differing(rows, others, TABLE) >= {f"{name}_causal", "targets"}
+    rows, others = (extracted("parquet", tmp_path, change) for change in ("", "stamps"))
+    assert differing(rows, others, FORMATS["parquet"][1]) >= {f"{name}_causal", "targets"}
 
 
 class ChangedLog(Log):

@@ -57,10 +57,11 @@ def dataset(folder: Path) -> Dataset:
             split=f"drives:{folder / 'parts.txt'}",
             pca=folder / "pca.safetensors",
         )
-    assert "leaves nothing for train and validation" in said[0]
-    assert "valid by distance: hindsight" in said[1]
-    assert "snapshots of the map" in said[1]
-    assert "warning: the PCA may have seen" in said[1]
+    found = [line for line in said if "compil" not in line]  # kernels may be compiled here or in another process
+    assert "leaves nothing for train and validation" in found[0]
+    assert "valid by distance: hindsight" in found[1]
+    assert "snapshots of the map" in found[1]
+    assert "warning: the PCA may have seen" in found[1]
     return made
 
 

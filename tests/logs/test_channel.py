@@ -357,6 +357,8 @@ def test_orientations_and_vectors_turn_as_their_matrices_do(axes: str, world: in
 
 def test_an_offset_turns_to_the_left_by_its_sign() -> None:
     yaw = np.array([[0.2]])
+    assert to_z_up("yaw", SOURCE[""], yaw, "ned") == -yaw
+    assert to_z_up("yaw", SOURCE[""], yaw, "body down") == yaw
     for axes in ("z up", "body down", "world down", "ned"):
         turned = to_z_up("yaw", SOURCE[""], yaw + 0.1, axes) - to_z_up("yaw", SOURCE[""], yaw, axes)
         assert turned == pytest.approx(0.1 * turning_sign("yaw", axes))

@@ -118,7 +118,7 @@ def test_a_painted_mask_and_polygons_add_up(tmp_path: Path):
     for content in (None, b"", b"text"):
         if content is not None:
             (tmp_path / "x.png").write_bytes(content)
-        with pytest.raises(PerceptionError, match=r"x.png: not a picture; give a PNG"):
+        with pytest.raises(PerceptionError, match=r"x.png: cannot be read as a picture; give a PNG"):
             own_body(camera(str(tmp_path / "x.png")))
 
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from offpiste.logs.ground_truth import GROUND_KINDS
 from offpiste.simulation.vehicle.parameters import load_vehicle
 from offpiste.simulation.vehicle.vehicle import VehicleSimulation
 from offpiste.simulation.world.world import Bushes, Trees, WorldSettings
@@ -24,7 +25,7 @@ def flat_world(
     x = np.arange(nx) * resolution - size[0] / 2
     y = np.arange(ny)[:, None] * resolution - size[1] / 2
     elevation = slope * x + side_slope * y + (0.0 if bumps is None else bumps(x))
-    kinds = np.zeros((7, ny, nx))
+    kinds = np.zeros((len(GROUND_KINDS), ny, nx))
     kinds[2] = 1
     trees, bushes = np.array(trees, float).reshape(-1, 3), np.array(bushes, float).reshape(-1, 4)
     return bare_world(

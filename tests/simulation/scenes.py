@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from offpiste.logs.ground_truth import GROUND_KINDS
 from offpiste.simulation.sample import Motion, Pose
 from offpiste.simulation.world.world import Bushes, Trees, World, WorldSettings
 from synthetic_drive import bare_world
@@ -13,7 +14,7 @@ def world(
     """A plane z = slope . (x, y), not square, of ground `kind(x, y)`, with its centre near the origin."""
     nx, ny = round(size / resolution) + 1, round(size / resolution) + 5
     x, y = -size / 2 + resolution * np.arange(nx), -size / 2 + resolution * np.arange(ny)[:, None]
-    kinds = np.zeros((7, ny, nx))
+    kinds = np.zeros((len(GROUND_KINDS), ny, nx))
     np.put_along_axis(kinds, np.broadcast_to(kind(x, y), (ny, nx)).astype(int)[None], 1.0, axis=0)
     settings = WorldSettings(seed=0, size=float(size), resolution=resolution)
     looks = {"settings": settings, "kinds": kinds, "grass_height": np.full((ny, nx), grass), **plants}

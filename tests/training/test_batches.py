@@ -28,10 +28,14 @@ def test_each_item_is_made_while_the_previous_one_is_in_use():
     assert list(made) == list(one_ahead(make, [])) == []
 
     def fail(number):
-        raise ValueError(number)
+        if number:
+            raise ValueError(number)
+        return number
 
-    with pytest.raises(ValueError, match="0"):
-        next(one_ahead(fail, range(3)))
+    made = one_ahead(fail, range(3))
+    assert next(made) == 0
+    with pytest.raises(ValueError, match="1"):
+        next(made)
 
 
 @pytest.mark.parametrize("group", [Group(), Group(1, 3)])

@@ -256,7 +256,7 @@ def _moving(path: DrivenPath) -> Bool[np.ndarray, " n"]:
 def _one_is_wrong(
     raw: Float[np.ndarray, " n"], against: Bool[np.ndarray, " n"], moving: Bool[np.ndarray, " n"]
 ) -> bool:
-    """Return True if the vehicle mostly moves against one of the recorded values; reverse counts as one gear."""
+    """Return True if the vehicle mostly moves against one recorded value, e.g. reverse recorded as first gear."""
     shares = ((np.sum(against & (raw == value)), np.sum(moving & (raw == value))) for value in _gears(raw))
     return any(STEP * wrong >= _LEAST_AGAINST and wrong > _MOSTLY * moved for wrong, moved in shares)
 

@@ -29,9 +29,9 @@ _REPEATED: Final = 0.05
 _GAPS: Final = 0.02
 """Share of time in gaps above which the finding is a warning."""
 _DISORDER: Final = 0.2
-"""Share of backward steps above which a log is unordered."""
+"""Share of backward steps above which the finding is fatal."""
 _SHUFFLED: Final = 0.002
-"""Share of backward steps above which a log is not sorted by stamp."""
+"""Share of backward steps above which sorting by stamp is offered."""
 
 
 def check_stamps(

@@ -167,7 +167,7 @@ def curvature_per_unit(name: str, rig: Rig) -> float:
 
 
 def _shifted(values: Float[np.ndarray, "... n"], rows: int) -> Float[np.ndarray, "... n"]:
-    """Return the values shifted to a number of rows earlier; NaN at the end."""
+    """Return the values `rows` later; NaN at the end."""
     end = np.full((*values.shape[:-1], rows), np.nan)
     return np.concatenate((values[..., rows:], end), axis=-1)[..., : values.shape[-1]]
 

@@ -166,7 +166,7 @@ def _mask_from_png(path: Path, width: int, height: int) -> Bool[np.ndarray, "hei
     content = np.fromfile(path, dtype=np.uint8) if path.is_file() else np.empty(0, np.uint8)
     picture = decoded_picture(content, grey=True)
     if picture is None:
-        raise PerceptionError("not a picture", where=path, how="give a PNG of the camera's size")
+        raise PerceptionError("cannot be read as a picture", where=path, how="give a PNG of the camera's size")
     if picture.shape != (height, width):
         raise PerceptionError(
             f"a mask of {picture.shape[1]}x{picture.shape[0]} for a camera of {width}x{height}",

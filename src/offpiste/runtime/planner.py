@@ -86,6 +86,8 @@ def load_planner(
         mask_novel_ground(run.dynamics, load_memory_bank(run))
         planner = replace(planner, novelty=novelty)
     if run.pca is None:
+        if not run.features:
+            raise RunError("does not state its features", where=folder, how="train again")
         if run.features != GROUND_PROPERTIES:
             raise RunError(
                 f"reads features that cameras do not provide: {', '.join(run.features[:4])} …",

@@ -206,9 +206,8 @@ def load_run(folder: str | Path, *, device: str = "cpu") -> Run:
     except (ValueError, msgspec.ValidationError) as error:
         raise RunError(f"cannot be used ({error})", where=folder / "model.json", how="train again") from error
     dynamics = build(stated.model, stated.vehicle, seed=stated.seed).to(device)
-    if stated.weights_sha256 is None:
-        raise RunError("does not state the checksum of its weights", where=folder / "model.json", how="train again")
-    refuse_other_file(folder / WEIGHTS, stated.weights_sha256)
+    if stated.weights_sha256 is not None:
+        refuse_other_file(folder / WEIGHTS, stated.weights_sha256)
     tensors = load_tensors(folder / WEIGHTS)[0]
     load_weights(dynamics, tensors, folder)
     for name, values in tensors.items():

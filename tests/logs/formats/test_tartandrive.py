@@ -114,3 +114,9 @@ def test_stamps_are_read_in_the_rig_s_unit(tmp_path: Path) -> None:
     log = TartanDriveLog.open(tmp_path, Clock(unit="ms"))
     np.testing.assert_allclose(log.read("odometry", ("0",)).time, np.arange(4) * 0.02)
     assert log.clock.unit == "ms"
+
+
+def test_a_clock_without_a_unit_counts_seconds(tmp_path: Path) -> None:
+    modality(tmp_path, "speed", np.arange(3.0), np.array([10.0, 10.5, 11.0]))
+    log = TartanDriveLog.open(tmp_path, Clock(column="x", unit=""))
+    assert log.read("speed", ("0",)).time.tolist() == [10.0, 10.5, 11.0]
