@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from offpiste.logs.channel import Channel
 from offpiste.logs.measurements import Cloud, Lidar
 from offpiste.logs.poses import Poses
-from offpiste.perception.motion_compensation import MOMENT, distinct, points_in_world
+from offpiste.perception.motion_compensation import MOMENT, points_in_world
 from offpiste.rig.sensors import LidarSource
 
 
@@ -43,10 +43,3 @@ def test_points_in_world_are_those_of_numpy(count: int, span: float):
     if count > 1 and span > 0:
         assert np.isnan(world).any()  # before the log begins
         assert np.isfinite(world).any()
-
-
-@pytest.mark.parametrize("width", [0, 3, 1000, 10**7])
-def test_distinct_ticks_are_those_of_numpy(width: int):
-    tick = np.random.default_rng(width).integers(-width, width + 1, 2000).astype(np.float64) + 17e12
-    for one, other in zip(distinct(tick), np.unique(tick, return_inverse=True), strict=True):
-        np.testing.assert_array_equal(one, other)

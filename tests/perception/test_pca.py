@@ -48,8 +48,6 @@ def test_equals_the_singular_vectors_of_all_patches():
     components = pca.project(torch.from_numpy(features.reshape(4, 10, 10, 10)))
     assert components.shape == (4, 10, 10, 4)
     assert np.allclose(np.cov(components.reshape(-1, 4).numpy().T), np.diag(pca.variance), atol=1e-4)
-    with pytest.raises(PerceptionError, match="features of 5 channels for a PCA of 10"):
-        pca.project(torch.zeros(3, 5))
 
 
 def test_only_ground_counts():
@@ -60,14 +58,6 @@ def test_only_ground_counts():
     moments = Moments.none(5).add(spoiled, ground)
     assert moments.count == 2
     assert np.allclose(moments.mean, (features[0, 2, 0] + features[0, 0, 3]) / 2)
-
-
-def test_signs_are_fixed():
-    features = correlated(300, 8)
-    basis = fit(Moments.of(features), BACKBONE, components=5).basis
-    assert (basis[np.abs(basis).argmax(axis=0), np.arange(5)] > 0).all()
-    shuffled = fit(Moments.of(features[::-1].copy()), BACKBONE, components=5).basis
-    assert np.allclose(basis, shuffled, atol=1e-6)
 
 
 def test_directions_without_variance_make_no_components():

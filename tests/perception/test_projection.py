@@ -6,7 +6,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from offpiste.core.errors import PerceptionError
 from offpiste.logs.channel import Channel
 from offpiste.logs.measurements import Camera, Cloud, Lidar
 from offpiste.logs.poses import Poses
@@ -18,7 +17,6 @@ from offpiste.perception.projection import (
     SECTORS,
     CameraView,
     Projection,
-    ProjectionSettings,
     occluded_points,
     project,
     project_to_pinhole,
@@ -118,11 +116,6 @@ def test_of_two_cameras_the_one_that_looks_at_the_point_is_taken():
     assert project(np.stack((points[2], wall)), views).view.tolist() == [-1, 1]
 
 
-def test_senseless_settings_are_refused():
-    with pytest.raises(PerceptionError, match=r"reach 0\.0 deg.*give a reach"):
-        ProjectionSettings(reach=0.0)
-
-
 def plain_pinhole(points: np.ndarray, pinhole: CameraModel) -> tuple[np.ndarray, np.ndarray]:
     matrix = pinhole.matrix
     ahead = np.flatnonzero(points[:, 2] > NEAREST)
@@ -190,14 +183,6 @@ def test_a_projection_is_that_of_numpy(count: int, views: int):
         mine = np.flatnonzero(found.seen)
         picked = np.array([features[found.view[i]][found.row[i], found.column[i]] for i in mine])
         np.testing.assert_array_equal(gathered[mine], picked)
-
-
-def test_pixels_of_a_pinhole_are_those_of_numpy():
-    points = np.random.default_rng(0).normal(size=(5000, 3)) * (3, 3, 4)
-    points[::7] = np.nan
-    pinhole = CameraModel(160, 120, SKEWED)
-    for one, other in zip(project_to_pinhole(points, pinhole), plain_pinhole(points, pinhole), strict=True):
-        np.testing.assert_array_equal(one, other)
 
 
 def plain_occlusion(pixels, depth, reach, cell=2, relative=0.06, absolute=0.3):

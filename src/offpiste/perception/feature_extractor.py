@@ -48,11 +48,7 @@ class FeatureExtractor:
 
 
 def load_feature_extractor(path: Path, device: str = "cpu") -> FeatureExtractor:
-    """Load a PCA and its backbone.
-
-    Raises:
-        PerceptionError: the file or the backbone's weights are missing, or the weights differ from those of the PCA.
-    """
+    """Load a PCA and its backbone; raise `PerceptionError` if either is missing or they do not belong together."""
     pca = load_pca(path)
     backbone = open_backbone(pca.backbone, device=device)
     pca.check(backbone, where=path)

@@ -20,17 +20,11 @@ PRODUCTS: Final = ((1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (0, 0), (3, 3))
 
 
 class Derivatives(NamedTuple):
-    """Derivatives of a Gaussian in several directions as sums of separable filters.
+    """Derivatives of a Gaussian in several directions as sums of separable filters."""
 
-    Attributes:
-        size: number of taps, odd.
-        lines: g, x g, x^2 g, and ones, padded with zeros.
-        weights: of the `PRODUCTS` in each filter.
-    """
-
-    size: int
-    lines: Float32[np.ndarray, "4 taps"]
-    weights: Float32[np.ndarray, "k 7"]
+    size: int  # number of taps, odd
+    lines: Float32[np.ndarray, "4 taps"]  # g, x g, x^2 g, and ones, padded with zeros
+    weights: Float32[np.ndarray, "k 7"]  # of the `PRODUCTS` in each filter
 
 
 class PatchMeans(NamedTuple):

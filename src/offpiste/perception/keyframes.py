@@ -8,12 +8,7 @@ from offpiste.core.errors import PerceptionError
 
 
 def keyframes_by_travel(position: Float[np.ndarray, "n k"], metres: float) -> Int[np.ndarray, " m"]:
-    """Return increasing indices of keyframes, each at least `metres` in a straight line from the previous one.
-
-    Args:
-        position: of the vehicle at each frame's stamp [m]; frames with NaN are skipped.
-        metres: 0 takes every frame with a position.
-    """
+    """Return indices of frames with a position [m], each at least `metres` in a straight line from the previous one."""
     chosen: list[int] = []
     for index in np.flatnonzero(np.isfinite(position).all(axis=1)):
         if not chosen or np.linalg.norm(position[index] - position[chosen[-1]]) >= metres:
@@ -27,8 +22,7 @@ def image_statistics(image: UInt8[np.ndarray, "h w 3"]) -> Float[np.ndarray, " 1
     They are computed from its lower two thirds at 64x32 pixels: mean and standard deviation of lightness and both
     colours (CIE L*a*b*), and the logarithm of the lightness's roughness, for the farther and the nearer half.
     """
-    ground = image[image.shape[0] // 3 :]
-    small = cv2.resize(ground, (64, 32), interpolation=cv2.INTER_AREA)
+    small = cv2.resize(image[image.shape[0] // 3 :], (64, 32), interpolation=cv2.INTER_AREA)
     lab = cv2.cvtColor(small, cv2.COLOR_RGB2LAB).astype(np.float64)
     statistics: list[float] = []
     for half in (lab[:16], lab[16:]):
@@ -41,9 +35,6 @@ def most_diverse(statistics: Float[np.ndarray, "N k"], count: int, *, seed: int)
     """Return n = min(count, N) increasing indices of diverse rows by farthest-point sampling from a random row.
 
     Gonzalez, "Clustering to minimize the maximum intercluster distance", 1985, on columns scaled to equal spread.
-
-    Raises:
-        PerceptionError: there are no rows, or some are not finite.
     """
     if not len(statistics) or not np.isfinite(statistics).all():
         raise PerceptionError("no images to choose from, or broken ones", how="give a log with images")

@@ -13,22 +13,16 @@ class PatchGrid:
     """Square patches in the centre of an image, with cropped edges.
 
     For example, 960x594 at patch 14 gives 68x42 patches in the crop 952x588 that starts at pixel (4, 3).
-
-    Attributes:
-        width, height: of the image [px].
-        size: of a patch [px].
     """
 
-    width: int
+    width: int  # of the image [px]
     height: int
-    size: int
+    size: int  # of a patch [px]
 
     def __post_init__(self) -> None:
         if self.width < self.size or self.height < self.size:
-            raise PerceptionError(
-                f"an image of {self.width}x{self.height} holds no patch of {self.size}x{self.size} pixels",
-                how="give larger images",
-            )
+            what = f"an image of {self.width}x{self.height} holds no patch of {self.size}x{self.size} pixels"
+            raise PerceptionError(what, how="give larger images")
 
     @property
     def rows(self) -> int:
@@ -43,7 +37,7 @@ class PatchGrid:
     @property
     def offset(self) -> tuple[int, int]:
         """First pixel of the crop, x and y [px]."""
-        return (self.width - self.columns * self.size) // 2, (self.height - self.rows * self.size) // 2
+        return self.width % self.size // 2, self.height % self.size // 2
 
     @property
     def crop(self) -> tuple[slice, slice]:
@@ -53,5 +47,4 @@ class PatchGrid:
 
     def share(self, mask: Bool[np.ndarray, "height width"]) -> Float[np.ndarray, "rows columns"]:
         """Return the masked share of each patch's pixels."""
-        cropped = mask[self.crop].reshape(self.rows, self.size, self.columns, self.size)
-        return cropped.mean(axis=(1, 3))
+        return mask[self.crop].reshape(self.rows, self.size, self.columns, self.size).mean(axis=(1, 3))

@@ -43,11 +43,7 @@ class Moments:
 
     @classmethod
     def of(cls, vectors: Float[np.ndarray | Tensor, "n C"]) -> "Moments":
-        """Return the moments of vectors.
-
-        Raises:
-            PerceptionError: a vector is not finite.
-        """
+        """Return the moments of vectors; raise `PerceptionError` if one is not finite."""
         rows = np.asarray(torch.as_tensor(vectors).detach().cpu().double())
         if not len(rows):
             return cls.none(rows.shape[1])
@@ -73,24 +69,15 @@ class Moments:
 
 @dataclass(frozen=True)
 class PrincipalComponents:
-    """Linear map from a backbone's features to their principal components, largest variance first.
+    """Linear map from a backbone's features to their principal components, largest variance first."""
 
-    Attributes:
-        mean: of the features.
-        basis: orthonormal columns; the largest entry of each is positive, so that signs are reproducible.
-        variance: explained by each column.
-        total_variance: of the features.
-        backbone, fingerprint: name and `Backbone.fingerprint` of the backbone.
-        fitted_on: number of patches, logs, split ...
-    """
-
-    mean: Float[np.ndarray, " C"]
-    basis: Float[np.ndarray, "C n"]
-    variance: Float[np.ndarray, " n"]
-    total_variance: float
+    mean: Float[np.ndarray, " C"]  # of the features
+    basis: Float[np.ndarray, "C n"]  # orthonormal columns with a positive largest entry, so that signs are reproducible
+    variance: Float[np.ndarray, " n"]  # explained by each column
+    total_variance: float  # of the features
     backbone: str
-    fingerprint: str
-    fitted_on: Mapping[str, Any] = field(default_factory=dict)
+    fingerprint: str  # `Backbone.fingerprint`
+    fitted_on: Mapping[str, Any] = field(default_factory=dict)  # number of patches, logs, split ...
 
     @property
     def components(self) -> int:
@@ -106,34 +93,13 @@ class PrincipalComponents:
         return digest.hexdigest()[:16]
 
     def project(self, features: Float[Tensor, "*P C"]) -> Float[Tensor, "*P n"]:
-        """Return the components of features on their device.
-
-        Raises:
-            PerceptionError: the features have another length.
-        """
-        if features.shape[-1] != len(self.mean):
-            raise PerceptionError(
-                f"features of {features.shape[-1]} channels for a PCA of {len(self.mean)}", how="fit it again"
-            )
+        """Return the components of features on their device."""
         mean, basis = (torch.from_numpy(part).to(features) for part in (self.mean, self.basis))
         return (features - mean) @ basis
 
     def check(self, backbone: Backbone, *, where: str | Path = "") -> None:
-        """Refuse a backbone with other features than those the PCA was fitted on.
-
-        Args:
-            where: file of the PCA, for the message.
-
-        Raises:
-            PerceptionError: the backbone or its weights differ.
-        """
-        if len(self.mean) != backbone.channels:
-            raise PerceptionError(
-                f"the PCA has {len(self.mean)} channels, {backbone.name} has {backbone.channels}",
-                where=where,
-                how="run `offpiste fit-pca` again",
-            )
-        if backbone.fingerprint != self.fingerprint:
+        """Raise `PerceptionError` for a backbone with other features; `where` is the PCA's file, for the message."""
+        if backbone.fingerprint != self.fingerprint or len(self.mean) != backbone.channels:
             raise PerceptionError(
                 f"the PCA was fitted on features of {self.backbone} ({self.fingerprint}), "
                 f"the backbone in use is {backbone.name} ({backbone.fingerprint})",
@@ -143,12 +109,9 @@ class PrincipalComponents:
 
 
 def fit(moments: Moments, backbone: Backbone, *, components: int = COMPONENTS, **fitted_on: Any) -> PrincipalComponents:
-    """Compute a PCA from moments.
+    """Compute a PCA from moments; raise `PerceptionError` for fewer than two patches, or equal ones.
 
     It has fewer than `components` if the patches span fewer directions (few patches, few or constant channels).
-
-    Raises:
-        PerceptionError: there are fewer than two patches, or all are equal.
     """
     if moments.count < 2:
         raise PerceptionError(
@@ -163,8 +126,7 @@ def fit(moments: Moments, backbone: Backbone, *, components: int = COMPONENTS, *
     if not kept:
         raise PerceptionError("all patches of ground are equal", how="check that the images show ground")
     basis = vectors[:, :kept]
-    largest = np.abs(basis).argmax(axis=0)
-    basis = basis * np.sign(basis[largest, np.arange(kept)])
+    basis = basis * np.sign(basis[np.abs(basis).argmax(axis=0), np.arange(kept)])
     return PrincipalComponents(
         mean=moments.mean.astype(np.float32),
         basis=basis.astype(np.float32),
@@ -176,70 +138,43 @@ def fit(moments: Moments, backbone: Backbone, *, components: int = COMPONENTS, *
     )
 
 
-_SCHEMA = 1
-
 PCA_HEADER = "offpiste_pca"
 """Key of the JSON in the file's header."""
+
+_SCHEMA = 1
+_TENSORS = ("mean", "basis", "variance")
+_ABOUT = ("total_variance", "backbone", "fingerprint", "fitted_on")
 
 
 def save_pca(path: Path, pca: PrincipalComponents) -> None:
     """Write a PCA with its digest atomically."""
-    about = {
-        "schema": _SCHEMA,
-        "total_variance": pca.total_variance,
-        "backbone": pca.backbone,
-        "fingerprint": pca.fingerprint,
-        "fitted_on": dict(pca.fitted_on),
-    }
-    tensors = {"mean": pca.mean, "basis": pca.basis.copy(), "variance": pca.variance.copy()}
-    about = json.loads(json.dumps(about))
+    tensors = {name: np.array(getattr(pca, name), order="C") for name in _TENSORS}
+    about = json.loads(json.dumps({"schema": _SCHEMA} | {name: getattr(pca, name) for name in _ABOUT}))
     header = {PCA_HEADER: json.dumps({**about, "sha256": sha256_of_arrays(tensors, about)})}
     write_bytes(path, save(tensors, metadata=header))  # safetensors' own writer hides that a disk is full
 
 
 def load_pca(path: str | Path) -> PrincipalComponents:
-    """Read a PCA from its file, or from `pretrained:FAMILY`.
-
-    Raises:
-        RunError: there is no such pretrained family.
-        PerceptionError: the file is missing, damaged, or not a PCA.
-    """
+    """Read a PCA from its file, or from `pretrained:FAMILY`; raise `PerceptionError` for anything else."""
     path = pca_file(path)
     try:
         with open_tensors(path, "numpy") as file:
             header = file.metadata() or {}
-            tensors = {name: file.get_tensor(name) for name in ("mean", "basis", "variance")}
+            tensors = {name: file.get_tensor(name) for name in _TENSORS}
         about = parsed(header[PCA_HEADER])
         written = about.pop("sha256")
         if about["schema"] != _SCHEMA:
             raise ValueError(f"schema {about['schema']}, not {_SCHEMA}")
         if written != sha256_of_arrays(tensors, about):
             raise ValueError("damaged: its checksum differs")
-        _check_shapes(tensors)
-        pca = PrincipalComponents(
-            **tensors,
-            total_variance=float(about["total_variance"]),
-            backbone=str(about["backbone"]),
-            fingerprint=str(about["fingerprint"]),
-            fitted_on=dict(about["fitted_on"]),
-        )
+        mean, basis, variance = (tensors[name].shape for name in _TENSORS)
+        if len(basis) != 2 or not min(basis) or mean != basis[:1] or variance != basis[1:]:
+            raise ValueError(f"mean, basis and variance of shapes {mean}, {basis}, {variance} do not fit together")
+        if not all(values.dtype == np.float32 and np.isfinite(values).all() for values in tensors.values()):
+            raise ValueError("mean, basis or variance is not finite float32")
+        fields = zip(_ABOUT, (float, str, str, dict), strict=True)
+        return PrincipalComponents(**tensors, **{name: make(about[name]) for name, make in fields})
     except (OSError, SafetensorError, KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
         reason = " ".join(str(error).split()) or type(error).__name__
-        raise PerceptionError(
-            f"not a PCA of offpiste ({reason})", where=path, how="give the file that `offpiste fit-pca` wrote"
-        ) from error
-    return pca
-
-
-def _check_shapes(tensors: Mapping[str, np.ndarray]) -> None:
-    """Raise if tensors are not finite float32, or if their shapes do not fit together.
-
-    Raises:
-        ValueError: names the fault.
-    """
-    for name, values in tensors.items():
-        if values.dtype != np.float32 or not np.isfinite(values).all():
-            raise ValueError(f"'{name}' is not finite float32")
-    mean, basis, variance = (tensors[name].shape for name in ("mean", "basis", "variance"))
-    if len(basis) != 2 or not min(basis) or mean != basis[:1] or variance != basis[1:]:
-        raise ValueError(f"mean, basis and variance of shapes {mean}, {basis}, {variance} do not fit together")
+        how = "give the file that `offpiste fit-pca` wrote"
+        raise PerceptionError(f"not a PCA of offpiste ({reason})", where=path, how=how) from error

@@ -43,15 +43,10 @@ class CameraView:
 
 @dataclass(frozen=True)
 class ProjectionSettings:
-    """Settings of occlusion: nearer points within an angle occlude a point.
+    """Settings of occlusion: nearer points within an angle occlude a point."""
 
-    Attributes:
-        reach: half of that angle, about the spacing of a LiDAR's rings [deg].
-        relative, absolute: occluding points are nearer by relative * depth + absolute [m].
-    """
-
-    reach: float = 1.0
-    relative: float = 0.06
+    reach: float = 1.0  # half of that angle, about the spacing of a LiDAR's rings [deg]
+    relative: float = 0.06  # occluding points are nearer by relative * depth + absolute [m]
     absolute: float = 0.3
 
     def __post_init__(self) -> None:
@@ -65,20 +60,13 @@ class ProjectionSettings:
 
 @dataclass(frozen=True)
 class Projection:
-    """Image, pixel and patch of each of n points.
+    """Image, pixel and patch of each of n points."""
 
-    Attributes:
-        view: index of the view that shows the point; -1 if none.
-        pixel: x, y in the rectified image [px]; NaN if not seen.
-        row, column: of the patch; 0 if not seen.
-        distance: from camera to point [m]; NaN if not seen.
-    """
-
-    view: Int[np.ndarray, " n"]
-    pixel: Float[np.ndarray, "n 2"]
-    row: Int[np.ndarray, " n"]
+    view: Int[np.ndarray, " n"]  # index of the view that shows the point; -1 if none
+    pixel: Float[np.ndarray, "n 2"]  # x, y in the rectified image [px]; NaN if not seen
+    row: Int[np.ndarray, " n"]  # of the patch; 0 if not seen
     column: Int[np.ndarray, " n"]
-    distance: Float[np.ndarray, " n"]
+    distance: Float[np.ndarray, " n"]  # from camera to point [m]; NaN if not seen
 
     @property
     def seen(self) -> Bool[np.ndarray, " n"]:
@@ -86,11 +74,7 @@ class Projection:
         return self.view >= 0
 
     def gather(self, features: Sequence[Float[np.ndarray, "_ _ f"]]) -> Float[np.ndarray, "n f"]:
-        """Return the features of each point's patch; NaN if not seen.
-
-        Args:
-            features: a feature image per view [rows, columns, f].
-        """
+        """Return the features of each point's patch, NaN if not seen, from a feature image per view."""
         result = np.full((len(self.view), features[0].shape[2]), np.nan, features[0].dtype)
         for number, image in enumerate(features):
             gather_features(number, self.view, self.row, self.column, image, result)

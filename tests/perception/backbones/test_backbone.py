@@ -36,26 +36,6 @@ def test_a_batch_equals_single_images(backbone: Backbone, images: np.ndarray):
     assert torch.allclose(features, singles, atol=1e-5)
 
 
-def test_images_may_be_tensors_flipped_or_read_only(backbone: Backbone, images: np.ndarray):
-    wanted = backbone(images)
-    read_only = images.copy()
-    read_only.flags.writeable = False
-    blue_first = np.ascontiguousarray(images[..., ::-1])
-    assert torch.equal(backbone(torch.from_numpy(images)), wanted)
-    assert torch.equal(backbone(read_only), wanted)
-    assert torch.equal(backbone(blue_first[..., ::-1]), wanted)
-    assert torch.allclose(backbone(images.astype(np.float32) / 255), wanted, atol=1e-5)
-
-
-def test_what_is_cropped_changes_nothing(backbone: Backbone, images: np.ndarray):
-    rows, columns = backbone.grid(90, 60).crop
-    framed = images.copy()
-    framed[:] = 255
-    framed[:, rows, columns] = images[:, rows, columns]
-    assert not np.array_equal(framed, images)
-    assert torch.equal(backbone(framed), backbone(images))
-
-
 @pytest.mark.parametrize(("row", "column"), [(0, 0), (3, 5), (1, 4), (2, 0)])
 def test_a_bright_square_lights_up_its_own_cell(backbone: Backbone, row: int, column: int):
     grid = backbone.grid(90, 60)
@@ -71,9 +51,9 @@ def test_a_bright_square_lights_up_its_own_cell(backbone: Backbone, row: int, co
 def test_pixels_that_are_none_are_refused(backbone: Backbone, value: float):
     image = np.full((1, 30, 30, 3), 0.5, dtype=np.float32)
     image[0, 15, 15, 1] = value
-    with pytest.raises(PerceptionError, match="not in \\[0, 1\\]; give uint8, or finite floats"):
+    with pytest.raises(PerceptionError, match=r"not within \[0, 1\]; give uint8, or finite floats"):
         backbone(image)
-    with pytest.raises(PerceptionError, match=r"images of type torch.int64; give uint8"):
+    with pytest.raises(PerceptionError, match=r"images have type torch.int64; give uint8"):
         backbone(np.zeros((1, 30, 30, 3), dtype=np.int64))
 
 
@@ -82,11 +62,6 @@ def test_broken_weights_are_named():
     next(backbone._model.parameters()).data.fill_(torch.inf)
     with pytest.raises(PerceptionError, match=r"^tiny: features are not finite"):
         backbone(np.zeros((1, 28, 28, 3), dtype=np.uint8))
-
-
-def test_fingerprints_tell_weights_and_kinds_apart():
-    assert tiny_vit(0).fingerprint == tiny_vit(0).fingerprint
-    assert len({tiny_vit(0).fingerprint, tiny_vit(1).fingerprint, Filterbank().fingerprint}) == 3
 
 
 @pytest.mark.parametrize("name", ["dinov2", "no such thing"])

@@ -13,30 +13,12 @@ from offpiste.perception.backbones.filterbank import (
     SCALES,
     Filterbank,
     derivatives,
-    neighbourhood_mean,
-    opponent_planes,
     oriented_filters,
-    respond,
 )
 from offpiste.perception.filter_responses import PRODUCTS, TAPS
 
 TEXTURE = slice(6, 6 + 2 * ORIENTATIONS * len(SCALES))
 """After 3 of colour and 3 of its spread."""
-
-
-@pytest.mark.parametrize("scale", [1.0, 2.0])
-def test_filters_do_not_see_brightness_and_answer_a_ramp_alike(scale: float):
-    filters = oriented_filters(scale)
-    assert torch.allclose(filters.sum(dim=(1, 2, 3)), torch.zeros(2 * ORIENTATIONS), atol=1e-6)
-    assert torch.allclose(filters.abs().sum(dim=(1, 2, 3)), torch.ones(2 * ORIENTATIONS))
-    ramp = torch.arange(40.0).expand(1, 1, 40, 40)  # grows to the right
-    answers = respond(ramp, filters)[0, :, 20, 20].abs()
-    # A first derivative along `angle` answers in proportion to its cosine; a second one does not answer.
-    norms = answers[:ORIENTATIONS]
-    assert norms[0] > norms[1] > norms[2]
-    assert norms[2] < 1e-4
-    assert torch.allclose(norms[1], norms[3], atol=1e-5)
-    assert (answers[ORIENTATIONS:] < 1e-4).all()
 
 
 def test_stripes_answer_most_in_their_direction_and_at_their_width():
@@ -61,22 +43,6 @@ def test_exposure_changes_little():
     between_kinds = (plain[:, :4].mean(dim=(0, 1, 2)) - plain[:, 4:].mean(dim=(0, 1, 2))).norm()
     moved = (brighter - plain).mean(dim=(0, 1, 2)).norm()
     assert moved < 0.15 * between_kinds
-
-
-def test_opponent_planes_by_hand():
-    image = torch.tensor([0.47, 0.22, 0.095]).view(1, 3, 1, 1)  # + 0.03 are 1/2, 1/4, 1/8
-    brightness, red_green, blue_yellow = opponent_planes(image).flatten() / np.log(2)
-    assert brightness == pytest.approx(-2.0, abs=1e-5)
-    assert red_green == pytest.approx(1.0, abs=1e-5)
-    assert blue_yellow == pytest.approx(-1.5, abs=1e-5)
-
-
-def test_means_over_neighbours_count_only_those_there_are():
-    values = torch.arange(9.0).view(1, 1, 3, 3)
-    mean = neighbourhood_mean(values, 3)[0, 0]
-    assert mean[1, 1] == 4.0
-    assert mean[0, 0] == (0 + 1 + 3 + 4) / 4
-    assert mean[0, 1] == (0 + 1 + 2 + 3 + 4 + 5) / 6
 
 
 def test_trail_and_vegetation_differ_in_a_photograph(data_folder: Path):

@@ -27,17 +27,11 @@ DINOV2_SMALL: Final = "facebook/dinov2-small"
 
 
 class Backbone(ABC):
-    """Map from images to feature images.
+    """Map from images to feature images."""
 
-    Attributes:
-        name: as given to `open_backbone`; stored with a PCA.
-        patch: size of a patch [px].
-        channels: length of a feature vector.
-    """
-
-    name: str
-    patch: int
-    channels: int
+    name: str  # as given to `open_backbone`; stored with a PCA
+    patch: int  # size of a patch [px]
+    channels: int  # length of a feature vector
 
     @abstractmethod
     def settings(self) -> dict[str, Any]:
@@ -73,10 +67,7 @@ class Backbone(ABC):
         """Compute float32 feature images on the backbone's device.
 
         Args:
-            images: RGB, uint8 in [0, 255] or floats in [0, 1]; cropped to `grid`.
-
-        Raises:
-            PerceptionError: images have another type, are smaller than a patch, or not finite; features not finite.
+            images: RGB, uint8 in [0, 255] or finite floats in [0, 1] (else `PerceptionError`); cropped to `grid`.
         """
         pixels = images if isinstance(images, Tensor) else torch.from_numpy(np.require(images, requirements=["C", "W"]))
         _, height, width, _ = pixels.shape
@@ -86,9 +77,8 @@ class Backbone(ABC):
             with single_threaded_torch():  # too few numbers for threads
                 finite = bool(torch.isfinite(features.sum(dtype=torch.float64)))
         if not finite:
-            raise PerceptionError(
-                "features are not finite", where=self.name, how="download its weights again: they may be damaged"
-            )
+            how = "download its weights again: they may be damaged"
+            raise PerceptionError("features are not finite", where=self.name, how=how)
         return features
 
 
@@ -109,13 +99,12 @@ def _unit_range(pixels: Shaped[Tensor, "B h w 3"]) -> Float[Tensor, "B 3 h w"]:
     if pixels.dtype == torch.uint8:
         return planes.float() / 255
     if not pixels.is_floating_point():
-        raise PerceptionError(f"images of type {pixels.dtype}", how="give uint8, or floats in [0, 1]")
+        raise PerceptionError(f"images have type {pixels.dtype}", how="give uint8, or floats in [0, 1]")
     planes = planes.float()
     low, high = (float(limit) for limit in torch.aminmax(planes))
     if not (low >= 0.0 and high <= 1.0):
-        raise PerceptionError(
-            f"pixels from {low:g} to {high:g}, not in [0, 1]", how="give uint8, or finite floats in [0, 1]"
-        )
+        what = f"pixels range from {low:g} to {high:g}, not within [0, 1]"
+        raise PerceptionError(what, how="give uint8, or finite floats in [0, 1]")
     return planes
 
 
@@ -131,17 +120,19 @@ BACKBONES: Final[Registry[MakeBackbone]] = Registry("backbone", package=__name__
 
 
 def open_backbone(name: str = DINOV2_SMALL, *, device: str = "cpu") -> Backbone:
-    """Open a backbone by name.
+    """Open a backbone by name; raise `PerceptionError` if it, its weights or the device is missing or unsuitable.
 
     Args:
         name: of `BACKBONES`, or a vision transformer: a folder with config.json and model.safetensors, or `owner/model`
             on the Hugging Face hub.
         device: "cpu", "cuda", "cuda:1" ...
-
-    Raises:
-        PerceptionError: the backbone, its weights or the device is missing, or the model is of another family.
     """
-    place = _device(device)
+    try:
+        torch.zeros(1, device=device).item()
+    except (RuntimeError, AssertionError) as error:
+        reason = str(error).splitlines()[0]
+        raise PerceptionError(f"no device {device!r}: {reason}", how="give cpu, or install torch for it") from error
+    place = torch.device(device)
     if name in BACKBONES:
         return BACKBONES[name](device=place)
     if "/" not in name and os.sep not in name and not Path(name).is_dir():
@@ -151,12 +142,3 @@ def open_backbone(name: str = DINOV2_SMALL, *, device: str = "cpu") -> Backbone:
     from offpiste.perception.backbones.vision_transformer import load_vision_transformer
 
     return load_vision_transformer(name, device=place)
-
-
-def _device(name: str) -> torch.device:
-    try:
-        torch.zeros(1, device=name).item()
-    except (RuntimeError, AssertionError) as error:
-        reason = str(error).splitlines()[0]
-        raise PerceptionError(f"no device {name!r}: {reason}", how="give cpu, or install torch for it") from error
-    return torch.device(name)

@@ -122,11 +122,7 @@ def opponent_planes(images: Float[Tensor, "B 3 h w"]) -> Float[Tensor, "B 3 h w"
 
 
 def oriented_filters(scale: float) -> Float[Tensor, "k 1 size size"]:
-    """Return first and second derivatives of a Gaussian in `ORIENTATIONS` directions, with zero mean and unit l1 norm.
-
-    Args:
-        scale: standard deviation of the Gaussian [px].
-    """
+    """Return first and second derivatives of a Gaussian [px] in `ORIENTATIONS` directions, of mean 0 and l1 norm 1."""
     reach = math.ceil(3 * scale)
     across = torch.arange(-reach, reach + 1, dtype=torch.float64) / scale
     y, x = torch.meshgrid(across, across, indexing="ij")

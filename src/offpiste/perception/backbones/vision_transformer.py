@@ -29,8 +29,7 @@ FAMILY = ("dinov2", "dinov2_with_registers", "dinov3_vit")
 _NEEDED = ("config.json", "model.safetensors")
 _FILES = (*_NEEDED, "preprocessor_config.json")
 _OTHERWISE = "use the backbone filterbank, which needs no weights"
-_INSTEAD = f"or {_OTHERWISE}"
-_FOLDER = "give a folder with config.json and model.safetensors"
+_FOLDER = f"give a folder with {' and '.join(_NEEDED)}, or {_OTHERWISE}"
 
 
 @final
@@ -42,15 +41,15 @@ class VisionTransformer(Backbone):
         model: "PreTrainedModel",
         *,
         name: str,
-        mean: tuple[float, float, float] = IMAGENET_MEAN,
-        std: tuple[float, float, float] = IMAGENET_STD,
+        mean: tuple[float, ...] = IMAGENET_MEAN,
+        std: tuple[float, ...] = IMAGENET_STD,
         device: torch.device | None = None,
     ) -> None:
-        if model.config.model_type not in FAMILY:
-            raise PerceptionError(
-                f"a model of type {model.config.model_type!r}", where=name, how=f"use one of {', '.join(FAMILY)}"
-            )
-        self.name, self.patch, self.channels = name, int(model.config.patch_size), int(model.config.hidden_size)
+        config: Any = model.config
+        if config.model_type not in FAMILY:
+            how = f"use one of {', '.join(FAMILY)}"
+            raise PerceptionError(f"a model of type {config.model_type!r}", where=name, how=how)
+        self.name, self.patch, self.channels = name, int(config.patch_size), int(config.hidden_size)
         self._weights = weights_hash(model)
         self._mean, self._std = mean, std
         self._device = device or torch.device("cpu")
@@ -93,14 +92,16 @@ def weights_hash(model: torch.nn.Module) -> str:
 def load_vision_transformer(name: str, *, device: torch.device) -> VisionTransformer:
     """Load a model from safetensors in a folder, the hub's cache or the hub, in this order.
 
-    Raises:
-        MissingExtra: transformers is not installed.
-        PerceptionError: the weights are missing or invalid.
+    Raises `MissingExtra` without transformers, `PerceptionError` if weights are missing or invalid.
     """
     with extra("vit", otherwise=_OTHERWISE):
         from transformers import AutoModel
         from transformers.utils import logging
-    folder = _own_folder(Path(name)) if Path(name).exists() else _hub_folder(name)
+    folder = Path(name) if Path(name).exists() else _hub_folder(name)
+    if not folder.is_dir():
+        raise PerceptionError("is a file, not a folder of safetensors", where=folder, how=_FOLDER)
+    if missing := _missing(folder):
+        raise PerceptionError(f"lacks {' and '.join(missing)}", where=folder, how=_FOLDER)
     mean, std = _normalisation(folder)
     bars = logging.is_progress_bar_enabled()
     logging.disable_progress_bar()  # type: ignore[no-untyped-call]
@@ -109,34 +110,15 @@ def load_vision_transformer(name: str, *, device: torch.device) -> VisionTransfo
             folder, local_files_only=True, use_safetensors=True, dtype=torch.float32, output_loading_info=True
         )
     except (OSError, ValueError, RuntimeError, SafetensorError) as error:
-        raise PerceptionError(
-            f"cannot read a vision transformer: {_first_line(error)}",
-            where=folder,
-            how=f"{_FOLDER}, {_INSTEAD}",
-        ) from error
+        what = f"cannot read a vision transformer: {_first_line(error)}"
+        raise PerceptionError(what, where=folder, how=_FOLDER) from error
     finally:
         if bars:
             logging.enable_progress_bar()  # type: ignore[no-untyped-call]
-    lacking = sorted(result["missing_keys"]) + sorted(str(key) for key in result["mismatched_keys"])
-    if lacking:
-        raise PerceptionError(
-            f"weights lack {lacking[0]} and {len(lacking) - 1} others", where=folder, how="download them again"
-        )
+    if lacking := sorted(result["missing_keys"]) + sorted(str(key) for key in result["mismatched_keys"]):
+        what = f"weights lack {lacking[0]} and {len(lacking) - 1} others"
+        raise PerceptionError(what, where=folder, how="download them again")
     return VisionTransformer(model, name=name, mean=mean, std=std, device=device)
-
-
-def _own_folder(folder: Path) -> Path:
-    """Return a user's folder if it has all files of a model.
-
-    Raises:
-        PerceptionError: it is a file, or lacks a file.
-    """
-    if not folder.is_dir():
-        what = "is a file, not a folder; weights are read from safetensors alone"
-        raise PerceptionError(what, where=folder, how=f"{_FOLDER}, {_INSTEAD}")
-    if missing := _missing(folder):
-        raise PerceptionError(f"lacks {' and '.join(missing)}", where=folder, how=f"{_FOLDER}, {_INSTEAD}")
-    return folder
 
 
 def _missing(folder: Path) -> list[str]:
@@ -149,55 +131,46 @@ def _hub_folder(name: str) -> Path:
     from huggingface_hub.errors import HFValidationError
 
     try:
-        return _complete(Path(snapshot_download(name, allow_patterns=list(_FILES), local_files_only=True)))
+        folder = Path(snapshot_download(name, allow_patterns=list(_FILES), local_files_only=True))
+        if not _missing(folder):
+            return folder
     except HFValidationError as error:
+        alike = did_you_mean(Path(name).name, [beside.name for beside in Path(name).parent.glob("*/")])
         raise PerceptionError(
             "is neither a folder nor the name of a model on the Hugging Face hub",
             where=name,
-            how=f"{_alike(name)}{_FOLDER}, a name like {DINOV2_SMALL}, {_INSTEAD}",
+            how=f"{alike}give a name like {DINOV2_SMALL}, or {_FOLDER}",
         ) from error
     except OSError:
         pass
     try:
         # A query comes first: without a network, a download retries for half a minute.
         HfApi().model_info(name, timeout=10)
-        return _complete(Path(snapshot_download(name, allow_patterns=list(_FILES))))
+        return Path(snapshot_download(name, allow_patterns=list(_FILES)))
     except Exception as error:
         # The remedy is the same for every error of the hub's client.
         fetch = f"`hf download {name} {' '.join(_FILES)} --local-dir FOLDER`"
         raise PerceptionError(
             f"weights are not in the hub's cache and could not be downloaded ({_first_line(error)})",
             where=name,
-            how=f"run {fetch} on a computer with a network and give FOLDER instead, {_INSTEAD}",
+            how=f"run {fetch} on a computer with a network and give FOLDER instead, or {_OTHERWISE}",
         ) from error
 
 
-def _complete(folder: Path) -> Path:
-    if missing := _missing(folder):
-        raise FileNotFoundError(f"no {missing[0]}")
-    return folder
-
-
-def _normalisation(folder: Path) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+def _normalisation(folder: Path) -> tuple[tuple[float, ...], ...]:
     """Return the mean and standard deviation of RGB of a model's preprocessor; ImageNet's by default."""
     path = folder / "preprocessor_config.json"
     if not path.is_file():
         return IMAGENET_MEAN, IMAGENET_STD
     try:
         content = parsed(read_small(path))
-        red_green_blue = [tuple(float(value) for value in content[key]) for key in ("image_mean", "image_std")]
-        (m_red, m_green, m_blue), (s_red, s_green, s_blue) = red_green_blue
+        result = tuple(tuple(float(value) for value in content[key]) for key in ("image_mean", "image_std"))
+        if [len(values) for values in result] != [3, 3]:
+            raise ValueError("not three values")
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise PerceptionError(
-            "no image_mean and image_std of three values", where=path, how="download the file again"
-        ) from error
-    return (m_red, m_green, m_blue), (s_red, s_green, s_blue)
-
-
-def _alike(name: str) -> str:
-    """Suggest an existing folder with a similar name."""
-    path = Path(name)
-    return did_you_mean(path.name, [beside.name for beside in path.parent.glob("*/")])
+        what = "no image_mean and image_std of three values"
+        raise PerceptionError(what, where=path, how="download the file again") from error
+    return result
 
 
 def _first_line(error: Exception) -> str:
