@@ -1,13 +1,15 @@
 """Sources of a rig's channels: topics, fields, units, signs, frames and clocks."""
 
 from collections.abc import Collection, Mapping
-from typing import Final, Literal
+from typing import Annotated, Final, Literal
 
 import msgspec
 import numpy as np
+from msgspec import Meta
 
 from offpiste.core.channels import all_actuators, all_controls
 from offpiste.core.errors import RigError, did_you_mean
+from offpiste.rig.schema import Positive, refuse
 
 GEOGRAPHIC: Final = "lat lon"
 """Unit of positions in degrees of latitude and longitude, with the height in metres."""
@@ -113,7 +115,7 @@ class ChannelSource(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     absolute: bool = False
     values: dict[str, float] = {}
     joints: tuple[str, ...] = ()
-    origin: tuple[float, float] | None = None
+    origin: tuple[Annotated[float, Meta(ge=-90, le=90)], Annotated[float, Meta(ge=-360, le=360)]] | None = None
     interpolation: Literal["linear", "hold", "on change"] = "linear"
     repeats: Literal["keep", "drop"] = "keep"
 
@@ -186,61 +188,51 @@ def undeclared(given: Collection[str]) -> list[str]:
 def check_channels(channels: Mapping[str, ChannelSource], absent: Collection[str], max_steer: float) -> None:
     """Refuse unknown, contradicting and missing channels; `max_steer` is the rig's [rad]."""
     known = known_channels()
+    for name in (*channels, *sorted(absent)):
+        how = f"{did_you_mean(name, known)}channels are: {', '.join(known)}"
+        refuse((name not in known, f"unknown channel '{name}'", how))
     for name, source in channels.items():
-        if name not in known:
-            how = f"{did_you_mean(name, known)}channels are: {', '.join(known)}"
-            raise RigError(f"unknown channel '{name}'", how=how)
-        widths = (1, 2) if name == "steer" else known[name][1]  # of a turn rate, with the speed
-        if len(source.fields) not in widths:
-            raise RigError(
-                f"channels.{name}.fields has {len(source.fields)} entries",
-                how=f"it takes {' or '.join(map(str, widths))}",
-            )
-        unit_factor(name, source.unit, max_steer)
-        if name == "steer" and (len(source.fields) == 2) != (source.unit in TURN_RATES):
-            count = "2 fields" if len(source.fields) == 2 else "1 field"
-            raise RigError(
-                f"channels.steer has {count} in '{source.unit or 1}'",
-                how='a commanded turn rate takes two, turn rate and speed: fields = ["angular.z", "linear.x"], '
-                'unit = "rad/s"; other commands take one',
-            )
-        if source.meanings() and len(source.fields) != 1:
-            raise RigError(f"channels.{name}.values needs a single field", how="remove it")
-        if source.joints and len(source.joints) != len(source.fields):
-            raise RigError(f"channels.{name}.joints must name every field", how="name each, or remove it")
-        if (at := source.origin) is not None and (source.unit != GEOGRAPHIC or abs(at[0]) > 90 or abs(at[1]) > 360):
-            raise RigError(
-                f"channels.{name}.origin is not valid for a position in '{GEOGRAPHIC}'",
-                how="give latitude and longitude in degrees, such as origin = [48.15, 11.58], or remove it",
-            )
-        if name in ("linear_velocity", "angular_velocity") and not source.frame:
-            raise RigError(
-                f"channels.{name}.frame is missing",
-                how='set "world", "body" or "unknown"; `offpiste inspect` shows which fits',
-            )
-        if source.absolute and name in OTHER_CHANNELS:
-            raise RigError(f"channels.{name}.absolute would drop its sign", how="set it for controls only")
-        if source.interpolation == "on change" and name in OTHER_CHANNELS:
-            raise RigError(
-                f"channels.{name} is a measurement, which changes between messages",
-                how='set interpolation = "on change" for controls and actuators only',
-            )
-        if name in absent:
-            raise RigError(f"channel '{name}' is both given and declared absent", how="remove one of the two")
-    unknown = set(absent) - set(known)
-    if unknown:
-        how = f"{did_you_mean(min(unknown), known)}channels are: {', '.join(known)}"
-        raise RigError(f"absent: unknown channel '{min(unknown)}'", how=how)
-    if "position" not in channels:
-        raise RigError("channels.position is missing", how="every rig needs the vehicle's position")
-    if not {"orientation", "yaw"} & set(channels):
-        raise RigError("channels.orientation or channels.yaw is missing", how="every rig needs the vehicle's heading")
+        _check_source(f"channels.{name}", name, source, max_steer)
+        refuse((name in absent, f"channel '{name}' is both given and declared absent", "remove one of the two"))
+    heading = {"orientation", "yaw"} & set(channels)
+    refuse(
+        ("position" not in channels, "channels.position is missing", "every rig needs the vehicle's position"),
+        (not heading, "channels.orientation or channels.yaw is missing", "every rig needs the vehicle's heading"),
+    )
     for name in undeclared(channels):
-        if name not in absent:
-            raise RigError(
-                f"channel '{name}' is neither given nor declared absent",
-                how=f"add [channels.{name}], or '{name}' to absent",
-            )
+        how = f"add [channels.{name}], or '{name}' to absent"
+        refuse((name not in absent, f"channel '{name}' is neither given nor declared absent", how))
+
+
+def _check_source(key: str, name: str, source: ChannelSource, max_steer: float) -> None:
+    count, measured = len(source.fields), name in OTHER_CHANNELS
+    counts = (1, 2) if name == "steer" else known_channels()[name][1]  # of a turn rate, with the speed
+    refuse((count not in counts, f"{key}.fields has {count} entries", f"it takes {' or '.join(map(str, counts))}"))
+    unit_factor(name, source.unit, max_steer)
+    without_speed = name == "steer" and (count == 2) != (source.unit in TURN_RATES)
+    unframed = name in ("linear_velocity", "angular_velocity") and not source.frame
+    refuse(
+        (
+            without_speed,
+            f"{key} has {count} field{'s' * (count == 2)} in '{source.unit or 1}'",
+            'a commanded turn rate takes two, turn rate and speed: fields = ["angular.z", "linear.x"], unit = "rad/s"; '
+            "other commands take one",
+        ),
+        (source.meanings() and count != 1, f"{key}.values needs a single field", "remove it"),
+        (source.joints and len(source.joints) != count, f"{key}.joints must name every field", "fix or remove it"),
+        (
+            source.origin and source.unit != GEOGRAPHIC,
+            f"{key}.origin is given, and the unit is not '{GEOGRAPHIC}'",
+            "remove it, or fix the unit",
+        ),
+        (unframed, f"{key}.frame is missing", 'set "world", "body" or "unknown"; `offpiste inspect` shows which fits'),
+        (source.absolute and measured, f"{key}.absolute would drop its sign", "set it for controls only"),
+        (
+            source.interpolation == "on change" and measured,
+            f"{key} is a measurement, which changes between messages",
+            'set interpolation = "on change" for controls and actuators only',
+        ),
+    )
 
 
 SECONDS_PER_UNIT: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "d": 86_400.0}
@@ -263,7 +255,7 @@ class Clock(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     column: str = ""
     unit: Literal["s", "ms", "us", "ns", "d"] = "s"
     sort: bool = False
-    max_gap: float = 0.5
+    max_gap: Positive = 0.5
 
 
 class Alignment(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -277,4 +269,4 @@ class Alignment(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     topics: tuple[str, ...]
     speed: ChannelSource
-    max_lag: float = 2.0
+    max_lag: Positive = 2.0

@@ -14,6 +14,7 @@ from tomlkit.items import InlineTable, Item, Table, Whitespace
 from offpiste.core.errors import RigError
 from offpiste.rig.channels import ChannelSource
 from offpiste.rig.rig import Rig, check_rig, parse_rig
+from offpiste.rig.schema import converted
 
 
 @dataclass(frozen=True)
@@ -49,10 +50,7 @@ def edited(rig: Rig, edits: Sequence[Edit]) -> Rig:
             table.pop(last, None)
         else:
             table[last] = edit.value
-    try:
-        changed = msgspec.convert(entries, type=Rig)
-    except msgspec.ValidationError as error:
-        raise RigError(str(error), where=rig.name, how=f"not a possible edit: {', '.join(map(str, edits))}") from error
+    changed = converted(entries, Rig)
     check_rig(changed)
     return changed
 

@@ -3,23 +3,29 @@
 import tomllib
 from importlib import resources
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Annotated, Final, Literal
 
 import msgspec
 import numpy as np
 from jaxtyping import Float
+from msgspec import Meta
 
 from offpiste.core.channels import Actuator, Control, actuator_columns, all_actuators, control_columns
 from offpiste.core.errors import RigError, did_you_mean
-from offpiste.core.field_names import suggestion
 from offpiste.core.limits import parsed, read_small
 from offpiste.core.registry import load_extensions
 from offpiste.rig.channels import Alignment, ChannelSource, Clock, check_channels
-from offpiste.rig.outputs import Live, Output, check_names, check_outputs
+from offpiste.rig.outputs import Live, Output, check_outputs
+from offpiste.rig.schema import Positive, converted, refuse
 from offpiste.rig.sensors import CameraSource, Frames, LidarSource, beside, check_sensors
 
 GUESSED: Final = "GUESSED"
 """Prefix of `Vehicle.source` in a drafted rig."""
+
+
+_Metres = Annotated[float, Meta(gt=-100.0, lt=100.0)]
+Wheel = tuple[_Metres, _Metres]
+"""Position of a wheel: x, y [m]."""
 
 
 class Vehicle(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -31,8 +37,8 @@ class Vehicle(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         max_steer: road-wheel angle at a steering command of 1 [rad]; 0 for a vehicle that does not steer.
     """
 
-    mass: float
-    wheel_positions: tuple[tuple[float, float], tuple[float, float], tuple[float, float], tuple[float, float]]
+    mass: Positive
+    wheel_positions: tuple[Wheel, Wheel, Wheel, Wheel]
     pose_point: str
     max_steer: float = 0.0
     source: str = ""
@@ -60,24 +66,16 @@ class Vehicle(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return (front_left - front_right + rear_left - rear_right) / 2
 
 
-_FARTHEST_WHEEL: Final = 100.0
-"""Limit of wheel coordinates [m]."""
-
-
 def check_vehicle(vehicle: Vehicle, *, steers: bool) -> None:
-    """Refuse impossible numbers; vehicles that steer need a `max_steer`."""
-    if not 0 < vehicle.mass < np.inf:
-        raise RigError(f"vehicle.mass is {vehicle.mass} kg", how="give the mass in kg")
-    if not (np.abs(vehicle.wheel_positions) < _FARTHEST_WHEEL).all():
-        raise RigError("vehicle.wheel_positions hold an impossible position", how="give metres from the pose point")
-    if not 0 < vehicle.wheelbase < np.inf:
-        raise RigError("the front wheels are not ahead of the rear wheels", how="fix vehicle.wheel_positions")
-    sides = [y for _, y in vehicle.wheel_positions]
-    if sides[0] < sides[1] or sides[2] < sides[3]:
-        how = "left is +y: give front-left, front-right, rear-left, rear-right"
-        raise RigError("vehicle.wheel_positions have left and right exchanged", how=how)
-    if (steers or vehicle.max_steer != 0) and not 0 < vehicle.max_steer < np.pi / 2:
-        raise RigError(f"vehicle.max_steer is {vehicle.max_steer} rad", how="give a road-wheel angle below pi/2")
+    """Refuse wheels in another order; vehicles that steer need a `max_steer`."""
+    left, right, rear_left, rear_right = (y for _, y in vehicle.wheel_positions)
+    order = "left is +y: give front-left, front-right, rear-left, rear-right"
+    straight = (steers or vehicle.max_steer != 0) and not 0 < vehicle.max_steer < np.pi / 2
+    refuse(
+        (vehicle.wheelbase <= 0, "the front wheels are not ahead of the rear wheels", "fix vehicle.wheel_positions"),
+        (left < right or rear_left < rear_right, "vehicle.wheel_positions have left and right exchanged", order),
+        (straight, f"vehicle.max_steer is {vehicle.max_steer} rad", "give a road-wheel angle below pi/2"),
+    )
 
 
 class Motion(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -92,8 +90,8 @@ class Motion(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             (both down).
     """
 
-    window: float = 0.3
-    slope_length: float = 6.0
+    window: Positive = 0.3
+    slope_length: Positive = 6.0
     normals: Literal["driven path", "flat"] = "driven path"
     axes: Literal["z up", "body down", "world down", "ned"] = "z up"
 
@@ -192,36 +190,13 @@ def parse_rig(text: str, *, where: str) -> Rig:
     """Parse a rig from TOML text; errors name it by `where`."""
     load_extensions()  # may declare channels
     try:
-        given = parsed(text, tomllib.loads)
-        check_names(given)
-        rig = msgspec.convert(given, type=Rig)
+        rig = converted(parsed(text, tomllib.loads), Rig)
         check_rig(rig)
-    except msgspec.ValidationError as error:
-        what = _with_names(str(error), given)
-        how = f"{suggestion(error, Rig)}see docs/rig.md for the keys of a rig"
-        raise RigError(what, where=where, how=how) from error
     except ValueError as error:
         raise RigError(f"not valid TOML: {error}", where=where, how="fix the line that is named") from error
     except RigError as error:
         raise RigError(error.what, where=where, how=error.how) from None
     return rig
-
-
-def _with_names(what: str, given: dict[str, Any]) -> str:
-    """Insert the name of the channel, camera, LiDAR or output that msgspec's message writes as `[...]`."""
-    if "[...]" not in what:
-        return what
-    kinds = {"channels": ChannelSource, "cameras": CameraSource, "lidars": LidarSource, "outputs": Output}
-    for table, kind in kinds.items():
-        entries = given.get(table)
-        for name, entry in entries.items() if isinstance(entries, dict) else ():
-            try:
-                msgspec.convert(entry, type=kind)
-            except msgspec.ValidationError as error:
-                return (
-                    str(error).replace("`$", f"`{table}.{name}") if "`$" in str(error) else f"{table}.{name}: {error}"
-                )
-    return what
 
 
 def preset_names() -> list[str]:
@@ -231,20 +206,12 @@ def preset_names() -> list[str]:
 
 
 def check_rig(rig: Rig) -> None:
-    """Refuse impossible numbers and contradicting entries that types do not exclude."""
+    """Refuse contradicting entries that types do not exclude."""
     check_channels(rig.channels, rig.absent, rig.vehicle.max_steer)
-    for key, number in (
-        ("clock.max_gap", rig.clock.max_gap),
-        ("motion.window", rig.motion.window),
-        ("motion.slope_length", rig.motion.slope_length),
-        ("alignment.max_lag", rig.alignment.max_lag if rig.alignment else 1.0),
-    ):
-        if not 0 < number < np.inf:
-            raise RigError(f"{key} is {number}", how="give a number above zero")
     check_vehicle(rig.vehicle, steers="steer" in rig.channels)
     check_sensors(rig.cameras, rig.lidars)
     epoch = next((name for name, lidar in rig.lidars.items() if lidar.time_field and lidar.time_origin == "epoch"), "")
-    if epoch and rig.clock.stamps == "receive":
-        how = 'point times use the LiDAR\'s clock: use clock.stamps = "header", or leave out time_field'
-        raise RigError(f'lidars.{epoch}.time_origin is "epoch" and clock.stamps is "receive"', how=how)
+    how = 'point times use the LiDAR\'s clock: use clock.stamps = "header", or leave out time_field'
+    what = f'lidars.{epoch}.time_origin is "epoch" and clock.stamps is "receive"'
+    refuse((epoch and rig.clock.stamps == "receive", what, how))
     check_outputs(rig.outputs, rig.live, rig.vehicle.max_steer)

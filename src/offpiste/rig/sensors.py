@@ -1,18 +1,20 @@
 """Cameras and LiDARs of a rig: topics, mountings and calibrations."""
 
 from pathlib import Path
-from typing import Final, Literal
+from typing import Annotated, Final, Literal
 
 import msgspec
 import numpy as np
 from jaxtyping import Float
+from msgspec import Meta
 from msgspec.structs import replace
 
 from offpiste.core.errors import RigError
+from offpiste.rig.schema import Finite, Positive, refuse
 
 Box = tuple[tuple[float, float, float], tuple[float, float, float]]
 """Lowest and highest x, y, z [m]."""
-Polygon = tuple[tuple[float, float], ...]
+Polygon = Annotated[tuple[tuple[float, float], ...], Meta(min_length=3)]
 """Corners x, y [px]."""
 
 TIME_FIELDS: Final = ("t", "time", "timestamp", "time_stamp", "offset_time")
@@ -45,7 +47,7 @@ class Mounting(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             other commands.
     """
 
-    position: tuple[float, float, float] | None = None
+    position: tuple[Finite, Finite, Finite] | None = None
     orientation: tuple[float, float, float, float] | None = None
     looks: Literal["", "forward", "left", "back", "right"] = ""
 
@@ -80,9 +82,9 @@ class Intrinsics(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         model: distortion model of CameraInfo; "equidistant" is OpenCV's fisheye.
     """
 
-    width: int
-    height: int
-    focal_length: tuple[float, float]
+    width: Annotated[int, Meta(ge=1)]
+    height: Annotated[int, Meta(ge=1)]
+    focal_length: tuple[Positive, Positive]
     centre: tuple[float, float]
     distortion: tuple[float, ...] = ()
     model: Literal["plumb_bob", "rational_polynomial", "equidistant"] = "plumb_bob"
@@ -97,8 +99,9 @@ class CameraSource(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     frame: str = ""  # frame of the images (z forward, x right, y down); "" for the frame in their headers
     body_from_camera: Mounting | None = None  # mounting in place of the log's transforms
     rectified: bool = False  # images are rectified; CameraInfo's P holds instead of K and d
-    delay: float = 0.0  # how much later than its exposure an image is stamped [s]
-    bits: int = 0  # bit depth of the sensor for images stored in 16 bits; 0 for images of 8 bits
+    delay: Finite = 0.0  # how much later than its exposure an image is stamped [s]
+    # Bit depth of the sensor for images stored in 16 bits; 0 for images of 8 bits.
+    bits: Annotated[int, Meta(ge=0, le=16)] = 0
     optional: bool = False  # read a log without this topic, without this camera
     mask: str = ""  # image of the recorded size, not black where the vehicle sees itself; path relative to the rig file
     own_body: tuple[Polygon, ...] = ()  # further polygons in the recorded image in which the vehicle sees itself
@@ -115,11 +118,11 @@ class LidarSource(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     topic: str  # topic of point clouds
     frame: str = ""  # frame of the points; "" for the frame in their headers
     body_from_lidar: Mounting | None = None  # mounting in place of the log's transforms
-    delay: float = 0.0  # how much later than measured a cloud is stamped [s]
+    delay: Finite = 0.0  # how much later than measured a cloud is stamped [s]
     time_field: str = ""  # field of the points' own times; "" if they have none or are motion-compensated already
     time_unit: Literal["s", "ms", "us", "ns"] = "s"  # unit of that field
     time_origin: Literal["stamp", "epoch"] = "stamp"  # zero of that field: the cloud's stamp, or 1970
-    min_range: float = 0.0  # min_range, max_range: points nearer or further are dropped [m]
+    min_range: Annotated[float, Meta(ge=0.0)] = 0.0  # min_range, max_range: points nearer or further are dropped [m]
     max_range: float = 1000.0
     own_body: Box | None = None  # box in the body frame; points in it belong to the vehicle itself and are dropped
     optional: bool = False  # read a log without this topic, without this LiDAR
@@ -146,45 +149,31 @@ def beside(cameras: dict[str, CameraSource], folder: Path) -> dict[str, CameraSo
 
 
 def _check_camera(key: str, camera: CameraSource) -> None:
-    if bool(camera.info) == (camera.intrinsics is not None):
-        count = "two calibrations" if camera.info else "no calibration"
-        raise RigError(f"{key} has {count}", how="give info (a CameraInfo topic) or intrinsics, one of the two")
-    given = camera.intrinsics
-    if given and not (min(given.width, given.height) >= 1 and 0 < min(given.focal_length) < np.inf):
-        raise RigError(f"{key}.intrinsics: sizes and focal lengths must be above zero", how="give them in pixels")
-    if any(len(polygon) < 3 for polygon in camera.own_body):
-        raise RigError(f"{key}.own_body: a polygon has less than three corners", how="give [[x, y], [x, y], [x, y]]")
-    if camera.bits and not 8 <= camera.bits <= 16:
-        raise RigError(f"{key}.bits is {camera.bits}", how="give 8 to 16, or leave it out if images have 8 bits")
+    count = "two calibrations" if camera.info else "no calibration"
+    several = bool(camera.info) == (camera.intrinsics is not None)
+    refuse((several, f"{key} has {count}", "give info (a CameraInfo topic) or intrinsics, one of the two"))
     _check_mounting(f"{key}.body_from_camera", camera.mounting)
-    _check_finite(f"{key}.delay", camera.delay)
 
 
 def _check_lidar(key: str, lidar: LidarSource) -> None:
-    if not 0 <= lidar.min_range < lidar.max_range:
-        raise RigError(f"{key}: min_range {lidar.min_range} is not below max_range {lidar.max_range}", how="fix one")
-    if lidar.own_body is not None and not np.all(np.less(*lidar.own_body)):
-        raise RigError(f"{key}.own_body is not a box", how="give the lowest and the highest x, y, z [m]")
+    near, far = lidar.min_range, lidar.max_range
+    inside_out = lidar.own_body is not None and not np.all(np.less(*lidar.own_body))
+    refuse(
+        (not near < far, f"{key}: min_range {near} is not below max_range {far}", "fix one"),
+        (inside_out, f"{key}.own_body is not a box", "give the lowest and the highest x, y, z [m]"),
+    )
     _check_mounting(f"{key}.body_from_lidar", lidar.mounting)
-    _check_finite(f"{key}.delay", lidar.delay)
 
 
 def _check_mounting(key: str, mounting: Mounting | None) -> None:
     if mounting is None:
         return
-    if (mounting.orientation is None) == (not mounting.looks):
-        how = 'give orientation = [x, y, z, w], or a rough guess: looks = "forward"'
-        raise RigError(f"{key} has {'neither orientation nor looks' if not mounting.looks else 'both'}", how=how)
-    if mounting.position is not None and not np.isfinite(mounting.position).all():
-        raise RigError(f"{key}.position is not finite", how="give x, y, z [m]")
-    if mounting.orientation is None:
-        return
-    if mounting.position is None:
-        raise RigError(f"{key} has no position", how="give x, y, z [m]")
-    if not abs(np.linalg.norm(mounting.orientation) - 1) < 0.01:
-        raise RigError(f"{key}.orientation is not a unit quaternion", how="give x, y, z, w of length 1")
-
-
-def _check_finite(key: str, number: float) -> None:
-    if not np.isfinite(number):
-        raise RigError(f"{key} is {number}", how="give seconds")
+    turn, count = mounting.orientation, "both" if mounting.looks else "neither orientation nor looks"
+    how = 'give orientation = [x, y, z, w], or a rough guess: looks = "forward"'
+    refuse(((turn is None) == (not mounting.looks), f"{key} has {count}", how))
+    if turn is not None:
+        unit = abs(np.linalg.norm(turn) - 1) < 0.01
+        refuse(
+            (mounting.position is None, f"{key} has no position", "give x, y, z [m]"),
+            (not unit, f"{key}.orientation is not a unit quaternion", "give x, y, z, w of length 1"),
+        )
