@@ -1,19 +1,14 @@
 """Gains over `b`, seeds and verdicts against numbers worked out by hand."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from feature_datasets import dataset_with_features
 from offpiste.core.conventions import FEATURE_SETS
-from offpiste.dataset.windows import Windows
-from offpiste.evaluation.errors import COMPONENTS, Errors
+from offpiste.evaluation.errors import ERROR_NAMES, Errors
 from offpiste.evaluation.intervals import PairedDifference, Sampling
 from offpiste.evaluation.metrics import RunErrors
-from offpiste.reproduction.figures import spaced_windows
 from offpiste.reproduction.report import distance_table, error_table, fig3_claims, fig4_claims, seed_table, verdict
-from offpiste.reproduction.results import FigureResults, seen_throughout
+from offpiste.reproduction.results import HINDSIGHT, MAP, FigureResults
 from offpiste.reproduction.settings import figure_models
 
 STORED = 40
@@ -25,7 +20,7 @@ def errors(distance: float | np.ndarray, loss: float = 1.0, vx: float = 1.0) -> 
     """Windows of five drives, one every 0.5 s, all with the same numbers but the distance at 5 s."""
     values = np.ones((N, 5, 5))
     values[:, -1, 0] = distance
-    values[:, -1, COMPONENTS.index("vx_error_mps")] = vx
+    values[:, -1, ERROR_NAMES.index("vx_error_mps")] = vx
     row = np.tile(np.arange(N // 5) * 25 + 10, 5)
     return Errors(np.repeat(np.arange(5), N // 5), row, values, np.full(N, loss))
 
@@ -44,18 +39,14 @@ def figure_results(figure: str, given: dict[str, list[Errors]], readings: list) 
 
 def test_comparisons_are_of_the_means_over_seeds_and_windows():
     b, cf = [errors(2.0), errors(4.0)], [errors(1.0), errors(2.0)]
-    results = figure_results("fig3", {"b": b, "cf": cf}, [("recorded", "hindsight")])
-    member = results.models["cf"]
-    comparison = results.compare(member, ("recorded", "hindsight"))
+    results = figure_results("fig3", {"b": b, "cf": cf}, [HINDSIGHT])
+    comparison = results.compare("cf", HINDSIGHT)
     assert comparison.relative["distance_error_m"].mean == pytest.approx(1.5 / 3.0 - 1)
     assert comparison.relative["distance_error_m"].ci95 == pytest.approx((-0.5, -0.5))
-    assert (comparison.n, comparison.seed, comparison.seen) == (N, None, False)
-    single = results.compare_seeds(member, ("recorded", "hindsight"))
+    assert (comparison.n, comparison.seed) == (N, None)
+    single = results.compare_seeds("cf", HINDSIGHT)
     assert [run.relative["distance_error_m"].mean for run in single] == pytest.approx([-0.5, -0.5])
     assert "-50.0, -50.0 (std 0.0)" in seed_table(results).lines[0]
-    seen = results.compare(member, ("recorded", "hindsight"), np.arange(N) % 2 == 1)
-    assert (seen.n, seen.seen) == (N // 2, True)
-    assert np.isnan(results.compare(member, ("recorded", "hindsight"), np.zeros(N, bool)).relative["loss"].mean)
 
 
 @pytest.mark.parametrize(
@@ -76,7 +67,7 @@ def test_verdicts_follow_mean_and_interval(mean, interval, expected):
 
 def test_claims_of_figure_3():
     given = {"b": [errors(2.0)], "cf": [errors(1.8, 0.85, 0.95)], "df": [errors(1.7)], "cf (n=1)": [errors(2.2)]}
-    results = figure_results("fig3", given, [("recorded", "hindsight"), ("map", None)])
+    results = figure_results("fig3", given, [HINDSIGHT, MAP])
     same = {claim: (here, verdict) for claim, _, here, verdict in fig3_claims(results, STORED).lines}
     loss = same["CF against B, mean summed loss, recorded lookup in hindsight"]
     assert loss[0].startswith("-15.0 %")
@@ -112,7 +103,7 @@ def test_noise_makes_no_claim_certain():
     results = figure_results("fig4", given, SETS)
     for claim, *_, said in fig4_claims(results).lines:
         assert said.endswith(", not certain"), claim
-    three = figure_results("fig3", given, [("recorded", "hindsight")])
+    three = figure_results("fig3", given, [HINDSIGHT])
     for claim, *_, said in fig3_claims(three, STORED).lines:
         if "robust" in claim or "slightly below" in claim:
             assert said.endswith(", not certain"), claim
@@ -138,32 +129,3 @@ def test_models_are_apart_by_the_mean_over_lookups_of_their_difference_relative_
     assert found.ci95 == pytest.approx((0.3, 0.3))
     failed = figure_results("fig4", given | {"df": [errors(np.inf)]}, [("recorded", "20")])
     assert np.isnan(failed.apart("df", "cf", failed.readings).mean)
-
-
-def test_seen_throughout_equals_a_slow_loop(tmp_path: Path) -> None:
-    dataset = dataset_with_features(tmp_path / "seen.zarr", ("test", "test"), rows=420)
-    for drive in dataset.drives:
-        drive.rows.cells.valid[:] = True
-        drive.rows.cells.valid[5, 40:60] = False
-        drive.rows.cells.valid[0, 500] = False
-        drive.rows.cells.index[380, 2] = -1
-    drive, row = np.repeat([0, 1], 150), np.tile(np.arange(10, 160), 2)
-    windows = Errors(drive, row, np.zeros((300, 5, 5)), np.zeros(300))
-    found = seen_throughout(dataset, "20", windows)
-    for i in range(0, 300, 7):
-        cells = dataset.drives[drive[i]].rows.cells
-        under = cells.index[row[i] - 10 : row[i] + 250]
-        assert found[i] == all(c >= 0 and cells.valid[5, c] for c in under.ravel())
-    assert 0 < found.sum() < 300
-
-
-def test_ten_windows_share_no_row(tmp_path: Path) -> None:
-    dataset = dataset_with_features(tmp_path / "seen.zarr", ("test",) * 4, rows=1500)
-    windows = Windows(dataset, "test")
-    index = spaced_windows(windows)
-    assert len(index) == 10
-    row, drive = windows.row_in_drive(index), windows.drive[index]
-    assert set(drive) == {0, 1, 2, 3}
-    for i in range(10):
-        for j in range(i):
-            assert drive[i] != drive[j] or abs(row[i] - row[j]) > 260

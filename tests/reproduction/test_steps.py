@@ -7,7 +7,7 @@ import pytest
 
 from log_messages import logged
 from offpiste.core.errors import RunError
-from offpiste.reproduction.steps import Step, append_time, format_duration, run_steps, times_by_kind
+from offpiste.reproduction.steps import Step, format_duration, run_steps
 from offpiste.training.checkpoint import load_json, save_json
 
 
@@ -31,10 +31,10 @@ class Bench:
 
         return Step(name, cost, lambda: name in self.made, do)
 
-    def run(self, steps: list[Step], **options: object) -> None:
+    def run(self, *stages: list[Step]) -> None:
         with logged() as messages:
             try:
-                run_steps([steps], clock=lambda: self.now, **options)
+                run_steps(stages, clock=lambda: self.now)
             finally:
                 self.logged += messages
 
@@ -52,9 +52,9 @@ def test_steps_are_done_in_order_and_resumed_after_a_kill():
     assert "[3/4] third; about 2 s left" in bench.logged, "finished steps take no time"
 
 
-def test_time_left_follows_the_pace_so_far_and_counts_what_comes_later():
+def test_time_left_follows_the_pace_so_far_and_counts_later_stages():
     bench = Bench()
-    bench.run([bench.step("a", 10.0, 30.0), bench.step("b", 20.0, 60.0)], later=[bench.step("c", 40.0, 0.0)])
+    bench.run([bench.step("a", 10.0, 30.0), bench.step("b", 20.0, 60.0)], [bench.step("c", 40.0, 0.0)])
     assert "[1/3] a; about 70 s left" in bench.logged
     assert "[2/3] b; about 3 min left" in bench.logged  # 60 of cost at a third of the pace
 
@@ -68,11 +68,9 @@ def test_side_by_side_a_failure_stops_no_other_step_and_no_later_stage_begins(tm
 
     failing = partial(load_json, tmp_path / "missing")
     stages = [[step("a"), step("b", failing), step("c")], [step("d")]]
-    record = partial(append_time, tmp_path / "steps.jsonl")
     with logged() as lines, pytest.raises(RunError, match="missing"):
-        run_steps(stages, processes=2, record=record)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "c", "source", "steps.jsonl"]
-    assert set(times_by_kind(tmp_path / "steps.jsonl")) == {"make"}
+        run_steps(stages, processes=2)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "c", "source"]
     assert any("[3/4] make c: done, a copy; about" in line for line in lines)
     assert any("missing" in line for line in lines)
     stages[0][1] = step("b")
@@ -81,14 +79,6 @@ def test_side_by_side_a_failure_stops_no_other_step_and_no_later_stage_begins(tm
     assert (tmp_path / "b").exists()
     assert (tmp_path / "d").exists()
     assert "[1/4] make a: there" in lines
-
-
-def test_durations_are_summed_by_kind(tmp_path):
-    file = tmp_path / "steps.jsonl"
-    assert times_by_kind(file) == {}
-    for name, seconds in (("train a", 3.0), ("evaluate a", 1.0), ("train b", 4.0)):
-        append_time(file, name, seconds)
-    assert times_by_kind(file) == {"train": 7.0, "evaluate": 1.0}
 
 
 @pytest.mark.parametrize(("seconds", "text"), [(89.0, "89 s"), (90.0, "2 min"), (7200.0, "2.0 h")])

@@ -27,7 +27,7 @@ from offpiste.training.prediction import Lookup, batch_for, in_parts, roll_batch
 HORIZONS = (1, 2, 3, 4, 5)
 """Times of the errors [s after the start]."""
 
-COMPONENTS = ("distance_error_m", "yaw_error_rad", "vx_error_mps", "vy_error_mps", "yaw_rate_error_radps")
+ERROR_NAMES = ("distance_error_m", "yaw_error_rad", "vx_error_mps", "vy_error_mps", "yaw_rate_error_radps")
 """Absolute errors; yaw wraps around."""
 
 
@@ -37,7 +37,7 @@ class Errors:
 
     Attributes:
         drive, row: index of each window's drive in the dataset, and row of its start.
-        values: by horizon (`HORIZONS`) and component (`COMPONENTS`).
+        values: by horizon (`HORIZONS`) and component (`ERROR_NAMES`).
         loss: over all steps, in units of the kinematic bicycle's error (`offpiste.training.losses`).
     """
 
@@ -61,8 +61,8 @@ class Errors:
         return self.values[:, -1, 0]
 
     def component(self, name: str) -> Float[np.ndarray, " n"]:
-        """Return the error of a component (`COMPONENTS`) at the last horizon, or the "loss" over all steps."""
-        return self.loss if name == "loss" else self.values[:, -1, COMPONENTS.index(name)]
+        """Return the error of a component (`ERROR_NAMES`) at the last horizon, or the "loss" over all steps."""
+        return self.loss if name == "loss" else self.values[:, -1, ERROR_NAMES.index(name)]
 
     def take(self, index: Int[np.ndarray, " m"]) -> "Errors":
         """Return the errors of some windows."""
@@ -111,16 +111,16 @@ class SeededErrors:
         return pool(self.runs)
 
     def at(self, horizon: int, component: int) -> Float[np.ndarray, "S n"]:
-        """Return the errors at an index of `HORIZONS` and an index of `COMPONENTS`."""
+        """Return the errors at an index of `HORIZONS` and an index of `ERROR_NAMES`."""
         return np.stack([run.values[:, horizon, component] for run in self.runs])
 
     def component(self, name: str) -> Float[np.ndarray, "S n"]:
-        """Return the error of a component (`COMPONENTS`) at the last horizon, or the "loss" over all steps."""
+        """Return the error of a component (`ERROR_NAMES`) at the last horizon, or the "loss" over all steps."""
         return np.stack([run.component(name) for run in self.runs])
 
     def distance(self) -> Float[np.ndarray, "S n"]:
         """Return the distance error at the last horizon [m]."""
-        return self.component(COMPONENTS[0])
+        return self.component(ERROR_NAMES[0])
 
     @property
     def loss(self) -> Float[np.ndarray, "S n"]:

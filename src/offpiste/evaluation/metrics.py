@@ -17,7 +17,7 @@ import torch
 
 from offpiste.core.files import write_text
 from offpiste.dynamics.models import display_name, is_baseline
-from offpiste.evaluation.errors import COMPONENTS, HORIZONS, Errors, SeededErrors, by_seed, positions
+from offpiste.evaluation.errors import ERROR_NAMES, HORIZONS, Errors, SeededErrors, by_seed, positions
 from offpiste.evaluation.evaluated_windows import EvaluatedWindows, members
 from offpiste.evaluation.intervals import Levels, PairedDifference, Sampling, Statistics, paired, relative, summary
 from offpiste.training.prediction import Lookup
@@ -187,6 +187,11 @@ class Provenance(msgspec.Struct, frozen=True):
     versions: dict[str, str]
     seed: int
 
+    def facts(self) -> dict[str, str]:
+        """Return the text of each fact for a page."""
+        versions = ", ".join(f"{name} {version}" for name, version in self.versions.items())
+        return {"date": self.date, "machine": self.machine, "command": self.command, "versions": versions}
+
 
 class Metrics(msgspec.Struct, frozen=True, kw_only=True):
     """Content of metrics.json.
@@ -296,7 +301,7 @@ def _rows(
     loss_minus = {other: paired(errors.loss, result.loss, drawn) for other, result in others.items()}
     return [
         ResultRow(
-            **vars(case) | {name: summary(errors.at(h, c), drawn) for c, name in enumerate(COMPONENTS)},
+            **vars(case) | {name: summary(errors.at(h, c), drawn) for c, name in enumerate(ERROR_NAMES)},
             seed=run.seed,
             fold=run.fold,
             part=part,

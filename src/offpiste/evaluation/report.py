@@ -9,7 +9,7 @@ import numpy as np
 from offpiste.dynamics import MODELS
 from offpiste.dynamics.models import is_baseline
 from offpiste.evaluation.box_plots import colour_of
-from offpiste.evaluation.errors import COMPONENTS, HORIZONS
+from offpiste.evaluation.errors import ERROR_NAMES, HORIZONS
 from offpiste.evaluation.evaluate import Evaluation
 from offpiste.evaluation.intervals import MIN_UNITS, Levels, PairedDifference
 from offpiste.evaluation.metrics import (
@@ -53,7 +53,7 @@ NAMES = {
 }
 """Names of the errors in tables."""
 
-assert tuple(NAMES)[:-1] == COMPONENTS
+assert tuple(NAMES)[:-1] == ERROR_NAMES
 
 
 def write_report(evaluation: Evaluation, folder: Path) -> None:
@@ -105,7 +105,7 @@ def _sections(metrics: Metrics, pictures: Pictures) -> list[Section]:
 
 
 def _facts(metrics: Metrics) -> dict[str, str]:
-    windows, made = metrics.windows, metrics.made
+    windows = metrics.windows
     failed = sum(row.n_failed for row in last_rows(single_rows(metrics.results)))
     facts = {
         "dataset": metrics.dataset,
@@ -115,10 +115,7 @@ def _facts(metrics: Metrics) -> dict[str, str]:
         "driving": f"median {number(windows.median_distance_m, 1)} m in 5 s, "
         f"{number(windows.median_speed_mps, 1)} m/s at the start",
         "seen before": f"{number(100 * windows.driven_in_training, 0)} % of the path is within 5 m of training",
-        "date": made.date,
-        "machine": made.machine,
-        "command": made.command,
-        "versions": ", ".join(f"{name} {version}" for name, version in made.versions.items()),
+        **metrics.made.facts(),
     }
     if metrics.assumptions:
         facts["assumptions"] = "; ".join(metrics.assumptions)

@@ -12,30 +12,22 @@ from offpiste.evaluation.evaluate import Reading
 from offpiste.evaluation.evaluated_windows import share_driven_in_training
 from offpiste.evaluation.intervals import PairedDifference
 from offpiste.evaluation.metrics import LossUnits, ResultRow, last_rows, pooled_rows, provenance, write_metrics
-from offpiste.report.chart import draw
-from offpiste.report.page import Page, Picture, Section, picture, table_section, write_page
+from offpiste.report.page import Page, picture, table_section, write_page
 from offpiste.report.text_table import TextTable, interval, number
-from offpiste.reproduction.figures import caption, fig3, fig4, same_windows_chart
-from offpiste.reproduction.results import HINDSIGHT, MAP, FigureMetrics, FigureResults, percent, seen_throughout
-from offpiste.reproduction.runs import PART, EvaluationData, driven_time
+from offpiste.reproduction.data import driven_seconds, opened
+from offpiste.reproduction.figures import caption, fig3, fig4
+from offpiste.reproduction.results import HINDSIGHT, MAP, FigureMetrics, FigureResults, percent
+from offpiste.reproduction.runs import PART, loss_units
 from offpiste.reproduction.settings import (
     BASELINE,
     PCA_SWEPT,
-    FigureModel,
     ReproductionSettings,
     compression_sizes,
     feature_numbers,
     paper_name,
 )
-from offpiste.reproduction.steps import format_duration, times_by_kind
 from offpiste.training.losses import COMPONENTS
-from offpiste.training.run import load_run
 from offpiste.visualization.coverage import FeatureCoverage, coverage_sections, measure_coverage
-
-SAME = (
-    "Ten windows, predicted with features of every viewing distance, read at recorded places. The initial heading "
-    "points upwards."
-)
 
 NAMES = {
     "distance_error_m": "distance [m]",
@@ -50,54 +42,37 @@ VERDICTS = ("yes", "yes, not certain", "no, not certain", "no", "–")
 """Verdicts from certainly yes to certainly no."""
 
 
-def write_figure(settings: ReproductionSettings, data: EvaluationData, results: FigureResults) -> TextTable:
+def write_figure(settings: ReproductionSettings, results: FigureResults) -> TextTable:
     """Write report.html, its figures and metrics.json, each whole or not at all.
 
     Returns:
         the paper's claims and the results.
     """
-    dataset, folder = data.dataset, settings.out / settings.figure
+    dataset, folder = opened(settings), settings.out / settings.figure
     stored, is_fig4 = len(dataset.features), settings.figure == "fig4"
     coverage = measure_coverage(dataset) if is_fig4 else None
-    metrics = _metrics(settings, data, results, coverage)
-    compared = fig4_claims(results) if is_fig4 else fig3_claims(results, stored)
+    metrics = _metrics(settings, dataset, results, coverage)
+    claims = fig4_claims(results) if is_fig4 else fig3_claims(results, stored)
     drawn = fig4(results) if is_fig4 else fig3(results, stored)
     pictures = [picture(name.replace(" ", "-"), figure, caption(name, results)) for name, figure in drawn.items()]
-    sections = [table_section(compared, *pictures)]
-    sections += [table_section(table) for table in _error_tables(results, metrics, dataset) if table.lines]
+    tables = [error_table(metrics.results), difference_table(results), seed_table(results)]
     if is_fig4:
-        sections.append(Section("The same windows", pictures=[_same_windows(settings, data, results)]))
+        tables += [distance_table(results, metrics.results, name) for name in NAMES if name != "vy_error_mps"]
+    sections = [table_section(claims, *pictures), *(table_section(table) for table in tables if table.lines)]
     if coverage is not None:
-        sections += coverage_sections(coverage, ("rates", "differences"))
+        sections += coverage_sections(coverage)
     title = f"offpiste reproduce {settings.figure} --size {settings.size.name}"
     headlines = sentences(results, "dc" if is_fig4 else "cf")
-    write_page(Page(title, headlines, _facts(settings, data, metrics), sections), folder)
+    write_page(Page(title, headlines, _facts(settings, dataset, metrics), sections), folder)
     write_metrics(folder / "metrics.json", metrics)
-    return compared
-
-
-def _error_tables(results: FigureResults, metrics: FigureMetrics, dataset: Dataset) -> list[TextTable]:
-    common = [error_table(metrics.results), difference_table(results), seed_table(results)]
-    if metrics.figure != "fig4":
-        return common
-    quantities = [name for name in NAMES if name != "vy_error_mps"]
-    by_distance = [distance_table(results, metrics.results, name) for name in quantities]
-    return [*common, *by_distance, seen_table(results, dataset)]
-
-
-def _same_windows(settings: ReproductionSettings, data: EvaluationData, results: FigureResults) -> Picture:
-    runs = {name: settings.runs / model.folder(0) for name, model in results.models.items()}
-    dynamics = {name: load_run(run, device=settings.device).dynamics for name, run in runs.items()}
-    return picture("same-windows", draw(same_windows_chart(dynamics, data.windows)), SAME)
+    return claims
 
 
 def _metrics(
-    settings: ReproductionSettings, data: EvaluationData, results: FigureResults, coverage: FeatureCoverage | None
+    settings: ReproductionSettings, dataset: Dataset, results: FigureResults, coverage: FeatureCoverage | None
 ) -> FigureMetrics:
-    dataset = data.dataset
-    others = [model for model in results.models.values() if model != results.baseline]
-    pairs = [(model, reading) for model in others for reading in results.readings]
-    single = [run for pair in pairs for run in results.compare_seeds(*pair) if len(results.runs[pair]) > 1]
+    pairs = [(label, reading) for label in _others(results) for reading in results.readings]
+    units = dict(zip(COMPONENTS, loss_units(settings).tolist(), strict=True))
     return FigureMetrics(
         figure=settings.figure,
         settings=settings.described(),
@@ -106,12 +81,12 @@ def _metrics(
         part=PART,
         seeds={label: list(range(settings.size.seeds)) for label in results.models},
         windows={
-            " ".join(filter(None, reading)): len(results.by_seed(results.baseline, reading).row)
-            for reading in results.readings
+            " ".join(filter(None, reading)): len(results.errors(BASELINE, reading).row) for reading in results.readings
         },
         made=provenance("", results.sampling.seed, settings.device),
-        loss=LossUnits(asdict(settings.size.train.weights), dict(zip(COMPONENTS, data.scale.tolist(), strict=True))),
-        against_b=[results.compare(*pair) for pair in pairs] + single,
+        loss=LossUnits(asdict(settings.size.train.weights), units),
+        against_b=[results.compare(*pair) for pair in pairs]
+        + [run for pair in pairs for run in results.compare_seeds(*pair)],
         coverage={} if coverage is None else _coverage(coverage),
         results=results.rows(),
     )
@@ -129,30 +104,26 @@ def _coverage(coverage: FeatureCoverage) -> dict[str, Any]:
     }
 
 
-def _facts(settings: ReproductionSettings, data: EvaluationData, metrics: FigureMetrics) -> dict[str, str]:
-    dataset, size, driven = data.dataset, settings.size, driven_time(data.dataset)
-    stored, most, train = len(dataset.features), max(PCA_SWEPT), size.train
+def _facts(settings: ReproductionSettings, dataset: Dataset, metrics: FigureMetrics) -> dict[str, str]:
+    stored, most, training = len(dataset.features), max(PCA_SWEPT), settings.size.train
     capped = "" if stored >= most else f"; the paper uses up to {most}"
-    kinds = {"recorded": "at recorded places", "map": "on the map"}
-    evaluated = {kinds[reading.split()[0]]: count for reading, count in metrics.windows.items()}
+    places = {"recorded": "at recorded places", "map": "on the map"}
+    evaluated = {places[reading.split()[0]]: count for reading, count in metrics.windows.items()}
     if settings.dataset is None and settings.split == "drives":
         seen_before = "each drive in its own world, test drives in worlds without training"
     else:
         share = 100 * share_driven_in_training(dataset, PART)
         seen_before = f"{share:.0f} % of the test path is within 5 m of the training path, by coordinates"
+    driven = zip(driven_seconds(dataset), ("train", "validate", "test"), strict=True)
     return {
         "dataset": f"{dataset.path}, {len(dataset.drives)} drives, {stored} features{capped}",
         "split": f"{dataset.split.text}; {seen_before}",
-        "driven": f"{driven.train:.0f} s to train, {driven.validation:.0f} s to validate, {driven.test:.0f} s to test",
+        "driven": ", ".join(f"{seconds:.0f} s to {use}" for seconds, use in driven),
         "evaluated": ", ".join(f"{count} windows of 5 s {where}" for where, count in evaluated.items()),
-        "training": f"{train.epochs} epochs, batch {train.batch}, a window every {train.stride} rows; best epoch by "
-        "validation",
+        "training": f"{training.epochs} epochs, batch {training.batch}, a window every {training.stride} rows; best "
+        "epoch by validation",
         "seeds": ", ".join(f"{label}: {' '.join(map(str, seeds))}" for label, seeds in metrics.seeds.items()),
-        "spent": ", ".join(f"{kind} {format_duration(time)}" for kind, time in times_by_kind(settings.times).items()),
-        "date": metrics.made.date,
-        "machine": metrics.made.machine,
-        "command": metrics.made.command,
-        "versions": ", ".join(f"{name} {version}" for name, version in metrics.made.versions.items()),
+        **metrics.made.facts(),
     }
 
 
@@ -209,8 +180,7 @@ def fig4_claims(results: FigureResults) -> TextTable:
         behind = min((above(value) for value in far.values()), key=VERDICTS.index)
         numbers = ", ".join(f"{name} m: {percent(value)}" for name, value in far.items())
         lines.append((f"{label.upper()} above B at large distances", "above", numbers, behind))
-    ahead: list[Reading] = [("recorded", name) for name in ("10", "20", "30", "40")]
-    apart = results.apart("df", "cf", ahead)
+    apart = results.apart("df", "cf", [("recorded", name) for name in ("10", "20", "30", "40")])
     numbers = f"DF minus CF, mean over 10 to 40 m: {percent(apart)} of B"
     lines.append(("DF more sensitive than CF", "DF worse", numbers, above(apart)))
     for name in ("hindsight", "0", "10", "20", "30"):
@@ -223,19 +193,18 @@ def fig4_claims(results: FigureResults) -> TextTable:
     return _claims(lines)
 
 
-def _gain(results: FigureResults, label: str, reading: Reading, quantity: str = "distance_error_m") -> PairedDifference:
-    return results.compare(results.models[label], reading).relative[quantity]
-
-
 def sentences(results: FigureResults, label: str) -> list[str]:
     """Return sentences with a model's main numbers, the deciding terrain lookup first."""
-
-    def sentence(reading: Reading) -> str:
+    lines = []
+    for reading in _present(results, (MAP, HINDSIGHT)):
         distance, loss = (percent(_gain(results, label, reading, name)) for name in ("distance_error_m", "loss"))
         numbers = f"distance error after 5 s {distance}, loss {loss}"
-        return f"{paper_name(label)} against {paper_name(BASELINE)}, {_place(reading)}: {numbers}"
+        lines.append(f"{paper_name(label)} against {paper_name(BASELINE)}, {_place(reading)}: {numbers}")
+    return lines
 
-    return [sentence(reading) for reading in _present(results, (MAP, HINDSIGHT))]
+
+def _gain(results: FigureResults, label: str, reading: Reading, quantity: str = "distance_error_m") -> PairedDifference:
+    return results.compare(label, reading).relative[quantity]
 
 
 def _present(results: FigureResults, wanted: Sequence[Reading]) -> Iterator[Reading]:
@@ -252,7 +221,7 @@ def _claims(lines: Sequence[tuple[str, ...]]) -> TextTable:
         "last column follows the mean; 'not certain' means that the interval includes the limit. A claim with several "
         "numbers is as certain as the deciding number."
     )
-    return TextTable("What the paper says", ("claim", "paper", "here", "as in the paper"), tuple(lines), about)
+    return TextTable("What the paper says", ("claim", "paper", "here", "as in the paper"), lines, about)
 
 
 def error_table(rows: Sequence[ResultRow]) -> TextTable:
@@ -276,84 +245,60 @@ def error_table(rows: Sequence[ResultRow]) -> TextTable:
     )
     caveats = dict.fromkeys(each.caveat for each in levels.values() if each.caveat)
     names = ("model", *NAMES.values(), "median [m]", "windows", "seeds")
-    return TextTable("Errors after 5 s", names, tuple(lines), " ".join((about, *caveats)))
+    return TextTable("Errors after 5 s", names, lines, " ".join((about, *caveats)))
 
 
 def _named(label: str, reading: Reading) -> str:
     return f"{paper_name(label)} · {' '.join(filter(None, reading))}"
 
 
-def _others(results: FigureResults) -> list[FigureModel]:
-    return [model for model in results.models.values() if model.label != BASELINE]
+def _others(results: FigureResults) -> list[str]:
+    return [label for label in results.models if label != BASELINE]
 
 
 def difference_table(results: FigureResults) -> TextTable:
     """Compare every model with `b`, with the same terrain lookup on the same windows."""
     lines = []
-    for model in _others(results):
+    for label in _others(results):
         for reading in results.readings:
-            against = results.compare(model, reading)
-            seeds = str(against.levels.seeds if against.levels else 0)
+            against = results.compare(label, reading)
             cells = (percent(against.relative[key]) for key in NAMES)
-            lines.append((_named(model.label, reading), *cells, str(against.n), seeds))
+            lines.append((_named(label, reading), *cells, f"{against.n}", f"{against.levels.seeds}"))
     about = (
         f"Mean error relative to that of {paper_name(BASELINE)}; negative values: the model is better. Both use the "
         "same draws of drives, blocks and seeds."
     )
     names = ("model", *(name.partition(" [")[0] for name in NAMES.values()), "windows", "seeds")
-    return TextTable(f"Against {paper_name(BASELINE)}", names, tuple(lines), about)
+    return TextTable(f"Against {paper_name(BASELINE)}", names, lines, about)
 
 
 def seed_table(results: FigureResults) -> TextTable:
     """Compare each run with the `b` of the same seed, for models with several runs."""
     lines = []
-    for model in _others(results):
-        for reading in results.readings:
-            runs = results.compare_seeds(model, reading)
-            if len(runs) > 1 and reading[1] in (None, "hindsight"):
-                gains = [
-                    _spread([100 * run.relative[key].mean for run in runs]) for key in ("distance_error_m", "loss")
-                ]
-                lines.append((_named(model.label, reading), *gains))
+    for label in _others(results):
+        for reading in _present(results, (MAP, HINDSIGHT)):
+            if runs := results.compare_seeds(label, reading):
+                gains = ([100 * run.relative[key].mean for run in runs] for key in ("distance_error_m", "loss"))
+                lines.append((_named(label, reading), *map(_spread, gains)))
     about = f"Each run relative to the run of {paper_name(BASELINE)} with the same seed, and the standard deviation."
-    return TextTable("Seeds", ("model", "distance error [%]", "loss [%]"), tuple(lines), about)
-
-
-def distance_table(results: FigureResults, result_rows: Sequence[ResultRow], quantity: str) -> TextTable:
-    """Return the mean error by viewing distance, and relative to that of `b` with the same normals."""
-    sets = [name for name in FEATURE_SETS if ("recorded", name) in results.readings]
-    rows = {(row.label, row.feature_set): getattr(row, quantity) for row in last_rows(pooled_rows(result_rows))}
-    lines: list[tuple[str, ...]] = []
-    for label, model in results.models.items():
-        mine = [rows[label, name] for name in sets]
-        lines.append((paper_name(label), *(number(error.mean, 3) for error in mine)))
-        lines.append(("  95 % interval", *(interval(error.ci95, 3) for error in mine)))
-        if label != BASELINE:
-            gains = [results.compare(model, ("recorded", name)).relative[quantity] for name in sets]
-            lines.append((f"  against {paper_name(BASELINE)}", *(percent(gain) for gain in gains)))
-    about = "At recorded places; every model reads normals of the same set as its features."
-    return TextTable(f"Mean {NAMES[quantity]} by distance", ("model", *_metres(sets)), tuple(lines), about)
-
-
-def seen_table(results: FigureResults, dataset: Dataset) -> TextTable:
-    """Return distance errors against `b` in windows without missing features."""
-    sets = [name for name in FEATURE_SETS if ("recorded", name) in results.readings]
-    windows = results.by_seed(results.baseline, ("recorded", sets[0])).mean
-    seen = {name: seen_throughout(dataset, name, windows) for name in sets}
-    lines: list[tuple[str, ...]] = [("windows", *(str(int(s.sum())) for s in seen.values()))]
-    for model in _others(results):
-        gains = [results.compare(model, ("recorded", name), seen[name]).relative for name in sets]
-        lines.append((paper_name(model.label), *(percent(gain["distance_error_m"]) for gain in gains)))
-    about = (
-        f"Distance error relative to that of {paper_name(BASELINE)}, only in windows with features of the set under "
-        "all wheels throughout."
-    )
-    return TextTable("Windows valid throughout", ("model", *_metres(sets)), tuple(lines), about)
-
-
-def _metres(sets: Sequence[str]) -> list[str]:
-    return [name if name == "hindsight" else f"{name} m" for name in sets]
+    return TextTable("Seeds", ("model", "distance error [%]", "loss [%]"), lines, about)
 
 
 def _spread(values: Sequence[float]) -> str:
     return f"{', '.join(f'{value:+.1f}' for value in values)} (std {np.std(values, ddof=1):.1f})"
+
+
+def distance_table(results: FigureResults, result_rows: Sequence[ResultRow], quantity: str) -> TextTable:
+    """Return the mean error by viewing distance, and relative to that of `b` with the same normals."""
+    rows = {(row.label, row.feature_set): getattr(row, quantity) for row in last_rows(pooled_rows(result_rows))}
+    lines: list[tuple[str, ...]] = []
+    for label in results.models:
+        mine = [rows[label, name] for name in FEATURE_SETS]
+        lines.append((paper_name(label), *(number(error.mean, 3) for error in mine)))
+        lines.append(("  95 % interval", *(interval(error.ci95, 3) for error in mine)))
+        if label != BASELINE:
+            gains = (_gain(results, label, ("recorded", name), quantity) for name in FEATURE_SETS)
+            lines.append((f"  against {paper_name(BASELINE)}", *map(percent, gains)))
+    names = (name if name == "hindsight" else f"{name} m" for name in FEATURE_SETS)
+    about = "At recorded places; every model reads normals of the same set as its features."
+    return TextTable(f"Mean {NAMES[quantity]} by distance", ("model", *names), lines, about)

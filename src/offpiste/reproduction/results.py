@@ -6,12 +6,8 @@ from typing import Any, Final
 
 import msgspec
 import numpy as np
-from jaxtyping import Bool
 
-from offpiste.core.conventions import HISTORY_STEPS, HORIZON_STEPS
-from offpiste.dataset.feature_sets import set_number
-from offpiste.dataset.store import Dataset
-from offpiste.evaluation.errors import Errors, SeededErrors, by_seed, load_errors, pool
+from offpiste.evaluation.errors import SeededErrors, by_seed, load_errors, pool
 from offpiste.evaluation.evaluate import Reading
 from offpiste.evaluation.intervals import NO_INTERVAL, Levels, PairedDifference, Sampling, relative
 from offpiste.evaluation.metrics import Case, LossUnits, Provenance, ResultRow, RunErrors, result_rows
@@ -19,7 +15,7 @@ from offpiste.report.text_table import interval
 from offpiste.reproduction.runs import PART, errors_path
 from offpiste.reproduction.settings import BASELINE, FigureModel, ReproductionSettings
 
-SCHEMA: Final = 2
+SCHEMA: Final = 3
 """Version of a figure's metrics.json."""
 
 MAP: Final[Reading] = ("map", None)
@@ -34,9 +30,8 @@ class Comparison(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         seed: of a single run, compared with the `b` of the same seed; None: all runs.
-        seen: whether only windows with features under all wheels throughout are used.
         n: number of windows.
-        levels: numbers of drives, blocks and seeds behind the intervals; None without windows.
+        levels: numbers of drives, blocks and seeds behind the intervals.
     """
 
     model: str
@@ -44,9 +39,8 @@ class Comparison(msgspec.Struct, frozen=True, kw_only=True):
     seed: int | None
     lookup: str
     feature_set: str | None
-    seen: bool
     n: int
-    levels: Levels | None
+    levels: Levels
     relative: dict[str, PairedDifference]
 
 
@@ -85,19 +79,14 @@ class FigureResults:
         """Models of the figure, by label."""
         return {model.label: model for model, _ in self.runs}
 
-    @property
-    def baseline(self) -> FigureModel:
-        """Model that the others are compared with."""
-        return self.models[BASELINE]
-
-    def by_seed(self, model: FigureModel, reading: Reading) -> SeededErrors:
+    def errors(self, label: str, reading: Reading) -> SeededErrors:
         """Return the errors of a model by seed."""
-        runs = self.runs[model, reading]
+        runs = self.runs[self.models[label], reading]
         return by_seed([run.errors for run in runs], [run.seed for run in runs])
 
     def levels(self, reading: Reading) -> Levels:
         """Return the numbers of drives, blocks and seeds of the baseline."""
-        errors = self.by_seed(self.baseline, reading)
+        errors = self.errors(BASELINE, reading)
         return self.sampling.on(errors).levels(len(errors.runs))
 
     def rows(self) -> list[ResultRow]:
@@ -107,59 +96,40 @@ class FigureResults:
 
     def apart(self, first: str, second: str, readings: Sequence[Reading]) -> PairedDifference:
         """Return the difference of two models' distance errors relative to that of `b`, averaged over lookups."""
-        drawn = self.sampling.on(self.by_seed(self.baseline, readings[0]))
+        drawn = self.sampling.on(self.errors(BASELINE, readings[0]))
         mean, resampled = 0.0, np.zeros(len(drawn.draws))
         for reading in readings:
-            one, other, b = (
-                self.by_seed(self.models[label], reading).distance() for label in (first, second, BASELINE)
-            )
+            one, other, b = (self.errors(label, reading).distance() for label in (first, second, BASELINE))
             if not all(np.isfinite(errors).all() for errors in (one, other, b)):
                 return PairedDifference(np.nan, NO_INTERVAL)
             mean += float((one.mean() - other.mean()) / b.mean()) / len(readings)
             resampled += (drawn.means(one) - drawn.means(other)) / drawn.means(b) / len(readings)
         return PairedDifference(mean, drawn.interval(resampled))
 
-    def compare(
-        self,
-        model: FigureModel,
-        reading: Reading,
-        seen: Bool[np.ndarray, " n"] | None = None,
-        *,
-        seed: int | None = None,
-    ) -> Comparison:
-        """Compare a model with `b`.
-
-        Args:
-            seen: windows to use; None: all.
-            seed: of the runs to compare; None: all runs.
-        """
-        mine, others = (self.by_seed(each, reading).of_seed(seed) for each in (model, self.baseline))
-        index = np.arange(len(mine.row)) if seen is None else np.flatnonzero(seen)
-        differences, levels = {name: PairedDifference(np.nan, NO_INTERVAL) for name in QUANTITIES}, None
-        if len(index):
-            mine, others = mine.take(index), others.take(index)
-            drawn = self.sampling.on(mine)
-            levels = drawn.levels(len(mine.runs))
-            differences = {name: relative(mine.component(name), others.component(name), drawn) for name in QUANTITIES}
+    def compare(self, label: str, reading: Reading, *, seed: int | None = None) -> Comparison:
+        """Compare a model with `b`: all runs, or those of a seed."""
+        mine, others = (self.errors(each, reading).of_seed(seed) for each in (label, BASELINE))
+        drawn, model = self.sampling.on(mine), self.models[label]
         return Comparison(
             model=model.model,
             variant=model.variant,
             seed=seed,
             lookup=str(reading[0]),
             feature_set=reading[1],
-            seen=seen is not None,
-            n=len(index),
-            levels=levels,
-            relative=differences,
+            n=len(mine.row),
+            levels=drawn.levels(len(mine.runs)),
+            relative={name: relative(mine.component(name), others.component(name), drawn) for name in QUANTITIES},
         )
 
-    def compare_seeds(self, model: FigureModel, reading: Reading) -> list[Comparison]:
-        """Compare each run of a model with the `b` of the same seed."""
-        seeds, others = (self.by_seed(each, reading).seeds for each in (model, self.baseline))
-        return [self.compare(model, reading, seed=seed) for seed in seeds if seed in others]
+    def compare_seeds(self, label: str, reading: Reading) -> list[Comparison]:
+        """Compare each run of a model with the `b` of the same seed; empty for a single run."""
+        seeds, others = (self.errors(each, reading).seeds for each in (label, BASELINE))
+        return [self.compare(label, reading, seed=seed) for seed in seeds if seed in others and len(seeds) > 1]
 
 
-def gather(settings: ReproductionSettings, models: Sequence[FigureModel], readings: Sequence[Reading]) -> FigureResults:
+def read_results(
+    settings: ReproductionSettings, models: Sequence[FigureModel], readings: Sequence[Reading]
+) -> FigureResults:
     """Read the errors of all runs."""
     runs = {
         (model, reading): [
@@ -170,22 +140,6 @@ def gather(settings: ReproductionSettings, models: Sequence[FigureModel], readin
         for reading in readings
     }
     return FigureResults(runs, Sampling())
-
-
-def seen_throughout(dataset: Dataset, feature_set: str, windows: Errors) -> Bool[np.ndarray, " n"]:
-    """Return a mask of windows with all wheels on cells with features of the set, at rows t-10 ... t+249."""
-    throughout = np.zeros(len(windows.row), bool)
-    for place, drive in enumerate(dataset.drives):
-        cells = drive.rows.cells
-        mine = np.flatnonzero(windows.drive == place)
-        if cells is None or not len(mine):
-            continue
-        valid = cells.valid[set_number(feature_set, len(cells.valid))]
-        seen = ((cells.index >= 0) & valid[cells.index]).all(axis=1) if valid.size else np.zeros(len(cells.index), bool)
-        run = np.concatenate(([0], np.cumsum(seen)))
-        row = windows.row[mine]
-        throughout[mine] = run[row + HORIZON_STEPS] - run[row - HISTORY_STEPS] == HORIZON_STEPS + HISTORY_STEPS
-    return throughout
 
 
 def percent(difference: PairedDifference) -> str:

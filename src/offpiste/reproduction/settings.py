@@ -1,7 +1,6 @@
 """Settings of a reproduction: size, data and models of each figure."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -11,6 +10,7 @@ from offpiste.core.conventions import FEATURE_SETS
 from offpiste.core.errors import OffpisteError
 from offpiste.core.parallel import at_a_time
 from offpiste.dynamics.models import display_name
+from offpiste.evaluation.evaluate import Reading
 from offpiste.evaluation.metrics import label
 from offpiste.training.config import TrainConfig
 
@@ -28,8 +28,7 @@ class Size:
         name: value of --size.
         seconds: driving for training, validation and test, over all worlds [s].
         longest, shortest: limits of the length of a drive [s]; each world gets at least `shortest`.
-        images: number of images for the PCA.
-        pca_drives: number of drives of each world for the PCA.
+        images, pca_drives: number of images for the PCA, and of drives of each world that they are from.
         snapshot_seconds: smallest time between validation and test windows with a snapshot of the map [s].
         seeds: number of runs per model.
         stride: rows between windows evaluated at recorded places; on the map, windows with a snapshot are evaluated.
@@ -47,7 +46,7 @@ class Size:
     shortest: float = 12.0
     images: int = 175
     pca_drives: int = 1
-    snapshot_seconds: float = 0.5
+    snapshot_seconds: float = 1.0
     seeds: int = 1
     stride: int = 5
     train: TrainConfig = field(default_factory=TrainConfig)
@@ -59,66 +58,59 @@ class Size:
     sensors: str = "light"
 
 
+_ALL_SPEEDS: dict[str, Any] = {"manoeuvres": True, "seeds": 3}
+
 SIZES = {
-    "smoke": Size(
-        "smoke",
-        (140.0, 40.0, 80.0),
-        images=40,
-        snapshot_seconds=1.0,
-        stride=25,
-        train=TrainConfig(epochs=8, bicycle_epochs=8, actuator_epochs=4, batch=64),
-        world_size=200.0,
-        world_resolution=0.5,
-    ),
-    "laptop": Size(
-        "laptop",
-        (2400.0, 300.0, 900.0),
-        snapshot_seconds=1.0,
-        seeds=3,
-        train=TrainConfig(epochs=12, bicycle_epochs=12, batch=128),
-    ),
-    "evening": Size(
-        "evening",
-        (4_500.0, 600.0, 2_400.0),
-        pca_drives=2,
-        snapshot_seconds=1.0,
-        seeds=3,
-        train=TrainConfig(epochs=24, bicycle_epochs=12, batch=128, min_speed=0.0),
-        first_seed=22_000,
-        manoeuvres=True,
-        portion=16,
-    ),
-    "day": Size(
-        "day",
-        (18_000.0, 1_200.0, 4_800.0),
-        images=350,
-        pca_drives=2,
-        snapshot_seconds=1.0,
-        seeds=3,
-        train=TrainConfig(epochs=10, bicycle_epochs=8, batch=512, min_speed=0.0),
-        first_seed=20_000,
-        manoeuvres=True,
-        portion=16,
-    ),
-    "full": Size(
-        "full",
-        (1_800.0, 180.0, 900.0),
-        snapshot_seconds=1.0,
-        seeds=3,
-        train=TrainConfig(epochs=12, bicycle_epochs=12, batch=128, min_speed=0.0),
-        first_seed=21_000,
-        manoeuvres=True,
-        portion=8,
-        sensors="full",
-    ),
-    "paper": Size(
-        "paper",
-        (42_000.0, 2_600.0, 5_300.0),
-        pca_drives=4,
-        seeds=3,
-        stride=1,
-        train=TrainConfig(epochs=30, bicycle_epochs=5, batch=1024, stride=1),
-    ),
+    size.name: size
+    for size in (
+        Size(
+            "smoke",
+            (140.0, 40.0, 80.0),
+            images=40,
+            stride=25,
+            train=TrainConfig(epochs=8, bicycle_epochs=8, actuator_epochs=4, batch=64),
+            world_size=200.0,
+            world_resolution=0.5,
+        ),
+        Size("laptop", (2400.0, 300.0, 900.0), seeds=3, train=TrainConfig(epochs=12, bicycle_epochs=12, batch=128)),
+        Size(
+            "evening",
+            (4_500.0, 600.0, 2_400.0),
+            pca_drives=2,
+            train=TrainConfig(epochs=24, bicycle_epochs=12, batch=128, min_speed=0.0),
+            first_seed=22_000,
+            portion=16,
+            **_ALL_SPEEDS,
+        ),
+        Size(
+            "day",
+            (18_000.0, 1_200.0, 4_800.0),
+            images=350,
+            pca_drives=2,
+            train=TrainConfig(epochs=10, bicycle_epochs=8, batch=512, min_speed=0.0),
+            first_seed=20_000,
+            portion=16,
+            **_ALL_SPEEDS,
+        ),
+        Size(
+            "full",
+            (1_800.0, 180.0, 900.0),
+            train=TrainConfig(epochs=12, bicycle_epochs=12, batch=128, min_speed=0.0),
+            first_seed=21_000,
+            portion=8,
+            sensors="full",
+            **_ALL_SPEEDS,
+        ),
+        Size(
+            "paper",
+            (42_000.0, 2_600.0, 5_300.0),
+            pca_drives=4,
+            snapshot_seconds=0.5,
+            seeds=3,
+            stride=1,
+            train=TrainConfig(epochs=30, bicycle_epochs=5, batch=1024, stride=1),
+        ),
+    )
 }
 """Sizes by name: `smoke` takes minutes, `laptop` half an hour; `evening`, `day` and `full` have all speeds in their own
 worlds, `full` with four cameras and two LiDARs; `paper` has some 2M training and 250k test windows."""
@@ -240,7 +232,7 @@ class FigureModel:
 
     def folder(self, seed: int) -> str:
         """Return the name of a run's folder."""
-        return "-".join((self.model, *filter(None, (self.variant.replace(" ", "-").replace("=", ""),)), str(seed)))
+        return "-".join(filter(None, (self.model, self.variant.replace("=", ""), str(seed))))
 
     def config(self, size: Size, seed: int, device: str) -> TrainConfig:
         """Return the settings of its training."""
@@ -276,12 +268,13 @@ def feature_numbers(stored: int) -> dict[int, FigureModel]:
 
 def figure_models(figure: Figure, stored: int) -> list[FigureModel]:
     """Return the models of a figure, each once, `b` first, for a number of stored features."""
+    models = [standard_model(name, stored) for name in (BASELINE, "b-hindsight", "df", "cf")]
     if figure == "fig4":
-        return [standard_model(name, stored) for name in ("b", "b-hindsight", "df", "cf", "dc")]
-    swept = [*compression_sizes(stored).values(), *feature_numbers(stored).values()]
-    return list(dict.fromkeys([standard_model(name, stored) for name in ("b", "b-hindsight", "df", "cf")] + swept))
+        return [*models, standard_model("dc", stored)]
+    return list(dict.fromkeys([*models, *compression_sizes(stored).values(), *feature_numbers(stored).values()]))
 
 
-def feature_sets(figure: Figure) -> Sequence[str]:
-    """Return the feature sets that models read at recorded places."""
-    return FEATURE_SETS if figure == "fig4" else FEATURE_SETS[:1]
+def figure_readings(figure: Figure) -> list[Reading]:
+    """Return the terrain lookups of a figure: on the map, and at recorded places by feature set."""
+    sets = FEATURE_SETS if figure == "fig4" else FEATURE_SETS[:1]
+    return [("map", None), *(("recorded", name) for name in sets)]
