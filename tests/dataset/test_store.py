@@ -80,16 +80,6 @@ def test_an_interrupted_write_leaves_nothing(tmp_path, monkeypatch):
     assert [d.name for d in store.open_dataset(path).drives] == ["one"]
 
 
-def test_extraction_goes_on_with_the_same_rig_and_split_only(tmp_path):
-    path = stored(tmp_path)
-    store.create(path, small_rig(), SPLIT)
-    assert len(store.open_dataset(path).drives) == 2
-    with pytest.raises(DatasetError, match="another rig"):
-        store.create(path, small_rig().without_slope(), SPLIT)
-    with pytest.raises(DatasetError, match="another split"):
-        store.create(path, small_rig(), parse_split("fold:0/5"))
-
-
 def test_a_drive_is_not_overwritten_by_another_of_the_same_name(tmp_path):
     path = stored(tmp_path)
     with pytest.raises(DatasetError, match="already holds a drive 'one'"):

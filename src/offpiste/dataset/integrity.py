@@ -4,27 +4,20 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-import zarr
-
 from offpiste.core.checksums import damaged_files
 from offpiste.core.errors import OffpisteError
-from offpiste.core.limits import parsed, read_small
 from offpiste.dataset.place import drive_names
 from offpiste.dataset.store import open_dataset
-from offpiste.dataset.stored_arrays import check_crc32c, refuse_foreign
+from offpiste.dataset.store_validation import RESTORE
+from offpiste.dataset.stored_arrays import check_crc32c
 
 
 class Check(NamedTuple):
-    """Check of one file or folder.
-
-    Attributes:
-        raises: raises an error if the path is damaged.
-        fix: how to fix it, if the error does not say.
-    """
+    """Check of one file or folder."""
 
     path: Path
-    raises: Callable[[Path], object]
-    fix: str = ""
+    raises: Callable[[Path], object]  # raises an error if the path is damaged
+    fix: str = ""  # if the error does not say
 
     def damage(self) -> list[str]:
         """Return the error as one line; nothing for an intact file."""
@@ -39,12 +32,11 @@ class Check(NamedTuple):
 
 def dataset_checks(path: Path) -> Iterator[Check]:
     """Yield the checks of metadata, chunks and content of a dataset."""
-    yield Check(path, _check_metadata, "restore it from a copy, or extract the dataset again")
+    yield Check(path, _check_metadata, RESTORE)
     for name in drive_names(path):
         drive = path / name
         fix = f"delete {drive} and run `offpiste extract` again"
         yield Check(drive, _check_metadata, fix)
-        yield from (Check(file.parent, _check_chunk_count, fix) for file in sorted(drive.rglob("zarr.json")))
         yield from (Check(file, check_crc32c, fix) for file in sorted(drive.rglob("c/**/*")) if file.is_file())
     yield Check(path, open_dataset)
 
@@ -52,13 +44,3 @@ def dataset_checks(path: Path) -> Iterator[Check]:
 def _check_metadata(folder: Path) -> None:
     if lines := [str(damaged) for damaged in damaged_files(folder)]:
         raise ValueError("; ".join(lines))
-
-
-def _check_chunk_count(folder: Path) -> None:
-    try:
-        refuse_foreign(parsed(read_small(folder / "zarr.json")))
-        node = zarr.open(folder, mode="r", zarr_format=3)
-    except (KeyError, TypeError, OSError, ValueError):
-        return  # `_check_metadata` reports it
-    if isinstance(node, zarr.Array) and node.nchunks_initialized < node.nchunks:
-        raise ValueError(f"{folder} lacks {node.nchunks - node.nchunks_initialized} chunks")

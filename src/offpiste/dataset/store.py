@@ -5,6 +5,7 @@ import shutil
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
+from functools import partial as bound
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -26,8 +27,7 @@ from offpiste.dataset.place import drive_names, mirrored
 from offpiste.dataset.resample import OWN_COLUMNS, Rows, rows_from_arrays
 from offpiste.dataset.splits import Split, stored_split
 from offpiste.dataset.store_validation import (
-    SCHEMA,
-    attributes_of,
+    Settings,
     changed_settings,
     masks_of,
     read_settings,
@@ -51,42 +51,29 @@ SNAPSHOTS = "snapshots"
 
 @dataclass(frozen=True)
 class StoredDrive:
-    """One drive of a dataset.
-
-    Attributes:
-        load_map: reads the map behind the features of this drive; None without a map.
-        snapshots: maps at the start of validation and test windows; None if none were kept.
-        findings: of `inspect` on its log.
-    """
+    """One drive of a dataset."""
 
     name: str
     rows: Rows = field(repr=False)
     part: Int[np.ndarray, " N"] = field(repr=False)
     notes: tuple[str, ...]
-    load_map: Callable[[], TerrainMap] | None = None
-    snapshots: Snapshots | None = field(default=None, repr=False)
-    findings: tuple[LogFinding, ...] = ()
+    load_map: Callable[[], TerrainMap] | None = None  # reads the map behind the features; None without a map
+    snapshots: Snapshots | None = field(default=None, repr=False)  # maps at the start of validation and test windows
+    findings: tuple[LogFinding, ...] = ()  # of `inspect` on its log
 
 
 @dataclass(frozen=True)
 class Dataset:
-    """All drives of a dataset, in the order of their names.
-
-    Attributes:
-        features: names of the terrain features under each wheel.
-        min_hindsight: smallest share of a window's ground with features in hindsight.
-        min_speed: speed above which windows start [m/s] (`conventions.min_evaluation_speed`).
-        pca: identity of the PCA behind visual features (`PrincipalComponents.identity`).
-    """
+    """All drives of a dataset, in the order of their names."""
 
     path: Path
     rig: Rig
     split: Split
     drives: tuple[StoredDrive, ...]
-    features: tuple[str, ...] = ()
-    min_hindsight: float = 0.0
-    pca: str | None = None
-    min_speed: float = MIN_EVALUATION_SPEED
+    features: tuple[str, ...] = ()  # names of the terrain features under each wheel
+    min_hindsight: float = 0.0  # smallest share of a window's ground with features in hindsight
+    pca: str | None = None  # identity of the PCA behind visual features (`PrincipalComponents.identity`)
+    min_speed: float = MIN_EVALUATION_SPEED  # above which windows start [m/s] (`conventions.min_evaluation_speed`)
 
     def __repr__(self) -> str:
         minutes = sum(len(drive.rows.time) for drive in self.drives) * DT / 60
@@ -124,50 +111,48 @@ def create(
 ) -> None:
     """Begin a dataset, or resume one with the same settings; remains of a killed run are removed.
 
-    Args:
-        snapshots, mapper: settings of visual features.
-
-    Raises:
-        DatasetError: `path` holds something else, or a dataset with other settings.
+    Raises `DatasetError` if `path` holds something else, or a dataset with other settings. `snapshots` and `mapper` are
+    given for visual features only.
     """
     slowest = min_evaluation_speed(rig.vehicle.wheelbase)
-    meta = {
-        "schema": SCHEMA,
-        "made_by": f"offpiste {version('offpiste')}",
-        "rig": msgspec.to_builtins(rig),
-        "split": split.text,
-        "split_drives": [list(pair) for pair in split.drives],
-        "absent": {
-            "control": [control.name for control in rig.controls if control.name not in rig.present_controls],
-            "actuators": [a.name for a in rig.actuators if a.name not in rig.present_actuators],
+    speed = slowest if snapshots is None or snapshots.min_speed is None else snapshots.min_speed
+    settings = Settings(
+        made_by=f"offpiste {version('offpiste')}",
+        rig=rig,
+        split=split.text,
+        split_drives=split.drives,
+        absent={
+            "control": tuple(c.name for c in rig.controls if c.name not in rig.present_controls),
+            "actuators": tuple(a.name for a in rig.actuators if a.name not in rig.present_actuators),
         },
-        "features": list(features),
-        "pca": pca,
-        "min_hindsight": min_hindsight,
-        "min_speed": slowest,
-        "masks": masks_of(rig),
-        "keyframe_metres": mapper and mapper.keyframe_metres,
-        "latency": snapshots and snapshots.latency,
-        "snapshot_seconds": snapshots and snapshots.seconds,
-        "snapshot_speed": snapshots and (slowest if snapshots.min_speed is None else snapshots.min_speed),
-        "map_settings": changed_settings(mapper, "keyframe_metres", "threads"),
-        "snapshot_settings": changed_settings(snapshots, "latency", "seconds", "min_speed"),
-    }
+        features=features,
+        pca=pca,
+        min_hindsight=min_hindsight,
+        min_speed=slowest,
+        masks=masks_of(rig),
+        keyframe_metres=None if mapper is None else mapper.keyframe_metres,
+        latency=None if snapshots is None else snapshots.latency,
+        snapshot_seconds=None if snapshots is None else snapshots.seconds,
+        snapshot_speed=None if snapshots is None else speed,
+        map_settings=changed_settings(mapper, "keyframe_metres", "threads"),
+        snapshot_settings=changed_settings(snapshots, "latency", "seconds", "min_speed"),
+    )
+    attributes = json.loads(json.dumps(msgspec.to_builtins(settings)))
     check_folder(path)
     begun = path.exists() and any(path.iterdir())
     if begun and not any((path / file).exists() for file in ("zarr.json", CHECKSUMS)):
         raise DatasetError("is a folder without a dataset", where=path, how="give another folder as --out")
     remove_partials(path.parent, path.name)
-    if begun and attributes_of(path).get("schema") and not drive_names(path):
-        shutil.rmtree(path)  # left by a run whose logs all failed
-        begun = False
     if begun:
-        refuse_unlike(path, attributes_of(path), json.loads(json.dumps(meta)))
-        remove_partials(path)
-        return
+        stored = read_settings(path)
+        if drive_names(path):
+            refuse_unlike(path, stored, msgspec.convert(attributes, Settings))
+            remove_partials(path)
+            return
+        shutil.rmtree(path)  # left by a run whose logs all failed
 
     def write(partial: Path) -> None:
-        zarr.open_group(partial, mode="w-", attributes=meta, zarr_format=3)
+        zarr.open_group(partial, mode="w-", attributes=attributes, zarr_format=3)
         write_checksums(partial, [partial / "zarr.json"])
 
     write_folder(path, write)
@@ -183,20 +168,16 @@ def add_drive(
     snapshots: Path | None = None,
     findings: Sequence[LogFinding] = (),
 ) -> StoredDrive:
-    """Write one drive into a dataset, whole or not at all.
+    """Write one drive into a dataset, whole or not at all; raise `DatasetError` if one of this name exists.
 
     Args:
         terrain: map behind the features; stored if some rows are for validation or test.
         snapshots: folder of a `SnapshotWriter`, which is moved into the dataset.
         findings: of `inspect` on the log.
-
-    Raises:
-        DatasetError: a drive of this name exists.
     """
     if (path / name).exists():
-        raise DatasetError(
-            f"already holds a drive '{name}'", where=path, how="rename the log: drives are identified by their names"
-        )
+        how = "rename the log: drives are identified by their names"
+        raise DatasetError(f"already holds a drive '{name}'", where=path, how=how)
     part = split.label(name, rows.world_xy)
     evaluated = terrain is not None and bool(np.any(part > 0))
 
@@ -218,7 +199,7 @@ def add_drive(
         write_checksums(partial, partial.rglob("zarr.json"))
 
     write_folder(path / name, write)
-    load_map = (lambda: _read_map(path, name)) if evaluated else None
+    load_map = bound(_read_map, path, name) if evaluated else None
     kept = open_snapshots(path / name / SNAPSHOTS) if snapshots is not None else None
     return StoredDrive(name, rows, part, notes, load_map, kept, tuple(findings))
 
@@ -226,19 +207,13 @@ def add_drive(
 def open_dataset(path: str | Path) -> Dataset:
     """Read a dataset; one in an object store is copied into the user's cache folder first.
 
-    Raises:
-        DatasetError: there is no dataset, it has another schema or no drives, or a drive is damaged or invalid.
+    Raises `DatasetError` if there is none, it has another schema or no drives, or a drive is damaged or invalid.
     """
     path = mirrored(Path(path))
-    attributes = attributes_of(path)
-    if (schema := attributes.get("schema")) != SCHEMA:
-        raise DatasetError(f"schema {schema}, this offpiste reads {SCHEMA}", where=path, how="extract it again")
-    names = drive_names(path)
+    about, names = read_settings(path), drive_names(path)
     if not names:
-        raise DatasetError(
-            "holds no drive", where=path, how="run `offpiste extract` again; it resumes where it stopped"
-        )
-    about = read_settings(attributes, path)
+        how = "run `offpiste extract` again; it resumes where it stopped"
+        raise DatasetError("holds no drive", where=path, how=how)
     split = stored_split(about.split, about.split_drives)
     drives = tuple(_read_drive(path, name) for name in names)
     for drive in drives:
@@ -255,32 +230,25 @@ def _read_drive(path: Path, name: str) -> StoredDrive:
             if key in OWN_COLUMNS or key in group:  # absent if an extension added the column later
                 mapped = column.by_feature_set
                 arrays[key] = mapped_array(path / name, group, key) if mapped else whole_array(group, key)
-        cells = _read_cells(path / name / "cells", group["cells"]) if "cells" in group else None
-        part = whole_array(group, "part")
+        cells, part = None, whole_array(group, "part")
+        if "cells" in group:
+            small = {key: whole_array(group, f"cells/{key}") for key in ("index", "valid")}
+            large = ("features", "distance", "elevation")
+            cells = Cells(**small, **{key: mapped_array(path / name, group, f"cells/{key}") for key in large})
         attributes: dict[str, Any] = dict(group.attrs)
         rows = rows_from_arrays(arrays, np.array(attributes["origin"]), cells)
-        load_map = (lambda: _read_map(path, name)) if "map" in group else None
+        load_map = bound(_read_map, path, name) if "map" in group else None
         kept = open_snapshots(path / name / SNAPSHOTS) if SNAPSHOTS in group else None
         found = msgspec.convert(attributes["findings"], StoredFindings).found
         return StoredDrive(name, rows, part, tuple(attributes["notes"]), load_map, kept, found)
-
-
-def _read_cells(folder: Path, group: Any) -> Cells:
-    small = {key: whole_array(group, key) for key in ("index", "valid")}
-    large = {key: mapped_array(folder, group, key) for key in ("features", "distance", "elevation")}
-    return Cells(**small, **large)
 
 
 def _read_map(path: Path, name: str) -> TerrainMap:
     with _reading(path, name):
         group = open_stored(path / name / "map")
         about: dict[str, Any] = dict(group.attrs)
-        return TerrainMap(
-            np.array(about["origin"]),
-            about["resolution"],
-            whole_array(group, "elevation"),
-            whole_array(group, "features"),
-        )
+        layers = whole_array(group, "elevation"), whole_array(group, "features")
+        return TerrainMap(np.array(about["origin"]), about["resolution"], *layers)
 
 
 @contextmanager
@@ -288,8 +256,5 @@ def _reading(path: Path, name: str) -> Iterator[None]:
     try:
         yield
     except (OSError, KeyError, ValueError, TypeError, OverflowError, RecursionError) as error:
-        raise DatasetError(
-            f"drive '{name}' cannot be read ({type(error).__name__}: {error})",
-            where=path,
-            how=f"delete {path / name} and run `offpiste extract` again",
-        ) from error
+        what = f"drive '{name}' cannot be read ({type(error).__name__}: {error})"
+        raise DatasetError(what, where=path, how=f"delete {path / name} and run `offpiste extract` again") from error

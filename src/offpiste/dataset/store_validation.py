@@ -1,9 +1,9 @@
-"""Validation of stored datasets: settings shared by all drives, and arrays of a drive that fit together."""
+"""Settings of a stored dataset, which all of its drives share, and checks of arrays that must fit together."""
 
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Final
 
 import msgspec
 import numpy as np
@@ -19,34 +19,40 @@ from offpiste.dataset.splits import PARTS
 from offpiste.dataset.stored_arrays import refuse_foreign
 from offpiste.rig.rig import Rig, check_rig
 
-SCHEMA = 2
+SCHEMA: Final = 2
 
-MADE_BY = (
-    "schema", "rig", "split", "split_drives", "features", "pca", "min_hindsight", "masks", "latency",
-    "keyframe_metres", "snapshot_seconds", "snapshot_speed", "map_settings", "snapshot_settings",
-)  # fmt: skip
-"""Attributes shared by all drives of a dataset."""
+RESTORE: Final = "restore it from a copy, or extract the dataset again"
 
 
-class Settings(msgspec.Struct, frozen=True):
-    """Attributes of a dataset that `offpiste.dataset.store.Dataset` holds."""
+class Settings(msgspec.Struct, frozen=True, kw_only=True):
+    """Attributes of a dataset. Drives are added only to a dataset with the same ones, but for `NOTES`."""
 
+    schema: int = SCHEMA
+    made_by: str = ""
     rig: Rig
     split: str
     split_drives: tuple[tuple[str, str], ...] = ()
+    absent: dict[str, tuple[str, ...]] = {}  # controls and actuators that the rig's logs lack
     features: tuple[str, ...] = ()
-    min_hindsight: float = 0.0
     pca: str | None = None
+    min_hindsight: float = 0.0
     min_speed: Annotated[float, msgspec.Meta(ge=0.0, le=100.0)] = MIN_EVALUATION_SPEED
+    masks: dict[str, str] = {}  # SHA-256 of each camera's mask
+    keyframe_metres: float | None = None  # of visual features, like all that follow
+    latency: float | None = None
+    snapshot_seconds: float | None = None
+    snapshot_speed: float | None = None
+    map_settings: dict[str, Any] = {}  # that differ from their defaults
+    snapshot_settings: dict[str, Any] = {}
 
 
-def attributes_of(path: Path) -> dict[str, Any]:
-    """Return the attributes of a dataset as JSON values.
+NOTES: Final = ("made_by", "absent", "min_speed")
+"""Settings that follow from others or have no influence."""
 
-    Raises:
-        DatasetError: there is no dataset, or its metadata are damaged.
-    """
-    damaged = DatasetError("is damaged", where=path / "zarr.json", how="restore it from a copy, or extract again")
+
+def read_settings(path: Path) -> Settings:
+    """Read the settings of a dataset; raise `DatasetError` if there is none, or one is damaged or impossible."""
+    damaged = DatasetError("is damaged", where=path / "zarr.json", how=RESTORE)
     try:
         metadata = parsed(read_small(path / "zarr.json"))
         refuse_foreign(metadata)
@@ -59,41 +65,32 @@ def attributes_of(path: Path) -> dict[str, Any]:
         if (path / CHECKSUMS).exists():
             raise damaged from error
         raise DatasetError("not a dataset", where=path, how="make one with `offpiste extract`") from error
-    return attributes
-
-
-def read_settings(attributes: dict[str, Any], path: Path) -> Settings:
-    """Read the settings among the attributes of a dataset.
-
-    Raises:
-        DatasetError: one is missing, of another type, or impossible.
-    """
+    if (schema := attributes.get("schema")) != SCHEMA:
+        raise DatasetError(f"schema {schema}, this offpiste reads {SCHEMA}", where=path, how="extract it again")
     try:
         settings = msgspec.convert(attributes, type=Settings)
         check_rig(settings.rig)
         if wrong := {part for _, part in settings.split_drives} - set(PARTS):
             raise ValueError(f"'{min(wrong)}' is not a part of a split")
     except (msgspec.ValidationError, RigError, ValueError) as error:
-        how = "restore it from a copy, or extract again"
-        raise DatasetError(f"cannot be read ({error})", where=path / "zarr.json", how=how) from error
+        raise DatasetError(f"cannot be read ({error})", where=path / "zarr.json", how=RESTORE) from error
     return settings
 
 
 def changed_settings(settings: Any, *excluded: str) -> dict[str, Any]:
-    """Return the fields of settings, nested ones included, that differ from their defaults.
+    """Return the fields of a dataclass, nested ones included, that differ from their defaults; none for None.
 
     Args:
-        settings: a dataclass with a default for each field, or None.
         excluded: names of fields to leave out at any depth.
     """
     if settings is None:
         return {}
     default, changed = type(settings)(), dict[str, Any]()
     for name in (field.name for field in fields(settings) if field.name not in excluded):
-        value, usual = getattr(settings, name), getattr(default, name)
+        value = getattr(settings, name)
         if is_dataclass(value):
             changed |= {f"{name}.{inner}": found for inner, found in changed_settings(value, *excluded).items()}
-        elif value != usual:
+        elif value != getattr(default, name):
             changed[name] = value
     return changed
 
@@ -104,59 +101,36 @@ def masks_of(rig: Rig) -> dict[str, str]:
     return {name: sha256_of(file) if file.is_file() else "" for name, file in files.items()}
 
 
-def refuse_unlike(path: Path, stored: dict[str, Any], wanted: dict[str, Any]) -> None:
-    """Raise if a dataset was made with other settings.
-
-    Args:
-        path: of the dataset.
-        stored, wanted: attributes as JSON values.
-
-    Raises:
-        DatasetError: names the first attribute that differs, with both values where they are short.
-    """
-    for key in MADE_BY:
-        there, here = (_without_mask_files(a.get(key)) if key == "rig" else a.get(key) for a in (stored, wanted))
-        if key == "split" and all(str(text).startswith("drives:") for text in (there, here)):
+def refuse_unlike(path: Path, stored: Settings, wanted: Settings) -> None:
+    """Raise `DatasetError` for the first setting of the dataset at `path` that differs."""
+    stored, wanted = (msgspec.structs.replace(each, rig=_without_mask_files(each.rig)) for each in (stored, wanted))
+    for key in Settings.__struct_fields__:
+        there, here = getattr(stored, key), getattr(wanted, key)
+        if key == "split" and there.startswith("drives:") and here.startswith("drives:"):
             continue  # the parts count, not the file that names them
-        if there != here:
-            what = {"masks": "mask of a camera"}.get(key, key)
+        if key not in NOTES and there != here:
             long = key in ("rig", "split_drives", "masks")
             both = "" if long else f": it has {_short(there)}, wanted is {_short(here)}"
-            raise DatasetError(
-                f"already holds a dataset with another {what}{both}",
-                where=path,
-                how="choose another --out, or delete it",
-            )
+            what = f"already holds a dataset with another {'mask of a camera' if key == 'masks' else key}{both}"
+            raise DatasetError(what, where=path, how="choose another --out, or delete it")
 
 
-def _without_mask_files(rig: Any) -> Any:
-    """Return a stored rig without the files of its masks: their content counts (`masks_of`), wherever they lie."""
-    try:
-        read = msgspec.convert(rig, type=Rig)
-    except msgspec.ValidationError:
-        return rig
-    cameras = {name: msgspec.structs.replace(camera, mask="") for name, camera in read.cameras.items()}
-    return msgspec.structs.replace(read, cameras=cameras)
+def _without_mask_files(rig: Rig) -> Rig:
+    """Return a rig without the files of its masks: their content counts (`masks_of`), wherever they lie."""
+    cameras = {name: msgspec.structs.replace(camera, mask="") for name, camera in rig.cameras.items()}
+    return msgspec.structs.replace(rig, cameras=cameras)
 
 
 def _short(value: Any) -> str:
     if isinstance(value, dict):
-        value = [f"{name} {one}" for name, one in value.items()]
-    if not isinstance(value, list):
+        value = tuple(f"{name} {one}" for name, one in value.items())
+    if not isinstance(value, tuple):
         return "none" if value is None else str(value)
     return ", ".join(map(str, value[:3])) + (f", … ({len(value)})" if len(value) > 3 else "") or "none"
 
 
 def refuse_invalid(path: Path, name: str, rows: Rows, part: Int[np.ndarray, " N"], about: Settings) -> None:
-    """Raise if arrays of a drive do not fit together, or if rows marked complete are not.
-
-    Args:
-        path: of the dataset.
-        name: of the drive.
-
-    Raises:
-        DatasetError: names the drive and the array.
-    """
+    """Raise `DatasetError` if arrays of a drive do not fit together, or if rows marked complete are not."""
     for what, good in _claims(rows, part, about):
         if not good:
             how = f"delete {path / name} and run `offpiste extract` again"
@@ -186,9 +160,8 @@ def _claims(rows: Rows, part: Int[np.ndarray, " N"], about: Settings) -> Iterato
         yield "'cells/index' holds no cell numbers", cells.index.shape == (count, 4) and cells.index.dtype.kind == "i"
         yield "'cells/index' exceeds the cells", bool((cells.index >= -1).all() and (cells.index < many).all())
         yield "'cells/valid' is not boolean", cells.valid.dtype == bool
-        yield "'cells/features' do not fit", cells.features.shape == (sets, many, len(about.features))
-        for key in ("distance", "elevation"):
-            yield f"'cells/{key}' does not fit", getattr(cells, key).shape == (sets, many)
+        for key, more in (("features", (len(about.features),)), ("distance", ()), ("elevation", ())):
+            yield f"'cells/{key}' does not fit", getattr(cells, key).shape == (sets, many, *more)
     for key, column in columns.items():
         if not column.by_feature_set:  # those are large, and stay on disk
             broken = np.flatnonzero(rows.valid & ~column.complete(rows.column(key), about.rig))

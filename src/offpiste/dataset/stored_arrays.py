@@ -1,4 +1,7 @@
-"""Arrays of a stored dataset: one uncompressed chunk each, followed by its CRC-32C (Zarr's codec `crc32c`)."""
+"""Arrays of a stored dataset: one uncompressed chunk each, followed by its CRC-32C (Zarr's codec `crc32c`).
+
+Readers raise `ValueError` for missing or damaged chunks and for metadata that datasets do not have.
+"""
 
 import math
 import os
@@ -25,16 +28,9 @@ LARGEST_CHUNK: Final = 1 << 32
 LARGEST_COMPRESSED: Final = LARGEST >> 4
 """Largest size of a chunk of a compressed array, which may have many [bytes]."""
 
-PIECE = 1 << 22
-"""Bytes of a file read at a time."""
-
 
 def open_stored(folder: Path) -> zarr.Group:
-    """Open a Zarr v3 group whose arrays use accepted codecs only.
-
-    Raises:
-        ValueError: the metadata of the group, or of anything below it, are not as datasets are written.
-    """
+    """Open a Zarr v3 group whose arrays use accepted codecs only, and have as many files as chunks."""
     for place, folders, files in os.walk(folder):
         if linked := [name for name in folders if Path(place, name).is_symlink()]:
             raise ValueError(f"{Path(place, linked[0])} is a link")  # its content would not be checked
@@ -45,17 +41,22 @@ def open_stored(folder: Path) -> zarr.Group:
                 refuse_foreign(metadata)
             except (ValueError, TypeError, KeyError) as error:
                 raise ValueError(f"{file} has invalid metadata ({error})") from error
+            # The shape may be huge, and Zarr would look for each chunk.
             if metadata["node_type"] == "array":
-                _refuse_missing(metadata, file.parent)
+                chunks = zip(metadata["shape"], _chunk_shape(metadata), strict=True)
+                lacking = math.prod(-(-size // max(chunk, 1)) for size, chunk in chunks)
+                lacking -= sum(len(names) for _, _, names in os.walk(place)) - 1
+                if lacking > 0:
+                    raise ValueError(f"{place}: a chunk of '{Path(place).name}' is missing")
     return zarr.open_group(folder, mode="r", zarr_format=3, use_consolidated=False)
 
 
-def refuse_foreign(metadata: dict[str, Any]) -> None:
-    """Raise unless metadata are those of a group or an array of a dataset.
+def _chunk_shape(metadata: dict[str, Any]) -> list[int]:
+    return metadata["chunk_grid"]["configuration"]["chunk_shape"]  # type: ignore[no-any-return]
 
-    Raises:
-        ValueError, TypeError, KeyError: they are not.
-    """
+
+def refuse_foreign(metadata: dict[str, Any]) -> None:
+    """Raise an error unless metadata are those of a group or an array of a dataset."""
     if metadata["zarr_format"] != 3:
         raise ValueError(f"Zarr version {metadata['zarr_format']}, not 3")
     if metadata["node_type"] == "group":
@@ -65,29 +66,14 @@ def refuse_foreign(metadata: dict[str, Any]) -> None:
         raise ValueError(f"codec '{foreign[0]}', not one of {', '.join(sorted(CODECS))}")
     if metadata.get("storage_transformers"):
         raise ValueError("storage transformers, which datasets do not have")
-    chunk = math.prod(metadata["chunk_grid"]["configuration"]["chunk_shape"]) * np.dtype(metadata["data_type"]).itemsize
+    chunk = math.prod(_chunk_shape(metadata)) * np.dtype(metadata["data_type"]).itemsize
     most = LARGEST_COMPRESSED if "zstd" in codecs else LARGEST_CHUNK
     if chunk > most:
         raise ValueError(f"chunks of {chunk >> 20} MiB, more than {most >> 20}")
 
 
-def _refuse_missing(metadata: dict[str, Any], folder: Path) -> None:
-    """Raise if an array has fewer files than chunks: its shape may be huge, and Zarr would look for each chunk."""
-    sizes = zip(metadata["shape"], metadata["chunk_grid"]["configuration"]["chunk_shape"], strict=True)
-    chunks = math.prod(-(-size // max(chunk, 1)) for size, chunk in sizes)
-    if chunks > sum(len(files) for _, _, files in os.walk(folder)) - 1:
-        raise ValueError(f"a chunk of '{folder.name}' is missing")
-
-
 def refuse_expanding(folder: Path, array: Any, begin: int, end: int) -> None:
-    """Raise if a compressed chunk of rows begin ... end would expand to another size than an array's chunk.
-
-    Args:
-        folder: of the group.
-
-    Raises:
-        ValueError: names the chunk.
-    """
+    """Raise an error if a compressed chunk of rows begin ... end, in a group's folder, claims another size."""
     for number in range(begin // array.chunks[0], -(-end // array.chunks[0])):
         with folder.joinpath(array.basename, "c", str(number), *("0" for _ in array.shape[1:])).open("rb") as file:
             promised = zstd.get_frame_info(file.read(32)).decompressed_size
@@ -98,27 +84,16 @@ def refuse_expanding(folder: Path, array: Any, begin: int, end: int) -> None:
 def write_arrays(group: zarr.Group, arrays: dict[str, np.ndarray]) -> None:
     """Write arrays into a group, each in one chunk, so that windows can be read at plain offsets."""
     for key, values in arrays.items():
-        array = group.create_array(
-            key,
-            shape=values.shape,
-            dtype=values.dtype,
-            chunks=values.shape,
-            compressors=Crc32cCodec(),
-            config={"write_empty_chunks": True},
-        )
+        options: dict[str, Any] = {"compressors": Crc32cCodec(), "config": {"write_empty_chunks": True}}
+        array = group.create_array(key, shape=values.shape, dtype=values.dtype, chunks=values.shape, **options)
         array[...] = values
 
 
 def whole_array(group: zarr.Group, key: str) -> np.ndarray:
-    """Read an array into memory.
-
-    Raises:
-        ValueError: a chunk is missing or damaged.
-    """
+    """Read an array into memory."""
     array = group[key]
     if not isinstance(array, zarr.Array) or array.nchunks_initialized < array.nchunks:
-        # Zarr would read a missing chunk as zeros.
-        raise ValueError(f"a chunk of '{key}' is missing")
+        raise ValueError(f"a chunk of '{key}' is missing")  # Zarr would read zeros
     try:
         return np.asarray(array[...])
     except ValueError as error:
@@ -126,18 +101,11 @@ def whole_array(group: zarr.Group, key: str) -> np.ndarray:
 
 
 def mapped_array(folder: Path, group: zarr.Group, key: str) -> np.ndarray:
-    """Map an array into memory and verify its checksum.
-
-    Args:
-        folder: of the group.
-
-    Raises:
-        ValueError: its chunk is missing or damaged.
-    """
+    """Map an array of a group in `folder` into memory and verify its checksum."""
     array = group[key]
     if not isinstance(array, zarr.Array) or not array.size:
         return whole_array(group, key)
-    file = folder / key / "/".join(["c", *("0" for _ in array.shape)])
+    file = folder.joinpath(key, "c", *("0" for _ in array.shape))
     if not file.exists() or file.stat().st_size != array.nbytes + 4:
         raise ValueError(f"a chunk of '{key}' is missing or cut short")
     check_crc32c(file)
@@ -145,18 +113,13 @@ def mapped_array(folder: Path, group: zarr.Group, key: str) -> np.ndarray:
 
 
 def check_crc32c(file: Path) -> None:
-    """Compare a file with the CRC-32C in its last four bytes.
-
-    Raises:
-        DamagedFile: they differ, or the file is shorter than a checksum.
-    """
-    checksum = 0
+    """Raise `DamagedFile` if a file differs from the CRC-32C in its last four bytes."""
+    checksum, left = 0, file.stat().st_size - 4
+    if left < 0:
+        raise DamagedFile(file, "is cut short")
     with file.open("rb") as opened:
-        left = file.stat().st_size - 4
-        if left < 0:
-            raise DamagedFile(file, "is cut short")
         while left:
-            piece = opened.read(min(left, PIECE))
+            piece = opened.read(min(left, 1 << 22))
             checksum = google_crc32c.extend(checksum, piece)
             left -= len(piece)
         if opened.read() != checksum.to_bytes(4, "little"):
