@@ -35,7 +35,7 @@ YAW = LogFinding("fatal", "yaw", "does not follow the course", "agrees to 0.1", 
     ("split", "logs", "warning"),
     [
         ("blocks:0.7,0.1,0.2", ["one"], None),
-        ("blocks:1,0,0", ["one"], "nothing for validation and test: models cannot be trained or evaluated"),
+        ("blocks:1,0,0", ["one"], "leaves nothing for validation and test"),
         ("drives:split.txt", ["one", "two", "three"], "split.txt names 'tow', but"),
         ("drives:split.txt", ["one", "tow", "three"], None),
     ],

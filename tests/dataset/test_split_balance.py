@@ -4,10 +4,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from scipy.stats import ks_2samp
 
 from factories import circle_rows, small_rig
 from offpiste.dataset.extract import described
@@ -20,7 +16,6 @@ from offpiste.dataset.split_balance import (
     lacks_windows,
     next_split,
     part_facts,
-    speed_distance,
     split_warning,
 )
 from offpiste.dataset.splits import parse_split
@@ -102,25 +97,6 @@ def test_squares_that_leave_a_part_out_are_said_to() -> None:
     assert "no square" not in lines[30]
     assert "no square is for validation;" in lines[75]
     assert "no square is for validation; no square is for test;" in lines[150]
-
-
-@settings(max_examples=30, deadline=None)
-@given(seed=st.integers(0, 10**6))
-def test_the_distance_is_that_of_kolmogorov_and_smirnov(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    one, other = (np.sort(rng.normal(rng.uniform(0, 2), 1, int(rng.integers(1, 50))).round(1)) for _ in range(2))
-    assert speed_distance(one, other) == pytest.approx(ks_2samp(one, other).statistic)
-    assert speed_distance(one, np.zeros(0)) == 1.0
-
-
-def test_a_drive_with_holes_gets_a_fold_where_no_blocks_fit() -> None:
-    rows = at_speed(wandering(3600))
-    valid = np.ones(len(rows.valid), bool)
-    valid[np.r_[300:320, 1500:1520, 2300:2320, 3050:3070]] = False
-    data = dataset(replace(rows, valid=valid))
-    split = next_split(data)
-    assert split is not None
-    assert all(part.windows for part in part_facts(data.relabelled(split)))
 
 
 def test_short_drives_whose_parts_are_empty_get_a_split_that_fills_them_together() -> None:

@@ -131,16 +131,12 @@ def _sensors(folder: Path) -> list[Sound]:
     def lines(*commands: str, **changed: object) -> tuple[str, ...]:
         return tuple(command.format(**{"log": log, "rig": rig, "pca": pca} | changed) for command in commands)
 
-    listed = folder / "good.images.txt"
-    shutil.copy(pca.with_suffix(".images.txt"), listed)
     of_log = lines(extract, extract, fit, inspect, view, log="{input}")
     of_pca = lines(extract, extract, view + " --pca {{input}}", pca="{input}")
-    of_list = lines(fit.replace("--images 4", "--images {{input}}"))
     return [
         Sound("sensors", only, of_log, "good.mcap", _absurd_drive, 2),
         Sound("rig", rigs, lines(extract, inspect, fit, rig="{input}"), "rig.toml", share=2),
         Sound("pca", pca, of_pca, rewrite=_absurd_tensors, share=2, seal=seal_tensors),
-        Sound("image list", listed, of_list, share=0.4),
     ]
 
 

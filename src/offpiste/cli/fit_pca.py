@@ -27,9 +27,8 @@ class FitPca:
     """Split, as in `extract`; only images of its training part are used."""
     backbone: str = "facebook/dinov2-small"
     """Name of a backbone, e.g. `filterbank` (colours and edges, without weights), or a ViT by name or folder."""
-    images: int | Path = 175
-    """Number of images, chosen for diversity of ground and light, or a file that lists them, such as the .images.txt
-    beside a PCA."""
+    images: int = 175
+    """Number of images, chosen for diversity of ground and light; they are listed in the .images.txt beside the PCA."""
     components: int = 40
     """Number of components."""
     seed: int = 0
@@ -44,7 +43,7 @@ class FitPca:
     def run(self) -> int:
         """Fit and write the PCA."""
         from offpiste.core.parallel import at_a_time
-        from offpiste.dataset.fit_pca import fit_pca, read_image_list, write_image_list
+        from offpiste.dataset.fit_pca import fit_pca, write_image_list
         from offpiste.dataset.splits import parse_split
         from offpiste.perception.backbones import open_backbone
         from offpiste.perception.pca import save_pca
@@ -55,16 +54,14 @@ class FitPca:
         if self.out.is_dir():
             raise PerceptionError("is a folder", where=self.out, how="give a file as --out")
         for name, least in (("images", 1), ("components", 1), ("seed", 0)):
-            value = getattr(self, name)
-            if isinstance(value, int) and value < least:
+            if (value := getattr(self, name)) < least:
                 raise PerceptionError(f"--{name} is {value}", how=f"give {least} or more")
-        images = read_image_list(self.images) if isinstance(self.images, Path) else self.images
         fitted = fit_pca(
             self.logs,
             load_rig(self.rig),
             parse_split(self.split),
             open_backbone(self.backbone, device=self.device),
-            images=images,
+            images=self.images,
             components=self.components,
             seed=self.seed,
             processes=at_a_time(self.processes, self.device),

@@ -24,7 +24,7 @@ from offpiste.dataset.splits import PARTS, Split, empty_parts, refuse_places_wit
 from offpiste.dataset.store import Dataset, StoredDrive, add_drive, create, open_dataset
 from offpiste.dataset.visual_features import SnapshotKeeper, with_visual_features
 from offpiste.dataset.window_starts import MIN_HINDSIGHT, evaluation_starts
-from offpiste.logs.drive import Drive, drive_from_log, drive_name
+from offpiste.logs.drive import drive_from_log, drive_name
 from offpiste.logs.log import Log, open_log
 from offpiste.logs.sensor_log import open_sensors
 from offpiste.mapping.replay import MapperSettings
@@ -41,12 +41,7 @@ def no_findings(log: Log, rig: Rig) -> tuple[LogFinding, ...]:
 
 @dataclass(frozen=True)
 class ExtractSettings:
-    """Settings shared by all drives of an extraction (`inspection.extract.extract`).
-
-    Attributes:
-        examine: returns the findings on a log.
-        force: extract logs with fatal findings, too.
-    """
+    """Settings shared by all drives of an extraction (`inspection.extract.extract`)."""
 
     split: Split
     features: FeatureSource = "none"
@@ -56,7 +51,7 @@ class ExtractSettings:
     snapshots: SnapshotSettings = field(default_factory=SnapshotSettings)
     replay: MapperSettings = field(default_factory=MapperSettings)
     examine: Callable[[Log, Rig], tuple[LogFinding, ...]] = no_findings
-    force: bool = False
+    force: bool = False  # extract logs with fatal findings, too
 
     def __post_init__(self) -> None:
         if self.pca is not None and self.features != "none":
@@ -74,6 +69,11 @@ class Job(NamedTuple):
     out: Path
     settings: ExtractSettings
 
+    @property
+    def min_speed(self) -> float:
+        """Speed above which windows start [m/s]."""
+        return min_evaluation_speed(self.rig.vehicle.wheelbase)
+
 
 def extract_drives(
     logs: Sequence[str | Path],
@@ -88,31 +88,29 @@ def extract_drives(
     """Extract drives into a dataset (`inspection.extract.extract`)."""
     logs, split = expanded(logs), settings.split
     names = names_of(logs)
-    mine = set(sorted(names)[shard[0] - 1 :: shard[1]])
+    mine = sorted(names)[shard[0] - 1 :: shard[1]]
     if not mine:
         raise DatasetError(f"{len(names)} logs have no shard {shard[0]}/{shard[1]}", how="give fewer shards")
     refuse_places_without_origin(split, rig)
     if empty := empty_parts(split):
-        logger.warning(f"the split {split.text} leaves nothing for {' and '.join(empty)}: {_impossible(empty)}")
-    extractor = load_feature_extractor(settings.pca, settings.device) if settings.pca is not None else None
+        logger.warning(f"the split {split.text} leaves nothing for {' and '.join(empty)}")
     with working_copy(out) as place:
-        if extractor is None:
+        if settings.pca is None:
             create(place, rig, split, LAYERS[settings.features])
         else:
+            extractor = load_feature_extractor(settings.pca, settings.device)
             made_by = extractor.names, extractor.identity, settings.min_hindsight, settings.snapshots, settings.replay
             create(place, rig, split, *made_by)
-    done = set(drive_names(out))
+    done = drive_names(out)
     if strangers := sorted({name for name, _ in split.drives} - {*names, *done}):
-        logger.warning(
-            f"the split {split.text} names {_some(strangers)}, but no log and no drive of {out} has that name"
-        )
-    for name in (name for name in names if name in done & mine):
-        logger.info(_already_there(name))
-    jobs = [
-        Job(Path(log), name, rig, out, settings)
-        for log, name in zip(logs, names, strict=True)
-        if name not in done and name in mine
-    ]
+        named = f"the split {split.text} names {_some(strangers)}"
+        logger.warning(f"{named}, but no log and no drive of {out} has that name")
+    jobs = []
+    for name, log in zip(names, logs, strict=True):
+        if name in mine and name in done:
+            logger.info(_already_there(name))
+        elif name in mine:
+            jobs.append(Job(Path(log), name, rig, out, settings))
     try:
         failed = run_all(extract_drive, jobs, at_a_time(processes, settings.device), "extract", cluster=cluster).failed
         remove_partials(out)  # of workers that were lost
@@ -128,47 +126,43 @@ def extract_drives(
 def extract_drive(job: Job, report: Report) -> str:
     """Extract a drive and return its description.
 
-    Raises:
-        UnusableLog: the log has a fatal finding and `force` is not set.
-        LogError, RigError: the log cannot be read with this rig, or has no ground truth or sensors.
+    Raises `UnusableLog` for a fatal finding without `force`, `LogError` or `RigError` if the log cannot be read.
     """
     if job.name in drive_names(job.out):
         return _already_there(job.name)  # a lost worker had finished it
-    settings, rig = job.settings, job.rig
-    with brought(job.log) as path, working_copy(job.out) as out:
+    settings, rig, terrain = job.settings, job.rig, None
+    with brought(job.log) as path, working_copy(job.out) as out, temporary_folder(out / job.name) as folder:
         log = open_log(path, clock=rig.clock)
         findings = settings.examine(log, rig)
         if not settings.force:
             refuse_unusable(findings, path)
         drive = drive_from_log(log, rig)
-        if settings.pca is not None:
-            return _extract_visual(job, log, drive, findings, out, report)
-        rows, terrain = extract_rows(drive), None
+        rows, notes, snapshots = extract_rows(drive), drive.notes, None
         if settings.features != "none":
             rows, terrain = with_ground_truth(rows, truth_map(path, LAYERS[settings.features]), rig)
-        stored = add_drive(out, job.name, rows, settings.split, drive.notes, terrain, findings=findings)
-        return described(stored, settings.split, min_speed=min_evaluation_speed(rig.vehicle.wheelbase))
+        if settings.pca is not None:
+            extractor = load_feature_extractor(settings.pca, settings.device)
+            snapshots = folder / "snapshots"
+            rows, more = _with_visual_features(rows, log, job, extractor, snapshots, report)
+            notes += more
+        stored = add_drive(out, job.name, rows, settings.split, notes, terrain, snapshots, findings)
+    return described(stored, settings.split, settings.min_hindsight if settings.pca else 0.0, job.min_speed)
 
 
-def _extract_visual(
-    job: Job, log: Log, drive: Drive, findings: tuple[LogFinding, ...], out: Path, report: Report
-) -> str:
-    settings, rig, rows = job.settings, job.rig, extract_rows(drive)
-    assert settings.pca is not None
-    sensors = open_sensors(log, rig)
-    extractor = load_feature_extractor(settings.pca, settings.device)
-    notes = drive.notes + sensors.coverage() + pca_overlap(extractor, rows, job)
-    with temporary_folder(out / job.name) as folder:
-        snapshots = folder / "snapshots"
-        size = settings.replay.map.voxels.size
-        writer = SnapshotWriter(snapshots, size, extractor.channels, settings.snapshots.latency)
-        schedule = SnapshotSchedule(snapshot_starts(rows, job), settings.snapshots)
-        keeper = SnapshotKeeper(writer, schedule, settings.snapshots, rows, sensors.poses)
-        rows = with_visual_features(rows, sensors, rig, extractor, settings.replay, snapshots=keeper, report=report)
-        keeper.close()
-        notes += sensors.notes
-        stored = add_drive(out, job.name, rows, settings.split, notes, snapshots=snapshots, findings=findings)
-    return described(stored, settings.split, settings.min_hindsight, min_evaluation_speed(rig.vehicle.wheelbase))
+def _with_visual_features(
+    rows: Rows, log: Log, job: Job, extractor: FeatureExtractor, snapshots: Path, report: Report
+) -> tuple[Rows, tuple[str, ...]]:
+    """Return rows with visual features, and notes; write the map at window starts into the folder `snapshots`."""
+    settings = job.settings
+    sensors = open_sensors(log, job.rig)
+    before = sensors.coverage() + pca_overlap(extractor, rows, job)
+    size = settings.replay.map.voxels.size
+    writer = SnapshotWriter(snapshots, size, extractor.channels, settings.snapshots.latency)
+    schedule = SnapshotSchedule(snapshot_starts(rows, job), settings.snapshots)
+    keeper = SnapshotKeeper(writer, schedule, settings.snapshots, rows, sensors.poses)
+    rows = with_visual_features(rows, sensors, job.rig, extractor, settings.replay, snapshots=keeper, report=report)
+    keeper.close()
+    return rows, before + sensors.notes
 
 
 def pca_overlap(extractor: FeatureExtractor, rows: Rows, job: Job) -> tuple[str, ...]:
@@ -191,12 +185,12 @@ def pca_overlap(extractor: FeatureExtractor, rows: Rows, job: Job) -> tuple[str,
 def snapshot_starts(rows: Rows, job: Job) -> list[Bool[np.ndarray, " N"]]:
     """Return the rows at which windows start, for each part that gets snapshots."""
     speed = job.settings.snapshots.min_speed
-    speed = min_evaluation_speed(job.rig.vehicle.wheelbase) if speed is None else speed
     part = job.settings.split.label(job.name, rows.world_xy)
     result = []
     for name in SNAPSHOT_PARTS:
         starts = np.zeros(len(part), bool)
-        starts[evaluation_starts(rows, part == PARTS.index(name), min_speed=speed)] = True
+        mine = part == PARTS.index(name)
+        starts[evaluation_starts(rows, mine, min_speed=job.min_speed if speed is None else speed)] = True
         result.append(starts)
     return result
 
@@ -237,11 +231,7 @@ def described(
 
 
 def names_of(logs: Sequence[str | Path]) -> list[str]:
-    """Return the name of each log's drive.
-
-    Raises:
-        DatasetError: there is no log, or two have the same name.
-    """
+    """Return the name of each log's drive; raise `DatasetError` without logs, or if two have the same name."""
     if not logs:
         raise DatasetError("no log is given", how="name one or more logs")
     names = [drive_name(log) for log in logs]
@@ -258,11 +248,6 @@ def _already_there(name: str) -> str:
 def _some(names: Sequence[str]) -> str:
     """Return the first three of many names."""
     return ", ".join(f"'{name}'" for name in names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
-
-
-def _impossible(empty: Sequence[str]) -> str:
-    trained = ["trained"] if {"train", "validation"} & set(empty) else []
-    return "models cannot be " + " or ".join(trained + (["evaluated"] if "test" in empty else []))
 
 
 def _refuse_failed(failed: Sequence[OffpisteError], out: Path) -> None:

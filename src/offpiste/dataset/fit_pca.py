@@ -13,7 +13,6 @@ from jaxtyping import Bool, Float
 
 from offpiste.core.errors import PerceptionError
 from offpiste.core.files import write_text
-from offpiste.core.limits import read_small
 from offpiste.core.object_store import brought, expanded
 from offpiste.core.parallel import Report, at_a_time, run_all
 from offpiste.dataset.resample import Rows, extract_rows
@@ -33,9 +32,6 @@ logger = logging.getLogger(__name__)
 SPACING = 2.0
 """Distance between candidate images of a camera [m]."""
 
-NEAR = 0.01
-"""Largest difference between a listed time and the stamp of an image [s]."""
-
 
 class ListedImage(NamedTuple):
     """Image of a log, by its drive, camera and stamp [s]."""
@@ -43,35 +39,6 @@ class ListedImage(NamedTuple):
     drive: str
     camera: str
     time: float
-
-
-def read_image_list(path: Path) -> list[ListedImage]:
-    """Read a list of images; blank lines and lines that begin with # are skipped.
-
-    Raises:
-        PerceptionError: the file cannot be read, a line is malformed, or there is no image.
-    """
-    try:
-        lines = read_small(path).splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise PerceptionError(
-            "cannot read the list of images", where=path, how="give --images a number, or a file"
-        ) from error
-    result = []
-    for number, line in enumerate(lines, start=1):
-        words = line.rsplit(maxsplit=2)
-        if not words or line.startswith("#"):
-            continue
-        try:
-            drive, camera, seconds = words
-            result.append(ListedImage(drive.strip(), camera, float(seconds)))
-        except ValueError as error:
-            raise PerceptionError(
-                f"line {number}: '{line}' is not an image", where=path, how="write DRIVE CAMERA SECONDS"
-            ) from error
-    if not result:
-        raise PerceptionError("lists no image", where=path, how="write a line DRIVE CAMERA SECONDS per image")
-    return result
 
 
 def write_image_list(path: Path, images: Iterable[ListedImage]) -> None:
@@ -95,19 +62,13 @@ class Candidate(NamedTuple):
 
 @dataclass(frozen=True)
 class Job:
-    """Search for candidate images in a log, or computation of the chosen images' features.
-
-    Attributes:
-        spacing: distance between candidate images of a camera [m].
-        images: chosen images of this log.
-    """
+    """Search for candidate images in a log, or computation of the chosen images' features."""
 
     log: str | Path
     rig: Rig
     split: Split
-    spacing: float
     backbone: Backbone
-    images: frozenset[ListedImage] = frozenset()
+    images: frozenset[ListedImage] = frozenset()  # chosen from this log
 
 
 def fit_pca(
@@ -116,7 +77,7 @@ def fit_pca(
     split: Split,
     backbone: Backbone,
     *,
-    images: int | Sequence[ListedImage] = IMAGES,
+    images: int = IMAGES,
     components: int = COMPONENTS,
     seed: int = 0,
     processes: int = 1,
@@ -124,30 +85,24 @@ def fit_pca(
 ) -> FittedPca:
     """Choose images of diverse ground and light, and fit a PCA on their patches with LiDAR points on the ground.
 
+    Raises `PerceptionError` if the training part has no image or no patch with ground.
+
     Args:
-        images: number of images to choose, or a list of images of the training part.
+        images: number of images to choose.
         processes: logs read at a time; 0: one per core.
         cluster: address of a Ray cluster that reads them instead (`parallel.run_all`); "" for none.
-
-    Raises:
-        LogError, RigError: a log cannot be read, or has no cameras and LiDARs.
-        PerceptionError: the training part has no image or no patch with ground, or lacks a listed image.
     """
     refuse_places_without_origin(split, rig)
     logs = sorted(expanded(logs), key=drive_name)  # the chosen images do not depend on the order given
-    spacing = SPACING if isinstance(images, int) else 0.0  # listed images may be close
-    jobs = [Job(log, rig, split, spacing, backbone) for log in logs]
+    jobs = [Job(log, rig, split, backbone) for log in logs]
     do = partial(run_all, processes=at_a_time(processes), cluster=cluster, finished=lambda _: None)
     found = do(_find_images, jobs, description="finding images").checked()
-    candidates = [candidate for of_a_log in found for candidate in of_a_log]
-    log_of = [number for number, of_a_log in enumerate(found) for _ in of_a_log]
+    candidates = [(job, candidate) for job, of_a_log in zip(jobs, found, strict=True) for candidate in of_a_log]
     if not candidates:
         raise PerceptionError("no image in the training part", how="give logs with cameras, or another --split")
-    if isinstance(images, int):
-        chosen = most_diverse(np.stack([c.statistics for c in candidates]), images, seed=seed).tolist()
-    else:
-        chosen = [_listed(image, candidates) for image in images]
-    mine = [frozenset(candidates[i].image for i in chosen if log_of[i] == number) for number in range(len(logs))]
+    statistics = np.stack([candidate.statistics for _, candidate in candidates])
+    chosen = [candidates[i] for i in most_diverse(statistics, images, seed=seed)]
+    mine = [frozenset(candidate.image for of, candidate in chosen if of is job) for job in jobs]
     jobs = [replace(job, images=listed) for job, listed in zip(jobs, mine, strict=True) if listed]
     moments = Moments.none(backbone.channels)
     for part in do(_read_features, jobs, description="features of the chosen images").checked():
@@ -155,25 +110,15 @@ def fit_pca(
     about = {
         "logs": [drive_name(log) for log in logs],
         "split": split.text,
-        "split_drives": [list(pair) for pair in split.drives],
+        "split_drives": list(map(list, split.drives)),
     }
     pca = fit(moments, backbone, components=components, **about)
     logger.info(f"{len(chosen)} of {len(candidates)} images, {moments.count:.0f} patches of ground")
-    return FittedPca(pca, [candidates[i].image for i in chosen])
-
-
-def _listed(image: ListedImage, candidates: Sequence[Candidate]) -> int:
-    for number, (found, _) in enumerate(candidates):
-        if found[:2] == image[:2] and abs(found.time - image.time) <= NEAR:
-            return number
-    raise PerceptionError(
-        f"image '{image.drive} {image.camera} {image.time:.6f}' is not in the training part of these logs",
-        how="remove it from the list; only the training part may be used",
-    )
+    return FittedPca(pca, [candidate.image for _, candidate in chosen])
 
 
 def _moment(stamp: float) -> float:
-    """Round a stamp as in lists of images [s]; NumPy's rounding differs for every eighth stamp."""
+    """Round a stamp alike from arrays and images [s]; NumPy's rounding differs for every eighth stamp."""
     return round(float(stamp), 6)
 
 
@@ -186,17 +131,17 @@ def _find_images(job: Job, report: Report) -> list[Candidate]:
         training = job.split.label(name, rows.world_xy) == 0
         return [
             Candidate(ListedImage(name, image.camera, _moment(image.time)), image_statistics(image.pixels))
-            for image in _spaced_images(sensors, rows, training, job.spacing, report)
+            for image in _spaced_images(sensors, rows, training, report)
         ]
 
 
-def _spaced_images(
-    sensors: SensorLog, rows: Rows, training: Bool[np.ndarray, " N"], spacing: float, report: Report
-) -> Iterator[Image]:
+def _spaced_images(sensors: SensorLog, rows: Rows, training: Bool[np.ndarray, " N"], report: Report) -> Iterator[Image]:
     for done, camera in enumerate(sensors.cameras):
         stamps = np.sort(sensors.stamps(camera))
-        stamps = stamps[_in_training(stamps, rows, training)]
-        kept = keyframes_by_travel(sensors.poses.at(stamps)[:, :3, 3], spacing)
+        row = np.searchsorted(rows.time, stamps).clip(0, len(rows.time) - 1)
+        inside = (stamps >= rows.time[0]) & (stamps <= rows.time[-1])
+        stamps = stamps[inside & training[row] & rows.valid[row]]
+        kept = keyframes_by_travel(sensors.poses.at(stamps)[:, :3, 3], SPACING)
         times = {_moment(stamp) for stamp in stamps[kept]}
         for image in sensors.stream([camera]):
             report((done + _share(image.time, sensors)) / len(sensors.cameras))
@@ -207,12 +152,6 @@ def _spaced_images(
 def _share(time: float, log: SensorLog) -> float:
     first, last = log.poses.span
     return float(np.clip((time - first) / (last - first), 0, 1))
-
-
-def _in_training(stamps: Float[np.ndarray, " n"], rows: Rows, training: Bool[np.ndarray, " N"]) -> np.ndarray:
-    row = np.searchsorted(rows.time, stamps).clip(0, len(rows.time) - 1)
-    inside = (stamps >= rows.time[0]) & (stamps <= rows.time[-1])
-    return np.asarray(inside & training[row] & rows.valid[row])
 
 
 def _read_features(job: Job, report: Report) -> Moments:

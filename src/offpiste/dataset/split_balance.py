@@ -28,45 +28,27 @@ _STANDING: Final = 0.3
 """Speed below which the vehicle counts as standing [m/s]."""
 _LEAST_TURN: Final = 0.05
 """Turn rate below which the vehicle counts as driving straight [rad/s]."""
-_PERIODS: Final = (120, 180, 240, 300)
-"""Candidate periods of interleaved blocks [s]."""
-_FOLDS: Final = 5
-"""Number of candidate folds."""
-_SIZES: Final = (20, 30, 50, 75, 100)
-"""Candidate sizes of squares [m]."""
+_LITTLE: Final = 600.0
+"""Driving time in training below which `parametric` is proposed as the first model [s]."""
 _FOR_SHORT_DRIVES: Final = (
     *("blocks:0.6,0.2,0.2", "blocks:0.5,0.25,0.25", "blocks:0.4,0.3,0.3"),
     *(f"fold:{number}/{folds}" for folds in (5, 4, 3) for number in range(folds)),
 )
 """Candidate splits for drives that are too short for theirs."""
-_LITTLE: Final = 600.0
-"""Driving time in training below which `parametric` is proposed as the first model [s]."""
 
 
 @dataclass(frozen=True)
 class PartFacts:
-    """Driving in one part of a dataset.
-
-    Attributes:
-        windows: number of windows above `min_speed`.
-        moving: time above `min_speed` [s].
-        speed: of complete rows, sorted [m/s].
-        start_speed: median at window starts [m/s]; NaN without windows.
-        turning: 90 % quantile of the turn rate at window starts [rad/s]; NaN without windows.
-    """
+    """Driving in one part of a dataset; numbers at window starts are NaN without windows."""
 
     name: str
-    windows: int
-    min_speed: float
-    moving: float
-    speed: Float[np.ndarray, " n"]
-    start_speed: float
-    turning: float
-
-    @property
-    def median(self) -> float:
-        """Median speed of complete rows [m/s]."""
-        return float(np.median(self.speed))
+    windows: int  # number of windows above `min_speed`
+    min_speed: float  # [m/s]
+    moving: float  # time above `min_speed` [s]
+    speed: Float[np.ndarray, " n"]  # of complete rows, sorted [m/s]
+    median: float  # of `speed` [m/s]
+    start_speed: float  # median at window starts [m/s]
+    turning: float  # 90 % quantile of the turn rate at window starts [rad/s]
 
     def __str__(self) -> str:
         return f"{self.name} {self.windows} windows, median speed {self.median:.1f} m/s, {self.moving:.0f} s moving"
@@ -88,21 +70,17 @@ def _facts(dataset: Dataset, part: str) -> PartFacts:
         starts.append(speed[first])
         turns.append(np.abs(rows.state[first, 5]))
     speed, start, turn = (np.concatenate(each) for each in (speeds, starts, turns))
-    return PartFacts(
-        part,
-        len(start),
-        dataset.min_speed,
-        float((speed > dataset.min_speed).sum() * DT),
-        np.sort(speed),
-        float(np.median(start)) if len(start) else np.nan,
-        float(np.quantile(turn, 0.9)) if len(turn) else np.nan,
-    )
+    moving = float((speed > dataset.min_speed).sum() * DT)
+    numbers = (_quantile(speed, 0.5), _quantile(start, 0.5), _quantile(turn, 0.9))
+    return PartFacts(part, len(start), dataset.min_speed, moving, np.sort(speed), *numbers)
+
+
+def _quantile(values: Float[np.ndarray, " n"], share: float) -> float:
+    return float(np.quantile(values, share)) if len(values) else np.nan
 
 
 def speed_distance(one: Float[np.ndarray, " n"], other: Float[np.ndarray, " m"]) -> float:
-    """Return the Kolmogorov-Smirnov distance between two sorted samples; 1 if one is empty."""
-    if not len(one) or not len(other):
-        return 1.0
+    """Return the Kolmogorov-Smirnov distance between two sorted samples."""
     at = np.concatenate((one, other))
     shares = (np.searchsorted(each, at, side="right") / len(each) for each in (one, other))
     return float(np.abs(np.subtract(*shares)).max())
@@ -131,16 +109,15 @@ def _ratio(one: float, other: float, least: float) -> float:
 
 def _candidates(split: Split) -> Iterator[Split]:
     """Yield other splits of the same kind; for blocks, interleaved blocks and folds."""
-    texts: list[str] = []
-    if split.kind == "blocks":
-        shares = ",".join(f"{share:g}" for share in split.fractions)
-        texts += [f"blocks:{shares}@{period}" for period in _PERIODS]
-        texts += [f"fold:{number}/{_FOLDS}" for number in range(_FOLDS)] if all(split.fractions) else []
-    elif split.kind == "fold":
-        texts += [f"fold:{number}/{split.fold[1]}" for number in range(split.fold[1])]
-    elif split.kind == "places":
-        texts += [f"places:{size}" for size in _SIZES]
-    for text in texts:
+    shares = ",".join(f"{share:g}" for share in split.fractions)
+    folds = split.fold[1] if split.kind == "fold" else 5
+    texts = {
+        "blocks": [f"blocks:{shares}@{period}" for period in (120, 180, 240, 300)],
+        "fold": [f"fold:{number}/{folds}" for number in range(folds)],
+        "places": [f"places:{size}" for size in (20, 30, 50, 75, 100)],
+        "drives": [],
+    }
+    for text in texts[split.kind] + (texts["fold"] if split.kind == "blocks" and all(split.fractions) else []):
         try:
             other = parse_split(text)
         except DatasetError:  # blocks too short for this share
@@ -174,8 +151,8 @@ def fitting_split(drives: Sequence[StoredDrive], min_hindsight: float, min_speed
             label = split.label(drive.name, drive.rows.world_xy)
             for part in range(len(PARTS)):
                 counts[part] += len(evaluation_starts(drive.rows, label == part, min_hindsight, min_speed))
-        least[text] = int(counts.min())
-    best = max(least, key=lambda text: min(least[text], LEAST_WINDOWS))
+        least[text] = min(int(counts.min()), LEAST_WINDOWS)
+    best = max(least, key=least.__getitem__)
     return parse_split(best) if least[best] else None
 
 
@@ -190,9 +167,8 @@ def is_for_tests(split: Split) -> bool:
 
 def lacks_windows(dataset: Dataset) -> bool:
     """Return whether training, or a part of the split, has no window."""
-    facts = part_facts(dataset)
-    count = len(PARTS) - len(empty_parts(dataset.split))
-    return _cannot_train(dataset.split) or len(facts) < count or not all(part.windows for part in facts)
+    with_windows = sum(part.windows > 0 for part in part_facts(dataset))
+    return _cannot_train(dataset.split) or with_windows < len(PARTS) - len(empty_parts(dataset.split))
 
 
 def next_split(dataset: Dataset) -> Split | None:
@@ -200,8 +176,7 @@ def next_split(dataset: Dataset) -> Split | None:
     empty = lacks_windows(dataset)
     if not empty and not list(complaints(part_facts(dataset))):
         return None
-    better = None if _cannot_train(dataset.split) else better_split(dataset)
-    if better is not None:
+    if not _cannot_train(dataset.split) and (better := better_split(dataset)) is not None:
         return better[0]
     if not empty or dataset.split.kind not in ("blocks", "fold"):
         return None

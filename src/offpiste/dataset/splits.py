@@ -23,25 +23,15 @@ GAP = HISTORY_STEPS + HORIZON_STEPS
 
 @dataclass(frozen=True)
 class Split:
-    """Rule that assigns rows to parts.
+    """Rule that assigns rows to parts."""
 
-    Attributes:
-        text: as given by the user: "blocks:0.7,0.1,0.2", "fold:2/5", "places:50", "drives:FILE".
-        kind: blocks, fold, places or drives.
-        fractions: of each drive, or of each period of it, in the order of `PARTS` (blocks).
-        period: time after which blocks repeat [s]; 0: once per drive (blocks).
-        fold: number of the fold, from 0, and number of folds (fold).
-        cell: side of the squares assigned to parts [m] (places).
-        drives: name and part of each drive (drives).
-    """
-
-    text: str
-    kind: str
-    fractions: tuple[float, ...] = ()
-    period: float = 0.0
-    fold: tuple[int, int] = (0, 1)
-    cell: float = 0.0
-    drives: tuple[tuple[str, str], ...] = ()
+    text: str  # as given by the user: "blocks:0.7,0.1,0.2", "fold:2/5", "places:50", "drives:FILE"
+    kind: str  # blocks, fold, places or drives
+    fractions: tuple[float, ...] = ()  # blocks: of each drive, or of each period of it, in the order of `PARTS`
+    period: float = 0.0  # blocks: time after which they repeat [s]; 0: once per drive
+    fold: tuple[int, int] = (0, 1)  # fold: number of the fold, from 0, and number of folds
+    cell: float = 0.0  # places: side of the squares assigned to parts [m]
+    drives: tuple[tuple[str, str], ...] = ()  # drives: name and part of each
 
     @property
     def smallest(self) -> float:
@@ -49,13 +39,10 @@ class Split:
         return min(share for share in self.fractions if share > 0)
 
     def label(self, drive: str, position: Float[np.ndarray, "N 2"]) -> Int[np.ndarray, " N"]:
-        """Return the part of each row of a drive, -1 in gaps.
+        """Return the part of each row of a drive, -1 in gaps; raise `DatasetError` if a split by drives lacks it.
 
         Args:
             position: px, py in the world frame, not relative to the drive, so that places agree between drives [m].
-
-        Raises:
-            DatasetError: a split by drives lacks this drive.
         """
         rows = len(position)
         if self.kind == "blocks":
@@ -65,9 +52,14 @@ class Split:
             edges = np.round(np.cumsum(self.fractions) * length)
             return _with_gaps(np.searchsorted(edges[:-1], np.arange(rows) % length, side="right"))
         if self.kind == "fold":
-            if rows / (2 * self.fold[1]) < 2 * GAP:
-                return np.zeros(rows, dtype=np.int8)
-            return _with_gaps(_fold_labels(rows, *self.fold))
+            number, total = self.fold
+            label = np.zeros(rows, dtype=np.int8)
+            if rows / (2 * total) < 2 * GAP:
+                return label
+            half = np.arange(rows) * 2 * total // rows
+            label[half == 2 * ((number + 1) % total)] = PARTS.index("validation")
+            label[half // 2 == number] = PARTS.index("test")
+            return _with_gaps(label)
         if self.kind == "places":
             return _with_gaps(_place_labels(position, self.cell))
         parts = dict(self.drives)
@@ -81,10 +73,7 @@ def parse_split(text: str) -> Split:
 
     `blocks:TRAIN,VALIDATION,TEST` are fractions of each drive by time, with `@SECONDS` of each such period;
     `fold:K/N` tests block K of N and validates on half of the next; `places:METRES` assigns squares of the ground
-    70 : 10 : 20; `drives:FILE` reads a line "NAME PART" per drive.
-
-    Raises:
-        DatasetError: unknown kind, fractions that do not sum to one, a file that cannot be read.
+    70 : 10 : 20; `drives:FILE` reads a line "NAME PART" per drive. Anything else raises `DatasetError`.
     """
     kind, _, rest = text.partition(":")
     usage = "write blocks:0.7,0.1,0.2, fold:0/5 (the first of five, up to fold:4/5), places:50 or drives:FILE"
@@ -97,7 +86,15 @@ def parse_split(text: str) -> Split:
                 raise DatasetError(what, how="give shares that sum to 1, as in blocks:0.7,0.1,0.2")
             good = len(fractions) == 3 and sum(fractions) > 0 and min(fractions) >= 0 and fractions[0] > 0
             if good and (not at or 0 < period < np.inf):
-                return _long_enough(Split(text, kind, fractions=fractions, period=period))
+                split = Split(text, kind, fractions=fractions, period=period)
+                least = 2 * GAP * DT / split.smallest
+                if at and period < least - 1e-9:
+                    what = f"blocks of {period:g} s leave {period * split.smallest:.1f} s for the smallest part"
+                    how = (
+                        f"give @{np.ceil(least):.0f} or more: two windows with their history take {2 * GAP * DT:.1f} s"
+                    )
+                    raise DatasetError(what, where=text, how=how)
+                return split
         elif kind == "fold":
             number, total = (int(f) for f in rest.split("/"))
             if total >= 3 and 0 <= number < total:
@@ -113,18 +110,12 @@ def parse_split(text: str) -> Split:
 
 
 def refuse_places_without_origin(split: Split, rig: Rig) -> None:
-    """Raise if the squares of a split by places differ between logs.
-
-    Raises:
-        DatasetError: geographic positions are relative to an origin of each log.
-    """
+    """Raise `DatasetError` if a split is by places and positions are relative to a geographic origin of each log."""
     position = rig.channels["position"]
     if split.kind == "places" and position.unit == GEOGRAPHIC and position.origin is None:
-        raise DatasetError(
-            f"positions in '{GEOGRAPHIC}' have an origin of each log, so that one place would be in several parts",
-            where=split.text,
-            how="give channels.position.origin in the rig: latitude and longitude of a place near all drives",
-        )
+        what = f"positions in '{GEOGRAPHIC}' have an origin of each log, so that one place would be in several parts"
+        how = "give channels.position.origin in the rig: latitude and longitude of a place near all drives"
+        raise DatasetError(what, where=split.text, how=how)
 
 
 def stored_split(text: str, drives: Sequence[Sequence[str]]) -> Split:
@@ -132,18 +123,6 @@ def stored_split(text: str, drives: Sequence[Sequence[str]]) -> Split:
     if drives:
         return Split(text, "drives", drives=tuple((name, part) for name, part in drives))
     return parse_split(text)
-
-
-def _long_enough(split: Split) -> Split:
-    """Return the split, or refuse it if a block of a period is too short for windows."""
-    least = 2 * GAP * DT / split.smallest
-    if split.period and split.period < least - 1e-9:
-        raise DatasetError(
-            f"blocks of {split.period:g} s leave {split.period * split.smallest:.1f} s for the smallest part",
-            where=split.text,
-            how=f"give @{np.ceil(least):.0f} or more: two windows with their history take {2 * GAP * DT:.1f} s",
-        )
-    return split
 
 
 def write_drives(path: Path, parts: Iterable[tuple[str, str]]) -> str:
@@ -162,11 +141,7 @@ def empty_parts(split: Split) -> tuple[str, ...]:
 
 
 def part_number(part: str) -> int:
-    """Return the label of a part.
-
-    Raises:
-        DatasetError: there is no such part.
-    """
+    """Return the label of a part; raise `DatasetError` if there is no such part."""
     if part not in PARTS:
         raise DatasetError(f"no part '{part}'", how=f"{did_you_mean(part, PARTS)}there are: {', '.join(PARTS)}")
     return PARTS.index(part)
@@ -177,14 +152,6 @@ def _with_gaps(label: Int[np.ndarray, " N"]) -> Int[np.ndarray, " N"]:
     label = label.astype(np.int8)
     for change in np.flatnonzero(np.diff(label)) + 1:
         label[change : change + GAP] = -1
-    return label
-
-
-def _fold_labels(rows: int, number: int, total: int) -> Int[np.ndarray, " N"]:
-    half = np.arange(rows) * 2 * total // rows
-    label = np.zeros(rows, dtype=np.int8)
-    label[half == 2 * ((number + 1) % total)] = PARTS.index("validation")
-    label[half // 2 == number] = PARTS.index("test")
     return label
 
 
@@ -211,9 +178,8 @@ def _read_drives(path: Path) -> tuple[tuple[str, str], ...]:
     parts = dict[str, str]()
     for number, line in enumerate(lines, start=1):
         if len(line) != 2 or line[1] not in PARTS:
-            raise DatasetError(
-                f"line {number} is not 'NAME PART'", where=path, how=f"PART is one of {', '.join(PARTS)}"
-            )
+            how = f"PART is one of {', '.join(PARTS)}"
+            raise DatasetError(f"line {number} is not 'NAME PART'", where=path, how=how)
         if parts.setdefault(line[0], line[1]) != line[1]:
             what = f"line {number} puts drive '{line[0]}' into {line[1]}, an earlier one into {parts[line[0]]}"
             raise DatasetError(what, where=path, how="keep one of them")
