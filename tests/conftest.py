@@ -70,7 +70,7 @@ SLOW = (
     "experiments/test_pretrained_models.py",
     "golden/test_golden.py::test_golden[findings]", "inspection/test_sensors.py::test_kitti",
     "planning/test_kernel.py::test_it_never_reads_out_of_bounds", "reproduction/test_data.py::test_portions",
-    "experiments/illnesses/", "experiments/closed_loop_table/", "experiments/control_experiments/",
+    "experiments/inspection_faults/", "experiments/closed_loop_table/", "experiments/control_experiments/",
     "experiments/probe/",
     "experiments/test_unseen_kinds.py",
     "exports/test_onnx_files.py::", "fuzz/test_fuzz.py::test_forty_cases_of_a_new_seed",

@@ -1,4 +1,4 @@
-"""A true drive of a bicycle on flat ground, for tests of the illnesses: no simulation, known at every moment."""
+"""A true drive of a bicycle on flat ground, for tests of known faults: no simulation, known at every moment."""
 
 from functools import cache
 
@@ -6,9 +6,8 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
-from experiments.illnesses.logger import recorded
-from experiments.illnesses.recording import Case
-from experiments.illnesses.true_drive import TrueDrive
+from experiments.inspection_faults.drives import TrueDrive
+from experiments.inspection_faults.recording import Case, recorded
 
 WHEELBASE, MAX_STEER = 2.0, 0.4
 

@@ -4,8 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.illnesses.sensors.case import SensorCase
-from experiments.illnesses.sensors.drives import LAYOUTS
+from experiments.inspection_faults.sensor_faults import LAYOUTS, SensorCase
 from offpiste.logs.log import Log, RawCloud, RawImage, Samples, Topic
 
 TIMES = 1000 + 0.5 * np.arange(40)

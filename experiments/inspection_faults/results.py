@@ -1,4 +1,4 @@
-"""Scores of finished logs, a JSON line each: what an interruption leaves is read again."""
+"""Scores of finished logs, one JSON line each, so that an interrupted run resumes."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -14,7 +14,7 @@ T = TypeVar("T")
 
 
 def reported(
-    path: Path,
+    out: Path,
     kind: type[T],
     seeds: Sequence[int],
     work: Callable[[int, Callable[[float], None]], str],
@@ -22,37 +22,34 @@ def reported(
     *,
     processes: int,
 ) -> str:
-    """The report on all seeds, in their order; scores that the file lacks are made first, and report.md is written.
+    """Make the scores that `scores.jsonl` lacks, and write and return the report on all seeds.
 
     Args:
-        path: of the scores.
         work: appends the score of a seed to the file.
-        processes: seeds at a time.
 
     Raises:
         OffpisteError: some could not be made.
     """
-    done = read(path, kind)
+    done = _read(out, kind)
     missing = [seed for seed in seeds if seed not in done]
-    failed = run_all(work, missing, processes, path.parent.name).failed
+    failed = run_all(work, missing, processes, out.name).failed
     if failed:
-        raise OffpisteError(f"{len(failed)} of {len(missing)} logs could not be made", where=path.parent)
-    done = read(path, kind)
+        raise OffpisteError(f"{len(failed)} of {len(missing)} logs could not be made", where=out)
+    done = _read(out, kind)
     text = report([done[seed] for seed in seeds])
-    write_text(path.parent / "report.md", text)
+    write_text(out / "report.md", text)
     return text
 
 
-def append(path: Path, score: Any) -> None:
-    """Add a score, in one write of a whole line, so that processes do not mix them."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("ab", buffering=0) as file:
+def append(out: Path, score: Any) -> None:
+    """Add a score in one write of a whole line, so that processes do not mix them."""
+    with (out / "scores.jsonl").open("ab", buffering=0) as file:
         file.write(msgspec.json.encode(score) + b"\n")
 
 
-def read(path: Path, kind: type[T]) -> dict[int, T]:
-    """Scores by seed; a line that an interruption cut off is left out."""
-    scores: dict[int, T] = {}
+def _read(out: Path, kind: type[T]) -> dict[int, T]:
+    """Scores by seed, without a line that an interruption cut off."""
+    path, scores = out / "scores.jsonl", {}
     for line in path.read_text("utf-8").splitlines() if path.exists() else ():
         try:
             one: Any = msgspec.json.decode(line, type=kind)

@@ -1,1 +1,0 @@
-"""Logs with known truth, healthy and ill, on which `offpiste inspect` is scored."""

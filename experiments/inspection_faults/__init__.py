@@ -1,0 +1,1 @@
+"""Known faults in simulated logs: which of them `offpiste inspect` finds and fixes."""

@@ -1,0 +1,197 @@
+"""Score the checks of cameras and LiDARs: `python -m experiments.inspection_faults.sensors --out sensors`."""
+
+import traceback
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from experiments.command import run
+from experiments.inspection_faults import results
+from experiments.inspection_faults.drives import BEHAVIOURS, ground_and_style, world_of
+from experiments.inspection_faults.report import listed, share
+from experiments.inspection_faults.score import in_words, serious
+from experiments.inspection_faults.sensor_faults import LAYOUTS, SENSOR_FAULTS, SensorCase, SensorFault
+from offpiste.core.errors import OffpisteError
+from offpiste.core.files import check_folder
+from offpiste.inspection.findings import Finding, ranked
+from offpiste.inspection.sensors import check_sensors
+from offpiste.logs.log import open_log
+from offpiste.rig.edits import edited
+from offpiste.simulation.simulate import DriveSettings, record, start_and_driver
+from offpiste.simulation.vehicle.parameters import load_vehicle
+
+CASES_PER_DRIVE: Final = 5
+"""The first of them is healthy."""
+_SECONDS, _LEAST = 40.0, 25.0
+"""Length of a drive, and length under which it is repeated [s]."""
+_MAP: Final = ("LiDARs", "poses")
+"""Places of notes about ghosts, moving returns and a drift in height."""
+
+
+@dataclass(frozen=True)
+class SensorScore:
+    """Result of one case."""
+
+    seed: int
+    drive: str
+    fault: str  # "" for a healthy case
+    strength: float
+    found: bool  # whether a warning says what is wrong, and where
+    noted: bool  # whether only a note does
+    fix: str  # "right", "wrong", "none" (of the first warning about it), "" where not found or not fixable
+    alarms: tuple[str, ...]  # warnings and fatal findings that say something else
+    accusing: tuple[str, ...]  # notes on the map that do
+    findings: tuple[str, ...]
+    error: str  # exception of the inspection
+
+
+def recorded_drive(number: int, cache: Path) -> Path:
+    """Return the log of a drive, simulated once and kept in the folder `cache`; its name ends with the layout."""
+    layout = list(LAYOUTS)[number % len(LAYOUTS)]
+    path = cache / f"sensors-{number:06d}-{layout}.mcap"
+    world, vehicle, random = world_of(number), load_vehicle(), np.random.default_rng([number, 0x5E5])
+    behaviours = [name for name in BEHAVIOURS if name != "stops and reverse"]
+    shares = np.array([BEHAVIOURS[name] for name in behaviours])
+    cache.mkdir(parents=True, exist_ok=True)
+    while not path.exists():
+        ground, style = ground_and_style(str(random.choice(behaviours, p=shares / shares.sum())), world, random)
+        settings, part = (
+            DriveSettings(world=ground.settings, seed=int(random.integers(1 << 30))),
+            path.with_name(f"part-{path.name}"),
+        )
+        start, driver = start_and_driver(ground, vehicle, seed=settings.seed, settings=style)
+        steps, suite = round(_SECONDS * 50), LAYOUTS[layout].suite()
+        part.unlink(missing_ok=True)
+        if record(settings, ground, vehicle, start, driver, part, steps=steps, suite=suite).seconds > _LEAST:
+            part.rename(path)
+    return path
+
+
+def given_to(seed: int) -> tuple[SensorFault | None, float]:
+    """Fault and strength of a seed; they take turns, so that all are equally frequent."""
+    number, turn = divmod(seed, CASES_PER_DRIVE)
+    if turn == 0:
+        return None, 0.0
+    choices = [(fault, strength) for fault in SENSOR_FAULTS.values() for strength in fault.strengths]
+    # Shuffled alike, so that the strengths of a fault meet different drives.
+    order = np.random.default_rng(0x5E5).permutation(len(choices))
+    return choices[order[(number * (CASES_PER_DRIVE - 1) + turn - 1) % len(choices)]]
+
+
+def score(seed: int, case: SensorCase, fault: SensorFault | None, strength: float) -> SensorScore:
+    """Plant a fault, check the sensors, and compare the findings with the truth; channels have a score of their own."""
+    if fault:
+        case = fault.change(case, strength, np.random.default_rng([seed, 0x5E5]))
+    findings: tuple[Finding, ...] = ()
+    error = ""
+    try:
+        findings = ranked(check_sensors(case.log, case.rig))
+    except Exception:  # noqa: BLE001  # any exception counts as a failure
+        error = traceback.format_exc(limit=-3)
+    about = [one for one in findings if fault and one.where == fault.where and fault.what in one.what]
+    others = [one for one in findings if one not in about and not (fault and one.where in fault.consequences)]
+    warnings, alarms = serious(about), serious(others)
+    return SensorScore(
+        seed=seed,
+        drive=case.log.path.stem,
+        fault=fault.name if fault else "",
+        strength=strength,
+        found=bool(warnings),
+        noted=bool(about) and not warnings,
+        fix=_first_fix(case, fault, warnings[0]) if fault and warnings else "",
+        alarms=tuple(map(in_words, alarms)),
+        accusing=tuple(in_words(one) for one in others if one.where in _MAP and one not in alarms),
+        findings=tuple(map(in_words, findings)),
+        error=error,
+    )
+
+
+def _first_fix(case: SensorCase, fault: SensorFault, warning: Finding) -> str:
+    if fault.fixed is None:
+        return ""
+    if not warning.cures:
+        return "none"
+    try:
+        return "right" if fault.fixed(case, edited(case.rig, warning.cures[0])) else "wrong"
+    except OffpisteError:
+        return "wrong"
+
+
+def report(scores: Sequence[SensorScore]) -> str:
+    """The whole report as Markdown."""
+    healthy, faulty = [s for s in scores if not s.fault], [s for s in scores if s.fault]
+    measures = {
+        "healthy logs with a false alarm": [bool(s.alarms) for s in healthy],
+        "healthy logs with an accusing note": [bool(s.accusing) for s in healthy],
+        "faults found or noted": [s.found or s.noted for s in faulty],
+        "of found and fixable ones, right first fix": [s.fix == "right" for s in faulty if s.fix],
+        "faulty logs with another alarm": [bool(s.alarms) for s in faulty],
+        "failures of inspect": [bool(s.error) for s in scores],
+    }
+    rows = []
+    for name, strength in sorted({(s.fault, s.strength) for s in faulty}):
+        of = [s for s in faulty if (s.fault, s.strength) == (name, strength)]
+        fixes = f"{sum(s.fix == 'right' for s in of)}/{sum(s.found for s in of)}" if SENSOR_FAULTS[name].fixed else ""
+        found, noted = sum(s.found for s in of), sum(s.noted for s in of)
+        rows.append(f"| {name} | {strength:g} {SENSOR_FAULTS[name].unit} | {found}/{len(of)} | {noted} | {fixes} |")
+    parts = [
+        "# What `inspect` finds in cameras and LiDARs of logs with known truth",
+        f"{len(healthy)} healthy logs, {len(faulty)} with one fault. Intervals are Wilson's 95 %.",
+        "| measure | share (95 % interval) |\n|---|---|\n"
+        + "\n".join(f"| {name} | {share(sum(hits), len(hits))} |" for name, hits in measures.items()),
+        "| fault | strength | found | noted | right first fix |\n|---|---|---|---|---|\n" + "\n".join(rows),
+        *listed("False alarms on healthy logs", [_line(s, a) for s in healthy for a in (*s.alarms, *s.accusing)]),
+        *listed("Other alarms on faulty logs", [_line(s, a) for s in faulty for a in s.alarms]),
+        *listed("Neither found nor noted", [_line(s) for s in faulty if not (s.found or s.noted)]),
+        *listed("Wrong first fixes", [_line(s) for s in faulty if s.fix == "wrong"]),
+        *listed("Failures of inspect", [_line(s, s.error.strip().splitlines()[-1]) for s in scores if s.error]),
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def _line(one: SensorScore, text: str = "") -> str:
+    return f"{one.seed} ({one.drive}; {one.fault or 'healthy'} {one.strength:g}) {text}".strip()
+
+
+@dataclass(frozen=True)
+class SensorFaults:
+    """Score the checks of cameras and LiDARs on simulated logs, healthy or with one fault; five logs share a drive."""
+
+    out: Path = Path("sensor-faults")
+    """Folder of results: a JSON line per log, and report.md; finished logs are not repeated."""
+    logs: int = 60
+    """Number of logs; those whose seed is a multiple of 5 are healthy."""
+    seed: int = 1
+    """Seed of the first log; the others follow."""
+    processes: int = 1
+    """Logs at a time."""
+    cache: Path | None = None
+    """Folder of simulated drives; OUT/drives if not given."""
+
+    def run(self) -> str:
+        """Score the logs that are missing, and report."""
+        check_folder(self.out)
+        seeds = range(self.seed, self.seed + self.logs)
+        return results.reported(self.out, SensorScore, seeds, partial(_work, self), report, processes=self.processes)
+
+    def case(self, seed: int) -> SensorCase:
+        """The healthy case of a seed."""
+        path = recorded_drive(seed // CASES_PER_DRIVE, self.cache or self.out / "drives")
+        layout = LAYOUTS[path.stem.rpartition("-")[2]]
+        rig = layout.rig()
+        return SensorCase(open_log(path, clock=rig.clock), rig, layout)
+
+
+def _work(settings: SensorFaults, seed: int, progress: Callable[[float], None]) -> str:
+    result = score(seed, settings.case(seed), *given_to(seed))
+    results.append(settings.out, result)
+    what = "found" if result.found else "noted" if result.noted else "missed" if result.fault else "healthy"
+    return f"{_line(result)}: {what} {result.fix}; {len(result.alarms)} other alarms"
+
+
+if __name__ == "__main__":
+    run(SensorFaults)
