@@ -18,7 +18,7 @@ import time
 import tomllib
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from dataclasses import astuple, dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -689,7 +689,7 @@ def training() -> Results:
         stride=20,
     )
     for case, errors in evaluation.errors.items():
-        label = " ".join(map(str, astuple(case)))
+        label = " ".join(map(str, msgspec.structs.astuple(case)))
         found |= parts(f"errors {label}", errors, keep=60)
     metrics = msgspec.to_builtins(evaluation.metrics)
     kept = {key: metrics[key] for key in metrics if key not in ("made", "dataset", "split", "bands")}

@@ -6,13 +6,13 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Float
 from matplotlib.artist import Artist
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from offpiste.dynamics import MODELS
-from offpiste.report.chart import MEAN, MEDIAN, Box, Chart, box_panel, box_statistics, draw_boxes
+from offpiste.report.chart import MEAN, MEDIAN, Box, Chart, Panel, box_statistics, draw_boxes
 from offpiste.report.figure import plain
+from offpiste.report.text_table import number
 
 RECORDED = "#000000"
 """Colour of recorded paths."""
@@ -20,6 +20,8 @@ RECORDED = "#000000"
 _SPARE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#7b3fa0", "#56b4e9")
 """Okabe and Ito's palette (jfly.uni-koeln.de/color, 2008), which colour-blind people can distinguish, and one more."""
 _LINES = ("-", "--", ":", "-.")
+
+QUANTITY = "Distance error after 5 s [m]"
 
 
 def colour_of(label: str) -> str:
@@ -39,10 +41,8 @@ def styles(labels: Sequence[str]) -> dict[str, tuple[str, str]]:
     return result
 
 
-def box_chart(
-    errors: Mapping[str, Float[np.ndarray, " n"]], *, title: str = "", quantity: str = "Distance error after 5 s [m]"
-) -> Chart:
-    """Describe horizontal box plots of errors, one for each model.
+def box_chart(errors: Mapping[str, Float[np.ndarray, " n"]], *, title: str = "") -> Chart:
+    """Describe horizontal box plots of distance errors, one for each model.
 
     Boxes extend over the quartiles, whiskers to the last value within 1.5 IQR. Failed predictions are counted beside
     the name and in the quartiles; a model with failed predictions has no mean.
@@ -50,12 +50,16 @@ def box_chart(
     Args:
         errors: by label, from top to bottom; infinite if a prediction failed.
     """
-    boxes = []
+    boxes, ends = [], [1e-6]
     for label, values in errors.items():
-        failed = int((~np.isfinite(values)).sum())
-        name = label.replace(" · ", "\n") + (f"\n{failed} failed" if failed else "")
-        boxes.append(Box(name, colour_of(label), box_statistics(values)))
-    return Chart([box_panel(boxes, quantity)], title)
+        numbers, failed = box_statistics(values), int((~np.isfinite(values)).sum())
+        about = f"median {number(numbers['med'])}, mean {number(numbers['mean'])}" + (
+            f", {failed} failed" if failed else ""
+        )
+        boxes.append(Box(f"{label}\n{about}", colour_of(label), numbers))
+        ends += [end for end in (numbers["whishi"], numbers["mean"]) if np.isfinite(end)]
+    sides = {"x_range": (0.0, 1.02 * max(ends)), "y_range": (len(boxes) - 0.4, -0.6)}
+    return Chart([Panel(QUANTITY, boxes=boxes, hover="y", **sides)], title)
 
 
 Groups = Mapping[str, Mapping[str, Float[np.ndarray, " _"]]]
@@ -65,20 +69,13 @@ Groups = Mapping[str, Mapping[str, Float[np.ndarray, " _"]]]
 def whisker_top(groups: Groups) -> float:
     """Return the highest end of a whisker, for figures that share their axis."""
     tops = [box_statistics(values)["whishi"] for models in groups.values() for values in models.values()]
-    return max((float(top) for top in tops if np.isfinite(top)), default=0.0) or 1.0
+    return max((top for top in tops if np.isfinite(top)), default=0.0) or 1.0
 
 
-def grouped_box_plot(
-    groups: Groups,
-    *,
-    title: str = "",
-    axis: str = "",
-    quantity: str = "Distance error after 5 s [m]",
-    top: float | None = None,
-) -> Figure:
+def grouped_box_plot(groups: Groups, *, title: str = "", axis: str = "", top: float | None = None) -> Figure:
     """Draw vertical box plots of several models side by side, as in the paper (Fig. 3 and 4).
 
-    Boxes extend over the quartiles, whiskers to the last value within 1.5 IQR, which is written beside an arrow. Green:
+    Boxes extend over the quartiles, whiskers to the last value within 1.5 IQR, which is written at its end. Green:
     median; orange: mean.
 
     Args:
@@ -86,51 +83,30 @@ def grouped_box_plot(
         top: upper end of the axis, for figures that share it (`whisker_top`).
     """
     top = top or whisker_top(groups)
-    names = list(dict.fromkeys(name for models in groups.values() for name in models))
     wide = sum(len(models) for models in groups.values())
     width = 1.6 + (0.62 if wide < 8 else 0.46) * wide + 0.3 * len(groups)
     figure = Figure(figsize=(width, 4.4), dpi=150, layout="constrained")
     axes = plain(figure.add_subplot(), title, grid="y")
     place, ticks = 0.0, []
     for models in groups.values():
-        places = place + np.arange(len(models))
-        _draw(axes, models, places, top)
+        boxes = [Box(name, colour_of(name), box_statistics(values)) for name, values in models.items()]
+        places = place + np.arange(len(boxes))
+        draw_boxes(axes, boxes, places, orientation="vertical")
+        for at, box in zip(places, boxes, strict=True):
+            low, high = box.numbers["whislo"], box.numbers["whishi"]
+            if np.isnan(high):
+                axes.text(at, 0.5 * top, "failed", rotation=90, ha="center", fontsize=8)
+            else:
+                axes.text(at, low - 0.02 * top, f"{low:.2f}", ha="center", va="top", fontsize=6.5)
+                axes.text(at, high + 0.02 * top, f"{high:.2f}", ha="center", va="bottom", fontsize=6.5)
         ticks.append(float(places.mean()))
         place = float(places[-1]) + 1.7
-    axes.set(xlim=(-0.6, place - 0.8), ylim=(-0.1 * top, 1.12 * top), ylabel=quantity, xlabel=axis)
+    axes.set(xlim=(-0.6, place - 0.8), ylim=(-0.1 * top, 1.12 * top), ylabel=QUANTITY, xlabel=axis)
     axes.set_xticks(ticks, list(groups))
-    _legend(figure, axes, names)
-    return figure
-
-
-def _draw(axes: Axes, models: Mapping[str, np.ndarray], places: Float[np.ndarray, " n"], top: float) -> None:
-    boxes = [box_statistics(values) for values in models.values()]
-    draw_boxes(axes, boxes, [colour_of(name) for name in models], places, orientation="vertical")
-    for at, box in zip(places, boxes, strict=True):
-        if np.isnan(box["whishi"]):
-            axes.annotate("failed", (float(at), 0.5 * top), rotation=90, ha="center", fontsize=8)
-            continue
-        low, high = float(box["whislo"]), float(box["whishi"])
-        for end, height in ((low, low - 0.065 * top), (high, high + 0.065 * top)):
-            axes.annotate(
-                f"{end:.2f}",
-                xy=(float(at), end),
-                xytext=(float(at), height),
-                ha="center",
-                va="center",
-                fontsize=6.5,
-                arrowprops={"arrowstyle": "-|>", "linewidth": 0.5, "color": "black", "mutation_scale": 6, "shrinkB": 0},
-            )
-
-
-def _legend(figure: Figure, axes: Axes, names: Sequence[str]) -> None:
+    names = dict.fromkeys(name for models in groups.values() for name in models)
     handles: list[Artist] = [Patch(facecolor=colour_of(name), alpha=0.4, label=name) for name in names]
     handles += axes.plot([], [], color=MEDIAN, linewidth=1.5, label="median")
     handles += axes.plot([], [], color=MEAN, linewidth=3.2, label="mean")
-    figure.legend(
-        handles=handles,
-        frameon=False,
-        fontsize=8,
-        ncols=max(3, int(figure.get_figwidth() / 1.2)),
-        loc="outside lower right",
-    )
+    columns = max(3, int(width / 1.2))
+    figure.legend(handles=handles, frameon=False, fontsize=8, ncols=columns, loc="outside lower right")
+    return figure

@@ -56,13 +56,13 @@ class Errors:
         """Whether the prediction is not finite, by window and horizon."""
         return np.asarray(~np.isfinite(self.values).all(axis=2))
 
+    def component(self, name: str, horizon: int = -1) -> Float[np.ndarray, " n"]:
+        """Return one of `ERROR_NAMES` at an index of `HORIZONS`, or the "loss" over all steps."""
+        return self.loss if name == "loss" else self.values[:, horizon, ERROR_NAMES.index(name)]
+
     def distance(self) -> Float[np.ndarray, " n"]:
         """Return the distance error at the last horizon [m]."""
-        return self.values[:, -1, 0]
-
-    def component(self, name: str) -> Float[np.ndarray, " n"]:
-        """Return the error of a component (`ERROR_NAMES`) at the last horizon, or the "loss" over all steps."""
-        return self.loss if name == "loss" else self.values[:, -1, ERROR_NAMES.index(name)]
+        return self.component("distance_error_m")
 
     def take(self, index: Int[np.ndarray, " m"]) -> "Errors":
         """Return the errors of some windows."""
@@ -77,8 +77,7 @@ def pool(runs: Sequence[Errors]) -> Errors:
     """
     keys, place = np.unique(np.concatenate([run.key for run in runs]), return_inverse=True)
     count = np.bincount(place).astype(float)
-    values = np.zeros((len(keys), *runs[0].values.shape[1:]))
-    loss = np.zeros(len(keys))
+    values, loss = np.zeros((len(keys), *runs[0].values.shape[1:])), np.zeros(len(keys))
     np.add.at(values, place, np.concatenate([run.values for run in runs]))
     np.add.at(loss, place, np.concatenate([run.loss for run in runs]))
     return Errors(keys >> 32, keys & 0xFFFFFFFF, values / count[:, None, None], loss / count)
@@ -110,17 +109,13 @@ class SeededErrors:
         """Mean of each window over the seeds."""
         return pool(self.runs)
 
-    def at(self, horizon: int, component: int) -> Float[np.ndarray, "S n"]:
-        """Return the errors at an index of `HORIZONS` and an index of `ERROR_NAMES`."""
-        return np.stack([run.values[:, horizon, component] for run in self.runs])
-
-    def component(self, name: str) -> Float[np.ndarray, "S n"]:
-        """Return the error of a component (`ERROR_NAMES`) at the last horizon, or the "loss" over all steps."""
-        return np.stack([run.component(name) for run in self.runs])
+    def component(self, name: str, horizon: int = -1) -> Float[np.ndarray, "S n"]:
+        """Return one of `ERROR_NAMES` at an index of `HORIZONS`, or the "loss" over all steps."""
+        return np.stack([run.component(name, horizon) for run in self.runs])
 
     def distance(self) -> Float[np.ndarray, "S n"]:
         """Return the distance error at the last horizon [m]."""
-        return self.component(ERROR_NAMES[0])
+        return self.component("distance_error_m")
 
     @property
     def loss(self) -> Float[np.ndarray, "S n"]:

@@ -193,7 +193,6 @@ def _every_reading(
 def _window_numbers(
     windows: EvaluatedWindows, datasets: Sequence[Dataset], part: str, stride: int, sampling: Sampling
 ) -> WindowNumbers:
-    shares = [share_driven_in_training(dataset, part) for dataset in datasets]
     return WindowNumbers(
         n=len(windows.row),
         drives=len(np.unique(windows.drive)),
@@ -202,7 +201,7 @@ def _window_numbers(
         block_s=sampling.block_seconds,
         median_distance_m=float(np.median(windows.driven_distance)),
         median_speed_mps=float(np.median(windows.start_speed)),
-        driven_in_training=float(np.mean(shares)),
+        driven_in_training=float(np.mean([share_driven_in_training(dataset, part) for dataset in datasets])),
     )
 
 
@@ -215,18 +214,16 @@ def readings_of(
         datasets: the same rows with each split.
         part: of the splits, whose windows are evaluated.
     """
-    slopes = (np.nanmax(np.abs(drive.rows.normal[..., :2]), initial=0) for drive in datasets[0].drives)
-    if not datasets[0].features and not any(slope > 0 for slope in slopes):
+    featured = bool(datasets[0].features)
+    if not featured and not any((np.abs(drive.rows.normal[..., :2]) > 0).any() for drive in datasets[0].drives):
         return (NO_READING,)
-    sets: Sequence[str | None] = (None,)
-    bare: list[str] = []
-    for dataset in datasets:
-        windows = Windows(dataset, part)
-        sets = tuple(feature_sets) if windows.sets > 1 else (None,)
-        if dataset.features and not windows.maps.any:
-            bare.append(dataset.split.text)
+    windows = [Windows(dataset, part) for dataset in datasets]
+    bare = [
+        dataset.split.text for dataset, each in zip(datasets, windows, strict=True) if featured and not each.maps.any
+    ]
     if bare and "map" in lookups:
         logger.info(f"models are not evaluated on the map: windows of the split {', '.join(bare)} have no map")
+    sets: Sequence[str | None] = tuple(feature_sets) if windows[-1].sets > 1 else (None,)
     recorded: list[Reading] = [("recorded", chosen) for chosen in sets] if "recorded" in lookups or bare else []
     on_map: list[Reading] = [("map", None)] if "map" in lookups and not bare else []
     return recorded + on_map
@@ -266,16 +263,25 @@ def with_baselines(
     Raises:
         RunError: models were trained on different splits, or a run is given twice.
     """
-    result = list(models)
-    vehicle = vehicle_of(dataset)
-    for name in (name for name, model in MODELS.items() if model.baseline and model.fits(vehicle)):
-        if any(model.label == name for model in models):
-            continue
-        for split in dict.fromkeys(model.split for model in models) or {None: None}:
-            beside = [model for model in models if model.split == split]
-            fold = beside[0].fold if beside else None
-            result.append(EvaluatedModel(name, _baseline(name, beside, vehicle).to(device), fold=fold, split=split))
-    _refuse_unlike(result, dataset)
+    result, vehicle = list(models), vehicle_of(dataset)
+    splits = list(dict.fromkeys(model.split for model in models)) or [None]
+    for name, declared in MODELS.items():
+        if declared.baseline and declared.fits(vehicle) and all(model.label != name for model in models):
+            for split in splits:
+                beside = [model for model in models if model.split == split]
+                baseline, fold = _baseline(name, beside, vehicle).to(device), beside[0].fold if beside else None
+                result.append(EvaluatedModel(name, baseline, fold=fold, split=split))
+    for name in dict.fromkeys(model.label for model in result):
+        runs = [model for model in result if model.label == name]
+        evaluated = [run.split or dataset.split for run in runs]
+        missing = [split.text for each in splits if (split := each or dataset.split) not in evaluated]
+        if missing:
+            what = f"model '{name}' has no run for split {', '.join(missing)}, which others have"
+            how = "give the same folds of each model, or evaluate them separately"
+            raise RunError(what, where=dataset.path, how=how)
+        if len({_identity(run) for run in runs}) < len(runs):
+            what = f"two runs of model '{name}' have the same seed and fold"
+            raise RunError(what, where=dataset.path, how="give each run once")
     return result
 
 
@@ -286,30 +292,11 @@ def _baseline(name: str, beside: Sequence[EvaluatedModel], vehicle: Vehicle) -> 
         return without_optional(of.control), of.actuators
 
     baseline = MODELS[name](vehicle, seed=0)
-    fitted = [m.dynamics.actuators for m in beside if channels(m.dynamics.vehicle) == channels(vehicle)]
-    result = next((lags for lags in fitted if lags is not None), None)
-    if baseline.actuators is not None and result is not None:
-        baseline.actuators.load_state_dict(result.state_dict())
+    alike = (model.dynamics for model in beside if channels(model.dynamics.vehicle) == channels(vehicle))
+    fitted = next((dynamics.actuators for dynamics in alike if dynamics.actuators is not None), None)
+    if baseline.actuators is not None and fitted is not None:
+        baseline.actuators.load_state_dict(fitted.state_dict())
     return baseline
-
-
-def _refuse_unlike(models: Sequence[EvaluatedModel], dataset: Dataset) -> None:
-    """Check that all models are evaluated on the same windows, and no run twice."""
-    wanted = {model.split or dataset.split for model in models}
-    for name in dict.fromkeys(model.label for model in models):
-        runs = [model for model in models if model.label == name]
-        splits = {run.split or dataset.split for run in runs}
-        if splits != wanted:
-            missing = ", ".join(split.text for split in wanted - splits)
-            raise RunError(
-                f"model '{name}' has no run for split {missing}, which others have",
-                where=dataset.path,
-                how="give the same folds of each model, or evaluate them separately",
-            )
-        if len({_identity(run) for run in runs}) < len(runs):
-            raise RunError(
-                f"two runs of model '{name}' have the same seed and fold", where=dataset.path, how="give each run once"
-            )
 
 
 def by_split(models: Sequence[EvaluatedModel], dataset: Dataset) -> list[tuple[Dataset, list[EvaluatedModel]]]:

@@ -12,7 +12,6 @@ import numpy as np
 from offpiste.core.command_line import options
 from offpiste.core.errors import OffpisteError, RunError
 from offpiste.core.files import check_folder, unfinished
-from offpiste.core.limits import parsed, read_small
 from offpiste.core.shipped import named, run_folder
 from offpiste.dataset.assumptions import assumptions_block, assumptions_of
 from offpiste.dataset.log_findings import warning_line
@@ -21,7 +20,7 @@ from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import Dataset, open_dataset
 from offpiste.evaluation.evaluate import EvaluatedModel, Evaluation, evaluate_models, named_apart
 from offpiste.evaluation.intervals import MIN_UNITS, Levels
-from offpiste.evaluation.metrics import Metrics, Start
+from offpiste.evaluation.metrics import Start
 from offpiste.evaluation.report import REPORT_FILES, UNFINISHED, terminal_table, write_report
 from offpiste.training.checkpoint import fold_folders, load_json
 from offpiste.training.config import TrainConfig
@@ -61,24 +60,25 @@ def evaluate_runs(
     if min_speed is not None and not 0 <= min_speed < math.inf:
         raise OffpisteError(f"--min-speed is {min_speed:g}", how="give a speed of 0 or more [m/s]")
     dataset = open_dataset(dataset_path).starting_above(min_speed)
-    runs: list[Run] = []
-    models: list[EvaluatedModel] = []
-    given: list[Path] = []
+    runs, models, given = list[Run](), list[EvaluatedModel](), list[Path]()
     for folder in folders:
         folds = fold_folders(run_folder(folder))
         for number, member in enumerate(folds or [folder]):
             run = load_run(member, device=device)
-            split = parse_split(run.split) if folds else None
+            fold, split = (number, parse_split(run.split)) if folds else (None, None)
             refuse_unfit(run, dataset)
             refuse_seen(run, dataset if split is None else dataset.relabelled(split), "test")
             runs.append(run)
-            fold = number if folds else None
             models.append(EvaluatedModel(run.model, run.dynamics, seed=run.seed, fold=fold, split=split))
             given.append(folder)
     models = named_apart(models, given)
     _refuse_unseen(runs, dataset)
     _warn_of_slow(dataset, min_speed)
-    warnings = [*_warnings(runs, models, dataset), *_other_assumptions(runs, dataset)]
+    warnings = _warnings(runs, models, dataset)
+    here = assumptions_of(dataset)
+    warnings += sorted(
+        {f"{run.model} was trained with: {each}" for run in runs for each in run.assumptions if each not in here}
+    )
     evaluation = evaluate_models(
         models,
         dataset,
@@ -90,8 +90,6 @@ def evaluate_runs(
         warnings=warnings,
         device=device,
     )
-    if (before := _other_report(out, evaluation.metrics)) is not None:
-        logger.warning(f"replacing the report of {before} in {out}")
     with unfinished(out, UNFINISHED):
         write_report(evaluation, out)
     logger.info(terminal_table(evaluation.metrics.results).text())
@@ -105,13 +103,6 @@ def evaluate_runs(
     logger.info(assumptions_block(evaluation.metrics.assumptions))
     logger.info(f"report: {out / 'report.html'}")
     return evaluation
-
-
-def _other_assumptions(runs: Sequence[Run], dataset: Dataset) -> list[str]:
-    """Return assumptions of the runs' training data that the dataset lacks."""
-    mine = assumptions_of(dataset)
-    found = {f"{run.model} was trained with: {each}" for run in runs for each in run.assumptions if each not in mine}
-    return sorted(found)
 
 
 def folds_command(folder: Path, model: str, dataset: Dataset, path: Path) -> str:
@@ -154,17 +145,6 @@ def _warnings(runs: Sequence[Run], models: Sequence[EvaluatedModel], dataset: Da
     for warning in warnings:
         logger.warning(warning)
     return warnings
-
-
-def _other_report(out: Path, metrics: Metrics) -> str | None:
-    """Describe the existing report in a folder if it has other models or data."""
-    try:
-        there = parsed(read_small(out / "metrics.json"))
-        dataset, models = there["dataset"], ", ".join(dict.fromkeys(row["model"] for row in there["results"]))
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
-    own = ", ".join(dict.fromkeys(row.model for row in metrics.results))
-    return None if (dataset, models) == (metrics.dataset, own) else f"{models} on {dataset}"
 
 
 def _warn_of_slow(dataset: Dataset, min_speed: float | None) -> None:

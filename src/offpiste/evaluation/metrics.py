@@ -2,6 +2,7 @@
 
 import os
 import platform
+import re
 import shlex
 import sys
 from collections.abc import Mapping, Sequence
@@ -14,6 +15,7 @@ from typing import Final, Literal
 import msgspec
 import numpy as np
 import torch
+from msgspec.structs import asdict
 
 from offpiste.core.files import write_text
 from offpiste.dynamics.models import display_name, is_baseline
@@ -39,14 +41,19 @@ class Minus(msgspec.Struct, frozen=True):
     loss: PairedDifference
 
 
-class Labelled:
-    """Labels of a result."""
+class Case(msgspec.Struct, frozen=True):
+    """A model with the start of its predictions and its terrain lookup.
 
-    __slots__ = ()
+    Attributes:
+        lookup: None for models that do not read the terrain.
+        feature_set: read at recorded places, in datasets with features by distance; else None.
+    """
+
     model: str
     variant: str
-    lookup: Literal["recorded", "map"] | None
-    feature_set: str | None
+    start: Start
+    lookup: Lookup | None
+    feature_set: str | None = None
 
     @property
     def label(self) -> str:
@@ -57,17 +64,6 @@ class Labelled:
     def reading_label(self) -> str:
         """Display name of the model with its terrain lookup."""
         return reading_label(self.label, self.lookup, self.feature_set)
-
-
-@dataclass(frozen=True)
-class Case(Labelled):
-    """A model with the start of its predictions and its terrain lookup."""
-
-    model: str
-    variant: str
-    start: Start
-    lookup: Lookup | None
-    feature_set: str | None = None
 
 
 @dataclass(frozen=True)
@@ -82,13 +78,11 @@ class RunErrors:
 Cases = Mapping[Case, list[RunErrors]]
 
 
-class ResultRow(Labelled, msgspec.Struct, frozen=True, kw_only=True):
-    """Results of one model, start, terrain lookup and horizon.
+class ResultRow(Case, frozen=True, kw_only=True):
+    """Results of one case and horizon.
 
     Attributes:
         seed, fold: of the run; both None for all runs of a model together (`offpiste.evaluation.errors.pool`).
-        feature_set: read at recorded places, in datasets with features by distance; else None.
-        lookup: None for models that do not read the terrain.
         n: number of windows.
         n_failed: number of predictions that are not finite at this horizon; if any, the mean is infinite, null in JSON.
         levels: numbers of drives, blocks and seeds behind the intervals.
@@ -96,13 +90,8 @@ class ResultRow(Labelled, msgspec.Struct, frozen=True, kw_only=True):
         minus: paired differences by label of the other model.
     """
 
-    model: str
-    variant: str
     seed: int | None
     fold: int | None
-    start: Start
-    feature_set: str | None
-    lookup: Lookup | None
     part: str
     horizon_s: float
     n: int
@@ -117,8 +106,8 @@ class ResultRow(Labelled, msgspec.Struct, frozen=True, kw_only=True):
     minus: dict[str, Minus]
 
 
-class BandRow(Labelled, msgspec.Struct, frozen=True, kw_only=True):
-    """Distance errors of one model, start, terrain lookup and horizon, in windows of one band of initial speeds.
+class BandRow(Case, frozen=True, kw_only=True):
+    """Distance errors of one case and horizon, in windows of one band of initial speeds.
 
     Attributes:
         band: name of the band (`offpiste.evaluation.evaluated_windows.members`).
@@ -126,11 +115,6 @@ class BandRow(Labelled, msgspec.Struct, frozen=True, kw_only=True):
         levels: numbers of drives, blocks and seeds behind the intervals.
     """
 
-    model: str
-    variant: str
-    start: Start
-    feature_set: str | None
-    lookup: Lookup | None
     band: str
     horizon_s: float
     n: int
@@ -240,7 +224,7 @@ def seeded(cases: Cases) -> dict[Case, SeededErrors]:
 
 
 def result_rows(cases: Cases, part: str, sampling: Sampling) -> list[ResultRow]:
-    """Return a row for every case, horizon and run; for a case with several runs, also a row over all runs.
+    """Return a row for every case, horizon and run; for a case with several runs, first a row over all runs.
 
     `minus` of a single run compares it with the other models' runs of the same seed, or with all their runs if there is
     none, on the windows of that run.
@@ -253,6 +237,46 @@ def result_rows(cases: Cases, part: str, sampling: Sampling) -> list[ResultRow]:
         for run in runs:
             rows += _rows(case, run, by_seed([run.errors], [run.seed]), together, part, sampling)
     return rows
+
+
+def _rows(
+    case: Case,
+    run: RunErrors,
+    errors: SeededErrors,
+    together: Mapping[Case, SeededErrors],
+    part: str,
+    sampling: Sampling,
+) -> list[ResultRow]:
+    """Return the rows of a run, or of all runs of a case (`errors`, by seed)."""
+    drawn = sampling.on(errors)
+    others: dict[str, SeededErrors] = {}
+    for other in dict.fromkeys(key.label for key in together):
+        counterpart = _counterpart(together, other, case)
+        if other != case.label and counterpart is not None:
+            others[other] = counterpart.take(positions(errors, counterpart)).of_seed(run.seed)
+
+    def minus(other: SeededErrors, name: str, horizon: int = -1) -> PairedDifference:
+        return paired(errors.component(name, horizon), other.component(name, horizon), drawn)
+
+    loss = summary(errors.loss, drawn)
+    loss_minus = {label: minus(other, "loss") for label, other in others.items()}
+    return [
+        ResultRow(
+            **asdict(case) | {name: summary(errors.component(name, h), drawn) for name in ERROR_NAMES},
+            seed=run.seed,
+            fold=run.fold,
+            part=part,
+            horizon_s=float(seconds),
+            n=len(errors.row),
+            n_failed=int(run.errors.failed[:, h].sum()),
+            levels=drawn.levels(len(errors.runs)),
+            loss=loss,
+            minus={
+                label: Minus(minus(other, "distance_error_m", h), loss_minus[label]) for label, other in others.items()
+            },
+        )
+        for h, seconds in enumerate(HORIZONS)
+    ]
 
 
 def headlines(cases: Cases, sampling: Sampling) -> list[Headline]:
@@ -282,43 +306,6 @@ def headlines(cases: Cases, sampling: Sampling) -> list[Headline]:
     return result
 
 
-def _rows(
-    case: Case,
-    run: RunErrors,
-    errors: SeededErrors,
-    together: Mapping[Case, SeededErrors],
-    part: str,
-    sampling: Sampling,
-) -> list[ResultRow]:
-    """Return the rows of a run, or of all runs of a case (`errors`, by seed)."""
-    drawn = sampling.on(errors)
-    loss = summary(errors.loss, drawn)
-    others: dict[str, SeededErrors] = {}
-    for other in dict.fromkeys(key.label for key in together):
-        counterpart = _counterpart(together, other, case)
-        if other != case.label and counterpart is not None:
-            others[other] = counterpart.take(positions(errors, counterpart)).of_seed(run.seed)
-    loss_minus = {other: paired(errors.loss, result.loss, drawn) for other, result in others.items()}
-    return [
-        ResultRow(
-            **vars(case) | {name: summary(errors.at(h, c), drawn) for c, name in enumerate(ERROR_NAMES)},
-            seed=run.seed,
-            fold=run.fold,
-            part=part,
-            horizon_s=float(seconds),
-            n=len(errors.row),
-            n_failed=int(run.errors.failed[:, h].sum()),
-            levels=drawn.levels(len(errors.runs)),
-            loss=loss,
-            minus={
-                other: Minus(paired(errors.at(h, 0), result.at(h, 0), drawn), loss_minus[other])
-                for other, result in others.items()
-            },
-        )
-        for h, seconds in enumerate(HORIZONS)
-    ]
-
-
 def _counterpart(together: Mapping[Case, SeededErrors], other: str, case: Case) -> SeededErrors | None:
     """Return the errors of another model with the same start and terrain lookup, or without a lookup.
 
@@ -332,15 +319,6 @@ def _counterpart(together: Mapping[Case, SeededErrors], other: str, case: Case) 
     return by_lookup.get("map", by_lookup.get("recorded"))
 
 
-def by_reading(rows: Sequence[ResultRow]) -> list[list[ResultRow]]:
-    """Group rows that differ only in the horizon, in ascending order."""
-    result: dict[tuple[object, ...], list[ResultRow]] = {}
-    for row in rows:
-        key = (row.model, row.variant, row.seed, row.fold, row.start, row.feature_set, row.lookup)
-        result.setdefault(key, []).append(row)
-    return [sorted(group, key=lambda row: row.horizon_s) for group in result.values()]
-
-
 def band_rows(errors: Mapping[Case, SeededErrors], windows: EvaluatedWindows, sampling: Sampling) -> list[BandRow]:
     """Return the distance errors of every case by speed band and horizon, over all its runs on the same windows."""
     rows = []
@@ -350,11 +328,11 @@ def band_rows(errors: Mapping[Case, SeededErrors], windows: EvaluatedWindows, sa
             drawn = sampling.on(some)
             rows += [
                 BandRow(
-                    **vars(case),
+                    **asdict(case),
                     band=name,
                     horizon_s=float(seconds),
                     n=int(mine.sum()),
-                    distance_error_m=summary(some.at(h, 0), drawn),
+                    distance_error_m=summary(some.component("distance_error_m", h), drawn),
                     levels=drawn.levels(len(some.runs)),
                 )
                 for h, seconds in enumerate(HORIZONS)
@@ -362,22 +340,32 @@ def band_rows(errors: Mapping[Case, SeededErrors], windows: EvaluatedWindows, sa
     return rows
 
 
+def by_reading(rows: Sequence[ResultRow]) -> list[list[ResultRow]]:
+    """Group pooled rows that differ only in the horizon, in ascending order."""
+    result: dict[Case, list[ResultRow]] = {}
+    for row in rows:
+        result.setdefault(_case(row), []).append(row)
+    return list(result.values())
+
+
 def pooled_rows(rows: Sequence[ResultRow]) -> list[ResultRow]:
     """Return one row for each case and horizon: over all runs if a model has several."""
-    several = {_case(row) for row in rows if _is_pooled(row)}
-    return [row for row in rows if _is_pooled(row) or _case(row) not in several]
+    first: dict[tuple[Case, float], ResultRow] = {}
+    for row in rows:
+        first.setdefault((_case(row), row.horizon_s), row)
+    return list(first.values())
 
 
 def run_rows(rows: Sequence[ResultRow]) -> list[ResultRow]:
     """Return the rows of single runs of models with several runs."""
-    several = {_case(row) for row in rows if _is_pooled(row)}
-    return [row for row in rows if not _is_pooled(row) and _case(row) in several]
+    pooled = {id(row) for row in pooled_rows(rows)}
+    return [row for row in rows if id(row) not in pooled]
 
 
 def single_rows(rows: Sequence[ResultRow]) -> list[ResultRow]:
     """Return one row per run, so that each prediction counts once."""
-    several = {_case(row) for row in rows if not _is_pooled(row)}
-    return [row for row in rows if not _is_pooled(row) or _case(row) not in several]
+    several = {_case(row) for row in run_rows(rows)}
+    return [row for row in rows if _case(row) not in several or (row.seed, row.fold) != (None, None)]
 
 
 def last_rows(rows: Sequence[ResultRow]) -> list[ResultRow]:
@@ -385,17 +373,13 @@ def last_rows(rows: Sequence[ResultRow]) -> list[ResultRow]:
     return [row for row in rows if row.horizon_s == HORIZONS[-1]]
 
 
+def _case(row: ResultRow) -> Case:
+    return Case(row.model, row.variant, row.start, row.lookup, row.feature_set)
+
+
 def write_metrics(path: Path, metrics: msgspec.Struct) -> None:
     """Write metrics.json, whole or not at all, as strict JSON; numbers that are not finite become null."""
     write_text(path, msgspec.json.format(msgspec.json.encode(metrics), indent=2).decode() + "\n")
-
-
-def _is_pooled(row: ResultRow) -> bool:
-    return row.seed is None and row.fold is None
-
-
-def _case(row: ResultRow) -> tuple[str, str, str, str | None, str | None, float]:
-    return row.model, row.variant, row.start, row.feature_set, row.lookup, row.horizon_s
 
 
 def provenance(command: str, seed: int, device: torch.device | str) -> Provenance:
@@ -410,13 +394,13 @@ def provenance(command: str, seed: int, device: torch.device | str) -> Provenanc
     return Provenance(
         date=datetime.now(UTC).isoformat(timespec="seconds"),
         command=command or shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
-        machine=f"{_processor()}, {os.cpu_count()} cores, {platform.system()}; models ran on {_device(device)}",
+        machine=f"{_processor()}, {os.cpu_count()} cores, {platform.system()}; models ran on {_name_of(device)}",
         versions={"python": platform.python_version(), **{name: version(name) for name in names}},
         seed=seed,
     )
 
 
-def _device(device: torch.device | str) -> str:
+def _name_of(device: torch.device | str) -> str:
     device = torch.device(device)
     return torch.cuda.get_device_name(device) if device.type == "cuda" else device.type
 
@@ -424,8 +408,7 @@ def _device(device: torch.device | str) -> str:
 def _processor() -> str:
     """Return the name of the processor, or its architecture if unknown."""
     try:
-        lines = Path("/proc/cpuinfo").read_text("utf-8").splitlines()
+        found = re.search(r"^model name\s*: (.*)$", Path("/proc/cpuinfo").read_text("utf-8"), re.MULTILINE)
     except OSError:
-        return platform.processor() or platform.machine()
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.machine()
+        found = None
+    return found[1] if found else platform.machine()

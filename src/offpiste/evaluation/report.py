@@ -1,6 +1,6 @@
 """Report of an evaluation: report.html with headlines, tables and figures, metrics.json, and the terminal table."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -9,7 +9,7 @@ import numpy as np
 from offpiste.dynamics import MODELS
 from offpiste.dynamics.models import is_baseline
 from offpiste.evaluation.box_plots import colour_of
-from offpiste.evaluation.errors import ERROR_NAMES, HORIZONS
+from offpiste.evaluation.errors import HORIZONS
 from offpiste.evaluation.evaluate import Evaluation
 from offpiste.evaluation.intervals import MIN_UNITS, Levels, PairedDifference
 from offpiste.evaluation.metrics import (
@@ -37,9 +37,6 @@ UNFINISHED: Final = ".offpiste-report"
 REPORT_FILES: Final = (UNFINISHED, "metrics.json", "calibration.md")
 """Files that identify the folder of a report."""
 
-Pictures = dict[str, list[Picture]]
-"""Pictures by section heading."""
-
 MOST = 4
 """Largest number of differences to other models in the headlines."""
 
@@ -53,8 +50,6 @@ NAMES = {
 }
 """Names of the errors in tables."""
 
-assert tuple(NAMES)[:-1] == ERROR_NAMES
-
 
 def write_report(evaluation: Evaluation, folder: Path) -> None:
     """Write report.html, its figures as PNG files, and metrics.json, each whole or not at all."""
@@ -62,9 +57,9 @@ def write_report(evaluation: Evaluation, folder: Path) -> None:
     write_metrics(folder / "metrics.json", evaluation.metrics)
 
 
-def draw_figures(evaluation: Evaluation) -> Pictures:
-    """Draw all registered figures that apply to an evaluation."""
-    pictures: Pictures = {}
+def draw_figures(evaluation: Evaluation) -> dict[str, list[Picture]]:
+    """Draw all registered figures that apply to an evaluation, by section heading."""
+    pictures: dict[str, list[Picture]] = {}
     for name, registered in REPORT_FIGURES.items():
         drawn = registered.draw(evaluation)
         if drawn is not None:
@@ -72,36 +67,30 @@ def draw_figures(evaluation: Evaluation) -> Pictures:
     return pictures
 
 
-def report_page(metrics: Metrics, pictures: Pictures) -> Page:
-    """Return the report as a page."""
-    models = ", ".join(dict.fromkeys(display(headline.model) for headline in metrics.headlines)) or "baselines"
-    notes = Section("How to read this", notes=_notes(metrics))
-    return Page(
-        f"{models} on {metrics.dataset.rstrip('/').rpartition('/')[2]}",
-        headline_texts(metrics),
-        _facts(metrics),
-        [*_sections(metrics, pictures), notes],
-        result_cards(metrics),
-    )
-
-
-def _sections(metrics: Metrics, pictures: Pictures) -> list[Section]:
-    """Return tables and figures by section; sections without tables come last."""
+def report_page(metrics: Metrics, pictures: dict[str, list[Picture]]) -> Page:
+    """Return the report as a page; sections without tables come last."""
     rows, runs = pooled_rows(metrics.results), run_rows(metrics.results)
-    several = len({row.band for row in metrics.bands}) > 1
     tables: dict[str, list[TextTable]] = {
         "Mean distance error by horizon": [horizon_table(rows)],
         "Growth of the error": [],
         "All components after 5 s": [component_table(rows)],
         "Paired differences after 5 s": [difference_table(rows)],
         "Each run after 5 s": [run_table(runs)] if runs else [],
-        "Error by initial speed": [band_table(metrics.bands)] if several else [],
-        "Distribution": [distribution_table(rows)],
+        "Error by initial speed": [band_table(metrics.bands)] if len({row.band for row in metrics.bands}) > 1 else [],
+        "Distribution": [],
         "Typical windows": [],
         "Worst windows": [],
     }
     sections = [Section(name, tables.get(name, []), pictures.get(name, [])) for name in {**tables, **pictures}]
-    return [section for section in sections if section.tables or section.pictures]
+    sections = [section for section in sections if section.tables or section.pictures]
+    models = ", ".join(dict.fromkeys(display(headline.model) for headline in metrics.headlines)) or "baselines"
+    return Page(
+        f"{models} on {metrics.dataset.rstrip('/').rpartition('/')[2]}",
+        headline_texts(metrics),
+        _facts(metrics),
+        [*sections, Section("How to read this", notes=list(_notes(metrics)))],
+        result_cards(metrics),
+    )
 
 
 def _facts(metrics: Metrics) -> dict[str, str]:
@@ -116,50 +105,52 @@ def _facts(metrics: Metrics) -> dict[str, str]:
         f"{number(windows.median_speed_mps, 1)} m/s at the start",
         "seen before": f"{number(100 * windows.driven_in_training, 0)} % of the path is within 5 m of training",
         **metrics.made.facts(),
+        "assumptions": "; ".join(metrics.assumptions),
+        "warnings": "; ".join(metrics.warnings),
+        "failed": f"{failed} predictions are not finite; neither are the means that include them" if failed else "",
     }
-    if metrics.assumptions:
-        facts["assumptions"] = "; ".join(metrics.assumptions)
-    if metrics.warnings:
-        facts["warnings"] = "; ".join(metrics.warnings)
-    if failed:
-        facts["failed"] = f"{failed} predictions are not finite; neither are the means that include them"
-    return facts
+    return {name: text for name, text in facts.items() if text}
 
 
-def _notes(metrics: Metrics) -> Sequence[str]:
-    units = ", ".join(f"{name} {np.sqrt(scale):.3g}" for name, scale in metrics.loss.scale.items())
-    weights = ", ".join(f"{name} {weight:g}" for name, weight in metrics.loss.weights.items())
+def _notes(metrics: Metrics) -> Iterator[str]:
+    """Yield explanations of the models, terms and numbers."""
     names = dict.fromkeys(row.model for row in metrics.results)
-    known = "; ".join(
-        f"{_explained(name)}: {MODELS[name].what}" for name in names if name in MODELS and MODELS[name].what
+    known = [name for name in names if name in MODELS and MODELS[name].what]
+    if known:
+        yield f"Models: {'; '.join(f'{_explained(name)}: {MODELS[name].what}' for name in known)}."
+    if metrics.headlines:
+        yield f"Figures show windows of {display(metrics.headlines[0].model)}, the first model."
+    yield (
+        "Start: a causal start uses only past data, as in planning; a smoothed start also uses future data and is "
+        "shown for comparison."
     )
     map_reads = (
         "map reads it at the predicted place, as a planner does"
         if metrics.features
         else "map reads the slope of the later driven path nearest to the predicted place, which no planner has"
     )
-    return (
-        *([f"Models: {known}."] if known else []),
-        *(
-            [f"Figures show windows of {display(metrics.headlines[0].model)}, the first model."]
-            if metrics.headlines
-            else []
-        ),
-        "Start: a causal start uses only past data, as in planning; a smoothed start also uses future data and is "
-        "shown for comparison.",
+    yield (
         "Lookup: recorded reads the terrain under the recorded path, as in the paper, which also reveals the distance "
-        f"driven; {map_reads}, and decides. Models without a lookup do not read the terrain.",
+        f"driven; {map_reads}, and decides. Models without a lookup do not read the terrain."
+    )
+    yield (
         "Intervals are of the mean, bootstrapped over drives, then blocks within each drawn drive, then seeds: windows "
         f"of one drive that start within {metrics.windows.block_s:g} s of each other form a block, since overlapping "
         "windows are not independent, and windows of a drive share its ground. Intervals of a single drive are over "
-        "its blocks and do not generalise to other drives. A dash means fewer than "
-        f"{MIN_UNITS} drives, or blocks of a single drive.",
-        "With several runs of a model, the error of a window is the mean over seeds, and the windows of folds are "
-        "combined. Errors are averaged, not predictions.",
-        f"The loss is the mean over all 250 steps of squared errors, each divided by the mean square error of "
-        f"{REFERENCE} in training (roots: {units}), weighted ({weights}) and summed.",
-        "The error of a prediction that is not finite is infinite.",
+        f"its blocks and do not generalise to other drives. A dash means fewer than {MIN_UNITS} drives, or blocks of a "
+        "single drive."
     )
+    yield (
+        "With several runs of a model, the error of a window is the mean over seeds, and the windows of folds are "
+        "combined. Errors are averaged, not predictions."
+    )
+    units = ", ".join(f"{name} {np.sqrt(scale):.3g}" for name, scale in metrics.loss.scale.items())
+    weights = ", ".join(f"{name} {weight:g}" for name, weight in metrics.loss.weights.items())
+    yield (
+        f"The loss is the mean over all 250 steps of squared errors, each divided by the mean square error of "
+        f"{REFERENCE} in training (roots: {units}), weighted ({weights}) and summed."
+    )
+    yield "The error of a prediction that is not finite is infinite."
 
 
 def _explained(name: str) -> str:
@@ -172,7 +163,7 @@ def headline_texts(metrics: Metrics) -> list[str]:
     deciding = deciding_headlines(metrics.headlines)
     if not deciding:
         return []
-    differences = _differences(metrics, deciding[0])
+    differences = list(_differences(metrics, deciding[0]))
     more = [f"{len(differences) - MOST} more are below."] if len(differences) > MOST else []
     return [headline_text(deciding[0]), *differences[:MOST], *more]
 
@@ -180,16 +171,28 @@ def headline_texts(metrics: Metrics) -> list[str]:
 def headline_text(headline: Headline) -> str:
     """Return a sentence with the main number."""
     text = f"{display(headline.model)}: {number(headline.distance_error_m)} m mean distance error after 5 s"
-    return f"{', '.join(filter(None, (text, _comparison(headline))))} ({', '.join(_conditions(headline))})"
+    return f"{', '.join(filter(None, (text, _comparison(headline))))} ({_conditions(headline)})"
 
 
 def result_cards(metrics: Metrics) -> list[Card]:
     """Return a card for each trained model, and one for the reference."""
     deciding = deciding_headlines(metrics.headlines)
-    cards = [_card(headline) for headline in deciding]
+    about = "mean distance error after 5 s"
+    cards = [
+        Card(
+            name=reading_label(headline.model, headline.lookup, headline.feature_set),
+            value=f"{number(headline.distance_error_m)} m",
+            about=about,
+            comparison=_comparison(headline),
+            tone="better" if headline.ci95[1] < 0 else "worse" if headline.ci95[0] > 0 else "",
+            note=_conditions(headline),
+            colour=colour_of(headline.model),
+        )
+        for headline in deciding
+    ]
     for row in last_rows(pooled_rows(metrics.results)):
         if deciding and (row.label, row.start) == (deciding[0].other, deciding[0].start):
-            value, about = f"{number(row.distance_error_m.mean)} m", "mean distance error after 5 s"
+            value = f"{number(row.distance_error_m.mean)} m"
             cards.append(Card(row.reading_label, value, about, note="without training", colour=colour_of(row.label)))
     return cards
 
@@ -199,19 +202,6 @@ def deciding_headlines(headlines: Sequence[Headline]) -> list[Headline]:
     first = [headline for headline in headlines if headline.start == headlines[0].start]
     on_map = {headline.model for headline in first if headline.lookup == "map"}
     return [headline for headline in first if headline.lookup == "map" or headline.model not in on_map]
-
-
-def _card(headline: Headline) -> Card:
-    low, high = headline.ci95
-    return Card(
-        name=reading_label(headline.model, headline.lookup, headline.feature_set),
-        value=f"{number(headline.distance_error_m)} m",
-        about="mean distance error after 5 s",
-        comparison=_comparison(headline),
-        tone="better" if high < 0 else "worse" if low > 0 else "",
-        note=", ".join(_conditions(headline)),
-        colour=colour_of(headline.model),
-    )
 
 
 def _comparison(headline: Headline) -> str:
@@ -224,24 +214,22 @@ def _comparison(headline: Headline) -> str:
     return f"{100 * abs(headline.relative):.0f} %{bounds} {side} {headline.other}"
 
 
-def _conditions(headline: Headline) -> list[str]:
-    conditions = [f"{headline.start} start"]
-    conditions += [f"{headline.lookup} lookup"] if headline.lookup else []
-    return conditions + ([f"mean of {headline.runs} runs"] if headline.runs > 1 else [])
+def _conditions(headline: Headline) -> str:
+    lookup = headline.lookup and f"{headline.lookup} lookup"
+    runs = f"mean of {headline.runs} runs" if headline.runs > 1 else ""
+    return ", ".join(filter(None, (f"{headline.start} start", lookup, runs)))
 
 
-def _differences(metrics: Metrics, headline: Headline) -> list[str]:
-    """Return a sentence for each other trained model."""
+def _differences(metrics: Metrics, headline: Headline) -> Iterator[str]:
+    """Yield a sentence for each other trained model."""
     case = (headline.model, headline.start, headline.lookup, headline.feature_set)
     rows = last_rows(pooled_rows(metrics.results))
     trained = {row.label for row in rows if not is_baseline(row.model)}
-    return [
-        difference_text(display(headline.model), display(other), minus.distance_error_m, row.levels)
-        for row in rows
-        if (row.label, row.start, row.lookup, row.feature_set) == case
-        for other, minus in row.minus.items()
-        if other in trained
-    ]
+    for row in rows:
+        if (row.label, row.start, row.lookup, row.feature_set) == case:
+            for other, minus in row.minus.items():
+                if other in trained:
+                    yield difference_text(display(row.label), display(other), minus.distance_error_m, row.levels)
 
 
 def difference_text(model: str, other: str, difference: PairedDifference, levels: Levels) -> str:
@@ -253,30 +241,26 @@ def difference_text(model: str, other: str, difference: PairedDifference, levels
         return f"{model} minus {other}: {number(mean)} m {levels.caveat}"
     if low <= 0 <= high:
         return f"No difference between {model} and {other} is shown: {number(mean)} m {interval(difference.ci95)}."
-    size, bounds = abs(mean), sorted((abs(low), abs(high)))
+    low, high = sorted((abs(low), abs(high)))
     side = "less" if mean < 0 else "more"
-    return f"The error of {model} is {number(size)} m {interval((bounds[0], bounds[1]))} {side} than that of {other}."
+    return f"The error of {model} is {number(abs(mean))} m {interval((low, high))} {side} than that of {other}."
 
 
 def terminal_table(rows: Sequence[ResultRow]) -> TextTable:
     """Return mean distance errors by horizon and their differences to `kinematic`, by model, start and lookup."""
     groups = by_reading(pooled_rows(rows))
     windows = ", ".join(str(n) for n in sorted({group[-1].n for group in groups}))
-    lines = []
-    for group in groups:
-        last = group[-1]
-        minus = last.minus.get(REFERENCE)
-        difference = minus.distance_error_m if minus else None
-        lines.append(
-            (
-                display(last.label) + (f" ({last.n_failed} failed)" if last.n_failed else ""),
-                last.start,
-                " ".join(filter(None, (last.lookup, last.feature_set))),
-                *(number(row.distance_error_m.mean) for row in group),
-                interval(last.distance_error_m.ci95),
-                f"{number(difference.mean)} {interval(difference.ci95)}" if difference else "",
-            )
+    lines = [
+        (
+            display(group[-1].label) + (f" ({group[-1].n_failed} failed)" if group[-1].n_failed else ""),
+            group[-1].start,
+            " ".join(filter(None, (group[-1].lookup, group[-1].feature_set))),
+            *(number(row.distance_error_m.mean) for row in group),
+            interval(group[-1].distance_error_m.ci95),
+            _minus_reference(group[-1], 2),
         )
+        for group in groups
+    ]
     levels = ", or ".join(dict.fromkeys(group[-1].levels.text() for group in groups))
     title = f"Mean distance error [m] on {windows} windows of the {rows[0].part} part, 95 % intervals: {levels}"
     horizons = [f"{seconds} s" for seconds in HORIZONS]
@@ -300,24 +284,19 @@ def horizon_table(rows: Sequence[ResultRow]) -> TextTable:
 
 
 def component_table(rows: Sequence[ResultRow]) -> TextTable:
-    """Return mean errors of all components after 5 s."""
-    lines: list[tuple[str | Cell, ...]] = [
-        (row.reading_label, row.start, *(_mean(row, name, 3) for name in NAMES)) for row in last_rows(rows)
-    ]
-    about = f"Mean absolute errors with 95 % intervals; the loss is over all steps. {drawn_from(rows)}"
-    return TextTable("All components after 5 s", ("model", "start", *NAMES.values()), lines, about, left=2)
-
-
-def distribution_table(rows: Sequence[ResultRow]) -> TextTable:
-    """Return quantiles of the distance error after 5 s."""
-    lines = []
+    """Return mean errors of all components after 5 s, and quantiles of the distance error."""
+    lines: list[tuple[str | Cell, ...]] = []
     for row in last_rows(rows):
-        error = row.distance_error_m
-        numbers = (error.mean, error.q1, error.median, error.q3, error.p90)
-        windows = f"{row.n}" + (f" ({row.n_failed} failed)" if row.n_failed else "")
-        lines.append((row.reading_label, row.start, *map(number, numbers), windows))
-    names = ("model", "start", "mean [m]", "25 % [m]", "median [m]", "75 % [m]", "90 % [m]", "windows")
-    return TextTable("Distribution", names, lines, left=2)
+        error, failed = row.distance_error_m, f" ({row.n_failed} failed)" if row.n_failed else ""
+        quantiles = (number(value) for value in (error.q1, error.median, error.q3, error.p90))
+        means = (_mean(row, name, 3) for name in NAMES)
+        lines.append((row.reading_label, row.start, *means, *quantiles, f"{row.n}{failed}"))
+    about = (
+        "Mean absolute errors with 95 % intervals; the loss is over all steps, quantiles are of the distance [m]. "
+        + drawn_from(rows)
+    )
+    names = ("model", "start", *NAMES.values(), "25 %", "median", "75 %", "90 %", "windows")
+    return TextTable("All components after 5 s", names, lines, about, left=2)
 
 
 def difference_table(rows: Sequence[ResultRow]) -> TextTable:
@@ -333,7 +312,7 @@ def difference_table(rows: Sequence[ResultRow]) -> TextTable:
     lines: list[tuple[str | Cell, ...]] = []
     for (name, other), by_start in result.items():
         minuses = [by_start[start] for start in starts]
-        cells = [cell for minus in minuses for cell in (_difference(minus.distance_error_m), _difference(minus.loss))]
+        cells = [_difference(each) for minus in minuses for each in (minus.distance_error_m, minus.loss)]
         lines.append((f"{name} minus {display(other)}", *cells))
     names = ("", *(f"{start}: {what}" for start in starts for what in ("distance [m]", "loss")))
     about = (
@@ -361,40 +340,46 @@ def drawn_from(rows: Sequence[ResultRow]) -> str:
 def band_table(rows: Sequence[BandRow]) -> TextTable:
     """Return mean distance errors after 5 s by initial speed: a line per model, start and lookup."""
     last = [row for row in rows if row.horizon_s == HORIZONS[-1]]
-    windows = {row.band: row.n for row in last}
+    bands = {row.band: row for row in last}
     cells = {(row.reading_label, row.start, row.band): _mean(row, "distance_error_m", 2) for row in last}
     lines: list[tuple[str | Cell, ...]] = [
-        (name, start, *(cells.get((name, start, band), "") for band in windows))
+        (name, start, *(cells.get((name, start, band), "") for band in bands))
         for name, start in dict.fromkeys((name, start) for name, start, _ in cells)
     ]
-    names = ("model", "start", *(f"{band} [m]" for band in windows))
-    about = "Windows: " + ", ".join(f"{n} {band}" for band, n in windows.items()) + "; with 95 % intervals. "
-    levels = {row.band: row.levels for row in last}
-    about += " ".join(f"{band}: {one.caveat}" for band, one in levels.items() if one.caveat)
+    windows = ", ".join(f"{row.n} {band}" for band, row in bands.items())
+    caveats = (f"{band}: {row.levels.caveat}" for band, row in bands.items() if row.levels.caveat)
+    about = " ".join((f"Windows: {windows}; with 95 % intervals.", *caveats))
+    names = ("model", "start", *(f"{band} [m]" for band in bands))
     return TextTable("Distance error after 5 s by initial speed", names, lines, about, left=2)
 
 
 def run_table(rows: Sequence[ResultRow]) -> TextTable:
     """Return errors of single runs after 5 s."""
-    lines = []
-    for row in last_rows(rows):
-        minus = row.minus.get(REFERENCE)
-        lines.append(
-            (
-                row.reading_label,
-                row.start,
-                "" if row.seed is None else str(row.seed),
-                "" if row.fold is None else str(row.fold),
-                _mean(row, "distance_error_m", 2),
-                number(row.distance_error_m.median),
-                number(row.loss.mean, 3),
-                _difference(minus.distance_error_m) if minus else "",
-                str(row.n),
-            )
+    lines = [
+        (
+            row.reading_label,
+            row.start,
+            *("" if of is None else str(of) for of in (row.seed, row.fold)),
+            _mean(row, "distance_error_m", 2),
+            number(row.distance_error_m.median),
+            number(row.loss.mean, 3),
+            _minus_reference(row, 3),
+            str(row.n),
         )
-    about_run = ("model", "start", "seed", "fold")
-    numbers = ("distance [m]", "median [m]", "loss", f"minus {REFERENCE} [m]", "windows")
-    return TextTable("Each run after 5 s", about_run + numbers, lines, left=2)
+        for row in last_rows(rows)
+    ]
+    names = (
+        "model",
+        "start",
+        "seed",
+        "fold",
+        "distance [m]",
+        "median [m]",
+        "loss",
+        f"minus {REFERENCE} [m]",
+        "windows",
+    )
+    return TextTable("Each run after 5 s", names, lines, left=2)
 
 
 def _mean(row: ResultRow | BandRow, name: str, digits: int) -> Cell:
@@ -402,6 +387,11 @@ def _mean(row: ResultRow | BandRow, name: str, digits: int) -> Cell:
     return Cell(number(error.mean, digits), interval(error.ci95, digits))
 
 
-def _difference(difference: PairedDifference) -> Cell:
+def _minus_reference(row: ResultRow, digits: int) -> str | Cell:
+    minus = row.minus.get(REFERENCE)
+    return "" if minus is None else _difference(minus.distance_error_m, digits)
+
+
+def _difference(difference: PairedDifference, digits: int = 3) -> Cell:
     low, high = difference.ci95
-    return Cell(number(difference.mean, 3), interval(difference.ci95, 3), bold=low > 0 or high < 0)
+    return Cell(number(difference.mean, digits), interval(difference.ci95, digits), bold=low > 0 or high < 0)

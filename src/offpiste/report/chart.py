@@ -11,7 +11,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from offpiste.report.figure import plain
-from offpiste.report.text_table import number
 
 MEDIAN, MEAN = "#1a7f37", "#d95f02"
 
@@ -44,16 +43,15 @@ class Line:
     high: Float[np.ndarray, " n"] | None = None
     hover: Sequence[str] = ()
 
-    @property
-    def end(self) -> float:
-        """Last finite value; -inf if there is none."""
-        finite = self.y[np.isfinite(self.y)]
-        return float(finite[-1]) if len(finite) else -np.inf
-
 
 def by_end(lines: Sequence[Line]) -> list[Line]:
-    """Sort lines by their ends, the highest first, as in a legend beside them."""
-    return sorted(lines, key=lambda line: -line.end)
+    """Sort lines by their last finite values, the highest first, as in a legend beside them."""
+
+    def end(line: Line) -> float:
+        finite = line.y[np.isfinite(line.y)]
+        return float(finite[-1]) if len(finite) else -np.inf
+
+    return sorted(lines, key=end, reverse=True)
 
 
 @dataclass(frozen=True)
@@ -88,7 +86,9 @@ class Panel:
 
     Attributes:
         x_axis, y_axis: names and units.
+        boxes: the first at the top.
         x_range, y_range: ends of the axes; None: range of the lines, for y from 0.
+        x_ticks: names of the places 0, 1, ... on the axis; empty: numbers.
         equal: whether both axes have the same scale.
         hover: Plotly's hovermode.
     """
@@ -101,53 +101,42 @@ class Panel:
     title: str = ""
     x_range: tuple[float, float] | None = None
     y_range: tuple[float, float] | None = None
+    x_ticks: Sequence[str] = ()
     equal: bool = False
     hover: Literal["x unified", "y unified", "y", "closest"] = "x unified"
 
 
 @dataclass(frozen=True)
 class Chart:
-    """Figure of one panel, or of several small panels with a common legend.
-
-    Attributes:
-        columns: largest number of panels side by side in a PNG file.
-    """
+    """Figure of one panel, or of several small panels with a common legend."""
 
     panels: Sequence[Panel]
     title: str = ""
-    columns: int = 5
+
+
+COLUMNS = 5
+"""Largest number of small panels side by side in a PNG file."""
 
 
 def box_statistics(values: Float[np.ndarray, " n"]) -> dict[str, float]:
     """Return the numbers of a box; infinite values count in the quartiles, and numbers they make infinite are NaN."""
-    failed = not np.isfinite(values).all()
     found = cbook.boxplot_stats(np.minimum(values, 1e300), whis=1.5)[0]
     box = {name: float(found[name]) for name in ("whislo", "q1", "med", "q3", "whishi", "mean")}
-    if failed:
+    if not np.isfinite(values).all():
         box["mean"] = np.nan
-    if box["q3"] > 1e200:
-        box.update(dict.fromkeys(("q1", "med", "q3", "whislo", "whishi"), np.nan))
-    return box
-
-
-def box_panel(boxes: Sequence[Box], x_axis: str) -> Panel:
-    """Return a panel with boxes below each other, the first at the top."""
-    ends = [box.numbers[name] for box in boxes for name in ("whishi", "mean") if np.isfinite(box.numbers[name])]
-    top = 1.02 * (max(ends, default=1.0) or 1.0)
-    return Panel(x_axis, boxes=boxes, x_range=(0.0, top), y_range=(len(boxes) - 0.4, -0.6), hover="y")
+    return dict.fromkeys(box, np.nan) if box["q3"] > 1e200 else box
 
 
 def draw(chart: Chart) -> Figure:
     """Draw a chart with Matplotlib."""
     count = len(chart.panels)
     small = count > 1
-    height = max(1.1 + 0.42 * len(panel.boxes) if panel.boxes else 4.2 for panel in chart.panels)
-    columns = min(chart.columns, count)
-    rows, wide = -(-count // columns), 2.2 if chart.columns <= 5 else 1.6
-    size = (wide * chart.columns, 0.9 + 1.4 * wide * rows) if small else (8.0, height)
+    columns = min(COLUMNS, count)
+    rows = -(-count // columns)
+    height = max(1.1 + 0.5 * len(panel.boxes) if panel.boxes else 4.2 for panel in chart.panels)
+    size = (2.2 * COLUMNS, 0.9 + 3.1 * rows) if small else (8.0, height)
     figure = Figure(figsize=size, dpi=150, layout="constrained")
-    if small:
-        figure.suptitle(chart.title, fontsize=11, x=0.01, ha="left")
+    figure.suptitle(chart.title if small else "", fontsize=11, x=0.01, ha="left")
     grid = figure.subplots(rows, columns, squeeze=False).ravel()
     for place, (axes, panel) in enumerate(zip(grid, chart.panels, strict=False)):
         plain(axes, "" if small else panel.title or chart.title, grid="x" if panel.boxes else "both")
@@ -178,29 +167,27 @@ def _draw_panel(axes: Axes, panel: Panel) -> None:
         if line.low is not None and line.high is not None:
             axes.fill_between(line.x, line.low, line.high, color=line.colour, alpha=0.13, linewidth=0)
     if panel.boxes:
-        numbers = [{**box.numbers, "label": box.label} for box in panel.boxes]
-        places = np.arange(float(len(numbers)))
-        draw_boxes(axes, numbers, [box.colour for box in panel.boxes], places, orientation="horizontal")
-        _write_numbers(axes, panel.boxes)
+        draw_boxes(axes, panel.boxes, np.arange(float(len(panel.boxes))), orientation="horizontal")
         axes.spines["left"].set_visible(False)
         axes.tick_params(left=False)
     axes.set(xlabel=panel.x_axis, ylabel=panel.y_axis, xlim=panel.x_range)
     axes.set_ylim(*(panel.y_range or (0, None)))
+    if panel.x_ticks:
+        axes.set_xticks(range(len(panel.x_ticks)), panel.x_ticks)
     if panel.equal:
         axes.set_aspect("equal")
 
 
 def draw_boxes(
     axes: Axes,
-    numbers: Sequence[Mapping[str, Any]],
-    colours: Sequence[str],
+    boxes: Sequence[Box],
     places: Float[np.ndarray, " n"],
     *,
     orientation: Literal["vertical", "horizontal"],
 ) -> None:
     """Draw boxes with Matplotlib; the thin median lies on the thick mean, so that both are visible."""
     drawn = axes.bxp(
-        [dict(each) for each in numbers],
+        [{**box.numbers, "label": box.label} for box in boxes],
         positions=places,
         orientation=orientation,
         widths=0.6,
@@ -212,15 +199,5 @@ def draw_boxes(
         medianprops={"color": MEDIAN, "linewidth": 1.6, "zorder": 4},
         meanprops={"color": MEAN, "linewidth": 3.4, "linestyle": "-", "zorder": 3},
     )
-    for patch, colour in zip(drawn["boxes"], colours, strict=True):
-        patch.set(facecolor=colour, alpha=0.4, edgecolor="none")
-
-
-def _write_numbers(axes: Axes, boxes: Sequence[Box]) -> None:
-    """Write medians and means in two columns to the right of the boxes."""
-    for right, name, key, colour in ((1.07, "median", "med", MEDIAN), (1.16, "mean", "mean", MEAN)):
-        style: dict[str, Any] = {"color": colour, "fontsize": 9, "ha": "right"}
-        axes.text(right, 1.01, name, transform=axes.transAxes, va="bottom", **style)
-        for place, box in enumerate(boxes):
-            text = number(box.numbers[key])
-            axes.text(right, place, text, transform=axes.get_yaxis_transform(), va="center", **style)
+    for patch, box in zip(drawn["boxes"], boxes, strict=True):
+        patch.set(facecolor=box.colour, alpha=0.4, edgecolor="none")

@@ -3,7 +3,7 @@
 import base64
 import gzip
 import html
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import cache
 from typing import Any, Final
 
@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.report.chart import MEAN, MEDIAN, Box, Chart, Line, Panel, Raster
+from offpiste.report.chart import MEAN, Box, Chart, Line, Panel, Raster
 from offpiste.report.text_table import number
 
 DASHES: Final = {"-": "solid", "--": "dash", ":": "dot", "-.": "dashdot"}
@@ -23,7 +23,7 @@ BLACK: Final = "#000000"
 """Colour replaced by the page's ink."""
 MOST_POINTS, MOST_POINTS_SMALL = 200, 26
 """Largest number of points of a line in a single chart and in one of several."""
-LINE_PIXELS: Final = 46
+LINE_PIXELS: Final = 54
 """Height of a box with the space around it."""
 QUALITY: Final = 70
 """WebP quality of images, 1 to 100."""
@@ -31,7 +31,7 @@ QUALITY: Final = 70
 Traces = list[dict[str, Any]]
 
 
-def charts_of(chart: Chart) -> list[dict[str, Any]]:
+def charts_of(chart: Chart) -> Traces:
     """Return title, height [px] and Plotly's traces and layout for each panel."""
     small = len(chart.panels) > 1
     return [_chart(panel, small) for panel in chart.panels]
@@ -52,45 +52,41 @@ def plotly_base64() -> str:
 
 
 def _chart(panel: Panel, small: bool) -> dict[str, Any]:
-    most = MOST_POINTS_SMALL if small else MOST_POINTS
-    traces = [trace for line in panel.lines for trace in _line_traces(line, panel, most)]
-    x: dict[str, Any] = {"title": {"text": _text(panel.x_axis)}, **({"range": panel.x_range} if panel.x_range else {})}
-    y: dict[str, Any] = {"title": {"text": _text(panel.y_axis)}, "range": panel.y_range or (0.0, 1.05 * _top(panel))}
-    others: dict[str, Any] = {"hovermode": panel.hover, "showlegend": not small and not panel.boxes}
+    axis = {"gridcolor": LINE, "linecolor": LINE, "zeroline": False, "automargin": True}
+    x: dict[str, Any] = {**axis, "title": {"text": _text(panel.x_axis)}}
+    y: dict[str, Any] = {**axis, "title": {"text": _text(panel.y_axis)}, "range": panel.y_range or (0.0, _top(panel))}
+    if panel.x_range is not None:
+        x["range"] = panel.x_range
+    if panel.x_ticks:
+        x |= _named_ticks(panel.x_ticks)
     if panel.equal:
-        x, y = {**x, "constrain": "domain"}, {**y, "constrain": "domain", "scaleanchor": "x"}
-    if panel.raster is not None:
-        others["images"] = [_image(panel.raster)]
+        x["constrain"] = y["constrain"] = "domain"
+        y["scaleanchor"] = "x"
+    traces = [trace for line in panel.lines for trace in _line_traces(line, panel, small)]
     if panel.boxes:
         traces += _box_traces(panel.boxes)
-        y |= {
-            "showgrid": False,
-            "tickvals": [*range(len(panel.boxes))],
-            "ticktext": [_text(b.label) for b in panel.boxes],
-        }
-        others |= {"boxgap": 0.45, "annotations": _box_numbers(panel.boxes)}
-    margin = (
-        {"l": 36, "r": 6, "t": 6, "b": 36} if small else {"l": 48, "r": 100 if panel.boxes else 12, "t": 48, "b": 44}
-    )
-    height = 330 if small else 106 + LINE_PIXELS * len(panel.boxes) if panel.boxes else 430
-    look = _layout(x, y, margin=margin, **others)
-    return {"title": panel.title, "height": height, "traces": traces, "layout": look}
-
-
-def _layout(x: Mapping[str, Any], y: Mapping[str, Any], **others: Any) -> dict[str, Any]:
-    """Return Plotly's layout in the style of the page."""
-    axis = {"gridcolor": LINE, "linecolor": LINE, "zeroline": False, "automargin": True}
-    return {
+        y |= {"showgrid": False, **_named_ticks([box.label for box in panel.boxes])}
+    layout = {
         "font": {"size": 12.5, "color": INK},
         "paper_bgcolor": "rgba(0,0,0,0)",
         "plot_bgcolor": "rgba(0,0,0,0)",
         "hoverlabel": {"bgcolor": SHADE, "bordercolor": LINE, "font": {"color": INK, "size": 12.5}, "align": "left"},
         "modebar": {"bgcolor": "rgba(0,0,0,0)", "color": SOFT, "activecolor": INK},
         "legend": {"orientation": "h", "x": 0, "y": 1.02, "yanchor": "bottom", "bgcolor": "rgba(0,0,0,0)"},
-        "xaxis": {**axis, **x},
-        "yaxis": {**axis, **y},
-        **others,
+        "xaxis": x,
+        "yaxis": y,
+        "hovermode": panel.hover,
+        "showlegend": not small and not panel.boxes,
+        "boxgap": 0.45,
+        "images": [] if panel.raster is None else [_image(panel.raster)],
+        "margin": {"l": 36, "r": 6, "t": 6, "b": 36} if small else {"l": 48, "r": 12, "t": 48, "b": 44},
     }
+    height = 330 if small else 106 + LINE_PIXELS * len(panel.boxes) if panel.boxes else 430
+    return {"title": panel.title, "height": height, "traces": traces, "layout": layout}
+
+
+def _named_ticks(names: Sequence[str]) -> dict[str, Any]:
+    return {"tickvals": [*range(len(names))], "ticktext": [_text(name) for name in names]}
 
 
 def _text(text: str) -> str:
@@ -108,14 +104,15 @@ def _translucent(colour: str, opacity: float) -> str:
 
 
 def _top(panel: Panel) -> float:
+    """Return the upper end of the vertical axis, a little above all lines."""
     values = [part[np.isfinite(part)] for line in panel.lines for part in (line.y, line.high) if part is not None]
-    return max((float(part.max()) for part in values if len(part)), default=1.0) or 1.0
+    return 1.05 * (max((float(part.max()) for part in values if len(part)), default=1.0) or 1.0)
 
 
-def _line_traces(line: Line, panel: Panel, most: int) -> Traces:
+def _line_traces(line: Line, panel: Panel, small: bool) -> Traces:
+    most = MOST_POINTS_SMALL if small else MOST_POINTS
     thin = np.unique(np.linspace(0, len(line.x) - 1, min(most, len(line.x))).astype(int))
     colour = INK if line.colour == BLACK else line.colour
-    size = 9 if line.marked == "last" else 7
     name = {"name": _text(line.label), "legendgroup": _text(line.label)} if line.label else {"showlegend": False}
     trace: dict[str, Any] = {
         "mode": "lines+markers" if line.marker else "lines",
@@ -125,7 +122,7 @@ def _line_traces(line: Line, panel: Panel, most: int) -> Traces:
         "marker": {
             "color": colour,
             "symbol": "triangle-up" if line.marker == "^" else "circle",
-            "size": [0] * (len(thin) - 1) + [size] if line.marked == "last" else size,
+            "size": [0] * (len(thin) - 1) + [9] if line.marked == "last" else 7,
         },
         "opacity": line.opacity,
         "hoverinfo": "text" if line.label else "skip",
@@ -163,47 +160,30 @@ def _image(raster: Raster) -> dict[str, Any]:
 
 def _box_traces(boxes: Sequence[Box]) -> Traces:
     """Return boxes, and markers at their means (else medians) whose text has all numbers."""
-    traces: Traces = []
     drawn = {place: box for place, box in enumerate(boxes) if np.isfinite(box.numbers["whishi"])}
-    for place, box in drawn.items():
-        numbers = {name: [round(value, 3)] for name, value in box.numbers.items()}
-        traces.append(
-            {
-                "type": "box",
-                "orientation": "h",
-                "y": [place],
-                "q1": numbers["q1"],
-                "median": numbers["med"],
-                "q3": numbers["q3"],
-                "lowerfence": numbers["whislo"],
-                "upperfence": numbers["whishi"],
-                "fillcolor": _translucent(box.colour, 0.45),
-                "line": {"color": INK, "width": 1.3},
-                "hoverinfo": "skip",
-            }
-        )
+    traces: Traces = [
+        {
+            "type": "box",
+            "orientation": "h",
+            "y": [place],
+            **{name: [round(box.numbers[key], 3)] for name, key in _BOX_NUMBERS.items()},
+            "fillcolor": _translucent(box.colour, 0.45),
+            "line": {"color": INK, "width": 1.3},
+            "hoverinfo": "skip",
+        }
+        for place, box in drawn.items()
+    ]
+    all_numbers = [{name: number(value) for name, value in box.numbers.items()} for box in drawn.values()]
     means: dict[str, Any] = {
         "mode": "markers",
         "x": [round(box.numbers["mean" if np.isfinite(box.numbers["mean"]) else "med"], 3) for box in drawn.values()],
         "y": [*drawn],
         "marker": {"color": MEAN, "symbol": "diamond", "size": 9},
         "hoverinfo": "text",
-        "hovertext": [
-            _BOX_TEXT.format(**{name: number(value) for name, value in box.numbers.items()}) for box in drawn.values()
-        ],
+        "hovertext": [_BOX_TEXT.format(**numbers) for numbers in all_numbers],
     }
     return [*traces, means]
 
 
+_BOX_NUMBERS: Final = {"q1": "q1", "median": "med", "q3": "q3", "lowerfence": "whislo", "upperfence": "whishi"}
 _BOX_TEXT: Final = "median {med}, mean {mean}<br>quartiles {q1} and {q3}<br>whiskers {whislo} and {whishi}"
-
-
-def _box_numbers(boxes: Sequence[Box]) -> Traces:
-    """Return medians and means in two columns to the right of the boxes."""
-    result: Traces = []
-    for shift, name, key, colour in ((52, "median", "med", MEDIAN), (96, "mean", "mean", MEAN)):
-        shared = {"xref": "paper", "x": 1, "xshift": shift, "xanchor": "right", "showarrow": False}
-        shared["font"] = {"color": colour}
-        result.append({"text": name, "yref": "paper", "y": 1, "yanchor": "bottom", **shared})
-        result += [{"text": number(box.numbers[key]), "y": i, **shared} for i, box in enumerate(boxes)]
-    return result

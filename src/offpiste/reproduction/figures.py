@@ -10,7 +10,7 @@ from offpiste.reproduction.results import HINDSIGHT, MAP, FigureResults
 from offpiste.reproduction.settings import BASELINE, compression_sizes, feature_numbers, paper_name
 
 CAPTION = (
-    "Boxes: quartiles; whiskers: last value within 1.5 IQR, written beside the arrows; green: median; orange: mean. "
+    "Boxes: quartiles; whiskers: last value within 1.5 IQR, written at their ends; green: median; orange: mean. "
     "The error of a window is the mean over seeds."
 )
 

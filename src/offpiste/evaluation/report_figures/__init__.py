@@ -80,12 +80,11 @@ def deciding_cases(evaluation: Evaluation) -> list[Case]:
 def _ordered_cases(evaluation: Evaluation) -> list[Case]:
     """Return the cases of the first start, models with the largest median error first, sorted by lookup for each."""
     cases = [case for case in evaluation.errors if case.start == main_start(evaluation)]
-    median = dict.fromkeys((case.label for case in cases), 0.0)
-    for case in cases:
-        median[case.label] = max(median[case.label], float(np.median(evaluation.errors[case].distance())))
+    median = {case: float(np.median(evaluation.errors[case].distance())) for case in cases}
     readings, sets = (None, "recorded", "map"), (None, *FEATURE_SETS)
 
     def place(case: Case) -> tuple[float, str, int, int]:
-        return -median[case.label], case.label, readings.index(case.lookup), sets.index(case.feature_set)
+        largest = max(value for other, value in median.items() if other.label == case.label)
+        return -largest, case.label, readings.index(case.lookup), sets.index(case.feature_set)
 
     return sorted(cases, key=place)

@@ -1,32 +1,37 @@
 """Figures of the distance error: box plot, distribution, growth with the horizon, dependence on initial speed."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.evaluation.box_plots import box_chart, styles
+from offpiste.evaluation.box_plots import QUANTITY, box_chart, styles
 from offpiste.evaluation.evaluate import Evaluation
 from offpiste.evaluation.metrics import ResultRow, by_reading, pooled_rows
 from offpiste.evaluation.report_figures import deciding_errors, distance_errors, main_start, report_figure, title_of
 from offpiste.report.chart import Chart, Line, Panel, by_end
 
-CAPTION_BOX_PLOT = (
-    "Distance error after 5 s. Boxes: quartiles; whiskers: last value within 1.5 IQR; line in the box: median; "
-    "orange: mean. Values beyond the whiskers are not drawn."
+BINS = 6
+"""Number of bins with equal numbers of windows."""
+
+
+@report_figure(
+    "box",
+    section="Mean distance error by horizon",
+    caption="Distance error after 5 s. Boxes: quartiles; whiskers: last value within 1.5 IQR; line in the box: median; "
+    "orange: mean. Values beyond the whiskers are not drawn.",
 )
-
-
-@report_figure("box", section="Mean distance error by horizon", caption=CAPTION_BOX_PLOT)
 def draw_box_plot(evaluation: Evaluation) -> Chart:
     """Draw distance errors after 5 s by model and terrain lookup."""
     return box_chart(distance_errors(evaluation), title=title_of(evaluation))
 
 
-CAPTION_DISTRIBUTION = "Share of windows with a distance error after 5 s below a value."
-
-
-@report_figure("distribution", section="Distribution", caption=CAPTION_DISTRIBUTION)
+@report_figure(
+    "distribution",
+    section="Distribution",
+    caption="Share of windows with a distance error after 5 s below a value.",
+)
 def draw_distribution(evaluation: Evaluation) -> Chart:
     """Draw the distribution of each model's errors, with the deciding terrain lookup."""
     return distribution_plot(deciding_errors(evaluation), title=title_of(evaluation))
@@ -41,21 +46,15 @@ def distribution_plot(errors: Mapping[str, Float[np.ndarray, " n"]], *, title: s
         # Failed windows count, so that the curve of a model that fails never reaches 100 %.
         share = 100 * np.arange(1, len(values) + 1) / len(values)
         lines.append(Line(label, np.sort(values), share, colour, line))
-    panel = Panel(
-        "Distance error after 5 s [m]",
-        "Windows below [%]",
-        lines,
-        x_range=(0.0, limit),
-        y_range=(0.0, 101.0),
-        hover="y unified",
-    )
-    return Chart([panel], title)
+    ranges: dict[str, Any] = {"x_range": (0.0, limit), "y_range": (0.0, 101.0)}
+    return Chart([Panel(QUANTITY, "Windows below [%]", lines, hover="y unified", **ranges)], title)
 
 
-CAPTION_GROWTH = "Mean distance error against the horizon; bands: 95 % intervals of the mean."
-
-
-@report_figure("growth", section="Growth of the error", caption=CAPTION_GROWTH)
+@report_figure(
+    "growth",
+    section="Growth of the error",
+    caption="Mean distance error against the horizon; bands: 95 % intervals of the mean.",
+)
 def draw_growth(evaluation: Evaluation) -> Chart:
     """Draw the mean distance error by horizon, for each model with the deciding terrain lookup."""
     groups = by_reading(pooled_rows(evaluation.metrics.results))
@@ -75,17 +74,14 @@ def growth_plot(rows: Mapping[str, Sequence[ResultRow]], *, title: str = "") -> 
         mean = np.array([row.distance_error_m.mean for row in rows[label]])
         low, high = np.array([row.distance_error_m.ci95 for row in rows[label]]).T
         lines.append(Line(label, seconds, mean, colour, line, marker="o", low=low, high=high))
-    panel = Panel("Horizon [s]", "Mean distance error [m]", by_end(lines), x_range=(0.8, 5.2))
-    return Chart([panel], title)
+    return Chart([Panel("Horizon [s]", "Mean distance error [m]", by_end(lines), x_range=(0.8, 5.2))], title)
 
 
-BINS = 6
-"""Number of bins with equal numbers of windows."""
-
-CAPTION_START_SPEED = "Mean distance error after 5 s by initial speed; all bins hold equal numbers of windows."
-
-
-@report_figure("speed", section="Distribution", caption=CAPTION_START_SPEED)
+@report_figure(
+    "speed",
+    section="Distribution",
+    caption="Mean distance error after 5 s by initial speed; all bins hold equal numbers of windows.",
+)
 def draw_start_speed(evaluation: Evaluation) -> Chart:
     """Draw the error by initial speed, for each model with the deciding terrain lookup."""
     speed = evaluation.windows.start_speed
@@ -104,10 +100,10 @@ def binned_plot(
     """
     edges = np.unique(np.quantile(values, np.linspace(0, 1, BINS + 1)))
     which = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, max(len(edges) - 2, 0))
-    bins = np.unique(which)
-    centres = np.array([float(np.median(values[which == k])) for k in bins])
+    bins = [which == k for k in np.unique(which)]
+    centres = np.array([float(np.median(values[mine])) for mine in bins])
     lines = []
     for (label, error), (colour, line) in zip(errors.items(), styles(list(errors)).values(), strict=True):
-        means = np.array([float(error[which == k].mean()) for k in bins])
+        means = np.array([float(error[mine].mean()) for mine in bins])
         lines.append(Line(label, centres, means, colour, line, marker="o"))
     return Chart([Panel(axis, "Mean distance error after 5 s [m]", by_end(lines))], title)

@@ -1,6 +1,7 @@
 """Typical and worst windows of a model: recorded and predicted paths on the ground known at the start."""
 
 from collections.abc import Iterator, Sequence
+from functools import cache
 from typing import Final
 
 import numpy as np
@@ -84,7 +85,7 @@ def worst_windows(errors: Errors, *, count: int) -> Errors:
     distance = errors.distance()
     order = np.argsort(-distance, kind="stable")
     bad = distance >= np.quantile(distance, NOT_WORST, method="nearest")
-    return errors.take(_apart(errors, order[bad[order]], count))
+    return errors.take(np.array(_apart(errors, order[bad[order]], count), np.int64))
 
 
 def typical_windows(errors: Errors, shares: Sequence[float], *, each: int) -> tuple[Errors, list[float]]:
@@ -99,30 +100,26 @@ def typical_windows(errors: Errors, shares: Sequence[float], *, each: int) -> tu
     Returns:
         Errors, and the quantile of each window.
     """
-    distance, chosen = errors.distance(), np.empty(0, np.int64)
-    of: list[float] = []
+    distance, chosen = errors.distance(), dict[int, float]()
     for share in each * sorted(shares, key=lambda share: abs(share - 0.5)):  # the median first
         low, wanted, high = np.quantile(distance, np.clip((share - NEAR, share, share + NEAR), 0, 1), method="nearest")
         if np.isfinite(wanted):
             near = np.argsort(np.abs(distance - wanted), kind="stable")
             near = near[(distance[near] >= low) & (distance[near] <= high) & np.isfinite(distance[near])]
-            added = _apart(errors, near, 1, chosen.tolist())
-            chosen = np.concatenate((chosen, added))
-            of += [share] * len(added)
-    order = np.argsort(of, kind="stable")
-    return errors.take(chosen[order]), [of[i] for i in order]
+            chosen |= dict.fromkeys(_apart(errors, near, 1, tuple(chosen)), share)
+    order = sorted(chosen, key=lambda index: chosen[index])
+    return errors.take(np.array(order, np.int64)), [chosen[index] for index in order]
 
 
-def _apart(errors: Errors, order: Int[np.ndarray, " n"], count: int, used: Sequence[int] = ()) -> Int[np.ndarray, " k"]:
+def _apart(errors: Errors, order: Int[np.ndarray, " n"], count: int, used: Sequence[int] = ()) -> list[int]:
     """Return the first `count` windows in this order that overlap neither each other nor used ones."""
     chosen: list[int] = []
     for i in order:
-        overlaps = any(
-            errors.drive[i] == errors.drive[j] and abs(errors.row[i] - errors.row[j]) <= APART for j in (*used, *chosen)
-        )
-        if len(chosen) < count and not overlaps:
+        others = [*used, *chosen]
+        near = np.abs(errors.row[others] - errors.row[i]) <= APART
+        if len(chosen) < count and not (near & (errors.drive[others] == errors.drive[i])).any():
             chosen.append(int(i))
-    return np.array(chosen, dtype=np.int64)
+    return chosen
 
 
 def _chart(evaluation: Evaluation, title: str, chosen: Errors, notes: Sequence[str]) -> Chart | None:
@@ -137,23 +134,22 @@ def _chart(evaluation: Evaluation, title: str, chosen: Errors, notes: Sequence[s
         if prediction.case in cases:
             for i, path in _paths(prediction, chosen, poses):
                 predicted[i][prediction.case].append(path)
-    driven, squares = [], []
+    driven, recorded, squares = [], [], []
     for drive, row, pose, paths in zip(chosen.drive, chosen.row, poses, predicted, strict=True):
         driven.append(in_start_frame((dataset.drives[drive].rows.state[:, :2] - pose[:2])[None], pose[None, 2])[0])
-        squares.append(_square(_recorded(driven[-1], int(row)), [path for runs in paths.values() for path in runs]))
-    grounds = ground_pictures(dataset, chosen.drive, chosen.row, poses[:, :3], squares)
+        recorded.append(driven[-1][row + 1 : row + 1 + HORIZON_STEPS])
+        squares.append(_square(recorded[-1], [path for runs in paths.values() for path in runs]))
     panels = []
-    for i, ((ahead, left), half) in enumerate(squares):
-        drive, row, error = dataset.drives[chosen.drive[i]], int(chosen.row[i]), chosen.distance()[i]
-        recorded, ground = _recorded(driven[i], row), grounds[i]
+    for i, ground in enumerate(ground_pictures(dataset, chosen.drive, chosen.row, poses[:, :3], squares)):
+        drive, error, ((ahead, left), half) = dataset.drives[chosen.drive[i]], chosen.distance()[i], squares[i]
         x_range, y_range = (-left - half, -left + half), (ahead - half, ahead + half)
-        lines = [path_line("recorded", RECORDED, recorded, recorded)]
+        lines = [path_line("recorded", RECORDED, recorded[i], recorded[i])]
         if ground is None:
             ahead_of, left_of = _inside(driven[i], drive.rows.valid, squares[i]).T
             lines.insert(0, Line("", -left_of, ahead_of, SOFT, width=5.0, opacity=0.3))
         for case, runs in predicted[i].items():
-            width = 1.0 if len(runs) > 1 else 1.6
-            lines += [path_line(display(case.label), colour_of(case.label), path, recorded, width) for path in runs]
+            name, width = display(case.label), 1.0 if len(runs) > 1 else 1.6
+            lines += [path_line(name, colour_of(case.label), path, recorded[i], width) for path in runs]
         panels.append(
             Panel(
                 "to the right [m]",
@@ -162,7 +158,7 @@ def _chart(evaluation: Evaluation, title: str, chosen: Errors, notes: Sequence[s
                 raster=None if ground is None else Raster(ground, (*x_range, *y_range), FADED),
                 title=f"{notes[i]}error {f'{error:.2f} m' if np.isfinite(error) else 'failed'}\n"
                 f"{windows.start_speed[i]:.1f} m/s, heading {np.degrees(poses[i, 2]) % 360:.0f}°\n"
-                f"{drive.name}, at {row * DT:.1f} s",
+                f"{drive.name}, at {chosen.row[i] * DT:.1f} s",
                 x_range=x_range,
                 y_range=y_range,
                 equal=True,
@@ -177,10 +173,6 @@ def _cases(evaluation: Evaluation) -> list[Case]:
     first = {case.label: case for case in reversed(deciding_cases(evaluation))}
     others = [case for case in reversed(first.values()) if case.label != evaluation.shown.label]
     return [*others, evaluation.shown]
-
-
-def _recorded(driven: Float[np.ndarray, "N 2"], row: int) -> Float[np.ndarray, "T 2"]:
-    return driven[row + 1 : row + 1 + HORIZON_STEPS]
 
 
 def _paths(
@@ -199,12 +191,10 @@ def _square(recorded: np.ndarray, predicted: Sequence[np.ndarray]) -> Square:
     """Return a square around the recorded path, and the predicted ones within `MOST_REACH`."""
     own = np.concatenate((np.zeros((1, 2)), recorded))
     low, high = own.min(axis=0), own.max(axis=0)
-    reach = MOST_REACH * max(float((high - low).max()) / 2, MARGIN)
-    middle = (low + high) / 2
-    for path in predicted:
-        ends = np.clip(path[np.isfinite(path).all(axis=1)], middle - reach, middle + reach)
-        low = np.minimum(low, ends.min(axis=0, initial=np.inf))
-        high = np.maximum(high, ends.max(axis=0, initial=-np.inf))
+    middle, reach = (low + high) / 2, MOST_REACH * max(float((high - low).max()) / 2, MARGIN)
+    shown = np.concatenate([own, *predicted])
+    shown = shown[np.isfinite(shown).all(axis=1)].clip(middle - reach, middle + reach)
+    low, high = shown.min(axis=0), shown.max(axis=0)
     ahead, left = (low + high) / 2
     return (float(ahead), float(left)), float((high - low).max()) / 2 + MARGIN
 
@@ -247,13 +237,11 @@ def ground_pictures(
     """
     if not dataset.features:
         return [None] * len(row)
-    whole: dict[int, TerrainMap] = {}
+    whole = cache(lambda number: None if (load := dataset.drives[number].load_map) is None else load())
     sampled: list[tuple[np.ndarray, np.ndarray] | None] = []
     for number, at, pose, square in zip(drive.tolist(), row.tolist(), poses, squares, strict=True):
         stored = dataset.drives[number]
-        terrain = _snapshot(stored, at)
-        if terrain is None and stored.load_map is not None:
-            terrain = whole[number] = whole[number] if number in whole else stored.load_map()
+        terrain = _snapshot(stored, at) or whole(number)
         place = pose + np.append(stored.rows.origin, 0.0)
         sampled.append(None if terrain is None else _sample(terrain, place, square))
     parts = [part[0].reshape(-1, part[0].shape[-1]) for part in sampled if part is not None]
