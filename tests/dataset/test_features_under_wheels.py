@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from feature_datasets import dataset_with_features
 from offpiste.core.errors import DatasetError
 from offpiste.dataset.feature_sets import FeatureSetChoice, same_feature_set, set_number
-from offpiste.dataset.features_under_wheels import ArrayReader, Cells, CellTable, NormalsUnderWheels
+from offpiste.dataset.features_under_wheels import Cells, CellTable, NormalsUnderWheels
 from offpiste.dataset.ground_tables import ResidentCells, free_budget, ground_tables
 from offpiste.dataset.windows import Windows
 
@@ -69,15 +69,6 @@ def test_windows_find_what_plain_indexing_finds(table, seed, kind):
 def on_disk(array: np.ndarray, path) -> np.memmap:
     array.tofile(path)
     return np.memmap(path, dtype=array.dtype, mode="r", shape=array.shape)
-
-
-def test_a_file_that_is_cut_short_is_refused(tmp_path):
-    array = np.ones((2, 4), np.float32)
-    slabs = ArrayReader(on_disk(array, tmp_path / "a"))
-    with (tmp_path / "a").open("r+b") as file:
-        file.truncate(20)
-    with pytest.raises(EOFError, match="cut short"):
-        slabs.read(1, 0, np.empty(4, np.float32))
 
 
 @pytest.mark.parametrize("resident", [False, True])

@@ -13,22 +13,18 @@ from offpiste.dataset.features_under_wheels import (
     CellTable,
     FeaturesUnderWheels,
     NormalsUnderWheels,
+    joined_index,
     rows_from,
 )
 from offpiste.dataset.store import Dataset
 
 
 class ResidentCells:
-    """`CellTable` with all cells resident on the device.
-
-    Attributes:
-        sets: number of feature sets.
-    """
+    """`CellTable` with all cells resident on the device."""
 
     def __init__(self, cells: Sequence[Cells], device: torch.device) -> None:
-        first = np.cumsum([0, *(c.features.shape[1] for c in cells)])
-        numbers = [np.where(c.index < 0, -1, c.index + n) for c, n in zip(cells, first[:-1], strict=True)]
-        self._index = torch.from_numpy(np.concatenate(numbers).astype(np.int64)).to(device)
+        index, first = joined_index(cells)
+        self._index = torch.from_numpy(index.astype(np.int64)).to(device)
         self._valid = torch.from_numpy(np.concatenate([c.valid for c in cells], axis=1)).to(device)
         self.sets, _, channels = cells[0].features.shape
         self._features = torch.empty(self.sets, int(first[-1]), channels, dtype=torch.float16, device=device)
@@ -50,15 +46,11 @@ class ResidentCells:
         touched[nowhere] = True
         under = touched.cumsum(0, dtype=torch.int32)[key].long() - 1
         distinct = touched[:-1].nonzero()[:, 0]
-        from_set = torch.div(distinct, cells, rounding_mode="floor")
-        place = distinct % cells
-        valid = self._valid[from_set, place]
-        features = self._features[from_set, place].float()
+        from_set, place = torch.div(distinct, cells, rounding_mode="floor"), distinct % cells
+        valid, features = self._valid[from_set, place], self._features[from_set, place].float()
+        features = torch.cat((features, features.new_full((1, channels), torch.nan)))
         return FeaturesUnderWheels(
-            torch.cat((features, features.new_full((1, channels), torch.nan))),
-            torch.cat((valid, valid.new_zeros(1))),
-            under[:, :history],
-            under[:, history:],
+            features, torch.cat((valid, valid.new_zeros(1))), under[:, :history], under[:, history:]
         )
 
 
@@ -71,11 +63,7 @@ class GroundTables:
 
 
 def ground_tables(dataset: Dataset, device: torch.device, budget: int = 0) -> GroundTables:
-    """Return the ground of a dataset for batches on a device.
-
-    Args:
-        budget: bytes for resident tables; larger ones are read from disk.
-    """
+    """Return the ground for batches on a device; tables of more than `budget` bytes are read from disk."""
     rows = [drive.rows for drive in dataset.drives]
     normals = [r.normal for r in rows]
     cells = [r.cells for r in rows if r.cells is not None] if dataset.features else []

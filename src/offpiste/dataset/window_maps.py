@@ -14,11 +14,7 @@ from offpiste.mapping.terrain_sampler import CellStack, MapStack, stack_maps
 
 
 class WindowMaps:
-    """Maps of windows.
-
-    Args:
-        drive, row: number of each window's drive, and row t in it.
-    """
+    """Maps of windows at row t = `row` of drive number `drive`."""
 
     def __init__(
         self,
@@ -35,15 +31,12 @@ class WindowMaps:
                 mine = np.flatnonzero(drive == number)
                 place = np.searchsorted(snapshots.row, row[mine]).clip(max=len(snapshots.row) - 1)
                 self._snapshot[mine] = np.where(snapshots.row[place] == row[mine], place, -1)
-        self._whole: MapStack | None = None
-        self._latest: tuple[np.ndarray, CellStack] | None = None
-        self._numbers = np.full(len(drives), -1)
+        self._latest: tuple[np.ndarray, MapStack | CellStack] | None = None  # maps that were read last, by number
 
     def take(self, index: Int[np.ndarray, " m"]) -> "WindowMaps":
         """Return the maps of some of the windows."""
         other = copy(self)
-        other._drive, other._snapshot = self._drive[index], self._snapshot[index]
-        other._whole, other._latest, other._numbers = None, None, np.full_like(self._numbers, -1)
+        other._drive, other._snapshot, other._latest = self._drive[index], self._snapshot[index], None
         return other
 
     @property
@@ -71,27 +64,27 @@ class WindowMaps:
     def of(self, index: Int[np.ndarray, " B"]) -> tuple[MapStack | CellStack, Int[np.ndarray, " B"]]:
         """Return maps of some windows, and the index of each window's map; -1 without a map.
 
-        The last snapshots are cached: compared models read the same ones in turn.
+        The last maps are cached: compared models read the same ones in turn.
         """
+        number = np.full(len(index), -1)
         if self.snapped.any():
             have = self._snapshot[index] >= 0
             keys = np.stack((self._drive[index], self._snapshot[index]), axis=1)[have]
             different, place = np.unique(keys, axis=0, return_inverse=True)
-            number = np.full(len(index), -1)
             number[have] = place.ravel()
             if self._latest is None or not np.array_equal(self._latest[0], different):
                 self._latest = None  # first, so that memory holds one stack at a time
                 self._latest = different, self._stacked([self._load(*key) for key in different.tolist()])
             return self._latest[1], number
-        if self._whole is None:
-            used = [n for n in np.unique(self._drive) if self._drives[n].load_map is not None]
-            if not used:
+        if self._latest is None:
+            maps = {n: load() for n in np.unique(self._drive) if (load := self._drives[n].load_map) is not None}
+            if not maps:
                 name = self._drives[self._drive[0]].name
                 raise DatasetError(f"drive '{name}' has no map", how="extract with --pca (see fit-pca)")
-            loaders = [self._drives[n].load_map for n in used]
-            self._whole = stack_maps([load() for load in loaders if load is not None], device=self._device)
-            self._numbers[used] = np.arange(len(used))
-        return self._whole, self._numbers[self._drive[index]]
+            self._latest = np.array(list(maps)), stack_maps(list(maps.values()), device=self._device)
+        for one, drive in enumerate(self._latest[0]):
+            number[self._drive[index] == drive] = one
+        return self._latest[1], number
 
     def near(self, index: Int[np.ndarray, " B"], paths: Float[np.ndarray, "B P 2"], margin: float) -> CellStack:
         """Return one map for each of some windows with a snapshot: the cells within `margin` of a path [m].

@@ -33,10 +33,9 @@ def window_starts(
 def enough_hindsight(
     cells: Cells | None, least: float, *, horizon: int = HORIZON_STEPS
 ) -> Bool[np.ndarray, " N"] | None:
-    """Return the rows t whose ground along t ... t + horizon - 1 was seen in hindsight to at least a share.
+    """Return the mask of rows t whose ground along t ... t + horizon - 1 was seen in hindsight to at least a share.
 
-    Returns:
-        None if every row qualifies: without cells, or with cells of true ground properties.
+    None if every row qualifies: without cells, or with cells of true ground properties.
     """
     if cells is None or least <= 0 or len(cells.valid) != len(FEATURE_SETS):
         return None
@@ -53,10 +52,9 @@ def evaluation_starts(
     min_speed: float = MIN_EVALUATION_SPEED,
     horizon: int = HORIZON_STEPS,
 ) -> Int[np.ndarray, " n"]:
-    """Return the rows t of a drive at which windows start.
+    """Return the rows t of a drive at which windows in the rows `mine` start.
 
     Args:
-        mine: rows of the part.
         min_hindsight: smallest share of ground seen in hindsight (`enough_hindsight`).
         min_speed: of the causal estimate at t [m/s]; 0 includes standstills.
     """
@@ -81,14 +79,10 @@ def no_window(dataset: Dataset, part: str, horizon: int, min_speed: float) -> Da
 
 @dataclass(frozen=True)
 class Segments:
-    """Rows of the dataset in a batch of windows.
-
-    Attributes:
-        place: px, py and whole turns of the yaw at the start, subtracted from `relative` columns.
-    """
+    """Rows of the dataset in a batch of windows."""
 
     rows: Mapping[Segment, Tensor]
-    place: Float[Tensor, "B 6"]
+    place: Float[Tensor, "B 6"]  # px, py and whole turns of the yaw at the start, subtracted from `relative` columns
 
     def of(self, values: Tensor, column: Column) -> dict[Segment, Tensor]:
         """Return the segments that a column declares."""

@@ -16,7 +16,7 @@ from offpiste.core.errors import DatasetError
 from offpiste.core.state import History, Terrain, wrap_angle
 from offpiste.dataset.columns import COLUMNS, Segment
 from offpiste.dataset.feature_sets import FeatureSetChoice, same_feature_set, set_number
-from offpiste.dataset.features_under_wheels import FeaturesUnderWheels, LevelNormals, NormalsUnderWheels
+from offpiste.dataset.features_under_wheels import FeaturesUnderWheels
 from offpiste.dataset.ground_tables import GroundTables, ground_tables
 from offpiste.dataset.resample import OWN_COLUMNS
 from offpiste.dataset.splits import part_number
@@ -34,30 +34,21 @@ MOTION: Final = ("state", "state_causal", "actuators", "actuators_causal", "cont
 
 @dataclass(frozen=True)
 class Batch:
-    """Batch of windows. Positions are relative to each window's start; yaw there lies in [-pi, pi].
+    """Batch of windows. Positions are relative to each window's start; yaw there lies in [-pi, pi]."""
 
-    Attributes:
-        history: rows t-10 ... t-1.
-        state, actuators: at row t, where predictions start.
-        control, terrain: rows t ... t+T-1; the terrain is recorded and has no codes yet.
-        target, target_actuators: rows t+1 ... t+T.
-        ground: features under the recorded wheels; None in datasets without features.
-        extra: declared segments of the other columns of `COLUMNS`.
-    """
-
-    history: History
-    state: Float[Tensor, "B 6"]
+    history: History  # rows t-10 ... t-1
+    state: Float[Tensor, "B 6"]  # at row t, where predictions start
     actuators: Float[Tensor, "B A"]
-    control: Float[Tensor, "B T U"]
-    terrain: Terrain
-    target: Float[Tensor, "B T 6"]
+    control: Float[Tensor, "B T U"]  # rows t ... t+T-1
+    terrain: Terrain  # recorded, rows t ... t+T-1, without codes yet
+    target: Float[Tensor, "B T 6"]  # rows t+1 ... t+T
     target_actuators: Float[Tensor, "B T A"]
-    ground: FeaturesUnderWheels | None = None
-    extra: Mapping[str, Mapping[Segment, Tensor]] = field(default_factory=dict)
+    ground: FeaturesUnderWheels | None = None  # under the recorded wheels; None in datasets without features
+    extra: Mapping[str, Mapping[Segment, Tensor]] = field(default_factory=dict)  # of the other columns of `COLUMNS`
 
 
 class Windows:
-    """Windows of one part of a dataset that start above a speed.
+    """Windows of one part of a dataset that start above a speed; `DatasetError` if there are none.
 
     Args:
         part: "train", "validation" or "test".
@@ -67,9 +58,6 @@ class Windows:
         feature_set: default set of features and normals (`conventions.FEATURE_SETS`).
         device: of batches.
         ground: tables shared with other windows on this device; read from disk by default.
-
-    Raises:
-        DatasetError: the part has no window, or the dataset lacks the feature set.
     """
 
     def __init__(
@@ -85,46 +73,37 @@ class Windows:
         ground: GroundTables | None = None,
     ) -> None:
         self.dataset, self.part, self.horizon, self.start = dataset, part, horizon, start
+        self.device = torch.device(device)
+        self.read_ahead = self.device.type == "cuda"
         min_speed = dataset.min_speed if min_speed is None else min_speed
         rows = [drive.rows for drive in dataset.drives]
-        self.device = torch.device(device)
-        self._up = torch.tensor([0.0, 0.0, 1.0], device=self.device)
-        self._columns = {
-            name: self._joined([r.column(name) for r in rows])
-            for name, column in COLUMNS.items()
-            if column.segments and not column.by_feature_set
-        }
-        self._gathered = [(name, COLUMNS[name]) for name in self._columns]
+        names = [name for name, column in COLUMNS.items() if column.segments and not column.by_feature_set]
+        self._columns = {name: self._joined([r.column(name) for r in rows]) for name in names}
         if start != "causal":
             for name in ("state", "actuators", "control"):
                 self._columns[f"{name}_causal"] = self._columns[name]
-        self._state, self._start = self._columns["state"], self._columns["state_causal"]
         self._valid = self._joined([r.valid for r in rows])
         ground = ground or ground_tables(dataset, self.device)
-        self._cells, self._with_features, self.read_ahead = ground.cells, True, self.device.type == "cuda"
-        self._normals: NormalsUnderWheels | LevelNormals = ground.normals
+        self._cells, self._with_features, self._normals = ground.cells, True, ground.normals
+        self._level = False  # vertical normals instead of the recorded ones
         self.sets = self._cells.sets if self._cells is not None else 1
-        self._set, self._level = set_number(feature_set, self.sets), False
+        self._set = set_number(feature_set, self.sets)
         self.control, self.actuators = dataset.rig.present_controls, dataset.rig.present_actuators
 
-        offset = np.concatenate(([0], np.cumsum([len(r.time) for r in rows])))
-        starts, drives = [], []
-        for number, drive in enumerate(dataset.drives):
-            mine = drive.part == part_number(part)
-            result = evaluation_starts(drive.rows, mine, dataset.min_hindsight, min_speed, horizon)
-            starts.append(offset[number] + result)
-            drives.append(np.full(len(result), number))
-        self.rows: Int[np.ndarray, " n"] = np.concatenate(starts)
-        self.drive: Int[np.ndarray, " n"] = np.concatenate(drives)
+        self._offset = np.concatenate(([0], np.cumsum([len(r.time) for r in rows])))
+        starts = [
+            evaluation_starts(drive.rows, drive.part == part_number(part), dataset.min_hindsight, min_speed, horizon)
+            for drive in dataset.drives
+        ]
+        self.drive: Int[np.ndarray, " n"] = np.repeat(np.arange(len(starts)), [len(each) for each in starts])
+        self.rows: Int[np.ndarray, " n"] = np.concatenate(starts) + self._offset[self.drive]
+        if not len(self.rows):
+            raise no_window(dataset, part, horizon, min_speed)
         self.wheels: Float[Tensor, "4 2"] = torch.as_tensor(
             dataset.rig.wheel_positions(), dtype=torch.float32, device=self.device
         )
-        self._drives = dataset.drives
-        self.maps = WindowMaps(self._drives, self.drive, self.rows - offset[self.drive], self.device)
+        self.maps = WindowMaps(dataset.drives, self.drive, np.concatenate(starts), self.device)
         self.drive_names = tuple(d.name for d in dataset.drives)
-        self._offset = offset
-        if not len(self.rows):
-            raise no_window(dataset, part, horizon, min_speed)
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -165,19 +144,12 @@ class Windows:
         return other
 
     def without_terrain(self, horizon: int | None = None, device: torch.device | None = None) -> "Windows":
-        """Return the windows on level ground with the columns of `MOTION` only.
-
-        Args:
-            horizon: steps of a batch; all by default.
-            device: of batches; unchanged by default.
-        """
+        """Return the windows on level ground with the columns of `MOTION` only, of at most `horizon` steps."""
         other = copy(self)
         other.device = device or self.device
         other.read_ahead = other.device.type == "cuda"
-        other._cells, other._normals, other._level = None, LevelNormals(other.device), True
-        other._gathered = [(name, COLUMNS[name]) for name in MOTION]
+        other._cells, other._level = None, True
         other._columns = {name: self._columns[name].to(other.device) for name in MOTION}
-        other._state, other._start = other._columns["state"], other._columns["state_causal"]
         other.horizon = min(horizon or self.horizon, self.horizon)
         return other
 
@@ -194,17 +166,12 @@ class Windows:
         return np.asarray(self.rows[index] - self._offset[self.drive[index]])
 
     def gather(self, index: Int[np.ndarray, " B"], feature_set_choice: FeatureSetChoice | None = None) -> Batch:
-        """Gather a batch of windows.
-
-        Args:
-            feature_set_choice: feature sets of the batch; the default set of these windows if None.
-        """
+        """Gather a batch of windows, with their default feature set or a choice of sets."""
         feature_set_choice = feature_set_choice or same_feature_set(len(index), self._set)
         segments = self._segments(index)
-        read = {name: segments.of(self._columns[name], column) for name, column in self._gathered}
+        read = {name: segments.of(values, COLUMNS[name]) for name, values in self._columns.items()}
         first, count = self.rows[index] - HISTORY_STEPS, HISTORY_STEPS + self.horizon
-        normal = self._normals.at(first, count, feature_set_choice.normals)
-        terrain = LevelNormals.terrain(normal) if self._level else self._recorded(normal)
+        terrain = self._terrain(first, count, feature_set_choice)
         before, after = terrain.rows(slice(HISTORY_STEPS)), terrain.rows(slice(HISTORY_STEPS, None))
         if self._cells is None and "normal_causal" in read and self.start == "causal":
             before = Terrain.of(read["normal_causal"]["past"][:, :, None].expand_as(before.normal))
@@ -229,10 +196,28 @@ class Windows:
         t = torch.as_tensor(self.rows[index], device=self.device)
         ahead = t[:, None] + torch.arange(self.horizon, device=self.device)
         past = t[:, None] + torch.arange(-HISTORY_STEPS, 0, device=self.device)
-        place = torch.zeros_like(self._start[t])
-        place[:, :2] = self._start[t, :2]
-        place[:, 2] = self._start[t, 2] - wrap_angle(self._start[t, 2])
+        start = self._columns["state_causal"][t]
+        place = torch.zeros_like(start)
+        place[:, :2] = start[:, :2]
+        place[:, 2] = start[:, 2] - wrap_angle(start[:, 2])
         return Segments({"past": past, "start": t, "ahead": ahead, "target": ahead + 1}, place)
+
+    def _terrain(self, first: Int[np.ndarray, " B"], count: int, choice: FeatureSetChoice) -> Terrain:
+        """Return the ground at rows from `first`, refusing normals that are neither unit vectors nor unknown cells.
+
+        Normals stay on disk when a dataset is opened, so they are checked when a batch reads them.
+        """
+        up = torch.tensor([0.0, 0.0, 1.0], device=self.device)
+        if self._level:
+            normal = up.expand(len(first), count, 4, 3)
+            return Terrain(normal, normal.new_ones((), dtype=torch.bool).expand(normal.shape[:-1]), normal[..., :0])
+        normal = self._normals.at(first, count, choice.normals)
+        unit = (torch.linalg.vecdot(normal, normal) - 1).abs() < UNIT_TOLERANCE
+        others = normal[~unit]
+        if not (others.isnan().all() if self.dataset.features else not len(others)):
+            what = "surface normals of the dataset are not unit vectors"
+            raise DatasetError(what, where=self.dataset.path, how="extract it again")
+        return Terrain(torch.where(unit[..., None], normal, up), unit, normal[..., :0])
 
     def features_at_starts(self, most: int = 20_000) -> tuple[Float[Tensor, "M F"], Bool[Tensor, " M"]]:
         """Return features under the wheels at up to `most` window starts, and their validity."""
@@ -256,27 +241,15 @@ class Windows:
         inside = (rows >= first[:, None]) & (rows < end[:, None])
         near = torch.as_tensor(np.clip(rows, first[:, None], end[:, None] - 1), device=self.device)
         known = torch.as_tensor(inside, device=self.device) & self._valid[near]
-        start = self._start[torch.as_tensor(self.rows[index], device=self.device), None, :2]
-        position = torch.where(known[..., None], self._state[near][..., :2] - start, torch.inf)
+        start = self._columns["state_causal"][torch.as_tensor(self.rows[index], device=self.device), None, :2]
+        position = torch.where(known[..., None], self._columns["state"][near][..., :2] - start, torch.inf)
         return position, self._driven_normal[near][..., 0, :]
 
     def places(self, index: Int[np.ndarray, " B"]) -> Float[Tensor, "B 2"]:
         """Return px, py of window starts in the world frame, in double precision [m]."""
-        start = self._start[torch.as_tensor(self.rows[index], device=self.device), :2].double()
-        origin = np.stack([drive.rows.origin for drive in self._drives])[self.drive[index]]
+        start = self._columns["state_causal"][torch.as_tensor(self.rows[index], device=self.device), :2].double()
+        origin = np.stack([drive.rows.origin for drive in self.dataset.drives])[self.drive[index]]
         return start + torch.as_tensor(origin, device=self.device)
-
-    def _recorded(self, normal: Float[Tensor, "B R 4 3"]) -> Terrain:
-        """Return `Terrain.of` normals, refusing any that are neither unit vectors nor unknown cells of a map.
-
-        Normals stay on disk when a dataset is opened, so they are checked when a batch reads them.
-        """
-        unit = (torch.linalg.vecdot(normal, normal) - 1).abs() < UNIT_TOLERANCE
-        others = normal[~unit]
-        if not (others.isnan().all() if self.dataset.features else not len(others)):
-            what = "surface normals of the dataset are not unit vectors"
-            raise DatasetError(what, where=self.dataset.path, how="extract it again")
-        return Terrain(torch.where(unit[..., None], normal, self._up), unit, normal[..., :0])
 
     @cached_property
     def _driven_normal(self) -> Float[Tensor, "N 4 3"]:
