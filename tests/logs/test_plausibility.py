@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from offpiste.logs.plausibility import best_chain, held_while_driving, plausible_headings, plausible_positions
+from offpiste.logs.plausibility import best_chain, held_while_driving, plausible
 
 RUNS = ("glitches", "constant", "random", "long constant", "fast tail", "fast head", "coherent")
 
@@ -49,9 +49,9 @@ def test_a_healthy_drive_loses_no_sample(seed: int) -> None:
     time, place, yaw = driven(seed)
     turned = Rotation.from_euler("z", yaw[:, None]).as_quat()
     wrapped = (yaw[:, None] + np.pi) % (2 * np.pi) - np.pi
-    found = [plausible_positions(time, place), plausible_positions(time, place[:, :2])]
-    found += [plausible_headings(time, heading) for heading in (yaw[:, None], wrapped, turned)]
-    for each in found:
+    channels = [("position", place), ("position", place[:, :2]), ("yaw", yaw[:, None]), ("yaw", wrapped)]
+    for name, values in [*channels, ("orientation", turned)]:
+        each = plausible(name, time, values)
         assert each.keep.all()
         assert not len(each.jumps)
         assert not each.hopeless
@@ -78,15 +78,13 @@ def test_a_place_that_hangs_while_the_vehicle_drives_on_is_held(hold: int, stand
 
 
 @pytest.mark.parametrize("hold", [1, 5])
-def test_a_place_that_hangs_to_the_end_is_held_unless_the_vehicle_can_have_stopped(hold: int) -> None:
+@pytest.mark.parametrize(("braking", "held_to_the_end"), [(1e6, True), (8.0, False)])
+def test_a_place_that_hangs_to_the_end_is_held_unless_the_vehicle_can_have_stopped(hold, braking, held_to_the_end):
     time = np.arange(3000) / 50.0
-    for braking, held_to_the_end in ((1e6, True), (8.0, False)):
-        speed = np.clip(braking * (40.0 - time), 0.0, 4.0)
-        place = np.cumsum(speed)[:, None] / 50 * [0.6, 0.8]
-        place = place[np.arange(len(time)) // hold * hold]
-        held = held_while_driving(time, place)
-        assert held[2000 + hold :].all() if held_to_the_end else not held.any()
-        assert not held[:2000].any()
+    place = np.cumsum(np.clip(braking * (40.0 - time), 0.0, 4.0))[:, None] / 50 * [0.6, 0.8]
+    held = held_while_driving(time, place[np.arange(len(time)) // hold * hold])
+    assert held[2000 + hold :].all() if held_to_the_end else not held.any()
+    assert not held[:2000].any()
 
 
 def planted(kind: str, rng: np.random.Generator, time: np.ndarray, place: np.ndarray, speed: float):
@@ -127,27 +125,23 @@ def test_planted_runs_are_dropped_and_nothing_else(kind: str, seed: int) -> None
     time, place, _ = path(rng, float(rng.choice([10, 20, 50, 100])), speed, min(1.0, 15 / speed), noise)
     corrupt, good = planted(kind, rng, time, place, speed)
     for axes in (2, 3):
-        found = plausible_positions(time, corrupt[:, :axes])
+        found = plausible("position", time, corrupt[:, :axes])
         np.testing.assert_array_equal(found.keep, good)
         assert not len(found.jumps)
 
 
-@pytest.mark.parametrize("size", [8.0, 500.0])
-def test_a_shift_that_lasts_stays_as_a_jump(size: float) -> None:
-    time, place, _ = path(np.random.default_rng(1), 50, 5, 0.3, 0.01, seconds=120)
-    place[3000:, 1] += size
-    found = plausible_positions(time, place)
+@pytest.mark.parametrize(
+    ("at", "shifts"),
+    [([3000], [8.0]), ([3000], [500.0]), ([1500, 1551], [1.0, 0.7])],  # two corrections in a second
+)
+def test_a_shift_that_lasts_stays_as_a_jump(at: list[int], shifts: list[float]) -> None:
+    time, place, _ = path(np.random.default_rng(1), 50, 5, 0.3, 0.001, seconds=120)
+    for row, shift in zip(at, shifts, strict=True):
+        place[row:, 1] += shift
+    found = plausible("position", time, place)
     assert found.keep.all()
-    assert found.jumps.tolist() == [3000]
-
-
-def test_two_corrections_in_a_second_are_no_excursion() -> None:
-    time, place, _ = path(np.random.default_rng(2), 50, 8, 0.3, 0.001)
-    place[1500:1551, 0] += 1.0
-    place[1551:, 0] += 1.7
-    found = plausible_positions(time, place)
-    assert found.keep.all()
-    assert found.jumps.tolist() == [1500, 1551]
+    assert found.jumps.tolist() == at
+    np.testing.assert_allclose(found.sizes, shifts, atol=0.1)
 
 
 @pytest.mark.parametrize("as_quaternion", [False, True])
@@ -158,7 +152,7 @@ def test_glitches_of_the_heading_are_dropped_and_a_lasting_step_is_a_jump(as_qua
     yaw[2000:] += 0.4
     yaw = (yaw[:, None] + np.pi) % (2 * np.pi) - np.pi
     heading = Rotation.from_euler("z", yaw).as_quat() * np.where(time < 30, 1, -1)[:, None] if as_quaternion else yaw
-    found = plausible_headings(time, heading)
+    found = plausible("orientation" if as_quaternion else "yaw", time, heading)
     assert np.flatnonzero(~found.keep).tolist() == [700, *range(1200, 1220)]
     assert found.jumps.tolist() == [2000]
 
@@ -166,7 +160,7 @@ def test_glitches_of_the_heading_are_dropped_and_a_lasting_step_is_a_jump(as_qua
 def test_a_fast_spin_at_a_low_rate_is_no_fault() -> None:
     time = np.arange(0, 30, 0.05)
     yaw = np.cumsum(np.where((time > 10) & (time < 12), 9.0, 0.5)) * 0.05
-    found = plausible_headings(time, yaw[:, None])
+    found = plausible("yaw", time, yaw[:, None])
     assert found.keep.all()
     assert not len(found.jumps)
 
@@ -188,4 +182,4 @@ def test_the_chain_is_the_best_of_all(seed: int, count: int) -> None:
 def test_few_samples_are_all_kept() -> None:
     for count in range(1, 10):
         time = np.arange(count, dtype=float)
-        assert plausible_positions(time, 1e6 * np.random.default_rng(0).normal(size=(count, 3))).keep.all()
+        assert plausible("position", time, 1e6 * np.random.default_rng(0).normal(size=(count, 3))).keep.all()

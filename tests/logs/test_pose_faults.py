@@ -1,27 +1,36 @@
-"""Faults of a drive's pose: dropped samples, their numbers, and causal estimates that exclude them."""
+"""Faults of a drive's pose: dropped samples, jumps, and estimates that exclude them."""
+
+from pathlib import Path
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from factories import MemoryLog, small_rig
 from offpiste.dataset.resample import extract_rows
+from offpiste.dataset.window_starts import window_starts
 from offpiste.inspection.pose_samples import check_faults
-from offpiste.logs.drive import Drive, drive_from_log
+from offpiste.logs.drive import Drive, drive_from_log, read_drive
 from offpiste.logs.poses import poses_from_drive
+from offpiste.rig.rig import load_rig
 
 TIME = np.arange(0, 40, 0.02)
 
 
-def log_of(x: np.ndarray, yaw: np.ndarray | None = None, time: np.ndarray = TIME) -> MemoryLog:
-    zero, yaw = 0 * time, 0 * time if yaw is None else yaw
-    pose = {"x": x, "y": zero, "z": zero, "qx": zero, "qy": zero, "qz": np.sin(yaw / 2), "qw": np.cos(yaw / 2)}
+def log_of(x: np.ndarray, yaw: np.ndarray | None = None, **axes: np.ndarray) -> MemoryLog:
+    zero, yaw = 0 * TIME, 0 * TIME if yaw is None else yaw
+    pose = {"x": x, "y": zero, "z": zero, "qx": zero, "qy": zero, "qz": np.sin(yaw / 2), "qw": np.cos(yaw / 2)} | axes
     pedals = {"throttle": zero, "brake": zero}
-    return MemoryLog(odometry=(time, pose), pedals=(time, pedals), steering=(time, {"steer": zero}))
+    return MemoryLog(odometry=(TIME, pose), pedals=(TIME, pedals), steering=(TIME, {"steer": zero}))
 
 
-def drive_of(x: np.ndarray, yaw: np.ndarray | None = None) -> Drive:
-    return drive_from_log(log_of(x, yaw), small_rig())
+def drive_of(x: np.ndarray, yaw: np.ndarray | None = None, **axes: np.ndarray) -> Drive:
+    return drive_from_log(log_of(x, yaw, **axes), small_rig())
+
+
+def after(step: float, at: int = 900) -> np.ndarray:
+    return step * (np.arange(len(TIME)) >= at)
 
 
 def test_a_run_is_dropped_and_named_by_its_samples_and_times() -> None:
@@ -104,12 +113,51 @@ def test_a_hopeless_pose_is_said_to_be() -> None:
     assert len(drive.channels["position"].time) == len(TIME)
 
 
-def test_a_jump_that_lasts_is_named_by_its_first_sample() -> None:
-    x = 5 * TIME
-    x[900:] += 4.0
-    drive = drive_of(x)
+@pytest.mark.parametrize(
+    "steps",
+    [{"x": -3.0}, {"x": 4.0}, {"y": 3.0}, {"z": 3.0}, {"yaw": np.deg2rad(40)}, {"y": 1.5}],
+    ids=str,
+)
+def test_a_jump_breaks_the_drive(steps: dict[str, float]) -> None:
+    shifts = {axis: after(step) for axis, step in steps.items()}
+    drive = drive_of(5 * TIME + shifts.pop("x", 0), 0.5 * TIME + shifts.pop("yaw", 0), **shifts)
     assert drive.notes == ()
-    assert [(jump.channel, jump.sample) for jump in drive.faults.jumps] == [("position", 900)]
+    np.testing.assert_allclose(drive.faults.breaks(), [[TIME[899], TIME[900]]])
+    poses = poses_from_drive(drive)
+    unknown = np.isnan(poses.at(np.array([17.98, 17.99, 18.0]))).all(axis=(1, 2))
+    assert unknown.tolist() == [False, True, False]
+    assert [poses.stretch(t) for t in (0.0, 17.98, 18.0, 39.0)] == [0, 0, 1, 1]
+    rows = extract_rows(drive)
+    lost = rows.time[~rows.valid & (rows.time > 1) & (rows.time < 39)]
+    assert lost.min() > 17.5
+    assert lost.max() < 18.5
+    starts = rows.time[window_starts(rows.valid, history=10, horizon=250)]
+    assert not ((starts > 12.9) & (starts < 18.3)).any()
+
+
+def test_small_corrections_and_hard_braking_break_nothing() -> None:
+    assert len(drive_of(5 * TIME, y=after(0.9)).faults.breaks()) == 0
+    braking = np.cumsum(np.clip(15 - 9 * (TIME - 20), 0, 15)) * 0.02
+    assert drive_of(braking).faults.jumps == ()
+
+
+@settings(max_examples=10, deadline=None)
+@given(seed=st.integers(0, 10**6), at=st.integers(500, 1500), far=st.floats(2.0, 40.0))
+def test_of_any_smooth_drive_only_the_planted_jump_is_found(seed: int, at: int, far: float) -> None:
+    rng = np.random.default_rng(seed)
+    speed, yaw = 6 + 3 * np.sin(0.5 * TIME + rng.uniform(0, 6)), np.cumsum(0.02 * np.sin(0.3 * TIME))
+    x, y = np.cumsum(0.02 * speed * [np.cos(yaw), np.sin(yaw)], axis=1) + rng.normal(0, 0.02, (2, len(TIME)))
+    assert drive_of(x, yaw, y=y).faults.jumps == ()
+    moved = drive_of(x - after(far * np.sin(yaw[at]), at), yaw, y=y + after(far * np.cos(yaw[at]), at))
+    assert moved.faults.breaks().tolist() == [[TIME[at - 1], TIME[at]]]
+
+
+def test_the_recorded_drives_have_none(data_folder: Path) -> None:
+    drives = [(path, "tartandrive2") for path in sorted((data_folder / "tartandrive2" / "drives").glob("*"))]
+    drives += [(path, "kitti") for path in sorted((data_folder / "kitti_raw" / "2011_09_26").glob("*_sync"))]
+    assert drives
+    for path, rig in drives:
+        assert len(read_drive(path, load_rig(rig)).faults.breaks()) == 0, path.name
 
 
 def test_no_row_is_complete_whose_causal_state_read_a_dropped_sample() -> None:

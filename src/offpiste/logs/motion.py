@@ -15,7 +15,6 @@ from offpiste.core.geometry import (
 )
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
-from offpiste.logs.poses import find_jumps
 
 _MOVING = 0.2
 """Speed below which the vehicle stands still [m/s]: noise does not add to the path."""
@@ -65,9 +64,8 @@ def across_jumps(drive: Drive, at: Float[np.ndarray, " N"], *, causal: bool = Fa
     Args:
         causal: for `Motion.state_causal` only, which later jumps do not change.
     """
-    headings = [drive.channels[name] for name in ("orientation", "yaw") if name in drive.channels]
     across, window = np.zeros(len(at), bool), max(drive.rig.motion.window, 2 * DT)
-    for before, after in find_jumps(drive.channels["position"], *headings):
+    for before, after in drive.faults.breaks():
         # Targets use half a window to either side, causal states a whole one back.
         across |= (at >= after if causal else at > before - window / 2) & (at < after + window)
     return across

@@ -8,7 +8,6 @@ shift is kept, as a jump.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -74,27 +73,49 @@ class Plausible:
 
     keep: Bool[np.ndarray, " n"]  # samples to keep
     jumps: Int[np.ndarray, " j"]  # kept samples that follow a remaining jump
+    sizes: Float[np.ndarray, " j"]  # distances of the jumps from the vehicle's motion [m or rad]
     hopeless: bool = False  # nothing was dropped, since too much would have been
 
 
-def plausible_positions(
-    time: Float[np.ndarray, " n"], position: Float[np.ndarray, "n d"], limits: Limits = _POSITION
-) -> Plausible:
-    """Find plausible positions in two or three dimensions [m]; stamps increase strictly [s]."""
-    resolution = float(np.linalg.norm([_resolution(column) for column in position.T]))
-    return _plausible(time, lambda first, last: position[last] - position[first], limits, resolution)
+def displacements(name: str, values: Float[np.ndarray, "n k"]) -> Between:
+    """Return the displacement between samples of a pose's channel: position [m], yaw [rad], or quaternions xyzw."""
+    if name == "orientation":
+        turned = Rotation.from_quat(values)
+        return lambda first, last: (turned[last] * turned[first].inv()).as_rotvec()
+    if name == "yaw":
+        return lambda first, last: (values[last] - values[first] + np.pi) % (2 * np.pi) - np.pi
+    return lambda first, last: values[last] - values[first]
 
 
-def plausible_headings(
-    time: Float[np.ndarray, " n"], heading: Float[np.ndarray, "n q"], limits: Limits = _HEADING
-) -> Plausible:
-    """Find plausible headings: yaw [rad], wrapped or not, or quaternions xyzw; stamps increase strictly [s]."""
-    if heading.shape[1] == 1:
-        return _plausible(
-            time, lambda first, last: (heading[last] - heading[first] + np.pi) % (2 * np.pi) - np.pi, limits
-        )
-    turned = Rotation.from_quat(heading)
-    return _plausible(time, lambda first, last: (turned[last] * turned[first].inv()).as_rotvec(), limits)
+def plausible(name: str, time: Float[np.ndarray, " n"], values: Float[np.ndarray, "n k"]) -> Plausible:
+    """Find the plausible samples of a pose's channel (`displacements`); stamps increase strictly [s]."""
+    count, between, limits = len(time), displacements(name, values), _POSITION if name == "position" else _HEADING
+    index = np.arange(count)
+    fresh = np.append(0, np.flatnonzero(_norm(between(index[:-1], index[1:])) > _SAME) + 1)
+    if len(fresh) < 2 * _BESIDE:
+        return Plausible(np.ones(count, bool), np.zeros(0, int), np.zeros(0))
+    resolution = float(_norm(np.array([_resolution(column) for column in values.T]))) if name == "position" else 0.0
+    steps = _Steps(time, fresh, between, limits, resolution)
+    nothing = Plausible(np.ones(count, bool), np.zeros(0, int), np.zeros(0), hopeless=bool(steps.fault.any()))
+    if not steps.fault.any():
+        return nothing
+    segments = _Segments(steps)
+    single = segments.first == segments.last
+    if single.sum() > 0.5 * len(fresh):
+        return nothing
+    on_its_way = single & np.append(steps.fast, steps.fast[-1])[np.searchsorted(fresh, segments.first)]
+    others = np.flatnonzero(~on_its_way)
+    weight = segments.weight[others]
+    chain = others[best_chain(weight, lambda origins, to: segments.links(others[origins], int(others[to]))[0])]
+    if segments.weight[chain].sum() < (1 - limits.lost) * segments.weight.sum():
+        return nothing
+    ends = np.append(fresh, count)[np.searchsorted(fresh, segments.last[chain]) + 1]
+    keep = np.zeros(count, bool)
+    for first, end in zip(segments.first[chain], ends, strict=True):
+        keep[first:end] = True
+    links = [segments.links(chain[k - 1 : k], int(chain[k])) for k in range(1, len(chain))]
+    jumps = [(segments.first[to], off[0]) for to, (cost, off) in zip(chain[1:], links, strict=True) if cost[0] > 0]
+    return Plausible(keep, np.array([at for at, _ in jumps], int), np.array([size for _, size in jumps], float))
 
 
 def held_while_driving(time: Float[np.ndarray, " n"], position: Float[np.ndarray, "n d"]) -> Bool[np.ndarray, " n"]:
@@ -102,12 +123,11 @@ def held_while_driving(time: Float[np.ndarray, " n"], position: Float[np.ndarray
 
     A position held to the end of a log is faulty if the vehicle would have had to stop in an instant.
     """
-    steps = np.linalg.norm(np.diff(position, axis=0), axis=1)
-    first = np.append(0, np.flatnonzero(steps > _SAME) + 1)
+    first = np.append(0, np.flatnonzero(_norm(np.diff(position, axis=0)) > _SAME) + 1)
     held = np.zeros(len(time), bool)
     if len(first) < 2 * _BESIDE:
         return held
-    lasts, way = np.diff(time[first]), np.linalg.norm(np.diff(position[first], axis=0), axis=1)
+    lasts, way = np.diff(time[first]), _norm(np.diff(position[first], axis=0))
     speed = way / lasts
     moves = speed > _MOVES
     usual, stride = (float(np.median(each[moves])) if moves.any() else np.inf for each in (lasts, way))
@@ -124,76 +144,108 @@ def held_while_driving(time: Float[np.ndarray, " n"], position: Float[np.ndarray
     return held
 
 
-def _plausible(time: Float[np.ndarray, " n"], between: Between, limits: Limits, resolution: float = 0.0) -> Plausible:
-    count = len(time)
-    everything = Plausible(np.ones(count, bool), np.zeros(0, int))
-    index = np.arange(count)
-    fresh = np.append(0, np.flatnonzero(np.linalg.norm(between(index[:-1], index[1:]), axis=1) > _SAME) + 1)
-    if len(fresh) < 2 * _BESIDE:
-        return everything
-    held = np.append(fresh[1:], count) - 1
-    typical = float(np.median(np.diff(time[fresh])))
-    until = np.minimum(time[held], time[fresh] + _HELD * typical)
-    way, seconds = between(fresh[:-1], fresh[1:]), _durations(time, fresh, held, typical)
-    velocity = way / seconds[:, None]
-    off = deviation(way, seconds, *_beside(velocity))
-    usual = min(float(np.median(np.linalg.norm(velocity, axis=1))), 0.25 * limits.speed)
-    least = max(limits.least, limits.least_time * usual) + resolution
-    scatter = np.maximum(median_filter(off, _LOCAL, mode="nearest"), np.percentile(off, _TYPICAL))
-    noise = np.minimum(_NOISES * scatter, limits.noise)
-    noise += min(3.0 * float(np.percentile(off, 99)), limits.common)
-    fault = off > least + noise + limits.acceleration * seconds**2
-    fault |= np.linalg.norm(way, axis=1) > least + noise + limits.speed * seconds
-    fast = _too_fast_for_long(way, seconds, noise, limits.speed, typical)
-    fault |= fast
-    if not fault.any():
-        return everything
-    segments = _segments(fresh, held, time, until, way, seconds, noise, off, fault, typical)
-    hopeless = Plausible(everything.keep, everything.jumps, hopeless=True)
-    single = segments.first == segments.last
-    if single.sum() > 0.5 * len(fresh):
-        return hopeless
+class _Steps:
+    """The s steps between f fresh samples; repeated samples count once.
 
-    def costs(origins: np.ndarray, to: int) -> np.ndarray:
-        return segments.costs(origins, to, between, limits, least, typical)
+    Attributes:
+        fresh, held: first sample of each run of equal ones, and its last [f].
+        typical: sampling time [s].
+        way: displacements [s, k] [m].
+        seconds: durations from the last repetition of a sample, and never shorter than typical [s].
+        off: distances from the motion before and after (`deviation`) [m].
+        noise: distances that noise explains [m]; least: smallest faulty distance [m].
+        fast: steps in runs above the largest speed; fault: steps that no vehicle makes.
+    """
 
-    on_its_way = single & np.append(fast, fast[-1])[np.searchsorted(fresh, segments.first)]
-    others = np.flatnonzero(~on_its_way)
-    chain = others[best_chain(segments.weight[others], lambda origins, to: costs(others[origins], int(others[to])))]
-    if segments.weight[chain].sum() < (1 - limits.lost) * segments.weight.sum():
-        return hopeless
-    ends = np.append(fresh, count)[np.searchsorted(fresh, segments.last[chain]) + 1]
-    keep = np.zeros(count, bool)
-    for first, end in zip(segments.first[chain], ends, strict=True):
-        keep[first:end] = True
-    links = pairwise(chain.tolist())
-    jumps = [segments.first[to] for origin, to in links if costs(np.array([origin]), to)[0] > 0]
-    return Plausible(keep, np.array(jumps, int))
+    def __init__(
+        self,
+        time: Float[np.ndarray, " n"],
+        fresh: Int[np.ndarray, " f"],
+        between: Between,
+        limits: Limits,
+        resolution: float,
+    ) -> None:
+        self.time, self.fresh, self.between, self.limits = time, fresh, between, limits
+        self.held = held = np.append(fresh[1:], len(time)) - 1
+        self.typical = float(np.median(np.diff(time[fresh])))
+        self.way = between(fresh[:-1], fresh[1:])
+        hold = np.minimum(time[held[:-1]] - time[fresh[:-1]], _HELD * self.typical)
+        self.seconds = np.maximum(time[fresh[1:]] - time[held[:-1]] + hold, self.typical)
+        velocity, length = self.way / self.seconds[:, None], _norm(self.way)
+        self.off = deviation(self.way, self.seconds, *_beside(velocity))
+        usual = min(float(np.median(_norm(velocity))), 0.25 * limits.speed)
+        self.least = max(limits.least, limits.least_time * usual) + resolution
+        scatter = np.maximum(median_filter(self.off, _LOCAL, mode="nearest"), np.percentile(self.off, _TYPICAL))
+        common = min(3.0 * float(np.percentile(self.off, 99)), limits.common)
+        self.noise = np.minimum(_NOISES * scatter, limits.noise) + common
+        self.fast = self._too_fast_for_long(length)
+        self.fault = self.off > self.least + self.noise + limits.acceleration * self.seconds**2
+        self.fault |= (length > self.least + self.noise + limits.speed * self.seconds) | self.fast
 
-
-def _durations(
-    time: Float[np.ndarray, " n"], fresh: Int[np.ndarray, " f"], held: Int[np.ndarray, " f"], typical: float
-) -> Float[np.ndarray, " s"]:
-    """Return the durations of steps [s], from the last repetition of a sample, and never shorter than typical."""
-    hold = np.minimum(time[held[:-1]] - time[fresh[:-1]], _HELD * typical)
-    return np.maximum(time[fresh[1:]] - time[held[:-1]] + hold, typical)
+    def _too_fast_for_long(self, length: Float[np.ndarray, " s"]) -> Bool[np.ndarray, " s"]:
+        """Mark runs of steps above the largest speed, which is also exceeded over the time before or after them."""
+        count = min(max(_BESIDE, int(np.ceil(_LONG / self.typical))), len(length))
+        path, clock = _summed(self.way), _summed(self.seconds)
+        over = _norm(path[count:] - path[:-count]) / (clock[count:] - clock[:-count])
+        padding = np.full(count - 1, -np.inf)
+        longer = np.maximum(np.append(padding, over), np.append(over, padding))
+        fast = longer > self.limits.speed + self.noise / (count * self.typical)
+        fast &= length > self.limits.speed * self.seconds
+        return np.asarray(binary_opening(fast, np.ones(_BESIDE)))
 
 
-def _too_fast_for_long(
-    way: Float[np.ndarray, "s k"],
-    seconds: Float[np.ndarray, " s"],
-    noise: Float[np.ndarray, " s"],
-    speed: float,
-    typical: float,
-) -> Bool[np.ndarray, " s"]:
-    """Mark runs of steps above a speed, which is also exceeded over the time before or after them."""
-    count = min(max(_BESIDE, int(np.ceil(_LONG / typical))), len(way))
-    path, clock = _summed(way), _summed(seconds)
-    over = np.linalg.norm(path[count:] - path[:-count], axis=1) / (clock[count:] - clock[:-count])
-    padding = np.full(count - 1, -np.inf)
-    fast = np.maximum(np.append(padding, over), np.append(over, padding)) > speed + noise / (count * typical)
-    fast &= np.linalg.norm(way, axis=1) > speed * seconds
-    return np.asarray(binary_opening(fast, np.ones(_BESIDE)))
+class _Segments:
+    """Runs of samples between faulty steps.
+
+    Attributes:
+        first, last: first and last samples; begin, end: their times, with repetitions cut short [s].
+        weight: time that keeping a segment adds [s].
+        velocity_in, velocity_out: at its ends, over the time `span` [s]; NaN for a single sample [m/s].
+        noise: of a step [m].
+        entered, left: unexplained distance of the steps before and after [m].
+    """
+
+    def __init__(self, steps: _Steps) -> None:
+        self.steps, time, fresh, held, typical = steps, steps.time, steps.fresh, steps.held, steps.typical
+        cuts = np.flatnonzero(steps.fault)
+        starts, ends = np.append(0, cuts + 1), np.append(cuts, len(fresh) - 1)
+        path, clock = _summed(steps.way), _summed(steps.seconds)
+        reach = np.minimum(_BESIDE, ends - starts)
+        span_in, span_out = clock[starts + reach] - clock[starts], clock[ends] - clock[ends - reach]
+        inner = np.where(reach > 0, 1.0, np.nan)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            self.velocity_in = (path[starts + reach] - path[starts]) / (span_in * inner)[:, None]
+            self.velocity_out = (path[ends] - path[ends - reach]) / (span_out * inner)[:, None]
+        self.span = np.maximum(np.minimum(span_in, span_out), typical)
+        self.first, self.last, self.begin = fresh[starts], fresh[ends], time[fresh[starts]]
+        self.end = time[held[ends]] - np.minimum(time[held[ends]] - time[fresh[ends]], _HELD * typical)
+        until = np.minimum(time[held], time[fresh] + _HELD * typical)
+        self.weight = clock[ends] - clock[starts] + np.maximum(until[ends] - time[fresh[ends]], typical)
+        last = len(steps.noise) - 1
+        self.noise = np.minimum(steps.noise[np.minimum(starts, last)], steps.noise[np.maximum(ends - 1, 0)])
+        self.entered, self.left = np.append(np.inf, steps.off[cuts]), np.append(steps.off[cuts], np.inf)
+
+    def links(self, origins: Int[np.ndarray, " m"], to: int) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
+        """Return the costs of links from some segments to a later one [s], and their unexplained distances [m].
+
+        A link costs nothing if the vehicle can have driven it.
+        """
+        limits, least = self.steps.limits, self.steps.least
+        way = self.steps.between(self.last[origins], np.full(len(origins), self.first[to]))
+        seconds = np.maximum(self.begin[to] - self.end[origins], self.steps.typical)
+        before, after = self.velocity_out[origins], np.broadcast_to(self.velocity_in[to], way.shape)
+        before, after = np.where(np.isnan(before), after, before), np.where(np.isnan(after), before, after)
+        off = deviation(way, seconds, np.nan_to_num(before), np.nan_to_num(after))
+        noise = np.maximum(self.noise[origins], self.noise[to])
+        error = noise * (1 + seconds / self.span[origins] + seconds / self.span[to])
+        excess = np.maximum(
+            _norm(way) - limits.speed * seconds - least - noise,
+            off - least - limits.acceleration * seconds**2 - error,
+        )
+        # Skipped segments must be further off than the segments they are skipped for: a shift in two steps is kept.
+        shifted = (origins < to - 1) & (off > 0.5 * np.minimum(self.left[origins], self.entered[to]))
+        cost = _JUMP_COST + np.minimum(np.maximum(excess, 0.0) / limits.far, _MOST_COST)
+        return np.where((excess > 0) | shifted, cost, 0.0), off
 
 
 def _beside(velocity: Float[np.ndarray, "s k"]) -> tuple[Float[np.ndarray, "s k"], Float[np.ndarray, "s k"]]:
@@ -209,85 +261,6 @@ def _resolution(values: Float[np.ndarray, " n"]) -> float:
     steps = np.abs(np.diff(values))
     steps = steps[steps > _SAME]
     return min(float(steps.min()), _COARSEST) if len(steps) > 0.01 * len(values) else 0.0
-
-
-@dataclass(frozen=True)
-class _Segments:
-    """Runs of samples without a fault between them; repeated samples count once."""
-
-    first: Int[np.ndarray, " s"]  # first, last: first and last samples
-    last: Int[np.ndarray, " s"]
-    begin: Float[np.ndarray, " s"]  # begin, end: times of these samples [s]; repetitions are cut short
-    end: Float[np.ndarray, " s"]
-    weight: Float[np.ndarray, " s"]  # time that keeping a segment adds [s]
-    velocity_in: Float[np.ndarray, "s k"]  # velocity_in, velocity_out: NaN for a single sample [m/s]
-    velocity_out: Float[np.ndarray, "s k"]
-    span: Float[np.ndarray, " s"]  # time over which these velocities are estimated [s]
-    noise: Float[np.ndarray, " s"]  # noise of a step [m]
-    entered: Float[np.ndarray, " s"]  # entered, left: unexplained distance of the steps before and after a segment [m]
-    left: Float[np.ndarray, " s"]
-
-    def costs(
-        self, origins: Int[np.ndarray, " m"], to: int, between: Between, limits: Limits, least: float, typical: float
-    ) -> Float[np.ndarray, " m"]:
-        """Return the costs of links from some segments to a later one [s]; 0 if the vehicle can have driven them.
-
-        Args:
-            least: smallest faulty step [m].
-            typical: sampling time [s].
-        """
-        way = between(self.last[origins], np.full(len(origins), self.first[to]))
-        seconds = np.maximum(self.begin[to] - self.end[origins], typical)
-        before, after = self.velocity_out[origins], np.broadcast_to(self.velocity_in[to], way.shape)
-        before, after = np.where(np.isnan(before), after, before), np.where(np.isnan(after), before, after)
-        off = deviation(way, seconds, np.nan_to_num(before), np.nan_to_num(after))
-        noise = np.maximum(self.noise[origins], self.noise[to])
-        error = noise * (1 + seconds / self.span[origins] + seconds / self.span[to])
-        excess = np.maximum(
-            np.linalg.norm(way, axis=1) - limits.speed * seconds - least - noise,
-            off - least - limits.acceleration * seconds**2 - error,
-        )
-        # Skipped segments must be further off than the segments they are skipped for: a shift in two steps is kept.
-        shifted = (origins < to - 1) & (off > 0.5 * np.minimum(self.left[origins], self.entered[to]))
-        cost = _JUMP_COST + np.minimum(np.maximum(excess, 0.0) / limits.far, _MOST_COST)
-        return np.where((excess > 0) | shifted, cost, 0.0)
-
-
-def _segments(
-    fresh: Int[np.ndarray, " f"],
-    held: Int[np.ndarray, " f"],
-    time: Float[np.ndarray, " n"],
-    until: Float[np.ndarray, " f"],
-    way: Float[np.ndarray, "s k"],
-    seconds: Float[np.ndarray, " s"],
-    noise: Float[np.ndarray, " s"],
-    off: Float[np.ndarray, " s"],
-    fault: Bool[np.ndarray, " s"],
-    typical: float,
-) -> _Segments:
-    """Return the segments between faulty steps, from f samples without repetitions and the s = f - 1 steps between."""
-    starts = np.append(0, np.flatnonzero(fault) + 1)
-    ends = np.append(np.flatnonzero(fault), len(fresh) - 1)
-    path, clock = _summed(way), _summed(seconds)
-    reach = np.minimum(_BESIDE, ends - starts)
-    inner = np.where(reach > 0, 1.0, np.nan)
-    span_in, span_out = clock[starts + reach] - clock[starts], clock[ends] - clock[ends - reach]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        velocity_in = (path[starts + reach] - path[starts]) / (span_in * inner)[:, None]
-        velocity_out = (path[ends] - path[ends - reach]) / (span_out * inner)[:, None]
-    return _Segments(
-        fresh[starts],
-        fresh[ends],
-        time[fresh[starts]],
-        time[held[ends]] - np.minimum(time[held[ends]] - time[fresh[ends]], _HELD * typical),
-        clock[ends] - clock[starts] + np.maximum(until[ends] - time[fresh[ends]], typical),
-        velocity_in,
-        velocity_out,
-        np.maximum(np.minimum(span_in, span_out), typical),
-        np.minimum(noise[np.minimum(starts, len(noise) - 1)], noise[np.maximum(ends - 1, 0)]),
-        np.append(np.inf, off[fault]),
-        np.append(off[fault], np.inf),
-    )
 
 
 def best_chain(
@@ -338,9 +311,13 @@ def _off_line(
     along = end - start
     length = np.einsum("mk,mk->m", along, along)
     share = np.einsum("mk,mk->m", point - start, along) / np.where(length > 0, length, 1.0)
-    return np.asarray(np.linalg.norm(point - start - np.clip(share, 0, 1)[:, None] * along, axis=1))
+    return _norm(point - start - np.clip(share, 0, 1)[:, None] * along)
 
 
 def _summed(steps: Float[np.ndarray, "s ..."]) -> Float[np.ndarray, "f ..."]:
     """Return the cumulative sums of steps, from zero."""
     return np.concatenate((np.zeros((1, *steps.shape[1:])), np.cumsum(steps, axis=0)))
+
+
+def _norm(vectors: Float[np.ndarray, "*n k"]) -> Float[np.ndarray, "*n"]:
+    return np.asarray(np.linalg.norm(vectors, axis=-1))

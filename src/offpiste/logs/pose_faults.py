@@ -1,6 +1,6 @@
 """Faults of a drive's pose: implausible runs of samples, which are dropped, and lasting jumps."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -8,11 +8,15 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from offpiste.logs.channel import Channel
-from offpiste.logs.plausibility import held_while_driving, plausible_headings, plausible_positions
+from offpiste.logs.plausibility import displacements, held_while_driving, plausible
 from offpiste.rig.channels import POSE
 
 _NAMED: Final = 3
 """Largest number of runs in a note."""
+_BREAK: Final = 1.2
+"""Smallest jump of the position that no map and no window may span [m]: six cells. GPS has many shorter ones."""
+_TURN: Final = np.deg2rad(20.0)
+"""Smallest such jump of the heading [rad]."""
 
 
 @dataclass(frozen=True)
@@ -31,16 +35,15 @@ class DroppedRun:
     held: bool = False  # the samples hold one position while the vehicle drives on
 
     def __str__(self) -> str:
-        unit = "m" if self.channel == "position" else "rad"
-        several = self.first != self.last
-        when = f"{self.since:.2f} to {self.since + self.end - self.start:.2f}" if several else f"{self.since:.2f}"
-        which = f"samples {self.first} to {self.last}" if several else f"sample {self.first}"
+        several, unit = self.first != self.last, "m" if self.channel == "position" else "rad"
+        which, when = f"sample {self.first}", f"{self.since:.2f}"
+        if several:
+            which, when = f"samples {self.first} to {self.last}", f"{when} to {self.since + self.end - self.start:.2f}"
+        where = f"lie{'s' * (not several)} {self.off:.3g} {unit}"
         if self.held:
-            how = "hold" if several else "holds"
-            where = f"one place, {self.off:.3g} m" if np.isfinite(self.until) else "one place to the end,"
-        else:
-            how, where = "lie" if several else "lies", f"{self.off:.3g} {unit}"
-        return f"{which} ({when} s) {how} {where}"
+            until = f", {self.off:.3g} m" if np.isfinite(self.until) else " to the end,"
+            where = f"hold{'s' * (not several)} one place{until}"
+        return f"{which} ({when} s) {where}"
 
 
 @dataclass(frozen=True)
@@ -48,9 +51,10 @@ class PoseJump:
     """Lasting step of the pose that no vehicle can make, as where SLAM or GPS corrects it."""
 
     channel: str
-    sample: int  # number in the log of the first sample after the step, from 0
-    time: float  # stamp of that sample [s]
+    before: float  # before, time: stamps of the samples before and after the step [s]
+    time: float
     since: float  # time from the channel's first sample [s]
+    size: float  # distance from the vehicle's motion [m or rad]
 
 
 @dataclass(frozen=True)
@@ -85,6 +89,11 @@ class PoseFaults:
         """Return the stamps of the kept samples before and after each dropped run [s]."""
         return np.array([(run.after, run.until) for run in self.dropped]).reshape(-1, 2)
 
+    def breaks(self) -> Float[np.ndarray, "j 2"]:
+        """Return the stamps before and after each jump that no map and no window may span, sorted [s]."""
+        large = [jump for jump in self.jumps if jump.size > (_BREAK if jump.channel == "position" else _TURN)]
+        return np.array(sorted((jump.before, jump.time) for jump in large)).reshape(-1, 2)
+
 
 def without_faults(
     channels: Mapping[str, Channel], numbers: Mapping[str, Int[np.ndarray, " n"]]
@@ -100,21 +109,19 @@ def without_faults(
     for name in POSE:
         if name not in channels:
             continue
-        channel = channels[name]
+        channel, time = channels[name], channels[name].time
         is_place = name == "position"
-        plausible = plausible_positions if is_place else plausible_headings
-        held = held_while_driving(channel.time, channel.values) if is_place else np.zeros(len(channel.time), bool)
+        held = held_while_driving(time, channel.values) if is_place else np.zeros(len(time), bool)
         fresh = np.flatnonzero(~held)
-        found = plausible(channel.time[fresh], channel.values[fresh])
+        found = plausible(name, time[fresh], channel.values[fresh])
         hopeless += [name] * found.hopeless
         kept = fresh[found.keep]
-        if len(kept) < len(held):
-            result[name] = replace(channel, time=channel.time[kept], values=channel.values[kept])
+        if len(kept) < len(time):
+            result[name] = replace(channel, time=time[kept], values=channel.values[kept])
             dropped += _runs(channel, numbers[name], kept, held)
-        origin = float(channel.time[0])
-        for at in fresh[found.jumps]:
-            time = float(channel.time[at])
-            jumps.append(PoseJump(name, int(numbers[name][at]), time, time - origin))
+        for at, size in zip(fresh[found.jumps], found.sizes, strict=True):
+            before = time[kept[np.searchsorted(kept, at) - 1]]
+            jumps.append(PoseJump(name, float(before), float(time[at]), float(time[at] - time[0]), float(size)))
     return result, PoseFaults(tuple(dropped), tuple(jumps), tuple(hopeless))
 
 
@@ -124,35 +131,23 @@ def _runs(
     dropped = np.ones(len(held), bool)
     dropped[kept] = False
     edges = np.flatnonzero(np.diff(np.concatenate(([False], dropped, [False])).astype(int)))
-    time, runs = np.concatenate(([-np.inf], channel.time, [np.inf])), []
+    time, between, runs = channel.time, displacements(channel.name, channel.values), []
+    padded = np.concatenate(([-np.inf], time, [np.inf]))
     for first, end in edges.reshape(-1, 2).tolist():
-        holds = bool(held[first:end].all())
+        holds, samples = bool(held[first:end].all()), np.arange(first, end)
+        beside = [each for each in ((end,) if holds else (first - 1, end)) if 0 <= each < len(time)]
+        away = [np.linalg.norm(between(np.full(len(samples), each), samples), axis=1) for each in beside]
         run = DroppedRun(
             channel.name,
             int(numbers[first]),
             int(numbers[end - 1]),
-            start=float(channel.time[first]),
-            end=float(channel.time[end - 1]),
-            after=float(time[first]),
-            until=float(time[end + 1]),
-            since=float(channel.time[first] - channel.time[0]),
-            off=_off(channel, first, end, beside=(end,) if holds else (first - 1, end)),
+            start=float(time[first]),
+            end=float(time[end - 1]),
+            after=float(padded[first]),
+            until=float(padded[end + 1]),
+            since=float(time[first] - time[0]),
+            off=float(np.min(away, axis=0).max()) if away else 0.0,
             held=holds,
         )
         runs.append(run)
     return runs
-
-
-def _off(channel: Channel, first: int, end: int, beside: Sequence[int]) -> float:
-    """Return the largest distance of a run from the nearer of the samples beside it."""
-    away = []
-    for sample in beside:
-        if 0 <= sample < len(channel.values):
-            apart = channel.values[first:end] - channel.values[sample]
-            if channel.name == "yaw":
-                apart = (apart + np.pi) % (2 * np.pi) - np.pi
-            elif channel.name == "orientation":
-                cosine = np.abs(channel.values[first:end] @ channel.values[sample])
-                apart = 2 * np.arccos(np.clip(cosine, 0, 1))[:, None]
-            away.append(np.linalg.norm(apart, axis=1))
-    return float(np.min(away, axis=0).max()) if away else 0.0

@@ -1,14 +1,11 @@
-"""Interpolated poses of the vehicle, and their jumps, which no map and no window may span."""
+"""Interpolated poses of the vehicle."""
 
 from dataclasses import dataclass, field
-from typing import Final
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.ndimage import median_filter
 
 from offpiste.core.errors import RigError
-from offpiste.core.geometry import rotation_from_quaternion
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
 from offpiste.native.compilation import POSES
@@ -69,8 +66,7 @@ def poses_from_drive(drive: Drive) -> Poses:
             f"{drive.name}: cameras and LiDARs need positions with z, and orientations as quaternions",
             how="give channels.position three fields, and channels.orientation",
         )
-    jumps = find_jumps(position, orientation)
-    return Poses(position, orientation, drive.rig.clock.max_gap, jumps, drive.faults.unknown())
+    return Poses(position, orientation, drive.rig.clock.max_gap, drive.faults.breaks(), drive.faults.unknown())
 
 
 # Compiled loops; their reference in NumPy and SciPy is in tests/logs/test_poses.py.
@@ -136,51 +132,6 @@ def put_poses(time, stamps, positions, turned, quaternions, unknown, max_gap, ma
         matrix[2, 0], matrix[2, 1], matrix[2, 2] = 2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)
         matrix[3, 0] = matrix[3, 1] = matrix[3, 2] = 0.0
         matrix[3, 3] = 1.0
-
-
-_JUMP: Final = 1.0
-"""Smallest excess of a step over the speed that is a jump [m]: five cells of the map. GPS has many shorter ones, which
-`offpiste inspect` lists."""
-_UNTIL: Final = 11
-"""Number of steps up to and including a step whose median speed explains it."""
-_ACCELERATION: Final = 10.0
-"""Largest acceleration [m/s^2]; matters for samples that are far apart."""
-_TURN: Final = np.deg2rad(20.0)
-"""Smallest rotation between two samples that is a jump [rad] ..."""
-_TURN_RATE: Final = 4.0
-"""... if it is also faster than this [rad/s], which no vehicle turns."""
-
-
-def find_jumps(position: Channel, *headings: Channel) -> Float[np.ndarray, "j 2"]:
-    """Return the stamps before and after each jump, sorted [s]; headings are quaternions or yaw, wrapped or not."""
-    result = [_between(position, _position_excess(position) > _JUMP)]
-    for heading in headings:
-        limit = np.maximum(_TURN, _TURN_RATE * np.diff(heading.time))
-        result.append(_between(heading, _turns(heading) > limit))
-    jumps = np.concatenate(result)
-    return jumps[np.lexsort(jumps.T[::-1])]
-
-
-def _position_excess(position: Channel) -> Float[np.ndarray, " m"]:
-    """Return the excess of each of the m = n - 1 steps over the speed until then [m]."""
-    step = np.linalg.norm(np.diff(position.values, axis=0), axis=1)
-    dt = np.diff(position.time)
-    speed = median_filter(step / dt, _UNTIL, mode="nearest", origin=_UNTIL // 2)
-    return step - (speed + _ACCELERATION * dt) * dt
-
-
-def _turns(heading: Channel) -> Float[np.ndarray, " m"]:
-    """Return the angles between consecutive samples of quaternions or of yaw [rad]."""
-    if heading.values.shape[1] == 1:
-        return np.abs((np.diff(heading.values[:, 0]) + np.pi) % (2 * np.pi) - np.pi)
-    matrix = rotation_from_quaternion(heading.values)
-    trace = np.einsum("nij,nij->n", matrix[:-1], matrix[1:])
-    return np.arccos(np.clip((trace - 1) / 2, -1, 1))
-
-
-def _between(channel: Channel, jumps: np.ndarray) -> Float[np.ndarray, "j 2"]:
-    first = np.flatnonzero(jumps)
-    return np.stack((channel.time[first], channel.time[first + 1]), axis=1)
 
 
 def jump_note(poses: Poses) -> list[str]:
