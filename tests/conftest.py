@@ -74,7 +74,7 @@ SLOW = (
     "experiments/probe/",
     "experiments/test_unseen_kinds.py",
     "exports/test_onnx_files.py::", "fuzz/test_fuzz.py::test_forty_cases_of_a_new_seed",
-    "live/test_live_faults.py::", "live/test_lockstep.py::test_a_signal",
+    "live/test_live_faults.py::",
     "live/test_record.py::test_a_recording_in_several", "transport/test_zenoh.py::test_a_router_outlives",
     "reproduction/test_reproduce.py", "runtime/test_compiled_and_loaded.py",
     "core/test_cluster.py::", "dataset/test_place.py::", "test_bombs.py::", "test_poison.py::",

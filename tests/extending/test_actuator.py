@@ -43,9 +43,9 @@ from live.synthetic_robot import RIG, START, odometry
 from offpiste.runtime.planner import Planner, warm_up
 from offpiste.core.conventions import CONTROL
 from offpiste.dynamics import Parametric, Vehicle
-from offpiste.live.lockstep import refuse_unmeasured
 from offpiste.live.ring import from_fields, pack_fields, unpacked
 from offpiste.live.robot_messages import VehicleMessages
+from offpiste.live.session import refuse_unmeasured
 from offpiste.runtime.estimator import VehicleReading
 from offpiste.logs.ros.writer import make
 from offpiste.rig.outputs import Timeouts
@@ -53,7 +53,7 @@ from offpiste.rig.rig import parse_rig
 from offpiste.runtime.estimator import VehicleTrack
 from offpiste.runtime.estimator import Intake
 from offpiste.runtime.runtime import Runtime
-from offpiste.transport.interface import Tally
+from offpiste.transport.received import Tally
 from runtime.stream import WHEELS, sensor_setup, settings
 
 channel = '[channels.throttle_position]\\ntopic = "/flap"\\nfields = ["data"]\\n[lidars'

@@ -7,13 +7,13 @@ from extending.outside import succeeded
 SCRIPT = """
 import sys
 import numpy as np
-from offpiste.live.viewers import VIEWERS, ShownPlan
+from offpiste.live.viewers import VIEWERS
 from offpiste.runtime.estimator import VehicleReading
 
 viewer = VIEWERS["pose-table"](sys.argv[1], np.zeros((4, 2)), ())
 place = np.array((3.0, 4.5, 0.0))
 viewer.pose(VehicleReading(1.5, place, np.array((0, 0, 0, 1.0)), np.zeros(3), 0.0, np.zeros(4)))
-viewer.plan(ShownPlan(1.5, place[None], np.zeros(1)))
+viewer.lines("plan", 1.5, [])
 viewer.mode(1.5, "driving", "")
 viewer.close()
 print(viewer.where)

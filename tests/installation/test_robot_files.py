@@ -15,7 +15,7 @@ from offpiste.cli.entry import commands_in_order, parse
 from offpiste.core.signals import GROUP_SIGNALS
 from offpiste.live.control import ENDS
 from offpiste.live.part import AFTER
-from offpiste.live.session import PARTS, RINGS
+from offpiste.live.session import RINGS
 
 ROOT = wheels.PYPROJECT.parent
 UNIT, DOCKERFILE = ROOT / "deploy" / "offpiste.service", ROOT / "deploy" / "Dockerfile"
@@ -102,9 +102,7 @@ def test_commands_of_the_page_are_understood(monkeypatch):
         start = words.index("offpiste", 0 if words[0] == "offpiste" else 1)
         parse(words[start + 1 :], commands_in_order())
     memory = next(words[words.index("--shm-size") + 1] for words in runs if "--shm-size" in words)
-    assert int(memory.removesuffix("m")) << 20 > sum(slots * size for slots, size in RINGS.values()) + len(PARTS) * (
-        2 << 16
-    )
+    assert int(memory.removesuffix("m")) << 20 > sum(slots * size for slots, size in RINGS.values())
 
 
 def test_the_page_names_every_core_dependency_and_the_extras_of_a_robot():

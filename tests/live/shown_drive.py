@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from offpiste.live.viewers import ShownGround, ShownPlan
+from offpiste.live.viewers import Ground, Line
 from offpiste.logs.measurements import Image
 from offpiste.runtime.estimator import VehicleReading
 
@@ -19,10 +19,11 @@ def show(viewer):
     turned = np.array((0, 0, np.sin(0.5), np.cos(0.5)))
     viewer.pose(VehicleReading(1000.5, ORIGIN, turned, np.zeros(3), 0.0, np.zeros(4)))
     places = ORIGIN + np.column_stack((np.arange(50.0), np.zeros((50, 2))))
-    viewer.course(1000.5, places)
-    viewer.plan(ShownPlan(1000.6, places, np.linspace(2, 8, 50), (places[:5],)))
     shade = np.tile(np.array((1, 2, 3), np.uint8), (50, 1))
-    viewer.ground(ShownGround(1000.4, places, {"slope": np.arange(50, dtype=np.float32)}, shade))
+    viewer.lines("course", 1000.5, [Line(places, shade, 0.12)])
+    colours = np.arange(150, dtype=np.uint8).reshape(50, 3)
+    viewer.lines("plan", 1000.6, [Line(places, colours, 0.16), Line(places[:5], shade[:5], 0.05)])
+    viewer.ground(Ground(1000.4, places, {"slope": np.arange(50, dtype=np.float32)}, shade))
     viewer.image(Image(1000.3, "front", np.full((480, 960, 3), (200, 100, 50), np.uint8)))
     viewer.mode(1000.5, "stopping", "no plan")
     viewer.numbers(1000.5, "latencies", {"plan_ms": 80.0})

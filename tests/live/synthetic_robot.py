@@ -76,7 +76,7 @@ def write_rig(folder: Path, more="", *, actuators=False) -> str:
     """The rig as a file; with actuators, those that the shipped runs read are measured."""
     text, absent = RIG + more, ', "brake_pressure", "steer_angle", "steer_rate", "engine_rpm"'
     if actuators:
-        text = text.replace(absent, "").replace("[lidars", ACTUATORS + "[lidars")
+        text = text.replace(absent, "").replace("[lidars", ACTUATORS + "[lidars", 1)
     file = folder / "rig.toml"
     file.write_text(text)
     return str(file)

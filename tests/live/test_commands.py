@@ -8,14 +8,14 @@ from pathlib import Path
 import pytest
 import torch
 
-from live.synthetic_robot import ENABLE, RUN, live_settings, write_course, write_rig
+from live.synthetic_robot import ENABLE, RUN, START, cloud, live_settings, odometry, tree, write_course, write_rig
 from offpiste.cli import main
 from offpiste.core.errors import LiveError, OffpisteError
 from offpiste.core.shipped import run_folder
 from offpiste.live.commands import run_live
-from offpiste.live.lockstep import refuse_unmeasured
-from offpiste.live.session import RecordSettings
+from offpiste.live.session import RecordSettings, refuse_unmeasured
 from offpiste.live.viewers import VIEWERS, listening_at
+from offpiste.logs.ros.writer import McapWriter
 from offpiste.planning.caution import AddSpread
 from offpiste.rig.rig import load_rig
 from offpiste.runtime.planner import load_planner
@@ -26,18 +26,18 @@ from offpiste.uncertainty.fit import FILE as SPREAD
 
 def refused(settings, what, **options):
     with pytest.raises(OffpisteError, match=what):
-        run_live(settings, **{"lockstep": False, "replay": None, "commands": None} | options)
+        run_live(settings, **options)
 
 
 @pytest.mark.parametrize(
     ("changed", "options", "what"),
     [
         ({"robot": ZenohSettings(keys="bridge"), "drive": True}, {}, r"type of the enable topic /enable.*live.types"),
-        ({"record": RecordSettings(Path("a.mcap"))}, {"lockstep": True}, "--record would have no effect"),
-        ({"status": Path("a.csv")}, {"replay": Path("a.mcap")}, "--status would have no effect"),
-        ({"clock": "stamps"}, {"lockstep": True}, "--clock stamps would have no effect"),
-        ({"clock": "clock"}, {"replay": Path("a.mcap")}, "--clock clock would have no effect"),
-        ({}, {"lockstep": True, "replay": Path("a.mcap")}, "--lockstep would have no effect"),
+        (
+            {"record": RecordSettings(Path("a.mcap")), "status": Path("a.csv"), "view": "rerun", "clock": "clock"},
+            {"replay": Path("a.mcap")},
+            "--replay: --record and --status and --view and --clock clock would have no effect",
+        ),
         ({}, {"commands": Path("a.csv")}, "--commands would have no effect"),
         ({"seconds": 0.0}, {}, "0 seconds"),
     ],
@@ -57,9 +57,9 @@ def test_a_risk_without_a_spread_and_a_missing_gpu_are_refused(tmp_path):
 
 def test_the_timeouts_of_the_rig_are_used(tmp_path, monkeypatch):
     begun, more = [], "[live.timeouts]\nstate = 0.25\n"
-    monkeypatch.setattr("offpiste.live.commands.supervise", lambda settings, *_: begun.append(settings))
+    monkeypatch.setattr("offpiste.live.commands.supervise", lambda settings, **_: begun.append(settings))
     settings = live_settings(tmp_path, more, actuators=True)
-    run_live(settings, lockstep=False, replay=None, commands=None)
+    run_live(settings)
     assert begun[0].runtime.timeouts == replace(settings.runtime.timeouts, state=0.25)
 
 
@@ -85,13 +85,20 @@ def test_unknown_types_and_fields_are_refused(tmp_path, more, field, what):
     refused(settings, what)
 
 
-def test_a_left_out_sensor_is_named_after_a_replay(tmp_path, monkeypatch, caplog):
-    def replayed(settings, rig, driver, reception, *_):
-        reception.sensors.left_out.append("rear")
-
-    monkeypatch.setattr("offpiste.live.commands._replay", replayed)
-    run_live(live_settings(tmp_path, actuators=True), lockstep=False, replay=Path("a.mcap"), commands=None)
+def test_a_replay_writes_its_commands_and_names_a_sensor_that_was_left_out(tmp_path, caplog):
+    rear, log, table = '[lidars.rear]\ntopic = "/rear"\noptional = true\n', tmp_path / "a.mcap", tmp_path / "a.csv"
+    with McapWriter(log) as writer:
+        writer.write("/tf_static", tree(), START)
+        for row in range(100):
+            stamp = START + row * 20_000_000
+            writer.write("/odom", odometry(row / 50), stamp)
+            for topic in () if row % 5 else ("/points",) if row < 90 else ("/points", "/rear"):
+                writer.write(topic, cloud(row / 50), stamp)
+    run_live(live_settings(tmp_path, rear, actuators=True), replay=log, commands=table)
     assert "rear was left out" in caplog.text
+    header, *rows = table.read_text().splitlines()
+    assert header == "time,throttle,brake,steer,mode,why"
+    assert len(rows) > 20
 
 
 def line(folder, capsys, *options):
@@ -126,7 +133,6 @@ def test_a_recording_that_cannot_be_written_is_refused(tmp_path, capsys, name, o
 
 def test_a_viewer_that_cannot_show_anything_is_refused(tmp_path, capsys):
     assert "no viewer 'foxglov'; did you mean 'foxglove'?" in line(tmp_path, capsys, "--view", "foxglov")
-    assert "only a live drive is shown" in line(tmp_path, capsys, "--view", "rerun", "--lockstep")
     assert "would show nothing; give --view, too" in line(tmp_path, capsys, "--view-at", "drive.rrd")
     (there := tmp_path / "there.rrd").write_bytes(b"")
     assert "already exists" in line(tmp_path, capsys, "--view", "rerun", "--view-at", there)

@@ -13,10 +13,10 @@ import torch
 
 from live.synthetic_robot import START, cloud, live_settings, odometry, planner, small_settings, tree
 from offpiste.live.control import Controller
-from offpiste.live.lockstep import Heard, StepDriver
 from offpiste.live.map_and_plan import Plans, _within_reach
 from offpiste.live.part import STAMP, Part, TrackFeed
 from offpiste.live.reception import Reception
+from offpiste.live.replay import StepDriver
 from offpiste.live.ring import pack_fields, pack_layers, packed, unpacked
 from offpiste.live.robot_messages import VehicleMessages
 from offpiste.live.session import new_session
@@ -100,12 +100,12 @@ def test_freed_memory_is_given_back_and_loaded_objects_are_excluded_from_garbage
 
         for option in (-3, -1):  # large arrays come from the heap, and stay in it like holes
             ctypes.CDLL(None).mallopt(option, 1 << 30)
-        part.GIVEN_BACK, freed, before = -1.0, part.FreedMemory(), part._resident()
+        before = part.resident_memory()
         array = np.ones(10_000_000)
         del array
-        held = part._resident() - before
-        freed.give_back()
-        print(held, part._resident() - before)
+        held = part.resident_memory() - before
+        part.release_freed_memory()
+        print(held, part.resident_memory() - before)
         loaded = [[] for _ in range(400_000)]
         part.freeze_loaded_objects()
         before, held = gc.get_stats()[2]["collections"], [None] * 2000
@@ -214,7 +214,7 @@ def test_after_a_jump_an_old_map_is_not_used(tmp_path):
         assert plan(50.0) == "ready"
 
 
-def test_in_shadow_mode_plans_begin_from_the_drivers_commands_in_real_time_as_in_lockstep(tmp_path):
+def test_in_shadow_mode_plans_begin_from_the_drivers_commands_in_real_time_as_in_a_replay(tmp_path):
     more, commanded = "", {"throttle": 0.7, "brake": 0.1, "steer": -0.3, "gear": -1.0}
     for k, name in enumerate(commanded):
         more += f'[channels.{name}]\ntopic = "/odom"\nfields = ["pose.covariance[{10 + k}]"]\n'
@@ -232,11 +232,11 @@ def test_in_shadow_mode_plans_begin_from_the_drivers_commands_in_real_time_as_in
         vehicle = load_rig(file)
         reception = Reception(vehicle, settings.course, cameras=False)
         driver = StepDriver(vehicle, planner(), reception, small_settings())
-        driver.step([Heard("/tf_static", tree(), START / 1e9), Heard("/points", cloud(0.0), START / 1e9)], START / 1e9)
+        driver.step([("/tf_static", tree()), ("/points", cloud(0.0))], START / 1e9)
         for now, message in messages():
-            step = driver.step([Heard("/odom", message, now)], now)
+            step = driver.step([("/odom", message)], now)
         assert step.command.control.tolist() != list(commanded.values())[:3]
-        lockstep = from_driver(driver.runtime.follower, driver.runtime._track, now)
+        offline = from_driver(driver.runtime.follower, driver.runtime._track, now)
         with new_session(settings) as session:
             parts = {name: Part(name, session) for name in ("control", "plan")}
             controller, plans = Controller(parts["control"]), Plans(parts["plan"])
@@ -252,7 +252,7 @@ def test_in_shadow_mode_plans_begin_from_the_drivers_commands_in_real_time_as_in
             plans.plan()
             controller.transport.close()
     real = from_driver(plans._follower, plans._feed.track, now)
-    np.testing.assert_allclose(real, lockstep)
+    np.testing.assert_allclose(real, offline)
     np.testing.assert_allclose(real, np.tile(list(commanded.values()), (len(real), 1)), rtol=1e-6)
     for follower in (driver.runtime.follower, plans._follower):
         assert (follower.engaged, follower.gear) == (-1.0, 1.0), "its own commands are unchanged"

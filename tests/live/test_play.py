@@ -7,8 +7,7 @@ import pytest
 
 from live.synthetic_robot import START, odometry, rig, write_log
 from offpiste.core.errors import LiveError, LogError
-from offpiste.live.commands import play_log
-from offpiste.live.play import LogPlayer, RecordedDrive, clock_message
+from offpiste.live.play import LogPlayer, RecordedDrive, clock_message, play_log
 from offpiste.logs.ros.writer import McapWriter, make
 from offpiste.transport.zenoh_transport import ZenohSettings
 from transport.routers import network, until
@@ -82,4 +81,4 @@ def test_a_recorded_clock_and_topics_of_offpiste_are_not_played(tmp_path, networ
 @pytest.mark.parametrize("seconds", [float("nan"), 0.0])
 def test_an_invalid_length_is_refused(log, seconds):
     with pytest.raises(LiveError, match="--seconds"):
-        play_log(log, "", ZenohSettings(), 1.0, seconds, lockstep=False, without=())
+        play_log(log, "", ZenohSettings(), 1.0, seconds)

@@ -13,7 +13,7 @@ from offpiste.live.reception import CourseRequest, Reception, read_course
 from offpiste.logs.ros.writer import header, make
 from offpiste.planning.course import Course
 from offpiste.rig.rig import parse_rig
-from offpiste.transport.interface import Received, Tally
+from offpiste.transport.received import Received, Tally
 
 
 def read(folder, text, vehicle=None):

@@ -12,11 +12,11 @@ from offpiste.cli import main
 from offpiste.core.errors import LogError
 from offpiste.dataset.store import open_dataset
 from offpiste.live import record as recording
-from offpiste.live.lockstep import StepDriver
 from offpiste.live.part import STAMP
-from offpiste.live.play import RecordedDrive, replayed
+from offpiste.live.play import RecordedDrive
 from offpiste.live.reception import CourseRequest, Reception
 from offpiste.live.record import Recording, record
+from offpiste.live.replay import StepDriver, replayed
 from offpiste.live.ring import unpacked
 from offpiste.live.session import RecordSettings, new_session
 from offpiste.logs import open_log
@@ -24,8 +24,8 @@ from offpiste.logs.ros.writer import header, make
 from offpiste.rig.rig import load_rig
 from offpiste.simulation.recorder import stamp_ns, vehicle_messages
 from offpiste.simulation.vehicle.parameters import load_vehicle
-from offpiste.transport.interface import Received
 from offpiste.transport.message_types import MessageTypes
+from offpiste.transport.received import Received
 from synthetic_drive import samples
 from transport.routers import network, until
 

@@ -40,11 +40,9 @@ def test_a_recording_holds_the_drive(tmp_path):
     assert found["/world/vehicle"]["robot"] == [1000_500_000_000]
     assert found["/world/vehicle"]["Transform3D:translation"] == [[[0.0, 0.0, 0.0]]], "relative to the first place"
     plan = found["/world/plan"]["LineStrips3D:strips"][0]
-    assert len(plan) == 49
+    assert len(plan) == 49 + 4, "the pieces of the path and of a region"
     assert plan[1] == [[1.0, 0.0, 0.0], [2.0, 0.0, 0.0]]
     assert len(set(found["/world/plan"]["LineStrips3D:colors"][0])) > 40, "colours of speed"
-    (region,) = found["/world/plan_regions"]["LineStrips3D:strips"][0]
-    assert len(region) == 5
     np.testing.assert_allclose(np.array(found["/world/map"]["Points3D:positions"][0])[:, 0], np.arange(50))
     assert found["/events"]["TextLog:text"] == [["stopping: no plan"]]
     assert found["/mode/mode"]["Scalars:scalars"] == [[1.0]]

@@ -12,8 +12,8 @@ from offpiste.closed_loop.lockstep import reading_of
 from offpiste.core.conventions import ACTUATORS
 from offpiste.core.errors import LogError, RigError
 from offpiste.core.geometry import local_from_geographic
-from offpiste.live.lockstep import Heard, StepDriver
 from offpiste.live.reception import CourseRequest, Reception
+from offpiste.live.replay import StepDriver
 from offpiste.live.robot_messages import SensorMessages, VehicleMessages
 from offpiste.logs import open_log
 from offpiste.logs.measurements import Cloud
@@ -312,7 +312,7 @@ def test_good_messages_are_used_after_any_wrong_ones(tmp_path):
         assert reception.take("/course", message, 0.0) == []
     assert len(reception.refusals) == 3, "the last ones"
     reception = Reception(rig(), CourseRequest(write_course(tmp_path)), cameras=False)
-    driver, good = StepDriver(rig(), planner(), reception, small_settings()), Heard("/odom", odometry(0.0, 1.0), 0.0)
-    driver.step([*(Heard("/odom", message, 0.0) for message in hostile()), good], 0.0)
+    driver, good = StepDriver(rig(), planner(), reception, small_settings()), ("/odom", odometry(0.0, 1.0))
+    driver.step([*(("/odom", message) for message in hostile()), good], 0.0)
     assert reception.vehicle.dropped["/odom: its header has no stamp"] == 1
     assert reception.vehicle._kept["position"][-1][1][0] == 1.0

@@ -19,18 +19,16 @@ from offpiste.simulation.vehicle.parameters import load_vehicle
 from offpiste.simulation.vehicle.vehicle import VehicleSimulation
 from offpiste.simulation.world.build import make_world
 from offpiste.simulation.world.world import WorldSettings
-from offpiste.transport.interface import Received, Tally
 from offpiste.transport.message_types import MessageTypes
-from offpiste.transport.zenoh_transport import ZenohSettings
+from offpiste.transport.received import Received, Tally
+from offpiste.transport.zenoh_transport import ZenohSettings, ZenohTransport
 from synthetic_drive import samples
 
 WORLD = WorldSettings("dunes", 5, size=200.0, resolution=0.5)
 
 
-class Recorded:
+class Recorded(ZenohTransport):
     """Transport that records published messages by topic."""
-
-    identity = b"recorded"
 
     def __init__(self):
         self.sent, self.heard, self.refused, self.types = {}, {}, Tally(), MessageTypes()
@@ -43,12 +41,6 @@ class Recorded:
 
     def decode(self, message):
         return self.message
-
-    def topics(self):
-        return {}
-
-    def routers(self):
-        return 1
 
     def close(self):
         pass

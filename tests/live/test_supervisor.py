@@ -16,13 +16,13 @@ import numpy as np
 import pytest
 import torch
 
-from live.synthetic_robot import ACKERMANN, ENABLE, live_settings, planner
+from live.synthetic_robot import ACKERMANN, ENABLE, live_settings
 from live.test_part import flat
 from offpiste.live import supervisor
 from offpiste.live.part import STAMP
 from offpiste.live.ring import pack_fields, pack_layers, pack_plan, packed, unpacked
 from offpiste.live.session import DIAGNOSTICS, MAP, PLAN, RecordSettings, new_session
-from offpiste.live.supervisor import ERROR, OK, WARN, ServiceManager, Supervisor, path_message
+from offpiste.live.supervisor import ERROR, OK, WARN, ServiceManager, Supervisor, plan_message
 from offpiste.logs.ros.writer import header, make
 from offpiste.planning.course import Course
 from offpiste.runtime.estimator import VehicleReading
@@ -256,10 +256,10 @@ AHEAD[:, 0] = np.linspace(0.0, 3.8, 20)
 
 def test_a_plan_lies_on_the_ground_in_the_frame_of_the_poses(tmp_path, network):
     height = np.tile((0.0, 1.0, 3.0, np.nan), (3, 1))
-    poses = path_message(Prediction(1.0, AHEAD), 0, "odom", replace(flat(3, 4), elevation=height)).poses
+    poses = plan_message(Prediction(1.0, AHEAD), 0, "odom", replace(flat(3, 4), elevation=height)).poses
     places = [(round(pose.pose.position.x, 6), pose.pose.position.z) for pose in poses]
     assert places == [(0.0, 0.0), (1.0, 3.0), (2.0, 3.0), (3.0, 3.0)], "off the map, as at its edge"
-    assert path_message(Prediction(1.0, AHEAD), 0, "odom", None).poses[-1].pose.position.z == 0.0
+    assert plan_message(Prediction(1.0, AHEAD), 0, "odom", None).poses[-1].pose.position.z == 0.0
     heard, transport = [], network.session()
     transport.publisher = lambda topic, *_, **__: lambda message: heard.append((topic, message))
     with new_session(live_settings(tmp_path)) as session:
@@ -338,7 +338,7 @@ def test_systemds_watchdog_is_notified_unless_the_loop_hangs(tmp_path, network, 
     monkeypatch.setenv("NOTIFY_SOCKET", address)
     monkeypatch.setattr(supervisor, "Supervisor", Hangs)
     with listening(address) as heard:
-        supervisor.supervise(live_settings(tmp_path, network=network, seconds=4.0), planner(), [])
+        supervisor.supervise(live_settings(tmp_path, network=network, seconds=4.0), cameras=False)
     (_, first), *loop, (_, last) = heard
     assert first == {"READY": "1"}
     assert last["STOPPING"] == "1"

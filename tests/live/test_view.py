@@ -6,6 +6,7 @@ import signal
 import socket
 import time
 from contextlib import closing, contextmanager
+from functools import partialmethod
 from pathlib import Path
 
 import numpy as np
@@ -16,10 +17,10 @@ from live.synthetic_robot import RUN, live_settings
 from offpiste.closed_loop.recording import LIFT
 from offpiste.live.part import Part
 from offpiste.live.ring import pack_fields, pack_layers, pack_plan, packed
-from offpiste.live.session import ViewSettings, new_session
+from offpiste.live.session import new_session
 from offpiste.live.supervisor import Supervisor
 from offpiste.live.view import PlanRegions, Showing, shown_ground, view
-from offpiste.live.viewers import VIEWERS
+from offpiste.live.viewers import VIEWERS, Viewer
 from offpiste.logs.measurements import Image
 from offpiste.planning.course import Course
 from offpiste.runtime.estimator import VehicleReading
@@ -36,21 +37,30 @@ __all__ = ["network"]
 X = np.arange(0.0, 60.0)
 
 
-class Notes:
+class Notes(Viewer):
     """Viewer that records its calls, each after a delay [s]."""
 
     def __init__(self, slow=0.0):
         self.slow, self.given = slow, []
 
-    def __getattr__(self, name):
-        def note(*given):
-            time.sleep(self.slow)
-            self.given.append((name, given))
+    def _note(self, name, *given):
+        time.sleep(self.slow)
+        self.given.append((name, given))
 
-        return note
+    pose = partialmethod(_note, "pose")
+    lines = partialmethod(_note, "lines")
+    ground = partialmethod(_note, "ground")
+    image = partialmethod(_note, "image")
+    mode = partialmethod(_note, "mode")
+    numbers = partialmethod(_note, "numbers")
 
     def of(self, name):
         return [given for kind, given in self.given if kind == name]
+
+
+def lines_of(notes, name):
+    """Times and lines of the calls for the course or the plan."""
+    return [(at, lines) for kind, at, lines in notes.of("lines") if kind == name]
 
 
 def reading(now, x=1.0):
@@ -90,15 +100,14 @@ def test_each_element_of_a_drive_is_shown_on_the_ground(tmp_path):
         feed(part.session, now)
         shown.update()
     assert notes.of("pose")[0][0].position[0] == 1.0
-    _, course = notes.of("course")[-1]
+    course = lines_of(notes, "course")[-1][1][0].places
     on_map = course[:, 0] <= 20
     np.testing.assert_allclose(course[on_map, 2], 0.5 * course[on_map, 0] + LIFT, atol=0.26)
     np.testing.assert_allclose(course[~on_map, 2], 2.0 + LIFT, err_msg="off the map: the vehicle's height")
-    plan = notes.of("plan")[0][0]
+    ((_, (plan,)),) = lines_of(notes, "plan")
     assert plan.places.shape == (50, 3)
     np.testing.assert_allclose(plan.places[:, 0], 1.04 + 0.2 * np.arange(50))
-    np.testing.assert_allclose(plan.speed, 2.0)
-    assert plan.regions == ()
+    assert len(np.unique(plan.colours, axis=0)) == 1, "of one speed"
     assert notes.of("image")[0][0].pixels.shape == (4, 6, 3)
     assert notes.of("mode") == [(pytest.approx(now, abs=60), "stopping", "no plan")]
     numbers = {kind: values for _, kind, values in notes.of("numbers")}
@@ -130,7 +139,7 @@ def test_a_slow_viewer_is_shown_the_newest_messages(tmp_path):
                 written += 1
                 feed(part.session, float(written))
             shown.update()
-        times = [given[0].time for given in notes.of("plan")]
+        times = [at for at, _ in lines_of(notes, "plan")]
     assert 2 <= len(times) <= written / 10
     assert all(time % 10 == 0 for time in times), "the newest available ones"
     assert times == sorted(set(times))
@@ -171,7 +180,8 @@ def test_regions_are_ellipses_as_large_as_the_spread_says(tmp_path):
     with showing(tmp_path, notes, regions) as (part, shown):
         feed(part.session, time.time())
         shown.update()
-    assert [region.shape for region in notes.of("plan")[0][0].regions] == [(25, 3)] * 5
+    (_, (_, *outlines)) = lines_of(notes, "plan")[0]
+    assert [outline.places.shape for outline in outlines] == [(25, 3)] * 5
 
 
 def test_a_restarted_viewer_writes_another_file(tmp_path, monkeypatch):
@@ -187,7 +197,7 @@ def test_a_restarted_viewer_writes_another_file(tmp_path, monkeypatch):
     begun = tmp_path / "drive.rrd"
     for place in (str(begun), "", "127.0.0.1:9876"):
         begun.write_bytes(b"of the killed one")
-        with new_session(live_settings(tmp_path, view=ViewSettings("writer", place))) as session:
+        with new_session(live_settings(tmp_path, view="writer", view_at=place)) as session:
             session.ring("end").write(b"end")
             view(session, cameras=False)
     assert places == [str(tmp_path / "drive-2.rrd"), "", "127.0.0.1:9876"]
@@ -198,7 +208,7 @@ class Drive:
     """The viewer's process, fed with the values of the others."""
 
     def __init__(self, folder, network, port):
-        settings = live_settings(folder, network=network, view=ViewSettings("foxglove", f"127.0.0.1:{port}"))
+        settings = live_settings(folder, network=network, view="foxglove", view_at=f"127.0.0.1:{port}")
         self._new = new_session(settings)
         self.session = self._new.__enter__()
         self.supervisor = Supervisor(self.session, network.session(), cameras=False, names=("view",))

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from offpiste.core.errors import TransportError
-from offpiste.transport.interface import MOST, OTHERS, Tally
 from offpiste.transport.message_types import MessageTypes
+from offpiste.transport.received import MOST, OTHERS, Tally
 from transport.routers import until
 
 STRING = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"

@@ -214,7 +214,7 @@ def test_tls_with_certificates_of_both_sides(tmp_path):
     settings = ZenohSettings(config=tls("router", ("listen", "server"), ("connect", "client")), mode="router")
     with settings.hosted() as given:
         assert given.endpoint == f"tls/127.0.0.1:{port}"
-        with closing(given.connect()) as speaker, closing(given.connect()) as listener:
+        with closing(ZenohTransport(given)) as speaker, closing(ZenohTransport(given)) as listener:
             assert serves(speaker, listener)
         with pytest.raises(TransportError, match="no connection"):
             ZenohTransport(ZenohSettings(config=tls("client")))
@@ -224,10 +224,10 @@ def test_a_router_ends_with_the_context():
     settings = ZenohSettings(endpoint=f"tcp/127.0.0.1:{free_port()}", mode="router")
     with settings.hosted() as given:
         assert (given.mode, given.endpoint, given.identity) == ("part", settings.endpoint, settings.identity)
-        with closing(given.connect()) as speaker, closing(given.connect()) as listener:
+        with closing(ZenohTransport(given)) as speaker, closing(ZenohTransport(given)) as listener:
             assert serves(speaker, listener)
     with pytest.raises(TransportError, match="no connection"):
-        given.connect()
+        ZenohTransport(given)
 
 
 def test_a_router_outlives_its_parent_and_then_ends(tmp_path):

@@ -14,7 +14,6 @@ from offpiste.core.errors import LiveError
 from offpiste.core.progress import show
 
 if TYPE_CHECKING:
-    from offpiste.transport.interface import RobotSettings
     from offpiste.transport.zenoh_transport import ZenohSettings
 
 
@@ -39,7 +38,7 @@ class RobotOptions:
     zenoh_config: Path | None = None
     """Configuration file of zenoh, e.g. with TLS certificates."""
 
-    def settings(self, patient: bool = False) -> "ZenohSettings":
+    def settings(self) -> "ZenohSettings":
         """Return the settings of the transport."""
         from offpiste.transport.zenoh_transport import ZenohSettings
 
@@ -50,7 +49,6 @@ class RobotOptions:
             domain=self.domain,
             namespace=self.namespace,
             config=str(self.zenoh_config or ""),
-            patient=patient,
         )
 
 
@@ -91,12 +89,10 @@ class Live:
     """Seed of the sampled controls."""
     seconds: float = float("inf")
     """Duration of the drive [s]."""
-    lockstep: bool = False
-    """Compute a command for every 0.02 s on /clock in one process, however long it takes (with `play --lockstep`)."""
     replay: Path | None = None
     """Log whose messages replace the robot."""
     commands: Path | None = None
-    """Table (.csv) of all commands of --lockstep or --replay."""
+    """Table (.csv) of all commands of --replay."""
     record: Path | None = None
     """Log (.mcap) of all topics of the rig and all sent messages."""
     record_free: float = 2.0
@@ -114,14 +110,10 @@ class Live:
     robot: Annotated[RobotOptions, tyro.conf.OmitArgPrefixes] = field(default_factory=RobotOptions)
 
     def run(self) -> int:
-        """Drive over zenoh."""
-        return self.run_on(self.robot.settings())
-
-    def run_on(self, robot: "RobotSettings") -> int:
-        """Drive over another transport, without the options of `robot`."""
+        """Drive, or replay a log."""
         from offpiste.live.commands import run_live
         from offpiste.live.reception import CourseRequest
-        from offpiste.live.session import LiveSettings, RecordSettings, ViewSettings
+        from offpiste.live.session import LiveSettings, RecordSettings
         from offpiste.planning.caution import risk_of
         from offpiste.runtime.settings import RuntimeSettings
 
@@ -137,17 +129,17 @@ class Live:
                 self.pca,
                 CourseRequest(self.course, self.course_topic, self.goal, self.speed),
                 RuntimeSettings(latency=self.latency, risk=risk_of(self.risk), device=self.device),
-                robot,
+                self.robot.settings(),
                 drive=self.drive,
                 clock=self.clock,
                 seed=self.seed,
                 seconds=self.seconds,
                 record=None if self.record is None else RecordSettings(self.record, *of_records),
                 status=self.status,
-                view=ViewSettings(self.view, self.view_at) if self.view else None,
+                view=self.view,
+                view_at=self.view_at,
                 novelty=self.novelty,
             ),
-            lockstep=self.lockstep,
             replay=self.replay,
             commands=self.commands,
         )
@@ -167,18 +159,15 @@ class Play:
     """Factor of the playback speed."""
     seconds: float = float("inf")
     """Duration to play [s]."""
-    lockstep: bool = False
-    """Wait for the command of `offpiste live --lockstep` after each step."""
     without: tuple[str, ...] = ()
     """Topics to skip, e.g. recorded commands; /clock and /offpiste/… are always skipped."""
     robot: Annotated[RobotOptions, tyro.conf.OmitArgPrefixes] = field(default_factory=RobotOptions)
 
     def run(self) -> int:
         """Play the log."""
-        from offpiste.live.commands import play_log
+        from offpiste.live.play import play_log
 
-        settings = self.robot.settings(patient=self.lockstep)
-        play_log(self.log, self.rig, settings, self.rate, self.seconds, lockstep=self.lockstep, without=self.without)
+        play_log(self.log, self.rig, self.robot.settings(), self.rate, self.seconds, without=self.without)
         return 0
 
 

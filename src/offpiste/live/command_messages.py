@@ -1,5 +1,6 @@
 """Messages of commands, as described by the rig's outputs."""
 
+import math
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,12 +12,12 @@ from msgspec.structs import replace
 from rosbags.serde import SerdeError
 
 from offpiste.core.errors import RigError
-from offpiste.logs.ros.writer import header, make
+from offpiste.logs.ros.writer import header, make, quaternion, vector
 from offpiste.rig.outputs import CommandLimits, Output, OutputField
 from offpiste.rig.rig import Rig
 from offpiste.runtime.prediction import Prediction
-from offpiste.transport.interface import Transport
 from offpiste.transport.message_types import MessageTypes
+from offpiste.transport.zenoh_transport import ZenohTransport
 
 _BEYOND: Final = (100.0, 20.0)
 """Upper bounds of speed [m/s] and yaw rate [rad/s] in any plan, for rigs without limits."""
@@ -79,7 +80,7 @@ class CommandMessages:
         """Return the messages of a command, by topic."""
         return {output.topic: self._message(output, command) for output in self._rig.outputs.values()}
 
-    def sender(self, transport: Transport) -> Callable[[Command], None]:
+    def sender(self, transport: ZenohTransport) -> Callable[[Command], None]:
         """Return a function that publishes a command."""
         publish = {topic: transport.publisher(topic, msgtype) for topic, msgtype in self.topics.items()}
 
@@ -117,6 +118,16 @@ def joy_message(nanoseconds: int, control: Float[np.ndarray, " n"]) -> Any:
     """Return a sensor_msgs/Joy whose axes are throttle, brake, steer."""
     axes, buttons = control.astype(np.float32), np.zeros(0, np.int32)
     return make("sensor_msgs/Joy", header=header(nanoseconds, "base_link"), axes=axes, buttons=buttons)
+
+
+def path_message(places: Float[np.ndarray, "P 3"], yaw: Float[np.ndarray, " P"], nanoseconds: int, frame: str) -> Any:
+    """Return a nav_msgs/Path."""
+    head, poses = header(nanoseconds, frame), []
+    for place, half in zip(places.tolist(), (yaw / 2).tolist(), strict=True):
+        turn = quaternion((0.0, 0.0, math.sin(half), math.cos(half)))
+        pose = make("geometry_msgs/Pose", position=vector(place, "geometry_msgs/Point"), orientation=turn)
+        poses.append(make("geometry_msgs/PoseStamped", header=head, pose=pose))
+    return make("nav_msgs/Path", header=head, poses=poses)
 
 
 def _ends(limits: CommandLimits) -> tuple[Command, Command]:

@@ -3,7 +3,6 @@
 import shutil
 import time
 from collections import deque
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -13,16 +12,14 @@ from offpiste.live.command_messages import Command, CommandMessages, joy_message
 from offpiste.live.gate import Checked, Gate
 from offpiste.live.part import NewestCourse, Part, TrackFeed, freeze_loaded_objects
 from offpiste.live.reception import Pressed, switch_of
-from offpiste.live.ring import packed, plan_from, unpacked
+from offpiste.live.ring import packed, plan_from
 from offpiste.live.session import COMMAND, MODE, Session
 from offpiste.logs.ros.writer import make
-from offpiste.planning.course import CourseTracker
-from offpiste.rig.rig import load_rig
 from offpiste.runtime.estimator import Given
 from offpiste.runtime.follower import Follower, MapState, TimedPlan
 from offpiste.runtime.modes import Ages, Controls, ModeDecision
 from offpiste.runtime.prediction import Prediction
-from offpiste.transport.interface import Received
+from offpiste.transport.received import Received
 
 SILENCE: Final = 0.1
 """Time without a command after which the watchdog sends the stop [s]."""
@@ -49,13 +46,7 @@ class SteadyAges:
         self._starts.append((plan.start, steady + plan.start - now))
 
     def ages(self, came: float, state: MapState, acting: TimedPlan | None, steady: float) -> Ages:
-        """Return the ages.
-
-        Args:
-            came: arrival of the last reading [s].
-            acting: the followed plan.
-            steady: now [s].
-        """
+        """Return the ages now [s], with the arrival of the last reading [s] and the followed plan."""
         start = next((at for start, at in self._starts if acting is not None and start == acting.start), -np.inf)
         scan, image = (self._unchanged(name, getattr(state, name), steady) for name in ("scan_time", "image_time"))
         return Ages(state=steady - came, scan=scan, image=image, plan=steady - start)
@@ -73,44 +64,29 @@ class Controller:
     """Command the vehicle once every `conventions.DT`: follow the newest plan, or stop."""
 
     def __init__(self, part: Part) -> None:
-        self.part, settings, rig = part, part.settings, load_rig(part.settings.rig)
+        self.part, settings, rig = part, part.settings, part.rig
         self.follower: Follower | None = None
         self._feed = TrackFeed(part, settings.load_planner().dynamics.vehicle.actuators)
-        before, enable = part.last_command, rig.live.enable if settings.drive else None
+        before, enable = part.newest("commands"), rig.live.enable if settings.drive else None
         self._gate = Gate(rig.live.limits, enable, settings.runtime.stop, before.get("applied"))
-        self._course, self._plan_number = NewestCourse(part), part.ring("plans").written
+        self._course, self._plans = NewestCourse(part), part.reader("plans")
         self._empty = self._stuck = False
         self._predictions: deque[Prediction] = deque(maxlen=32)
         self._steady, self._since = SteadyAges(), -np.inf
         self._stops, self._sent_at = part.ring("stops").written, np.inf
         self._why = "control was started again" if before else ""
         self._gear = before.get("gear", settings.runtime.gear)
-        self.transport = settings.robot.connect([Path(name) for name in rig.live.definitions])
-        outputs = CommandMessages(rig, self.transport.types)
-        self._send = outputs.sender(self.transport) if settings.drive else None
-        for topic in outputs.topics if settings.drive else ():
+        self.transport = part.connect()
+        self._outputs, self._switch = CommandMessages(rig, self.transport.types), deque[Received](maxlen=64)
+        self._send = self._outputs.sender(self.transport) if settings.drive else None
+        for topic in self._outputs.topics if settings.drive else ():
             self.transport.subscribe(topic, self._other, unchecked=True)
-        self._preview = self.transport.publisher(COMMAND, "sensor_msgs/msg/Joy")
-        self._mode = self.transport.publisher(MODE, "std_msgs/msg/String", keep=True)
-        self._said, self.late, self.ages = "", deque[float](maxlen=3000), deque[tuple[float, float]](maxlen=3000)
-        self._rig, self._switch = rig, deque[Received](maxlen=64)
         if enable is not None:
             msgtype = rig.live.types.get(enable.topic, "")
             self.transport.subscribe(enable.topic, self._switch.append, msgtype=msgtype)
-
-    def _take_switch(self) -> None:
-        while self._switch:
-            received = self._switch.popleft()
-            message, at = self.transport.decode(received), received.steady
-            heard = Pressed(False)
-            if message is not None:
-                heard = switch_of(self._rig, message, self.part.now() - (time.monotonic() - at))
-            self._gate.enabled(heard.pressed, at, age=heard.age, publisher=received.publisher)
-
-    def _other(self, received: Received) -> None:
-        if received.publisher[:8] != self.transport.identity:
-            self.part.dropped.add(f"{received.topic}: commands of another publisher")
-            self._gate.other(time.monotonic())
+        self._preview = self.transport.publisher(COMMAND, "sensor_msgs/msg/Joy")
+        self._mode = self.transport.publisher(MODE, "std_msgs/msg/String", keep=True)
+        self._said, self.late, self.ages = "", deque[float](maxlen=3000), deque[tuple[float, float]](maxlen=3000)
 
     @property
     def has_stopped(self) -> bool:
@@ -131,7 +107,11 @@ class Controller:
             if self.follower is not None:
                 self.follower.restart()
         if (tracker := self._course.changed()) is not None:
-            self._take_course(tracker)
+            if self.follower is None:
+                self.follower = Follower(self.part.settings.runtime, self._feed.track, tracker)
+                self.follower.stopping = True  # a moving vehicle is stopped before it is driven
+                self.follower.gear = self._gear  # as last commanded: the gear is not changed before the standstill
+            self.follower.tracker = tracker
         latest, commanded = self._feed.track.latest, self.part.ring("commands").written > 0
         if self.follower is None or not np.isfinite(now):
             return "waits for a course" if self.follower is None else "waits for the clock"
@@ -147,9 +127,23 @@ class Controller:
             self._mode(make("std_msgs/String", data=said))
         return said
 
+    def numbers(self) -> dict[str, Any]:
+        """Return delays, ages, speed and progress for the sign of life."""
+        late, ages = 1e3 * np.array(self.late), 1e3 * np.array(self.ages).reshape(-1, 2)
+        known = ages[np.isfinite(ages).all(axis=1)]
+        map_age, plan_age = np.percentile(known, 99, axis=0) if len(known) else (np.nan, np.nan)
+        return {
+            "tick_p50_ms": float(np.percentile(late, 50)),
+            "tick_p99_ms": float(np.percentile(late, 99)),
+            "map_age_p99_ms": float(map_age),
+            "plan_age_p99_ms": float(plan_age),
+            "speed_mps": np.nan if self.follower is None else self.follower.speed,
+            "progress_m": 0.0 if self.follower is None else self.follower.tracker.progress,
+            "refused": self.transport.refused.snapshot(),
+        }
+
     def _command(self, follower: Follower, now: float, held: str) -> Controls:
-        newest = self.part.ring("map-state").newest()
-        known = {} if newest is None else unpacked(newest.data)
+        known = self.part.newest("map-state")
         state = MapState(known.get("scan_time", -np.inf), known.get("image_time", -np.inf), self._empty, self._stuck)
         drive, acting = self.part.settings.drive, follower.schedule.acting(now)
         steady = self._steady.ages(self._feed.came, state, acting, time.monotonic())
@@ -172,9 +166,13 @@ class Controller:
 
         controls = follower.follow(now, decision, applied)
         del follower.events[:-1]
-        self._publish(controls, passed[-1], now)
+        control, moving = passed[-1].control, controls.mode in ("driving", "degraded") and not passed[-1].why
+        followed = next((p for p in reversed(self._predictions) if p.time <= now), None) if moving else None
+        if self._send is not None:
+            self._send(Command(now, control, controls.gear, followed))
+        self._preview(joy_message(max(round(now * 1e9), 0), control))
         self.ages.append((now - state.scan_time, np.inf if acting is None else now - acting.made))
-        about = {"time": now, "applied": passed[-1].control, "stopping": follower.stopping, "mode": controls.mode}
+        about = {"time": now, "applied": control, "stopping": follower.stopping, "mode": controls.mode}
         about |= {"gear": controls.gear, "course": self._course.number, "progress": follower.tracker.progress}
         about["driver"] = follower.driver._asdict()  # plans begin from the vehicle's actual commands
         self.part.write("commands", packed(about))
@@ -194,28 +192,24 @@ class Controller:
             return "the watchdog is not ready"
         if stops != before or time.monotonic() - self._sent_at > SILENCE:
             return "commands were interrupted"  # the watchdog, or the vehicle itself, has stopped it
-        self._take_switch()
+        while self._switch:
+            received = self._switch.popleft()
+            message, at = self.transport.decode(received), received.steady
+            heard = Pressed(False)
+            if message is not None:
+                heard = switch_of(self.part.rig, message, self.part.now() - (time.monotonic() - at))
+            self._gate.enabled(heard.pressed, at, age=heard.age, publisher=received.publisher)
         return self._gate.blocked(time.monotonic())
 
-    def _publish(self, controls: Controls, passed: Checked, now: float) -> None:
-        moving = controls.mode in ("driving", "degraded") and not passed.why
-        followed = next((p for p in reversed(self._predictions) if p.time <= now), None) if moving else None
-        if self._send is not None:
-            self._send(Command(now, passed.control, controls.gear, followed))
-        self._preview(joy_message(max(round(now * 1e9), 0), passed.control))
-
-    def _take_course(self, tracker: CourseTracker) -> None:
-        if self.follower is None:
-            self.follower = Follower(self.part.settings.runtime, self._feed.track, tracker)
-            self.follower.stopping = True  # a moving vehicle is stopped before it is driven
-            self.follower.gear = self._gear  # as last commanded: the gear is not changed before the standstill
-        self.follower.tracker = tracker
+    def _other(self, received: Received) -> None:
+        if received.publisher[:8] != self.transport.identity:
+            self.part.dropped.add(f"{received.topic}: commands of another publisher")
+            self._gate.other(time.monotonic())
 
     def _take_plans(self, follower: Follower, now: float) -> None:
         """Take newer plans that are still valid."""
         settings = self.part.settings.runtime
-        for entry in self.part.ring("plans").since(self._plan_number):
-            self._plan_number, values = entry.number, unpacked(entry.data)
+        for values in self._plans.new():
             self._empty, self._stuck = bool(values["empty"]), bool(values["stuck"])
             if "start" not in values:
                 continue
@@ -247,7 +241,7 @@ def control(session: Session) -> None:
             controller.late.clear()
             controller.ages.clear()
         controller.late.append(time.monotonic() - due)
-        part.beat(state, lambda: _numbers(controller))
+        part.beat(state, controller.numbers)
         due += DT
         if time.monotonic() - due > 5 * DT:  # the process was stopped or starved: missed ticks are skipped
             part.dropped["ticks missed"] += round((time.monotonic() - due) / DT)
@@ -258,28 +252,11 @@ def control(session: Session) -> None:
         shutil.rmtree(session.folder, ignore_errors=True)
 
 
-def _numbers(controller: Controller) -> dict[str, Any]:
-    late = 1e3 * np.array(controller.late)
-    ages = 1e3 * np.array(controller.ages).reshape(-1, 2)
-    known = ages[np.isfinite(ages).all(axis=1)]
-    p99 = np.percentile(known, 99, axis=0) if len(known) else np.full(2, np.nan)
-    return {
-        "tick_p50_ms": float(np.percentile(late, 50)),
-        "tick_p99_ms": float(np.percentile(late, 99)),
-        "map_age_p99_ms": float(p99[0]),
-        "plan_age_p99_ms": float(p99[1]),
-        "speed_mps": controller.follower.speed if controller.follower is not None else np.nan,
-        "progress_m": controller.follower.tracker.progress if controller.follower is not None else 0.0,
-        "refused": controller.transport.refused.snapshot(),
-    }
-
-
 def watchdog(session: Session) -> None:
     """Run the process that sends the stop when commands stop coming, until the vehicle has been stopped."""
     part = Part("watchdog", session)
-    rig, settings = load_rig(session.settings.rig), session.settings
-    transport = settings.robot.connect([Path(name) for name in rig.live.definitions])
-    send = CommandMessages(rig, transport.types).sender(transport)
+    transport = part.connect()
+    send = CommandMessages(part.rig, transport.types).sender(transport)
     commands, stops, ends = part.ring("commands"), 0, np.inf
     for name in ("stops", "clock", "end"):  # opened now: once the parent has ended, their files may vanish
         part.ring(name)
@@ -289,8 +266,8 @@ def watchdog(session: Session) -> None:
             ends = time.monotonic()
         silent = commands.written > 0 and commands.age > SILENCE
         if silent:
-            last = part.last_command
-            send(Command(part.now(), np.array((0.0, settings.runtime.stop, last["applied"][2])), last["gear"]))
+            last, brake = part.newest("commands"), part.settings.runtime.stop
+            send(Command(part.now(), np.array((0.0, brake, last["applied"][2])), last["gear"]))
             part.write("stops", b"stop")  # a restarted control completes it
             stops += 1
         part.beat("stops the vehicle" if silent else "ready", stops=stops)
@@ -301,15 +278,11 @@ def watchdog(session: Session) -> None:
 
 
 def _is_over(part: Part, since: float) -> bool:
-    """Return whether the vehicle has been stopped.
-
-    Args:
-        since: time since the end of the drive [s]; minus infinity before it.
-    """
+    """Return whether the vehicle has been stopped, some time [s] after the end of the drive (negative before it)."""
     commands = part.ring("commands")
     if since < 0:
         return False
     if commands.written == 0:
         return since > SILENCE
-    at_standstill = part.last_command["mode"] == "stopped"
+    at_standstill = part.newest("commands")["mode"] == "stopped"
     return (at_standstill and commands.age > SILENCE + _LAST) or since > ENDS + 2.0

@@ -18,15 +18,14 @@ from offpiste.core.channels import OPTIONAL_CONTROLS
 from offpiste.core.errors import LiveError, OffpisteError, did_you_mean, require
 from offpiste.core.machine import free_memory, usable_cores
 from offpiste.live.command_messages import CommandMessages
-from offpiste.live.lockstep import refuse_unmeasured
 from offpiste.live.reception import check_types, is_pressed
 from offpiste.live.robot_messages import SensorMessages, VehicleMessages
-from offpiste.live.session import Source
-from offpiste.logs.ros.bag_files import field_getter, heard_at
+from offpiste.live.session import Source, refuse_unmeasured
+from offpiste.logs.ros.bag_files import heard_at
 from offpiste.rig.rig import Rig, load_rig
 from offpiste.runtime.planner import load_planner
 from offpiste.training.run import differing_vehicle
-from offpiste.transport.interface import Received
+from offpiste.transport.received import Received
 from offpiste.transport.zenoh_transport import ZenohSettings, ZenohTransport
 
 _CORES: Final = 4
@@ -38,30 +37,18 @@ _WAITING: Final = 16
 """Maximum number of messages of a topic that wait to be decoded; older ones are counted only."""
 _OLD: Final = 0.3
 """Age at arrival from which readings and scans are late [s]."""
+_AHEAD: Final = -0.05
+"""Age at arrival below which a stamp is in the future [s]."""
 _MAPPING: Final = 0.1
 """Time from a scan's arrival to its use in the map [s]."""
+Level = Literal["ok", "warning", "error"]
 
 
 class Finding(NamedTuple):
     """Result of one check."""
 
-    level: Literal["ok", "warning", "error"]
+    level: Level
     what: str
-
-
-@dataclass
-class _Heard:
-    """Messages of a topic: count, types, and ages by their stamps [s]."""
-
-    count: int = 0
-    types: set[str] = field(default_factory=set)
-    ages: list[float] = field(default_factory=list)
-    waiting: deque[Received] = field(default_factory=lambda: deque(maxlen=_WAITING))
-
-    @property
-    def age(self) -> float:
-        """Median age [s]; NaN if no header has a stamp."""
-        return float(np.median(self.ages)) if self.ages else math.nan
 
 
 def examined(
@@ -77,29 +64,31 @@ def examined(
     require("live", "zenoh")
     yield from _computer()
     try:
-        rig = load_rig(rig_name)
-    except OffpisteError as error:
-        yield Finding("error", str(error))
-        return
-    yield Finding("ok", f"rig '{rig.name}'")
-    yield from _for_driving(rig)
-    cameras = True
-    if run:
-        found, cameras = _model(rig, run, pca)
-        yield from found
-    try:
-        transport = ZenohTransport(robot, [Path(name) for name in rig.live.definitions])
+        rig, cameras = load_rig(rig_name), True
+        yield Finding("ok", f"rig '{rig.name}'")
+        unreadable = [*_errors(VehicleMessages, rig)]
+        yield from unreadable
+        if not rig.lidars:
+            yield Finding("error", "the rig has no LiDAR, which mapping requires")
+        if not rig.outputs:
+            yield Finding("warning", "the rig has no [outputs]: only shadow mode is possible")
+        elif rig.live.enable is None:
+            yield Finding("warning", "the rig has no [live.enable]: commands are sent without a dead man's switch")
+        if run:
+            found, cameras = _model(rig, run, pca)
+            yield from found
+        transport = ZenohTransport(robot, rig.live.definitions)
     except OffpisteError as error:
         yield Finding("error", str(error))
         return
     with closing(transport):
         yield Finding("ok", f"connected, {transport.routers()} router{'s' * (transport.routers() != 1)}")
-        yield from _outputs(rig, transport)
-        try:
-            listener = _Listener(rig, transport, cameras=cameras)
-        except OffpisteError:  # channels that cannot be read live: a finding of `_for_driving`
-            return
-        yield from listener.findings(seconds, clock)
+        wrong = [*_errors(check_types, rig, transport.types), *_errors(CommandMessages, rig, transport.types)]
+        yield from wrong
+        for output in [] if wrong else rig.outputs.values():
+            yield Finding("ok", f"{output.topic}: {output.type} can be sent")
+        if not unreadable:
+            yield from _Listener(rig, transport, cameras=cameras).findings(seconds, clock)
 
 
 def _computer() -> Iterator[Finding]:
@@ -125,16 +114,6 @@ def _errors(check: Callable[..., object], *arguments: object) -> Iterator[Findin
         yield Finding("error", str(error))
 
 
-def _for_driving(rig: Rig) -> Iterator[Finding]:
-    yield from _errors(VehicleMessages, rig)
-    if not rig.lidars:
-        yield Finding("error", "the rig has no LiDAR, which mapping requires")
-    if not rig.outputs:
-        yield Finding("warning", "the rig has no [outputs]: only shadow mode is possible")
-    elif rig.live.enable is None:
-        yield Finding("warning", "the rig has no [live.enable]: commands are sent without a dead man's switch")
-
-
 def _model(rig: Rig, run: str, pca: Path | None) -> tuple[list[Finding], bool]:
     """Return findings, and whether the model reads images."""
     try:
@@ -147,38 +126,40 @@ def _model(rig: Rig, run: str, pca: Path | None) -> tuple[list[Finding], bool]:
     return found, planner.extractor is not None
 
 
-def _outputs(rig: Rig, transport: ZenohTransport) -> Iterator[Finding]:
-    yield from _errors(check_types, rig, transport.types)
-    try:
-        messages = CommandMessages(rig, transport.types)
-    except OffpisteError as error:
-        yield Finding("error", str(error))
-        return
-    for topic, msgtype in messages.topics.items():
-        yield Finding("ok", f"{topic}: {msgtype} can be sent")
+@dataclass
+class _Heard:
+    """Messages of a topic: count, types, ages by their stamps [s], and those that are not decoded yet."""
+
+    count: int = 0
+    types: set[str] = field(default_factory=set)
+    ages: list[float] = field(default_factory=list)
+    waiting: deque[Received] = field(default_factory=lambda: deque(maxlen=_WAITING))
+
+    @property
+    def age(self) -> float:
+        """Median age [s]; NaN if no header has a stamp."""
+        return float(np.median(self.ages)) if self.ages else math.nan
 
 
 class _Listener:
     """Listener to all topics of a rig."""
 
     def __init__(self, rig: Rig, transport: ZenohTransport, *, cameras: bool) -> None:
-        self._rig, self._transport = rig, transport
+        self._rig, self._transport, self._wrong_switch = rig, transport, ""
         self._vehicle, self._sensors = VehicleMessages(rig), SensorMessages(rig, cameras=cameras)
-        enable = [] if rig.live.enable is None else [rig.live.enable.topic]
-        self._switch_without = ""
-        self._static = set(rig.frames.topics)
-        self._optional = {lidar.topic for lidar in rig.lidars.values() if lidar.optional}
-        self._optional |= {name for one in rig.cameras.values() if one.optional for name in (one.topic, one.info)}
-        optional = {control.name for control in OPTIONAL_CONTROLS}
-        needed = {source.topic for name, source in rig.channels.items() if name not in optional}
-        self._optional |= {source.topic for source in rig.channels.values()} - needed
+        switch = [] if rig.live.enable is None else [rig.live.enable.topic]
+        self._needed = dict.fromkeys((*self._vehicle.topics, *self._sensors.topics, *switch))
         self._commands = {output.topic for output in rig.outputs.values()}
-        self._needed = dict.fromkeys([*self._vehicle.topics, *self._sensors.topics, *enable])
+        optional = {control.name for control in OPTIONAL_CONTROLS}
+        required = {source.topic for name, source in rig.channels.items() if name not in optional}
+        self._optional = self._commands | {source.topic for source in rig.channels.values()} - required
+        self._optional |= {lidar.topic for lidar in rig.lidars.values() if lidar.optional}
+        self._optional |= {name for one in rig.cameras.values() if one.optional for name in (one.topic, one.info)}
         self._all = {topic: _Heard() for topic in (*self._needed, *self._commands)}
         for topic in self._all:
             wanted = rig.live.types.get(topic, "")
-            wanted = wanted if wanted in transport.types else ""  # an unknown type is a finding of `_outputs`
-            transport.subscribe(topic, self._deliver, msgtype=wanted, history=topic in self._static)
+            wanted = wanted if wanted in transport.types else ""  # an unknown type is an error of `check_types`
+            transport.subscribe(topic, self._deliver, msgtype=wanted, history=topic in rig.frames.topics)
 
     def findings(self, seconds: float, clock: Source) -> Iterator[Finding]:
         """Listen, and yield findings."""
@@ -190,26 +171,22 @@ class _Listener:
                 while heard.waiting:
                     self._take(heard.waiting.popleft(), heard)
             time.sleep(0.02)
-        others = self._transport.topics()
+        stamped, published = clock == "system" and self._rig.clock.stamps != "receive", self._transport.topics()
         for topic in self._needed:
-            yield self._of(topic, seconds, clock, others)
-        yield from self._short_timeouts(seconds, clock)
-        for topic in self._commands & self._heard - set(self._vehicle.topics):
-            yield Finding("warning", f"{topic}: another publisher commands; with --drive the vehicle would be stopped")
-        if self._switch_without:
-            yield Finding("error", self._switch_without)
-        for what, count in sorted((self._vehicle.dropped + self._sensors.dropped).items()):
-            yield Finding("error", f"{what} ({count} times)")
-        for what, count in sorted(self._transport.refused.items()):
-            yield Finding("error", f"refused {count} times: {what}")
+            yield Finding(*self._of(topic, seconds, stamped, published))
+        yield from self._short_timeouts(seconds, stamped)
+        for topic in self._commands - set(self._vehicle.topics):
+            if self._all[topic].types:
+                what = "another publisher commands; with --drive the vehicle would be stopped"
+                yield Finding("warning", f"{topic}: {what}")
         self._sensors.settle()
+        unusable, refused = self._vehicle.dropped + self._sensors.dropped, self._transport.refused
+        wrong = [self._wrong_switch] if self._wrong_switch else []
+        wrong += [f"{what} ({number} times)" for what, number in sorted(unusable.items())]
+        wrong += [f"refused {number} times: {what}" for what, number in sorted(refused.items())]
         if self._sensors.waiting_for:
-            yield Finding("error", f"sensors cannot be set up: {self._sensors.waiting_for}")
-
-    @property
-    def _heard(self) -> set[str]:
-        """Topics with at least one decoded message."""
-        return {topic for topic, heard in self._all.items() if heard.types}
+            wrong.append(f"sensors cannot be set up: {self._sensors.waiting_for}")
+        yield from (Finding("error", what) for what in wrong)
 
     def _deliver(self, received: Received) -> None:
         """Queue a message; called in the transport's thread."""
@@ -226,56 +203,50 @@ class _Listener:
         if not math.isnan(stamp):
             heard.ages.append(received.received - stamp)
         enable = self._rig.live.enable
-        is_switch = enable is not None and received.topic == enable.topic
-        if enable is not None and is_switch and is_pressed(field_getter(enable.field), message) is None:
+        if enable is not None and received.topic == enable.topic and is_pressed(enable.field, message) is None:
             what = f"{enable.topic}: {received.type} has no number '{enable.field}'"
-            self._switch_without = f"{what}: correct live.enable.field"
+            self._wrong_switch = f"{what}: correct live.enable.field"
         self._vehicle.take(received.topic, message, received.received)
         if received.topic in self._sensors.topics:
             self._sensors.take(received.topic, message, received.received)
 
-    def _short_timeouts(self, seconds: float, clock: Source) -> Iterator[Finding]:
+    def _short_timeouts(self, seconds: float, stamped: bool) -> Iterator[Finding]:
         """Yield timeouts that the loss of a single message would exceed."""
-        timeouts, stamped = self._rig.live.timeouts, clock == "system" and self._rig.clock.stamps != "receive"
         lidars = [lidar.topic for lidar in self._rig.lidars.values()]
         fastest = max(lidars, key=lambda topic: self._all[topic].count, default="")
-        for topic, names, spare in (
-            (self._vehicle.position_topic, ("state",), 0.0),
-            (fastest, ("scan", "scan_limit"), _MAPPING),
-        ):
-            if topic not in self._heard:
-                continue
-            heard = self._all[topic]
+        limits = ((self._vehicle.position_topic, ("state",), 0.0), (fastest, ("scan", "scan_limit"), _MAPPING))
+        for topic, names, spare in limits:
+            heard = self._all.get(topic, _Heard())
             age = heard.age if stamped else 0.0
-            if math.isnan(age):
+            if not heard.types or not _AHEAD < age < 1.0:
                 continue
             oldest = math.ceil(100 * (age + 2 * seconds / heard.count + spare)) / 100
-            short = [f"live.timeouts.{name}" for name in names if getattr(timeouts, name) < oldest]
-            if short and -0.05 < age < 1.0:
-                rate = f"{topic}: {heard.count / seconds:.1f} a second"
-                what = f"{rate}; after a lost message, the newest is {oldest:g} s old"
-                yield Finding("warning", f"{what}: increase {' and '.join(short)}")
+            timeouts = self._rig.live.timeouts
+            if short := [f"live.timeouts.{name}" for name in names if getattr(timeouts, name) < oldest]:
+                what = f"{heard.count / seconds:.1f} a second; after a lost message, the newest is {oldest:g} s old"
+                yield Finding("warning", f"{topic}: {what}: increase {' and '.join(short)}")
 
-    def _of(self, topic: str, seconds: float, clock: Source, others: dict[str, str]) -> Finding:
-        if topic not in self._heard:
-            free = [other for other in others if other not in self._heard]  # a heard topic belongs to another channel
-            near = "" if topic in others else did_you_mean(topic, free)
-            there = f"; {near}" if near else "" if topic not in others else f"; it is published, as {others[topic]}"
-            optional = topic in self._optional or topic in self._commands
-            return Finding("warning" if optional else "error", f"{topic}: nothing heard{there}")
+    def _of(self, topic: str, seconds: float, stamped: bool, published: dict[str, str]) -> tuple[Level, str]:
+        """Return the level and the description of what was heard on a topic; `published` are types by topic."""
         heard = self._all[topic]
-        kind = ", ".join(sorted(heard.types))
-        if topic in self._static:
-            return Finding("ok", f"{topic}: {kind}")
-        age, rate = heard.age, heard.count / seconds
-        what = f"{topic}: {kind}, {rate:.1f} a second"
+        if not heard.types:
+            there = f"; it is published, as {published[topic]}" if topic in published else ""
+            # A topic that is heard belongs to another channel.
+            free = [name for name in published if name not in self._all or not self._all[name].types]
+            if not there and (near := did_you_mean(topic, free)):
+                there = f"; {near}"
+            return "warning" if topic in self._optional else "error", f"{topic}: nothing heard{there}"
+        what = f"{topic}: {', '.join(sorted(heard.types))}"
+        if topic in self._rig.frames.topics:
+            return "ok", what
+        what, age = f"{what}, {heard.count / seconds:.1f} a second", heard.age
         if math.isnan(age):
-            return Finding("error", f"{what}: its header has no stamp")
-        if clock != "system" or self._rig.clock.stamps == "receive":
-            return Finding("ok", what)
+            return "error", f"{what}: its header has no stamp"
+        if not stamped:
+            return "ok", what
         what += f", {1e3 * age:.0f} ms old"
         oldest = max(_OLD, self._rig.live.timeouts.state) if topic == self._vehicle.position_topic else _OLD
-        if not -0.05 < age < oldest:
-            how = "synchronise the clocks (chrony), or give --clock stamps; for a simulator or played log --clock clock"
-            return Finding("error", f"{what}: {how}")
-        return Finding("ok", what)
+        if _AHEAD < age < oldest:
+            return "ok", what
+        how = "synchronise the clocks (chrony), or give --clock stamps; for a simulator or played log --clock clock"
+        return "error", f"{what}: {how}"

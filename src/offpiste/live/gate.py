@@ -27,7 +27,7 @@ class Checked:
 
 
 class Gate:
-    """Limit commands, or replace them by a stop. Times are those of the monotonic clock; in lockstep, of its steps.
+    """Limit commands, or replace them by a stop. Times are those of the monotonic clock; in a replay, of its steps.
 
     Args:
         enable: the dead man's switch; None for none, as in shadow mode.
@@ -70,11 +70,6 @@ class Gate:
     def other(self, now: float) -> None:
         """Take note of a command from another publisher."""
         self._other_at = now
-
-    def restart(self, now: float) -> None:
-        """Handle a clock that went back: require a new message of the switch, and keep the hold by other publishers."""
-        self._pressed, self._pressed_at, self._heard_at = False, -np.inf, -np.inf
-        self._other_at, self._second_at = min(self._other_at, now), min(self._second_at, now)
 
     def blocked(self, now: float) -> str:
         """Return the reason why only a stop may be sent; empty if there is none."""

@@ -9,18 +9,9 @@ import torch
 from jaxtyping import Float
 
 from offpiste.core.errors import PerceptionError
-from offpiste.live.lockstep import sensor_setup_of
-from offpiste.live.part import LOADING, FreedMemory, NewestCourse, Part, TrackFeed, freeze_loaded_objects
-from offpiste.live.ring import (
-    from_fields,
-    layers_from,
-    pack_layers,
-    pack_plan,
-    packed,
-    sensors_from,
-    unpacked,
-)
-from offpiste.live.session import Session
+from offpiste.live.part import LOADING, NewestCourse, Part, TrackFeed, freeze_loaded_objects, release_freed_memory
+from offpiste.live.ring import from_fields, layers_from, pack_layers, pack_plan, packed, sensors_from
+from offpiste.live.session import Session, sensor_setup_of
 from offpiste.logs.measurements import Camera, Cloud, Image, Lidar
 from offpiste.mapping.replay import Keyframes
 from offpiste.mapping.terrain_map import TerrainLayers
@@ -28,7 +19,6 @@ from offpiste.native.compilation import single_threaded_torch
 from offpiste.perception.camera import make_pinhole_camera
 from offpiste.rig.camera import CameraModel
 from offpiste.rig.outputs import can_reverse
-from offpiste.rig.rig import load_rig
 from offpiste.rig.sensors import OPTICAL, CameraSource
 from offpiste.runtime.estimator import Given, VehicleTrack
 from offpiste.runtime.follower import Follower
@@ -41,27 +31,24 @@ _SPARE: Final = 4.0
 """Margin of the map beyond the reach of a plan from the vehicle's position at the time of the map [m]."""
 _WITHOUT_COURSE: Final = 3.0
 """Speed for which the map is cropped before a course is known [m/s]."""
+_RELEASE: Final = 10.0
+"""Time between releases of freed memory [s]."""
 
 
 def wait_for_sensors(part: Part, planner: Planner) -> SensorSetup | None:
     """Wait for the sensors' calibrations; return None if the drive ends first."""
     while not part.ending:
-        newest = part.ring("sensors").newest()
-        if newest is not None:
-            return sensor_setup_of(planner, sensors_from(unpacked(newest.data), load_rig(part.settings.rig)))
+        if values := part.newest("sensors"):
+            return sensor_setup_of(planner, sensors_from(values, part.rig))
         part.beat("waits for the sensors' calibrations")
         time.sleep(0.05)
     return None
 
 
 def load_kernels(part: Part, planner: Planner, device: str = "cpu") -> None:
-    """Drive for a second over synthetic ground, so that kernels are compiled before the robot is heard.
-
-    Args:
-        device: on which the process plans.
-    """
+    """Drive for a second over synthetic ground, planning on a device, so that kernels are compiled in time."""
     part.report(LOADING)
-    rig, still = load_rig(part.settings.rig), np.eye(4)
+    rig, still = part.rig, np.eye(4)
     still[2, 3] = 1.5
     lidars = {name: Lidar(name, still, entry) for name, entry in list(rig.lidars.items())[:1]}
     setup = SensorSetup(lidars)
@@ -89,18 +76,18 @@ def codes(session: Session) -> None:
     assert encoder is not None
     freeze_loaded_objects()
     waiting: dict[str, Image] = {}  # the newest of each camera, until the pose is known
-    feed, number = TrackFeed(part, planner.dynamics.vehicle.actuators), part.ring("images").written
+    feed, images = TrackFeed(part, planner.dynamics.vehicle.actuators), part.reader("images")
     keyframes, took = Keyframes(setup.cameras, part.settings.runtime.replay), 0.0
     while not part.ending:
         if feed.update(part.now()):
             keyframes = Keyframes(setup.cameras, part.settings.runtime.replay)
             waiting.clear()
-        for entry in part.ring("images").since(number):
-            part.dropped["images: overwritten"] += entry.number - number - 1
-            number, image = entry.number, from_fields(Image, unpacked(entry.data))
+        for values in images.new():
+            image = from_fields(Image, values)
             part.dropped["images: replaced by a newer one"] += image.camera in waiting
             if not feed.intake.ahead(image.camera, image.time):
                 waiting[image.camera] = image
+        part.dropped["images: overwritten"] = images.lost
         due = [image for image in waiting.values() if not feed.track.awaits(image.time)]
         for image in due:
             del waiting[image.camera]
@@ -138,7 +125,7 @@ def map_ground(session: Session) -> None:
     mapper = OnlineMapper(setup, encoder, feed.track, part.settings.runtime.replay, watch)
     mapper.dropped = part.dropped
     freeze_loaded_objects()
-    scan_number, code_number, took = part.ring("scans").written, part.ring("codes").written, 0.0
+    scans, coded, took = part.reader("scans"), part.reader("codes"), 0.0
     course, fastest = NewestCourse(part), _WITHOUT_COURSE
     while not part.ending:
         if (tracker := course.changed()) is not None:
@@ -146,16 +133,15 @@ def map_ground(session: Session) -> None:
         if feed.update(part.now()):
             mapper.restart()
             part.write("map", pack_layers(None))
-        for entry in part.ring("codes").since(code_number):
-            code_number, values = entry.number, unpacked(entry.data)
+        for values in coded.new():
             mapper.coded(values["camera"], values["time"], values["codes"])
         before = mapper.scan_time
         newest: dict[str, Cloud] = {}
-        for entry in part.ring("scans").since(scan_number):
-            part.dropped["scans: overwritten"] += entry.number - scan_number - 1
-            scan_number, cloud = entry.number, from_fields(Cloud, unpacked(entry.data))
+        for values in scans.new():
+            cloud = from_fields(Cloud, values)
             part.dropped["scans: replaced by a newer one"] += cloud.lidar in newest
             newest[cloud.lidar] = cloud
+        part.dropped["scans: overwritten"] = scans.lost
         began = time.monotonic()
         mapper.catch_up()
         for cloud in newest.values():
@@ -176,7 +162,7 @@ def _within_reach(layers: TerrainLayers, track: VehicleTrack, part: Part, fastes
     """Crop the map to the reach of plans until the next map, at the course's maximum speed [m/s]."""
     latest = track.latest
     assert latest is not None
-    state, gear = track.rows(latest.time).state[-1], part.last_command.get("gear", 1.0)
+    state, gear = track.rows(latest.time).state[-1], part.newest("commands").get("gear", 1.0)
     return reachable(layers, state, fastest, gear, part.settings.runtime.margin + _SPARE)
 
 
@@ -193,8 +179,8 @@ class Plans:
     """Plan on the values of the other processes."""
 
     def __init__(self, part: Part) -> None:
-        self._part, settings = part, part.settings
-        self.planner, rig = settings.load_planner(), load_rig(settings.rig)
+        self._part, settings, rig = part, part.settings, part.rig
+        self.planner = settings.load_planner()
         dynamics = self.planner.dynamics.eval().requires_grad_(False)
         self._feed = TrackFeed(part, dynamics.vehicle.actuators)
         self._maker = PlanMaker(
@@ -203,7 +189,7 @@ class Plans:
         )  # fmt: skip
         self._course = NewestCourse(part)
         self._follower: Follower | None = None
-        self._commands, self._map_number = part.ring("commands").written, 0
+        self._commands, self._maps = part.reader("commands"), part.reader("map", all_messages=True)
         self._layers: TerrainLayers | None = None
         self._scan_time, self.took = -np.inf, 0.0
 
@@ -213,7 +199,7 @@ class Plans:
         part, now = self._part, self._part.now()
         if self._feed.update(now):
             self._layers = None
-            self._map_number = part.ring("map").written  # maps that were not taken yet are obsolete, too
+            self._maps.skip()  # maps that were not taken yet are obsolete, too
             self._maker.forget()
             if self._follower is not None:
                 self._follower.restart()
@@ -252,12 +238,9 @@ class Plans:
             if self._follower is None:
                 self._follower = Follower(self._part.settings.runtime, self._feed.track, tracker)
             self._follower.tracker = tracker
-        newest = self._part.ring("map").newest()
-        if newest is not None and newest.number != self._map_number:
-            self._map_number, values = newest.number, unpacked(newest.data)
+        if (values := self._maps.newest()) is not None:
             self._layers, self._scan_time = layers_from(values), values.get("scan_time", -np.inf)
-        for entry in self._part.ring("commands").since(self._commands):
-            self._commands, values = entry.number, unpacked(entry.data)
+        for values in self._commands.new():
             driver = Given(**values["driver"])
             self._feed.track.commanded(values["time"], *driver.instead_of(values["applied"], values["gear"]))
             if self._follower is not None:
@@ -271,11 +254,12 @@ def plan(session: Session) -> None:
     plans = Plans(part)
     load_kernels(part, plans.planner, part.settings.runtime.device)
     freeze_loaded_objects()
-    freed = FreedMemory()
-    period = 1 / part.settings.runtime.plan_rate
+    period, released = 1 / part.settings.runtime.plan_rate, time.monotonic()
     while not part.ending:
         began = time.monotonic()
         state = plans.plan()
         part.beat(state, plan_ms=1e3 * plans.took)
-        freed.give_back()
+        if began - released > _RELEASE:
+            released = began
+            release_freed_memory()
         time.sleep(max(period - (time.monotonic() - began), 0.002))

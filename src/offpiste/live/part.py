@@ -6,18 +6,21 @@ import os
 import struct
 import time
 from collections.abc import Callable, Collection, Mapping
-from itertools import chain, count
+from functools import cache, cached_property
+from itertools import count
 from multiprocessing import parent_process
 from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
 
-from offpiste.live.ring import Ring, from_fields, packed, unpacked
+from offpiste.live.ring import Reader, from_fields, packed, unpacked
 from offpiste.live.session import Session
 from offpiste.planning.course import Course, CourseTracker
+from offpiste.rig.rig import Rig, load_rig
 from offpiste.runtime.estimator import Given, Intake, VehicleReading, VehicleTrack
-from offpiste.transport.interface import Tally
+from offpiste.transport.received import Tally
+from offpiste.transport.zenoh_transport import ZenohTransport
 
 BEAT: Final = 0.2
 """Time between signs of life [s]."""
@@ -29,8 +32,6 @@ Change = Literal["", "jumped", "went back"]
 """Event that invalidates a map: the pose jumped, or the clock went back; else empty."""
 BACK: Final = 0.1
 """Difference between a stamp and the newest from which the clock went back [s]; smaller ones are reordering."""
-GIVEN_BACK: Final = 10.0
-"""Time between releases of freed memory [s]."""
 AFTER: Final = 8.0
 """Time for which the vehicle is stopped and observed after the parent's end [s]."""
 LOADING: Final = "loads its kernels"
@@ -44,26 +45,17 @@ def freeze_loaded_objects() -> None:
     gc.collect()  # Python delays the next collection until a quarter as many objects as in this one are new
 
 
+def release_freed_memory() -> None:
+    """Return freed memory to the system, if the C library is glibc: planning grew by a gigabyte in half an hour."""
+    if (trim := getattr(ctypes.CDLL(None), "malloc_trim", None)) is not None:
+        trim(0)
+
+
 def unused_path(path: Path) -> Path:
     """Return the path, or the first numbered one that is free: files of a killed process are kept."""
-    numbered = (path.with_stem(f"{path.stem}-{number}") for number in count(2))
-    return next(one for one in chain((path,), numbered) if not one.exists())
-
-
-class FreedMemory:
-    """Regular release of freed memory to the system, if the C library is glibc.
-
-    Without it, the planning process grew by a gigabyte in half an hour, possibly by fragmentation from growing maps.
-    """
-
-    def __init__(self) -> None:
-        self._trim, self._last = getattr(ctypes.CDLL(None), "malloc_trim", None), time.monotonic()
-
-    def give_back(self) -> None:
-        """Release freed memory if the last release is `GIVEN_BACK` seconds ago."""
-        if self._trim is not None and time.monotonic() - self._last > GIVEN_BACK:
-            self._trim(0)
-            self._last = time.monotonic()
+    if not path.exists():
+        return path
+    return next(one for n in count(2) if not (one := path.with_stem(f"{path.stem}-{n}")).exists())
 
 
 class Part:
@@ -75,28 +67,34 @@ class Part:
 
     def __init__(self, name: str, session: Session) -> None:
         self.name, self.session, self.settings = name, session, session.settings
-        self._rings: dict[str, Ring] = {}
+        self.ring = cache(session.ring)
         self._status, self._beat = session.ring(f"status-{name}"), -1.0
         self.dropped = Tally()
         self._started, self._orphaned_at = time.monotonic(), np.inf
         self._newest_stamp = self._latest_now = -np.inf
 
-    def ring(self, name: str) -> Ring:
-        """Return a ring of the session."""
-        if name not in self._rings:
-            self._rings[name] = self.session.ring(name)
-        return self._rings[name]
+    @cached_property
+    def rig(self) -> Rig:
+        """The vehicle's rig."""
+        return load_rig(self.settings.rig)
+
+    def connect(self) -> ZenohTransport:
+        """Open a connection to the robot."""
+        return ZenohTransport(self.settings.robot, self.rig.live.definitions)
+
+    def reader(self, name: str, *, all_messages: bool = False) -> Reader:
+        """Return a reader of a ring: of later messages, or also of those already written."""
+        return Reader(self.ring(name), 0 if all_messages else None)
 
     def write(self, name: str, data: bytes) -> None:
         """Write to a ring; drop and count a message that is too large."""
         if not self.ring(name).write(data):
             self.dropped.add(f"{name}: larger than its shared memory")
 
-    @property
-    def last_command(self) -> dict[str, Any]:
-        """Last command, possibly of an earlier process; empty if there is none."""
-        newest = self.ring("commands").newest()
-        return {} if newest is None else unpacked(newest.data)
+    def newest(self, name: str) -> dict[str, Any]:
+        """Return the values of a ring's last message, possibly of an earlier process; empty if there is none."""
+        entry = self.ring(name).newest()
+        return {} if entry is None else unpacked(entry.data)
 
     @property
     def ending(self) -> bool:
@@ -131,7 +129,7 @@ class Part:
         about = {
             "state": state,
             "cpu_s": time.process_time(),
-            "rss_mb": _resident(),
+            "rss_mb": resident_memory(),
             "dropped": self.dropped.snapshot(),
             "pid": os.getpid(),
             "up_s": now - self._started,
@@ -179,11 +177,9 @@ class TrackFeed:
 
     def __init__(self, part: Part, actuators: Collection[str]) -> None:
         timeouts = part.settings.runtime.timeouts
-        self._part, self.track = part, VehicleTrack(slowest=timeouts.state, actuators=actuators)
+        self.track = VehicleTrack(slowest=timeouts.state, actuators=actuators)
         self.intake = Intake(self.track, actuators, timeouts, part.dropped)
-        self._ring = part.ring("readings")
-        self._number, self.given = self._ring.written, Given()
-        self.came = -np.inf
+        self._readings, self.given, self.came = part.reader("readings"), Given(), -np.inf
 
     def update(self, now: float) -> Change:
         """Take new readings; return the event that invalidates the map, if any."""
@@ -192,8 +188,7 @@ class TrackFeed:
             self.track.clear()
             changed = "went back"
         self.intake.now = now
-        for entry in self._ring.since(self._number):
-            self._number, values = entry.number, unpacked(entry.data)
+        for values in self._readings.new():
             self.given = Given(values["control"], values.get("gear"))
             taken = self.intake.vehicle(from_fields(VehicleReading, values))
             if taken != "dropped":
@@ -204,29 +199,27 @@ class TrackFeed:
 
 
 class NewestCourse:
-    """The newest course of the session.
-
-    Attributes:
-        number: of the current course; 0 before the first.
-    """
+    """The newest course of the session."""
 
     def __init__(self, part: Part) -> None:
-        self._part, self._ring, self.number = part, part.ring("course"), 0
+        self._part, self._courses = part, part.reader("course", all_messages=True)
+
+    @property
+    def number(self) -> int:
+        """Number of the current course; 0 before the first."""
+        return self._courses.number
 
     def changed(self) -> CourseTracker | None:
         """Return a tracker of a new course; it resumes at the last progress if that course was being driven."""
-        newest = self._ring.newest()
-        if newest is None or newest.number == self.number:
+        if (values := self._courses.newest()) is None:
             return None
-        self.number = newest.number
-        tracker = CourseTracker(from_fields(Course, unpacked(newest.data)))
-        before = self._part.last_command
+        tracker, before = CourseTracker(from_fields(Course, values)), self._part.newest("commands")
         if before.get("course") == self.number:
             tracker.resume(before["progress"])
         return tracker
 
 
-def _resident() -> float:
+def resident_memory() -> float:
     """Return the memory of this process [MB]."""
     with open("/proc/self/statm", encoding="ascii") as file:  # noqa: PTH123 - five times a second
         return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6

@@ -1,9 +1,10 @@
-"""Recorded drives in steps of a clock: replay to the run time, or play over a transport with /clock."""
+"""Recorded drives in steps of a clock, and their playback over a transport with /clock."""
 
 import heapq
-import threading
+import logging
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -11,23 +12,22 @@ import numpy as np
 from rosbags.interfaces import ConnectionExtRosbag2
 
 from offpiste.core.conventions import DT
-from offpiste.core.errors import LiveError, LogError
+from offpiste.core.errors import LiveError, LogError, require
 from offpiste.core.progress import track
-from offpiste.live.lockstep import Heard, Step, StepDriver
-from offpiste.live.session import CLOCK, COMMAND, END, READY
+from offpiste.live.part import freeze_loaded_objects
+from offpiste.live.session import CLOCK
 from offpiste.logs.ros.bag_files import open_readers, reported, whole_messages
 from offpiste.logs.ros.mcap_recovery import StreamedMcap
 from offpiste.logs.ros.sensor_messages import points_from_message
 from offpiste.logs.ros.writer import make
 from offpiste.rig.channels import SECONDS_PER_UNIT
-from offpiste.rig.rig import Rig
-from offpiste.transport.message_types import MessageTypes
-from offpiste.transport.zenoh_transport import ZenohTransport
+from offpiste.rig.rig import Rig, load_rig
+from offpiste.transport.zenoh_transport import ZenohSettings, ZenohTransport
+
+logger = logging.getLogger(__name__)
 
 _LATEST: Final = 1.0
 """Maximum duration of a LiDAR revolution [s]; larger point times are ignored."""
-_ANSWER: Final = 120.0
-"""Maximum wait for an answer in lockstep [s]; the first plan may wait for the compiler."""
 _KEPT: Final = ("/tf_static", "/robot_description", "/map")
 """Topics that ROS latches."""
 
@@ -133,14 +133,6 @@ class RecordedDrive:
         return stamp + round(latest * 1e9) if 0 < latest < _LATEST else 0
 
 
-def replayed(drive: RecordedDrive, driver: StepDriver, types: MessageTypes) -> Iterator[tuple[float, Step | None]]:
-    """Yield the time [s] and result of each step; messages that cannot be decoded are dropped."""
-    for step in drive.steps():
-        now = step.time / 10**9
-        decoded = ((one.topic, types.decoded(one.type, one.data)) for one in step.messages)
-        yield now, driver.step([Heard(topic, message, now) for topic, message in decoded if message is not None], now)
-
-
 class Played(NamedTuple):
     """Number of steps and messages played, and the maximum delay of a step [s]."""
 
@@ -150,31 +142,27 @@ class Played(NamedTuple):
 
 
 class LogPlayer:
-    """Publish the messages of a log.
+    """Publish the messages of a log in real time, and /clock after each step.
 
     Args:
-        without: further topics to leave out, e.g. recorded commands; /clock is generated, and topics of offpiste are
-            left out.
+        without: topics to leave out, e.g. recorded commands, in addition to /clock and those of offpiste.
+
+    Attributes:
+        left_out: topics that are not played.
     """
 
     def __init__(self, drive: RecordedDrive, transport: ZenohTransport, without: tuple[str, ...] = ()) -> None:
-        self._drive, self._transport = drive, transport
-        others = {t: kind for t, kind in drive.types.items() if t != CLOCK and not t.startswith("/offpiste/")}
-        known = {topic: kind for topic, kind in others.items() if kind in transport.types and topic not in without}
-        self.left_out = tuple(sorted(set(drive.types) - set(known)))
+        self._drive = drive
         self._publish = {
             topic: transport.raw_publisher(topic, kind, keep=topic in _KEPT or topic.endswith("/camera_info"))
-            for topic, kind in known.items()
+            for topic, kind in drive.types.items()
+            if kind in transport.types and topic not in (CLOCK, *without) and not topic.startswith("/offpiste/")
         }
+        self.left_out = tuple(sorted(set(drive.types) - set(self._publish)))
         self._clock = transport.publisher(CLOCK, "rosgraph_msgs/msg/Clock")
-        self._answered, self._answer = threading.Event(), 0
-        self._ready = threading.Event()
-        self._end = transport.publisher(END, "std_msgs/msg/String")
-        transport.subscribe(COMMAND, self._heard, msgtype="sensor_msgs/msg/Joy")
-        transport.subscribe(READY, lambda _: self._ready.set(), msgtype="std_msgs/msg/String", history=True)
 
     def play(self, rate: float, seconds: float) -> Played:
-        """Play in real time.
+        """Play the log.
 
         Args:
             rate: speed relative to the recording.
@@ -185,63 +173,45 @@ class LogPlayer:
         """
         if not 0 < rate <= 100:
             raise LiveError(f"a rate of {rate:g}", where="--rate", how="give a rate above 0, and at most 100")
-        began, first, late = time.monotonic(), 0, 0.0
-
-        def pace(step: LogStep) -> None:
-            nonlocal first, late
-            first = first or step.time
-            due = began + (step.time - first) / 1e9 / rate
-            late = max(late, time.monotonic() - due)
-            time.sleep(max(due - time.monotonic(), 0.0))
-
-        steps, messages = self._each(seconds, pace, lambda _: None)
-        return Played(steps, messages, late)
-
-    def play_in_lockstep(self, seconds: float) -> Played:
-        """Play step by step, waiting for the run time's command after each.
-
-        Raises:
-            LiveError: no command arrives.
-        """
-        if not self._ready.wait(_ANSWER):
-            raise LiveError("no `offpiste live` is ready", how="start `offpiste live … --lockstep` first")
-        time.sleep(0.3)  # until the routes to its subscriptions exist
-
-        def wait(step: LogStep) -> None:
-            while self._answer != step.time:
-                if not self._answered.wait(_ANSWER):
-                    raise LiveError("no command came back", how="see the output of `offpiste live … --lockstep`")
-                self._answered.clear()
-
-        steps, messages = self._each(seconds, lambda _: None, wait)
-        return Played(steps, messages, 0.0)
-
-    def _each(
-        self, seconds: float, before: Callable[[LogStep], None], after: Callable[[LogStep], None]
-    ) -> tuple[int, int]:
-        messages, steps = 0, 0
+        began, late, messages, steps = time.monotonic(), 0.0, 0, 0
         total = round(min(seconds, self._drive.seconds + DT) / DT)
         for _, step in zip(track(range(total), f"play {self._drive.path.name}"), self._drive.steps(), strict=False):
-            before(step)
+            due = began + steps * DT / rate
+            late = max(late, time.monotonic() - due)
+            time.sleep(max(due - time.monotonic(), 0.0))
             for one in step.messages:
                 if one.topic in self._publish:
                     self._publish[one.topic](one.data)
                     messages += 1
             self._clock(clock_message(step.time))
             steps += 1
-            after(step)
-        self._end(make("std_msgs/String", data="played"))
-        time.sleep(0.2)  # until it is sent
-        return steps, messages
-
-    def _heard(self, received: Any) -> None:
-        command = self._transport.decode(received)
-        if command is not None:
-            self._answer = command.header.stamp.sec * 10**9 + command.header.stamp.nanosec
-            self._answered.set()
+        time.sleep(0.2)  # until the last message is sent
+        return Played(steps, messages, late)
 
 
 def clock_message(nanoseconds: int) -> Any:
     """Return a rosgraph_msgs/Clock."""
     seconds, rest = divmod(nanoseconds, 10**9)
     return make("rosgraph_msgs/Clock", clock=make("builtin_interfaces/Time", sec=seconds, nanosec=rest))
+
+
+def play_log(
+    log: Path, rig: str, robot: ZenohSettings, rate: float, seconds: float, *, without: tuple[str, ...] = ()
+) -> None:
+    """Play a log.
+
+    Raises:
+        OffpisteError: an option, the log, the rig or the connection is invalid.
+    """
+    if not seconds > 0:
+        raise LiveError(f"{seconds:g} seconds", where="--seconds", how="give more than 0")
+    require("live", "zenoh")
+    known = load_rig(rig) if rig else None
+    drive = RecordedDrive(log, known, None if known is None else known.topics)
+    with closing(ZenohTransport(robot)) as transport:
+        player = LogPlayer(drive, transport, without)
+        if player.left_out:
+            logger.info(f"left out: {', '.join(player.left_out)}")
+        freeze_loaded_objects()
+        played = player.play(rate, seconds)
+    logger.info(f"played {played.messages} messages in {played.steps} steps, {1e3 * played.late:.0f} ms late at worst")

@@ -5,7 +5,6 @@ from collections import Counter, deque
 from dataclasses import replace
 from functools import partial
 from itertools import count
-from pathlib import Path
 from time import monotonic
 from typing import Final
 
@@ -18,9 +17,8 @@ from offpiste.live.ring import pack_fields, pack_sensors
 from offpiste.live.session import CLOCK, Session
 from offpiste.logs.measurements import Cloud, Image
 from offpiste.planning.course import Course
-from offpiste.rig.rig import load_rig
 from offpiste.runtime.estimator import VehicleReading
-from offpiste.transport.interface import Received, Tally
+from offpiste.transport.received import Received, Tally
 
 DEAF: Final = 5.0
 """Time without any message after which the process restarts [s]: the transport's thread may have run out of memory."""
@@ -81,22 +79,16 @@ class Receiver:
     """Write received values to the rings; images and scans are decoded in a thread of their own."""
 
     def __init__(self, part: Part, *, cameras: bool) -> None:
-        self.part, self.rig = part, load_rig(part.settings.rig)
-        self.reception = Reception(self.rig, part.settings.course, cameras=cameras)
-        self.transport = part.settings.robot.connect([Path(name) for name in self.rig.live.definitions])
+        self.part, self.transport = part, part.connect()
+        self.reception = Reception(part.rig, part.settings.course, cameras=cameras)
         self._small, self._calibrations = Backlog(_WAITING, part.dropped), Backlog(_WAITING, part.dropped)
         self._newest: dict[str, Received] = {}
-        self._stamp, self._heard_at = -1.0, np.inf
-        clock = part.settings.clock  # the arrival of messages without a header is measured by the clock of the others
-        self._by_robot, self._sets_clock = clock != "system", ""
-        if clock == "stamps":
-            self._sets_clock = self.reception.vehicle.position_topic
+        self._stamp, self._heard_at, self._clock_source = -1.0, np.inf, part.settings.clock
         self._lock, self._any, self._handed_over = threading.Lock(), threading.Event(), False
-        self._measured = self.reception.sensors.measured
         for topic, history in self.reception.topics.items():
             msgtype = self.reception.type_of(topic)
             self.transport.subscribe(topic, self._deliver, msgtype=msgtype, history=history)
-        if clock == "clock":
+        if self._clock_source == "clock":
             self.transport.subscribe(CLOCK, self._small.put, msgtype="rosgraph_msgs/msg/Clock")
         if self.reception.course is not None:
             self._course(self.reception.course)
@@ -107,28 +99,29 @@ class Receiver:
     def state(self) -> str:
         """Description of what is missing and what was refused meanwhile, or "ready"."""
         if waits := self.reception.waiting_for:
-            refused = self.transport.refused.snapshot()
-            frequent = sorted(refused, key=lambda what: -refused[what])[:3]
-            return "; ".join((f"waits for {waits}", *(f"refused: {what}" for what in frequent)))
+            frequent = Counter(self.transport.refused.snapshot()).most_common(3)
+            return "; ".join((f"waits for {waits}", *(f"refused: {what}" for what, _ in frequent)))
         late = ", ".join(self.reception.sensors.left_out)
         return f"ready, without {late}: optional, and first heard after the setup of the others" if late else "ready"
 
     def _deliver(self, received: Received) -> None:
         """Queue a message; called in the transport's thread."""
         self._heard_at = received.steady
-        if self._by_robot and received.topic != self._sets_clock:
-            with self._lock:
+        sensors, vehicle = self.reception.sensors, self.reception.vehicle
+        sets_clock = self._clock_source == "stamps" and received.topic == vehicle.position_topic
+        with self._lock:
+            # The arrival of messages without a header is measured by the clock of the others.
+            if self._clock_source != "system" and not sets_clock:
                 received = replace(received, received=self.part.now())
-        if received.topic in self._measured:
-            with self._lock:
+            if received.topic in sensors.measured:
                 if received.topic in self._newest:
                     self.part.dropped.add(f"{received.topic}: replaced by a newer one")
                 self._newest[received.topic] = received
-            self._any.set()
-        elif received.topic in self.reception.sensors.topics and self.reception.sensors.sensors is None:
-            self._calibrations.put(received)
-            self._any.set()
-        if received.topic not in self.reception.sensors.topics or received.topic in self.reception.vehicle.topics:
+                self._any.set()
+            elif received.topic in sensors.topics and sensors.sensors is None:
+                self._calibrations.put(received)
+                self._any.set()
+        if received.topic not in sensors.topics or received.topic in vehicle.topics:
             self._small.put(received)
 
     def read(self) -> None:
@@ -148,7 +141,7 @@ class Receiver:
             return
         for taken in self.reception.take(received.topic, message, received.received):
             if isinstance(taken, VehicleReading):
-                if self.part.settings.clock == "stamps":
+                if self._clock_source == "stamps":
                     self._clock(taken.time, received.steady)
                 given = self.reception.vehicle.given(taken.time)
                 self.part.write("readings", pack_fields(taken, **given._asdict(), came=received.steady))
@@ -180,6 +173,7 @@ class Receiver:
 
     def _sense(self) -> None:
         """Decode the newest image or scan of each sensor."""
+        sensors = self.reception.sensors
         while not self.part.ending:
             self._any.wait(0.1)
             self._any.clear()
@@ -188,32 +182,31 @@ class Receiver:
                 newest, self._newest = self._newest, {}
             for received in (*waiting, *newest.values()):
                 message = self.transport.decode(received)
-                taken = message and self.reception.sensors.take(received.topic, message, received.received)
-                if isinstance(taken, Image):
-                    self.part.write("images", pack_fields(taken))
-                elif isinstance(taken, Cloud):
-                    self.part.write("scans", pack_fields(taken))
-            if self.reception.sensors.sensors is not None and not self._handed_over:
-                self._handed_over = self.part.ring("sensors").write(pack_sensors(self.reception.sensors.sensors))
+                taken = message and sensors.take(received.topic, message, received.received)
+                if isinstance(taken, Image | Cloud):
+                    self.part.write("images" if isinstance(taken, Image) else "scans", pack_fields(taken))
+            if sensors.sensors is not None and not self._handed_over:
+                self._handed_over = self.part.ring("sensors").write(pack_sensors(sensors.sensors))
 
 
 def receive(session: Session, *, cameras: bool) -> None:
     """Run the process."""
     part = Part("receive", session)
     receiver, connected = Receiver(part, cameras=cameras), True
+    vehicle, transport = receiver.reception.vehicle, receiver.transport
     freeze_loaded_objects()
     while not part.ended:  # control needs readings until the vehicle is at a standstill
         receiver.read()
         receiver.check()
-        routers = receiver.transport.routers()
+        routers = transport.routers()
         part.dropped.add("connection to the router lost", connected and not routers)
         connected = routers > 0
         part.beat(
             receiver.state if routers else "no router: nothing is heard or sent",
-            refused=receiver.transport.refused.snapshot(),
-            unusable=receiver.reception.vehicle.dropped.snapshot() | receiver.reception.sensors.dropped.snapshot(),
+            refused=transport.refused.snapshot(),
+            unusable=vehicle.dropped.snapshot() | receiver.reception.sensors.dropped.snapshot(),
             routers=routers,
-            frame=receiver.reception.vehicle.frame or "",
+            frame=vehicle.frame or "",
             courses_refused=list(receiver.reception.refusals),
         )
-    receiver.transport.close()
+    transport.close()

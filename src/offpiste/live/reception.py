@@ -2,7 +2,6 @@
 
 import csv
 from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -134,50 +133,51 @@ class Reception:
         Args:
             received: arrival by the robot's clock [s]; not finite while that is unknown.
         """
-        taken: list[Taken] = []
+        taken: list[Taken | None] = []
         if topic == self._enable_topic:
             taken.append(switch_of(self._rig, message, received))
         if topic == self._request.topic:
-            taken += self._new_course(message)
+            taken.append(self._new_course(message))
         if topic in self.vehicle.topics and (reading := self.vehicle.take(topic, message, received)) is not None:
-            taken += self._reading(reading)
-        measured = self.sensors.take(topic, message, received) if topic in self.sensors.topics else None
-        return taken if measured is None else [*taken, measured]
+            taken += [self._course_at(reading), reading]
+        if topic in self.sensors.topics:
+            taken.append(self.sensors.take(topic, message, received))
+        return [one for one in taken if one is not None]
 
-    def _reading(self, reading: VehicleReading) -> list[Taken]:
+    def _course_at(self, reading: VehicleReading) -> Course | None:
+        """Take note of a reading; return a course that it makes possible."""
         if self._first is None or reading.time < self._first:
             self._first = reading.time
         if reading.time - self._first > _SETTLE:
             self.sensors.settle()
         if self._early is not None:
             early, self._early = self._early, None
-            return [*self._new_course(early), reading]
+            return self._new_course(early)
         if self._request.goal is None or self.course is not None:
-            return [reading]
+            return None
         try:
             ends = np.stack((reading.position[:2], np.array(self._request.goal)))
             self.course = _course(ends, np.full(2, self._request.speed), where="the goal")
         except LiveError as error:  # the vehicle is at the goal: wait until it is elsewhere
             if str(error) not in self.refusals:
                 self.refusals.append(str(error))
-            return [reading]
-        return [self.course, reading]
+        return self.course
 
-    def _new_course(self, message: Any) -> list[Taken]:
+    def _new_course(self, message: Any) -> Course | None:
         frame = self.vehicle.frame
         try:
             course = _course_from_path(message, self._request.speed, self._request.topic, frame or "")
         except (OffpisteError, AttributeError, TypeError, ValueError) as error:
             self.refusals.append(str(error))
-            return []
+            return None
         if frame is None:
             self._early = message
-            return []
+            return None
         old = self.course  # planners repeat their path
         if old is not None and np.array_equal(course.path, old.path) and np.array_equal(course.speed, old.speed):
-            return []
+            return None
         self.course = course
-        return [course]
+        return course
 
 
 def read_course(path: Path, speed: float, rig: Rig) -> Course:
@@ -223,14 +223,7 @@ def _local(degrees: Float[np.ndarray, "P 2"], rig: Rig, path: Path) -> Float[np.
 
 
 def _course_from_path(message: Any, speed: float, topic: str, frame: str) -> Course:
-    """Convert a nav_msgs/Path.
-
-    Args:
-        frame: of the vehicle's poses; "" if unknown.
-
-    Raises:
-        LiveError: it has fewer than two points, or another frame.
-    """
+    """Convert a nav_msgs/Path in the frame of the vehicle's poses ("" if that is unknown)."""
     given = str(message.header.frame_id).lstrip("/")
     if frame and given and given != frame:
         how = f"publish it in '{frame}'"
@@ -241,11 +234,7 @@ def _course_from_path(message: Any, speed: float, topic: str, frame: str) -> Cou
 
 
 def _course(xy: Float[np.ndarray, "P 2"], speed: Float[np.ndarray, " P"], *, where: str) -> Course:
-    """Check the points of a course and drop repeated ones.
-
-    Raises:
-        LiveError: fewer than two points remain, or a point or speed is invalid.
-    """
+    """Check the points of a course and drop repeated ones."""
     if len(xy) > _LONGEST:
         raise LiveError(f"a course of more than {_LONGEST} points", where=where, how="reduce its points")
     if not np.isfinite(xy).all() or not ((speed > 0) & (speed <= FASTEST)).all():
@@ -261,24 +250,16 @@ def _course(xy: Float[np.ndarray, "P 2"], speed: Float[np.ndarray, " P"], *, whe
 
 
 def switch_of(rig: Rig, message: Any, received: float) -> Pressed:
-    """Convert a message of the dead man's switch.
-
-    Args:
-        received: arrival by the robot's clock [s]; not finite while that is unknown.
-    """
+    """Convert a message of the dead man's switch (`received` as in `Reception.take`)."""
     assert rig.live.enable is not None
-    pressed = is_pressed(field_getter(rig.live.enable.field), message)
+    pressed = is_pressed(rig.live.enable.field, message)
     return Pressed(pressed, received - heard_at(received, message, rig.clock.stamps))
 
 
-def is_pressed(get: Callable[[object], float], message: Any) -> bool | None:
-    """Return whether the dead man's switch is pressed; None if its message lacks the field.
-
-    Args:
-        get: getter of `rig.outputs.Enable.field`.
-    """
+def is_pressed(field: str, message: Any) -> bool | None:
+    """Return whether the dead man's switch is pressed; None if its message lacks the field."""
     try:
-        return float(get(message)) > 0.5
+        return float(field_getter(field)(message)) > 0.5
     except (AttributeError, TypeError, ValueError):
         return None
 
@@ -291,6 +272,6 @@ def check_types(rig: Rig, types: MessageTypes) -> None:
             raise RigError(f"message type {msgtype} is unknown", where=f'live.types."{topic}"', how=how)
     enable = rig.live.enable
     msgtype = "" if enable is None else rig.live.types.get(enable.topic, "")
-    if enable is not None and msgtype and is_pressed(field_getter(enable.field), types.empty(msgtype)) is None:
+    if enable is not None and msgtype and is_pressed(enable.field, types.empty(msgtype)) is None:
         how = f"give the path of a number or boolean of {msgtype}"
         raise RigError(f"the type has no field '{enable.field}'", where="live.enable.field", how=how)

@@ -6,8 +6,7 @@ from collections.abc import Collection
 from contextlib import closing
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -18,9 +17,8 @@ from offpiste.live.reception import Reception
 from offpiste.live.session import CLOCK, COMMAND, DIAGNOSTICS, MODE, PLAN, RecordSettings, Session
 from offpiste.logs.ros.writer import McapWriter
 from offpiste.logs.transforms import TRANSFORMS, frames
-from offpiste.rig.rig import load_rig
-from offpiste.transport.interface import Received
 from offpiste.transport.message_types import MessageTypes
+from offpiste.transport.received import Received
 
 _WAITING, _WAITING_SIZE = 10_000, 256 << 20
 """Maximum number and total size [bytes] of messages that wait for the disk."""
@@ -33,9 +31,8 @@ _OURS: Final = {
     MODE: "std_msgs/msg/String",
     PLAN: "nav_msgs/msg/Path",
     DIAGNOSTICS: "diagnostic_msgs/msg/DiagnosticArray",
-    CLOCK: "rosgraph_msgs/msg/Clock",
 }
-"""Types of the topics published by offpiste and of the clock, for keys that lack them."""
+"""Topics published by offpiste with their types, which keys may lack."""
 
 
 def refuse_full_disk(settings: RecordSettings) -> None:
@@ -60,11 +57,10 @@ class Recording:
     """
 
     def __init__(self, settings: RecordSettings, types: MessageTypes, repeated: Collection[str]) -> None:
-        self._settings, self._types, self._topics = settings, types, frozenset(repeated)
+        self._settings, self._types, self._repeated = settings, types, frozenset(repeated)
         self._definition = cache(types.definition)
         self._newest: dict[tuple[str, ...], Received] = {}
         self.messages, self._looked = 0, -np.inf
-        self._began: int | None = None  # first stamp in the file [ns]
         self._open()
 
     def add(self, received: Received) -> None:
@@ -78,7 +74,7 @@ class Recording:
                 for one in self._newest.values():
                     self._write(one, stamp)
             self._write(received, stamp)
-        if received.topic in self._topics:
+        if received.topic in self._repeated:
             self._keep(received)
 
     def look(self) -> None:
@@ -101,7 +97,7 @@ class Recording:
     def _open(self) -> None:
         self._writer = McapWriter(unused_path(self._settings.path))
         self.path = self._writer.path
-        self._began = None
+        self._began: int | None = None  # first stamp in the file [ns]
 
     def _next(self) -> None:
         self.close()
@@ -112,12 +108,11 @@ class Recording:
         self.messages += 1
 
     def _keep(self, received: Received) -> None:
-        of = [received.topic]
-        message: Any = self._types.decoded(received.type, received.data) if received.type in TRANSFORMS else None
-        if message is not None:
-            of += [f"{parent} {child}" for parent, child in map(frames, message.transforms)]
-        self._newest.pop(tuple(of), None)  # the order is that of arrival
-        self._newest[tuple(of)] = received
+        key = [received.topic]
+        if received.type in TRANSFORMS and (message := self._types.decoded(received.type, received.data)) is not None:
+            key += [f"{parent} {child}" for parent, child in map(frames, message.transforms)]
+        self._newest.pop(tuple(key), None)  # the order is that of arrival
+        self._newest[tuple(key)] = received
         while len(self._newest) > _MOST or sum(len(one.data) for one in self._newest.values()) > _SIZE:
             del self._newest[next(iter(self._newest))]
 
@@ -125,32 +120,30 @@ class Recording:
 def record(session: Session) -> None:
     """Run the process; insufficient disk space ends it alone."""
     part = Part("record", session)
-    given, rig = session.settings.record, load_rig(session.settings.rig)
-    assert given is not None
-    transport = session.settings.robot.connect([Path(name) for name in rig.live.definitions])
-    reception = Reception(rig, session.settings.course, cameras=False)
-    sent = (output.topic for output in rig.outputs.values())
-    topics = dict.fromkeys((*rig.topics, *sent, COMMAND, PLAN, DIAGNOSTICS), False) | reception.topics
+    rig, settings, transport = part.rig, session.settings, part.connect()
+    assert settings.record is not None
+    reception = Reception(rig, settings.course, cameras=False)
+    types = {output.topic: output.type for output in rig.outputs.values()} | _OURS
+    topics = dict.fromkeys((*rig.topics, *types), False) | reception.topics
     topics |= {camera.info: True for camera in rig.cameras.values() if camera.info} | {MODE: True}
-    if session.settings.clock == "clock":
-        topics[CLOCK] = False
+    if settings.clock == "clock":
+        topics[CLOCK], types[CLOCK] = False, "rosgraph_msgs/msg/Clock"
     waiting = Backlog(_WAITING, part.dropped, size=_WAITING_SIZE, why="the disk is too slow")
 
     def deliver(received: Received) -> None:
-        if session.settings.clock != "system":  # stamps are by the robot's clock, which steps a replay
+        if settings.clock != "system":  # stamps are by the robot's clock, which steps a replay
             received = replace(received, received=part.now())
         if not np.isfinite(received.received) and not topics[received.topic]:
             part.dropped.add(f"{received.topic}: before the clock is known")
             return
         waiting.put(received)
 
-    known = _OURS | {output.topic: output.type for output in rig.outputs.values()}
     for topic, history in topics.items():
-        msgtype = reception.type_of(topic) or known.get(topic, "")
+        msgtype = reception.type_of(topic) or types.get(topic, "")
         transport.subscribe(topic, deliver, msgtype=msgtype, history=history)
     repeated = [topic for topic, history in topics.items() if history]
     try:
-        with closing(Recording(given, transport.types, repeated)) as recording:
+        with closing(Recording(settings.record, transport.types, repeated)) as recording:
             while not part.ended:  # the stop at the end is recorded, too
                 if (received := waiting.get(0.1)) is not None:
                     recording.add(received)

@@ -156,6 +156,42 @@ class Ring:
         return Entry(number, data)
 
 
+class Reader:
+    """New messages of a ring.
+
+    Args:
+        number: of the last message that is not read; None for the newest.
+
+    Attributes:
+        number: of the last message read.
+        lost: number of messages that were overwritten before they were read.
+    """
+
+    def __init__(self, ring: Ring, number: int | None = None) -> None:
+        self._ring, self.lost = ring, 0
+        self.number = ring.written if number is None else number
+
+    def new(self) -> list[dict[str, Any]]:
+        """Return the values of all messages since the last call."""
+        entries = self._ring.since(self.number)
+        if entries:
+            self.lost += entries[-1].number - self.number - len(entries)
+            self.number = entries[-1].number
+        return [unpacked(entry.data) for entry in entries]
+
+    def newest(self) -> dict[str, Any] | None:
+        """Return the values of the newest message if it is new."""
+        entry = self._ring.newest()
+        if entry is None or entry.number == self.number:
+            return None
+        self.number = entry.number
+        return unpacked(entry.data)
+
+    def skip(self) -> None:
+        """Ignore the messages so far."""
+        self.number = self._ring.written
+
+
 def _words_of(size: int) -> int:
     return -(-size // _WORD)
 

@@ -3,9 +3,8 @@
 import threading
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -43,7 +42,7 @@ from offpiste.rig.channels import GEOGRAPHIC, ChannelSource
 from offpiste.rig.rig import Rig
 from offpiste.rig.sensors import CameraSource, LidarSource
 from offpiste.runtime.estimator import Given, VehicleReading
-from offpiste.transport.interface import Tally
+from offpiste.transport.received import Tally
 
 _NO_STAMP: Final = "without a header stamp before the robot's clock is known"
 _KEPT: Final = 64
@@ -53,8 +52,7 @@ Sensors = tuple[dict[str, Camera], dict[str, Lidar]]
 """Cameras and LiDARs by name."""
 
 
-@dataclass(frozen=True)
-class _Source:
+class _Source(NamedTuple):
     """Channel of a topic, and the getters of its fields."""
 
     name: str
@@ -84,8 +82,7 @@ class VehicleMessages:
         names = (*_USED, *(a.channel for a in all_actuators()), *(c.name for c in KERNEL_CONTROLS))
         self._sources: dict[str, list[_Source]] = {}
         for name in names:
-            if name in rig.channels:
-                entry = rig.channels[name]
+            if (entry := rig.channels.get(name)) is not None:
                 named = zip(entry.fields, entry.joints, strict=True) if entry.joints else ()
                 getters = tuple(joint_getter(*each) for each in named) or tuple(map(field_getter, entry.fields))
                 self._sources.setdefault(entry.topic, []).append(_Source(name, entry, getters))
@@ -103,54 +100,50 @@ class VehicleMessages:
         if not np.isfinite(stamp):
             self.dropped[f"{topic}: {'its header has no stamp' if np.isnan(stamp) else _NO_STAMP}"] += 1
             return None
-        if topic == self.position_topic:
-            named = "" if self._geographic else getattr(getattr(message, "header", None), "frame_id", "")
-            self.frame = str(named).lstrip("/")
         for source in self._sources.get(topic, ()):
             self._add(source, message, stamp)
-        return self._reading() if topic == self.position_topic and self._fresh("position", np.inf) else None
+        if topic != self.position_topic:
+            return None
+        named = "" if self._geographic else getattr(getattr(message, "header", None), "frame_id", "")
+        self.frame = str(named).lstrip("/")
+        return self._reading()
 
     def given(self, now: float) -> Given:
         """Return the commands that the vehicle last received from any source; none if a channel of them is silent."""
-        engaged = self._latest("gear", now)
-        gear = None if engaged is None else float(engaged[0])
-        values = [self._latest(control.name, now) for control in CONTROLS]
-        given = [control.name for control in CONTROLS if control.name in self._rig.channels]
-        if not given or any(self._latest(name, now) is None for name in given):
+        gear = self._value("gear", now)
+        values = {one.name: self._value(one.name, now) for one in CONTROLS if one.name in self._rig.channels}
+        if not values or None in values.values():
             return Given(None, gear)
-        return Given(np.array([0.0 if value is None else float(value[0]) for value in values]), gear)
+        return Given(np.array([values.get(control.name, 0.0) for control in CONTROLS]), gear)
 
     def _add(self, source: _Source, message: Any, stamp: float) -> None:
-        name, entry = source.name, source.entry
+        name, entry, getters = source
         if entry.joints and not {*entry.joints} & {*getattr(message, "name", entry.joints)}:
             return  # from another publisher of this topic
         try:
-            raw = np.array([[float(get(message)) for get in source.getters]])
+            raw = np.array([[float(get(message)) for get in getters]])
             values = convert(name, entry, raw, self._rig.vehicle)
         except (AttributeError, TypeError, ValueError, IndexError, OverflowError, RigError) as error:
             self.dropped[f"{name}: {str(error).splitlines()[0][:80]}"] += 1
             return
-        if self._rig.motion.axes != "z up":
-            values = to_z_up(name, entry, values, self._rig.motion.axes)
-        with np.errstate(invalid="ignore"):
-            usable = bool((np.abs(values) <= largest(name)).all())
-            if entry.valid is not None:
-                usable &= bool(((values >= entry.valid[0]) & (values <= entry.valid[1])).all())
-        if name == "orientation":
-            usable &= abs(float(np.linalg.norm(values)) - 1) < 0.05
-        time = stamp - entry.delay
-        kept = self._kept.setdefault(name, deque(maxlen=_KEPT))
-        if not usable:
+        value, (low, high) = to_z_up(name, entry, values, self._rig.motion.axes)[0], entry.valid or (-np.inf, np.inf)
+        usable = np.isfinite(value) & (np.abs(value) <= largest(name)) & (value >= low) & (value <= high)
+        if not usable.all() or (name == "orientation" and abs(np.linalg.norm(value) - 1) >= 0.05):
             self.dropped[f"{name}: not finite or not valid"] += 1
             return
+        time, kept = stamp - entry.delay, self._kept.setdefault(name, deque(maxlen=_KEPT))
         if kept and time < kept[-1][0]:  # the clock went back: kept samples are obsolete
             kept.clear()
         if not kept or time > kept[-1][0]:
-            kept.append((time, values[0]))
+            kept.append((time, value))
 
     def _reading(self) -> VehicleReading | None:
+        if not self._kept.get("position"):
+            return None
         time, position = self._kept["position"][-1]
-        orientation = self._orientation(time)
+        orientation, yaw = self._latest("orientation", time), self._value("yaw", time)
+        if orientation is None and yaw is not None:
+            orientation = np.array((0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2)))
         if orientation is None:
             return None
         velocity, rate = self._velocity(time, orientation), self._yaw_rate(time, orientation)
@@ -160,46 +153,35 @@ class VehicleMessages:
         extra = {one.name: self._actuator(one, time) for one in registered_actuators()}
         return VehicleReading(time, _in_space(position), orientation, velocity, rate, actuators, extra)
 
-    def _orientation(self, time: float) -> Float[np.ndarray, " 4"] | None:
-        if (given := self._latest("orientation", time)) is not None:
-            return given
-        yaw = self._latest("yaw", time)
-        return None if yaw is None else np.array((0.0, 0.0, np.sin(yaw[0] / 2), np.cos(yaw[0] / 2)))
-
     def _velocity(self, time: float, orientation: Float[np.ndarray, " 4"]) -> Float[np.ndarray, " 3"] | None:
         """Return the world velocity of the pose point, by differentiating positions if the rig has no velocity."""
         entry = self._rig.channels.get("linear_velocity")
-        if entry is None or entry.frame == "unknown":
-            rate = self._rate("position", time)
-            return None if rate is None else _in_space(rate)
-        given = self._latest("linear_velocity", time)
+        measured = entry is not None and entry.frame != "unknown"
+        given = self._latest("linear_velocity", time) if measured else self._rate("position", time)
         if given is None:
             return None
-        full = _in_space(given)
-        return full if entry.frame == "world" else rotation_of_one(orientation) @ full
+        in_body = measured and entry is not None and entry.frame != "world"
+        return rotation_of_one(orientation) @ _in_space(given) if in_body else _in_space(given)
 
     def _yaw_rate(self, time: float, orientation: Float[np.ndarray, " 4"]) -> float | None:
         if "yaw_rate" in self._rig.channels:
-            given = self._latest("yaw_rate", time)
-            return None if given is None else float(given[0])
+            return self._value("yaw_rate", time)
         gyro = self._rig.channels.get("angular_velocity")
         if gyro is not None and gyro.frame == "body":
             given = self._latest("angular_velocity", time)
             return None if given is None else float(yaw_rate_from_body_rates(orientation[None], given[None])[0])
         name = "yaw" if "yaw" in self._rig.channels else "orientation"
-        samples = list(self._kept.get(name, ()))
-        turn = [value[0] if name == "yaw" else _yaw(value) for _, value in samples]
-        rate = self._derivative(np.array([t for t, _ in samples]), np.unwrap(turn)[:, None], time)
+        samples = self._kept.get(name, ())
+        turn = np.unwrap([value[0] if name == "yaw" else _yaw(value) for _, value in samples])
+        rate = self._derivative([at for at, _ in samples], turn[:, None], time)
         return None if rate is None else float(rate[0])
 
     def _actuator(self, actuator: Actuator, time: float) -> float:
         """Return its last value, or the derivative of the channel that it is the rate of; NaN without either."""
-        given = self._latest(actuator.channel, time)
-        if given is not None:
-            return float(given[0])
+        given = self._value(actuator.channel, time)
         measured = channel_of_rate(actuator.channel)
-        if actuator.channel in self._rig.channels or measured not in self._rig.channels:
-            return float("nan")
+        if given is not None or actuator.channel in self._rig.channels or measured not in self._rig.channels:
+            return float("nan") if given is None else given
         rate = self._rate(measured, time)
         return float("nan") if rate is None else float(rate[0])
 
@@ -210,26 +192,28 @@ class VehicleMessages:
         if self._rig.channels[channel].interpolation == "on change":  # the last value holds
             window = time - self._rig.motion.window * np.arange(KEPT_UP)[::-1] / KEPT_UP
             samples += [(at, samples[-1][1]) for at in window if at > samples[-1][0]]
-        return self._derivative(np.array([t for t, _ in samples]), np.stack([v for _, v in samples]), time)
+        return self._derivative([at for at, _ in samples], np.stack([value for _, value in samples]), time)
 
     def _derivative(
-        self, time: Float[np.ndarray, " n"], values: Float[np.ndarray, "n k"], at: float
+        self, time: Sequence[float], values: Float[np.ndarray, "n k"], at: float
     ) -> Float[np.ndarray, " k"] | None:
         if len(time) < 4:
             return None
-        _, rate = local_polynomial(time, values, np.array([at]), window=self._rig.motion.window, causal=True)
+        window = self._rig.motion.window
+        _, rate = local_polynomial(np.array(time), values, np.array([at]), window=window, causal=True)
         return rate[0] if np.isfinite(rate).all() else None
+
+    def _value(self, channel: str, time: float) -> float | None:
+        """Return the last number of a channel, as `_latest`."""
+        latest = self._latest(channel, time)
+        return None if latest is None else float(latest[0])
 
     def _latest(self, channel: str, time: float) -> Float[np.ndarray, " k"] | None:
         """Return the last value unless it is older than the rig's maximum gap."""
-        return self._kept[channel][-1][1] if self._fresh(channel, time) else None
-
-    def _fresh(self, channel: str, time: float) -> bool:
-        kept = self._kept.get(channel)
-        if not kept:
-            return False
+        if not (kept := self._kept.get(channel)):
+            return None
         stays = self._rig.channels[channel].interpolation == "on change"
-        return stays or time == np.inf or abs(time - kept[-1][0]) <= self._rig.clock.max_gap
+        return kept[-1][1] if stays or abs(time - kept[-1][0]) <= self._rig.clock.max_gap else None
 
 
 def _in_space(vector: Float[np.ndarray, " k"]) -> Float[np.ndarray, " 3"]:
@@ -302,6 +286,7 @@ class SensorMessages:
 
     Attributes:
         topics: required topics.
+        measured: those of images and scans.
         dropped: number of unusable messages, by sensor and reason.
         left_out: optional sensors whose first message came after the setup of the others.
     """
@@ -312,17 +297,12 @@ class SensorMessages:
         self._entries: dict[str, CameraSource | LidarSource] = {**self._cameras, **rig.lidars}
         self._of = {entry.topic: name for name, entry in self._entries.items()}
         infos = [camera.info for camera in self._cameras.values() if camera.info]
-        self.topics = (*self._of, *infos, *rig.frames.topics)
+        self.topics, self.measured = (*self._of, *infos, *rig.frames.topics), frozenset(self._of)
         self.dropped = Tally()
         self.sensors: Sensors | None = None
         self.left_out: list[str] = []
         self._why: dict[str, str] = {}
         self._lock = threading.Lock()  # `take` and `settle` are called by different threads
-
-    @property
-    def measured(self) -> frozenset[str]:
-        """Topics of images and scans."""
-        return frozenset(self._of)
 
     @property
     def waiting_for(self) -> str:

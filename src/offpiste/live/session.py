@@ -1,4 +1,4 @@
-"""A drive on a vehicle: settings, topics, and the shared memory of its processes."""
+"""A drive on a vehicle: settings, topics, the checks of its model, and the shared memory of its processes."""
 
 import fcntl
 import os
@@ -11,12 +11,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, Literal
 
+from offpiste.core.channels import all_actuators
 from offpiste.core.errors import LiveError
 from offpiste.live.reception import CourseRequest
 from offpiste.live.ring import Ring
+from offpiste.live.robot_messages import Sensors
+from offpiste.perception.camera import make_pinhole_camera
+from offpiste.rig.rig import Rig
+from offpiste.runtime.perception import SensorSetup
 from offpiste.runtime.planner import Planner, load_planner
 from offpiste.runtime.settings import RuntimeSettings
-from offpiste.transport.interface import RobotSettings
 from offpiste.transport.zenoh_transport import ZenohSettings
 from offpiste.uncertainty.novelty import Novelty
 
@@ -31,13 +35,11 @@ MAP: Final = "/offpiste/map"
 """The map (grid_map_msgs/GridMap)."""
 DIAGNOSTICS: Final = "/diagnostics"
 """State of each process (diagnostic_msgs/DiagnosticArray)."""
-READY: Final = "/offpiste/ready"
-"""Latched message: all subscriptions of a lockstep exist (std_msgs/String)."""
-END: Final = "/offpiste/end"
-"""End of a played log, which ends a lockstep (std_msgs/String)."""
 
 Source = Literal["system", "clock", "stamps"]
 """Clock that stamps are compared with: the computer's, /clock, or the stamps of the readings."""
+PARTS: Final = ("receive", "codes", "map", "plan", "control", "watchdog", "record", "view")
+"""Processes of a drive."""
 _KIB, _MIB = 1 << 10, 1 << 20
 RINGS: Final = {
     "readings": (64, 4 * _KIB),
@@ -53,10 +55,8 @@ RINGS: Final = {
     "sensors": (2, 1 * _MIB),
     "clock": (4, 64),
     "end": (2, 64),
-}
+} | {f"status-{part}": (2, 64 * _KIB) for part in PARTS}
 """Number of slots and maximum message size [bytes] of each ring; memory is allocated when it is written."""
-PARTS: Final = ("receive", "codes", "map", "plan", "control", "watchdog", "record", "view")
-"""Processes of a drive; each has a further ring for its status."""
 _PREFIX: Final = "offpiste-live-"
 _LOCK: Final = "lock"
 """File that a session's owner keeps locked: process numbers mean nothing across containers."""
@@ -64,19 +64,6 @@ _BEGINS: Final = 60.0
 """Minimum age of a folder without the lock file before it is removed [s]."""
 ROOM: Final = 0.25
 """Minimum free shared memory [GB]: a process that writes to full memory is killed."""
-
-
-@dataclass(frozen=True)
-class ViewSettings:
-    """Viewer of a drive.
-
-    Attributes:
-        name: of the viewer, one of `live.viewers.VIEWERS`.
-        place: where it listens (host:port) or writes; the viewer's default if empty.
-    """
-
-    name: str
-    place: str = ""
 
 
 @dataclass(frozen=True)
@@ -105,26 +92,47 @@ class LiveSettings:
     pca: Path | None
     course: CourseRequest
     runtime: RuntimeSettings = field(default_factory=RuntimeSettings)
-    robot: RobotSettings = field(default_factory=ZenohSettings)
+    robot: ZenohSettings = field(default_factory=ZenohSettings)
     drive: bool = False
     clock: Source = "system"
     seed: int = 0
     seconds: float = float("inf")
     record: RecordSettings | None = None
     status: Path | None = None
-    view: ViewSettings | None = None
+    view: str = ""
+    view_at: str = ""
     novelty: Novelty = "ignored"
 
     def load_planner(self, device: str = "cpu") -> Planner:
-        """Load the run.
-
-        Args:
-            device: of the feature extractor; only the process that encodes images needs another one than the CPU.
-
-        Raises:
-            RunError, PerceptionError: loading fails (`runtime.planner.load_planner`).
-        """
+        """Load the run, with its feature extractor on a device; only the process that encodes images needs a GPU."""
         return load_planner(self.run, self.pca, novelty=self.novelty, device=device)
+
+
+def refuse_unmeasured(planner: Planner, rig: Rig) -> None:
+    """Raise `LiveError` for a model whose inputs the robot lacks: true ground, actuators, or images."""
+    if planner.knows_ground:
+        how = "give a run trained on visual features, or on none"
+        raise LiveError("reads the ground's true properties, which no robot has", where=planner.folder, how=how)
+    lacks = [name for name in planner.dynamics.vehicle.actuators if name not in rig.present_actuators]
+    if lacks:
+        known = {actuator.name: actuator for actuator in all_actuators()}
+        needed = dict.fromkeys(known[known[name].rate_of or name].channel for name in lacks)
+        how = f"add {', '.join(f'[channels.{name}]' for name in needed)} to the rig, or give a run trained without them"
+        what = f"the model reads {', '.join(lacks)}, which rig '{rig.name}' does not have"
+        raise LiveError(what, where=planner.folder, how=how)
+    if planner.extractor is not None and not rig.cameras:
+        how = "add its cameras to the rig, or give a run that reads no images"
+        raise LiveError(f"the model reads images, and rig '{rig.name}' has no cameras", where=planner.folder, how=how)
+
+
+def sensor_setup_of(planner: Planner, sensors: Sensors) -> SensorSetup:
+    """Return the sensors of a robot in the form of a planner's run time."""
+    cameras, lidars = sensors
+    if planner.extractor is None:
+        return SensorSetup(lidars)
+    patch = planner.extractor.patch
+    pinholes = {name: make_pinhole_camera(camera, patch) for name, camera in cameras.items()}
+    return SensorSetup(lidars, pinholes, planner.extractor.extract)
 
 
 @dataclass(frozen=True)
@@ -135,7 +143,7 @@ class Session:
     folder: Path
 
     def ring(self, name: str) -> Ring:
-        """Open one of `RINGS`, or `status-PART`."""
+        """Open one of `RINGS`."""
         return Ring(self.folder / name)
 
 
@@ -158,8 +166,7 @@ def new_session(settings: LiveSettings) -> Iterator[Session]:
     with (folder / _LOCK).open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         try:
-            sizes = RINGS | {f"status-{part}": (2, 64 * _KIB) for part in PARTS}
-            for name, (slots, size) in sizes.items():
+            for name, (slots, size) in RINGS.items():
                 Ring.create(folder / name, slots=slots, size=size).close()
             yield Session(settings, folder)
         finally:

@@ -6,7 +6,6 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import closing
-from dataclasses import dataclass, field
 from functools import cache
 from typing import Any, Final
 
@@ -19,11 +18,11 @@ from offpiste.closed_loop.scores import scores_of
 from offpiste.core.conventions import DT
 from offpiste.core.errors import LiveError, require
 from offpiste.core.progress import track
+from offpiste.live.command_messages import path_message
 from offpiste.live.part import freeze_loaded_objects
 from offpiste.live.play import clock_message
 from offpiste.live.session import CLOCK
-from offpiste.logs.ros.writer import header, make, quaternion, vector
-from offpiste.rig.rig import Rig, load_rig
+from offpiste.rig.rig import load_rig
 from offpiste.runtime.modes import Controls
 from offpiste.simulation.messages import MAP, mountings_message, stamp_ns, vehicle_messages
 from offpiste.simulation.recorder import Imperfections, with_noise
@@ -33,7 +32,7 @@ from offpiste.simulation.simulate import drive
 from offpiste.simulation.vehicle.parameters import load_vehicle
 from offpiste.simulation.world.build import make_world
 from offpiste.simulation.world.world import World, WorldSettings
-from offpiste.transport.interface import Received, Transport
+from offpiste.transport.received import Received
 from offpiste.transport.zenoh_transport import ZenohSettings, ZenohTransport
 
 logger = logging.getLogger(__name__)
@@ -50,20 +49,18 @@ _NEAR: Final = 4.0
 """Maximum distance of that standstill from the end [m]."""
 
 
-@dataclass
 class RemoteCommands:
     """Last received command (a `simulation.simulate.Controller`).
 
     Attributes:
         stuck: always False: the driver may wait.
         lost: number of steps without a recent command.
+        given: throttle, brake, steer and gear of each step.
     """
 
-    stuck: bool = False
-    lost: int = 0
-    given: list[Float[np.ndarray, " 4"]] = field(default_factory=list)
-    _command: Float[np.ndarray, " 4"] = field(default_factory=lambda: np.array((0.0, 1.0, 0.0, 1.0)))
-    _at: float = -np.inf
+    def __init__(self) -> None:
+        self.stuck, self.lost, self.given = False, 0, list[np.ndarray]()
+        self._command, self._at = np.array((0.0, 1.0, 0.0, 1.0)), -np.inf
 
     def received(self, axes: Float[np.ndarray, " n"]) -> None:
         """Take throttle, brake, steer and gear from the axes of a sensor_msgs/Joy; ignore invalid ones."""
@@ -89,19 +86,12 @@ class SimulatedSensors:
         left_out, published: number of measurements.
     """
 
-    def __init__(self, world: World, suite_name: str, seed: int, transport: Transport) -> None:
-        self.suite = sensor_suite(suite_name)
-        self._sensing = Sensing(world, self.suite, np.random.default_rng([seed, 2]))
-        self._publish = _publisher(transport)
-        self._waiting: queue.SimpleQueue[VehicleSample | None] = queue.SimpleQueue()
+    def __init__(self, sensing: Sensing, publish: Callable[[str, Any], None]) -> None:
+        self._sensing, self._publish, self._waiting = sensing, publish, queue.SimpleQueue[VehicleSample | None]()
         self.left_out = self.published = 0
         self._latest, self._ends = 0.0, False
         self._thread = threading.Thread(target=self._work, daemon=True)
         self._thread.start()
-
-    def warm_up(self, sample: VehicleSample) -> None:
-        """Compile all kernels without publishing."""
-        self._sensing.warm_up(sample)
 
     def measure(self, sample: VehicleSample) -> None:
         """Queue a measurement."""
@@ -128,32 +118,35 @@ class SimulatedRobot:
     """Vehicle of the proving ground on the transport.
 
     Args:
-        chosen: the course.
         sensors: profile of `simulation.sensors`.
         vehicle: a TOML file; "" for the side-by-side.
         pose_noise: additional white noise of the published positions [m].
     """
 
     def __init__(
-        self, transport: Transport, world: World, chosen: ChosenCourse, sensors: str, seed: int, *,
+        self, transport: ZenohTransport, world: World, chosen: ChosenCourse, sensors: str, seed: int, *,
         vehicle: str = "", pose_noise: float = 0.0,
     ) -> None:  # fmt: skip
         self._transport, self.world, self.chosen = transport, world, chosen
-        self._rig, self._parameters = load_rig("proving_ground"), load_vehicle(vehicle or None)
-        self._imperfections = Imperfections(pose_noise)
-        self.commands = RemoteCommands()
-        self._rng, self._publish = np.random.default_rng([seed, 3]), _publisher(transport)
-        transport.subscribe(_command_topic(self._rig), self._commanded, msgtype="sensor_msgs/msg/Joy")
-        self._clock = transport.publisher(CLOCK, "rosgraph_msgs/msg/Clock")
-        self._sensors = SimulatedSensors(world, sensors, seed, transport)
-        mountings = mountings_message(self._sensors.suite.mountings(), stamp_ns(0.0))
+        self._command_topic = load_rig("proving_ground").outputs["command"].topic
+        self._parameters, self._imperfections = load_vehicle(vehicle or None), Imperfections(pose_noise)
+        self.commands, self._rng = RemoteCommands(), np.random.default_rng([seed, 3])
+        publisher = cache(transport.publisher)
+        self._publish = lambda topic, message: publisher(topic, message.__msgtype__)(message)
+        transport.subscribe(self._command_topic, self._commanded, msgtype="sensor_msgs/msg/Joy")
+        suite = sensor_suite(sensors)
+        self._sensing = Sensing(world, suite, np.random.default_rng([seed, 2]))
+        self._sensors = SimulatedSensors(self._sensing, self._publish)
+        mountings = mountings_message(suite.mountings(), stamp_ns(0.0))
         transport.publisher("/tf_static", "tf2_msgs/msg/TFMessage", keep=True)(mountings)
-        transport.publisher(COURSE, "nav_msgs/msg/Path", keep=True)(_path(chosen))
+        places = np.pad(chosen.course.driven, ((0, 0), (0, 1)))
+        path = path_message(places, np.zeros(len(places)), stamp_ns(0.0), MAP)
+        transport.publisher(COURSE, "nav_msgs/msg/Path", keep=True)(path)
 
     def warm_up(self) -> None:
         """Step the vehicle and every sensor once, so that kernels are compiled before the drive."""
         *_, sample = drive(self.world, self._parameters, self.chosen.start, RemoteCommands(), steps=2)
-        self._sensors.warm_up(sample)
+        self._sensing.warm_up(sample)
 
     def drive(self, seconds: float) -> Driving:
         """Drive in real time until the end of the course, a failure, the time limit [s], or Ctrl-C.
@@ -162,8 +155,7 @@ class SimulatedRobot:
             The drive from the first throttle.
         """
         samples, stands, slow = list[VehicleSample](), 0.0, 0.0
-        end, due = self.chosen.course.driven[-1], time.monotonic()
-        steps = round(seconds / DT)
+        end, due, steps = self.chosen.course.driven[-1], time.monotonic(), round(seconds / DT)
         run = drive(self.world, self._parameters, self.chosen.start, self.commands, steps=steps)
         try:
             for _, sample in zip(track(range(steps), "simulate"), run, strict=False):
@@ -187,22 +179,20 @@ class SimulatedRobot:
             self._sensors.end()
         if slow > 0.05 * len(samples) * DT:
             logger.warning(f"this machine is too slow: simulated time fell behind by {slow:.1f} s")
-        if self._sensors.left_out:
-            measured = self._sensors.left_out + self._sensors.published
-            logger.warning(f"this machine is too slow: left out {self._sensors.left_out} of {measured} measurements")
+        if left_out := self._sensors.left_out:
+            measured = left_out + self._sensors.published
+            logger.warning(f"this machine is too slow: left out {left_out} of {measured} measurements")
         driven = list(zip(samples, self.commands.given, strict=False))
         controls = [Controls(time_of(s.time), given[:3], "driving", gear=given[3]) for s, given in driven]
         return Driving([sample for sample, _ in driven], controls).from_first_throttle
 
     def _publish_vehicle(self, sample: VehicleSample) -> None:
-        stamp = stamp_ns(sample.time)
-        measured = with_noise(sample, self._imperfections, self._rng)
+        stamp, measured = stamp_ns(sample.time), with_noise(sample, self._imperfections, self._rng)
         messages = vehicle_messages(measured, stamp, wheel_radius=self._parameters.rolling_radius)
-        del messages[_command_topic(self._rig)]
-        odometry = messages.pop("/odometry")  # last: it completes a reading
-        for topic, message in {**messages, "/odometry": odometry}.items():
+        del messages[self._command_topic]
+        messages["/odometry"] = messages.pop("/odometry")  # last: it completes a reading
+        for topic, message in {**messages, CLOCK: clock_message(stamp)}.items():
             self._publish(topic, message)
-        self._clock(clock_message(stamp))
 
     def _commanded(self, received: Received) -> None:
         message = self._transport.decode(received)
@@ -213,8 +203,8 @@ class SimulatedRobot:
 def simulate_live(
     world: WorldSettings, robot: ZenohSettings, *,
     sensors: str, seconds: float, speed: float, vehicle: str = "", pose_noise: float = 0.0,
-) -> dict[str, Any]:  # fmt: skip
-    """Simulate a vehicle that is driven over the transport; log and return the scores of its drive.
+) -> None:  # fmt: skip
+    """Simulate a vehicle that is driven over the transport, and log the scores of its drive.
 
     Raises:
         OffpisteError: the world, the vehicle, an option or the connection is invalid.
@@ -222,8 +212,7 @@ def simulate_live(
     require("live", "zenoh")
     if not DT / 2 < seconds < np.inf:
         raise LiveError(f"a drive of {seconds:g} s", where="--seconds", how="give a finite number above 0")
-    parameters = load_vehicle(vehicle or None)
-    made = make_world(world)
+    parameters, made = load_vehicle(vehicle or None), make_world(world)
     chosen = choose_course(made, world.seed, CourseSettings(speed=speed))
     freeze_loaded_objects()
     with closing(ZenohTransport(robot)) as transport:
@@ -232,29 +221,8 @@ def simulate_live(
         logger.info(f"the vehicle waits for commands; its course is on {COURSE}")
         driving = simulated.drive(seconds)
     result = scores_of(driving, chosen.course, seconds, parameters)
-    result["steps_without_command"] = simulated.commands.lost
     ending = "finished" if result["finished"] else f"{result['progress_m']:.0f} of {result['course_m']:.0f} m"
     logger.info(
         f"{ending} in {result['time_s']:.1f} s, {result['mean_speed_mps']:.1f} m/s, {result['mean_path_error_m']:.2f} m"
         f" off the course, cost {result['driven_cost']:.0f}; {simulated.commands.lost} steps without a command"
     )
-    return result
-
-
-def _publisher(transport: Transport) -> Callable[[str, Any], None]:
-    """Return a function that publishes a message on a topic."""
-    publisher = cache(lambda topic, msgtype: transport.publisher(topic, msgtype))
-    return lambda topic, message: publisher(topic, message.__msgtype__)(message)
-
-
-def _command_topic(rig: Rig) -> str:
-    return rig.outputs["command"].topic
-
-
-def _path(chosen: ChosenCourse) -> Any:
-    poses = []
-    for x, y in chosen.course.driven.tolist():
-        place = vector((x, y, 0.0), "geometry_msgs/Point")
-        pose = make("geometry_msgs/Pose", position=place, orientation=quaternion((0, 0, 0, 1)))
-        poses.append(make("geometry_msgs/PoseStamped", header=header(stamp_ns(0.0), MAP), pose=pose))
-    return make("nav_msgs/Path", header=header(stamp_ns(0.0), MAP), poses=poses)

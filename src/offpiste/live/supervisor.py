@@ -9,9 +9,10 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import replace
+from functools import cache
 from multiprocessing import connection, parent_process
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -21,17 +22,18 @@ import numpy as np
 
 from offpiste.core.errors import LiveError, OffpisteError
 from offpiste.core.signals import BACKGROUND, ENDING, group_signals_blocked, ignore_group_signals
+from offpiste.live.command_messages import path_message
 from offpiste.live.control import ENDS, control, watchdog
 from offpiste.live.map_and_plan import codes, ground_height, map_ground, plan
 from offpiste.live.part import AFTER, LOADING, Part
-from offpiste.live.ring import Ring, layers_from, plan_from, unpacked
+from offpiste.live.ring import Reader, layers_from, plan_from, unpacked
 from offpiste.live.session import DIAGNOSTICS, MAP, PARTS, PLAN, LiveSettings, Session, new_session
 from offpiste.logs.ros.grid_map import grid_map_from_layers
-from offpiste.logs.ros.writer import header, make, quaternion, vector
+from offpiste.logs.ros.writer import header, make
 from offpiste.mapping.terrain_map import TerrainLayers
-from offpiste.runtime.planner import Planner
+from offpiste.rig.rig import load_rig
 from offpiste.runtime.prediction import Prediction
-from offpiste.transport.interface import Transport
+from offpiste.transport.zenoh_transport import ZenohTransport
 
 logger = logging.getLogger(__name__)
 
@@ -72,18 +74,13 @@ def run_part(name: str, session: Session, cameras: bool) -> None:
         Path("/proc/self/oom_score_adj").write_text(str(_FIRST_KILLED.get(name, 0)))
     try:
         _run(name, session, cameras)
-    except OffpisteError as error:
-        _report_last(name, session, str(error))
-        sys.exit(1)
     except Exception as error:
-        _report_last(name, session, f"{type(error).__name__}: {error}"[:300])
+        foreseen = isinstance(error, OffpisteError)
+        with suppress(LiveError):  # the session's memory may have been removed
+            Part(name, session).report(str(error) if foreseen else f"{type(error).__name__}: {error}"[:300])
+        if foreseen:
+            sys.exit(1)
         raise
-
-
-def _report_last(name: str, session: Session, state: str) -> None:
-    """Write a last state if the session's memory still exists."""
-    with suppress(LiveError):
-        Part(name, session).report(state)
 
 
 def _end_after(parent: int) -> None:
@@ -124,29 +121,27 @@ class Supervisor:
         restarts: number of restarts of each process.
     """
 
-    def __init__(self, session: Session, transport: Transport, *, cameras: bool, names: Sequence[str] = PARTS) -> None:
-        self._session, self._transport, settings = session, transport, session.settings
+    def __init__(
+        self, session: Session, transport: ZenohTransport, *, cameras: bool, names: Sequence[str] = PARTS
+    ) -> None:
+        settings = session.settings
         # The server imports shared modules once, has no threads, and forks each process.
         self._context = multiprocessing.get_context("forkserver")
         self._context.set_forkserver_preload(["offpiste.live.supervisor"])
-        self._cameras = cameras
-        wanted = {"codes": cameras, "watchdog": settings.drive, "record": settings.record is not None}
-        wanted["view"] = settings.view is not None
+        self._session, self._cameras, self._ring = session, cameras, cache(session.ring)
+        wanted = {"codes": cameras, "watchdog": settings.drive, "record": settings.record, "view": settings.view}
         self._names = [name for name in names if wanted.get(name, True)]
-        self._rings: dict[str, Ring] = {}
         self._processes: dict[str, BaseProcess] = {}
         self._handles: dict[str, int] = {}
         self._started: dict[str, float] = {}
         self.restarts = dict.fromkeys(self._names, 0)
         self._again = dict.fromkeys(self._names, 0.0)
-        self._publish: dict[str, Callable[[Any], None]] = {
-            PLAN: transport.publisher(PLAN, "nav_msgs/msg/Path"),
-            MAP: transport.publisher(MAP, "grid_map_msgs/msg/GridMap"),
-            DIAGNOSTICS: transport.publisher(DIAGNOSTICS, "diagnostic_msgs/msg/DiagnosticArray"),
-        }
-        self._numbers = {"plans": 0, "map": 0}
+        self._said = dict.fromkeys(self._names, ("", 0.0))
+        self._publish_plan = transport.publisher(PLAN, "nav_msgs/msg/Path")
+        self._publish_map = transport.publisher(MAP, "grid_map_msgs/msg/GridMap")
+        self._publish_states = transport.publisher(DIAGNOSTICS, "diagnostic_msgs/msg/DiagnosticArray")
+        self._plans, self._maps = Reader(self._ring("plans"), 0), Reader(self._ring("map"), 0)
         self._layers: TerrainLayers | None = None
-        self._said: dict[str, tuple[str, float]] = {}
 
     def start(self) -> None:
         """Start all processes."""
@@ -159,22 +154,21 @@ class Supervisor:
 
     def report(self, parts: States) -> None:
         """Publish the diagnostics, and the newest plan and map."""
-        now = time.time_ns()
-        self._publish[DIAGNOSTICS](diagnostics_message(parts, now))
+        self._publish_states(diagnostics_message(parts, time.time_ns()))
         frame = str(parts["receive"][2].get("frame", "") if "receive" in parts else "") or _FRAME
-        if (values := self._newer("map")) is not None:
+        if (values := self._maps.newest()) is not None:
             self._layers = layers_from(values)
             if self._layers is not None:
-                self._publish[MAP](map_message(self._layers, round(values["scan_time"] * 1e9), frame))
-        if (values := self._newer("plans")) is not None and "start" in values:
+                self._publish_map(map_message(self._layers, round(values["scan_time"] * 1e9), frame))
+        if (values := self._plans.newest()) is not None and "start" in values:
             timed, prediction = plan_from(values)
-            self._publish[PLAN](path_message(prediction, round(timed.start * 1e9), frame, self._layers))
+            self._publish_plan(plan_message(prediction, round(timed.start * 1e9), frame, self._layers))
 
     def say(self, parts: States) -> None:
         """Log changed states."""
         now = time.monotonic()
         for name, (level, state, _) in parts.items():
-            said, at = self._said.get(name, ("", 0.0))
+            said, at = self._said[name]
             if said != state and now - at > _SAY:
                 self._said[name] = state, now
                 begins = state in ("starts", LOADING) or state.startswith("waits")
@@ -220,57 +214,37 @@ class Supervisor:
         process, ring = self._processes[name], self._ring(f"status-{name}")
         newest = ring.newest()
         values = {} if newest is None else unpacked(newest.data)
-        about = {key: value for key, value in values.items() if key != "state"} | {"restarts": self.restarts[name]}
+        state, about = str(values.pop("state", "")), values | {"restarts": self.restarts[name]}
         now, begun = time.monotonic(), newest is not None and values.get("pid") == process.pid
         if not process.is_alive():
             code = process.exitcode
             if name == "record" and code == 0:  # the disk is full, or the file cannot be written: it would end again
-                return ERROR, f"ended: {values['state'] if begun else 'before it began'}", about
+                return ERROR, f"ended: {state if begun else 'before it began'}", about
             if now >= self._again[name]:
                 self.restarts[name] += 1
                 self._again[name] = now + min(0.1 * self.restarts[name], 2.0)
                 self._start(name)
-            why = f" ({values['state']})" if begun and code == 1 else ""
+            why = f" ({state})" if begun and code == 1 else ""
             return ERROR, f"ended with {code}{why}, and is started again", about
-        waits = now - self._started[name] if not begun else ring.age
-        if waits > (_LOADS if not begun or values["state"] == LOADING else _SOONER.get(name, _KILLED)):
+        waits = ring.age if begun else now - self._started[name]
+        loads = not begun or state == LOADING
+        if waits > (_LOADS if loads else _SOONER.get(name, _KILLED)):
             self._kill(name)
         if not begun:
             return WARN, "starts", about
-        if waits > _STALLED and values["state"] != LOADING:
+        if waits > _STALLED and not loads:
             return ERROR, "gives no sign of life", about
-        state = str(values["state"])
         good = state in ("ready", "driving") or state.startswith(("records", "shows"))
         return (OK if good else WARN), state, about
 
-    def _newer(self, name: str) -> dict[str, Any] | None:
-        newest = self._ring(name).newest()
-        if newest is None or newest.number == self._numbers[name]:
-            return None
-        self._numbers[name] = newest.number
-        return unpacked(newest.data)
 
-    def _ring(self, name: str) -> Ring:
-        if name not in self._rings:
-            self._rings[name] = self._session.ring(name)
-        return self._rings[name]
-
-
-def path_message(prediction: Prediction, stamp_ns: int, frame: str, layers: TerrainLayers | None) -> Any:
-    """Return a nav_msgs/Path of a prediction.
-
-    Args:
-        layers: of the map, whose ground it lies on. Unknown heights are interpolated along the path, and 0 without any.
-    """
-    places, poses = prediction.state[::_EVERY, :3], []
+def plan_message(prediction: Prediction, stamp_ns: int, frame: str, layers: TerrainLayers | None) -> Any:
+    """Return a nav_msgs/Path of a prediction on the ground; unknown heights are interpolated, and 0 without any."""
+    places = prediction.state[::_EVERY, :3]
     height = np.full(len(places), np.nan) if layers is None else ground_height(layers, places[:, :2])
     known = np.flatnonzero(np.isfinite(height))
     height = np.interp(np.arange(len(height)), known, height[known]) if len(known) else np.zeros(len(height))
-    for (x, y, yaw), z in zip(places.tolist(), height.tolist(), strict=True):
-        turn = quaternion((0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2)))
-        pose = make("geometry_msgs/Pose", position=vector((x, y, z), "geometry_msgs/Point"), orientation=turn)
-        poses.append(make("geometry_msgs/PoseStamped", header=header(stamp_ns, frame), pose=pose))
-    return make("nav_msgs/Path", header=header(stamp_ns, frame), poses=poses)
+    return path_message(np.column_stack((places[:, :2], height)), places[:, 2], stamp_ns, frame)
 
 
 def map_message(layers: TerrainLayers, stamp_ns: int, frame: str) -> Any:
@@ -283,17 +257,11 @@ def map_message(layers: TerrainLayers, stamp_ns: int, frame: str) -> Any:
 
 def diagnostics_message(parts: States, stamp_ns: int) -> Any:
     """Return a diagnostic_msgs/DiagnosticArray of the processes."""
-    status = [
-        make(
-            "diagnostic_msgs/DiagnosticStatus",
-            level=level,
-            name=f"offpiste: {name}",
-            message=message,
-            hardware_id="",
-            values=[make("diagnostic_msgs/KeyValue", key=key, value=text) for key, text in _texts(numbers)],
-        )
-        for name, (level, message, numbers) in parts.items()
-    ]
+    status = []
+    for name, (level, message, numbers) in parts.items():
+        pairs = [make("diagnostic_msgs/KeyValue", key=key, value=text) for key, text in _texts(numbers)]
+        named = {"name": f"offpiste: {name}", "message": message, "hardware_id": ""}
+        status.append(make("diagnostic_msgs/DiagnosticStatus", level=level, values=pairs, **named))
     return make("diagnostic_msgs/DiagnosticArray", header=header(stamp_ns, ""), status=status)
 
 
@@ -318,45 +286,42 @@ class StatusTable:
         "extract_ms", "speed_mps", "progress_m", "restarts", "dropped",
     )  # fmt: skip
 
-    def __init__(self, path: Path | None) -> None:
+    def __init__(self, path: Path) -> None:
         try:
-            self._file = None if path is None else path.open("w", newline="", encoding="utf-8")
+            self._file = path.open("w", newline="", encoding="utf-8", buffering=1)
         except OSError as error:
             how = "give another name"
-            raise LiveError(f"cannot be written: {error.strerror}", where=str(path), how=how) from error
-        if self._file is not None:
-            csv.writer(self._file).writerow(("time", "part", "level", "state", *self.COLUMNS))
-
-    def __enter__(self) -> "StatusTable":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._file is not None:
-            self._file.close()
+            raise LiveError(f"cannot be written: {error.strerror}", where=path, how=how) from error
+        self._rows = csv.writer(self._file)
+        self._rows.writerow(("time", "part", "level", "state", *self.COLUMNS))
 
     def add(self, time: float, parts: States) -> None:
-        """Add a row for each process."""
-        if self._file is None:
+        """Add a row for each process; a full disk ends the table, not the drive."""
+        if self._file.closed:
             return
         try:
             for name, (level, state, numbers) in parts.items():
                 given = dict(numbers) | {"dropped": sum(dict(numbers.get("dropped", {})).values())}
                 cells = [given.get(column, "") for column in self.COLUMNS]
                 rounded = [f"{cell:.3f}" if isinstance(cell, float) else cell for cell in cells]
-                csv.writer(self._file).writerow((f"{time:.2f}", name, level, state, *rounded))
-            self._file.flush()
-        except OSError as error:  # a full disk ends the table, not the drive
+                self._rows.writerow((f"{time:.2f}", name, level, state, *rounded))
+        except OSError as error:
             logger.warning(f"writing {self._file.name} has ended: {error.strerror}")
-            self._file = None
+            self.close()
+
+    def close(self) -> None:
+        """Close the file."""
+        with suppress(OSError):
+            self._file.close()
 
 
 class ServiceManager:
     """Notification socket of a service manager (systemd's sd_notify protocol), if $NOTIFY_SOCKET is set."""
 
     def __init__(self) -> None:
+        self._failed = False
         address = os.environ.get("NOTIFY_SOCKET", "")
         self._address = f"\0{address[1:]}" if address.startswith("@") else address
-        self._failed = False
 
     def notify(self, **state: object) -> None:
         """Send a state, e.g. `notify(READY=1, STATUS="drives")`; never wait."""
@@ -372,8 +337,11 @@ class ServiceManager:
             self._failed = True
 
 
-def supervise(settings: LiveSettings, planner: Planner, definitions: list[Path]) -> None:
+def supervise(settings: LiveSettings, *, cameras: bool) -> None:
     """Drive, or watch, until the time is over, Ctrl-C, or an ending signal.
+
+    Args:
+        cameras: whether the model reads images.
 
     Raises:
         OffpisteError: the connection or the shared memory fails.
@@ -381,12 +349,10 @@ def supervise(settings: LiveSettings, planner: Planner, definitions: list[Path])
     with ExitStack() as stack:
         asked = stack.enter_context(end_requested())
         robot = stack.enter_context(settings.robot.hosted())
-        transport = robot.connect(definitions)
-        stack.callback(transport.close)
+        transport = stack.enter_context(closing(ZenohTransport(robot, load_rig(settings.rig).live.definitions)))
         session = stack.enter_context(new_session(replace(settings, robot=robot)))
-        table = stack.enter_context(StatusTable(settings.status))
-        supervisor = Supervisor(session, transport, cameras=planner.extractor is not None)
-        manager = ServiceManager()
+        table = None if settings.status is None else stack.enter_context(closing(StatusTable(settings.status)))
+        supervisor, manager = Supervisor(session, transport, cameras=cameras), ServiceManager()
         began = looked = time.monotonic()
         try:
             supervisor.start()
@@ -397,7 +363,8 @@ def supervise(settings: LiveSettings, planner: Planner, definitions: list[Path])
                 if time.monotonic() - looked >= 0.5:
                     looked = time.monotonic()
                     supervisor.report(parts)
-                    table.add(looked - began, parts)
+                    if table is not None:
+                        table.add(looked - began, parts)
                     manager.notify(WATCHDOG=1, STATUS=summary(parts))  # here, because it shows that this loop runs
         except KeyboardInterrupt:
             logger.info("the vehicle is stopped" if settings.drive else "the drive ends")

@@ -10,22 +10,21 @@ from jaxtyping import Float
 from matplotlib import colormaps
 
 from offpiste.closed_loop.recording import LIFT
-from offpiste.core.state import Terrain
+from offpiste.core.state import Trajectory
 from offpiste.dynamics.base import Dynamics
 from offpiste.live.map_and_plan import ground_height
 from offpiste.live.part import Part, unused_path
-from offpiste.live.ring import from_fields, layers_from, plan_from, unpacked
+from offpiste.live.ring import from_fields, layers_from, plan_from
 from offpiste.live.session import PARTS, Session
-from offpiste.live.viewers import VIEWERS, ShownGround, ShownPlan, Viewer
+from offpiste.live.viewers import VIEWERS, Ground, Line, Viewer
 from offpiste.logs.measurements import Image
 from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.planning.controls import complete
 from offpiste.planning.course import Course
-from offpiste.rig.rig import load_rig
 from offpiste.runtime.estimator import VehicleReading
 from offpiste.runtime.follower import TimedPlan
 from offpiste.runtime.prediction import Prediction, coded_area
-from offpiste.uncertainty.spread import EVERY, INTERVAL, Spread, radius, spread_inputs
+from offpiste.uncertainty.spread import EVERY, INTERVAL, Spread, inputs_along, radius
 from offpiste.visualization.map_figure import STEEP, TALL
 
 PERIODS: Final = {"readings": 0.05, "plans": 0.1, "map": 1.0, "images": 0.2, "commands": 0.1, "course": 0.5}
@@ -38,6 +37,9 @@ _EVERY: Final = 5
 """Step in states of the shown plan."""
 _OBSTACLE: Final = 0.2
 """Height from which a cell is coloured as an obstacle [m]."""
+_FASTEST: Final = 10.0
+"""Speed at the upper end of the colours of a plan [m/s]."""
+_WHITE, _BLUE = (255, 255, 255), (20, 90, 200)
 WITHIN: Final = 0.8
 """Probability that the vehicle is within a region."""
 _POINTS: Final = 24
@@ -60,20 +62,13 @@ class PlanRegions:
     def outlines(
         self, layers: TerrainLayers, plan: TimedPlan, prediction: Prediction
     ) -> tuple[Float[np.ndarray, "_ 2"], ...]:
-        """Return closed lines x, y [m].
-
-        Args:
-            layers: of the map, with the model's codes as features.
-        """
-        offset = prediction.state[0, :2].copy()
+        """Return closed lines x, y [m] on a map with the model's codes as features."""
+        vehicle, offset = self._dynamics.vehicle, prediction.state[0, :2].copy()
+        states = torch.as_tensor(prediction.state - np.append(offset, np.zeros(4)), dtype=torch.float32)[None]
+        source = coded_area(layers, self._dynamics.encoder).terrain(torch.from_numpy(offset), self._wheels, 1)
+        control = complete(vehicle, plan.controls[: len(prediction.state)], plan.gear)[None]
         # The state before the first step is not available; the state after it replaces it.
-        states = np.concatenate((prediction.state[:1], prediction.state[EVERY - 1 : -1 : EVERY]))
-        moments = torch.as_tensor(states - np.concatenate((offset, np.zeros(4))), dtype=torch.float32)
-        area = coded_area(layers, self._dynamics.encoder)
-        under = area.terrain(torch.from_numpy(offset), self._wheels, len(moments)).at(0, moments)
-        terrain = Terrain(under.normal[None], under.known[None], under.latent[None])
-        control = complete(self._dynamics.vehicle, plan.controls[: len(prediction.state) : EVERY], plan.gear)
-        inputs = spread_inputs(self._dynamics.vehicle, moments[None], control[None], terrain)
+        inputs = inputs_along(vehicle, states[:, 0], Trajectory(states, states[..., :0]), control, source)
         axes = radius(WITHIN, float(self._spread.freedom)) * self._spread(inputs)[0].double().numpy()
         each = round(1 / INTERVAL)
         ends = prediction.state[EVERY - 1 :: EVERY][each - 1 :: each]
@@ -97,7 +92,8 @@ class Showing:
 
     def __init__(self, part: Part, viewer: Viewer, regions: PlanRegions | None = None) -> None:
         self._part, self._viewer, self._regions = part, viewer, regions
-        self._seen, self._due = dict.fromkeys(PERIODS, 0), dict[str, float]()
+        self._readers = {name: part.reader(name, all_messages=True) for name in PERIODS}
+        self._due = dict.fromkeys((*PERIODS, "states"), 0.0)
         self._layers: TerrainLayers | None = None
         self._course: Course | None = None
         self._height: float | None = None
@@ -114,73 +110,62 @@ class Showing:
             self._viewer.pose(reading)
         if self._height is None:
             return
-        if (values := self._newest("map")) is not None:
-            self._layers = layers_from(values)
+        mapped, course = self._newest("map"), self._newest("course")
+        if mapped is not None:
+            self._layers = layers_from(mapped)
             if self._layers is not None:
-                self._viewer.ground(shown_ground(self._layers, values["scan_time"]))
-            self._show_course(now)
-        if (values := self._newest("course")) is not None:
-            self._course = from_fields(Course, values)
-            self._show_course(now)
+                self._viewer.ground(shown_ground(self._layers, mapped["scan_time"]))
+        if course is not None:
+            self._course = from_fields(Course, course)
+        if self._course is not None and (mapped or course):
+            self._viewer.lines("course", now, [self._line(self._course.driven, _WHITE, 0.12)])
         if (values := self._newest("plans")) is not None and "start" in values:
-            self._viewer.plan(self._plan(values))
-        self._show_images()
+            self._show_plan(*plan_from(values))
+        if self._is_due("images", PERIODS["images"]):
+            images = (from_fields(Image, values) for values in self._readers["images"].new())
+            for image in {image.camera: image for image in images}.values():
+                self._viewer.image(image)
         if (values := self._newest("commands")) is not None:
-            throttle, brake, steer = (float(value) for value in values["applied"])
-            self._viewer.numbers(values["time"], "command", {"throttle": throttle, "brake": brake, "steer": steer})
-        self._show_states(now)
+            command = dict(zip(("throttle", "brake", "steer"), map(float, values["applied"]), strict=True))
+            self._viewer.numbers(values["time"], "command", command)
+        if self._is_due("states", _NUMBERS):
+            self._show_states(now)
+
+    def _is_due(self, name: str, period: float) -> bool:
+        now = time.monotonic()
+        due = now >= self._due[name]
+        if due:
+            self._due[name] = now + period
+        return due
 
     def _newest(self, name: str) -> dict[str, Any] | None:
-        """Return the newest message of a ring if it is new and due."""
-        ring, now = self._part.ring(name), time.monotonic()
-        if ring.written == self._seen[name] or now < self._due.get(name, 0.0):
+        """Return the values of the newest message of a ring if it is new and due."""
+        if time.monotonic() < self._due[name] or (values := self._readers[name].newest()) is None:
             return None
-        entry = ring.newest()
-        if entry is None:
-            return None
-        self._seen[name], self._due[name] = entry.number, now + PERIODS[name]
-        return unpacked(entry.data)
+        self._due[name] = time.monotonic() + PERIODS[name]
+        return values
 
-    def _show_images(self) -> None:
-        """Show the newest image of each camera."""
-        ring, now, newest = self._part.ring("images"), time.monotonic(), dict[str, Image]()
-        if ring.written == self._seen["images"] or now < self._due.get("images", 0.0):
-            return
-        for entry in ring.since(self._seen["images"]):
-            self._seen["images"], image = entry.number, from_fields(Image, unpacked(entry.data))
-            newest[image.camera] = image
-        self._due["images"] = now + PERIODS["images"]
-        for image in newest.values():
-            self._viewer.image(image)
-
-    def _show_course(self, now: float) -> None:
-        if self._course is not None:
-            self._viewer.course(now, self._lifted(self._course.driven))
-
-    def _plan(self, values: dict[str, Any]) -> ShownPlan:
-        plan, prediction = plan_from(values)
-        regions: tuple[np.ndarray, ...] = ()
-        if self._regions is not None and self._layers is not None:
-            regions = self._regions.outlines(self._layers, plan, prediction)
+    def _show_plan(self, plan: TimedPlan, prediction: Prediction) -> None:
         states = prediction.state[::_EVERY]
-        lifted = tuple(self._lifted(outline) for outline in regions)
-        return ShownPlan(plan.start, self._lifted(states[:, :2]), np.hypot(states[:, 3], states[:, 4]), lifted)
+        speed = np.hypot(states[:, 3], states[:, 4])
+        colours = (255 * colormaps["plasma"](np.clip(speed / _FASTEST, 0, 1))[:, :3]).astype(np.uint8)
+        lines = [self._line(states[:, :2], colours, 0.16)]
+        if self._regions is not None and self._layers is not None:
+            outlines = self._regions.outlines(self._layers, plan, prediction)
+            lines += [self._line(outline, _BLUE, 0.05) for outline in outlines]
+        self._viewer.lines("plan", plan.start, lines)
 
-    def _lifted(self, xy: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, "P 3"]:
-        """Return points above the ground; where that is unknown, above the vehicle's height."""
+    def _line(self, xy: Float[np.ndarray, "P 2"], colour: Any, width: float) -> Line:
+        """Return a line above the ground; where that is unknown, above the vehicle's height."""
         height = np.full(len(xy), self._height or 0.0)
         if self._layers is not None:
             on_map = ground_height(self._layers, xy)
             height = np.where(np.isfinite(on_map), on_map, height)
-        return np.column_stack((xy, height + LIFT))
+        return Line(np.column_stack((xy, height + LIFT)), np.broadcast_to(np.uint8(colour), (len(xy), 3)), width)
 
     def _show_states(self, now: float) -> None:
         """Show latencies and speed reported by the processes, and changes of the mode."""
-        if time.monotonic() < self._due.get("states", 0.0):
-            return
-        self._due["states"] = time.monotonic() + _NUMBERS
-        entries = {name: self._part.ring(f"status-{name}").newest() for name in PARTS}
-        states = {name: {} if entry is None else unpacked(entry.data) for name, entry in entries.items()}
+        states = {name: self._part.newest(f"status-{name}") for name in PARTS}
         numbers = {key: value for values in states.values() for key, value in values.items() if key.endswith("_ms")}
         self._viewer.numbers(now, "latencies", {key: value for key, value in numbers.items() if np.isfinite(value)})
         control = states["control"]
@@ -192,12 +177,11 @@ class Showing:
             self._viewer.mode(now, mode, why)
 
 
-def shown_ground(layers: TerrainLayers, moment: float) -> ShownGround:
-    """Return the known cells of a map for a viewer."""
+def shown_ground(layers: TerrainLayers, moment: float) -> Ground:
+    """Return the known cells of a map for a viewer, coloured by obstacle height, or by slope without an obstacle."""
     some = (slice(None, None, _STEP), slice(None, None, _STEP))
     known = layers.known[some]
-    ny, nx = layers.known.shape
-    centres = layers.centres.reshape(ny, nx, 2)[some][known]
+    centres = layers.centres.reshape(*layers.known.shape, 2)[some][known]
     names = ("slope", "roughness", "obstacle_height")
     values = {name: np.asarray(getattr(layers, name)[some][known], np.float32) for name in names}
     slope, height = np.nan_to_num(values["slope"]), np.nan_to_num(values["obstacle_height"])
@@ -205,19 +189,16 @@ def shown_ground(layers: TerrainLayers, moment: float) -> ShownGround:
     stands = height > _OBSTACLE
     shade[stands] = colormaps["YlOrRd"](np.clip(height[stands] / TALL, 0, 1))
     places = np.column_stack((centres, layers.elevation[some][known]))
-    return ShownGround(moment, places, values, (255 * shade[:, :3]).astype(np.uint8))
+    return Ground(moment, places, values, (255 * shade[:, :3]).astype(np.uint8))
 
 
 def view(session: Session, *, cameras: bool) -> None:
     """Run the process."""
     part, settings = Part("view", session), session.settings
-    assert settings.view is not None
-    rig, planner = load_rig(settings.rig), settings.load_planner()
-    names = tuple(rig.cameras) if cameras else ()
-    place = settings.view.place
+    rig, planner, place = part.rig, settings.load_planner(), settings.view_at
     if place:  # if it is a file, keep that of a killed process
         place = str(unused_path(Path(place)))
-    viewer = VIEWERS[settings.view.name](place, rig.wheel_positions(), names)
+    viewer = VIEWERS[settings.view](place, rig.wheel_positions(), tuple(rig.cameras) if cameras else ())
     regions = None
     if planner.spread is not None:
         regions = PlanRegions(planner.dynamics, planner.spread, rig.wheel_positions())

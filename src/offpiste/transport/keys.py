@@ -6,7 +6,7 @@ rmw_zenoh (ros2/rmw_zenoh) publishes on `DOMAIN/TOPIC/TYPE/HASH` and lists endpo
 
 import struct
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 NO_HASH: Final = "TypeHashNotSupported"
 """Hash in the keys of ROS distributions that compute none (Humble)."""
@@ -22,30 +22,8 @@ class Address:
 
 
 @dataclass(frozen=True)
-class Endpoint:
-    """Publisher or subscription of this process.
-
-    Attributes:
-        number: unique in the session.
-        publishes: whether it is a publisher.
-        keep: whether it keeps its last message for later subscribers.
-    """
-
-    number: int
-    topic: str
-    type: str
-    hash: str
-    publishes: bool
-    keep: bool = False
-
-
-@dataclass(frozen=True)
 class RmwZenohKeys:
-    """Keys of rmw_zenoh; `parsed` and `announced` return None for other keys and tokens.
-
-    Attributes:
-        domain: ROS_DOMAIN_ID.
-    """
+    """Keys of rmw_zenoh in a ROS_DOMAIN_ID; `parsed` and `announced` return None for other keys and tokens."""
 
     domain: int = 0
 
@@ -65,13 +43,20 @@ class RmwZenohKeys:
             return None
         return Address(f"/{parts[0]}", ros_type(parts[1]), parts[2])
 
-    def tokens(self, session: str, node: str, endpoint: Endpoint) -> list[str]:
-        """Return the liveliness tokens of the node and of one endpoint."""
-        begin, named = f"@ros2_lv/{self.domain}/{session}/0", f"%/%/{node}"
-        kind = "MP" if endpoint.publishes else "MS"
-        quality = f":{1 if endpoint.keep else ''}:,{1 if endpoint.keep else 10}:,:,:,,"
-        what = f"{endpoint.topic.replace('/', '%')}/{dds_type(endpoint.type)}/{endpoint.hash}"
-        return [f"{begin}/0/NN/{named}", f"{begin}/{endpoint.number}/{kind}/{named}/{what}/{quality}"]
+    def tokens(
+        self, session: str, node: str, number: int, address: Address, *, publishes: bool, keep: bool = False
+    ) -> list[str]:
+        """Return the liveliness tokens of a node and one of its endpoints.
+
+        Args:
+            number: of the endpoint, unique in the session.
+            publishes: whether it is a publisher.
+            keep: whether it keeps its last message for later subscribers.
+        """
+        begin, named, kind = f"@ros2_lv/{self.domain}/{session}/0", f"%/%/{node}", "MP" if publishes else "MS"
+        quality = f":{1 if keep else ''}:,{1 if keep else 10}:,:,:,,"
+        what = f"{address.topic.replace('/', '%')}/{dds_type(address.type)}/{address.hash}"
+        return [f"{begin}/0/NN/{named}", f"{begin}/{number}/{kind}/{named}/{what}/{quality}"]
 
     @property
     def publishers(self) -> str:
@@ -88,11 +73,7 @@ class RmwZenohKeys:
 
 @dataclass(frozen=True)
 class BridgeKeys:
-    """Keys of zenoh-bridge-ros2dds, for robots on Fast DDS or Cyclone DDS.
-
-    Attributes:
-        namespace: namespace in the bridge's configuration.
-    """
+    """Keys of zenoh-bridge-ros2dds with its namespace, for robots on Fast DDS or Cyclone DDS."""
 
     namespace: str = ""
 
@@ -106,10 +87,12 @@ class BridgeKeys:
 
     def parsed(self, key: str) -> Address | None:
         """Return the topic."""
-        begin = f"{self.namespace.strip('/')}/" if self.namespace.strip("/") else ""
+        begin = self.subscription("") + "/" if self.namespace.strip("/") else ""
         return Address(f"/{key.removeprefix(begin)}") if key.startswith(begin) else None
 
-    def tokens(self, session: str, node: str, endpoint: Endpoint) -> list[str]:
+    def tokens(
+        self, session: str, node: str, number: int, address: Address, *, publishes: bool, keep: bool = False
+    ) -> list[str]:
         """Return no tokens: the bridge declares those of the endpoints on DDS."""
         return []
 
@@ -120,11 +103,9 @@ class BridgeKeys:
 
     def announced(self, token: str) -> Address | None:
         """Return topic and type from `@/BRIDGE/@ros2_lv/MP/TOPIC/TYPE/QUALITY`, with § for / in names."""
-        parts = token.split("/")
-        if len(parts) != 7:
-            return None
-        topic = self.parsed(parts[4].replace("§", "/"))
-        return topic and Address(topic.topic, parts[5].replace("§", "/"))
+        parts = [part.replace("§", "/") for part in token.split("/")]
+        topic = self.parsed(parts[4]) if len(parts) == 7 else None
+        return topic and Address(topic.topic, parts[5])
 
 
 Keys = RmwZenohKeys | BridgeKeys
@@ -143,7 +124,6 @@ def ros_type(dds: str) -> str:
 
 _ATTACHMENT: Final = struct.Struct("<qqB16s")
 """Serialisation of two integers and 16 bytes after their length (33 bytes)."""
-ATTACHMENT_SIZE: Final = _ATTACHMENT.size
 
 
 class Attachment(NamedTuple):
@@ -158,9 +138,10 @@ class Attachment(NamedTuple):
         return _ATTACHMENT.pack(self.sequence, self.sent, len(self.publisher), self.publisher)
 
 
-def attachment_of(data: bytes) -> Attachment | None:
-    """Parse an attachment; return None for other data (messages of the bridge have none)."""
-    if len(data) != ATTACHMENT_SIZE:
-        return None
-    sequence, sent, length, publisher = _ATTACHMENT.unpack(data)
-    return Attachment(sequence, sent, publisher) if length == len(publisher) else None
+def attachment_of(data: Any) -> Attachment:
+    """Parse an attachment (bytes or zenoh's); return the number -1 for others (messages of the bridge have none)."""
+    if data is not None and len(data) == _ATTACHMENT.size:
+        sequence, sent, length, publisher = _ATTACHMENT.unpack(bytes(data))
+        if length == len(publisher):
+            return Attachment(sequence, sent, publisher)
+    return Attachment(-1, 0, b"")

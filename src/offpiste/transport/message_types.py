@@ -26,10 +26,10 @@ class MessageTypes:
         TransportError: a file is unreadable or no definition.
     """
 
-    def __init__(self, definitions: Sequence[Path] = ()) -> None:
+    def __init__(self, definitions: Sequence[str | Path] = ()) -> None:
         self.store = new_typestore()
         for file in definitions:
-            self._register(file)
+            self._register(Path(file))
         self.hash_of = cache(self._hash_of)
 
     def __contains__(self, msgtype: str) -> bool:

@@ -5,28 +5,18 @@ the loopback interface unless another endpoint is given.
 """
 
 import os
-import threading
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
+from itertools import count
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from offpiste.core.errors import extra, require
-from offpiste.transport.interface import Deliver, Publish, Received, Tally
-from offpiste.transport.keys import (
-    ATTACHMENT_SIZE,
-    NO_HASH,
-    Address,
-    Attachment,
-    BridgeKeys,
-    Endpoint,
-    Keys,
-    RmwZenohKeys,
-    attachment_of,
-)
+from offpiste.core.errors import extra
+from offpiste.transport.keys import NO_HASH, Address, Attachment, BridgeKeys, Keys, RmwZenohKeys, attachment_of
 from offpiste.transport.message_types import MessageTypes
+from offpiste.transport.received import Deliver, Publish, Received, Tally
 from offpiste.transport.zenoh_session import Mode, opened_session, router_process
 
 _GID: Final = 16
@@ -36,12 +26,12 @@ _MIB: Final = 1 << 20
 
 @dataclass(frozen=True)
 class ZenohSettings:
-    """Settings of the connection to a robot (`RobotSettings`).
+    """Settings of the connection to a robot. They can be pickled: each process of a drive connects by itself.
 
     Attributes:
         endpoint: of the router to connect to, or to be.
         mode: "client", "router" to run the router as well, or "part": a client whatever `config` states.
-        keys: "rmw_zenoh" or "bridge" (zenoh-bridge-ros2dds).
+        keys: "rmw_zenoh" or "bridge" (zenoh-bridge-ros2dds), whose keys do not state the message type.
         domain: ROS_DOMAIN_ID in rmw_zenoh's keys.
         namespace: namespace of the bridge.
         config: zenoh configuration file (JSON5), e.g. with certificates for TLS. `endpoint` and `mode` override it if
@@ -63,48 +53,39 @@ class ZenohSettings:
     node: str = "offpiste"
     identity: bytes = field(default_factory=lambda: os.urandom(_GID // 2))
 
-    @property
-    def says_types(self) -> bool:
-        """Whether keys state the message type."""
-        return self.keys != "bridge"
-
-    def require(self) -> None:
-        """Check that the extra `live` is installed."""
-        require("live", "zenoh")
-
-    def connect(self, definitions: Sequence[Path] = ()) -> "ZenohTransport":
-        """Open a session."""
-        return ZenohTransport(self, definitions)
-
     @contextmanager
     def hosted(self) -> Iterator["ZenohSettings"]:
-        """Return settings of clients; in mode "router" the router runs in its own process meanwhile."""
+        """Return settings of clients; in mode "router" the router runs in its own process, which outlives this one."""
         is_router = self.mode == "router"
         with router_process(self.endpoint, self.config) if is_router else nullcontext(self.endpoint) as endpoint:
             yield replace(self, mode="part", endpoint=endpoint)
 
 
 class ZenohTransport:
-    """Zenoh session (a `Transport`).
+    """Connection to a robot: a zenoh session.
 
     Args:
         definitions: files of message types that rosbags lacks.
+
+    Attributes:
+        refused: number of messages that were not delivered, by topic and reason.
+        types: known message types.
+        identity: prefix of `Received.publisher` for messages from any process of this drive.
 
     Raises:
         MissingExtra: the extra `live` is not installed.
         TransportError: no router answers, or the configuration is invalid.
     """
 
-    def __init__(self, settings: ZenohSettings | None = None, definitions: Sequence[Path] = ()) -> None:
+    def __init__(self, settings: ZenohSettings | None = None, definitions: Sequence[str | Path] = ()) -> None:
         with extra("live"):
             import zenoh
 
         self.settings, self._zenoh = settings or ZenohSettings(), zenoh
-        self.types = MessageTypes(definitions)
+        self.types, self.refused, self.identity = MessageTypes(definitions), Tally(), self.settings.identity
         given = self.settings
         self.keys: Keys = RmwZenohKeys(given.domain) if given.keys == "rmw_zenoh" else BridgeKeys(given.namespace)
-        self.refused = Tally()
-        self._lock, self._held, self._count = threading.Lock(), list[Any](), 0
+        self._held, self._numbers = list[Any](), count(1)
         self._session = opened_session(given.endpoint, given.mode, given.config)
         self._session_id = str(self._session.info.zid())
         self._known: dict[str, str] = {}
@@ -113,13 +94,16 @@ class ZenohTransport:
             tokens = self._session.liveliness().declare_subscriber(self.keys.publishers, token, history=True)
             self._held.append(tokens)
 
-    @property
-    def identity(self) -> bytes:
-        """Prefix of the GIDs of our publishers."""
-        return self.settings.identity
-
     def publisher(self, topic: str, msgtype: str, *, keep: bool = False) -> Publish:
-        """Return a function that publishes on a topic (see `Transport`)."""
+        """Return a function that publishes on a topic.
+
+        Args:
+            msgtype: for example `nav_msgs/msg/Path`.
+            keep: send the last message to later subscribers (durability "transient local").
+
+        Raises:
+            TransportError: the type is unknown.
+        """
         send, store = self.raw_publisher(topic, msgtype, keep=keep), self.types.store
 
         def publish(message: Any) -> None:
@@ -129,7 +113,7 @@ class ZenohTransport:
 
     def raw_publisher(self, topic: str, msgtype: str, *, keep: bool = False) -> Publish:
         """Return a function that publishes serialised messages."""
-        zenoh, number = self._zenoh, self._next()
+        zenoh, number = self._zenoh, next(self._numbers)
         address = Address(topic, msgtype, self.types.hash_of(msgtype))
         key, gid = self.keys.publication(address), self.identity + os.urandom(4) + number.to_bytes(4, "little")
         if keep:
@@ -141,10 +125,9 @@ class ZenohTransport:
             control = zenoh.CongestionControl
             full = control.BLOCK if self.settings.patient else control.DROP
             publisher = self._session.declare_publisher(key, congestion_control=full, express=True)
-        self._announce(Endpoint(number, topic, msgtype, address.hash, publishes=True, keep=keep))
+        self._announce(number, address, publishes=True, keep=keep)
         self._held.append(publisher)
-        sequence = iter(range(1 << 62))
-        encoding = zenoh.Encoding("application/cdr")
+        sequence, encoding = count(), zenoh.Encoding("application/cdr")
 
         def publish(data: bytes) -> None:
             attachment = Attachment(next(sequence), time.time_ns(), gid).packed()
@@ -155,21 +138,30 @@ class ZenohTransport:
     def subscribe(
         self, topic: str, deliver: Deliver, *, msgtype: str = "", history: bool = False, unchecked: bool = False
     ) -> None:
-        """Deliver the messages of a topic (see `Transport`)."""
+        """Deliver the messages of a topic in their order.
+
+        Args:
+            msgtype: the only type that is accepted; "" accepts every known type.
+            history: also request the last message kept by each publisher.
+            unchecked: deliver messages of any type, without their data, to detect other publishers.
+        """
         zenoh = self._zenoh
 
         def heard(sample: Any) -> None:
+            received = time.time()
             try:
-                message = self._present(topic, sample) if unchecked else self._accepted(topic, msgtype, sample)
-                if message is not None:
-                    deliver(message)
+                if sample.kind == zenoh.SampleKind.PUT:
+                    kind = "" if unchecked else self._accepted(topic, msgtype, sample)
+                    if kind is not None:
+                        attached = attachment_of(sample.attachment)
+                        data = b"" if unchecked else bytes(sample.payload)
+                        deliver(Received(topic, kind, data, received, attached.sequence, attached.publisher))
             except Exception as error:  # noqa: BLE001 - outside data must not end zenoh's thread
                 self._refuse(topic, f"cannot be taken ({type(error).__name__})")
 
         # Called one after the other in zenoh's thread: the order across topics is that of arrival.
         handler = zenoh.handlers.Callback(heard, indirect=False)
-        key = self.keys.subscription(topic)
-        elsewhere = zenoh.Locality.REMOTE
+        key, elsewhere = self.keys.subscription(topic), zenoh.Locality.REMOTE
         if history:
             past = zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=1)
             subscriber: Any = zenoh.ext.declare_advanced_subscriber(
@@ -178,25 +170,23 @@ class ZenohTransport:
         else:
             subscriber = self._session.declare_subscriber(key, handler, allowed_origin=elsewhere)
         if msgtype:
-            self._announce(Endpoint(self._next(), topic, msgtype, self.types.hash_of(msgtype), publishes=False))
+            address = Address(topic, msgtype, self.types.hash_of(msgtype))
+            self._announce(next(self._numbers), address, publishes=False)
         self._held.append(subscriber)
 
     def topics(self) -> dict[str, str]:
         """Return topics published by others, with their types, by their liveliness tokens."""
-        found: dict[str, str] = {}
-        for reply in self._session.liveliness().get(self.keys.publishers, timeout=2.0):
-            if reply.ok is not None and self._session_id not in str(reply.ok.key_expr):
-                address = self.keys.announced(str(reply.ok.key_expr))
-                if address is not None:
-                    found[address.topic] = address.type
-        return found
+        replies = self._session.liveliness().get(self.keys.publishers, timeout=2.0)
+        tokens = [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
+        found = [self.keys.announced(token) for token in tokens if self._session_id not in token]
+        return {address.topic: address.type for address in found if address is not None}
 
     def routers(self) -> int:
         """Return the number of connected routers; 0 while the connection is lost."""
         return len(self._session.info.routers_zid())
 
     def decode(self, message: Received) -> Any:
-        """Decode a message; return None and count it if that fails."""
+        """Decode a message; return None and count it as refused if that fails."""
         decoded = self.types.decoded(message.type, message.data)
         if decoded is None:
             self._refuse(message.topic, "cannot be decoded")
@@ -207,54 +197,28 @@ class ZenohTransport:
         self._session.close()
 
     def _learn(self, token: str) -> None:
-        address = self.keys.announced(token)
-        if address is not None:
+        if (address := self.keys.announced(token)) is not None:
             self._known[address.topic] = address.type
 
-    def _present(self, topic: str, sample: Any) -> Received | None:
-        """Return a message without its data: the sign of a publisher."""
-        if sample.kind != self._zenoh.SampleKind.PUT:
-            return None
-        number, publisher = _publisher_of(sample)
-        return Received(topic, "", b"", time.time(), number, publisher)
-
-    def _accepted(self, topic: str, wanted: str, sample: Any) -> Received | None:
-        received = time.time()
+    def _accepted(self, topic: str, wanted: str, sample: Any) -> str | None:
+        """Return the type of a message; None if it is refused."""
         address = self.keys.parsed(str(sample.key_expr))
-        if address is None or sample.kind != self._zenoh.SampleKind.PUT:
-            return None
-        if len(sample.payload) > self.settings.largest * _MIB:
-            self._refuse(topic, "too large")
+        if address is None:
             return None
         msgtype = address.type or wanted or self._known.get(topic, "")
-        if (wanted and msgtype != wanted) or msgtype not in self.types:
-            self._refuse(topic, f"of type {_short(msgtype)}" if wanted else f"unknown type {_short(msgtype)}")
-            return None
-        if address.hash not in ("", NO_HASH, self.types.hash_of(msgtype)):
+        if len(sample.payload) > self.settings.largest * _MIB:
+            self._refuse(topic, "too large")
+        elif (wanted and msgtype != wanted) or msgtype not in self.types:
+            self._refuse(topic, f"{'of' if wanted else 'unknown'} type {msgtype[:80] or '(unknown)'}")
+        elif address.hash not in ("", NO_HASH, self.types.hash_of(msgtype)):
             self._refuse(topic, "another definition of its type (its hash differs)")
-            return None
-        number, publisher = _publisher_of(sample)
-        return Received(topic, msgtype, bytes(sample.payload), received, number, publisher)
+        else:
+            return msgtype
+        return None
 
     def _refuse(self, topic: str, why: str) -> None:
         self.refused.add(f"{topic}: {why}")
 
-    def _announce(self, endpoint: Endpoint) -> None:
-        for token in self.keys.tokens(self._session_id, self.settings.node, endpoint):
-            self._held.append(self._session.liveliness().declare_token(token))
-
-    def _next(self) -> int:
-        with self._lock:
-            self._count += 1
-            return self._count
-
-
-def _publisher_of(sample: Any) -> tuple[int, bytes]:
-    """Return a message's sequence number and its publisher's GID; -1 and b"" if missing."""
-    attached = sample.attachment
-    about = attachment_of(bytes(attached) if attached is not None and len(attached) == ATTACHMENT_SIZE else b"")
-    return (about.sequence, about.publisher) if about else (-1, b"")
-
-
-def _short(text: str) -> str:
-    return text[:80] or "(unknown)"
+    def _announce(self, number: int, address: Address, *, publishes: bool, keep: bool = False) -> None:
+        tokens = self.keys.tokens(self._session_id, self.settings.node, number, address, publishes=publishes, keep=keep)
+        self._held += [self._session.liveliness().declare_token(token) for token in tokens]

@@ -1,14 +1,12 @@
 """Viewers of a drive for `offpiste live --view NAME`, one module each."""
 
 import socket
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, ClassVar, Final, Protocol, runtime_checkable
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, Final, NamedTuple
 
 import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
-from matplotlib import colormaps
 
 from offpiste.core.errors import LiveError
 from offpiste.core.registry import Registry
@@ -19,45 +17,20 @@ WIDEST: Final = 640
 """Maximum width of shown images [px]."""
 _QUALITY: Final = 80
 """JPEG quality of images."""
-_FASTEST: Final = 10.0
-"""Speed at the upper end of the colours of a plan [m/s]."""
 NUMBERS: Final = {"latencies": "latencies [ms]", "command": "command", "speed": "speed [m/s]"}
 """Kinds of plotted numbers, and titles of their plots."""
 
 
-@dataclass(frozen=True)
-class ShownPlan:
-    """Plan for a viewer.
+class Line(NamedTuple):
+    """Line slightly above the ground [m], with a colour for each point, and its width [m]."""
 
-    Attributes:
-        time: of its first control [s].
-        places: predicted positions, slightly above the ground [m].
-        speed: predicted speeds [m/s].
-        regions: closed lines around the vehicle's positions with probability `view.WITHIN` [m]; empty if the run has no
-            spread.
-    """
-
-    time: float
     places: Float[np.ndarray, "P 3"]
-    speed: Float[np.ndarray, " P"]
-    regions: tuple[Float[np.ndarray, "_ 3"], ...] = ()
-
-    @property
-    def colours(self) -> UInt8[np.ndarray, "P 3"]:
-        """Colours of the positions by speed."""
-        return (255 * colormaps["plasma"](np.clip(self.speed / _FASTEST, 0, 1))[:, :3]).astype(np.uint8)
+    colours: UInt8[np.ndarray, "P 3"]
+    width: float
 
 
-@dataclass(frozen=True)
-class ShownGround:
-    """Known cells of the map for a viewer.
-
-    Attributes:
-        time: of the newest scan [s].
-        places: centres of the cells on the ground [m].
-        layers: values of each cell, by name.
-        colours: by obstacle height, or by slope without an obstacle.
-    """
+class Ground(NamedTuple):
+    """Known cells of the map at the time of the newest scan [s]: centres [m], values by name, and colours."""
 
     time: float
     places: Float[np.ndarray, "C 3"]
@@ -65,9 +38,8 @@ class ShownGround:
     colours: UInt8[np.ndarray, "C 3"]
 
 
-@runtime_checkable
-class Viewer(Protocol):
-    """Viewer of a drive, registered in `VIEWERS`. Its calls may block: they run in a process of their own.
+class Viewer:
+    """Viewer of a drive, registered in `VIEWERS`. Its methods may block: they run in a process of their own.
 
     Args:
         place: where it listens or writes; "" for its default.
@@ -83,42 +55,32 @@ class Viewer(Protocol):
         LiveError: it cannot listen there.
     """
 
-    package: ClassVar[str]
+    package: ClassVar[str] = ""
     where: str
 
-    def __init__(self, place: str, wheels: Float[np.ndarray, "4 2"], cameras: tuple[str, ...]) -> None: ...
+    def __init__(self, place: str, wheels: Float[np.ndarray, "4 2"], cameras: tuple[str, ...]) -> None:
+        raise NotImplementedError
 
     def pose(self, reading: VehicleReading) -> None:
         """Show the vehicle's pose."""
-        ...
 
-    def course(self, time: float, places: Float[np.ndarray, "P 3"]) -> None:
-        """Show the course, slightly above the ground [m]."""
-        ...
+    def lines(self, name: str, time: float, lines: Sequence[Line]) -> None:
+        """Replace the lines of the "course", or of the "plan" and its regions."""
 
-    def plan(self, plan: ShownPlan) -> None:
-        """Replace the shown plan."""
-        ...
-
-    def ground(self, ground: ShownGround) -> None:
+    def ground(self, ground: Ground) -> None:
         """Replace the shown map."""
-        ...
 
     def image(self, image: Image) -> None:
         """Show the newest image of a camera."""
-        ...
 
     def mode(self, time: float, mode: str, why: str) -> None:
         """Show a change of the mode or its reason."""
-        ...
 
     def numbers(self, time: float, kind: str, values: Mapping[str, float]) -> None:
         """Plot numbers of a kind in `NUMBERS`."""
-        ...
 
     def close(self) -> None:
         """Close the viewer."""
-        ...
 
 
 VIEWERS: Final[Registry[type[Viewer]]] = Registry("viewer", package=__name__, error=LiveError)

@@ -1,1 +1,0 @@
-"""Example: offpiste drives a vehicle by rclpy instead of zenoh."""
