@@ -10,7 +10,6 @@ from feature_datasets import dataset_with_features
 from offpiste.cli import next_steps
 from offpiste.cli.entry import commands_in_order, parse
 from offpiste.cli.extract import Extract
-from offpiste.cli.reproduce import Reproduce
 from offpiste.cli.view import View
 from offpiste.core.shipped import run_folder
 from offpiste.dataset.store import Dataset
@@ -69,13 +68,9 @@ def test_runs_that_cannot_be_exported_lead_to_one_that_can(monkeypatch: pytest.M
     assert command_of(next_steps.after_runs([ready], Path("d.zarr"))) == "train d.zarr --model b --out runs/b"
 
 
-def test_shards_lead_to_each_other_and_then_to_their_merge(dataset: Dataset) -> None:
-    for out, first, others in (("part-1.zarr", 1, "part-2.zarr"), ("part.zarr", 1, "part-2.zarr")):
-        options = Extract(("a.csv", "b 2.csv"), "dart", Path(out), shard=f"{first}/2", processes=3)
-        following = command_of(next_steps.after_extraction(options, dataset))
-        assert following == f"extract a.csv 'b 2.csv' --rig dart --out {others} --shard 2/2 --processes 3"
-    options = Extract(("a.csv",), "dart", Path("part-3.zarr"), shard="3/3")
-    merge = "merge part-1.zarr part-2.zarr part-3.zarr --out dataset.zarr"
+def test_a_shard_leads_to_the_merge_of_all(dataset: Dataset) -> None:
+    options = Extract(("a.csv",), "dart", Path("part-1.zarr"), shard="1/2")
+    merge = "merge part-1.zarr ... --out dataset.zarr"
     assert command_of(next_steps.after_extraction(options, dataset)) == merge
 
 
@@ -90,15 +85,6 @@ def test_a_dataset_leads_to_the_same_training_after_merge_and_view(dataset: Data
 def test_a_viewed_log_leads_to_its_extraction() -> None:
     line = next_steps.after_view(View(Path("drive.mcap"), rig="dart", pca=Path("pca.safetensors")))
     assert command_of(line) == "extract drive.mcap --rig dart --pca pca.safetensors --out dataset.zarr"
-
-
-def test_a_reproduction_leads_to_the_other_figure_and_then_to_a_larger_one() -> None:
-    options = Reproduce("fig3", "laptop", processes=2)
-    assert command_of(next_steps.after_reproduction(options)) == "reproduce fig4 --size laptop --processes 2"
-    Path("results/fig4").mkdir(parents=True)
-    Path("results/fig4/report.html").touch()
-    larger = command_of(next_steps.after_reproduction(options))
-    assert larger == "reproduce fig3 --size evening --out results-evening --processes 2"
 
 
 def test_places_in_object_stores_keep_their_slashes() -> None:

@@ -1,7 +1,7 @@
 """Suggestions of the next command; `options` are the dataclass of the finished command."""
 
-import re
 from collections.abc import Sequence
+from contextlib import suppress
 from itertools import chain, count
 from pathlib import Path
 from shlex import join
@@ -75,33 +75,19 @@ def after_survey(logs: Sequence[str], rig: str | None, *, usable: bool) -> str:
 
 
 def after_extraction(options: Any, dataset: "Dataset") -> str:
-    """Return the command that trains on a dataset, or extracts it again with a better split."""
+    """Return the command that trains on a dataset, merges shards, or extracts it again with a better split."""
     from offpiste.core.parallel import parse_shard
     from offpiste.dataset.split_balance import is_for_tests, next_split
 
-    if options.shard and (shard := parse_shard(options.shard)) != (1, 1):
-        return _after_shard(options, *shard)
+    if options.shard and parse_shard(options.shard)[1] > 1:
+        first = ["extract the other shards to datasets of their own"]
+        return next_line("merge", options.out, "...", "--out", _dataset(options.rig), first=first)
     if is_for_tests(dataset.split):
         return next_line("evaluate", "RUN", "--dataset", options.out)
     if (split := next_split(dataset)) is not None:
         other = options.out.with_name(f"{options.out.stem}-2{options.out.suffix}")
         return next_line("extract", *options.logs, *options_of(options, "logs", split=split.text, out=other))
     return after_dataset(dataset, options.out)
-
-
-def _after_shard(options: Any, number: int, shards: int) -> str:
-    """Return the command that extracts the next shard, or merges all."""
-    parts = [_part(options.out, number, other) for other in range(1, shards + 1)]
-    if number == shards:
-        return next_line("merge", *parts, "--out", _dataset(options.rig))
-    following = options_of(options, "logs", shard=f"{number + 1}/{shards}", out=parts[number])
-    return next_line("extract", *options.logs, *following)
-
-
-def _part(out: Path, number: int, other: int) -> Path:
-    """Return the dataset of another shard: with its number instead of this one's, or after the name."""
-    named = re.fullmatch(rf"(.*?)0*{number}", out.stem)
-    return out if other == number else out.with_name(f"{named[1] if named else f'{out.stem}-'}{other}{out.suffix}")
 
 
 def after_dataset(dataset: "Dataset", path: Path) -> str:
@@ -154,49 +140,29 @@ def after_view(options: Any) -> str:
     return after_dataset(open_dataset(options.path), options.path)
 
 
-def after_reproduction(options: Any) -> str:
-    """Return the command that reproduces the other figure, or the next size."""
-    from offpiste.reproduction.settings import SIZES
-
-    other = "fig4" if options.figure == "fig3" else "fig3"
-    if not (options.out / other / "report.html").exists():
-        return next_line("reproduce", other, *options_of(options, "figure"))
-    sizes = list(SIZES)
-    larger = sizes[min(sizes.index(options.size) + 1, len(sizes) - 1)]
-    out = _free(f"{options.out}-{larger}")
-    return next_line("reproduce", options.figure, *options_of(options, "figure", size=larger, out=out))
-
-
 def _training(path: Path, model: str) -> str:
     return next_line("train", path, "--model", model, "--out", _free(f"runs/{model}"))
 
 
 def _free(name: str) -> str:
-    """Return the path, with a number if it exists."""
-    names = chain([name], (f"{name}-{number}" for number in count(2)))
-    return next(each for each in names if not Path(each).exists())
+    """Return the path, with a number before its suffix if it exists."""
+    path = Path(name)
+    others = (path.with_name(f"{path.stem}-{number}{path.suffix}") for number in count(2))
+    return str(next(one for one in chain([path], others) if not one.exists()))
 
 
 def _another(rig: str) -> str:
     """Return a new file name for an edited rig."""
-    path = Path(rig if rig.endswith(".toml") else "my.toml")
-    others = (path.with_name(f"{path.stem}-{number}.toml") for number in count(2))
-    return str(next(name for name in chain([path], others) if not name.exists()))
+    return _free(rig if rig.endswith(".toml") else "my.toml")
 
 
 def _dataset(rig: str) -> str:
-    """Return a name for a dataset that does not exist yet or has this rig."""
-    names = chain(["dataset.zarr"], (f"dataset-{number}.zarr" for number in count(2)))
-    return next(name for name in names if not Path(name).exists() or _is_of(name, rig))
-
-
-def _is_of(dataset: str, rig: str) -> bool:
-    """Return whether a dataset can be read and has a rig."""
+    """Return a name for a dataset: the usual one if it does not exist yet or has this rig."""
     from offpiste.core.errors import OffpisteError
     from offpiste.dataset.store import open_dataset  # takes a second, and is rarely needed
     from offpiste.rig.rig import load_rig
 
-    try:
-        return open_dataset(dataset).rig == load_rig(rig)
-    except OffpisteError:
-        return False
+    if (usual := Path("dataset.zarr")).exists():
+        with suppress(OffpisteError):
+            return str(usual) if open_dataset(usual).rig == load_rig(rig) else _free(str(usual))
+    return _free(str(usual))

@@ -7,7 +7,8 @@ from typing import Literal
 import tyro
 
 from offpiste.cli.entry import COMMANDS
-from offpiste.cli.next_steps import after_reproduction
+from offpiste.cli.next_steps import next_line
+from offpiste.core.command_line import options
 
 
 @COMMANDS.register("reproduce")
@@ -59,5 +60,7 @@ class Reproduce:
             cluster=self.cluster,
         )
         reproduce(config)
-        show(after_reproduction(self))
+        other = "fig4" if self.figure == "fig3" else "fig3"
+        if not (self.out / other / "report.html").exists():
+            show(next_line("reproduce", other, *options(self, "figure")))
         return 0

@@ -1,16 +1,14 @@
 """`offpiste train`."""
 
 from contextlib import nullcontext
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
-from shlex import join
 from typing import Annotated
 
 import tyro
 
 from offpiste.cli.entry import COMMANDS
 from offpiste.cli.next_steps import next_line
-from offpiste.core.command_line import options
 from offpiste.core.errors import RunError
 from offpiste.training.config import TrainConfig
 
@@ -67,35 +65,23 @@ class Train:
         return 0
 
     def _say_next(self) -> None:
-        """Show the command that evaluates the run, and one with more epochs if a stage has not converged."""
+        """Show stages that have not converged, a network that adds nothing, and the command that evaluates the run."""
         from offpiste.core.progress import show
+        from offpiste.training.checkpoint import fold_folders
+        from offpiste.training.loop import EPOCH_SETTINGS
+        from offpiste.training.run import best_epochs
 
-        if (again := self._with_more_epochs()) is not None:
-            show(f"not converged yet; with twice the epochs: {again}")
-        if self._adds_nothing():
-            show(
-                "the network brings no improvement here: this run predicts by its physics alone; more driving may help"
-            )
-        if not self.folds and (network := self._with_a_network()) is not None:
-            show(f"to test whether a network helps: {network}")
+        runs = [best_epochs(run) for run in (fold_folders(self.out) if self.folds else [self.out])]
+        stages = {stage for best in runs for stage, epoch in best.items() if not epoch.has_converged}
+        if more := [name for stage, name in EPOCH_SETTINGS.items() if stage in stages]:
+            twice = " ".join(f"--{name.replace('_', '-')} {2 * getattr(self.train, name)}" for name in more)
+            show(f"not converged yet: train again with {twice} --out {self.out}-longer")
+        if not self.folds and "bicycle" in runs[0] and runs[0]["model"].epoch == 0:  # its initial weights
+            what = "the network brings no improvement here: this run predicts by its physics alone"
+            show(f"{what}; more driving may help")
         # The default folder may hold the report of another run.
         out = ["--out", f"report-{self.out.name}"] if Path("report").exists() else []
         show(next_line("evaluate", self.out, *self._beside(), "--dataset", self.dataset, *out))
-
-    def _adds_nothing(self) -> bool:
-        """Return whether the network kept its initial weights, which correct nothing."""
-        from offpiste.training.run import best_epochs
-
-        best = {} if self.folds else best_epochs(self.out)
-        return "bicycle" in best and best["model"].epoch == 0
-
-    def _with_a_network(self) -> str | None:
-        """Return the command that trains `b` after a model without a network; None if its folder exists."""
-        out = self.out.with_name("b")
-        if self.train.model != "parametric" or out.exists():
-            return None
-        command = ["offpiste", "train", str(self.dataset), "--out", str(out)]
-        return join([*command, *options(replace(self.train, model="b"))])
 
     def _beside(self) -> list[str]:
         """Return runs of other models on the same dataset in the same folder, for comparison."""
@@ -107,24 +93,3 @@ class Train:
             if model and model != self.train.model:  # two runs of one model would count as seeds
                 others.setdefault(model, str(self.out.with_name(path.name)))
         return list(others.values())[:_COMPARED]
-
-    def _with_more_epochs(self) -> str | None:
-        """Return the command with twice the epochs of the stages that have not converged; None if all have."""
-        from offpiste.training.checkpoint import fold_folders
-        from offpiste.training.loop import EPOCH_SETTINGS
-        from offpiste.training.run import best_epochs
-
-        runs = fold_folders(self.out) if self.folds else [self.out]
-        stages = {
-            stage
-            for run in runs
-            for stage, best in best_epochs(run).items()
-            if stage in EPOCH_SETTINGS and not best.has_converged
-        }
-        if not stages or self.ddp:
-            return None
-        more = {name: 2 * getattr(self.train, name) for stage, name in EPOCH_SETTINGS.items() if stage in stages}
-        command = ["offpiste", "train", str(self.dataset), "--out", f"{self.out}-longer"]
-        command += options(replace(self.train, **more))
-        command += ["--folds", str(self.folds)] if self.folds else []
-        return join([*command, "--tensorboard"] if self.tensorboard else command)
