@@ -29,16 +29,11 @@ HINDSIGHT: Final = FEATURE_SETS.index("hindsight")
 
 @dataclass(frozen=True)
 class Differences:
-    """Differences of cells between feature sets in which both are valid; NaN without such cells.
+    """Differences of cells between feature sets in which both are valid; NaN without such cells."""
 
-    Attributes:
-        count: number of cells.
-        length: mean l2 norm of the difference, divided by the l2 norm of the features' ranges.
-        feature: mean absolute difference of each feature, divided by its range; NaN for constant features.
-    """
-
-    count: Int[np.ndarray, "D D"]
-    length: Float[np.ndarray, "D D"]
+    count: Int[np.ndarray, "D D"]  # number of cells
+    length: Float[np.ndarray, "D D"]  # mean l2 norm of the difference, divided by the l2 norm of the features' ranges
+    # mean absolute difference of each feature, divided by its range; NaN for constant features
     feature: Float[np.ndarray, "D D F"]
 
     def neighbours(self) -> Float[np.ndarray, "_ F"]:

@@ -22,15 +22,10 @@ DISTANCES = np.array([float(name) for name in FEATURE_SETS[1:]])
 
 @dataclass(frozen=True)
 class FeatureSetChoice:
-    """Feature sets of a batch of windows.
+    """Feature sets of a batch of windows."""
 
-    Attributes:
-        features: set of features by window and row t-10 ... t+T-1, or one column for all rows.
-        normals: set of surface normals by window.
-    """
-
-    features: Int[np.ndarray, "B R"]
-    normals: Int[np.ndarray, " B"]
+    features: Int[np.ndarray, "B R"]  # set of features by window and row t-10 ... t+T-1, or one column for all rows
+    normals: Int[np.ndarray, " B"]  # set of surface normals by window
 
     def __getitem__(self, windows: slice) -> "FeatureSetChoice":
         """Return the choice of some windows."""
@@ -134,18 +129,13 @@ class FeatureSetRecorder:
 
 
 class KeptValues(NamedTuple):
-    """Values by feature set and pass [sets, P, ...], or of K cells of the current map [K, ...].
+    """Values by feature set and pass [sets, P, ...], or of K cells of the current map [K, ...]."""
 
-    Attributes:
-        features: bits of float16 [..., F].
-        normal: unit vectors in the world frame [..., 3].
-    """
-
-    features: np.ndarray
+    features: np.ndarray  # bits of float16 [..., F]
     valid: np.ndarray
     distance: np.ndarray
     elevation: np.ndarray
-    normal: np.ndarray
+    normal: np.ndarray  # unit vectors in the world frame [..., 3]
 
 
 @FEATURE_SETS_KEPT.loop

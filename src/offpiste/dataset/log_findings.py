@@ -13,18 +13,13 @@ _NAMED: Final = 3
 
 
 class LogFinding(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A fatal finding or a warning of `inspect` on a log.
-
-    Attributes:
-        where: channel or topic.
-        fix: remedy in words.
-    """
+    """A fatal finding or a warning of `inspect` on a log."""
 
     severity: Literal["fatal", "warning"]
-    where: str
+    where: str  # channel or topic
     what: str
     evidence: str
-    fix: str
+    fix: str  # remedy in words
 
     @property
     def line(self) -> str:

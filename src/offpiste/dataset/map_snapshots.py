@@ -44,23 +44,14 @@ _MOST_CELLS: Final = 1 << 22
 
 @dataclass(frozen=True)
 class CellList:
-    """Known cells of a map.
+    """Known cells of a map."""
 
-    Attributes:
-        origin: x, y of the centre of cell [0, 0] of the map [m].
-        shape: rows and columns of the map.
-        place: row * columns + column.
-        elevation: [m].
-        rise: slope towards +x and +y; NaN where unknown.
-        features: NaN where missing.
-    """
-
-    origin: Float[np.ndarray, " 2"]
-    shape: tuple[int, int]
-    place: Int32[np.ndarray, " C"]
-    elevation: Float32[np.ndarray, " C"]
-    rise: Float16[np.ndarray, "C 2"]
-    features: Float16[np.ndarray, "C F"]
+    origin: Float[np.ndarray, " 2"]  # x, y of the centre of cell [0, 0] of the map [m]
+    shape: tuple[int, int]  # rows and columns of the map
+    place: Int32[np.ndarray, " C"]  # row * columns + column
+    elevation: Float32[np.ndarray, " C"]  # [m]
+    rise: Float16[np.ndarray, "C 2"]  # slope towards +x and +y; NaN where unknown
+    features: Float16[np.ndarray, "C F"]  # NaN where missing
 
     def terrain_map(self, resolution: float) -> TerrainMap:
         """Return the map, NaN in all other cells."""
@@ -141,19 +132,14 @@ def stack_cells(cells: Sequence[CellList], resolution: float, *, device: torch.d
 class SnapshotSettings:
     """Selection of windows with map snapshots, and extent of the snapshots.
 
-    Attributes:
-        seconds: shortest time between two snapshots of a part [s].
-        most: largest number of snapshots per part of a drive; a longer part has them further apart.
-        latency: shortest age of a measurement in the map at the window's start [s].
-        min_speed: speed above which windows get a snapshot [m/s]; 0 includes standstills, None: the dataset's.
-
     Raises:
         DatasetError: the latency is not from 0 to 1 s, or `seconds` or `min_speed` is negative or not finite.
     """
 
-    seconds: float = 0.5
-    most: int = 2000
-    latency: float = PERCEPTION_LATENCY
+    seconds: float = 0.5  # shortest time between two snapshots of a part [s]
+    most: int = 2000  # largest number of snapshots per part of a drive; a longer part has them further apart
+    latency: float = PERCEPTION_LATENCY  # shortest age of a measurement in the map at the window's start [s]
+    # speed above which windows get a snapshot [m/s]; 0 includes standstills, None: the dataset's
     min_speed: float | None = None
 
     def __post_init__(self) -> None:
@@ -243,25 +229,16 @@ class SnapshotWriter:
 
 @dataclass(frozen=True)
 class Snapshots:
-    """Snapshots of one drive, read on demand.
-
-    Attributes:
-        resolution: of the maps [m].
-        latency: shortest time from the last measurement to the start of the window [s].
-        row: rows at which snapshots were taken, increasing.
-        first: index of each snapshot's first cell, and the number of all cells.
-        origin, shape: of each map.
-        cells: `CELL_ARRAYS` of all snapshots, on disk.
-    """
+    """Snapshots of one drive, read on demand."""
 
     folder: Path
-    resolution: float
-    latency: float
-    row: Int[np.ndarray, " S"]
-    first: Int[np.ndarray, " S+1"]
-    origin: Float[np.ndarray, "S 2"]
+    resolution: float  # of the maps [m]
+    latency: float  # shortest time from the last measurement to the start of the window [s]
+    row: Int[np.ndarray, " S"]  # rows at which snapshots were taken, increasing
+    first: Int[np.ndarray, " S+1"]  # index of each snapshot's first cell, and the number of all cells
+    origin: Float[np.ndarray, "S 2"]  # of each map
     shape: Int[np.ndarray, "S 2"]
-    cells: dict[str, Any]
+    cells: dict[str, Any]  # `CELL_ARRAYS` of all snapshots, on disk
 
     def known_cells(self, number: int) -> CellList:
         """Read the known cells of snapshot `number`.

@@ -16,34 +16,22 @@ from offpiste.logs.motion import across_jumps
 
 @dataclass(frozen=True)
 class Rows:
-    """A drive on an even grid of `conventions.DT` (docs/formats.md).
+    """A drive on an even grid of `conventions.DT` (docs/formats.md)."""
 
-    Attributes:
-        time: by the pose's clock [s].
-        origin: subtracted from px, py so that float32 is precise enough [m].
-        state, state_causal: smoothed targets, and estimates from the past only (`conventions.STATE`).
-        actuators, control: columns of `Rig.actuators` and `Rig.controls`; NaN where absent.
-        actuators_causal, control_causal: the same from samples stamped at or before each row.
-        normal: surface normals in the world frame by feature set (D = 1 without a map) and wheel; NaN where unknown.
-        normal_causal: normal of the path driven until each row.
-        valid: rows with all channels of the rig.
-        cells: ground cells under the wheels and their features, from a map.
-        extra: other columns of `COLUMNS`, by name.
-    """
-
-    time: Float[np.ndarray, " N"]
-    origin: Float[np.ndarray, " 2"]
-    state: Float[np.ndarray, "N 6"]
-    state_causal: Float[np.ndarray, "N 6"]
-    actuators: Float[np.ndarray, "N A"]
-    actuators_causal: Float[np.ndarray, "N A"]
-    control: Float[np.ndarray, "N U"]
+    time: Float[np.ndarray, " N"]  # by the pose's clock [s]
+    origin: Float[np.ndarray, " 2"]  # subtracted from px, py so that float32 is precise enough [m]
+    state: Float[np.ndarray, "N 6"]  # smoothed targets (`conventions.STATE`)
+    state_causal: Float[np.ndarray, "N 6"]  # estimates from the past only
+    actuators: Float[np.ndarray, "N A"]  # columns of `Rig.actuators`; NaN where absent
+    actuators_causal: Float[np.ndarray, "N A"]  # the same from samples stamped at or before each row
+    control: Float[np.ndarray, "N U"]  # columns of `Rig.controls`; NaN where absent
     control_causal: Float[np.ndarray, "N U"]
+    # surface normals in the world frame by feature set (D = 1 without a map) and wheel; NaN where unknown
     normal: Float[np.ndarray, "D N 4 3"]
-    normal_causal: Float[np.ndarray, "N 3"]
-    valid: Bool[np.ndarray, " N"]
-    cells: Cells | None = None
-    extra: Mapping[str, np.ndarray] = field(default_factory=dict)
+    normal_causal: Float[np.ndarray, "N 3"]  # normal of the path driven until each row
+    valid: Bool[np.ndarray, " N"]  # rows with all channels of the rig
+    cells: Cells | None = None  # ground cells under the wheels and their features, from a map
+    extra: Mapping[str, np.ndarray] = field(default_factory=dict)  # other columns of `COLUMNS`, by name
 
     @property
     def distance(self) -> float:

@@ -11,21 +11,15 @@ PAUSE = 10.0
 
 @dataclass(frozen=True)
 class Passes:
-    """Passes of a vehicle over cells, in the order of first contact.
+    """Passes of a vehicle over cells, in the order of first contact."""
 
-    Attributes:
-        cell: column and row on the world-aligned grid; the cell's lower corner is at (column, row) resolutions.
-        approach: time at which the vehicle was farthest from the cell since the previous pass, or the start [s].
-        contact: time at which the first wheel enters the cell [s].
-        end: time at which the next pass over the cell begins; infinite for the last one [s].
-        index: pass under each wheel at each row; -1 at unknown positions.
-    """
-
+    # column and row on the world-aligned grid; the cell's lower corner is at (column, row) resolutions
     cell: Int[np.ndarray, "P 2"]
+    # time at which the vehicle was farthest from the cell since the previous pass, or the start [s]
     approach: Float[np.ndarray, " P"]
-    contact: Float[np.ndarray, " P"]
-    end: Float[np.ndarray, " P"]
-    index: Int32[np.ndarray, "N 4"]
+    contact: Float[np.ndarray, " P"]  # time at which the first wheel enters the cell [s]
+    end: Float[np.ndarray, " P"]  # time at which the next pass over the cell begins; infinite for the last one [s]
+    index: Int32[np.ndarray, "N 4"]  # pass under each wheel at each row; -1 at unknown positions
 
 
 def find_passes(

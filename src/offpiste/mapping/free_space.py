@@ -20,21 +20,13 @@ STEEPEST, SLOPE, ROWS, COLUMNS = -1.0, 0.025, 64, 256
 
 @dataclass(frozen=True)
 class FreeSpaceSettings:
-    """Conditions for removing a voxel.
+    """Conditions for removing a voxel."""
 
-    Attributes:
-        reach: distance from the sensor up to which voxels are tested, in x and in y [m].
-        every: each scan tests every n-th row of the map.
-        times: number of passed tests since the last hit that remove a voxel.
-        returns: minimum number of returns around the voxel in each test.
-        beyond: minimum distance of these returns behind the voxel [m].
-    """
-
-    reach: float = 20.0
-    every: int = 5
-    times: int = 5
-    returns: int = 4
-    beyond: float = 0.5
+    reach: float = 20.0  # distance from the sensor up to which voxels are tested, in x and in y [m]
+    every: int = 5  # each scan tests every n-th row of the map
+    times: int = 5  # number of passed tests since the last hit that remove a voxel
+    returns: int = 4  # minimum number of returns around the voxel in each test
+    beyond: float = 0.5  # minimum distance of these returns behind the voxel [m]
 
     def __post_init__(self) -> None:
         if min(self.reach, self.beyond, self.every, self.times, self.returns) <= 0:
@@ -43,15 +35,10 @@ class FreeSpaceSettings:
 
 @dataclass(frozen=True)
 class NearestReturns:
-    """Range image of a scan over the 3 x 3 pixels around each direction.
+    """Range image of a scan over the 3 x 3 pixels around each direction."""
 
-    Attributes:
-        near: horizontal distance of the nearest return; infinite without any [m].
-        many: number of returns.
-    """
-
-    near: Float[np.ndarray, "r c"]
-    many: Int[np.ndarray, "r c"]
+    near: Float[np.ndarray, "r c"]  # horizontal distance of the nearest return; infinite without any [m]
+    many: Int[np.ndarray, "r c"]  # number of returns
 
 
 def nearest_returns(

@@ -28,19 +28,13 @@ HALF_OF_RINGS: Final = 20.0
 
 @dataclass(frozen=True)
 class GhostSettings:
-    """Conditions for a return to count as a ghost.
+    """Conditions for a return to count as a ghost."""
 
-    Attributes:
-        depth: minimum depth of the ray below the ground of two nearer cells, and of the ghost below all ground around
-            it [m].
-        sectors, rings: numbers of cells around the sensor; the ground of a cell is its lowest return.
-        window: neighbourhood of a return, in sectors and in rings.
-    """
-
+    # minimum depth of the ray below the ground of two nearer cells, and of the ghost below all ground around it [m]
     depth: float = 0.5
-    sectors: int = 128
+    sectors: int = 128  # numbers of cells around the sensor; the ground of a cell is its lowest return
     rings: int = 64
-    window: int = 4
+    window: int = 4  # neighbourhood of a return, in sectors and in rings
 
     def __post_init__(self) -> None:
         if not 0 < self.depth < float("inf"):

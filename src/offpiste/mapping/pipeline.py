@@ -22,19 +22,12 @@ Encode = Callable[[Float[np.ndarray, "N F"]], Float[np.ndarray, "N E"]]
 
 @dataclass(frozen=True)
 class FeatureCloud:
-    """Scan with image features at its points.
+    """Scan with image features at its points."""
 
-    Attributes:
-        points_world: float64 far from the world's origin [m].
-        sensor_world: position of the sensor [m].
-        features: None for a scan without an image.
-        has_feature: mask of the points with features.
-    """
-
-    points_world: Float[np.ndarray, "N 3"]
-    sensor_world: Float[np.ndarray, " 3"]
-    features: Float[np.ndarray, "N F"] | None = None
-    has_feature: Bool[np.ndarray, " N"] | None = None
+    points_world: Float[np.ndarray, "N 3"]  # float64 far from the world's origin [m]
+    sensor_world: Float[np.ndarray, " 3"]  # position of the sensor [m]
+    features: Float[np.ndarray, "N F"] | None = None  # None for a scan without an image
+    has_feature: Bool[np.ndarray, " N"] | None = None  # mask of the points with features
 
     @property
     def distance(self) -> Float[np.ndarray, " N"]:

@@ -26,15 +26,10 @@ ExtractFeatures = Callable[[UInt8[np.ndarray, "h w 3"]], Float32[np.ndarray, "ro
 
 @dataclass(frozen=True)
 class MapperSettings:
-    """Settings of keyframes, of the projection of scans onto them, and of the map.
+    """Settings of keyframes, of the projection of scans onto them, and of the map."""
 
-    Attributes:
-        keyframe_metres: travel of the camera between keyframes [m].
-        memory: maximum age of keyframes that scans are projected onto [s].
-    """
-
-    keyframe_metres: float = 0.5
-    memory: float = 1.0
+    keyframe_metres: float = 0.5  # travel of the camera between keyframes [m]
+    memory: float = 1.0  # maximum age of keyframes that scans are projected onto [s]
     projection: ProjectionSettings = field(default_factory=ProjectionSettings)
     map: MapSettings = field(default_factory=MapSettings)
 
@@ -48,17 +43,11 @@ class Keyframe(NamedTuple):
 
 
 class MappedScan(NamedTuple):
-    """Mapped scan, and the keyframes that it was projected onto.
+    """Mapped scan, and the keyframes that it was projected onto."""
 
-    Attributes:
-        points_world: points at known poses [m].
-        measured: time of the last point, or the scan's stamp if later [s].
-        ghosts: mask of points left out of the map (`mapping.ghosts`).
-    """
-
-    points_world: Float[np.ndarray, "n 3"]
-    measured: float
-    ghosts: Bool[np.ndarray, " n"]
+    points_world: Float[np.ndarray, "n 3"]  # points at known poses [m]
+    measured: float  # time of the last point, or the scan's stamp if later [s]
+    ghosts: Bool[np.ndarray, " n"]  # mask of points left out of the map (`mapping.ghosts`)
     projection: Projection | None
     keyframes: tuple[Keyframe, ...]
 
@@ -157,32 +146,21 @@ class SensorMapper:
 
 @dataclass(frozen=True)
 class Moment:
-    """Map right after a scan, valid until the next scan.
+    """Map right after a scan, valid until the next scan."""
 
-    Attributes:
-        time: stamp of the scan [s].
-        measured: time of the last measurement in the map [s].
-        placed: stamp of the last pose used for a measurement in the map [s].
-        vehicle: position of the pose point at `time` [m].
-        layers_before: layers of an earlier moment of the same map, to be overwritten; None for the first.
-        points_world: points of the scan [m].
-        ghosts: mask of points left out of the map (`mapping.ghosts`).
-        projection: projection of the scan into the camera views; None without any.
-        views, features, images: camera views, patch features and rectified pixels of the keyframes used.
-    """
-
-    time: float
-    measured: float
-    placed: float
-    vehicle: Float[np.ndarray, " 3"]
+    time: float  # stamp of the scan [s]
+    measured: float  # time of the last measurement in the map [s]
+    placed: float  # stamp of the last pose used for a measurement in the map [s]
+    vehicle: Float[np.ndarray, " 3"]  # position of the pose point at `time` [m]
     map: MapPipeline
+    # layers of an earlier moment of the same map, to be overwritten; None for the first
     layers_before: TerrainLayers | None
-    points_world: Float[np.ndarray, "n 3"]
-    ghosts: Bool[np.ndarray, " n"]
-    projection: Projection | None
-    views: tuple[CameraView, ...]
-    features: tuple[Float32[np.ndarray, "_ _ F"], ...]
-    images: tuple[UInt8[np.ndarray, "_ _ 3"], ...]
+    points_world: Float[np.ndarray, "n 3"]  # points of the scan [m]
+    ghosts: Bool[np.ndarray, " n"]  # mask of points left out of the map (`mapping.ghosts`)
+    projection: Projection | None  # projection of the scan into the camera views; None without any
+    views: tuple[CameraView, ...]  # of the keyframes used
+    features: tuple[Float32[np.ndarray, "_ _ F"], ...]  # of their patches
+    images: tuple[UInt8[np.ndarray, "_ _ 3"], ...]  # rectified
 
     @cached_property
     def layers(self) -> TerrainLayers:

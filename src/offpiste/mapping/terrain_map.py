@@ -70,20 +70,14 @@ def wheel_positions_of_states(state: Float[Tensor, "*B 6"], wheels: Float[Tensor
 
 @dataclass(frozen=True)
 class TerrainMap:
-    """Elevation and features of ground cells; NaN where nothing is known.
+    """Elevation and features of ground cells; NaN where nothing is known."""
 
-    Attributes:
-        origin: x, y of the centre of cell [0, 0] in the world frame [m].
-        resolution: size of a cell [m].
-        elevation: row j lies at y = origin[1] + j resolution, column i at x = origin[0] + i resolution [m].
-        features: all NaN where missing.
-        rise: rise towards +x and +y at cell centres, where known better than from the elevation of neighbours [m/m].
-    """
-
-    origin: Float[np.ndarray, " 2"]
-    resolution: float
+    origin: Float[np.ndarray, " 2"]  # x, y of the centre of cell [0, 0] in the world frame [m]
+    resolution: float  # size of a cell [m]
+    # row j lies at y = origin[1] + j resolution, column i at x = origin[0] + i resolution [m]
     elevation: Float[np.ndarray, "ny nx"]
-    features: Float[np.ndarray, "ny nx F"]
+    features: Float[np.ndarray, "ny nx F"]  # all NaN where missing
+    # rise towards +x and +y at cell centres, where known better than from the elevation of neighbours [m/m]
     rise: Float[np.ndarray, "ny nx 2"] | None = None
 
     def cropped(self, low: Float[np.ndarray, " 2"], high: Float[np.ndarray, " 2"]) -> "TerrainMap":
@@ -107,35 +101,28 @@ class TerrainLayers:
     """Layers of the ground around the vehicle; row j lies at y = origin[1] + j resolution, column i alike in x.
 
     Memory, crops and `voxels_to_layers.Layers` follow from these declarations; `infill.write_layers` writes the values.
-
-    Attributes:
-        origin: x, y of the centre of cell [0, 0] in the world frame [m].
-        resolution: size of a cell [m].
-        elevation: height of the ground at the cell's centre [m]; NaN where not `known`.
-        normal: upward unit normal in the world frame; NaN where too few points define a plane.
-        slope: rise over run, 1 at 45 degrees; NaN without a normal.
-        roughness: root mean square vertical distance of the ground from its planes [m]; NaN without a normal.
-        obstacle_height: height over the ground of the highest thing that a vehicle would hit, excluding things above
-            the vehicle's height [m]; NaN where not `known`.
-        features: visual terrain features; NaN where not `valid`.
-        distance: sensor distance of the features [m]; NaN where not `valid`.
-        known: cell has ground, observed or filled from a cell nearby.
-        observed: cell itself was hit.
-        valid: cell has features.
     """
 
-    origin: Float[np.ndarray, " 2"]
-    resolution: float
+    origin: Float[np.ndarray, " 2"]  # x, y of the centre of cell [0, 0] in the world frame [m]
+    resolution: float  # size of a cell [m]
+    # height of the ground at the cell's centre [m]; NaN where not `known`
     elevation: Float[np.ndarray, "ny nx"] = field(metadata=_layer(dtype=np.float64))
+    # upward unit normal in the world frame; NaN where too few points define a plane
     normal: Float[np.ndarray, "ny nx 3"] = field(metadata=_layer(3))
-    slope: Float[np.ndarray, "ny nx"] = field(metadata=_layer())
+    slope: Float[np.ndarray, "ny nx"] = field(metadata=_layer())  # rise over run, 1 at 45 degrees; NaN without a normal
+    # root mean square vertical distance of the ground from its planes [m]; NaN without a normal
     roughness: Float[np.ndarray, "ny nx"] = field(metadata=_layer())
+    # height over the ground of the highest thing that a vehicle would hit, excluding things above the vehicle's height
+    # [m]; NaN where not `known`
     obstacle_height: Float[np.ndarray, "ny nx"] = field(metadata=_layer())
+    # visual terrain features; NaN where not `valid`
     features: Float[np.ndarray, "ny nx F"] = field(metadata=_layer(CHANNELS))
+    # sensor distance of the features [m]; NaN where not `valid`
     distance: Float[np.ndarray, "ny nx"] = field(metadata=_layer())
+    # cell has ground, observed or filled from a cell nearby
     known: Bool[np.ndarray, "ny nx"] = field(metadata=_layer(dtype=bool))
-    observed: Bool[np.ndarray, "ny nx"] = field(metadata=_layer(dtype=bool))
-    valid: Bool[np.ndarray, "ny nx"] = field(metadata=_layer(dtype=bool))
+    observed: Bool[np.ndarray, "ny nx"] = field(metadata=_layer(dtype=bool))  # cell itself was hit
+    valid: Bool[np.ndarray, "ny nx"] = field(metadata=_layer(dtype=bool))  # cell has features
 
     @property
     def unknown(self) -> Bool[np.ndarray, "ny nx"]:

@@ -21,20 +21,13 @@ Encode = Callable[[Float[Tensor, "M F"], Bool[Tensor, " M"]], Float[Tensor, "M E
 
 @dataclass(frozen=True)
 class MapStack:
-    """Stack of maps of one resolution, padded with unknown cells to one size.
-
-    Attributes:
-        origin: x, y of the centre of cell [0, 0] of each map [m].
-        last: column and row of the last cell of each map, before the padding.
-        slope: rise towards +x and +y at cell centres; NaN where unknown.
-        features: NaN where missing.
-    """
+    """Stack of maps of one resolution, padded with unknown cells to one size."""
 
     resolution: float
-    origin: Float[Tensor, "S 2"]
-    last: Int[Tensor, "S 2"]
-    slope: Float[Tensor, "S ny nx 2"]
-    features: Float[Tensor, "S ny nx F"]
+    origin: Float[Tensor, "S 2"]  # x, y of the centre of cell [0, 0] of each map [m]
+    last: Int[Tensor, "S 2"]  # column and row of the last cell of each map, before the padding
+    slope: Float[Tensor, "S ny nx 2"]  # rise towards +x and +y at cell centres; NaN where unknown
+    features: Float[Tensor, "S ny nx F"]  # NaN where missing
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -52,21 +45,14 @@ class MapStack:
 
 @dataclass(frozen=True)
 class CellStack:
-    """Stack of maps of one resolution as lists of known cells, for maps that are mostly unknown.
-
-    Attributes:
-        origin, last: as in `MapStack`.
-        place: index of each cell in the lists; -1, their last entry, where unknown.
-        slope: rise towards +x and +y at cell centres; NaN where unknown and in the last entry.
-        features: NaN where missing and in the last entry.
-    """
+    """Stack of maps of one resolution as lists of known cells, for maps that are mostly unknown."""
 
     resolution: float
-    origin: Float[Tensor, "S 2"]
+    origin: Float[Tensor, "S 2"]  # as in `MapStack`
     last: Int[Tensor, "S 2"]
-    place: Int32[Tensor, "S ny nx"]
-    slope: Float[Tensor, "C 2"]
-    features: Float[Tensor, "C F"]
+    place: Int32[Tensor, "S ny nx"]  # index of each cell in the lists; -1, their last entry, where unknown
+    slope: Float[Tensor, "C 2"]  # rise towards +x and +y at cell centres; NaN where unknown and in the last entry
+    features: Float[Tensor, "C F"]  # NaN where missing and in the last entry
 
     def slope_at(self, number: Tensor, row: Tensor, column: Tensor) -> Float[Tensor, "*P 2"]:
         """Return the slopes of cells."""
@@ -79,19 +65,12 @@ class CellStack:
 
 @dataclass(frozen=True)
 class TerrainSample:
-    """Ground at sampled positions.
+    """Ground at sampled positions."""
 
-    Attributes:
-        normal: unit surface normals in the world frame; vertical where the slope is not `known`.
-        known: mask of known slopes.
-        features: NaN where not `valid`.
-        valid: mask of known features.
-    """
-
-    normal: Float[Tensor, "*P 3"]
-    known: Bool[Tensor, "*P"]
-    features: Float[Tensor, "*P F"]
-    valid: Bool[Tensor, "*P"]
+    normal: Float[Tensor, "*P 3"]  # unit surface normals in the world frame; vertical where the slope is not `known`
+    known: Bool[Tensor, "*P"]  # mask of known slopes
+    features: Float[Tensor, "*P F"]  # NaN where not `valid`
+    valid: Bool[Tensor, "*P"]  # mask of known features
 
 
 def stack_maps(maps: Sequence[TerrainMap], *, device: torch.device | str = "cpu") -> MapStack:
@@ -170,20 +149,13 @@ def sample_maps(
 
 @dataclass(frozen=True)
 class MapTerrain:
-    """Terrain source that reads maps under the wheels of the predicted state.
-
-    Attributes:
-        number: index of the map of each rollout.
-        offset: origin of each rollout's frame in the world frame (float64) [m].
-        wheels: wheel positions in the body frame, from the pose point [m].
-        encode: encoder of features; None for models without features.
-    """
+    """Terrain source that reads maps under the wheels of the predicted state."""
 
     maps: MapStack | CellStack
-    number: Int[Tensor, " B"]
-    offset: Float[Tensor, "B 2"]
-    wheels: Float[Tensor, "4 2"]
-    encode: Encode | None = None
+    number: Int[Tensor, " B"]  # index of the map of each rollout
+    offset: Float[Tensor, "B 2"]  # origin of each rollout's frame in the world frame (float64) [m]
+    wheels: Float[Tensor, "4 2"]  # wheel positions in the body frame, from the pose point [m]
+    encode: Encode | None = None  # encoder of features; None for models without features
 
     def at(self, t: int, state: Float[Tensor, "B 6"]) -> Terrain:
         """Return the ground under the wheels of vehicles in `state`; `t` is ignored."""

@@ -79,22 +79,14 @@ class Voxels(NamedTuple):
     """Columns and a pool of voxel slots, as arrays that compiled loops accept.
 
     Rows and columns wrap around: the cell with integer world coordinates (i, j) is [j mod n, i mod n].
-
-    Attributes:
-        heads: int32 [n, n, 4].
-        changed: number of the map change that last altered the flattened column: int32 [n, n].
-        slots: slot of each occupied level of a column: int32 [n, n, 32].
-        seen: fields of each slot: float32 [capacity, FEATURES + F, or more].
-        freed: stacks of released slots: int32 [PARTS, capacity / PARTS].
-        counts: int64 [PARTS, 3].
     """
 
-    heads: np.ndarray
-    changed: np.ndarray
-    slots: np.ndarray
-    seen: np.ndarray
-    freed: np.ndarray
-    counts: np.ndarray
+    heads: np.ndarray  # int32 [n, n, 4]
+    changed: np.ndarray  # number of the map change that last altered the flattened column: int32 [n, n]
+    slots: np.ndarray  # slot of each occupied level of a column: int32 [n, n, 32]
+    seen: np.ndarray  # fields of each slot: float32 [capacity, FEATURES + F, or more]
+    freed: np.ndarray  # stacks of released slots: int32 [PARTS, capacity / PARTS]
+    counts: np.ndarray  # int64 [PARTS, 3]
 
 
 @MAPPING.inlined
@@ -301,24 +293,16 @@ def forget_left_behind(old, new, number, voxels):  # type: ignore[no-untyped-def
 
 @dataclass(frozen=True)
 class VoxelSettings:
-    """Size and memory of the voxel map.
+    """Size and memory of the voxel map."""
 
-    Attributes:
-        size: edge length of a voxel (paper, "Mapping of Visual Features": 0.2 m) [m].
-        reach: half the side of the map, in x and in y [m].
-        height_reach: points further above or below the vehicle are not mapped; 30 m is a slope of 27 degrees at 60 m
-            [m].
-        rule: name in `FUSION_RULES`; the paper keeps the closest observation.
-        capacity: maximum number of voxels; their memory is allocated when they are first used (`VoxelMap`).
-        threads: threads of insertion and flattening; the map does not depend on it.
-    """
-
-    size: float = 0.2
-    reach: float = 60.0
+    size: float = 0.2  # edge length of a voxel (paper, "Mapping of Visual Features": 0.2 m) [m]
+    reach: float = 60.0  # half the side of the map, in x and in y [m]
+    # points further above or below the vehicle are not mapped; 30 m is a slope of 27 degrees at 60 m [m]
     height_reach: float = 30.0
-    rule: str = "closest"
+    rule: str = "closest"  # name in `FUSION_RULES`; the paper keeps the closest observation
+    # maximum number of voxels; their memory is allocated when they are first used (`VoxelMap`)
     capacity: int = 1_500_000
-    threads: int = 2
+    threads: int = 2  # threads of insertion and flattening; the map does not depend on it
 
     def __post_init__(self) -> None:
         check_positive(self, "size", "reach", "height_reach", "capacity", "threads")

@@ -27,22 +27,15 @@ from offpiste.native.compilation import spread_blocks
 
 @dataclass(frozen=True)
 class FlattenSettings:
-    """Settings of the conversion from voxels to map layers.
+    """Settings of the conversion from voxels to map layers."""
 
-    Attributes:
-        feature_height: maximum height of a feature above the ground [m].
-        fill_radius: maximum distance between cell centres for filling a gap (paper: 0.4 m) [m].
-        vehicle_height: clearance above which things are driven under; a side-by-side is 1.9 m high [m].
-        overhang_radius: a column whose lowest voxel lies more than `vehicle_height` above the lowest one in the square
-            of +-this around it is a branch without visible ground [m]. Slopes of up to 54 degrees are never affected.
-        plane_radius: half the side of the window for normals and roughness [m].
-    """
-
-    feature_height: float = 0.5
-    fill_radius: float = 0.4
-    vehicle_height: float = 2.0
+    feature_height: float = 0.5  # maximum height of a feature above the ground [m]
+    fill_radius: float = 0.4  # maximum distance between cell centres for filling a gap (paper: 0.4 m) [m]
+    vehicle_height: float = 2.0  # clearance above which things are driven under; a side-by-side is 1.9 m high [m]
+    # a column whose lowest voxel lies more than `vehicle_height` above the lowest one in the square of +-this around it
+    # is a branch without visible ground [m]. Slopes of up to 54 degrees are never affected.
     overhang_radius: float = 1.0
-    plane_radius: float = 0.4
+    plane_radius: float = 0.4  # half the side of the window for normals and roughness [m]
 
     def __post_init__(self) -> None:
         check_positive(self, "feature_height", "vehicle_height", "plane_radius")

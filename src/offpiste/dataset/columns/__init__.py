@@ -72,23 +72,16 @@ def _derivative(channel: Channel, *, window: float, causal: bool) -> Channel:
 
 @dataclass(frozen=True)
 class Column:
-    """Column of float32 values [N, *shape], or [D, N, *shape] by feature set.
+    """Column of float32 values [N, *shape], or [D, N, *shape] by feature set."""
 
-    Attributes:
-        read: reads the values of a drive; NaN where unknown.
-        shape: of one row.
-        present: components that a rig's logs have; in complete rows they are finite.
-        segments: rows of a window in a batch.
-        relative: layout of `conventions.STATE`, with px, py relative to the drive's origin, or to a window's start.
-        by_feature_set: one value per feature set; stays on disk, and only `normal` is gathered into batches.
-    """
-
-    read: Callable[[RowGrid], np.ndarray]
-    shape: tuple[int, ...] = ()
+    read: Callable[[RowGrid], np.ndarray]  # reads the values of a drive; NaN where unknown
+    shape: tuple[int, ...] = ()  # of one row
+    # components that a rig's logs have; in complete rows they are finite
     present: Callable[[Rig], bool | Sequence[bool]] = lambda rig: True
-    segments: tuple[Segment, ...] = ()
+    segments: tuple[Segment, ...] = ()  # rows of a window in a batch
+    # layout of `conventions.STATE`, with px, py relative to the drive's origin, or to a window's start
     relative: bool = False
-    by_feature_set: bool = False
+    by_feature_set: bool = False  # one value per feature set; stays on disk, and only `normal` is gathered into batches
 
     @property
     def row_axis(self) -> int:
