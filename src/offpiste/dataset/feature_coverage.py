@@ -3,7 +3,7 @@
 Each cell counts once per pass. The paper's numbers are in its section "Learning Distance-Independent Compression".
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -43,11 +43,7 @@ class Differences:
 
 
 def valid_rates(cells: Sequence[Cells], reached: Sequence[Bool[np.ndarray, "D _"]] | None = None) -> np.ndarray:
-    """Return the share of cells with features, by set [D]; NaN without cells.
-
-    Args:
-        reached: cells that count in each set, by drive (`within_reach`, `in_hindsight`); all by default.
-    """
+    """Return the share of cells with features by set [D], of all or those `reached` in each set; NaN without cells."""
     wanted = [np.ones_like(c.valid) for c in cells] if reached is None else reached
     result = sum((c.valid & a).sum(axis=1) for c, a in zip(cells, wanted, strict=True))
     with np.errstate(invalid="ignore"):
@@ -65,8 +61,7 @@ def within_reach(
     """Return whether the vehicle was at the set's distance from the cell during the pass; always true in hindsight.
 
     Args:
-        time: of the rows [s].
-        xy: of the pose point in the world frame; NaN where unknown [m].
+        time, xy: times [s] and positions of the pose point in the world frame, NaN where unknown [m].
         resolution: size of a cell [m].
     """
     centre = (passes.cell + 0.5) * resolution
@@ -98,7 +93,7 @@ def feature_range(cells: Sequence[Cells], percentiles: tuple[float, float] = CEN
 
     The paper uses the total range, (0.0, 100.0).
     """
-    seen = np.concatenate([c.features[HINDSIGHT][c.valid[HINDSIGHT]] for c in cells]).astype(np.float32)
+    seen = _seen(cells)
     if not len(seen):
         return np.full(seen.shape[1], np.nan)
     low, high = np.percentile(seen, percentiles, axis=0)
@@ -110,13 +105,14 @@ def differences(cells: Sequence[Cells], span: Float[np.ndarray, " F"]) -> Differ
     sets = len(FEATURE_SETS)
     count, length = np.zeros((sets, sets), np.int64), np.zeros((sets, sets))
     feature = np.zeros((sets, sets, len(span)))
-    for a, b, apart in _pairs(cells):
-        for pair in ((a, b), (b, a)):
-            count[pair] += len(apart)
-            length[pair] += np.linalg.norm(apart, axis=1).sum()
-            feature[pair] += np.abs(apart).sum(axis=0)
-    same = np.arange(sets)
-    count[same, same] = sum(c.valid.sum(axis=1) for c in cells)
+    for drive in cells:
+        features = drive.features.astype(np.float32)
+        for a, b in np.ndindex(sets, sets):
+            both = drive.valid[a] & drive.valid[b]
+            apart = features[a, both] - features[b, both]
+            count[a, b] += len(apart)
+            length[a, b] += np.linalg.norm(apart, axis=1).sum()
+            feature[a, b] += np.abs(apart).sum(axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):
         each = feature / count[..., None] / np.where(span > 0, span, np.nan)
         return Differences(count, length / count / np.linalg.norm(span), each)
@@ -124,7 +120,7 @@ def differences(cells: Sequence[Cells], span: Float[np.ndarray, " F"]) -> Differ
 
 def unrelated(cells: Sequence[Cells], span: Float[np.ndarray, " F"], rng: np.random.Generator) -> float:
     """Return the relative mean l2 difference between random pairs of cells in hindsight, as a reference."""
-    seen = np.concatenate([c.features[HINDSIGHT][c.valid[HINDSIGHT]] for c in cells]).astype(np.float32)
+    seen = _seen(cells)
     if len(seen) < 2:
         return float("nan")
     other = (np.arange(len(seen)) + rng.integers(1, len(seen), len(seen))) % len(seen)
@@ -133,8 +129,6 @@ def unrelated(cells: Sequence[Cells], span: Float[np.ndarray, " F"], rng: np.ran
 
 def contacts_by_pass(passes: Passes) -> Int[np.ndarray, " K"]:
     """Count the contacts (a wheel on a cell at a row) of first, second, ... passes over a cell."""
-    if not len(passes.cell):
-        return np.zeros(0, np.int64)
     _, place = np.unique(passes.cell, axis=0, return_inverse=True)
     order = np.argsort(place.reshape(-1), kind="stable")  # passes are ordered by time
     first = np.flatnonzero(np.diff(place.reshape(-1)[order], prepend=-1))
@@ -143,11 +137,6 @@ def contacts_by_pass(passes: Passes) -> Int[np.ndarray, " K"]:
     return np.bincount(number[passes.index[passes.index >= 0]])
 
 
-def _pairs(cells: Sequence[Cells]) -> Iterator[tuple[int, int, Float[np.ndarray, "n F"]]]:
-    """Yield the differences of features valid in both of two sets, for every drive and every two sets."""
-    for drive in cells:
-        features = drive.features.astype(np.float32)
-        for a in range(len(features)):
-            for b in range(a + 1, len(features)):
-                both = drive.valid[a] & drive.valid[b]
-                yield a, b, features[a, both] - features[b, both]
+def _seen(cells: Sequence[Cells]) -> Float[np.ndarray, "n F"]:
+    """Return all valid features in hindsight."""
+    return np.concatenate([c.features[HINDSIGHT][c.valid[HINDSIGHT]] for c in cells]).astype(np.float32)

@@ -38,20 +38,13 @@ class Grounded(NamedTuple):
 
 
 def truth_map(log: str | Path, names: Sequence[str]) -> TerrainMap:
-    """Read elevation and layers of the true map in a simulated log.
-
-    Raises:
-        LogError: the log has no map, or lacks a layer.
-    """
+    """Read elevation and layers of the true map in a simulated log; raise `LogError` if it lacks one."""
     result = read_truth_map(log)
-    layers = result.layers
-    missing = [name for name in ("elevation", *names) if name not in layers]
-    if missing:
-        raise LogError(
-            f"its true map has no layer '{missing[0]}'", where=log, how="record it again with `offpiste simulate`"
-        )
-    features = np.stack([layers[name] for name in names], axis=-1)
-    return TerrainMap(np.array(result.origin), result.resolution, layers["elevation"], features)
+    if missing := [name for name in ("elevation", *names) if name not in result.layers]:
+        how = "record it again with `offpiste simulate`"
+        raise LogError(f"its true map has no layer '{missing[0]}'", where=log, how=how)
+    features = np.stack([result.layers[name] for name in names], axis=-1)
+    return TerrainMap(np.array(result.origin), result.resolution, result.layers["elevation"], features)
 
 
 def with_ground_truth(rows: Rows, truth: TerrainMap, rig: Rig) -> Grounded:
@@ -75,10 +68,8 @@ def with_ground_truth(rows: Rows, truth: TerrainMap, rig: Rig) -> Grounded:
     valid = result.valid.numpy()
     visited, first, index = np.unique(cell[valid], return_index=True, return_inverse=True)
     order = np.argsort(first)
-    number = np.empty(len(order), np.int32)
-    number[order] = np.arange(len(order), dtype=np.int32)
     under = np.full(places.shape[:2], -1, np.int32)
-    under[valid] = number[index]
+    under[valid] = np.argsort(order)[index]
     features = ground.features.reshape(ny * nx, -1)[visited[order]]
     elevation = ground.elevation.reshape(-1)[visited[order]].astype(np.float32)
     seen = np.ones((1, len(features)), bool)

@@ -2,14 +2,11 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Literal
 
 import msgspec
 
 from offpiste.core.errors import LogError
-
-_NAMED: Final = 3
-"""Number of findings named in one line."""
 
 
 class LogFinding(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -56,21 +53,13 @@ class UnusableLog(LogError):
 
 
 def refuse_unusable(findings: Sequence[LogFinding], log: Path) -> None:
-    """Raise if a finding is fatal.
-
-    Raises:
-        UnusableLog: names the log, the worst finding and its fix.
-    """
+    """Raise `UnusableLog` if a finding is fatal."""
     if fatal := [finding for finding in findings if finding.severity == "fatal"]:
         raise UnusableLog(fatal, log)
 
 
 def findings_by_drive(findings: Sequence[tuple[str, Sequence[LogFinding]]]) -> tuple[str, ...]:
-    """Return each finding once, with the drives that have it.
-
-    Args:
-        findings: name and findings of each drive.
-    """
+    """Return each finding once, with the drives that have it, from names and findings of drives."""
     drives: dict[tuple[str, str], list[str]] = {}
     for name, found in findings:
         for finding in found:
@@ -85,7 +74,7 @@ def warning_line(findings: Sequence[str]) -> str | None:
     """Summarise the findings of a dataset in one line; None without findings."""
     if not findings:
         return None
-    more = f", and {len(findings) - _NAMED} more" if len(findings) > _NAMED else ""
+    more = f", and {len(findings) - 3} more" if len(findings) > 3 else ""
     count = f"{len(findings)} warning{'s' * (len(findings) > 1)}"
-    named = "; ".join(findings[:_NAMED])
+    named = "; ".join(findings[:3])
     return f"the dataset has {count} of `inspect`: {named}{more}; run `offpiste inspect` for details"

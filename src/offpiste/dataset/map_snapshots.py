@@ -23,9 +23,6 @@ from offpiste.dataset.stored_arrays import open_stored, refuse_expanding
 from offpiste.mapping.terrain_map import TerrainMap
 from offpiste.mapping.terrain_sampler import CellStack, last_cells
 
-CELL_ARRAYS = ("place", "elevation", "rise", "features")
-"""Arrays of a `CellList`; on disk, those of all snapshots are concatenated."""
-
 _STARTING, _BACKWARDS = 4.0, 0.5
 """Mean speed that a starting vehicle may reach, and speed above which it drives backwards [m/s]."""
 
@@ -66,12 +63,7 @@ class CellList:
         return TerrainMap(self.origin, resolution, spread(self.elevation), spread(self.features), rise)
 
     def near(self, path: Float[np.ndarray, "P 2"], margin: float, resolution: float) -> "CellList":
-        """Return the cells within `margin` of the points of a path, on the smallest grid that holds them.
-
-        Args:
-            path: x, y in the world frame [m].
-            margin, resolution: [m].
-        """
+        """Return the cells within `margin` [m] of points of the world, on the smallest grid that holds them."""
         cell = np.stack(np.divmod(self.place, self.shape[1]), axis=-1)
         kept = cdist(self.origin + resolution * cell[:, ::-1], path).min(axis=1) <= margin
         low = cell[kept].min(axis=0, initial=max(self.shape))
@@ -130,11 +122,7 @@ def stack_cells(cells: Sequence[CellList], resolution: float, *, device: torch.d
 
 @dataclass(frozen=True)
 class SnapshotSettings:
-    """Selection of windows with map snapshots, and extent of the snapshots.
-
-    Raises:
-        DatasetError: the latency is not from 0 to 1 s, or `seconds` or `min_speed` is negative or not finite.
-    """
+    """Selection of windows with map snapshots, and extent of the snapshots."""
 
     seconds: float = 0.5  # shortest time between two snapshots of a part [s]
     most: int = 2000  # largest number of snapshots per part of a drive; a longer part has them further apart
@@ -144,11 +132,10 @@ class SnapshotSettings:
 
     def __post_init__(self) -> None:
         if not 0 <= self.latency <= 1:
-            raise DatasetError(f"a latency of {self.latency:g} s", how="give a time from 0 to 1")
-        if not 0 <= self.seconds < np.inf:
-            raise DatasetError(f"a snapshot every {self.seconds:g} s", how="give a time of 0 or more")
-        if self.min_speed is not None and not 0 <= self.min_speed < np.inf:
-            raise DatasetError(f"snapshots above {self.min_speed:g} m/s", how="give a speed of 0 or more")
+            raise DatasetError(f"the latency of snapshots is {self.latency:g} s", how="give a time from 0 to 1")
+        for name, value in (("time between snapshots", self.seconds), ("minimum speed of snapshots", self.min_speed)):
+            if value is not None and not 0 <= value < np.inf:
+                raise DatasetError(f"the {name} is {value:g}", how="give a number of 0 or more")
 
 
 class SnapshotSchedule:
@@ -172,6 +159,23 @@ class SnapshotSchedule:
         return False
 
 
+_CELLS: Final[dict[str, tuple[type, tuple[int, ...]]]] = {
+    "place": (np.int32, ()),
+    "elevation": (np.float32, ()),
+    "rise": (np.float16, (2,)),
+    "features": (np.float16, (-1,)),
+}
+"""Type and shape per cell of the arrays of a `CellList`; on disk, those of all snapshots are concatenated."""
+
+_INDEX: Final[dict[str, tuple[type, tuple[int, ...]]]] = {
+    "row": (np.int64, (-1,)),
+    "first": (np.int64, (-1,)),
+    "origin": (np.float64, (-1, 2)),
+    "shape": (np.int64, (-1, 2)),
+}
+"""Type and shape of the arrays with an entry per snapshot."""
+
+
 class SnapshotWriter:
     """Writer of the snapshots of one drive into a new folder, one at a time.
 
@@ -185,13 +189,11 @@ class SnapshotWriter:
     def __init__(self, folder: Path, resolution: float, features: int, latency: float = PERCEPTION_LATENCY) -> None:
         attributes: dict[str, Any] = {"resolution": resolution, "latency": latency}
         self._group = zarr.open_group(folder, mode="w-", attributes=attributes, zarr_format=3)
-        self._row: list[int] = []
-        self._first = [0]
-        self._origin: list[np.ndarray] = []
-        self._shape: list[tuple[int, int]] = []
-        # Kept, because arrays looked up in the group again would not write chunks of zeros.
-        self._cells = {
-            name: self._group.create_array(
+        self._index: dict[str, list[Any]] = {"row": [], "first": [0], "origin": [], "shape": []}
+        self._cells = {}  # kept, because arrays looked up in the group again would not write chunks of zeros
+        for name, (dtype, shape) in _CELLS.items():
+            more = tuple(features if size < 0 else size for size in shape)
+            self._cells[name] = self._group.create_array(
                 name,
                 shape=(0, *more),
                 dtype=dtype,
@@ -199,31 +201,19 @@ class SnapshotWriter:
                 compressors=[ZstdCodec(level=1), Crc32cCodec()],
                 config={"write_empty_chunks": True},
             )
-            for name, dtype, more in (
-                ("place", np.int32, ()),
-                ("elevation", np.float32, ()),
-                ("rise", np.float16, (2,)),
-                ("features", np.float16, (features,)),
-            )
-        }
 
     def add(self, row: int, cells: CellList) -> None:
         """Add a snapshot for the window that starts at `row` of its drive."""
         for name, array in self._cells.items():
             array.append(getattr(cells, name))
-        self._row.append(row)
-        self._first.append(self._first[-1] + len(cells.place))
-        self._origin.append(cells.origin)
-        self._shape.append(cells.shape)
+        entry = {"row": row, "first": self._index["first"][-1] + len(cells.place)}
+        for name, value in (entry | {"origin": cells.origin, "shape": cells.shape}).items():
+            self._index[name].append(value)
 
     def close(self) -> None:
         """Write the index of the snapshots."""
-        for name, values in (
-            ("row", np.array(self._row, np.int64)),
-            ("first", np.array(self._first, np.int64)),
-            ("origin", np.array(self._origin, np.float64).reshape(-1, 2)),
-            ("shape", np.array(self._shape, np.int64).reshape(-1, 2)),
-        ):
+        for name, (dtype, shape) in _INDEX.items():
+            values = np.array(self._index[name], dtype).reshape(shape)
             self._group.create_array(name, data=values, compressors=Crc32cCodec(), config={"write_empty_chunks": True})
 
 
@@ -238,30 +228,23 @@ class Snapshots:
     first: Int[np.ndarray, " S+1"]  # index of each snapshot's first cell, and the number of all cells
     origin: Float[np.ndarray, "S 2"]  # of each map
     shape: Int[np.ndarray, "S 2"]
-    cells: dict[str, Any]  # `CELL_ARRAYS` of all snapshots, on disk
+    cells: dict[str, Any]  # arrays of the cells of all snapshots, on disk
 
     def known_cells(self, number: int) -> CellList:
-        """Read the known cells of snapshot `number`.
-
-        Raises:
-            DatasetError: they are damaged.
-        """
+        """Read the known cells of snapshot `number`; raise `DatasetError` if they are damaged."""
         begin, end = self.first[number : number + 2].tolist()
         ny, nx = self.shape[number].tolist()
         try:
             if not 0 <= end - begin <= ny * nx <= _MOST_CELLS:
-                raise ValueError(f"{end - begin} cells of a map of {ny} x {nx}")
+                raise ValueError(f"the map of {ny} x {nx} cells lists {end - begin} known ones")
             for array in self.cells.values():
                 refuse_expanding(self.folder, array, begin, end)
             read = {name: np.asarray(array[begin:end]) for name, array in self.cells.items()}
             if len(read["place"]) and not 0 <= read["place"].min() <= read["place"].max() < ny * nx:
-                raise ValueError(f"cells outside of a map of {ny} x {nx}")
+                raise ValueError(f"a cell lies outside the map of {ny} x {nx} cells")
         except (OSError, ValueError, zstd.ZstdError) as error:
-            raise DatasetError(
-                f"snapshot {number} is damaged ({error})",
-                where=self.folder,
-                how="delete its drive and run `offpiste extract` again",
-            ) from error
+            how = "delete its drive and run `offpiste extract` again"
+            raise DatasetError(f"snapshot {number} is damaged ({error})", where=self.folder, how=how) from error
         return CellList(self.origin[number], (ny, nx), **read)
 
     def load(self, number: int) -> TerrainMap:
@@ -270,25 +253,18 @@ class Snapshots:
 
 
 def open_snapshots(folder: Path) -> Snapshots:
-    """Open snapshots of a `SnapshotWriter`.
-
-    Raises:
-        KeyError, OSError, ValueError: the folder is incomplete.
-    """
+    """Open snapshots of a `SnapshotWriter`; raise `KeyError`, `OSError` or `ValueError` if the folder is incomplete."""
     group = open_stored(folder)
     arrays = dict(group.arrays())
     for name, array in arrays.items():
         if array.nchunks_initialized < array.nchunks:
-            # Zarr would read a missing chunk as zeros.
-            raise ValueError(f"a chunk of the snapshots' '{name}' is missing")
-
-    row, first, origin, shape = (np.asarray(arrays[name][...]) for name in ("row", "first", "origin", "shape"))
-    resolution, latency = group.attrs["resolution"], group.attrs["latency"]
-    assert isinstance(resolution, float)
-    assert isinstance(latency, float)
-
-    cells = {name: arrays[name] for name in CELL_ARRAYS}
-    rising = len(first) == len(row) + 1 and bool((np.diff(first) >= 0).all()) and first[0] == 0
-    if not rising or {first[-1], *(array.shape[0] for array in cells.values())} != {first[-1]}:
+            raise ValueError(f"a chunk of the snapshots' '{name}' is missing")  # Zarr would read zeros
+    index, cells = {name: np.asarray(arrays[name][...]) for name in _INDEX}, {name: arrays[name] for name in _CELLS}
+    about = {name: group.attrs[name] for name in ("resolution", "latency")}
+    first = index["first"]
+    rising = len(first) == len(index["row"]) + 1 and bool((np.diff(first) >= 0).all()) and first[0] == 0
+    if not rising or any(array.shape[0] != first[-1] for array in cells.values()):
         raise ValueError("the snapshots' cells do not fit their numbers")
-    return Snapshots(folder, resolution, latency, row, first, origin, shape, cells)
+    if not all(isinstance(value, float) for value in about.values()):
+        raise ValueError("the snapshots have no resolution or latency")
+    return Snapshots(folder, **about, **index, cells=cells)  # type: ignore[arg-type]

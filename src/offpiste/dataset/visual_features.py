@@ -74,9 +74,6 @@ def with_visual_features(
     Args:
         snapshots: records maps at the start of validation and test windows.
         report: called with the replayed share of the drive.
-
-    Raises:
-        LogError: the log's sensors are damaged or unusable.
     """
     settings = settings or MapperSettings()
     grid = settings.map.voxels

@@ -4,7 +4,6 @@ On the vehicle features are encoded before mapping, from 40 channels to 4; offli
 the encoder is learned (paper, "Dataset Collection Pipeline"). Without averaging, both orders give the same map.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,9 +15,6 @@ from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.mapping.voxel_map import VoxelMap, VoxelSettings
 from offpiste.mapping.voxels_to_layers import Flattener, FlattenSettings, MapCells
 
-Encode = Callable[[Float[np.ndarray, "N F"]], Float[np.ndarray, "N E"]]
-"""Encoder of features into codes, row by row."""
-
 
 @dataclass(frozen=True)
 class FeatureCloud:
@@ -28,12 +24,6 @@ class FeatureCloud:
     sensor_world: Float[np.ndarray, " 3"]  # position of the sensor [m]
     features: Float[np.ndarray, "N F"] | None = None  # None for a scan without an image
     has_feature: Bool[np.ndarray, " N"] | None = None  # mask of the points with features
-
-    @property
-    def distance(self) -> Float[np.ndarray, " N"]:
-        """Distance from the sensor to each point [m]."""
-        away = (self.points_world - self.sensor_world).astype(np.float32)
-        return np.sqrt(np.einsum("ij,ij->i", away, away))
 
 
 @dataclass(frozen=True)
@@ -47,17 +37,11 @@ class MapSettings:
 
 
 class MapPipeline:
-    """Map around a vehicle, built from its scans.
+    """Map of features or codes with some channels around a vehicle, built from its scans."""
 
-    Args:
-        channels: number of map channels: of codes with an encoder, else of features.
-        encode: encoder applied to features before mapping.
-    """
-
-    def __init__(self, channels: int, settings: MapSettings | None = None, encode: Encode | None = None) -> None:
+    def __init__(self, channels: int, settings: MapSettings | None = None) -> None:
         settings = settings or MapSettings()
         self.voxel_map = VoxelMap(channels, settings.voxels)
-        self._encode = encode
         self._ghosts = None if settings.ghosts is None else GhostFinder(settings.ghosts)
         self._free_space = None if settings.free_space is None else FreeSpace(self.voxel_map, settings.free_space)
         self._flattener = Flattener(self.voxel_map, settings.flatten)
@@ -65,22 +49,20 @@ class MapPipeline:
     def add(self, cloud: FeatureCloud, vehicle_world: Float[np.ndarray, " 3"]) -> Bool[np.ndarray, " N"]:
         """Move the map to the vehicle, insert a scan without its ghosts and return the mask of ghosts.
 
-        Raises:
-            ValueError: the vehicle's position is not finite, or the number of channels differs from the map's.
+        Raises `ValueError` for a position that is not finite, and for another number of channels than the map's.
         """
         self.voxel_map.recentre(vehicle_world[:2], float(vehicle_world[2]))
-        features, has_feature = cloud.features, cloud.has_feature
+        points, sensor, has_feature = cloud.points_world, cloud.sensor_world, cloud.has_feature
         if has_feature is None:
-            has_feature = np.full(len(cloud.points_world), features is not None)
-        if features is not None and self._encode is not None:
-            features = self._encoded(features, has_feature)
-        distance, ghosts = cloud.distance, np.zeros(len(cloud.points_world), bool)
+            has_feature = np.full(len(points), cloud.features is not None)
+        away = (points - sensor).astype(np.float32)
+        distance, ghosts = np.sqrt(np.einsum("ij,ij->i", away, away)), np.zeros(len(points), bool)
         if self._ghosts is not None:
-            ghosts = self._ghosts.find(cloud.points_world, cloud.sensor_world)
+            ghosts = self._ghosts.find(points, sensor)
             distance[ghosts] = np.inf  # ignored by the map
-        self.voxel_map.insert(cloud.points_world, features, has_feature, distance)
+        self.voxel_map.insert(points, cloud.features, has_feature, distance)
         if self._free_space is not None:
-            self._free_space.clear(cloud.points_world, cloud.sensor_world, ghosts)
+            self._free_space.clear(points, sensor, ghosts)
         return ghosts
 
     def layers(self, out: TerrainLayers | None = None) -> TerrainLayers:
@@ -90,10 +72,3 @@ class MapPipeline:
     def cells(self, rows: Int[np.ndarray, " K"], columns: Int[np.ndarray, " K"]) -> MapCells:
         """Return the values of `layers` at some cells only."""
         return self._flattener.cells(rows, columns)
-
-    def _encoded(self, features: Float[np.ndarray, "N F"], has: Bool[np.ndarray, " N"]) -> Float[np.ndarray, "N E"]:
-        assert self._encode is not None
-        codes = np.full((len(features), self.voxel_map.channels), np.nan, np.float32)
-        if has.any():
-            codes[has] = self._encode(features[has])
-        return codes
