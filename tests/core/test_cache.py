@@ -36,11 +36,9 @@ def _aged(folder: Path, days: float) -> None:
 
 
 def test_what_was_used_of_late_stays_and_what_is_not_the_caches_own(tmp_path: Path) -> None:
-    stages = [tmp_path / "stages" / f"actuators-{32 * digit}.safetensors" for digit in "0a"]
     kernels = [tmp_path / "kernels" / f"vehicle_{40 * digit}" / "code.nbc" for digit in "1b"]
-    for kept in (stages, kernels):
-        _entry(kept[0], read=31, written=90)
-        _entry(kept[1], read=29, written=90)
+    for path, days in zip(kernels, (31, 29), strict=True):
+        _entry(path, read=days, written=90)
     chunk = _entry(tmp_path / "datasets" / (16 * "2") / "data.zarr" / "chunk", read=90, written=90)
     others = [
         _entry(tmp_path / folder / "mine.zarr" / "chunk", read=90, written=90)
@@ -49,7 +47,7 @@ def test_what_was_used_of_late_stays_and_what_is_not_the_caches_own(tmp_path: Pa
     for folder in (kernels[0].parent, kernels[1].parent, *chunk.parents[:2], *(each.parent for each in others)):
         _aged(folder, 90)
     removed = forget_unused(tmp_path)
-    assert set(removed) == {stages[0], kernels[0].parent, chunk.parents[1]}
+    assert set(removed) == {kernels[0].parent, chunk.parents[1]}
     assert not any(path.exists() for path in removed)
-    assert all(path.exists() for path in (stages[1], kernels[1], *others))
+    assert all(path.exists() for path in (kernels[1], *others))
     assert forget_unused(tmp_path) == forget_unused(tmp_path / "nowhere") == []

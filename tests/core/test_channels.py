@@ -9,28 +9,12 @@ from offpiste.core.channels import (
     CONTROLS,
     KERNEL_CONTROLS,
     actuator_columns,
-    all_actuators,
-    all_controls,
     channel_of_rate,
     control_columns,
     control_of,
 )
 from offpiste.dynamics import Vehicle
-from offpiste.dynamics.actuator_lags import LAGS, lagging
-from offpiste.dynamics.bicycle import DriveTrain
-
-
-def test_names_are_unique_and_refer_to_each_other() -> None:
-    controls, actuators = all_controls(), all_actuators()
-    for names in ([c.name for c in controls], [a.name for a in actuators], [a.channel for a in actuators]):
-        assert len(set(names)) == len(names)
-    for actuator in actuators:
-        if actuator.rate_of:
-            assert actuator.rate_of in [a.name for a in actuators]
-        else:
-            assert actuator.follows in [c.name for c in controls]
-            assert actuator.lag in LAGS
-        assert actuator.drives in ("", *DriveTrain._fields)
+from offpiste.dynamics.actuator_lags import lagging
 
 
 def test_columns_are_those_of_every_dataset_and_optional_ones_of_the_rig() -> None:

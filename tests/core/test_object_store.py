@@ -8,11 +8,10 @@ import pytest
 import s3fs
 from fsspec.implementations.memory import MemoryFile
 
-from object_stores import s3_server
 from offpiste.cli import main
 from offpiste.core.errors import LogError, OffpisteError
 from offpiste.core.files import check_folder
-from offpiste.core.object_store import brought, download, expanded, opened, url_of
+from offpiste.core.object_store import brought, download, expanded, url_of
 from offpiste.logs import open_log
 
 
@@ -105,12 +104,3 @@ def test_commands_that_work_on_this_machine_alone_say_so() -> None:
         check_folder(Path("s3://b/run"))
     with pytest.raises(OffpisteError, match=r"s3://b/drive\.mcap: is in an object store"):
         open_log("s3://b/drive.mcap")
-
-
-def test_a_bucket_that_is_not_there() -> None:
-    missing = r"s3://elsewhere/x: cannot be reached \(FileNotFoundError"
-    with s3_server("there"):
-        with pytest.raises(OffpisteError, match=missing):
-            download("s3://elsewhere/x", Path("y"))
-        with pytest.raises(OffpisteError, match=missing), opened("s3://elsewhere/x") as (files, root):
-            files.put_file(__file__, root)

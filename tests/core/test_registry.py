@@ -4,21 +4,8 @@ import sys
 
 import pytest
 
-from offpiste.core.errors import OffpisteError, PerceptionError
+from offpiste.core.errors import PerceptionError
 from offpiste.core.registry import EXTENSIONS, Registry, load_extensions
-
-
-def test_an_entry_is_found_by_the_name_it_registered():
-    registry: Registry[int] = Registry("number")
-    registry.register("one")(1)
-
-    @registry.register("double")
-    def double(x):
-        return 2 * x
-
-    assert registry["one"] == 1
-    assert registry["double"](4) == 8
-    assert registry.items() == [("one", 1), ("double", double)]
 
 
 def test_unknown_and_taken_names_are_errors():
@@ -52,11 +39,3 @@ def test_modules_of_the_package_and_of_extensions_are_found(package, monkeypatch
     from shipped_things import THINGS
 
     assert THINGS.items() == [("hammer", 1), ("saw", 2)]
-
-
-def test_an_extension_that_cannot_be_imported_is_named(monkeypatch):
-    monkeypatch.setenv(EXTENSIONS, "nowhere_at_all")
-    load_extensions.cache_clear()
-    with pytest.raises(OffpisteError, match=r"OFFPISTE_EXTENSIONS: cannot import 'nowhere_at_all'"):
-        load_extensions()
-    load_extensions.cache_clear()

@@ -42,21 +42,21 @@ def test_all_are_undamaged_and_small():
     assert sum(file.stat().st_size for file in folder.rglob("*") if file.is_file()) < SHIPPED_BYTES
 
 
-@pytest.mark.parametrize("name", ["proving-ground/none", "../training"])
-def test_an_unknown_name_lists_those_there_are(name):
-    with pytest.raises(
-        RunError, match=r"no pretrained model '.*'; (did you mean 'proving-ground/b'\? )?there are: .*proving-ground/dc"
-    ):
-        offpiste.load(f"pretrained:{name}")
+@pytest.mark.parametrize(
+    ("load", "name", "said"),
+    [
+        (offpiste.load, "proving-ground/none", "did you mean 'proving-ground/b'. there are: .*proving-ground/dc"),
+        (offpiste.load, "../training", "there are: .*proving-ground/dc"),
+        (load_pca, "proving-ground/dc", "did you mean 'proving-ground'. there are: proving-ground$"),
+    ],
+)
+def test_an_unknown_name_lists_those_there_are(load, name, said):
+    with pytest.raises(RunError, match=f"no pretrained (model|PCA) '{name}'; {said}"):
+        load(f"pretrained:{name}")
 
 
 def test_the_features_of_a_family_ship_under_its_name():
     assert load_pca("pretrained:proving-ground").identity == offpiste.load("pretrained:proving-ground/dc").pca
-    with pytest.raises(
-        RunError,
-        match=r"no pretrained PCA 'proving-ground/dc'; did you mean 'proving-ground'\? there are: proving-ground$",
-    ):
-        load_pca("pretrained:proving-ground/dc")
 
 
 def test_names_of_runs_are_the_shortest_ends_of_paths_that_differ() -> None:

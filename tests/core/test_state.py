@@ -16,12 +16,6 @@ def test_wrapping_removes_whole_turns(angle, turns):
     assert wrapped.item() == pytest.approx(angle, abs=1e-9)
 
 
-def test_wrapping_has_slope_one_everywhere():
-    angle = torch.linspace(-10, 10, 41, dtype=torch.float64, requires_grad=True)
-    wrap_angle(angle).sum().backward()
-    torch.testing.assert_close(angle.grad, torch.ones_like(angle))
-
-
 def test_recorded_terrain_is_read_by_step_and_never_by_place():
     terrain = Terrain(torch.rand(2, 5, 4, 3), torch.rand(2, 5, 4) > 0.5, torch.rand(2, 5, 4, 6))
     source = RecordedTerrain(terrain)

@@ -1,4 +1,4 @@
-"""Cache of reproducible files: compiled code, fitted training stages, copies of datasets."""
+"""Cache of reproducible files: compiled code, copies of datasets."""
 
 import os
 import shutil
@@ -15,11 +15,7 @@ VARIABLE = "OFFPISTE_CACHE"
 KEPT_DAYS: Final = 30.0
 """Days after their last use at which entries are removed."""
 
-ENTRIES: Final = (
-    "kernels/*_" + 40 * "[0-9a-f]",
-    "stages/*-" + 32 * "[0-9a-f]" + ".safetensors",
-    "datasets/" + 16 * "[0-9a-f]",
-)
+ENTRIES: Final = ("kernels/*_" + 40 * "[0-9a-f]", "datasets/" + 16 * "[0-9a-f]")
 """Patterns of entries. Other files in the folder are never touched."""
 
 
@@ -29,41 +25,33 @@ def cache_folder(environment: Mapping[str, str] = os.environ, platform: str = sy
     `$OFFPISTE_CACHE`, or else `$XDG_CACHE_HOME/offpiste` and `~/.cache/offpiste`, on macOS `~/Library/Caches/offpiste`,
     on Windows `%LOCALAPPDATA%\offpiste\Cache`.
     """
+    home = Path(os.path.expanduser("~"))  # noqa: PTH111  (Path.home() raises where there is none)
     if given := environment.get(VARIABLE):
         return Path(given).expanduser().absolute()
     if platform == "win32":
-        local = environment.get("LOCALAPPDATA")
-        return (Path(local) if local else _home() / "AppData" / "Local") / "offpiste" / "Cache"
+        return Path(environment.get("LOCALAPPDATA") or home / "AppData" / "Local") / "offpiste" / "Cache"
     if platform == "darwin":
-        return _home() / "Library" / "Caches" / "offpiste"
+        return home / "Library" / "Caches" / "offpiste"
     given = environment.get("XDG_CACHE_HOME", "")
     # The specification ignores relative paths.
-    return (Path(given) if Path(given).is_absolute() else _home() / ".cache") / "offpiste"
-
-
-def _home() -> Path:
-    return Path(os.path.expanduser("~"))  # noqa: PTH111  (Path.home() raises where there is none)
+    return (Path(given) if Path(given).is_absolute() else home / ".cache") / "offpiste"
 
 
 def forget_unused(folder: Path, *, days: float = KEPT_DAYS) -> list[Path]:
-    """Remove kernels, training stages and datasets that were not used for some days, and return their paths.
+    """Remove kernels and datasets that were not used for some days, and return their paths.
 
     The last use of a folder is the last time that one of its files was read or written.
     """
     oldest = time.time() - 86400 * days
     unused = [entry for names in ENTRIES for entry in folder.glob(names) if _last_used(entry) < oldest]
     for entry in unused:
-        if entry.is_dir():
-            shutil.rmtree(entry, ignore_errors=True)
-        else:
-            with suppress(OSError):
-                entry.unlink()
+        shutil.rmtree(entry, ignore_errors=True)
     return [entry for entry in unused if not entry.exists()]
 
 
 def _last_used(entry: Path) -> float:
     last = 0.0
-    for path in (entry, *(entry.iterdir() if entry.is_dir() else ())):
+    for path in (entry, *entry.glob("*")):
         with suppress(FileNotFoundError):  # another process replaces it
             status = path.stat()
             last = max(last, status.st_mtime, 0.0 if path.is_dir() else status.st_atime)

@@ -76,20 +76,14 @@ class Actuator:
 
 CONTROLS: Final = (
     Control(
-        "throttle",
-        rate=4.0,
-        declared=True,
+        "throttle", declared=True,
         pattern=r"throttle|acc(el)?_?(pedal|pdl|ped(?![a-z]))|accelerator|pedal_?acc|(^|[ ._/])(gas|thr(?![a-z]))",
     ),
-    Control("brake", rate=8.0, pattern=r"brake|(?<![a-z])brk(?![a-z])", declared=True),
+    Control("brake", rate=8.0, declared=True, pattern=r"brake|(?<![a-z])brk(?![a-z])"),
     Control(
-        "steer",
-        low=-1.0,
-        rate=4.0,
-        pattern=r"steer|(?<![a-z])str_?(cmd|com+and|pct|in(put)?)(?![a-z])",
-        declared=True,
+        "steer", low=-1.0, declared=True, pattern=r"steer|(?<![a-z])str_?(cmd|com+and|pct|in(put)?)(?![a-z])",
     ),
-)
+)  # fmt: skip
 """Commanded throttle and brake from 0 to 1, and steering from -1 (right) to 1 (left)."""
 
 OPTIONAL_CONTROLS: Final = (
@@ -105,12 +99,12 @@ KERNEL_CONTROLS: Final = (*CONTROLS, *OPTIONAL_CONTROLS)
 
 ACTUATORS: Final = (
     Actuator(
-        "brake", "brake_pressure", low=0.0, high=1.0, follows="brake", lag="apply-release", drives="brake",
-        declared=True,
+        "brake", "brake_pressure", low=0.0, high=1.0,
+        follows="brake", lag="apply-release", drives="brake", declared=True,
     ),
     Actuator(
-        "steer", "steer_angle", "rad", low=-1.0, high=1.0, follows="steer", lag="second-order", drives="steer",
-        declared=True,
+        "steer", "steer_angle", "rad", low=-1.0, high=1.0,
+        follows="steer", lag="second-order", drives="steer", declared=True,
     ),
     Actuator("steer_rate", "steer_rate", "rad/s", rate_of="steer", declared=True),
     Actuator(
@@ -166,15 +160,12 @@ def control_of(channel: str) -> Control | None:
 
 def without_optional(names: Collection[str]) -> tuple[str, ...]:
     """Return the names of controls that a model must share with a dataset, in their order."""
-    optional = {control.name for control in OPTIONAL_CONTROLS}
-    return tuple(name for name in names if name not in optional)
+    return tuple(name for name in names if name not in {control.name for control in OPTIONAL_CONTROLS})
 
 
 def absent_value(name: str) -> float:
     """Return the value that replaces a control if a log lacks it."""
-    control = control_of(name)
-    assert control is not None, name
-    return control.absent
+    return next(control.absent for control in all_controls() if control.name == name)
 
 
 def channel_of_rate(channel: str) -> str:
@@ -212,14 +203,14 @@ def _without_accents(text: str) -> str:
     return normalize("NFC", "".join(each for each in normalize("NFD", text) if not combining(each)))
 
 
-_WORDS: Final = tuple(
-    (english, re.compile(rf"(?<![a-z])({_without_accents(words)})(?![a-z])")) for english, words in _IN_ENGLISH.items()
-)
+_WORDS: Final = {
+    english: re.compile(rf"(?<![a-z])({_without_accents(words)})(?![a-z])") for english, words in _IN_ENGLISH.items()
+}
 
 
 def in_english(name: str) -> str:
     """Translate known words of a field name in lower case to English, and remove accents."""
     name = _without_accents(name)
-    for english, words in _WORDS:
+    for english, words in _WORDS.items():
         name = words.sub(english, name)
     return name

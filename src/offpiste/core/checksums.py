@@ -57,33 +57,23 @@ def sha256_of_folders(folder: Path) -> str:
 
 
 def check_files(folder: Path) -> None:
-    """Compare files below a folder with its digests.
-
-    Raises:
-        DamagedFile: a file or the list of digests is missing or damaged.
-    """
+    """Raise `DamagedFile` if a file below a folder, or the list of digests, is missing or damaged."""
     for damaged in damaged_files(folder):
         raise damaged
 
 
 def damaged_files(folder: Path) -> Iterator[DamagedFile]:
     """Yield missing or damaged files; only the list of digests if that is damaged."""
-    list_file = folder / CHECKSUMS
-    if not list_file.is_file():
-        yield DamagedFile(list_file, "is missing")
-        return
+    digests: dict[str, str | None] = {CHECKSUMS: None}
     try:
-        content = parsed(read_small(list_file))
-        digests: dict[str, str] = content["sha256"]
-        intact = sha256_of_json(digests) == content["sha256_of_these"]
-    except (ValueError, KeyError, TypeError):
-        intact = False
-    if not intact:
-        yield DamagedFile(list_file)
-        return
+        content = parsed(read_small(folder / CHECKSUMS))
+        if sha256_of_json(content["sha256"]) == content["sha256_of_these"]:
+            digests = content["sha256"]
+    except (OSError, ValueError, KeyError, TypeError):
+        pass
     for name, digest in digests.items():
         file = folder / name
         if not file.is_file():
             yield DamagedFile(file, "is missing")
-        elif sha256_of(file) != digest:
+        elif digest is None or sha256_of(file) != digest:
             yield DamagedFile(file)

@@ -6,23 +6,16 @@ from typing import Any
 
 
 def command_line(command: str, settings: Any, *positional: str, **changes: object) -> str:
-    """Return the command line of these settings, with changes and without defaults.
-
-    Args:
-        settings: dataclass of a command.
-        positional: fields that are positional arguments, in their order.
-    """
+    """Return the command line of settings, with changes and without defaults; `positional` fields have no option."""
     words = [word for one in fields(settings) if one.name in positional
              for word in _texts(changes.get(one.name, getattr(settings, one.name)))]  # fmt: skip
     return join(["offpiste", command, *words, *options(settings, *positional, **changes)])
 
 
 def options(settings: Any, *without: str, **changes: object) -> list[str]:
-    """Return the options of these settings, with changes and without defaults.
+    """Return the options of a dataclass, with changes and without defaults and some fields.
 
-    Args:
-        settings: dataclass; nested ones give options like `--weights.yaw`.
-        without: fields to leave out.
+    Nested dataclasses give options like `--weights.yaw`.
     """
     words: list[str] = []
     for one in fields(settings):

@@ -1,12 +1,12 @@
 """Errors that a user can cause, as one line with fault, location and fix; missing extras."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+import copyreg
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from difflib import get_close_matches
-from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 _LONGEST: Final = 600
 """Longest message [characters]; names in damaged files may have any length."""
@@ -25,25 +25,19 @@ class OffpisteError(Exception):
         self.what, self.where, self.how = what, str(where), how
         super().__init__(what, where, how)
 
-    def __reduce__(self) -> tuple[Callable[[str], "OffpisteError"], tuple[str]]:
-        return partial(type(self), where=self.where, how=self.how), (self.what,)
+    def __reduce__(self) -> tuple[Any, ...]:
+        return copyreg.__newobj__, (type(self), *self.args), vars(self)  # type: ignore[attr-defined]
 
     def __str__(self) -> str:
-        place = f"{self.where}: " if self.where else ""
-        fix = f"; {self.how}" if self.how else ""
-        return _one_line(f"{place}{self.what}{fix}")
+        text = (f"{self.where}: " if self.where else "") + self.what + (f"; {self.how}" if self.how else "")
+        line = "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in " ".join(text.split()))
+        return line if len(line) <= _LONGEST else f"{line[: _LONGEST * 3 // 4]} … {line[-_LONGEST // 5 :]}"
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
     """Return "did you mean 'dart'? " with the known name of the most similar spelling; "" if none is similar."""
     near = get_close_matches(name, tuple(known), n=1)
     return f"did you mean '{near[0]}'? " if near else ""
-
-
-def _one_line(text: str) -> str:
-    """Return a text as one line without control characters, of at most `_LONGEST` characters."""
-    line = "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in " ".join(text.split()))
-    return line if len(line) <= _LONGEST else f"{line[: _LONGEST * 3 // 4]} … {line[-_LONGEST // 5 :]}"
 
 
 class LogError(OffpisteError):
@@ -62,10 +56,6 @@ class SeveralLogs(LogError):
     ) -> None:
         super().__init__(what, where=where, how=how)
         self.logs, self.others = logs, others
-
-    def __reduce__(self) -> tuple[Callable[[str], OffpisteError], tuple[str]]:
-        make = partial(SeveralLogs, where=self.where, how=self.how, logs=self.logs, others=self.others)
-        return make, (self.what,)
 
 
 class TooLarge(LogError):
@@ -126,12 +116,7 @@ class MissingExtra(OffpisteError):
 
 @contextmanager
 def extra(name: str, *, otherwise: str = "") -> Iterator[None]:
-    """Turn a failed import of an extra's packages into `MissingExtra`.
-
-    Args:
-        name: the extra in pyproject.toml.
-        otherwise: alternative to installing it, for the message.
-    """
+    """Turn a failed import of an extra's packages into `MissingExtra`, which names an alternative (`otherwise`)."""
     try:
         yield
     except ModuleNotFoundError as error:

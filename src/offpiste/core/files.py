@@ -48,7 +48,7 @@ def _locked(partial: Path) -> Iterator[None]:
         yield
 
 
-def write_whole(path: Path, write: Callable[[Path], None]) -> None:
+def write_whole(path: Path, write: Callable[[Path], object]) -> None:
     """Write a file beside `path`, then move it there; an interruption leaves the old file."""
     refuse_url(path)
     handle, name = _beside(path, tempfile.mkstemp)
@@ -66,11 +66,7 @@ def write_whole(path: Path, write: Callable[[Path], None]) -> None:
 
 
 def write_folder(path: Path, write: Callable[[Path], None]) -> None:
-    """Write a folder beside its final path and move it there when it is complete.
-
-    Raises:
-        OffpisteError: it is the current folder or in an object store.
-    """
+    """Write a folder, which must not be the current one, beside its final path and move it there when complete."""
     refuse_url(path)
     if path.resolve() == Path.cwd():
         raise OffpisteError("is the current folder", where=path, how="give a folder that does not exist yet")
@@ -92,14 +88,11 @@ def temporary_folder(path: Path) -> Iterator[Path]:
 
 
 def check_folder(out: Path, *, option: str = "--out", own: Sequence[str] | None = None) -> None:
-    """Check that a command can write a folder.
+    """Raise `OffpisteError` if a command cannot write a folder: a file, in an object store, or with other content.
 
     Args:
         option: its option, for the message.
         own: patterns of files that mark a folder of this command; None accepts any content.
-
-    Raises:
-        OffpisteError: it is a file, is in a file or an object store, or contains something else.
     """
     refuse_url(out)
     for place in (out, *out.parents):
@@ -121,13 +114,8 @@ def unfinished(out: Path, mark: str) -> Iterator[None]:
 
 
 def remove_partials(folder: Path, name: str = "") -> None:
-    """Remove unfinished files of killed processes from a folder; those of running processes stay.
-
-    Args:
-        name: final name of the file or folder; "" for all.
-    """
-    named = f".{escape(name)}.*{PARTIAL}" if name else f".*{PARTIAL}"
-    for partial in folder.glob(named):
+    """Remove unfinished files of killed processes, of one final name or all; those of running processes stay."""
+    for partial in folder.glob(f".{escape(name)}.*{PARTIAL}" if name else f".*{PARTIAL}"):
         with suppress(BlockingIOError), _locked(partial):
             if partial.is_dir():
                 shutil.rmtree(partial, ignore_errors=True)
@@ -137,11 +125,7 @@ def remove_partials(folder: Path, name: str = "") -> None:
 
 def write_bytes(path: Path, content: bytes) -> None:
     """Write bytes atomically."""
-
-    def write(partial: Path) -> None:
-        partial.write_bytes(content)
-
-    write_whole(path, write)
+    write_whole(path, lambda partial: partial.write_bytes(content))
 
 
 def write_text(path: Path, text: str) -> None:

@@ -147,12 +147,9 @@ _MIN_SPEED: Final = 0.1
 def bicycle_angle(
     yaw_rate: Float[np.ndarray, "*n"], speed: Float[np.ndarray, "*n"], wheelbase: float
 ) -> Float[np.ndarray, "*n"]:
-    """Return the steering angle of a bicycle without slip, from its yaw rate [rad/s] and speed [m/s].
+    """Return the steering angle of a bicycle without slip, from yaw rate [rad/s] and signed speed at the rear [m/s].
 
     Slower speeds count as `_MIN_SPEED`: the angle is almost pi/2 when turning on the spot and small at rest.
-
-    Args:
-        speed: speed of the rear axle, negative in reverse [m/s].
     """
     return np.arctan2(wheelbase * yaw_rate * np.where(speed < 0, -1.0, 1.0), np.maximum(np.abs(speed), _MIN_SPEED))
 
@@ -178,10 +175,9 @@ def local_from_geographic(
     if not known.any():
         return local
     tangent = np.round(place[known.argmax(), :2] / _GRID) * _GRID if origin is None else np.array(origin)
-    squared = _FLATTENING * (2 - _FLATTENING)
-    bent = 1 - squared * np.sin(np.deg2rad(tangent[0])) ** 2
-    along = _EQUATOR * (1 - squared) / bent**1.5
-    across = _EQUATOR / np.sqrt(bent) * np.cos(np.deg2rad(tangent[0]))
+    squared, latitude = _FLATTENING * (2 - _FLATTENING), np.deg2rad(tangent[0])
+    bent = 1 - squared * np.sin(latitude) ** 2
+    along, across = _EQUATOR * (1 - squared) / bent**1.5, _EQUATOR / np.sqrt(bent) * np.cos(latitude)
     north, east = np.deg2rad(place[known, 0] - tangent[0]), np.deg2rad((place[known, 1] - tangent[1] + 180) % 360 - 180)
     local[known, 0], local[known, 1] = across * east, along * north
     return local

@@ -12,16 +12,6 @@ logger = logging.getLogger(__name__)
 
 _SPARE: Final = 5e8
 """Memory to leave free [bytes]."""
-_CGROUPS: Final = {
-    r"^0::(.*)$": ("sys/fs/cgroup", "memory.max", "memory.current", "inactive_file"),
-    r"^\d+:[\w,]*\bmemory\b[\w,]*:(.*)$": (
-        "sys/fs/cgroup/memory",
-        "memory.limit_in_bytes",
-        "memory.usage_in_bytes",
-        "total_inactive_file",
-    ),
-}
-"""Pattern of a control group (version 2 and 1), its folder, and the names of its limit, use and file cache."""
 
 
 def usable_cores() -> int:
@@ -30,11 +20,7 @@ def usable_cores() -> int:
 
 
 def within_memory(processes: int, each: float) -> int:
-    """Return how many of `processes` fit into free memory, at least 1, and warn if not all do.
-
-    Args:
-        each: memory of a process [bytes].
-    """
+    """Return how many of `processes`, of `each` [bytes], fit into free memory, at least 1; warn if not all do."""
     free = free_memory()
     fitting = max(1, int((free - _SPARE) / max(each, 1.0)))
     if fitting < processes:
@@ -53,14 +39,13 @@ def free_memory(root: Path = Path("/")) -> int:
     with suppress(OSError):
         free = _number(root / "proc/meminfo", "MemAvailable:", free // 1024) * 1024
     with suppress(OSError):
-        text = root.joinpath("proc/self/cgroup").read_text("utf-8")
-        for line, (place, limit, used, cached) in _CGROUPS.items():
-            for found in re.finditer(line, text, re.MULTILINE):
-                for part in (found[1], *map(str, PurePosixPath(found[1]).parents)):
-                    group = root / place / part.lstrip("/")
-                    with suppress(OSError):
-                        left = _number(group / limit) - _number(group / used) + _number(group / "memory.stat", cached)
-                        free = min(free, max(0, left))
+        # Control groups of version 2; that of version 1 is no longer the default of any distribution.
+        found = re.search(r"^0::(.*)$", root.joinpath("proc/self/cgroup").read_text("utf-8"), re.MULTILINE)
+        for part in (PurePosixPath(found[1]), *PurePosixPath(found[1]).parents) if found else ():
+            group = root / "sys/fs/cgroup" / str(part).lstrip("/")
+            with suppress(OSError):
+                used = _number(group / "memory.current") - _number(group / "memory.stat", "inactive_file")
+                free = min(free, max(0, _number(group / "memory.max") - used))
     return free
 
 

@@ -22,6 +22,13 @@ def url_of(path: str | Path) -> str | None:
     return f"{found[1]}://{found[2].rstrip('/')}" if found and not Path(path).exists() else None
 
 
+def refuse_url(path: str | Path) -> None:
+    """Raise `OffpisteError` if a path is in an object store."""
+    if (url := url_of(path)) is not None:
+        how = "give a local path; `inspect`, `fit-pca` and `extract` read object stores"
+        raise OffpisteError("is in an object store", where=url, how=how)
+
+
 @contextmanager
 def opened(url: str) -> Iterator[tuple[Any, str]]:
     """Open the fsspec file system of a URL, and give it and the path in it.
@@ -82,11 +89,7 @@ def download(url: str, to: Path) -> None:
 
 @contextmanager
 def brought(path: str | Path) -> Iterator[Path]:
-    """Give a local path; a file or folder in an object store is copied, and the copy removed afterwards.
-
-    Raises:
-        OffpisteError: the URL does not exist, or the store cannot be reached.
-    """
+    """Give a local path; a file or folder in an object store is copied, and the copy removed afterwards."""
     url = url_of(path)
     if url is None:
         yield Path(path)
@@ -100,10 +103,3 @@ def brought(path: str | Path) -> Iterator[Path]:
         except OffpisteError as error:
             error.where = error.where.replace(str(here), url)
             raise
-
-
-def refuse_url(path: str | Path) -> None:
-    """Raise `OffpisteError` if a path is in an object store."""
-    if (url := url_of(path)) is not None:
-        how = "give a local path; `inspect`, `fit-pca` and `extract` read object stores"
-        raise OffpisteError("is in an object store", where=url, how=how)

@@ -80,7 +80,7 @@ def run_all(
     with jobs_bar(len(jobs), description) as update:
         outcomes: Ended[Result]
         if cluster:
-            outcomes = _on_cluster(cluster, work, jobs, update)
+            outcomes = _on_cluster(cluster, work, jobs)
         elif processes > 1:
             outcomes = _side_by_side(processes, work, jobs, update)
         else:
@@ -128,11 +128,8 @@ def _side_by_side(
                 try:
                     yield numbers[future], future.result()
                 except BrokenProcessPool:
-                    how = "use fewer --processes; finished drives are kept"
-                    yield (
-                        numbers[future],
-                        OffpisteError("a process was killed, perhaps because of too little memory", how=how),
-                    )
+                    what = "a process was killed, perhaps because of too little memory"
+                    yield numbers[future], OffpisteError(what, how="use fewer --processes; finished drives are kept")
     except BaseException:
         pool.shutdown(wait=False, cancel_futures=True)
         for child in multiprocessing.active_children():
@@ -150,56 +147,40 @@ def _share(number: int, share: float) -> None:
 
 
 def _start_worker(threads: int, environment: dict[str, str], shares: MutableSequence[float]) -> None:
-    """Prepare a worker: it ignores Ctrl-C, ends with the parent, and uses its share of cores.
-
-    Args:
-        environment: current environment of the parent; the fork server has that of its own start.
-    """
+    """Prepare a worker process: share memory with the parent, take its environment, end with it, ignore Ctrl-C."""
     global _shares
     import torch
 
     _shares = shares
-    os.environ.update(environment)
+    os.environ.update(environment)  # the fork server has that of its own start
     threading.Thread(target=_end_with_parent, daemon=True).start()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     torch.set_num_threads(max(1, threads))
 
 
 def _end_with_parent() -> None:
-    """Exit after the parent was killed."""
     parent = multiprocessing.parent_process()
     assert parent is not None
     parent.join()
     os._exit(1)
 
 
-def _on_cluster(
-    address: str, work: Work[Job, Result], jobs: Sequence[Job], update: Callable[[int, float], None]
-) -> Ended[Result]:
+def _on_cluster(address: str, work: Work[Job, Result], jobs: Sequence[Job]) -> Ended[Result]:
     with _connected(address) as ray:
-        from ray.util.queue import Queue
-        from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
-
-        # On this node, whose loss ends this process as well.
-        here = NodeAffinitySchedulingStrategy(ray.get_runtime_context().get_node_id(), soft=False)
-        queue = Queue(actor_options={"num_cpus": 0, "scheduling_strategy": here})
         largest = max((node["Resources"].get("memory", 0) for node in ray.nodes() if node["Alive"]), default=0)
         task = ray.remote(num_cpus=1, memory=int(min(MEMORY, largest)), max_retries=RETRIES)(_attempt)
-        waiting = {
-            task.remote(work, job, lambda share, number=number: queue.put((number, share))): number
-            for number, job in enumerate(jobs)
-        }
+        waiting = {task.remote(work, job, _unreported): number for number, job in enumerate(jobs)}
         try:
             while waiting:
-                done, _ = ray.wait([*waiting], num_returns=len(waiting), timeout=POLL)
-                for number, share in queue.get_nowait_batch(queue.size()):
-                    update(number, share)
-                for reference in done:
+                for reference in ray.wait([*waiting])[0]:
                     yield waiting.pop(reference), _result_of(ray, reference)
         finally:
             for reference in waiting:
                 ray.cancel(reference, force=True)
-            queue.shutdown(force=True)
+
+
+def _unreported(share: float) -> None:
+    """Do not report the share of a job on a cluster, where only finished jobs are counted."""
 
 
 def _result_of(ray: Any, reference: Any) -> Any:
@@ -209,9 +190,8 @@ def _result_of(ray: Any, reference: Any) -> Any:
         raise  # a bug in offpiste
     except ray.exceptions.RayError as error:
         lost = f"its worker or its node was lost {RETRIES + 1} times ({type(error).__name__})"
-        return OffpisteError(
-            lost, how="see Ray's logs for the reason, e.g. too little memory; finished drives are kept"
-        )
+        how = "see Ray's logs for the reason, e.g. too little memory; finished drives are kept"
+        return OffpisteError(lost, how=how)
 
 
 @contextmanager
@@ -236,22 +216,14 @@ def _connected(address: str) -> Iterator[Any]:
 
 
 def at_a_time(processes: int, device: str = "cpu") -> int:
-    """Return the number of processes: `processes`, or for 0 one per core on the CPU and one on a GPU.
-
-    Raises:
-        OffpisteError: the number is negative.
-    """
+    """Return the number of processes: for 0, one per core on the CPU and one on a GPU; `OffpisteError` if negative."""
     if processes < 0:
         raise OffpisteError(f"--processes is {processes}", how="give 1 or more, or 0 for one per core")
     return processes or (usable_cores() if device == "cpu" else 1)
 
 
 def parse_shard(text: str) -> tuple[int, int]:
-    """Parse "K/N" with K from 1 to N.
-
-    Raises:
-        OffpisteError: it has another form.
-    """
+    """Parse "K/N" with K from 1 to N; raises `OffpisteError` for another form."""
     found = re.fullmatch(r"([0-9]+)/([0-9]+)", text)
     if not found or not 1 <= int(found[1]) <= int(found[2]):
         raise OffpisteError(f"'{text}' is not a shard", where="--shard", how="give K/N with K from 1 to N, e.g. 2/4")

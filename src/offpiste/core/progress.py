@@ -5,17 +5,10 @@ import sys
 from collections.abc import Callable, Generator, Iterable, Iterator, Sized
 from contextlib import contextmanager
 from time import monotonic
-from typing import Final, Protocol, TypeVar, runtime_checkable
+from typing import Any, Final, TypeVar
 
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TaskProgressColumn,
-    TextColumn,
-    TimeRemainingColumn,
-)
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 Item = TypeVar("Item")
 EVERY: Final = 15.0
@@ -24,33 +17,26 @@ FORETOLD: Final = 0.02
 """Completed share from which on progress lines show the time left; the start of work is slower."""
 
 
-@runtime_checkable
-class Track(Protocol):
-    """Function like `track`."""
-
-    def __call__(self, items: Iterable[Item], description: str, /) -> Iterator[Item]:
-        """Yield the items."""
-        ...
+Track = Callable[[Iterable[Any], str], Iterator[Any]]
+"""Function like `track`."""
 
 
-class _Lines:
-    """Progress lines on standard error, for output to a file."""
+def _lines(description: str, total: float | None, *, in_percent: bool) -> Callable[[float], None]:
+    """Return a function that prints completed work on standard error every `EVERY` seconds, for output to a file."""
+    begun = due = monotonic()
 
-    def __init__(self, description: str, total: float | None, *, in_percent: bool) -> None:
-        self._description, self._total, self._in_percent = description, total, in_percent
-        self._begun = monotonic()
-        self._next = self._begun + EVERY
-
-    def update(self, done: float) -> None:
-        """Print a line every `EVERY` seconds."""
-        now, total = monotonic(), self._total
-        if now < self._next:
+    def update(done: float) -> None:
+        nonlocal due
+        spent = (now := monotonic()) - begun
+        if now < due + EVERY:
             return
-        self._next, spent = now + EVERY, now - self._begun
+        due = now
         what = f"{done:.0f}" if total is None else f"{done:.0f} of {total:.0f} ({done / total:.0%})"
-        what = f"{done / total:.0%}" if self._in_percent and total else what
+        what = f"{done / total:.0%}" if in_percent and total else what
         left = f", {spent * (total / done - 1):.0f} s left" if total and done >= FORETOLD * total else ""
-        print(f"{self._description}: {what} after {spent:.0f} s{left}", file=sys.stderr, flush=True)  # noqa: T201
+        print(f"{description}: {what} after {spent:.0f} s{left}", file=sys.stderr, flush=True)  # noqa: T201
+
+    return update
 
 
 @contextmanager
@@ -58,7 +44,7 @@ def _bar(description: str, total: float | None, *, in_percent: bool = False) -> 
     """Give a function that shows completed work: on a bar on a terminal, else in occasional lines."""
     console = Console(stderr=True)
     if not console.is_terminal:
-        yield _Lines(description, total, in_percent=in_percent).update
+        yield _lines(description, total, in_percent=in_percent)
         return
     count = TaskProgressColumn() if in_percent else MofNCompleteColumn()
     columns = (TextColumn("{task.description}"), BarColumn(), count, TimeRemainingColumn())
@@ -95,9 +81,9 @@ def show(result: object) -> None:
     if isinstance(result, str):
         print(result, flush=True)  # noqa: T201
         return
-    console = Console(highlight=False)
     # The default of 80 columns for a pipe would wrap tables.
-    (console if console.is_terminal else Console(highlight=False, width=120)).print(result)
+    width = None if sys.stdout.isatty() else 120
+    Console(highlight=False, width=width).print(result)
 
 
 def log_to_terminal() -> None:

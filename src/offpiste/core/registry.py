@@ -21,12 +21,9 @@ EXTENSIONS: Final = "OFFPISTE_EXTENSIONS"
 
 
 class Registry(Generic[Entry]):
-    """Entries by name; the first look-up imports all entries of the package and of extensions.
+    """Entries of a kind ("backbone") by name; the first look-up imports all modules of the package and of extensions.
 
-    Args:
-        kind: kind of an entry for messages ("backbone").
-        package: package whose modules are imported before the first look-up.
-        error: error for a name that is unknown or taken.
+    An unknown or taken name raises `error`.
     """
 
     def __init__(self, kind: str, *, package: str = "", error: type[OffpisteError] = OffpisteError) -> None:
@@ -35,7 +32,7 @@ class Registry(Generic[Entry]):
         self._loaded = False
 
     def register(self, name: str) -> Callable[[Entry], Entry]:
-        """Return a decorator that adds an entry; raises `error` if the name is taken."""
+        """Return a decorator that adds an entry."""
 
         def add(entry: Entry) -> Entry:
             if name in self._entries:
@@ -46,9 +43,8 @@ class Registry(Generic[Entry]):
         return add
 
     def __getitem__(self, name: str) -> Entry:
-        """Return the entry of a name; raises `error` if there is none."""
-        self._load()
-        if name not in self._entries:
+        """Return the entry of a name."""
+        if name not in self:
             how = f"{did_you_mean(name, self._entries)}there are: {', '.join(self._entries)}"
             raise self._error(f"no {self.kind} '{name}'", how=how)
         return self._entries[name]
@@ -62,13 +58,11 @@ class Registry(Generic[Entry]):
         return iter(tuple(self._entries))
 
     def __len__(self) -> int:
-        self._load()
-        return len(self._entries)
+        return len(list(self))
 
     def items(self) -> list[tuple[str, Entry]]:
         """Return names and entries in the order of registration, extensions last."""
-        self._load()
-        return list(self._entries.items())
+        return [(name, self._entries[name]) for name in self]
 
     def _load(self) -> None:
         if self._loaded:
@@ -89,6 +83,5 @@ def load_extensions() -> None:
         try:
             import_module(module)
         except ImportError as error:
-            raise OffpisteError(
-                f"cannot import '{module}': {error}", where=where, how="install it, or put its folder on PYTHONPATH"
-            ) from error
+            how = "install it, or put its folder on PYTHONPATH"
+            raise OffpisteError(f"cannot import '{module}': {error}", where=where, how=how) from error

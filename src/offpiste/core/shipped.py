@@ -21,18 +21,8 @@ def pretrained_names() -> list[str]:
 
 
 def run_folder(run: str | Path) -> Path:
-    """Return the folder of a run, given as a path or as `pretrained:NAME`.
-
-    Raises:
-        RunError: no pretrained model has that name.
-    """
-    if not str(run).startswith(PREFIX):
-        return Path(run)
-    name = str(run).removeprefix(PREFIX)
-    if name not in pretrained_names():
-        how = f"{did_you_mean(name, pretrained_names())}there are: {', '.join(pretrained_names())}"
-        raise RunError(f"no pretrained model '{name}'", where=str(run), how=how)
-    return _FOLDER / name
+    """Return the folder of a run, given as a path or as `pretrained:NAME`; raises `RunError` for an unknown name."""
+    return Path(run) if (name := _shipped(run, "model", pretrained_names())) is None else _FOLDER / name
 
 
 def named(folder: Path) -> str:
@@ -55,15 +45,17 @@ def alike(folder: Path) -> str:
 
 
 def pca_file(pca: str | Path) -> Path:
-    """Return the file of a PCA, given as a path or as `pretrained:FAMILY`.
+    """Return the file of a PCA, given as a path or as `pretrained:FAMILY`; raises `RunError` for an unknown family."""
+    families = sorted(path.parent.name for path in _FOLDER.glob(f"*/{PCA}"))
+    return Path(pca) if (name := _shipped(pca, "PCA", families)) is None else _FOLDER / name / PCA
 
-    Raises:
-        RunError: no pretrained family has that name.
-    """
-    if not str(pca).startswith(PREFIX):
-        return Path(pca)
-    name, families = str(pca).removeprefix(PREFIX), sorted(path.parent.name for path in _FOLDER.glob(f"*/{PCA}"))
-    if name not in families:
-        how = f"{did_you_mean(name, families)}there are: {', '.join(families)}"
-        raise RunError(f"no pretrained PCA '{name}'", where=str(pca), how=how)
-    return _FOLDER / name / PCA
+
+def _shipped(path: str | Path, kind: str, names: Sequence[str]) -> str | None:
+    """Return the name of what ships as `pretrained:NAME`; None for a path."""
+    if not str(path).startswith(PREFIX):
+        return None
+    name = str(path).removeprefix(PREFIX)
+    if name not in names:
+        how = f"{did_you_mean(name, names)}there are: {', '.join(names)}"
+        raise RunError(f"no pretrained {kind} '{name}'", where=str(path), how=how)
+    return name

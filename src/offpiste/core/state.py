@@ -18,17 +18,11 @@ def wrap_angle(angle: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class Terrain:
-    """Terrain under each wheel at one or several times.
+    """Terrain under each wheel at one or several times."""
 
-    Attributes:
-        normal: unit surface normals in the world frame; straight up if not `known`.
-        known: validity of the normals.
-        latent: encoded terrain features, missing ones already filled; E = 0 for models without features.
-    """
-
-    normal: Float[Tensor, "*batch 4 3"]
-    known: Bool[Tensor, "*batch 4"]
-    latent: Float[Tensor, "*batch 4 E"]
+    normal: Float[Tensor, "*batch 4 3"]  # unit surface normals in the world frame; straight up if not `known`
+    known: Bool[Tensor, "*batch 4"]  # validity of the normals
+    latent: Float[Tensor, "*batch 4 E"]  # encoded features, missing ones filled; E = 0 for models without features
 
     def rows(self, part: slice) -> "Terrain":
         """Select rows of a batch whose fields are [B, R, 4, ...]."""
@@ -44,34 +38,22 @@ class Terrain:
 
 @dataclass(frozen=True)
 class History:
-    """Rows t-10 ... t-1 before a prediction; row t is the input of the first step.
+    """Rows t-10 ... t-1 before a prediction; row t is the input of the first step."""
 
-    Attributes:
-        state: px, py [m], yaw [rad], vx, vy [m/s], yaw rate [rad/s].
-        actuators, control: in the columns of `Vehicle.actuator_columns` and `control_columns`; NaN where absent.
-        extra: columns beyond these by name (`offpiste.dataset.columns`).
-    """
-
-    state: Float[Tensor, "B H 6"]
-    actuators: Float[Tensor, "B H A"]
-    control: Float[Tensor, "B H U"]
+    state: Float[Tensor, "B H 6"]  # `conventions.STATE`
+    actuators: Float[Tensor, "B H A"]  # in the columns of `Vehicle.actuator_columns`; NaN where absent
+    control: Float[Tensor, "B H U"]  # in the columns of `Vehicle.control_columns`; NaN where absent
     terrain: Terrain
-    extra: Mapping[str, Float[Tensor, "B H ..."]] = field(default_factory=dict)
+    extra: Mapping[str, Float[Tensor, "B H ..."]] = field(default_factory=dict)  # others (`offpiste.dataset.columns`)
 
 
 @dataclass(frozen=True)
 class ModelState:
-    """State of a model between two steps.
+    """State of a model between two steps."""
 
-    Attributes:
-        state: px, py [m], yaw [rad], vx, vy [m/s], yaw rate [rad/s].
-        actuators: in the columns of `Vehicle.actuator_columns`; NaN where absent.
-        recurrent: states of the model's networks, which only these can read.
-    """
-
-    state: Float[Tensor, "B 6"]
-    actuators: Float[Tensor, "B A"]
-    recurrent: Float[Tensor, "B R"]
+    state: Float[Tensor, "B 6"]  # `conventions.STATE`
+    actuators: Float[Tensor, "B A"]  # in the columns of `Vehicle.actuator_columns`; NaN where absent
+    recurrent: Float[Tensor, "B R"]  # states of the model's networks, which only these can read
 
     def pack(self) -> Float[Tensor, "B P"]:
         """Return one row of P = 6 + A + R numbers per sample, for planners whose state is a vector."""
