@@ -134,10 +134,8 @@ class Course:
 
     def __post_init__(self) -> None:
         if not arc_length(self.path)[-1] > SHORTEST:
-            how = "give finite points of a longer path, or a `Goal`"
-            raise PlanningError(
-                f"the path of {len(self.path)} points is not finite or shorter than {SHORTEST} m", how=how
-            )
+            what = f"the path of {len(self.path)} points is not finite or shorter than {SHORTEST} m"
+            raise PlanningError(what, how="give finite points of a longer path, or a `Goal`")
         if len(self.speed) != len(self.path) or not np.isfinite(self.speed).all():
             what = f"{len(self.speed)} speeds for {len(self.path)} points, or a non-finite speed"
             raise PlanningError(what, how="give one finite speed for each point of the path")
@@ -170,7 +168,13 @@ class Course:
     def layers(self, ground: TerrainLayers) -> Float32[np.ndarray, "ny nx 4"]:
         """Return the distance of cells to the nearer way, and direction and speed at its nearest point."""
         dense = self.densified(spacing=ground.resolution / 2)  # distances are accurate to a quarter of a cell
-        along = [_layers_along(way, dense.speed, ground) for way in dense.ways]
+        x, y = ground.centres[0, :, 0], ground.centres[:, 0, 1]
+        along = []
+        for way in dense.ways:
+            step = np.gradient(way, axis=0)
+            direction = step / np.maximum(np.linalg.norm(step, axis=-1, keepdims=True), 1e-9)
+            values = np.concatenate((direction, dense.speed[:, None]), axis=-1, dtype=np.float32)
+            along.append(along_path(way, values, x, y))
         return along[0] if len(along) == 1 else np.where(along[1][..., :1] < along[0][..., :1], along[1], along[0])
 
 
@@ -191,24 +195,14 @@ class Goal:
     def layers(self, ground: TerrainLayers) -> Float[np.ndarray, "ny nx 4"]:
         """Return layers as `Course.layers`: distance 0, direction to the goal, and speed."""
         there = self.place - ground.centres
-        distance = np.linalg.norm(there, axis=-1)
-        direction = there / np.maximum(distance, 1e-9)[..., None]
+        distance = np.linalg.norm(there, axis=-1, keepdims=True)
         wanted = np.minimum(self.speed, np.sqrt(2 * self.braking * distance))
-        return np.concatenate((np.zeros_like(distance)[..., None], direction, wanted[..., None]), axis=-1)
+        return np.concatenate((np.zeros_like(distance), there / np.maximum(distance, 1e-9), wanted), axis=-1)
 
 
 def arc_length(path: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, " P"]:
     """Return the distance of points along a path from its first point [m]."""
     return np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=-1))))
-
-
-def _layers_along(
-    path: Float[np.ndarray, "P 2"], speed: Float[np.ndarray, " P"], ground: TerrainLayers
-) -> Float32[np.ndarray, "ny nx 4"]:
-    step = np.gradient(path, axis=0)
-    direction = step / np.maximum(np.linalg.norm(step, axis=-1, keepdims=True), 1e-9)
-    values = np.concatenate((direction, speed[:, None]), axis=-1, dtype=np.float32)
-    return along_path(path, values, ground.centres[0, :, 0], ground.centres[:, 0, 1])
 
 
 class Way(NamedTuple):
@@ -219,12 +213,7 @@ class Way(NamedTuple):
 
 
 def ways_from(course: Course, place: Float[np.ndarray, " 2"]) -> list[Way]:
-    """Return the ways that a vehicle can still take, as separate courses; one way before they part.
-
-    Args:
-        course: section around the vehicle.
-        place: x, y of the vehicle [m].
-    """
+    """Return the ways that a vehicle at `place` [m] can still take, as separate courses; one way before they part."""
     alone = [Way(number, replace(course, path=path, alternative=None)) for number, path in enumerate(course.ways)]
     if len(alone) == 1 or not np.linalg.norm(course.ways[0] - course.ways[1], axis=1).max() > PARTED:
         return alone[:1]
@@ -260,10 +249,18 @@ class CourseTracker:
 
     def __init__(self, course: Course) -> None:
         dense = course.densified(SPACING)
-        self._course = _prolonged(dense, AHEAD)
-        self._arc = arc_length(self._course.path)
-        self._end = min(int(np.searchsorted(self._arc, course.end)), len(dense.path) - 1)
+        # Extended straight ahead: plans would end with the path otherwise, and the vehicle would creep towards it.
+        beyond = SPACING * np.arange(1, round(AHEAD / SPACING) + 1)
+        path, *alternative = (_straight_on(way, beyond) for way in dense.ways)
+        speed = np.append(dense.speed, np.full(len(beyond), dense.speed[-1]))
+        self._course = Course(path, speed, math.inf, *alternative)
+        self._arc = arc_length(path)
+        self._end = min(self._index(course.end), len(dense.path) - 1)
         self._next, self._lost = 0, False
+
+    def _index(self, length: float) -> int:
+        """Return the number of points before a length along the course [m]."""
+        return int(np.searchsorted(self._arc, length))
 
     @property
     def length(self) -> float:
@@ -290,17 +287,18 @@ class CourseTracker:
 
         The distance is measured on both sides of the position, since a vehicle that backed out is behind it.
         """
-        if self._lost:
-            return self._found(xy)
-        first = int(np.searchsorted(self._arc, self.progress - DRIVEN))
-        last = min(int(np.searchsorted(self._arc, self.progress + SEARCH)), self._end)
-        away = self._distance(xy, first, last)
-        self._next += int(np.argmin(away[self._next - first :]))
-        return float(away.min())
-
-    def _distance(self, xy: Float[np.ndarray, " 2"], first: int, last: int) -> Float[np.ndarray, " n"]:
-        """Return the distance of candidate points from a place, on the nearer way [m]."""
-        return np.min([np.linalg.norm(way[first : last + 1] - xy, axis=1) for way in self._course.ways], axis=0)
+        first, last = 0, self._end
+        if not self._lost:
+            first, last = self._index(self.progress - DRIVEN), min(self._index(self.progress + SEARCH), self._end)
+        away = np.min([np.linalg.norm(way[first : last + 1] - xy, axis=1) for way in self._course.ways], axis=0)
+        if not self._lost:
+            self._next += int(np.argmin(away[self._next - first :]))
+            return float(away.min())
+        near = np.flatnonzero(away < away.min() + AS_NEAR)
+        places = np.split(near, np.flatnonzero(np.diff(near) > 1) + 1)
+        place = min(places, key=lambda indices: np.abs(indices - self._next).min())
+        self._next, self._lost = int(place[np.argmin(away[place])]), False
+        return float(away[self._next])
 
     def lose(self) -> None:
         """Search the whole course in the next move.
@@ -309,42 +307,24 @@ class CourseTracker:
         """
         self._lost = True
 
-    def _found(self, xy: Float[np.ndarray, " 2"]) -> float:
-        away = self._distance(xy, 0, self._end)
-        near = np.flatnonzero(away < away.min() + AS_NEAR)
-        places = np.split(near, np.flatnonzero(np.diff(near) > 1) + 1)
-        place = min(places, key=lambda indices: np.abs(indices - self._next).min())
-        self._next, self._lost = int(place[np.argmin(away[place])]), False
-        return float(away[self._next])
-
     def resume(self, progress: float) -> None:
         """Continue at a distance along the course [m]."""
-        self._next = min(int(np.searchsorted(self._arc, progress)), self._end)
+        self._next = min(self._index(progress), self._end)
 
     def stretch(self, *, at_most: float = np.inf, backed_out: bool = False) -> Course:
         """Return the section around the vehicle, extended straight beyond the last point.
-
-        Without the extension, plans would end with the path, and the vehicle would creep towards it.
 
         Args:
             at_most: limit of the target speed [m/s].
             backed_out: whether the vehicle may be far behind its position.
         """
-        first = int(np.searchsorted(self._arc, self.progress - (BACKED_OUT if backed_out else BACK)))
-        last = int(np.searchsorted(self._arc, self.progress + AHEAD)) + 1
-        chosen = slice(max(min(first, len(self._arc) - 2), 0), last)
+        first = self._index(self.progress - (BACKED_OUT if backed_out else BACK))
+        chosen = slice(max(min(first, len(self._arc) - 2), 0), self._index(self.progress + AHEAD) + 1)
         path, *alternative = (way[chosen] for way in self._course.ways)
         return Course(path, np.minimum(self._course.speed[chosen], at_most), np.inf, *alternative)
 
 
-def _prolonged(course: Course, length: float) -> Course:
-    """Extend a dense course straight by `length` [m]."""
-    steps = SPACING * np.arange(1, round(length / SPACING) + 1)[:, None]
-    path, *alternative = (_straight_on(way, steps) for way in course.ways)
-    speed = np.concatenate((course.speed, np.full(len(steps), course.speed[-1])))
-    return Course(path, speed, np.inf, *alternative)
-
-
-def _straight_on(way: Float[np.ndarray, "P 2"], steps: Float[np.ndarray, "n 1"]) -> Float[np.ndarray, "P+n 2"]:
-    direction = way[-1] - way[-2]
-    return np.concatenate((way, way[-1] + steps * direction / max(float(np.linalg.norm(direction)), 1e-9)))
+def _straight_on(way: Float[np.ndarray, "P 2"], beyond: Float[np.ndarray, " n"]) -> Float[np.ndarray, "P+n 2"]:
+    """Extend a way straight ahead to distances beyond its last point [m]."""
+    step = way[-1] - way[-2]
+    return np.concatenate((way, way[-1] + beyond[:, None] * step / max(float(np.linalg.norm(step)), 1e-9)))
