@@ -13,16 +13,11 @@ from offpiste.planning.costs.layers import Hazards
 from offpiste.planning.course import Course
 from offpiste.runtime.backing_out import BackingOut, BackingOutSettings
 from offpiste.runtime.estimator import Given
+from offpiste.runtime.follower import TimedPlan
 from offpiste.runtime.prediction import model_state_after, reachable
 from runtime.stream import Held, straight_drive
 
 SETTINGS = BackingOutSettings(after=3.0, distance=4.0, longest=6.0, attempts=2)
-
-
-def geared():
-    return Parametric(Vehicle(1150.0, 2.06, 0.5, (*CONTROL, "gear"), ())).eval()
-
-
 STRAIGHT = Course(np.stack((np.arange(-20.0, 60.0), np.zeros(80)), axis=1), np.full(80, 5.0))
 
 
@@ -39,6 +34,11 @@ def driven_along(backing, places, *, begin=0.0, driven=True, y=0.0, yaw=0.0):
     return np.array(gears)
 
 
+@pytest.fixture
+def backing():
+    return BackingOut(SETTINGS)
+
+
 def test_a_vehicle_that_moves_or_is_stopped_stays_in_its_gear():
     slowly = driven_along(BackingOut(SETTINGS), 0.02 * np.arange(100))  # 0.2 m/s: 0.6 m in 3 s
     assert (slowly == 1).all()
@@ -46,8 +46,7 @@ def test_a_vehicle_that_moves_or_is_stopped_stays_in_its_gear():
     assert (driven_along(BackingOut(BackingOutSettings(attempts=0)), np.zeros(1000)) == 1).all()
 
 
-def test_it_backs_out_after_the_time_and_as_far_as_set():
-    backing = BackingOut(SETTINGS)
+def test_it_backs_out_after_the_time_and_as_far_as_set(backing):
     gears = driven_along(backing, np.zeros(40))
     assert (gears[:31] == 1).all(), "3 s are not over"
     assert (gears[31:] == -1).all()
@@ -56,8 +55,8 @@ def test_it_backs_out_after_the_time_and_as_far_as_set():
     assert (gears[41:] == 1).all()
 
 
-def test_backing_out_that_does_not_move_it_ends_and_is_given_up():
-    backing, gears = BackingOut(SETTINGS), []
+def test_backing_out_that_does_not_move_it_ends_and_is_given_up(backing):
+    gears = []
     for step in range(300):
         if backing.update(0.1 * step, np.zeros(3), STRAIGHT, driven=True):
             backing.choose_side(np.zeros(2), STRAIGHT, no_hazard)
@@ -65,43 +64,34 @@ def test_backing_out_that_does_not_move_it_ends_and_is_given_up():
     changes = np.flatnonzero(np.diff(gears)) + 1
     # 3 s stuck, 6 s in reverse, twice; 3 s more, and it gives up.
     np.testing.assert_allclose(0.1 * changes, [3.1, 9.2, 12.3, 18.4], atol=0.15)
-    assert backing.gave_up
     driven_along(backing, np.zeros(100), begin=40.0)
     assert backing.gave_up, "it stands where it stood"
     assert (driven_along(backing, np.full(20, 1.0), begin=50.0) == 1).all(), "something has moved it"
     assert not backing.gave_up
 
 
-def test_either_of_two_ways_is_left_beside_a_place():
-    other = STRAIGHT.path + np.array((0.0, 9.0))
-    backing, parted = BackingOut(SETTINGS), replace(STRAIGHT, alternative=other)
+def test_either_of_two_ways_is_left_beside_a_place(backing):
+    parted = replace(STRAIGHT, alternative=STRAIGHT.path + np.array((0.0, 9.0)))
     backing.choose_side(np.array((10.0, 9.0)), parted, lambda places: (places[:, 1] > 9.0).astype(float))
     passing = backing.course(parted)
     np.testing.assert_array_equal(passing.path, STRAIGHT.path)
     np.testing.assert_allclose(passing.alternative[30], (10.0, 9.0 - SETTINGS.aside))
 
 
-def test_a_clock_that_goes_back_a_jump_of_the_pose_and_forget_begin_anew():
-    def stuck(begin):
-        backing = BackingOut(SETTINGS)
-        assert driven_along(backing, np.zeros(40), begin=begin)[-1] == -1
-        backing.choose_side(np.zeros(2), STRAIGHT, no_hazard)
-        return backing
-
-    earlier, jumped, forgets = stuck(100.0), stuck(0.0), stuck(0.0)
-    driven_along(earlier, np.zeros(30))
-    driven_along(jumped, np.full(2, 2.5), begin=4.0)
-    assert jumped.places, "25 m/s is no jump"
-    driven_along(jumped, np.full(2, 12.0), begin=4.2)
-    forgets.forget()
-    driven_along(forgets, np.zeros(1), begin=4.0)
-    for backing in (earlier, jumped, forgets):
-        assert not backing.places
-        assert (backing.leg, backing.gear, backing.away) == (0, 1, False)
+@pytest.mark.parametrize("event", ["clock", "jump", "forget"])
+def test_a_clock_that_goes_back_a_jump_of_the_pose_and_forget_begin_anew(backing, event):
+    assert driven_along(backing, np.zeros(40), begin=100.0)[-1] == -1
+    backing.choose_side(np.zeros(2), STRAIGHT, no_hazard)
+    driven_along(backing, np.full(2, 2.5), begin=104.0)
+    assert backing.places, "25 m/s is no jump"
+    if event == "forget":
+        backing.forget()
+    driven_along(backing, np.full(1, 12.0 if event == "jump" else 2.5), begin=0.0 if event == "clock" else 104.2)
+    assert not backing.places
+    assert (backing.leg, backing.gear, backing.away) == (0, 1, False)
 
 
-def test_in_reverse_it_drives_straight_back_over_what_may_be_a_bush():
-    backing = BackingOut(SETTINGS)
+def test_in_reverse_it_drives_straight_back_over_what_may_be_a_bush(backing):
     assert backing.course(STRAIGHT) is STRAIGHT
     assert backing.hazards(Hazards()) == Hazards()
     driven_along(backing, np.full(40, 1.0), y=2.0, yaw=np.pi / 2)
@@ -114,12 +104,10 @@ def test_in_reverse_it_drives_straight_back_over_what_may_be_a_bush():
     assert back.path[-1, 1] > 2.0
 
 
-def test_slowly_and_over_bushes_until_it_is_back_on_its_course():
-    backing = BackingOut(SETTINGS)
+def test_slowly_and_over_bushes_until_it_is_back_on_its_course(backing):
     driven_along(backing, np.zeros(40), y=9.0)
     assert (driven_along(backing, -0.2 * np.arange(30), begin=4.0, y=9.0)[-5:] == 1).all()
-    returning = backing.course(STRAIGHT)
-    assert (returning.speed == SETTINGS.slow).all()
+    assert (backing.course(STRAIGHT).speed == SETTINGS.slow).all()
     assert backing.hazards(Hazards()).low < 1
     driven_along(backing, np.zeros(1), begin=8.0, y=1.5, yaw=1.2)
     assert backing.away, "near it, and across it"
@@ -128,8 +116,7 @@ def test_slowly_and_over_bushes_until_it_is_back_on_its_course():
     assert backing.hazards(Hazards()) == Hazards()
 
 
-def test_time_at_which_it_is_stopped_or_not_seen_ends_no_leg():
-    backing = BackingOut(SETTINGS)
+def test_time_at_which_it_is_stopped_or_not_seen_ends_no_leg(backing):
     driven_along(backing, np.zeros(40))
     driven_along(backing, np.zeros(200), begin=4.0, driven=False)
     assert backing.leg == 1, "stopped by a fault"
@@ -139,26 +126,18 @@ def test_time_at_which_it_is_stopped_or_not_seen_ends_no_leg():
     assert backing.leg == 0
 
 
-def stretches(path):
-    """Lengths and headings of the pieces of a path, in its order."""
-    step = np.diff(path, axis=0)
-    return np.linalg.norm(step, axis=1), np.unwrap(np.arctan2(step[:, 1], step[:, 0]))
-
-
 @pytest.mark.parametrize("yaw", [2.5, -2.5])
-def test_against_its_course_it_turns_round_in_legs(yaw):
-    backing, gears = BackingOut(SETTINGS), []
-    x, y, time = 0.0, 0.0, 4.0
+def test_against_its_course_it_turns_round_in_legs(backing, yaw):
+    gears, x, y, time = [], 0.0, 0.0, 4.0
     driven_along(backing, np.zeros(40), yaw=yaw)
     while backing.leg and time < 60.0:  # a vehicle that follows the courses exactly, 1 m/s
         path = backing.course(STRAIGHT).path
-        length, heading = stretches(path)
+        step = np.diff(path, axis=0)
+        length, heading = np.linalg.norm(step, axis=1), np.unwrap(np.arctan2(step[:, 1], step[:, 0]))
         assert np.abs(np.diff(heading) / length[1:]).max() < 1.01 / SETTINGS.radius
         at = int(np.argmin(np.hypot(path[:-1, 0] - x, path[:-1, 1] - y)))
-        at = min(max(at, 1), len(heading) - 1)
-        yaw = float(heading[at - (backing.gear < 0)])
-        x, y = x + 0.1 * backing.gear * np.cos(yaw), y + 0.1 * backing.gear * np.sin(yaw)
-        time += 0.1
+        yaw = float(heading[min(max(at, 1), len(heading) - 1) - (backing.gear < 0)])
+        x, y, time = x + 0.1 * backing.gear * np.cos(yaw), y + 0.1 * backing.gear * np.sin(yaw), time + 0.1
         backing.update(time, np.array((x, y, yaw)), STRAIGHT, driven=True)
         gears.append(backing.gear)
     assert abs(np.angle(np.exp(1j * yaw))) < SETTINGS.along + 0.1
@@ -167,9 +146,9 @@ def test_against_its_course_it_turns_round_in_legs(yaw):
     assert backing.gear == 1
 
 
-def test_turning_round_ends_after_the_legs():
-    backing, legs = BackingOut(SETTINGS), set()
+def test_turning_round_ends_after_the_legs(backing):
     driven_along(backing, np.zeros(40), yaw=3.0)
+    legs = {backing.leg}
     for step in range(600):
         backing.update(4.0 + 0.1 * step, np.array((0.0, 0.0, 3.0)), STRAIGHT, driven=True)
         legs.add(backing.leg)
@@ -178,36 +157,44 @@ def test_turning_round_ends_after_the_legs():
     assert legs == set(range(SETTINGS.legs + 1))
 
 
-def test_the_place_is_passed_where_the_ground_is_better_and_the_next_time_on_the_other_side():
-    for better in (1, -1):
-        backing, place = BackingOut(SETTINGS), np.array((10.0, 0.5))
-        backing.choose_side(place, STRAIGHT, lambda places, better=better: (better * places[:, 1] < 0).astype(float))
-        for times, side in enumerate((better, -better)):
-            path = backing.course(STRAIGHT).path
-            assert path[30, 1] == pytest.approx(0.5 + side * SETTINGS.aside), "beside the place"
-            near = np.abs(STRAIGHT.path[:, 0] - 10.0) < SETTINGS.reach
-            np.testing.assert_allclose(path[~near], STRAIGHT.path[~near], atol=1e-12)
-            np.testing.assert_array_equal(path[:, 0], STRAIGHT.path[:, 0])
-            assert [one.times for one in backing.places] == [times + 1]
-            backing.choose_side(place, STRAIGHT, no_hazard)
+@pytest.mark.parametrize("better", [1, -1])
+def test_the_place_is_passed_where_the_ground_is_better_and_the_next_time_on_the_other_side(backing, better):
+    place = np.array((10.0, 0.5))
+    backing.choose_side(place, STRAIGHT, lambda places: (better * places[:, 1] < 0).astype(float))
+    for times, side in enumerate((better, -better)):
+        path = backing.course(STRAIGHT).path
+        assert path[30, 1] == pytest.approx(0.5 + side * SETTINGS.aside), "beside the place"
+        near = np.abs(STRAIGHT.path[:, 0] - 10.0) < SETTINGS.reach
+        np.testing.assert_allclose(path[~near], STRAIGHT.path[~near], atol=1e-12)
+        np.testing.assert_array_equal(path[:, 0], STRAIGHT.path[:, 0])
+        assert [one.times for one in backing.places] == [times + 1]
+        backing.choose_side(place, STRAIGHT, no_hazard)
 
 
 def test_a_course_that_leads_past_a_place_stays_and_bends_are_left_at_right_angles():
-    backing = BackingOut(SETTINGS)
-    backing.choose_side(np.array((10.0, 3.0)), STRAIGHT, no_hazard)
-    np.testing.assert_array_equal(backing.course(STRAIGHT).path, STRAIGHT.path, "3 m aside")
+    past, left = BackingOut(SETTINGS), BackingOut(SETTINGS)
+    past.choose_side(np.array((10.0, 3.0)), STRAIGHT, no_hazard)
+    np.testing.assert_array_equal(past.course(STRAIGHT).path, STRAIGHT.path, "3 m aside")
     angle = np.linspace(0, np.pi, 200)
     bend = Course(15 * np.stack((np.cos(angle), np.sin(angle)), axis=1), np.full(200, 5.0))
-    backing = BackingOut(SETTINGS)
-    backing.choose_side(np.array((0.0, 15.0)), bend, lambda places: (places[:, 1] > 15.0).astype(float))
-    path = backing.course(bend).path
-    np.testing.assert_allclose(path[100], (0.0, 15 - SETTINGS.aside), atol=0.15)
+    left.choose_side(np.array((0.0, 15.0)), bend, lambda places: (places[:, 1] > 15.0).astype(float))
+    np.testing.assert_allclose(left.course(bend).path[100], (0.0, 15 - SETTINGS.aside), atol=0.15)
 
 
 @pytest.mark.parametrize(("name", "value"), [("after", 0.0), ("slow", float("nan")), ("attempts", -1)])
 def test_settings_that_are_not_positive_are_refused(name, value):
     with pytest.raises(PlanningError, match=name):
         BackingOutSettings(**{name: value})
+
+
+def geared():
+    return Parametric(Vehicle(1150.0, 2.06, 0.5, (*CONTROL, "gear"), ())).eval()
+
+
+def geared_drive(truth=None, **changed):
+    """A drive of a model that knows a gear, in a vehicle that moves so or as `truth`."""
+    truth, state = truth or geared(), changed.pop("state", (0.0,) * 6)
+    return straight_drive(dynamics=geared(), wanted=3.0, stream={"truth": truth, "state": state}, **changed)
 
 
 class Mud(Held):
@@ -227,9 +214,7 @@ class Mud(Held):
 
 
 def test_a_stuck_vehicle_backs_out_and_goes_around():
-    stream = straight_drive(
-        dynamics=geared(), wanted=3.0, stream={"truth": Mud()}, backing_out=BackingOutSettings(after=2.0)
-    )
+    stream = geared_drive(Mud(), backing_out=BackingOutSettings(after=2.0))
     stream.run(10.0)
     while stream.states[-1][0] < 9.5 and len(stream.states) < 950:
         stream.run(0.5)
@@ -240,18 +225,14 @@ def test_a_stuck_vehicle_backs_out_and_goes_around():
     assert x[behind] < x[stuck] - 3.0, "it reverses out of the mud"
     assert x[-1] > 9.0, "and passes it"
     assert np.abs(y[behind:][np.abs(x[behind:] - 7.0) < 1.0]).min() > 1.0, "beside it"
-    gears = np.array(stream.truth.gears)
-    (changes,) = np.nonzero(np.diff(gears))
-    speeds = np.abs([stream.states[row + 1][3] for row in changes])
+    (changes,) = np.nonzero(np.diff(stream.truth.gears))
     assert len(changes) == 2
-    assert (speeds < 0.3).all(), "gears are changed at a standstill"
+    assert all(abs(stream.states[row + 1][3]) < 0.3 for row in changes), "gears are changed at a standstill"
 
 
 def test_far_behind_its_position_it_is_back_on_its_course():
     far = BackingOutSettings(after=0.6, distance=10.0)
-    stream = straight_drive(
-        dynamics=geared(), wanted=3.0, stream={"truth": Mud(16.0), "state": (14.0, 0, 0, 0, 0, 0)}, backing_out=far
-    )
+    stream = geared_drive(Mud(16.0), state=(14.0, 0, 0, 0, 0, 0), backing_out=far)
     backing, reversing = stream.runtime._maker._backing_out, []
     while not (reversing and not backing.leg) and len(stream.states) < 1000:
         stream.run(0.1)
@@ -264,7 +245,7 @@ def test_far_behind_its_position_it_is_back_on_its_course():
 
 def test_a_plan_in_another_gear_starts_where_the_vehicle_then_is():
     # Until a plan acts the vehicle is driven in the gear before it.
-    stream = straight_drive(dynamics=geared(), wanted=3.0, stream={"truth": geared()}, latency=0.3)
+    stream = geared_drive(latency=0.3)
     stream.run(1.5)
     stream.runtime._maker._backing_out.update = lambda *_, **__: False
     stream.runtime._maker._backing_out.gear = -1.0
@@ -277,21 +258,16 @@ def test_a_plan_in_another_gear_starts_where_the_vehicle_then_is():
 
 @pytest.mark.parametrize("mapped", [True, False])
 def test_a_vehicle_that_does_not_get_free_gives_up_also_without_a_map_of_the_place(mapped, monkeypatch):
-    changed = BackingOutSettings(after=0.6, longest=0.6, attempts=1)
-    stream = straight_drive(dynamics=geared(), stream={"truth": Held()}, backing_out=changed)
-    backing, found = stream.runtime._maker._backing_out, []
-    update = backing.update
+    stream = geared_drive(Held(), backing_out=BackingOutSettings(after=0.6, longest=0.6, attempts=1))
+    maker, found = stream.runtime._maker, []
 
-    def noticed(*given, **named):
-        found.append(update(*given, **named))
-        return found[-1]
-
-    def empty_then(*given):
+    def empty_at_first(*given):
         layers = reachable(*given)
-        return layers if mapped or not found[-1] else replace(layers, known=np.zeros_like(layers.known))
+        found.append(maker._found_stuck is not None)
+        newly = found[-1] and found[-2:-1] != [True]
+        return layers if mapped or not newly else replace(layers, known=np.zeros_like(layers.known))
 
-    monkeypatch.setattr(backing, "update", noticed)
-    monkeypatch.setattr("offpiste.runtime.plan_maker.reachable", empty_then)
+    monkeypatch.setattr("offpiste.runtime.plan_maker.reachable", empty_at_first)
     stream.run(4.0)
     assert any(found)
     assert stream.modes()[-1] == ("stopped", "stuck")
@@ -299,23 +275,19 @@ def test_a_vehicle_that_does_not_get_free_gives_up_also_without_a_map_of_the_pla
 
 
 def test_a_model_without_a_gear_never_reverses():
-    changed = BackingOutSettings(after=0.4, longest=0.4)
-    stream = straight_drive(stream={"truth": Held()}, backing_out=changed)
+    stream = straight_drive(stream={"truth": Held()}, backing_out=BackingOutSettings(after=0.4, longest=0.4))
     stream.run(2.0)
     assert all(controls.gear == 1.0 for controls in stream.controls)
     assert ("stopped", "stuck") not in stream.modes()
 
 
 def test_committed_controls_brake_until_the_gear_is_engaged():
-    stream = straight_drive(dynamics=geared(), wanted=3.0, stream={"truth": geared()})
+    stream = geared_drive()
     stream.run(2.0)
-    follower, now = stream.runtime.follower, 2.0
-    latest = follower.schedule.latest
-    reverse = latest.__class__(now, now, torch.full((250, 3), 0.25), -1.0)
-    follower.schedule.add(reverse)
-    rows = stream.runtime._track.rows(now - DT)
-    committed = follower.committed(now, now + 0.2, rows)
-    np.testing.assert_allclose(committed[:, :2], np.tile((0.0, 0.5), (len(committed), 1)))
+    follower = stream.runtime.follower
+    follower.schedule.add(TimedPlan(2.0, 2.0, torch.full((250, 3), 0.25), -1.0))
+    committed = follower.committed(2.0, 2.2, stream.runtime._track.rows(2.0 - DT))
+    np.testing.assert_allclose(committed[:, :2], np.tile((0.0, 0.5), (10, 1)))
 
 
 def test_plans_start_from_the_control_and_gear_of_another_driver(monkeypatch):
@@ -326,7 +298,7 @@ def test_plans_start_from_the_control_and_gear_of_another_driver(monkeypatch):
         return model_state_after(*given)
 
     monkeypatch.setattr("offpiste.runtime.plan_maker.model_state_after", noticed)
-    stream = straight_drive(dynamics=geared(), wanted=3.0, stream={"truth": geared()})
+    stream = geared_drive()
     stream.run(1.0)
     follower, given = stream.runtime.follower, np.array((0.0, 0.6, -0.5))
     assert follower.engaged == 1.0
@@ -340,14 +312,3 @@ def test_plans_start_from_the_control_and_gear_of_another_driver(monkeypatch):
     assert commanded.gear == follower.gear == 1.0
     follower.driver = Given()
     assert follower.committed(1.0, 1.1, rows)[0].tolist() != given.tolist()
-
-
-def test_places_that_are_apart_are_counted_apart():
-    backing = BackingOut(SETTINGS)
-    for number in range(4):
-        driven_along(backing, np.full(32, 10.0 * number), begin=20.0 * number)
-        assert backing.gear == -1
-        backing.choose_side(np.array((10.0 * number, 0.0)), STRAIGHT, no_hazard)
-        driven_along(backing, 10.0 * number - 0.2 * np.arange(30), begin=20.0 * number + 5)
-        assert backing.gear == 1
-    assert len(backing.places) == 4

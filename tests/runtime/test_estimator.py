@@ -12,7 +12,7 @@ from offpiste.dataset.resample import extract_rows
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
 from offpiste.rig.rig import parse_rig
-from offpiste.runtime.estimator import VehicleReading, VehicleTrack
+from offpiste.runtime.estimator import VehicleTrack
 from runtime.stream import reading
 
 
@@ -20,18 +20,6 @@ def circle(time):
     """At 4 m/s round a circle of 8 m, from the origin to the east, turning left."""
     yaw = 0.5 * time
     return reading(time, 8 * np.sin(yaw), 8 * (1 - np.cos(yaw)), yaw, 4.0, 0.0, 0.5)
-
-
-def test_rows_are_the_last_readings():
-    track = VehicleTrack()
-    for row in range(40):
-        track.add(circle(row * DT))
-    rows = track.rows(39 * DT)
-    at = DT * np.arange(39 - HISTORY_STEPS, 40)
-    np.testing.assert_allclose(rows.state[:, 0], 8 * np.sin(0.5 * at), atol=1e-9)
-    moving = np.stack((0.5 * at, *np.tile([[4.0], [0.0], [0.5]], len(at))), axis=1)
-    np.testing.assert_allclose(rows.state[:, 2:], moving, atol=1e-9)
-    assert rows.state.shape == (HISTORY_STEPS + 1, 6)
 
 
 def test_between_readings_the_motion_is_extrapolated():
@@ -90,14 +78,6 @@ def test_rows_are_those_that_a_dataset_holds_of_the_same_readings():
     np.testing.assert_array_equal(found.actuators[:, 1].astype(np.float32), rows.actuators_causal[past, 1])
 
 
-def test_yaw_is_unwrapped_beyond_half_a_turn():
-    track = VehicleTrack()
-    for row in range(20):
-        track.add(reading(row * DT, 0.0, 0.0, np.pi - 0.1 + 0.02 * row, 0.0, 0.0, 1.0))
-    yaw = track.rows(19 * DT).state[:, 2]
-    np.testing.assert_allclose(np.diff(yaw), 0.02, atol=1e-9)
-
-
 def test_rows_have_the_control_commanded_from_their_time_on():
     track = VehicleTrack()
     for row in range(20):
@@ -127,12 +107,3 @@ def test_a_jump_of_the_pose_forgets_earlier_readings():
     assert track.add(reading(0.42, 30.0, 0.0, 0.2, 4.0, 0.0, 0.5))
     assert not track.enough
     np.testing.assert_allclose(track.rows(0.42).state[:, 0], 30.0)
-
-
-def test_readings_with_missing_values_are_not_finite():
-    whole = circle(0.0)
-    assert whole.finite  # actuators may be missing
-    for name in ("position", "orientation", "velocity"):
-        broken = {**vars(whole), name: np.full_like(getattr(whole, name), np.nan)}
-        assert not VehicleReading(**broken).finite
-    assert not VehicleReading(**{**vars(whole), "orientation": np.zeros(4)}).finite

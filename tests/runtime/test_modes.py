@@ -1,6 +1,5 @@
 """Mode by the age of the inputs."""
 
-from dataclasses import replace
 from math import inf
 
 import pytest
@@ -24,13 +23,11 @@ WELL = Ages(state=0.0, scan=0.1, image=0.5, plan=0.1)
         ({"scan": inf, "plan": inf}, "stopping", "no scan", False),
         ({"plan": 0.51}, "stopping", "no plan", False),
         ({"state": 0.11, "scan": inf, "plan": inf}, "stopping", "no state of the vehicle", False),
+        ({"map_empty": True}, "stopping", "empty map", False),
+        ({"map_empty": True, "finished": True}, "stopping", "end of the course", False),
     ],
 )
 def test_the_most_severe_fault_decides(changed, mode, why, slow):
-    decision = decide_mode(replace(WELL, **changed), Timeouts(), map_empty=False, finished=False)
-    assert decision == ModeDecision(mode, why, slow)
-
-
-def test_an_empty_map_and_the_end_of_the_course_stop():
-    assert decide_mode(WELL, Timeouts(), map_empty=True, finished=False).why == "empty map"
-    assert decide_mode(WELL, Timeouts(), map_empty=True, finished=True) == ModeDecision("stopping", "end of the course")
+    found = {"map_empty": False, "finished": False, **vars(WELL), **changed}
+    ages = Ages(*(found.pop(name) for name in vars(WELL)))
+    assert decide_mode(ages, Timeouts(), **found) == ModeDecision(mode, why, slow)

@@ -1,11 +1,11 @@
-"""Encoding of images on a GPU, and the stopwatch."""
+"""Encoding of images on a GPU."""
 
 import numpy as np
 import pytest
 import torch
 
 from fake_gpu import GPU, Faking, FromNumbers
-from offpiste.runtime.perception import Stopwatch, codes_of, encoder_on
+from offpiste.runtime.perception import codes_of, encoder_on
 from offpiste.runtime.planner import load_planner
 
 RUN = "pretrained:proving-ground/dc"
@@ -24,19 +24,3 @@ def test_codes_computed_on_a_gpu_equal_those_of_the_cpu(novelty):
     assert {part.device for part in there.dynamics.state_dict().values()} == {torch.device("cpu")}
     np.testing.assert_allclose(found, wanted, atol=1e-4)
     assert (np.std(wanted, axis=(0, 1)) > 0.01).all() == (novelty == "ignored")  # noise looks like no ground
-
-
-def test_an_encoder_is_not_copied_to_its_own_device():
-    encoder = load_planner(RUN).dynamics.encoder
-    assert encoder_on("cpu", encoder) is encoder
-    assert encoder_on("cuda", None) is None
-
-
-def test_a_stopwatch_keeps_all_times_or_the_last_ones():
-    every, last = Stopwatch(), Stopwatch(last=2)
-    for watch in (every, last):
-        for _ in range(10):
-            with watch.of("plan"):
-                pass
-    assert every.summary()["plan"]["count"] == 10
-    assert last.summary()["plan"]["count"] == 2

@@ -1,4 +1,4 @@
-"""Plans by a declared risk, errors of settings, and garbage."""
+"""Plans by a declared risk, errors of the planner, and garbage."""
 
 import os
 import subprocess
@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from offpiste.core.errors import PlanningError
-from offpiste.planning.caution import AddSpread, AsPredicted, WorstShare
+from offpiste.planning.caution import AddSpread, AsPredicted
 from offpiste.runtime.plan_maker import PlanImprover
 from offpiste.uncertainty.spread import MOTION, Spread, inputs_of
 from runtime.stream import parametric, straight_drive
@@ -37,20 +37,6 @@ def test_plans_are_slower_where_fast_ones_are_unsure():
         stream.run(1.0)
         ends[risk.kind] = np.mean([p.state[-1, 3] for p in stream.runtime.predictions[-4:]])
     assert ends["spread"] < ends["none"] - 0.5
-
-
-def test_a_risk_without_a_spread_is_refused_in_a_line():
-    with pytest.raises(PlanningError, match=r"needs a spread, which the run does not have.*offpiste calibrate") as one:
-        straight_drive(risk=WorstShare())
-    assert "\n" not in str(one.value)
-
-
-@pytest.mark.parametrize("device", ["cuda:7", "coda"])
-def test_a_missing_gpu_is_refused_at_the_start(device):
-    if device == "cuda:7" and torch.cuda.is_available():
-        pytest.skip("there is a GPU")
-    with pytest.raises(PlanningError, match=f"no GPU '{device}' for planning"):
-        straight_drive(device=device)
 
 
 def test_an_error_of_the_planner_ends_the_run(monkeypatch):

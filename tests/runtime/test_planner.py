@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from offpiste.core.checksums import sha256_of
 from offpiste.core.conventions import CONTROL
 from offpiste.core.errors import PlanningError, RunError
 from offpiste.dynamics import Vehicle
@@ -42,12 +43,13 @@ def pca_file(path, seed):
     return pca.identity
 
 
-def run_folder(folder, model, names, pca=None, **more):
-    """Folder of an untrained run, with more entries of model.json."""
-    vehicle = Vehicle(1150.0, 2.06, 0.5, CONTROL, (), features=len(names))
+def run_folder(folder, model, names, vehicle=None, pca=None):
+    """Folder of an untrained run."""
+    vehicle = vehicle or Vehicle(1150.0, 2.06, 0.5, CONTROL, (), features=len(names))
     save_tensors(folder / "model.safetensors", build(model, vehicle, seed=0).state_dict())
     about = {
         "model": model,
+        "weights_sha256": sha256_of(folder / "model.safetensors"),
         "seed": 0,
         "vehicle": asdict(vehicle),
         "loss": {"weights": asdict(Weights()), "scale": dict.fromkeys(COMPONENTS, 1.0)},
@@ -56,7 +58,6 @@ def run_folder(folder, model, names, pca=None, **more):
         "seen": [],
         "features": names,
         "pca": pca,
-        **more,
     }
     save_json(folder / "model.json", about)
     return folder
@@ -66,7 +67,7 @@ def test_a_run_of_visual_features_needs_its_own_pca(tmp_path):
     mine, others = tmp_path / "mine.safetensors", tmp_path / "others.safetensors"
     identity = pca_file(mine, 0)
     pca_file(others, 1)
-    run = run_folder(tmp_path / "dc", "dc", [f"pca_{i}" for i in range(4)], identity)
+    run = run_folder(tmp_path / "dc", "dc", [f"pca_{i}" for i in range(4)], pca=identity)
     with pytest.raises(RunError, match="give --pca"):
         load_planner(run)
     with pytest.raises(RunError, match="was trained with another PCA"):
@@ -97,8 +98,7 @@ def test_a_spread_is_loaded_with_its_model(tmp_path):
 
 def test_a_run_that_never_saw_a_throttle_is_refused(tmp_path):
     vehicle = Vehicle(1150.0, 2.06, 0.5, ("brake", "steer"), ())
-    folder = run_folder(tmp_path, "b", (), vehicle=asdict(vehicle))
-    save_tensors(folder / "model.safetensors", build("b", vehicle, seed=0).state_dict())
+    folder = run_folder(tmp_path, "b", (), vehicle)
     with pytest.raises(RunError, match="without throttle, which a planner commands"):
         load_planner(folder)
 

@@ -34,6 +34,9 @@ def test_a_scene_holds_no_measurement_from_after_its_last_row(log: Log, monkeypa
         found = offpiste.read_scene(log, offpiste.load_rig("proving_ground"), planner, seconds)
         assert moments[-1].placed <= found.time
         assert 0 <= found.time - log.stamps("/odometry")[0] - seconds < 0.15
+    yaw = found.state[2]  # places ahead are given in the body frame
+    np.testing.assert_allclose(found.ahead(2.0) - found.state[:2], (2 * np.cos(yaw), 2 * np.sin(yaw)), atol=1e-9)
+    np.testing.assert_allclose(found.ahead(0.0, left=1.0) - found.state[:2], (-np.sin(yaw), np.cos(yaw)), atol=1e-9)
 
 
 @pytest.mark.parametrize(("seconds", "said"), [(0.0, "no complete history"), (-1.0, "no scan"), (9.0, "poses end")])
@@ -54,12 +57,3 @@ def test_the_gear_of_the_log_is_that_of_its_rows() -> None:
     assert forward.control.shape == reverse.control.shape == (11, 3)
     np.testing.assert_array_equal(forward.control, reverse.control)
     np.testing.assert_allclose(forward.state[-1, :2], rows.state_causal[50, :2] + rows.origin)
-
-
-def test_places_ahead_are_given_in_the_body_frame(log: Log) -> None:
-    planner = offpiste.load_planner("pretrained:proving-ground/b")
-    found = offpiste.read_scene(log, offpiste.load_rig("proving_ground"), planner, 1.0)
-    forward, left = found.ahead(2.0) - found.state[:2], found.ahead(0.0, left=1.0) - found.state[:2]
-    yaw = found.state[2]
-    np.testing.assert_allclose(forward, (2 * np.cos(yaw), 2 * np.sin(yaw)), atol=1e-9)
-    np.testing.assert_allclose(left, (-np.sin(yaw), np.cos(yaw)), atol=1e-9)

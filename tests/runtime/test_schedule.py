@@ -1,12 +1,9 @@
 """Schedule of controls."""
 
-import numpy as np
 import torch
 
 from offpiste.core.conventions import DT
 from offpiste.runtime.follower import Schedule, TimedPlan
-
-REST = np.array((9.0, 9.0, 9.0))
 
 
 def plan(start, first, steps=5):
@@ -29,22 +26,9 @@ def test_a_later_plan_acts_instead_of_the_earlier_from_its_start_on():
     assert schedule.acting(0.20).start == 0.14
 
 
-def test_what_is_committed_is_what_will_be_commanded():
-    schedule = Schedule()
-    schedule.add(plan(0.04, 0.0))
-    schedule.add(plan(0.08, 100.0))
-    committed = schedule.committed(0.0, 6, REST)
-    assert committed[:, 0].tolist() == [9, 9, 0, 1, 100, 101]
-    assert schedule.committed(0.0, 0, REST).shape == (0, 3)
-
-
 def test_the_next_plan_begins_with_what_is_left():
-    schedule = Schedule()
-    assert schedule.continued(1.0, 4, REST).tolist() == [[9.0] * 3] * 4
-    schedule.add(plan(0.0, 0.0))
-    assert schedule.continued(0.06, 5, REST)[:, 0].tolist() == [3, 4, 4, 4, 4]
-    assert schedule.continued(1e3, 5, REST)[:, 0].tolist() == [4] * 5
-    assert schedule.continued(0.06, 5, REST, gear=-1.0).tolist() == [[9.0] * 3] * 5, "a plan in another gear"
+    assert plan(0.0, 0.0).continued(0.06)[:, 0].tolist() == [3, 4, 4, 4, 4]
+    assert plan(0.0, 0.0).continued(1e3)[:, 0].tolist() == [4] * 5
 
 
 def test_stamps_of_this_century_do_not_shift_steps():

@@ -1,10 +1,30 @@
-"""Plans within the limits of commands."""
+"""Settings that cannot be met, and plans within the limits of commands."""
 
 import numpy as np
+import pytest
 
+from offpiste.core.errors import PlanningError
+from offpiste.planning.caution import WorstShare
 from offpiste.rig.outputs import CommandLimits
 from offpiste.runtime.settings import RuntimeSettings, keeping_to
-from runtime.stream import settings, straight_drive
+from runtime.stream import feature_model, settings, straight_drive
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"latency": 0.05}, r"latency of 0\.05"),
+        *(({"plan_rate": rate}, "invalid plan rate") for rate in (0.0, 1.0, 15.0)),
+        ({"dynamics": feature_model()}, "reads features, but has no extractor"),
+        ({"risk": WorstShare()}, "needs a spread, which the run does not have.*offpiste calibrate"),
+        ({"device": "coda"}, "no GPU 'coda' for planning"),
+        ({"device": "cuda:7"}, "no GPU 'cuda:7' for planning"),
+    ],
+)
+def test_settings_that_cannot_be_met_are_refused_in_one_line(changed, said):
+    with pytest.raises(PlanningError, match=said) as one:
+        straight_drive(**changed)
+    assert "\n" not in str(one.value)
 
 
 def test_limits_of_commands_bound_pedal_wheel_and_speed_of_plans():

@@ -36,29 +36,14 @@ class Priced:
 
 
 @pytest.mark.parametrize("cheaper", [0, 1])
-def test_the_cheaper_plan_acts_and_each_way_continues_its_own(cheaper, monkeypatch):
+def test_the_clearly_cheaper_plan_acts_and_each_way_continues_its_own(cheaper, monkeypatch):
     monkeypatch.setattr(Priced, "prices", (1.0, 9.0) if cheaper == 0 else (9.0, 1.0))
-    made = []
-
-    def make(*of):
-        made.append(Priced(*of))
-        return made[-1]
-
-    there = parted(8.0)
-    monkeypatch.setattr("offpiste.runtime.plan_maker.PlanImprover", make)
-    runtime = Runtime(parametric(), sensor_setup(), WHEELS, there, settings())
-    controls = Stream(runtime).run(0.6)
-    assert controls[-1].command[2] == pytest.approx((-0.2, 0.3)[cheaper])
-    later = made[0].begun[2:]
-    assert {number for number, _ in later} == {0, 1}
-    assert all(began == pytest.approx((-0.2, 0.3)[number]) for number, began in later)
-
-
-def test_a_way_is_kept_where_the_other_costs_hardly_less(monkeypatch):
-    monkeypatch.setattr(Priced, "prices", (9.0, 1.0))
     monkeypatch.setattr("offpiste.runtime.plan_maker.PlanImprover", Priced)
     runtime = Runtime(parametric(), sensor_setup(), WHEELS, parted(8.0), settings())
     stream = Stream(runtime)
-    assert stream.run(0.6)[-1].command[2] == pytest.approx(0.3)
-    monkeypatch.setattr(Priced, "prices", (0.5, 1.0))
-    assert stream.run(0.6)[-1].command[2] == pytest.approx(0.3), "less than the temperature"
+    assert stream.run(0.6)[-1].command[2] == pytest.approx((-0.2, 0.3)[cheaper])
+    later = runtime._maker._improver.begun[2:]
+    assert {number for number, _ in later} == {0, 1}
+    assert all(began == pytest.approx((-0.2, 0.3)[number]) for number, began in later)
+    monkeypatch.setattr(Priced, "prices", (1.0, 0.5) if cheaper == 0 else (0.5, 1.0))
+    assert stream.run(0.6)[-1].command[2] == pytest.approx((-0.2, 0.3)[cheaper]), "cheaper by less than the temperature"

@@ -30,49 +30,25 @@ Hazard = Callable[[Float[np.ndarray, "P 2"]], Float[np.ndarray, " P"]]
 
 @dataclass(frozen=True)
 class BackingOutSettings:
-    """Criteria and manoeuvres for stuck vehicles.
+    """Criteria and manoeuvres for stuck vehicles, as positive numbers."""
 
-    Attributes:
-        after: time without motion of a driven vehicle until it counts as stuck [s].
-        moved: minimum distance that counts as motion [m].
-        distance: length of a leg [m].
-        longest: maximum duration of a leg [s].
-        speed: target speed of a leg; higher than is reached, so that no plan postpones driving [m/s].
-        obstacles: factor on the cost of low obstacles until the vehicle is back on its course: a LiDAR cannot tell
-            bushes from rocks.
-        tall: height from which obstacles count in full [m].
-        slow: speed limit on the way back to the course [m/s].
-        back: distance from the course below which an aligned vehicle is back on it [m].
-        against: heading error above which the vehicle turns round [rad].
-        along: heading error below which it is aligned [rad].
-        radius: radius of the arcs of a turn [m].
-        legs: maximum number of legs.
-        attempts: maximum number of attempts at one place; 0 disables backing out.
-        apart: distance below which places count as the same [m].
-        aside: distance at which a stuck place is passed [m].
-        reach: distance from a stuck place at which the course is left and rejoined [m].
-
-    Raises:
-        PlanningError: a number is not positive.
-    """
-
-    after: float = 3.0
-    moved: float = 0.5
-    distance: float = 5.0
-    longest: float = 6.0
-    speed: float = 4.0
-    obstacles: float = 0.05
-    tall: float = Hazards.tall
-    slow: float = 3.0
-    back: float = 2.0
-    against: float = 1.75
-    along: float = 1.0
-    radius: float = 7.0
-    legs: int = 6
-    attempts: int = 2
-    apart: float = 6.0
-    aside: float = 2.5
-    reach: float = 8.0
+    after: float = 3.0  # time without motion of a driven vehicle until it counts as stuck [s]
+    moved: float = 0.5  # minimum distance that counts as motion [m]
+    distance: float = 5.0  # length of a leg [m]
+    longest: float = 6.0  # maximum duration of a leg [s]
+    speed: float = 4.0  # target speed of a leg; higher than is reached, so that no plan postpones driving [m/s]
+    obstacles: float = 0.05  # factor on the cost of low obstacles, perhaps bushes, until it is back on its course
+    tall: float = Hazards.tall  # height from which obstacles count in full [m]
+    slow: float = 3.0  # speed limit on the way back to the course [m/s]
+    back: float = 2.0  # distance from the course below which an aligned vehicle is back on it [m]
+    against: float = 1.75  # heading error above which the vehicle turns round [rad]
+    along: float = 1.0  # heading error below which it is aligned [rad]
+    radius: float = 7.0  # radius of the arcs of a turn [m]
+    legs: int = 6  # maximum number of legs
+    attempts: int = 2  # maximum number of attempts at one place; 0 disables backing out
+    apart: float = 6.0  # distance below which places count as the same [m]
+    aside: float = 2.5  # distance at which a stuck place is passed [m]
+    reach: float = 8.0  # distance from a stuck place at which the course is left and rejoined [m]
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -80,19 +56,13 @@ class BackingOutSettings:
                 raise PlanningError(f"backing_out.{name} is {value:g}", how="give a positive number")
 
 
-@dataclass(frozen=True)
+@dataclass
 class StuckPlace:
-    """A place where the vehicle was stuck.
+    """A place where the vehicle was stuck."""
 
-    Attributes:
-        place: last x, y [m].
-        side: side on which it is passed: 1 left, -1 right.
-        times: number of times.
-    """
-
-    place: Float[np.ndarray, " 2"]
-    side: float
-    times: int = 1
+    place: Float[np.ndarray, " 2"]  # last x, y [m]
+    side: float  # side on which it is passed: 1 left, -1 right
+    times: int = 1  # how often the vehicle was stuck there
 
 
 class BackingOut:
@@ -122,36 +92,31 @@ class BackingOut:
             course: section around the vehicle.
             driven: whether plans are followed; a stopped vehicle is not stuck.
         """
-        settings, since = self._settings, self._since
-        moved = float(np.linalg.norm(pose[:2] - self._start[:2]))
-        distance, angle = _errors(course, pose)
-        if not self.leg:
-            self.away &= distance > settings.back or abs(angle) > settings.along
-        elif np.isfinite(self._last_time):  # time without driving does not count
-            self._since += max(now - self._last_time - (GAP if driven else 0.0), 0.0)
+        settings, pose, elapsed = self._settings, np.array(pose, float), now - self._last_time
         step = float(np.linalg.norm(pose[:2] - self._last_pose[:2]))
-        continues = now >= self._last_time and step <= JUMP + PLAUSIBLE_SPEED * (now - self._last_time)
-        self._last_time, self._last_pose = now, np.array(pose, float)
-        if not continues:
-            self.places.clear()  # poses may be in another frame
+        self._last_time, self._last_pose = now, pose
+        if not (elapsed >= 0 and step <= JUMP + PLAUSIBLE_SPEED * elapsed):  # poses may be in another frame
+            self.places.clear()
             self.away = self.gave_up = False
             self._follow(now, pose)
-        elif self.gave_up:
-            if moved > settings.moved:
-                self.gave_up = False
-                self._follow(now, pose)
-        elif self.leg:
+            return False
+        moved = float(np.linalg.norm(pose[:2] - self._start[:2]))
+        distance, angle = _errors(course, pose)
+        if self.leg:
+            self._since += max(elapsed - (GAP if driven else 0.0), 0.0)  # time without driving does not count
             self._manoeuvre(now, pose, moved, angle)
-        elif not driven or moved > settings.moved:
+            return False
+        self.away &= distance > settings.back or abs(angle) > settings.along
+        if moved > settings.moved or not (driven or self.gave_up):
+            self.gave_up = False
             self._follow(now, pose)
-        elif settings.attempts and now - since > settings.after:
+        elif settings.attempts and not self.gave_up and now - self._since > settings.after:
             before = self._before(pose[:2])
             self.gave_up = before is not None and before.times >= settings.attempts
-            if self.gave_up:
-                self._follow(now, pose)
-            else:
+            if not self.gave_up:
                 self._begin_leg(now, pose, 1, angle)
-            return not self.gave_up
+                return True
+            self._follow(now, pose)
         return False
 
     def forget(self) -> None:
@@ -160,7 +125,7 @@ class BackingOut:
 
     def _follow(self, now: float, pose: Float[np.ndarray, " 3"]) -> None:
         """Follow the course from this pose on."""
-        self.gear, self.leg, self._since, self._start = FORWARD, 0, now, np.array(pose, float)
+        self.gear, self.leg, self._since, self._start = FORWARD, 0, now, pose
 
     def _begin_leg(self, now: float, pose: Float[np.ndarray, " 3"], leg: int, angle: float) -> None:
         """Begin a leg: odd legs reverse, and legs turn if the heading error `angle` [rad] is large."""
@@ -177,13 +142,12 @@ class BackingOut:
             angle: heading error, positive to the left [rad].
         """
         settings, turning = self._settings, self._turn != 0
-        if turning and abs(angle) < settings.along:
+        aligned = turning and abs(angle) < settings.along
+        ended = moved > settings.distance or now - self._since > settings.longest
+        if ended and not aligned and turning and self.leg < settings.legs:
+            self._begin_leg(now, pose, self.leg + 1, angle)
+        elif ended or aligned:
             self._follow(now, pose)
-        elif moved > settings.distance or now - self._since > settings.longest:
-            if turning and self.leg < settings.legs:
-                self._begin_leg(now, pose, self.leg + 1, angle)
-            else:
-                self._follow(now, pose)
 
     def _before(self, place: Float[np.ndarray, " 2"]) -> StuckPlace | None:
         """Return the known stuck place nearby."""
@@ -191,19 +155,16 @@ class BackingOut:
         return next(near, None)
 
     def choose_side(self, place: Float[np.ndarray, " 2"], course: Course, hazard: Hazard) -> None:
-        """Remember a stuck place, to be passed on the side with less hazard, and the next time on the other side.
-
-        Args:
-            course: course at that moment.
-        """
-        before = self._before(place)
-        found = [StuckPlace(np.array(place, float), side) for side in (LEFT, RIGHT)]
-        left, right = (float(sum(hazard(self._passing(way, one)).sum() for way in course.ways)) for one in found)
-        if before is None:
-            self.places.append(StuckPlace(np.array(place, float), LEFT if left <= right else RIGHT))
-        else:
-            again = StuckPlace(np.array(place, float), -before.side, before.times + 1)
-            self.places = [again if one is before else one for one in self.places]
+        """Remember a stuck place: it is passed on the side with less hazard, and the next time on the other side."""
+        place, before = np.array(place, float), self._before(place)
+        if before is not None:
+            before.place, before.side, before.times = place, -before.side, before.times + 1
+            return
+        left, right = StuckPlace(place, LEFT), StuckPlace(place, RIGHT)
+        along_left, along_right = (
+            float(sum(hazard(self._passing(way, one)).sum() for way in course.ways)) for one in (left, right)
+        )
+        self.places.append(left if along_left <= along_right else right)
 
     def hazards(self, hazards: Hazards) -> Hazards:
         """Return the hazards for the next plan."""
@@ -216,8 +177,8 @@ class BackingOut:
         if self.leg:
             return self._of_leg(min(self._settings.speed, float(course.speed.max())))
         for place in self.places:
-            ways = [self._passing(way, place) for way in course.ways]
-            course = replace(course, path=ways[0], alternative=None if len(ways) == 1 else ways[1])
+            path, *alternative = (self._passing(way, place) for way in course.ways)
+            course = Course(path, course.speed, course.end, *alternative)
         return replace(course, speed=np.minimum(course.speed, self._settings.slow)) if self.away else course
 
     def _of_leg(self, speed: float) -> Course:
@@ -241,11 +202,10 @@ class BackingOut:
         nearest = int(np.argmin(away))
         if away[nearest] > settings.aside:
             return path
-        step = np.gradient(path, axis=0)
-        along = step / np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-9)
+        along = np.gradient(path, axis=0)[nearest]
+        left = np.array((-along[1], along[0])) / max(float(np.linalg.norm(along)), 1e-9)
         arc = arc_length(path)
         phase = np.clip((arc - arc[nearest]) / settings.reach, -1, 1)
-        left = np.stack((-along[nearest, 1], along[nearest, 0]))
         offset = stuck.side * settings.aside + float((stuck.place - path[nearest]) @ left)
         return path + offset * np.cos(0.5 * np.pi * phase)[:, None] ** 2 * left
 

@@ -27,25 +27,15 @@ GAP = 0.25
 
 @dataclass(frozen=True)
 class VehicleReading:
-    """Measured state and actuators of the vehicle.
+    """Measured state and actuators of the vehicle."""
 
-    Attributes:
-        time: stamp [s].
-        position: position of the pose point in the world frame [m].
-        orientation: world_from_body, xyzw.
-        velocity: velocity of the pose point in the world frame [m/s].
-        yaw_rate: d(yaw)/dt [rad/s].
-        actuators: values of `conventions.ACTUATORS`; NaN if not measured.
-        extra: values of actuators and columns of extensions (`channels.register_actuator`, `dataset.columns.COLUMNS`).
-    """
-
-    time: float
-    position: Float[np.ndarray, " 3"]
-    orientation: Float[np.ndarray, " 4"]
-    velocity: Float[np.ndarray, " 3"]
-    yaw_rate: float
-    actuators: Float[np.ndarray, " A"]
-    extra: Mapping[str, float] = field(default_factory=dict)
+    time: float  # stamp [s]
+    position: Float[np.ndarray, " 3"]  # of the pose point in the world frame [m]
+    orientation: Float[np.ndarray, " 4"]  # world_from_body, xyzw
+    velocity: Float[np.ndarray, " 3"]  # of the pose point in the world frame [m/s]
+    yaw_rate: float  # d(yaw)/dt [rad/s]
+    actuators: Float[np.ndarray, " A"]  # `conventions.ACTUATORS`; NaN if not measured
+    extra: Mapping[str, float] = field(default_factory=dict)  # of extensions: actuators and `dataset.columns.COLUMNS`
 
     def measured(self, actuators: Sequence[str]) -> Float[np.ndarray, " A"]:
         """Return the values of actuators by name; NaN if not measured."""
@@ -72,21 +62,13 @@ class Given(NamedTuple):
 
 @dataclass(frozen=True)
 class TrackRows:
-    """Rows t-10 ... t of the vehicle at intervals of `conventions.DT`, estimated causally.
+    """Rows t-10 ... t of the vehicle at intervals of `conventions.DT`, estimated causally."""
 
-    Attributes:
-        state: `conventions.STATE`, in the world frame, yaw unwrapped.
-        actuators: `conventions.ACTUATORS` and the registered actuators of the model.
-        control: `conventions.CONTROL`; not yet known in row t.
-        gear: engaged gear, 1 forward, -1 reverse; NaN before the first command.
-        extra: columns of extensions for the past of windows; NaN if missing.
-    """
-
-    state: Float[np.ndarray, "H 6"]
-    actuators: Float[np.ndarray, "H A"]
-    control: Float[np.ndarray, "H 3"]
-    gear: Float[np.ndarray, " H"]
-    extra: Mapping[str, np.ndarray] = field(default_factory=dict)
+    state: Float[np.ndarray, "H 6"]  # `conventions.STATE`, in the world frame, yaw unwrapped
+    actuators: Float[np.ndarray, "H A"]  # `conventions.ACTUATORS` and the registered actuators of the model
+    control: Float[np.ndarray, "H 3"]  # `conventions.CONTROL`; not yet known in row t
+    gear: Float[np.ndarray, " H"]  # engaged gear, 1 forward, -1 reverse; NaN before the first command
+    extra: Mapping[str, np.ndarray] = field(default_factory=dict)  # columns of extensions; NaN if missing
 
 
 class VehicleTrack:
@@ -116,12 +98,9 @@ class VehicleTrack:
 
     def add(self, reading: VehicleReading) -> bool:
         """Add a reading, and return whether the pose jumped, which invalidates the map."""
-        before = self.latest
-        jumped = False
-        if before is not None:
-            expected = before.position + before.velocity * (reading.time - before.time)
-            jumped = bool(np.linalg.norm(reading.position - expected) > JUMP)
-        if jumped:
+        before = self.latest or reading
+        expected = before.position + before.velocity * (reading.time - before.time)
+        if jumped := bool(np.linalg.norm(reading.position - expected) > JUMP):
             self._readings.clear()
         self._readings.append(reading)
         while self._readings[0].time < reading.time - self._seconds:
@@ -143,10 +122,10 @@ class VehicleTrack:
 
     def poses(self) -> Poses:
         """Return the poses of the last seconds."""
-        time = np.array([r.time for r in self._readings])
-        position = Channel("position", "m", time, np.stack([r.position for r in self._readings]))
-        orientation = Channel("orientation", "1", time, np.stack([r.orientation for r in self._readings]))
-        return Poses(position, orientation, self._max_gap)
+        time, *pose = (
+            np.array([getattr(r, name) for r in self._readings]) for name in ("time", "position", "orientation")
+        )
+        return Poses(Channel("position", "m", time, pose[0]), Channel("orientation", "1", time, pose[1]), self._max_gap)
 
     def awaits(self, time: float) -> bool:
         """Return whether a time [s] is later than all readings, so that its pose may still become known."""
@@ -173,7 +152,8 @@ class VehicleTrack:
         yaw = extrapolated(yaw[:, None], rate, age)
         place = extrapolated(np.stack([r.position[:2] for r in chosen]), velocity, age)
         state = planar_state(place, yaw, velocity, rate)
-        extra = {name: np.array([r.extra.get(name, np.nan) for r in chosen]) for name in _past_columns()}
+        past = [name for name, column in COLUMNS.items() if name not in OWN_COLUMNS and "past" in column.segments]
+        extra = {name: np.array([r.extra.get(name, np.nan) for r in chosen]) for name in past}
         return TrackRows(state, np.stack([r.measured(self._columns) for r in chosen]), *self.controls(at), extra)
 
     def controls(self, at: Float[np.ndarray, " N"]) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, " N"]]:
@@ -184,11 +164,6 @@ class VehicleTrack:
         index = np.searchsorted(time, at + 1e-6, side="right") - 1
         known, held = index >= 0, np.maximum(index, 0)
         return np.where(known[:, None], control[held], 0.0), np.where(known, gear[held], np.nan)
-
-
-def _past_columns() -> list[str]:
-    """Return the columns of extensions in a model's history."""
-    return [name for name, column in COLUMNS.items() if name not in OWN_COLUMNS and "past" in column.segments]
 
 
 class Intake:
@@ -206,23 +181,23 @@ class Intake:
         self, track: VehicleTrack, actuators: Collection[str], timeouts: Timeouts, dropped: Counter[str]
     ) -> None:
         self._track, self._timeouts, self.dropped = track, timeouts, dropped
-        self._needed = tuple(actuators)
-        self.now = np.inf
+        self._needed, self.now = tuple(actuators), np.inf
 
     def vehicle(self, reading: VehicleReading) -> Literal["dropped", "taken", "jumped"]:
         """Add a reading, and return whether it was dropped, or jumped, which invalidates the map."""
-        latest = self._track.latest
         if self.ahead("readings of the vehicle", reading.time):
             return "dropped"
+        latest, measured = self._track.latest, reading.measured(self._needed)
+        lacks = [name for name, value in zip(self._needed, measured, strict=True) if not np.isfinite(value)]
+        fault = ""
         if not reading.finite:
-            self.dropped["readings of the vehicle that are not finite"] += 1
-            return "dropped"
-        known = np.isfinite(reading.measured(self._needed))
-        if lacks := [name for name, is_known in zip(self._needed, known, strict=True) if not is_known]:
-            self.dropped[f"readings of the vehicle without {', '.join(lacks)}, which the model reads"] += 1
-            return "dropped"
-        if latest is not None and reading.time <= latest.time:
-            self.dropped["readings of the vehicle whose stamps repeat or go back"] += 1
+            fault = "that are not finite"
+        elif lacks:
+            fault = f"without {', '.join(lacks)}, which the model reads"
+        elif latest is not None and reading.time <= latest.time:
+            fault = "whose stamps repeat or go back"
+        if fault:
+            self.dropped[f"readings of the vehicle {fault}"] += 1
             return "dropped"
         return "jumped" if self._track.add(reading) else "taken"
 

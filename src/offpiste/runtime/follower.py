@@ -8,7 +8,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -25,19 +24,21 @@ Applied = Callable[[Controls], Float[np.ndarray, " 3"]]
 
 @dataclass(frozen=True)
 class TimedPlan:
-    """A plan and its time.
+    """A plan and its time."""
 
-    Attributes:
-        start: time of its first control [s].
-        made: time at which it was made [s].
-        controls: controls at steps of `conventions.DT`.
-        gear: 1 forward, -1 reverse.
-    """
+    start: float  # time of its first control [s]
+    made: float  # time at which it was made [s]
+    controls: Float[Tensor, "T 3"]  # at steps of `conventions.DT`
+    gear: float = 1.0  # 1 forward, -1 reverse
 
-    start: float
-    made: float
-    controls: Float[Tensor, "T 3"]
-    gear: float = 1.0
+    def at(self, time: float) -> Float[np.ndarray, " 3"]:
+        """Return the control at `time` [s]; the last one is held."""
+        step = min(max(int((time - self.start) / DT + 1e-4), 0), len(self.controls) - 1)
+        return self.controls[step].numpy().astype(np.float64)
+
+    def continued(self, start: float) -> Float[Tensor, "T 3"]:
+        """Return the controls from `start` [s] on, the last one held."""
+        return shift(self.controls, max(round((start - self.start) / DT), 0))
 
 
 class Schedule:
@@ -63,7 +64,7 @@ class Schedule:
         """Return the plan that acts at `time` [s], and delete those before it; None before the first."""
         while len(self._plans) > 1 and self._plans[1].start <= time + 1e-6:
             self._plans.popleft()
-        return self._plans[0] if self._plans and self._plans[0].start <= time + 1e-6 else None
+        return self.at(time)
 
     def at(self, time: float) -> TimedPlan | None:
         """Return the plan that acts at a present or future `time` [s]; None before the first."""
@@ -72,50 +73,17 @@ class Schedule:
     def control(self, time: float) -> Float[np.ndarray, " 3"] | None:
         """Return the control at `time` [s]; the last control of a plan is held. None before the first plan."""
         plan = self.at(time)
-        return None if plan is None else plan.controls[_step(plan, time)].numpy().astype(np.float64)
-
-    def committed(self, now: float, steps: int, otherwise: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "steps 3"]:
-        """Return the controls of the next steps; `otherwise` until the first plan acts."""
-        due = (self.control(now + DT * step) for step in range(steps))
-        return np.array([otherwise if control is None else control for control in due]).reshape(steps, 3)
-
-    def continued(
-        self, start: float, steps: int, rest: Float[np.ndarray, " 3"], gear: float = 1.0
-    ) -> Float[Tensor, "steps 3"]:
-        """Return the initial guess of the next plan: the latest one from `start` [s] on, its last control held.
-
-        Args:
-            rest: control of all steps if the latest plan is in another gear.
-            gear: gear of the next plan.
-        """
-        if self.latest is None or self.latest.gear != gear:
-            return torch.as_tensor(rest, dtype=torch.float32).repeat(steps, 1)
-        return continued(self.latest, start)
-
-
-def continued(plan: TimedPlan, start: float) -> Float[Tensor, "T 3"]:
-    """Return a plan from `start` [s] on, its last control held."""
-    return shift(plan.controls, max(round((start - plan.start) / DT), 0))
-
-
-def _step(plan: TimedPlan, time: float) -> int:
-    return min(max(int((time - plan.start) / DT + 1e-4), 0), len(plan.controls) - 1)
+        return None if plan is None else plan.at(time)
 
 
 @dataclass(frozen=True)
 class MapState:
-    """State of map and planner for the choice of the mode.
+    """State of map and planner for the choice of the mode."""
 
-    Attributes:
-        scan_time, image_time: stamps of the last scan and image [s]; infinite for models without visual features.
-        empty: whether no ground is within reach of a plan.
-        stuck: whether backing out was given up.
-    """
-
-    scan_time: float = -np.inf
-    image_time: float = -np.inf
-    empty: bool = False
-    stuck: bool = False
+    scan_time: float = -np.inf  # stamp of the last scan [s]
+    image_time: float = -np.inf  # stamp of the last image [s]; infinite for models without visual features
+    empty: bool = False  # whether no ground is within reach of a plan
+    stuck: bool = False  # whether backing out was given up
 
 
 class Follower:
@@ -139,11 +107,7 @@ class Follower:
         self.events: list[Event] = []
 
     def mode(self, now: float, state: MapState, least: Ages = NO_AGES) -> ModeDecision:
-        """Return the mode for the ages of the inputs.
-
-        Args:
-            least: ages by another clock than that of the stamps; the greater ages count.
-        """
+        """Return the mode for the ages of the inputs; those by another clock than that of the stamps are `least`."""
         latest, followed = self._track.latest, self.schedule.acting(now)
         ages = Ages(
             state=now - (latest.time if latest else -np.inf),
@@ -171,28 +135,21 @@ class Follower:
         return controls
 
     def _due(self, now: float, decision: ModeDecision) -> Controls:
-        planned = self.schedule.control(now)
-        at_standstill = self.at_standstill()
+        """Return the planned control, the brake of a stop, or the brake until the gear of the plan can be engaged."""
+        planned, standing = self.schedule.control(now), self.at_standstill()
         must_stop = decision.mode == "stopping" or planned is None
-        if not must_stop and not (self.stopping and not at_standstill):
-            self.stopping = False
-            assert planned is not None
-            return self._driven(now, planned, decision)
-        self.stopping = True
-        # The planned steering is kept, since straight ahead may lead off the course.
-        steer = 0.0 if planned is None else float(planned[2])
-        command = np.array((0.0, self._settings.stop, steer))
-        why = decision.why if must_stop or not self.events else self.events[-1].why
-        return Controls(now, command, "stopped" if at_standstill else "stopping", why, self.gear)
-
-    def _driven(self, now: float, planned: Float[np.ndarray, " 3"], decision: ModeDecision) -> Controls:
-        """Return the planned control, or brake until the gear of the plan can be engaged."""
-        if self._shifts(now):
-            planned[:2] = (0.0, self._settings.stop)
-            if self.at_standstill():
-                self.gear = -self.gear
+        self.stopping = must_stop or (self.stopping and not standing)
+        # A stop keeps the planned steering, since straight ahead may lead off the course.
+        command = np.zeros(3) if planned is None else planned
+        if self.stopping or self._shifts(now):
+            command[:2] = (0.0, self._settings.stop)
+        if self.stopping:
+            why = decision.why if must_stop or not self.events else self.events[-1].why
+            return Controls(now, command, "stopped" if standing else "stopping", why, self.gear)
+        if self._shifts(now) and standing:
+            self.gear = -self.gear
         why = decision.why or ("backing out" if self.gear < 0 else "")
-        return Controls(now, planned, decision.mode, why, self.gear)
+        return Controls(now, command, decision.mode, why, self.gear)
 
     def _shifts(self, time: float) -> bool:
         """Return whether the plan that acts at a time [s] needs another gear."""
@@ -209,15 +166,17 @@ class Follower:
         latest = self.schedule.latest
         if latest is not None and first - latest.start > self._settings.forget:
             self.schedule.clear()
-        stop = np.array((0.0, self._settings.stop, 0.0))
-        steps = max(round((start - first) / DT), 0)
+        times = first + DT * np.arange(max(round((start - first) / DT), 0))
         if self.driver.control is not None:
-            return self._track.controls(first + DT * np.arange(steps))[0]
-        committed = self.schedule.committed(first, steps, stop if self.stopping else rows.control[-2])
-        # Braking replaces the pedals of the plan, not its steering.
-        halts = self.stopping and not self.at_standstill()
-        braked = [halts or self._shifts(first + DT * step) for step in range(steps)]
-        committed[braked, :2] = stop[:2]
+            return self._track.controls(times)[0]
+        stop = np.array((0.0, self._settings.stop, 0.0))
+        halts, committed = self.stopping and not self.at_standstill(), np.empty((len(times), 3))
+        for step, time in enumerate(times.tolist()):
+            planned = self.schedule.control(time)
+            # Until the first plan acts, the last control is held; braking replaces the pedals of a plan alone.
+            committed[step] = planned if planned is not None else stop if self.stopping else rows.control[-2]
+            if halts or self._shifts(time):
+                committed[step, :2] = stop[:2]
         return committed
 
     @property

@@ -13,11 +13,7 @@ Mode = Literal["driving", "degraded", "stopping", "stopped"]
 
 @dataclass(frozen=True)
 class Ages:
-    """Ages of the inputs [s]; infinite before the first.
-
-    Attributes:
-        image: -infinite for models without visual features.
-    """
+    """Ages of the inputs [s]; infinite before the first, and -infinite for images that a model does not read."""
 
     state: float
     scan: float
@@ -26,7 +22,7 @@ class Ages:
 
     def at_least(self, others: "Ages") -> "Ages":
         """Return the greater of the ages by two clocks, one of which may have stopped."""
-        return Ages(*(max(one, getattr(others, name)) for name, one in vars(self).items()))
+        return Ages(*map(max, vars(self).values(), vars(others).values()))
 
 
 NO_AGES: Final = Ages(-np.inf, -np.inf, -np.inf, -np.inf)
@@ -34,16 +30,11 @@ NO_AGES: Final = Ages(-np.inf, -np.inf, -np.inf, -np.inf)
 
 @dataclass(frozen=True)
 class ModeDecision:
-    """Mode and its reason.
-
-    Attributes:
-        why: reason; empty in normal driving.
-        slow: whether the speed is limited.
-    """
+    """Mode and its reason, which is empty in normal driving."""
 
     mode: Mode
     why: str = ""
-    slow: bool = False
+    slow: bool = False  # whether the speed is limited
 
 
 @dataclass(frozen=True)
@@ -57,20 +48,13 @@ class Event:
 
 @dataclass(frozen=True)
 class Controls:
-    """Command to the vehicle for the next `conventions.DT`.
+    """Command to the vehicle for the next `conventions.DT`."""
 
-    Attributes:
-        time: start time [s].
-        command: throttle [0..1], brake [0..1], steer [-1..1, + left].
-        why: reason for the mode; empty in normal driving.
-        gear: 1 forward, -1 reverse.
-    """
-
-    time: float
-    command: Float[np.ndarray, " 3"]
+    time: float  # start time [s]
+    command: Float[np.ndarray, " 3"]  # throttle [0..1], brake [0..1], steer [-1..1, + left]
     mode: Mode
-    why: str = ""
-    gear: float = 1.0
+    why: str = ""  # reason for the mode; empty in normal driving
+    gear: float = 1.0  # 1 forward, -1 reverse
 
 
 def decide_mode(
@@ -83,20 +67,14 @@ def decide_mode(
         finished: whether the end of the course is reached.
         stuck: whether backing out was given up.
     """
-    if ages.state > timeouts.state:
-        return ModeDecision("stopping", "no state of the vehicle")
-    if finished:
-        return ModeDecision("stopping", "end of the course")
-    if ages.scan > timeouts.scan_limit:
-        return ModeDecision("stopping", "no scan")
-    if stuck:
-        return ModeDecision("stopping", "stuck")
-    if map_empty:
-        return ModeDecision("stopping", "empty map")
-    if ages.plan > timeouts.plan:
-        return ModeDecision("stopping", "no plan")
-    if ages.scan > timeouts.scan:
-        return ModeDecision("degraded", "late scan", slow=True)
-    if ages.image > timeouts.image:
-        return ModeDecision("degraded", "no image")
-    return ModeDecision("driving")
+    faults: tuple[tuple[bool, ModeDecision], ...] = (
+        (ages.state > timeouts.state, ModeDecision("stopping", "no state of the vehicle")),
+        (finished, ModeDecision("stopping", "end of the course")),
+        (ages.scan > timeouts.scan_limit, ModeDecision("stopping", "no scan")),
+        (stuck, ModeDecision("stopping", "stuck")),
+        (map_empty, ModeDecision("stopping", "empty map")),
+        (ages.plan > timeouts.plan, ModeDecision("stopping", "no plan")),
+        (ages.scan > timeouts.scan, ModeDecision("degraded", "late scan", slow=True)),
+        (ages.image > timeouts.image, ModeDecision("degraded", "no image")),
+    )
+    return next((decision for present, decision in faults if present), ModeDecision("driving"))

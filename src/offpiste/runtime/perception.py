@@ -25,11 +25,7 @@ Measured = TypeVar("Measured", Image, Cloud)
 
 
 class Stopwatch:
-    """Wall-clock times of named stages, for reports only.
-
-    Args:
-        last: number of kept measurements per stage; None for all.
-    """
+    """Wall-clock times of named stages, for reports only: all, or the `last` ones of each."""
 
     def __init__(self, last: int | None = None) -> None:
         self._taken: defaultdict[str, deque[float]] = defaultdict(lambda: deque(maxlen=last))
@@ -58,25 +54,17 @@ class Stopwatch:
 
 @dataclass(frozen=True)
 class SensorSetup:
-    """Sensors of the vehicle and the feature extractor of its cameras.
-
-    Attributes:
-        cameras: empty for models without visual features.
-        extract: backbone and PCA of the model.
-    """
+    """Sensors of the vehicle and the feature extractor of its cameras."""
 
     lidars: Mapping[str, Lidar]
-    cameras: Mapping[str, PinholeCamera] = field(default_factory=dict)
-    extract: ExtractFeatures | None = None
+    cameras: Mapping[str, PinholeCamera] = field(default_factory=dict)  # empty for models without visual features
+    extract: ExtractFeatures | None = None  # backbone and PCA of the model
 
 
 class OnlineMapper:
-    """Updates the map of the ground around the vehicle from each message.
+    """Updates the map of the ground around the vehicle from each message, with the poses of a track.
 
-    Args:
-        encoder: feature encoder of the model; None if it reads no features from cameras.
-        track: source of poses.
-        watch: stopwatch of the stages.
+    The encoder of the model is None if it reads no features from cameras.
     """
 
     def __init__(
@@ -114,27 +102,21 @@ class OnlineMapper:
         """Extract features from an image if it is a keyframe; late images count with their own stamp."""
         if not self.uses_features or image.camera not in self._sensors.cameras:
             return
-        if self._track.awaits(image.time):
-            self._wait(self._images, image.camera, image)
-            return
-        pose = self._pose(image.camera, image.time)
+        pose = self._pose(self._images, image.camera, image)
         if pose is None:
             return
-        if not self._mapper.keyframes.due(image, pose):
-            # The last keyframe was taken nearby, so its features are still valid.
-            self.image_time = max(self.image_time, image.time)
-            return
-        try:
-            with self._watch.of("extract features"):
-                self._mapper.add_image(image, pose)
-        except PerceptionError as error:
-            self.dropped[f"images: {error.what}"] += 1
-            return
+        if self._mapper.keyframes.due(image, pose):  # else features of the last keyframe, taken nearby, are still valid
+            try:
+                with self._watch.of("extract features"):
+                    self._mapper.add_image(image, pose)
+            except PerceptionError as error:
+                self.dropped[f"images: {error.what}"] += 1
+                return
         self.image_time = max(self.image_time, image.time)
 
     def coded(self, camera: str, time: float, codes: Float32[np.ndarray, "rows columns E"] | None) -> None:
         """Add the codes of an image computed elsewhere; None if it is not a keyframe."""
-        pose = self._pose(camera, time)
+        pose = self._known_pose(camera, time)
         if pose is None:
             return
         if codes is not None:
@@ -143,10 +125,7 @@ class OnlineMapper:
 
     def scan(self, scan: Cloud) -> None:
         """Add the finite points of a scan to the map."""
-        if self._track.awaits(scan.time):
-            self._wait(self._scans, scan.lidar, scan)
-            return
-        pose = self._pose(scan.lidar, scan.time)
+        pose = self._pose(self._scans, scan.lidar, scan)
         if pose is None:
             return
         if not np.isfinite(scan.points).all(axis=1).any():
@@ -157,18 +136,12 @@ class OnlineMapper:
         if len(scanned.points_world):
             self.scan_time = max(self.scan_time, scan.time)
 
-    def _wait(self, waiting: dict[str, Measured], sensor: str, measured: Measured) -> None:
-        """Keep the newest measurement of a sensor until its pose is known."""
-        if sensor in waiting:
-            self.dropped[f"{sensor}: replaced by a newer one"] += 1
-        waiting[sensor] = measured
-
     def catch_up(self) -> None:
         """Process the waiting images and scans whose poses are now known."""
-        for image in [each for each in self._images.values() if not self._track.awaits(each.time)]:
-            self.image(self._images.pop(image.camera))
-        for scan in [each for each in self._scans.values() if not self._track.awaits(each.time)]:
-            self.scan(self._scans.pop(scan.lidar))
+        for camera in [name for name, image in self._images.items() if not self._track.awaits(image.time)]:
+            self.image(self._images.pop(camera))
+        for lidar in [name for name, scan in self._scans.items() if not self._track.awaits(scan.time)]:
+            self.scan(self._scans.pop(lidar))
 
     def layers(self) -> TerrainLayers:
         """Return the layers of the current map; the next call overwrites them."""
@@ -176,17 +149,26 @@ class OnlineMapper:
             self._layers = self._mapper.pipeline.layers(self._layers)
         return self._layers
 
-    def _pose(self, sensor: str, time: float) -> np.ndarray | None:
+    def _pose(self, waiting: dict[str, Measured], sensor: str, measured: Measured) -> np.ndarray | None:
+        """Return `world_from_body` of a measurement; None if it is unusable, or waits until its pose is known."""
+        if not self._track.awaits(measured.time):
+            return self._known_pose(sensor, measured.time)
+        if sensor in waiting:
+            self.dropped[f"{sensor}: replaced by a newer one"] += 1
+        waiting[sensor] = measured
+        return None
+
+    def _known_pose(self, sensor: str, time: float) -> np.ndarray | None:
         """Return `world_from_body` at a stamp; None, counted in `dropped`, if the message is unusable."""
+        pose, fault = self._track.pose_at(time), ""
         if not time > self._latest.get(sensor, -np.inf):
-            self.dropped[f"{sensor}: stamps repeat or go back"] += 1
-            return None
-        if not self._track.enough:
-            self.dropped[f"{sensor}: before the first poses"] += 1
-            return None
-        pose = self._track.pose_at(time)
-        if pose is None:
-            self.dropped[f"{sensor}: stamped when the pose is not known"] += 1
+            fault = "stamps repeat or go back"
+        elif not self._track.enough:
+            fault = "before the first poses"
+        elif pose is None:
+            fault = "stamped when the pose is not known"
+        if fault:
+            self.dropped[f"{sensor}: {fault}"] += 1
             return None
         self._latest[sensor] = time
         return pose
@@ -202,11 +184,7 @@ class OnlineMapper:
 def codes_of(
     pixels: UInt8[np.ndarray, "h w 3"], extract: ExtractFeatures, encoder: FeatureEncoder
 ) -> Float32[np.ndarray, "rows columns E"]:
-    """Return the codes of the patches of a rectified image by backbone, PCA and encoder.
-
-    Raises:
-        PerceptionError: the features are not finite.
-    """
+    """Return the codes of the patches of a rectified image; raises `PerceptionError` if features are not finite."""
     features = torch.from_numpy(extract(pixels))
     if not features.isfinite().all():
         raise PerceptionError("features are not finite")

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -24,7 +23,7 @@ from offpiste.planning.driving_cost import Situation
 from offpiste.planning.gpu import check_planner, gpu_planner, require_device
 from offpiste.runtime.backing_out import BackingOut
 from offpiste.runtime.estimator import TrackRows
-from offpiste.runtime.follower import Follower, TimedPlan, continued
+from offpiste.runtime.follower import Follower, TimedPlan
 from offpiste.runtime.perception import Stopwatch
 from offpiste.runtime.prediction import (
     Area,
@@ -53,14 +52,7 @@ class Planned(NamedTuple):
 
 
 class PlanImprover:
-    """MPPI on the CPU or on a GPU.
-
-    Args:
-        seed: seed of the sampled controls.
-
-    Raises:
-        PlanningError: no such GPU, or no GPU kernels for the model.
-    """
+    """MPPI on the CPU or on a GPU; raises `PlanningError` if there is no such GPU, or no GPU kernel for the model."""
 
     def __init__(self, dynamics: Dynamics, settings: RuntimeSettings, seed: int) -> None:
         self._dynamics, self._settings, self._seed = dynamics, settings, seed
@@ -89,16 +81,7 @@ class PlanImprover:
 
 
 class PlanMaker:
-    """Makes plans.
-
-    Args:
-        dynamics: model in evaluation mode, without gradients.
-        wheels: positions in the body frame, from the pose point [m].
-        ground: ground-truth features, used instead of those of the map.
-        spread: spread of the model's predictions, for risks that need it.
-        seed: seed of the sampled controls.
-        reverses: whether the gear can be commanded; backing out also requires a model that knows a gear.
-        watch: stopwatch of the stages.
+    """Makes plans with a model in evaluation mode, without gradients; other arguments as of `Runtime`.
 
     Attributes:
         map_empty: whether the map had no ground within reach of the last plan.
@@ -128,12 +111,17 @@ class PlanMaker:
         backs_out = reverses and "gear" in dynamics.vehicle.control_columns
         chosen = settings.backing_out
         self._backing_out = BackingOut(chosen if backs_out else replace(chosen, attempts=0))
-        self._along_ways: dict[int, Planned] = {}  # last plans by the numbers of their ways
         self._way = 0  # number of the chosen way
-        self._stuck_at = -np.inf  # last position along the course where the vehicle was stuck
-        self._found_stuck: tuple[np.ndarray, Course] | None = None  # place and course, until a map is available
         self.map_empty = False
         self.failures: list[str] = []
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget stuck places and plans along ways, as poses to come are in another frame."""
+        self._backing_out.forget()
+        self._along_ways: dict[int, Planned] = {}  # last plans by the numbers of their ways
+        self._stuck_at = -np.inf  # last position along the course where the vehicle was stuck
+        self._found_stuck: tuple[np.ndarray, Course] | None = None  # place and course, until a map is available
 
     def plan(
         self, now: float, layers: TerrainLayers, follower: Follower, rows: TrackRows, read: float, *, slow: bool
@@ -141,11 +129,8 @@ class PlanMaker:
         """Make a plan that acts after the latency; None if stuck, on an empty map, or without finite costs.
 
         Args:
-            now: time [s].
-            layers: map layers.
             follower: source of the position on the course and of the committed controls; the plan is not added to it.
-            rows: rows up to the last reading of the vehicle.
-            read: time of that reading [s].
+            rows: rows up to the last reading of the vehicle, at the time `read` [s].
             slow: whether the speed is limited.
         """
         settings, state = self._settings, rows.state[-1]
@@ -169,7 +154,7 @@ class PlanMaker:
             starts = self._continued(now, follower, ways, at.gear)
             situations = [replace(at, costs=each) for each in costs]
             plans = [self._improved(now, *each, area, model_state) for each in zip(starts, situations, strict=True)]
-            return plans[0] if len(ways) == 1 else self._cheapest(ways, plans)
+            return self._cheapest(ways, plans)
 
     def _section(self, now: float, state: Float[np.ndarray, " 6"], follower: Follower, *, slow: bool) -> Course:
         """Return the section of the course around the vehicle, and detect whether the vehicle is stuck."""
@@ -183,11 +168,17 @@ class PlanMaker:
 
     def _choose_side(self, near: TerrainLayers) -> None:
         """Choose the side of a newly found stuck place, on the map with full hazards."""
-        if self._found_stuck is not None:
-            place, followed = self._found_stuck
-            costs = cost_map(near, followed, self._settings.hazards)
-            self._backing_out.choose_side(place, followed, partial(_hazard, costs))
-            self._found_stuck = None
+        if self._found_stuck is None:
+            return
+        place, followed = self._found_stuck
+        costs = cost_map(near, followed, self._settings.hazards)
+
+        def hazard(places: np.ndarray) -> np.ndarray:
+            values = costs.at(torch.from_numpy(places), torch.zeros(2, dtype=torch.float64))
+            return np.asarray(values[:, costs.names.index("hazard")])
+
+        self._backing_out.choose_side(place, followed, hazard)
+        self._found_stuck = None
 
     def _start(
         self, now: float, follower: Follower, rows: TrackRows, read: float, area: Area, costs: CostMap
@@ -204,28 +195,20 @@ class PlanMaker:
         model_state = model_state_after(self._dynamics, model_state, committed, area, at)
         return model_state, replace(at, state=model_state.state[0], gear=self._backing_out.gear)
 
-    def _cheapest(self, ways: Sequence[Way], plans: Sequence[Planned | None]) -> Planned | None:
-        """Return the cheapest plan; the last way is kept unless another is cheaper by more than the temperature."""
-        self._along_ways = {way.number: plan for way, plan in zip(ways, plans, strict=True) if plan is not None}
-        if not self._along_ways:
-            return None
-        margin = {self._way: self._settings.sampling.temperature}
-        self._way = min(self._along_ways, key=lambda number: self._along_ways[number].cost - margin.get(number, 0.0))
-        return self._along_ways[self._way]
-
     def _continued(
         self, now: float, follower: Follower, ways: Sequence[Way], gear: float
     ) -> list[Float[torch.Tensor, "T 3"]]:
-        """Return the initial plan for each way: the last one along it, or else the last one."""
-        rest = controls_of(torch.tensor(self._settings.sampling.rest or (0.0, 0.0))).numpy()
-        start = now + self._settings.latency
-        starts = [follower.schedule.continued(start, HORIZON_STEPS, rest, gear) for _ in ways]
-        if len(ways) == 1:
-            self._along_ways = {}
-        for number, way in enumerate(ways):
-            own = self._along_ways.get(way.number)
-            if own is not None and own.plan.gear == gear and 0 <= now - own.plan.made < FRESH:
-                starts[number] = continued(own.plan, start)
+        """Return the initial plan for each way: the last one along it, or else the last one; rest in another gear."""
+        rest = controls_of(torch.tensor(self._settings.sampling.rest or (0.0, 0.0)))
+        starts = []
+        for way in ways:
+            own, plan = self._along_ways.get(way.number), follower.schedule.latest
+            if len(ways) > 1 and own is not None and own.plan.gear == gear and 0 <= now - own.plan.made < FRESH:
+                plan = own.plan
+            if plan is None or plan.gear != gear:
+                starts.append(rest.repeat(HORIZON_STEPS, 1))
+            else:
+                starts.append(plan.continued(now + self._settings.latency))
         return starts
 
     def _improved(
@@ -246,18 +229,16 @@ class PlanMaker:
         states = predicted(model, model_state, controls, area, at, settings.weights)
         return Planned(TimedPlan(start, now, controls, at.gear), Prediction(start, states), plan.cost)
 
-    def forget(self) -> None:
-        """Forget stuck places and plans along ways, as poses to come are in another frame."""
-        self._backing_out.forget()
-        self._along_ways, self._stuck_at, self._found_stuck = {}, -np.inf, None
+    def _cheapest(self, ways: Sequence[Way], plans: Sequence[Planned | None]) -> Planned | None:
+        """Return the cheapest plan; the last way is kept unless another is cheaper by more than the temperature."""
+        self._along_ways = {way.number: plan for way, plan in zip(ways, plans, strict=True) if plan is not None}
+        if not self._along_ways:
+            return None
+        margin = {self._way: self._settings.sampling.temperature}
+        self._way = min(self._along_ways, key=lambda number: self._along_ways[number].cost - margin.get(number, 0.0))
+        return self._along_ways[self._way]
 
     @property
     def stuck(self) -> bool:
         """True if backing out was given up, so that no plan is made."""
         return self._backing_out.gave_up
-
-
-def _hazard(costs: CostMap, places: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, " P"]:
-    """Return the hazard at places in the world frame [1/s]."""
-    values = costs.at(torch.from_numpy(places), torch.zeros(2, dtype=torch.float64))
-    return np.asarray(values[:, costs.names.index("hazard")])

@@ -67,45 +67,40 @@ def load_planner(
         PerceptionError: not a PCA, or its backbone is not available.
     """
     run = load_run(folder)
-    missing = [name for name in ("throttle", "steer") if name not in run.dynamics.vehicle.control]
-    if missing:
-        raise RunError(
-            f"was trained without {' and '.join(missing)}, which a planner commands",
-            where=folder,
-            how="give a run trained on both commands",
-        )
-    ships, folder = str(folder).startswith(PREFIX), run.folder
-    weights = sha256_of(folder / WEIGHTS)[:16]
-    spread = load_spread(run) if (folder / FILE).exists() else None
-    planner = Planner(run.model, folder, run.dynamics, weights=weights, seed=run.seed, spread=spread)
-    if run.dynamics.encoder is None:
+    dynamics, ships, where = run.dynamics, str(folder).startswith(PREFIX), str(folder)
+    if missing := [name for name in ("throttle", "steer") if name not in dynamics.vehicle.control]:
+        what = f"was trained without {' and '.join(missing)}, which a planner commands"
+        raise RunError(what, where=where, how="give a run trained on both commands")
+    planner = Planner(
+        name=run.model,
+        folder=run.folder,
+        dynamics=dynamics,
+        weights=sha256_of(run.folder / WEIGHTS)[:16],
+        seed=run.seed,
+        novelty=novelty,
+        spread=load_spread(run) if (run.folder / FILE).exists() else None,
+    )
+    if dynamics.encoder is None:
         if novelty == "missing":
-            raise RunError("reads no features, so --novelty has no effect", where=folder, how="leave --novelty out")
+            raise RunError("reads no features, so --novelty has no effect", where=where, how="leave --novelty out")
         return planner
     if novelty == "missing":
-        mask_novel_ground(run.dynamics, load_memory_bank(run))
-        planner = replace(planner, novelty=novelty)
+        mask_novel_ground(dynamics, load_memory_bank(run))
     if run.pca is None:
         if not run.features:
-            raise RunError("does not state its features", where=folder, how="train again")
+            raise RunError("does not state its features", where=where, how="train again")
         if run.features != GROUND_PROPERTIES:
-            raise RunError(
-                f"reads features that cameras do not provide: {', '.join(run.features[:4])} …",
-                where=folder,
-                how="give a run trained on visual features, on ground-truth ones, or on none",
-            )
+            what = f"reads features that cameras do not provide: {', '.join(run.features[:4])} …"
+            how = "give a run trained on visual features, on ground-truth ones, or on none"
+            raise RunError(what, where=where, how=how)
         return replace(planner, name="ceiling")
-    if pca is None and ships:
-        pca = folder.parent / PCA
+    pca = run.folder.parent / PCA if pca is None and ships else pca
     if pca is None:
-        raise RunError("reads visual features", where=folder, how="give --pca, the file its dataset was extracted with")
+        raise RunError("reads visual features", where=where, how="give --pca, the file its dataset was extracted with")
     extractor = load_feature_extractor(pca, device)
     if extractor.identity != run.pca:
-        raise RunError(
-            f"was trained with another PCA ({run.pca}) than {pca} ({extractor.identity})",
-            where=folder,
-            how="give the file that its dataset was extracted with",
-        )
+        what = f"was trained with another PCA ({run.pca}) than {pca} ({extractor.identity})"
+        raise RunError(what, where=where, how="give the file that its dataset was extracted with")
     return replace(planner, extractor=extractor)
 
 
@@ -119,10 +114,7 @@ def warm_up(
 ) -> None:
     """Drive along a straight line over synthetic flat ground for a second, so that all kernels are compiled.
 
-    After an installation, the first plan would otherwise wait for the compiler for half a minute.
-
-    Args:
-        dynamics, sensors, wheels, settings, spread: arguments of the future `Runtime`.
+    After an installation, the first plan of a `Runtime` with these arguments would otherwise wait for half a minute.
 
     Raises:
         PlanningError: as `Runtime`, or no plan can be made with these settings.
@@ -149,7 +141,7 @@ def _see_flat_ground(runtime: Runtime, sensors: SensorSetup, time: float) -> Non
         width, height = camera.rectifier.source.size
         runtime.image(Image(time, name, np.full((height, width, 3), 128, np.uint8)))
     side = np.arange(-20.0, 20.0, 0.25)
-    ground = np.stack([axis.ravel() for axis in (*np.meshgrid(side, side), np.zeros((len(side), len(side))))], axis=1)
+    ground = np.stack(np.meshgrid(side, side, 0.0), axis=-1).reshape(-1, 3)
     for name, lidar in sensors.lidars.items():
         points = (ground - lidar.body_from_lidar[:3, 3]) @ lidar.body_from_lidar[:3, :3]
         runtime.scan(Cloud(time, name, points, np.zeros(len(points)), np.full(len(points), np.nan)))

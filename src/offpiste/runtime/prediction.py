@@ -28,16 +28,11 @@ KnownGround = Callable[[Float[np.ndarray, "M 2"]], Float[np.ndarray, "M F"]]
 
 @dataclass(frozen=True)
 class Area:
-    """Map layers within reach of a plan, as arrays and as tensors.
-
-    Attributes:
-        stack: stack of one map, with codes as features.
-        codes: codes for `fused_costs`.
-    """
+    """Map layers within reach of a plan, as arrays and as tensors."""
 
     layers: TerrainLayers
-    stack: MapStack
-    codes: Codes
+    stack: MapStack  # of one map, with codes as features
+    codes: Codes  # for `fused_costs`
 
     @property
     def encode(self) -> Encode | None:
@@ -54,14 +49,7 @@ class Area:
 def reachable(
     layers: TerrainLayers, state: Float[np.ndarray, " 6"], target: float, gear: float, margin: float
 ) -> TerrainLayers:
-    """Crop the map to the part that a plan can reach.
-
-    Args:
-        state: state in the world frame (`conventions.STATE`).
-        target: maximum target speed of the course ahead [m/s].
-        gear: 1 forward, -1 reverse.
-        margin: additional margin on all sides [m].
-    """
+    """Crop the map to the part that a plan can reach from a state at a target speed [m/s], with a margin [m]."""
     half = 0.5 * max(float(np.hypot(*state[3:5])), target) * DT * HORIZON_STEPS
     heading = gear * np.array((np.cos(state[2]), np.sin(state[2])))
     centre, half = state[:2] + half * heading, half + margin
@@ -69,41 +57,27 @@ def reachable(
 
 
 def coded_area(layers: TerrainLayers, encoder: FeatureEncoder | None, ground: KnownGround | None = None) -> Area:
-    """Return the area of a map of codes.
-
-    Args:
-        encoder: feature encoder of the model; None if it reads no features.
-        ground: ground-truth features, encoded instead of the map's codes.
-    """
+    """Return the area of a map of codes, or of ground-truth features that the encoder encodes instead."""
     if encoder is None:
         bare = replace(layers, features=layers.features[..., :0])
         stack = stack_maps([bare.terrain_map()])
         return Area(bare, stack, (stack.features[0], torch.zeros(0)))
-    if ground is None:
-        held = torch.from_numpy(np.ascontiguousarray(layers.features, np.float32))
-    else:
-        held = encoder(*_known(layers, ground)).detach().unflatten(0, layers.known.shape)
+    features = layers.features if ground is None else ground(layers.centres.reshape(-1, 2))
+    held = torch.from_numpy(np.ascontiguousarray(features, np.float32))
+    if ground is not None:
+        every = torch.ones(len(held), dtype=torch.bool)
+        held = encoder(held, every).detach().unflatten(0, layers.known.shape)
     codes, missing = coded_map(held, encoder)
     coded = replace(layers, features=codes.numpy())
     return Area(coded, stack_maps([coded.terrain_map()]), (codes, missing))
 
 
-def _known(layers: TerrainLayers, ground: KnownGround) -> tuple[Tensor, Tensor]:
-    features = torch.from_numpy(np.asarray(ground(layers.centres.reshape(-1, 2)), np.float32))
-    return features, torch.ones(len(features), dtype=torch.bool)
-
-
 @dataclass(frozen=True)
 class Prediction:
-    """Predicted trajectory of a plan.
+    """Predicted trajectory of a plan."""
 
-    Attributes:
-        time: start of the plan [s].
-        state: state after each step, in the world frame.
-    """
-
-    time: float
-    state: Float[np.ndarray, "T 6"]
+    time: float  # start of the plan [s]
+    state: Float[np.ndarray, "T 6"]  # after each step, in the world frame
 
     def at(self, time: float) -> Float[np.ndarray, " 6"]:
         """Return the state at the step nearest to a time [s], clamped to the plan."""
@@ -121,8 +95,7 @@ def model_state_of(
 ) -> ModelState:
     """Return the model state at the latest row in the frame at `offset`, warmed up on the rows before.
 
-    Args:
-        gear: gear of rows before the first command.
+    `gear` is that of rows before the first command.
     """
     shift = np.concatenate((offset.numpy(), np.zeros(4)))
     state = torch.as_tensor(rows.state - shift, dtype=torch.float32)

@@ -41,6 +41,9 @@ class Runtime:
     Attributes:
         follower: plans and modes.
         watch: wall-clock times of the stages.
+        events: changes of mode, oldest first.
+        failures: reasons of failed plans.
+        dropped: number of dropped messages by reason.
 
     Raises:
         PlanningError: the model reads features without an extractor, the GPU kernels do not support it, or the risk
@@ -73,7 +76,8 @@ class Runtime:
         )  # fmt: skip
         encoder = None if ground is not None else encoder_on(self._settings.device, dynamics.encoder)
         self._mapper = OnlineMapper(sensors, encoder, self._track, self._settings.replay, self.watch)
-        self._intake = Intake(self._track, actuators, timeouts, self._mapper.dropped)
+        self.events, self.failures, self.dropped = self.follower.events, self._maker.failures, self._mapper.dropped
+        self._intake = Intake(self._track, actuators, timeouts, self.dropped)
         self._plan_due = -np.inf
         self._predictions: deque[Prediction] = deque(maxlen=round(self._settings.remember * self._settings.plan_rate))
 
@@ -83,16 +87,6 @@ class Runtime:
         return self.follower.tracker
 
     @property
-    def events(self) -> list[Event]:
-        """Changes of mode, oldest first."""
-        return self.follower.events
-
-    @property
-    def failures(self) -> list[str]:
-        """Reasons of failed plans."""
-        return self._maker.failures
-
-    @property
     def predictions(self) -> list[Prediction]:
         """Predictions of the last plans, oldest first."""
         return list(self._predictions)
@@ -100,11 +94,6 @@ class Runtime:
     def prediction_at(self, time: float) -> Prediction | None:
         """Return the prediction of the plan that acts at a time [s]; None before the first plan."""
         return next((p for p in reversed(self._predictions) if p.time <= time + 1e-6), None)
-
-    @property
-    def dropped(self) -> dict[str, int]:
-        """Number of dropped messages by reason."""
-        return dict(self._mapper.dropped)
 
     def vehicle(self, reading: VehicleReading) -> None:
         """Add a reading of the vehicle; unusable readings are dropped and counted (`dropped`)."""

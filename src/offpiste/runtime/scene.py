@@ -89,14 +89,14 @@ def read_scene(log: Log, rig: Rig, planner: Planner, seconds: float, settings: M
     """
     model, extractor = planner.dynamics.requires_grad_(False), planner.extractor
     if planner.knows_ground:
-        raise PlanningError(
-            f"'{planner.name}' reads the ground's true properties", how="give a planner of visual features"
-        )
+        what = f"'{planner.name}' reads the ground's true properties"
+        raise PlanningError(what, how="give a planner of visual features")
     sensors = open_sensors(log, rig)
-    now = sensors.poses.span[0] + seconds
-    if now > sensors.poses.span[1]:
-        last = sensors.poses.span[1] - sensors.poses.span[0]
-        raise LogError(f"the poses end before {seconds:g} s", where=log.path, how=f"choose a time up to {last:.1f} s")
+    first, last = sensors.poses.span
+    now = first + seconds
+    if now > last:
+        how = f"choose a time up to {last - first:.1f} s"
+        raise LogError(f"the poses end before {seconds:g} s", where=log.path, how=how)
     cameras = {} if extractor is None else pinhole_cameras(sensors, extractor.patch)
 
     def codes(pixels: np.ndarray) -> np.ndarray:
@@ -120,11 +120,7 @@ def read_scene(log: Log, rig: Rig, planner: Planner, seconds: float, settings: M
 
 
 def track_of(rows: Rows, controls: Sequence[str], t: int) -> TrackRows:
-    """Return rows t-10 ... t of a drive as causal estimates in the world frame.
-
-    Args:
-        controls: names of the control columns; without "gear" the vehicle drives forward.
-    """
+    """Return rows t-10 ... t as causal estimates in the world frame; without a control "gear", driven forward."""
     last = slice(t - HISTORY_STEPS, t + 1)
     state, control = rows.state_causal[last].astype(float), rows.control_causal[last]
     state[:, :2] += rows.origin

@@ -1,6 +1,7 @@
 """Settings of the run time."""
 
 from dataclasses import dataclass, field, replace
+from typing import Final
 
 import numpy as np
 
@@ -15,67 +16,36 @@ from offpiste.planning.costs.weights import CostWeights
 from offpiste.rig.outputs import CommandLimits, Timeouts
 from offpiste.runtime.backing_out import BackingOutSettings
 
+_SAMPLING: Final = mppi.Settings(
+    PEDAL_LIMITS, (0.15, 0.15), samples=512, temperature=3.0, iterations=2,
+    wide=0.3, fresh=0.1, fresh_width=5.0, rest=(0.4, 0.0),
+)  # fmt: skip
+"""Settings of MPPI for pedal and steer."""
+
 
 @dataclass(frozen=True)
 class RuntimeSettings:
-    """Settings of the run time.
+    """Settings of the run time; raises `PlanningError` if rate or latency is no multiple of a step."""
 
-    Attributes:
-        plan_rate: plans per second [Hz].
-        latency: time from the data of a plan to its first control [s]; a multiple of `conventions.DT`.
-        sampling: settings of MPPI for pedal and steer.
-        weights, hazards: costs of planning.
-        risk: treatment of the spread of predictions in the costs (`planning.caution`).
-        replay: settings of the map, as in the model's dataset.
-        timeouts: ages of inputs at which the mode changes.
-        backing_out: manoeuvres of stuck vehicles, for models with a gear.
-        speed: speed limit of plans [m/s]; None for no limit.
-        slow: speed limit while scans are late [m/s].
-        stop: brake of a controlled stop [0..1].
-        forget: age since its start from which a plan is no longer continued [s].
-        gear: gear engaged at the start; 1 forward, -1 reverse.
-        standstill: speed below which the vehicle counts as standing [m/s].
-        arrived: distance from its end at which the course is finished [m].
-        margin: margin around the part of the map that a plan can reach [m].
-        remember: duration for which predictions are kept, at 120 kB/s [s].
-        device: device of encoder and planning, "cpu" or "cuda" (extra `cuda`); the feature extractor stays where it
-            was loaded.
-
-    Raises:
-        PlanningError: rate and latency do not fit the steps of the controls.
-    """
-
-    plan_rate: float = 10.0
-    latency: float = PERCEPTION_LATENCY
-    sampling: mppi.Settings = field(
-        default_factory=lambda: mppi.Settings(
-            PEDAL_LIMITS,
-            (0.15, 0.15),
-            samples=512,
-            temperature=3.0,
-            iterations=2,
-            wide=0.3,
-            fresh=0.1,
-            fresh_width=5.0,
-            rest=(0.4, 0.0),
-        )
-    )
+    plan_rate: float = 10.0  # plans per second [Hz]
+    latency: float = PERCEPTION_LATENCY  # from the data of a plan to its first control [s]; a multiple of `DT`
+    sampling: mppi.Settings = _SAMPLING
     weights: CostWeights = field(default_factory=lambda: CostWeights(path=5.0, slide=3.0))
     hazards: Hazards = field(default_factory=Hazards)
-    risk: Risk = field(default_factory=AsPredicted)
-    replay: MapperSettings = field(default_factory=MapperSettings)
-    timeouts: Timeouts = field(default_factory=Timeouts)
-    backing_out: BackingOutSettings = field(default_factory=BackingOutSettings)
-    speed: float | None = None
-    slow: float = 3.0
-    stop: float = 0.5
-    forget: float = 1.0
-    gear: float = 1.0
-    standstill: float = 0.3
-    arrived: float = 2.0
-    margin: float = 8.0
-    remember: float = 600.0
-    device: str = "cpu"
+    risk: Risk = field(default_factory=AsPredicted)  # treatment of the spread of predictions in the costs
+    replay: MapperSettings = field(default_factory=MapperSettings)  # of the map, as in the model's dataset
+    timeouts: Timeouts = field(default_factory=Timeouts)  # ages of inputs at which the mode changes
+    backing_out: BackingOutSettings = field(default_factory=BackingOutSettings)  # for models with a gear
+    speed: float | None = None  # speed limit of plans [m/s]; None for no limit
+    slow: float = 3.0  # speed limit while scans are late [m/s]
+    stop: float = 0.5  # brake of a controlled stop [0..1]
+    forget: float = 1.0  # age since its start from which a plan is no longer continued [s]
+    gear: float = 1.0  # engaged at the start; 1 forward, -1 reverse
+    standstill: float = 0.3  # speed below which the vehicle counts as standing [m/s]
+    arrived: float = 2.0  # distance from its end at which the course is finished [m]
+    margin: float = 8.0  # margin around the part of the map that a plan can reach [m]
+    remember: float = 600.0  # duration for which predictions are kept, at 120 kB/s [s]
+    device: str = "cpu"  # of encoder and planning, or "cuda" (extra `cuda`); not of the feature extractor
 
     def __post_init__(self) -> None:
         if not 0 <= self.latency <= 1 or not _is_steps(self.latency):
