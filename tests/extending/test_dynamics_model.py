@@ -3,12 +3,9 @@
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from extending.outside import offpiste, succeeded
 from offpiste.core.conventions import DT
-from offpiste.core.errors import RigError
-from offpiste.rig.rig import parse_rig
 
 RIG = """
 name = "tracked"
@@ -68,8 +65,3 @@ def test_a_model_with_controls_of_its_own_is_trained_and_predicts(tmp_path):
     succeeded("train", dataset, "--out", run, *config, extension="skid_steer")
     error = float(succeeded("-c", PREDICT, dataset, run, extension="skid_steer"))
     assert error < 3, "of 18 m driven in 5 s; constant motion is 12 m off"
-
-
-def test_without_the_extension_the_controls_are_refused():
-    with pytest.raises(RigError, match="unknown channel 'left_track'"):
-        parse_rig(RIG, where="rig.toml")

@@ -5,7 +5,7 @@ import pytest
 from extending.outside import succeeded
 from offpiste.core.errors import MapError
 from offpiste.mapping.pipeline import MapSettings
-from offpiste.mapping.voxel_map import FUSION_RULES, VoxelSettings
+from offpiste.mapping.voxel_map import VoxelSettings
 
 MAP = """
 import numpy as np
@@ -30,8 +30,3 @@ def test_an_added_rule_is_compiled_into_the_map_and_read_by_numpy():
 def test_an_unknown_rule_is_refused_with_the_names_of_all():
     with pytest.raises(MapError, match=r"fusion rule 'best' is unknown; use one of: closest, latest, average"):
         MapSettings(VoxelSettings(rule="best"))
-
-
-def test_a_rule_of_a_taken_name_is_refused():
-    with pytest.raises(MapError, match="two fusion rules called 'latest'"):
-        FUSION_RULES.register("latest")(lambda distance, held_distance, count: 1.0)

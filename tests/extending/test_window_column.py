@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from extending.outside import CAR, extracted_car, succeeded
-from offpiste.core.errors import DatasetError, RigError
-from offpiste.dataset.columns import COLUMNS, Column
+from offpiste.core.errors import RigError
 from offpiste.rig.rig import parse_rig
 
 CHANNEL = 'temperature = { fields = ["air"], unit = "degC" }\n'
@@ -48,9 +47,3 @@ def test_an_added_column_goes_from_the_log_into_batches_and_histories(tmp_path):
 def test_without_the_extension_the_channel_is_refused():
     with pytest.raises(RigError, match="unknown channel 'temperature'"):
         parse_rig(CAR + CHANNEL, where="rig.toml")
-
-
-def test_a_column_of_a_taken_name_is_refused():
-    assert "state" in COLUMNS
-    with pytest.raises(DatasetError, match="two columns called 'state'"):
-        COLUMNS.register("state")(Column(read=lambda grid: grid.time))
