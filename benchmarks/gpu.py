@@ -18,7 +18,7 @@ from gpu_timing import Row
 from gpu_training import of_train, of_training
 
 from offpiste.core.errors import OffpisteError
-from offpiste.training.run import pretrained
+from offpiste.training.run import load_run
 
 STAGES = {
     "plans": of_plans,
@@ -63,7 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     print(f"{name}, torch {torch.__version__}, CUDA {torch.version.cuda}", flush=True)
     rows: list[Row] = []
     for stage in given.stages:
-        dynamics = pretrained("proving-ground/dc").dynamics.requires_grad_(False)
+        dynamics = load_run("pretrained:proving-ground/dc").dynamics.requires_grad_(False)
         for row in STAGES[stage](dynamics, device, given):
             rows.append(row)
             given.out.write_text(json.dumps(rows, indent=2) + "\n")

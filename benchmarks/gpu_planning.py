@@ -31,7 +31,7 @@ from offpiste.planning.kernel import encode_map
 from offpiste.planning.mppi import Settings
 from offpiste.runtime.perception import codes_of, encoder_on
 from offpiste.runtime.planner import load_planner
-from offpiste.training.run import pretrained
+from offpiste.training.run import load_run
 from offpiste.uncertainty.fit import load_spread
 
 SAME_CODES = 1e-4
@@ -117,7 +117,7 @@ def loads_of_other_maps(plans: Plans, planner: DevicePlanner, turns: int) -> Cal
 
 def of_spread(dynamics: Dynamics, device: torch.device, given: argparse.Namespace) -> Iterator[Row]:
     """Plans of which the predictions' spread counts a part: they agree with the CPU's, and what they take."""
-    plans = Plans(dynamics, device, given, Caution(load_spread(pretrained("proving-ground/dc")), 1.0))
+    plans = Plans(dynamics, device, given, Caution(load_spread(load_run("pretrained:proving-ground/dc")), 1.0))
     for samples in plans.samples:
         planner, size = plans.planner(samples), f"{samples} x {HORIZON_STEPS}"
         check_planner(planner, *plans.taken)

@@ -11,7 +11,7 @@ from typing import Any
 if "PYTEST_XDIST_WORKER" in os.environ:  # each worker has a core; libraries read this when they are first imported
     os.environ.setdefault("OMP_NUM_THREADS", "1")
 
-# Machine code is kept between sessions, fitted stages are not.
+# Machine code is kept between sessions, copies of datasets are not.
 os.environ.setdefault("NUMBA_CACHE_DIR", str(pathlib.Path(__file__).parents[1] / ".numba_cache"))
 os.environ["OFFPISTE_CACHE"] = (_cache := tempfile.TemporaryDirectory(prefix="offpiste-cache-")).name
 if "PYTEST_XDIST_WORKER" not in os.environ:  # workers inherit it
@@ -79,8 +79,8 @@ SLOW = (
     "reproduction/test_reproduce.py", "runtime/test_compiled_and_loaded.py",
     "core/test_cluster.py::", "dataset/test_place.py::", "test_bombs.py::", "test_poison.py::",
     "test_benchmarks.py::test_inspection", "test_benchmarks.py::test_the_pictures", "test_benchmarks.py::test_training",
-    "test_kill.py::test_a_killed_training_and_simulation", "core/test_object_store.py::test_a_bucket_that_is_not_there",
-    "rig/test_sensors.py::test_the_proving_grounds_rig_masks", "training/test_distributed.py::test_on_two_hosts",
+    "test_kill.py::test_a_killed_training_and_simulation",
+    "rig/test_sensors.py::test_the_proving_grounds_rig_masks", "training/test_distributed.py::test_a_process_that",
 )  # fmt: skip
 """Tests that only `.ci/full` runs, except those in `SMOKE`."""
 

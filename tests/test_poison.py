@@ -18,7 +18,7 @@ from offpiste.evaluation.evaluate import EvaluatedModel, evaluate_models
 from offpiste.perception.backbones import open_backbone
 from offpiste.rig.rig import load_rig
 from offpiste.training.config import TrainConfig
-from offpiste.training.run import load_run, pretrained
+from offpiste.training.run import load_run
 from offpiste.training.train import train
 from offpiste.uncertainty.fit import load_spread
 from offpiste.uncertainty.novelty import load_memory_bank
@@ -92,7 +92,7 @@ def test_models_are_trained_and_evaluated_without_an_unseeded_draw(folder: Path,
 
 def test_what_lies_beside_weights_is_read_without_an_unseeded_draw() -> None:
     with undrawn():
-        run = pretrained("proving-ground/dc")
+        run = load_run("pretrained:proving-ground/dc")
         spread, bank = load_spread(run), load_memory_bank(run)
     assert len(spread.state_dict())
     assert len(bank.kept)

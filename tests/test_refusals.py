@@ -213,7 +213,7 @@ def test_features_of_other_names(copied: Path, good: Path, error_of: Callable[..
 @pytest.mark.parametrize(
     ("words", "why"),
     [
-        (("--codes", "100000"), "--codes is 100000; give 256 or less"),
+        (("--codes", "100000"), "--codes is 100000; give a number from 1 to 256"),
         (("--pca", "6"), "reads 6 terrain features; the dataset has 5"),
         (("--learning-rate", "nan"), "--learning-rate is nan; give a number above 0"),
     ],
@@ -227,7 +227,7 @@ def test_settings_out_of_range(
 def test_impossible_settings() -> None:
     refuse_impossible(TrainConfig(codes=1, pca=0, weights=Weights(yaw=0.0)))
     for settings, why in (
-        ({"codes": 0}, "--codes is 0; give 1 or more"),
+        ({"codes": 0}, "--codes is 0; give a number from 1 to 256"),
         ({"pca": -1}, "--pca is -1; give 0 or more"),
         ({"batch": 0}, "--batch is 0"),
         ({"stride": 0}, "--stride is 0"),

@@ -21,7 +21,7 @@ from offpiste.dynamics.feature_encoder import Compressor, FeatureEncoder, Identi
 from offpiste.exports.c_files import model_header
 from offpiste.exports.formats import ImageOptions, export, refuse_without_kernels
 from offpiste.exports.parity import parity_bytes, parity_case
-from offpiste.training.run import pretrained
+from offpiste.training.run import load_run
 
 SANITIZED = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 """A leak, and an access out of bounds, end the program with an error."""
@@ -128,7 +128,7 @@ def test_what_cannot_be_exported_is_refused(tmp_path, monkeypatch):
         with pytest.raises(OffpisteError, match=f"{option} is for --format onnx"):
             export("pretrained:proving-ground/dc", tmp_path / "new", "c", images)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["mine.txt"]
-    run = pretrained("proving-ground/b")
+    run = load_run("pretrained:proving-ground/b")
     run.dynamics.requires_grad_(True)
     refuse_without_kernels(run)  # a model that still learns its actuators is accepted
     with pytest.raises(RunError, match="'ctrv' has no kernels"):
@@ -155,7 +155,7 @@ class Scaled(FeatureEncoder):
 
 def test_an_encoder_without_c_code_is_refused():
     dynamics = Hybrid(replace(VEHICLE, features=3), encoder=Scaled(3))
-    run = replace(pretrained("proving-ground/b"), dynamics=dynamics)
+    run = replace(load_run("pretrained:proving-ground/b"), dynamics=dynamics)
     with pytest.raises(RunError, match="'b' has no kernels: its encoder is a Scaled"):
         refuse_without_kernels(run)
     with pytest.raises(ValueError, match="no C code of this encoder: its encoder is a Scaled"):

@@ -22,7 +22,7 @@ from offpiste.exports.onnx_files import (
     run_graph,
     sample_images,
 )
-from offpiste.training.run import pretrained
+from offpiste.training.run import load_run
 
 onnx = pytest.importorskip("onnx", reason="the extra onnx is not installed")
 pytest.importorskip("onnxscript", reason="the extra onnx is not installed")
@@ -46,7 +46,7 @@ def test_images_become_the_codes_that_the_run_time_computes(tmp_path):
     for number, image in enumerate(sample_images().numpy()):
         cv2.imwrite(str(pictures / f"{number}.png"), image[..., ::-1])
     export("pretrained:proving-ground/dc", tmp_path / "out", "onnx", ImageOptions(pictures))
-    run = pretrained("proving-ground/dc")
+    run = load_run("pretrained:proving-ground/dc")
     images = sample_images()[[1, 0, 1]]
     found = run_graph(tmp_path / "out" / "codes.onnx", {"images": images})[0]
     features = np.stack([extractor_of(run).extract(image) for image in images.numpy()])
@@ -72,7 +72,7 @@ def test_images_become_the_codes_that_the_run_time_computes(tmp_path):
 
 
 def test_images_of_another_size_have_a_graph_of_their_own(tmp_path):
-    run, size = pretrained("proving-ground/dc"), (203, 121)
+    run, size = load_run("pretrained:proving-ground/dc"), (203, 121)
     export("pretrained:proving-ground/dc", tmp_path / "out", "onnx", ImageOptions(size=size))
     about = json.loads((tmp_path / "out" / "model.json").read_text())
     assert about["image"] == [121, 203, 3]
@@ -92,7 +92,7 @@ def test_a_size_is_two_numbers():
 @pytest.mark.parametrize("channels", ["gear without throttle", "no actuators"])
 def test_what_networks_remember_of_the_past_is_a_graph_for_every_kind_of_vehicle(channels, tmp_path):
     dynamics = example(*CHANNELS[channels], codes=0, kind=Hybrid).float().requires_grad_(False)
-    run, inputs = replace(pretrained("proving-ground/dc"), dynamics=dynamics), past_inputs(dynamics)
+    run, inputs = replace(load_run("pretrained:proving-ground/dc"), dynamics=dynamics), past_inputs(dynamics)
     assert checked_graph(run, tmp_path / "start", PastToMemory(dynamics), inputs, ("hidden", "cell")) < 1e-5
     few = {name: value[:3] for name, value in inputs.items()}
     hidden, cell = run_graph(tmp_path / "start.onnx", few)
@@ -106,8 +106,9 @@ def test_a_graph_that_computes_something_else_and_pictures_of_another_size_are_r
         def forward(self, x):
             return x + (0 if torch.compiler.is_compiling() else 1)
 
+    run = load_run("pretrained:proving-ground/dc")
     with pytest.raises(RunError, match=r"onnxruntime differs from torch by 1\.0e\+00"):
-        checked_graph(pretrained("proving-ground/dc"), tmp_path / "x", Drawn(), {"x": torch.ones(2, 3)}, ("y",))
+        checked_graph(run, tmp_path / "x", Drawn(), {"x": torch.ones(2, 3)}, ("y",))
     cv2.imwrite(str(tmp_path / "small.png"), np.zeros((4, 5, 3), np.uint8))
     with pytest.raises(OffpisteError, match="an image of 5 x 4"):
         read_images(tmp_path, (640, 360))
@@ -115,8 +116,8 @@ def test_a_graph_that_computes_something_else_and_pictures_of_another_size_are_r
 
 def test_runs_without_features_or_with_those_of_another_pca_are_refused():
     with pytest.raises(RunError, match="has no visual features"):
-        extractor_of(replace(pretrained("proving-ground/dc"), pca=None))
+        extractor_of(replace(load_run("pretrained:proving-ground/dc"), pca=None))
     with pytest.raises(RunError, match="its features come from another PCA"):
-        extractor_of(replace(pretrained("proving-ground/dc"), pca="0123456789abcdef"))
+        extractor_of(replace(load_run("pretrained:proving-ground/dc"), pca="0123456789abcdef"))
     with pytest.raises(RunError, match="reads no features"):
-        encoder_of(pretrained("proving-ground/b"))
+        encoder_of(load_run("pretrained:proving-ground/b"))

@@ -3,6 +3,7 @@
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -19,8 +20,8 @@ from offpiste.core.errors import RunError
 from offpiste.dataset import store
 from offpiste.dataset.splits import parse_split
 from offpiste.training.distributed import ALONE, Group, joined
-from training import two_hosts
 
+TORCHRUN = [sys.executable, "-m", "torch.distributed.run"]
 SETTINGS = ["--epochs", "2", "--bicycle-epochs", "2", "--actuator-epochs", "1", "--batch", "33"]
 
 
@@ -53,8 +54,19 @@ def test_two_processes_train_what_one_does(dataset, tmp_path):
     with pytest.raises(SystemExit) as exit_:
         main(["train", str(dataset), "--out", str(tmp_path / "one"), *SETTINGS])
     assert not exit_.value.code
-    launch = [sys.executable, "-m", "torch.distributed.run", "--nproc-per-node", "2", "-m", "offpiste"]
-    command = [*launch, "train", str(dataset), "--out", str(tmp_path / "two"), *SETTINGS, "--ddp"]
+    command = [
+        *TORCHRUN,
+        "--nproc-per-node",
+        "2",
+        "-m",
+        "offpiste",
+        "train",
+        str(dataset),
+        "--out",
+        str(tmp_path / "two"),
+        *SETTINGS,
+        "--ddp",
+    ]
     done = subprocess.run(command, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("model: kept ") == 1
@@ -75,24 +87,28 @@ def test_two_processes_train_what_one_does(dataset, tmp_path):
     assert "holds a run already" in again.stderr
 
 
-@pytest.mark.skipif(not two_hosts.available(), reason="network namespaces cannot be made here: not root")
-def test_on_two_hosts_a_process_that_dies_is_said_on_the_other_and_resuming_goes_on(dataset, tmp_path):
-    def command(name: str, *more: str) -> list[str]:
-        return ["train", str(dataset), "--out", str(tmp_path / name), *SETTINGS, "--epochs", "20", "--ddp", *more]
+def test_a_process_that_dies_on_another_node_is_reported_and_resuming_continues(dataset, tmp_path):
+    """Two nodes of `torchrun`, here on one machine."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = str(free.getsockname()[1])
 
-    with two_hosts.hosts() as names:
-        whole = two_hosts.start(names, command("whole"), tmp_path / "whole.log")
-        assert [process.wait(200) for process in whole] == [0, 0], (tmp_path / "whole.log.0").read_text()
-        killed = two_hosts.start(names, command("killed"), tmp_path / "killed.log")
-        metrics = tmp_path / "killed" / "metrics.jsonl"
-        while killed[0].poll() is None and not (metrics.exists() and metrics.read_text().count("\n") > 5):
-            time.sleep(0.05)
-        os.kill(two_hosts.trains_on(names[1]), signal.SIGKILL)
-        assert all(process.wait(100) for process in killed)
-        said = (tmp_path / "killed.log.0").read_text()
-        assert said.count("another process of this training was lost") == 1
-        assert "[rank0]" not in said, "a traceback"
-        resumed = two_hosts.start(names, command("killed", "--resume"), tmp_path / "resumed.log")
-        assert [process.wait(200) for process in resumed] == [0, 0], (tmp_path / "resumed.log.0").read_text()
+    def start(out: str, *more: str) -> list["subprocess.Popen[str]"]:
+        nodes = [[*TORCHRUN, "--nnodes", "2", "--nproc-per-node", "1", "--node-rank", str(rank)] for rank in range(2)]
+        command = ["--master-addr", "127.0.0.1", "--master-port", port, "-m", "offpiste", "train", str(dataset)]
+        command += ["--out", str(tmp_path / out), *SETTINGS, "--epochs", "20", "--ddp", *more]
+        return [subprocess.Popen([*node, *command], stderr=subprocess.PIPE, text=True) for node in nodes]
+
+    assert [process.wait(200) for process in start("whole")] == [0, 0]
+    killed, metrics = start("killed"), tmp_path / "killed" / "metrics.jsonl"
+    while killed[0].poll() is None and not (metrics.exists() and metrics.read_text().count("\n") > 5):
+        time.sleep(0.05)
+    (worker,) = Path(f"/proc/{killed[1].pid}/task/{killed[1].pid}/children").read_text().split()
+    os.kill(int(worker), signal.SIGKILL)
+    said = killed[0].communicate(timeout=100)[1]
+    assert all(process.wait(100) for process in killed)
+    assert said.count("another process of this training was lost") == 1
+    assert "[rank0]" not in said, "a traceback"
+    assert [process.wait(200) for process in start("killed", "--resume")] == [0, 0]
     ours, theirs = (load_file(tmp_path / name / "model.safetensors") for name in ("whole", "killed"))
     assert all(torch.equal(value, theirs[name]) for name, value in ours.items())

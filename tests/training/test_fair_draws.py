@@ -38,13 +38,8 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     return replace(made, drives=tuple(with_normals(drive) for drive in made.drives))
 
 
-def read_by(model: str, dataset: Dataset) -> list[Batch]:
-    """Batches of an epoch, as a model's stage reads them."""
-    return [batch for _, batch in windows_read_by(model, dataset)]
-
-
-def windows_read_by(model: str, dataset: Dataset) -> list[tuple[np.ndarray, Batch]]:
-    """The same, and which windows they are of."""
+def read_by(model: str, dataset: Dataset) -> list[tuple[np.ndarray, Batch]]:
+    """Windows and batches of an epoch, as a model's stage reads them."""
     module, read = nn.Linear(1, 1), []
 
     class Recording(Windows):
@@ -64,18 +59,18 @@ def test_models_of_one_seed_read_the_same_normals_in_the_same_order(dataset: Dat
     wanted = read_by("b", dataset)
     assert len(wanted) > 1
     for model in ("df", "cf", "dc", "lstm", "parametric"):
-        for mine, theirs in zip(read_by(model, dataset), wanted, strict=True):
+        for (_, mine), (_, theirs) in zip(read_by(model, dataset), wanted, strict=True):
             assert torch.equal(mine.terrain.normal, theirs.terrain.normal), model
             assert torch.equal(mine.terrain.known, theirs.terrain.known), model
             assert torch.equal(mine.history.terrain.normal, theirs.history.terrain.normal), model
 
 
 def test_the_normals_of_a_window_are_of_one_set_which_differs_between_windows(dataset: Dataset) -> None:
-    for batch in read_by("b-hindsight", dataset):
+    for _, batch in read_by("b-hindsight", dataset):
         assert (batch.terrain.normal == torch.tensor([0.0, 0.0, 1.0])).all()
         assert batch.terrain.known.all()
     sets = []
-    for batch in read_by("b", dataset):
+    for _, batch in read_by("b", dataset):
         for normal, known in zip(batch.terrain.normal, batch.terrain.known, strict=True):
             lean = torch.unique(torch.round(100 * torch.asin(normal[known][:, 0])))
             assert len(lean) == 1
@@ -86,7 +81,7 @@ def test_the_normals_of_a_window_are_of_one_set_which_differs_between_windows(da
 def test_features_of_cf_are_of_hindsight_and_those_of_dc_of_the_normals_set(dataset: Dataset) -> None:
     windows = Windows(dataset, "train")
     for model, of_normals in (("cf", False), ("dc", True)):
-        index, batch = windows_read_by(model, dataset)[0]
+        index, batch = read_by(model, dataset)[0]
         drawn = torch.round(100 * torch.asin(batch.terrain.normal[..., 0].flatten(1).amax(dim=1))).long().tolist()
         assert len(set(drawn)) > 3
         for b, (number, row) in enumerate(zip(drawn, windows.row_in_drive(index), strict=True)):

@@ -1,8 +1,5 @@
-"""The training loop: its best epoch and warnings, resuming, and memory that the process keeps."""
+"""The training loop: its best epoch and warnings, and resuming."""
 
-import ctypes
-import subprocess
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -43,29 +40,6 @@ def test_stages_whose_last_epochs_hardly_improve_have_converged() -> None:
     still = BestEpoch.last_of(6, [1.0, 0.5002, 0.5002, 0.5001, 0.5001, 0.5], 6, 0.5)
     assert not list(still.warnings("model"))
     assert BestEpoch.last_of(2, [1.0, 0.5], 2, 0.5).gained is None
-
-
-FAULTS = """
-import resource
-import torch
-from offpiste.training.loop import keep_freed_memory
-
-for keep in (lambda: None, keep_freed_memory):
-    keep()
-    for count in (3, 5):
-        before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
-        for _ in range(count):
-            torch.zeros(16 << 20).fill_(1)
-    print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
-"""
-"""Print the page faults of five blocks of 64 MiB, without and with the setting."""
-
-
-@pytest.mark.skipif(not hasattr(ctypes.CDLL(None), "mallopt"), reason="the allocator is not glibc's")
-def test_pages_of_freed_blocks_are_cleared_once() -> None:
-    printed = subprocess.run([sys.executable, "-c", FAULTS], capture_output=True, check=True, text=True).stdout
-    usual, kept = map(int, printed.split())
-    assert kept < usual / 4
 
 
 @pytest.mark.parametrize("epochs", [1, 4])

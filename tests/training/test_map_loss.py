@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from safetensors.torch import load_file
 from torch import Tensor
 
 from feature_datasets import dataset_with_features, with_snapshots
@@ -16,7 +15,6 @@ from offpiste.core.state import Trajectory
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import MODELS, Dynamics
-from offpiste.training import loop
 from offpiste.training import losses as module
 from offpiste.training.checkpoint import fold_folders
 from offpiste.training.config import TrainConfig
@@ -99,29 +97,6 @@ def test_processes_share_the_windows(dataset: Dataset, validation: Windows, monk
     # Without other processes: what each one adds to the sum.
     monkeypatch.setattr(Group, "sum", lambda self, value: value)
     assert sum(of(Group(rank, 8)) for rank in range(8)) == pytest.approx(alone, rel=1e-6)
-
-
-def test_windows_are_spread_evenly_over_those_with_snapshots(dataset: Dataset, validation: Windows) -> None:
-    few = map_loss(validation, ALONE, most=4)
-    assert few is not None
-    every = np.flatnonzero(validation.maps.snapped)
-    np.testing.assert_array_equal(few.index, every[[0, 5, 9, 14]])
-    bare = replace(dataset, drives=tuple(replace(drive, snapshots=None) for drive in dataset.drives))
-    assert map_loss(Windows(bare, "validation"), ALONE) is None
-
-
-def test_the_best_epoch_on_the_map_is_kept(validation: Windows, tmp_path: Path) -> None:
-    line = torch.nn.Linear(1, 1)
-    scores, seen, lines = iter([4.0, 3.0, 1.0, 2.0]), [], []
-
-    def on_map() -> float:
-        seen.append(line.weight.detach().clone())
-        return next(scores)
-
-    stage = loop.Stage("line", line, lambda batch: line(batch.state[:, 3:4])[:, 0].square(), 3, on_map=on_map)
-    loop.run_stage(stage, validation, validation, QUICK, tmp_path, lines.append)
-    assert torch.equal(load_file(tmp_path / "line.safetensors")["weight"], seen[2])
-    assert [each["validation_loss"] for each in lines] == [3.0, 1.0, 2.0]
 
 
 def test_windows_without_a_snapshot_are_refused(dataset: Dataset) -> None:

@@ -9,7 +9,7 @@ import tyro
 
 from offpiste.cli.entry import COMMANDS
 from offpiste.cli.next_steps import next_line
-from offpiste.core.errors import RunError
+from offpiste.core.errors import RunError, require
 from offpiste.training.config import TrainConfig
 
 _COMPARED = 3
@@ -39,11 +39,10 @@ class Train:
         """Train one run or a run per fold."""
         from offpiste.dataset.store import open_dataset
         from offpiste.training.distributed import ALONE, joined
-        from offpiste.training.loop import check_tensorboard
         from offpiste.training.train import train, train_folds
 
         if self.tensorboard:
-            check_tensorboard()
+            require("tensorboard", "tensorboard")
         dataset = open_dataset(self.dataset)
         if self.folds:
             if self.ddp:

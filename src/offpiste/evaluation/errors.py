@@ -22,7 +22,7 @@ from offpiste.core.state import wrap_angle
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics import Dynamics
 from offpiste.training.losses import summed_loss
-from offpiste.training.prediction import Lookup, batch_for, in_parts, roll_batch_out, roll_out
+from offpiste.training.prediction import Lookup, in_parts, roll_out
 
 HORIZONS = (1, 2, 3, 4, 5)
 """Times of the errors [s after the start]."""
@@ -179,8 +179,7 @@ def errors_of_models(
     for part in track(in_parts(index, windows, lookup), description):
         batch = windows.gather(part)
         for number, (dynamics, weights) in enumerate(models):
-            own = batch_for(dynamics, windows, batch)
-            state = roll_batch_out(dynamics, windows, part, own, lookup).state
+            state = roll_out(dynamics, windows, part, lookup, batch)[1].state
             values[number].append(_absolute_errors(state[:, steps], batch.target[:, steps]))
             losses[number].append(summed_loss(state, batch.target, scale, weights.to(windows.device)))
     drive, row = windows.drive[index], windows.row_in_drive(index)

@@ -25,12 +25,9 @@ def draw_sets(
 def batches_of(
     windows: Windows, parts: Sequence[np.ndarray], draw: Draw | None, rng: np.random.Generator, group: Group
 ) -> Iterator[Batch | None]:
-    """Yield this process's share of each batch, in order; None where it has no window of a batch.
+    """Yield this process's share of each batch, given as indices of windows; None where it has no window of a batch.
 
     Feature sets are drawn in the same order, however far ahead batches are gathered.
-
-    Args:
-        parts: indices of the windows of each batch.
     """
 
     def gathered(index: np.ndarray) -> Batch | None:
@@ -45,10 +42,8 @@ def batches_of(
 def one_ahead(make: Callable[[Item], Made], items: Sequence[Item]) -> Iterator[Made]:
     """Apply a function to items in order, computing the next result while the current one is in use."""
     with ThreadPoolExecutor(max_workers=1) as thread:
-        coming = [thread.submit(make, item) for item in items[:1]]
-        for item in items[1:]:
-            made = coming.pop().result()
-            coming.append(thread.submit(make, item))
+        results = (thread.submit(make, item) for item in items)
+        coming = next(results, None)
+        while coming is not None:
+            made, coming = coming.result(), next(results, None)
             yield made
-        for last in coming:
-            yield last.result()

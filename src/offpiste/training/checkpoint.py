@@ -2,6 +2,7 @@
 
 import json
 import re
+from collections import defaultdict
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -21,11 +22,8 @@ REMEDY: Final = "train again, or restore the file"
 WEIGHTS: Final = "model.safetensors"
 """File with the weights of a run."""
 
-SHARED_STAGES: Final = ("bicycle",)
-"""Stages that do not read terrain features, so that all models of a seed can share their result.
-
-The actuators' stage is shared by a cache (`offpiste.training.actuator_stage`).
-"""
+SHARED_STAGES: Final = ("actuators", "bicycle")
+"""Stages that all models of a seed can share, as they read no terrain features."""
 
 _FOLD: Final = re.compile(r"fold-(\d+)")
 """Names of the runs of a cross-validation."""
@@ -39,13 +37,11 @@ def save_tensors(path: Path, tensors: dict[str, Tensor], **about: Any) -> None:
     write_bytes(path, save(kept, metadata=header))  # safetensors' own writer hides that a disk is full
 
 
-def load_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """Read tensors and JSON values written by `save_tensors`.
-
-    Raises:
-        RunError: no such file, or it is damaged.
-    """
+def load_tensors(path: Path, sha256: str | None = None) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    """Read tensors and JSON values of `save_tensors`; raises `RunError` for a missing, damaged or other file."""
     try:
+        if sha256 is not None:
+            _refuse_changed(path, sha256, sha256_of(path))
         with open_tensors(path, "pt") as file:
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
             about: dict[str, Any] = parsed((file.metadata() or {}).get("about", "{}"))
@@ -62,11 +58,7 @@ def save_beside_weights(path: Path, tensors: dict[str, Tensor], **about: Any) ->
 
 
 def load_beside_weights(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """Read tensors and JSON values written by `save_beside_weights`.
-
-    Raises:
-        RunError: as `load_tensors`, or the weights have changed.
-    """
+    """Read a file of `save_beside_weights`; raises `RunError` also if the weights have changed."""
     tensors, about = load_tensors(path)
     if about.pop("weights_sha256", None) != sha256_of(path.parent / WEIGHTS):
         raise RunError("belongs to other weights", where=path, how="delete it and run `offpiste calibrate` again")
@@ -79,6 +71,7 @@ def sha256_of_tensors(tensors: Mapping[str, Tensor], about: Mapping[str, Any]) -
 
 
 def _refuse_changed(path: Path, written: object, found: str) -> None:
+    """Raise `RunError` if the digest stated for a file is missing or differs from its own."""
     if written != found:
         what = "has no checksum" if written is None else "is damaged: its checksum differs"
         raise RunError(what, where=path, how=REMEDY)
@@ -91,11 +84,7 @@ def save_json(path: Path, content: dict[str, Any]) -> None:
 
 
 def load_json(path: Path) -> dict[str, Any]:
-    """Read a JSON object written by `save_json`.
-
-    Raises:
-        RunError: no such file, not a JSON object, or it is damaged.
-    """
+    """Read a JSON object of `save_json`; raises `RunError` for a missing or damaged file."""
     try:
         content = parsed(read_small(path))
     except (OSError, ValueError) as error:
@@ -106,25 +95,8 @@ def load_json(path: Path) -> dict[str, Any]:
     return content
 
 
-def refuse_other_file(path: Path, digest: str) -> None:
-    """Check that a file of a run has the digest stated in its JSON.
-
-    Raises:
-        RunError: the file is missing, or its digest differs.
-    """
-    try:
-        found = sha256_of(path)
-    except OSError as error:
-        raise RunError(f"cannot be read: {error}", where=path, how=REMEDY) from error
-    _refuse_changed(path, digest, found)
-
-
 def load_weights(module: nn.Module, tensors: dict[str, Tensor], where: Path) -> None:
-    """Load weights into a module.
-
-    Raises:
-        RunError: they belong to another model.
-    """
+    """Load weights into a module; raises `RunError` if they belong to another model."""
     try:
         module.load_state_dict(tensors)
     except RuntimeError as error:
@@ -135,7 +107,7 @@ def load_weights(module: nn.Module, tensors: dict[str, Tensor], where: Path) -> 
 def save_checkpoint(
     path: Path, weights: dict[str, dict[str, Tensor]], optimiser: torch.optim.Optimizer, **about: Any
 ) -> None:
-    """Write weights and an optimiser's state."""
+    """Write named weights, as NAME.PARAMETER, and an optimiser's state, as optimiser.NUMBER.KEY."""
     state = optimiser.state_dict()
     named = weights | {f"optimiser.{number}": values for number, values in state["state"].items()}
     tensors = {f"{name}.{key}": value for name, values in named.items() for key, value in values.items()}
@@ -145,22 +117,19 @@ def save_checkpoint(
 def load_checkpoint(
     path: Path, optimiser: torch.optim.Optimizer
 ) -> tuple[dict[str, dict[str, Tensor]], dict[str, Any]]:
-    """Read weights and JSON values written by `save_checkpoint`, and restore the optimiser's state.
-
-    Raises:
-        RunError: no such file, or it is damaged or belongs to another optimiser.
-    """
+    """Read weights and JSON values of `save_checkpoint`, and restore the state of the optimiser if it is the same."""
     tensors, about = load_tensors(path)
-    weights: dict[str, dict[str, Tensor]] = {}
+    weights: dict[str, dict[str, Tensor]] = defaultdict(dict)
+    state: dict[int, dict[str, Tensor]] = defaultdict(dict)
     for name, value in tensors.items():
-        head, rest = name.split(".", 1)
-        weights.setdefault(head, {})[rest] = value
-    state: dict[int, dict[str, Tensor]] = {}
-    for name, value in weights.pop("optimiser", {}).items():
-        number, key = name.split(".", 1)
-        state.setdefault(int(number), {})[key] = value
+        kind, rest = name.split(".", 1)
+        if kind == "optimiser":
+            number, key = rest.split(".", 1)
+            state[int(number)][key] = value
+        else:
+            weights[kind][rest] = value
     try:
-        optimiser.load_state_dict({"state": state, "param_groups": about.pop("param_groups")})
+        optimiser.load_state_dict({"state": dict(state), "param_groups": about.pop("param_groups")})
     except (KeyError, ValueError) as error:
         raise RunError(f"does not fit the optimiser: {error}", where=path, how="train again") from error
     return weights, about
@@ -173,11 +142,7 @@ def fold_folders(folder: Path) -> list[Path]:
 
 
 def refuse_other_folder(folder: Path) -> None:
-    """Check that a folder may become a run: it does not exist, or holds only folds, shared stages and partial files.
-
-    Raises:
-        RunError: it holds other files, which might be overwritten.
-    """
+    """Raise `RunError` if a folder holds more than folds, shared stages and partial files, which are removed."""
     stages = {f"{stage}.safetensors" for stage in SHARED_STAGES}
     for name in (each.name for each in folder.glob("*")):
         if not (name in stages or name.endswith(PARTIAL) or _FOLD.fullmatch(name)):

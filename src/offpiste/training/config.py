@@ -72,32 +72,22 @@ class TrainConfig:
 
 
 def refuse_impossible(config: TrainConfig) -> None:
-    """Check the numbers of a training.
-
-    Raises:
-        RunError: names the setting and its limit.
-    """
-    least = {"codes": 1, "pca": 0, "epochs": 1, "bicycle_epochs": 1, "actuator_epochs": 1, "batch": 1, "stride": 1}
-    for name, limit in (least | {"seed": 0}).items():
-        if getattr(config, name) < limit:
-            _refuse(name, getattr(config, name), f"{limit} or more")
-    if config.seed >= 1 << 63:
-        _refuse("seed", config.seed, "a number below 2^63")
-    if config.codes > MOST_CODES:
-        _refuse("codes", config.codes, f"{MOST_CODES} or less; the paper takes 1 to 16")
-    for name in ("learning_rate", "constants_learning_rate", "gradient_clip"):
-        if not 0 < getattr(config, name) < math.inf:
-            _refuse(name, getattr(config, name), "a number above 0")
-    if config.min_speed is not None and not 0 <= config.min_speed < math.inf:
-        _refuse("min_speed", config.min_speed, "a speed of 0 or more [m/s]")
+    """Raise `RunError` with the name and limit of a setting that is out of range."""
+    at_least_one = ("epochs", "bicycle_epochs", "actuator_epochs", "batch", "stride")
+    positive = ("learning_rate", "constants_learning_rate", "gradient_clip")
+    for name, good, allowed in (
+        ("codes", 1 <= config.codes <= MOST_CODES, f"a number from 1 to {MOST_CODES}; the paper takes 1 to 16"),
+        ("pca", config.pca >= 0, "0 or more"),
+        ("seed", 0 <= config.seed < 1 << 63, "0 or more, below 2^63"),
+        *((name, getattr(config, name) >= 1, "1 or more") for name in at_least_one),
+        *((name, 0 < getattr(config, name) < math.inf, "a number above 0") for name in positive),
+        ("min_speed", config.min_speed is None or 0 <= config.min_speed < math.inf, "a speed of 0 or more [m/s]"),
+    ):
+        if not good:
+            raise RunError(f"--{name.replace('_', '-')} is {getattr(config, name):g}", how=f"give {allowed}")
     weights = config.weights.in_order()
     if not (all(0 <= weight < math.inf for weight in weights) and any(weights)):
         raise RunError(f"weights of the loss are {weights}", how="give numbers of 0 or more, and one above 0")
-
-
-def _refuse(name: str, value: int | float, allowed: str) -> None:
-    option = "--" + name.replace("_", "-")
-    raise RunError(f"{option} is {value:g}", how=f"give {allowed}")
 
 
 def other_settings(before: dict[str, Any], now: dict[str, Any]) -> str:

@@ -19,12 +19,7 @@ TIMEOUT = timedelta(minutes=30)
 
 @dataclass(frozen=True)
 class Group:
-    """Processes of a training.
-
-    Attributes:
-        rank: number of this process; process 0 writes files.
-        size: number of processes.
-    """
+    """Processes of a training: number of this one, and of all."""
 
     rank: int = 0
     size: int = 1
@@ -52,16 +47,14 @@ class Group:
         if self.size == 1:
             return
         summed = list(parameters)
-        flat = torch.cat([(torch.zeros_like(p) if p.grad is None else p.grad).flatten() for p in summed])
-        with _with_the_others():
-            dist.all_reduce(flat)
+        flat = self.sum(torch.cat([(torch.zeros_like(p) if p.grad is None else p.grad).flatten() for p in summed]))
         for parameter, part in zip(summed, flat.split([p.numel() for p in summed]), strict=True):
             parameter.grad = part.view_as(parameter).clone()
 
     def together(self, error: OffpisteError | None) -> None:
         """Wait for all processes, and raise in all of them the error of the first, if any."""
         if self.size > 1:
-            message: list[OffpisteError | None] = [error]
+            message = [error]
             with _with_the_others():
                 dist.broadcast_object_list(message, src=0)
             error = message[0]
@@ -74,22 +67,19 @@ ALONE = Group()
 
 @contextmanager
 def joined(device: str) -> Iterator[Group]:
-    """Join the group of processes started by `torchrun`.
-
-    Args:
-        device: "cpu" communicates by gloo, "cuda" by NCCL; each process uses the GPU of its local rank.
+    """Join the group of processes of `torchrun`: by gloo on the CPU, by NCCL with the GPU of each local rank.
 
     Raises:
         RunError: not started by `torchrun`, or another process was lost.
     """
     if not {"RANK", "WORLD_SIZE", "MASTER_ADDR"} <= set(os.environ):
-        raise RunError(
-            "--ddp needs several processes", how="start it as `torchrun --nproc-per-node 2 -m offpiste train ... --ddp`"
-        )
-    if device.startswith("cuda"):
+        how = "start it as `torchrun --nproc-per-node 2 -m offpiste train ... --ddp`"
+        raise RunError("--ddp needs several processes", how=how)
+    on_gpu = device.startswith("cuda")
+    if on_gpu:
         torch.cuda.set_device(int(os.environ.get("LOCAL_RANK", "0")))
     with _with_the_others():
-        dist.init_process_group("nccl" if device.startswith("cuda") else "gloo", timeout=TIMEOUT)
+        dist.init_process_group("nccl" if on_gpu else "gloo", timeout=TIMEOUT)
     try:
         yield Group(dist.get_rank(), dist.get_world_size())
     finally:

@@ -23,41 +23,36 @@ def check_paths(paths: Sequence[Path]) -> list[str]:
     """Log and return the damage of runs, datasets and PCA files, one line each.
 
     Raises:
-        OffpisteError: a path is none of these, and contains none.
+        OffpisteError: a path does not exist, or is and contains none of these.
     """
     checks = {path: list(_checks_of(path)) for path in map(run_folder, paths)}
     for path, found in checks.items():
         if not found:
             raise OffpisteError("is not a run, dataset or PCA, and contains none", where=path, how="name one of these")
-    damaged: dict[Path, list[str]] = {path: [] for path in checks}
+    # Keys, as several checks may meet the same damaged file.
+    damaged: dict[Path, dict[str, None]] = {path: {} for path in checks}
     for path, check in track([(path, check) for path, found in checks.items() for check in found], "check"):
-        damaged[path] += check.damage()
+        damaged[path] |= dict.fromkeys(check.damage())
     for path, lines in damaged.items():
-        size = sum(file.stat().st_size for file in (path.rglob("*") if path.is_dir() else [path]) if file.is_file())
-        for line in dict.fromkeys(lines):  # several checks may meet the same damaged file
+        size = sum(file.stat().st_size for file in (path, *path.rglob("*")) if file.is_file())
+        for line in lines or [f"{path}: {size / 1e6:.1f} MB are intact"]:
             logger.info(line)
-        if not lines:
-            logger.info(f"{path}: {size / 1e6:.1f} MB are intact")
-    return [line for lines in damaged.values() for line in dict.fromkeys(lines)]
+    return [line for lines in damaged.values() for line in lines]
 
 
 def _checks_of(path: Path) -> Iterator[Check]:
-    """Yield the checks of everything at a path.
-
-    Raises:
-        OffpisteError: the path does not exist.
-    """
     if not path.exists():
         raise OffpisteError("does not exist", where=path, how="name a run, a dataset or a PCA file")
+    about = [path / name for name in ("config.json", "model.json") if (path / name).exists()]
     if path.is_file():
         if _may_be_pca(path):
             yield Check(path, load_pca)
     elif (path / "zarr.json").exists() or (path / CHECKSUMS).exists():
         yield from dataset_checks(path)
-    elif (path / "config.json").exists() or (path / "model.json").exists():
+    elif about:
         yield from (Check(file, load_tensors) for file in sorted(path.glob("*.safetensors")))
-        yield from (Check(path / name, load_json) for name in ("config.json", "model.json") if (path / name).exists())
-        if (path / "model.json").exists():
+        yield from (Check(file, load_json) for file in about)
+        if path / "model.json" in about:
             yield Check(path, load_run)
     else:
         for below in sorted(path.iterdir()):

@@ -45,6 +45,9 @@ _CONVERGED: Final = 0.01
 EPOCH_SETTINGS: Final = {"bicycle": "bicycle_epochs", "model": "epochs"}
 """Setting with the number of epochs, by name of the stage; the actuators always converge."""
 
+_CHECKPOINTED: Final = ("epoch", "losses", "best_epoch", "best_score")
+"""Attributes of a `StageState` in a checkpoint, besides weights and optimiser."""
+
 Metrics = dict[str, float | int | str]
 """Numbers of one epoch, with the name of its stage and its number."""
 
@@ -54,19 +57,12 @@ Record = Callable[[Metrics], None]
 
 @dataclass(frozen=True)
 class BestEpoch:
-    """Epoch with the least validation loss.
+    """Epoch with the least validation loss."""
 
-    Attributes:
-        epoch: its number, from 1; 0: the initial weights.
-        epochs: number of epochs of the stage.
-        validation_loss: of that epoch.
-        gained: relative improvement over the last epochs; None if there were too few.
-    """
-
-    epoch: int
-    epochs: int
+    epoch: int  # its number, from 1; 0: the initial weights
+    epochs: int  # number of epochs of the stage
     validation_loss: float
-    gained: float | None = None
+    gained: float | None = None  # relative improvement over the last epochs; None if there were too few
 
     @classmethod
     def last_of(cls, epoch: int, losses: Sequence[float], epochs: int, best: float) -> "BestEpoch":
@@ -103,46 +99,18 @@ class BestEpoch:
             )
 
 
-def metrics_of(path: Path) -> list[Metrics]:
-    """Read the epochs of a file of JSON lines; empty if there is no file."""
-    return [json.loads(text) for text in path.read_text("utf-8").splitlines()] if path.exists() else []
-
-
-def write_metrics(path: Path, lines: Sequence[Metrics]) -> None:
-    """Add epochs to a file of JSON lines, replacing those already there."""
-    new = {(line["stage"], line["epoch"]) for line in lines}
-    others = [line for line in metrics_of(path) if (line["stage"], line["epoch"]) not in new]
-    write_text(path, "".join(json.dumps(line) + "\n" for line in [*others, *lines]))
-
-
-def check_tensorboard() -> None:
-    """Check that TensorBoard is installed.
-
-    Raises:
-        MissingExtra: it is not.
-    """
-    with extra("tensorboard"):
-        import torch.utils.tensorboard  # noqa: F401
-
-
 def metrics_writer(folder: Path, *, tensorboard: bool = False) -> Record:
-    """Return a function that logs an epoch and adds it to `metrics.jsonl` in a run's folder.
-
-    Args:
-        tensorboard: whether to write scalars for TensorBoard, too.
-
-    Raises:
-        MissingExtra: TensorBoard is needed and not installed.
-    """
-    writer = None
+    """Return a function that logs an epoch and adds it to `metrics.jsonl` in a run's folder, and to TensorBoard."""
+    writer, path = None, folder / "metrics.jsonl"
     if tensorboard:
-        check_tensorboard()
-        from torch.utils.tensorboard import SummaryWriter
-
+        with extra("tensorboard"):
+            from torch.utils.tensorboard import SummaryWriter
         writer = SummaryWriter(folder / "tensorboard")
 
     def record(line: Metrics) -> None:
-        write_metrics(folder / "metrics.jsonl", [line])
+        before = path.read_text("utf-8").splitlines() if path.exists() else []
+        others = [each for each in map(json.loads, before) if any(each[key] != line[key] for key in ("stage", "epoch"))]
+        write_text(path, "".join(json.dumps(each) + "\n" for each in [*others, line]))
         logger.info(
             f"{line['stage']:>10} {line['epoch']:>3}  train {line['train_loss']:.4f}  "
             f"validation {line['validation_loss']:.4f}  {line['seconds']:.1f} s"
@@ -246,10 +214,7 @@ def run_stage(
 
 
 def keep_freed_memory() -> None:
-    """Let glibc's allocator reuse large blocks, which saves a tenth of each step (clearing pages).
-
-    Affects the whole process; does nothing with other allocators.
-    """
+    """Let glibc's allocator reuse large blocks in the whole process, which saves a tenth of each step."""
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
     if mallopt is not None:
         mallopt(-3, 1 << 30)  # M_MMAP_THRESHOLD: smaller blocks come from the heap
@@ -290,16 +255,16 @@ class StageState:
 
     def save(self, path: Path) -> None:
         """Write the checkpoint."""
-        weights = {"now": self._weights(), "best": self.best}
-        best = {"best_score": self.best_score, "best_epoch": self.best_epoch}
-        save_checkpoint(path, weights, self.optimiser, epoch=self.epoch, losses=self.losses, **best)
+        about = {name: getattr(self, name) for name in _CHECKPOINTED}
+        save_checkpoint(path, {"now": self._weights(), "best": self.best}, self.optimiser, **about)
 
     def restore(self, path: Path) -> None:
         """Continue from a checkpoint."""
         weights, about = load_checkpoint(path, self.optimiser)
         load_weights(self.module, weights["now"], path)
-        self.best, self.best_score, self.epoch = weights["best"], about["best_score"], about["epoch"]
-        self.best_epoch, self.losses = about["best_epoch"], about["losses"]
+        self.best = weights["best"]
+        for name in _CHECKPOINTED:
+            setattr(self, name, about[name])
 
     def _weights(self) -> dict[str, Tensor]:
         return {name: value.detach().clone() for name, value in self.module.state_dict().items()}

@@ -1,4 +1,4 @@
-"""Losses of training: registered by name, their units and weights, the validation loss on maps, the actuators' loss."""
+"""Losses of training: registered by name, their units and weights, and the validation loss on maps."""
 
 from collections.abc import Callable
 from copy import deepcopy
@@ -16,8 +16,6 @@ from offpiste.core.registry import Registry
 from offpiste.core.state import Trajectory, wrap_angle
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import Dynamics
-from offpiste.dynamics.actuators import Actuators
-from offpiste.dynamics.kernels.actuators import rollout_actuators, supports_actuators
 from offpiste.dynamics.kernels.map_rollout import predict_on
 from offpiste.mapping.terrain_sampler import CellStack, MapTerrain
 from offpiste.training.config import TrainConfig
@@ -40,19 +38,10 @@ MAP_WINDOWS: Final = 300
 """Largest number of windows that an epoch is chosen by on maps."""
 
 CORRIDOR: Final = 10.0
-"""Distance from the recorded path within which cells of a map are kept in memory [m].
-
-Predictions further away find unknown ground. A window takes some 2 MB with 40 features.
-"""
+"""Distance from the recorded path within which cells of a map are known and in memory [m], some 2 MB a window."""
 
 EVERY: Final = 10
 """Rows between the points of the path around which the corridor is laid."""
-
-FITTED_STEPS: Final = 100
-"""Steps of the actuators' loss, 2 s: actuators settle within a second or two."""
-
-_SAMPLED: Final = 512
-"""Number of windows that the actuators' variances are computed from."""
 
 Loss = Callable[[Float[Tensor, "B T 5"], Float[Tensor, " 5"]], Float[Tensor, " B"]]
 """Maps squared errors by window, step and component, and a weight for each component, to the loss of each window."""
@@ -93,12 +82,7 @@ def summed_loss(
     scale: Float[Tensor, " 5"],
     weights: Float[Tensor, " 5"],
 ) -> Float[Tensor, " B"]:
-    """Return the squared loss of each window, by which models are evaluated.
-
-    Args:
-        scale: mean square error of the reference (`loss_scale`).
-        weights: weight of each component (`Weights.in_order`), on the same device.
-    """
+    """Return the squared loss of each window, by which models are evaluated, in units of `loss_scale`."""
     return squared_loss(squared_errors(predicted, target), (weights / scale).to(target.device))
 
 
@@ -129,16 +113,11 @@ class MapLoss:
     """Mean loss over validation windows, each read on its own map at predicted places.
 
     Maps are read from disk once, on first use; features are encoded as wheels reach them.
-
-    Attributes:
-        windows: validation windows, on the CPU, whose kernels read maps.
-        index: indices of the windows used.
-        group: processes that share the windows.
     """
 
-    windows: Windows
-    index: Int[np.ndarray, " n"]
-    group: Group
+    windows: Windows  # validation windows, on the CPU, whose kernels read maps
+    index: Int[np.ndarray, " n"]  # indices of the windows used
+    group: Group  # processes that share the windows
 
     @torch.no_grad()
     def of(self, dynamics: Dynamics, loss: WindowLoss) -> float:
@@ -148,8 +127,7 @@ class MapLoss:
         if len(self._mine):
             dynamics = dynamics if trained == here else deepcopy(dynamics).to(here)
             batch, maps = self.kept
-            number = torch.arange(len(self._mine), device=self.windows.device)
-            places = self.windows.places(self._mine)
+            number, places = torch.arange(len(self._mine), device=here), self.windows.places(self._mine)
             source = MapTerrain(maps, number, places, self.windows.wheels, dynamics.encoder)
             batch = with_past_on(source, batch)
             start = dynamics.start(batch.history, batch.state, batch.actuators)
@@ -170,48 +148,11 @@ class MapLoss:
 
 
 def map_loss(windows: Windows, group: Group, *, most: int = MAP_WINDOWS) -> MapLoss | None:
-    """Return the loss on `most` evenly spread windows with a map snapshot; None if there is no snapshot.
-
-    Args:
-        windows: all windows of a part; those on a GPU are opened again on the CPU.
-    """
+    """Return the loss on `most` evenly spread windows of a part with a map snapshot; None if there is no snapshot."""
     snapped = np.flatnonzero(windows.maps.snapped)
     if not len(snapped):
         return None
-    if windows.device.type != "cpu":
+    if windows.device.type != "cpu":  # kernels that read maps run on the CPU
         windows = Windows(windows.dataset, windows.part, start=windows.start, horizon=windows.horizon)
     chosen = np.unique(np.linspace(0, len(snapped) - 1, min(most, len(snapped))).round().astype(int))
     return MapLoss(windows, snapped[chosen], group)
-
-
-def actuator_loss(actuators: Actuators, windows: Windows) -> Callable[[Batch], Float[Tensor, " B"]]:
-    """Return the squared errors of the recorded actuators over `FITTED_STEPS`, each over its variance in training.
-
-    The actuators alone are rolled out, along the recorded speed.
-    """
-    vehicle = actuators.vehicle
-    present = [index for index, name in enumerate(vehicle.actuator_columns) if name in vehicle.actuators]
-    variance = actuator_variance(windows)[present]
-
-    def loss(batch: Batch) -> Tensor:
-        predicted = roll_actuators(actuators, batch)[..., present]
-        error = (predicted - batch.target_actuators[:, :FITTED_STEPS, present]).square() / variance
-        return error.mean(dim=1).sum(dim=-1)
-
-    return loss
-
-
-def actuator_variance(windows: Windows) -> Float[Tensor, " A"]:
-    """Return the variance of each recorded actuator over evenly spread windows."""
-    spread = np.unique(np.linspace(0, len(windows) - 1, min(len(windows), _SAMPLED)).astype(int))
-    return windows.gather(spread).target_actuators.flatten(0, 1).var(dim=0).clamp(min=1e-6)
-
-
-def roll_actuators(actuators: Actuators, batch: Batch) -> Float[Tensor, "B S A"]:
-    """Predict the actuators over the first `FITTED_STEPS` steps along the recorded speed; by kernels if supported."""
-    speed = torch.cat((batch.state[:, None, 3], batch.target[:, :-1, 3]), dim=1)[:, :FITTED_STEPS]
-    control = batch.control[:, :FITTED_STEPS]
-    start = batch.actuators, actuators.start(batch.history)
-    if supports_actuators(actuators, control.device, control.dtype):
-        return rollout_actuators(actuators, control, speed, *start)
-    return actuators.rollout(*start, control, speed)

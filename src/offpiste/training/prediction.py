@@ -68,32 +68,36 @@ def predict_windows(dynamics: Dynamics, windows: Windows, lookup: Lookup = "reco
 def joined(parts: Sequence[Joined]) -> Joined:
     """Concatenate dataclasses of tensors, field by field."""
     kind: Any = type(parts[0])
-    whole: Joined = kind(*(torch.cat(values) for values in zip(*(vars(part).values() for part in parts), strict=True)))
-    return whole
+    return kind(*(torch.cat(values) for values in zip(*(vars(part).values() for part in parts), strict=True)))
 
 
 def in_parts(
     index: Int[np.ndarray, " n"], windows: Windows, lookup: Lookup | None, size: int | None = None
 ) -> list[np.ndarray]:
-    """Split indices of windows into parts that are rolled out together.
-
-    Args:
-        size: of a part; None: as fits in memory.
-    """
+    """Split indices of windows into parts that are rolled out together, of a size or as fits in memory."""
     size = size or (AT_ONCE_ON_SNAPSHOTS if lookup == "map" and windows.maps.snapped.any() else AT_ONCE)
     return [index[first : first + size] for first in range(0, len(index), size)]
 
 
 def roll_out(
-    dynamics: Dynamics, windows: Windows, index: Int[np.ndarray, " B"], lookup: Lookup | None
+    dynamics: Dynamics,
+    windows: Windows,
+    index: Int[np.ndarray, " B"],
+    lookup: Lookup | None,
+    gathered: Batch | None = None,
 ) -> tuple[Batch, Trajectory]:
-    """Gather windows into a batch and predict them.
+    """Predict windows, and return them as a batch in the model's columns with the prediction.
 
     Args:
         lookup: None for models that do not read the terrain.
+        gathered: the windows if they are gathered already.
     """
-    batch = batch_for(dynamics, windows, windows.gather(index))
-    return batch, roll_batch_out(dynamics, windows, index, batch, lookup)
+    batch = batch_for(dynamics, windows, windows.gather(index) if gathered is None else gathered)
+    if lookup != "map":
+        return batch, predict_batch(dynamics, batch)
+    read, source = on_map(dynamics, windows, index, encoded(dynamics, batch))
+    start = dynamics.start(read.history, read.state, read.actuators)
+    return batch, predict_on(dynamics, start, read.control, source)
 
 
 def batch_for(dynamics: Dynamics, windows: Windows, batch: Batch) -> Batch:
@@ -111,33 +115,8 @@ def batch_for(dynamics: Dynamics, windows: Windows, batch: Batch) -> Batch:
     return replace(batch, history=past, control=chosen(batch.control))
 
 
-def roll_batch_out(
-    dynamics: Dynamics,
-    windows: Windows,
-    index: Int[np.ndarray, " B"],
-    batch: Batch,
-    lookup: Lookup | None,
-) -> Trajectory:
-    """Predict a batch of windows.
-
-    Args:
-        index: indices of the windows in the batch.
-        batch: in the model's columns (`batch_for`).
-        lookup: None for models that do not read the terrain.
-    """
-    if lookup != "map":
-        return predict_batch(dynamics, batch)
-    batch, source = on_map(dynamics, windows, index, encoded(dynamics, batch))
-    start = dynamics.start(batch.history, batch.state, batch.actuators)
-    return predict_on(dynamics, start, batch.control, source)
-
-
 def encoded(dynamics: Dynamics, batch: Batch) -> Batch:
-    """Return a batch with the recorded ground's features encoded by a model, each cell once.
-
-    Raises:
-        DatasetError: the model reads features and the dataset has none.
-    """
+    """Return a batch with the recorded ground's features encoded by a model that reads them, each cell once."""
     encoder = dynamics.encoder
     if encoder is None:
         return batch
@@ -199,14 +178,10 @@ class PathTerrain:
     """Surface normals of the recorded path at its point nearest to the predicted place.
 
     Reading the normal of row t at step t would give away how far the vehicle went.
-
-    Attributes:
-        position: points of the path relative to each window's start [m]; infinite where there is none.
-        normal: surface normals there in the world frame, the same under all wheels; NaN where unknown.
     """
 
-    position: Float[Tensor, "B P 2"]
-    normal: Float[Tensor, "B P 3"]
+    position: Float[Tensor, "B P 2"]  # points of the path relative to each window's start [m]; infinite if none
+    normal: Float[Tensor, "B P 3"]  # normals there in the world frame, the same under all wheels; NaN if unknown
 
     def at(self, t: int, state: Float[Tensor, "B 6"]) -> Terrain:
         """Return the ground at the predicted place; `t` is not used."""
@@ -219,15 +194,10 @@ class PathTerrain:
 def on_map(
     dynamics: Dynamics, windows: Windows, index: Int[np.ndarray, " B"], batch: Batch
 ) -> tuple[Batch, TerrainSource]:
-    """Return the ground as a planner reads it: on the map or, without a map, the slope of the driven path.
+    """Return an encoded batch and the source of the ground ahead as a planner reads it: the map at the window's start.
 
-    The ground under the wheels before the start is read from the map as well: hindsight would know more.
-
-    Args:
-        batch: of the same windows, encoded.
-
-    Returns:
-        the batch with its past read on the map, and the source of the ground ahead.
+    Without any map, this is the slope of the driven path. The ground under the wheels before the start is read from the
+    map as well: hindsight would know more.
 
     Raises:
         DatasetError: a drive has no map although the dataset has features or other maps, or a window starts without a
@@ -235,16 +205,6 @@ def on_map(
     """
     if not windows.dataset.features and not windows.maps.kept:
         return batch, PathTerrain(*windows.path(index))
-    source = map_terrain(dynamics, windows, index)
-    return with_past_on(source, batch), source
-
-
-def map_terrain(dynamics: Dynamics, windows: Windows, index: Int[np.ndarray, " B"]) -> MapTerrain:
-    """Return the maps of windows, encoded by a model where wheels reach them.
-
-    Raises:
-        DatasetError: a drive has no map, or a window starts without a snapshot of it.
-    """
     if windows.maps.snapped.any() or windows.maps.snapshots_elsewhere:
         lacking = int((~windows.maps.snapped[index]).sum())
         if lacking:
@@ -256,7 +216,8 @@ def map_terrain(dynamics: Dynamics, windows: Windows, index: Int[np.ndarray, " B
         name = windows.drive_names[windows.drive[index][number < 0][0]]
         raise DatasetError(f"drive '{name}' has no map", how="extract it again")
     numbers = torch.as_tensor(number, device=windows.device)
-    return MapTerrain(maps, numbers, windows.places(index), windows.wheels, dynamics.encoder)
+    source = MapTerrain(maps, numbers, windows.places(index), windows.wheels, dynamics.encoder)
+    return with_past_on(source, batch), source
 
 
 def with_past_on(source: TerrainSource, batch: Batch) -> Batch:

@@ -1,7 +1,7 @@
 """Trained models on disk (runs): building, loading and saving them, and whether one may be evaluated on a dataset."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -24,15 +24,7 @@ from offpiste.dataset.store import Dataset, StoredDrive
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics import MODELS, Dynamics, Vehicle
 from offpiste.rig.rig import Vehicle as RigVehicle
-from offpiste.training.checkpoint import (
-    WEIGHTS,
-    load_json,
-    load_tensors,
-    load_weights,
-    refuse_other_file,
-    save_json,
-    save_tensors,
-)
+from offpiste.training.checkpoint import WEIGHTS, load_json, load_tensors, load_weights, save_json, save_tensors
 from offpiste.training.config import MOST_CODES, TrainConfig, Weights
 from offpiste.training.loop import BestEpoch
 from offpiste.training.losses import COMPONENTS, LARGEST_SCALE
@@ -49,11 +41,7 @@ _MOST_FEATURES: Final = 1 << 16
 
 
 def vehicle_of(dataset: Dataset, config: TrainConfig | None = None) -> Vehicle:
-    """Return the vehicle of a dataset as models describe it.
-
-    Args:
-        config: with the number of features to read and the length of the code.
-    """
+    """Return the vehicle of a dataset for models with the features and code length of a training."""
     rig, config = dataset.rig, config or TrainConfig()
     return Vehicle(
         mass=rig.vehicle.mass,
@@ -70,14 +58,12 @@ def vehicle_of(dataset: Dataset, config: TrainConfig | None = None) -> Vehicle:
 
 
 def build(model: str, vehicle: Vehicle, *, seed: int) -> Dynamics:
-    """Return an untrained model, whose initial weights follow from the seed.
+    """Return an untrained model whose initial weights follow from the seed.
 
     Raises:
-        RunError: unknown model, or an impossible number of features or length of the code.
+        RunError: unknown model, or the dataset has no or fewer features than it reads.
     """
     make = MODELS[model]
-    if vehicle.codes < 1:
-        raise RunError(f"a code of length {vehicle.codes}", how="give --codes 1 or more")
     if vehicle.features and not 0 <= vehicle.pca <= vehicle.features:
         what = f"reads {vehicle.pca} terrain features; the dataset has {vehicle.features}"
         raise RunError(what, how="give a smaller --pca")
@@ -89,16 +75,12 @@ def build(model: str, vehicle: Vehicle, *, seed: int) -> Dynamics:
 
 
 class Stretch(NamedTuple):
-    """Stretch of a drive that a model was fitted to, from `first` to `last` [s].
-
-    Attributes:
-        rows: digest of the drive's rows, which identifies it under another name; empty if unknown.
-    """
+    """Stretch of a drive that a model was fitted to."""
 
     drive: str
-    first: float
-    last: float
-    rows: str = ""
+    first: float  # time of the first row [s]
+    last: float  # time of the last row [s]
+    rows: str = ""  # digest of the drive's rows, which identifies it under another name; empty if unknown
 
 
 class _Loss(msgspec.Struct):
@@ -115,10 +97,31 @@ class _Stated(msgspec.Struct):
     loss: _Loss
     split: str
     seen: tuple[Stretch, ...]
-    weights_sha256: str | None = None
+    weights_sha256: str
     pca: str | None = None
     features: tuple[str, ...] = ()
     assumptions: tuple[str, ...] = ()
+
+    def refuse_impossible(self) -> None:
+        """Raise `ValueError` with the name of an entry whose value is impossible."""
+        vehicle, scale, weights = self.vehicle, self.loss.scale, self.loss.weights.in_order()
+        for what, good in (
+            ("vehicle.mass", 0 < vehicle.mass < math.inf),
+            ("vehicle.wheelbase", 0 < vehicle.wheelbase < math.inf),
+            ("vehicle.max_steer", 0 <= vehicle.max_steer < math.pi / 2),
+            ("vehicle.rear_axle", abs(vehicle.rear_axle) < math.inf),
+            ("vehicle.track", 0 <= vehicle.track < math.inf),
+            ("vehicle.control", {*vehicle.control} <= {*vehicle.control_columns}),
+            ("vehicle.actuators", {*vehicle.actuators} <= {*vehicle.actuator_columns}),
+            ("vehicle.features", 0 <= vehicle.features <= _MOST_FEATURES),
+            ("vehicle.pca", 0 <= vehicle.pca <= (vehicle.features or _MOST_FEATURES)),
+            ("vehicle.codes", 1 <= vehicle.codes <= MOST_CODES),
+            ("seed", 0 <= self.seed < 1 << 63),
+            ("loss.scale", {*scale} == {*COMPONENTS} and all(0 < value < LARGEST_SCALE for value in scale.values())),
+            ("loss.weights", all(0 <= value < LARGEST_SCALE for value in weights) and any(weights)),
+        ):
+            if not good:
+                raise ValueError(f"{what} is impossible")
 
 
 _SAME: Final = ("model", "seed", "split", "seen", "pca", "features", "assumptions")
@@ -191,24 +194,23 @@ def load_run(folder: str | Path, *, device: str = "cpu") -> Run:
     """
     folder = run_folder(folder)
     check_device(device)
+    about_file = folder / "model.json"
     if not folder.is_dir():
         how = f"{alike(folder)}give the folder that `offpiste train` wrote"
         raise RunError("no such folder", where=folder, how=how)
-    if (folder / "config.json").exists() and not (folder / "model.json").exists():
+    if (folder / "config.json").exists() and not about_file.exists():
         raise RunError("training has not finished", where=folder, how="resume it with `offpiste train --resume`")
-    about = load_json(folder / "model.json")
+    about = load_json(about_file)
     if (schema := about.get("schema", SCHEMA)) != SCHEMA:
         what = f"schema {schema}, this offpiste reads {SCHEMA}: the physics has changed since"
-        raise RunError(what, where=folder / "model.json", how="train again")
+        raise RunError(what, where=about_file, how="train again")
     try:
         stated = msgspec.convert(about, type=_Stated)
-        _refuse_impossible(stated)
+        stated.refuse_impossible()
     except (ValueError, msgspec.ValidationError) as error:
-        raise RunError(f"cannot be used ({error})", where=folder / "model.json", how="train again") from error
+        raise RunError(f"cannot be used ({error})", where=about_file, how="train again") from error
     dynamics = build(stated.model, stated.vehicle, seed=stated.seed).to(device)
-    if stated.weights_sha256 is not None:
-        refuse_other_file(folder / WEIGHTS, stated.weights_sha256)
-    tensors = load_tensors(folder / WEIGHTS)[0]
+    tensors, _ = load_tensors(folder / WEIGHTS, stated.weights_sha256)
     load_weights(dynamics, tensors, folder)
     for name, values in tensors.items():
         if not torch.isfinite(values).all():
@@ -222,41 +224,6 @@ def load_run(folder: str | Path, *, device: str = "cpu") -> Run:
     )
 
 
-def pretrained(name: str, *, device: str = "cpu") -> Run:
-    """Load a model that ships with offpiste: `pretrained("proving-ground/dc")`.
-
-    Raises:
-        RunError: no model of that name ships.
-    """
-    return load_run(f"{PREFIX}{name.removeprefix(PREFIX)}", device=device)
-
-
-def _refuse_impossible(stated: _Stated) -> None:
-    """Check the numbers and names of a model.json, beyond their types.
-
-    Raises:
-        ValueError: names the entry.
-    """
-    vehicle, scale, weights = stated.vehicle, stated.loss.scale, stated.loss.weights.in_order()
-    for what, good in (
-        ("vehicle.mass", 0 < vehicle.mass < math.inf),
-        ("vehicle.wheelbase", 0 < vehicle.wheelbase < math.inf),
-        ("vehicle.max_steer", 0 <= vehicle.max_steer < math.pi / 2),
-        ("vehicle.rear_axle", abs(vehicle.rear_axle) < math.inf),
-        ("vehicle.track", 0 <= vehicle.track < math.inf),
-        ("vehicle.control", {*vehicle.control} <= {*vehicle.control_columns}),
-        ("vehicle.actuators", {*vehicle.actuators} <= {*vehicle.actuator_columns}),
-        ("vehicle.features", 0 <= vehicle.features <= _MOST_FEATURES),
-        ("vehicle.pca", 0 <= vehicle.pca <= (vehicle.features or _MOST_FEATURES)),
-        ("vehicle.codes", 1 <= vehicle.codes <= MOST_CODES),
-        ("seed", 0 <= stated.seed < 1 << 63),
-        ("loss.scale", {*scale} == {*COMPONENTS} and all(0 < value < LARGEST_SCALE for value in scale.values())),
-        ("loss.weights", all(0 <= value < LARGEST_SCALE for value in weights) and any(weights)),
-    ):
-        if not good:
-            raise ValueError(f"{what} is impossible")
-
-
 def save_run(
     folder: Path,
     dynamics: Dynamics,
@@ -267,8 +234,8 @@ def save_run(
 ) -> None:
     """Write model.safetensors, and model.json with the best epoch of each stage; the latter marks a run as finished."""
     # model.safetensors is also the file of the last stage: a run that is killed here reads it back when it resumes.
-    last = asdict(best["model"]) if best and "model" in best else {}
-    save_tensors(folder / WEIGHTS, dynamics.state_dict(), **last)
+    kept = {stage: asdict(epoch) for stage, epoch in (best or {}).items()}
+    save_tensors(folder / WEIGHTS, dynamics.state_dict(), **kept.get("model", {}))
     about = {
         "schema": SCHEMA,
         "model": config.model,
@@ -284,7 +251,7 @@ def save_run(
         "features": list(dataset.features),
         "warnings": list(dataset.findings),
         "assumptions": list(assumptions_of(dataset)),
-        "kept": {stage: asdict(epoch) for stage, epoch in (best or {}).items()},
+        "kept": kept,
     }
     save_json(folder / "model.json", about)
 
@@ -304,44 +271,27 @@ def best_epochs(folder: Path) -> dict[str, BestEpoch]:
 
 
 def check_device(name: str) -> torch.device:
-    """Return the device of a name; "cuda" gets the number it stands for in this thread.
-
-    Raises:
-        RunError: no such device, or torch was built without it.
-    """
+    """Return the device of a name, "cuda" with its number in this thread; raises `RunError` if torch lacks it."""
     try:
         there = torch.zeros(1, device=name)
         there.item()  # fails on devices that cannot compute
     except (RuntimeError, AssertionError) as error:
         reason = str(error).splitlines()[0]
         raise RunError(f"no device '{name}': {reason}", how="use --device cpu, or install torch for it") from error
-    device = there.device
-    if device.type == "cuda":
+    if there.device.type == "cuda":
         torch.backends.cudnn.allow_tf32 = False  # LSTMs would round to 10 bits, and differ from the CPU's
-    return device
-
-
-class Overlap(NamedTuple):
-    """Drive with the time that a model was fitted to."""
-
-    drive: str
-    seconds: float
+    return there.device
 
 
 def refuse_seen(run: Run, dataset: Dataset, part: str) -> None:
-    """Check that a run was not trained or chosen on a part of a dataset.
-
-    Raises:
-        RunError: names the drive and the overlap.
-    """
-    if (overlap := overlap_with(run.seen, dataset, part)) is not None:
-        what = f"was trained on {overlap.seconds:.0f} s of the {part} part of drive '{overlap.drive}'"
+    """Raise `RunError` if a run was trained or chosen on a part of a dataset."""
+    if overlap := overlap_with(run.seen, dataset, part):
         how = "evaluate it on the dataset and split it was trained with, or on another drive"
-        raise RunError(what, where=run.folder, how=how)
+        raise RunError(f"was trained on {overlap}", where=run.folder, how=how)
 
 
-def overlap_with(seen: Sequence[Stretch], dataset: Dataset, part: str) -> Overlap | None:
-    """Return the first overlap of a part of a dataset with stretches that a model was fitted to; None if there is none.
+def overlap_with(seen: Sequence[Stretch], dataset: Dataset, part: str) -> str:
+    """Describe the first overlap of a part of a dataset with stretches that a model was fitted to; "" for none.
 
     Drives are compared by name, and by their rows, which also find a renamed log.
     """
@@ -354,8 +304,8 @@ def overlap_with(seen: Sequence[Stretch], dataset: Dataset, part: str) -> Overla
             count = np.count_nonzero((evaluated >= first) & (evaluated <= last)) if same else 0
             if count:
                 named_so = drive.name if name == drive.name else f"{drive.name} (there: {name})"
-                return Overlap(named_so, count * DT)
-    return None
+                return f"{count * DT:.0f} s of the {part} part of drive '{named_so}'"
+    return ""
 
 
 def seen_stretches(dataset: Dataset) -> list[Stretch]:
@@ -363,62 +313,54 @@ def seen_stretches(dataset: Dataset) -> list[Stretch]:
     stretches = []
     for drive in dataset.drives:
         used = np.isin(drive.part, (PARTS.index("train"), PARTS.index("validation")))
-        edges = np.flatnonzero(np.diff(np.concatenate(([False], used, [False])).astype(int)))
-        rows = _digest_of_rows(drive) if len(edges) else ""
-        for first, last in edges.reshape(-1, 2):
-            stretches.append(Stretch(drive.name, float(drive.rows.time[first]), float(drive.rows.time[last - 1]), rows))
+        edges = np.flatnonzero(np.diff(used, prepend=False, append=False)).reshape(-1, 2)
+        rows, time = _digest_of_rows(drive) if len(edges) else "", drive.rows.time
+        stretches += [Stretch(drive.name, float(time[first]), float(time[end - 1]), rows) for first, end in edges]
     return stretches
 
 
 def _digest_of_rows(drive: StoredDrive) -> str:
-    rows = drive.rows
-    return sha256_of_arrays(
-        {"time": rows.time, "state": rows.state, "control": rows.control, "origin": rows.origin}, {}
-    )
+    return sha256_of_arrays({name: getattr(drive.rows, name) for name in ("time", "state", "control", "origin")}, {})
 
 
 def refuse_unfit(run: Run, dataset: Dataset) -> None:
-    """Check that a run's features and channels are those of a dataset.
+    """Raise `RunError` if a run was trained with other features or channels than a dataset has."""
+    for what, how in _misfits(run, dataset):
+        raise RunError(what, where=named(run.folder), how=how)
 
-    Raises:
-        RunError: says what it was trained with.
-    """
-    needed, given, where = run.dynamics.vehicle, vehicle_of(dataset), named(run.folder)
-    what = how = ""
+
+def _misfits(run: Run, dataset: Dataset) -> Iterator[tuple[str, str]]:
+    """Yield differences between the features and channels of a run and a dataset, and what to do about them."""
+    needed, given = run.dynamics.vehicle, vehicle_of(dataset)
     if run.dynamics.encoder is not None:
         if needed.features != given.features:
-            what = f"reads {needed.features} terrain features; the dataset has {given.features}"
+            where = named(run.folder)
             pca = where.rpartition("/")[0] if where.startswith(PREFIX) else "and the PCA of its training"
-            how = (
-                f"use a dataset that was extracted with {'the same --features' if run.pca is None else f'--pca {pca}'}"
-            )
-        elif None not in (run.pca, dataset.pca) and run.pca != dataset.pca:
+            option = "the same --features" if run.pca is None else f"--pca {pca}"
+            what = f"reads {needed.features} terrain features; the dataset has {given.features}"
+            yield what, f"use a dataset that was extracted with {option}"
+        if None not in (run.pca, dataset.pca) and run.pca != dataset.pca:
             what = f"reads features of the PCA {run.pca}; the dataset's are of {dataset.pca}"
-            how = "evaluate it on a dataset that was extracted with the PCA of its training"
-        elif run.features and run.features != dataset.features:
+            yield what, "evaluate it on a dataset that was extracted with the PCA of its training"
+        if run.features and run.features != dataset.features:
             read, there = (
                 ", ".join(names[:4]) + (" …" if len(names) > 4 else "") for names in (run.features, dataset.features)
             )
             what = f"reads the terrain features {read}; the dataset has {there}"
-            how = "evaluate it on a dataset with the same features"
+            yield what, "evaluate it on a dataset with the same features"
     for kind in ("control", "actuators"):
         mine, its = getattr(needed, kind), getattr(given, kind)
-        if not what and without_optional(mine) != without_optional(its):
+        if without_optional(mine) != without_optional(its):
             what = f"was trained with {kind} {', '.join(mine) or 'none'}; the dataset has {', '.join(its) or 'none'}"
-            how = "evaluate it on a dataset whose rig has the same channels"
-    if what:
-        raise RunError(what, where=where, how=how)
+            yield what, "evaluate it on a dataset whose rig has the same channels"
 
 
 def differing_vehicle(trained: Vehicle, driven: RigVehicle) -> str | None:
     """Describe how a model's vehicle differs from the one that it drives; None if hardly."""
     apart = [
         f"{name} {mine:.4g} {unit}, not {its:.4g}"
-        for name, mine, its, unit in (
-            ("wheelbase", trained.wheelbase, driven.wheelbase, "m"),
-            ("mass", trained.mass, driven.mass, "kg"),
-            ("max_steer", trained.max_steer, driven.max_steer, "rad"),
-        )
+        for name, unit in (("wheelbase", "m"), ("mass", "kg"), ("max_steer", "rad"))
+        for mine, its in [(getattr(trained, name), getattr(driven, name))]
         if abs(mine - its) > ALIKE * its
     ]
     return ", ".join(apart) or None

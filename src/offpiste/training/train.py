@@ -31,15 +31,7 @@ from offpiste.training.checkpoint import load_json, refuse_other_folder, save_js
 from offpiste.training.config import TrainConfig, other_settings, refuse_impossible
 from offpiste.training.distributed import ALONE, Group
 from offpiste.training.loop import FEW_WINDOWS, REMEDY, BestEpoch, Stage, metrics_writer, run_stage
-from offpiste.training.losses import (
-    LOSSES,
-    Loss,
-    MapLoss,
-    WindowLoss,
-    loss_scale,
-    map_loss,
-    squared_errors,
-)
+from offpiste.training.losses import LOSSES, Loss, MapLoss, WindowLoss, loss_scale, map_loss, squared_errors
 from offpiste.training.prediction import encoded, predict_batch
 from offpiste.training.run import build, check_device, save_run, vehicle_of
 
@@ -79,8 +71,7 @@ def train(
     dynamics = build(config.model, vehicle, seed=config.seed).to(device)
     ground = ground_tables(dataset, device, free_budget(device))
     windows = Windows(dataset, "train", start=config.start, device=device, ground=ground)
-    draw = _draw(config.model, windows)
-    _refuse_poor(dynamics, windows, config, dataset)
+    _refuse_poor(dynamics, windows, config)
     validation = Windows(dataset, "validation", start=config.start, device=device, ground=ground)
     group.together(_refusal(folder, dataset, config, resume) if group.writes else None)
     record = metrics_writer(folder, tensorboard=tensorboard) if group.writes else lambda line: None
@@ -112,9 +103,8 @@ def train(
             return window_loss(predict_batch(model, batch), batch)
 
         on_map = None if maps is None else partial(maps.of, model, window_loss)
-        stage = Stage(name, model, loss, epochs, draw, on_map)
         read = [part if model.encoder is not None else part.without_features() for part in (windows, validation)]
-        keep(name, run_stage(stage, read[0], read[1], config, folder, record, group))
+        keep(name, run_stage(Stage(name, model, loss, epochs, draw, on_map), *read, config, folder, record, group))
 
     if (physics := dynamics.physics()) is not None:
         if physics.actuators is not None:
@@ -124,7 +114,7 @@ def train(
         dynamics.adopt_physics(physics, learns=config.refit_constants)
     standardise(dynamics, windows)
     if any(p.requires_grad for p in dynamics.parameters()):
-        fit("model", dynamics, config.epochs, draw)
+        fit("model", dynamics, config.epochs, MODELS[config.model].draw)
     if group.writes:
         save_run(folder, dynamics, config, dataset, scale, best)
     return dynamics
@@ -142,8 +132,7 @@ def _window_loss(loss: Loss, config: TrainConfig, scale: Tensor) -> WindowLoss:
         if broken.any():
             ground = batch.ground  # opening a dataset does not check its features
             if ground is not None and not torch.isfinite(ground.features[ground.valid]).all():
-                what = "valid terrain features of the dataset are not finite"
-                raise TrainingError(what, how="extract it again")
+                raise TrainingError("valid terrain features of the dataset are not finite", how="extract it again")
             step, column = (int(i) for i in broken.nonzero()[0])
             when = f"from step {step + 1} ({(step + 1) * DT:.2f} s) on"
             raise TrainingError(f"the predicted {STATE[column]} is not finite {when}", how=REMEDY)
@@ -170,37 +159,20 @@ def _warn_beforehand(dataset: Dataset, validation: Windows, config: TrainConfig,
         )
 
 
-def _refusal(folder: Path, dataset: Dataset, config: TrainConfig, resume: bool) -> OffpisteError | None:
-    try:
-        _claim(folder, dataset, config, resume)
-    except OffpisteError as error:
-        return error
-    return None
-
-
-def _refuse_poor(dynamics: Dynamics, windows: Windows, config: TrainConfig, dataset: Dataset) -> None:
-    if len(windows) < config.batch:
-        raise DatasetError(
-            f"has {len(windows)} windows to train, fewer than a batch of {config.batch}",
-            where=dataset.path,
-            how="extract longer or more drives, or give a smaller --batch",
-        )
-    if dynamics.encoder is not None and not windows.features_at_starts()[1].any():
-        raise DatasetError(
-            "all terrain features are missing under the wheels where training windows start",
-            where=dataset.path,
-            how="look at it with `offpiste view`, fix the rig's cameras and LiDARs and extract again, or train `b`",
-        )
-
-
-def _draw(model: str, windows: Windows) -> Draw:
-    draw = MODELS[model].draw
-    if MODELS[model].needs_sets and windows.sets == 1:
-        raise DatasetError(
-            f"model '{model}' trains on views by distance and the dataset has none",
-            how="extract visual features (`extract --pca`), or train `cf`",
-        )
-    return draw
+def _refuse_poor(dynamics: Dynamics, windows: Windows, config: TrainConfig) -> None:
+    """Raise `DatasetError` if the dataset lacks the feature sets, windows or features that a training needs."""
+    what = how = ""
+    if MODELS[config.model].needs_sets and windows.sets == 1:
+        what = f"has no views by distance, on which model '{config.model}' is trained"
+        how = "extract visual features (`extract --pca`), or train `cf`"
+    elif len(windows) < config.batch:
+        what = f"has {len(windows)} windows to train, fewer than a batch of {config.batch}"
+        how = "extract longer or more drives, or give a smaller --batch"
+    elif dynamics.encoder is not None and not windows.features_at_starts()[1].any():
+        what = "all terrain features are missing under the wheels where training windows start"
+        how = "look at it with `offpiste view`, fix the rig's cameras and LiDARs and extract again, or train `b`"
+    if what:
+        raise DatasetError(what, where=windows.dataset.path, how=how)
 
 
 def standardise(dynamics: Dynamics, windows: Windows) -> None:
@@ -213,25 +185,29 @@ def standardise(dynamics: Dynamics, windows: Windows) -> None:
         dynamics.standardise_on(encoded(dynamics, windows.gather(index)).history)
 
 
-def _claim(folder: Path, dataset: Dataset, config: TrainConfig, resume: bool) -> None:
-    """Create the run folder, or check that it holds this run."""
+def _refusal(folder: Path, dataset: Dataset, config: TrainConfig, resume: bool) -> OffpisteError | None:
+    """Create the run folder, or check that it holds this run; return the error if it does not."""
     described = {"train": asdict(config), "dataset": str(dataset.path.resolve()), "split": dataset.split.text}
-    described, data = json.loads(json.dumps(described)), digest_of(dataset)
-    path = folder / "config.json"
-    if not path.exists():
-        refuse_other_folder(folder)
-        save_json(path, {**described, "dataset_sha256": data})
-        return
-    before = load_json(path)
+    described, path = json.loads(json.dumps(described)), folder / "config.json"
+    try:
+        data = digest_of(dataset)
+        if not path.exists():
+            refuse_other_folder(folder)
+            save_json(path, {**described, "dataset_sha256": data})
+            return None
+        before = load_json(path)
+    except OffpisteError as error:
+        return error
     if other := other_settings(before, described):
         how = "resume with the same, or choose another --out" if resume else "choose another --out"
-        raise RunError(f"holds a run that was begun with other settings ({other})", where=folder, how=how)
+        return RunError(f"holds a run that was begun with other settings ({other})", where=folder, how=how)
     if before.get("dataset_sha256") != data:
         how = "restore the dataset, or choose another --out"
-        raise RunError("holds a run that was begun before the dataset changed", where=folder, how=how)
+        return RunError("holds a run that was begun before the dataset changed", where=folder, how=how)
     if not resume:
-        raise RunError("holds a run already", where=folder, how="add --resume, or choose another --out")
+        return RunError("holds a run already", where=folder, how="add --resume, or choose another --out")
     remove_partials(folder)
+    return None
 
 
 def digest_of(dataset: Dataset) -> str:
@@ -241,14 +217,7 @@ def digest_of(dataset: Dataset) -> str:
     return sha256_of_json(files + [[each.name, other] for each in drives if (other := changed_arrays(each))])
 
 
-def train_folds(
-    dataset: Dataset,
-    config: TrainConfig,
-    folder: Path,
-    *,
-    folds: int,
-    resume: bool = False,
-) -> None:
+def train_folds(dataset: Dataset, config: TrainConfig, folder: Path, *, folds: int, resume: bool = False) -> None:
     """Train one run per fold, in `folder/fold-0`, `folder/fold-1`, ...
 
     Epochs are chosen at recorded places, since snapshots of the map exist for the dataset's own split only.

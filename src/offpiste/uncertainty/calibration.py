@@ -312,10 +312,9 @@ def _fitting_run(folder: Path, dataset: Dataset) -> Run:
     if not kept.exists():
         return run
     seen = msgspec.convert(load_tensors(kept)[1].get("seen", run.seen), list[Stretch])  # shipped files lack it
-    if (overlap := overlap_with(seen, dataset, PART)) is not None:
-        what = f"was fitted to {overlap.seconds:.0f} s of the {PART} part of drive '{overlap.drive}'"
+    if overlap := overlap_with(seen, dataset, PART):
         how = "delete it and run `offpiste calibrate` again, or evaluate it on other drives"
-        raise RunError(what, where=kept, how=how)
+        raise RunError(f"was fitted to {overlap}", where=kept, how=how)
     return run
 
 

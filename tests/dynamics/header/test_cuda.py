@@ -10,7 +10,7 @@ from offpiste.dynamics.header.recorded import recorded_text
 from offpiste.native.cuda_kernels import machine_code
 from offpiste.planning.caution import Caution
 from offpiste.planning.header.cost_text import plan_text
-from offpiste.training.run import pretrained
+from offpiste.training.run import load_run
 from offpiste.uncertainty.fit import load_spread
 from planning_maps import situation
 
@@ -33,7 +33,7 @@ def used(text, architecture, folder, *flags):
 
 @pytest.mark.parametrize("architecture", ["sm_80", "sm_87", "sm_90"])
 def test_kernels_keep_a_step_in_registers(architecture, tmp_path):
-    run = pretrained("proving-ground/dc")
+    run = load_run("pretrained:proving-ground/dc")
     dynamics = run.dynamics.requires_grad_(False)
     kernels = used(recorded_text(dynamics), architecture, tmp_path)
     for name, caution in (("", None), (" with a spread", Caution(load_spread(run), 1.0))):
@@ -52,6 +52,6 @@ def test_kernels_keep_a_step_in_registers(architecture, tmp_path):
 def test_nvrtc_compiles_them_too():
     pytest.importorskip("cuda.core", reason="the extra cuda is not installed")
     pytest.importorskip("cuda.bindings.nvrtc", reason="no NVRTC here")
-    dynamics = pretrained("proving-ground/dc").dynamics.requires_grad_(False)
+    dynamics = load_run("pretrained:proving-ground/dc").dynamics.requires_grad_(False)
     for text in (recorded_text(dynamics), plan_text(dynamics, situation().costs.table, lanes=True)):
         assert len(machine_code(text, "sm_90").code) > 30_000
