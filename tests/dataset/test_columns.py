@@ -1,28 +1,14 @@
 """Declarations of columns: what they read, and which rows are complete."""
 
-from dataclasses import fields
-
 import numpy as np
 import pytest
 
 from factories import circle_rows, small_rig
 from offpiste.dataset.columns import COLUMNS, Column, RowGrid, channel_column
-from offpiste.dataset.resample import OWN_COLUMNS, Rows, rows_from_arrays
+from offpiste.dataset.resample import rows_from_arrays
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
 from offpiste.rig import channels
-
-
-def test_every_column_that_models_read_is_declared():
-    assert set(COLUMNS) == OWN_COLUMNS
-    assert {f.name for f in fields(Rows)} - OWN_COLUMNS == {"time", "origin", "valid", "cells", "extra"}
-
-
-def test_declared_shapes_are_those_of_rows():
-    rows = circle_rows(20)
-    for name, column in COLUMNS.items():
-        values = rows.column(name)
-        assert values.shape[column.row_axis :] == (20, *column.shape), name
 
 
 def test_a_column_that_rows_were_made_without_is_unknown(monkeypatch):

@@ -15,10 +15,9 @@ from offpiste.core.errors import DatasetError
 from offpiste.core.parallel import Outcome
 from offpiste.dataset import extract as extraction
 from offpiste.dataset import store
-from offpiste.dataset.extract import ExtractSettings, Job, pca_overlap, snapshot_starts
-from offpiste.dataset.log_findings import LogFinding, UnusableLog, findings_by_drive, warning_line
-from offpiste.dataset.map_snapshots import SNAPSHOT_PARTS
-from offpiste.dataset.splits import GAP, PARTS, parse_split, write_drives
+from offpiste.dataset.extract import ExtractSettings, Job, pca_overlap
+from offpiste.dataset.log_findings import LogFinding, UnusableLog, warning_line
+from offpiste.dataset.splits import parse_split, write_drives
 from offpiste.inspection.extract import extract, findings_on
 from offpiste.logs.log import Log
 from offpiste.perception.backbones import open_backbone
@@ -112,15 +111,6 @@ def test_findings_are_stored_with_the_drive(tmp_path) -> None:
         store.open_dataset(path)
 
 
-def test_one_line_names_the_first_findings_and_counts_all() -> None:
-    assert warning_line(()) is None
-    line = str(
-        warning_line(findings_by_drive([("a", [LogFinding("warning", f"t{n}", "lags", "", "") for n in "12345"])]))
-    )
-    assert "5 warnings" in line
-    assert "t3 lags (drive a), and 2 more;" in line
-
-
 def test_an_unusable_log_comes_back_from_another_process() -> None:
     error = copy(UnusableLog([YAW, YAW], Path("a.csv")))
     assert error.findings == (YAW, YAW)
@@ -143,14 +133,3 @@ def test_a_pca_fitted_on_test_rows_is_noticed(tmp_path, then, now, seen):
     )
     notes = pca_overlap(FeatureExtractor(backbone, pca), circle_rows(ROWS, seed=0, speed=5), job(text))
     assert [note.startswith("warning: the PCA may have seen 120 s of") for note in notes] == [True] * seen
-
-
-def test_snapshots_start_in_validation_and_test() -> None:
-    found = snapshot_starts(circle_rows(ROWS, seed=0, speed=5), job("blocks:0.5,0.25,0.25"))
-    # Blocks end at 3000, 4500 and 6000; the first rows of all but the first block are the gap.
-    edges = dict(zip(PARTS, ((0, 3000), (3000 + GAP, 4500), (4500 + GAP, ROWS)), strict=True))
-    for starts, name in zip(found, SNAPSHOT_PARTS, strict=True):
-        first, last = edges[name]
-        assert len(starts) == ROWS
-        assert np.flatnonzero(starts)[[0, -1]].tolist() == pytest.approx([first + 10, last - 251], abs=5)
-        assert starts.sum() > 100

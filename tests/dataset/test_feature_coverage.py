@@ -42,14 +42,6 @@ def test_rates_count_cells_of_all_drives() -> None:
     assert np.isnan(feature_coverage.valid_rates([cells_of(np.zeros((SETS, 0, 2)))])).all()
 
 
-def test_a_range_leaves_out_what_is_rare_by_default() -> None:
-    features = np.zeros((SETS, 201, 2))
-    features[0, :, 0] = np.arange(201)
-    features[0, 200, 1] = 50
-    np.testing.assert_allclose(feature_coverage.feature_range([cells_of(features)]), (196, 0))
-    np.testing.assert_allclose(feature_coverage.feature_range([cells_of(features)], (0.0, 100.0)), (200, 50))
-
-
 def test_differences_of_the_three_cells() -> None:
     span = feature_coverage.feature_range([three_cells()], (0.0, 100.0))
     np.testing.assert_allclose(span, (10, 20))
@@ -64,15 +56,6 @@ def test_differences_of_the_three_cells() -> None:
     assert found.count[0, 0] == 3
     assert found.length[0, 0] == 0
     assert np.isnan(found.length[0, -1])
-
-
-def test_unrelated_cells_differ_by_their_spread() -> None:
-    features = np.zeros((SETS, 2, 1))
-    features[0, 1] = 4.0
-    assert feature_coverage.unrelated([cells_of(features)], np.array([4.0]), np.random.default_rng(0)) == pytest.approx(
-        1
-    )
-    assert np.isnan(feature_coverage.unrelated([cells_of(features[:, :1])], np.array([4.0]), np.random.default_rng(0)))
 
 
 def test_what_lies_at_the_ends_of_a_drive_was_never_at_some_distances() -> None:

@@ -54,13 +54,6 @@ def test_models_of_a_seed_read_the_same_normals_batch_after_batch():
         np.testing.assert_array_equal(mine, theirs)
 
 
-def test_where_one_set_is_stored_nothing_is_drawn():
-    for draw in DRAWS:
-        choice = drawn(draw, np.random.default_rng(3), 40, 1)
-        assert not choice.features.any()
-        assert not choice.normals.any()
-
-
 WHEELS = np.array([[0.5, 0.3], [0.5, -0.3], [-0.5, 0.3], [-0.5, -0.3]])
 RESOLUTION, REACH = 0.5, 48.0
 
@@ -165,11 +158,3 @@ def test_a_second_pass_begins_after_a_pause_and_does_not_leak_into_the_first():
     later = (passes.contact > turned) & (passes.approach > 0)
     np.testing.assert_allclose(passes.approach[later], turned, atol=0.2)
     assert (passes.approach <= passes.contact).all()
-
-
-def test_rows_without_a_place_have_no_pass():
-    time, xy = there_and_back()
-    xy[5] = np.nan
-    passes = passes_of(time, xy)
-    assert (passes.index[5] == -1).all()
-    assert (np.delete(passes.index, 5, axis=0) >= 0).all()

@@ -12,7 +12,6 @@ from factories import circle_rows, small_rig
 from offpiste.core.errors import DatasetError
 from offpiste.core.files import temporary_folder
 from offpiste.dataset import store
-from offpiste.dataset.extract import ExtractSettings, Job, snapshot_starts
 from offpiste.dataset.ground_truth_features import with_ground_truth
 from offpiste.dataset.map_snapshots import (
     CHUNK,
@@ -100,19 +99,6 @@ def test_snapshots_keep_their_distance_and_their_number():
     assert [row for row in range(1000) if few.at(row)] == list(range(100, 900, 80))
     assert not few.at(-3)
     assert not few.at(5000)
-
-
-def test_snapshots_of_slow_windows_are_kept_where_they_are_asked_for():
-    rows = circle_rows(2400, speed=1.0)
-
-    def count(min_speed: float | None) -> int:
-        settings = ExtractSettings(SPLIT, snapshots=SnapshotSettings(min_speed=min_speed))
-        job = Job(Path("log"), "log", small_rig(), Path("out"), settings)
-        return sum(int(part.sum()) for part in snapshot_starts(rows, job))
-
-    usual, slow, none = (count(speed) for speed in (None, 0.0, 2.0))
-    assert usual == none == 0
-    assert slow > 100
 
 
 def made(path: Path) -> store.Dataset:

@@ -86,12 +86,6 @@ def test_normals_are_those_of_the_driven_slope(grade):
     np.testing.assert_array_equal(flat.normal[0, flat.valid], [[[0, 0, 1]] * 4] * flat.valid.sum())
 
 
-def test_a_command_holds_where_the_rig_says_so():
-    rows = extracted(RIG + 'interpolation = "hold"\n')
-    values = np.sin(straight_log().data["steering"][0])
-    assert np.isin(rows.control[rows.valid, 2], values.astype(np.float32)).all()
-
-
 def test_a_gear_is_a_column_of_its_own_and_never_averaged():
     log = straight_log()
     time = log.data["steering"][0]

@@ -12,7 +12,6 @@ from offpiste.dataset.split_balance import (
     LEAST_WINDOWS,
     complaints,
     fitting_split,
-    has_little_driving,
     lacks_windows,
     next_split,
     part_facts,
@@ -85,12 +84,6 @@ def test_turning_in_one_part_only_is_complained_of() -> None:
     assert [line.split(" turns")[0] for line in said] == ["validation", "test"]
 
 
-def test_a_part_that_the_split_leaves_out_or_that_has_no_row_is_not_compared() -> None:
-    rows = at_speed(wandering(20000))
-    assert [part.name for part in part_facts(dataset(rows, "blocks:0.8,0,0.2"))] == ["train", "test"]
-    assert split_warning(dataset(at_speed(wandering(900)))) is None
-
-
 def test_squares_that_leave_a_part_out_are_said_to() -> None:
     rows = circle_rows(12000, speed=6.0, yaw_rate=0.1)
     lines = {metres: split_warning(dataset(rows, f"places:{metres}")) or "" for metres in (30, 75, 150)}
@@ -110,9 +103,3 @@ def test_short_drives_whose_parts_are_empty_get_a_split_that_fills_them_together
     hopeless = dataset(at_speed(wandering(1200)))
     assert lacks_windows(hopeless)
     assert next_split(hopeless) is None
-
-
-def test_little_driving_is_what_training_has_of_it() -> None:
-    assert has_little_driving(dataset(at_speed(wandering(30000))))
-    assert not has_little_driving(dataset(at_speed(wandering(60000))))
-    assert has_little_driving(dataset(at_speed(np.where(np.arange(60000) < 10000, 4.0, 0.0))))

@@ -86,11 +86,6 @@ def test_blocks_too_short_for_windows_are_refused_with_the_least():
     assert parse_split("blocks:0.7,0.1,0.2@104").period == 104.0
 
 
-@pytest.mark.parametrize("text", ["blocks:0.7,0.1,0.2", "fold:2/5"])
-def test_a_drive_too_short_for_its_parts_trains(text):
-    assert (parse_split(text).label("drive", wandering(1000)) == 0).all()
-
-
 @pytest.mark.parametrize("total", [3, 5, 8])
 def test_folds_test_every_row_once_but_for_gaps(total):
     rows = 20000
@@ -173,12 +168,6 @@ def test_window_starts_are_the_rows_with_everything_usable_around_them(usable, h
     assert window_starts(usable, history=history, horizon=horizon).tolist() == wanted
 
 
-def test_where_the_place_is_not_known_the_vehicle_is_where_it_was():
-    place = np.array([[np.nan, 0], [10, 10], [10, 10], [np.nan, np.nan], [1010, 10], [np.nan, 10]])
-    split = parse_split("places:50")
-    assert split.label("drive", place).tolist() == split.label("drive", place[[1, 1, 2, 2, 4, 4]]).tolist()
-
-
 def test_drives_go_where_their_file_says(tmp_path):
     path = tmp_path / "split.txt"
     path.write_text("monday train\n\nfriday test\n")
@@ -187,11 +176,6 @@ def test_drives_go_where_their_file_says(tmp_path):
     assert (split.label("friday", wandering(10)) == 2).all()
     with pytest.raises(DatasetError, match="names no part for drive 'sunday'"):
         split.label("sunday", wandering(10))
-
-
-def test_shares_that_do_not_sum_to_one_are_named():
-    with pytest.raises(DatasetError, match=r"'blocks:0\.7,0\.1,0\.3' sum to 1\.1.*shares that sum to 1"):
-        parse_split("blocks:0.7,0.1,0.3")
 
 
 def test_a_drive_that_is_in_two_parts_is_an_error(tmp_path):

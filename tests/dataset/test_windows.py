@@ -79,16 +79,6 @@ def test_some_of_the_windows_share_memory(chosen):
         windows[len(windows)]
 
 
-def test_starts_lie_at_the_origin_with_yaw_in_one_turn():
-    batch = (windows := Windows(TWO, "train")).gather(np.arange(0, len(windows), 50))
-    assert (batch.state[:, :2] == 0).all()
-    assert (batch.state[:, 2].abs() <= np.pi + 1e-5).all()
-    # Yaw is not wrapped along the window, nor torn between start, history and target.
-    assert ((batch.target[:, 0, 2] - batch.state[:, 2]).abs() < 0.2).all()
-    assert ((batch.history.state[:, -1, 2] - batch.state[:, 2]).abs() < 0.2).all()
-    assert (batch.target[:, :, 2].diff(dim=1).abs() < 0.1).all()
-
-
 @pytest.mark.parametrize("part", PARTS)
 def test_no_window_touches_an_invalid_row_another_part_or_another_drive(part):
     broken = circle_rows(2400, seed=3)
@@ -114,14 +104,6 @@ def test_windows_start_above_the_speed_by_the_causal_estimate():
     assert windows.row_in_drive(np.arange(len(windows))).min() >= 900
     with pytest.raises(DatasetError, match=r"train part has no window of 5 s that starts above 9 m/s"):
         Windows(dataset(rows), "train", min_speed=9.0)
-
-
-def test_strides_count_the_rows_of_each_drive():
-    windows = Windows(TWO, "train")
-    for phase in (0, 3):
-        rows = windows.row_in_drive(windows.every(5, phase=phase))
-        assert set(rows % 5) == {phase}
-    assert sum(len(windows.every(5, phase=p)) for p in range(5)) == len(windows)
 
 
 def test_models_that_read_no_features_get_the_same_windows_without(tmp_path: Path) -> None:
@@ -150,13 +132,6 @@ def test_windows_with_enough_of_it():
     # Windows of two rows; the last one ends with the drive.
     np.testing.assert_array_equal(enough_hindsight(seen, 0.5, horizon=2), [True, True, True, False, False, False])
     np.testing.assert_array_equal(enough_hindsight(seen, 1.0, horizon=2), [True, True, False, False, False, False])
-
-
-@pytest.mark.parametrize(
-    ("given", "least"), [(None, 0.5), (cells([[0] * 4], [False]), 0.0), (cells([[0] * 4], [False], 1), 0.5)]
-)
-def test_nothing_is_left_out_without_feature_sets_or_where_all_is_wanted(given, least):
-    assert enough_hindsight(given, least) is None
 
 
 def test_equal_froude_numbers_of_small_vehicles() -> None:

@@ -56,15 +56,6 @@ def test_reflected_returns_are_found():
     assert found[ghosts].mean() > 0.9
 
 
-def test_a_mirror_image_is_found_however_many_points_it_has():
-    points = spinning_scan(rolling, SENSOR, rings=40, columns=256, furthest=25.0)
-    rays = points - SENSOR
-    shiny = (np.abs(np.arctan2(rays[:, 1], rays[:, 0])) < 0.15) & (np.abs(points[:, 0] - 5) < 0.6)
-    assert shiny.sum() > 20
-    image = np.where(shiny[:, None], SENSOR + 4.0 * rays, points)
-    np.testing.assert_array_equal(GhostFinder().find(image, SENSOR), shiny)
-
-
 def test_ground_that_is_seen_below_branches_stays():
     points = spinning_scan(rolling, SENSOR, rings=40, columns=256, furthest=25.0)
     rng = np.random.default_rng(0)

@@ -62,17 +62,6 @@ def test_off_the_map_is_flat_and_missing(x, y):
     assert not (invalid.valid | invalid.known).any()
 
 
-def test_holes_are_missing_but_their_neighbours_are_not():
-    terrain = plane(0.1, 0.0)
-    terrain.features[10, 20] = np.nan
-    terrain.elevation[10, 20] = np.nan
-    hole, beside = [10 + 0.5 * 20, -20 + 0.5 * 10], [10 + 0.5 * 23, -20 + 0.5 * 10]
-    found = found_at([terrain], [hole, beside])
-    assert found.valid.tolist() == [False, True]
-    assert found.known.tolist() == [False, True]
-    assert found.normal[0].tolist() == [0, 0, 1]
-
-
 def test_a_map_in_a_stack_is_read_as_alone():
     rng = np.random.default_rng(0)
     shapes = ((30, 50), (60, 20), (5, 7), (1, 9), (6, 1))

@@ -101,19 +101,3 @@ def test_reading_changed_columns_only_gives_the_same_bits_as_reading_all(rule):
         for found in others:
             for name, value in vars(wanted).items():
                 np.testing.assert_array_equal(getattr(found, name), value, err_msg=f"{name} after {number}")
-
-
-def test_flattening_with_other_settings_or_threads_in_between_changes_nothing():
-    rng = np.random.default_rng(0)
-    one, four = (VoxelMap(2, VoxelSettings(reach=3.0, capacity=20_000, threads=threads)) for threads in (1, 4))
-    kept, other = (Flattener(one, s) for s in (FlattenSettings(), FlattenSettings(vehicle_height=0.5)))
-    for step in range(4):
-        cloud, centre = scan(rng, np.array([0.5 * step, 0, 0]), 500, 2, spread=3.5), np.array([0.5 * step, 0.0])
-        for held in (one, four):
-            held.recentre(centre, 0.0)
-            held.insert(*cloud)
-        found = kept.layers()
-        lower = other.layers()
-        for name, value in vars(Flattener(four, FlattenSettings()).layers()).items():
-            np.testing.assert_array_equal(getattr(found, name), value, err_msg=name)
-        assert np.nanmax(lower.obstacle_height) <= 0.5 < np.nanmax(found.obstacle_height)

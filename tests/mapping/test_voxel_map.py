@@ -121,17 +121,6 @@ def test_moving_forgets_nothing_inside_and_everything_outside(moves, seed):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
 
 
-@given(st.permutations(range(6)))
-def test_the_order_of_heights_in_a_column_does_not_matter(order):
-    """A column keeps 31 levels from its lowest voxel upwards, whether the crown or the ground was seen first."""
-    heights = np.array([-3.1, 0.1, 0.3, 2.9, 3.15, 9.0])
-    held = VoxelMap(1, SMALL)
-    for i in order:
-        put(held, [0.1, 0.1, heights[i]], [i])
-    assert held.occupied == 4  # -3.1 ... 2.9: levels -16 to 14; 3.15 is level 15
-    assert held_at(held, 0.1, 0.1)[2] == pytest.approx(-3.1)
-
-
 def test_memory_is_bounded_and_released_voxels_are_used_again():
     held, rng = VoxelMap(1, VoxelSettings(reach=2.0, capacity=1000)), np.random.default_rng(0)
     for step in range(50):
@@ -144,18 +133,6 @@ def test_memory_is_bounded_and_released_voxels_are_used_again():
     paper = VoxelMap(40, VoxelSettings())  # 600 x 600 columns
     assert sum(array.nbytes for array in paper.voxels) < 360e6
     assert paper.nbytes < 60e6
-
-
-def test_points_at_utm_coordinates_fall_into_the_right_cells():
-    far = np.array([654_321.0, 4_567_890.0])
-    points = (np.floor(np.random.default_rng(0).uniform(-2, 2, (50, 3)) * 5) + 0.5) / 5
-    near, away = VoxelMap(1, SMALL), VoxelMap(1, SMALL)
-    away.recentre(far, 0.0)
-    put(near, points, np.arange(50.0)[:, None])
-    put(away, points + np.array([*far, 0.0]), np.arange(50.0)[:, None])
-    one, other = flatten(near, PLAIN), flatten(away, PLAIN)
-    np.testing.assert_array_equal(one.features, other.features)
-    np.testing.assert_allclose(one.elevation, other.elevation, atol=1e-6)
 
 
 def test_invalid_settings_are_refused():

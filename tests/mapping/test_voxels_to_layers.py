@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from mapping.test_voxel_map import SMALL, put
 from offpiste.mapping.terrain_sampler import sample_maps, stack_maps
@@ -122,22 +120,6 @@ def test_features_fill_a_hit_without_any_but_not_from_another_height():
     assert layers.elevation[N, N] == pytest.approx(0.1)
 
 
-def test_an_empty_map_is_unknown():
-    layers = flatten(VoxelMap(2, SMALL))
-    assert not (layers.known | layers.observed | layers.valid).any()
-    for name in ("elevation", "normal", "slope", "roughness", "obstacle_height", "features", "distance"):
-        assert np.isnan(getattr(layers, name)).all()
-
-
-def test_heights_are_the_worlds_after_the_vehicle_rose():
-    held = VoxelMap(0, SMALL)
-    put(held, np.array([[0.5, 0.5, 0.0]]))
-    flattener = Flattener(held, FlattenSettings())
-    flattener.layers()
-    held.recentre(np.zeros(2), 5.0)
-    np.testing.assert_array_equal(flattener.layers().elevation, flatten(held).elevation)
-
-
 @pytest.mark.parametrize(("channels", "count"), [(2, 1), (2, 40), (0, 4 * N * N), (2, 4 * N * N)])
 def test_single_cells_are_read_as_the_layers_have_them(channels, count):
     """From a map that moves in between, so that rows wrap around, and whose layers are made now and then."""
@@ -194,33 +176,3 @@ def test_bumps_of_a_checkerboard_are_its_roughness():
     # A window of 25 has 13 of one sign: its mean is 0.02 / 25 off zero, towards the cell itself.
     np.testing.assert_allclose(layers.roughness[inner], 0.02 * 24 / 25, atol=1e-5)
     np.testing.assert_allclose(layers.slope[inner], 0, atol=1e-5)
-
-
-def test_one_line_of_hits_has_no_normal_but_two_have():
-    for rows, told in ((1, False), (2, True)):
-        held = VoxelMap(1, SMALL)
-        x, y = np.meshgrid(np.arange(-N, N) * 0.2 + 0.1, 0.1 + 0.2 * np.arange(rows))
-        put(held, np.column_stack((x.ravel(), y.ravel(), 0.3 * x.ravel())), [1.0])
-        layers = flatten(held)
-        assert layers.known[N, N]
-        assert np.isfinite(layers.normal[[N, N - 2], N]).all() == told
-
-
-@settings(max_examples=10, deadline=None)
-@given(st.integers(0, 10_000))
-def test_a_world_turned_by_90_degrees_gives_the_map_turned(seed):
-    """Gaps filled from one of two equally near cells would differ, so none are filled."""
-    rng = np.random.default_rng(seed)
-    points, features = rng.uniform(-6, 6, (3000, 3)) * [1, 1, 0.03], rng.normal(size=(3000, 2))
-    one, turned = VoxelMap(2, SMALL), VoxelMap(2, SMALL)
-    distance = rng.uniform(1, 40, 3000)
-    put(one, points, features, distance)
-    put(turned, np.column_stack((-points[:, 1], points[:, 0], points[:, 2])), features, distance)
-    flat = FlattenSettings(fill_radius=0.0)
-    one, turned = flatten(one, flat), flatten(turned, flat)
-    # (x, y) -> (-y, x): the cell in row j, column i goes to row i, column -1 - j.
-    for name in ("elevation", "slope", "roughness", "obstacle_height", "distance", "features"):
-        layer = np.swapaxes(getattr(one, name), 0, 1)[:, ::-1]
-        np.testing.assert_allclose(getattr(turned, name), layer, atol=2e-4, err_msg=name)
-    normal = np.swapaxes(one.normal, 0, 1)[:, ::-1]
-    np.testing.assert_allclose(turned.normal, normal[..., [1, 0, 2]] * [-1, 1, 1], atol=2e-4)
