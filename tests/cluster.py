@@ -13,7 +13,7 @@ from typing import Any
 from unittest import mock
 
 from offpiste.core.errors import DatasetError
-from offpiste.dataset.place import drive_names
+from offpiste.dataset.store import drive_names
 from offpiste.inspection.extract import extract
 from offpiste.rig.rig import load_rig
 from shared_drives import blind_drives

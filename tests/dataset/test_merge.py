@@ -9,7 +9,7 @@ import pytest
 from offpiste.core.errors import DatasetError, OffpisteError
 from offpiste.core.parallel import parse_shard
 from offpiste.dataset.merge import merge_datasets
-from offpiste.dataset.place import drive_names
+from offpiste.dataset.store import drive_names
 from offpiste.inspection.extract import extract
 from offpiste.rig.rig import load_rig
 from shared_drives import blind_drives

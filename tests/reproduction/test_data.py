@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from offpiste.dataset.ground_truth_features import LAYERS
-from offpiste.dataset.place import drive_names
 from offpiste.dataset.splits import PARTS
-from offpiste.dataset.store import open_dataset
+from offpiste.dataset.store import drive_names, open_dataset
 from offpiste.reproduction import data
 from offpiste.reproduction.data import data_steps, opened, planned_drives
 from offpiste.reproduction.settings import ReproductionSettings, Size

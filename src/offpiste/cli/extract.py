@@ -24,7 +24,7 @@ class Extract:
     rig: str
     """Name of a preset, or a rig file; an unknown name lists the presets."""
     out: Path
-    """Dataset to write, e.g. dataset.zarr or s3://bucket/dataset.zarr; existing drives are kept."""
+    """Dataset to write, e.g. dataset.zarr; existing drives are kept."""
     split: str = "blocks:0.7,0.1,0.2"
     """blocks:TRAIN,VALIDATION,TEST by time (@SECONDS: repeated), fold:K/N (K from 0), places:METRES, or drives:FILE."""
     features: Literal["none", "ground-truth", "ground-kind"] = "none"

@@ -1,6 +1,7 @@
 """Extraction of drives into a dataset: each is read, resampled, given its ground, and written whole or not at all."""
 
 import logging
+import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,11 +18,10 @@ from offpiste.core.parallel import Report, at_a_time, run_all
 from offpiste.dataset.ground_truth_features import LAYERS, FeatureSource, truth_map, with_ground_truth
 from offpiste.dataset.log_findings import LogFinding, UnusableLog, refuse_unusable
 from offpiste.dataset.map_snapshots import SNAPSHOT_PARTS, SnapshotSchedule, SnapshotSettings, SnapshotWriter
-from offpiste.dataset.place import drive_names, remove_if_empty, working_copy
 from offpiste.dataset.resample import Rows, extract_rows
 from offpiste.dataset.split_balance import fitting_split, split_warning
 from offpiste.dataset.splits import PARTS, Split, empty_parts, refuse_places_without_origin, stored_split
-from offpiste.dataset.store import Dataset, StoredDrive, add_drive, create, open_dataset
+from offpiste.dataset.store import Dataset, StoredDrive, add_drive, create, drive_names, open_dataset
 from offpiste.dataset.visual_features import SnapshotKeeper, with_visual_features
 from offpiste.dataset.window_starts import MIN_HINDSIGHT, evaluation_starts
 from offpiste.logs.drive import drive_from_log, drive_name
@@ -94,13 +94,12 @@ def extract_drives(
     refuse_places_without_origin(split, rig)
     if empty := empty_parts(split):
         logger.warning(f"the split {split.text} leaves nothing for {' and '.join(empty)}")
-    with working_copy(out) as place:
-        if settings.pca is None:
-            create(place, rig, split, LAYERS[settings.features])
-        else:
-            extractor = load_feature_extractor(settings.pca, settings.device)
-            made_by = extractor.names, extractor.identity, settings.min_hindsight, settings.snapshots, settings.replay
-            create(place, rig, split, *made_by)
+    if settings.pca is None:
+        create(out, rig, split, LAYERS[settings.features])
+    else:
+        extractor = load_feature_extractor(settings.pca, settings.device)
+        made_by = extractor.names, extractor.identity, settings.min_hindsight, settings.snapshots, settings.replay
+        create(out, rig, split, *made_by)
     done = drive_names(out)
     if strangers := sorted({name for name, _ in split.drives} - {*names, *done}):
         named = f"the split {split.text} names {_some(strangers)}"
@@ -115,7 +114,8 @@ def extract_drives(
         failed = run_all(extract_drive, jobs, at_a_time(processes, settings.device), "extract", cluster=cluster).failed
         remove_partials(out)  # of workers that were lost
     finally:
-        remove_if_empty(out)  # all logs failed
+        if not drive_names(out):  # all logs failed
+            shutil.rmtree(out)
     _refuse_failed(failed, out)
     dataset = open_dataset(out)
     if shard[1] == 1 and (line := split_warning(dataset)) is not None:
@@ -131,7 +131,7 @@ def extract_drive(job: Job, report: Report) -> str:
     if job.name in drive_names(job.out):
         return _already_there(job.name)  # a lost worker had finished it
     settings, rig, terrain = job.settings, job.rig, None
-    with brought(job.log) as path, working_copy(job.out) as out, temporary_folder(out / job.name) as folder:
+    with brought(job.log) as path, temporary_folder(job.out / job.name) as folder:
         log = open_log(path, clock=rig.clock)
         findings = settings.examine(log, rig)
         if not settings.force:
@@ -145,7 +145,7 @@ def extract_drive(job: Job, report: Report) -> str:
             snapshots = folder / "snapshots"
             rows, more = _with_visual_features(rows, log, job, extractor, snapshots, report)
             notes += more
-        stored = add_drive(out, job.name, rows, settings.split, notes, terrain, snapshots, findings)
+        stored = add_drive(job.out, job.name, rows, settings.split, notes, terrain, snapshots, findings)
     return described(stored, settings.split, settings.min_hindsight if settings.pca else 0.0, job.min_speed)
 
 

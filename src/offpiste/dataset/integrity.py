@@ -6,8 +6,7 @@ from typing import NamedTuple
 
 from offpiste.core.checksums import damaged_files
 from offpiste.core.errors import OffpisteError
-from offpiste.dataset.place import drive_names
-from offpiste.dataset.store import open_dataset
+from offpiste.dataset.store import drive_names, open_dataset
 from offpiste.dataset.store_validation import RESTORE
 from offpiste.dataset.stored_arrays import check_crc32c
 

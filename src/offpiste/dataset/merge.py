@@ -11,9 +11,8 @@ from offpiste.core.errors import DatasetError
 from offpiste.core.files import check_folder, remove_partials, write_folder
 from offpiste.core.progress import track
 from offpiste.dataset.integrity import dataset_checks
-from offpiste.dataset.place import drive_names, mirrored
 from offpiste.dataset.split_balance import split_warning
-from offpiste.dataset.store import Dataset, open_dataset
+from offpiste.dataset.store import Dataset, drive_names, open_dataset
 from offpiste.dataset.store_validation import read_settings, refuse_unlike
 
 logger = logging.getLogger(__name__)
@@ -27,7 +26,6 @@ def merge_datasets(parts: Sequence[Path], out: Path) -> Dataset:
     """
     if len(parts) < 2:
         raise DatasetError(f"{len(parts)} dataset to merge", how="name two or more")
-    parts = [mirrored(part) for part in parts]
     settings, where = [read_settings(part) for part in parts], dict[str, Path]()
     for part, other in zip(parts, settings, strict=True):
         refuse_unlike(part, other, settings[0])

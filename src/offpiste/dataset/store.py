@@ -19,11 +19,11 @@ from offpiste.core.checksums import CHECKSUMS, check_files, write_checksums
 from offpiste.core.conventions import DT, MIN_EVALUATION_SPEED, min_evaluation_speed
 from offpiste.core.errors import DatasetError
 from offpiste.core.files import check_folder, remove_partials, write_folder
+from offpiste.core.object_store import refuse_url
 from offpiste.dataset.columns import COLUMNS
 from offpiste.dataset.features_under_wheels import Cells
 from offpiste.dataset.log_findings import LogFinding, StoredFindings, findings_by_drive
 from offpiste.dataset.map_snapshots import Snapshots, SnapshotSettings, open_snapshots
-from offpiste.dataset.place import drive_names, mirrored
 from offpiste.dataset.resample import OWN_COLUMNS, Rows, rows_from_arrays
 from offpiste.dataset.splits import Split, stored_split
 from offpiste.dataset.store_validation import (
@@ -97,6 +97,11 @@ class Dataset:
         parts = [split.label(drive.name, drive.rows.world_xy) for drive in self.drives]
         drives = (replace(d, part=part, snapshots=None) for d, part in zip(self.drives, parts, strict=True))
         return replace(self, split=split, drives=tuple(drives))
+
+
+def drive_names(path: Path) -> list[str]:
+    """Return the names of a dataset's drives."""
+    return sorted(f.name for f in path.iterdir() if f.is_dir() and not f.name.startswith("."))
 
 
 def create(
@@ -205,11 +210,12 @@ def add_drive(
 
 
 def open_dataset(path: str | Path) -> Dataset:
-    """Read a dataset; one in an object store is copied into the user's cache folder first.
+    """Read a dataset.
 
     Raises `DatasetError` if there is none, it has another schema or no drives, or a drive is damaged or invalid.
     """
-    path = mirrored(Path(path))
+    path = Path(path)
+    refuse_url(path)
     about, names = read_settings(path), drive_names(path)
     if not names:
         how = "run `offpiste extract` again; it resumes where it stopped"

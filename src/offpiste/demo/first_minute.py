@@ -21,9 +21,8 @@ from offpiste.core.files import write_text
 from offpiste.core.parallel import Report, at_a_time, run_all
 from offpiste.core.shipped import PREFIX, run_folder
 from offpiste.dataset.map_snapshots import SnapshotSettings
-from offpiste.dataset.place import drive_names
 from offpiste.dataset.splits import write_drives
-from offpiste.dataset.store import open_dataset
+from offpiste.dataset.store import drive_names, open_dataset
 from offpiste.demo.comparison import NAMES, closing_words, comparison_table, demo_picture, ending, predict
 from offpiste.demo.warm_up import rehearse
 from offpiste.inspection.extract import extract

@@ -12,9 +12,8 @@ from offpiste.core.errors import DatasetError
 from offpiste.core.parallel import at_a_time
 from offpiste.dataset.fit_pca import fit_pca
 from offpiste.dataset.map_snapshots import SnapshotSettings
-from offpiste.dataset.place import drive_names
 from offpiste.dataset.splits import GAP, PARTS, parse_split, write_drives
-from offpiste.dataset.store import Dataset, open_dataset
+from offpiste.dataset.store import Dataset, drive_names, open_dataset
 from offpiste.dataset.windows import Windows
 from offpiste.inspection.extract import extract
 from offpiste.perception.backbones import open_backbone
