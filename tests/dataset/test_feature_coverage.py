@@ -71,14 +71,3 @@ def test_what_lies_at_the_ends_of_a_drive_was_never_at_some_distances() -> None:
     # After first contact distances are negative, so the start of the drive was seen from behind but not its end.
     np.testing.assert_array_equal(np.flatnonzero(reached["-20"]), np.arange(0, 36))
     assert reached["0"].all()
-
-
-def test_contacts_are_counted_by_how_often_the_place_was_passed_before() -> None:
-    """To and fro over ten cells with a stop far away: the second half are second passes."""
-    there = np.arange(10.0)
-    x = np.concatenate((there, np.full(20, 50.0), there[::-1]))
-    xy = np.column_stack((x, np.zeros(len(x))))
-    wheels = np.repeat(xy[:, None], 4, axis=1)
-    passes = find_passes(np.arange(float(len(x))), xy, wheels, resolution=1.0)
-    # The stop lasts 20 s in one cell, one pass of its own.
-    np.testing.assert_array_equal(feature_coverage.contacts_by_pass(passes), (4 * 30, 4 * 10))

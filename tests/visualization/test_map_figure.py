@@ -26,7 +26,7 @@ def test_cells_stay_where_they_are_in_the_world() -> None:
     assert mosaic.step == 1
     for low in ((0, 0), (3, -2), (-4, 7)):
         mosaic.add(layers_at(low))
-    ground = mosaic.ground()
+    ground = mosaic.ground
     rows, columns = np.nonzero(ground.known)
     place = ground.origin + np.column_stack((columns, rows)) * SIZE
     x, y = np.floor(place / SIZE + 1e-6).T
@@ -44,7 +44,7 @@ def test_what_a_later_map_does_not_know_stays_and_what_it_knows_is_taken() -> No
     later.valid[3, 1] = True
     later.features[3, 1] = 0.25, 0.5
     mosaic.add(later)
-    ground = mosaic.ground().trimmed()
+    ground = mosaic.ground.trimmed()
     np.testing.assert_array_equal(ground.elevation[:, 0], [0, 1, 2, 3])
     np.testing.assert_array_equal(ground.elevation[:, 1], -7)
     np.testing.assert_array_equal(ground.known[:, 1], [OBSERVED, OBSERVED, FILLED, FEATURED])
@@ -57,7 +57,7 @@ def test_a_long_drive_takes_every_nth_cell_whatever_the_maps_place() -> None:
     assert mosaic.step == 3
     for low in ((0, 0), (1, 2), (5, 4), (20, 19)):
         mosaic.add(layers_at(low))
-    ground = mosaic.ground()
+    ground = mosaic.ground
     assert ground.known.size <= 20 * 20
     rows, columns = np.nonzero(ground.known)
     place = ground.origin + np.column_stack((columns, rows)) * ground.resolution
@@ -70,15 +70,15 @@ def test_maps_without_features_or_off_the_mosaic() -> None:
     mosaic = Mosaic(np.zeros(2), np.ones(2), SIZE)
     mosaic.add(layers_at((2, 2), channels=0))
     mosaic.add(layers_at((1000, -1000)))
-    ground = mosaic.ground().trimmed()
+    ground = mosaic.ground.trimmed()
     assert ground.known.shape == (4, 4)
     assert np.isnan(ground.components).all()
-    assert Mosaic(np.zeros(2), np.ones(2), SIZE).ground().trimmed().known.max() == UNKNOWN
+    assert Mosaic(np.zeros(2), np.ones(2), SIZE).ground.trimmed().known.max() == UNKNOWN
 
 
 def test_a_crop_keeps_the_cells_inside_of_the_box() -> None:
     mosaic = Mosaic(np.zeros(2), np.ones(2), SIZE)
     mosaic.add(layers_at((0, 0)))
-    ground = mosaic.ground().cropped(np.array([0.25, 0.05]), np.array([0.55, 0.35]))
+    ground = mosaic.ground.cropped(np.array([0.25, 0.05]), np.array([0.55, 0.35]))
     np.testing.assert_array_equal(ground.elevation, [[100, 200], [101, 201]])
     np.testing.assert_allclose(ground.origin, (0.3, 0.1))

@@ -7,7 +7,7 @@ import torch
 from offpiste.core.state import Trajectory
 from offpiste.uncertainty.calibration import NOMINAL
 from offpiste.uncertainty.fit import SpreadPrediction
-from offpiste.visualization.predicted_regions import draw_regions, ellipses
+from offpiste.visualization.predicted_regions import ellipses, regions_chart
 
 
 def straight(windows: int = 3) -> SpreadPrediction:
@@ -20,18 +20,17 @@ def straight(windows: int = 3) -> SpreadPrediction:
     return SpreadPrediction(Trajectory(state, torch.zeros(windows, 250, 4)), scale, 5.0)
 
 
-def test_ellipses_lie_on_the_predicted_path_along_its_heading():
+def test_outlines_lie_on_the_predicted_path_along_its_heading():
     found = straight()
     drawn = ellipses(found, 1)
-    assert [ellipse.center[1] for ellipse in drawn[:3]] == pytest.approx([5.0, 15.0, 25.0])
-    assert all(ellipse.angle == pytest.approx(90) for ellipse in drawn)
-    for ellipse, probability in zip(drawn[2::3], NOMINAL, strict=True):
+    assert [outline[:-1, 1].mean() for outline in drawn[:3]] == pytest.approx([5.0, 15.0, 25.0], rel=1e-5)
+    for outline, probability in zip(drawn[2::3], NOMINAL, strict=True):
         along, across = found.region(probability)[1, 24].tolist()
-        assert (ellipse.width, ellipse.height) == pytest.approx((2 * along, 2 * across), rel=1e-5)
+        assert np.ptp(outline, axis=0) == pytest.approx((2 * across, 2 * along), rel=1e-5)
 
 
 def test_a_panel_a_window():
-    figure = draw_regions(straight(), np.zeros((3, 250, 2)), "dc")
-    used = [axes for axes in figure.axes if axes.patches]
-    assert len(used) == 3
-    assert all(len(axes.patches) == 9 and len(axes.lines) == 4 for axes in used)
+    panels = regions_chart(straight(), np.zeros((3, 250, 2)), "dc").panels
+    assert [len(panel.lines) for panel in panels] == [11] * 3
+    for line in panels[0].lines:
+        assert panels[0].y_range[0] < line.y.min() <= line.y.max() < panels[0].y_range[1]

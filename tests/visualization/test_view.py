@@ -18,7 +18,7 @@ from offpiste.dataset.splits import parse_split
 from offpiste.dataset.wheel_passes import find_passes
 from offpiste.mapping.terrain_map import wheel_positions
 from offpiste.visualization.coverage import measure_coverage, passes_of
-from offpiste.visualization.view import DRIVES_A_PAGE, draw_paths, pages
+from offpiste.visualization.view import DRIVES_A_PAGE, draw_paths, view_dataset
 
 SPLIT = parse_split("blocks:0.5,0.25,0.25")
 SETS = len(FEATURE_SETS)
@@ -71,15 +71,14 @@ def test_a_few_wrong_speeds_do_not_stretch_the_colours(tmp_path: Path) -> None:
 
 def test_the_numbers_are_those_of_the_features(dataset: Path) -> None:
     found = measure_coverage(store.open_dataset(dataset))
-    assert [rates.name for rates in found.drives] == ["drive-0", "drive-1"]
-    assert found.whole.cells == sum(rates.cells for rates in found.drives)
-    np.testing.assert_allclose(found.whole.share, (1, 1, 1, *[0.5] * 5), atol=0.01)
+    assert list(found.by_drive) == ["drive-0", "drive-1"]
+    for share in (found.share, *found.by_drive.values()):
+        np.testing.assert_allclose(share, (1, 1, 1, *[0.5] * 5), atol=0.01)
     np.testing.assert_allclose(found.quartiles, 5.0)
     # In hindsight the first feature grows evenly from 0 to 1, the second is constant.
     np.testing.assert_allclose(found.apart.neighbours()[:, 0], 0.1 / 0.98, rtol=0.01)
     np.testing.assert_allclose(found.apart_of_total.neighbours()[:, 0], 0.1, rtol=0.01)
     assert np.isnan(found.apart.neighbours()[:, 1]).all()
-    assert found.contacts.sum() == 2 * 1500 * 4
 
 
 def test_what_is_in_reach_is_unknown_where_passes_are_others(tmp_path: Path) -> None:
@@ -88,9 +87,7 @@ def test_what_is_in_reach_is_unknown_where_passes_are_others(tmp_path: Path) -> 
     dataset = store.open_dataset(written(tmp_path, [rows, other]))
     assert passes_of(dataset.drives[0], dataset.rig) is not None
     assert passes_of(dataset.drives[1], dataset.rig) is None
-    found = measure_coverage(dataset)
-    assert np.isnan(found.drives[1].in_reach).all()
-    assert len(found.contacts) == 0
+    assert np.isnan(measure_coverage(replace(dataset, drives=dataset.drives[1:])).in_reach).all()
 
 
 def test_the_command_writes_pictures_a_table_and_a_page_that_needs_nothing_else(
@@ -98,7 +95,9 @@ def test_the_command_writes_pictures_a_table_and_a_page_that_needs_nothing_else(
 ) -> None:
     assert run("view", str(dataset), "--out", str(tmp_path)) == 0
     assert {p.name for p in tmp_path.iterdir()} == {
-        *(f"{name}.png" for name in ("paths", "rates", "distances", "differences")),
+        "paths.png",
+        "rates.png",
+        "distances.png",
         "report.html",
     }
     assert all(cv2.imread(str(p)) is not None for p in tmp_path.glob("*.png"))
@@ -106,10 +105,9 @@ def test_the_command_writes_pictures_a_table_and_a_page_that_needs_nothing_else(
     assert "valid rate by distance" in said
     assert "0.21" in said  # the paper's at 40 m
     page = (tmp_path / "report.html").read_text()
-    assert page.count("data:image/png;base64,") == 4
+    assert page.count("data:image/png;base64,") == 3
     assert not re.search(r'(?:src|href)="(?!data:|#)', page)
     assert "a &lt;note&gt;" in page
-    assert "$" not in re.sub(r"base64,[^\"]*", "", page)
 
 
 def test_a_dataset_without_visual_features_shows_its_paths(
@@ -131,6 +129,8 @@ def test_a_broken_dataset_ends_in_one_line(
     assert not (tmp_path / "out").exists()
 
 
-def test_many_drives_take_several_pages(dataset: Path) -> None:
-    drive = store.open_dataset(dataset).drives[0]
-    assert [len(page) for page in pages([drive] * (DRIVES_A_PAGE + 1))] == [DRIVES_A_PAGE, 1]
+def test_many_drives_take_several_pictures(dataset: Path, tmp_path: Path) -> None:
+    drive = store.open_dataset(written(tmp_path, [circle_rows(600)], ())).drives[0]
+    many = replace(store.open_dataset(dataset), drives=(drive,) * (DRIVES_A_PAGE + 1), features=())
+    names = [path.name for path in view_dataset(many, tmp_path / "out")]
+    assert names == ["paths-1.png", "paths-2.png", "report.html"]

@@ -18,9 +18,6 @@ from offpiste.dataset.wheel_passes import Passes
 PAPER_RATES: Final = (1.0, 0.87, 0.92, 0.92, 0.84, 0.65, 0.42, 0.21)
 """Valid rates by feature set in the paper ("occlusion percentages")."""
 
-PAPER_DIFFERENCE: Final = 0.3
-"""Difference between adjacent feature sets relative to the range of values (paper)."""
-
 CENTRAL: Final = (1.0, 99.0)
 """Percentiles of a feature's range, robust against a few cells."""
 
@@ -125,16 +122,6 @@ def unrelated(cells: Sequence[Cells], span: Float[np.ndarray, " F"], rng: np.ran
         return float("nan")
     other = (np.arange(len(seen)) + rng.integers(1, len(seen), len(seen))) % len(seen)
     return float(np.linalg.norm(seen - seen[other], axis=1).mean() / np.linalg.norm(span))
-
-
-def contacts_by_pass(passes: Passes) -> Int[np.ndarray, " K"]:
-    """Count the contacts (a wheel on a cell at a row) of first, second, ... passes over a cell."""
-    _, place = np.unique(passes.cell, axis=0, return_inverse=True)
-    order = np.argsort(place.reshape(-1), kind="stable")  # passes are ordered by time
-    first = np.flatnonzero(np.diff(place.reshape(-1)[order], prepend=-1))
-    number = np.empty(len(order), np.int64)
-    number[order] = np.arange(len(order)) - np.repeat(first, np.diff(np.append(first, len(order))))
-    return np.bincount(number[passes.index[passes.index >= 0]])
 
 
 def _seen(cells: Sequence[Cells]) -> Float[np.ndarray, "n F"]:

@@ -96,9 +96,9 @@ def _coverage(coverage: FeatureCoverage) -> dict[str, Any]:
     """Return the coverage by feature set."""
     return {
         "feature_sets": list(FEATURE_SETS),
-        "valid": coverage.whole.share.tolist(),
-        "valid_of_hindsight": coverage.whole.of_hindsight.tolist(),
-        "valid_in_reach": coverage.whole.in_reach.tolist(),
+        "valid": coverage.share.tolist(),
+        "valid_of_hindsight": coverage.of_hindsight.tolist(),
+        "valid_in_reach": coverage.in_reach.tolist(),
         "l2_difference_over_range": coverage.apart.length.tolist(),
         "l2_difference_of_unrelated_cells": coverage.unrelated,
     }

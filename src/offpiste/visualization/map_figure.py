@@ -1,12 +1,11 @@
 """Map of a drive from above: elevation, features, obstacles and slope, validity, and the wheels' tracks."""
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from jaxtyping import Float, Int
 from matplotlib import colormaps
-from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
@@ -54,13 +53,11 @@ class Ground:
 
     def trimmed(self) -> "Ground":
         """Return the ground without unknown rows and columns at its edges."""
-        rows, columns = np.nonzero(self.known)
-        if not len(rows):
+        cells = np.argwhere(self.known)[:, ::-1]
+        if not len(cells):
             return self
-        low = self.origin + np.array([columns.min(), rows.min()]) * self.resolution
-        high = self.origin + np.array([columns.max(), rows.max()]) * self.resolution
-        half = self.resolution / 2
-        return self.cropped(low - half, high + half)
+        low, high = (self.origin + at * self.resolution for at in (cells.min(axis=0) - 0.5, cells.max(axis=0) + 0.5))
+        return self.cropped(low, high)
 
 
 class Mosaic:
@@ -70,49 +67,45 @@ class Mosaic:
         low, high: corners of a box around all maps [m].
         resolution: size of the maps' cells [m].
         most: largest number of cells.
+
+    Attributes:
+        step: number of the maps' cells from one cell to the next.
+        ground: so far.
     """
 
     def __init__(
         self, low: Float[np.ndarray, " 2"], high: Float[np.ndarray, " 2"], resolution: float, *, most: int = MOST_CELLS
     ) -> None:
-        cells = (high - low) / resolution
-        self.step = max(1, int(np.ceil(np.sqrt(cells.prod() / most))))
-        self._resolution = resolution
-        self._first = np.floor(low / resolution / self.step).astype(int)
-        nx, ny = np.ceil(high / resolution / self.step).astype(int) + 1 - self._first
-        self._elevation = np.full((ny, nx), np.nan, np.float32)
-        self._components = np.full((ny, nx, 3), np.nan, np.float16)
-        self._obstacle = np.full((ny, nx), np.nan, np.float16)
-        self._slope = np.full((ny, nx), np.nan, np.float16)
-        self._known = np.zeros((ny, nx), np.int8)
+        self.step = max(1, int(np.ceil(np.sqrt(((high - low) / resolution).prod() / most))))
+        size = resolution * self.step
+        self._first = np.floor(low / size).astype(int)
+        nx, ny = np.ceil(high / size).astype(int) + 1 - self._first
+        self.ground = Ground(
+            origin=self._first * size + resolution / 2,
+            resolution=size,
+            elevation=np.full((ny, nx), np.nan, np.float32),
+            components=np.full((ny, nx, 3), np.nan, np.float16),
+            obstacle=np.full((ny, nx), np.nan, np.float16),
+            slope=np.full((ny, nx), np.nan, np.float16),
+            known=np.zeros((ny, nx), np.int8),
+        )
 
     def add(self, layers: TerrainLayers) -> None:
         """Update the cells that a map knows; other cells stay."""
         low = np.floor(layers.origin / layers.resolution).astype(int)  # cell i covers [i, i + 1) cells
-        skip = -low % self.step
-        every = slice(skip[1], None, self.step), slice(skip[0], None, self.step)
-        at = (low + skip) // self.step - self._first
-        known = layers.known[every]
-        rows, columns = np.nonzero(known)
-        inside = (rows + at[1] >= 0) & (rows + at[1] < len(self._known))
-        inside &= (columns + at[0] >= 0) & (columns + at[0] < self._known.shape[1])
-        rows, columns = rows[inside], columns[inside]
-        here = rows + at[1], columns + at[0]
-        self._elevation[here] = layers.elevation[every][rows, columns]
-        self._obstacle[here] = layers.obstacle_height[every][rows, columns]
-        self._slope[here] = np.clip(layers.slope[every][rows, columns], 0, 100)
-        given = min(3, layers.features.shape[2])
-        self._components[here] = np.where(given, np.float16(0), np.float16(np.nan))
-        self._components[here[0], here[1], :given] = layers.features[every][rows, columns, :given]
-        observed = layers.observed[every][rows, columns]
-        valid = layers.valid[every][rows, columns]
-        self._known[here] = np.where(valid, FEATURED, np.where(observed, OBSERVED, FILLED))
-
-    def ground(self) -> Ground:
-        """Return the ground so far; shares memory with the mosaic."""
-        size = self._resolution * self.step
-        origin = self._first * size + self._resolution / 2
-        return Ground(origin, size, self._elevation, self._components, self._obstacle, self._slope, self._known)
+        cells = np.argwhere(layers.known)
+        at, rest = np.divmod(cells + low[::-1], self.step)
+        at -= self._first[::-1]
+        kept = ~rest.any(axis=1) & ((at >= 0) & (at < self.ground.known.shape)).all(axis=1)
+        here, there = tuple(at[kept].T), tuple(cells[kept].T)
+        self.ground.elevation[here] = layers.elevation[there]
+        self.ground.obstacle[here] = layers.obstacle_height[there]
+        self.ground.slope[here] = np.clip(layers.slope[there], 0, 100)
+        given = layers.features[there][:, :3]
+        missing = np.full((len(given), 3 - given.shape[1]), 0.0 if given.shape[1] else np.nan)
+        self.ground.components[here] = np.concatenate((given, missing), axis=1)
+        seen = np.where(layers.observed[there], OBSERVED, FILLED)
+        self.ground.known[here] = np.where(layers.valid[there], FEATURED, seen)
 
 
 SUN = np.array([-0.5, 0.45, 0.74])
@@ -147,29 +140,36 @@ def draw_map(ground: Ground, wheels: Float[np.ndarray, "N 4 2"], limits: Limits 
     figure = Figure(figsize=(13, 1.4 + float(np.clip(9.4 * tall, 4, 20))), dpi=120, layout="constrained")
     figure.suptitle(title, x=0.01, ha="left", fontsize=11)
     panels = figure.subplots(2, 2, sharex=True, sharey=True).ravel()
-    relief = _relief(panels[0], ground)
-    figure.colorbar(relief, ax=panels[0], shrink=0.7, label="elevation [m]")
-    _show(panels[1], ground, feature_colours(ground, limits))
-    panels[1].set_title("features, first three components" if limits is not None else "no features (give --pca)")
-    _obstacles(figure, panels[2], ground)
-    known = panels[3].imshow(
-        ground.known, origin="lower", extent=_extent(ground), cmap=ListedColormap(KNOWN_COLOURS), vmin=-0.5, vmax=3.5
-    )
+    left, right, bottom, top = extent = _extent(ground)
+    place: dict[str, Any] = {"origin": "lower", "extent": extent, "interpolation": "nearest"}
+    scale, picture = _relief(ground)
+    panels[0].imshow(picture, **place)
+    panels[1].imshow(feature_colours(ground, limits), **place)
+    slope = panels[2].imshow(ground.slope, cmap="Greys", vmin=0, vmax=STEEP, **place)
+    stands = np.where(ground.obstacle > 0.2, ground.obstacle, np.nan)
+    height = panels[2].imshow(stands, cmap="YlOrRd", vmin=0, vmax=TALL, **place)
+    known = panels[3].imshow(ground.known, cmap=ListedColormap(KNOWN_COLOURS), vmin=-0.5, vmax=3.5, **place)
+    for axes, image, label in (
+        (panels[0], scale, "elevation [m]"),
+        (panels[2], slope, "slope"),
+        (panels[2], height, "obstacle [m]"),
+    ):
+        figure.colorbar(image, ax=axes, shrink=0.7, pad=0.01, label=label)
     bar = figure.colorbar(known, ax=panels[3], shrink=0.7, ticks=range(4))
     bar.ax.set_yticklabels(KNOWN_NAMES, fontsize=8)
-    panels[3].set_title(f"validity: {(ground.known == FEATURED).mean():.0%} of the box has features")
-    for axes in panels:
-        draw_wheels(axes, wheels)
-        axes.title.set_fontsize(10)
-        axes.set(xlim=_extent(ground)[:2], ylim=_extent(ground)[2:], xlabel="x [m]", ylabel="y [m]")
+    titles = (
+        "elevation",
+        "features, first three components" if limits is not None else "no features (give --pca)",
+        "obstacles above 0.2 m on slope (rise over run)",
+        f"validity: {(ground.known == FEATURED).mean():.0%} of the box has features",
+    )
+    for axes, text in zip(panels, titles, strict=True):
+        for wheel in wheels.transpose(1, 2, 0):
+            axes.plot(*wheel, color="white", linewidth=1.1, alpha=0.8)
+            axes.plot(*wheel, color=INK, linewidth=0.5)
+        axes.set_title(text, fontsize=10)
+        axes.set(xlim=(left, right), ylim=(bottom, top), xlabel="x [m]", ylabel="y [m]")
     return figure
-
-
-def draw_wheels(axes: Axes, wheels: Float[np.ndarray, "N 4 2"]) -> None:
-    """Draw the tracks of the four wheels."""
-    for number in range(4):
-        axes.plot(*wheels[:, number].T, color="white", linewidth=1.1, alpha=0.8)
-        axes.plot(*wheels[:, number].T, color=INK, linewidth=0.5)
 
 
 def hillshade(ground: Ground) -> Float[np.ndarray, "ny nx"]:
@@ -192,31 +192,14 @@ def feature_colours(ground: Ground, limits: Limits | None) -> Float[np.ndarray, 
     return np.asarray(picture)
 
 
-def _relief(axes: Axes, ground: Ground) -> ScalarMappable:
-    """Draw elevation in shaded colours; return the colour scale."""
+def _relief(ground: Ground) -> tuple[ScalarMappable, Float[np.ndarray, "ny nx 3"]]:
+    """Return the colour scale of the elevation, and the elevation in shaded colours."""
     known = ground.known > 0
     low, high = np.percentile(ground.elevation[known], (1, 99)) if known.any() else (0.0, 1.0)
     scale = ScalarMappable(Normalize(low, max(high, low + 0.5)), RELIEF)
     light = np.nan_to_num(0.3 + 0.9 * hillshade(ground), nan=0.9)[..., None]
     lit = (np.asarray(scale.to_rgba(np.nan_to_num(ground.elevation)))[..., :3] * light).clip(0, 1)
-    _show(axes, ground, np.where(known[..., None], lit, PAPER))
-    axes.set_title("elevation")
-    return scale
-
-
-def _obstacles(figure: Figure, axes: Axes, ground: Ground) -> None:
-    """Draw slope, and obstacles on top of it."""
-    _show(axes, ground, np.full((*ground.known.shape, 3), PAPER))
-    slope = axes.imshow(ground.slope, origin="lower", extent=_extent(ground), cmap="Greys", vmin=0, vmax=STEEP)
-    stands = np.where(ground.obstacle > 0.2, ground.obstacle, np.nan)
-    height = axes.imshow(stands, origin="lower", extent=_extent(ground), cmap="YlOrRd", vmin=0, vmax=TALL)
-    figure.colorbar(slope, ax=axes, shrink=0.7, pad=0.01, label="slope")
-    figure.colorbar(height, ax=axes, shrink=0.7, pad=0.01, label="obstacle [m]")
-    axes.set_title("obstacles above 0.2 m on slope (rise over run)")
-
-
-def _show(axes: Axes, ground: Ground, picture: Float[np.ndarray, "ny nx 3"]) -> None:
-    axes.imshow(picture, origin="lower", extent=_extent(ground), interpolation="nearest")
+    return scale, np.where(known[..., None], lit, PAPER)
 
 
 def _extent(ground: Ground) -> tuple[float, float, float, float]:

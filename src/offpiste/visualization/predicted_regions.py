@@ -5,19 +5,17 @@ from typing import Final
 
 import numpy as np
 from jaxtyping import Float
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.patches import Ellipse
 
+from offpiste.core.conventions import DT
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics.models import display_name
 from offpiste.evaluation.box_plots import RECORDED
-from offpiste.report.figure import BLUE, plain, write_png
+from offpiste.report.chart import Chart, Line, Panel, draw
+from offpiste.report.figure import BLUE, write_png
 from offpiste.training.run import load_run, refuse_unfit
-from offpiste.uncertainty.calibration import AT, NOMINAL
+from offpiste.uncertainty.calibration import AT, HORIZONS, NOMINAL
 from offpiste.uncertainty.fit import SpreadPrediction, predict_with_spread
-from offpiste.uncertainty.spread import EVERY
 
 PART: Final = "test"
 """Drawn part of the split."""
@@ -25,8 +23,8 @@ PART: Final = "test"
 DRAWN: Final = 10
 """Number of windows."""
 
-COLUMNS: Final = 5
-"""Number of panels side by side."""
+MARGIN: Final = 4.0
+"""Margin around the paths [m]."""
 
 
 def view_regions(folder: Path, dataset: Dataset, out: Path) -> Path:
@@ -42,50 +40,41 @@ def view_regions(folder: Path, dataset: Dataset, out: Path) -> Path:
     index = windows.evaluation_indices(5)
     index = index[np.unique(np.linspace(0, len(index) - 1, DRAWN).astype(int))]
     found = predict_with_spread(run, windows[index], "map")
-    figure = draw_regions(found, windows.gather(index).target[..., :2].numpy(), run.model)
-    write_png(out / "regions.png", figure, dpi=110)
+    chart = regions_chart(found, windows.gather(index).target[..., :2].numpy(), run.model)
+    write_png(out / "regions.png", draw(chart), dpi=110)
     return out / "regions.png"
 
 
-def draw_regions(found: SpreadPrediction, recorded: Float[np.ndarray, "B T 2"], model: str) -> Figure:
-    """Draw a panel for each window with recorded and predicted path and the regions after 1, 3 and 5 s.
+def regions_chart(found: SpreadPrediction, recorded: Float[np.ndarray, "B T 2"], model: str) -> Chart:
+    """Describe a panel for each window with recorded and predicted path and the regions after 1, 3 and 5 s.
 
     Args:
         recorded: positions relative to the start [m].
     """
-    lines = -(-len(recorded) // COLUMNS)
-    figure = Figure(figsize=(14, 3.2 * lines), layout="constrained")
-    figure.suptitle(
-        f"{display_name(model)}: regions that contain the vehicle with 50, 80 and 95 % after 1, 3 and 5 s", fontsize=10
-    )
-    panels = figure.subplots(lines, COLUMNS, squeeze=False).ravel()
-    for number, axes in enumerate(panels):
-        if number >= len(recorded):
-            axes.set_axis_off()
-            continue
-        plain(axes, "")
-        for ellipse in ellipses(found, number):
-            axes.add_patch(ellipse)
-        _draw_path(axes, recorded[number], RECORDED, "recorded")
-        _draw_path(axes, found.trajectory.state[number, :, :2].numpy(), BLUE, "predicted")
-        axes.set_aspect("equal", adjustable="datalim")
-        axes.set(xlabel="x [m]", ylabel="y [m]")
-    panels[0].legend(frameon=False, fontsize=8)
-    return figure
+    panels = []
+    for number, path in enumerate(recorded):
+        predicted = found.trajectory.state[number, :, :2].numpy()
+        outlines = ellipses(found, number)
+        shown = np.concatenate((np.zeros((1, 2)), path, predicted, *outlines))
+        middle, half = (shown.min(axis=0) + shown.max(axis=0)) / 2, np.ptp(shown, axis=0).max() / 2 + MARGIN
+        sides = np.stack((middle - half, middle + half), axis=1).tolist()
+        lines = [Line("", *outline.T, BLUE, width=0.8, opacity=0.6) for outline in outlines]
+        for label, colour, places in (("recorded", RECORDED, path), ("predicted", BLUE, predicted)):
+            lines.append(Line(label, *np.concatenate((np.zeros((1, 2)), places)).T, colour, marker="o", marked="last"))
+        panels.append(Panel("x [m]", "y [m]", lines, x_range=tuple(sides[0]), y_range=tuple(sides[1]), equal=True))
+    title = f"{display_name(model)}: regions that contain the vehicle with 50, 80 and 95 % after 1, 3 and 5 s"
+    return Chart(panels, title)
 
 
-def ellipses(found: SpreadPrediction, number: int) -> list[Ellipse]:
-    """Return the regions of a window in the frame of its start."""
-    drawn = []
+def ellipses(found: SpreadPrediction, number: int) -> list[Float[np.ndarray, "P 2"]]:
+    """Return the outlines of the regions of a window in the frame of its start, by probability and time [m]."""
+    angle = np.linspace(0, 2 * np.pi, 61)
+    outlines = []
     for probability in NOMINAL:
         half = found.region(probability)[number].numpy()
-        for moment in AT:
-            x, y, yaw = found.trajectory.state[number, EVERY * (moment + 1) - 1, :3].tolist()
-            along, across = 2 * half[moment]
-            drawn.append(Ellipse((x, y), along, across, angle=np.degrees(yaw), color=BLUE, alpha=0.15, linewidth=0))
-    return drawn
-
-
-def _draw_path(axes: Axes, path: Float[np.ndarray, "T 2"], colour: str, label: str) -> None:
-    axes.plot(*np.concatenate((np.zeros((1, 2)), path)).T, color=colour, linewidth=1.4, label=label)
-    axes.plot(*path[[EVERY * (moment + 1) - 1 for moment in AT]].T, ".", color=colour, markersize=5)
+        for moment, seconds in zip(AT, HORIZONS, strict=True):
+            x, y, yaw = found.trajectory.state[number, round(seconds / DT) - 1, :3].tolist()
+            along, across = half[moment, 0] * np.cos(angle), half[moment, 1] * np.sin(angle)
+            cos, sin = np.cos(yaw), np.sin(yaw)
+            outlines.append(np.column_stack((x + cos * along - sin * across, y + sin * along + cos * across)))
+    return outlines

@@ -57,12 +57,11 @@ class Tile:
 
     Attributes:
         place: x and y of the tile, in tiles.
-        rows, columns: of the map, in steps, with one more at the upper ends so that tiles meet.
+        cells: rows and columns of the map, in steps, with one more at the upper ends so that tiles meet.
     """
 
     place: tuple[int, int]
-    rows: slice
-    columns: slice
+    cells: tuple[slice, slice]
 
 
 def tiles(layers: TerrainLayers, step: int) -> Iterator[Tile]:
@@ -71,11 +70,17 @@ def tiles(layers: TerrainLayers, step: int) -> Iterator[Tile]:
     Args:
         step: between the cells that are taken, the same cells wherever the map is; divides `TILE`.
     """
-    low = np.floor(layers.origin / layers.resolution).astype(int).tolist()  # cell i covers [i, i + 1) cells
+    left, bottom = np.floor(layers.origin / layers.resolution).astype(int).tolist()  # cell i covers [i, i + 1) cells
     ny, nx = layers.known.shape
-    for y in range(low[1] // TILE, (low[1] + ny - 1) // TILE + 1):
-        for x in range(low[0] // TILE, (low[0] + nx - 1) // TILE + 1):
-            yield Tile((x, y), _between(y, low[1], ny, step), _between(x, low[0], nx, step))
+    for y in range(bottom // TILE, (bottom + ny - 1) // TILE + 1):
+        for x in range(left // TILE, (left + nx - 1) // TILE + 1):
+            yield Tile((x, y), (_between(y, bottom, ny, step), _between(x, left, nx, step)))
+
+
+def _between(tile: int, low: int, count: int, step: int) -> slice:
+    first = max(tile * TILE, low)
+    first += -first % step
+    return slice(first - low, min((tile + 1) * TILE + 1, low + count) - low, step)
 
 
 def grid_triangles(known: Bool[np.ndarray, "h w"]) -> Int[np.ndarray, "T 3"]:
@@ -85,21 +90,6 @@ def grid_triangles(known: Bool[np.ndarray, "h w"]) -> Int[np.ndarray, "T 3"]:
     whole = (a >= 0) & (b >= 0) & (c >= 0) & (d >= 0)
     lower, upper = np.stack((a, b, d), axis=-1)[whole], np.stack((a, d, c), axis=-1)[whole]
     return np.concatenate((lower, upper))
-
-
-def cell_centres(layers: TerrainLayers, tile: Tile) -> Float[np.ndarray, "h w 3"]:
-    """Return the positions of a tile's cells on the ground [m]."""
-    ny, nx = layers.known.shape
-    x = layers.origin[0] + layers.resolution * np.arange(nx)[tile.columns]
-    y = layers.origin[1] + layers.resolution * np.arange(ny)[tile.rows]
-    xx, yy = np.meshgrid(x, y)
-    return np.stack((xx, yy, layers.elevation[tile.rows, tile.columns]), axis=-1)
-
-
-def _between(tile: int, low: int, count: int, step: int) -> slice:
-    first = max(tile * TILE, low)
-    first += -first % step
-    return slice(first - low, min((tile + 1) * TILE + 1, low + count) - low, step)
 
 
 class Recorder:
@@ -216,57 +206,44 @@ class Recorder:
 
     def _has_news(self, layers: TerrainLayers, tile: Tile) -> bool:
         """Whether clearly more cells are known or were seen from nearby than when the tile was last written."""
-        part = tile.rows, tile.columns
-        count, near = int(layers.known[part].sum()), layers.distance[part][layers.valid[part]]
+        count = int(layers.known[tile.cells].sum())
+        near = layers.distance[tile.cells][layers.valid[tile.cells]]
         seen = float((1 / np.maximum(near, 2.0)).sum())
         before = self._tiles.get(tile.place, (0, 0.0))
-        news = count > 1.03 * before[0] or seen > 1.15 * before[1]
         # A tile that leaves the map shrinks; its last state stays in the file.
-        if news and count >= before[0]:
+        news = count >= before[0] and (count > 1.03 * before[0] or seen > 1.15 * before[1])
+        if news:
             self._tiles[tile.place] = count, seen
-            return True
-        return False
+        return news
 
     def _add_tile(self, layers: TerrainLayers, tile: Tile) -> None:
-        rr, part = self._rr, (tile.rows, tile.columns)
-        known, name = layers.known[part], f"{tile.place[0]}_{tile.place[1]}"
-        place = (cell_centres(layers, tile) - self._origin).astype(np.float32)
+        rr, cells, name = self._rr, tile.cells, "{}_{}".format(*tile.place)
+        known, slope, height = (layer[cells] for layer in (layers.known, layers.slope, layers.obstacle_height))
+        place = np.dstack((layers.centres[cells], layers.elevation[cells]))
+        place = (place - self._origin).astype(np.float32)
         triangles = grid_triangles(known)
         if len(triangles):
+            shade = np.broadcast_to(GREY, place.shape).copy()
+            if self._limits is not None:
+                valid = layers.valid[cells]
+                shade[valid] = colours(layers.features[cells][valid], self._limits)
             mesh = rr.Mesh3D(
                 vertex_positions=place[known],
                 triangle_indices=triangles,
-                vertex_normals=np.nan_to_num(layers.normal[part][known], nan=0.0),
-                vertex_colors=self._shade(layers, tile)[known],
+                vertex_normals=np.nan_to_num(layers.normal[cells][known], nan=0.0),
+                vertex_colors=shade[known],
             )
             self._stream.log(f"world/map/ground/{name}", mesh)
-        height = layers.obstacle_height[part]
-        self._add_layer(f"world/map/obstacles/{name}", place, height / TALL, known & (height > 0.2), "YlOrRd", height)
-        slope = layers.slope[part]
-        self._add_layer(f"world/map/slope/{name}", place, slope / STEEP, known & np.isfinite(slope), "viridis")
+        sloped, standing = known & np.isfinite(slope), known & (height > 0.2)
+        self._add_points(f"world/map/slope/{name}", place[sloped], slope[sloped] / STEEP, "viridis")
+        place[..., 2] += np.nan_to_num(height)
+        self._add_points(f"world/map/obstacles/{name}", place[standing], height[standing] / TALL, "YlOrRd")
 
-    def _add_layer(
-        self,
-        name: str,
-        place: Float[np.ndarray, "h w 3"],
-        share: Float[np.ndarray, "h w"],
-        where: Bool[np.ndarray, "h w"],
-        cmap: str,
-        lift: Float[np.ndarray, "h w"] | None = None,
+    def _add_points(
+        self, name: str, points: Float[np.ndarray, "n 3"], share: Float[np.ndarray, " n"], colour_map: str
     ) -> None:
-        points = place[where]
-        if lift is not None:
-            points[:, 2] += lift[where]
-        shade = (255 * colormaps[cmap](share[where].clip(0, 1))[:, :3]).astype(np.uint8)
+        shade = (255 * colormaps[colour_map](share.clip(0, 1))[:, :3]).astype(np.uint8)
         self._stream.log(name, self._rr.Points3D(points, colors=shade, radii=0.1))
-
-    def _shade(self, layers: TerrainLayers, tile: Tile) -> UInt8[np.ndarray, "h w 3"]:
-        part = tile.rows, tile.columns
-        shade = np.broadcast_to(GREY, (*layers.known[part].shape, 3)).copy()
-        if self._limits is not None:
-            valid = layers.valid[part]
-            shade[valid] = colours(layers.features[part][valid], self._limits)
-        return shade
 
 
 def _blueprint(cameras: tuple[str, ...], features: bool) -> Any:

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from offpiste.core.conventions import DT
 from offpiste.core.errors import LogError, RigError
@@ -45,58 +44,43 @@ DRIVES_A_PAGE = 6
 """Number of drives in one picture."""
 
 
-def pages(drives: Sequence[StoredDrive]) -> list[list[StoredDrive]]:
-    """Return the drives in groups of one picture each."""
-    return [list(drives[first : first + DRIVES_A_PAGE]) for first in range(0, len(drives), DRIVES_A_PAGE)]
-
-
-def _seconds(drive: StoredDrive) -> float:
-    return len(drive.rows.time) * DT
-
-
 def draw_paths(drives: Sequence[StoredDrive]) -> Figure:
     """Draw the paths of drives, a row of panels each: by part of the split, and by speed."""
     figure = Figure(figsize=(11, 0.4 + 4.6 * len(drives)), dpi=120, layout="constrained")
     panels = figure.subplots(len(drives), 2, squeeze=False)
     for drive, (left, right) in zip(drives, panels, strict=True):
-        path = drive.rows.world_xy
+        path, valid = drive.rows.world_xy, drive.rows.valid
         _draw_parts(left, drive)
         speed = np.hypot(*drive.rows.state[:, 3:5].T).astype(np.float64)
         pieces = coloured_path(right, path, speed)
-        if (known := speed[drive.rows.valid & np.isfinite(speed)]).size:
+        if (known := speed[valid & np.isfinite(speed)]).size:
             pieces.set_clim(known.min(), np.quantile(known, FASTEST))
         figure.colorbar(pieces, ax=right, shrink=0.8, extend="max", label="speed [m/s]")
-        right.set_title(f"median {np.nanmedian(speed):.1f} m/s", loc="left", fontsize=10)
-        placed = path[np.isfinite(path).all(axis=1)]
+        plain(right, f"median {np.nanmedian(speed):.1f} m/s")
+        placed = path[np.isfinite(path).all(axis=1)][:1]
         for axes in (left, right):
-            if len(placed):
-                axes.plot(*placed[0], marker="o", markersize=6, color="white", markeredgecolor=INK, zorder=5)
+            axes.plot(*placed.T, marker="o", markersize=6, color="white", markeredgecolor=INK, zorder=5)
             axes.set_aspect("equal", adjustable="datalim")
             axes.autoscale_view()
             axes.set(xlabel="x [m]", ylabel="y [m]")
-            axes.grid(color="#eeeeee", linewidth=0.6)
     return figure
 
 
 def _draw_parts(axes: Axes, drive: StoredDrive) -> None:
-    path, part = drive.rows.world_xy, drive.part
-    plain(axes, f"{drive.name}: {_seconds(drive):.0f} s, {drive.rows.distance / 1000:.2f} km")
-    present = [label for label in PART_COLOURS if (part == label).any()]
-    for label in present:
-        mine = np.where((part == label)[:, None], path, np.nan)
-        axes.plot(*mine.T, color=PART_COLOURS[label], linewidth=2.0 if label >= 0 else 1.2)
-    missing = np.where(drive.rows.valid[:, None], np.nan, path)
-    axes.plot(*missing.T, ".", color="#cc0000", markersize=2)
-    shares = [f"{PARTS[k] if k >= 0 else 'gap'} {np.mean(part == k):.0%}" for k in present]
-    handles = [Line2D([], [], color=PART_COLOURS[k], linewidth=2) for k in present]
-    if not drive.rows.valid.all():
-        handles.append(Line2D([], [], color="#cc0000", marker=".", linestyle=""))
-        shares.append(f"incomplete {np.mean(~drive.rows.valid):.1%}")
-    axes.legend(handles, shares, frameon=False, fontsize=8)
+    path, part, missing = drive.rows.world_xy, drive.part, ~drive.rows.valid
+    plain(axes, f"{drive.name}: {len(part) * DT:.0f} s, {drive.rows.distance / 1000:.2f} km")
+    for label, colour in PART_COLOURS.items():
+        if (mine := part == label).any():
+            name = f"{PARTS[label] if label >= 0 else 'gap'} {mine.mean():.0%}"
+            axes.plot(*np.where(mine[:, None], path, np.nan).T, color=colour, linewidth=2.0, label=name)
+    if missing.any():
+        name = f"incomplete {missing.mean():.1%}"
+        axes.plot(*np.where(missing[:, None], path, np.nan).T, ".", color="#cc0000", markersize=2, label=name)
+    axes.legend(frameon=False, fontsize=8)
 
 
 def view_dataset(dataset: Dataset, out: Path) -> list[Path]:
-    """Write paths*.png, for visual features rates.png, distances.png, differences.png, and report.html.
+    """Write paths*.png, for visual features rates.png and distances.png, and report.html.
 
     Returns:
         Paths of the files, each written whole or not at all.
@@ -111,29 +95,25 @@ def view_dataset(dataset: Dataset, out: Path) -> list[Path]:
 
 def dataset_page(dataset: Dataset, result: FeatureCoverage | None) -> Page:
     """Return the report of a dataset, with the coverage of its visual features if it has any."""
+    drives, features = dataset.drives, dataset.features
     without = "no visual features by distance; extract with --pca to report on them"
     caption = "Left: parts of the split. Right: speed. Drives start at the white dot."
-    sheets = pages(dataset.drives)
+    sheets = [drives[first : first + DRIVES_A_PAGE] for first in range(0, len(drives), DRIVES_A_PAGE)]
     names = [f"paths-{number}" for number in range(1, len(sheets) + 1)] if len(sheets) > 1 else ["paths"]
-    paths = [picture(name, draw_paths(drives), caption) for name, drives in zip(names, sheets, strict=True)]
+    paths = [picture(name, draw_paths(sheet), caption) for name, sheet in zip(names, sheets, strict=True)]
     sections = [*(coverage_sections(result) if result else []), Section("Drives from above", pictures=paths)]
-    notes = [f"{drive.name}: {note}" for drive in dataset.drives for note in drive.notes]
-    if notes:
+    if notes := [f"{drive.name}: {note}" for drive in drives for note in drive.notes]:
         sections.append(Section("Notes", notes=notes))
-    title = f"dataset {dataset.path.resolve().name}"
-    return Page(title, [headline(result) if result else without], _facts(dataset), sections)
-
-
-def _facts(dataset: Dataset) -> dict[str, str]:
-    drives = dataset.drives
-    return {
+    seconds, metres = (sum(each) for each in zip(*((len(d.part) * DT, d.rows.distance) for d in drives), strict=True))
+    facts = {
         "dataset": str(dataset.path),
         "rig": dataset.rig.name,
         "split": dataset.split.text,
-        "drives": f"{len(drives)}, {sum(map(_seconds, drives)):.0f} s, "
-        f"{sum(drive.rows.distance for drive in drives) / 1000:.2f} km",
-        "features": f"{len(dataset.features)}: {', '.join(dataset.features)}" if dataset.features else "none",
+        "drives": f"{len(drives)}, {seconds:.0f} s, {metres / 1000:.2f} km",
+        "features": f"{len(features)}: {', '.join(features)}" if features else "none",
     }
+    title = f"dataset {dataset.path.resolve().name}"
+    return Page(title, [headline(result) if result else without], facts, sections)
 
 
 def parse_stretch(text: str) -> tuple[float, float]:

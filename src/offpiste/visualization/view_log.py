@@ -55,8 +55,8 @@ class _Drive:
         start, end: first and last scan of the interval [s].
         scans: number of scans.
         limits: colours of the features; None without features.
-        poses: `world_from_body` every `PATH_STEP`.
-        wheels: positions of the wheels at the poses [m].
+        path: positions of the pose point every `PATH_STEP` [m]; NaN if unknown.
+        wheels: positions of the wheels at the same times, at the height of the pose point [m].
     """
 
     log: SensorLog
@@ -65,7 +65,7 @@ class _Drive:
     end: float
     scans: int
     limits: Float[np.ndarray, "2 3"] | None
-    poses: Float[np.ndarray, "N 4 4"]
+    path: Float[np.ndarray, "N 3"]
     wheels: Float[np.ndarray, "N 4 3"]
 
 
@@ -96,29 +96,39 @@ def view_log(
     for note in (*sensors.notes, *sensors.coverage()):
         logger.info(f"  {note}")
     if rrd and not is_installed("rerun"):
-        logger.info(
-            f"no recording, since rerun-sdk is not installed ({installation_of('view')}); writing pictures only"
-        )
+        how = installation_of("view")
+        logger.info(f"no recording, since rerun-sdk is not installed ({how}); writing pictures only")
         rrd = False
-    written = [out / "sensors.png"]
+    written = [out / "sensors.png", *([out / "drive.rrd"] if rrd else [])]
     write_png(written[0], draw_sensors(stamps_of(sensors), stretch))
-    reach = MapperSettings().map.voxels
-    known = drive.poses[np.isfinite(drive.poses).all(axis=(1, 2)), :2, 3]
     health = map_health(sensors.lidars, gather(sensors, {}), sensors.poses)
     logger.info(f"  first minute: {health}")
     for finding in check_map_health(health):
         logger.info(f"  {finding.severity}: {finding.where}: {finding.what}; {finding.remedy}")
-    mosaic = Mosaic(known.min(axis=0) - reach.reach - 1, known.max(axis=0) + reach.reach + 1, reach.size)
+    voxels, places = MapperSettings().map.voxels, drive.path[:, :2]
+    low, high = np.nanmin(places, axis=0), np.nanmax(places, axis=0)
+    mosaic = Mosaic(low - voxels.reach - 1, high + voxels.reach + 1, voxels.size)
     album = Album(times_between(drive.start, drive.end), drive.limits, len(sensors.cameras))
     with _recording(drive, out / "drive.rrd" if rrd else None) as recorder:
         last = _play(drive, mosaic, album, recorder)
-    written += [out / "drive.rrd"] if rrd else []
-    written += _write_album(album, out)
-    written += _write_maps(drive, mosaic, last, out)
-    ground = mosaic.ground().known
+    columns = album.cameras if album.cameras > 1 else 2  # a column for each camera, or moments side by side
+    for name, pictures, side_by_side in (("overlay", album.overlays, columns), ("features", album.besides, 1)):
+        if pictures:
+            written.append(out / f"{name}.png")
+            write_image(written[-1], contact_sheet(pictures, side_by_side))
+    middle = drive.wheels[len(drive.wheels) // 2, :, :2].mean(axis=0)
+    here = middle if np.isfinite(middle).all() else last.vehicle[:2]
+    near, wheels = mosaic.ground.cropped(here - NEAR, here + NEAR), drive.wheels[..., :2]
+    for name, ground, title in (
+        ("map", mosaic.ground.trimmed(), f"{sensors.path.name}: all observed ground"),
+        ("map-near", near, "around the middle of the drive"),
+    ):
+        written.append(out / f"{name}.png")
+        write_png(written[-1], draw_map(ground, wheels, drive.limits, title=title))
+    known = mosaic.ground.known[mosaic.ground.known > 0]
     logger.info(
-        f"{drive.end - drive.start:.1f} s; {(ground > 0).sum() * (reach.size * mosaic.step) ** 2:.0f} m² of ground, "
-        f"{(ground == FEATURED).sum() / max((ground > 0).sum(), 1):.0%} of it with features"
+        f"{drive.end - drive.start:.1f} s; {len(known) * mosaic.ground.resolution**2:.0f} m² of ground, "
+        f"{(known == FEATURED).sum() / max(len(known), 1):.0%} of it with features"
     )
     return written
 
@@ -139,13 +149,10 @@ def _open(log: Log, rig: Rig, extractor: FeatureExtractor | None, stretch: tuple
         )
     first, last = sensors.poses.span
     scans = np.concatenate([sensors.stamps(name) for name in sensors.lidars])
-    scans = scans[(scans >= max(first, first + stretch[0])) & (scans <= min(last, first + stretch[1]))]
+    scans = scans[(scans >= first + stretch[0]) & (scans <= min(last, first + stretch[1]))]
     if not len(scans):
-        raise LogError(
-            f"no scan from {stretch[0]:g} to {stretch[1]:g} s; its poses cover {last - first:.1f} s",
-            where=log.path,
-            how="change --seconds",
-        )
+        what = f"no scan from {stretch[0]:g} to {stretch[1]:g} s; its poses cover {last - first:.1f} s"
+        raise LogError(what, where=log.path, how="change --seconds")
     start, end = float(scans.min()), float(scans.max())
     poses = sensors.poses.at(np.append(np.arange(start, end, PATH_STEP), end))
     if not np.isfinite(poses).all(axis=(1, 2)).any():
@@ -154,14 +161,10 @@ def _open(log: Log, rig: Rig, extractor: FeatureExtractor | None, stretch: tuple
     if extractor is not None:  # two standard deviations of the first three components; missing ones do not vary
         spread = 2 * np.sqrt(extractor.pca.variance[:3].astype(np.float64))
         limits = np.pad(np.stack((-spread, spread)), ((0, 0), (0, 3 - len(spread))))
-    return _Drive(sensors, extractor, start, end, len(scans), limits, poses, _wheels(poses, rig))
-
-
-def _wheels(poses: Float[np.ndarray, "N 4 4"], rig: Rig) -> Float[np.ndarray, "N 4 3"]:
-    """Return the positions of the wheels at the height of the pose point."""
-    yaw = np.arctan2(poses[:, 1, 0], poses[:, 0, 0])
-    places = wheel_positions(poses[:, :2, 3], yaw, rig.wheel_positions())
-    return np.concatenate((places, np.repeat(poses[:, None, 2:3, 3], 4, axis=1)), axis=2)
+    path = poses[:, :3, 3]
+    wheels = wheel_positions(path[:, :2], np.arctan2(poses[:, 1, 0], poses[:, 0, 0]), rig.wheel_positions())
+    wheels = np.concatenate((wheels, np.repeat(path[:, None, 2:], 4, axis=1)), axis=2)
+    return _Drive(sensors, extractor, start, end, len(scans), limits, path, wheels)
 
 
 @contextmanager
@@ -172,7 +175,7 @@ def _recording(drive: _Drive, path: Path | None) -> Iterator[Recorder | None]:
         return
     partial = path.with_name(f".{path.name}.partial.rrd")
     path.parent.mkdir(parents=True, exist_ok=True)
-    origin = drive.poses[np.isfinite(drive.poses).all(axis=(1, 2))][0, :3, 3]
+    origin = drive.path[np.isfinite(drive.path).all(axis=1)][0]
     recorder = Recorder(partial, origin, drive.limits, tuple(drive.log.cameras))
     try:
         recorder.add_path(drive.wheels)
@@ -186,6 +189,7 @@ def _recording(drive: _Drive, path: Path | None) -> Iterator[Recorder | None]:
 
 
 def _play(drive: _Drive, mosaic: Mosaic, album: Album, recorder: Recorder | None) -> Moment:
+    """Play the drive back into the pictures and the recording, and return the last moment."""
     log, extractor = drive.log, drive.extractor
     cameras = pinhole_cameras(log, extractor.patch if extractor else PATCH)
     look, channels = (extractor.extract, extractor.channels) if extractor else (_blind, 0)
@@ -205,42 +209,14 @@ def _play(drive: _Drive, mosaic: Mosaic, album: Album, recorder: Recorder | None
     mosaic.add(moment.layers)
     if recorder is not None:
         recorder.add_map(moment)
-    pits = int(find_pits(moment.layers.elevation).sum())
-    logger.info(
-        f"  removed {ghosts / max(returns, 1):.3%} of the returns, below the ground; {pits} pits in the last map"
-    )
+    pits, share = int(find_pits(moment.layers.elevation).sum()), ghosts / max(returns, 1)
+    logger.info(f"  removed {share:.3%} of the returns, below the ground; {pits} pits in the last map")
     return moment
 
 
 def _blind(pixels: np.ndarray) -> np.ndarray:
     """Return no features."""
     return np.zeros((1, 1, 0), np.float32)
-
-
-def _write_album(album: Album, out: Path) -> list[Path]:
-    """Write a line for each moment and a column for each camera; moments side by side with one camera."""
-    written = []
-    side_by_side = album.cameras if album.cameras > 1 else 2
-    for name, pictures, columns in (("overlay", album.overlays, side_by_side), ("features", album.besides, 1)):
-        if pictures:
-            written.append(out / f"{name}.png")
-            write_image(written[-1], contact_sheet(pictures, columns))
-    return written
-
-
-def _write_maps(drive: _Drive, mosaic: Mosaic, last: Moment, out: Path) -> list[Path]:
-    ground, wheels = mosaic.ground(), drive.wheels[..., :2]
-    middle = drive.wheels[len(drive.wheels) // 2, :, :2].mean(axis=0)
-    here = middle if np.isfinite(middle).all() else last.vehicle[:2]
-    figures: dict[str, Figure] = {
-        "map": draw_map(ground.trimmed(), wheels, drive.limits, title=f"{drive.log.path.name}: all observed ground"),
-        "map-near": draw_map(
-            ground.cropped(here - NEAR, here + NEAR), wheels, drive.limits, title="around the middle of the drive"
-        ),
-    }
-    for name, figure in figures.items():
-        write_png(out / f"{name}.png", figure)
-    return [out / f"{name}.png" for name in figures]
 
 
 def stamps_of(log: SensorLog) -> dict[str, Float[np.ndarray, " _"]]:
