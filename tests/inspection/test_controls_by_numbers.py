@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from simulated import MemoryLog, drive_log, rig
 
-from offpiste.inspection.controls_by_numbers import find_controls, is_measured_topic, why_no_steering
+from offpiste.inspection.controls_by_numbers import find_controls, why_no_steering
 from offpiste.logs.log import Topic
 from offpiste.rig.edits import Edit, edited
 from offpiste.rig.rig import Rig
@@ -45,21 +45,6 @@ def test_the_axes_of_a_joystick_are_found() -> None:
         "brake": ("axes[2]",),
     }
     assert all(0.3 < correlation <= 1 for _, correlation in found.values())
-
-
-def test_a_command_is_not_measured_whatever_its_type_is() -> None:
-    """TartanDrive keeps the commands in `cmd/twist.npy`."""
-    log = joystick()
-
-    class Exported(MemoryLog):
-        @property
-        def topics(self) -> dict[str, Topic]:
-            return {name: replace(topic, type="twist.npy") for name, topic in super().topics.items()}
-
-    exported = Exported({"odom": log.data["odom"], "cmd": log.data["joy"]})
-    assert find_controls(exported, posed())["steer"][0].topic == "cmd"
-    topics = ("/vehicle/accel_cmd", "std_msgs/Float64"), ("/twist", "geometry_msgs/TwistStamped")
-    assert [is_measured_topic(Topic(name, kind, 100, ("data",))) for name, kind in topics] == [False, True]
 
 
 def test_noise_and_what_is_measured_is_no_control() -> None:

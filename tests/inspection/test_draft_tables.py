@@ -128,12 +128,6 @@ def test_an_angle_gives_steering_and_wheelbase(tmp_path: Path, header: str) -> N
     assert rig.vehicle.wheelbase == pytest.approx(WHEELBASE, rel=0.1)
 
 
-def test_an_angle_of_the_steering_wheel_is_scaled(tmp_path: Path) -> None:
-    rig = drafted(written(tmp_path / "drive.csv", {**POSE, "steering_angle": ("angle", 400 / WIDEST)}))
-    assert "steer_angle" in rig.absent
-    assert rig.channels["steer"].scale == pytest.approx(1 / 400, rel=0.01)
-
-
 def test_a_brake_pressure_beside_a_command_is_the_actuator(tmp_path: Path) -> None:
     """Whatever its unit; where it is the only brake, it stands for the command."""
     columns = {**POSE, "throttle": ("throttle", 1), "brake_cmd": ("brake", 1), "brake_pressure": ("brake", 8.5)}

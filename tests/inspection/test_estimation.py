@@ -33,32 +33,6 @@ def test_gain_sign_and_delay_come_out_together_within_their_errors(gain: float, 
     assert fit.gain_sigma(best) < 0.1 * abs(gain)
 
 
-def test_one_lag_is_a_plain_partial_regression() -> None:
-    random = np.random.default_rng(0)
-    x, base = random.standard_normal(400), random.standard_normal((400, 3))
-    y = 1.3 * x + base @ [0.5, -2.0, 1.0] + 0.1 * random.standard_normal(400)
-    fit = fit_lags(y, base, x[None], np.zeros(1), np.ones(400, bool))
-    assert fit is not None
-    expected = np.linalg.lstsq(np.column_stack((x, base)), y, rcond=None)[0][0]
-    assert fit.gain[0] == pytest.approx(expected, rel=1e-3)
-
-
-def test_each_block_is_left_out_as_if_it_had_not_been_driven() -> None:
-    random = np.random.default_rng(4)
-    source, base = _wave(random, 1000), random.standard_normal((1000, 2))
-    source[200:300] *= 30  # a block that outweighs all others
-    target = source + base @ [0.3, -0.2] + 0.1 * random.standard_normal(1000)
-    rows = np.arange(1000) >= 40
-    fit = fit_lags(target, base, _lagged(source), LAGS, rows)
-    assert fit is not None
-    assert fit.left_out.shape == (10, len(LAGS))
-    for block in range(10):
-        other = fit_lags(target, base, _lagged(source), LAGS, rows & (np.arange(1000) // 100 != block))
-        assert other is not None
-        np.testing.assert_allclose(fit.left_out[block], other.r, atol=1e-3)  # glitches are weighed anew
-        np.testing.assert_allclose(fit.gain_left_out[block], other.gain, atol=2e-3)
-
-
 def test_the_jackknife_of_a_mean_is_its_standard_error() -> None:
     values = np.random.default_rng(2).standard_normal(50)
     left_out = (values.sum() - values) / 49

@@ -7,7 +7,6 @@ import pytest
 from simulated import MemoryLog, drive_log, rig
 
 from factories import MemoryLog as Plain
-from offpiste.inspection import gear
 from offpiste.inspection.draft_channels import draft_channels
 from offpiste.inspection.draft_rig import draft_rig
 from offpiste.inspection.driven_path import DrivenPath, driven_path
@@ -44,10 +43,6 @@ def _read(log: MemoryLog, *more: tuple[str, str]) -> tuple[Drive, DrivenPath, di
     return drive, driven_path(drive), read_topics(RememberedLog(log), None)[0]
 
 
-def test_forward_drives_say_nothing() -> None:
-    assert check_gear(*_read(FORWARD)) == []
-
-
 def test_reversing_without_a_gear_is_noted() -> None:
     drive, path, recorded = _read(_reversing(FORWARD, -1.0, 61.0))
     pressed = replace(drive.channels["throttle"], values=np.full_like(drive.channels["throttle"].values, 0.4))
@@ -68,18 +63,6 @@ def test_a_gear_that_goes_with_the_motion_is_right_and_one_that_does_not_is_foun
     assert edit.value == {"1": -1.0, "3": 1.0}
     cured = drive_from_log(log, edited(rig(GEAR), [edit]))
     assert check_gear(cured, driven_path(cured), recorded) == []
-
-
-def test_a_reverse_that_is_seldom_engaged_is_found_too_and_rolling_back_is_healthy(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(gear, "_SHARE", 0.2)
-    log = _with_gear(_reversing(FORWARD, 12.0, 17.0), 12.0, 17.0, 3.0, 1.0)
-    (finding,) = check_gear(*_read(log, GEAR))
-    assert finding.score < 0.2
-    assert finding.cures[0][0].value == {"1": -1.0, "3": 1.0}
-    rolled = log.change("box", "selected", lambda selected: np.full_like(selected, 3.0))
-    assert check_gear(*_read(rolled, GEAR)) == []
 
 
 @pytest.mark.parametrize(

@@ -263,13 +263,6 @@ def test_half_of_a_pose_is_named() -> None:
         draft_rig(log_of({"/imu": {"yaw": "azimuth in rad", "temperature": "1"}} | COMMANDS))
 
 
-def test_what_never_changes_is_no_half_of_a_pose() -> None:
-    """As an IMU without a heading fills the orientation of its messages."""
-    imu = {f"orientation.{axis}": "0" for axis in "xyzw"} | {f"angular_velocity.{axis}": f"w{axis}" for axis in "xyz"}
-    with pytest.raises(LogError, match=r"write a rig that names one; it has: /imu, /cmd"):
-        draft_rig(log_of({"/imu": imu} | COMMANDS))
-
-
 @pytest.mark.parametrize(("rows", "what"), [(0, "the table has no rows"), (1, "the table has one row")])
 def test_a_table_without_a_drive_is_said_to_have_none(rows: int, what: str) -> None:
     columns = dict.fromkeys(("x", "y", "yaw", "throttle"), ODOM["x"][:rows])

@@ -11,9 +11,8 @@ from offpiste.inspection.findings import Finding
 from offpiste.inspection.inspect import Inspection, inspect_log
 from offpiste.inspection.pose_samples import check_level
 from offpiste.inspection.velocity import _UNITS, _gain, fit_wheel_speed
-from offpiste.logs.channel import Channel, to_z_up
+from offpiste.logs.channel import Channel
 from offpiste.logs.drive import drive_from_log
-from offpiste.rig.channels import ChannelSource
 from offpiste.rig.edits import Edit, edited
 from offpiste.rig.rig import Rig
 
@@ -59,29 +58,6 @@ def test_noise_that_spoils_starts_or_velocities_is_reported(now: Rig) -> None:
     _, complaints = _inspected(log, now)
     assert any(f.where == "position" and "nois" in f.what for f in complaints), complaints
     assert _inspected(CLEAN, now)[1] == []
-
-
-@pytest.mark.parametrize("axes", ["body down", "world down"])
-def test_a_body_that_points_down_is_turned_up(axes: str) -> None:
-    fields = ("qx", "qy", "qz", "qw")
-    _, odom = CLEAN.data["odom"]
-    turned = to_z_up("orientation", ChannelSource(fields=fields), np.stack([odom[f] for f in fields], axis=1), axes)
-    log = CLEAN.put("odom", **dict(zip(fields, turned.T, strict=True)))  # half a turn is its own inverse
-    found, _ = _inspected(log.change("odom", "y z" if axes == "world down" else "vy vz wy wz", np.negative))
-    assert found.cure == (Edit("motion.axes", axes),)
-
-
-@pytest.mark.parametrize("way", [0.0, np.pi / 2])
-def test_a_jump_counts_in_any_direction(way: float) -> None:
-    """One to the side or backwards, too, where the step is hardly longer than those beside it."""
-    zero = np.zeros(3000)
-    odom = dict.fromkeys(("y", "z", "qx", "qy", "qz", "vy", "vz", "wx", "wy", "wz"), zero)
-    odom |= {"x": 0.3 * np.arange(3000.0), "qw": zero + 1, "vx": zero + 15.0}
-    log = MemoryLog({**CLEAN.data, "odom": (CLEAN.data["odom"][0], odom)})
-    for field, by in (("x", np.cos(way)), ("y", np.sin(way))):
-        log = log.change("odom", field, lambda x, by=by: x + 1.5 * by * (np.arange(3000) >= 1500))
-    (finding,) = (f for f in inspect_log(log, rig()).findings if (f.where, f.what) == ("position", "jumps"))
-    assert finding.evidence.startswith("1 times, by up to 1.50 m")
 
 
 @pytest.mark.parametrize("speed", [30.0])
@@ -160,16 +136,6 @@ def test_y_is_up_where_the_path_is_level_only_along_it(x: float, y: float, z: fl
     assert all(way[2] == "py" for way in ways)
 
 
-def test_a_straight_road_over_hills_and_a_height_that_scatters_are_level() -> None:
-    time, rng = np.arange(3000) / 50, np.random.default_rng(1)
-    along = 8 * time
-    for hills, scatter in ((15.0, 0.05), (0.0, 1.5)):
-        z = hills * np.sin(along / 60) + rng.normal(0, scatter, len(time))
-        road = np.stack((along, 0.5 * np.sin(along / 100), z), axis=1)
-        assert check_level(Channel("position", "m", time, road), rig(), ()) == []
-        assert check_level(Channel("position", "m", time, road[:, [1, 0, 2]]), rig(), ()) == []
-
-
 TIME, ODOM = CLEAN.data["odom"]
 EVERY = round(0.1 / float(np.median(np.diff(TIME))))
 """Samples in a tenth of a second."""
@@ -198,13 +164,6 @@ def test_rows_that_hold_the_last_value_are_left_out_by_the_cure() -> None:
     assert severe(log, cured) == []
     true, held, left = (_speed(*each) for each in ((CLEAN, rig()), (log, PLACE_ONLY), (log, cured)))
     assert np.nanstd(left - true) < 0.6 * np.nanstd(held - true)
-
-
-@pytest.mark.parametrize("resolution", [0.02, 0.1])
-def test_places_that_are_rounded_hold_nothing(resolution: float) -> None:
-    rounded = {name: np.round(ODOM[name] / resolution) * resolution for name in ("x", "y")}
-    log = MemoryLog(CLEAN.data | {"odom": (TIME, ODOM | rounded)})
-    assert not any(f.what == "repeats its last value" for f in inspect_log(log, PLACE_ONLY).findings)
 
 
 def _speed(log: MemoryLog, now: Rig) -> np.ndarray:

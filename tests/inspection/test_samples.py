@@ -1,17 +1,13 @@
 """Faults of single channels: held values, dropouts, spikes, wraps, and samples that are not finite."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from scipy.signal import lfilter
-from simulated import START, MemoryLog, checked, drive_log, rig, severe, steered
+from simulated import MemoryLog, checked, drive_log, rig, severe
 
 from offpiste.inspection.driven_path import driven_path
 from offpiste.inspection.dropouts import check_dropouts
 from offpiste.inspection.frozen import check_frozen
 from offpiste.inspection.inspect import inspect_log
-from offpiste.inspection.signal_faults import find_spikes, find_wrap
 from offpiste.inspection.steering_fit import steering_fits
 from offpiste.logs.drive import drive_from_log
 
@@ -51,30 +47,6 @@ def test_pedals_may_rest_at_an_end_of_their_range_and_nowhere_else(value: float,
         return values
 
     assert len(_frozen(CLEAN.change("pedals", "throttle", pressed))) == found
-
-
-def test_who_stops_with_the_wheel_turned_and_starts_again_holds_nothing() -> None:
-    time, _ = CLEAN.data["steering"]
-    begin, end = len(time) // 2, int(np.searchsorted(time, time[len(time) // 2] + 8.0))
-    log = CLEAN.change("steering", "angle", lambda values: _held(values, begin, end - begin))
-    drive = drive_from_log(log, rig())
-    path = driven_path(drive)
-    assert [finding.where for finding in check_frozen(drive, path)] == ["steer_angle"]
-    stands = (path.time > time[begin] + 1.0) & (path.time < time[end] - 1.0)
-    assert check_frozen(drive, replace(path, speed=np.where(stands, 0.0, path.speed))) == []
-
-
-@pytest.mark.parametrize("seconds", [1.0, 4.0])
-def test_a_heading_that_stays_the_same_on_a_straight_is_not_held(seconds: float) -> None:
-    """As a simulator logs it: the course stays the same, too."""
-    time, steering = CLEAN.data["steering"]
-    elapsed = time - time[0]
-    straight = np.any([(elapsed > begin) & (elapsed < begin + seconds) for begin in (12.0, 45.0)], axis=0)
-    log = steered(CLEAN, np.where(straight, 0.0, steering["command"]), follows=0.0)
-    assert _frozen(log) == []
-    first = int(np.searchsorted(log.data["odom"][0], time[0] + 20.0))
-    log = log.change("odom", "qz qw", lambda values: _held(values, first, 150))
-    assert [finding.where for finding in _frozen(log)] == ["orientation"]
 
 
 @pytest.mark.parametrize("seconds", [0.6, 3.0])
@@ -143,99 +115,6 @@ def test_a_fall_is_named_with_its_time(topic: str, field: str, name: str) -> Non
     since = time[np.flatnonzero(columns[field] == 0)[0]] - time[0]
     assert (finding.severity, finding.where) == ("warning", name)
     assert f"from {since:.2f} s on" in finding.evidence
-
-
-@pytest.mark.parametrize("times", [1, 2])
-def test_a_wheel_is_turned_as_far_as_it_goes_once_but_not_twice(times: int) -> None:
-    def turned(values: np.ndarray) -> np.ndarray:
-        for one in range(times):
-            values[1000 + 500 * one :][:10] = -np.sign(values[1000 + 500 * one])
-        return values
-
-    assert len(checked(check_dropouts, SLOW.change("steering", "command", turned))) == times - 1
-
-
-def test_a_wheel_that_the_vehicle_follows_was_turned() -> None:
-    """A driver who steers against a rollover again and again, as the yaw rate shows; a lost value moves nothing."""
-    time = np.arange(3000) / 50
-    driven = 0.3 * np.sin(time / 2)
-    turned = driven.copy()
-    for first in (700, 1300, 2100):
-        turned[first : first + 35] = -0.5
-    for moved, found in ((turned, []), (driven, ["steer", "steer_angle"])):
-        angle = lfilter([0.2], [1, -0.8], moved)
-        yaw = np.cumsum(4 * np.tan(angle) / 2) / 50
-        columns = {"x": np.cumsum(4 * np.cos(yaw)) / 50, "y": np.cumsum(4 * np.sin(yaw)) / 50, "z": 0 * yaw}
-        columns |= {"qx": 0 * yaw, "qy": 0 * yaw, "qz": np.sin(yaw / 2), "qw": np.cos(yaw / 2)}
-        columns |= {"vx": 0 * yaw + 4, "vy": 0 * yaw, "vz": 0 * yaw, "wx": 0 * yaw, "wy": 0 * yaw, "wz": 0 * yaw}
-        steering = {"command": 2 * turned, "angle": turned}
-        log = MemoryLog({**SLOW.data, "odom": (START + time, columns), "steering": (START + time, steering)})
-        assert [finding.where for finding in checked(check_dropouts, log)] == found
-
-
-def test_a_wheel_that_is_turned_at_once_again_and_again_is_driven_so() -> None:
-    random = np.random.default_rng(0)
-
-    def switched(values: np.ndarray) -> np.ndarray:
-        return np.repeat(random.uniform(-1, 1, len(values) // 25 + 1), 25)[: len(values)]
-
-    assert checked(check_dropouts, SLOW.change("steering", "command", switched)) == []
-
-
-def test_pedals_are_let_go_in_an_instant_and_clean_logs_do_not_fall() -> None:
-    assert checked(check_dropouts, _fallen("pedals", "throttle", 30)) == []
-    assert checked(check_dropouts, SLOW) == []
-
-
-TIME = np.arange(0, 60, 0.02)
-SMOOTH = 150 + 100 * np.sin(TIME) + np.random.default_rng(0).standard_normal(len(TIME))
-
-
-def test_spikes_are_found_where_they_are() -> None:
-    values = SMOOTH.copy()
-    at = [100, 900, 901, 2500]
-    values[at] = 5000, -4000, -3500, 900
-    assert np.flatnonzero(find_spikes(values)).tolist() == at
-
-
-@pytest.mark.parametrize(
-    "values",
-    [
-        SMOOTH,
-        np.where(np.sin(5 * TIME) > 0.9, 1.0, 0.0),
-        np.random.default_rng(2).standard_normal(3000) ** 3,
-        np.round(SMOOTH / 20),
-        np.clip(np.sin(20 * TIME), 0.9, 1),
-    ],
-    ids=["smooth", "switch", "rough ground", "quantised", "bumps"],
-)
-def test_what_is_no_spike(values: np.ndarray) -> None:
-    assert not find_spikes(values).any()
-
-
-@pytest.mark.parametrize(("period", "scale"), [(65536.0, 100.0), (6553.6, 10.0), (655.36, 1.0)])
-def test_wraps_of_sixteen_bits_in_runs(period: float, scale: float) -> None:
-    counts = np.round((SMOOTH - 80) * scale) / 10
-    wrap = find_wrap(np.where(counts < 0, counts + period, counts))
-    assert wrap is not None
-    assert wrap.period == period
-    assert counts.max() < wrap.above < counts.min() + period
-
-
-@pytest.mark.parametrize(
-    "values",
-    [
-        np.where(np.random.default_rng(3).random(3000) < 0.02, 0.0, 6550.0 + SMOOTH / 100),
-        SMOOTH,
-        np.linspace(0, 65535, 3000),
-        np.where(np.sin(TIME) > 0, 6500.0, 0.0),
-        np.abs(SMOOTH) * 40,
-        np.random.default_rng(1).uniform(0, 6553, 3000),
-    ],
-    ids=["dropouts", "smooth", "counter", "switch", "engine", "noise"],
-)
-def test_what_is_no_wrap(values: np.ndarray) -> None:
-    assert find_wrap(values) is None
 
 
 def test_nan_and_infinity_are_counted() -> None:

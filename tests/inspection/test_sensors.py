@@ -253,10 +253,6 @@ def test_what_is_wrong_with_a_sensor_spoils_no_channel_and_edits_no_clock(tmp_pa
     assert "are dropped on reading" in found[0].remedy
 
 
-def test_a_sensor_that_is_slow_on_purpose_is_right(tmp_path):
-    assert stamped_as(tmp_path, every=8.0, until=193.0) == []
-
-
 def test_a_sensor_by_another_clock_is_given_the_delay_that_puts_it_right(tmp_path):
     (found,) = stamped_as(tmp_path, image=lambda t: t - 30.0)
     assert (found.severity, found.where) == ("warning", "/image")

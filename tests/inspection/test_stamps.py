@@ -1,12 +1,10 @@
 """Stamps and clocks: order, gaps, delays, drift, and topics published on change."""
 
 import re
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from jaxtyping import Float
 from simulated import MemoryLog, drive_log, rig, severe
 
 from offpiste.dataset.resample import extract_rows
@@ -97,15 +95,6 @@ def test_a_gap_of_two_minutes() -> None:
     assert not [f for f in found.findings if f.where == "position"]
 
 
-def test_milliseconds_as_seconds() -> None:
-    log = CLEAN
-    for topic in ("odom", "pedals", "steering", "wheels"):
-        log = log.restamp(topic, lambda t: (t - t[0]) * 1e3)
-    found = inspect_log(log, rig())
-    assert not found.usable
-    assert found.findings[0].remedy == 'clock.unit = "ms"'
-
-
 def test_clocks_that_do_not_overlap() -> None:
     found = inspect_log(CLEAN.restamp("steering", lambda t: t - 1000.0), rig())
     assert not found.usable
@@ -193,39 +182,6 @@ def test_wheels_that_run_ahead_slip_and_those_that_come_late_have_a_clock_that_d
     recorded, _ = read_topics(RememberedLog(log), rig())
     found = check_clocks(recorded, driven_path(drive_from_log(log, rig())), rig(), besides={"odom"})
     assert [finding.what for finding in found] == (["has a clock that drifts"] if drifts else [])
-
-
-@pytest.mark.parametrize(
-    ("late", "what"),
-    [
-        (lambda t: -0.8 * np.sin(t / 5) ** 2, None),
-        (lambda t: 0.4 * np.sin(t / 5), None),
-        (lambda t: 0.8 * np.sin(t / 5) ** 2, "drifts"),
-        (0.5, "is late"),
-    ],
-)
-def test_what_has_the_stamps_of_the_pose_is_not_late_with_it(
-    late: float | Callable[[Float[np.ndarray, " n"]], Float[np.ndarray, " n"]], what: str | None
-) -> None:
-    """However far wheels run ahead, their clock is that of the pose; where they are late, the pose is not."""
-    time, odom = CLEAN.data["odom"]
-    lag = late(time) if callable(late) else late
-    log = MemoryLog({**CLEAN.data, "wheels": (time, {"speed": np.interp(time - lag, time, odom["vx"])})})
-    of = edited(rig(), [Edit("channels.wheel_speed", {"topic": "wheels", "fields": ["speed"]})])
-    recorded, _ = read_topics(RememberedLog(log), of)
-    found = check_clocks(recorded, driven_path(drive_from_log(log, of)), of, besides={"odom"})
-    assert [finding.where for finding in found] == ([] if what is None else ["wheels"])
-    assert all(what in finding.what for finding in found)
-    cured = {edit.key for finding in found for cure in finding.cures for edit in cure}
-    assert cured <= {"alignment", "channels.wheel_speed.delay"}
-
-
-def test_timing_of_even_stamps() -> None:
-    seen = timing(np.arange(0, 10, 0.02), max_gap=0.5)
-    assert seen.rate == pytest.approx(50)
-    assert (seen.repeated, seen.backward, seen.gaps) == (0, 0, ())
-    assert seen.lost == 0
-    assert seen.jitter < 1e-6
 
 
 @pytest.mark.parametrize(("rate", "step"), [(30, 0.01), (40, 0.01), (70, 0.005), (15, 0.01)])
