@@ -10,7 +10,6 @@ import tyro
 from experiments.closed_loop_table.cards import write_driving
 from experiments.closed_loop_table.drives import DEVELOPMENT, TEST, drive_all, entries, places
 from experiments.closed_loop_table.faults import drive_faults
-from experiments.closed_loop_table.pictures import draw_choices
 from experiments.closed_loop_table.table import write_table
 from experiments.command import run
 from offpiste.closed_loop.courses import KINDS as KINDS_OF_COURSE
@@ -85,7 +84,6 @@ class ClosedLoop:
             logger.info(drive_faults(planners, worlds, self.out, settings, processes=processes))
             return
         results = drive_all(rows, worlds, self.out, settings, processes=processes)
-        draw_choices(results, worlds, self.out)
         logger.info(write_table(results, self.out, self.seconds))
         if self.cards:
             write_driving(planners, results, self.seconds)

@@ -14,13 +14,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich.table import Table
 
 from experiments.command import run
 from experiments.probe.cells import see_cells_once
-from experiments.probe.figures import distance_picture, distance_table
 from experiments.probe.scores import Pooled, pool, probe_rows
+from offpiste.core.conventions import FEATURE_SETS
 from offpiste.core.errors import PerceptionError
-from offpiste.core.files import write_bytes, write_text
+from offpiste.core.files import write_text
 from offpiste.core.progress import track
 from offpiste.dataset.fit_pca import fit_pca
 from offpiste.dataset.splits import parse_split
@@ -67,10 +68,7 @@ class Probe:
         made = {"numpy": np.__version__, "python": platform.python_version(), "pca": self.extractor.identity}
         result = {"settings": json.loads(json.dumps(asdict(self), default=str)), "made_with": made}
         write_text(self.out / "probe.json", json.dumps(result | {"probes": rows}, indent=1))
-        for worlds in dict.fromkeys(row["worlds"] for row in rows):
-            picture = distance_picture([row for row in rows if row["worlds"] == worlds], title=worlds)
-            write_bytes(self.out / f"probe_{worlds}.png", picture)
-        logger.info(f"{self.out / 'probe.json'}, and pictures beside it")
+        logger.info(str(self.out / "probe.json"))
 
     def by_distance(self) -> list[dict[str, Any]]:
         """Probes of each world, and of all together."""
@@ -86,17 +84,12 @@ class Probe:
 
     def pooled(self, worlds: Sequence[str], seeds: Sequence[int]) -> Pooled:
         """Cells of drives."""
-        seen = []
-        names = [(number, world, seed) for number, world in enumerate(worlds) for seed in seeds]
-        for number, world, seed in track(names, "extract"):
-            drive = f"{world}-{seed}"
-            path = self.out / "cells" / self.extractor.identity / f"{drive}.npz"
-            new = not path.exists()
-            cells = see_cells_once(path, self.log(world, seed), self.rig, self.extractor)
-            if new:
-                logger.info(f"{drive}: {len(cells.row)} cells, {cells.valid[0].mean():.0%} valid in hindsight")
-            seen.append((number, cells))
-        return pool(seen)
+        names = [(world, seed) for world in worlds for seed in seeds]
+        folder = self.out / "cells" / self.extractor.identity
+        return pool([
+            see_cells_once(folder / f"{world}-{seed}.npz", self.log(world, seed), self.rig, self.extractor)
+            for world, seed in track(names, "extract")
+        ])  # fmt: skip
 
     def log(self, world: str, seed: int) -> Path:
         """A drive, simulated if it is not there."""
@@ -128,6 +121,18 @@ class Probe:
         if both := test_logs & set(extractor.pca.fitted_on.get("logs", ())):
             raise PerceptionError(f"fitted on '{min(both)}', a test drive", where=path, how="give another --out")
         return extractor
+
+
+def distance_table(rows: Sequence[dict[str, Any]], title: str) -> Table:
+    """R² by input and feature set."""
+    table = Table("target", "trained on", "from", *FEATURE_SETS, title=f"{title}: R²")
+    lines: dict[tuple[str, ...], dict[str, str]] = {}
+    for row in rows:
+        key = tuple(row[name] for name in ("target", "trained", "input"))
+        lines.setdefault(key, {})[row["feature_set"]] = f"{row['r2']:.2f}"
+    for key, result in lines.items():
+        table.add_row(*key, *(result.get(name, "") for name in FEATURE_SETS))
+    return table
 
 
 if __name__ == "__main__":

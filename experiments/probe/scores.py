@@ -1,7 +1,7 @@
-"""Probes fitted on the cells of some drives and tested on those of others, by feature set."""
+"""Linear probes fitted on the cells of some drives and tested on those of others, by feature set."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -9,42 +9,27 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from experiments.probe.cells import SeenCells
-from experiments.probe.ridge import Ridge, Score, fit_ridge, score
 from offpiste.core.conventions import FEATURE_SETS
 from offpiste.evaluation.intervals import Resampling, Sampling
 from offpiste.logs.ground_truth import GROUND_KINDS, GROUND_PROPERTIES
 
 TARGETS = ("friction", "rolling_resistance")
-
-COMMON = ("hindsight", "-10", "0", "10", "20")
-"""Feature sets that are also tested on the cells valid in all of them."""
-
+TRAINED = ("hindsight", "same")
+"""Feature set in training: hindsight, or the one that is tested."""
 PARTS = 5
 """Parts of the cross-validation that chooses the penalty: fifths of every drive, in the order of time."""
-
 FEWEST = 50
 """Least number of cells to fit or test on."""
-
-NEARBY = 20
-"""Rows to either side over which features are averaged along the path: 0.4 s, 2 m at 5 m/s."""
-
-TRAINED = ("hindsight", "all", "same")
-"""Feature sets that a probe sees in training: hindsight only, all of them, or the one it is tested on."""
+PENALTIES = tuple(float(p) for p in 10.0 ** np.arange(-5, 2.1, 0.5))
+"""Penalties to choose from, relative to the variance of a standardised feature."""
 
 
 @dataclass(frozen=True)
 class Pooled:
-    """Cells of several drives.
-
-    Attributes:
-        cells: drive after drive.
-        drive: number of each cell's drive.
-        world: number of the world that the drive is in.
-    """
+    """Cells of several drives, with the number of each cell's drive."""
 
     cells: SeenCells
     drive: Int[np.ndarray, " M"]
-    world: Int[np.ndarray, " M"]
 
     @property
     def part(self) -> Int[np.ndarray, " M"]:
@@ -57,59 +42,107 @@ class Pooled:
         return part
 
 
-def pool(drives: Sequence[tuple[int, SeenCells]]) -> Pooled:
-    """Put drives together, each with the number of its world."""
-    cells = [c for _, c in drives]
-    counts = [len(c.row) for c in cells]
-    return Pooled(
-        cells=SeenCells(
-            features=np.concatenate([c.features for c in cells], axis=1),
-            colour=np.concatenate([c.colour for c in cells], axis=1),
-            valid=np.concatenate([c.valid for c in cells], axis=1),
-            properties=np.concatenate([c.properties for c in cells]),
-            ground=np.concatenate([c.ground for c in cells]),
-            row=np.concatenate([c.row for c in cells]),
-        ),
-        drive=np.repeat(np.arange(len(cells)), counts),
-        world=np.repeat([world for world, _ in drives], counts),
-    )
+def pool(drives: Sequence[SeenCells]) -> Pooled:
+    """Put drives together."""
+    joined = {
+        name: np.concatenate([vars(cells)[name] for cells in drives], axis=int(name in ("features", "colour", "valid")))
+        for name in vars(drives[0])
+    }
+    return Pooled(SeenCells(**joined), np.repeat(np.arange(len(drives)), [len(cells.row) for cells in drives]))
 
 
-Input = Callable[[Pooled, int], Float[np.ndarray, "M F"]]
-"""What a probe reads of all cells in the set of this number."""
+def _visual(cells: SeenCells, number: int) -> Float[np.ndarray, "M F"]:
+    return cells.features[number].astype(np.float64)
 
 
-def _kind(pooled: Pooled, number: int) -> Float[np.ndarray, "M F"]:
-    shares = pooled.cells.ground[:, : len(GROUND_KINDS)]
-    return np.eye(len(GROUND_KINDS))[shares.argmax(axis=1)]
+def _brightness(cells: SeenCells, number: int) -> Float[np.ndarray, "M 1"]:
+    return cells.colour[number].mean(axis=1, keepdims=True).astype(np.float64)
 
 
-def _averaged(pooled: Pooled, number: int) -> Float[np.ndarray, "M F"]:
-    """Visual features, each the mean over valid cells that the drive enters at most `NEARBY` rows before or after."""
-    cells, result = pooled.cells, np.full(pooled.cells.features[number].shape, np.nan)
-    for drive in np.unique(pooled.drive):
-        mine = np.flatnonzero((pooled.drive == drive) & cells.valid[number])
-        mine = mine[np.argsort(cells.row[mine], kind="stable")]
-        row, features = cells.row[mine], cells.features[number, mine].astype(np.float64)
-        sums = np.concatenate((np.zeros((1, features.shape[1])), features.cumsum(axis=0)))
-        first, stop = np.searchsorted(row, row - NEARBY), np.searchsorted(row, row + NEARBY, side="right")
-        result[mine] = (sums[stop] - sums[first]) / (stop - first)[:, None]
-    return result
+def _kind(cells: SeenCells, number: int) -> Float[np.ndarray, "M F"]:
+    return np.eye(len(GROUND_KINDS))[cells.ground[:, : len(GROUND_KINDS)].argmax(axis=1)]
 
 
-INPUTS: Mapping[str, Input] = {
-    "visual": lambda pooled, number: pooled.cells.features[number],
-    "averaged": _averaged,
-    "colour": lambda pooled, number: pooled.cells.colour[number],
-    "brightness": lambda pooled, number: pooled.cells.colour[number].mean(axis=1, keepdims=True),
-    "world": lambda pooled, number: np.eye(1 + pooled.world.max())[pooled.world],
-    "kind": _kind,
-    "ground": lambda pooled, number: pooled.cells.ground,
-}
-"""`visual` components of the backbone; `averaged` the same along the way, which shows how much of what is missed is
-noise of single patches; `colour` and `brightness` (the floor) of the same patches; `world` which world
-it is, nothing of the cell; `kind` the true ground kind, one of seven (the ceiling); `ground` true shares of kinds, and
-wetness."""
+INPUTS: Mapping[str, Callable[[SeenCells, int], np.ndarray]] = {
+    "visual": _visual, "brightness": _brightness, "kind": _kind,
+}  # fmt: skip
+"""What a probe reads in the feature set of a number; brightness is the floor, the true kind of ground the ceiling."""
+
+
+@dataclass(frozen=True)
+class Ridge:
+    """Ridge regression y = offset + ((x - mean) / scale) weights; the scale of a constant feature is infinite."""
+
+    mean: Float[np.ndarray, " F"]
+    scale: Float[np.ndarray, " F"]
+    weights: Float[np.ndarray, " F"]
+    offset: float
+    penalty: float
+
+    def predict(self, features: Float[np.ndarray, "n F"]) -> Float[np.ndarray, " n"]:
+        """Predicted target of each row."""
+        return self.offset + ((features - self.mean) / self.scale) @ self.weights
+
+
+def fit_ridge(
+    x: Float[np.ndarray, "n F"],
+    target: Float[np.ndarray, " n"],
+    fold: Int[np.ndarray, " n"],
+    penalties: tuple[float, ...] = PENALTIES,
+) -> Ridge:
+    """Fit on all rows with the penalty whose squared error on the folds left out is smallest.
+
+    Args:
+        fold: number of each row's part in the cross-validation; with one part only, the largest penalty is taken.
+    """
+    # Scaled once: features that hardly vary in some folds would otherwise be blown up there.
+    scale = x.std(axis=0)
+    scale = np.where(scale > 1e-9 * (1 + np.abs(x).max(axis=0)), scale, np.inf)
+    error = np.zeros(len(penalties))
+    for number in np.unique(fold):
+        out = fold == number
+        if out.all():
+            break
+        mean, offset, weights = _path(x[~out], target[~out], scale, penalties)
+        predicted = offset + ((x[out] - mean) / scale) @ weights
+        error += np.square(target[out, None] - predicted).sum(axis=0)
+    best = penalties[int(error.argmin())] if error.any() else max(penalties)
+    mean, offset, weights = _path(x, target, scale, (best,))
+    return Ridge(mean, scale, weights[:, 0], offset, best)
+
+
+def _path(
+    features: Float[np.ndarray, "n F"],
+    target: Float[np.ndarray, " n"],
+    scale: Float[np.ndarray, " F"],
+    penalties: tuple[float, ...],
+) -> tuple[Float[np.ndarray, " F"], float, Float[np.ndarray, "F k"]]:
+    """Mean, offset and weights w = (X'X / n + penalty I)^-1 X'y / n for each penalty, X scaled, X and y centred."""
+    mean, offset = features.mean(axis=0), float(target.mean())
+    x = (features - mean) / scale
+    gram, moment = x.T @ x / len(x), x.T @ (target - offset) / len(x)
+    values, vectors = np.linalg.eigh(gram)
+    return mean, offset, vectors @ ((vectors.T @ moment)[:, None] / (values.clip(0)[:, None] + np.array(penalties)))
+
+
+def r2(
+    target: Float[np.ndarray, " n"], predicted: Float[np.ndarray, " n"], drawn: Resampling
+) -> tuple[float, tuple[float, float]]:
+    """1 - squared error / squared deviation from the mean of the test cells, and its 95 % interval.
+
+    Args:
+        drawn: resamples of the drives, and of the blocks in them, that the rows belong to.
+    """
+    columns = np.ones(len(target)), target, target**2, (target - predicted) ** 2
+    sums = np.stack([np.bincount(drawn.block, weights=c, minlength=drawn.blocks) for c in columns])
+
+    def share(totals: Float[np.ndarray, "4 ..."]) -> Float[np.ndarray, "..."]:
+        n, y, yy, error = totals
+        spread = yy - y * y / n
+        return np.where(spread > 1e-12 * yy, 1 - error / spread, np.nan)
+
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return float(share(sums.sum(axis=1))), drawn.interval(share(sums @ drawn.draws.T))
 
 
 def target_of(pooled: Pooled, target: str) -> Float[np.ndarray, " M"]:
@@ -117,23 +150,13 @@ def target_of(pooled: Pooled, target: str) -> Float[np.ndarray, " M"]:
     return pooled.cells.properties[:, GROUND_PROPERTIES.index(target)].astype(np.float64)
 
 
-def fit_probe(pooled: Pooled, target: str, name: str, sets: Sequence[str]) -> Ridge | None:
-    """A ridge from an input to a target on the valid cells of these sets; None where there are too few."""
-    y, part = target_of(pooled, target), pooled.part
-    rows, inputs = [], []
-    for number in map(FEATURE_SETS.index, sets):
-        valid = np.flatnonzero(pooled.cells.valid[number])
-        rows.append(valid)
-        inputs.append(INPUTS[name](pooled, number)[valid].astype(np.float64))
-    chosen = np.concatenate(rows)
-    if len(chosen) < FEWEST:
+def fit_probe(pooled: Pooled, target: str, name: str, feature_set: str) -> Ridge | None:
+    """A ridge from an input to a target on the valid cells of a set; None where there are too few."""
+    number = FEATURE_SETS.index(feature_set)
+    valid = pooled.cells.valid[number]
+    if valid.sum() < FEWEST:
         return None
-    return fit_ridge(np.concatenate(inputs), y[chosen], part[chosen])
-
-
-def drawn_blocks(pooled: Pooled, chosen: Bool[np.ndarray, " M"], *, seed: int = 0) -> Resampling:
-    """Resamples of drives, and of blocks of 10 s within each."""
-    return Sampling(seed).on(_Rows(pooled.drive[chosen], pooled.cells.row[chosen]))
+    return fit_ridge(INPUTS[name](pooled.cells, number)[valid], target_of(pooled, target)[valid], pooled.part[valid])
 
 
 class _Rows(NamedTuple):
@@ -141,48 +164,20 @@ class _Rows(NamedTuple):
     row: Int[np.ndarray, " n"]
 
 
-@dataclass(frozen=True)
-class HeldOutCells:
-    """Cells that are valid in a set, and the resamples of their blocks."""
-
-    pooled: Pooled
-    feature_set: str
-    chosen: Bool[np.ndarray, " M"]
-    drawn: Resampling
-
-
-def held_out_cells(pooled: Pooled, feature_set: str, chosen: Bool[np.ndarray, " M"]) -> HeldOutCells | None:
-    """Cells to test probes on; None where there are too few."""
-    return HeldOutCells(pooled, feature_set, chosen, drawn_blocks(pooled, chosen)) if chosen.sum() >= FEWEST else None
-
-
-def score_probe(ridge: Ridge, target: str, name: str, on: HeldOutCells) -> Score:
-    """Score of a probe on a target."""
-    predicted = ridge.predict(INPUTS[name](on.pooled, FEATURE_SETS.index(on.feature_set))[on.chosen])
-    return score(target_of(on.pooled, target)[on.chosen], predicted, on.drawn)
-
-
 def probe_rows(train: Pooled, test: Pooled, worlds: str) -> list[dict[str, Any]]:
-    """Scores of all probes on all feature sets: on the cells valid there, and on those valid in all of `COMMON`."""
-    valid = {name: test.cells.valid[number] for number, name in enumerate(FEATURE_SETS)}
-    common = np.asarray(np.stack([valid[name] for name in COMMON]).all(axis=0))
-    cells = {("valid", name): held_out_cells(test, name, chosen) for name, chosen in valid.items()}
-    cells |= {("common", name): held_out_cells(test, name, common) for name in COMMON}
+    """R² of all probes on the valid cells of all feature sets."""
     rows: list[dict[str, Any]] = []
-    for target, trained, name in product(TARGETS, TRAINED, INPUTS):
-        training = _training_sets(trained)
-        fits = {sets: fit_probe(train, target, name, sets) for sets in set(training.values())}
-        for (which, feature_set), on in cells.items():
-            ridge = fits[training[feature_set]]
-            if ridge is None or on is None:
-                continue
-            about: dict[str, Any] = {"worlds": worlds, "target": target, "trained": trained, "input": name}
-            about |= {"feature_set": feature_set, "cells": which, "penalty": ridge.penalty}
-            rows.append(about | asdict(score_probe(ridge, target, name, on)))
+    for number, feature_set in enumerate(FEATURE_SETS):
+        chosen: Bool[np.ndarray, " M"] = test.cells.valid[number]
+        if chosen.sum() < FEWEST:
+            continue
+        drawn = Sampling().on(_Rows(test.drive[chosen], test.cells.row[chosen]))
+        for target, trained, name in product(TARGETS, TRAINED, INPUTS):
+            ridge = fit_probe(train, target, name, feature_set if trained == "same" else trained)
+            if ridge is not None:
+                predicted = ridge.predict(INPUTS[name](test.cells, number)[chosen])
+                found, interval = r2(target_of(test, target)[chosen], predicted, drawn)
+                about = {"worlds": worlds, "target": target, "trained": trained, "input": name}
+                about |= {"feature_set": feature_set, "penalty": ridge.penalty, "n": int(chosen.sum())}
+                rows.append({**about, "r2": found, "r2_ci95": interval})
     return rows
-
-
-def _training_sets(trained: str) -> dict[str, tuple[str, ...]]:
-    """Training sets by test set."""
-    whole = {"hindsight": ("hindsight",), "all": FEATURE_SETS}
-    return {name: whole.get(trained, (name,)) for name in FEATURE_SETS}

@@ -1,6 +1,5 @@
 """Gains and shares with known answers, and stored errors of runs."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,8 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from experiments.control_experiments.tables import write_control
-from experiments.gains import errors_of, gain, gain_table, runs_of, same_windows, share
+from experiments.gains import errors_of, gain, runs_of, same_windows, share
 from feature_datasets import dataset_with_features
 from offpiste.core.errors import RunError
 from offpiste.dataset.windows import Windows
@@ -46,17 +44,6 @@ def test_share_of_the_oracle_by_hand() -> None:
     assert np.isnan(shared(better, BASE, errors(1.1 * BASE.distance()), BASE).mean), "an oracle without a gain"
     broken = errors(np.where(ROW == 0, np.inf, BASE.distance()))
     assert np.isnan(shared(broken, BASE, BASE, BASE).mean)
-
-
-def test_tables_are_written_as_text_and_as_json(tmp_path: Path) -> None:
-    found = gain("shifted", "dc", [errors(0.75 * BASE.distance())], [BASE], MAP)
-    table = gain_table("Title", [found], "About.")
-    text = write_control(tmp_path, [table], {"gains": [found], "odd": float("nan")}).read_text()
-    assert "| dc, shifted | map | " in text
-    assert "-25.0 % [-25.0, -25.0]" in text
-    read = json.loads((tmp_path / "control.json").read_text("utf-8"))
-    assert read["gains"][0]["distance"]["mean"] == pytest.approx(-0.25)
-    assert read["odd"] is None
 
 
 def test_stored_errors_belong_to_one_run_its_windows_and_its_units(tmp_path: Path) -> None:

@@ -1,12 +1,10 @@
 """Choice and figures of models that ship."""
 
-import json
-
 import numpy as np
 import pytest
 
 from experiments import pretrained_models
-from experiments.pretrained_models import figures_of, validation_loss
+from experiments.pretrained_models import figures_of
 from feature_datasets import dataset_with_features
 from offpiste.evaluation.errors import Errors
 from offpiste.training.config import TrainConfig
@@ -33,13 +31,6 @@ def test_figures_are_of_the_windows_in_the_group_alone():
     assert figures_of("even", [mine], None, ~odd).error_m.mean == pytest.approx(3.0)
     assert figures_of("even", [mine], None, ~odd).against_b is None
     assert figures_of("all", [mine, base], [base, base], np.ones(40, bool)).levels.seeds == 2
-
-
-def test_the_validation_loss_is_that_of_the_last_stage(tmp_path):
-    lines = [("bicycle", 0.5), ("model", 3.0), ("model", 2.0), ("model", 2.5)]
-    text = "".join(json.dumps({"stage": stage, "validation_loss": loss}) + "\n" for stage, loss in lines)
-    (tmp_path / "metrics.jsonl").write_text(text)
-    assert validation_loss(tmp_path) == 2.0
 
 
 def test_a_run_ships_with_its_uncertainty_and_without_the_machine_that_trained_it(tmp_path):

@@ -8,9 +8,7 @@ import pytest
 
 from experiments.unseen_kinds import (
     chosen_kinds,
-    nearest_kinds,
     rows_of,
-    share_on_kinds,
     without_kind,
 )
 from feature_datasets import dataset_with_features, with_snapshots
@@ -63,16 +61,6 @@ def test_windows_that_touch_the_kind_train_nothing_and_test_everything(dataset: 
     assert len(Windows(without, "train")) < len(Windows(dataset, "train"))
 
 
-def test_shares_are_counted_as_by_hand(dataset: Dataset) -> None:
-    rng, windows = np.random.default_rng(2), Windows(dataset, "test")
-    kinds = [rng.integers(-1, len(GROUND_KINDS), (len(drive.rows.time), 4)) for drive in dataset.drives]
-    index = np.array([0, len(windows) - 1, len(windows) // 2])
-    found = share_on_kinds(windows, index, kinds)
-    for shares, number, start in zip(found, windows.drive[index], windows.row_in_drive(index), strict=True):
-        on = kinds[number][start + 1 : start + 1 + HORIZON_STEPS]
-        assert shares.tolist() == pytest.approx([(on == k).mean() for k in range(len(GROUND_KINDS))])
-
-
 def test_kinds_with_too_few_windows_and_unknown_ones_are_refused() -> None:
     mostly = np.zeros((60, len(GROUND_KINDS)), bool)
     mostly[:, MUD] = True
@@ -97,10 +85,3 @@ def test_a_run_without_the_kind_is_evaluated_where_it_is(dataset: Dataset, tmp_p
     rows = rows_of("gravel held out", run, spread, windows, {"on it": index, "never on it": index[:0]})
     assert [(row.windows, row.horizon) for row in rows] == [("on it", h) for h in (1, 3, 5)]
     assert all(row.n == len(index) and row.run == "gravel held out" and row.error_m > 0 for row in rows)
-
-
-def test_kinds_are_found_at_any_wetness() -> None:
-    dry, wet = property_table()
-    for wetness in (0.0, 0.33, 1.0):
-        found = nearest_kinds((1 - wetness) * dry + wetness * wet)
-        np.testing.assert_array_equal(found, np.arange(len(GROUND_KINDS)))

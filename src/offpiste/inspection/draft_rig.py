@@ -119,7 +119,7 @@ def refuse_existing(path: Path) -> None:
         RigError: the file exists.
     """
     if path.exists():
-        raise RigError("is there already", where=path, how="give --write-rig a new name")
+        raise RigError("already exists", where=path, how="give --write-rig a new name")
 
 
 def draft_rig(log: Log) -> str:

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from offpiste.core.errors import OffpisteError
-from offpiste.inspection.checks import MOTION_CHECKS, TOPIC_CHECKS, Topics, motion_of
+from offpiste.inspection.checks import Topics, check_motion, check_topics
 from offpiste.inspection.course import check_course, heading_fits
 from offpiste.inspection.driven_path import MOVING, DrivenPath, driven_path
 from offpiste.inspection.findings import Finding, is_fatal, ranked
@@ -64,8 +64,7 @@ def examine(log: RememberedLog, rig: Rig | None, *, given: bool, again: bool = F
     topics = Topics(recorded, rig, given=given, listed=log.topics, set_back=log.set_back)
     if given:
         findings = [f for f in findings if f.where in {name or "table" for name in topics.used}]
-    for check in TOPIC_CHECKS:
-        findings += check(topics)
+    findings += check_topics(topics)
     path = None
     if rig is not None and not is_fatal(findings):
         more, path = _check_driving(log, topics, rig)
@@ -100,9 +99,7 @@ def _check_driving(log: Log, topics: Topics, rig: Rig) -> tuple[list[Finding], D
     if is_fatal(tilted + posed):
         findings += check_control_channels(drive, path)
     else:
-        motion = motion_of(topics, drive, path)
-        for check in MOTION_CHECKS:
-            findings += check(motion)
+        findings += check_motion(topics, drive, path)
     return findings, path
 
 

@@ -72,10 +72,7 @@ def test_a_world_without_a_course_is_left_out(driven, tmp_path):
     [
         ({"rows": [Entry(Planner("b", Path("/runs/another"), parametric()))]}, "run"),
         ({"settings": CourseDriveSettings(course=CourseSettings(speed=3.0))}, "course"),
-        ({"settings": CourseDriveSettings(course=CourseSettings(traction=0.1))}, "course"),
         ({"settings": CourseDriveSettings(runtime=RuntimeSettings(hazards=Hazards(obstacle=1.0)))}, "runtime"),
-        ({"settings": CourseDriveSettings(seconds=10.0)}, "limit_s"),
-        ({"settings": CourseDriveSettings(fault_start=5.0)}, "fault_start"),
         ({"settings": CourseDriveSettings(sensors="full")}, "sensors"),
         ({"rows": [Entry(replace(B, weights="trained anew"))]}, "weights"),
     ],
@@ -107,16 +104,6 @@ def test_two_runs_of_one_model_and_seed_are_refused():
         entries([B, replace(B)])
 
 
-def test_runs_of_other_seeds_share_a_row_and_drive_at_the_usual_latency():
-    rows = entries([B, DC, replace(DC, seed=1)], (0.3,))
-    assert [(row.row, row.name) for row in rows] == [
-        ("b-100ms", "b-100ms-0"),
-        ("dc-100ms", "dc-100ms-0"),
-        ("dc-100ms", "dc-100ms-1"),
-        ("dc-300ms", "dc-300ms-0"),
-    ]
-
-
 @pytest.mark.parametrize("latency", [0.03, -0.1, 1.02, float("nan")])
 def test_all_settings_are_checked_before_the_first_course(driven, tmp_path, latency):
     with pytest.raises(OffpisteError, match="invalid latency of"):
@@ -124,14 +111,8 @@ def test_all_settings_are_checked_before_the_first_course(driven, tmp_path, late
     assert not driven.drives
 
 
-def test_a_risk_is_a_row_of_its_own():
-    cautious = replace(DC, spread=Spread(1))
-    rows = entries([B, cautious], (0.3,), ("none", "spread:1"))
-    assert [row.row for row in rows] == [
-        "b-100ms",
-        "dc-100ms",
-        "dc-300ms",
-        "dc+spread-1-100ms",
-    ]
+def test_a_risk_is_a_row_of_its_own_and_needs_a_spread():
+    rows = entries([B, replace(DC, spread=Spread(1))], (0.3,), ("none", "spread:1"))
+    assert [row.row for row in rows] == ["b-100ms", "dc-100ms", "dc-300ms", "dc+spread-1-100ms"]
     with pytest.raises(OffpisteError, match=r"--risks: none of the runs has a spread for spread:1; .*calibrate"):
         entries([B, DC], (), ("spread:1",))

@@ -16,16 +16,6 @@ def test_intervals_of_a_known_difference():
     assert found.low < found.mean < found.high
 
 
-def test_every_pair_counts_once_and_seeds_that_differ_widen_the_interval():
-    first, second = np.array([[1.0, 2.0, 3.0, 4.0], [5.0, np.nan, np.nan, np.nan]]), np.zeros((2, 4))
-    assert paired(first, second).mean == pytest.approx(3)
-    assert paired(first, second).n == 5
-    rng = np.random.default_rng(0)
-    courses = rng.normal(0.0, 1.0, (3, 50))
-    alike, apart = paired(courses, 0 * courses), paired(courses + np.array([[-2.0], [0.0], [2.0]]), 0 * courses)
-    assert apart.high - apart.low > 3 * (alike.high - alike.low)
-
-
 def result(row, seed, time, finished=True, run_seed=0, kind="bends", firm=None):
     return {
         "row": row,
@@ -98,18 +88,3 @@ def test_each_kind_has_a_part_of_its_own_and_the_energy_is_of_finished_drives():
     assert [row[4] for row in cells] == ["18.33", "10.00", "26.67"]
     assert [row[9] for row in cells] == ["120.00", "110.00", "135.00"]
     assert "firm way" not in "".join(parts)
-
-
-def test_another_planner_and_a_risk_are_compared_with_who_has_none_and_who_knows_less():
-    names = ("b-100ms", "dc-100ms", "dc+pytorch-mppi-100ms", "b+spread-1-100ms", "dc+spread-1-100ms")
-    text = table([result(row, seed, 20.0) for row in names for seed in range(3)], limit=40.0)
-    pairs = [line.split("|")[1].strip() for line in text.splitlines() if "−" in line and line.startswith("|")]
-    assert pairs == [
-        "dc-100ms − b-100ms",
-        "dc+pytorch-mppi-100ms − b-100ms",
-        "dc+pytorch-mppi-100ms − dc-100ms",
-        "b+spread-1-100ms − b-100ms",
-        "dc+spread-1-100ms − b-100ms",
-        "dc+spread-1-100ms − dc-100ms",
-        "dc+spread-1-100ms − b+spread-1-100ms",
-    ]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from experiments.inspection_faults.drives import drive_of, save, scaled
+from experiments.inspection_faults.drives import scaled
 from experiments.inspection_faults.recording import START, recorded
 from made_up_drive import MAX_STEER, made_up_case, made_up_drive
 from offpiste.core.geometry import yaw_from_quaternion
@@ -50,11 +50,3 @@ def test_a_drive_of_another_size_solves_the_same_equations(size):
     turned = np.gradient(yaw_from_quaternion(other.orientation), other.time)
     assert np.sqrt(np.mean((turned - other.angular_velocity[:, 2]) ** 2)) < 0.02 / np.sqrt(size)
     assert other.mass == pytest.approx(drive.mass * size**3)
-
-
-def test_a_drive_is_read_as_it_was_written_and_not_simulated_again(tmp_path):
-    drive = made_up_drive()
-    save(drive, tmp_path / "drive-000003.npz")
-    read = drive_of(3, tmp_path)
-    assert (read.behaviour, read.wheelbase) == ("made up", drive.wheelbase)
-    np.testing.assert_array_equal(read.orientation, drive.orientation)

@@ -11,7 +11,7 @@ from experiments.inspection_faults.detectability import Detectability, warned
 from experiments.inspection_faults.drives import save
 from experiments.inspection_faults.faults import FAULTS
 from experiments.inspection_faults.report import report
-from experiments.inspection_faults.score import FaultCase, FaultScore, Given, Score, points_to, score
+from experiments.inspection_faults.score import FaultCase, FaultScore, Given, Score, score
 from made_up_drive import made_up_case, made_up_drive
 from offpiste.core.errors import OffpisteError
 from offpiste.inspection.findings import Finding
@@ -75,14 +75,6 @@ def test_an_exception_of_inspect_is_a_failure_and_no_finding(monkeypatch):
     result = score(faulty_case())
     assert "ZeroDivisionError" in result.error
     assert not result.faults[0].found
-
-
-def test_findings_point_to_channels_fields_and_topics():
-    case = next(c for c in (made_up_case("steer", seed=s) for s in range(20)) if "command" in c.streams)
-    for where in ("steer", "steer (command steer)", "command", "wheels, command"):
-        assert points_to(finding(where), ("steer",), case), where
-    for where in ("steer_angle", "imu"):
-        assert not points_to(finding(where), ("steer",), case)
 
 
 def test_the_report_counts_by_fault_and_strength():
