@@ -37,13 +37,6 @@ def worlds() -> Figure:
     return figure
 
 
-def simulate_drive(world: World, seconds: float, seed: int) -> list[VehicleSample]:
-    """Samples of a drive without sensors."""
-    parameters = load_vehicle()
-    start, driver = start_and_driver(world, parameters, seed=seed)
-    return list(drive(world, parameters, start, driver, steps=round(seconds / DT)))
-
-
 def path(world: World, samples: list[VehicleSample]) -> Figure:
     """Path of a drive, coloured by speed."""
     figure = Figure(figsize=(8.6, 8), dpi=80, layout="constrained")
@@ -89,7 +82,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--smoke", action="store_true", help="a short drive, to try it")
     options = parser.parse_args(arguments)
     world = make_world(WorldSettings(seed=3))
-    samples = simulate_drive(world, 3.0 if options.smoke else 120.0, 3)
+    vehicle, seconds = load_vehicle(), 3.0 if options.smoke else 120.0
+    samples = list(drive(world, vehicle, *start_and_driver(world, vehicle, seed=3), steps=round(seconds / DT)))
     figures = {
         **({} if options.smoke else {"worlds": worlds()}),
         "drive": path(world, samples),

@@ -37,7 +37,7 @@ from offpiste.planning.costs.layers import Hazards, cost_map
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.course import Course
 from offpiste.planning.driving_cost import Situation, driving_costs, terms_after
-from offpiste.planning.kernel import coded_map, encode_map, fused_costs
+from offpiste.planning.kernel import encode_map, fused_costs
 from offpiste.planning.mppi import Settings, improve, limited, sample, weigh
 from offpiste.uncertainty.spread import Spread, inputs_of
 
@@ -155,7 +155,7 @@ def agreement(costs: Tensor, reference: Tensor) -> float:
     return ((costs - reference).abs() <= 0.01 * reference.abs()).float().mean().item()
 
 
-def compare(model: Hybrid, at: Situation, controls: Tensor, options: argparse.Namespace, skip: list[str]) -> None:
+def compare(model: Hybrid, at: Situation, controls: Tensor, options: argparse.Namespace) -> None:
     """Print what the same rollouts cost each planner."""
     weights, codes = CostWeights(), encode_map(at.ground, model.encoder)
     coded, model_state = codes_first(at, codes), start(model, at)
@@ -167,7 +167,7 @@ def compare(model: Hybrid, at: Situation, controls: Tensor, options: argparse.Na
         "pytorch-mppi": lambda: pytorch_mppi(model, coded, weights, controls, compiled=False),
         "compiled": lambda: pytorch_mppi(model, coded, weights, controls, compiled=True),
     }
-    taken = in_turns({name: make() for name, make in makers.items() if name not in skip}, options.seconds)
+    taken = in_turns({name: make() for name, make in makers.items() if name not in options.skip}, options.seconds)
     reference = taken.get("eager", taken["fused"]).found
     for name, one in taken.items():
         same = agreement(one.found, reference)
@@ -210,19 +210,6 @@ def whole_plan(models: dict[str, Hybrid], at: Situation, plan: Tensor, settings:
         print(f"  dc to b: rollouts {times(taken['rollouts, dc'], taken['rollouts, b'])}")
 
 
-def encoding(model: Hybrid, at: Situation) -> None:
-    """Print what codes of the map cost."""
-    coded = codes_first(at, encode_map(at.ground, model.encoder)).ground
-    assert model.encoder is not None
-    encoder = model.encoder
-    runs = {
-        "all cells": lambda: encode_map(at.ground, model.encoder)[0],
-        "codes already": lambda: coded_map(coded.features[0], encoder)[0],
-    }
-    for name, one in in_turns(runs, 2.0).items():
-        print(f"  {name:16} {one}", flush=True)
-
-
 def cycle(run: Path, pca: Path | None, seconds: float) -> None:
     """Drive a course and print the stages of the run time; the simulator's own sensors are listed too."""
     from offpiste.closed_loop.drive_course import CourseDriveSettings, drive_course
@@ -241,7 +228,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--samples", type=int, nargs="*", default=[256, 1024, 4096])
-    parser.add_argument("--steps", type=int, nargs="*", default=[50, 100, 500], help="beside 250, fused and eager")
     parser.add_argument("--seconds", type=float, default=20.0, help="of turns, for each table")
     parser.add_argument("--skip", nargs="*", default=[], help="planners")
     parser.add_argument("--plan-alone", action="store_true", help="the parts of a whole plan, and nothing else")
@@ -250,7 +236,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--smoke", action="store_true", help="try everything once, with few samples")
     options = parser.parse_args(arguments)
     if options.smoke:
-        options.samples, options.steps, options.seconds, options.skip = [16], [5], 0.0, ["compiled"]
+        options.samples, options.seconds, options.skip = [16], 0.0, ["compiled"]
     warnings.simplefilter("ignore")
     torch.set_num_threads(options.threads)
     if options.cycle:
@@ -265,8 +251,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )  # fmt: skip
     models = {name: network(name) for name in ("b", "dc")}
 
-    def controls(samples: int, steps: int) -> Tensor:
-        draw, plan = torch.Generator().manual_seed(0), torch.tensor([0.3, 0.0, 0.0]).repeat(steps, 1)
+    def controls(samples: int) -> Tensor:
+        draw, plan = torch.Generator().manual_seed(0), torch.tensor([0.3, 0.0, 0.0]).repeat(horizon, 1)
         return limited(sample(plan, replace(settings, samples=samples), draw), settings, at.control)
 
     print(f"{options.threads} threads")
@@ -274,15 +260,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     whole_plan(models, at, torch.tensor([0.3, 0.0, 0.0]).repeat(horizon, 1), settings, options.seconds)
     if options.plan_alone:
         return None
-    print("codes of a map of 600 x 600 cells, once a map (dc)")
-    encoding(models["dc"], at)
     for name, model in models.items():
         for samples in options.samples:
             print(f"{name}, K {samples}, T {horizon}: rollouts with map and cost", flush=True)
-            compare(model, at, controls(samples, horizon), options, options.skip)
-    for steps in options.steps:
-        print(f"dc, K 1024, T {steps}: rollouts with map and cost", flush=True)
-        compare(models["dc"], at, controls(1024, steps), options, [*options.skip, "pytorch-mppi", "compiled"])
+            compare(model, at, controls(samples), options)
     return None
 
 

@@ -1,19 +1,14 @@
 """A training step of `dc`, against plain eager torch with the encoder on every row, side by side in one run.
 
 `python benchmarks/train.py DATASET [--threads 2]` on a dataset with visual features, about five minutes on two quiet
-cores. Two tables: the recurrent part alone (forward and backward) by kernels, by eager torch and by torch.compile; and
-whole steps of the optimiser by part. From them, what training of the paper's size would take here. All ways take turns,
-so that what else the machine does touches them alike. Medians of wall clock and, in brackets, of processor time [ms].
-
-torch.compile compiles one step, which is called 250 times, as pytorch-mppi does: to unroll all of them into one graph
-takes it too long. It is left out where it has not come to an end after `--compile-seconds`.
+cores. Two tables: the recurrent part alone (forward and backward) by kernels and by eager torch; and whole steps of the
+optimiser by part. From them, what training of the paper's size would take here. All ways take turns, so that what else
+the machine does touches them alike. Medians of wall clock and, in brackets, of processor time [ms].
 """
 
-import signal
 import statistics
 import time
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -28,7 +23,6 @@ from offpiste.dataset.ground_tables import free_budget, ground_tables
 from offpiste.dataset.store import open_dataset
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import Hybrid, Kinematic, rollout
-from offpiste.dynamics.base import Step
 from offpiste.dynamics.header.gpu import gpu_kernels
 from offpiste.dynamics.header.recorded import rollout_by_kernels
 from offpiste.dynamics.kernels.autograd import rollout_recorded
@@ -105,24 +99,6 @@ def by_kernel(model: Hybrid) -> Rollout:
 def by_eager(model: Hybrid) -> Rollout:
     """Plain torch."""
     return lambda model_state, batch: rollout(model, model_state, batch.control, RecordedTerrain(batch.terrain))
-
-
-def by_compiled(model: Hybrid) -> Rollout:
-    """torch.compile of one step, called for each."""
-    compiled: list[Step] = []
-
-    def roll(model_state: ModelState, batch: Batch) -> Trajectory:
-        if not compiled:
-            torch._dynamo.config.cache_size_limit = 64
-            compiled.append(torch.compile(lambda *given: model.stepper()(*given), dynamic=False))
-        states, actuators = [], []
-        for t, control in enumerate(batch.control.unbind(dim=1)):
-            model_state = compiled[0](model_state, control, RecordedTerrain(batch.terrain).at(t, model_state.state))
-            states.append(model_state.state)
-            actuators.append(model_state.actuators)
-        return Trajectory(torch.stack(states, dim=1), torch.stack(actuators, dim=1))
-
-    return roll
 
 
 def recurrent(model: Hybrid, batch: Batch, roll: Rollout) -> Callable[[Mark], None]:
@@ -211,44 +187,16 @@ def make_trainer(dataset_path: Path, batch: int, device: torch.device | None = N
     return Trainer(model, windows, scale, optimiser, batch, np.random.default_rng(0))
 
 
-@contextmanager
-def within(seconds: int) -> Iterator[None]:
-    """Raises TimeoutError in what takes longer."""
-
-    def stop(number: int, frame: object) -> None:
-        raise TimeoutError(f"no end after {seconds} s")
-
-    before = signal.signal(signal.SIGALRM, stop)
-    signal.setitimer(signal.ITIMER_REAL, seconds, 5)  # again and again: a compiler may swallow the first one
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        signal.signal(signal.SIGALRM, before)
-
-
-def recurrent_table(trainer: Trainer, compile_seconds: int, repeats: int) -> str:
+def recurrent_table(trainer: Trainer, repeats: int) -> str:
     """The rollout alone."""
     model = trainer.model
     with torch.no_grad():
         index = trainer.rng.choice(len(trainer.windows), trainer.batch)
         batch = encoded(model, trainer.windows.gather(index))
     readings = {"kernel": recurrent(model, batch, by_kernel(model)), "eager": recurrent(model, batch, by_eager(model))}
-    lines = []
-    if compile_seconds:
-        compiled = recurrent(model, batch, by_compiled(model))
-        print(f"torch.compile of a step, {compile_seconds} s at most ...", flush=True)
-        began = time.perf_counter()
-        try:
-            with within(compile_seconds):
-                compiled(lambda part: None)
-            readings["torch.compile"] = compiled
-            lines.append(f"torch.compile of a step took {time.perf_counter() - began:.0f} s")
-        except Exception as error:  # noqa: BLE001  (whatever a compiler may say)
-            lines.append(f"torch.compile is left out: {(str(error) or type(error).__name__).splitlines()[0]}")
     found = in_turn(readings, repeats)
     best = total(found["kernel"][part] for part in ("forward", "backward"))
-    lines.append(f"{'recurrent part':16}{'forward':>16}{'backward':>16}   to the kernel: wall, processor")
+    lines = [f"{'recurrent part':16}{'forward':>16}{'backward':>16}   to the kernel: wall, processor"]
     for name, parts in found.items():
         both = total(parts[part] for part in ("forward", "backward"))
         ratios = f"{both.wall / best.wall:8.1f} {both.processor / best.processor:8.1f}"
@@ -288,7 +236,6 @@ def main(
     batch: int = 1024,
     threads: int = 2,
     repeats: int = 7,
-    compile_seconds: int = 300,
     step_only: bool = False,
     smoke: bool = False,
 ) -> None:
@@ -299,12 +246,11 @@ def main(
         batch: windows a step.
         threads: of torch and of the kernels.
         repeats: of everything; medians are printed.
-        compile_seconds: torch.compile may take so long to compile; 0 leaves it out.
         step_only: print what a step of `dc` takes and nothing else.
-        smoke: one turn of a small batch without torch.compile, to try it.
+        smoke: one turn of a small batch, to try it.
     """
     if smoke:
-        batch, repeats, compile_seconds = 16, 1, 0
+        batch, repeats = 16, 1
     torch.set_num_threads(threads)
     keep_freed_memory()
     trainer = make_trainer(dataset, batch)
@@ -314,7 +260,7 @@ def main(
         print(f"step of dc: {step.wall:.0f} ms ({step.processor:.0f} ms)")
         return
     print(f"{batch} windows of {trainer.windows.horizon} steps, {threads} threads; median wall (processor) [ms]")
-    print(recurrent_table(trainer, compile_seconds, repeats), flush=True)
+    print(recurrent_table(trainer, repeats), flush=True)
     print(step_table(trainer, repeats))
 
 
