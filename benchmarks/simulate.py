@@ -1,9 +1,8 @@
 """How much faster than real time the proving ground runs: medians over several runs, on a world with hills (`--world`).
 
-`python benchmarks/simulate.py [--seconds 20] [--runs 5] [--whole 0] [--parts]`. The vehicle alone: rigid bodies, tyres,
-drive train and a sample every 0.02 s. The profiles: driver, vehicle, sensors, coding and the file, without the seconds
-that making a world takes. Whole drives, of `--whole` seconds: `offpiste simulate` in worlds of their own, from the seed
-to the file. Peak memory is that of the process after each line. `--parts`: processor time of an image and a scan alone.
+`python benchmarks/simulate.py [--seconds 20] [--runs 5] [--parts]`. The vehicle alone: rigid bodies, tyres, drive train
+and a sample every 0.02 s. The profiles: driver, vehicle, sensors, coding and the file, without the seconds that making
+a world takes. Peak memory: of the process, after each line. `--parts`: processor time of an image and a scan alone.
 """
 
 import argparse
@@ -26,7 +25,7 @@ from offpiste.simulation.sample import Motion, Pose
 from offpiste.simulation.sensors.camera import Camera, render
 from offpiste.simulation.sensors.lidar import Lidar
 from offpiste.simulation.sensors.suite import Sensing, observed, sensor_suite
-from offpiste.simulation.simulate import DriveSettings, drive, simulate, start_and_driver
+from offpiste.simulation.simulate import drive, start_and_driver
 from offpiste.simulation.vehicle.parameters import load_vehicle
 from offpiste.simulation.vehicle.vehicle import VehicleSimulation
 from offpiste.simulation.world.build import make_world
@@ -59,14 +58,6 @@ def recorded(world: World, sensing: Sensing | None, seconds: float, file: Path) 
                 recorder.sensor(topic, message)
             rows += 1
     return rows * DT / (time.perf_counter() - begin)
-
-
-def whole(profile: str, seconds: float, seed: int, file: Path) -> float:
-    """Real time over computing time of a drive whose world has to be built."""
-    settings = DriveSettings(WorldSettings(preset="mojave", seed=seed), seconds, seed, profile)
-    begin = time.perf_counter()
-    driven = simulate(settings, file)
-    return driven.seconds / (time.perf_counter() - begin)
 
 
 def parts(world: World, runs: int) -> None:
@@ -119,9 +110,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=20.0, help="of driving in a run")
     parser.add_argument("--runs", type=int, default=5)
-    parser.add_argument("--whole", type=float, default=0.0, help="seconds of drives with a world of their own")
     parser.add_argument("--parts", action="store_true", help="measure an image and a scan instead")
-    parser.add_argument("--world", default="mojave", help="of all but whole drives")
+    parser.add_argument("--world", default="mojave", help="preset of the world")
     parser.add_argument("--smoke", action="store_true", help="one short run of each part, to try it")
     options = parser.parse_args(arguments)
     if options.smoke:
@@ -143,11 +133,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
             report(
                 f"recorded, {profile}", [recorded(world, sensing, share * options.seconds, file) for file in files[:-1]]
             )
-    for profile in ("none", "light", "full") if options.whole else ():
-        with tempfile.TemporaryDirectory() as folder:
-            files = [Path(folder) / f"{run}.mcap" for run in range(options.runs)]
-            ratios = [whole(profile, options.whole, seed, file) for seed, file in enumerate(files, start=3)]
-        report(f"whole, {profile}", ratios)
 
 
 if __name__ == "__main__":

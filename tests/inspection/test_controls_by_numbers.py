@@ -47,19 +47,6 @@ def test_the_axes_of_a_joystick_are_found() -> None:
     assert all(0.3 < correlation <= 1 for _, correlation in found.values())
 
 
-def test_noise_and_what_is_measured_is_no_control() -> None:
-    log = joystick()
-    time, axes = log.data["joy"]
-    assert (
-        find_controls(MemoryLog({"odom": log.data["odom"], "joy": (time, {"axes[1]": axes["axes[1]"]})}), posed()) == {}
-    )
-    # A gyroscope turns as the vehicle does, and not before it.
-    odom_time, odom = log.data["odom"]
-    yaw = np.unwrap(2 * np.arctan2(odom["qz"], odom["qw"]))
-    gyro = {"axes[0]": np.gradient(yaw, odom_time)}
-    assert find_controls(MemoryLog({"odom": log.data["odom"], "joy": (odom_time, gyro)}), posed()) == {}
-
-
 def _radio(seconds: float = 60.0) -> MemoryLog:
     """The drive by radio: one stick drives above its middle and brakes below, and what comes in goes out, too."""
     log = drive_log(seconds=seconds)

@@ -81,12 +81,6 @@ def test_short_names_of_loggers(field: str, channel: str) -> None:
     assert (channel, (field,)) in {(guess.channel, guess.fields) for guess in guess_channels(log)}
 
 
-@pytest.mark.parametrize("field", ["stream", "thread", "string_length", "strength"])
-def test_words_that_only_begin_like_them(field: str) -> None:
-    log = MemoryLog({"table": (TIME, {"a": TIME, field: np.sin(TIME), "b": TIME})})
-    assert not {guess.channel for guess in guess_channels(log)} & {"throttle", "brake", "steer"}
-
-
 def _actuators() -> Typed:
     """Commands in an array of no names, with the measured angle of the wheels, a quarter of a second behind."""
     time, pedals = CLEAN.data["pedals"]

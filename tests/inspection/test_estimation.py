@@ -78,22 +78,6 @@ def test_what_the_data_do_not_show_stays_as_uncertain_as_the_prior():
     np.testing.assert_allclose(found.parameters[[1, 2]], TRUE[[1, 2]], atol=5e-4)
 
 
-def test_errors_that_pairs_share_count_once_a_pair():
-    """All rows of a pair are off by the same: more rows of it are worth nothing."""
-
-    def compare(parameters, rows):
-        rng = np.random.default_rng(5)
-        shared = 0.01 * rng.standard_normal(30)
-        weights = rng.standard_normal((30, 4))
-        return [
-            Pair(w @ (parameters - TRUE) + np.full(rows, s), np.tile(w, (rows, 1)))
-            for w, s in zip(weights, shared, strict=True)
-        ]
-
-    few, many = (fit_misfit(lambda p, n=n: compare(p, n)) for n in (10, 1000))
-    assert (many.sigma > 0.7 * few.sigma).all()
-
-
 def test_a_mounting_turns_about_the_axes_of_the_body_where_it_is():
     given = np.eye(4)
     given[:3, :3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]  # x of the sensor looks to the left

@@ -86,10 +86,3 @@ def test_what_counts_to_the_right_beside_places_that_are_right_is_no_exchange(
         cure = inspect_log(log, given).cure
         assert "channels.position.fields" not in {edit.key for edit in cure}
         assert wrong(log, edited(given, cure)) == []
-
-
-def test_a_compass_beside_iron_says_nothing_against_the_places() -> None:
-    log = located(50.0, 8.0)
-    deviation = 8.0 * np.sin(2 * np.radians(log.data["odom"][1]["heading"]) + 1.0)
-    found = wrong(log.change("odom", "heading", lambda degrees: degrees + deviation), read_by(LAT_LON, COMPASS))
-    assert not [finding for finding in found if finding.where == "position"]

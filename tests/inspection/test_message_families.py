@@ -249,11 +249,6 @@ def test_limits_and_switches_do_not_hide_what_a_topic_commands(asked: str, other
         assert channels[pedal].topic == f"/dbw/{pedal}_cmd"
 
 
-@pytest.mark.parametrize("field", ["steering_rate_limit", "steering_angle_max", "throttle_limit", "brake_fault"])
-def test_a_limit_is_no_channel(field: str) -> None:
-    assert guess_channels(MemoryLog({"": (TIME, dict.fromkeys((field, "x", "y"), ODOM["x"]))}))[1:] == []
-
-
 def test_half_of_a_pose_is_named() -> None:
     """A simulator's log may have the direction ahead as a vector."""
     columns = dict.fromkeys(("pos_x", "pos_y", "dir_x", "dir_y", "throttle"), ODOM["x"])

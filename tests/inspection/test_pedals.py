@@ -125,10 +125,3 @@ def test_zeros_through_which_the_vehicle_is_driven_on_are_named_with_what_was_pr
     )
     said = float(finding.evidence.split("that of ")[1].split(" ")[0])
     assert said == pytest.approx(PEDALS["throttle"][first : first + count].mean(), abs=0.15)
-
-
-def test_a_throttle_that_is_released_is_none_that_is_lost() -> None:
-    released = PEDALS["throttle"] == 0
-    runs = np.diff(np.flatnonzero(np.diff(released.astype(int), prepend=0, append=0)).reshape(-1, 2))
-    assert (runs > 50).sum() >= 3  # longer than a second
-    assert _found(LONG) == []

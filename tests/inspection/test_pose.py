@@ -6,11 +6,9 @@ from simulated import MemoryLog, drive_log, rig, severe
 
 from offpiste.core.errors import LogError
 from offpiste.dataset.resample import extract_rows
-from offpiste.inspection.driven_path import driven_path
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.inspect import Inspection, inspect_log
 from offpiste.inspection.pose_samples import check_level
-from offpiste.inspection.velocity import _UNITS, _gain, fit_wheel_speed
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import drive_from_log
 from offpiste.rig.edits import Edit, edited
@@ -219,15 +217,3 @@ def test_a_velocity_of_north_east_down_is_read_in_their_order(frame: str) -> Non
         "world",
     )
     assert not [f for f in inspect_log(log, cured).findings if f.where == "linear_velocity"]
-
-
-def test_joints_that_turn_in_rad_are_given_the_size_of_their_wheels() -> None:
-    """A wheel of 0.3 m turns 3.34 times as fast as the vehicle drives, which is near to km/h."""
-    time, odom = DRIVE.data["odom"]
-    log = MemoryLog({**DRIVE.data, "wheels": (time, {"v": odom["vx"] / 0.299})})
-    given = edited(rig(), [Edit("channels.wheel_speed", {"topic": "wheels", "fields": ["v"]})])
-    joint = edited(given, [Edit("channels.wheel_speed.joints", ["left"])])
-    drive = drive_from_log(log, given)
-    fit = fit_wheel_speed(drive, driven_path(drive))
-    keys = [_gain("wheel_speed", fit, each, "m/s", _UNITS)[0].cures[0][0].key for each in (given, joint)]
-    assert keys == ["channels.wheel_speed.unit", "channels.wheel_speed.scale"]

@@ -6,16 +6,14 @@ import numpy as np
 import pytest
 from simulated import MemoryLog, drive_log, rig, severe
 
-from offpiste.inspection.dropped import check_dropped
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.inspect import inspect_log
 from offpiste.inspection.range_ends import check_range_ends
-from offpiste.inspection.recorded_log import RememberedLog, read_topics
 from offpiste.logs import open_log
 from offpiste.logs.channel import read_channel
 from offpiste.logs.drive import drive_from_log
 from offpiste.rig.edits import Edit, edited
-from offpiste.rig.rig import Rig, load_rig
+from offpiste.rig.rig import load_rig
 
 CLEAN = drive_log(seconds=60)
 
@@ -76,7 +74,6 @@ def test_a_brake_that_nobody_pressed_rests_at_zero_and_has_no_scale(rest: float)
     assert not severe(log, edited(rig(), found.cure))
 
 
-DRIVE = drive_log()
 FULL = drive_log(seconds=120, seed=3)
 """With the throttle pressed to 1 again and again."""
 
@@ -97,22 +94,3 @@ def test_no_control_of_a_recorded_drive_ends_short_of_its_range(data_folder: Pat
     assert len(recorded) == 15
     drives = [(path, drive_from_log(open_log(path), load_rig(name))) for path, name in recorded]
     assert [path.name for path, drive in drives if check_range_ends(drive)] == []
-
-
-def _rig(low: float, high: float) -> Rig:
-    return rig(('fields = ["command"]', f'fields = ["command"]\nvalid = [{low}, {high}]'))
-
-
-def _found_dropped(log: MemoryLog, of: Rig) -> list[Finding]:
-    return check_dropped(read_topics(RememberedLog(log, of), of)[0], of)
-
-
-def test_faults_are_rightly_dropped() -> None:
-    random = np.random.default_rng(0)
-
-    def faulty(values: np.ndarray) -> np.ndarray:
-        values[random.choice(len(values), 50, replace=False)] = 8.0
-        values[300:400] = -5.0
-        return values
-
-    assert _found_dropped(DRIVE.change("steering", "command", faulty), _rig(-1.1, 1.1)) == []

@@ -4,12 +4,9 @@ import numpy as np
 import pytest
 from simulated import MemoryLog, checked, drive_log, rig, severe
 
-from offpiste.inspection.driven_path import driven_path
 from offpiste.inspection.dropouts import check_dropouts
 from offpiste.inspection.frozen import check_frozen
 from offpiste.inspection.inspect import inspect_log
-from offpiste.inspection.steering_fit import steering_fits
-from offpiste.logs.drive import drive_from_log
 
 CLEAN = drive_log()
 WHAT = "holds one value while the vehicle moves"
@@ -37,29 +34,6 @@ def test_a_channel_that_hangs_is_named_with_its_time() -> None:
     assert seconds == pytest.approx(6.0, abs=0.2)
 
 
-@pytest.mark.parametrize(("value", "found"), [(0.0, 0), (1.0, 0), (0.5, 1)])
-def test_pedals_may_rest_at_an_end_of_their_range_and_nowhere_else(value: float, found: int) -> None:
-    time, _ = CLEAN.data["pedals"]
-
-    def pressed(values: np.ndarray) -> np.ndarray:
-        values = np.random.default_rng(0).uniform(0.2, 0.7, len(values))
-        values[(time > time[len(time) // 2]) & (time < time[len(time) // 2] + 6.0)] = value
-        return values
-
-    assert len(_frozen(CLEAN.change("pedals", "throttle", pressed))) == found
-
-
-@pytest.mark.parametrize("seconds", [0.6, 3.0])
-def test_headings_that_hang_again_and_again_are_found(seconds: float) -> None:
-    log, count = CLEAN, int(seconds / 0.02)
-    for field in ("qx", "qy", "qz", "qw"):
-        for first in (800, 1700, 2600, 3500):
-            log = log.change("odom", field, lambda values: _held(values, first, count))  # noqa: B023
-    (finding,) = (f for f in _frozen(log) if f.where == "orientation")
-    assert " times, " in finding.evidence
-    assert f"the longest for {seconds:.1f} s" in finding.evidence
-
-
 def test_a_steering_that_rests_at_zero_while_the_vehicle_turns_hangs() -> None:
     _, odom = CLEAN.data["odom"]
     time, _ = CLEAN.data["steering"]
@@ -71,20 +45,6 @@ def test_a_steering_that_rests_at_zero_while_the_vehicle_turns_hangs() -> None:
         rests = (rows >= first) & (rows < first + count)
         log = CLEAN.change("steering", "command", lambda values, rests=rests: np.where(rests, 0.0, values))
         assert [f.where for f in checked(check_frozen, log)] == ["steer"] * found
-
-
-@pytest.mark.parametrize("share", [0.3, 0.4])
-def test_a_steering_that_hangs_for_a_while_is_fitted_without_that_time(share: float) -> None:
-    """Else it is said to have another sign, another centre or no effect."""
-    log = drive_log(seed=3)
-    count = len(log.data["steering"][0])
-    log = log.change("steering", "angle", lambda values: _held(values, round(0.4 * count), round(share * count)))
-    found = severe(log)
-    assert [(finding.where, finding.what) for finding in found] == [("steer_angle", WHAT)]
-    drive = drive_from_log(log, rig())
-    fit = steering_fits(drive, driven_path(drive), measured=True)["steer_angle"]
-    assert fit.sign == 1
-    assert abs(fit.centre) < 0.005
 
 
 SLOW = CLEAN

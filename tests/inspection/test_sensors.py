@@ -44,11 +44,6 @@ def reported(*those):
     return [(f.severity, f.where, f.what) for f in check_mountings(those)]
 
 
-def test_what_is_right_is_not_mentioned():
-    assert reported(checked(), checked(sensor=CAMERA)) == []
-    assert reported(checked((0.4, -0.3, 0.0, 9.0))) == []  # as good drives show
-
-
 @pytest.mark.parametrize(
     ("parameters", "sigma", "found"),
     [
@@ -180,10 +175,6 @@ def test_what_the_cure_of_a_late_pose_leaves_is_no_delay_of_the_lidar() -> None:
     (top,) = [finding for finding in found.findings if finding.where == "top"]
     assert top.cures == ()
     assert "the pose is cured above" in top.remedy
-
-
-def test_a_turn_that_only_the_lidar_shows_is_cured_there() -> None:
-    assert [edit.key for edit in among_walls(turned(5.0)).cure] == ["lidars.top.body_from_lidar"]
 
 
 FIXED = [(0, "/tf_static", tree()), (0, "/info", info())]

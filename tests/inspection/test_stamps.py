@@ -13,7 +13,6 @@ from offpiste.inspection.driven_path import driven_path
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.inspect import inspect_log
 from offpiste.inspection.recorded_log import RememberedLog, read_topics
-from offpiste.inspection.timing import timing
 from offpiste.logs import open_log
 from offpiste.logs.drive import drive_from_log
 from offpiste.rig.edits import Edit, edited
@@ -169,27 +168,6 @@ def test_a_speed_that_comes_late_beside_commands_is_by_a_late_clock() -> None:
     assert found.cures == ((Edit("channels.throttle.delay", 0.6), Edit("channels.brake.delay", 0.6)),)
 
 
-@pytest.mark.parametrize(("late", "drifts"), [(-0.5, False), (0.5, True)])
-def test_wheels_that_run_ahead_slip_and_those_that_come_late_have_a_clock_that_drifts(
-    late: float, drifts: bool
-) -> None:
-    time, odom = CLEAN.data["odom"]
-    stamps, columns = CLEAN.data["steering"]
-    lag = late * (0.5 - 0.5 * np.cos(2 * np.pi * (stamps - stamps[0]) / 30))
-    log = MemoryLog(
-        {**CLEAN.data, "steering": (stamps, columns | {"wheels": np.interp(stamps - lag, time, odom["vx"])})}
-    )
-    recorded, _ = read_topics(RememberedLog(log), rig())
-    found = check_clocks(recorded, driven_path(drive_from_log(log, rig())), rig(), besides={"odom"})
-    assert [finding.what for finding in found] == (["has a clock that drifts"] if drifts else [])
-
-
-@pytest.mark.parametrize(("rate", "step"), [(30, 0.01), (40, 0.01), (70, 0.005), (15, 0.01)])
-def test_stamps_in_steps_of_a_clock_are_no_losses(rate: float, step: float) -> None:
-    time = np.round(np.arange(0, 60, 1 / rate) / step) * step
-    assert timing(time, max_gap=0.5).lost == 0
-
-
 DRIVE = drive_log()
 WHAT = "is published only when it changes"
 
@@ -248,18 +226,3 @@ def test_a_gear_is_found_however_seldom_it_changes(changes: int) -> None:
     assert extract_rows(drive).valid.mean() > 0.95
     box = drive.channels["gear"]
     np.testing.assert_array_equal(box.hold(at, max_gap=0.5)[:, 0], log.data["box"][1]["selected"])
-
-
-@pytest.mark.parametrize(("topic", "noisy"), [("pedals", True), ("steering", False)])
-@pytest.mark.parametrize("lost", ["at random", "in bursts"])
-def test_samples_that_are_lost_are_not_taken_for_it(topic: str, lost: str, noisy: bool) -> None:
-    count, draw = len(DRIVE.data[topic][0]), np.random.default_rng(1)
-    time, columns = DRIVE.data[topic]
-    more = {"voltage": 12.4 + 0.02 * draw.standard_normal(count)} if noisy else {}
-    log = MemoryLog({**DRIVE.data, topic: (time, columns | more)})
-    kept = draw.random(count) < 0.1
-    if lost == "in bursts":
-        kept[:] = True
-        for begin in draw.integers(0, count - 100, 12):
-            kept[begin : begin + draw.integers(30, 100)] = False
-    assert WHAT not in {finding.what for finding in severe(log.keep(topic, kept))}

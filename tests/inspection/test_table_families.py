@@ -114,22 +114,6 @@ def test_channels_are_found_in_a_table_of(name: str) -> None:
     assert cured(log, rig) == []
 
 
-@pytest.mark.parametrize(
-    ("asked", "measured"),
-    [
-        ("SetSteerAngle", "ActualSteerAngle"),
-        ("steering_angle_request", "steering_angle"),
-        ("target_steering_angle", "current_steering_angle"),
-        ("steer_cmd", "measured_steer"),
-    ],
-)
-def test_what_is_set_and_what_is_measured_of_a_steering(asked: str, measured: str) -> None:
-    log = table({"x": "x", "y": "y", "yaw": "0"} | {asked: "tire command", measured: "angle"})
-    yaw = 2 * np.arctan2(ODOM["qz"], ODOM["qw"])
-    channels = parse_rig(draft_rig(log.change("", "yaw", lambda values: yaw)), where="draft").channels
-    assert (channels["steer"].fields, channels["steer_angle"].fields) == ((asked,), (measured,))
-
-
 def test_a_world_of_north_east_down_that_is_read_as_up_is_said_to_be() -> None:
     columns, _ = FAMILIES["north, east, down"]
     log = table(columns)
