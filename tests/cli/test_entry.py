@@ -107,7 +107,7 @@ def test_extract_resumes_where_it_stopped(folder: Path, capsys: pytest.CaptureFi
         (("extract", "{drive}", *RIG, "--out", "{tmp}/d.zarr", "--keyframe-metres", "nan"), "--keyframe-metres is nan"),
         (("fit-pca", "{drive}", "--rig", "kitti", "--images", "0"), "--images is 0; give 1 or more"),
         (("fit-pca", "{drive}", "--rig", "kitti", "--out", "{dataset}"), "is a folder; give a file as --out"),
-        (("inspect", "{drive}", "--write-rig", "{dataset}/zarr.json"), "is there already"),
+        (("inspect", "{drive}", "--write-rig", "{dataset}/zarr.json"), "already exists"),
         (("extract", *RIG, "--out", "{tmp}/d.zarr"), "no log is given"),
         (("fit-pca", "--rig", "kitti"), "the log is missing"),
         (("check",), "nothing to check"),

@@ -282,7 +282,6 @@ def test_a_heading_in_degrees_and_one_mirrored() -> None:
     assert severe(CLEAN.put("odom", qz=yaw), given) == []
 
 
-NO_POSE = "no topic looks like a pose (position and heading)"
 NO_PEDALS = edited(rig(), [Edit("channels.throttle", None), Edit("channels.brake", None),
                            Edit("absent", ["throttle", "brake", *rig().absent])])  # fmt: skip
 

@@ -4,6 +4,7 @@ import io
 from collections.abc import Sequence
 from contextlib import redirect_stderr
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,14 +17,6 @@ from offpiste.inspection.inspect import inspect_log
 from offpiste.logs.drive import drive_name
 from offpiste.logs.log import open_log
 from offpiste.rig.rig import Rig
-
-
-@dataclass(frozen=True)
-class Job:
-    """Input for the inspection of one log in a worker process."""
-
-    log: str
-    rig: Rig | None
 
 
 @dataclass(frozen=True)
@@ -56,8 +49,8 @@ def inspect_logs(logs: Sequence[str], rig: Rig | None, *, processes: int = 1, cl
         processes: number of parallel inspections; 0: one per core.
         cluster: address of a Ray cluster to use instead (`parallel.run_all`); "" for none.
     """
-    jobs = [Job(log, rig) for log in logs]
-    found, failed = run_all(_inspect, jobs, at_a_time(processes), "inspect", cluster=cluster, finished=lambda _: None)
+    work = partial(_inspect, rig=rig)
+    found, failed = run_all(work, logs, at_a_time(processes), "inspect", cluster=cluster, finished=lambda _: None)
     return Survey(tuple(found), tuple(failed))
 
 
@@ -84,7 +77,7 @@ def _words(findings: Sequence[dict[str, Any]]) -> str:
     return "; ".join([*serious, *([f"{notes} note{'s' if notes > 1 else ''}"] if notes else [])])
 
 
-def _inspect(job: Job, report: Report) -> dict[str, Any]:
-    with redirect_stderr(io.StringIO()), brought(job.log) as path:  # suppress progress bars of the worker
-        log = open_log(path, clock=job.rig.clock if job.rig else None)
-        return replace(inspect_log(log, job.rig, sensors=True), log=job.log).as_dict()
+def _inspect(name: str, report: Report, *, rig: Rig | None) -> dict[str, Any]:
+    with redirect_stderr(io.StringIO()), brought(name) as path:  # suppress progress bars of the worker
+        log = open_log(path, clock=rig.clock if rig else None)
+        return replace(inspect_log(log, rig, sensors=True), log=name).as_dict()
