@@ -1,7 +1,8 @@
 """Errors of runs on the same windows, and gains of models over a baseline with intervals."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -10,6 +11,7 @@ from jaxtyping import Int
 
 from offpiste.core.checksums import sha256_of_folders, sha256_of_json
 from offpiste.core.errors import RunError
+from offpiste.core.files import write_text
 from offpiste.dataset.windows import Windows
 from offpiste.evaluation.errors import Errors, SeededErrors, by_seed, load_errors, pool, save_errors
 from offpiste.evaluation.evaluate import Reading
@@ -104,6 +106,13 @@ def gain_table(title: str, gains: Sequence[Gain], about: str) -> TextTable:
     names = ("model", "lookup", "error [m]", "baseline [m]", "distance error", "loss", "windows", "intervals over")
     caveats = [caveat for caveat in dict.fromkeys(g.levels.caveat for g in gains) if caveat]
     return TextTable(title, names, tuple(lines), " ".join((about, *caveats)))
+
+
+def write_control(folder: Path, tables: Sequence[TextTable], results: Mapping[str, Any]) -> Path:
+    """Write control.md, which is returned, and control.json."""
+    write_text(folder / "control.json", msgspec.json.format(msgspec.json.encode({"schema": 1, **results})).decode())
+    write_text(folder / "control.md", "\n".join(table.markdown() for table in tables))
+    return folder / "control.md"
 
 
 def same_windows(windows: Windows, index: Int[np.ndarray, " n"], among: Windows) -> Int[np.ndarray, " n"]:

@@ -18,7 +18,6 @@ import numpy as np
 from jaxtyping import Bool
 
 from experiments.command import run
-from experiments.control_experiments.data import true_ground
 from experiments.control_experiments.reproduced import Reproduced, open_reproduction
 from experiments.control_experiments.runs import trained_seeds
 from experiments.control_experiments.strata import strata
@@ -133,7 +132,7 @@ def candidates(of: Reproduced, controls: Path, epochs: int) -> Iterator[Candidat
     """
     windows, size, folder = Windows(of.dataset, "test"), of.size, controls / "shipped"
     index = evaluation_windows(windows, MAP, size.stride)
-    truth = true_ground(of, controls / "oracle")
+    truth = of.true_ground(controls / "oracle")
     true_windows = Windows(truth, "test")
     there = same_windows(windows, index, true_windows)
     for name in ABOUT:

@@ -18,7 +18,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from experiments.command import run
-from experiments.control_experiments.data import true_ground
 from experiments.control_experiments.reproduced import open_reproduction
 from experiments.control_experiments.runs import trained
 from offpiste.core.conventions import HORIZON_STEPS
@@ -29,7 +28,7 @@ from offpiste.dataset.store import Dataset, StoredDrive
 from offpiste.dataset.windows import Windows
 from offpiste.evaluation.evaluated_windows import EvaluatedWindows
 from offpiste.evaluation.intervals import Sampling
-from offpiste.logs.ground_truth import GROUND_KINDS, GROUND_PROPERTIES
+from offpiste.logs.ground_truth import GROUND_KINDS
 from offpiste.reproduction.results import MAP
 from offpiste.reproduction.runs import evaluation_windows
 from offpiste.reproduction.steps import claim_folder
@@ -86,8 +85,7 @@ class UnseenKinds:
         """
         of = open_reproduction(self.reproduction)
         claim_folder(self.out, {"reproduction": str(self.reproduction.resolve())})
-        truth = true_ground(of, self.out / "truth")
-        refuse_unlike(of.dataset, truth)
+        truth = of.true_ground(self.out / "truth")
         kinds = [kinds_under_wheels(drive) for drive in truth.drives]
         windows = Windows(of.dataset, "test")
         index = evaluation_windows(windows, MAP, of.size.stride)
@@ -108,16 +106,6 @@ class UnseenKinds:
         write_text(self.out / "unseen_kinds.json", json.dumps(content, indent=1))
         write_text(self.out / "unseen_kinds.md", table.markdown())
         return f"{table.text(width=150)}\nwritten: {self.out / 'unseen_kinds.md'}"
-
-
-def refuse_unlike(dataset: Dataset, truth: Dataset) -> None:
-    """Raise unless `truth` has the true ground of the drives of `dataset`."""
-    if truth.features != GROUND_PROPERTIES:
-        raise DatasetError("has no true ground", where=truth.path, how="extract it with `--features ground-truth`")
-    pairs = zip(dataset.drives, truth.drives, strict=False)
-    alike = len(dataset.drives) == len(truth.drives)
-    if not alike or any(a.name != b.name or not np.array_equal(a.rows.time, b.rows.time) for a, b in pairs):
-        raise DatasetError(f"has other drives than {dataset.path}", where=truth.path, how="extract both of one folder")
 
 
 @cache
@@ -141,14 +129,9 @@ def _distances(properties: Float[np.ndarray, "N 4"]) -> Float[np.ndarray, "N K"]
 
 
 def kinds_under_wheels(truth: StoredDrive) -> Int[np.ndarray, "N 4"]:
-    """Number of the kind nearest to the ground under each wheel; -1 where no ground is known.
-
-    Raises:
-        DatasetError: the drive has no true ground.
-    """
+    """Number of the kind nearest to the ground under each wheel; -1 where no ground is known."""
     cells = truth.rows.cells
-    if cells is None:
-        raise DatasetError(f"drive '{truth.name}' has no true ground", how="extract it with ground-truth features")
+    assert cells is not None
     of_cell = nearest_kinds(np.asarray(cells.features[0], np.float64))
     return np.where(cells.index >= 0, of_cell[cells.index], -1)
 

@@ -5,18 +5,16 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.control_experiments.data import true_ground
 from experiments.control_experiments.reproduced import Reproduced
 from experiments.control_experiments.runs import trained_seeds
-from experiments.control_experiments.tables import percent, write_control
-from experiments.gains import errors_of, gain, gain_table, runs_of, same_windows, share
+from experiments.gains import errors_of, gain, gain_table, runs_of, same_windows, share, write_control
 from offpiste.core.conventions import FEATURE_SETS
 from offpiste.dataset.windows import Windows
 from offpiste.evaluation.errors import Errors
 from offpiste.evaluation.evaluate import Reading
 from offpiste.evaluation.intervals import Sampling
 from offpiste.report.text_table import TextTable
-from offpiste.reproduction.results import HINDSIGHT, MAP
+from offpiste.reproduction.results import HINDSIGHT, MAP, percent
 from offpiste.reproduction.runs import evaluation_windows
 
 ABOUT = (
@@ -33,7 +31,7 @@ SHARES = (
 def oracle_control(of: Reproduced, out: Path, seeds: int) -> Path:
     """Train b and df on the truth, evaluate them on the reproduction's windows, and compare its runs with them."""
     folder, scale, stride = out / "oracle", of.scale, of.size.stride
-    truth = true_ground(of, folder)
+    truth = of.true_ground(folder)
     config = replace(of.size.train, seed=0)
     knowing = {m: trained_seeds(truth, replace(config, model=m), folder / "runs", seeds) for m in ("b", "df")}
     windows, true_windows = Windows(of.dataset, "test"), Windows(truth, "test")
@@ -64,7 +62,7 @@ def oracle_control(of: Reproduced, out: Path, seeds: int) -> Path:
             seeds = min(map(len, all_four))
             own, base, best, best_base = (runs_of(each[:seeds]) for each in all_four)
             reached = share(own, base, best, best_base, Sampling().on(best))
-            lines.append((model, " ".join(filter(None, reading)), percent(reached, 0), reached))
+            lines.append((model, " ".join(filter(None, reading)), percent(reached), reached))
     table = TextTable("Share of the oracle's gain", ("model", "lookup", "share"), tuple(x[:3] for x in lines), SHARES)
     shares = [{"model": model, "way": reading, "share": reached} for model, reading, _, reached in lines]
     results = {"control": "oracle", "gains": gains, "shares": shares}

@@ -11,6 +11,7 @@ import torch
 from offpiste.core.errors import RunError
 from offpiste.dataset.splits import write_drives
 from offpiste.dataset.store import Dataset, open_dataset
+from offpiste.inspection.extract import extract
 from offpiste.reproduction.settings import FigureModel, Size, standard_model
 from offpiste.training.checkpoint import load_json
 from offpiste.training.run import Run, load_run
@@ -36,11 +37,6 @@ class Reproduced:
         return self.folder / "pca.safetensors"
 
     @property
-    def kept_truth(self) -> Path:
-        """Path of the dataset with the true ground, where the size keeps one instead of the logs."""
-        return self.folder / "truth.zarr"
-
-    @property
     def scale(self) -> torch.Tensor:
         """Units of the loss, the same for all runs."""
         return self.runs("b")[0].scale
@@ -58,13 +54,9 @@ class Reproduced:
             )
         return [load_run(path.parent) for path in result]
 
-    def has(self, model: str) -> bool:
-        """Whether a run of a model is finished."""
-        return any(self.folder.glob(f"runs/{model}-[0-9]*/model.json"))
-
     def present(self, models: Sequence[str]) -> list[str]:
         """Those of some models that were trained, in their order."""
-        return [model for model in models if self.has(model)]
+        return [model for model in models if any(self.folder.glob(f"runs/{model}-[0-9]*/model.json"))]
 
     def member(self, model: str) -> FigureModel:
         """A model as the reproduction would train it."""
@@ -85,12 +77,19 @@ class Reproduced:
             raise RunError("a drive's log is missing", where=missing[0], how="run `offpiste reproduce` again")
         return logs
 
-    def split_for(self, folder: Path) -> str:
-        """The dataset's split as `extract` takes it; a split by drives is written into `folder`."""
-        split = self.dataset.split
-        if split.kind != "drives":
-            return split.text
-        return write_drives(folder / "parts.txt", split.drives)
+    def true_ground(self, folder: Path) -> Dataset:
+        """The true `logs.ground_truth.GROUND_PROPERTIES` under the wheels of the same drives.
+
+        Args:
+            folder: where they are extracted to if the reproduction does not keep them.
+        """
+        if (kept := self.folder / "truth.zarr").exists():
+            truth = open_dataset(kept)
+        else:
+            split, out = self.dataset.split, folder / "dataset.zarr"
+            text = write_drives(folder / "parts.txt", split.drives) if split.kind == "drives" else split.text
+            truth = extract(self.logs(), self.dataset.rig, out, split=text, features="ground-truth", force=True)
+        return truth.starting_above(self.size.train.min_speed)
 
 
 def open_reproduction(folder: Path) -> Reproduced:

@@ -5,7 +5,6 @@ import logging
 from dataclasses import asdict, replace
 from pathlib import Path
 
-from experiments.control_experiments.data import ELSEWHERE
 from offpiste.core.errors import RunError
 from offpiste.dataset.store import Dataset
 from offpiste.reproduction.runs import reuse_stages
@@ -15,6 +14,8 @@ from offpiste.training.run import Run, load_run
 from offpiste.training.train import digest_of, train
 
 logger = logging.getLogger("experiments")
+
+ELSEWHERE = "give the same again, or choose another --out"
 
 
 def trained_seeds(

@@ -7,8 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Int
 
 from experiments.control_experiments.reproduced import Reproduced
-from experiments.control_experiments.tables import write_control
-from experiments.gains import Gain, gain, gain_table
+from experiments.gains import Gain, gain, gain_table, write_control
 from offpiste.dataset.windows import Windows
 from offpiste.evaluation.errors import Errors, load_errors, save_errors
 from offpiste.evaluation.evaluate import Reading
