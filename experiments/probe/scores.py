@@ -136,7 +136,7 @@ def r2(
     columns = np.ones(len(target)), target, target**2, (target - predicted) ** 2
     sums = np.stack([np.bincount(drawn.block, weights=c, minlength=drawn.blocks) for c in columns])
 
-    def share(totals: Float[np.ndarray, "4 ..."]) -> Float[np.ndarray, "..."]:
+    def share(totals: np.ndarray) -> np.ndarray:
         n, y, yy, error = totals
         spread = yy - y * y / n
         return np.where(spread > 1e-12 * yy, 1 - error / spread, np.nan)
