@@ -62,22 +62,17 @@ def extract_features(pixels):
 
 @dataclass
 class Stream:
-    """Runs a run time in lockstep; faults are given as functions of time.
-
-    Attributes:
-        reads, scans, images: whether such a message arrives at a time.
-        height: of the ground that is scanned [m].
-    """
+    """Runs a run time in lockstep."""
 
     runtime: Runtime
     truth: Parametric = field(default_factory=parametric)
     state: tuple = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    reads: object = lambda t: True
+    reads: object = lambda t: True  # whether such a message arrives at a time
     scans: object = lambda t: True
     images: object = lambda t: True
     controls: list = field(default_factory=list)
     states: list = field(default_factory=list)
-    height: float = 0.0
+    height: float = 0.0  # of the ground that is scanned [m]
     geared: bool = False
 
     def run(self, seconds):
