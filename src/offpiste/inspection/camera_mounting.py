@@ -149,7 +149,7 @@ def candidates(
 
 
 def estimate_rotation(
-    guess: Float[np.ndarray, "4 4"], matches: Sequence[Matches], poses: Poses, *, seed: int = 0
+    guess: Float[np.ndarray, "4 4"], matches: Sequence[Matches], poses: Poses
 ) -> tuple[Float[np.ndarray, "4 4"], Misfit] | str:
     """Estimate a camera's mounting from image motion; return the reason as text if the drive does not determine it.
 
@@ -163,7 +163,7 @@ def estimate_rotation(
     if len(moving) < LEAST_PAIRS:
         return "too few pairs of its images share features while the vehicle moves"
     results = []
-    for start in candidates(guess, moving, poses, np.random.default_rng(seed)):
+    for start in candidates(guess, moving, poses, np.random.default_rng(0)):
         # Linearised near the candidate, so that large rotations remain rotations.
         mounting = turned(guess, start)
 
@@ -178,12 +178,9 @@ def estimate_rotation(
     return min(results, key=lambda one: _cost(moving, one[0], poses, one[1].parameters[3]))
 
 
-def median_angle(
-    matches: Sequence[Matches], mounting: Float[np.ndarray, "4 4"], poses: Poses, late: float = 0.0
-) -> float:
+def median_angle(matches: Sequence[Matches], mounting: Float[np.ndarray, "4 4"], poses: Poses) -> float:
     """Return the median angle of matches from their epipolar planes [rad]; NaN without matches."""
-    parameters = np.array([0.0, 0.0, 0.0, late])
-    angles = [epipolar_angles(one, mounting, poses, parameters) for one in matches]
+    angles = [epipolar_angles(one, mounting, poses, np.zeros(4)) for one in matches]
     return float(np.nanmedian(np.abs(np.concatenate(angles)))) if angles else np.nan
 
 

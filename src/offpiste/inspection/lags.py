@@ -19,8 +19,8 @@ from offpiste.rig.rig import Rig
 
 LAGS: Final = np.arange(-1.5, 1.51, 0.05)
 """Candidate lags of the motion behind a control [s]."""
-_BLOCK: Final = 5.0
-"""Length of a block [s]."""
+_BLOCK: Final = 100
+"""Number of rows of a block: 5 s."""
 _CLEARER: Final = 0.03
 """Minimum gain in explained variance of an implausible lag over the best plausible one."""
 _LATE_CLEARER, _LATE_GAIN = 0.2, 0.1
@@ -102,15 +102,12 @@ def fit_lags(
     lagged: Float[np.ndarray, "L n"],
     lags: Float[np.ndarray, " L"],
     rows: Bool[np.ndarray, " n"],
-    *,
-    step: float = 0.05,
 ) -> LagFit | None:
     """Fit `target` by `base` and one row of `lagged` at a time (partial regression, Frisch and Waugh 1933).
 
     Args:
         lagged: the source at `t - lag`, one row per lag; NaN if unknown.
         rows: rows to use; rows with any NaN are dropped, so that all lags use the same rows.
-        step: time between rows [s].
 
     Returns:
         None with too few rows or constant signals.
@@ -119,7 +116,7 @@ def fit_lags(
     if use.sum() < 40:
         return None
     y, known, columns = target[use], base[use], np.flatnonzero(use)
-    starts = np.flatnonzero(np.diff(columns // round(_BLOCK / step), prepend=-1))
+    starts = np.flatnonzero(np.diff(columns // _BLOCK, prepend=-1))
     weight = np.ones(len(y))
     # Robust to glitches: rows with large residuals are down-weighted in two steps.
     for last in (False, False, True):

@@ -95,7 +95,8 @@ def check_late_poses(
         return []
     channels = drive.rig.channels
     cure = tuple(Edit(f"channels.{name}.delay", round(channels[name].delay + delay, 2)) for name in found)
-    apart = ", ".join(f"{i.behind} {i.time - i.usual:+.2f} s behind {i.other}" for i in measured if _wrong(i))
+    wrong = [i for i in measured if abs(i.time - i.usual) > max(2 * i.spread, _LATE / 2)]
+    apart = ", ".join(f"{i.behind} {i.time - i.usual:+.2f} s behind {i.other}" for i in wrong)
     evidence = f"{apart}, apart from what is usual: {delay:+.2f} s of {' and '.join(found)} explain most"
     what = "is late" if delay > 0 else "is early"
     return [Finding("warning", found[0], what, evidence, ", ".join(map(str, cure)), 0.9, (cure,))]
@@ -123,10 +124,6 @@ def _costs(
         sensor = ("", "controls") if slow and name in _SENSORS else (source.topic, _SENSORS.get(name, name))
         sensors[sensor] = sensors.get(sensor, np.zeros(len(by))) + one.cost(frozenset(late), by)
     return sum((np.minimum(cost, _ONE_MORE) for cost in sensors.values()), np.zeros(len(by)))
-
-
-def _wrong(interval: Interval) -> bool:
-    return bool(abs(interval.time - interval.usual) > max(2 * interval.spread, _LATE / 2))
 
 
 def _hypotheses(drive: Drive) -> Iterator[tuple[str, ...]]:

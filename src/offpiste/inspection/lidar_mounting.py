@@ -60,27 +60,24 @@ class LidarMounting:
         body_from_lidar: the z position is that of the guess.
         misfit: of the last fit, with sigma of roll, pitch, yaw [rad], delay [s], x and y [m].
         runner_up: ratio of the second-best heading's residual to the best; infinite if there is none.
-        tilt: median angle between the scans' ground normals and their mean [rad]; NaN without ground.
     """
 
     body_from_lidar: Float[np.ndarray, "4 4"]
     misfit: Misfit
     runner_up: float
-    tilt: float
 
 
-def estimate_lidar(lidar: Lidar, scans: Sequence[Scan], poses: Poses, *, seed: int = 0) -> LidarMounting | str:
+def estimate_lidar(lidar: Lidar, scans: Sequence[Scan], poses: Poses) -> LidarMounting | str:
     """Estimate a LiDAR's mounting from a rough guess; return the reason as text if the drive does not determine it.
 
     Args:
         lidar: with the guess, whose vertical must be correct to about 30 degrees; its heading is ignored.
         scans: without points of the vehicle itself, which the guess may not separate from others (`beyond`).
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     normals = [n for scan in scans[:: max(1, len(scans) // 30)] if (n := ground(scan, lidar, rng)) is not None]
-    level, tilt = (
-        (_levelled(lidar, np.array(normals)), _scatter(np.array(normals))) if len(normals) >= 5 else (lidar, np.nan)
-    )
+    levelled = len(normals) >= 5
+    level = _levelled(lidar, np.array(normals)) if levelled else lidar
     couples = _couples(scans, poses)
     if len(couples) < 3:
         return "the vehicle hardly moves while it measures: its heading is not observable"
@@ -92,12 +89,11 @@ def estimate_lidar(lidar: Lidar, scans: Sequence[Scan], poses: Poses, *, seed: i
     apart = [m.scale for s, m in others if _between(s, start) > np.deg2rad(10)]
     # Relative to the levelled mounting at the estimated heading, so that the prior keeps undetermined angles level.
     upright = _headed(level, start)
-    misfit = _refined(upright, scans, poses, GROUND if np.isfinite(tilt) else np.deg2rad(30.0))
+    misfit = _refined(upright, scans, poses, GROUND if levelled else np.deg2rad(30.0))
     if misfit is None:
         return "too few of its points lie on planes that two scans share"
-    return LidarMounting(
-        turned(upright.body_from_lidar, misfit.parameters), misfit, min(apart, default=np.inf) / misfit.scale, tilt
-    )
+    mounting = turned(upright.body_from_lidar, misfit.parameters)
+    return LidarMounting(mounting, misfit, min(apart, default=np.inf) / misfit.scale)
 
 
 def ground(scan: Scan, lidar: Lidar, rng: np.random.Generator) -> Float[np.ndarray, " 3"] | None:
@@ -193,15 +189,15 @@ def mean_turn(poses: Poses, measured: Sequence[Scan] | Sequence[Grey]) -> float:
     return float(np.sqrt((angle**2).mean())) if len(angle) else 0.0
 
 
-def _thinned(scan: Scan, count: int = 6000) -> Scan:
-    every = max(1, len(scan.points) // count)
+def _thinned(scan: Scan) -> Scan:
+    every = max(1, len(scan.points) // 6000)
     return replace(scan, which=scan.which[::every], points=scan.points[::every])
 
 
-def _some(scans: Sequence[Scan], count: int = 8) -> list[Scan]:
-    """Return scans of pairs spread over the drive."""
+def _some(scans: Sequence[Scan]) -> list[Scan]:
+    """Return scans of eight pairs spread over the drive."""
     couples = list(pairs([scan.time for scan in scans]))
-    kept = {k for i, j in couples[:: max(1, len(couples) // count)] for k in (i, j)}
+    kept = {k for i, j in couples[:: max(1, len(couples) // 8)] for k in (i, j)}
     return [scans[k] for k in sorted(kept)]
 
 
@@ -234,10 +230,6 @@ def _middle(normals: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " 3"]:
     near = np.argsort(np.linalg.norm(normals - median, axis=1))[: max(3, len(normals) // 2)]
     middle = normals[near].mean(axis=0)
     return np.asarray(middle / np.linalg.norm(middle))
-
-
-def _scatter(normals: Float[np.ndarray, "n 3"]) -> float:
-    return float(np.median(np.arccos(np.clip(normals @ _middle(normals), -1, 1))))
 
 
 def _headed(level: Lidar, mounting: Float[np.ndarray, "4 4"]) -> Lidar:

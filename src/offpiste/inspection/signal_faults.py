@@ -71,7 +71,7 @@ def find_wrap(raw: Float[np.ndarray, " n"]) -> Wrap | None:
         lower, upper = ordered[: widest + 1], ordered[widest + 1 :] - period
         spread = np.ptp(lower) > 0 and len(lower) > max(10, 0.002 * len(raw))
         if spread and abs(upper[0]) <= max(2 * np.ptp(lower), 0.05 * period) and lower[0] - upper[-1] < 0.02 * period:
-            return Wrap(above=_round(ordered[widest] + space[widest] / 2), period=period)
+            return Wrap(above=float(f"{ordered[widest] + space[widest] / 2:.2g}"), period=period)
     return None
 
 
@@ -109,11 +109,6 @@ def unrolled(values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
 def _half_span(values: Float[np.ndarray, " n"]) -> float:
     """Return half the span of the middle 99 % of values; infinity for no values."""
     return float(np.ptp(np.percentile(values, (0.5, 99.5)))) / 2 if len(values) else np.inf
-
-
-def _round(value: float) -> float:
-    """Round a threshold to two significant digits."""
-    return float(f"{value:.2g}")
 
 
 def is_clock(column: Float[np.ndarray, " n"]) -> bool:
