@@ -185,7 +185,7 @@ def stamped(tmp_path, *, image=lambda t: t, until=20.0, last=np.inf, sensors=SEN
     times = np.arange(0.2, until, 0.5).tolist()
     messages = [(t + 0.05, "/points", cloud(t)) for t in times]
     messages += [(t + 0.05, "/image", compressed(image(t), IMAGE)) for t in times if t < last]
-    path = record(tmp_path / f"{last}-{len(sensors)}.mcap", messages + FIXED, until=until)
+    path = record(tmp_path / f"{len(list(tmp_path.iterdir()))}.mcap", messages + FIXED, until=until)
     return check_sensor_stamps(open_log(path), opened(path, sensors))
 
 
