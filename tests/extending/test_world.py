@@ -20,11 +20,6 @@ def test_a_drive_is_simulated_in_an_added_world(world, extensions, tmp_path):
     assert max(mean, key=mean.get) == "packed_sand"
 
 
-def test_an_unknown_world_is_refused_with_the_names_of_all():
-    with pytest.raises(OffpisteError, match=r"no world 'moon'; there are: .*dunes.*mojave"):
-        find_world_preset("moon")
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [
