@@ -127,21 +127,15 @@ def metrics_writer(folder: Path, *, tensorboard: bool = False) -> Record:
 class Stage:
     """One stage of a training.
 
-    Attributes:
-        name: of the stage, also the stem of its files.
-        module: whose parameters are fitted, unless they require no gradient.
-        loss: loss of each window of a batch.
-        epochs: passes over the training windows.
-        draw: draws the feature sets that windows read; None: the windows' own.
-        on_map: mean loss on the maps of validation windows, used to choose the epoch; None: mean of `loss` over all
-            validation windows, at recorded places.
+    Its epoch is chosen by `on_map`, the mean loss on the maps of validation windows; without it, by the mean of `loss`
+    over all validation windows, at recorded places.
     """
 
-    name: str
-    module: nn.Module
-    loss: Callable[[Batch], Float[Tensor, " B"]]
-    epochs: int
-    draw: Draw | None = None
+    name: str  # also the stem of its files
+    module: nn.Module  # whose parameters are fitted, unless they require no gradient
+    loss: Callable[[Batch], Float[Tensor, " B"]]  # of each window of a batch
+    epochs: int  # passes over the training windows
+    draw: Draw | None = None  # draws the feature sets that windows read; None: the windows' own
     on_map: Callable[[], float] | None = None
 
 

@@ -49,13 +49,7 @@ def predict_batch(dynamics: Dynamics, batch: Batch) -> Trajectory:
 
 @torch.no_grad()
 def predict_windows(dynamics: Dynamics, windows: Windows, lookup: Lookup = "recorded") -> Trajectory:
-    """Predict states and actuators of windows; positions are relative to each window's start.
-
-    Raises:
-        DatasetError: no window; the model reads features and the dataset has none; or the map is asked for and a window
-            starts without one.
-        OffpisteError: unknown lookup.
-    """
+    """Predict states and actuators of windows (`offpiste.predict`); positions are relative to each window's start."""
     if lookup not in get_args(Lookup):
         how = f"{did_you_mean(lookup, get_args(Lookup))}there are: {', '.join(get_args(Lookup))}"
         raise OffpisteError(f"no lookup '{lookup}'", how=how)
