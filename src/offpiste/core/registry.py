@@ -58,7 +58,8 @@ class Registry(Generic[Entry]):
         return iter(tuple(self._entries))
 
     def __len__(self) -> int:
-        return len(list(self))
+        self._load()
+        return len(self._entries)
 
     def items(self) -> list[tuple[str, Entry]]:
         """Return names and entries in the order of registration, extensions last."""
