@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 
 from offpiste.core.channels import control_of
 from offpiste.inspection.driven_path import MOVING, DrivenPath, on_path
-from offpiste.inspection.findings import Finding
+from offpiste.inspection.findings import Finding, of_runs
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
 
@@ -56,12 +56,9 @@ def check_dropouts(drive: Drive, path: DrivenPath) -> list[Finding]:
         begin, lasts = begin[moving], (end - begin)[moving]
         longest = int(lasts.argmax())
         to = ", ".join(f"{value:.3g}" for value in channel.values[runs[moving][longest, 0]])
-        times = "once" if len(lasts) == 1 else f"{len(lasts)} times, {lasts.sum():.1f} s in all"
-        evidence = f"{times}, to {to} for {lasts[longest]:.1f} s from {begin[longest] - channel.time[0]:.2f} s on"
-        evidence += "; the steps there and back are no other's size"
-        how = "no rig line fixes it: cut the log there, or leave the channel out"
-        share = min(float(lasts.sum()) / max(path.driving, 1.0), 1.0)
-        findings.append(Finding("warning", name, "falls to one value and comes back", evidence, how, share))
+        run = f"to {to} for {lasts[longest]:.1f} s from {begin[longest] - channel.time[0]:.2f} s on"
+        run += "; the steps there and back are no other's size"
+        findings.append(of_runs(name, "falls to one value and comes back", lasts, run, path.driving))
     return findings
 
 

@@ -4,6 +4,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
+import numpy as np
+from jaxtyping import Float
+
 from offpiste.rig.edits import Edit
 
 Severity = Literal["fatal", "warning", "note"]
@@ -44,6 +47,14 @@ class Finding:
     cures: tuple[Cure, ...] = ()
     sure: bool = True
     also: tuple[str, ...] = ()
+
+
+def of_runs(name: str, what: str, lasts: Float[np.ndarray, " r"], longest: str, driving: float) -> Finding:
+    """Return a warning about runs of these lengths [s], the longest in words, during some time of driving [s]."""
+    times = "once" if len(lasts) == 1 else f"{len(lasts)} times, {lasts.sum():.1f} s in all"
+    how = "no rig line fixes it: cut the log there, or leave the channel out"
+    share = min(float(lasts.sum()) / max(driving, 1.0), 1.0)
+    return Finding("warning", name, what, f"{times}, {longest}", how, share)
 
 
 def ranked(findings: Iterable[Finding]) -> tuple[Finding, ...]:

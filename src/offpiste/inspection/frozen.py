@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 from offpiste.core.conventions import SIGMA_PER_MEDIAN
 from offpiste.inspection.course import course_minus_heading, straight_rows
 from offpiste.inspection.driven_path import MOVING, STEP, DrivenPath
-from offpiste.inspection.findings import Finding
+from offpiste.inspection.findings import Finding, of_runs
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
 from offpiste.rig.rig import Rig
@@ -45,13 +45,10 @@ def check_frozen(drive: Drive, path: DrivenPath) -> list[Finding]:
         if not len(begin):
             continue
         longest = int(lasts.argmax())
-        times = "once" if len(begin) == 1 else f"{len(begin)} times, {lasts.sum():.1f} s in all"
-        evidence = f"{times}, the longest for {lasts[longest]:.1f} s from {begin[longest] - channel.time[0]:.2f} s on; "
+        run = f"the longest for {lasts[longest]:.1f} s from {begin[longest] - channel.time[0]:.2f} s on; "
         usual = f"99 % of its other values last {1 / _UNUSUAL:.0%} of that or less"
-        evidence += "the vehicle turns to and fro meanwhile" if turns[longest] else usual
-        how = "no rig line fixes it: cut the log there, or leave the channel out"
-        share = min(float(lasts.sum()) / max(path.driving, 1.0), 1.0)
-        findings.append(Finding("warning", name, "holds one value while the vehicle moves", evidence, how, share))
+        run += "the vehicle turns to and fro meanwhile" if turns[longest] else usual
+        findings.append(of_runs(name, "holds one value while the vehicle moves", lasts, run, path.driving))
     return findings
 
 

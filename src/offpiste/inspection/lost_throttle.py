@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from offpiste.inspection.driven_path import MOVING, STEP, DrivenPath
-from offpiste.inspection.findings import Finding
+from offpiste.inspection.findings import Finding, of_runs
 from offpiste.inspection.lags import LAGS, LagFit, sampled
 from offpiste.inspection.pedals import OWN_DELAY, RELEASED, pedal_base
 from offpiste.logs.channel import Channel
@@ -50,12 +50,9 @@ def check_lost_throttle(fit: LagFit, drive: Drive, path: DrivenPath) -> list[Fin
     begin, lasts = np.array([(begin, end - begin) for begin, end in runs]).T
     longest = int(lasts.argmax())
     start = begin[longest] - drive.channels["throttle"].time[0]
-    times = "once" if len(runs) == 1 else f"{len(runs)} times, {lasts.sum():.1f} s in all"
-    evidence = f"{times}, for {lasts[longest]:.1f} s from {start:.2f} s on, where the acceleration is that of "
-    evidence += f"{_pressed(*runs[longest], push, path)[0]:.2f} of full throttle"
-    how = "no rig line fixes it: cut the log there, or leave the channel out"
-    share = min(float(lasts.sum()) / max(path.driving, 1.0), 1.0)
-    return [Finding("warning", "throttle", "is zero while the vehicle is driven on", evidence, how, share)]
+    run = f"for {lasts[longest]:.1f} s from {start:.2f} s on, where the acceleration is that of "
+    run += f"{_pressed(*runs[longest], push, path)[0]:.2f} of full throttle"
+    return [of_runs("throttle", "is zero while the vehicle is driven on", lasts, run, path.driving)]
 
 
 def _runs(channel: Channel) -> list[tuple[float, float]]:

@@ -5,7 +5,6 @@ value after passing values in between (switches jump, and levers have few steps)
 the end of the range, e.g. full lock. The channel alone cannot show whether the driver pressed further.
 """
 
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -31,19 +30,6 @@ _LEVELS: Final = 12
 _ROUNDING: Final = 1e-6
 
 
-@dataclass(frozen=True)
-class Limit:
-    """Value at which many presses of a control end.
-
-    Attributes:
-        value: maximum of the control in this direction.
-        presses: number of presses that end there.
-    """
-
-    value: float
-    presses: int
-
-
 def check_range_ends(drive: Drive) -> list[Finding]:
     """Return a finding for each control that repeatedly ends at the same value well within its range."""
     findings = []
@@ -52,15 +38,15 @@ def check_range_ends(drive: Drive) -> list[Finding]:
             continue
         values = drive.channels[control.name].values[:, 0]
         sides = [values, -values] if control.low < 0 else [values]
-        limits = [limit for side in sides if (limit := limit_of(side)) is not None]
+        limits = [limit for side in sides if (limit := _limit(side)) is not None]
         reached = max(float(side.max()) for side in sides)
         if limits and reached < _WHOLE * control.high:
             findings.append(_finding(control.name, limits, drive))
     return findings
 
 
-def limit_of(values: Float[np.ndarray, " n"]) -> Limit | None:
-    """Return the maximum if many presses end there; None for a single press or a switch."""
+def _limit(values: Float[np.ndarray, " n"]) -> tuple[float, int] | None:
+    """Return the maximum and the number of presses that end there; None for a few presses or a switch."""
     values = values[np.isfinite(values)]
     first = np.append(0, np.flatnonzero(np.diff(values)) + 1)
     level = values[first]  # one per run of equal values
@@ -77,15 +63,16 @@ def limit_of(values: Float[np.ndarray, " n"]) -> Limit | None:
     usual = len(below) / max(len(np.unique(below)), 1)
     on_the_way = at & (np.maximum(before, after) > _BETWEEN * top)
     count = int(on_the_way.sum())
-    return Limit(top, count) if count >= _ENDS and at.sum() > _CROWDED * usual else None
+    return (top, count) if count >= _ENDS and at.sum() > _CROWDED * usual else None
 
 
-def _finding(name: str, limits: list[Limit], drive: Drive) -> Finding:
-    value, presses = max(limit.value for limit in limits), sum(limit.presses for limit in limits)
+def _finding(name: str, limits: list[tuple[float, int]], drive: Drive) -> Finding:
+    values, presses = zip(*limits, strict=True)
+    value = max(values)
     edits = ", ".join(map(str, rescaled(name, drive.rig.channels[name], 1 / value)))
     what = "ends short of its range: it is cut off, or in another scale"
-    at = " and ".join(f"{limit.value:.3g}" for limit in limits)
-    evidence = f"{presses} times it ends at exactly {at}, coming from less, and never goes further: the range is 1"
+    at = " and ".join(f"{value:.3g}" for value in values)
+    evidence = f"{sum(presses)} times it ends at exactly {at}, coming from less, and never goes further: the range is 1"
     how = f"record its whole range; or {edits} if that is full {name}"
     # Automation holds a brake at a constant value.
     severity: Severity = "note" if name == "brake" else "warning"
