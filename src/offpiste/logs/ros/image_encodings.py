@@ -4,12 +4,12 @@ rosbags-image 0.10 ignores `step`, which skews padded rows, treats 8UC1 and 8UC3
 image with an AssertionError.
 """
 
+import re
 from dataclasses import dataclass
 from typing import Any, Final
 
 import cv2
 import numpy as np
-from jaxtyping import UInt8
 
 from offpiste.core.errors import LogError
 from offpiste.core.limits import MOST_PIXELS
@@ -46,22 +46,16 @@ PICTURES: Final = {
     "yuyv": _YUYV,
     "yuv422_yuy2": _YUYV,
     "nv12": Encoding(8, 1, cv2.COLOR_YUV2RGB_NV12, rows=3),
-    "nv21": Encoding(8, 1, cv2.COLOR_YUV2RGB_NV21, rows=3),
-    "nv24": Encoding(8, 1, cv2.COLOR_YUV2RGB_UYVY, rows=6),
     # OpenCV's types are BGR. 16UC1 is depth (REP 118), not grey.
     "8UC1": Encoding(8, *_LAYOUTS["mono"]),
     **{f"{depth}UC3": Encoding(depth, *_LAYOUTS["bgr"]) for depth in (8, 16)},
     **{f"{depth}UC4": Encoding(depth, *_LAYOUTS["bgra"]) for depth in (8, 16)},
 }
 """Encodings of sensor_msgs/image_encodings with colours or grey values."""
-_TYPES: Final = {f"{kind}C{n}" for kind in ("8U", "8S", "16U", "16S", "32S", "32F", "64F") for n in range(1, 5)}
-NO_PICTURES: Final = {
-    name: "depth or another measurement" if name.endswith("C1") else "numbers without a meaning as colours"
-    for name in sorted(_TYPES - set(PICTURES))
-}
-"""Contents of the other encodings."""
-CODECS: Final = ("jpeg", "jpg", "png", "tiff", "webp", "bmp")
-"""Codecs of compressed images."""
+_NO_PICTURE: Final = re.compile(r"(8U|8S|16U|16S|32S|32F|64F)C[1-4]")
+"""Encodings of depth and other numbers without a meaning as colours."""
+_CODECS: Final = ("jpeg", "jpg", "png", "tiff", "webp", "bmp")
+_ANOTHER: Final = "remove the camera from the rig, or give it the topic of its pictures"
 _OF_FILES: Final = {1: PICTURES["mono8"], 3: PICTURES["bgr8"], 4: PICTURES["bgra8"]}
 """Layouts of files decoded by OpenCV, by their number of channels, for formats without an encoding."""
 
@@ -81,22 +75,10 @@ def _raw_pixels(message: Any, topic: str) -> Pixels | None:
     data = np.asarray(message.data, np.uint8)
     if step < used or data.size < rows * step or not 0 < height * width <= MOST_PIXELS:
         return None
-    data = data[: rows * step]
-    if message.encoding == "nv24":
-        return _from_nv24(data.reshape(3, -1), height, width)
-    pixels = np.ascontiguousarray(data.reshape(rows, step)[:, :used])
+    pixels = np.ascontiguousarray(data[: rows * step].reshape(rows, step)[:, :used])
     if encoding.depth == 16:
         pixels = pixels.view(">u2" if message.is_bigendian else "<u2").astype(np.uint16)
     return _to_rgb(pixels.reshape((rows, width, encoding.channels)), encoding)
-
-
-def _from_nv24(planes: UInt8[np.ndarray, "3 n"], height: int, width: int) -> Pixels:
-    """Return the RGB of a brightness plane followed by a colour plane with rows of twice the length."""
-    brightness = planes[0].reshape(height, -1)[:, :width]
-    colour = planes[1:].reshape(height, -1)[:, : 2 * width].reshape(height, width, 2)
-    # OpenCV lacks this layout: each pixel becomes a pair of pixels of UYVY.
-    pairs = np.stack((colour[..., 0], brightness, colour[..., 1], brightness), axis=-1)
-    return _to_rgb(pairs.reshape(height, 2 * width, 2), _UYVY)[:, ::2].copy()
 
 
 def _decompressed(message: Any, topic: str) -> Pixels | None:
@@ -107,12 +89,11 @@ def _decompressed(message: Any, topic: str) -> Pixels | None:
     """
     name, _, rest = message.format.rpartition(";")
     name, (codec, *words) = name.strip(), rest.split() or [""]
+    what = f"topic '{topic}' holds images compressed as '{message.format}', which"
     if codec == "compressedDepth":
-        what = f"topic '{topic}' holds images compressed as '{message.format}', which are depth and no picture"
-        raise LogError(what, how="remove the camera from the rig, or give it the topic of its pictures")
-    if codec and codec.lower().removeprefix("image/") not in CODECS:
-        what = f"topic '{topic}' holds images compressed as '{message.format}', which is not supported"
-        raise LogError(what, how=f"record one of: {', '.join(CODECS)}; or uncompressed")
+        raise LogError(f"{what} are depth and no picture", how=_ANOTHER)
+    if codec and codec.lower().removeprefix("image/") not in _CODECS:
+        raise LogError(f"{what} is not supported", how=f"record one of: {', '.join(_CODECS)}; or uncompressed")
     encoding = _encoding(name, topic) if name else None
     layout = _encoding(words[-1], topic) if len(words) > 1 else None
     pixels = decoded_picture(np.asarray(message.data, np.uint8), as_stored=True)
@@ -120,8 +101,7 @@ def _decompressed(message: Any, topic: str) -> Pixels | None:
         return None
     if encoding is not None and encoding.depth == 16 and pixels.dtype == np.uint8:
         if layout is None:
-            what = f"topic '{topic}' holds images compressed as '{message.format}', which cut 16 bits to their lower 8"
-            raise LogError(what, how="record png, or raw images of 8 bits")
+            raise LogError(f"{what} cut 16 bits to their lower 8", how="record png, or raw images of 8 bits")
         pixels = pixels.astype(np.uint16) * 257  # cv_bridge divided by it
     channels = pixels.shape[2] if pixels.ndim == 3 else 1
     fitting = (one for one in (layout, encoding, _OF_FILES.get(channels)) if one and one.channels == channels)
@@ -133,11 +113,10 @@ def _encoding(name: str, topic: str) -> Encoding:
     """Return an encoding by name; refuse unknown ones and those without colours."""
     if name in PICTURES:
         return PICTURES[name]
-    if name in NO_PICTURES:
-        what = f"topic '{topic}' holds images encoded as '{name}', which are {NO_PICTURES[name]} and no picture"
-        raise LogError(what, how="remove the camera from the rig, or give it the topic of its pictures")
-    what = f"topic '{topic}' holds images encoded as '{name}', which is not supported"
-    raise LogError(what, how=f"record one of: {', '.join(PICTURES)}; or compressed")
+    what = f"topic '{topic}' holds images encoded as '{name}', which"
+    if _NO_PICTURE.fullmatch(name):
+        raise LogError(f"{what} are depth or other numbers and no picture", how=_ANOTHER)
+    raise LogError(f"{what} is not supported", how=f"record one of: {', '.join(PICTURES)}; or compressed")
 
 
 def _to_rgb(pixels: np.ndarray, encoding: Encoding) -> Pixels:

@@ -6,9 +6,9 @@ the stamps are read. Everything else is left to the reference reader, `BagLog._m
 """
 
 import struct
-from collections import deque
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -21,11 +21,8 @@ from rosbags.rosbag2.storage_mcap import ChunkInfo, McapReader, decompress
 from rosbags.typesys.store import Typestore
 
 from offpiste.core.errors import LogError
-from offpiste.core.limits import LARGEST
 from offpiste.logs.ros.bag_files import field_getter, frames_reader, reported, typestore_of
 
-_AHEAD: Final = 4
-"""Largest number of chunks decompressed at the same time; together at most `LARGEST` bytes."""
 _HEAD: Final = 31
 """Size of a message record's head: opcode, length, channel, sequence, two times [bytes]."""
 _LONGEST: Final = 4096
@@ -101,20 +98,17 @@ class _Layout:
 
 def _layout(store: Typestore, msgtype: str, raw: bytes) -> _Layout | None:
     """Return the layout of a topic's first message in CDR; None if it contradicts the plain decoder."""
-    if len(raw) < 4 or raw[1] != 1:
+    if not 4 <= len(raw) <= _LONGEST or raw[1] != 1:
         return None
-    result = _Layout(store, raw)
+    result, row = _Layout(store, raw), np.frombuffer(raw, np.uint8)[None]
     try:
         with reported(Path(), "no layout"):
             result.add_message(msgtype, "")
             message = store.deserialize_cdr(raw, msgtype)
-        row = np.frombuffer(raw, np.uint8)[None]
-        for path, (at, kind) in result.fields.items():
-            if not np.array_equal(_numbers_at(row, at, kind)[0], field_getter(path)(message), equal_nan=True):
-                return None
     except LogError:  # left to the plain decoder
         return None
-    return result
+    found = ((_numbers_at(row, at, kind)[0], field_getter(path)(message)) for path, (at, kind) in result.fields.items())
+    return result if all(np.array_equal(one, other, equal_nan=True) for one, other in found) else None
 
 
 @dataclass(frozen=True)
@@ -135,21 +129,72 @@ class Columns:
         return np.array([time / 10**9 for time in chosen.tolist()])
 
 
-@dataclass
 class _Topic:
-    """Data of a connection gathered over chunks."""
+    """Data of a connection gathered over chunks: rows of arrival, stamp and sender, and of values while regular."""
 
-    store: Typestore
-    msgtype: str
-    headed: bool
-    frames_of: Callable[[bytes], tuple[str, str, int]] | None
-    layout: _Layout | None = None
-    regular: bool = True
-    arrival: list[np.ndarray] = field(default_factory=list)
-    stamp: list[np.ndarray] = field(default_factory=list)
-    values: list[np.ndarray] = field(default_factory=list)
-    frames: dict[tuple[str, str], int] = field(default_factory=dict)
-    sender: list[np.ndarray] = field(default_factory=list)
+    def __init__(self, connection: Connection, path: Path) -> None:
+        if getattr(connection.ext, "serialization_format", "") != "cdr":
+            raise LogError("is not encoded as CDR")
+        self.msgtype, self.store = connection.msgtype, typestore_of(connection, path)
+        fields = self.store.get_msgdef(self.msgtype).fields
+        self.headed = bool(fields) and fields[0][1] == (Nodetype.NAME, _HEADS.get(fields[0][0]))
+        if set(_HEADS) & {name for name, _ in fields[self.headed :]}:
+            raise LogError("has its stamp elsewhere")
+        self.frames_of = frames_reader(connection, Path())
+        self.layout: _Layout | None = None
+        self.regular = True
+        self.times: list[Int[np.ndarray, "m 3"]] = []
+        self.values: list[Float[np.ndarray, "m k"]] = []
+        self.frames: dict[tuple[str, str], int] = {}
+
+    def gather(self, data: UInt8[np.ndarray, " n"], index: Int[np.ndarray, "m 2"]) -> None:
+        """Append the messages of a chunk, given their arrivals and positions."""
+        begin = index[:, 1] + _HEAD
+        size = _numbers_at(_rows(data, begin - _HEAD + 1, 8), 0, "i8") - (_HEAD - 9)
+        stamp = np.zeros(len(index), np.int64)
+        if self.headed:
+            head = _rows(data, begin, 12)
+            if size.min() < 12 or not (head[:, 1] == 1).all():
+                raise ValueError("messages without a little-endian header")
+            stamp = _numbers_at(head, 4, "i4").astype(np.int64) * 10**9 + _numbers_at(head, 8, "u4")
+        self.times.append(np.column_stack((index[:, 0], stamp, self._senders(data, begin, size))))
+        if not self.values and self.regular:
+            first = data[begin[0] : begin[0] + size[0]].tobytes()
+            self.layout = _layout(self.store, self.msgtype, first)
+        known = self.layout
+        self.regular = self.regular and known is not None and bool((size == len(known.raw)).all())
+        if known is None or not self.regular:
+            return
+        if len(begin) * (_HEAD + len(known.raw)) > len(data):
+            raise ValueError("the index counts messages several times")
+        rows = _rows(data, begin, len(known.raw))
+        self.regular = all((_numbers_at(rows, at, "u4") == value).all() for at, value in known.lengths)
+        columns = [_numbers_at(rows, at, kind).astype(float) for at, kind in known.fields.values()]
+        self.values.append(np.stack(columns, axis=1) if columns else np.zeros((len(rows), 0)))
+
+    def _senders(
+        self, data: UInt8[np.ndarray, " n"], begin: Int[np.ndarray, " m"], size: Int[np.ndarray, " m"]
+    ) -> Int[np.ndarray, " m"]:
+        """Return the index into `frames` of each message."""
+        if self.frames_of is None:
+            return np.zeros(len(begin), np.int64)
+        first, child, end = self.frames_of(data[begin[0] : begin[0] + size[0]].tobytes())
+        number = self.frames.setdefault((first, child), len(self.frames))
+        if size.min() >= end:
+            rows = _rows(data, begin + 12, end - 12)
+            if (rows == rows[0]).all():
+                return np.full(len(begin), number)
+        each = (self.frames_of(data[at : at + n].tobytes())[:2] for at, n in zip(begin, size, strict=True))
+        return np.array([self.frames.setdefault(frames, len(self.frames)) for frames in each])
+
+    def columns(self) -> Columns:
+        """Return all messages in order of arrival."""
+        times = np.concatenate(self.times)
+        order = np.argsort(times[:, 0], kind="stable")
+        fields = tuple(self.layout.fields) if self.regular and self.layout is not None else ()
+        values = np.concatenate(self.values)[order] if fields else np.zeros((len(times), 0))
+        arrival, stamp, sender = times[order].T
+        return Columns(arrival, stamp, times[:, 0], tuple(self.frames), sender, fields, values)
 
 
 def columns_of(reader: object, path: Path) -> dict[int, Columns]:
@@ -160,60 +205,38 @@ def columns_of(reader: object, path: Path) -> dict[int, Columns]:
     storage = reader.storage if isinstance(reader, Rosbag2) else None
     if not isinstance(storage, McapReader):
         return {}
-    result = {}
+    topics: dict[int, _Topic] = {}
+    for connection in storage.connections:
+        with suppress(LogError):  # the plain reader reports faulty definitions
+            topics[connection.id] = _Topic(connection, path)
     try:
         with reported(path, "cannot be read by columns"):
-            topics = {c.id: topic for c in storage.connections if (topic := _topic(c, path)) is not None}
-            if not storage.chunks or not topics:
-                return {}
-            for chunk, data in _chunks(storage.path, sorted(storage.chunks, key=lambda one: one.chunk_start_offset)):
-                for channel, index in chunk.items():
-                    if channel in topics:
-                        _gather(topics[channel], data, index)
-            for connection in storage.connections:
-                topic = topics.get(connection.id)
-                if topic is not None and topic.arrival and sum(map(len, topic.arrival)) == connection.msgcount:
-                    result[connection.id] = _joined(topic)
+            for index, data in _chunks(storage) if topics else ():
+                for channel in topics.keys() & index.keys():
+                    topics[channel].gather(data, index[channel])
     except LogError:
         return {}
-    return result
-
-
-def _topic(connection: Connection, path: Path) -> _Topic | None:
-    if getattr(connection.ext, "serialization_format", "") != "cdr":
-        return None
-    try:
-        store = typestore_of(connection, path)
-        fields = store.get_msgdef(connection.msgtype).fields
-    except LogError:  # the plain reader reports faulty definitions
-        return None
-    headed = bool(fields) and fields[0][1] == (Nodetype.NAME, _HEADS.get(fields[0][0]))
-    if set(_HEADS) & {name for name, _ in fields[headed:]}:
-        return None
-    return _Topic(store, connection.msgtype, headed, frames_reader(connection, Path()))
+    counts = {connection.id: connection.msgcount for connection in storage.connections}
+    whole = (id for id, topic in topics.items() if topic.times and sum(map(len, topic.times)) == counts[id])
+    return {id: topics[id].columns() for id in whole}
 
 
 _Index = dict[int, Int[np.ndarray, "_ 2"]]
 
 
-def _chunks(path: Any, chunks: Sequence[ChunkInfo]) -> Iterator[tuple[_Index, UInt8[np.ndarray, " n"]]]:
-    """Yield the message index and the content of each chunk, decompressed ahead by threads."""
-    with Path(str(path)).open("rb") as file, ThreadPoolExecutor(2) as pool:
-
-        def load(chunk: ChunkInfo) -> tuple[_Index, Any]:
+def _chunks(storage: McapReader) -> Iterator[tuple[_Index, UInt8[np.ndarray, " n"]]]:
+    """Yield the message index and the content of each chunk; the next one is decompressed meanwhile."""
+    following: tuple[_Index, Future[Any]] | None = None
+    with Path(str(storage.path)).open("rb") as file, ThreadPoolExecutor(1) as pool:
+        for chunk in sorted(storage.chunks, key=lambda one: one.chunk_start_offset):
             file.seek(chunk.chunk_start_offset)
             record = file.read(chunk.chunk_length + chunk.message_index_length)
-            return _message_index(memoryview(record)[chunk.chunk_length :]), pool.submit(_content, record, chunk)
-
-        ahead, loaded = deque[tuple[_Index, Any]](), 0
-        for number in range(len(chunks)):
-            while loaded < len(chunks) and loaded < number + _AHEAD:
-                if loaded > number and sum(one.uncompressed_size for one in chunks[number : loaded + 1]) > LARGEST:
-                    break
-                ahead.append(load(chunks[loaded]))
-                loaded += 1
-            index, content = ahead.popleft()
-            yield index, content.result()
+            ready = following
+            following = _message_index(memoryview(record)[chunk.chunk_length :]), pool.submit(_content, record, chunk)
+            if ready is not None:
+                yield ready[0], ready[1].result()
+        if following is not None:
+            yield following[0], following[1].result()
 
 
 def _content(record: bytes, chunk: ChunkInfo) -> UInt8[np.ndarray, " n"]:
@@ -236,65 +259,6 @@ def _message_index(records: memoryview) -> _Index:
                 result[channel] = entries[np.argsort(entries[:, 1], kind="stable")]
         at += 9 + length
     return result
-
-
-def _gather(topic: _Topic, data: UInt8[np.ndarray, " n"], index: Int[np.ndarray, "m 2"]) -> None:
-    begin = index[:, 1] + _HEAD
-    size = _numbers_at(_rows(data, begin - _HEAD + 1, 8), 0, "i8") - (_HEAD - 9)
-    topic.arrival.append(index[:, 0].copy())
-    head = _rows(data, begin, 12) if topic.headed else None
-    if head is not None and (size.min() < 12 or not (head[:, 1] == 1).all()):
-        raise ValueError("messages without a little-endian header")
-    if head is None:
-        topic.stamp.append(np.zeros(len(index), np.int64))
-    else:
-        seconds, rest = _numbers_at(head, 4, "i4").astype(np.int64), _numbers_at(head, 8, "u4").astype(np.int64)
-        topic.stamp.append(seconds * 10**9 + rest)
-    topic.sender.append(_senders(topic, data, begin, size))
-    if not topic.regular:
-        return
-    if topic.layout is None:
-        first = data[begin[0] : begin[0] + size[0]].tobytes()
-        topic.layout = None if len(first) > _LONGEST else _layout(topic.store, topic.msgtype, first)
-    known = topic.layout
-    topic.regular = known is not None and bool((size == len(known.raw)).all())
-    if known is None or not topic.regular:
-        return
-    if len(begin) * (_HEAD + len(known.raw)) > len(data):
-        raise ValueError("the index counts messages several times")
-    rows = _rows(data, begin, len(known.raw))
-    topic.regular = all((_numbers_at(rows, at, "u4") == value).all() for at, value in known.lengths)
-    if not topic.regular:
-        return
-    topic.values.append(np.zeros((len(rows), len(known.fields))))
-    for column, (at, kind) in zip(topic.values[-1].T, known.fields.values(), strict=True):
-        column[:] = _numbers_at(rows, at, kind)
-
-
-def _senders(
-    topic: _Topic, data: UInt8[np.ndarray, " n"], begin: Int[np.ndarray, " m"], size: Int[np.ndarray, " m"]
-) -> Int[np.ndarray, " m"]:
-    """Return the index into the topic's frames of each message."""
-    if topic.frames_of is None:
-        return np.zeros(len(begin), np.int64)
-    first, child, end = topic.frames_of(data[begin[0] : begin[0] + size[0]].tobytes())
-    number = topic.frames.setdefault((first, child), len(topic.frames))
-    if size.min() >= end:
-        rows = _rows(data, begin + 12, end - 12)
-        if (rows == rows[0]).all():
-            return np.full(len(begin), number)
-    each = (topic.frames_of(data[at : at + n].tobytes())[:2] for at, n in zip(begin, size, strict=True))
-    return np.array([topic.frames.setdefault(frames, len(topic.frames)) for frames in each])
-
-
-def _joined(topic: _Topic) -> Columns:
-    arrival, stamp = np.concatenate(topic.arrival), np.concatenate(topic.stamp)
-    order, filed, sender = np.argsort(arrival, kind="stable"), arrival, np.concatenate(topic.sender)
-    fields = tuple(topic.layout.fields) if topic.regular and topic.layout is not None else ()
-    values = np.concatenate(topic.values) if fields else np.zeros((len(arrival), 0))
-    if not (np.diff(order) == 1).all():
-        arrival, stamp, values, sender = arrival[order], stamp[order], values[order], sender[order]
-    return Columns(arrival, stamp, filed, tuple(topic.frames), sender, fields, values)
 
 
 def _rows(data: UInt8[np.ndarray, " n"], begin: Int[np.ndarray, " m"], size: int) -> UInt8[np.ndarray, "m k"]:
