@@ -30,45 +30,22 @@ def _place(size: int, rng: Generator, longest: int = 4096) -> slice:
     return slice(begin, min(size, begin + 1 + int(np.exp(rng.uniform(0, np.log(longest))))))
 
 
-def flip_bits(data: bytes, rng: Generator) -> bytes:
+def flipped(data: bytes, rng: Generator) -> bytes:
     changed = bytearray(data)
     for place in rng.integers(max(len(data), 1), size=int(rng.integers(1, 9))) if data else ():
         changed[place] ^= 1 << int(rng.integers(8))
     return bytes(changed)
 
 
-def random_bytes(data: bytes, rng: Generator) -> bytes:
-    part = _place(len(data), rng, 64)
-    return data[: part.start] + rng.bytes(part.stop - part.start) + data[part.stop :]
-
-
-def truncate(data: bytes, rng: Generator) -> bytes:
+def truncated(data: bytes, rng: Generator) -> bytes:
     return data[: int(rng.integers(len(data) + 1))] if rng.random() < 0.7 else data[: -int(rng.integers(1, 40))]
 
 
-def zero_block(data: bytes, rng: Generator) -> bytes:
-    part = _place(len(data), rng)
-    return data[: part.start] + bytes(part.stop - part.start) + data[part.stop :]
-
-
-def repeat_block(data: bytes, rng: Generator) -> bytes:
-    part = _place(len(data), rng)
-    return data[: part.stop] + data[part] + data[part.stop :]
-
-
-def drop_block(data: bytes, rng: Generator) -> bytes:
-    part = _place(len(data), rng)
-    return data[: part.start] + data[part.stop :]
-
-
-def swap_blocks(data: bytes, rng: Generator) -> bytes:
-    length = min(1 + int(np.exp(rng.uniform(0, 8))), len(data) // 2)
-    if not length:
-        return data
-    first, second = sorted(int(b) for b in rng.integers(len(data) - length + 1, size=2))
-    second = max(second, first + length)
-    a, b = data[first : first + length], data[second : second + length]
-    return data[:first] + b + data[first + length : second] + a + data[second + length :]
+def block(data: bytes, rng: Generator) -> bytes:
+    """Randomise, empty, repeat or drop a block, or put another one in its place."""
+    part, other = _place(len(data), rng), _place(len(data), rng)
+    new = (rng.bytes(min(part.stop - part.start, 64)), bytes(part.stop - part.start), 2 * data[part], b"", data[other])
+    return data[: part.start] + new[int(rng.integers(len(new)))] + data[part.stop :]
 
 
 def extreme_integer(data: bytes, rng: Generator) -> bytes:
@@ -78,18 +55,11 @@ def extreme_integer(data: bytes, rng: Generator) -> bytes:
     return data[:at] + value.to_bytes(size, "little") + data[at + size :]
 
 
-def emptied(data: bytes, rng: Generator) -> bytes:
-    return b""
-
-
 def appended(data: bytes, rng: Generator) -> bytes:
-    return data + rng.bytes(int(rng.integers(1, 200)))
+    return data + rng.bytes(int(rng.integers(1, 200))) if rng.random() < 0.5 else b""
 
 
-BYTES: Final[tuple[Bytes, ...]] = (
-    flip_bits, flip_bits, random_bytes, truncate, zero_block, repeat_block, drop_block, swap_blocks, extreme_integer,
-    extreme_integer, emptied, appended,
-)  # fmt: skip
+BYTES: Final[tuple[Bytes, ...]] = (flipped, truncated, block, block, block, extreme_integer, extreme_integer, appended)
 
 _NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?(?![\w.])")
 _WORD = re.compile(r"[A-Za-z_/][\w/.:-]*")
@@ -100,8 +70,7 @@ def _replaced(text: str, pattern: re.Pattern[str], new: tuple[str, ...], rng: Ge
     if not found:
         return text + new[int(rng.integers(len(new)))]
     many = int(rng.choice((1, 1, 1, 2, 10)))
-    chosen = sorted({int(n) for n in rng.integers(len(found), size=many)}, reverse=True)
-    for number in chosen:
+    for number in sorted({int(n) for n in rng.integers(len(found), size=many)}, reverse=True):
         match = found[number]
         text = text[: match.start()] + new[int(rng.integers(len(new)))] + text[match.end() :]
     return text
@@ -112,49 +81,25 @@ def absurd_number(text: str, rng: Generator) -> str:
 
 
 def absurd_word(text: str, rng: Generator) -> str:
-    return _replaced(text, _WORD, WORDS, rng)
-
-
-def other_word(text: str, rng: Generator) -> str:
     words = tuple(sorted({match.group() for match in _WORD.finditer(text)})) or ("x",)
-    return _replaced(text, _WORD, words, rng)
+    return _replaced(text, _WORD, words if rng.random() < 0.7 else WORDS, rng)
 
 
-def _lines(text: str, rng: Generator, count: int) -> tuple[list[str], list[int]]:
+def line(text: str, rng: Generator) -> str:
+    """Drop or repeat a line, or put another one in its place."""
     lines = text.splitlines(keepends=True) or [""]
-    return lines, [int(n) for n in rng.integers(len(lines), size=count)]
-
-
-def swap_lines(text: str, rng: Generator) -> str:
-    lines, (a, b) = _lines(text, rng, 2)
-    lines[a], lines[b] = lines[b], lines[a]
+    at, other = (int(n) for n in rng.integers(len(lines), size=2))
+    lines[at : at + 1] = ([], [lines[at], "\n", lines[at]], [lines[other]])[int(rng.integers(3))]
     return "".join(lines)
 
 
-def drop_line(text: str, rng: Generator) -> str:
-    lines, (at,) = _lines(text, rng, 1)
-    return "".join(lines[:at] + lines[at + 1 :])
+def inserted(text: str, rng: Generator) -> str:
+    """Insert deep nesting or bytes of another encoding."""
+    at, new = int(rng.integers(len(text) + 1)), str(rng.choice(("[", "{", '{"a":', "[[x."))) * 20_000
+    return text[:at] + (new if rng.random() < 0.5 else "\udcff\udcfe") + text[at:]
 
 
-def repeat_line(text: str, rng: Generator) -> str:
-    lines, (at,) = _lines(text, rng, 1)
-    return "".join([*lines[: at + 1], "\n", *lines[at:]])
-
-
-def nested(text: str, rng: Generator) -> str:
-    at = int(rng.integers(len(text) + 1))
-    return text[:at] + str(rng.choice(("[", "{", '{"a":', "[[x."))) * 20_000 + text[at:]
-
-
-def another_encoding(text: str, rng: Generator) -> str:
-    at = int(rng.integers(len(text) + 1))
-    return text[:at] + "\udcff\udcfe" + text[at:]
-
-
-TEXT: Final[tuple[Text, ...]] = (
-    absurd_number, absurd_number, absurd_number, absurd_number, absurd_word, other_word, other_word, swap_lines,
-    drop_line, drop_line, repeat_line, nested, another_encoding,
-)  # fmt: skip
+TEXT: Final[tuple[Text, ...]] = (*4 * (absurd_number,), *3 * (absurd_word,), *4 * (line,), *2 * (inserted,))
 
 
 def mutate_bytes(data: bytes, rng: Generator) -> tuple[bytes, str]:
@@ -176,13 +121,9 @@ def mutate_values(values: np.ndarray, rng: Generator) -> tuple[np.ndarray, str]:
     if not changed.size:
         return changed, "empty"
     rows = changed.reshape(len(changed), -1) if changed.ndim else changed.reshape(1, 1)
-    part = (
-        slice(None)
-        if rng.random() < 0.2
-        else _place(len(rows), rng, max(2, len(rows)))
-        if rng.random() < 0.6
-        else slice(at := int(rng.integers(len(rows))), at + 1)
-    )
+    one = int(rng.integers(len(rows)))
+    parts = (slice(None), _place(len(rows), rng, max(2, len(rows))), slice(one, one + 1))
+    part = parts[int(rng.choice(3, p=(0.2, 0.5, 0.3)))]
     columns = slice(None) if rng.random() < 0.4 else int(rng.integers(rows.shape[1]))
     how = int(rng.integers(10))
     with np.errstate(all="ignore"):

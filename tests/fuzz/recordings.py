@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -94,15 +95,7 @@ def write_ros1(recording: Recording, path: Path) -> None:
             writer.write(connection, at, store.serialize_ros1(message, kind))
 
 
-def write_mcap(recording: Recording, path: Path) -> None:
-    _write_ros2(recording, path, StoragePlugin.MCAP)
-
-
-def write_db3(recording: Recording, path: Path) -> None:
-    _write_ros2(recording, path, StoragePlugin.SQLITE3)
-
-
-def _write_ros2(recording: Recording, path: Path, storage: StoragePlugin) -> None:
+def write_ros2(storage: StoragePlugin, recording: Recording, path: Path) -> None:
     store = get_typestore(Stores.ROS2_HUMBLE)
     with rosbag2.Writer(path, version=9, storage_plugin=storage) as writer:
         connections = {}
@@ -110,6 +103,10 @@ def _write_ros2(recording: Recording, path: Path, storage: StoragePlugin) -> Non
             if topic not in connections:
                 connections[topic] = writer.add_connection(topic, kind, typestore=store)
             writer.write(connections[topic], at, store.serialize_cdr(message, kind))
+
+
+write_mcap = partial(write_ros2, StoragePlugin.MCAP)
+write_db3 = partial(write_ros2, StoragePlugin.SQLITE3)
 
 
 def _messages(recording: Recording, store, *, ros1: bool):
@@ -149,40 +146,28 @@ def _messages(recording: Recording, store, *, ros1: bool):
 
 @dataclass(frozen=True)
 class Container:
-    """A format: its writer, the name of what it writes, and the fields of its rig by channel."""
+    """A format: its writer, the name of what it writes, and its topics and fields by those of a recording."""
 
     name: str
     write: Callable[[Recording, Path], None]
     topics: dict[str, str]
-    fields: Callable[[str, tuple[str, ...]], list[str]]
+    fields: dict[str, str]
 
 
-def _columns(topic: str, names: tuple[str, ...]) -> list[str]:
-    return list(names)
-
-
-def _numbers(topic: str, names: tuple[str, ...]) -> list[str]:
-    known = POSE if topic == "odom" else COMMANDS
-    return [str(known.index(name)) for name in names]
-
-
+_COLUMNS = {name: name for name in (*POSE, *COMMANDS)}
+_NUMBERS = {name: str(number) for names in (POSE, COMMANDS) for number, name in enumerate(names)}
 _PATHS = {name: f"pose.pose.position.{name}" for name in "xyz"}
 _PATHS |= {f"q{name}": f"pose.pose.orientation.{name}" for name in "xyzw"}
 _PATHS |= {"throttle": "twist.linear.x", "brake": "twist.linear.y", "steer": "twist.angular.z"}
-
-
-def _paths(topic: str, names: tuple[str, ...]) -> list[str]:
-    return [_PATHS[name] for name in names]
-
-
+_TABLE, _FOLDERS = {"odom": "", "commands": ""}, {"odom": "odom", "commands": "commands"}
 _TOPICS = {"odom": "/odom", "commands": "/commands"}
 CONTAINERS = {
-    "csv": Container("drive.csv", write_csv, {"odom": "", "commands": ""}, _columns),
-    "parquet": Container("drive.parquet", write_parquet, {"odom": "", "commands": ""}, _columns),
-    "tartandrive": Container("drive", write_tartandrive, {"odom": "odom", "commands": "commands"}, _numbers),
-    "ros1": Container("drive.bag", write_ros1, _TOPICS, _paths),
-    "mcap": Container("drive", write_mcap, _TOPICS, _paths),
-    "db3": Container("drive", write_db3, _TOPICS, _paths),
+    "csv": Container("drive.csv", write_csv, _TABLE, _COLUMNS),
+    "parquet": Container("drive.parquet", write_parquet, _TABLE, _COLUMNS),
+    "tartandrive": Container("drive", write_tartandrive, _FOLDERS, _NUMBERS),
+    "ros1": Container("drive.bag", write_ros1, _TOPICS, _PATHS),
+    "mcap": Container("drive", write_mcap, _TOPICS, _PATHS),
+    "db3": Container("drive", write_db3, _TOPICS, _PATHS),
 }
 """Formats by name; what each writes is called `name`."""
 
@@ -209,6 +194,6 @@ def rig_text(kind: str) -> str:
         ("orientation", "odom", POSE[3:]),
         *((name, "commands", (name,)) for name in COMMANDS),
     ):
-        fields = ", ".join(f'"{field}"' for field in container.fields(topic, names))
+        fields = ", ".join(f'"{container.fields[name]}"' for name in names)
         text += f'[channels.{channel}]\ntopic = "{container.topics[topic]}"\nfields = [{fields}]\nscale = 1.0\n'
     return text

@@ -219,7 +219,11 @@ def _check_source(key: str, name: str, source: ChannelSource, max_steer: float) 
             "other commands take one",
         ),
         (source.meanings() and count != 1, f"{key}.values needs a single field", "remove it"),
-        (source.joints and len(source.joints) != count, f"{key}.joints must name every field", "fix or remove it"),
+        (
+            source.joints and len(source.joints) != count,
+            f"{key}.joints must name every field",
+            "name each, or remove it",
+        ),
         (
             source.origin and source.unit != GEOGRAPHIC,
             f"{key}.origin is given, and the unit is not '{GEOGRAPHIC}'",

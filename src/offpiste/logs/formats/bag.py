@@ -1,5 +1,6 @@
 """ROS 1 and ROS 2 bags, without ROS: numbers, images, point clouds, calibrations and transforms."""
 
+import functools
 import weakref
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -140,16 +141,14 @@ class BagLog(Log):
         if others := {c.msgtype for c in connections} - {main.msgtype}:
             notes.append(f"{self.path}: topic '{name}' also carries {', '.join(sorted(others))}, which are not read")
 
-        decoded, kept = islice(self._messages(name, main.msgtype), _FIRST), list[object]()
-
-        def first() -> Iterator[object]:
-            yield from kept
+        @functools.cache
+        def first() -> list[object]:
+            messages: list[object] = []
             try:
-                for _, message in decoded:
-                    kept.append(message)
-                    yield message
+                messages.extend(message for _, message in islice(self._messages(name, main.msgtype), _FIRST))
             except LogError as error:
                 notes.append(str(error))
+            return messages
 
         try:
             store = typestore_of(main, self.path)
@@ -196,31 +195,36 @@ class BagLog(Log):
             return [frames for _, frames in self._messages(topic.name, topic.type, _frames_only)]
         return []
 
-    def _messages(self, name: str, msgtype: str, decoder: MakeDecoder | None = None) -> Iterator[tuple[int, Any]]:
+    def _messages(self, name: str, msgtype: str, decoder: MakeDecoder = whole_messages) -> Iterator[tuple[int, Any]]:
         """Yield the arrival [ns] and the decoded message."""
         one = frame_pair(name)
-        if one is not None and self._topics[one.topic].type not in TRANSFORMS:
-
-            def framed(connection: Connection, path: Path) -> Callable[[bytes], object]:
-                frames, decode = _frames_only(connection, path), (decoder or whole_messages)(connection, path)
-                return lambda raw: (frames(raw), decode(raw))
-
-            both = self._messages(one.topic, msgtype, framed)
-            yield from ((received, message) for received, (frames, message) in both if frames == one[1:])
-            return
         if one is not None:
-            for received, message in self._messages(one.topic, self._topics[one.topic].type):
-                yield from ((received, stamped) for stamped in one.of(message))
+            yield from self._of_frames(one, msgtype, decoder)
             return
-        make = decoder or whole_messages
         for reader in self._readers:
             connections = [c for c in reader.connections if c.topic == name and c.msgtype == msgtype]
             if not connections:
                 continue
-            decoders = {c.id: make(c, self.path) for c in connections}
+            decoders = {c.id: decoder(c, self.path) for c in connections}
             with reported(Path(str(reader.path)), f"topic '{name}' is damaged"):
                 for connection, received, raw in reader.messages(connections):
                     yield received, decoders[connection.id](raw)
+
+    def _of_frames(self, one: FramePair, msgtype: str, decoder: MakeDecoder) -> Iterator[tuple[int, Any]]:
+        """Yield the messages between two frames, or the transforms in messages with several."""
+        whole = self._topics[one.topic].type
+        if whole in TRANSFORMS:
+            for received, message in self._messages(one.topic, whole):
+                yield from ((received, stamped) for stamped in one.of(message))
+            return
+
+        def framed(connection: Connection, path: Path) -> Callable[[bytes], object]:
+            frames, decode = _frames_only(connection, path), decoder(connection, path)
+            return lambda raw: (frames(raw), decode(raw))
+
+        for received, (frames, message) in self._messages(one.topic, msgtype, framed):
+            if frames == one[1:]:
+                yield received, message
 
     def _columns(self, topic: Topic) -> list[Columns] | None:
         """Return the columns of a topic, one per file; None if each message must be decoded.
@@ -230,13 +234,10 @@ class BagLog(Log):
         result: list[Columns] = []
         for k, reader in enumerate(self._readers):
             wanted = [c for c in reader.connections if c.topic == topic.name and c.msgtype == topic.type]
-            if not sum(c.msgcount for c in wanted):
-                continue
-            columns = self._columns_of(k)
-            kept = [columns[c.id] for c in wanted if c.id in columns]
-            if len(kept) != 1 or len(wanted) != 1:
-                return None
-            result += kept
+            if sum(c.msgcount for c in wanted):
+                if len(wanted) > 1 or wanted[0].id not in self._columns_of(k):
+                    return None
+                result.append(self._columns_of(k)[wanted[0].id])
         return result or None
 
     def _columns_of(self, file: int) -> dict[int, Columns]:
@@ -257,11 +258,8 @@ class BagLog(Log):
             time.append(stamp_of(received, message, stamps))
             rows.append(read(message))
         if len(time) < topic.count:
-            raise LogError(
-                f"topic '{topic.name}' has {len(time)} messages where the index promises {topic.count}",
-                where=self.path,
-                how="the bag was cut short or mixed; record or copy it again",
-            )
+            what = f"topic '{topic.name}' has {len(time)} messages where the index promises {topic.count}"
+            raise LogError(what, where=self.path, how="the bag was cut short or mixed; record or copy it again")
         return Samples(np.array(time), np.array(rows, dtype=np.float64).reshape(len(time), len(fields)))
 
     def transforms(self, topics: Sequence[str]) -> list[Transform]:
@@ -299,20 +297,19 @@ class BagLog(Log):
 
     def images_at(self, topic: str, times: Float[np.ndarray, " n"], *, stamps: str = "header") -> Iterator[RawImage]:
         """Yield images by the file's index, without reading others."""
-        if self._columns(self._find(topic)) is None:
-            return super().images_at(topic, times, stamps=stamps)
         return images_of(self._typed(topic, _IMAGE_TYPES, stamps, times), topic)
 
     def clouds_at(self, topic: str, times: Float[np.ndarray, " n"], *, stamps: str = "header") -> Iterator[RawCloud]:
         """Yield point clouds by the file's index, without reading others."""
-        if self._columns(self._find(topic)) is None:
-            return super().clouds_at(topic, times, stamps=stamps)
         return clouds_of(self._typed(topic, _CLOUD_TYPES, stamps, times))
 
     def _at(self, topic: Topic, times: Float[np.ndarray, " n"], stamps: str) -> Iterator[tuple[float, Any]]:
-        """Yield the messages with given stamps, found by their arrival."""
+        """Yield the messages with given stamps, found by their arrival in an indexed file."""
         columns = self._columns(topic)
-        assert columns is not None, "only for indexed files"
+        if columns is None:
+            wanted = set(times.tolist())
+            yield from (one for one in self.messages(topic.name, stamps=stamps) if one[0] in wanted)
+            return
         readers = [r for r in self._readers if any(c.topic == topic.name and c.msgcount for c in r.connections)]
         for reader, one in zip(readers, columns, strict=True):
             assert not isinstance(reader, StreamedMcap), "has no index"
