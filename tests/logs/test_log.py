@@ -40,15 +40,6 @@ def test_the_reader_fits_the_path(logs: dict[str, Path]) -> None:
     assert isinstance(open_log(str(logs["mcap"])), BagLog)
 
 
-def test_real_logs(data_folder: Path) -> None:
-    for path in (data_folder / "bags").glob("*.*"):
-        assert isinstance(open_log(path), BagLog)
-    for path in (data_folder / "tartandrive2" / "drives").iterdir():
-        assert isinstance(open_log(path), TartanDriveLog)
-    for path in (data_folder / "dart").glob("*/*.csv"):
-        assert isinstance(open_log(path), TableLog)
-
-
 def test_clock_reaches_the_table(logs: dict[str, Path]) -> None:
     samples = open_log(logs["table"], clock=Clock(column="tick", unit="ms")).read("", ["x"])
     assert (samples.time.tolist(), samples.values.tolist()) == ([2.0], [[7.0]])

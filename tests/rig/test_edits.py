@@ -15,6 +15,8 @@ RIG = load_rig("tartandrive2")
 
 
 def test_an_edit_sets_one_entry_and_leaves_the_rest() -> None:
+    assert str(Edit("channels.steer.sign", -1)) == "channels.steer.sign = -1"
+    assert str(Edit("channels.yaw_rate", None)) == "remove channels.yaw_rate"
     changed = edited(RIG, [Edit("channels.steer.sign", 1), Edit("clock.max_gap", 0.25)])
     assert changed.channels["steer"].sign == 1
     assert changed.clock.max_gap == 0.25
@@ -46,11 +48,6 @@ def test_an_impossible_edit_is_refused(edit: Edit) -> None:
 )
 def test_values_are_written_as_toml_reads_them(value: object) -> None:
     assert tomllib.loads(f"key = {toml_value(value)}") == {"key": value}
-
-
-def test_edits_read_as_lines_of_a_rig() -> None:
-    assert str(Edit("channels.steer.sign", -1)) == "channels.steer.sign = -1"
-    assert str(Edit("channels.yaw_rate", None)) == "remove channels.yaw_rate"
 
 
 WRAP = {"above": 4000.0, "period": 6553.6}

@@ -18,30 +18,14 @@ def modality(drive: Path, name: str, array: np.ndarray, stamps: np.ndarray | Non
     return folder
 
 
-@pytest.mark.parametrize(
-    ("name", "counts"),
-    [
-        (
-            "2023-10-26-14-42-35_turnpike_afternoon_fall",
-            {"cmd": 5041, "controls": 25205, "current_position": 5041, "gps_odom": 25205, "novatel_imu": 50410,
-             "shock_pos": 25205, "steering_angle": 5041, "super_odom": 0, "tartanvo_odom": 5041, "wheel_rpm": 25205},
-        ),
-        (
-            "2023-11-02-16-00-43_down_meadows",
-            {"cmd": 2155, "controls": 10775, "current_position": 2155, "gps_odom": 10775, "novatel_imu": 21550,
-             "shock_pos": 10775, "steering_angle": 2155, "super_odom": 21550, "tartanvo_odom": 2155,
-             "wheel_rpm": 10775},
-        ),
-    ],
-)  # fmt: skip
-def test_real_drives(data_folder: Path, name: str, counts: dict[str, int]) -> None:
-    log = TartanDriveLog(data_folder / "tartandrive2" / "drives" / name)
-    assert {topic: log.topics[topic].count for topic in log.topics} == counts
+def test_real_drives(data_folder: Path) -> None:
+    log = TartanDriveLog(data_folder / "tartandrive2" / "drives" / "2023-11-02-16-00-43_down_meadows")
+    assert {topic: log.topics[topic].count for topic in log.topics} == {
+        "cmd": 2155, "controls": 10775, "current_position": 2155, "gps_odom": 10775, "novatel_imu": 21550,
+        "shock_pos": 10775, "steering_angle": 2155, "super_odom": 21550, "tartanvo_odom": 2155, "wheel_rpm": 10775,
+    }  # fmt: skip
     odometry = log.topics["gps_odom"]
     assert (odometry.type, odometry.fields) == ("odometry.npy", tuple(map(str, range(13))))
-    for topic in log.topics.values():
-        if topic.count:
-            assert log.read(topic.name, topic.fields).values.shape == (topic.count, len(topic.fields))
     quaternions = log.read("gps_odom", ["3", "4", "5", "6"]).values
     np.testing.assert_allclose(np.linalg.norm(quaternions, axis=1), 1.0, atol=1e-6)
 
@@ -75,21 +59,13 @@ def test_numbers_of_any_type_are_columns(tmp_path: Path, values: np.ndarray) -> 
         TartanDriveLog(tmp_path)
 
 
-def test_pickle_is_refused(tmp_path: Path) -> None:
-    folder = modality(tmp_path, "odom", np.zeros(1))
-    np.save(folder / "data.npy", np.array([{"a": 1}], dtype=object), allow_pickle=True)
-    with pytest.raises(LogError, match=r"data\.npy: not a readable array: .*; export the folder again") as caught:
-        TartanDriveLog(tmp_path)
-    assert "object" in caught.value.what
-    (folder / "data.npy").write_bytes(b"\x80\x04]\x94.")
-    with pytest.raises(LogError, match=r"data\.npy: not a readable array: .*; export the folder again"):
-        TartanDriveLog(tmp_path)
-
-
-@pytest.mark.parametrize("keep", [0, 4, 60, -1, -1000])
-def test_array_cut_short(tmp_path: Path, keep: int) -> None:
+@pytest.mark.parametrize("keep", [0, 4, 60, -1, -1000, "object", "pickle"])
+def test_arrays_cut_short_and_pickles_are_refused(tmp_path: Path, keep: int | str) -> None:
     path = modality(tmp_path, "odom", np.zeros((200, 2))) / "data.npy"
-    path.write_bytes(path.read_bytes()[:keep])
+    if keep == "object":
+        np.save(path, np.array([{"a": 1}], dtype=object), allow_pickle=True)
+    else:
+        path.write_bytes(b"\x80\x04]\x94." if isinstance(keep, str) else path.read_bytes()[:keep])
     with pytest.raises(LogError, match=r"data\.npy: not a readable array: .*; export the folder again"):
         TartanDriveLog(tmp_path)
 
@@ -109,14 +85,8 @@ def test_stamps_that_are_no_numbers(tmp_path: Path) -> None:
         TartanDriveLog(tmp_path).read("odom", ["0"])
 
 
-def test_stamps_are_read_in_the_rig_s_unit(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("unit", "seconds"), [("ms", 0.02), ("", 20.0)])
+def test_stamps_are_read_in_the_rigs_unit(tmp_path: Path, unit: str, seconds: float) -> None:
     modality(tmp_path, "odometry", np.zeros((4, 3)), np.arange(4) * 20.0)
-    log = TartanDriveLog.open(tmp_path, Clock(unit="ms"))
-    np.testing.assert_allclose(log.read("odometry", ("0",)).time, np.arange(4) * 0.02)
-    assert log.clock.unit == "ms"
-
-
-def test_a_clock_without_a_unit_counts_seconds(tmp_path: Path) -> None:
-    modality(tmp_path, "speed", np.arange(3.0), np.array([10.0, 10.5, 11.0]))
-    log = TartanDriveLog.open(tmp_path, Clock(column="x", unit=""))
-    assert log.read("speed", ("0",)).time.tolist() == [10.0, 10.5, 11.0]
+    log = TartanDriveLog.open(tmp_path, Clock(column="x", unit=unit))  # type: ignore[arg-type]
+    np.testing.assert_allclose(log.read("odometry", ("0",)).time, np.arange(4) * seconds)
