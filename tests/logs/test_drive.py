@@ -64,7 +64,7 @@ def stepped(step: float) -> list[Channel]:
 
 
 def test_a_clock_that_was_set_by_hours_is_an_error_that_says_where_to_cut():
-    said = r"log: nothing is recorded for 20\.0 hours from 59\.900 s on, of a log of 150 s; .*cut the log there"
+    said = r"log: a gap of 20\.0 hours after 59\.900 s, in a log with 150 s of samples; .*cut the log there"
     with pytest.raises(LogError, match=said):
         common_span(stepped(72_000), "log")
 

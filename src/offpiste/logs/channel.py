@@ -105,11 +105,8 @@ class Channel:
 def refuse_long(start: float, end: float, path: str | Path) -> None:
     """Refuse a time grid from `start` to `end` [s] that is longer than a day."""
     if end - start > _LONGEST:
-        raise LogError(
-            f"stamps span {(end - start) / 3600:.0f} hours",
-            where=path,
-            how="fix clock.unit, or remove the stamps that are far off",
-        )
+        how = "fix clock.unit, or remove the stamps that are far off"
+        raise LogError(f"stamps span {(end - start) / 3600:.0f} hours", where=path, how=how)
 
 
 def read_channel(
@@ -177,18 +174,11 @@ def _clean(
     copies = int(((np.diff(time) == 0) & (np.diff(values, axis=0) == 0).all(axis=1)).sum())
     time, values, numbers = time[forward], values[forward], numbers[forward]
     if len(time) < LEAST_KEPT * (len(forward) - copies):
-        raise LogError(
-            f"{name}: {backward}",
-            where=path,
-            how='the clock is broken: choose another clock.column of a table, try clock.stamps = "receive" of a bag, '
-            "or cut the log",
-        )
+        how = 'choose another clock.column of a table, try clock.stamps = "receive" of a bag, or cut the log'
+        raise LogError(f"{name}: {backward}", where=path, how=f"the clock is broken: {how}")
     if len(time) < (1 if source.interpolation == "on change" else 2):
-        raise RigError(
-            f"channel '{name}' ({topic_in_words(source.topic)}) has no usable samples",
-            where=path,
-            how="fix its entry in the rig, or declare it absent",
-        )
+        what = f"channel '{name}' ({topic_in_words(source.topic)}) has no usable samples"
+        raise RigError(what, where=path, how="fix its entry in the rig, or declare it absent")
     return Channel(name, known_channels()[name][0], time, values), numbers, notes
 
 
@@ -326,10 +316,9 @@ def _near_origin(source: ChannelSource, place: Float[np.ndarray, "n c"]) -> Floa
     """Return positions, after a check that they are near the rig's origin, where its tangent plane is valid."""
     away = np.nanmedian(np.hypot(place[:, 0], place[:, 1])) if np.isfinite(place[:, :2]).all(axis=1).any() else 0.0
     if source.origin is not None and away > FAR:
-        raise RigError(
-            f"channels.position.origin lies {away / 1e3:.0f} km from the places of {topic_in_words(source.topic)}",
-            how="give latitude and longitude of a place near the drives, in this order",
-        )
+        where = topic_in_words(source.topic)
+        what = f"channels.position.origin lies {away / 1e3:.0f} km from the places of {where}"
+        raise RigError(what, how="give latitude and longitude of a place near the drives, in this order")
     return place
 
 
@@ -339,11 +328,9 @@ def _meanings(name: str, source: ChannelSource, raw: Float[np.ndarray, "n 1"]) -
     unknown = np.isfinite(raw) & ~np.isin(raw, list(meanings))
     if unknown.any():
         known = ", ".join(f'"{key}" = {value:g}' for key, value in source.values.items())
-        raise RigError(
-            f"channels.{name}.values lacks {raw[unknown][0]:g}, which {topic_in_words(source.topic)} has "
-            f"{unknown.sum()} times",
-            how=f"add its meaning to values = {{ {known} }}",
-        )
+        where = f"{topic_in_words(source.topic)} has {unknown.sum()} times"
+        what = f"channels.{name}.values lacks {raw[unknown][0]:g}, which {where}"
+        raise RigError(what, how=f"add its meaning to values = {{ {known} }}")
     values = raw.copy()
     for recorded, value in meanings.items():
         values[raw == recorded] = value

@@ -111,9 +111,7 @@ def _refuse_gap(start: float, end: float, channels: Sequence[Channel], path: str
     longest = int(gaps.argmax())
     recorded = end - start - gaps[longest]
     if gaps[longest] > max(_PAUSE, _EMPTY * recorded):
-        raise LogError(
-            f"nothing is recorded for {gaps[longest] / 3600:.1f} hours from {time[longest]:.3f} s on, of a log of "
-            f"{recorded:.0f} s",
-            where=path,
-            how="the clock was set there, or two recordings were joined: cut the log there",
-        )
+        gap = f"a gap of {gaps[longest] / 3600:.1f} hours after {time[longest]:.3f} s"
+        what = f"{gap}, in a log with {recorded:.0f} s of samples"
+        how = "the clock was set there, or two recordings were joined: cut the log there"
+        raise LogError(what, where=path, how=how)

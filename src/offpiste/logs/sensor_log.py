@@ -3,6 +3,7 @@
 import heapq
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from itertools import dropwhile, takewhile
 from typing import Final, TypeVar
 
 import numpy as np
@@ -154,10 +155,10 @@ class SensorLog:
             if raw.pixels is None:
                 return "images cannot be decoded and were dropped"
             height, width = raw.pixels.shape[:2]
-            if (width, height) != (camera.model.width, camera.model.height):
-                what = f"'{camera.name}' has images of {width}x{height}, and a calibration for"
-                size = f"{camera.model.width}x{camera.model.height}"
-                raise LogError(f"{what} {size}", where=self.path, how="give the calibration of these images in the rig")
+            if (width, height) != camera.model.size:
+                size = "{}x{}".format(*camera.model.size)
+                what = f"'{camera.name}' has images of {width}x{height}, and a calibration for {size}"
+                raise LogError(what, where=self.path, how="give the calibration of these images in the rig")
             return Image(raw.time - camera.source.delay, camera.name, in_eight_bits(raw.pixels, camera))
 
         return self._converted(camera.name, images, convert)
@@ -235,9 +236,8 @@ def open_sensors(log: Log, rig: Rig, *, poses: Poses | None = None, rough: bool 
             how = f"it has: {', '.join(listed(sorted(log.topics))) or 'none'}; or set optional = true"
             raise LogError(f"'{name}': no messages on topic '{entry.topic}'", where=log.path, how=how)
     if not present:
-        raise LogError(
-            f"none of the cameras and LiDARs of rig '{rig.name}' is in it", where=log.path, how="fix the rig"
-        )
+        what = f"none of the cameras and LiDARs of rig '{rig.name}' is in it"
+        raise LogError(what, where=log.path, how="fix the rig")
     if not rough:
         refuse_rough(log, present)
     transforms = log.transforms(rig.frames.topics)
@@ -259,11 +259,8 @@ def _sorted(raw: Iterator[RawImage | RawCloud]) -> Iterator[RawImage | RawCloud]
 
 
 def _between(measured: Iterator[Image | Cloud], start: float, end: float) -> Iterator[Image | Cloud]:
-    for item in measured:
-        if item.time > end:
-            return
-        if item.time >= start:
-            yield item
+    until_end = takewhile(lambda item: item.time <= end, measured)
+    return dropwhile(lambda item: item.time < start, until_end)
 
 
 def _span_notes(name: str, inside: Float[np.ndarray, " n"], span: tuple[float, float]) -> list[str]:

@@ -99,9 +99,8 @@ class KittiLog(Log):
         """Return the transforms of calib_imu_to_velo.txt, calib_velo_to_cam.txt and calib_cam_to_cam.txt."""
         velodyne_from_body = _rigid(_calibration(self._day / "calib_imu_to_velo.txt"))
         reference_from_velodyne = _rigid(_calibration(self._day / "calib_velo_to_cam.txt"))
-        cameras = self._cameras()
         rectified_from_reference = np.eye(4)
-        rectified_from_reference[:3, :3] = _numbers(cameras, "R_rect_00", (3, 3))
+        rectified_from_reference[:3, :3] = _numbers(self._cameras(), "R_rect_00", (3, 3))
         velodyne_from_rectified = np.linalg.inv(rectified_from_reference @ reference_from_velodyne)
         result = [Transform("oxts", "velodyne_points", np.linalg.inv(velodyne_from_body))]
         for name in sorted(self.topics):

@@ -48,8 +48,6 @@ _GPS_TIME: Final = re.compile(r"(?<![a-z])((gps|gnss)?i?tow|gps_?(time|tow|secon
 """Names of stamps in seconds of a GPS week."""
 _AGAIN: Final = 8
 """Largest number of tables in a drive with the columns of another one."""
-_BEGINS: Final = 1.0
-"""Largest first stamp that is relative to a table's own beginning [s]."""
 _BAGS: Final = (".bag", ".mcap", ".db3")
 """Extensions of bags, beside which tables are exports."""
 
@@ -232,12 +230,8 @@ class TableLog(Log):
             if cell is None:
                 continue
             if (value := number(cell)) is None:
-                line = row + 1 + self._rows_of_units
-                raise LogError(
-                    f"row {line} below the header, column '{name}': '{cell[:40]}' is not a number",
-                    where=self.path,
-                    how="fix or empty that cell",
-                )
+                where = f"row {row + 1 + self._rows_of_units} below the header, column '{name}'"
+                raise LogError(f"{where}: '{cell[:40]}' is not a number", where=self.path, how="fix or empty that cell")
             values[row] = value
         return values
 
@@ -344,7 +338,6 @@ class TablesLog(Log):
         start = len(_beginning([*opened]))
         self._tables = {name[start:]: log for name, log in opened.items()}
         _refuse_apart(self._tables, path)
-        _refuse_alike(self._tables, path)
         left_out = [f"{name} has no column of stamps: it is left out" for name in without]
         self.warnings = (*dict.fromkeys(note for log in self._tables.values() for note in log.warnings), *left_out)
 
@@ -427,17 +420,3 @@ def _refuse_apart(tables: dict[str, Log], path: Path) -> None:
                 how += " (GPS time is 604800 s a week since 1980-01-06, 315964800 s since 1970, and 18 s ahead of UTC)"
             spans = (f"'{each}' ({known[each].min():.1f} to {known[each].max():.1f} s)" for each in (name, longest))
             raise LogError(f"tables {' and '.join(spans)} were not recorded at the same time", where=path, how=how)
-
-
-def _refuse_alike(tables: dict[str, Log], path: Path) -> None:
-    """Refuse two tables with equal fields whose stamps are relative to their own beginnings."""
-    seen = dict[tuple[str, ...], str]()
-    for name, log in tables.items():
-        stamps = log.stamps("")
-        if not np.isfinite(stamps).any() or np.nanmin(stamps) > _BEGINS:
-            continue
-        other = seen.setdefault(log.topics[""].fields, name)
-        if other != name:
-            how = "give one of them if they are drives of their own, or put the stamps of all on one clock"
-            raise LogError(f"tables '{other}' and '{name}' have the same columns, and both begin at 0 s",
-                           where=path, how=how)  # fmt: skip

@@ -50,7 +50,7 @@ class StreamedMcap:
             else:
                 counts[record.channel_id] += 1
         if not channels:
-            raise LogError("no whole message in it", where=path, how="record or copy it again")
+            raise LogError("not a single complete message", where=path, how="record or copy it again")
         self.connections = [
             self._connection(channel, schemas.get(channel.schema_id), counts[channel.id])
             for channel in channels.values()
@@ -85,10 +85,9 @@ class StreamedMcap:
     def _missing(self, kept: int) -> tuple[str, ...]:
         notes = []
         if not self._finished:
-            notes.append(
-                f"{self.path}: the MCAP file has no end (the recorder was killed, or the copy cut short);"
-                f" its {kept} whole messages are read; `mcap recover {self.path.name} -o REPAIRED.mcap` repairs it"
-            )
+            repair = f"`mcap recover {self.path.name} -o REPAIRED.mcap` repairs it"
+            cause = "the MCAP file has no end (the recorder was killed, or the copy cut short)"
+            notes.append(f"{self.path}: {cause}; its {kept} whole messages are read; {repair}")
         if self._damaged:
             notes.append(f"{self.path}: damaged records that are skipped: {self._damaged}")
         return tuple(notes)
