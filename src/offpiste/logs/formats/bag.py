@@ -19,11 +19,11 @@ from offpiste.logs.clock_drift import common_step
 from offpiste.logs.log import LOG_FORMATS, Log, RawCloud, RawImage, Samples, SetBack, Topic, contents_of
 from offpiste.logs.ros.bag_files import (
     MAGIC,
+    Head,
     MakeDecoder,
     Reader,
     fields_of,
-    frames_reader,
-    headers_only,
+    head_reader,
     open_readers,
     reported,
     row_reader,
@@ -131,7 +131,7 @@ class BagLog(Log):
         if columns is not None:
             return np.concatenate([one.seconds(stamps) for one in columns])
         return np.array(
-            [stamp_of(at, head, stamps) for at, head in self._messages(result.name, result.type, headers_only)]
+            [stamp_of(at, head, stamps) for at, head in self._messages(result.name, result.type, _heads_or_messages)]
         )
 
     def _describe(self, name: str, notes: list[str]) -> Topic:
@@ -192,7 +192,7 @@ class BagLog(Log):
             known = {frames for one in columns for frames in one.frames}
             return [one.frames[k] for one in columns for k in one.sender.tolist()] if len(known) > 1 else []
         with suppress(LogError):
-            return [frames for _, frames in self._messages(topic.name, topic.type, _frames_only)]
+            return [head.frames for _, head in self._messages(topic.name, topic.type, _heads)]
         return []
 
     def _messages(self, name: str, msgtype: str, decoder: MakeDecoder = whole_messages) -> Iterator[tuple[int, Any]]:
@@ -219,8 +219,8 @@ class BagLog(Log):
             return
 
         def framed(connection: Connection, path: Path) -> Callable[[bytes], object]:
-            frames, decode = _frames_only(connection, path), decoder(connection, path)
-            return lambda raw: (frames(raw), decode(raw))
+            read, decode = _heads(connection, path), decoder(connection, path)
+            return lambda raw: (read(raw).frames, decode(raw))
 
         for received, (frames, message) in self._messages(one.topic, msgtype, framed):
             if frames == one[1:]:
@@ -333,12 +333,16 @@ class BagLog(Log):
         return self.messages(topic, stamps=stamps) if times is None else self._at(self._find(topic), times, stamps)
 
 
-def _frames_only(connection: Connection, path: Path) -> Callable[[bytes], tuple[str, str]]:
-    """Return a decoder of the frames of a message; refuse messages without a header."""
-    read = frames_reader(connection, path)
+def _heads(connection: Connection, path: Path) -> Callable[[bytes], Head]:
+    """Return a decoder of the headers of messages; refuse messages without a header."""
+    read = head_reader(connection, path)
     if read is None:
         raise LogError("no header", where=path)
-    return lambda raw: read(raw)[:2]
+    return read
+
+
+def _heads_or_messages(connection: Connection, path: Path) -> Callable[[bytes], object]:
+    return head_reader(connection, path) or whole_messages(connection, path)
 
 
 def _others(readers: Sequence[Reader], path: Path) -> list[str]:

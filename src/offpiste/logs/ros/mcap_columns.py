@@ -21,7 +21,7 @@ from rosbags.rosbag2.storage_mcap import ChunkInfo, McapReader, decompress
 from rosbags.typesys.store import Typestore
 
 from offpiste.core.errors import LogError
-from offpiste.logs.ros.bag_files import field_getter, frames_reader, reported, typestore_of
+from offpiste.logs.ros.bag_files import field_getter, head_reader, reported, typestore_of
 
 _HEAD: Final = 31
 """Size of a message record's head: opcode, length, channel, sequence, two times [bytes]."""
@@ -118,7 +118,7 @@ class Columns:
     arrival: Int[np.ndarray, " n"]  # arrival, stamp: by the recorder and by the message, 0 if it has none [ns]
     stamp: Int[np.ndarray, " n"]
     filed: Int[np.ndarray, " n"]  # `arrival` in file order [ns]
-    frames: tuple[tuple[str, str], ...]  # distinct frames of the messages (`frames_reader`); empty without a header
+    frames: tuple[tuple[str, str], ...]  # distinct frames of the messages (`head_reader`); empty without a header
     sender: Int[np.ndarray, " n"]  # index into `frames` of each message
     fields: tuple[str, ...]  # a column of `values` each; empty for messages that are long or change their layout
     values: Float[np.ndarray, "n k"]
@@ -140,7 +140,7 @@ class _Topic:
         self.headed = bool(fields) and fields[0][1] == (Nodetype.NAME, _HEADS.get(fields[0][0]))
         if set(_HEADS) & {name for name, _ in fields[self.headed :]}:
             raise LogError("has its stamp elsewhere")
-        self.frames_of = frames_reader(connection, Path())
+        self.head_of = head_reader(connection, Path())
         self.layout: _Layout | None = None
         self.regular = True
         self.times: list[Int[np.ndarray, "m 3"]] = []
@@ -176,15 +176,15 @@ class _Topic:
         self, data: UInt8[np.ndarray, " n"], begin: Int[np.ndarray, " m"], size: Int[np.ndarray, " m"]
     ) -> Int[np.ndarray, " m"]:
         """Return the index into `frames` of each message."""
-        if self.frames_of is None:
+        if self.head_of is None:
             return np.zeros(len(begin), np.int64)
-        first, child, end = self.frames_of(data[begin[0] : begin[0] + size[0]].tobytes())
-        number = self.frames.setdefault((first, child), len(self.frames))
+        _, frames, end = self.head_of(data[begin[0] : begin[0] + size[0]].tobytes())
+        number = self.frames.setdefault(frames, len(self.frames))
         if size.min() >= end:
             rows = _rows(data, begin + 12, end - 12)
             if (rows == rows[0]).all():
                 return np.full(len(begin), number)
-        each = (self.frames_of(data[at : at + n].tobytes())[:2] for at, n in zip(begin, size, strict=True))
+        each = (self.head_of(data[at : at + n].tobytes()).frames for at, n in zip(begin, size, strict=True))
         return np.array([self.frames.setdefault(frames, len(self.frames)) for frames in each])
 
     def columns(self) -> Columns:
