@@ -17,14 +17,17 @@ _MOST: Final = sys.float_info.max
 Finite = Annotated[float, Meta(ge=-_MOST, le=_MOST)]
 Positive = Annotated[float, Meta(gt=0.0, le=_MOST)]
 Fraction = Annotated[float, Meta(gt=0.0, le=1.0)]
-TopicName = Annotated[str, Meta(pattern=r"^(/[a-zA-Z_]\w*)+$")]
-MessageType = Annotated[str, Meta(pattern=r"^[a-zA-Z]\w*/msg/[A-Z]\w*$")]
-FieldPath = Annotated[str, Meta(pattern=r"^[a-z][a-zA-Z0-9_]*(\.[a-z][a-zA-Z0-9_]*)*(\[\d{1,3}\])?$")]
+_TOPIC: Final = r"^(/[a-zA-Z_]\w*)+$"
+_TYPE: Final = r"^[a-zA-Z]\w*/msg/[A-Z]\w*$"
+_PATH: Final = r"^[a-z][a-zA-Z0-9_]*(\.[a-z][a-zA-Z0-9_]*)*(\[\d{1,3}\])?$"
+TopicName = Annotated[str, Meta(pattern=_TOPIC)]
+MessageType = Annotated[str, Meta(pattern=_TYPE)]
+FieldPath = Annotated[str, Meta(pattern=_PATH)]
 
 _WORDS: Final = {
-    f"`str` matching regex {TopicName.__metadata__[0].pattern!r}": "a topic such as /vehicle/command",
-    f"`str` matching regex {MessageType.__metadata__[0].pattern!r}": "a type such as geometry_msgs/msg/Twist",
-    f"`str` matching regex {FieldPath.__metadata__[0].pattern!r}": "a field path such as drive.speed or axes[2]",
+    f"`str` matching regex {_TOPIC!r}": "a topic such as /vehicle/command",
+    f"`str` matching regex {_TYPE!r}": "a type such as geometry_msgs/msg/Twist",
+    f"`str` matching regex {_PATH!r}": "a field path such as drive.speed or axes[2]",
     "`float`": "a number",
     "`array`": "a list",
     "`object`": "a table",
