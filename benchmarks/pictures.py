@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from offpiste.core.conventions import DT
 from offpiste.simulation.rendering.appearance import make_appearance
 from offpiste.simulation.rendering.scene import world_scene
-from offpiste.simulation.sample import Motion, Pose, VehicleSample
+from offpiste.simulation.sample import Motion, VehicleSample
 from offpiste.simulation.sensors.camera import Camera, project_points, render
 from offpiste.simulation.sensors.lidar import Lidar
 from offpiste.simulation.sensors.suite import full_suite
@@ -53,19 +53,19 @@ def sensors(world: World, sample: VehicleSample) -> Figure:
     """Images of the four cameras at one moment, and the points of both LiDARs in them."""
     scene, suite, rng = world_scene(world), full_suite(), np.random.default_rng(0)
     appearance = make_appearance(world, scene, 0)
-    pose = Pose(sample.position, sample.orientation)
-    motion = Motion(np.array((0.0, 1.0)), np.tile(pose.position, (2, 1)), np.tile(pose.orientation, (2, 1)))
+    motion = Motion.of([sample, replace(sample, time=sample.time + 1.0)])
     clouds = [
-        settings.body_from_lidar.apply(Lidar(settings).scan(scene, motion, 0.0, rng).points)
+        settings.body_from_sensor.apply(Lidar(settings).scan(scene, motion, sample.time, rng).points)
         for settings in (replace(lidar, dropout=0.0) for lidar in suite.lidars)
     ]
     points = np.concatenate(clouds)
     figure = Figure(figsize=(12, 15.2), dpi=70, layout="constrained")
     rows = figure.subplots(len(suite.cameras), 2)
     for (left, right), settings in zip(rows, suite.cameras, strict=True):
-        image = render(scene, appearance, Camera(settings), pose, int(rng.integers(2**31)))
+        image = render(scene, appearance, Camera(settings), sample.pose, int(rng.integers(2**31)))
         left.imshow(image)
-        points_camera = settings.body_from_camera.inverse().apply(points)
+        mount = settings.body_from_sensor
+        points_camera = (points - mount.position) @ mount.rotation
         pixels, inside = project_points(points_camera, settings.model)
         right.imshow(overlay(image, pixels[inside], np.linalg.norm(points_camera[inside], axis=1)))
         left.set_ylabel(settings.name)

@@ -20,7 +20,7 @@ from offpiste.logs.ros.writer import McapWriter
 from offpiste.simulation.messages import image_message
 from offpiste.simulation.recorder import Recorder
 from offpiste.simulation.rendering.appearance import make_appearance
-from offpiste.simulation.rendering.scene import BLOCK, Hits, Scene, world_scene
+from offpiste.simulation.rendering.scene import BLOCK, Scene, world_scene
 from offpiste.simulation.sample import Motion, Pose
 from offpiste.simulation.sensors.camera import Camera, render
 from offpiste.simulation.sensors.lidar import Lidar
@@ -50,7 +50,7 @@ def recorded(world: World, sensing: Sensing | None, seconds: float, file: Path) 
     start, driver = start_and_driver(world, parameters, seed=3)
     begin, rows = time.perf_counter(), 0
     with McapWriter(file) as writer:
-        recorder = Recorder(writer, wheel_radius=parameters.rolling_radius, rng=np.random.default_rng(0))
+        recorder = Recorder(writer, parameters.rolling_radius, np.random.default_rng(0))
         samples = drive(world, parameters, start, driver, steps=round(seconds / DT))
         for sample, messages in observed(samples, sensing, recorder.sensor_stamp_ns):
             recorder.vehicle(sample)
@@ -67,12 +67,7 @@ def parts(world: World, runs: int) -> None:
     appearance = make_appearance(world, scene, 0)
     start, driver = start_and_driver(world, parameters, seed=3)
     samples = list(drive(world, parameters, start, driver, steps=200))[-6:]
-    pose, camera, lidar = Pose(samples[-1].position, samples[-1].orientation), Camera(suite.cameras[0]), suite.lidars[0]
-    motion = Motion(
-        np.array([s.time for s in samples]),
-        np.stack([s.position for s in samples]),
-        np.stack([s.orientation for s in samples]),
-    )
+    pose, camera, lidar, motion = samples[-1].pose, Camera(suite.cameras[0]), suite.lidars[0], Motion.of(samples)
     image, scanner = render(scene, appearance, camera, pose, 0), Lidar(lidar)
     for name, part in {
         "rays of an image": lambda: _cast_all(scene, camera, pose),
@@ -94,8 +89,7 @@ def _cast_all(scene: Scene, camera: Camera, pose: Pose) -> None:
     origin, turned = pose.apply(camera.origin[None]), np.ascontiguousarray(pose.rotation.T, np.float32)
     for first in range(0, len(camera.rays), BLOCK):
         block = slice(first, first + BLOCK)
-        own = Hits(*(values[block] for values in vars(camera.own).values()))
-        scene.cast(origin, camera.rays[block] @ turned, own)
+        scene.cast(origin, camera.rays[block] @ turned, camera.own.part(block))
 
 
 def report(name: str, ratios: list[float]) -> None:

@@ -28,7 +28,6 @@ def run_without(module: str, *arguments: str) -> "subprocess.CompletedProcess[st
         ("mujoco", "sim", ("simulate", "--out", "{tmp}/drive.mcap")),
         ("embreex", "sim", ("drive", "{tmp}/run", "--out", "{tmp}/drive")),
         ("mujoco", "sim", ("reproduce", "fig3", "--out", "{tmp}/results")),
-        ("rerun", "view", ("drive", "{tmp}/run", "--out", "{tmp}/drive", "--recording")),
     ],
 )
 def test_a_command_names_the_extra_that_it_needs_before_it_does_anything(

@@ -14,12 +14,11 @@ import pytest
 import torch
 
 from live.synthetic_robot import RUN, live_settings
-from offpiste.closed_loop.recording import LIFT
 from offpiste.live.part import Part
 from offpiste.live.ring import pack_fields, pack_layers, pack_plan, packed
 from offpiste.live.session import new_session
 from offpiste.live.supervisor import Supervisor
-from offpiste.live.view import PlanRegions, Showing, shown_ground, view
+from offpiste.live.view import LIFT, PlanRegions, Showing, shown_ground, view
 from offpiste.live.viewers import VIEWERS, Viewer
 from offpiste.logs.measurements import Image
 from offpiste.planning.course import Course

@@ -60,11 +60,6 @@ def cruise(speed, steer=0.0):
     return lambda sample: (float(np.clip(0.2 + 0.5 * (speed - np.linalg.norm(sample.velocity)), 0, 1)), 0.0, steer)
 
 
-def yaw_of(sample):
-    x, y, z, w = sample.orientation
-    return np.arctan2(2 * (x * y + z * w), 1 - 2 * (y * y + z * z))
-
-
 def with_tree_ahead(world, start, distance, radius=0.2):
     """The world with a single tree ahead of a start, and the tree's place."""
     ahead = np.array((start.x, start.y)) + distance * np.array((np.cos(start.yaw), np.sin(start.yaw)))

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from mcap.reader import make_reader
 
 from offpiste.cli import main
 from offpiste.core.errors import OffpisteError
@@ -19,7 +18,6 @@ from offpiste.simulation import simulate as simulation
 from offpiste.simulation.recorder import Imperfections
 from offpiste.simulation.simulate import (
     DriveSettings,
-    DriveSummary,
     Recording,
     Start,
     drive,
@@ -76,29 +74,11 @@ WORLD = WorldSettings("mojave", seed=1, size=100.0, resolution=0.5)
 SETTINGS = DriveSettings(WORLD, seconds=6.0, seed=3, sensors="none")
 
 
-def messages(path: Path) -> dict[str, list[tuple[int, bytes]]]:
-    """Stamps and bytes by topic."""
-    found: dict[str, list[tuple[int, bytes]]] = {}
-    with path.open("rb") as file:
-        for _, channel, message in make_reader(file).iter_messages():
-            found.setdefault(channel.topic, []).append((message.log_time, message.data))
-    return found
-
-
-@pytest.fixture(scope="module")
-def driven(tmp_path_factory: pytest.TempPathFactory) -> DriveSummary:
-    return simulate(SETTINGS, tmp_path_factory.mktemp("simulate") / "drive.mcap")
-
-
-def test_the_same_settings_give_the_same_bytes_and_another_seed_others(driven, tmp_path):
-    again = simulate(SETTINGS, tmp_path / "again.mcap")
-    assert messages(again.log) == messages(driven.log)
+def test_the_same_settings_give_the_same_bytes_and_another_seed_others(tmp_path):
+    driven, again = (simulate(SETTINGS, tmp_path / name) for name in ("drive.mcap", "again.mcap"))
     assert again.log.read_bytes() == driven.log.read_bytes()
     other = simulate(replace(SETTINGS, seed=4), tmp_path / "other.mcap")
-    mine, others = messages(driven.log), messages(other.log)
-    assert mine["/tf_static"] == others["/tf_static"]
-    assert mine["/odometry"] != others["/odometry"]
-    assert mine["/truth/map"] == others["/truth/map"]
+    assert other.log.read_bytes() != driven.log.read_bytes()
 
 
 def test_ctrl_c_leaves_a_readable_file(tmp_path, monkeypatch):
@@ -116,15 +96,12 @@ def test_ctrl_c_leaves_a_readable_file(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("settings", "said"),
     [
-        (replace(SETTINGS, seconds=0.0), "a drive of 0 s"),
         (replace(SETTINGS, seconds=float("nan")), "a drive of nan s"),
         (replace(SETTINGS, seconds=float("inf")), "a drive of inf s"),
-        (replace(SETTINGS, seed=-1), "seed is -1"),
         (replace(SETTINGS, mounting_turn=float("nan")), "mounting_turn is nan; give a number of 0 or more"),
         (replace(SETTINGS, imperfections=Imperfections(pose_noise_m=-1.0)), "pose_noise_m is -1"),
         (replace(SETTINGS, imperfections=Imperfections(stamp_offset_ms=float("inf"))), "stamp_offset_ms is inf"),
         (replace(SETTINGS, sensors="sonar"), "sonar"),
-        (replace(SETTINGS, world=replace(WORLD, preset="moon")), "moon"),
         (replace(SETTINGS, world=replace(WORLD, size=10.0)), "size is 10"),
     ],
 )
@@ -133,13 +110,6 @@ def test_bad_settings_leave_no_file(settings, said, tmp_path):
         simulate(settings, tmp_path / "drive.mcap")
     assert "\n" not in str(error.value)
     assert not list(tmp_path.iterdir())
-
-
-def test_an_existing_file_is_refused_before_anything_is_written(tmp_path):
-    (tmp_path / "drive.mcap").write_bytes(b"mine")
-    with pytest.raises(OffpisteError, match=r"drive\.mcap: exists already"):
-        simulate(SETTINGS, tmp_path / "drive.mcap")
-    assert (tmp_path / "drive.mcap").read_bytes() == b"mine"
 
 
 def run(*arguments: str) -> int:
@@ -174,7 +144,7 @@ def test_a_mistake_ends_in_one_line_and_exit_code_1(arguments, said, tmp_path, c
 
 
 def test_a_log_with_manoeuvres_reverses_and_is_found_healthy(tmp_path, capsys):
-    log, dataset = str(tmp_path / "drive.mcap"), str(tmp_path / "data.zarr")
+    log = str(tmp_path / "drive.mcap")
     # The driver of this seed reverses within the time.
     assert run("simulate", "--manoeuvres", "--sensors", "none", "--seed", "2", "--world", "dunes", "--out", log) == 0
     assert "--rig proving_ground_gear" in capsys.readouterr().out
@@ -182,7 +152,6 @@ def test_a_log_with_manoeuvres_reverses_and_is_found_healthy(tmp_path, capsys):
     assert (gear == -1).mean() > 0.02
     assert run("inspect", log, "--rig", "proving_ground_gear") == 0
     assert "nothing to fix" in capsys.readouterr().out
-    assert run("extract", log, "--rig", "proving_ground_gear", "--out", dataset, "--force") == 0
 
 
 UNIFORM = WorldSettings("uniform", size=150.0, resolution=0.5)

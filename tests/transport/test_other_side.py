@@ -9,7 +9,8 @@ import pytest
 
 from offpiste.logs.ros.sensor_messages import message_from_points
 from offpiste.logs.ros.writer import header, make
-from offpiste.simulation.messages import Mounting, image_message, mountings_message, odometry_message
+from offpiste.simulation.messages import image_message, mountings_message, odometry_message
+from offpiste.simulation.sample import Pose
 from offpiste.transport.message_types import MessageTypes
 from synthetic_drive import samples
 from transport.routers import Network, until
@@ -21,10 +22,11 @@ def messages():
     """A message of each kind, by topic."""
     points = np.zeros(1000, np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4")]))
     points["x"] = np.arange(1000)
+    mounting = Pose(np.array((1.0, 2.0, 3.0)), np.array((0.0, 0.0, 0.0, 1.0)))
     picture = np.random.default_rng(0).integers(0, 255, (48, 64, 3)).astype(np.uint8)
     return {
         "/odom": odometry_message(samples(0.1)[0], 5 * 10**9),
-        "/tf_static": mountings_message([Mounting("camera", (1.0, 2.0, 3.0))], 10**9),
+        "/tf_static": mountings_message({"camera": mounting}, 10**9),
         "/image/compressed": image_message(picture, 10**9, "camera"),
         "/points": message_from_points(points, 10**9, "lidar"),
     }

@@ -57,14 +57,11 @@ class Drive:
     """Start of the fault [s]."""
     fault_when: Literal["time", "reversing"] = "time"
     """Begin the fault at its start time, or when the vehicle first reverses after it."""
-    recording: bool = False
-    """Also write drive.rrd for the Rerun viewer (needs the extra `view`)."""
 
     def run(self) -> int:
         """Drive, and write log, figure and result."""
         from offpiste.closed_loop.courses import CourseSettings
         from offpiste.closed_loop.drive_course import CourseDriveSettings, drive_course
-        from offpiste.core.errors import require
         from offpiste.core.progress import show
         from offpiste.planning.caution import risk_of
         from offpiste.planning.gpu import require_device
@@ -72,8 +69,6 @@ class Drive:
         from offpiste.runtime.settings import RuntimeSettings
         from offpiste.simulation.world.world import WorldSettings
 
-        if self.recording:
-            require("view", "rerun", otherwise="leave out --recording")
         planner = load_planner(self.run_folder, self.pca, novelty=self.novelty, device=self.device)
         risk = risk_of(self.risk)
         require_device(self.device, planner.dynamics)
@@ -90,13 +85,7 @@ class Drive:
         driven = drive_course(planner, settings, self.out)
         for table in drive_tables(driven.result):
             logger.info(table)
-        written = ["drive.mcap", "drive.png", "result.json"]
-        if self.recording:
-            from offpiste.closed_loop.recording import record_drive
-
-            record_drive(driven, self.out / "drive.rrd")
-            written.append("drive.rrd")
-        logger.info(f"wrote {', '.join(str(self.out / name) for name in written)}")
+        logger.info(f"wrote {', '.join(str(self.out / name) for name in ('drive.mcap', 'drive.png', 'result.json'))}")
         show(next_line("view", self.out / "drive.mcap", "--rig", "proving_ground_gear"))
         return 0
 

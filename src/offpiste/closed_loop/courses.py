@@ -1,7 +1,8 @@
 """Courses on the proving ground, by kind."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from operator import itemgetter
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -21,10 +22,8 @@ from offpiste.simulation.world.forks import unevenness
 from offpiste.simulation.world.grids import Line, read_grid
 from offpiste.simulation.world.world import Fork, World, WorldSettings
 
-STEP = 1.0
-"""Spacing of the points of a course [m]."""
-SMOOTH = 1.5
-"""Standard deviation of the smoothing of friction and curvature, about a vehicle's length [m]."""
+STEP, SMOOTH = 1.0, 1.5
+"""Spacing of the points of a course, and standard deviation of the smoothing of friction and curvature [m]."""
 APART = 20.0
 """Minimum gap between end and beginning of a path on a closed trail [m]."""
 RUN_OUT = 60.0
@@ -65,21 +64,15 @@ class ChosenCourse:
     firm: int | None = None  # index of the firm way (`Course.ways`); None if there is one way
 
 
-class Candidate(NamedTuple):
-    """A candidate course; the one with the highest score is chosen."""
-
-    score: float
-    chosen: ChosenCourse
+Candidate = tuple[float, ChosenCourse]
+"""A score and a course; the course with the highest score is chosen."""
 
 
-@dataclass(frozen=True)
-class CourseKind:
-    """A kind of course."""
+class CourseKind(NamedTuple):
+    """A kind of course: candidates in a world, by a seed; settings of worlds with such courses."""
 
-    # Courses with scores that meet the settings in a world, by a seed
     candidates: Callable[[World, int, CourseSettings], Iterator[Candidate]]
-    # Settings of worlds with such courses, where special ones are needed
-    world: dict[str, Any] = field(default_factory=dict)
+    world: dict[str, Any]
 
 
 KINDS: Final[Registry[CourseKind]] = Registry("kind of course")
@@ -104,17 +97,16 @@ def choose_course(world: World, seed: int, settings: CourseSettings | None = Non
     settings = settings or CourseSettings()
     candidates = list(KINDS[settings.kind].candidates(world, seed, settings))
     if not candidates:
+        what = f"no stretch of trail is suitable for a course ({settings.kind})"
         place = f"world '{world.settings.preset}', seed {world.settings.seed}"
-        raise CourseError(
-            f"no stretch of trail is suitable for a course ({settings.kind})", where=place, how="take another seed"
-        )
-    return max(candidates, key=lambda candidate: candidate.score).chosen
+        raise CourseError(what, where=place, how="take another seed")
+    return max(candidates, key=itemgetter(0))[1]
 
 
 def _bends(world: World, seed: int, settings: CourseSettings) -> Iterator[Candidate]:
     """Yield bends at the limit of grip: stretches of trail, scored by their surprise."""
     for chosen in _trail_courses(world, seed, settings):
-        yield Candidate(chosen.surprise, chosen)
+        yield chosen.surprise, chosen
 
 
 def _passages(world: World, seed: int, settings: CourseSettings) -> Iterator[Candidate]:
@@ -127,7 +119,7 @@ def _passages(world: World, seed: int, settings: CourseSettings) -> Iterator[Can
     )
     for chosen in _trail_courses(world, seed, wanted):
         resistance = gaussian_filter1d(_resistance_along(world, chosen.course.driven), SMOOTH / STEP, mode="nearest")
-        yield Candidate(float(np.maximum(resistance, 0.0).mean()), chosen)
+        yield float(np.maximum(resistance, 0.0).mean()), chosen
 
 
 def _choices(world: World, seed: int, settings: CourseSettings) -> Iterator[Candidate]:
@@ -141,10 +133,10 @@ def _choices(world: World, seed: int, settings: CourseSettings) -> Iterator[Cand
             if enough_traction and all(_drivable(terrain, way, settings) for way in course.ways):
                 surprise = float(np.mean([surprise_along(world, way, settings.speed) for way in driven]))
                 chosen = ChosenCourse(course, _start_of(course.path), surprise, 1 - fork.muddy)
-                yield Candidate(-unevenness(*driven), chosen)
+                yield -unevenness(*driven), chosen
 
 
-KINDS.register("bends")(CourseKind(_bends))
+KINDS.register("bends")(CourseKind(_bends, {}))
 KINDS.register("choices")(CourseKind(_choices, {"forks": True}))
 KINDS.register("passages")(CourseKind(_passages, {"relief": RELIEF}))
 

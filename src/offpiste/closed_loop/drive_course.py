@@ -31,7 +31,7 @@ from offpiste.runtime.runtime import Runtime
 from offpiste.runtime.settings import RuntimeSettings
 from offpiste.simulation.rendering.scene import Scene
 from offpiste.simulation.sensors.suite import SensorSuite, sensor_suite
-from offpiste.simulation.vehicle.parameters import VehicleParameters, load_vehicle
+from offpiste.simulation.vehicle.parameters import load_vehicle
 from offpiste.simulation.world.grids import read_grid
 from offpiste.simulation.world.world import World, WorldSettings
 from offpiste.training.run import differing_vehicle
@@ -46,28 +46,18 @@ EVERY = 10
 
 @dataclass(frozen=True)
 class CourseDriveSettings:
-    """Settings of a drive of a course; the same settings and planner give the same drive.
+    """Settings of a drive of a course; the same settings and planner give the same drive."""
 
-    Attributes:
-        world: world, whose seed also chooses the course.
-        seconds: time limit [s].
-        sensors: sensor profile (`simulation.sensors`).
-        against: whether the vehicle starts in the opposite direction and has to turn round.
-        fault: fault of the sensors from `fault_start` [s] on, or from the next reversing on.
-        keep_log: whether to keep drive.mcap (4 MB per second); without it, cameras are simulated only for planners
-            with visual features.
-    """
-
-    world: WorldSettings = field(default_factory=WorldSettings)
-    seconds: float = 40.0
-    sensors: str = "light"
+    world: WorldSettings = field(default_factory=WorldSettings)  # its seed also chooses the course
+    seconds: float = 40.0  # time limit [s]
+    sensors: str = "light"  # sensor profile (`simulation.sensors`)
     course: CourseSettings = field(default_factory=CourseSettings)
     runtime: RuntimeSettings = field(default_factory=RuntimeSettings)
-    against: bool = False
-    fault: Kind = "none"
+    against: bool = False  # whether the vehicle starts in the opposite direction and has to turn round
+    fault: Kind = "none"  # fault of the sensors from `fault_start` [s] on, or from the next reversing on
     fault_start: float = 10.0
     fault_when: When = "time"
-    keep_log: bool = True
+    keep_log: bool = True  # whether to keep drive.mcap; without it, cameras are simulated only for visual features
 
 
 @dataclass(frozen=True)
@@ -82,9 +72,8 @@ class Driven:
     result: dict[str, Any]
 
     def __repr__(self) -> str:
-        """Show the scalar results."""
-        short = {key: value for key, value in self.result.items() if isinstance(value, int | float | str)}
-        return f"Driven(result={ {key: value for key, value in short.items() if len(str(value)) < 60} })"
+        """Show a summary of the result."""
+        return f"Driven({described(self.result)})"
 
 
 def drive_course(
@@ -111,13 +100,14 @@ def drive_course(
             added by extensions, or the folder holds a drive already.
     """
     check_settings(settings)
-    _refuse_unmeasured(planner)
+    if lacks := [one.name for one in registered_actuators() if one.name in planner.dynamics.vehicle.actuators]:
+        what = f"the model reads {', '.join(lacks)}, which the simulated vehicle does not measure"
+        raise OffpisteError(what, where=planner.folder, how="give a run trained without it")
     caution_of(settings.runtime.risk, planner.spread)  # raises before a world is built
     out = Path(out)
     check_folder(out, own=(_UNFINISHED, "result.json"))
     if (out / "result.json").exists():
         raise OffpisteError("exists already", where=out / "result.json", how="give another folder, or remove it")
-    remember = max(settings.seconds, settings.runtime.remember)
     rig, parameters = load_rig("proving_ground"), load_vehicle()
     world = world or course_world(settings.world, settings.course.kind)
     chosen, suite = choose_course(world, settings.world.seed, settings.course), sensor_suite(settings.sensors)
@@ -125,18 +115,13 @@ def drive_course(
         suite = SensorSuite((), suite.lidars)
     if (apart := differing_vehicle(planner.dynamics.vehicle, rig.vehicle)) is not None:
         logger.warning(f"{planner.folder} was trained on another vehicle than the proving ground's: {apart}")
-    grid = (world.properties, world.origin, world.resolution)
-    fault = Fault(settings.fault, settings.fault_start, when=settings.fault_when)
+    ground = partial(read_grid, world.properties, world.origin, world.resolution) if planner.knows_ground else None
+    fault = Fault(settings.fault, settings.fault_start, settings.fault_when)
     runtime = Runtime(
-        planner.dynamics,
-        sensor_setup(planner, suite, rig, fault),
-        rig.wheel_positions(),
-        chosen.course,
-        replace(settings.runtime, remember=remember),
-        ground=partial(read_grid, *grid) if planner.knows_ground else None,
-        seed=settings.world.seed,
-        spread=planner.spread,
-    )
+        planner.dynamics, sensor_setup(planner, suite, rig, fault), rig.wheel_positions(), chosen.course,
+        replace(settings.runtime, remember=max(settings.seconds, settings.runtime.remember)),
+        ground=ground, seed=settings.world.seed, spread=planner.spread,
+    )  # fmt: skip
     start = replace(chosen.start, yaw=chosen.start.yaw + math.pi) if settings.against else chosen.start
     with unfinished(out, _UNFINISHED):
         remove_partials(out)
@@ -146,8 +131,9 @@ def drive_course(
             seconds=settings.seconds, seed=settings.world.seed, fault=fault, scene=scene, track=track,
         )  # fmt: skip
         trace = trace_of(driving, chosen.course)
-        result = _result(planner, settings, chosen, runtime, driving, trace, parameters)
-        result |= {"commit": commit(), "date": today()}
+        weights = settings.runtime.weights
+        scores = summary(driving, trace, runtime.course_tracker.length, settings.seconds, weights, parameters)
+        result = _result(planner, settings, chosen, runtime, trace, scores)
         title = f"{settings.world.preset}, seed {settings.world.seed}: {planner.name}, {result['time_s']:.1f} s"
         scored = round(result["time_s"] / DT)
         figure = course_picture(world, chosen.course, trace, runtime.predictions, title, scored=scored)
@@ -166,42 +152,30 @@ def described(result: dict[str, Any]) -> str:
     if not result["finished"] and not incidents and result["time_s"] >= result["limit_s"] - 1:
         incidents = ["time limit reached"]
     error = result["plan_error_5s_m"]["mean"]
+    plans = f", plans {error:.1f} m off after 5 s" if error is not None else ""
     return (
         f"{result['world']} {result['seed']}, {result['planner']}: {ending} in {result['time_s']:.1f} s, "
         f"{result['mean_speed_mps']:.1f} m/s, {result['mean_path_error_m']:.2f} m off the course "
-        f"({result['worst_path_error_m']:.2f} at worst)"
-        + (f", plans {error:.1f} m off after 5 s" if error is not None else "")
-        + (f"; {', '.join(incidents)}" if incidents else "")
+        f"({result['worst_path_error_m']:.2f} at worst){plans}{'; ' if incidents else ''}{', '.join(incidents)}"
     )
 
 
 def check_settings(settings: CourseDriveSettings) -> None:
     """Raise `OffpisteError` for the first setting out of range."""
-    if not 1.0 <= settings.seconds <= 3600:
-        raise OffpisteError(f"invalid time limit of {settings.seconds:g} s", how="give --seconds from 1 to 3600")
-    if not 0 < settings.course.speed <= FASTEST:
-        raise OffpisteError(
-            f"invalid target speed of {settings.course.speed:g} m/s",
-            how=f"give --speed above 0, and at most {FASTEST:g}",
-        )
-    if settings.fault not in KINDS:
-        raise OffpisteError(f"unknown fault {settings.fault!r}", how=f"choose one of {', '.join(KINDS)}")
+    seconds, speed, fault, start = settings.seconds, settings.course.speed, settings.fault, settings.fault_start
+    if not 1.0 <= seconds <= 3600:
+        raise OffpisteError(f"invalid time limit of {seconds:g} s", how="give --seconds from 1 to 3600")
+    if not 0 < speed <= FASTEST:
+        raise OffpisteError(f"invalid target speed of {speed:g} m/s", how=f"give --speed above 0, at most {FASTEST:g}")
+    if fault not in KINDS:
+        raise OffpisteError(f"unknown fault {fault!r}", how=f"choose one of {', '.join(KINDS)}")
     if settings.fault_when not in WHENS:
-        raise OffpisteError(
-            f"unknown beginning of a fault, {settings.fault_when!r}", how=f"choose one of {', '.join(WHENS)}"
-        )
-    if not 0 <= settings.fault_start < (settings.seconds if settings.fault != "none" else math.inf):
-        how = f"give --fault-start of 0 or more, before the drive's end at {settings.seconds:g} s"
-        raise OffpisteError(f"invalid start of a fault at {settings.fault_start:g} s", how=how)
+        what = f"unknown beginning of a fault, {settings.fault_when!r}"
+        raise OffpisteError(what, how=f"choose one of {', '.join(WHENS)}")
+    if not 0 <= start < (seconds if fault != "none" else math.inf):
+        how = f"give --fault-start of 0 or more, before the drive's end at {seconds:g} s"
+        raise OffpisteError(f"invalid start of a fault at {start:g} s", how=how)
     COURSE_KINDS[settings.course.kind], sensor_suite(settings.sensors)  # raise for unknown names
-
-
-def _refuse_unmeasured(planner: Planner) -> None:
-    """Raise for a model that reads actuators which the simulator does not measure."""
-    lacks = [one.name for one in registered_actuators() if one.name in planner.dynamics.vehicle.actuators]
-    if lacks:
-        what = f"the model reads {', '.join(lacks)}, which the simulated vehicle does not measure"
-        raise OffpisteError(what, where=planner.folder, how="give a run trained without it")
 
 
 def sensor_setup(planner: Planner, suite: SensorSuite, rig: Rig, fault: Fault | None = None) -> SensorSetup:
@@ -209,10 +183,9 @@ def sensor_setup(planner: Planner, suite: SensorSuite, rig: Rig, fault: Fault | 
     lidars = lidars_of(suite, rig)
     if planner.extractor is None:
         return SensorSetup(lidars)
-    patch = planner.extractor.patch
+    patch, extract = planner.extractor.patch, planner.extractor.extract
     cameras = {name: make_pinhole_camera(camera, patch) for name, camera in cameras_of(suite, rig).items()}
-    extract = planner.extractor.extract
-    return SensorSetup(lidars, cameras, extract if fault is None else fault.extractor(extract))
+    return SensorSetup(lidars, cameras, fault.extractor(extract) if fault else extract)
 
 
 def _result(
@@ -220,9 +193,8 @@ def _result(
     settings: CourseDriveSettings,
     chosen: ChosenCourse,
     runtime: Runtime,
-    driving: Driving,
     trace: Trace,
-    parameters: VehicleParameters,
+    scores: dict[str, Any],
 ) -> dict[str, Any]:
     errors = prediction_errors(runtime.predictions, trace.place)
     began = runtime.events[0].time if runtime.events else 0.0
@@ -234,9 +206,7 @@ def _result(
         "latency_s": settings.runtime.latency,
         "target_mps": settings.course.speed,
         "surprise_mps": chosen.surprise,
-        **summary(
-            driving, trace, runtime.course_tracker.length, settings.seconds, settings.runtime.weights, parameters
-        ),
+        **scores,
         "firm_way": firm_way(trace, chosen.course, chosen.firm),
         "driven_xy": [[round(float(value), 2) for value in xy] for xy in trace.place[::EVERY]],
         "plan_error_5s_m": {
@@ -249,6 +219,8 @@ def _result(
         "failed_plans": len(runtime.failures),
         "stages": runtime.watch.summary(),
         **settings_of(planner, settings),
+        "commit": commit(),
+        "date": today(),
     }
 
 
@@ -260,11 +232,7 @@ def settings_of(planner: Planner, settings: CourseDriveSettings) -> dict[str, An
     given = {
         "run": str(planner.folder.resolve()),
         "limit_s": settings.seconds,
-        "fault": settings.fault,
-        "fault_start": settings.fault_start,
-        "fault_when": settings.fault_when,
-        "against": settings.against,
-        "sensors": settings.sensors,
+        **{name: getattr(settings, name) for name in ("fault", "fault_start", "fault_when", "against", "sensors")},
         "weights_sha256": planner.weights,
         "novelty": planner.novelty,
         "runtime": runtime,

@@ -39,8 +39,6 @@ LATE = 0.8
 BACKWARDS = 0.5
 """Rolling speed of the wheels above which the vehicle counts as reversing [m/s]."""
 PLANNER_EVENTS = "/planner/events"
-GAVE_UP = ("stopped", "stuck")
-"""Mode and reason after backing out was given up."""
 WITHOUT_PROGRESS = 12.0
 """Time without progress along the course after which a vehicle counts as stuck [s]."""
 
@@ -49,9 +47,7 @@ WITHOUT_PROGRESS = 12.0
 class Fault:
     """A lasting fault of the sensors, injected into a drive: lost or late messages, broken features or scans.
 
-    Attributes:
-        start: earliest time of the fault since the start of the drive [s].
-        when: "time" to begin then, "reversing" to begin when the vehicle next reverses.
+    It begins at `start` [s], or when the vehicle next reverses.
     """
 
     kind: Kind = "none"
@@ -59,7 +55,7 @@ class Fault:
     when: When = "time"
     _waiting: list[tuple[float, Image]] = field(default_factory=list)
     _began: bool = False
-    _struck: bool = False
+    _cleared: bool = False
 
     def notice(self, time: float, rolling: float) -> None:
         """Begin the fault if due, given the time since the start [s] and the rolling speed of the wheels [m/s]."""
@@ -70,27 +66,19 @@ class Fault:
         arrived: list[Image | Cloud] = []
         while self._waiting and self._waiting[0][0] <= time + 1e-6:  # tolerance for rounding
             arrived.append(self._waiting.pop(0)[1])
-        if measured is None:
-            return arrived
-        if not self._began:
-            return [*arrived, measured]
-        if isinstance(measured, Image):
-            if self.kind == "camera-dropped":
-                return arrived
-            if self.kind == "late-image":
-                self._waiting.append((time + LATE, measured))
-                return arrived
-        elif self.kind == "lidar-dropped":
-            return arrived
-        elif self.kind == "map-empty":
-            # echoes far above the map
-            return [*arrived, replace(measured, points=measured.points + np.array((0.0, 0.0, 1000.0)))]
-        return [*arrived, measured]
+        kind = self.kind if self._began else "none"
+        if isinstance(measured, Image) and kind == "late-image":
+            self._waiting.append((time + LATE, measured))
+        elif isinstance(measured, Cloud) and kind == "map-empty":  # echoes far above the map
+            arrived.append(replace(measured, points=measured.points + np.array((0.0, 0.0, 1000.0))))
+        elif measured and kind != ("camera-dropped" if isinstance(measured, Image) else "lidar-dropped"):
+            arrived.append(measured)
+        return arrived
 
     def strike(self, runtime: Runtime) -> None:
-        """Apply the fault to the run time itself: clear the map."""
-        if self.kind == "map-empty" and self._began and not self._struck:
-            self._struck = True
+        """Apply the fault to the run time itself: clear the map once."""
+        if self.kind == "map-empty" and self._began and not self._cleared:
+            self._cleared = True
             runtime.forget_map()
 
     def extractor(self, extract: ExtractFeatures) -> ExtractFeatures:
@@ -116,14 +104,16 @@ class PlannerController:
     @property
     def arrived(self) -> bool:
         """True if the vehicle has stopped at the end of its course."""
-        last = self.controls[-1] if self.controls else None
-        return last is not None and last.mode == "stopped" and last.why == "end of the course"
+        return self._stopped("end of the course")
 
     @property
     def stuck(self) -> bool:
         """True if backing out was given up, or a vehicle that neither waits nor backs out makes no progress."""
-        last = self.controls[-1] if self.controls else None
-        return last is not None and (last.time - self._since > WITHOUT_PROGRESS or (last.mode, last.why) == GAVE_UP)
+        late = bool(self.controls) and self.controls[-1].time - self._since > WITHOUT_PROGRESS
+        return late or self._stopped("stuck")
+
+    def _stopped(self, why: str) -> bool:
+        return bool(self.controls) and (self.controls[-1].mode, self.controls[-1].why) == ("stopped", why)
 
     def command(self, sample: VehicleSample) -> Float[np.ndarray, " 4"]:
         """Return throttle, brake, steer and gear for the next `conventions.DT`."""
@@ -138,12 +128,7 @@ class PlannerController:
 
 @dataclass(frozen=True)
 class Driving:
-    """A drive by the planner.
-
-    Attributes:
-        samples: states of the vehicle, every `conventions.DT`.
-        controls: commands in the same rows.
-    """
+    """A drive by the planner: states of the vehicle every `conventions.DT`, and commands in the same rows."""
 
     samples: list[VehicleSample]
     controls: list[Controls]
@@ -156,20 +141,9 @@ class Driving:
 
 
 def drive_planned(
-    runtime: Runtime,
-    world: World,
-    parameters: VehicleParameters,
-    start: Start,
-    suite: SensorSuite,
-    rig: Rig,
-    out: Path,
-    *,
-    seconds: float,
-    seed: int,
-    fault: Fault | None = None,
-    scene: Scene | None = None,
-    track: Track = track,
-) -> Driving:
+    runtime: Runtime, world: World, parameters: VehicleParameters, start: Start, suite: SensorSuite, rig: Rig,
+    out: Path, *, seconds: float, seed: int, fault: Fault, scene: Scene | None = None, track: Track = track,
+) -> Driving:  # fmt: skip
     """Drive with a run time, and log every message and change of mode.
 
     Args:
@@ -181,12 +155,12 @@ def drive_planned(
     noise, light, own = (np.random.default_rng([seed, stream]) for stream in (1, 2, 3))
     sensing, lidars = Sensing(world, suite, light, scene=scene, apart=True), lidars_of(suite, rig)
     controller, written, samples = PlannerController(runtime, own), 0, list[VehicleSample]()
-    fault = fault or Fault()
+    steps = round(seconds / DT)
     with McapWriter(out) as writer:
-        recorder = Recorder(writer, wheel_radius=parameters.rolling_radius, rng=noise)
-        recorder.start(world, suite.mountings())
-        drives = drive(world, parameters, start, controller, steps=round(seconds / DT))
-        for _, sample in zip(track(range(round(seconds / DT)), f"drive {out.name}"), drives, strict=False):
+        recorder = Recorder(writer, parameters.rolling_radius, noise)
+        recorder.start(world, suite.mountings)
+        drives = drive(world, parameters, start, controller, steps=steps)
+        for _, sample in zip(track(range(steps), f"drive {out.name}"), drives, strict=False):
             samples.append(sample)
             recorder.vehicle(sample)
             fault.notice(sample.time, float(sample.wheel_speed.mean()))
@@ -224,7 +198,7 @@ def time_of(time: float) -> float:
 
 def reading_of(sample: VehicleSample) -> VehicleReading:
     """Convert a sample to a reading for the run time."""
-    rate = yaw_rate_from_body_rates(sample.orientation[None], sample.angular_velocity[None])[0]
+    rate = float(yaw_rate_from_body_rates(sample.orientation[None], sample.angular_velocity[None])[0])
     measured = {
         "brake": sample.brake_pressure,
         "steer": sample.steer_angle,
@@ -232,19 +206,17 @@ def reading_of(sample: VehicleSample) -> VehicleReading:
         "engine_rpm": sample.engine_speed / 1000,
     }
     actuators = np.array([measured.get(name, np.nan) for name in ACTUATORS])
-    return VehicleReading(
-        time_of(sample.time), sample.position, sample.orientation, sample.velocity, float(rate), actuators
-    )
+    return VehicleReading(time_of(sample.time), sample.position, sample.orientation, sample.velocity, rate, actuators)
 
 
 def cameras_of(suite: SensorSuite, rig: Rig) -> dict[str, Camera]:
     """Return the cameras of the vehicle by name."""
-    return {c.name: Camera(c.name, c.model, _matrix(c.body_from_camera), rig.cameras[c.name]) for c in suite.cameras}
+    return {c.name: Camera(c.name, c.model, _matrix(c.body_from_sensor), rig.cameras[c.name]) for c in suite.cameras}
 
 
 def lidars_of(suite: SensorSuite, rig: Rig) -> dict[str, Lidar]:
     """Return the LiDARs of the vehicle by name."""
-    return {s.name: Lidar(s.name, _matrix(s.body_from_lidar), rig.lidars[s.name]) for s in suite.lidars}
+    return {s.name: Lidar(s.name, _matrix(s.body_from_sensor), rig.lidars[s.name]) for s in suite.lidars}
 
 
 def _matrix(pose: Pose) -> Float[np.ndarray, "4 4"]:

@@ -22,8 +22,6 @@ from offpiste.simulation.vehicle.parameters import VehicleParameters
 
 DAMAGE = {"rollover", "collision with a tree"}
 """Events that damage the vehicle."""
-OTHER_ENDS = {*DAMAGE, "left the world"}
-"""Reasons for not finishing other than being stuck."""
 RUN_UP = 20.0
 """Length of the run-up, excluded from the moving cost [m]."""
 FINISH = 3.0
@@ -48,8 +46,9 @@ def trace_of(driving: Driving, course: Course) -> Trace:
     place = np.stack([s.position[:2] for s in driving.samples])
     off, target, progress = np.array([(tracker.move(xy), tracker.target, tracker.progress) for xy in place]).T
     speed = np.array([float(np.hypot(*s.velocity[:2])) for s in driving.samples])
-    ratio = np.stack([s.truth.slip_ratio for s in driving.samples])
-    angle = np.stack([s.truth.slip_angle for s in driving.samples])
+    ratio, angle = (
+        np.stack([getattr(s.truth, name) for s in driving.samples]) for name in ("slip_ratio", "slip_angle")
+    )
     slip = np.hypot(ratio, np.tan(np.clip(angle, -1.4, 1.4))).mean(axis=1)
     return Trace(place, speed, off, target, progress, slip)
 
@@ -69,39 +68,41 @@ def summary(
         length: length of the course [m].
         limit: time limit of the drive [s].
     """
-    events = [(round(s.time, 2), event) for s in driving.samples for event in s.events]
     there = np.flatnonzero(trace.progress >= length - FINISH)
     finished = bool(len(there))
-    rows = slice(0, int(there[0]) + 1 if finished else len(trace.off))
-    commanded = driving.controls[rows]
-    modes = [c.mode for c in commanded]
-    happened = {event for sample in driving.samples[rows] for event in sample.events}
-    if not finished and is_stuck(trace, commanded, happened):
+    rows = int(there[0]) + 1 if finished else len(trace.off)
+    driven = Trace(*(values[:rows] for values in vars(trace).values()))
+    samples, controls = driving.samples[:rows], driving.controls[:rows]
+    modes = [control.mode for control in controls]
+    happened = {event for sample in samples for event in sample.events}
+    if not finished and is_stuck(driven, controls, happened):
         happened.add(STUCK)
+    still_until = None if finished else limit
+    run_up = int(np.argmax(driven.progress >= RUN_UP))  # 0 if the vehicle did not pass it
     return {
         "finished": finished,
-        "time_s": float(rows.stop * DT),
-        "driven_cost": driven_cost(trace, rows.stop, None if finished else limit, weights),
-        "moving_cost": driven_cost(trace, rows.stop, None if finished else limit, weights, begin=_run_up(trace, rows)),
+        "time_s": float(rows * DT),
+        "driven_cost": driven_cost(driven, still_until, weights),
+        "moving_cost": driven_cost(driven, still_until, weights, begin=run_up),
         "course_m": length,
-        "progress_m": float(trace.progress[rows][-1]),
-        "energy_kj": 1e-3 * engine_energy(driving.samples[rows], parameters),
-        "interventions": interventions(commanded, happened),
-        "driven_m": float(arc_length(trace.place[rows])[-1]),
-        "mean_path_error_m": float(trace.off[rows].mean()),
-        "worst_path_error_m": float(trace.off[rows].max()),
-        "mean_speed_mps": float(trace.speed[rows].mean()),
-        "mean_speed_error_mps": float(np.abs(trace.speed - trace.target)[rows].mean()),
-        "mean_slip": float(trace.slip[rows].mean()),
+        "progress_m": float(driven.progress[-1]),
+        "energy_kj": 1e-3 * engine_energy(samples, parameters),
+        "interventions": interventions(controls, happened),
+        "driven_m": float(arc_length(driven.place)[-1]),
+        "mean_path_error_m": float(driven.off.mean()),
+        "worst_path_error_m": float(driven.off.max()),
+        "mean_speed_mps": float(driven.speed.mean()),
+        "mean_speed_error_mps": float(np.abs(driven.speed - driven.target).mean()),
+        "mean_slip": float(driven.slip.mean()),
         "rollover": "rollover" in happened,
         "collision": "collision with a tree" in happened,
         "damage": bool(happened & DAMAGE),
         "stuck": STUCK in happened,
-        "backed_out": backed_out(commanded),
+        "backed_out": backed_out(controls),
         "left_world": "left the world" in happened,
         "final_speed_mps": float(trace.speed[-1]),
         "share_of_time": {mode: modes.count(mode) / len(modes) for mode in sorted(set(modes))},
-        "vehicle_events": events,
+        "vehicle_events": [(round(s.time, 2), event) for s in driving.samples for event in s.events],
     }
 
 
@@ -127,14 +128,11 @@ def is_stuck(trace: Trace, controls: Sequence[Controls], happened: set[str]) -> 
 
     A drive with another reason is not stuck: other events, or a stop for missing inputs.
     """
-    if STUCK in happened:
-        return True
     stopped = bool(controls) and not _drives(controls[-1]) and any(_drives(one) for one in controls)
-    if happened & OTHER_ENDS or stopped:
-        return False
+    if happened or stopped:
+        return STUCK in happened
     last = trace.progress[-round(WITHOUT_PROGRESS / DT) - 1 :]
-    waits = len(last) * DT > WITHOUT_PROGRESS and last[-1] - last[0] < 1.0
-    return backed_out(controls) or bool(waits)
+    return backed_out(controls) or bool(len(last) * DT > WITHOUT_PROGRESS and last[-1] - last[0] < 1.0)
 
 
 def backed_out(controls: Sequence[Controls]) -> bool:
@@ -154,21 +152,15 @@ def firm_way(trace: Trace, course: Course, firm: int | None) -> bool | None:
     if firm is None:
         return None
     apart = int(np.argmax(np.linalg.norm(np.diff(course.ways, axis=0)[0], axis=1)))
-    middle = arc_length(course.path)[apart]
-    there = np.flatnonzero(trace.progress >= middle)
+    there = np.flatnonzero(trace.progress >= arc_length(course.path)[apart])
     if not len(there):
         return None
     away = [np.linalg.norm(way - trace.place[there[0]], axis=1).min() for way in course.ways]
     return bool(np.argmin(away) == firm)
 
 
-def _run_up(trace: Trace, rows: slice) -> int:
-    """Return the first row after the run-up; 0 if the vehicle did not reach it."""
-    return int(np.argmax(trace.progress[rows] >= RUN_UP))
-
-
-def driven_cost(trace: Trace, rows: int, limit: float | None, weights: CostWeights, *, begin: int = 0) -> float:
-    """Integrate the weighted squared distance from the course and squared speed error over rows `begin` to `rows`.
+def driven_cost(trace: Trace, limit: float | None, weights: CostWeights, *, begin: int = 0) -> float:
+    """Integrate the weighted squared distance from the course and squared speed error from row `begin` on.
 
     These are the path and speed terms of the planner, with the total speed instead of its component along the course.
 
@@ -176,10 +168,10 @@ def driven_cost(trace: Trace, rows: int, limit: float | None, weights: CostWeigh
         limit: time limit of an unfinished drive, until which the vehicle counts as standing at its last place [s];
             None for a finished drive.
     """
-    left = max((limit or 0.0) - rows * DT, 0.0)
-    path = weights.path * trace.off[begin:rows] ** 2
-    speed = weights.speed * (trace.speed - trace.target)[begin:rows] ** 2
-    standing = (weights.path * trace.off[rows - 1] ** 2 + weights.speed * trace.target[rows - 1] ** 2) * left
+    left = max((limit or 0.0) - len(trace.off) * DT, 0.0)
+    path = weights.path * trace.off[begin:] ** 2
+    speed = weights.speed * (trace.speed - trace.target)[begin:] ** 2
+    standing = (weights.path * trace.off[-1] ** 2 + weights.speed * trace.target[-1] ** 2) * left
     return float(DT * (path + speed).sum() + standing)
 
 

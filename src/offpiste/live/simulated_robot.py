@@ -137,7 +137,7 @@ class SimulatedRobot:
         suite = sensor_suite(sensors)
         self._sensing = Sensing(world, suite, np.random.default_rng([seed, 2]))
         self._sensors = SimulatedSensors(self._sensing, self._publish)
-        mountings = mountings_message(suite.mountings(), stamp_ns(0.0))
+        mountings = mountings_message(suite.mountings, stamp_ns(0.0))
         transport.publisher("/tf_static", "tf2_msgs/msg/TFMessage", keep=True)(mountings)
         places = np.pad(chosen.course.driven, ((0, 0), (0, 1)))
         path = path_message(places, np.zeros(len(places)), stamp_ns(0.0), MAP)

@@ -9,7 +9,6 @@ import torch
 from jaxtyping import Float
 from matplotlib import colormaps
 
-from offpiste.closed_loop.recording import LIFT
 from offpiste.core.state import Trajectory
 from offpiste.dynamics.base import Dynamics
 from offpiste.live.map_and_plan import ground_height
@@ -29,6 +28,8 @@ from offpiste.visualization.map_figure import STEEP, TALL
 
 PERIODS: Final = {"readings": 0.05, "plans": 0.1, "map": 1.0, "images": 0.2, "commands": 0.1, "course": 0.5}
 """Minimum time between updates of each kind [s]."""
+LIFT: Final = 0.3
+"""Height of lines above the ground [m]."""
 _NUMBERS: Final = 0.2
 """Time between plotted numbers [s]."""
 _STEP: Final = 2

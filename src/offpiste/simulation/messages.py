@@ -1,7 +1,6 @@
 """ROS 2 messages of a simulated drive: the vehicle, its sensors, and the ground truth under /truth."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import cv2
@@ -14,7 +13,7 @@ from offpiste.logs.ros.grid_map import grid_map_from_layers
 from offpiste.logs.ros.sensor_messages import message_from_points
 from offpiste.logs.ros.writer import floats, header, make, quaternion, vector
 from offpiste.rig.camera import CameraModel
-from offpiste.simulation.sample import VehicleSample, WheelTruth
+from offpiste.simulation.sample import Pose, VehicleSample, WheelTruth
 from offpiste.simulation.world.world import World
 
 START_NS = 1_700_000_000 * 10**9
@@ -61,13 +60,10 @@ def vehicle_messages(sample: VehicleSample, stamp: int, *, wheel_radius: float) 
 
 def odometry_message(sample: VehicleSample, stamp: int) -> Any:
     """Return a nav_msgs/Odometry message: pose in the frame map, twist in the body frame."""
-    velocity = in_body(sample, sample.velocity)
-    pose = make(
-        "geometry_msgs/Pose",
-        position=vector(sample.position, "geometry_msgs/Point"),
-        orientation=quaternion(sample.orientation),
-    )
-    twist = make("geometry_msgs/Twist", linear=vector(velocity), angular=vector(sample.angular_velocity))
+    position, orientation = vector(sample.position, "geometry_msgs/Point"), quaternion(sample.orientation)
+    pose = make("geometry_msgs/Pose", position=position, orientation=orientation)
+    velocity, rates = vector(in_body(sample, sample.velocity)), vector(sample.angular_velocity)
+    twist = make("geometry_msgs/Twist", linear=velocity, angular=rates)
     unknown = np.zeros(36)
     return make(
         "nav_msgs/Odometry",
@@ -80,12 +76,11 @@ def odometry_message(sample: VehicleSample, stamp: int) -> Any:
 
 def imu_message(force: Float[np.ndarray, " 3"], rate: Float[np.ndarray, " 3"], stamp: int) -> Any:
     """Return a sensor_msgs/Imu message without orientation, marked by a covariance of -1."""
-    no_orientation = np.array([-1.0] + 8 * [0.0])
     return make(
         "sensor_msgs/Imu",
         header=header(stamp, BODY),
         orientation=quaternion((0, 0, 0, 1)),
-        orientation_covariance=no_orientation,
+        orientation_covariance=np.array([-1.0] + 8 * [0.0]),
         angular_velocity=vector(rate),
         angular_velocity_covariance=np.zeros(9),
         linear_acceleration=vector(force),
@@ -95,11 +90,8 @@ def imu_message(force: Float[np.ndarray, " 3"], rate: Float[np.ndarray, " 3"], s
 
 def events_message(events: Sequence[str], stamp: int) -> Any:
     """Return a diagnostic_msgs/DiagnosticArray message with an error for each event."""
-    error = 2
-    status = [
-        make("diagnostic_msgs/DiagnosticStatus", level=error, name=event, message=event, hardware_id="", values=[])
-        for event in events
-    ]
+    error = {"level": 2, "hardware_id": "", "values": []}
+    status = [make("diagnostic_msgs/DiagnosticStatus", name=event, message=event, **error) for event in events]
     return make("diagnostic_msgs/DiagnosticArray", header=header(stamp, BODY), status=status)
 
 
@@ -125,41 +117,18 @@ def true_map_message(world: World, stamp: int) -> Any:
 
 
 def _joints(head: Any, names: list[str], position: Any, velocity: Any) -> Any:
-    return make(
-        "sensor_msgs/JointState",
-        header=head,
-        name=names,
-        position=np.asarray(position, np.float64),
-        velocity=np.asarray(velocity, np.float64),
-        effort=np.zeros(0),
-    )
+    values = {"position": floats(position), "velocity": floats(velocity), "effort": np.zeros(0)}
+    return make("sensor_msgs/JointState", header=head, name=names, **values)
 
 
-@dataclass(frozen=True)
-class Mounting:
-    """Mounting of a sensor."""
-
-    frame: str  # frame of the sensor; for cameras the optical frame (z forward, x right, y down; REP 103)
-    translation: tuple[float, float, float]  # position of the sensor in the parent frame [m]
-    rotation: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)  # parent_from_sensor, xyzw
-    parent: str = "base_link"
-
-
-def mountings_message(mountings: Sequence[Mounting], stamp_ns: int) -> Any:
-    """Return a tf2_msgs/TFMessage of all mountings."""
-    transforms = [
-        make(
-            "geometry_msgs/TransformStamped",
-            header=header(stamp_ns, mounting.parent),
-            child_frame_id=mounting.frame,
-            transform=make(
-                "geometry_msgs/Transform",
-                translation=vector(mounting.translation),
-                rotation=quaternion(mounting.rotation),
-            ),
-        )
-        for mounting in mountings
-    ]
+def mountings_message(mountings: Mapping[str, Pose], stamp_ns: int) -> Any:
+    """Return a tf2_msgs/TFMessage of `body_from_sensor` by frame (of cameras, the optical frame of REP 103)."""
+    transforms = []
+    for frame, pose in mountings.items():
+        rotation, translation = quaternion(pose.orientation), vector(pose.position)
+        transform = make("geometry_msgs/Transform", translation=translation, rotation=rotation)
+        about = {"header": header(stamp_ns, BODY), "child_frame_id": frame, "transform": transform}
+        transforms.append(make("geometry_msgs/TransformStamped", **about))
     return make("tf2_msgs/TFMessage", transforms=transforms)
 
 
@@ -198,13 +167,7 @@ def points_message(
     stamp_ns: int,
     frame: str,
 ) -> Any:
-    """Return a sensor_msgs/PointCloud2 message of one revolution of a LiDAR (`LIDAR_POINT`).
-
-    Args:
-        xyz: points in the sensor's frame [m].
-        ring: number of the beam, from the top.
-        time: non-negative time since the stamp [s].
-    """
+    """Return a sensor_msgs/PointCloud2 message of one revolution of a LiDAR (`LIDAR_POINT`); arguments as in `Scan`."""
     points = np.zeros(len(xyz), LIDAR_POINT)
     points["x"], points["y"], points["z"] = xyz.T
     points["intensity"], points["ring"], points["t"] = intensity, ring, np.round(time * 1e9)

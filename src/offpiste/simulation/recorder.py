@@ -3,12 +3,11 @@
 Ground truth goes to separate topics under /truth (`logs.ground_truth`).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from offpiste.core.conventions import GRAVITY
@@ -16,7 +15,6 @@ from offpiste.logs.ground_truth import MAP_TOPIC, WHEELS_TOPIC
 from offpiste.logs.ros.writer import McapWriter
 from offpiste.simulation.messages import (
     START_NS,
-    Mounting,
     events_message,
     imu_message,
     in_body,
@@ -26,27 +24,15 @@ from offpiste.simulation.messages import (
     true_wheels_message,
     vehicle_messages,
 )
-from offpiste.simulation.sample import VehicleSample
+from offpiste.simulation.sample import Pose, VehicleSample
 from offpiste.simulation.world.world import World
 
-
-@dataclass(frozen=True)
-class Noise:
-    """Standard deviations of the white noise of each sample."""
-
-    position: float = 0.005  # [m]
-    attitude: float = 0.05  # angle about each axis [deg]
-    velocity: float = 0.02  # [m/s]
-    rate: float = 0.005  # [rad/s]
-    acceleration: float = 0.1  # [m/s^2]
-    steer_angle: float = 0.1  # at the road wheels [deg]
-    steer_rate: float = 0.5  # [deg/s]
-    pressure: float = 0.003  # relative to full brake pressure
-    engine_speed: float = 10.0  # [rev/min]
-    wheel_speed: float = 0.02  # [m/s]
-
-
-NOISE = Noise()
+POSITION, VELOCITY, RATE, ACCELERATION, WHEEL_SPEED = 0.005, 0.02, 0.005, 0.1, 0.02
+"""Standard deviations of the white noise of samples, along each axis or wheel [m, m/s, rad/s, m/s^2, m/s]."""
+ATTITUDE, STEER_ANGLE, STEER_RATE = np.radians((0.05, 0.1, 0.5))
+"""The same about each axis, and at the road wheels [rad, rad, rad/s]."""
+PRESSURE, ENGINE_SPEED = 0.003, 10.0
+"""The same relative to full brake pressure, and of the engine [rev/min]."""
 
 
 @dataclass(frozen=True)
@@ -66,8 +52,7 @@ class Drift:
     def __init__(self, amount: float, rng: np.random.Generator) -> None:
         self._amount, self._rng = amount, rng
         self._last: VehicleSample | None = None
-        self._place = np.zeros(2)
-        self._yaw = 0.0
+        self._place, self._yaw = np.zeros(2), 0.0
 
     def apply(self, sample: VehicleSample) -> VehicleSample:
         """Sample with drifted position and orientation, and its velocity rotated by the heading error."""
@@ -78,7 +63,9 @@ class Drift:
         else:
             walk = self._amount * np.sqrt((sample.time - self._last.time) / 60) * self._rng.standard_normal(3)
             self._yaw += np.radians(walk[2])
-            self._place = self._place + _turned(sample.position[:2] - self._last.position[:2], self._yaw) + walk[:2]
+            cos, sin = np.cos(self._yaw), np.sin(self._yaw)
+            x, y = sample.position[:2] - self._last.position[:2]
+            self._place = self._place + np.array((cos * x - sin * y, sin * x + cos * y)) + walk[:2]
         self._last = sample
         turn = Rotation.from_euler("z", self._yaw)
         return replace(
@@ -91,20 +78,25 @@ class Drift:
 
 def with_noise(sample: VehicleSample, imperfections: Imperfections, rng: np.random.Generator) -> VehicleSample:
     """Sample with sensor noise; commands and ground truth are unchanged."""
-    noise, drawn = NOISE, rng.standard_normal(20)
-    place, tilt, velocity, rate, wheels = drawn[:3], drawn[3:6], drawn[6:9], drawn[9:12], drawn[12:16]
+    drawn = rng.standard_normal(20)
     pressure, angle, turning, engine = drawn[16:].tolist()
+    # Rotate the quaternion by small angles about the body axes, to first order; 50 times faster than SciPy.
+    x, y, z, w = sample.orientation.tolist()
+    a, b, c = (0.5 * (ATTITUDE * drawn[3:6])).tolist()
+    tilted = np.array(
+        (x + w * a + y * c - z * b, y + w * b + z * a - x * c, z + w * c + x * b - y * a, w - x * a - y * b - z * c)
+    )
     return replace(
         sample,
-        position=sample.position + np.hypot(noise.position, imperfections.pose_noise_m) * place,
-        orientation=_tilted(sample.orientation, np.radians(noise.attitude) * tilt),
-        velocity=sample.velocity + noise.velocity * velocity,
-        angular_velocity=sample.angular_velocity + noise.rate * rate,
-        brake_pressure=float(max(sample.brake_pressure + noise.pressure * pressure, 0.0)),
-        steer_angle=float(sample.steer_angle + np.radians(noise.steer_angle) * angle),
-        steer_rate=float(sample.steer_rate + np.radians(noise.steer_rate) * turning),
-        engine_speed=float(sample.engine_speed + noise.engine_speed * engine),
-        wheel_speed=sample.wheel_speed + noise.wheel_speed * wheels,
+        position=sample.position + np.hypot(POSITION, imperfections.pose_noise_m) * drawn[:3],
+        orientation=tilted / np.sqrt(tilted @ tilted),
+        velocity=sample.velocity + VELOCITY * drawn[6:9],
+        angular_velocity=sample.angular_velocity + RATE * drawn[9:12],
+        brake_pressure=float(max(sample.brake_pressure + PRESSURE * pressure, 0.0)),
+        steer_angle=float(sample.steer_angle + STEER_ANGLE * angle),
+        steer_rate=float(sample.steer_rate + STEER_RATE * turning),
+        engine_speed=float(sample.engine_speed + ENGINE_SPEED * engine),
+        wheel_speed=sample.wheel_speed + WHEEL_SPEED * drawn[12:16],
     )
 
 
@@ -114,66 +106,48 @@ def random_turn(degrees: float, rng: np.random.Generator) -> Rotation:
     return Rotation.from_rotvec(np.radians(degrees) * axis / np.linalg.norm(axis))
 
 
-def _tilted(orientation: Float[np.ndarray, " 4"], angles: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 4"]:
-    """Rotate a quaternion about the body axes by small angles [rad], to first order; 50 times faster than SciPy."""
-    x, y, z, w = orientation.tolist()
-    a, b, c = (0.5 * angles).tolist()
-    tilted = np.array(
-        (x + w * a + y * c - z * b, y + w * b + z * a - x * c, z + w * c + x * b - y * a, w - x * a - y * b - z * c)
-    )
-    return tilted / np.sqrt(tilted @ tilted)
-
-
-def _turned(xy: Float[np.ndarray, " 2"], angle: float) -> Float[np.ndarray, " 2"]:
-    cos, sin = np.cos(angle), np.sin(angle)
-    return np.array((cos * xy[0] - sin * xy[1], sin * xy[0] + cos * xy[1]))
-
-
 class Recorder:
-    """Writes samples and sensor messages to a log, with the imperfections of real logs.
+    """Writes samples and sensor messages to an open log, with the imperfections of real logs.
 
     Args:
-        writer: an open file.
         wheel_radius: rolling radius, to convert wheel speeds to rotation [m].
         rng: random numbers of noise, drift and calibration errors.
     """
 
     def __init__(
-        self,
-        writer: McapWriter,
-        *,
-        wheel_radius: float,
-        rng: np.random.Generator,
-        imperfections: Imperfections | None = None,
+        self, writer: McapWriter, wheel_radius: float, rng: np.random.Generator, flaws: Imperfections | None = None
     ) -> None:
-        self._writer, self._wheel_radius = writer, wheel_radius
-        self._imperfections = imperfections or Imperfections()
-        self._noise_rng, self._drift_rng, self._mounting_rng = rng.spawn(3)
-        self._drift = Drift(self._imperfections.pose_drift, self._drift_rng)
+        self._writer, self._wheel_radius, self._imperfections = writer, wheel_radius, flaws or Imperfections()
+        self._noise_rng, drift_rng, self._mounting_rng = rng.spawn(3)
+        self._drift = Drift(self._imperfections.pose_drift, drift_rng)
         self._before: VehicleSample | None = None
 
-    def start(self, world: World, mountings: Sequence[Mounting] = ()) -> None:
+    def start(self, world: World, mountings: Mapping[str, Pose]) -> None:
         """Write the constant messages: recorded mountings of the sensors, and the true map."""
-        error = self._imperfections.extrinsic_error_deg
-        if error:
-            turned = [Rotation.from_quat(m.rotation) * random_turn(error, self._mounting_rng) for m in mountings]
-            pairs = zip(mountings, turned, strict=True)
-            mountings = [replace(m, rotation=tuple(turn.as_quat().tolist())) for m, turn in pairs]
+        if error := self._imperfections.extrinsic_error_deg:
+            turned = {
+                frame: Rotation.from_quat(pose.orientation) * random_turn(error, self._mounting_rng)
+                for frame, pose in mountings.items()
+            }
+            mountings = {frame: Pose(mountings[frame].position, turn.as_quat()) for frame, turn in turned.items()}
         self._writer.write("/tf_static", mountings_message(mountings, START_NS), START_NS)
         self._writer.write(MAP_TOPIC, true_map_message(world, START_NS), START_NS)
 
     def vehicle(self, sample: VehicleSample) -> None:
         """Write the messages of a sample, stamped with its time."""
         stamp = stamp_ns(sample.time)
-        drifted = self._drift.apply(sample)
-        measured = with_noise(drifted, self._imperfections, self._noise_rng)
-        for topic, message in vehicle_messages(measured, stamp, wheel_radius=self._wheel_radius).items():
-            self._writer.write(topic, message, stamp)
-        if self._before is not None:
-            self._writer.write("/imu", self._imu(self._before, sample, measured, stamp), stamp)
+        measured = with_noise(self._drift.apply(sample), self._imperfections, self._noise_rng)
+        messages = vehicle_messages(measured, stamp, wheel_radius=self._wheel_radius)
+        if before := self._before:
+            # The specific force is the mean acceleration since the last sample plus gravity.
+            force = (sample.velocity - before.velocity) / (sample.time - before.time) + np.array((0, 0, GRAVITY))
+            force = in_body(sample, force) + ACCELERATION * self._noise_rng.standard_normal(3)
+            messages["/imu"] = imu_message(force, measured.angular_velocity, stamp)
         if sample.events:
-            self._writer.write("/events", events_message(sample.events, stamp), stamp)
-        self._writer.write(WHEELS_TOPIC, true_wheels_message(sample.truth, stamp), stamp)
+            messages["/events"] = events_message(sample.events, stamp)
+        messages[WHEELS_TOPIC] = true_wheels_message(sample.truth, stamp)
+        for topic, message in messages.items():
+            self._writer.write(topic, message, stamp)
         self._before = sample
 
     def sensor(self, topic: str, message: Any) -> None:
@@ -184,10 +158,3 @@ class Recorder:
     def sensor_stamp_ns(self, time: float) -> int:
         """Return the stamp [ns] of a camera or LiDAR measurement at a time since the start of the drive [s]."""
         return stamp_ns(time + self._imperfections.stamp_offset_ms / 1000)
-
-    def _imu(self, before: VehicleSample, sample: VehicleSample, measured: VehicleSample, stamp: int) -> Any:
-        """Return the IMU message; its specific force is the mean acceleration since the last sample plus gravity."""
-        acceleration = (sample.velocity - before.velocity) / (sample.time - before.time) + np.array((0, 0, GRAVITY))
-        force = in_body(sample, acceleration)
-        force += NOISE.acceleration * self._noise_rng.standard_normal(3)
-        return imu_message(force, measured.angular_velocity, stamp)

@@ -1,5 +1,6 @@
 """State of a simulated vehicle: pose, motion during a sensor's sweep, and a sample of all measurements."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,16 +26,6 @@ class Pose:
         """Transform points of the frame into the other frame [m]."""
         return points @ self.rotation.T + self.position
 
-    def inverse(self) -> "Pose":
-        """Return the pose of the other frame in this frame."""
-        rotation = Rotation.from_quat(self.orientation).inv()
-        return Pose(-rotation.apply(self.position), rotation.as_quat())
-
-    def __matmul__(self, inner: "Pose") -> "Pose":
-        """Compose poses: `world_from_body @ body_from_sensor` is `world_from_sensor`."""
-        orientation = Rotation.from_quat(self.orientation) * Rotation.from_quat(inner.orientation)
-        return Pose(self.apply(inner.position[None])[0], orientation.as_quat())
-
 
 @dataclass(frozen=True)
 class Motion:
@@ -43,6 +34,12 @@ class Motion:
     time: Float[np.ndarray, " n"]
     position: Float[np.ndarray, "n 3"]
     orientation: Float[np.ndarray, "n 4"]
+
+    @classmethod
+    def of(cls, samples: "list[VehicleSample]") -> "Motion":
+        """Return the motion through some samples."""
+        columns = ([s.time for s in samples], [s.position for s in samples], [s.orientation for s in samples])
+        return cls(*map(np.array, columns))
 
     def at(self, time: Float[np.ndarray, " m"]) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, "m 3 3"]]:
         """Return positions [m] and rotations `world_from_body` at given times, clamped to the first and last one."""
@@ -82,3 +79,20 @@ class VehicleSample:
     truth: WheelTruth
     events: tuple[str, ...] = ()  # events since the last sample: "rollover", "collision with a tree", "left the world"
     gear: float = 1.0  # engaged gear: 1 forward, 0 neutral, -1 reverse
+
+    @property
+    def pose(self) -> Pose:
+        """Pose `world_from_body`."""
+        return Pose(self.position, self.orientation)
+
+    @property
+    def yaw(self) -> float:
+        """Heading in the world frame [rad]."""
+        x, y, z, w = self.orientation.tolist()
+        return math.atan2(2 * (x * y + z * w), 1 - 2 * (y * y + z * z))
+
+    @property
+    def forward_speed(self) -> float:
+        """Horizontal forward speed, negative in reverse [m/s]."""
+        vx, vy, _ = self.velocity.tolist()
+        return vx * math.cos(self.yaw) + vy * math.sin(self.yaw)

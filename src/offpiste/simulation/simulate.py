@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import redirect_stderr
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Final, Protocol, runtime_checkable
+from typing import Final, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -31,9 +31,8 @@ from offpiste.simulation.world.world import World, WorldSettings
 logger = logging.getLogger(__name__)
 
 FINAL_EVENTS = ("rollover", "left the world")
-"""Events that end a drive."""
+"""Events that end a drive; so does `STUCK`, a controller that gives up."""
 STUCK = "stuck"
-"""Event of a controller that gives up."""
 MEMORY: Final = {"none": 0.7e9, "light": 1.3e9, "full": 1.3e9}
 """Memory of a process that records a drive, by sensors [bytes]: the largest measured plus a third."""
 
@@ -57,19 +56,19 @@ class Controller(Protocol):
 
 @dataclass(frozen=True)
 class Start:
-    """Start of a drive: x, y [m], yaw [rad], forward speed [m/s]."""
+    """Start of a drive."""
 
-    x: float
-    y: float
-    yaw: float
-    speed: float
+    x: float  # [m]
+    y: float  # [m]
+    yaw: float  # [rad]
+    speed: float  # forward [m/s]
 
 
 def drive(
     world: World, parameters: VehicleParameters, start: Start, controller: Controller, *, steps: int
 ) -> Iterator[VehicleSample]:
     """Yield the samples of a drive, which ends early at a rollover, at the border, or if the controller gives up."""
-    vehicle = VehicleSimulation(world, parameters, x=start.x, y=start.y, yaw=start.yaw, speed=start.speed)
+    vehicle = VehicleSimulation(world, parameters, **vars(start))
     for _ in range(steps):
         sample = vehicle.sample()
         command = controller.command(sample)
@@ -96,25 +95,16 @@ def start_and_driver(
 
 @dataclass(frozen=True)
 class DriveSettings:
-    """Settings of a simulated drive; the same settings give the same bytes.
-
-    Attributes:
-        seconds: duration [s]; a drive ends early if the vehicle rolls over or gets stuck.
-        seed: seed of driver, noise and light; the world has its own.
-        sensors: "full", "light" or "none".
-        mounting_turn: rotation of each sensor from its usual mounting about a random axis [deg]; the log contains the
-            rotated mounting.
-        vehicle: TOML file (`vehicle.parameters.VehicleParameters`), or "" for the shipped side-by-side.
-    """
+    """Settings of a simulated drive; the same settings give the same bytes."""
 
     world: WorldSettings = field(default_factory=WorldSettings)
-    seconds: float = 60.0
-    seed: int = 0
-    sensors: str = "light"
-    mounting_turn: float = 0.0
+    seconds: float = 60.0  # longest duration [s]
+    seed: int = 0  # seed of driver, noise and light; the world has its own
+    sensors: str = "light"  # "full", "light" or "none"
+    mounting_turn: float = 0.0  # rotation of each sensor's mounting, true and recorded, about a random axis [deg]
     driver: DriverSettings = field(default_factory=DriverSettings)
     imperfections: Imperfections = field(default_factory=Imperfections)
-    vehicle: str = ""
+    vehicle: str = ""  # TOML file of a vehicle (`vehicle.parameters`), or "" for the shipped side-by-side
 
 
 @dataclass(frozen=True)
@@ -186,10 +176,8 @@ def record(
     events: list[tuple[float, str]] = []
     motion = array("d")  # x, y, speed; compact, as drives can be long
     with McapWriter(out) as writer:
-        recorder = Recorder(
-            writer, wheel_radius=parameters.rolling_radius, rng=noise, imperfections=settings.imperfections
-        )
-        recorder.start(world, suite.mountings())
+        recorder = Recorder(writer, parameters.rolling_radius, noise, settings.imperfections)
+        recorder.start(world, suite.mountings)
         samples = drive(world, parameters, start, controller, steps=steps)
         shown = (sample for _, sample in zip(track(range(steps), f"simulate {out.name}"), samples, strict=False))
         for sample, messages in observed(shown, sensing, recorder.sensor_stamp_ns):
@@ -203,8 +191,7 @@ def record(
     return DriveSummary(out, len(rows) * DT, metres, tuple(events), rows[:, :2], rows[:, 2])
 
 
-@dataclass(frozen=True)
-class Recording:
+class Recording(NamedTuple):
     """A drive to simulate, and the path of its log."""
 
     settings: DriveSettings
@@ -221,8 +208,8 @@ def simulate_all(recordings: Sequence[Recording], processes: int, cluster: str =
     if kept := len(recordings) - len(missing):
         logger.warning(f"{kept} of {len(recordings)} drives exist already and are kept")
     if not cluster and missing:
-        wanted = min(processes, len(missing))
-        processes = within_memory(wanted, max(MEMORY.get(one.settings.sensors, 0.0) for one in missing))
+        memory = max(MEMORY.get(one.settings.sensors, 0.0) for one in missing)
+        processes = within_memory(min(processes, len(missing)), memory)
     run_all(_record, missing, processes, "simulate", cluster=cluster).checked()
 
 
@@ -239,4 +226,4 @@ def simulate_once(settings: DriveSettings, log: Path) -> str:
 
 def _record(recording: Recording, report: Report) -> str:
     with redirect_stderr(io.StringIO()):  # progress bars of parallel drives would overlap
-        return simulate_once(recording.settings, recording.log)
+        return simulate_once(*recording)

@@ -52,26 +52,12 @@ def test_the_start_lies_on_a_trail_and_heads_along_it():
     assert 0.08 < max(climbs) < 0.101
 
 
-def test_bend_speed_of_a_circle_and_before_a_bend():
-    route = Route(circle_terrain(), np.random.default_rng(0), off_trail=0.0)
-    # In the circle v^2 = a r; the first bend counts from 3 m ahead, hence the braking.
-    assert route.bend_speed(4.0, 2.0) == pytest.approx(np.sqrt(4.0 * CIRCLE_RADIUS + 2 * 2.0 * 3.0), rel=0.03)
-    # A corner of 90 degrees after 18 m of straight.
-    line = np.concatenate([np.stack((np.arange(0, 18, 0.5), np.zeros(36)), -1)])
-    corner = np.concatenate((line, np.stack((np.full(100, 18.0), np.arange(0, 50, 0.5)), -1)))
-    route._points, route._next = corner, 0
-    wanted = np.sqrt(4.0 * 3.0 / (np.pi / 2) + 2 * 2.0 * 18.0)
-    assert route.bend_speed(4.0, 2.0) == pytest.approx(wanted, rel=0.03)
-
-
 SIZE = (2.0, 1.2, 1.5)
 """Wheelbase, track, middle to nose."""
 
 
 def hazards_from(world, *, x=0.0, y=0.0, yaw=0.0, length=10.0, curvatures=(0.0,), margin=8.0):
-    return hazards_along_arcs(
-        VisibleTerrain.of(world), np.array(curvatures), x=x, y=y, yaw=yaw, length=length, size=SIZE, margin=margin
-    )
+    return hazards_along_arcs(VisibleTerrain.of(world), np.array(curvatures), (x, y, yaw), length, SIZE, margin)
 
 
 def test_an_arc_ends_where_a_circle_does():

@@ -21,6 +21,12 @@ def _pose(x=0.0, y=0.0, z=0.36, yaw=0.0):
     return Pose(np.array([x, y, z]), np.array([0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2)]))
 
 
+def _in_camera(pose, points):
+    """Return points of the world in the camera's frame."""
+    mount = SETTINGS.body_from_sensor
+    return ((points - pose.position) @ pose.rotation - mount.position) @ mount.rotation
+
+
 def test_rays_go_through_the_pixels_that_the_recorded_calibration_says():
     rays = pixel_rays(MODEL)
     pixels, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), MODEL.matrix, np.array(MODEL.distortion))
@@ -39,7 +45,6 @@ def test_borders_of_colour_are_found_where_the_calibration_projects_them():
     world = scenes.world(size=40, resolution=0.5, kind=kind, slope=(0.03, -0.02))
     world = replace(world, settings=replace(world.settings, appearance_noise=0.0))
     pose = _pose(z=0.4, yaw=0.1)
-    camera_from_world = (pose @ SETTINGS.body_from_camera).inverse()
     scene = world_scene(world)
     look = make_appearance(world, scene, 0)
     plain = look.ground.nodes.copy()
@@ -54,7 +59,7 @@ def test_borders_of_colour_are_found_where_the_calibration_projects_them():
     along = np.linspace(-0.9, 0.9, 181)
     for x, y in [(x, y) for x in (3.75, 5.75, 7.75) for y in (-2.25, -0.25, 1.75)]:
         points = np.column_stack((x + along - 1.0, np.full(181, y), 0.03 * (x + along - 1.0) - 0.02 * y))
-        pixels, seen = project_points(camera_from_world.apply(points), MODEL)
+        pixels, seen = project_points(_in_camera(pose, points), MODEL)
         if not seen.all():
             continue
         values = cv2.remap(
@@ -78,11 +83,11 @@ def test_lidar_points_land_on_what_the_camera_sees_there():
     lidar = LidarSettings("lidar", mounted((0.0, 0.0, 1.95)), rings=48, columns=1024, range_noise=0.0)
     scan = Lidar(lidar).scan(scene, scenes.motionless(pose), 0.0, np.random.default_rng(0))
     camera = Camera(SETTINGS)
-    hits = camera.hits(scene, pose)
-    surface = hits.surface.reshape(MODEL.height, MODEL.width)
-    distance = hits.distance.reshape(surface.shape)
+    rays = camera.rays @ pose.rotation.T.astype(np.float32)
+    hits = scene.cast(pose.apply(camera.origin[None]), rays, camera.own)
+    surface, distance = camera.in_rows(hits.surface), camera.in_rows(hits.distance)
 
-    in_camera = (SETTINGS.body_from_camera.inverse() @ lidar.body_from_lidar).apply(scan.points.astype(float))
+    in_camera = _in_camera(pose, pose.apply(lidar.body_from_sensor.apply(scan.points.astype(float))))
     pixels, seen = project_points(in_camera, MODEL)
     u, v = np.rint(pixels[seen]).astype(int).T
     # Away from edges: all pixels around see the same surface.

@@ -29,7 +29,7 @@ def test_points_of_a_plane_lie_on_it_to_the_noise():
     pose = Pose(np.array([1.0, 2.0, 0.5]), UPRIGHT)
     scan = _scan(scene=_plane(slope), motion=scenes.motionless(pose))
     of_ground = scan.surface == SURFACES.index("ground")
-    points = (pose @ SETTINGS.body_from_lidar).apply(scan.points[of_ground].astype(float))
+    points = pose.apply(SETTINGS.body_from_sensor.apply(scan.points[of_ground].astype(float)))
     # Noise acts along the ray: over the cosine of incidence to get from the plane's normal to the ray.
     ray = scan.points[of_ground] / np.linalg.norm(scan.points[of_ground], axis=1, keepdims=True)
     along = (points @ up) / (ray @ up)
@@ -59,7 +59,7 @@ def test_a_moving_sweep_is_straight_again_once_each_point_is_put_where_the_vehic
     settings = replace(SETTINGS, range_noise=0.0)
     scan = Lidar(settings).scan(scene, motion, 5.0, np.random.default_rng(0))
     of_ground = scan.surface == SURFACES.index("ground")
-    in_body = settings.body_from_lidar.apply(scan.points[of_ground].astype(float))
+    in_body = settings.body_from_sensor.apply(scan.points[of_ground].astype(float))
 
     def off(time):
         position, rotation = motion.at(time)
@@ -92,9 +92,9 @@ def test_the_vehicle_sees_itself_and_the_low_unit_looks_behind():
     body = SURFACES.index("body")
     low = replace(full.lidars[1], rings=32, columns=512)
     scan = _scan(low)
-    own = low.body_from_lidar.apply(scan.points[scan.surface == body].astype(float))
+    own = low.body_from_sensor.apply(scan.points[scan.surface == body].astype(float))
     assert len(own) > 200
     assert (np.abs(own) < [1.6, 0.9, 1.7]).all()
-    ground = low.body_from_lidar.apply(scan.points[scan.surface == SURFACES.index("ground")].astype(float))
+    ground = low.body_from_sensor.apply(scan.points[scan.surface == SURFACES.index("ground")].astype(float))
     assert (ground[:, 0] < -1.4).mean() > 0.7
     assert np.linalg.norm(ground[:, :2], axis=1).min() < 3.0

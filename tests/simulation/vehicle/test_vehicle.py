@@ -6,10 +6,9 @@ from msgspec.structs import replace
 
 from offpiste.core.conventions import GRAVITY
 from offpiste.logs.ground_truth import GROUND_KINDS
-from offpiste.simulation.vehicle import vehicle
 from offpiste.simulation.vehicle.parameters import load_vehicle
 from offpiste.simulation.world.ground import property_table
-from simulation.drives import cruise, drive, flat_world, vehicle_on, yaw_of
+from simulation.drives import cruise, drive, flat_world, vehicle_on
 
 PARAMETERS = load_vehicle()
 NEUTRAL = replace(PARAMETERS, clutch_gain=1e-12)
@@ -135,22 +134,10 @@ def test_steer_left_and_right_mirror_each_other():
     paths = []
     for side in (1, -1):
         samples = drive(vehicle_on(x=-50, speed=8.0), 4, lambda s, side=side: (0.4, 0.0, side * np.sin(2 * s.time)))
-        paths.append(np.array([(*s.position, yaw_of(s)) for s in samples]))
+        paths.append(np.array([(*s.position, s.yaw) for s in samples]))
     np.testing.assert_allclose(paths[0][:, [0, 2]], paths[1][:, [0, 2]], atol=1e-9)
     np.testing.assert_allclose(paths[0][:, [1, 3]], -paths[1][:, [1, 3]], atol=1e-9)
     assert abs(paths[0][:, 1]).max() > 1
-
-
-def test_one_call_a_step_gives_the_bytes_of_a_call_a_substep(monkeypatch):
-    def samples():
-        return drive(vehicle_on(flat_world(), speed=6.0), 3, lambda s: (0.6, 0.0, np.sin(3 * s.time)))
-
-    assert vehicle.mj_step_address() is not None  # the wheels of MuJoCo bring its library as a file
-    at_once = samples()
-    monkeypatch.setattr(vehicle, "mj_step_address", lambda: None)
-    for one, other in zip(at_once, samples(), strict=True):
-        assert one.position.tobytes() == other.position.tobytes()
-        assert one.truth.slip_angle.tobytes() == other.truth.slip_angle.tobytes()
 
 
 def test_each_wheel_feels_its_own_ground():

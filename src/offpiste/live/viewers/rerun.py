@@ -7,7 +7,6 @@ from typing import Any, ClassVar, Final
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.closed_loop.recording import LEVEL, PLOTS
 from offpiste.core.errors import LiveError, extra
 from offpiste.core.geometry import rotation_of_one
 from offpiste.live.viewers import NUMBERS, VIEWERS, Ground, Line, Viewer, jpeg_of, listening_at
@@ -15,6 +14,8 @@ from offpiste.logs.measurements import Image
 from offpiste.runtime.estimator import VehicleReading
 from offpiste.visualization.rerun_recording import EPOCH, following_eye
 
+LEVEL: Final = {"stopped": 0, "stopping": 1, "degraded": 2, "driving": 3}
+"""Mode as a number to plot."""
 TIMELINE: Final = "robot"
 """Name of the timeline, the robot's clock."""
 _MEMORY: Final = "256MiB"
@@ -78,7 +79,7 @@ class RerunViewer(Viewer):
         """Log a line of text, and the mode as a number."""
         self._log("events", time, self._rr.TextLog(f"{mode}: {why}" if why else mode))
         if mode in LEVEL:
-            self._log("mode/mode", time, self._rr.Scalars([LEVEL[mode]]))  # type: ignore[index]
+            self._log("mode/mode", time, self._rr.Scalars([LEVEL[mode]]))
 
     def numbers(self, time: float, kind: str, values: Mapping[str, float]) -> None:
         """Log numbers as plots."""
@@ -109,7 +110,7 @@ def _blueprint(cameras: tuple[str, ...]) -> Any:
     eye = following_eye("/world/vehicle", np.zeros(3))
     world = rrb.Spatial3DView(origin="/world", name="world", eye_controls=eye, line_grid=False)
     images = [rrb.Spatial2DView(origin=f"/images/{name}", name=name) for name in cameras]
-    titles = NUMBERS | {"mode": PLOTS["mode"]}
+    titles = NUMBERS | {"mode": "mode: 3 driving, 2 degraded, 1 stopping, 0 stopped"}
     plots = [rrb.TimeSeriesView(origin=f"/{kind}", name=title) for kind, title in titles.items()]
     events = rrb.TextLogView(origin="/events", name="changes of mode")
     whole = rrb.Horizontal(world, rrb.Vertical(*images, *plots, events), column_shares=[2, 1])

@@ -7,7 +7,7 @@ far as the bends, bumps and banks ahead allow.
 
 import math
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -43,14 +43,12 @@ class DriverSettings:
 WITH_MANOEUVRES = DriverSettings(top_speed=16.0, max_tilt_speed=1.1, manoeuvres=8.0)
 """Settings for the whole range of speeds, standing and reverse included."""
 
-Manoeuvre = Literal["", "throttle", "brake", "coast", "swerve", "brake and swerve", "stop"]
-
 _CORRELATION_TIMES = (7.0, 6.0, 0.7)
 """Correlation times of speed, cornering and steering [s]."""
 _KEEP = [(math.exp(-DT / time), math.sqrt(1 - math.exp(-2 * DT / time))) for time in _CORRELATION_TIMES]
 """Weights of the old value and of new noise in a step of `DT`."""
 
-_MANOEUVRES: dict[Manoeuvre, tuple[float, float, float]] = {
+_MANOEUVRES: dict[str, tuple[float, float, float]] = {
     "throttle": (0.24, 0.6, 2.0),
     "brake": (0.14, 0.4, 1.4),
     "coast": (0.12, 0.6, 2.0),
@@ -64,70 +62,53 @@ _PROPORTIONAL, _INTEGRAL, _MOST = 0.35, 0.4, 0.8
 _BRAKE, _TOLERANCE = 0.35, 0.15
 """Speed control: brake per excess speed [s/m], and tolerated excess [m/s]."""
 
-_LAG = 0.1
-"""Time constant of the throttle [s]."""
-_SPIN_LAG = 0.05
-"""Time constant over which spin is measured [s]."""
-
+_LAG, _SPIN_LAG = 0.1, 0.05
+"""Time constants of the throttle, and of the measurement of spin [s]."""
 _GAIN, _LEARNING_RATE = 0.2, 0.15
 """Throttle reduction per excess spin [s/m], and its integral gain [1/m]."""
 _USUAL_THROTTLE, _FORGETTING_TIME = 0.8, 2.0
 """Expected throttle at which wheels spin, and time constant of the return to it while they grip [s]."""
-_PROGRESS = 2.0
-"""Distance from the place where it got stuck at which the vehicle is free [m]."""
-_DETECTION_TIME = 1.5
-"""Time without progress after which the vehicle counts as stuck [s]."""
-
+_PROGRESS, _DETECTION_TIME = 2.0, 1.5
+"""Progress that frees a stuck vehicle [m]; time without it after which a vehicle counts as stuck [s]."""
 _ATTEMPT = 7.0
 """Duration of an attempt [s]: dig gently, roll back, charge."""
 
 
 class Intent(NamedTuple):
-    """Intent of the driver at a time."""
+    """Intent of the driver at a time; the default keeps a given speed."""
 
-    speed: float  # Gauss-Markov processes of mean 0 and standard deviation 1
-    cornering: float
-    steering: float
-    manoeuvre: Manoeuvre  # current manoeuvre, mostly ""
-    strength: float  # strength of the manoeuvre, 0..1
-    side: float  # side of the manoeuvre, -1 or 1
-    time_left: float  # remaining time of the manoeuvre [s]
+    speed: float = 0.0  # Gauss-Markov processes of mean 0 and standard deviation 1
+    cornering: float = 0.0
+    steering: float = 0.0
+    manoeuvre: str = ""  # current manoeuvre (`_MANOEUVRES`), mostly ""
+    strength: float = 0.0  # strength of the manoeuvre, 0..1
+    side: float = 1.0  # side of the manoeuvre, -1 or 1
+    time_left: float = 0.0  # remaining time of the manoeuvre [s]
 
 
 class RandomIntent:
-    """Random intents every `DT`, independent of the ground: wandering speed, cornering and steering, and manoeuvres.
-
-    Args:
-        pause: mean time between manoeuvres [s].
-    """
+    """Random intents every `DT`, independent of the ground, with manoeuvres every `pause` [s] on average."""
 
     def __init__(self, rng: np.random.Generator, *, pause: float) -> None:
         self._rng, self._pause = rng, pause
-        self._processes = rng.standard_normal(3).tolist()
-        self._manoeuvre: Manoeuvre = ""
-        self._strength, self._side = 0.0, 1.0
-        self._time_left, self._until_next = 0.0, float(rng.exponential(pause))
+        self._intent = Intent(*rng.standard_normal(3).tolist())
+        self._until_next = float(rng.exponential(pause))
 
     def advance(self) -> Intent:
         """Return the next intent."""
-        noise = self._rng.standard_normal(3).tolist()
-        self._processes = [k * old + r * new for (k, r), old, new in zip(_KEEP, self._processes, noise, strict=True)]
-        self._time_left -= DT
+        noise, last, rng = self._rng.standard_normal(3).tolist(), self._intent, self._rng
+        processes = [k * old + r * new for (k, r), old, new in zip(_KEEP, last[:3], noise, strict=True)]
+        left = last.time_left - DT
         self._until_next -= DT
         if self._until_next <= 0:
-            self._begin_manoeuvre()
-        elif self._time_left <= 0:
-            self._manoeuvre = ""
-        speed, cornering, steering = self._processes
-        return Intent(speed, cornering, steering, self._manoeuvre, self._strength, self._side, self._time_left)
-
-    def _begin_manoeuvre(self) -> None:
-        probabilities = [probability for probability, _, _ in _MANOEUVRES.values()]
-        self._manoeuvre = list(_MANOEUVRES)[int(self._rng.choice(len(_MANOEUVRES), p=probabilities))]
-        _, shortest, longest = _MANOEUVRES[self._manoeuvre]
-        self._time_left = float(self._rng.uniform(shortest, longest))
-        self._strength, self._side = float(self._rng.random()), float(self._rng.choice((-1.0, 1.0)))
-        self._until_next = self._time_left + float(self._rng.exponential(self._pause))
+            probabilities = [probability for probability, _, _ in _MANOEUVRES.values()]
+            name, (_, shortest, longest) = list(_MANOEUVRES.items())[int(rng.choice(len(_MANOEUVRES), p=probabilities))]
+            left, strength, side = rng.uniform(shortest, longest), rng.random(), rng.choice((-1.0, 1.0))
+            self._intent = Intent(*processes, name, float(strength), float(side), float(left))
+            self._until_next = float(left + rng.exponential(self._pause))
+        else:
+            self._intent = Intent(*processes, last.manoeuvre if left > 0 else "", last.strength, last.side, left)
+        return self._intent
 
 
 class SpeedControl:
@@ -137,15 +118,10 @@ class SpeedControl:
         self._held = 0.1
 
     def pedals(self, lack: float) -> tuple[float, float]:
-        """Return the throttle and brake for the next `DT`, 0..1.
-
-        Args:
-            lack: wanted speed minus speed, both in the direction of the gear [m/s].
-        """
+        """Return throttle and brake, 0..1, for a speed below the wanted one by `lack`, along the gear [m/s]."""
         self._held = min(max(self._held + _INTEGRAL * lack * DT, 0.0), _MOST)
-        throttle = min(max(self._held + _PROPORTIONAL * lack, 0.0), 1.0)
-        brake = min(max(-_BRAKE * (lack + _TOLERANCE), 0.0), 1.0)
-        return (0.0, brake) if brake > 0 else (throttle, 0.0)
+        brake = _clip(-_BRAKE * (lack + _TOLERANCE), 0.0, 1.0)
+        return (0.0, brake) if brake > 0 else (_clip(self._held + _PROPORTIONAL * lack, 0.0, 1.0), 0.0)
 
 
 class TractionControl:
@@ -179,8 +155,7 @@ class StuckRecovery:
     def __init__(self, timeout: float) -> None:
         self._timeout = timeout
         self._place: tuple[float, float] | None = None
-        self._time = 0.0
-        self._attempt_time = 0.0
+        self._time = self._attempt_time = 0.0
 
     @property
     def stuck(self) -> bool:
@@ -200,12 +175,7 @@ class StuckRecovery:
             self._time += DT
 
     def recover(self, speed: float, leans_left: float) -> tuple[float, float, float]:
-        """Return the throttle, allowed spin of the wheels [m/s], and steering while the vehicle is stuck.
-
-        Args:
-            speed: forward speed [m/s].
-            leans_left: downward slope to the left, where driving is easier.
-        """
+        """Return throttle, allowed spin [m/s] and steering, at a forward speed [m/s] and downward slope to the left."""
         # Do not interrupt a vehicle that begins to move.
         self._attempt_time += DT if speed < 0.25 else 0.0
         phase = self._attempt_time % _ATTEMPT
@@ -219,21 +189,15 @@ class StuckRecovery:
         return 1.0, 2.0, downhill
 
 
-_CALM = Intent(0.0, 0.0, 0.0, "", 0.0, 1.0, 0.0)
-"""Intent of a driver who keeps a given speed."""
 _CURVATURES = np.linspace(-0.22, 0.22, 23)
 """Curvatures of the candidate arcs [1/m]."""
 
-_REPLAN_STEPS = 5
-"""Steps between selections of an arc."""
+_REPLAN_STEPS, _NEIGHBOURS = 5, 2
+"""Steps between selections of an arc; number of arcs on either side onto which the vehicle may slide."""
 _LEVEL = 0.04
 """Climb on which a stopped vehicle can be expected to drive away (rise over run)."""
-
 _TIPPING = 0.3
 """Sine of the roll beyond which the driver only prevents a rollover."""
-_NEIGHBOURS = 2
-"""Number of arcs on either side onto which the vehicle may slide."""
-
 _BRAKING = 3.5
 """Assumed deceleration before bends [m/s^2]."""
 _MARGIN = 9.0
@@ -282,10 +246,10 @@ class Driver:
             keep: speed to keep instead of the random intent, as far as the ground ahead allows [m/s]; the vehicle then
                 never counts as stuck.
         """
-        x, y, yaw, speed = pose_and_speed(sample)
+        (x, y), yaw, speed = sample.position[:2].tolist(), sample.yaw, sample.forward_speed
         i, j, k, w = sample.orientation.tolist()
         spin = sum(sample.wheel_speed.tolist()) / 4 - speed
-        intent = self._intent.advance() if keep is None else _CALM
+        intent = self._intent.advance() if keep is None else Intent()
         if self._steps % _REPLAN_STEPS == 0:
             self._choose_arc(x, y, yaw, max(speed, 0.0), intent.cornering)
         self._steps += 1
@@ -317,15 +281,11 @@ class Driver:
         """Select an arc that ends near the goal at little risk, and the speed it allows."""
         length = _clip(1.6 * speed, 5.0, 14.0)
         goal = self.route.ahead(np.array((x, y)), length)
-        vehicle = self._vehicle
-        size = (vehicle.wheelbase, vehicle.track, vehicle.length / 2)
-        hazards = hazards_along_arcs(
-            self._terrain, _CURVATURES, x=x, y=y, yaw=yaw, length=length, size=size, margin=_MARGIN
-        )
+        size = (self._vehicle.wheelbase, self._vehicle.track, self._vehicle.length / 2)
+        hazards = hazards_along_arcs(self._terrain, _CURVATURES, (x, y, yaw), length, size, _MARGIN)
         detour = np.hypot(hazards.end[:, 0] - goal[0], hazards.end[:, 1] - goal[1])
-        steadiness = 6.0 * np.abs(_CURVATURES - self._curvature)
         risk = self._risk(hazards)
-        best = int(np.argmin(detour + steadiness + risk))
+        best = int(np.argmin(detour + 6.0 * np.abs(_CURVATURES - self._curvature) + risk))
         self._curvature = float(_CURVATURES[best])
         # A sliding vehicle does not stay on its arc.
         beside = slice(max(best - _NEIGHBOURS, 0), best + _NEIGHBOURS + 1)
@@ -353,8 +313,7 @@ class Driver:
 
     def _risk(self, hazards: ArcHazards) -> Float[np.ndarray, " A"]:
         """Return the risk of each arc, expressed as a detour [m]."""
-        max_slope = self._settings.max_slope
-        belly = self._vehicle.rest_height + self._vehicle.belly_height
+        max_slope, belly = self._settings.max_slope, self._vehicle.rest_height + self._vehicle.belly_height
         return np.asarray(
             40.0 * (hazards.clearance < 1.6)
             + 4.0 * np.maximum(3.0 - hazards.clearance, 0)
@@ -367,8 +326,7 @@ class Driver:
 
     def _pedals(self, speed: float, intent: Intent, keep: float | None) -> tuple[float, float]:
         """Return the throttle and brake."""
-        settings = self._settings
-        limit = self._speed_limit
+        settings, limit = self._settings, self._speed_limit
         # A run-up helps on a climb.
         least = 1.2 + 50 * min(max(self._climb - 0.01, 0.0), 0.13)
         if intent.manoeuvre == "throttle" and speed < limit:
@@ -378,8 +336,7 @@ class Driver:
         if intent.manoeuvre == "coast" and speed > least:
             return 0.0, 0.0
         wanted = settings.median_speed * math.exp(settings.speed_spread * intent.speed) if keep is None else keep
-        wanted = max(wanted, least)
-        lack = min(wanted, limit) - speed
+        lack = min(max(wanted, least), limit) - speed
         throttle = _clip(0.2 + 0.3 * lack + 2 * self._climb, 0.0, 1.0) if lack > -0.6 else 0.0
         return throttle, _clip(-0.25 * (lack + 1), 0.0, 1.0)
 
@@ -393,15 +350,6 @@ class Driver:
         # On any ground, more steering would only roll the vehicle over.
         most = math.atan(vehicle.wheelbase * 1.1 * GRAVITY / max(speed, 1.0) ** 2)
         return _clip(_clip(angle, -most, most) / vehicle.max_steer, -1.0, 1.0)
-
-
-def pose_and_speed(sample: VehicleSample) -> tuple[float, float, float, float]:
-    """Return the pose x, y [m] and yaw [rad], and horizontal forward speed, negative in reverse [m/s]."""
-    i, j, k, w = sample.orientation.tolist()
-    yaw = math.atan2(2 * (i * j + k * w), 1 - 2 * (j * j + k * k))
-    x, y, _ = sample.position.tolist()
-    vx, vy, _ = sample.velocity.tolist()
-    return x, y, yaw, vx * math.cos(yaw) + vy * math.sin(yaw)
 
 
 def _clip(value: float, low: float, high: float) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from offpiste.core.conventions import DT
-from offpiste.simulation.driver.driver import Driver, SpeedControl, pose_and_speed
+from offpiste.simulation.driver.driver import Driver, SpeedControl
 from offpiste.simulation.sample import VehicleSample
 from offpiste.simulation.vehicle.parameters import VehicleParameters
 
@@ -37,7 +37,6 @@ _STANDSTILL = 0.1
 """Speed below which gears are changed [m/s]."""
 _SPACING, _MEMORY = 0.3, 200
 """Spacing [m] and number of the remembered positions of the rear axle."""
-
 _REVERSE_LOOKAHEAD = 3.0
 """Distance of the target on the path in reverse [m]."""
 _STEERING_RATE = 2.5
@@ -68,8 +67,7 @@ class ManoeuvringDriver:
 
     def command(self, sample: VehicleSample) -> Float[np.ndarray, " 4"]:
         """Return the throttle, brake, steering and gear for the next `conventions.DT`."""
-        self._sample = sample
-        self._x, self._y, self._yaw, self._speed = pose_and_speed(sample)
+        self._sample, self._speed = sample, sample.forward_speed
         throttle, brake, self._steer = next(self._pedals)
         return np.array((throttle, brake, self._steer, self._gear))
 
@@ -84,7 +82,7 @@ class ManoeuvringDriver:
         """Drive on trails for a time and until the vehicle is free; rock a stuck vehicle with the reverse gear."""
         left, attempt = seconds, 0.0
         while left > 0 or self._driver.recovering:
-            yield self._remembered(self._driver.command(self._sample))
+            yield self._follow()
             left -= DT
             attempt = attempt + DT if self._driver.recovering else 0.0
             if attempt > _ATTEMPT and not self._driver.stuck:
@@ -105,14 +103,14 @@ class ManoeuvringDriver:
         wanted, control = self._between(_CRAWLING), SpeedControl()
         until = self._sample.time + self._between(_CRAWLING_TIME)
         while self._sample.time < until:
-            steer = self._remembered(self._driver.command(self._sample, keep=wanted))[2]
+            steer = self._follow(wanted)[2]
             yield *control.pedals(wanted - self._speed), steer
 
     def _rush(self) -> Iterator[Pedals]:
         """Follow the route as fast as bends, bumps and banks allow."""
         until = self._sample.time + self._between(_FAST_TIME)
         while self._sample.time < until:
-            yield self._remembered(self._driver.command(self._sample, keep=self._fastest))
+            yield self._follow(self._fastest)
 
     def _reverse(self) -> Iterator[Pedals]:
         """Reverse along the driven path."""
@@ -123,13 +121,13 @@ class ManoeuvringDriver:
         """Apply full throttle without traction control, which spins the wheels on soft ground."""
         until = self._sample.time + self._between(_DIGGING_TIME)
         while self._sample.time < until and self._speed < 3.0:
-            yield 1.0, 0.0, self._remembered(self._driver.command(self._sample, keep=3.0))[2]
+            yield 1.0, 0.0, self._follow(3.0)[2]
         self._driver.forget_spin()
 
     def _stop(self, strength: float) -> Iterator[Pedals]:
         """Brake to a standstill on the route."""
         while abs(self._speed) > 1.0:
-            yield 0.0, strength, self._remembered(self._driver.command(self._sample, keep=0.0))[2]
+            yield 0.0, strength, self._follow(0.0)[2]
         yield from self._pressing(0.0, max(strength, 0.4), 0.3)
 
     def _back_up(self, seconds: float, wanted: float, *, beyond_path: bool = False) -> Iterator[Pedals]:
@@ -165,7 +163,7 @@ class ManoeuvringDriver:
         if not path:
             return None
         dx, dy = path[-1][0] - rear[0], path[-1][1] - rear[1]
-        c, s = math.cos(self._yaw), math.sin(self._yaw)
+        c, s = math.cos(self._sample.yaw), math.sin(self._sample.yaw)
         behind, left = -(dx * c + dy * s), dy * c - dx * s
         if behind < abs(left):
             return None  # the vehicle slid off its path
@@ -178,15 +176,15 @@ class ManoeuvringDriver:
         return self._steer + min(max(steer - self._steer, -_STEERING_RATE * DT), _STEERING_RATE * DT)
 
     def _rear_axle(self) -> tuple[float, float]:
-        half = 0.5 * self._vehicle.wheelbase
-        return self._x - half * math.cos(self._yaw), self._y - half * math.sin(self._yaw)
+        half, (x, y, _), yaw = 0.5 * self._vehicle.wheelbase, self._sample.position.tolist(), self._sample.yaw
+        return x - half * math.cos(yaw), y - half * math.sin(yaw)
 
-    def _remembered(self, command: Float[np.ndarray, " 3"]) -> Pedals:
-        """Remember the current position as part of the path; returns the command."""
+    def _follow(self, keep: float | None = None) -> Pedals:
+        """Return the command of the driver on trails, and remember the current position as part of the path."""
         here = self._rear_axle()
         if self._speed > 0 and (not self._path or math.dist(self._path[-1], here) > _SPACING):
             self._path.append(here)
-        throttle, brake, steer = command.tolist()
+        throttle, brake, steer = self._driver.command(self._sample, keep=keep).tolist()
         return throttle, brake, steer
 
     def _between(self, limits: tuple[float, float]) -> float:

@@ -10,51 +10,33 @@ from offpiste.simulation.world.grids import Grid, Line, height, read_grid
 from offpiste.simulation.world.terrain import SPACING
 from offpiste.simulation.world.world import World
 
-ARC_STEP = 0.6
-"""Spacing of the points along a candidate arc [m]."""
+ARC_STEP, FAR = 0.6, 99.0
+"""Spacing of the points along a candidate arc, and clearance without any tree [m]."""
 _HALF_TRACK = 0.65
 """Half the approximate track of a side-by-side [m]."""
-FAR = 99.0
-"""Clearance without any tree [m]."""
-_STRETCH = (40.0, 140.0)
-"""Range of the length of trail followed at a time [m]."""
-_CROSSING = (25.0, 90.0)
-"""Range of the distance across open ground to the next stretch of trail [m]."""
-
-_REJOINING = (6.0, 50.0)
-"""Range of the distance to the next trail after leaving the route or getting stuck [m]."""
+_STRETCH, _CROSSING, _REJOINING = (40.0, 140.0), (25.0, 90.0), (6.0, 50.0)
+"""Ranges of the length of trail followed at a time, and of the distance to the next trail: across open ground, and when
+the vehicle has left the route or is stuck [m]."""
 _LOST = 8.0
 """Distance from the route beyond which a new route is sought [m]."""
-
 _CANDIDATES = 16
 """Number of compared lines across open ground."""
-_STEEP_TRAIL = 0.13
-"""Climb at which the route leaves a trail (rise over run)."""
-
-_TOO_STEEP = 0.25
-"""Slope at which open ground is not crossed (rise over run)."""
-_STRIDE = 6
-"""Step in points for measuring bends."""
-
+_STEEP_TRAIL, _TOO_STEEP = 0.13, 0.25
+"""Climb at which the route leaves a trail, and slope at which it does not cross open ground (rise over run)."""
+_STRIDE, _WINDOW = 6, 60
+"""Step in points for measuring bends, and number of points ahead among which the vehicle is located."""
 _GETAWAY = 24
 """Number of points from the start whose climb decides whether a stopped vehicle can drive away."""
-_WINDOW = 60
-"""Number of points ahead among which the vehicle is located."""
 
 
 @dataclass(frozen=True)
 class VisibleTerrain:
-    """Part of a world that a driver sees: shapes, trees and trails, but no properties of the ground.
-
-    Attributes:
-        elevation, origin, resolution, trails: as in `World`.
-        trees: x, y, trunk radius [m].
-    """
+    """Part of a world that a driver sees: shapes, trees and trails (as in `World`), but no properties of the ground."""
 
     elevation: Grid
     origin: tuple[float, float]
     resolution: float
-    trees: Float[np.ndarray, "n 3"]
+    trees: Float[np.ndarray, "n 3"]  # x, y, trunk radius [m]
     trails: tuple[Line, ...]
 
     @classmethod
@@ -73,7 +55,7 @@ class VisibleTerrain:
         heading = span / length
         places = line[0] + np.arange(0, length + 1, 1.0)[:, None] * heading
         left = np.array((-heading[1], heading[0])) * _HALF_TRACK
-        sides = [read_grid(self.elevation, self.origin, self.resolution, places + side) for side in (left, -left)]
+        sides = [self._heights(places + side) for side in (left, -left)]
         lean = np.abs(sides[0] - sides[1]) / (2 * _HALF_TRACK)
         heights = (sides[0] + sides[1]) / 2
         slope = (heights[2:] - heights[:-2]) / 2
@@ -81,10 +63,13 @@ class VisibleTerrain:
 
     def first_climb(self, line: Float[np.ndarray, "n 2"], limit: float) -> int:
         """Return the index of the first point before a climb over `limit` (rise over run) within 2 m; n if none."""
-        heights = read_grid(self.elevation, self.origin, self.resolution, line)
+        heights = self._heights(line)
         apart = max(1, round(2 / max(float(np.hypot(*(line[1] - line[0]))), 1e-3))) if len(line) > 1 else 1
         steep = np.flatnonzero(heights[apart:] - heights[:-apart] > 2 * limit)
         return int(steep[0]) if len(steep) else len(line)
+
+    def _heights(self, places: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
+        return read_grid(self.elevation, self.origin, self.resolution, places)
 
 
 @dataclass(frozen=True)
@@ -105,29 +90,21 @@ class ArcHazards:
 def hazards_along_arcs(
     terrain: VisibleTerrain,
     curvatures: Float[np.ndarray, " A"],
-    *,
-    x: float,
-    y: float,
-    yaw: float,
+    pose: tuple[float, float, float],
     length: float,
     size: tuple[float, float, float],
     margin: float,
 ) -> ArcHazards:
-    """Return the hazards along arcs from a pose.
+    """Return the hazards along arcs of a length [m] and curvatures [1/m, positive left] from a pose x, y, yaw.
 
     Args:
-        curvatures: curvature of each arc, positive left [1/m].
-        x, y, yaw: pose of the vehicle [m, rad].
-        length: length of the arcs [m].
         size: wheelbase, track and distance from the vehicle's centre to its nose [m].
         margin: distance to keep from the border [m].
     """
     out = np.empty((9, len(curvatures)))
-    near = np.hypot(terrain.trees[:, 0] - x, terrain.trees[:, 1] - y) < length + 5
-    _scan_arcs(
-        terrain.elevation, *terrain.origin, terrain.resolution, terrain.trees[near],
-        curvatures, x, y, yaw, length, *size, margin, out,
-    )  # fmt: skip
+    near = np.hypot(terrain.trees[:, 0] - pose[0], terrain.trees[:, 1] - pose[1]) < length + 5
+    grid = (terrain.elevation, *terrain.origin, terrain.resolution)
+    _scan_arcs(*grid, terrain.trees[near], curvatures, *pose, length, *size, margin, out)
     return ArcHazards(out[:2].T, *out[2:])
 
 
@@ -211,11 +188,7 @@ class Route:
             self._extend()
 
     def rejoin(self, xy: Float[np.ndarray, " 2"], heading: Float[np.ndarray, " 2"]) -> None:
-        """Replace the route by the least steep line from a place to any trail, preferably ahead.
-
-        Args:
-            heading: direction of the vehicle, of any length.
-        """
+        """Replace the route by the least steep line from a place to any trail, preferably along a heading."""
         kept = self._points, self._next
         self._points, self._next = xy[None], 0
         if self._cross(heading, _REJOINING, np.inf):

@@ -1,31 +1,34 @@
-"""Ray casting by Embree: packets of neighbouring rays through its C interface, or single rays through embreex.
+"""Ray casting by Embree's C interface, in packets of neighbouring rays as wide as the processor's registers.
 
-Packets take a quarter of the time of single rays, and shared meshes a quarter of the time to build a scene.
-`SingleRays` is the reference, and the fallback where embreex's wheel does not contain Embree's library as a file.
+Packets take a quarter of the time of embreex's single rays, and shared meshes a quarter of the time to build a scene.
 """
 
 import ctypes
 import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from offpiste.core.errors import extra
+from offpiste.core.errors import OffpisteError, extra
 from offpiste.native.compilation import RAYS, call_address
 
 with extra("sim"):
     import embreex
-    from embreex.mesh_construction import TriangleMesh
-    from embreex.rtcore_scene import EmbreeScene
-
 
 Points = Float[np.ndarray, "_ 3"]
 Numbers = Float[np.ndarray, " n"]
 Indices = Int[np.ndarray, " n"]
+
+_ADDRESS = ctypes.c_void_p
+_RAY16_NATIVE = 34
+_TRIANGLES, _QUADRILATERALS, _INDEX, _VERTEX, _UINT3, _UINT4, _FLOAT3 = 0, 1, 0, 1, 0x5003, 0x5004, 0x9003
+_ROBUST, _COHERENT, _ALL_FEATURES = 4, 1 << 16, 0xFFFFFFFF
+"""Enumeration values of Embree 4, from RTCDeviceProperty to RTCRayQueryFlags (rtcore_device.h and others)."""
 
 
 @dataclass(frozen=True)
@@ -37,55 +40,6 @@ class Mesh:
     # Indices of vertices; quadrilaterals are folded along the diagonal of corners 1 and 3
     faces: Int[np.ndarray, "f corners"]
     item: Int[np.ndarray, " f"]  # plant or box of each face
-
-
-def ray_caster(parts: Sequence[Mesh]) -> "SingleRays | RayPackets":
-    """Return the fastest ray caster available on this machine.
-
-    Both cast rays in single precision with one origin each, or a common origin. `intersect` updates distance, face and
-    normal where a hit is nearer than `distance`, in lengths of the direction; `part` is -1 without a hit. Normals have
-    any length and point to the side from which corners are counter-clockwise.
-    """
-    library = _library()
-    return SingleRays(parts) if library is None else RayPackets(parts, library)
-
-
-class SingleRays:
-    """Single rays, by embreex."""
-
-    def __init__(self, parts: Sequence[Mesh]) -> None:
-        self._scene = EmbreeScene(robust=True)
-        self._split = np.array([part.faces.shape[1] - 2 for part in parts], np.int32)
-        triangles = [
-            part.faces[:, [0, 1, 3, 2, 3, 1]].reshape(-1, 3) if part.faces.shape[1] == 4 else part.faces
-            for part in parts
-        ]
-        pairs = zip(parts, triangles, strict=True)
-        self._meshes = [TriangleMesh(self._scene, part.vertices, np.ascontiguousarray(faces)) for part, faces in pairs]
-        self.occluded(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32))  # builds the tree
-
-    def intersect(
-        self, origins: Points, directions: Points, distance: Numbers, part: Indices, face: Indices, normal: Points
-    ) -> None:
-        """Find the first hits of rays."""
-        each = np.ascontiguousarray(np.broadcast_to(origins, directions.shape))
-        result = self._scene.run(each, directions, output=True, dists=distance.copy())
-        part[:] = result["geomID"]
-        hit = part >= 0
-        distance[hit], normal[hit] = result["tfar"][hit], result["Ng"][hit]
-        face[hit] = result["primID"][hit] // self._split[part[hit]]
-
-    def occluded(self, origins: Points, directions: Points) -> Bool[np.ndarray, " n"]:
-        """Return whether each ray hits anything."""
-        each = np.ascontiguousarray(np.broadcast_to(origins, directions.shape))
-        return np.asarray(self._scene.run(each, directions, query="OCCLUDED") == 0)
-
-
-_ADDRESS = ctypes.c_void_p
-_RAY8_NATIVE, _RAY16_NATIVE = 33, 34
-_TRIANGLES, _QUADRILATERALS, _INDEX, _VERTEX, _UINT3, _UINT4, _FLOAT3 = 0, 1, 0, 1, 0x5003, 0x5004, 0x9003
-_ROBUST, _COHERENT, _ALL_FEATURES = 4, 1 << 16, 0xFFFFFFFF
-"""Enumeration values of Embree 4, from RTCDeviceProperty to RTCRayQueryFlags (rtcore_device.h and others)."""
 
 
 class _Arguments(ctypes.Structure):
@@ -101,10 +55,11 @@ class _Arguments(ctypes.Structure):
     )
 
 
-class RayPackets:
-    """Rays in packets as wide as the processor's registers, by Embree's library."""
+class RayCaster:
+    """Meshes prepared for rays in single precision, with one origin each or a common origin."""
 
-    def __init__(self, parts: Sequence[Mesh], library: ctypes.CDLL) -> None:
+    def __init__(self, parts: Sequence[Mesh]) -> None:
+        library = _library()
         device = _ADDRESS(library.rtcNewDevice(None))
         scene = _ADDRESS(library.rtcNewScene(device))
         weakref.finalize(self, _release, library, device, scene)
@@ -114,16 +69,21 @@ class RayPackets:
         if error := library.rtcGetDeviceError(device):
             raise MemoryError(f"Embree cannot build a scene of {len(parts)} meshes (error {error})")
         self._lanes = 16 if library.rtcGetDeviceProperty(device, _RAY16_NATIVE) else 8
-        intersect, occluded = (getattr(library, f"rtc{name}{self._lanes}") for name in ("Intersect", "Occluded"))
         self._arguments = _Arguments(_COHERENT, _ALL_FEATURES)
-        rest = (scene.value, ctypes.addressof(self._arguments))
-        self._intersect = (ctypes.cast(intersect, _ADDRESS).value, *rest)
-        self._occluded = (ctypes.cast(occluded, _ADDRESS).value, *rest)
+        functions = (getattr(library, f"rtc{name}{self._lanes}") for name in ("Intersect", "Occluded"))
+        self._intersect, self._occluded = (
+            (ctypes.cast(function, _ADDRESS).value, scene.value, ctypes.addressof(self._arguments))
+            for function in functions
+        )
 
     def intersect(
         self, origins: Points, directions: Points, distance: Numbers, part: Indices, face: Indices, normal: Points
     ) -> None:
-        """Find the first hits of rays."""
+        """Find the first hits; `part` is -1 without a hit.
+
+        Updates distance, face and normal where a hit is nearer than `distance`, in lengths of the direction. Normals
+        have any length and point to the side from which corners are counter-clockwise.
+        """
         _first_hits(*self._intersect, *_packet(self._lanes), origins, directions, distance, part, face, normal)
 
     def occluded(self, origins: Points, directions: Points) -> Bool[np.ndarray, " n"]:
@@ -133,12 +93,12 @@ class RayPackets:
         return blocked
 
 
-def _library() -> ctypes.CDLL | None:
-    """Return the Embree 4 library in the wheel of embreex, if present."""
-    folder = Path(embreex.__file__).parent
-    files = [file for place in (folder.with_name("embreex.libs"), folder) for file in place.glob("libembree4*")]
+@cache
+def _library() -> ctypes.CDLL:
+    """Return the Embree 4 library in the wheel of embreex."""
+    files = sorted(Path(embreex.__file__).parents[1].glob("embreex*/**/*embree4*"))
     if not files:
-        return None
+        raise OffpisteError("embreex does not contain Embree's library", how="install the wheel of embreex from PyPI")
     library = ctypes.CDLL(str(files[0]))
     for name in ("rtcNewDevice", "rtcNewScene", "rtcNewGeometry"):
         getattr(library, name).restype = _ADDRESS

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from offpiste.native.compilation import RAYS
-from offpiste.simulation.rendering.embree import Mesh, ray_caster
+from offpiste.simulation.rendering.embree import Mesh, RayCaster
 from offpiste.simulation.world.grids import read_grid
 from offpiste.simulation.world.world import Bushes, Trees, World
 
@@ -170,6 +170,16 @@ class Hits:
     item: Int[np.ndarray, " n"]  # number of the plant, blade or box; 0 on the ground, -1 without a hit
     normal: Float[np.ndarray, "n 3"]  # unit normal towards the origin of the ray; zero without a hit
 
+    @classmethod
+    def none(cls, n: int) -> "Hits":
+        """Return rays without hits."""
+        distance, surface, item = np.full(n, np.inf, np.float32), np.zeros(n, np.int8), np.full(n, -1, np.int32)
+        return cls(distance, surface, item, np.zeros((n, 3), np.float32))
+
+    def part(self, rays: slice) -> "Hits":
+        """Return a copy of the hits of some rays."""
+        return Hits(*(values[rays].copy() for values in vars(self).values()))
+
 
 class Scene:
     """Meshes in one frame, prepared for ray casting in a number of threads."""
@@ -177,7 +187,7 @@ class Scene:
     def __init__(self, parts: Sequence[Mesh], *, threads: int = 2) -> None:
         self._pool = ThreadPoolExecutor(threads, thread_name_prefix="offpiste-rays")
         parts = [part for part in parts if len(part.faces)]
-        self._caster = ray_caster(parts)
+        self._caster = RayCaster(parts)
         self._surfaces = np.array([SURFACES.index(part.surface) for part in parts], np.int8)
         self._first = np.cumsum([0, *(len(part.item) for part in parts)])
         self._items = np.concatenate([np.zeros(0, np.int32), *(part.item for part in parts)])
@@ -198,12 +208,11 @@ class Scene:
             nearer: other hits of the same rays, kept where they are nearer.
         """
         directions = _single(directions)
-        hits = _no_hits(len(directions)) if nearer is None else Hits(*(one.copy() for one in vars(nearer).values()))
-        part, face = np.empty(len(directions), np.int32), np.empty(len(directions), np.int32)
+        hits = Hits.none(len(directions)) if nearer is None else nearer.part(slice(None))
+        part, face = np.empty((2, len(directions)), np.int32)
         self._caster.intersect(_single(origins), directions, hits.distance, part, face, hits.normal)
-        _identify(
-            part, face, directions, self._surfaces, self._first, self._items, hits.surface, hits.item, hits.normal
-        )
+        tables = self._surfaces, self._first, self._items
+        _identify(part, face, directions, *tables, hits.surface, hits.item, hits.normal)
         return hits
 
     def occluded(
@@ -213,8 +222,8 @@ class Scene:
         blocked = np.zeros(len(directions), bool)
 
         def block(first: int, last: int) -> None:
-            rays = _single(origins[first:last]), _single(directions[first:last])
-            blocked[first:last] = self._caster.occluded(*rays)
+            rays = slice(first, last)
+            blocked[rays] = self._caster.occluded(_single(origins[rays]), _single(directions[rays]))
 
         self.spread(len(directions), block)
         return blocked
@@ -229,12 +238,6 @@ def world_scene(world: World, *, threads: int = 2) -> Scene:
 
 def _single(vectors: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(vectors, dtype=np.float32)
-
-
-def _no_hits(n: int) -> Hits:
-    return Hits(
-        np.full(n, np.inf, np.float32), np.zeros(n, np.int8), np.full(n, -1, np.int32), np.zeros((n, 3), np.float32)
-    )
 
 
 @RAYS.entry

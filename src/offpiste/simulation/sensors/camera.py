@@ -6,12 +6,12 @@ from typing import Final
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, Shaped, UInt8
 
 from offpiste.native.compilation import RAYS
 from offpiste.rig.camera import CameraModel
 from offpiste.simulation.rendering.appearance import Appearance
-from offpiste.simulation.rendering.scene import Hits, Scene, body_hits
+from offpiste.simulation.rendering.scene import Scene, body_hits
 from offpiste.simulation.rendering.shading import Vehicle, hashed, shade_rays, shading_buffers
 from offpiste.simulation.sample import Pose
 
@@ -35,7 +35,7 @@ class CameraSettings:
     """Settings of one camera."""
 
     name: str  # name of the frame and the topic
-    body_from_camera: Pose  # pose of the optical frame (z forward, x right, y down)
+    body_from_sensor: Pose  # pose of the optical frame (z forward, x right, y down)
     rate: float = 10.0  # image rate [1/s]
     model: CameraModel = MODEL  # image size, intrinsics and distortion
     vignetting: float = 0.25  # share of light lost in the corners
@@ -44,44 +44,28 @@ class CameraSettings:
 
 
 class Camera:
-    """Camera on a vehicle, with precomputed rays.
-
-    Attributes:
-        origin: origin of the rays in the body frame [m].
-        pixels: row-major pixel index of each ray; rays are ordered in tiles of `TILE` x `TILE` pixels.
-        rays: unit vectors in the body frame.
-        own: hits of the rays on the vehicle itself.
-    """
+    """Camera on a vehicle, with precomputed rays in the body frame."""
 
     def __init__(self, settings: CameraSettings) -> None:
         self.settings = settings
-        mount = settings.body_from_camera
-        self.origin: Float[np.ndarray, " 3"] = mount.position
+        self.origin: Float[np.ndarray, " 3"] = settings.body_from_sensor.position
+        # Row-major pixel index of each ray; rays are ordered in tiles of `TILE` x `TILE` pixels.
         self.pixels: Int[np.ndarray, " n"] = tiled(*settings.model.size)
-        rays = pixel_rays(settings.model) @ mount.rotation.T
+        rays = pixel_rays(settings.model) @ settings.body_from_sensor.rotation.T
         self.rays: Float[np.ndarray, "n 3"] = rays.astype(np.float32)[self.pixels]
-        self.own = body_hits(self.origin, self.rays)
+        self.own = body_hits(self.origin, self.rays)  # on the vehicle itself
 
-    def hits(self, scene: Scene, world_from_body: Pose) -> Hits:
-        """Return the true hit of the ray through each pixel's centre, row-major."""
-        rays = self.rays @ world_from_body.rotation.T.astype(np.float32)
-        return self.in_rows(scene.cast(world_from_body.apply(self.origin[None]), rays, self.own))
-
-    def in_rows(self, hits: Hits) -> Hits:
-        """Return the hits of `rays` in row-major order of the image."""
-        rows = Hits(*(np.empty_like(values) for values in vars(hits).values()))
-        for name, values in vars(hits).items():
-            getattr(rows, name)[self.pixels] = values
-        return rows
+    def in_rows(self, values: Shaped[np.ndarray, " n"]) -> Shaped[np.ndarray, "height width"]:
+        """Return values of the rays as an image."""
+        image = np.empty_like(values)
+        image[self.pixels] = values
+        return image.reshape(self.settings.model.size[::-1])
 
 
 def tiled(width: int, height: int) -> Int[np.ndarray, " n"]:
     """Return the row-major pixel indices of an image in the order of its tiles."""
-    down, across = -(-height // TILE), -(-width // TILE)
-    number = np.full((down * TILE, across * TILE), -1, np.int32)
-    number[:height, :width] = np.arange(width * height, dtype=np.int32).reshape(height, width)
-    tiles = number.reshape(down, TILE, across, TILE).swapaxes(1, 2).ravel()
-    return tiles[tiles >= 0]
+    v, u = np.divmod(np.arange(width * height, dtype=np.int32), width)
+    return np.lexsort((u, v, u // TILE, v // TILE)).astype(np.int32)
 
 
 def pixel_rays(model: CameraModel) -> Float[np.ndarray, "n 3"]:
@@ -96,16 +80,13 @@ def project_points(
     points_camera: Float[np.ndarray, "n 3"], model: CameraModel
 ) -> tuple[Float[np.ndarray, "n 2"], Bool[np.ndarray, " n"]]:
     """Return the distorted pixels of points in the optical frame, and whether they lie inside the image."""
-    x, y, z = points_camera.T
-    ahead = z > 0.1
-    pixels = np.full((len(points_camera), 2), -1.0)
-    if ahead.any():
-        pixels[ahead] = model.project(np.asarray(points_camera[ahead], float))
+    depth = points_camera[:, 2:]
+    flat = points_camera[:, :2] / np.maximum(depth, 0.1)
+    pixels = model.project(np.column_stack((flat, np.ones(len(flat)))))
     # Far outside the image the distortion polynomial folds points back into it.
-    with np.errstate(divide="ignore", invalid="ignore"):
-        far = np.hypot(x, y) / z > 1.2 * np.hypot(*model.size) / (model.matrix[0, 0] + model.matrix[1, 1])
-    inside = ((pixels > -0.5) & (pixels < np.array(model.size) - 0.5)).all(axis=1)
-    return pixels, ahead & ~far & inside
+    near = np.hypot(*flat.T) < 1.2 * np.hypot(*model.size) / np.trace(model.matrix[:2, :2])
+    inside = ((pixels > -0.5) & (pixels < np.array(model.size) - 0.5) & (depth > 0.1)).all(axis=1)
+    return pixels, near & inside
 
 
 def render(
@@ -148,11 +129,9 @@ def _shade(
 
     def block(first: int, last: int) -> None:
         rays = camera.rays[first:last] @ turned
-        own = Hits(**{name: values[first:last] for name, values in vars(camera.own).items()})
-        hits = scene.cast(origin[None], rays, own)
-        result = (hits.distance, hits.surface, hits.item, hits.normal)
+        hits = scene.cast(origin[None], rays, camera.own.part(slice(first, last)))
         light = np.empty((last - first, 3), np.float32)
-        shade_rays(*look, rays, *result, shading_buffers(len(appearance.ground.turn)), light)
+        shade_rays(*look, rays, *vars(hits).values(), shading_buffers(len(appearance.ground.turn)), light)
         _put(light, camera.pixels[first:last], linear)
 
     scene.spread(len(linear), block)

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from offpiste.native.compilation import RAYS
-from offpiste.simulation.rendering.scene import BLOCK, Hits, Scene, body_hits
+from offpiste.simulation.rendering.scene import BLOCK, Scene, body_hits
 from offpiste.simulation.sample import Motion, Pose
 
 REFLECTIVITY = np.array([0.0, 0.30, 0.25, 0.50, 0.45, 0.50, 0.35], np.float32)
@@ -18,7 +18,7 @@ class LidarSettings:
     """Settings of one LiDAR; the defaults follow the data sheet of an Ouster OS1-64 (1024 x 10)."""
 
     name: str  # name of the frame and the topic
-    body_from_lidar: Pose  # pose (x forward, y left, z up)
+    body_from_sensor: Pose  # pose (x forward, y left, z up)
     rate: float = 10.0  # revolutions [1/s]
     rings: int = 64  # rays from top to bottom
     columns: int = 1024  # rays per ring and revolution
@@ -57,7 +57,7 @@ class Lidar:
         # [columns, rings, 3]
         self._ray = np.cos(elevation)[:, None] * horizontal + np.sin(elevation)[:, None] * upright
         self._time = np.arange(columns) / columns / settings.rate
-        mount = settings.body_from_lidar
+        mount = settings.body_from_sensor
         # Cast ring by ring: neighbours in a ring hit close to each other, which halves the time of their packets.
         self._origin = mount.position
         self._ray_body = np.ascontiguousarray((self._ray @ mount.rotation.T).transpose(1, 0, 2))
@@ -95,8 +95,7 @@ class Lidar:
         def block(first: int, last: int) -> None:
             rays = np.empty(((last - first) * columns, 3), np.float32)
             _turn(rotation, self._ray_body[first:last], rays)
-            part = slice(first * columns, last * columns)
-            own = Hits(**{name: values[part] for name, values in vars(self._own).items()})
+            own = self._own.part(slice(first * columns, last * columns))
             hits = scene.cast(np.tile(origin, (last - first, 1)), rays, own)
             _reflect(REFLECTIVITY, hits.distance, hits.surface, hits.normal, rays, first, distance, echo, surface)
 

@@ -5,14 +5,14 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from offpiste.core.conventions import DT
 from offpiste.core.errors import OffpisteError
-from offpiste.simulation.messages import Mounting, camera_info_message, image_message, points_message
+from offpiste.simulation.messages import camera_info_message, image_message, points_message
 from offpiste.simulation.recorder import random_turn
 from offpiste.simulation.rendering.appearance import make_appearance
 from offpiste.simulation.rendering.scene import Scene, world_scene
@@ -20,6 +20,8 @@ from offpiste.simulation.sample import Motion, Pose, VehicleSample
 from offpiste.simulation.sensors.camera import Camera, CameraSettings, render
 from offpiste.simulation.sensors.lidar import Lidar, LidarSettings, Scan
 from offpiste.simulation.world.world import World
+
+Sensor = TypeVar("Sensor", CameraSettings, LidarSettings)
 
 _OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Rotation to body axes from those of a camera that looks ahead (z forward, x right, y down)."""
@@ -36,11 +38,10 @@ class SensorSuite:
     cameras: tuple[CameraSettings, ...]
     lidars: tuple[LidarSettings, ...]
 
-    def mountings(self) -> tuple[Mounting, ...]:
-        """Return the mountings of all sensors."""
-        poses = [(camera.name, camera.body_from_camera) for camera in self.cameras]
-        poses += [(lidar.name, lidar.body_from_lidar) for lidar in self.lidars]
-        return tuple(Mounting(n, tuple(p.position.tolist()), tuple(p.orientation.tolist())) for n, p in poses)
+    @property
+    def mountings(self) -> dict[str, Pose]:
+        """`body_from_sensor` by name."""
+        return {sensor.name: sensor.body_from_sensor for sensor in (*self.cameras, *self.lidars)}
 
 
 def full_suite() -> SensorSuite:
@@ -48,18 +49,13 @@ def full_suite() -> SensorSuite:
 
     Rates and image sizes follow the paper (section "Visual features"), which gives no lenses and mountings.
     """
-    front = CameraSettings("camera_front", mounted((0.60, 0.0, 1.54), pitch=17.0, optical=True))
+    back = mounted((-0.62, 0.0, 1.54), yaw=180.0, pitch=20.0, optical=True)
     return SensorSuite(
         cameras=(
-            front,
-            replace(front, name="camera_left", body_from_camera=_side(80.0)),
-            replace(front, name="camera_right", body_from_camera=_side(-80.0)),
-            replace(
-                front,
-                name="camera_back",
-                body_from_camera=mounted((-0.62, 0.0, 1.54), yaw=180.0, pitch=20.0, optical=True),
-                rate=2.0,
-            ),
+            CameraSettings("camera_front", mounted((0.60, 0.0, 1.54), pitch=17.0, optical=True)),
+            CameraSettings("camera_left", mounted((0.05, 0.62, 1.60), yaw=80.0, pitch=24.0, optical=True)),
+            CameraSettings("camera_right", mounted((0.05, -0.62, 1.60), yaw=-80.0, pitch=24.0, optical=True)),
+            CameraSettings("camera_back", back, rate=2.0),
         ),
         lidars=(
             LidarSettings("lidar_top", mounted((0.0, 0.0, 1.95))),
@@ -71,9 +67,8 @@ def full_suite() -> SensorSuite:
 def light_suite() -> SensorSuite:
     """Return the front camera at 2 Hz and the upper LiDAR with 32 x 512 rays; simulated faster than real time."""
     full = full_suite()
-    return SensorSuite(
-        cameras=(replace(full.cameras[0], rate=2.0),), lidars=(replace(full.lidars[0], rings=32, columns=512),)
-    )
+    lidar = replace(full.lidars[0], rings=32, columns=512)
+    return SensorSuite((replace(full.cameras[0], rate=2.0),), (lidar,))
 
 
 PROFILES: Final[dict[str, Callable[[], SensorSuite]]] = {
@@ -97,15 +92,13 @@ def sensor_suite(profile: str) -> SensorSuite:
 def remounted(suite: SensorSuite, degrees: float, rng: np.random.Generator) -> SensorSuite:
     """Rotate sensors in place by an angle [deg], each about a random axis."""
 
-    def rotated(pose: Pose) -> Pose:
-        return Pose(pose.position, (random_turn(degrees, rng) * Rotation.from_quat(pose.orientation)).as_quat())
+    def rotated(sensor: Sensor) -> Sensor:
+        turn = random_turn(degrees, rng) * Rotation.from_quat(sensor.body_from_sensor.orientation)
+        return replace(sensor, body_from_sensor=Pose(sensor.body_from_sensor.position, turn.as_quat()))
 
     if degrees == 0:
         return suite
-    return SensorSuite(
-        tuple(replace(camera, body_from_camera=rotated(camera.body_from_camera)) for camera in suite.cameras),
-        tuple(replace(lidar, body_from_lidar=rotated(lidar.body_from_lidar)) for lidar in suite.lidars),
-    )
+    return SensorSuite(tuple(map(rotated, suite.cameras)), tuple(map(rotated, suite.lidars)))
 
 
 def mounted(
@@ -119,10 +112,6 @@ def mounted(
     turn = Rotation.from_euler("ZY", (yaw, pitch), degrees=True)
     axes = turn * Rotation.from_matrix(_OPTICAL) if optical else turn
     return Pose(np.array(position), axes.as_quat())
-
-
-def _side(yaw: float) -> Pose:
-    return mounted((0.05, np.copysign(0.62, yaw), 1.60), yaw=yaw, pitch=24.0, optical=True)
 
 
 StampNs = Callable[[float], int]
@@ -142,14 +131,9 @@ class Sensing:
     """
 
     def __init__(
-        self,
-        world: World,
-        suite: SensorSuite,
-        rng: np.random.Generator,
-        *,
-        scene: Scene | None = None,
-        apart: bool = False,
-    ) -> None:
+        self, world: World, suite: SensorSuite, rng: np.random.Generator, *,
+        scene: Scene | None = None, apart: bool = False,
+    ) -> None:  # fmt: skip
         light_seed = int(rng.integers(2**31))
         with ThreadPoolExecutor(1, thread_name_prefix="offpiste-cameras") as beside:
             cameras = beside.submit(lambda: [Camera(settings) for settings in suite.cameras])
@@ -157,10 +141,10 @@ class Sensing:
             self._appearance = make_appearance(world, self._scene, light_seed) if suite.cameras else None
             self._lidars = [Lidar(settings) for settings in suite.lidars]
             self._cameras = cameras.result()
-        lidars = len(suite.lidars)
-        own = rng.spawn(lidars + len(suite.cameras)) if apart else [rng] * (lidars + len(suite.cameras))
-        self._lidar_rngs, self._camera_rngs = own[:lidars], own[lidars:]
-        turns = [round(1 / (lidar.settings.rate * DT)) for lidar in self._lidars]
+        sensors = (*self._lidars, *self._cameras)
+        rngs = rng.spawn(len(sensors)) if apart else [rng] * len(sensors)
+        self._rngs = dict(zip((sensor.settings.name for sensor in sensors), rngs, strict=True))
+        turns = [_period(lidar) for lidar in self._lidars]
         self._past: deque[VehicleSample] = deque(maxlen=max(turns, default=0) + 1)
 
     def observe(self, sample: VehicleSample, stamp_ns: StampNs) -> Messages:
@@ -170,18 +154,15 @@ class Sensing:
     def warm_up(self, sample: VehicleSample) -> None:
         """Measure once with every sensor, so that kernels are compiled; measurements of the drive do not change."""
         for camera in self._cameras:
-            self._image(camera, Pose(sample.position, sample.orientation), 0, 0)
+            self._image(camera, sample.pose, 0, 0)
         for lidar in self._lidars:
-            rows = range(round(1 / (lidar.settings.rate * DT)) + 1)
-            still = [replace(sample, time=sample.time + row * DT) for row in rows]
-            self._points(lidar, self._scan(lidar, still, np.random.default_rng(0)), 0)
+            still = Motion.of([replace(sample, time=sample.time + row * DT) for row in range(_period(lidar) + 1)])
+            self._points(lidar, lidar.scan(self._scene, still, sample.time, np.random.default_rng(0)), 0)
 
     def pass_by(self, sample: VehicleSample) -> int:
         """Skip the measurements of a sample, and return their number."""
         self._past.append(sample)
-        row = round(sample.time / DT)
-        rates = [*(c.settings.rate for c in self._cameras), *(one.settings.rate for one in self._lidars)]
-        return sum(row % round(1 / (rate * DT)) == 0 for rate in rates)
+        return sum(round(sample.time / DT) % _period(sensor) == 0 for sensor in (*self._cameras, *self._lidars))
 
     def measurements(self, sample: VehicleSample, stamp_ns: StampNs) -> Iterator[Callable[[], Messages]]:
         """Yield all measurements completed by a sample, as functions to be called at any time and in any thread.
@@ -190,15 +171,17 @@ class Sensing:
         """
         self._past.append(sample)
         row = round(sample.time / DT)
-        for camera, rng in zip(self._cameras, self._camera_rngs, strict=True):
-            if row % round(1 / (camera.settings.rate * DT)) == 0:
-                pose, seed = Pose(sample.position, sample.orientation), int(rng.integers(2**31))
-                yield partial(self._image, camera, pose, seed, stamp_ns(sample.time))
-        for lidar, rng in zip(self._lidars, self._lidar_rngs, strict=True):
-            turn = round(1 / (lidar.settings.rate * DT))
+        for camera in self._cameras:
+            if row % _period(camera) == 0:
+                seed = int(self._rngs[camera.settings.name].integers(2**31))
+                yield partial(self._image, camera, sample.pose, seed, stamp_ns(sample.time))
+        for lidar in self._lidars:
+            turn = _period(lidar)
             if row % turn == 0 and row >= turn:
                 samples = list(self._past)[-turn - 1 :]
-                yield partial(self._points, lidar, self._scan(lidar, samples, rng), stamp_ns(samples[0].time))
+                start, rng = samples[0].time, self._rngs[lidar.settings.name]
+                scan = lidar.scan(self._scene, Motion.of(samples), start, rng)
+                yield partial(self._points, lidar, scan, stamp_ns(start))
 
     def _image(self, camera: Camera, pose: Pose, seed: int, stamp: int) -> Messages:
         s = camera.settings
@@ -207,17 +190,14 @@ class Sensing:
         info = camera_info_message(s.model, stamp, s.name)
         return [(f"/{s.name}/image/compressed", image), (f"/{s.name}/camera_info", info)]
 
-    def _scan(self, lidar: Lidar, samples: list[VehicleSample], rng: np.random.Generator) -> Scan:
-        motion = Motion(
-            np.array([s.time for s in samples]),
-            np.stack([s.position for s in samples]),
-            np.stack([s.orientation for s in samples]),
-        )
-        return lidar.scan(self._scene, motion, samples[0].time, rng)
-
     def _points(self, lidar: Lidar, scan: Scan, stamp: int) -> Messages:
         name = lidar.settings.name
         return [(f"/{name}/points", points_message(scan.points, scan.intensity, scan.ring, scan.time, stamp, name))]
+
+
+def _period(sensor: Camera | Lidar) -> int:
+    """Return the samples between measurements of a sensor."""
+    return round(1 / (sensor.settings.rate * DT))
 
 
 def observed(

@@ -13,6 +13,7 @@ from offpiste.core.conventions import GRAVITY
 from offpiste.core.errors import OffpisteError
 from offpiste.core.field_names import suggestion
 from offpiste.core.limits import parsed, read_small
+from offpiste.rig.edits import Edit, edited_text
 from offpiste.rig.rig import rig_text
 
 Positive = Annotated[float, msgspec.Meta(gt=0)]
@@ -112,6 +113,12 @@ class VehicleParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
     steer_damping: Positive
 
     @property
+    def wheel_places(self) -> tuple[tuple[float, float], ...]:
+        """Positions x, y of the wheels in the body frame, in the usual order [m]."""
+        x, y = self.wheelbase / 2, self.track / 2
+        return (x, y), (x, -y), (-x, y), (-x, -y)
+
+    @property
     def static_load_front(self) -> float:
         """Load of one front wheel on flat ground [N]."""
         return self.mass * GRAVITY * self.front_share / 2
@@ -188,24 +195,15 @@ def vehicle_rig(preset: str, vehicle: Path) -> str:
     Raises:
         VehicleError: the file cannot be read.
     """
-    text = rig_text(preset)
-    for entry, value in _entries(load_vehicle(vehicle), vehicle.stem).items():
-        found = re.search(entry, text, re.MULTILINE | re.DOTALL)
-        assert found is not None, f"rig {preset} has no {entry}"
-        text = f"{text[: found.start(1)]}{value}{text[found.end(1) :]}"
-    return _HEADER.format(preset=preset, vehicle=vehicle.name) + text.partition("\n")[2]
-
-
-def _entries(vehicle: VehicleParameters, name: str) -> dict[str, str]:
-    """Return patterns of the entries that differ between vehicles, with the value as a group, and the new values."""
-    x, y = vehicle.wheelbase / 2, vehicle.track / 2
-    plain = re.sub(r"[^\w -]", "_", name)
-    return {
-        r"^name = ([^\n]*)": f'"{plain}"',
-        r"^description = ([^\n]*)": '"Another vehicle on the proving ground"',
-        r"^mass = ([^\n]*)": f"{vehicle.mass!r}",
-        r"^max_steer = ([^\n]*)": f"{vehicle.max_steer!r}",
-        r"^wheel_positions = ([^\n]*)": f"[[{x!r}, {y!r}], [{x!r}, {-y!r}], [{-x!r}, {y!r}], [{-x!r}, {-y!r}]]",
-        r"^source = ([^\n]*)": '"its file of `simulate --vehicle`"',
-        r"\[channels\.wheel_speed\].*?^scale = ([^\n]*)": f"{vehicle.rolling_radius!r}",
+    parameters = load_vehicle(vehicle)
+    entries = {
+        "name": re.sub(r"[^\w -]", "_", vehicle.stem),
+        "description": "Another vehicle on the proving ground",
+        "vehicle.mass": parameters.mass,
+        "vehicle.max_steer": parameters.max_steer,
+        "vehicle.wheel_positions": [list(place) for place in parameters.wheel_places],
+        "vehicle.source": "its file of `simulate --vehicle`",
+        "channels.wheel_speed.scale": parameters.rolling_radius,
     }
+    text = edited_text(rig_text(preset), [Edit(key, value) for key, value in entries.items()])
+    return _HEADER.format(preset=preset, vehicle=vehicle.name) + text.partition("\n")[2]

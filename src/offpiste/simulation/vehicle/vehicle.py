@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 
 from offpiste.core.conventions import DT, GRAVITY
-from offpiste.core.errors import extra
+from offpiste.core.errors import OffpisteError, extra
 from offpiste.simulation.sample import VehicleSample, WheelTruth
 from offpiste.simulation.vehicle.drivetrain import GearBox
-from offpiste.simulation.vehicle.forces import PRESSURE, RATIO, STEER, STEER_RATE, look_around, substep, substeps
+from offpiste.simulation.vehicle.forces import PRESSURE, RATIO, STEER, STEER_RATE, look_around, substeps
 from offpiste.simulation.vehicle.parameters import VehicleParameters
 from offpiste.simulation.world.grids import height, main_kind
 from offpiste.simulation.world.world import World
@@ -44,7 +44,8 @@ _MODEL = """
   <worldbody>
     <body name="chassis">
       <freejoint/>
-      <inertial pos="{com[0]} {com[1]} {com[2]}" mass="{mass}" diaginertia="{roll} {pitch} {yaw}"/>
+      <inertial pos="{p.sprung_com[0]} {p.sprung_com[1]} {p.sprung_com[2]}" mass="{p.sprung_mass}"
+        diaginertia="{p.roll_inertia} {p.pitch_inertia} {p.yaw_inertia}"/>
       {wheels}
     </body>
   </worldbody>
@@ -54,38 +55,28 @@ _MODEL = """
 _WHEEL = """
       <body name="wheel-{number}" pos="{x} {y} 0">
         <joint type="slide" axis="0 0 1"/>
-        <inertial pos="0 0 0" mass="{mass}" diaginertia="{tilt} {spin} {tilt}"/>
+        <inertial pos="0 0 0" mass="{p.unsprung_mass}" diaginertia="{tilt} {p.wheel_inertia} {tilt}"/>
       </body>"""
 
 
 def build_bodies(parameters: VehicleParameters) -> Any:
     """Build `mujoco.MjModel` of a vehicle; qpos: pose point (3), quaternion wxyz (4), travel of the wheels (4)."""
-    p = parameters
-    x, y = p.wheelbase / 2, p.track / 2
-    places = ((x, y), (x, -y), (-x, y), (-x, -y))
     # A ring about half as wide as its radius: the transverse inertia is slightly over half the axial one.
-    inertia = {"mass": p.unsprung_mass, "spin": p.wheel_inertia, "tilt": 0.6 * p.wheel_inertia}
-    wheels = "".join(_WHEEL.format(number=i, x=x, y=y, **inertia) for i, (x, y) in enumerate(places))
-    xml = _MODEL.format(
-        timestep=DT / SUBSTEPS,
-        gravity=GRAVITY,
-        com=p.sprung_com,
-        mass=p.sprung_mass,
-        roll=p.roll_inertia,
-        pitch=p.pitch_inertia,
-        yaw=p.yaw_inertia,
-        wheels=wheels,
+    tilt = 0.6 * parameters.wheel_inertia
+    places = enumerate(parameters.wheel_places)
+    wheels = "".join(_WHEEL.format(number=i, x=x, y=y, tilt=tilt, p=parameters) for i, (x, y) in places)
+    return mujoco.MjModel.from_xml_string(
+        _MODEL.format(timestep=DT / SUBSTEPS, gravity=GRAVITY, p=parameters, wheels=wheels)
     )
-    return mujoco.MjModel.from_xml_string(xml)
 
 
 @cache
 def mj_step_address() -> int | None:
-    """Return the address of MuJoCo's `mj_step` for compiled code; None if its library is not found in the package."""
+    """Return the address of MuJoCo's `mj_step` for compiled code, from the library in its wheel."""
     for file in Path(mujoco.__file__).parent.glob("*mujoco.*"):
         with suppress(OSError, AttributeError):
             return ctypes.cast(ctypes.CDLL(str(file)).mj_step, ctypes.c_void_p).value
-    return None
+    raise OffpisteError("mujoco does not contain its library", how="install the wheel of mujoco from PyPI")
 
 
 class VehicleSimulation:
@@ -101,11 +92,11 @@ class VehicleSimulation:
     ) -> None:
         self._world, self._parameters = world, parameters
         self._record = parameters.as_record()
-        self._grid = _grid_of(world)
+        grids = (np.ascontiguousarray(grid, dtype=np.float64) for grid in (world.elevation, world.properties))
+        self._grid = (*grids, *map(float, world.origin), float(world.resolution))
         self._model = build_bodies(parameters)
         self._data = data = mujoco.MjData(self._model)
         self._qpos, self._qvel = data.qpos, data.qvel  # views of MuJoCo's memory
-        self._body_forces, self._joint_forces = data.xfrc_applied, data.qfrc_applied
         self._actuators, self._speeds = np.zeros(4), np.zeros(5)
         self._deflection, self._truth = np.zeros((4, 2)), np.zeros((4, 10))
         self._touched, self._buffers = np.zeros(2), np.zeros((6, 6))
@@ -117,11 +108,6 @@ class VehicleSimulation:
         self._events: list[str] = []
         self._put(x, y, yaw)
         self._start(speed)
-
-    @property
-    def time(self) -> float:
-        """Time since the start [s]."""
-        return self._steps * DT
 
     def step(self, throttle: float, brake: float, steer: float, gear: float | None = None) -> None:
         """Advance by `DT` under a constant command.
@@ -135,8 +121,7 @@ class VehicleSimulation:
         self._command[:] = np.clip((throttle, brake, steer), (0, 0, -1), (1, 1, 1))
         self._brakes.append(float(self._command[1]))
         held = np.array((self._command[0], self._brakes.popleft(), self._command[2], self._gears.engaged))
-        around = self._obstacles()
-        self._substeps(SUBSTEPS, held, around)
+        self._substeps(SUBSTEPS, held, self._obstacles())
         self._steps += 1
         self._report_events()
 
@@ -145,7 +130,7 @@ class VehicleSimulation:
         quaternion = self._qpos[[4, 5, 6, 3]]
         events, self._events = tuple(self._events), []
         return VehicleSample(
-            time=self.time,
+            time=self._steps * DT,
             position=self._qpos[:3].copy(),
             orientation=quaternion / np.linalg.norm(quaternion),
             velocity=self._qvel[:3].copy(),
@@ -162,17 +147,12 @@ class VehicleSimulation:
         )
 
     def _substeps(self, count: int, command: np.ndarray, around: np.ndarray) -> None:
-        given = (
+        substeps(
+            count, mj_step_address(), (self._model._address, self._data._address),
             self._record, DT / SUBSTEPS, command, around, *self._grid,
             self._qpos, self._qvel, self._actuators, self._speeds, self._deflection, self._truth, self._touched,
-            self._body_forces, self._joint_forces, self._buffers,
+            self._data.xfrc_applied, self._data.qfrc_applied, self._buffers,
         )  # fmt: skip
-        if address := mj_step_address():
-            substeps(count, address, (self._model._address, self._data._address), *given)
-            return
-        for _ in range(count):
-            substep(*given)
-            mujoco.mj_step(self._model, self._data)
 
     def _obstacles(self) -> np.ndarray:
         w, x, y, z = self._qpos[3:7]
@@ -188,10 +168,9 @@ class VehicleSimulation:
         # Place on the plane through the ground under the wheels, then settle on the springs without moving sideways.
         p = self._parameters
         c, s = np.cos(yaw), np.sin(yaw)
-        offsets = np.array([(i * p.wheelbase / 2, j * p.track / 2) for i in (1, -1) for j in (1, -1)])
-        places = (x, y) + offsets @ np.array(((c, s), (-s, c)))
-        elevation, _, x0, y0, resolution = self._grid
-        heights = np.array([height(elevation, x0, y0, resolution, *place) for place in places])
+        elevation, _, *grid = self._grid
+        places = (x, y) + np.array(p.wheel_places) @ np.array(((c, s), (-s, c)))
+        heights = np.array([height(elevation, *grid, *place) for place in places])
         along = (heights[:2].sum() - heights[2:].sum()) / 2 / p.wheelbase
         across = (heights[::2].sum() - heights[1::2].sum()) / 2 / p.track
         forward = np.array((c, s, along)) / np.hypot(1, along)
@@ -223,44 +202,21 @@ class VehicleSimulation:
         self._touched[:] = 0
 
     def _report_events(self) -> None:
-        x, y = self._qpos[:2]
-        elevation, _, x0, y0, resolution = self._grid
-        ny, nx = elevation.shape
-        inside = (
-            x0 + BORDER <= x <= x0 + (nx - 1) * resolution - BORDER
-            and y0 + BORDER <= y <= y0 + (ny - 1) * resolution - BORDER
-        )
+        elevation, _, *origin, resolution = self._grid
+        low = np.add(origin, BORDER)
+        high = np.add(origin, resolution * (np.array(elevation.shape[::-1]) - 1)) - BORDER
+        inside = ((low <= self._qpos[:2]) & (self._qpos[:2] <= high)).all()
         tilt = 1 - 2 * (self._qpos[4] ** 2 + self._qpos[5] ** 2)
         happening = {
-            "rollover": tilt < TILT_LIMIT or bool(self._touched[0]),
-            "collision with a tree": bool(self._touched[1]),
+            "rollover": tilt < TILT_LIMIT or self._touched[0],
+            "collision with a tree": self._touched[1],
             "left the world": not inside,
         }
-        for event, happened in happening.items():
-            if happened and event not in self._reported:
-                self._reported.add(event)
-                self._events.append(event)
+        new = [event for event, happened in happening.items() if happened and event not in self._reported]
+        self._reported.update(new)
+        self._events += new
 
     def _wheel_truth(self) -> WheelTruth:
         truth = self._truth.copy()
-        _, _, x0, y0, resolution = self._grid
-        kinds = [main_kind(self._world.kinds, x0, y0, resolution, x, y) for x, y in truth[:, :2]]
-        return WheelTruth(
-            contact=truth[:, :3],
-            properties=truth[:, 3:7],
-            kind=np.array(kinds),
-            load=truth[:, 7],
-            slip_ratio=truth[:, 8],
-            slip_angle=truth[:, 9],
-        )
-
-
-def _grid_of(world: World) -> tuple[np.ndarray, np.ndarray, float, float, float]:
-    """Return the elevation, properties, origin and resolution of a world, as `substep` reads them."""
-    return (
-        np.ascontiguousarray(world.elevation, dtype=np.float64),
-        np.ascontiguousarray(world.properties, dtype=np.float64),
-        float(world.origin[0]),
-        float(world.origin[1]),
-        float(world.resolution),
-    )
+        kinds = [main_kind(self._world.kinds, *self._grid[2:], x, y) for x, y in truth[:, :2]]
+        return WheelTruth(truth[:, :3], truth[:, 3:7], np.array(kinds), *truth[:, 7:].T)
