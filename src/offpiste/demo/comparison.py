@@ -44,19 +44,12 @@ UNKNOWN: Final = 235
 
 @dataclass(frozen=True)
 class Predictions:
-    """Predictions of models from the same times on the map of that time.
+    """Predictions of models from the same times on the map of that time."""
 
-    Attributes:
-        row: row of the drive at each time.
-        recorded: path in the next 5 s relative to the start, in world axes [m].
-        paths: predicted paths by model [m].
-        folders: of the models.
-    """
-
-    row: Int[np.ndarray, " n"]
-    recorded: Float[np.ndarray, "n T 2"]
-    paths: Mapping[str, Float[np.ndarray, "n T 2"]]
-    folders: Mapping[str, Path]
+    row: Int[np.ndarray, " n"]  # row of the drive at each time
+    recorded: Float[np.ndarray, "n T 2"]  # path in the next 5 s relative to the start, in world axes [m]
+    paths: Mapping[str, Float[np.ndarray, "n T 2"]]  # predicted paths by model [m]
+    folders: Mapping[str, Path]  # of the models
 
     def errors(self, model: str) -> Float[np.ndarray, " n"]:
         """Return the distance errors after 5 s [m]."""
@@ -89,14 +82,15 @@ def predict(dataset: Dataset, folders: Mapping[str, Path]) -> Predictions:
 def comparison_table(predictions: Predictions, results: Mapping[str, Mapping[str, Any]], speed: float) -> TextTable:
     """Return prediction errors of both models and their results on the course with a target speed [m/s]."""
     models = tuple(results)
+    measures = {
+        "time for the course [s]": ("time_s", 1),
+        "path error, mean [m]": ("mean_path_error_m", 2),
+        "path error, worst [m]": ("worst_path_error_m", 2),
+        f"speed error from {speed:g} m/s, mean [m/s]": ("mean_speed_error_mps", 2),
+    }
     errors = (number(float(predictions.errors(model).mean())) for model in models)
     rows = [("error of the predicted position after 5 s [m]", *errors)]
-    for text, key, digits in (
-        ("time for the course [s]", "time_s", 1),
-        ("path error, mean [m]", "mean_path_error_m", 2),
-        ("path error, worst [m]", "worst_path_error_m", 2),
-        (f"speed error from {speed:g} m/s, mean [m/s]", "mean_speed_error_mps", 2),
-    ):
+    for text, (key, digits) in measures.items():
         rows.append((text, *(number(float(results[m][key]), digits) for m in models)))
     rows.append(("end of the drive", *(ending(results[m]) for m in models)))
     return TextTable("This drive", ("", *(NAMES[model] for model in models)), tuple(rows))
@@ -138,12 +132,7 @@ def ending(result: Mapping[str, Any]) -> str:
 def demo_picture(
     world: World, dataset: Dataset, predictions: Predictions, log: Path, courses: Mapping[str, Drive], title: str
 ) -> Figure:
-    """Draw a page on the demo.
-
-    Args:
-        dataset, log: the predicted drive.
-        courses: drives of the course by model.
-    """
+    """Draw a page on the predicted drive (dataset and log) and the drives of the course by model."""
     figure = Figure(figsize=(14, 9.2), dpi=110, layout="constrained")
     figure.suptitle(title, x=0.01, ha="left", fontsize=12)
     grid = figure.add_gridspec(3, 4, height_ratios=(1.0, 1.0, 1.25))
@@ -196,15 +185,12 @@ def _ground(far: Axes, near: Axes, drive: StoredDrive, number: int) -> None:
     row = drive.snapshots.row[number]
     centre = path[row] + AHEAD * np.array([np.cos(state[row, 2]), np.sin(state[row, 2])])
     maps = [drive.snapshots.load(n).cropped(centre - REACH, centre + REACH) for n in (number, later)]
-    limits = colour_limits(maps[-1].features)
+    limits, (xlim, ylim) = colour_limits(maps[-1].features), centre[:, None] + np.array([-REACH, REACH])
     for axes, shown, until in ((far, maps[0], row), (near, maps[1], drive.snapshots.row[later])):
         _features(axes, shown, limits)
-        axes.set_facecolor((UNKNOWN / 255,) * 3)
         axes.plot(*path[: until + 1].T, color="black", linewidth=1.5)
         axes.plot(*path[until], marker="^", color="white", markeredgecolor="black", markersize=7)
-        axes.set(
-            xlim=centre[0] + np.array([-REACH, REACH]), ylim=centre[1] + np.array([-REACH, REACH]), xticks=[], yticks=[]
-        )
+        axes.set(xlim=xlim, ylim=ylim, xticks=[], yticks=[], facecolor=(UNKNOWN / 255,) * 3)
     seconds = DT * float(drive.snapshots.row[later] - row)
     far.set_title("Ground ahead in the map", fontsize=10, loc="left")
     near.set_title(f"{seconds:.0f} s later, from nearby", fontsize=10, loc="left")

@@ -8,7 +8,7 @@ import io
 import json
 import logging
 import shutil
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import redirect_stderr
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -39,13 +39,18 @@ logger = logging.getLogger(__name__)
 
 Item = TypeVar("Item")
 
-FAMILY: Final = "proving-ground"
+FAMILY, RIG, DRIVE = "proving-ground", "proving_ground", "drive"
 MODELS: Final = ("b", "dc")
-DRIVE: Final = "drive"
-RIG: Final = "proving_ground"
-
 FIRST_WORLD: Final = 5000
 """Seed of the first world; trainings, tests and courses of the project use smaller seeds."""
+
+
+NEXT: Final = {
+    f"offpiste drive {PREFIX}{FAMILY}/dc --world dunes --seed 7": "another course, with a shipped model",
+    "offpiste inspect YOUR_LOG": "check a log of your own vehicle",
+    "offpiste demo --train --out trained": "all stages: drive, extract, train, evaluate",
+}
+"""Commands to try next."""
 
 
 @dataclass(frozen=True)
@@ -94,14 +99,17 @@ def run_first_minute(out: Path, settings: FirstMinuteSettings, *, processes: int
     logger.info("3/3  Results.\n")
     title = f"offpiste demo: {place.preset}, seed {place.seed}, a world unseen in training"
     rig = load_rig(RIG)
-    courses = {model: read_drive(out / model / "drive.mcap", rig) for model in MODELS}
-    figure = demo_picture(make_world(place), dataset, predictions, _log(out), courses, title)
-    write_png(out / "demo.png", figure)
-    results = _results(out)
-    outcome = {"moments": len(predictions.row), "error_m": {m: float(predictions.errors(m).mean()) for m in MODELS}}
-    write_text(out / "demo.json", json.dumps({**outcome, "courses": results}, indent=1, allow_nan=False) + "\n")
+    logs = {model: out / model / "drive.mcap" for model in MODELS}
+    courses = {model: read_drive(log, rig) for model, log in logs.items()}
+    write_png(out / "demo.png", demo_picture(make_world(place), dataset, predictions, _log(out), courses, title))
+    results = {model: _result(out, model) for model in MODELS}
+    errors = {model: float(predictions.errors(model).mean()) for model in MODELS}
+    outcome = {"moments": len(predictions.row), "error_m": errors, "courses": results}
+    write_text(out / "demo.json", json.dumps(outcome, indent=1, allow_nan=False) + "\n")
     logger.info(comparison_table(predictions, results, settings.course_speed).text())
-    for line in (*closing_words(predictions), "", *_files(out), "", *_commands()):
+    files = f"picture: {out / 'demo.png'}", f"logs (ROS 2): {', '.join(map(str, (_log(out), *logs.values())))}"
+    commands = (f"  {command:<66} {what}" for command, what in NEXT.items())
+    for line in (*closing_words(predictions), "", *files, "", "Next:", *commands):
         logger.info(line)
 
 
@@ -113,30 +121,25 @@ def do_part(part: str, report: Report, *, out: Path, settings: FirstMinuteSettin
 
 def _drive(out: Path, settings: FirstMinuteSettings) -> str:
     """Record the drive and extract it as a test dataset."""
-    log = _log(out)
+    log, dataset = _log(out), out / "dataset.zarr"
     log.parent.mkdir(exist_ok=True)
     summary = simulate_once(DriveSettings(settings.place, settings.seconds, settings.seed, sensors="light"), log)
-    if not (out / "dataset.zarr").exists() or not drive_names(out / "dataset.zarr"):
+    if not dataset.exists() or not drive_names(dataset):
         split = write_drives(out / "parts.txt", [(log.stem, "test")])
-        snapshots = SnapshotSettings(settings.snapshot_seconds)
-        pca = Path(f"{PREFIX}{FAMILY}")
-        options: dict[str, Any] = {"split": split, "pca": pca, "snapshots": snapshots, "processes": 1, "force": True}
-        extract([log], load_rig(RIG), out / "dataset.zarr", **options)
+        pca, snapshots = Path(f"{PREFIX}{FAMILY}"), SnapshotSettings(settings.snapshot_seconds)
+        extract([log], load_rig(RIG), dataset, split=split, pca=pca, snapshots=snapshots, processes=1, force=True)
     return f"     {summary}"
 
 
 def _course(model: str, report: Report, out: Path, settings: FirstMinuteSettings) -> str:
+    """Drive the course with a model."""
     folder = out / model
-    if (folder / "result.json").exists():
-        return _driven(model, _results(out)[model])
-    shutil.rmtree(folder, ignore_errors=True)  # left by an interrupted drive
-    course = CourseSettings(speed=settings.course_speed, length=settings.course_length)
-    drive = CourseDriveSettings(settings.place, settings.course_seconds, course=course)
-    driven = drive_course(load_planner(Path(shipped(model))), drive, folder, track=partial(_reported, report=report))
-    return _driven(model, driven.result)
-
-
-def _driven(model: str, result: Mapping[str, Any]) -> str:
+    if not (folder / "result.json").exists():
+        shutil.rmtree(folder, ignore_errors=True)  # left by an interrupted drive
+        course = CourseSettings(speed=settings.course_speed, length=settings.course_length)
+        drive = CourseDriveSettings(settings.place, settings.course_seconds, course=course)
+        drive_course(load_planner(Path(shipped(model))), drive, folder, track=partial(_reported, report=report))
+    result = _result(out, model)
     return f"     {NAMES[model]}: {ending(result)}, mean path error {result['mean_path_error_m']:.2f} m"
 
 
@@ -157,21 +160,5 @@ def _log(out: Path) -> Path:
     return out / "logs" / f"{DRIVE}.mcap"
 
 
-def _results(out: Path) -> dict[str, dict[str, Any]]:
-    there = [model for model in MODELS if (out / model / "result.json").exists()]
-    return {model: json.loads((out / model / "result.json").read_text("utf-8")) for model in there}
-
-
-def _files(out: Path) -> Iterator[str]:
-    yield f"picture: {out / 'demo.png'}"
-    yield f"logs (ROS 2): {_log(out)}, {', '.join(str(out / model / 'drive.mcap') for model in MODELS)}"
-
-
-def _commands() -> Iterator[str]:
-    yield "Next:"
-    for command, what in (
-        (f"offpiste drive {shipped('dc')} --world dunes --seed 7", "another course, with a shipped model"),
-        ("offpiste inspect YOUR_LOG", "check a log of your own vehicle"),
-        ("offpiste demo --train --out trained", "all stages: drive, extract, train, evaluate"),
-    ):
-        yield f"  {command:<66} {what}"
+def _result(out: Path, model: str) -> dict[str, Any]:
+    return dict(json.loads((out / model / "result.json").read_text("utf-8")))

@@ -33,14 +33,9 @@ from offpiste.training.train import train
 
 logger = logging.getLogger(__name__)
 
-MODELS = ("dc", "b")
-WORLD = "mojave"
-BACKBONE = "filterbank"
-
-PCA_DRIVES = 2
-"""Number of training drives for fitting the PCA."""
-STEPS = 8
-"""Number of steps in the log."""
+MODELS, WORLD, BACKBONE = ("dc", "b"), "mojave", "filterbank"
+PCA_DRIVES, STEPS = 2, 8
+"""Numbers of training drives for fitting the PCA, and of steps in the log."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +55,10 @@ class DemoSettings:
     course_seconds: float = 30.0  # time limit of the course [s]
     course_speed: float = 6.0  # target speed [m/s]
 
+    def world(self, seed: int) -> WorldSettings:
+        """Return the settings of a world."""
+        return WorldSettings(WORLD, seed, size=self.size, resolution=self.resolution)
+
 
 def run_demo(out: Path, settings: DemoSettings, *, processes: int = 0) -> None:
     """Run the demo in `out`; finished steps with the same settings are reused.
@@ -72,13 +71,14 @@ def run_demo(out: Path, settings: DemoSettings, *, processes: int = 0) -> None:
     """
     claim_folder(out, {"demo": asdict(settings)})
     rig, processes = load_rig("proving_ground"), at_a_time(processes)
-    recordings = _recordings(out, settings)
-    logs = [recording.log for recording in recordings]
+    seeds = range(settings.seed, settings.seed + len(settings.parts))
+    logs = [out / "logs" / f"{WORLD}-{seed}.mcap" for seed in seeds]
+    drives = [DriveSettings(settings.world(seed), settings.seconds, seed, sensors="light") for seed in seeds]
     logger.info(
         f"1/{STEPS}  offpiste simulate: {len(logs)} drives of {settings.seconds:g} s, each in its own world, with a"
         " camera and a LiDAR"
     )
-    simulate_all(recordings, processes)
+    simulate_all(list(map(Recording, drives, logs)), processes)
     logger.info(f"2/{STEPS}  offpiste inspect {logs[0]} --rig proving_ground")
     logger.info(render(inspect_log(open_log(logs[0]), rig)))
     dataset = _extracted(logs, rig, out, settings, processes)
@@ -91,16 +91,6 @@ def run_demo(out: Path, settings: DemoSettings, *, processes: int = 0) -> None:
         logger.info(sentence)
     logger.info("With more driving: `offpiste reproduce fig4 --size laptop` (hours); see docs/results.md for results.")
     _drive(runs[0], out, settings)
-
-
-def _recordings(out: Path, settings: DemoSettings) -> list[Recording]:
-    """Return the drives to simulate, each with its own seed."""
-    recordings = []
-    for seed in range(settings.seed, settings.seed + len(settings.parts)):
-        world = WorldSettings(WORLD, seed, size=settings.size, resolution=settings.resolution)
-        drive = DriveSettings(world, settings.seconds, seed, sensors="light")
-        recordings.append(Recording(drive, out / "logs" / f"{WORLD}-{seed}.mcap"))
-    return recordings
 
 
 def _extracted(logs: list[Path], rig: Rig, out: Path, settings: DemoSettings, processes: int) -> Dataset:
@@ -128,14 +118,9 @@ def _trained(model: str, dataset: Dataset, out: Path, settings: DemoSettings) ->
     folder = out / "runs" / f"{model}-{settings.seed}"
     logger.info(f"5/{STEPS}  offpiste train {dataset.path} --model {model} --out {folder}")
     reuse_stages(folder.parent, folder, settings.seed)
-    config = TrainConfig(
-        model=model,
-        epochs=settings.epochs,
-        bicycle_epochs=settings.epochs,
-        actuator_epochs=max(1, settings.epochs // 2),
-        batch=settings.batch,
-        seed=settings.seed,
-    )
+    epochs, half = settings.epochs, max(1, settings.epochs // 2)
+    shared = {"bicycle_epochs": epochs, "actuator_epochs": half, "batch": settings.batch, "seed": settings.seed}
+    config = TrainConfig(model=model, epochs=epochs, **shared)
     if not (folder / "model.json").exists():
         train(dataset, config, folder, resume=(folder / "config.json").exists())
     return folder
@@ -153,8 +138,7 @@ def _drive(run: Path, out: Path, settings: DemoSettings) -> None:
         logger.info(described(json.loads(result.read_text("utf-8"))))
     else:
         shutil.rmtree(folder, ignore_errors=True)  # left by an interrupted drive
-        world = WorldSettings(WORLD, seed, size=settings.size, resolution=settings.resolution)
         course = CourseSettings(speed=settings.course_speed)
-        drive = CourseDriveSettings(world, settings.course_seconds, course=course)
+        drive = CourseDriveSettings(settings.world(seed), settings.course_seconds, course=course)
         drive_course(load_planner(run, pca), drive, folder)
     logger.info(f"picture: {folder / 'drive.png'}")
