@@ -1,18 +1,12 @@
 """Top view of a drive along a course."""
 
-from typing import Any
-
 import numpy as np
-from matplotlib import colormaps
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.legend_handler import HandlerTuple
-from matplotlib.lines import Line2D
 from matplotlib.patheffects import Normal, Stroke
 
 from offpiste.closed_loop.scores import Trace
 from offpiste.planning.course import Course
-from offpiste.report.figure import PATH_COLOURS, coloured_path
+from offpiste.report.figure import coloured_path
 from offpiste.runtime.prediction import Prediction
 from offpiste.simulation.top_view import draw_top_view
 from offpiste.simulation.world.world import World
@@ -49,26 +43,8 @@ def course_picture(
     pieces = coloured_path(axes, trace.place[:scored], trace.slip[:scored], width=2.4)
     pieces.set_clim(0.0, SLIP_LIMIT)
     figure.colorbar(pieces, ax=axes, shrink=0.7, extend="max", label="slip of the driven path")
-    axes.plot(
-        *trace.place[0], marker="o", color="white", markeredgecolor="black", linestyle="", zorder=5, label="start"
-    )
+    axes.plot(*trace.place[0], "o", color="white", markeredgecolor="black", zorder=5, label="start")
     axes.set(xlim=(left, right), ylim=(bottom, top))
-    axes.set(xlabel="x [m]", ylabel="y [m]")
-    figure.legend(
-        *_legend(axes),
-        handler_map={tuple: HandlerTuple(ndivide=None, pad=0)},
-        loc="outside lower center",
-        ncols=5,
-        fontsize=8,
-        facecolor="#b8a88a",
-    )
+    figure.legend(loc="outside lower center", ncols=5, fontsize=8, facecolor="#b8a88a")
     axes.set_title(title, fontsize=10, loc="left")
     return figure
-
-
-def _legend(axes: Axes) -> tuple[list[Any], list[str]]:
-    """Return handles and labels, with several colours for the driven path."""
-    handles, names = axes.get_legend_handles_labels()
-    colours = colormaps[PATH_COLOURS](np.linspace(0.1, 0.9, 5))
-    driven = tuple(Line2D([], [], color=colour, linewidth=2.4, solid_capstyle="butt") for colour in colours)
-    return [*handles, driven], [*names, "driven"]

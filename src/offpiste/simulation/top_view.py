@@ -44,18 +44,8 @@ def shaded_colours(world: World) -> Float[np.ndarray, "ny nx 3"]:
 
 
 def _discs(axes: Axes, centre: Float[np.ndarray, "n 2"], radius: Float[np.ndarray, " n"], colour: str) -> None:
+    size = (2 * radius, 2 * radius, np.zeros(len(radius)))
     for offset, face, alpha in ((0.35, _SHADOW, 0.45), (0.0, colour, 1.0)):
         shifted = centre + offset * radius[:, None] * np.array([1.0, -1.0])
-        axes.add_collection(
-            EllipseCollection(
-                2 * radius,
-                2 * radius,
-                np.zeros(len(radius)),
-                units="xy",
-                offsets=shifted,
-                offset_transform=axes.transData,
-                facecolor=face,
-                edgecolor="none",
-                alpha=alpha,
-            )
-        )
+        place = {"units": "xy", "offsets": shifted, "offset_transform": axes.transData}
+        axes.add_collection(EllipseCollection(*size, facecolor=face, edgecolor="none", alpha=alpha, **place))

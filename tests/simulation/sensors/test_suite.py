@@ -1,9 +1,7 @@
 """Sensors beside a vehicle that drives on."""
 
 import threading
-import time
 from dataclasses import replace
-from functools import partial
 from unittest.mock import create_autospec
 
 import numpy as np
@@ -24,31 +22,21 @@ def samples(count):
         yield sample
 
 
-def sensing(measurements):
-    made = create_autospec(Sensing, instance=True)
-    made.measurements = measurements
-    return made
-
-
 @pytest.mark.parametrize("count", [0, 3 * AHEAD])
 def test_each_sample_comes_with_its_own_measurements_in_order(count):
-    threads, rng = set(), np.random.default_rng(0)
-
-    def measurements(sample, stamp_ns):
-        threads.add(threading.current_thread())
-        for k in range(2):
-            yield partial(measured, f"/topic{k}", stamp_ns(sample.time), rng.random() / 1000)
-
-    def measured(topic, stamp, seconds):
-        time.sleep(seconds)  # the later one is often ready first
-        assert threading.current_thread() not in threads
-        return [(topic, stamp)]
-
-    found = list(observed(samples(count), sensing(measurements), lambda time: int(10 * time)))
+    sensing = create_autospec(Sensing, instance=True)
+    sensing.observe.side_effect = lambda sample, stamp_ns: [("/topic", stamp_ns(sample.time))]
+    found = list(observed(samples(count), sensing, lambda time: int(10 * time)))
     assert [sample.time for sample, _ in found] == list(range(count))
-    assert [messages for _, messages in found] == [[("/topic0", 10 * n), ("/topic1", 10 * n)] for n in range(count)]
-    assert len(threads) == min(count, 1)
-    assert threading.current_thread() not in threads
+    assert [messages for _, messages in found] == [[("/topic", 10 * n)] for n in range(count)]
+
+
+def test_an_error_of_a_sensor_reaches_the_drive_and_leaves_no_thread():
+    sensing, before = create_autospec(Sensing, instance=True), threading.active_count()
+    sensing.observe.side_effect = OSError("broken")
+    with pytest.raises(OSError, match="broken"):
+        list(observed(samples(100), sensing, int))
+    assert threading.active_count() == before
 
 
 @pytest.mark.parametrize("apart", [True, False])
@@ -65,18 +53,3 @@ def test_a_lidar_measures_the_same_without_cameras_where_sensors_are_apart(apart
     assert [len(cloud) > 1000 for cloud in clouds[0]] == [True, True]
     same = [np.array_equal(one, other) for one, other in zip(*clouds, strict=True)]
     assert same == [apart, apart]
-
-
-def test_an_error_of_a_sensor_reaches_the_drive_and_leaves_no_thread():
-    def broken(time):
-        if time == 2:
-            raise OSError("broken")
-        return []
-
-    def measurements(sample, stamp_ns):
-        yield partial(broken, sample.time)
-
-    before = threading.active_count()
-    with pytest.raises(OSError, match="broken"):
-        list(observed(samples(100), sensing(measurements), int))
-    assert threading.active_count() == before

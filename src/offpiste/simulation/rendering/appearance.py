@@ -33,7 +33,7 @@ from offpiste.simulation.rendering.shading import (
     octave_turns,
     random_lattice,
 )  # fmt: skip
-from offpiste.simulation.world.grids import Axis, Grid, normals_of, smooth_noise, smooth_step
+from offpiste.simulation.world.grids import Grid, normals_of, smooth_noise, smooth_step
 from offpiste.simulation.world.ground import colour_table
 from offpiste.simulation.world.world import World
 
@@ -45,11 +45,10 @@ class Light(NamedTuple):
     """Light of a drive; colours are linear RGB, with about 1 for white ground in full sun."""
 
     sun: Float[np.ndarray, " 3"]  # unit vector to the sun in the world frame
-    # Light of the sun on a surface facing it, and of the whole sky on a level surface
-    sun_colour: Float[np.ndarray, " 3"]
-    sky_colour: Float[np.ndarray, " 3"]
+    sun_colour: Float[np.ndarray, " 3"]  # light of the sun on a surface facing it
+    sky_colour: Float[np.ndarray, " 3"]  # light of the whole sky on a level surface
     horizon_colour: Float[np.ndarray, " 3"]  # visible colours of the sky
-    zenith_colour: Float[np.ndarray, " 3"]  # visible colours of the sky
+    zenith_colour: Float[np.ndarray, " 3"]
     haze: float  # share of light lost per metre [1/m]
     overcast: float  # share of clouds in the sky [0..1]
     clouds: Float[np.ndarray, " 2"]  # offset of the pattern of clouds
@@ -105,7 +104,7 @@ class Texture:
     fine: float  # brightness share of each octave of noise up to 5 cm and from 80 cm; half of both in between
     coarse: float
     accent: tuple[float, float, float]  # linear RGB colour added by large noise
-    relief: float  # contrast of bumps against the sun
+    bumps: float  # contrast of bumps against the sun
     stones: float = 0.0  # brightness shares of pebbles, short grass and wind ripples
     blades: float = 0.0
     ripples: float = 0.0
@@ -151,27 +150,12 @@ def make_appearance(world: World, scene: Scene, drive_seed: int) -> Appearance:
     """
     noise = world.settings.appearance_noise
     of_world, of_drive = np.random.default_rng([world.settings.seed, 5]), np.random.default_rng([drive_seed, 6])
-    light = draw_light(of_drive, noise)
-    boxes = np.array([box for name, box in BOXES.items() if name in SHADOWS])
-    around = np.stack((boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)))
-    paint = [next((colour for part, colour in PAINT.items() if part in name), PLASTIC) for name in BOXES]
-    return Appearance(
-        ground=_ground(world, scene, light, of_world, of_drive),
-        light=light,
-        shadow_boxes=np.concatenate((around[None], boxes)),
-        paint=np.array(paint),
-    )
-
-
-def _ground(
-    world: World, scene: Scene, light: Light, of_world: np.random.Generator, of_drive: np.random.Generator
-) -> GroundTexture:
-    turn = octave_turns(of_world)
+    light, turn = draw_light(of_drive, noise), octave_turns(of_world)
     unit = turn * WAVELENGTHS[:, None]
     # The sun's direction, rotated like each octave: x' = cos x + sin y, y' = cos y - sin x.
     sun = np.stack((unit @ light.sun[:2], unit @ np.array((light.sun[1], -light.sun[0]))), axis=1)
-    leaves = np.exp(np.clip(world.settings.appearance_noise * of_world.normal(0, 0.08, (len(PLANTS), 3)), -0.4, 0.4))
-    return GroundTexture(
+    leaves = np.exp(np.clip(noise * of_world.normal(0, 0.08, (len(PLANTS), 3)), -0.4, 0.4))
+    ground = GroundTexture(
         nodes=_nodes(world, scene, light, of_world, of_drive),
         x0=world.origin[0],
         y0=world.origin[1],
@@ -183,6 +167,10 @@ def _ground(
         soil=np.array(SOIL, np.float32),
         plants=(np.array(PLANTS) * leaves).astype(np.float32),
     )
+    boxes = np.array([box for name, box in BOXES.items() if name in SHADOWS])
+    around = np.stack((boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)))
+    paint = [next((colour for part, colour in PAINT.items() if part in name), PLASTIC) for name in BOXES]
+    return Appearance(ground, light, np.concatenate((around[None], boxes)), np.array(paint))
 
 
 def _nodes(
@@ -196,23 +184,18 @@ def _nodes(
 
     # Colours of the kinds, dry and wet, with random patches.
     x, y = (resolution * np.arange(n) for n in world.elevation.shape[::-1])
-    bright, warm = (0.12 * noise * _patches(of_world, x, y) for _ in range(2))
+    patches = (smooth_noise(of_world, x, y, 11.0) + 0.5 * smooth_noise(of_world, x, y, 3.0) for _ in range(2))
+    bright, warm = (0.12 * noise * np.clip(patch, -3, 3) for patch in patches)
     for channel, (dry, wet) in enumerate(_colours(of_world, noise).transpose(2, 0, 1, 3)):
         tint = np.exp(bright + (0.5, 0.0, -0.5)[channel] * warm)
         for first, shift in ((LOW, 0), (HIGH, 1)):
             mixed = _mix(shares, dry[shift]) * (1 - world.wetness) + _mix(shares, wet[shift]) * world.wetness
             nodes[..., first + channel] = _byte(np.sqrt(mixed * tint))
 
-    textures = [TEXTURES[kind] for kind in GROUND_KINDS]
-    for channel, name, full in (
-        (FINE, "fine", MOST_RELIEF),
-        (COARSE, "coarse", MOST_RELIEF),
-        (BUMPS, "relief", MOST_RELIEF),
-        (STONES, "stones", 1.0),
-        (BLADES, "blades", 1.0),
-        (RIPPLES, "ripples", 1.0),
-    ):
-        nodes[..., channel] = _byte(_mix(shares, np.array([getattr(t, name) for t in textures]) / full))
+    channels = {"fine": FINE, "coarse": COARSE, "bumps": BUMPS, "stones": STONES, "blades": BLADES, "ripples": RIPPLES}
+    for name, channel in channels.items():
+        full = MOST_RELIEF if channel <= BUMPS else 1.0
+        nodes[..., channel] = _byte(_mix(shares, np.array([getattr(TEXTURES[k], name) for k in GROUND_KINDS]) / full))
     nodes[..., GLOSS] = _byte(world.wetness**2 * (0.15 + 0.45 * shares[GROUND_KINDS.index("mud")]))
     nodes[..., TRAIL] = _byte(_distance_to_trails(world) / TRAIL_REACH)
     for channel, light_there in zip((SUN, OPEN), sunlit_ground(world, scene, light, of_drive), strict=True):
@@ -230,10 +213,6 @@ def _colours(rng: np.random.Generator, noise: float) -> Float[np.ndarray, "2 2 3
     accent = np.array([TEXTURES[kind].accent for kind in GROUND_KINDS])
     sides = np.stack((colour - accent, colour + accent), axis=1)
     return np.clip(sides, 0.01, 1.0).transpose(0, 1, 3, 2)
-
-
-def _patches(rng: np.random.Generator, x: Axis, y: Axis) -> Grid:
-    return np.clip(smooth_noise(rng, x, y, 11.0) + 0.5 * smooth_noise(rng, x, y, 3.0), -3, 3)
 
 
 def _mix(shares: Float[np.ndarray, "K ny nx"], values: Float[np.ndarray, " K"]) -> Grid:

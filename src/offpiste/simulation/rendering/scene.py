@@ -19,11 +19,8 @@ BLOCK = 65536
 SURFACES = ("sky", "ground", "trunk", "crown", "bush", "grass", "body")
 """Surfaces that a ray can hit; "sky" if it hits nothing."""
 
-LEAVES = 400_000
-"""Total number of triangles of all crowns, and of all bushes."""
-BLADES = 600_000
-"""Largest number of blades of tall grass; blades are wider where it is reached."""
-
+LEAVES, BLADES = 400_000, 600_000
+"""Total number of triangles of all crowns, and of all bushes; largest number of blades, which are then wider."""
 BLADES_PER_AREA = 40.0
 """Blades per area in tall grass [1/m^2]."""
 BLADE_WIDTH = 0.03
@@ -86,20 +83,16 @@ def trunk_mesh(trees: Trees) -> Mesh:
 
 def crown_mesh(trees: Trees, rng: np.random.Generator) -> Mesh:
     """Return single triangles in an ellipsoid from a third of the height to the top."""
-    n = len(trees.height)
     radius = np.stack((trees.crown_radius, trees.crown_radius, 0.36 * trees.height), axis=1)
     centre = trees.foot + np.array([0.0, 0.0, 0.66]) * trees.height[:, None]
-    per_plant = int(np.clip(LEAVES / max(n, 1), 30, 1500))
-    return _leaves("crown", centre, radius, per_plant, 8.0, rng)
+    return _leaves("crown", centre, radius, (30, 1500), 8.0, rng)
 
 
 def bush_mesh(bushes: Bushes, rng: np.random.Generator) -> Mesh:
     """Return single triangles in an ellipsoid on the ground."""
-    n = len(bushes.height)
     radius = np.stack((bushes.radius, bushes.radius, 0.5 * bushes.height), axis=1)
     centre = bushes.foot + np.array([0.0, 0.0, 0.5]) * bushes.height[:, None]
-    per_plant = int(np.clip(LEAVES / max(n, 1), 20, 400))
-    return _leaves("bush", centre, radius, per_plant, 6.0, rng)
+    return _leaves("bush", centre, radius, (20, 400), 6.0, rng)
 
 
 def grass_mesh(world: World, rng: np.random.Generator) -> Mesh:
@@ -139,12 +132,13 @@ def _leaves(
     surface: str,
     centre: Float[np.ndarray, "n 3"],
     radius: Float[np.ndarray, "n 3"],
-    per_plant: int,
+    per_plant_limits: tuple[int, int],
     dense: float,
     rng: np.random.Generator,
 ) -> Mesh:
     """Return random triangles in ellipsoids, denser near the hull; `dense`: about total area over the plant's area."""
     n = len(centre)
+    per_plant = int(np.clip(LEAVES / max(n, 1), *per_plant_limits))
     towards = rng.normal(size=(n, per_plant, 3))
     towards /= np.linalg.norm(towards, axis=2, keepdims=True)
     lumps = 1 + 0.15 * np.sin(5 * towards @ rng.normal(size=3))[..., None]

@@ -4,7 +4,6 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any, Final, TypeVar
 
 import numpy as np
@@ -18,7 +17,7 @@ from offpiste.simulation.rendering.appearance import make_appearance
 from offpiste.simulation.rendering.scene import Scene, world_scene
 from offpiste.simulation.sample import Motion, Pose, VehicleSample
 from offpiste.simulation.sensors.camera import Camera, CameraSettings, render
-from offpiste.simulation.sensors.lidar import Lidar, LidarSettings, Scan
+from offpiste.simulation.sensors.lidar import Lidar, LidarSettings
 from offpiste.simulation.world.world import World
 
 Sensor = TypeVar("Sensor", CameraSettings, LidarSettings)
@@ -27,8 +26,6 @@ _OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Rotation to body axes from those of a camera that looks ahead (z forward, x right, y down)."""
 AHEAD: Final = 25
 """Samples that the vehicle may be ahead of its sensors; their messages wait in memory."""
-THREADS: Final = 2
-"""Threads that measure, besides those that cast rays: one encodes while the other casts."""
 
 
 @dataclass(frozen=True)
@@ -149,39 +146,31 @@ class Sensing:
 
     def observe(self, sample: VehicleSample, stamp_ns: StampNs) -> Messages:
         """Return all measurements completed by a sample."""
-        return [message for measure in self.measurements(sample, stamp_ns) for message in measure()]
+        self._past.append(sample)
+        row, messages = round(sample.time / DT), Messages()
+        for camera in self._cameras:
+            if row % _period(camera) == 0:
+                seed = int(self._rngs[camera.settings.name].integers(2**31))
+                messages += self._image(camera, sample.pose, seed, stamp_ns(sample.time))
+        for lidar in self._lidars:
+            turn = _period(lidar)
+            if row % turn == 0 and row >= turn:
+                samples = list(self._past)[-turn - 1 :]
+                messages += self._points(lidar, samples, self._rngs[lidar.settings.name], stamp_ns(samples[0].time))
+        return messages
 
     def warm_up(self, sample: VehicleSample) -> None:
         """Measure once with every sensor, so that kernels are compiled; measurements of the drive do not change."""
         for camera in self._cameras:
             self._image(camera, sample.pose, 0, 0)
         for lidar in self._lidars:
-            still = Motion.of([replace(sample, time=sample.time + row * DT) for row in range(_period(lidar) + 1)])
-            self._points(lidar, lidar.scan(self._scene, still, sample.time, np.random.default_rng(0)), 0)
+            still = [replace(sample, time=sample.time + row * DT) for row in range(_period(lidar) + 1)]
+            self._points(lidar, still, np.random.default_rng(0), 0)
 
     def pass_by(self, sample: VehicleSample) -> int:
         """Skip the measurements of a sample, and return their number."""
         self._past.append(sample)
         return sum(round(sample.time / DT) % _period(sensor) == 0 for sensor in (*self._cameras, *self._lidars))
-
-    def measurements(self, sample: VehicleSample, stamp_ns: StampNs) -> Iterator[Callable[[], Messages]]:
-        """Yield all measurements completed by a sample, as functions to be called at any time and in any thread.
-
-        Random numbers are drawn before, in the order of the measurements.
-        """
-        self._past.append(sample)
-        row = round(sample.time / DT)
-        for camera in self._cameras:
-            if row % _period(camera) == 0:
-                seed = int(self._rngs[camera.settings.name].integers(2**31))
-                yield partial(self._image, camera, sample.pose, seed, stamp_ns(sample.time))
-        for lidar in self._lidars:
-            turn = _period(lidar)
-            if row % turn == 0 and row >= turn:
-                samples = list(self._past)[-turn - 1 :]
-                start, rng = samples[0].time, self._rngs[lidar.settings.name]
-                scan = lidar.scan(self._scene, Motion.of(samples), start, rng)
-                yield partial(self._points, lidar, scan, stamp_ns(start))
 
     def _image(self, camera: Camera, pose: Pose, seed: int, stamp: int) -> Messages:
         s = camera.settings
@@ -190,8 +179,8 @@ class Sensing:
         info = camera_info_message(s.model, stamp, s.name)
         return [(f"/{s.name}/image/compressed", image), (f"/{s.name}/camera_info", info)]
 
-    def _points(self, lidar: Lidar, scan: Scan, stamp: int) -> Messages:
-        name = lidar.settings.name
+    def _points(self, lidar: Lidar, samples: list[VehicleSample], rng: np.random.Generator, stamp: int) -> Messages:
+        name, scan = lidar.settings.name, lidar.scan(self._scene, Motion.of(samples), samples[0].time, rng)
         return [(f"/{name}/points", points_message(scan.points, scan.intensity, scan.ring, scan.time, stamp, name))]
 
 
@@ -203,27 +192,18 @@ def _period(sensor: Camera | Lidar) -> int:
 def observed(
     samples: Iterable[VehicleSample], sensing: Sensing | None, stamp_ns: StampNs
 ) -> Iterator[tuple[VehicleSample, Messages]]:
-    """Yield samples with the measurements they complete; sensors run in threads while the vehicle drives on."""
+    """Yield samples with the measurements they complete, which a thread computes while the vehicle drives on."""
     if sensing is None:
         yield from ((sample, []) for sample in samples)
         return
-
-    def begin(sample: VehicleSample) -> list[Future[Messages]]:
-        return [workers.submit(measure) for measure in sensing.measurements(sample, stamp_ns)]
-
-    waiting: deque[tuple[VehicleSample, Future[list[Future[Messages]]]]] = deque()
-    drawing = ThreadPoolExecutor(1, thread_name_prefix="offpiste-draws")  # in the order of the samples
-    workers = ThreadPoolExecutor(THREADS, thread_name_prefix="offpiste-sensors")
+    waiting: deque[tuple[VehicleSample, Future[Messages]]] = deque()
+    beside = ThreadPoolExecutor(1, thread_name_prefix="offpiste-sensors")
     try:
         for sample in samples:
-            waiting.append((sample, drawing.submit(begin, sample)))
+            waiting.append((sample, beside.submit(sensing.observe, sample, stamp_ns)))
             if len(waiting) > AHEAD:
-                yield _measured(*waiting.popleft())
-        yield from (_measured(*oldest) for oldest in waiting)
+                oldest, measured = waiting.popleft()
+                yield oldest, measured.result()
+        yield from ((sample, measured.result()) for sample, measured in waiting)
     finally:
-        drawing.shutdown(cancel_futures=True)
-        workers.shutdown(cancel_futures=True)
-
-
-def _measured(sample: VehicleSample, begun: Future[list[Future[Messages]]]) -> tuple[VehicleSample, Messages]:
-    return sample, [message for measured in begun.result() for message in measured.result()]
+        beside.shutdown(cancel_futures=True)

@@ -10,8 +10,15 @@ from offpiste.simulation.world.ground import grow_grass, lay_grounds, mix_proper
 from offpiste.simulation.world.terrain import SPACING, carve_trails, make_hills, make_trails, trail_distance_grid
 from offpiste.simulation.world.world import BareTerrain, Fork, World, WorldSettings, find_world_preset
 
-MIN_SIZE = 60.0
-"""Smallest side of a world [m]; a smaller one has no room for a trail."""
+ALLOWED = {
+    "seed": (0, np.inf, ""),
+    "size": (60, 2000, " m"),  # a smaller world has no room for a trail
+    "resolution": (0.05, 2, " m"),
+    "grip_contrast": (0, 1, ""),
+    "relief": (0, 5, ""),
+    "appearance_noise": (0, 10, ""),
+}
+"""Lowest and highest settings, and their unit."""
 _PARTS = ("trails", "hills", "carving", "grounds", "trees", "bushes", "grass", "forks")
 """Parts of a world with a random stream each, so that a change of one does not affect the others."""
 
@@ -58,14 +65,7 @@ def make_world(settings: WorldSettings) -> World:
 
 def _check(settings: WorldSettings) -> None:
     """Raise for the first setting out of range."""
-    allowed = {
-        "seed": (settings.seed >= 0, "0 or more"),
-        "size": (MIN_SIZE <= settings.size <= 2000, f"{MIN_SIZE:g} to 2000 m"),
-        "resolution": (0.05 <= settings.resolution <= 2, "0.05 to 2 m"),
-        "grip_contrast": (0 <= settings.grip_contrast <= 1, "0 to 1"),
-        "relief": (0 <= settings.relief <= 5, "0 to 5"),
-        "appearance_noise": (0 <= settings.appearance_noise <= 10, "0 to 10"),
-    }
-    for name, (good, wanted) in allowed.items():
-        if not good:
-            raise OffpisteError(f"{name} is {getattr(settings, name)}", where="world settings", how=f"choose {wanted}")
+    for name, (low, high, unit) in ALLOWED.items():
+        if not low <= (value := getattr(settings, name)) <= high:
+            how = f"choose {low:g} to {high:g}{unit}"
+            raise OffpisteError(f"{name} is {value}", where="world settings", how=how)
