@@ -64,7 +64,7 @@ WHOLE_PATHS = (
 
 SLOW = (
     "dynamics/kernels/test_rollout.py::test_kernels_stay_inside_their_arrays",
-    "demo/test_whole_path.py", "dynamics/header/test_cuda.py::test_kernels_keep_a_step_in_registers[sm_8",
+    "dynamics/header/test_cuda.py::test_kernels_keep_a_step_in_registers[sm_8",
     "documentation/test_tutorials.py::test_a_tutorial_runs_as_it_stands[log-to-model]",
     "documentation/test_tutorials.py::test_a_tutorial_runs_as_it_stands[predict]",
     "experiments/test_pretrained_models.py",

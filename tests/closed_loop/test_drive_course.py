@@ -82,8 +82,9 @@ def test_log_picture_and_result_are_written(driven):
         drive_course(PLANNER, SETTINGS, out)
 
 
-def test_a_course_is_on_a_trail_and_the_same_for_a_seed(driven):
+def test_a_course_is_on_a_trail_that_can_be_driven_and_the_same_for_a_seed(driven):
     world, chosen = driven[0].world, driven[0].chosen
+    assert traction_along(world, chosen.course.driven).min() >= SETTINGS.course.traction
     again = choose_course(world, 3, SETTINGS.course)
     np.testing.assert_array_equal(chosen.course.path, again.course.path)
     trails = np.concatenate(world.trails)
@@ -121,37 +122,22 @@ def test_the_traction_by_hand():
     assert traction_along(hill, east[:, ::-1]) == pytest.approx(0.35, abs=1e-5)
 
 
-def test_no_course_where_a_vehicle_would_be_stuck(driven):
-    chosen, world = driven[0].chosen, driven[0].world
-    assert traction_along(world, chosen.course.driven).min() >= SETTINGS.course.traction
-    with pytest.raises(OffpisteError, match="no stretch of trail is suitable for a course"):
-        choose_course(world, 3, replace(SETTINGS.course, traction=1.0))
-
-
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
         ({"seconds": float("nan")}, "invalid time limit of nan s"),
-        *(
-            ({"course": CourseSettings(speed=speed)}, f"invalid target speed of {speed:g} m/s")
-            for speed in (float("nan"), 0.0, 31.0)
-        ),
+        ({"course": CourseSettings(speed=31.0)}, "invalid target speed of 31 m/s"),
         ({"fault_when": "backwards"}, "unknown beginning of a fault, 'backwards'"),
-        *(({"fault_start": start}, f"invalid start of a fault at {start:g} s") for start in (float("nan"), -1.0)),
+        ({"fault_start": float("nan")}, "invalid start of a fault at nan s"),
         ({"sensors": "heavy"}, "no sensor profile"),
         ({"fault": "late-image"}, r"invalid start of a fault at 10 s.*before the drive's end"),
+        ({"runtime": replace(SETTINGS.runtime, risk=AddSpread(1.0))}, "the risk 'spread' needs a spread"),
     ],
 )
-def test_settings_out_of_range_are_refused_at_once(changed, message, tmp_path):
+def test_settings_out_of_range_are_refused_before_a_world_is_built(changed, message, tmp_path, monkeypatch):
+    monkeypatch.setattr("offpiste.closed_loop.drive_course.course_world", None)
     with pytest.raises(OffpisteError, match=message):
         drive_course(PLANNER, replace(SETTINGS, **changed), tmp_path)
-
-
-def test_a_risk_without_a_spread_is_refused_before_a_world_is_built(tmp_path, monkeypatch):
-    monkeypatch.setattr("offpiste.closed_loop.drive_course.course_world", None)
-    cautious = replace(SETTINGS, runtime=replace(SETTINGS.runtime, risk=AddSpread(1.0)))
-    with pytest.raises(PlanningError, match="the risk 'spread' needs a spread"):
-        drive_course(PLANNER, cautious, tmp_path)
 
 
 def test_a_model_of_unmeasured_actuators_is_refused(tmp_path, monkeypatch):

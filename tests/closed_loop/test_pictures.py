@@ -9,7 +9,7 @@ from offpiste.closed_loop.scores import Trace
 from offpiste.planning.course import Course
 
 
-@pytest.mark.parametrize(("wide", "tall"), [(5, 140), (53, 100), (59, 100), (83, 140), (130, 20)])
+@pytest.mark.parametrize(("wide", "tall"), [(5, 140), (59, 100), (130, 20)])
 def test_nothing_is_cut_off_whatever_shape_the_course_has(wide, tall, monkeypatch):
     plain = {"aspect": "equal", "xlabel": "x [m]", "ylabel": "y [m]"}
     monkeypatch.setattr(pictures, "draw_top_view", lambda world, axes: axes.set(**plain))

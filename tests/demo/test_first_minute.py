@@ -18,14 +18,9 @@ from offpiste.evaluation.intervals import PairedDifference
 from offpiste.evaluation.model_card import CourseFigures, load_card
 
 SMALL = FirstMinuteSettings(
-    seconds=8.0,
-    snapshot_seconds=1.0,
-    course_seconds=1.0,
-    course_speed=5.0,
-    course_length=60.0,
-    size=120.0,
+    seconds=8.0, snapshot_seconds=1.0, course_seconds=1.0, course_speed=5.0, course_length=60.0, size=120.0,
     resolution=0.5,
-)
+)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -61,9 +56,6 @@ def test_again_nothing_is_driven_anew_and_it_says_the_same(shown: Path, caplog: 
         "Next:",
     ):
         assert said in text
-
-
-def test_another_demo_in_its_folder_is_refused(shown: Path) -> None:
     with pytest.raises(OffpisteError, match="other settings"):
         run_first_minute(shown, replace(SMALL, seed=1))
 
@@ -80,21 +72,16 @@ def predictions(b: float, dc: float) -> Predictions:
     return Predictions(np.array([0]), recorded, paths, {"dc": run_folder(shipped("dc"))})
 
 
-def test_the_words_say_who_was_nearer_here_and_what_is_usual() -> None:
-    here, usual, *_ = closing_words(predictions(4.0, 3.0))
+def test_the_words_say_who_was_nearer_here_what_is_usual_and_how_it_drives(monkeypatch: pytest.MonkeyPatch) -> None:
+    card = load_card(run_folder(shipped("dc")))
+    driving = CourseFigures(20, PairedDifference(-0.2, (-0.5, 0.3)), "abc", "2026-11-23")
+    monkeypatch.setattr("offpiste.demo.comparison.load_card", lambda _: msgspec.structs.replace(card, driving=driving))
+    here, usual, drives = closing_words(predictions(4.0, 3.0))
+    assert drives.startswith("Driving with the visual model: On 20 courses in unseen worlds, its driving cost differs")
     assert "predictions of the visual model end 25 % closer" in here
     assert "error after 5 s 3.00 m instead of 4.00 m; it is closer in 1 of 1" in here
-    gain = load_card(run_folder(shipped("dc"))).over_seeds.against_b
+    gain = card.over_seeds.against_b
     assert usual.startswith(
         f"Typically {-100 * gain.mean:.0f} % [{-100 * gain.ci95[1]:.0f}, {-100 * gain.ci95[0]:.0f}]"
     )
     assert "50 % farther from" in next(iter(closing_words(predictions(2.0, 3.0))))
-
-
-def test_the_words_say_how_it_drives_where_the_card_knows(monkeypatch: pytest.MonkeyPatch) -> None:
-    card = load_card(run_folder(shipped("dc")))
-    driving = CourseFigures(20, PairedDifference(-0.2, (-0.5, 0.3)), "abc", "2026-11-23")
-    monkeypatch.setattr("offpiste.demo.comparison.load_card", lambda _: msgspec.structs.replace(card, driving=driving))
-    *_, drives = closing_words(predictions(4.0, 3.0))
-    wanted = "Driving with the visual model: On 20 courses in unseen worlds, its driving cost differs from that of"
-    assert drives.startswith(wanted)

@@ -11,29 +11,18 @@ from offpiste.core.progress import show
 @COMMANDS.register("demo")
 @dataclass(frozen=True)
 class Demo:
-    """Drive with pretrained models in a new world, in a minute or two, or train new ones (needs the extra `sim`)."""
+    """Drive with pretrained models in a new world, in a minute or two (needs the extra `sim`)."""
 
     out: Path = Path("demo")
     """Folder of all results."""
     seed: int = 0
-    """Seed of the world, and with --train of drives and training."""
-    train: bool = False
-    """Run the whole pipeline instead: simulate, inspect, fit-pca, extract, train, evaluate, drive; ten minutes."""
-    seconds: float = 60.0
-    """Duration of each of the seven drives of --train [s]."""
-    epochs: int = 12
-    """Training epochs of --train."""
+    """Seed of the world."""
 
     def run(self) -> int:
-        """Run one of the two demonstrations."""
-        if self.train:
-            from offpiste.demo.whole_path import DemoSettings, run_demo
+        """Run the demonstration."""
+        from offpiste.demo.first_minute import FirstMinuteSettings, run_first_minute
 
-            run_demo(self.out, DemoSettings(self.seconds, self.epochs, self.seed))
-        else:
-            from offpiste.demo.first_minute import FirstMinuteSettings, run_first_minute
-
-            run_first_minute(self.out, FirstMinuteSettings(self.seed))
+        run_first_minute(self.out, FirstMinuteSettings(self.seed))
         return 0
 
 

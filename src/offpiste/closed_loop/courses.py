@@ -19,7 +19,7 @@ from offpiste.simulation.driver.route import VisibleTerrain
 from offpiste.simulation.simulate import Start
 from offpiste.simulation.world.build import make_world
 from offpiste.simulation.world.forks import unevenness
-from offpiste.simulation.world.grids import Line, read_grid
+from offpiste.simulation.world.grids import Line, read_grid, turns_of
 from offpiste.simulation.world.world import Fork, World, WorldSettings
 
 STEP, SMOOTH = 1.0, 1.5
@@ -191,14 +191,14 @@ def _drivable(terrain: VisibleTerrain, path: Float[np.ndarray, "P 2"], settings:
             return False
     if max(terrain.max_slope(path[i : i + 3 : 2]) for i in range(len(path) - 2)) > settings.steepest:
         return False
-    return bool(np.abs(_turn(path)).max() / STEP < 1 / settings.radius)
+    return bool(np.abs(turns_of(path)).max() / STEP < 1 / settings.radius)
 
 
 def surprise_along(world: World, path: Float[np.ndarray, "P 2"], speed: float) -> float:
     """Return the mean difference of the speeds allowed by local and by mean friction, both capped [m/s]."""
     friction = world.properties[..., GROUND_PROPERTIES.index("friction")]
     under = gaussian_filter1d(read_grid(friction, world.origin, world.resolution, path), SMOOTH / STEP, mode="nearest")
-    bend = np.abs(gaussian_filter1d(_turn(path), SMOOTH / STEP, mode="nearest")) / STEP
+    bend = np.abs(gaussian_filter1d(turns_of(path), SMOOTH / STEP, mode="nearest")) / STEP
     bend = np.concatenate((bend[:1], bend, bend[-1:]))
     allowed, expected = (
         np.minimum(speed, np.sqrt(mu * GRAVITY / np.maximum(bend, 1e-6))) for mu in (under, friction.mean())
@@ -221,9 +221,3 @@ def _resistance_along(world: World, path: Float[np.ndarray, "P 2"]) -> Float[np.
 
 def _property_along(world: World, path: Float[np.ndarray, "P 2"], name: str) -> Float[np.ndarray, " P"]:
     return read_grid(world.properties[..., GROUND_PROPERTIES.index(name)], world.origin, world.resolution, path)
-
-
-def _turn(path: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, " P-2"]:
-    """Return the change of heading between consecutive segments of a path [rad]."""
-    reading = np.diff(path, axis=0)
-    return np.diff(np.unwrap(np.arctan2(reading[:, 1], reading[:, 0])))

@@ -48,7 +48,7 @@ FIRST_WORLD: Final = 5000
 NEXT: Final = {
     f"offpiste drive {PREFIX}{FAMILY}/dc --world dunes --seed 7": "another course, with a shipped model",
     "offpiste inspect YOUR_LOG": "check a log of your own vehicle",
-    "offpiste demo --train --out trained": "all stages: drive, extract, train, evaluate",
+    "offpiste reproduce fig4 --out trained": "all stages: simulate, extract, train, evaluate",
 }
 """Commands to try next."""
 

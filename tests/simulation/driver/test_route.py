@@ -111,15 +111,3 @@ def test_trees_and_the_border_count():
         hazards_from(world, y=45.0, yaw=np.pi / 2).border_overlap, [3.0], atol=0.01
     )  # border at 60 m
     np.testing.assert_allclose(hazards_from(world, x=-100.0, yaw=np.pi, length=20.0).border_overlap, [8.0], atol=0.01)
-
-
-def test_slopes_along_a_line():
-    terrain = VisibleTerrain.of(flat_world(bumps=lambda x: np.where(x > 10, 0.3 * (x - 10), 0.0), resolution=0.5))
-    line = np.stack((np.arange(0, 20.25, 0.5), np.zeros(41)), axis=-1)
-    np.testing.assert_allclose(terrain.max_slope(line), 0.3, atol=1e-6)
-    np.testing.assert_allclose(terrain.max_slope(line[::-1]), 0.15, atol=1e-6)
-    across = np.stack((np.full(41, 12.0), line[:, 0]), axis=-1)
-    np.testing.assert_allclose(terrain.max_slope(across), 0.3, atol=1e-6)  # driven on the slant
-    assert line[terrain.first_climb(line, 0.2), 0] == pytest.approx(9.5)  # from 9.5 to 11.5 m it climbs by 0.45 m
-    assert terrain.first_climb(line, 0.35) == len(line)
-    assert terrain.first_climb(line[:1], 0.2) == 1

@@ -6,7 +6,7 @@ import numpy as np
 from offpiste.logs.ground_truth import GROUND_KINDS
 from offpiste.simulation.rendering.appearance import make_appearance
 from offpiste.simulation.rendering.scene import SURFACES, world_scene
-from offpiste.simulation.rendering.shading import FINE, GLOSS, HIGH, LOW, SUN
+from offpiste.simulation.rendering.shading import FINE, GLOSS, HIGH, LOW
 from offpiste.simulation.sample import Pose
 from offpiste.simulation.sensors.camera import MODEL, Camera, CameraSettings, pixel_rays, project_points, render
 from offpiste.simulation.sensors.lidar import Lidar, LidarSettings
@@ -99,19 +99,3 @@ def test_lidar_points_land_on_what_the_camera_sees_there():
     of_ground = clear & (scan.surface[seen] == GROUND) & (around[4] == GROUND)
     far = np.linalg.norm(in_camera[seen], axis=1)
     np.testing.assert_allclose(far[of_ground], distance[v, u][of_ground], rtol=0.01)
-
-
-def test_shadows_lie_on_the_side_away_from_the_sun():
-    world = scenes.world(trees=scenes.tree(0.0, 0.0), size=60, resolution=0.5)
-    look = make_appearance(
-        replace(world, settings=replace(world.settings, appearance_noise=0.0)), world_scene(world), 0
-    )
-    sunlit = look.ground.nodes[..., SUN] > 20
-    away = -4.0 * look.light.sun[:2] / look.light.sun[2]  # of a point 4 m up in the crown
-
-    def node(x, y):
-        return round((y + 30) / 0.5), round((x + 30) / 0.5)
-
-    assert not sunlit[node(*away)]
-    assert sunlit[node(*-away)]
-    assert sunlit.mean() > 0.95

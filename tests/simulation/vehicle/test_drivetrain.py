@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from offpiste.simulation.vehicle.drivetrain import GearBox, engine_torque, spin, steered, wheel_angles
+from offpiste.simulation.vehicle.drivetrain import engine_torque, spin, steered, wheel_angles
 from offpiste.simulation.vehicle.parameters import load_vehicle
 from simulation.drives import drive, flat_world, vehicle_on
 
@@ -84,14 +84,6 @@ def test_front_wheels_point_at_one_centre():
 
 
 GEAR_TIME = load_vehicle().gear_time
-
-
-def test_a_shift_takes_its_time_and_is_neutral_meanwhile():
-    box, engaged = GearBox(3), []
-    for wanted in (None, 1.0, -1.0, -1.0, -1.0, -1.0, None, 0.0, 0.0, 0.0, 0.0):
-        box.shift(wanted, moving=False)
-        engaged.append(box.engaged)
-    assert engaged == [1, 1, 0, 0, 0, -1, -1, 0, 0, 0, 0]
 
 
 def test_it_reverses_with_its_wheels_and_turns_the_other_way():

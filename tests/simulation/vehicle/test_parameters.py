@@ -3,8 +3,9 @@ from pathlib import Path
 
 import pytest
 
+from offpiste.core.errors import OffpisteError
 from offpiste.rig.rig import load_rig, parse_rig
-from offpiste.simulation.vehicle.parameters import VehicleError, load_vehicle, vehicle_rig
+from offpiste.simulation.vehicle.parameters import load_vehicle, vehicle_rig
 
 TEXT = (resources.files("offpiste.simulation.vehicle") / "side_by_side.toml").read_text()
 
@@ -32,7 +33,7 @@ def test_sprung_and_unsprung_masses_have_the_vehicles_centre():
 def test_errors_name_the_key(tmp_path, old, new, said):
     file = tmp_path / "vehicle.toml"
     file.write_text(TEXT.replace(old, new, 1))
-    with pytest.raises(VehicleError, match=said):
+    with pytest.raises(OffpisteError, match=said):
         load_vehicle(file)
 
 

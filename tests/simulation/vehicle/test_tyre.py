@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from offpiste.simulation.vehicle.forces import suspension_force
 from offpiste.simulation.vehicle.parameters import load_vehicle
-from offpiste.simulation.vehicle.tyre import brush_force, ground_under, limit_deflection, relax, touch
+from offpiste.simulation.vehicle.tyre import brush_force, ground_under, relax, touch
 
 P = load_vehicle().as_record()
 
@@ -70,16 +70,6 @@ def test_whole_patch_slides_at_three_frictions_over_stiffness():
     assert brush_force(0.0, sliding, 9.0, 6.0, 0.6, 1000.0)[1] == pytest.approx(-600.0)
     assert brush_force(0.0, 0.5 * sliding, 9.0, 6.0, 0.6, 1000.0)[1] == pytest.approx(-600.0 * 0.875)
     assert brush_force(0.0, 9 * sliding, 9.0, 6.0, 0.6, 1000.0)[1] == pytest.approx(-600.0)
-
-
-@settings(deadline=None)  # the first call compiles
-@given(slips, slips, frictions)
-def test_limited_deflection_keeps_direction_and_force(slip_x, slip_y, friction):
-    x, y = limit_deflection(slip_x, slip_y, 9.0, 6.0, friction)
-    assert abs(x * slip_y - y * slip_x) < 1e-9
-    assert np.hypot(9 * x, 6 * y) <= 3 * friction * (1 + 1e-9)
-    kept = brush_force(x, y, 9.0, 6.0, friction, 1000.0)
-    np.testing.assert_allclose(kept, brush_force(slip_x, slip_y, 9.0, 6.0, friction, 1000.0), atol=1e-6)
 
 
 def test_deflection_relaxes_over_its_length_to_the_steady_slip():

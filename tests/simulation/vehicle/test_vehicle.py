@@ -130,16 +130,6 @@ def test_free_roll_gains_no_energy(bumps):
         assert windows[-1] == pytest.approx(windows[0], rel=1e-3)
 
 
-def test_steer_left_and_right_mirror_each_other():
-    paths = []
-    for side in (1, -1):
-        samples = drive(vehicle_on(x=-50, speed=8.0), 4, lambda s, side=side: (0.4, 0.0, side * np.sin(2 * s.time)))
-        paths.append(np.array([(*s.position, s.yaw) for s in samples]))
-    np.testing.assert_allclose(paths[0][:, [0, 2]], paths[1][:, [0, 2]], atol=1e-9)
-    np.testing.assert_allclose(paths[0][:, [1, 3]], -paths[1][:, [1, 3]], atol=1e-9)
-    assert abs(paths[0][:, 1]).max() > 1
-
-
 def test_each_wheel_feels_its_own_ground():
     world = flat_world()
     world.properties[:60, :, 0] = 0.2  # the right half is slippery

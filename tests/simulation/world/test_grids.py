@@ -55,19 +55,14 @@ def test_no_place_crashes(x):
     assert grids.main_kind(np.ones((2, NY, NX)), X0, Y0, STEP, x, x) == 0
 
 
-def test_mean_zero_and_variance_one():
-    x, y = np.arange(0, 300, 1.0), np.arange(0, 200, 1.0)
+def test_noise_has_mean_0_and_variance_1_and_does_not_depend_on_the_resolution():
+    x, y = np.arange(0, 300, 1.0), np.arange(0, 201, 1.0)
     field = smooth_noise(np.random.default_rng(0), x, y, 4.0)
-    assert field.shape == (200, 300)
+    assert field.shape == (201, 300)
     assert field.mean() == pytest.approx(0, abs=0.05)
     assert field.std() == pytest.approx(1, abs=0.05)
-
-
-def test_the_same_place_has_the_same_value_at_every_resolution():
-    fine, coarse = np.arange(0, 60.25, 0.25), np.arange(0, 60.5, 0.5)
-    a = smooth_noise(np.random.default_rng(3), fine, fine, 7.0)
-    b = smooth_noise(np.random.default_rng(3), coarse, coarse, 7.0)
-    np.testing.assert_allclose(a[::2, ::2], b, atol=1e-5)
+    fine = smooth_noise(np.random.default_rng(0), np.arange(0, 299.5, 0.5), np.arange(0, 200.5, 0.5), 4.0)
+    np.testing.assert_allclose(fine[::2, ::2], field, atol=1e-5)
 
 
 @pytest.fixture(scope="module", params=[(0, 320.0), (2, 120.0), (3, 60.0)])
@@ -95,16 +90,6 @@ def test_trails_stay_inside_and_can_be_driven(network):
         np.testing.assert_allclose(steps, terrain.SPACING, rtol=0.1)  # evenly spaced, and the loop closes
         if size >= 120:
             assert 1 / np.abs(terrain.curvature(loop)).max() > 8
-
-
-def test_the_network_is_connected(network):
-    loops, _ = network
-    reached, waiting = [loops[0]], list(loops[1:])
-    while waiting:
-        near = [loop for loop in waiting if cKDTree(np.concatenate(reached)).query(loop)[0].min() < terrain.SPACING]
-        assert near
-        reached += near
-        waiting = [loop for loop in waiting if not any(loop is other for other in near)]
 
 
 @pytest.mark.parametrize("axis", [0, 1])

@@ -19,12 +19,6 @@ FLAT = np.zeros((len(X), len(X)), np.float32)
 FAR = np.full_like(FLAT, 8.0)
 
 
-def _shares(seed=0, ny=5, nx=7):
-    rng = np.random.default_rng(seed)
-    kinds = rng.dirichlet(np.ones(K), (ny, nx)).transpose(2, 0, 1).astype(np.float32)
-    return kinds, rng.uniform(size=(ny, nx)).astype(np.float32)
-
-
 def test_pure_ground_has_its_row_of_the_table():
     dry, wet = property_table()
     for k in range(K):
@@ -32,14 +26,6 @@ def test_pure_ground_has_its_row_of_the_table():
         kinds[k] = 1
         mixed = mix_properties(kinds, np.array([[0.0, 1.0, 0.25]], np.float32), 1.0)[0]
         np.testing.assert_allclose(mixed, [dry[k], wet[k], 0.75 * dry[k] + 0.25 * wet[k]], rtol=1e-5)
-
-
-@pytest.mark.parametrize("contrast", [0.0, 0.25, 0.5])
-def test_contrast_is_linear_about_the_mean_of_the_table(contrast):
-    kinds, wetness = _shares()
-    mean = property_table().mean(axis=(0, 1))
-    full = mix_properties(kinds, wetness, 1.0)
-    np.testing.assert_allclose(mix_properties(kinds, wetness, contrast), mean + contrast * (full - mean), rtol=1e-5)
 
 
 def _preset(**changes):

@@ -1,7 +1,6 @@
 """Parameters of the simulated vehicle, read from TOML and validated, and the rig of a vehicle."""
 
 import re
-import tomllib
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Final
@@ -11,18 +10,12 @@ import numpy as np
 
 from offpiste.core.conventions import GRAVITY
 from offpiste.core.errors import OffpisteError
-from offpiste.core.field_names import suggestion
-from offpiste.core.limits import parsed, read_small
 from offpiste.rig.edits import Edit, edited_text
 from offpiste.rig.rig import rig_text
+from offpiste.simulation.world.world import read_toml
 
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 Share = Annotated[float, msgspec.Meta(gt=0, lt=1)]
-Height = float
-
-
-class VehicleError(OffpisteError):
-    """Invalid vehicle file."""
 
 
 class VehicleParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -42,8 +35,8 @@ class VehicleParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
     yaw_inertia: Positive
     length: Positive
     width: Positive
-    belly_height: Height
-    bumper_height: Height
+    belly_height: float
+    bumper_height: float
     roof_height: Positive
     drag_area: Positive
     air_density: Positive
@@ -156,26 +149,18 @@ def load_vehicle(path: str | Path | None = None) -> VehicleParameters:
     """Read a vehicle's TOML file; None for the shipped side-by-side.
 
     Raises:
-        VehicleError: the file is missing or not TOML, or a key is unknown, missing or out of range.
+        OffpisteError: the file is missing or not TOML, or a key is unknown, missing or out of range.
     """
-    file = resources.files("offpiste.simulation.vehicle") / "side_by_side.toml" if path is None else Path(path)
-    try:
-        vehicle = msgspec.convert(parsed(read_small(file), tomllib.loads), VehicleParameters)
-    except OSError as error:
-        raise VehicleError(f"cannot read the vehicle: {error.strerror}", where=str(file)) from error
-    except msgspec.ValidationError as error:
-        how = f"{suggestion(error, VehicleParameters)}compare with offpiste/simulation/vehicle/side_by_side.toml"
-        raise VehicleError(f"{error}".replace("$.", ""), where=str(file), how=how) from error
-    except ValueError as error:
-        raise VehicleError(f"not TOML: {error}", where=str(file)) from error
+    file = resources.files(__package__) / "side_by_side.toml" if path is None else Path(path)
+    vehicle = read_toml(file, VehicleParameters, "vehicle", "vehicle/side_by_side.toml")
     if vehicle.sprung_mass <= 0:
         what = f"mass is {vehicle.mass:g} kg, and its four wheels are {4 * vehicle.unsprung_mass:g}"
-        raise VehicleError(what, where=str(file), how="give mass of the whole vehicle, and unsprung_mass of one wheel")
+        raise OffpisteError(what, where=str(file), how="give mass of the whole vehicle, and unsprung_mass of one wheel")
     moments = {key: getattr(vehicle, key) for key in ("roll_inertia", "pitch_inertia", "yaw_inertia")}
     largest = max(moments, key=lambda key: moments[key])
     if 2 * moments[largest] > sum(moments.values()):
         what = f"{largest} is {moments[largest]:g}, more than the other two together: no body has that"
-        raise VehicleError(what, where=str(file), how="give moments of inertia about the centre of mass [kg m^2]")
+        raise OffpisteError(what, where=str(file), how="give moments of inertia about the centre of mass [kg m^2]")
     return vehicle
 
 
@@ -193,7 +178,7 @@ def vehicle_rig(preset: str, vehicle: Path) -> str:
         vehicle: TOML file of the vehicle.
 
     Raises:
-        VehicleError: the file cannot be read.
+        OffpisteError: the file cannot be read.
     """
     parameters = load_vehicle(vehicle)
     entries = {

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from scipy.spatial import cKDTree
 
 from offpiste.logs.ground_truth import GROUND_KINDS
-from offpiste.simulation.world.grids import Grid, Line, smooth_noise, smooth_step
+from offpiste.simulation.world.grids import Grid, Line, smooth_noise, smooth_step, turns_of
 from offpiste.simulation.world.world import BareTerrain, Fork
 
 LENGTH = 60.0
@@ -122,17 +122,11 @@ def _ways(trail: Float[np.ndarray, "n 2"]) -> tuple[Float[np.ndarray, "n 2"], Fl
 
 def unevenness(left: Float[np.ndarray, "n 2"], right: Float[np.ndarray, "n 2"]) -> float:
     """Return the difference of two ways in length [m] and total turning, where one radian counts as 5 m."""
-    step, other = np.diff(left, axis=0), np.diff(right, axis=0)
-    longer = np.linalg.norm(step, axis=1).sum() - np.linalg.norm(other, axis=1).sum()
-    return float(abs(longer) + 5.0 * abs(_turning(step) - _turning(other)))
-
-
-def _turning(step: Float[np.ndarray, "n 2"]) -> float:
-    return float(np.abs(np.diff(np.unwrap(np.arctan2(step[:, 1], step[:, 0])))).sum())
+    length, other = (np.linalg.norm(np.diff(way, axis=0), axis=1).sum() for way in (left, right))
+    turning, its = (np.abs(turns_of(way)).sum() for way in (left, right))
+    return float(abs(length - other) + 5.0 * abs(turning - its))
 
 
 def _sharpest(way: Float[np.ndarray, "n 2"]) -> float:
     """Return the greatest curvature of a way [1/m]."""
-    ahead = np.diff(way, axis=0)
-    turn = np.diff(np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0])))
-    return float((np.abs(turn) / np.linalg.norm(ahead[1:], axis=1)).max())
+    return float((np.abs(turns_of(way)) / np.linalg.norm(np.diff(way[1:], axis=0), axis=1)).max())

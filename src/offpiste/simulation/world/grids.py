@@ -144,6 +144,12 @@ def read_grid(
     return near * (1 - v) + far * v
 
 
+def turns_of(line: Line) -> Float[np.ndarray, " _"]:
+    """Return the change of heading between consecutive segments of a line [rad]."""
+    step = np.diff(line, axis=0)
+    return np.diff(np.unwrap(np.arctan2(step[:, 1], step[:, 0])))
+
+
 def normals_of(elevation: Grid, resolution: float) -> Float[np.ndarray, "ny nx 3"]:
     """Return the unit normals at the nodes, from central differences."""
     slope_y, slope_x = np.gradient(elevation, resolution)

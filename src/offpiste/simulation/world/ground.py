@@ -3,8 +3,8 @@
 import tomllib
 from functools import cache
 from importlib import resources
+from typing import Any
 
-import msgspec
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import gaussian_filter
@@ -31,49 +31,22 @@ _GUMBEL = np.sqrt(6) / np.pi
 _GRASSY = {"dry_grass": 1.0, "wet_grass": 1.0, "loose_sand": 0.15, "packed_sand": 0.1, "dirt_trail": 0.25}
 
 
-class Property(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Property of a kind of ground at wetness 0 and 1, with the source of the numbers."""
-
-    dry: float
-    wet: float
-    source: str
-
-
-class Colour(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """sRGB [0..1] at wetness 0 and 1."""
-
-    dry: tuple[float, float, float]
-    wet: tuple[float, float, float]
-
-
-class GroundKind(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Kind of ground: a table of grounds.toml, which explains the entries."""
-
-    friction: Property
-    cornering_stiffness: Property
-    rolling_resistance: Property
-    sinkage_drag: Property
-    colour: Colour
-    likes_water: float
-
-
 @cache
-def grounds() -> tuple[GroundKind, ...]:
-    """Return all kinds of ground, in the order of `GROUND_KINDS`."""
-    text = resources.files("offpiste.simulation.world").joinpath("grounds.toml").read_text(encoding="utf-8")
-    rows = msgspec.convert(tomllib.loads(text), dict[str, GroundKind])
+def grounds() -> tuple[dict[str, Any], ...]:
+    """Return the tables of grounds.toml, which explains the entries, in the order of `GROUND_KINDS`."""
+    rows = tomllib.loads((resources.files(__package__) / "grounds.toml").read_text(encoding="utf-8"))
     return tuple(rows[kind] for kind in GROUND_KINDS)
 
 
 def property_table() -> Float[np.ndarray, "2 K 4"]:
     """Return the properties of each kind of ground, dry and wet."""
-    properties = [[getattr(ground, name) for name in GROUND_PROPERTIES] for ground in grounds()]
-    return np.array([[[p.dry for p in row] for row in properties], [[p.wet for p in row] for row in properties]])
+    names = GROUND_PROPERTIES
+    return np.array([[[ground[name][state] for name in names] for ground in grounds()] for state in ("dry", "wet")])
 
 
 def colour_table() -> Float[np.ndarray, "2 K 3"]:
     """Return the colours of each kind of ground, dry and wet, sRGB [0..1]."""
-    return np.array([[g.colour.dry for g in grounds()], [g.colour.wet for g in grounds()]])
+    return np.array([[ground["colour"][state] for ground in grounds()] for state in ("dry", "wet")])
 
 
 def lay_grounds(
@@ -95,10 +68,13 @@ def lay_grounds(
     kinds = np.empty((len(GROUND_KINDS), len(y), len(x)), np.float32)
     for k, ground in enumerate(grounds()):
         kinds[k] = smooth_noise(rng, x, y, PATCH_GRAIN) + 0.10 * smooth_noise(rng, x, y, 1.5)
-        kinds[k] += ground.likes_water * (water - preset.wetness)
+        kinds[k] += ground["likes_water"] * (water - preset.wetness)
         kinds[k] += np.float32(open_weight[k]) + np.float32(trail_weight[k] - open_weight[k]) * on_trail
-    _soft_maximum(kinds)
-    wetness = water + np.float32(0.1) * weighted_sum(kinds, np.array([ground.likes_water for ground in grounds()]))
+    kinds -= kinds.max(axis=0)
+    kinds *= np.float32(SHARPNESS)
+    np.exp(kinds, out=kinds)
+    kinds /= kinds.sum(axis=0)
+    wetness = water + np.float32(0.1) * weighted_sum(kinds, np.array([ground["likes_water"] for ground in grounds()]))
     return kinds, np.clip(wetness, 0, 1).astype(np.float32)
 
 
@@ -137,14 +113,6 @@ def _water(rng: np.random.Generator, preset: WorldPreset, x: Axis, y: Axis, elev
     return np.float32(preset.wetness) + np.float32(preset.wetness_spread) * varied
 
 
-def _soft_maximum(strength: Float[np.ndarray, "K ny nx"]) -> None:
-    """Convert strengths to shares that sum to 1, in place."""
-    strength -= strength.max(axis=0)
-    strength *= np.float32(SHARPNESS)
-    np.exp(strength, out=strength)
-    strength /= strength.sum(axis=0)
-
-
 def plant_trees(rng: np.random.Generator, preset: WorldPreset, bare: BareTerrain) -> Trees:
     """Plant trees in groves, at least `TREE_CLEARANCE` from trails and 3 m from each other."""
     x, y, elevation, trail_distance = bare
@@ -169,13 +137,10 @@ def plant_bushes(rng: np.random.Generator, preset: WorldPreset, bare: BareTerrai
     tolerated = smooth_step(_read(trail_distance, x, y, place), 0.6 * HALF_WIDTH, 2.0 * HALF_WIDTH)
     place = place[rng.uniform(size=len(place)) < tolerated]
     size = rng.beta(1.5, 3.0, len(place))
-    radius = 0.25 + 0.75 * size
-    least, most = BUSH_DRAG
+    radius, (least, most) = 0.25 + 0.75 * size, BUSH_DRAG
+    height = radius * rng.uniform(0.9, 1.7, len(place))
     return Bushes(
-        foot=np.column_stack((place, _read(elevation, x, y, place))),
-        radius=radius,
-        height=radius * rng.uniform(0.9, 1.7, len(place)),
-        drag=least + (most - least) * size,
+        np.column_stack((place, _read(elevation, x, y, place))), radius, height, least + (most - least) * size
     )
 
 

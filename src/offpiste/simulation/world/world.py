@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeVar
 
 import msgspec
 import numpy as np
@@ -21,30 +21,21 @@ from offpiste.core.registry import Registry
 from offpiste.logs.ground_truth import GROUND_KINDS
 from offpiste.simulation.world.grids import Axis, Grid, Line
 
+Kind = TypeVar("Kind")
+
 
 @dataclass(frozen=True)
 class WorldSettings:
-    """Settings of a world; the same settings make the same world.
+    """Settings of a world; the same settings make the same world."""
 
-    Attributes:
-        preset: name of a world in `WORLDS`, or path of a TOML file.
-        seed: random seed.
-        grip_contrast: 1 uses grounds.toml; 0 uses the mean properties everywhere; interpolated in between.
-        appearance_noise: scale of variations of light, colour and texture that are unrelated to grip.
-        size: side of the square [m].
-        resolution: distance between nodes [m].
-        relief: factor on the height of hills.
-        forks: whether trails have forks (`world.forks`).
-    """
-
-    preset: str = "mojave"
+    preset: str = "mojave"  # name of a world in `WORLDS`, or path of a TOML file
     seed: int = 0
-    grip_contrast: float = 1.0
-    appearance_noise: float = 1.0
-    size: float = 320.0
-    resolution: float = 0.25
-    relief: float = 1.0
-    forks: bool = False
+    grip_contrast: float = 1.0  # 1 uses grounds.toml; 0 uses the mean properties everywhere; interpolated in between
+    appearance_noise: float = 1.0  # scale of variations of light, colour and texture that are unrelated to grip
+    size: float = 320.0  # side of the square [m]
+    resolution: float = 0.25  # distance between nodes [m]
+    relief: float = 1.0  # factor on the height of hills
+    forks: bool = False  # whether trails have forks (`world.forks`)
 
     @property
     def name(self) -> str:
@@ -56,7 +47,7 @@ class BareTerrain(NamedTuple):
     """Terrain without plants."""
 
     x: Axis  # coordinates of the columns and rows [m]
-    y: Axis  # coordinates of the columns and rows [m]
+    y: Axis
     elevation: Grid  # elevation of each node [m]
     trail_distance: Grid  # distance from each node to the centre line of the nearest trail [m]
 
@@ -157,22 +148,26 @@ class WorldPreset(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
                 raise ValueError("shares of open_ground and trail_ground must be non-negative and not all 0")
 
 
-def read_world_preset(file: Path | Traversable) -> WorldPreset:
-    """Read a world preset from a TOML file.
+def read_toml(file: Path | Traversable, kind: type[Kind], what: str, example: str) -> Kind:
+    """Read a TOML file of a world or a vehicle.
 
     Raises:
         OffpisteError: the file is missing or not TOML, or a key is missing, unknown or wrong.
     """
     try:
-        return msgspec.convert(parsed(read_small(file), tomllib.loads), WorldPreset)
+        return msgspec.convert(parsed(read_small(file), tomllib.loads), kind)
     except OSError as error:
-        raise OffpisteError(f"cannot read the world: {error.strerror}", where=str(file)) from error
+        raise OffpisteError(f"cannot read the {what}: {error.strerror}", where=str(file)) from error
     except msgspec.ValidationError as error:
-        how = "see docs/proving-ground.md, or copy one from offpiste/simulation/world/presets"
-        how = f"{suggestion(error, WorldPreset)}{how}"
+        how = f"{suggestion(error, kind)}compare with offpiste/simulation/{example}"
         raise OffpisteError(f"{error}".replace("$.", ""), where=str(file), how=how) from error
     except ValueError as error:
         raise OffpisteError(f"not TOML: {error}", where=str(file)) from error
+
+
+def read_world_preset(file: Path | Traversable) -> WorldPreset:
+    """Read a world preset from a TOML file; errors as in `read_toml`."""
+    return read_toml(file, WorldPreset, "world", "world/presets/mojave.toml")
 
 
 WORLDS: Final[Registry[WorldPreset]] = Registry("world")
