@@ -41,14 +41,13 @@ class Layout:
     def suite(self) -> SensorSuite:
         """The sensors, at the rates and resolutions of profile `light`."""
         (camera,), (lidar,) = light_suite().cameras, light_suite().lidars
-        camera = replace(camera, body_from_camera=self.camera, model=_MODEL)
-        return SensorSuite((camera,), (replace(lidar, body_from_lidar=self.lidar),))
+        camera = replace(camera, body_from_sensor=self.camera, model=_MODEL)
+        return SensorSuite((camera,), (replace(lidar, body_from_sensor=self.lidar),))
 
     def rig(self) -> Rig:
         """The proving ground's rig with these two sensors; the camera's own body is where its rays meet it."""
         camera = Camera(self.suite().cameras[0])
-        own = camera.in_rows(camera.own).distance
-        seen = np.isfinite(own).reshape(_MODEL.height, _MODEL.width).astype(np.uint8)
+        seen = np.isfinite(camera.in_rows(camera.own.distance)).astype(np.uint8)
         outlines, _ = cv2.findContours(cv2.dilate(seen, np.ones((5, 5))), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
         rig = load_rig("proving_ground")
         others = [f"cameras.{name}" for name in rig.cameras if name != CAMERA]
@@ -65,7 +64,7 @@ class Layout:
 
 _USUAL: Final = light_suite()
 LAYOUTS: Final = {
-    "roof": Layout(_USUAL.cameras[0].body_from_camera, _USUAL.lidars[0].body_from_lidar),
+    "roof": Layout(_USUAL.cameras[0].body_from_sensor, _USUAL.lidars[0].body_from_sensor),
     "mast": Layout(mounted((0.3, 0.1, 2.1), pitch=24.0, optical=True), mounted((-0.2, 0.0, 2.5), pitch=8.0)),
     "hood": Layout(mounted((1.3, -0.2, 0.9), pitch=8.0, optical=True), mounted((1.0, 0.2, 1.1), yaw=15.0, pitch=3.0)),
 }
