@@ -26,6 +26,7 @@ def test_a_drive_is_simulated_in_an_added_world(world, extensions, tmp_path):
         (None, "cannot read the world: No such file or directory"),
         ("hills = [", "not TOML"),
         ("hills = []", "missing required field `dunes`"),
+        ("open_gruond = {}", "did you mean 'open_ground'"),
     ],
 )
 def test_a_wrong_file_is_refused_in_one_line_that_names_it(text, message, tmp_path):

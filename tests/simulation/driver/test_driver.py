@@ -8,15 +8,13 @@ import pytest
 from offpiste.simulation.driver.driver import (
     Driver,
     DriverSettings,
-    SpeedControl,
 )
 from offpiste.simulation.sample import VehicleSample
 from offpiste.simulation.simulate import drive, start_and_driver
 from offpiste.simulation.vehicle.parameters import load_vehicle
 from offpiste.simulation.world.build import make_world
 from offpiste.simulation.world.world import World, WorldSettings
-from simulation.drives import drive as driven_by
-from simulation.drives import flat_world, vehicle_on, with_tree_ahead
+from simulation.drives import with_tree_ahead
 
 VEHICLE = load_vehicle()
 SEEDS = (0, 1, 2)
@@ -96,14 +94,3 @@ def test_it_drives_around_a_tree(world):
     assert not any(sample.events for sample in samples)
     assert away.min() > 1.0
     assert len(samples) == 400
-
-
-@pytest.mark.parametrize("wanted", [0.4, 3.0])
-@pytest.mark.parametrize("slope", [-0.08, 0.08])
-def test_a_slow_speed_is_kept_on_slopes(wanted, slope):
-    control = SpeedControl()
-    vehicle = vehicle_on(flat_world(slope=slope))
-    samples = driven_by(vehicle, 12, lambda sample: (*control.pedals(wanted - float(sample.velocity[0])), 0.0))
-    speed = np.array([sample.velocity[0] for sample in samples])[-300:]
-    assert abs(speed.mean() - wanted) < 0.25
-    assert speed.std() < 0.4

@@ -1,3 +1,4 @@
+import re
 from importlib import resources
 from pathlib import Path
 
@@ -22,8 +23,7 @@ def test_sprung_and_unsprung_masses_have_the_vehicles_centre():
     ("old", "new", "said"),
     [
         ("mass = 1150.0", "mass = -1.0", "mass"),
-        ("track = 1.32", 'track = "wide"', "track"),
-        ("track = 1.32", "trakc = 1.32", "trakc"),
+        ("track = 1.32", "trakc = 1.32", "did you mean 'track'"),
         ("track = 1.32", "", "track"),
         ("track = 1.32", "track = ", "not TOML"),
         ("mass = 1150.0", "mass = 60.0", "mass is 60 kg, and its four wheels are"),
@@ -37,18 +37,12 @@ def test_errors_name_the_key(tmp_path, old, new, said):
         load_vehicle(file)
 
 
-def vehicle_file(folder: Path, **changed: float) -> Path:
-    lines = [
-        f"{key} = {changed[key]}" if (key := line.split("=")[0].strip()) in changed else line
-        for line in TEXT.splitlines()
-    ]
-    (folder / "truck.toml").write_text("\n".join(lines))
-    return folder / "truck.toml"
-
-
 @pytest.mark.parametrize("preset", ["proving_ground", "proving_ground_gear"])
 def test_the_vehicles_numbers_are_in_its_rig(tmp_path: Path, preset: str) -> None:
-    file = vehicle_file(tmp_path, mass=2400.0, wheelbase=3.0, track=1.6, max_steer=0.6, rolling_radius=0.4)
+    file, text = tmp_path / "truck.toml", TEXT
+    for key, value in {"mass": 2400.0, "wheelbase": 3.0, "track": 1.6, "max_steer": 0.6, "rolling_radius": 0.4}.items():
+        text = re.sub(rf"^{key} = .*", f"{key} = {value}", text, flags=re.MULTILINE)
+    file.write_text(text)
     rig, before = parse_rig(vehicle_rig(preset, file), where="truck"), load_rig(preset)
     vehicle = rig.vehicle
     assert (vehicle.mass, vehicle.max_steer, rig.name) == (2400.0, 0.6, "truck")
