@@ -79,11 +79,7 @@ KINDS: Final[Registry[CourseKind]] = Registry("kind of course")
 
 
 def course_world(settings: WorldSettings, kind: str) -> World:
-    """Return a world for a kind of course.
-
-    Raises:
-        OffpisteError: unknown kind or preset, or a setting out of range.
-    """
+    """Return a world for a kind of course."""
     return make_world(replace(settings, **KINDS[kind].world))
 
 
@@ -92,7 +88,6 @@ def choose_course(world: World, seed: int, settings: CourseSettings | None = Non
 
     Raises:
         CourseError: no candidate can be driven.
-        OffpisteError: unknown kind.
     """
     settings = settings or CourseSettings()
     candidates = list(KINDS[settings.kind].candidates(world, seed, settings))

@@ -78,9 +78,6 @@ def run_first_minute(out: Path, settings: FirstMinuteSettings, *, processes: int
 
     Args:
         processes: number of parallel drives; 0: one per core.
-
-    Raises:
-        OffpisteError: a step failed, or `out` holds a demo with other settings.
     """
     claim_folder(out, {"demo": asdict(settings)})
     place, processes = settings.place, at_a_time(processes)

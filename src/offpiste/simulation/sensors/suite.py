@@ -68,22 +68,12 @@ def light_suite() -> SensorSuite:
     return SensorSuite((replace(full.cameras[0], rate=2.0),), (lidar,))
 
 
-PROFILES: Final[dict[str, Callable[[], SensorSuite]]] = {
-    "full": full_suite,
-    "light": light_suite,
-    "none": lambda: SensorSuite((), ()),
-}
-
-
 def sensor_suite(profile: str) -> SensorSuite:
-    """Return the sensors of a profile: `full`, `light` or `none`.
-
-    Raises:
-        OffpisteError: unknown profile.
-    """
-    if profile not in PROFILES:
-        raise OffpisteError(f"no sensor profile is called {profile!r}", how=f"choose one of {', '.join(PROFILES)}")
-    return PROFILES[profile]()
+    """Return the sensors of a profile: `full`, `light` or `none`; raise `OffpisteError` for any other."""
+    profiles = {"full": full_suite(), "light": light_suite(), "none": SensorSuite((), ())}
+    if profile not in profiles:
+        raise OffpisteError(f"no sensor profile is called {profile!r}", how=f"choose one of {', '.join(profiles)}")
+    return profiles[profile]
 
 
 def remounted(suite: SensorSuite, degrees: float, rng: np.random.Generator) -> SensorSuite:

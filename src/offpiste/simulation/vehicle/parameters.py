@@ -171,15 +171,7 @@ _HEADER: Final = """\
 
 
 def vehicle_rig(preset: str, vehicle: Path) -> str:
-    """Return the TOML text of a rig that reads drives of `simulate --vehicle`.
-
-    Args:
-        preset: rig of the proving ground for the side-by-side.
-        vehicle: TOML file of the vehicle.
-
-    Raises:
-        OffpisteError: the file cannot be read.
-    """
+    """Return the TOML text of a rig that reads drives of `simulate --vehicle`, from a rig of the proving ground."""
     parameters = load_vehicle(vehicle)
     entries = {
         "name": re.sub(r"[^\w -]", "_", vehicle.stem),

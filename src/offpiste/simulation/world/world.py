@@ -178,11 +178,7 @@ for _file in sorted(resources.files(__package__).joinpath("presets").iterdir(), 
 
 
 def find_world_preset(world: str) -> WorldPreset:
-    """Return the preset of a world, given by name or by the path of a TOML file.
-
-    Raises:
-        OffpisteError: the name or file does not exist, or the file is wrong.
-    """
+    """Return the preset of a world, given by name or by the path of a TOML file (`read_toml`)."""
     if world.endswith(".toml"):
         return read_world_preset(Path(world))
     if Path(world).suffix and world not in WORLDS:
