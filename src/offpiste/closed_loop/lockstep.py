@@ -24,7 +24,7 @@ from offpiste.runtime.runtime import Runtime
 from offpiste.simulation.messages import START_NS, events_message, stamp_ns
 from offpiste.simulation.recorder import Imperfections, Recorder, with_noise
 from offpiste.simulation.rendering.scene import Scene
-from offpiste.simulation.sample import Pose, VehicleSample
+from offpiste.simulation.sample import VehicleSample
 from offpiste.simulation.sensors.suite import Sensing, SensorSuite
 from offpiste.simulation.simulate import Start, drive
 from offpiste.simulation.vehicle.parameters import VehicleParameters
@@ -211,15 +211,9 @@ def reading_of(sample: VehicleSample) -> VehicleReading:
 
 def cameras_of(suite: SensorSuite, rig: Rig) -> dict[str, Camera]:
     """Return the cameras of the vehicle by name."""
-    return {c.name: Camera(c.name, c.model, _matrix(c.body_from_sensor), rig.cameras[c.name]) for c in suite.cameras}
+    return {c.name: Camera(c.name, c.model, c.body_from_sensor.matrix, rig.cameras[c.name]) for c in suite.cameras}
 
 
 def lidars_of(suite: SensorSuite, rig: Rig) -> dict[str, Lidar]:
     """Return the LiDARs of the vehicle by name."""
-    return {s.name: Lidar(s.name, _matrix(s.body_from_sensor), rig.lidars[s.name]) for s in suite.lidars}
-
-
-def _matrix(pose: Pose) -> Float[np.ndarray, "4 4"]:
-    matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = pose.rotation, pose.position
-    return matrix
+    return {s.name: Lidar(s.name, s.body_from_sensor.matrix, rig.lidars[s.name]) for s in suite.lidars}

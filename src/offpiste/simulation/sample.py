@@ -22,6 +22,13 @@ class Pose:
         """Rotation matrix from the frame to the other frame."""
         return Rotation.from_quat(self.orientation).as_matrix()
 
+    @property
+    def matrix(self) -> Float[np.ndarray, "4 4"]:
+        """Homogeneous matrix from the frame to the other frame."""
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = self.rotation, self.position
+        return matrix
+
     def apply(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
         """Transform points of the frame into the other frame [m]."""
         return points @ self.rotation.T + self.position

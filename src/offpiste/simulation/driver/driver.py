@@ -97,17 +97,20 @@ class RandomIntent:
     def advance(self) -> Intent:
         """Return the next intent."""
         noise, last, rng = self._rng.standard_normal(3).tolist(), self._intent, self._rng
-        processes = [k * old + r * new for (k, r), old, new in zip(_KEEP, last[:3], noise, strict=True)]
+        speed, cornering, steering = (
+            k * old + r * new for (k, r), old, new in zip(_KEEP, last[:3], noise, strict=True)
+        )
         left = last.time_left - DT
         self._until_next -= DT
         if self._until_next <= 0:
             probabilities = [probability for probability, _, _ in _MANOEUVRES.values()]
             name, (_, shortest, longest) = list(_MANOEUVRES.items())[int(rng.choice(len(_MANOEUVRES), p=probabilities))]
             left, strength, side = rng.uniform(shortest, longest), rng.random(), rng.choice((-1.0, 1.0))
-            self._intent = Intent(*processes, name, float(strength), float(side), float(left))
+            self._intent = Intent(speed, cornering, steering, name, float(strength), float(side), float(left))
             self._until_next = float(left + rng.exponential(self._pause))
         else:
-            self._intent = Intent(*processes, last.manoeuvre if left > 0 else "", last.strength, last.side, left)
+            name = last.manoeuvre if left > 0 else ""
+            self._intent = Intent(speed, cornering, steering, name, last.strength, last.side, left)
         return self._intent
 
 

@@ -93,7 +93,7 @@ class VehicleSimulation:
         self._world, self._parameters = world, parameters
         self._record = parameters.as_record()
         grids = (np.ascontiguousarray(grid, dtype=np.float64) for grid in (world.elevation, world.properties))
-        self._grid = (*grids, *map(float, world.origin), float(world.resolution))
+        self._grid: tuple[Any, ...] = (*grids, *map(float, world.origin), float(world.resolution))
         self._model = build_bodies(parameters)
         self._data = data = mujoco.MjData(self._model)
         self._qpos, self._qvel = data.qpos, data.qvel  # views of MuJoCo's memory
