@@ -15,10 +15,9 @@ from offpiste.closed_loop.courses import (
     traction_along,
 )
 from offpiste.core.errors import OffpisteError
-from offpiste.logs.ground_truth import GROUND_PROPERTIES
-from offpiste.simulation.world.build import make_world
 from offpiste.simulation.world.forks import ASIDE, WEAVE
-from offpiste.simulation.world.world import Bushes, Trees, WorldSettings
+from offpiste.simulation.world.world import WorldSettings
+from simulation.drives import flat_world
 
 PLACE = WorldSettings("mojave", seed=5, resolution=0.5)
 
@@ -30,19 +29,9 @@ def circle(x, radius=50.0):
 
 def made_up(sinkage):
     """A plain with a circle of trail on either side: on ordinary ground where x > 0, and soft where x < 0."""
-    world = make_world(WorldSettings("mojave", size=240.0, resolution=1.0))
-    given = dict.fromkeys(GROUND_PROPERTIES, 0.0) | {"friction": 0.5, "rolling_resistance": 0.05}
-    properties = np.broadcast_to([given[name] for name in GROUND_PROPERTIES], world.properties.shape).copy()
-    properties[:, :120, GROUND_PROPERTIES.index("sinkage_drag")] = sinkage
-    none, feet = np.zeros(0), np.zeros((0, 3))
-    return replace(
-        world,
-        elevation=np.zeros_like(world.elevation),
-        properties=properties,
-        trees=Trees(feet, none, none, none),
-        bushes=Bushes(feet, none, none, none),
-        trails=(circle(-60.0), circle(60.0)),
-    )
+    world = flat_world(properties=(0.5, 6.0, 0.05, 0.0), size=(240.0, 240.0))
+    world.properties[:, :120, 3] = sinkage
+    return replace(world, trails=(circle(-60.0), circle(60.0)))
 
 
 def test_a_passage_leads_through_the_softest_ground_that_can_be_driven():
@@ -85,7 +74,7 @@ def test_a_choice_has_two_ways_of_one_length_and_knows_the_firm_one():
 
 def test_a_world_without_forks_and_an_unknown_kind_are_one_line():
     with pytest.raises(
-        OffpisteError, match=r"'mojave', seed 0: no stretch of trail is suitable for a course \(choices\)"
+        OffpisteError, match=r"'uniform', seed 0: no stretch of trail is suitable for a course \(choices\)"
     ):
         choose_course(made_up(0.0), 1, CourseSettings("choices"))
     with pytest.raises(OffpisteError, match=r"'choice'.*choices"):

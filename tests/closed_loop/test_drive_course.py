@@ -18,13 +18,12 @@ from offpiste.core.channels import MORE_ACTUATORS, Actuator
 from offpiste.core.errors import OffpisteError, PlanningError
 from offpiste.dynamics import Parametric
 from offpiste.logs.drive import read_drive
-from offpiste.logs.ground_truth import GROUND_PROPERTIES
 from offpiste.planning.caution import AddSpread
 from offpiste.rig.rig import load_rig
 from offpiste.runtime.planner import Planner, load_planner
-from offpiste.simulation.world.build import make_world
 from offpiste.simulation.world.world import WorldSettings
 from runtime.stream import parametric, settings
+from simulation.drives import flat_world
 
 WORLD = WorldSettings("mojave", seed=3, size=120.0, resolution=0.5)
 SETTINGS = CourseDriveSettings(
@@ -97,25 +96,17 @@ def test_a_course_is_on_a_trail_that_can_be_driven_and_the_same_for_a_seed(drive
 
 
 def test_the_surprise_by_hand():
-    world = make_world(WorldSettings("mojave", size=80.0, resolution=1.0))
-    friction = np.full_like(world.properties[..., 0], 0.4)
-    friction[:, :40] = 0.8  # for x < 0; the mean is 0.5975
-    properties = world.properties.copy()
-    properties[..., GROUND_PROPERTIES.index("friction")] = friction
-    half = replace(world, properties=properties)
+    half = flat_world(properties=(0.4, 6.0, 0.05, 0.0), size=(80.0, 80.0))
+    half.properties[:, :40, 0] = 0.8  # for x < 0; the mean is 0.5975
     angle = np.linspace(-0.4, 0.4, 25)  # an arc of 30 m radius, all of it on one side
-    arc = 30 * np.stack((np.cos(angle) - 1, np.sin(angle)), axis=-1)
-    allowed = [np.sqrt(mu * 9.81 * 30) for mu in (0.8, friction.mean())]
-    assert surprise_along(half, arc - (5, 0), 100.0) == pytest.approx(allowed[0] - allowed[1], rel=0.02)
-    assert surprise_along(half, arc - (5, 0), 10.0) == 0, "nothing is lost where both allow the wanted speed"
+    arc = 30 * np.stack((np.cos(angle) - 1, np.sin(angle)), axis=-1) - (5, 0)
+    allowed = [np.sqrt(mu * 9.81 * 30) for mu in (0.8, half.properties[..., 0].mean())]
+    assert surprise_along(half, arc, 100.0) == pytest.approx(allowed[0] - allowed[1], rel=0.02)
+    assert surprise_along(half, arc, 10.0) == 0, "nothing is lost where both allow the wanted speed"
 
 
 def test_the_traction_by_hand():
-    world = make_world(WorldSettings("mojave", size=80.0, resolution=1.0))
-    given = dict.fromkeys(GROUND_PROPERTIES, 0.0) | {"friction": 0.5, "rolling_resistance": 0.1, "sinkage_drag": 0.05}
-    properties = np.broadcast_to([given[name] for name in GROUND_PROPERTIES], world.properties.shape).astype(np.float32)
-    columns = np.arange(world.elevation.shape[1]) * world.resolution
-    hill = replace(world, properties=properties, elevation=np.broadcast_to(0.2 * columns, world.elevation.shape))
+    hill = flat_world(properties=(0.5, 6.0, 0.1, 0.05), slope=0.2)
     east = np.stack((np.arange(-20.0, 21.0), np.full(41, 3.0)), axis=-1)
     assert traction_along(hill, east) == pytest.approx(0.35 - 0.2, abs=1e-5)
     assert traction_along(hill, east[::-1]) == pytest.approx(0.35 + 0.2, abs=1e-5)

@@ -19,14 +19,6 @@ def world(request):
     return make_world(WorldSettings(preset=request.param, seed=2, resolution=0.5))
 
 
-def test_the_same_settings_make_the_same_world():
-    first, second = make_world(SMALL), make_world(SMALL)
-    for name in ("elevation", "kinds", "wetness", "properties", "grass_height"):
-        np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
-    np.testing.assert_array_equal(first.trees.foot, second.trees.foot)
-    np.testing.assert_array_equal(first.bushes.foot, second.bushes.foot)
-
-
 def test_settings_of_grip_and_looks_leave_the_place_as_it_is():
     here, other = (make_world(replace(SMALL, grip_contrast=c, appearance_noise=n)) for c, n in ((1.0, 1.0), (0.5, 0.0)))
     np.testing.assert_array_equal(here.elevation, other.elevation)
