@@ -23,6 +23,7 @@ from offpiste.logs.measurements import Image
 from offpiste.logs.sensor_log import open_sensors
 from offpiste.mapping.terrain_map import TerrainMap
 from offpiste.report.feature_colours import colour_limits, colours
+from offpiste.report.figure import plain
 from offpiste.report.text_table import TextTable, interval, number
 from offpiste.simulation.top_view import draw_top_view
 from offpiste.simulation.world.world import World
@@ -157,11 +158,11 @@ def _courses(axes: Axes, world: World, courses: Mapping[str, Drive]) -> None:
     for (model, path), width in zip(paths.items(), (5.0, 2.0), strict=True):
         axes.plot(*path.T, color=COLOURS[model], linewidth=width, label=f"driven with the {NAMES[model]} model")
         axes.plot(*path[-1], marker="o", color=COLOURS[model], markeredgecolor="white", markersize=2 + 2 * width)
-    axes.plot(*paths["dc"][0], marker="o", color="white", markeredgecolor="black", linestyle="", label="start")
+    axes.plot(*paths["dc"][0], "o", color="white", markeredgecolor="black", label="start")
     every = np.concatenate(list(paths.values()))
-    (left, bottom), (right, top) = every.min(axis=0) - MARGIN, every.max(axis=0) + MARGIN
-    axes.set_xlim(left, right, auto=True)
-    axes.set_ylim(bottom, top, auto=True)
+    x, y = np.stack((every.min(axis=0) - MARGIN, every.max(axis=0) + MARGIN), axis=1).tolist()
+    axes.set_xlim(*x, auto=True)
+    axes.set_ylim(*y, auto=True)
     axes.set_aspect("equal", adjustable="datalim")  # fills the axes with more of the world
     axes.set_title("The same course, driven with both models", fontsize=10, loc="left")
     axes.legend(loc="best", fontsize=8)
@@ -216,8 +217,7 @@ def _prediction(axes: Axes, drive: StoredDrive, predictions: Predictions, moment
         axes.plot(-left[-1], ahead[-1], marker="o", color=colour)
     axes.plot(0, 0, marker="^", color="black")
     axes.set_aspect("equal", adjustable="datalim")
-    axes.grid(alpha=0.3)
-    axes.set_title(f"5 s ahead [m], predicted {DT * row:.0f} s into the drive", fontsize=10, loc="left")
+    plain(axes, f"5 s ahead [m], predicted {DT * row:.0f} s into the drive")
     axes.legend(fontsize=8, loc="lower right")
 
 
@@ -228,5 +228,4 @@ def _errors(axes: Axes, predictions: Predictions) -> None:
     axes.scatter(blind, visual, s=22, color=np.where(visual < blind, COLOURS["dc"], COLOURS["b"]), zorder=3)
     limits = (0, 1.05 * float(max(blind.max(), visual.max())))
     axes.set(xlabel="error of blind [m]", ylabel="error of visual [m]", xlim=limits, ylim=limits, aspect="equal")
-    axes.set_title(f"visual closer in {(visual < blind).sum()} of {len(blind)} (orange)", fontsize=10, loc="left")
-    axes.grid(alpha=0.3)
+    plain(axes, f"visual closer in {(visual < blind).sum()} of {len(blind)} (orange)")
