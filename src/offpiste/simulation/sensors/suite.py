@@ -122,12 +122,10 @@ class Sensing:
         scene: Scene | None = None, apart: bool = False,
     ) -> None:  # fmt: skip
         light_seed = int(rng.integers(2**31))
-        with ThreadPoolExecutor(1, thread_name_prefix="offpiste-cameras") as beside:
-            cameras = beside.submit(lambda: [Camera(settings) for settings in suite.cameras])
-            self._scene = scene or world_scene(world)
-            self._appearance = make_appearance(world, self._scene, light_seed) if suite.cameras else None
-            self._lidars = [Lidar(settings) for settings in suite.lidars]
-            self._cameras = cameras.result()
+        self._scene = scene or world_scene(world)
+        self._appearance = make_appearance(world, self._scene, light_seed) if suite.cameras else None
+        self._lidars = [Lidar(settings) for settings in suite.lidars]
+        self._cameras = [Camera(settings) for settings in suite.cameras]
         sensors = (*self._lidars, *self._cameras)
         rngs = rng.spawn(len(sensors)) if apart else [rng] * len(sensors)
         self._rngs = dict(zip((sensor.settings.name for sensor in sensors), rngs, strict=True))
