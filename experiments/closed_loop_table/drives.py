@@ -38,7 +38,6 @@ NEEDED: Final = (
     "seed",
     "course",
     "firm_way",
-    "driven_xy",
     "modes",
     "final_speed_mps",
     "commit",
