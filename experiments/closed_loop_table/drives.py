@@ -34,21 +34,9 @@ WORLDS: Final = ("mojave", "halter-ranch", "coastal-scrub", "dunes")
 """Course after course."""
 
 NEEDED: Final = (
-    "world",
-    "seed",
-    "course",
-    "firm_way",
-    "modes",
-    "final_speed_mps",
-    "commit",
-    "date",
-    *MEASURES,
-    *COUNTED,
-)
+    "world", "seed", "course", "firm_way", "modes", "final_speed_mps", "commit", "date", *MEASURES, *COUNTED,
+)  # fmt: skip
 """What is read from results."""
-
-NEWER: Final = ("fault_start", "fault_when", "against", "sensors", "weights_sha256", "novelty")
-"""Older results lack these; they are compared where they are known, so that no drive is lost."""
 
 
 @dataclass(frozen=True)
@@ -203,17 +191,10 @@ def _finished_result(row: Entry, place: Place, out: Path, settings: CourseDriveS
     if not path.exists():
         return None
     wanted = settings_of(row.planner, _on_course(_of_entry(settings, row), place))
-    result = _read(path, [*NEEDED, *(name for name in wanted if name not in NEWER)])
-    if other := [name for name, value in wanted.items() if name in result and not _agree(result[name], value)]:
+    result = _read(path, [*NEEDED, *wanted])
+    if other := [name for name, value in wanted.items() if result[name] != value]:
         raise RunError(f"a drive with another {other[0]}", where=folder, how="give another --out")
     return result
-
-
-def _agree(known: Any, wanted: Any) -> bool:
-    """Whether settings agree as far as both record them: a new setting does not invalidate finished drives."""
-    if isinstance(known, dict) and isinstance(wanted, dict):
-        return all(_agree(known[name], value) for name, value in wanted.items() if name in known)
-    return bool(known == wanted)
 
 
 def _read(path: Path, needed: Sequence[str]) -> dict[str, Any]:
