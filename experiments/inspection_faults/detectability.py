@@ -5,19 +5,17 @@ recordings (centre, delays and scales) scatters, and an error shifts it. So the 
 logs are warned by a limit that finds half, or nine tenths, of the errors.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import ClassVar, Final
 
 import numpy as np
 
 from experiments.command import run
-from experiments.inspection_faults import results
 from experiments.inspection_faults.drives import TrueDrive, drive_of, scaled
 from experiments.inspection_faults.recording import Case, recorded
-from offpiste.core.files import check_folder
+from experiments.inspection_faults.study import Study
 from offpiste.inspection.driven_path import driven_path
 from offpiste.inspection.pedals import pedal_fits
 from offpiste.inspection.steering_fit import curvature_per_unit, steering_fits
@@ -91,44 +89,34 @@ def _quantities(case: Case) -> dict[str, float]:
     return values
 
 
-def report(measured: Sequence[Measured]) -> str:
-    """The table as Markdown."""
-    header = "| error | healthy recordings | warned at half found | at nine tenths found |"
-    lines = [f"# What {len(measured)} drives can show", "", header, "|---|---|---|---|"]
-    for error, (quantity, shifts) in ERRORS.items():
-        values = [value for one in measured for value in one.healthy.get(quantity, ())]
-        if values:
-            half, most = (warned(values, shifts, found) for found in (0.5, 0.9))
-            lines.append(f"| {error} | {len(values)} | {half:.0%} | {most:.0%} |")
-    return "\n".join(lines) + "\n"
-
-
 @dataclass(frozen=True)
-class Detectability:
+class Detectability(Study):
     """Measure what healthy logs can show."""
 
     out: Path = Path("detectability")
-    """Folder of results: a JSON line per drive, and report.md; finished drives are not repeated."""
-    drives: int = 59
-    """Number of drives."""
+    logs: int = 59
     seed: int = 1001
-    """Seed of the first drive; the others follow."""
-    processes: int = 1
-    """Drives at a time."""
-    cache: Path | None = None
-    """Folder of simulated drives; OUT/drives if not given."""
 
-    def run(self) -> str:
-        """Measure the drives that are missing, and report."""
-        check_folder(self.out)
-        seeds = range(self.seed, self.seed + self.drives)
-        return results.reported(self.out, Measured, seeds, partial(_work, self), report, processes=self.processes)
+    kind: ClassVar[type] = Measured
 
+    def score(self, seed: int) -> Measured:
+        """Measure the recordings of a drive."""
+        return measure(drive_of(seed, self.drives), seed)
 
-def _work(settings: Detectability, seed: int, progress: Callable[[float], None]) -> str:
-    drive = drive_of(seed, settings.cache or settings.out / "drives")
-    results.append(settings.out, measure(drive, seed))
-    return f"{seed}: {drive.behaviour}, {drive.seconds:.0f} s"
+    def summary(self, score: Measured) -> str:
+        """Which quantities are clear."""
+        return f"{score.seed}: {', '.join(score.healthy)}"
+
+    def report(self, scores: Sequence[Measured]) -> str:
+        """The table as Markdown."""
+        header = "| error | healthy recordings | warned at half found | at nine tenths found |"
+        lines = [f"# What {len(scores)} drives can show", "", header, "|---|---|---|---|"]
+        for error, (quantity, shifts) in ERRORS.items():
+            values = [value for one in scores for value in one.healthy.get(quantity, ())]
+            if values:
+                half, most = (warned(values, shifts, found) for found in (0.5, 0.9))
+                lines.append(f"| {error} | {len(values)} | {half:.0%} | {most:.0%} |")
+        return "\n".join(lines) + "\n"
 
 
 if __name__ == "__main__":

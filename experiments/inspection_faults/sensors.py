@@ -1,22 +1,20 @@
 """Score the checks of cameras and LiDARs: `python -m experiments.inspection_faults.sensors --out sensors`."""
 
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import ClassVar, Final
 
 import numpy as np
 
 from experiments.command import run
-from experiments.inspection_faults import results
 from experiments.inspection_faults.drives import BEHAVIOURS, ground_and_style, world_of
 from experiments.inspection_faults.report import listed, share
 from experiments.inspection_faults.score import in_words, serious
 from experiments.inspection_faults.sensor_faults import LAYOUTS, SENSOR_FAULTS, SensorCase, SensorFault
+from experiments.inspection_faults.study import Study
 from offpiste.core.errors import OffpisteError
-from offpiste.core.files import check_folder
 from offpiste.inspection.findings import Finding, ranked
 from offpiste.inspection.sensors import check_sensors
 from offpiste.logs.log import open_log
@@ -158,39 +156,33 @@ def _line(one: SensorScore, text: str = "") -> str:
 
 
 @dataclass(frozen=True)
-class SensorFaults:
-    """Score the checks of cameras and LiDARs on simulated logs, healthy or with one fault; five logs share a drive."""
+class SensorFaults(Study):
+    """Score the checks of cameras and LiDARs on simulated logs with one fault; five logs share a drive, one healthy."""
 
     out: Path = Path("sensor-faults")
-    """Folder of results: a JSON line per log, and report.md; finished logs are not repeated."""
     logs: int = 60
-    """Number of logs; those whose seed is a multiple of 5 are healthy."""
-    seed: int = 1
-    """Seed of the first log; the others follow."""
-    processes: int = 1
-    """Logs at a time."""
-    cache: Path | None = None
-    """Folder of simulated drives; OUT/drives if not given."""
 
-    def run(self) -> str:
-        """Score the logs that are missing, and report."""
-        check_folder(self.out)
-        seeds = range(self.seed, self.seed + self.logs)
-        return results.reported(self.out, SensorScore, seeds, partial(_work, self), report, processes=self.processes)
+    kind: ClassVar[type] = SensorScore
 
     def case(self, seed: int) -> SensorCase:
         """The healthy case of a seed."""
-        path = recorded_drive(seed // CASES_PER_DRIVE, self.cache or self.out / "drives")
+        path = recorded_drive(seed // CASES_PER_DRIVE, self.drives)
         layout = LAYOUTS[path.stem.rpartition("-")[2]]
         rig = layout.rig()
         return SensorCase(open_log(path, clock=rig.clock), rig, layout)
 
+    def score(self, seed: int) -> SensorScore:
+        """Score the case of a seed."""
+        return score(seed, self.case(seed), *given_to(seed))
 
-def _work(settings: SensorFaults, seed: int, progress: Callable[[float], None]) -> str:
-    result = score(seed, settings.case(seed), *given_to(seed))
-    results.append(settings.out, result)
-    what = "found" if result.found else "noted" if result.noted else "missed" if result.fault else "healthy"
-    return f"{_line(result)}: {what} {result.fix}; {len(result.alarms)} other alarms"
+    def report(self, scores: Sequence[SensorScore]) -> str:
+        """The whole report as Markdown."""
+        return report(scores)
+
+    def summary(self, score: SensorScore) -> str:
+        """What became of a fault."""
+        what = "found" if score.found else "noted" if score.noted else "missed" if score.fault else "healthy"
+        return f"{_line(score)}: {what} {score.fix}; {len(score.alarms)} other alarms"
 
 
 if __name__ == "__main__":

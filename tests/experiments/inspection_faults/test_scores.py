@@ -120,6 +120,6 @@ def test_an_error_as_large_as_the_scatter_warns_as_many_as_it_finds():
 def test_the_command_for_detectability_reports(tmp_path):
     for seed in (1, 2):
         save(made_up_drive(seconds=60, seed=seed), tmp_path / "drives" / f"drive-{seed:06d}.npz")
-    text = Detectability(out=tmp_path, drives=2, seed=1).run()
+    text = Detectability(out=tmp_path, logs=2, seed=1).run()
     assert "What 2 drives can show" in text
     assert "steer: offset 0.02" in text
