@@ -10,8 +10,6 @@ from offpiste.cli import entry
 from offpiste.cli.entry import COMMANDS
 from offpiste.core.errors import OffpisteError
 from offpiste.core.files import check_folder, unfinished
-from offpiste.dataset.split_balance import lacks_windows, next_split
-from offpiste.dataset.splits import parse_split
 
 
 @pytest.fixture(scope="module")
@@ -95,11 +93,3 @@ def test_an_interrupted_command_names_the_one_that_goes_on(name, said, monkeypat
 
 def test_commands_that_resume_exist():
     assert set(entry.RESUMABLE) <= set(COMMANDS)
-
-
-def test_a_split_without_validation_leads_to_one_that_works(tmp_path):
-    whole = dataset_with_features(tmp_path / "long.zarr", rows=4000).relabelled(parse_split("blocks:1,0,0"))
-    assert lacks_windows(whole)
-    split = next_split(whole)
-    assert split is not None
-    assert not lacks_windows(whole.relabelled(split))

@@ -65,14 +65,3 @@ def test_a_wrong_unit_or_origin_is_one_finding_and_stops_extract(
     _, out, _ = said_by(capsys, "inspect", log, "--rig", rig)
     assert "time_unit" not in out
     assert "time_origin" not in out
-
-
-def test_a_clock_of_its_own_stops_extract(tmp_path: Path, capsys, pca: Path) -> None:  # noqa: F811
-    clock = PointClock("timestamp", "<f8", lambda at, since: at + 5000 + since, "s", "epoch")
-    log = log_of(clock, tmp_path / "log.mcap")
-    rig = rig_of(clock, tmp_path / "rig.toml")
-    _, out, _ = said_by(capsys, "inspect", log, "--rig", rig)
-    assert "remove lidars.top.time_field, or record with the LiDAR's clock and its stamps synchronised" in out
-    code, _, said = extract(capsys, tmp_path, pca, tmp_path / "d.zarr", log)
-    assert code == 1
-    assert "'top': 10 clouds have points whose 'timestamp' is far from the stamp, one after the other; fix" in said

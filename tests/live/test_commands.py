@@ -14,7 +14,7 @@ from offpiste.core.errors import LiveError, OffpisteError
 from offpiste.core.shipped import run_folder
 from offpiste.live.commands import run_live
 from offpiste.live.session import RecordSettings, refuse_unmeasured
-from offpiste.live.viewers import VIEWERS, listening_at
+from offpiste.live.viewers import listening_at
 from offpiste.logs.ros.writer import McapWriter
 from offpiste.planning.caution import AddSpread
 from offpiste.rig.rig import load_rig
@@ -34,9 +34,9 @@ def refused(settings, what, **options):
     [
         ({"robot": ZenohSettings(keys="bridge"), "drive": True}, {}, r"type of the enable topic /enable.*live.types"),
         (
-            {"record": RecordSettings(Path("a.mcap")), "status": Path("a.csv"), "view": "rerun", "clock": "clock"},
+            {"record": RecordSettings(Path("a.mcap")), "view": "rerun", "clock": "clock"},
             {"replay": Path("a.mcap")},
-            "--replay: --record and --status and --view and --clock clock would have no effect",
+            "--replay: --record and --view and --clock clock would have no effect",
         ),
         ({}, {"commands": Path("a.csv")}, "--commands would have no effect"),
         ({"seconds": 0.0}, {}, "0 seconds"),
@@ -57,7 +57,7 @@ def test_a_risk_without_a_spread_and_a_missing_gpu_are_refused(tmp_path):
 
 def test_the_timeouts_of_the_rig_are_used(tmp_path, monkeypatch):
     begun, more = [], "[live.timeouts]\nstate = 0.25\n"
-    monkeypatch.setattr("offpiste.live.commands.supervise", lambda settings, **_: begun.append(settings))
+    monkeypatch.setattr("offpiste.live.commands.supervise", lambda settings: begun.append(settings))
     settings = live_settings(tmp_path, more, actuators=True)
     run_live(settings)
     assert begun[0].runtime.timeouts == replace(settings.runtime.timeouts, state=0.25)
@@ -132,7 +132,7 @@ def test_a_recording_that_cannot_be_written_is_refused(tmp_path, capsys, name, o
 
 
 def test_a_viewer_that_cannot_show_anything_is_refused(tmp_path, capsys):
-    assert "no viewer 'foxglov'; did you mean 'foxglove'?" in line(tmp_path, capsys, "--view", "foxglov")
+    assert "no viewer 'rerunn'; did you mean 'rerun'?" in line(tmp_path, capsys, "--view", "rerunn")
     assert "would show nothing; give --view, too" in line(tmp_path, capsys, "--view-at", "drive.rrd")
     (there := tmp_path / "there.rrd").write_bytes(b"")
     assert "already exists" in line(tmp_path, capsys, "--view", "rerun", "--view-at", there)
@@ -140,4 +140,3 @@ def test_a_viewer_that_cannot_show_anything_is_refused(tmp_path, capsys):
         listening_at("8765")
     with socket.create_server(("127.0.0.1", 0)) as taken, pytest.raises(LiveError, match="cannot listen there"):
         listening_at(f"127.0.0.1:{taken.getsockname()[1]}")
-    assert {"foxglove", "rerun"} <= set(VIEWERS)

@@ -1,7 +1,5 @@
 """Processes of a drive: clock, track, signs of life, memory, the cropped map, and plans."""
 
-import subprocess
-import sys
 import time
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -21,7 +19,7 @@ from offpiste.live.ring import pack_fields, pack_layers, packed, unpacked
 from offpiste.live.robot_messages import VehicleMessages
 from offpiste.live.session import new_session
 from offpiste.mapping.terrain_map import TerrainLayers
-from offpiste.planning.course import Course, CourseTracker
+from offpiste.planning.course import Course
 from offpiste.rig.rig import load_rig
 from offpiste.runtime.estimator import VehicleReading, VehicleTrack
 from offpiste.runtime.follower import TimedPlan
@@ -92,36 +90,6 @@ def test_signs_of_life_are_cheap_and_large_messages_are_dropped(tmp_path):
         assert unpacked(status.newest().data)["state"] == "full", "a sign of life without the numbers"
 
 
-def test_freed_memory_is_given_back_and_loaded_objects_are_excluded_from_garbage_collection():
-    code = """if True:
-        import ctypes, gc
-        import numpy as np
-        from offpiste.live import part
-
-        for option in (-3, -1):  # large arrays come from the heap, and stay in it like holes
-            ctypes.CDLL(None).mallopt(option, 1 << 30)
-        before = part.resident_memory()
-        array = np.ones(10_000_000)
-        del array
-        held = part.resident_memory() - before
-        part.release_freed_memory()
-        print(held, part.resident_memory() - before)
-        loaded = [[] for _ in range(400_000)]
-        part.freeze_loaded_objects()
-        before, held = gc.get_stats()[2]["collections"], [None] * 2000
-        for number in range(200_000):
-            held[number % 2000] = itself = []
-            itself.append(itself)
-        print(gc.get_stats()[2]["collections"] - before, len(gc.get_objects()))
-    """
-    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
-    held, left, collections, objects = map(float, said)
-    assert held > 60
-    assert left < 20
-    assert collections >= 1, "of later garbage"
-    assert objects < 20_000
-
-
 @pytest.mark.parametrize("gear", [1.0, -1.0])
 def test_the_cropped_map_contains_the_reach_of_plans_at_the_speed_of_the_course(tmp_path, gear):
     def corners(layers):
@@ -141,19 +109,6 @@ def test_the_cropped_map_contains_the_reach_of_plans_at_the_speed_of_the_course(
             assert (low <= wanted[0]).all()
             assert (high >= wanted[1]).all()
         assert max(gear * low[0], gear * high[0]) >= 8 * 5, "the distance in five seconds"
-
-
-def test_a_tracker_resumes_the_progress_of_another():
-    before, after = CourseTracker(STRAIGHT), CourseTracker(STRAIGHT)
-    for x in np.arange(0.0, 40.0, 0.5):
-        before.move(np.array((x, 0.1)))
-    after.move(np.array((39.5, 0.1)))
-    assert after.progress < 13, "it searches only a little ahead"
-    after.resume(before.progress)
-    after.move(np.array((39.5, 0.1)))
-    assert after.progress == before.progress
-    after.resume(1e9)
-    assert after.progress == after.length
 
 
 class Maker:

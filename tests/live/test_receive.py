@@ -38,7 +38,7 @@ def receiving(folder, network, more="", change=lambda text: text, **changed):
     Path(settings.rig).write_text(change(Path(settings.rig).read_text()))
     with new_session(settings) as session:
         part = Part("receive", session)
-        receiver = receive.Receiver(part, cameras=False)
+        receiver = receive.Receiver(part)
         yield receiver, part
         receiver.transport.close()
 
@@ -70,7 +70,7 @@ def test_waiting_messages_are_read_at_once_and_silence_ends_the_process(tmp_path
 def test_the_current_course_is_not_begun_again(tmp_path, network):
     with receiving(tmp_path, network) as (_, part):
         assert part.ring("course").written == 1
-        again = receive.Receiver(part, cameras=False)
+        again = receive.Receiver(part)
         again._course(again.reception.course)
         assert part.ring("course").written == 1, "neither after a restart nor if it is sent again"
         again._course(Course(again.reception.course.path + 1.0, again.reception.course.speed))

@@ -146,16 +146,3 @@ def test_a_full_backlog_drops_the_oldest_message_of_the_largest_topic():
     backlog.put(message("/image", 101))
     assert backlog.get(0.0).topic == "/odom", "the only message of another topic is kept"
     assert backlog.get(0.0) is None
-
-
-def test_many_messages_of_other_topics_drop_no_only_message():
-    dropped = Tally()
-    backlog = Backlog(256, dropped)
-    for topic in ("/odometry", "/course", "/tf_static", "/tf_static"):
-        backlog.put(message(topic, 1000))
-    for _ in range(1_000):
-        backlog.put(message("/odometry", 1))
-        backlog.put(message("/engine", 1))
-    assert dropped.keys() == {f"{topic}: comes faster than it is decoded" for topic in ("/odometry", "/engine")}
-    assert dropped.total() == 2_004 - 256
-    assert [backlog.get(0.0).topic for _ in range(3)] == ["/course", "/tf_static", "/tf_static"]

@@ -113,30 +113,6 @@ def test_a_writer_that_dies_at_any_store_leaves_the_earlier_messages(ring, store
     assert reader.newest() == (11, b"next")
 
 
-def test_a_repeated_number_is_not_taken_for_an_older_one(tmp_path):
-    """Number 5 is read in the slot in which 261 was begun: its first byte is that of 5."""
-    ring = Ring.create(tmp_path / "one", slots=256, size=16)
-    for k in range(260):
-        ring.write(bytes([k % 256]))
-    half_written(ring, 6)
-    ring._words[ring._slot(261)] = 5
-    assert ring._read(5) is None
-
-
-def test_a_reader_that_is_overtaken_tries_again(ring, monkeypatch):
-    ring.write(b"a")
-    reader, read = Ring(ring.path), Ring._read
-
-    def lapped(self, number):
-        if ring.written < 6:
-            for _ in range(5):
-                ring.write(b"b")
-        return read(self, number)
-
-    monkeypatch.setattr(Ring, "_read", lapped)
-    assert reader.newest() == (6, b"b")
-
-
 def write_forever(path):
     ring, number = Ring(path), 0
     while True:

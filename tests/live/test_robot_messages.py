@@ -1,6 +1,5 @@
 """Readings, images and scans from messages: complete, reduced, and invalid ones."""
 
-import threading
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,7 +9,7 @@ import sensor_bags
 from live.synthetic_robot import RIG, START, cloud, odometry, planner, rig, small_settings, tree, write_course
 from offpiste.closed_loop.lockstep import reading_of
 from offpiste.core.conventions import ACTUATORS
-from offpiste.core.errors import LogError, RigError
+from offpiste.core.errors import RigError
 from offpiste.core.geometry import local_from_geographic
 from offpiste.live.reception import CourseRequest, Reception
 from offpiste.live.replay import StepDriver
@@ -77,20 +76,6 @@ def test_values_that_are_not_finite_are_dropped_and_old_ones_do_not_count():
     assert vehicle.take("/odom", odometry(2.0, 2.0), NOW).position[0] == 2.0, "the clock went back"
 
 
-def test_a_command_that_is_published_on_change_stays_valid():
-    text, sample = rig_text("proving_ground"), samples(0.5)[5]
-    steady, changing = (
-        VehicleMessages(parse_rig(each, where="test"))
-        for each in (text, text.replace('interpolation = "hold"', 'interpolation = "on change"'))
-    )
-    for vehicle in (steady, changing):
-        for topic, message in simulated(sample).items():
-            vehicle.take(topic, message, 0.0)
-    later = sample.time + 30.0
-    assert steady.given(later).control is None
-    np.testing.assert_allclose(changing.given(later).control, sample.command[:3], atol=1e-6)
-
-
 @pytest.mark.parametrize(("silent", "rate"), [("on change", 0.0), ("linear", np.nan)])
 def test_the_rate_of_a_silent_steering_is_zero_only_if_it_is_published_on_change(silent, rate):
     before, _, behind = rig_text("proving_ground").partition("[channels.steer_rate]")
@@ -103,18 +88,6 @@ def test_the_rate_of_a_silent_steering_is_zero_only_if_it_is_published_on_change
                 readings.append(vehicle.take(topic, message, 0.0))
     last = [reading for reading in readings if reading is not None][-1]
     np.testing.assert_allclose(last.actuators[ACTUATORS.index("steer_rate")], rate, atol=1e-6)
-
-
-def test_messages_without_a_stamp_wait_for_the_robots_clock():
-    vehicle = vehicle_with('[channels.steer_angle]\ntopic = "/steer"\nfields = ["data"]\n', "steer_angle")
-    steering = make("std_msgs/Float64", data=0.1)
-    assert vehicle.take("/steer", steering, -np.inf) is None
-    assert vehicle.dropped == {"/steer: without a header stamp before the robot's clock is known": 1}
-    reading = vehicle.take("/odom", odometry(0.0), -np.inf)
-    assert reading.time == NOW, "it has a stamp"
-    assert np.isnan(reading.actuators[STEER])
-    vehicle.take("/steer", steering, NOW + 0.02)
-    assert vehicle.take("/odom", odometry(0.02), -np.inf).actuators[STEER] == 0.1
 
 
 def test_a_commanded_turn_rate_is_converted_to_steering():
@@ -235,41 +208,6 @@ def test_silent_optional_sensors_are_left_out(bag):
     assert (list(sensors.sensors[1]), sensors.left_out) == (["top"], [])
     assert [sensors.take("/rear", first(messages, "/points"), 0.0) for _ in range(2)] == [None, None]
     assert sensors.left_out == ["rear"], "named once it is heard"
-
-
-def test_a_camera_that_cannot_be_set_up_is_not_lost_if_two_threads_try(bag, monkeypatch):
-    messages = recorded(bag)
-    sensors, _ = taken([one for one in messages if one[0] != "/points"], sensor_bags.sensor_rig(), cameras=True)
-    other, tries, ended = threading.Thread(target=sensors.settle), threading.Event(), threading.Event()
-
-    def no_camera(*_):
-        if threading.current_thread() is other:
-            tries.set()
-            ended.wait(1.0)
-        raise LogError("images without calibration")
-
-    def lidar(*_):
-        if threading.current_thread() is not other:
-            other.start()
-            tries.wait(0.5)
-
-    monkeypatch.setattr("offpiste.live.robot_messages.camera_of", no_camera)
-    monkeypatch.setattr("offpiste.live.robot_messages.lidar_of", lidar)
-    sensors.take("/points", first(messages, "/points"), 0.0)
-    ended.set()
-    other.join()
-    assert sensors.sensors is None
-    assert "without calibration" in sensors.waiting_for
-
-
-def test_images_and_scans_that_cannot_be_decoded_are_counted(bag):
-    messages = recorded(bag)
-    sensors, _ = taken(messages, sensor_bags.sensor_rig(), cameras=True)
-    image, scan = first(messages, "/image"), first(messages, "/points")
-    image.data, scan.point_step = image.data[:3], scan.point_step + 1
-    assert sensors.take("/image", image, 0.0) is None
-    assert sensors.take("/points", scan, 0.0) is None
-    assert sum(sensors.dropped.values()) == 2
 
 
 def hostile():

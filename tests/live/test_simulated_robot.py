@@ -9,19 +9,18 @@ import pytest
 from offpiste.cli import main
 from offpiste.closed_loop.courses import choose_course
 from offpiste.live import simulated_robot
-from offpiste.live.simulated_robot import COURSE, RemoteCommands, SimulatedRobot, simulate_live
+from offpiste.live.simulated_robot import COURSE, RemoteCommands, SimulatedRobot
 from offpiste.logs.ros.writer import header, make
 from offpiste.simulation.recorder import stamp_ns
 from offpiste.simulation.rendering.scene import world_scene
 from offpiste.simulation.sensors import suite
 from offpiste.simulation.simulate import drive
 from offpiste.simulation.vehicle.parameters import load_vehicle
-from offpiste.simulation.vehicle.vehicle import VehicleSimulation
 from offpiste.simulation.world.build import make_world
 from offpiste.simulation.world.world import WorldSettings
 from offpiste.transport.message_types import MessageTypes
 from offpiste.transport.received import Received, Tally
-from offpiste.transport.zenoh_transport import ZenohSettings, ZenohTransport
+from offpiste.transport.zenoh_transport import ZenohTransport
 from synthetic_drive import samples
 
 WORLD = WorldSettings("dunes", 5, size=200.0, resolution=0.5)
@@ -50,24 +49,6 @@ class Recorded(ZenohTransport):
 def place():
     world = make_world(WORLD)
     return world, choose_course(world, WORLD.seed)
-
-
-def test_it_waits_for_commands_only_once_its_kernels_are_ready(place, monkeypatch):
-    happened = []
-
-    def noted(name, called):
-        return lambda *args, **more: happened.append(name) or called(*args, **more)
-
-    monkeypatch.setattr(suite, "render", noted("image", suite.render))
-    monkeypatch.setattr(suite.Lidar, "scan", noted("scan", suite.Lidar.scan))
-    monkeypatch.setattr(VehicleSimulation, "step", noted("step", VehicleSimulation.step))
-    monkeypatch.setattr(simulated_robot.logger, "info", happened.append)
-    monkeypatch.setattr(simulated_robot, "ZenohTransport", lambda _: Recorded())
-    monkeypatch.setattr(simulated_robot, "make_world", lambda _: place[0])
-    monkeypatch.setattr(simulated_robot, "choose_course", lambda *_: place[1])
-    simulate_live(WORLD, ZenohSettings(), sensors="light", seconds=0.1, speed=2.0)
-    waits = next(k for k, what in enumerate(happened) if "waits for commands" in what)
-    assert {"step", "image", "scan"} <= set(happened[:waits])
 
 
 def test_warming_up_does_not_change_the_drive(place):

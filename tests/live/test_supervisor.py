@@ -10,7 +10,6 @@ import threading
 import time
 from contextlib import closing, contextmanager
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -18,11 +17,10 @@ import torch
 
 from live.synthetic_robot import ACKERMANN, ENABLE, live_settings
 from live.test_part import flat
-from offpiste.live import supervisor
 from offpiste.live.part import STAMP
 from offpiste.live.ring import pack_fields, pack_layers, pack_plan, packed, unpacked
 from offpiste.live.session import DIAGNOSTICS, MAP, PLAN, RecordSettings, new_session
-from offpiste.live.supervisor import ERROR, OK, WARN, ServiceManager, Supervisor, plan_message
+from offpiste.live.supervisor import ERROR, OK, Supervisor, notify, plan_message
 from offpiste.logs.ros.writer import header, make
 from offpiste.planning.course import Course
 from offpiste.runtime.estimator import VehicleReading
@@ -53,7 +51,7 @@ class Drive:
         }
         x = np.arange(0.0, 60.0)
         self.rings["course"].write(pack_fields(Course(np.stack((x, 0 * x), axis=1), np.full(60, 4.0))))
-        self.supervisor = Supervisor(self.session, self.network.session(), cameras=False, names=names)
+        self.supervisor = Supervisor(self.session, self.network.session(), names)
         self.supervisor.start()
 
     def _commanded(self, received):
@@ -263,7 +261,7 @@ def test_a_plan_lies_on_the_ground_in_the_frame_of_the_poses(tmp_path, network):
     heard, transport = [], network.session()
     transport.publisher = lambda topic, *_, **__: lambda message: heard.append((topic, message))
     with new_session(live_settings(tmp_path)) as session:
-        reports = Supervisor(session, transport, cameras=False, names=())
+        reports = Supervisor(session, transport, ())
         for numbers in ({"frame": "odom"}, {"frame": ""}):
             session.ring("map").write(pack_layers(flat(3, 4), scan_time=1.0))
             plan = TimedPlan(1.0, 1.0, torch.zeros(20, 3))
@@ -299,50 +297,5 @@ def test_states_are_sent_to_a_path_and_to_an_abstract_name(tmp_path, monkeypatch
     path = str(tmp_path / "notify")
     monkeypatch.setenv("NOTIFY_SOCKET", f"@{path}" if abstract else path)
     with listening(f"\0{path}" if abstract else path) as heard:
-        ServiceManager().notify(READY=1, STATUS="two\nlines")
+        notify(READY=1, STATUS="two\nlines")
     assert [state for _, state in heard] == [{"READY": "1", "STATUS": "two lines"}]
-
-
-@pytest.mark.parametrize("bound", [True, False])
-def test_a_socket_that_nobody_reads_does_not_delay_a_drive_and_is_reported_once(tmp_path, monkeypatch, caplog, bound):
-    monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
-    with closing(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)) as receiver:
-        if bound:
-            receiver.bind(str(tmp_path / "notify"))
-        manager = ServiceManager()
-        for _ in range(2000):
-            manager.notify(WATCHDOG=1, STATUS="x" * 500)
-    assert len(caplog.records) == 1
-    assert "the service manager is not notified" in caplog.text
-
-
-class Hangs:
-    """Supervisor whose tenth look takes 2 s."""
-
-    def __init__(self, *_, **__):
-        self.looks = 0
-
-    def look(self):
-        self.looks += 1
-        time.sleep(2.0 if self.looks == 10 else 0.0)
-        return {"control": (OK, "driving", {}), "plan": (OK, "ready", {}), "map": (WARN, "starts", {})}
-
-    def start(self, *_):
-        pass
-
-    end = say = report = start
-
-
-def test_systemds_watchdog_is_notified_unless_the_loop_hangs(tmp_path, network, monkeypatch):
-    address = str(tmp_path / "notify")
-    monkeypatch.setenv("NOTIFY_SOCKET", address)
-    monkeypatch.setattr(supervisor, "Supervisor", Hangs)
-    with listening(address) as heard:
-        supervisor.supervise(live_settings(tmp_path, network=network, seconds=4.0), cameras=False)
-    (_, first), *loop, (_, last) = heard
-    assert first == {"READY": "1"}
-    assert last["STOPPING"] == "1"
-    assert all(state == {"WATCHDOG": "1", "STATUS": "control: driving; map: starts"} for _, state in loop)
-    gaps = sorted(later - at for (at, _), (later, _) in pairwise(loop))
-    assert gaps[-1] > 1.9
-    assert gaps[-2] < 1.5

@@ -1,35 +1,29 @@
-"""Viewers of a drive: the newest messages at the viewer's pace, uncertainty regions, and the viewer's process."""
+"""Viewers of a drive: the newest messages at the viewer's pace, and the viewer's process."""
 
 import os
-import shutil
 import signal
 import socket
 import time
 from contextlib import closing, contextmanager
 from functools import partialmethod
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
-from live.synthetic_robot import RUN, live_settings
+from live.synthetic_robot import live_settings
 from offpiste.live.part import Part
 from offpiste.live.ring import pack_fields, pack_layers, pack_plan, packed
 from offpiste.live.session import new_session
 from offpiste.live.supervisor import Supervisor
-from offpiste.live.view import LIFT, PlanRegions, Showing, shown_ground, view
+from offpiste.live.view import LIFT, Showing, shown_ground, view
 from offpiste.live.viewers import VIEWERS, Viewer
 from offpiste.logs.measurements import Image
 from offpiste.planning.course import Course
 from offpiste.runtime.estimator import VehicleReading
 from offpiste.runtime.follower import TimedPlan
-from offpiste.runtime.planner import load_planner
 from offpiste.runtime.prediction import Prediction
-from offpiste.training.checkpoint import load_json, save_tensors
-from offpiste.uncertainty.fit import FILE
-from offpiste.uncertainty.spread import Spread, inputs_of
-from planning_maps import WHEELS, layers
+from planning_maps import layers
 from transport.routers import free_port, network, until
 
 __all__ = ["network"]
@@ -73,10 +67,10 @@ def plan_at(now, speed=2.0):
 
 
 @contextmanager
-def showing(folder, viewer, regions=None):
+def showing(folder, viewer):
     with new_session(live_settings(folder)) as session:
         part = Part("view", session)
-        yield part, Showing(part, viewer, regions)
+        yield part, Showing(part, viewer)
 
 
 def feed(session, now, plan=None):
@@ -144,45 +138,6 @@ def test_a_slow_viewer_is_shown_the_newest_messages(tmp_path):
     assert times == sorted(set(times))
 
 
-def with_spread(folder):
-    """The shipped parametric run with a spread of known growth."""
-    planner = load_planner(RUN)
-    run = Path(shutil.copytree(planner.folder, folder / "run"))
-    spread = Spread(inputs_of(planner.dynamics.vehicle, planner.dynamics.codes))
-    with torch.no_grad():
-        for parameter in spread.layers.parameters():
-            parameter.zero_()
-        spread.layers[-1].bias.copy_(torch.tensor((0.0, 1.0)))
-    save_tensors(run / FILE, spread.state_dict(), weights_sha256=load_json(run / "model.json")["weights_sha256"])
-    return load_planner(run)
-
-
-def test_regions_are_ellipses_as_large_as_the_spread_says(tmp_path):
-    planner = with_spread(tmp_path)
-    plan, prediction = plan_at(100.0)
-    regions = PlanRegions(planner.dynamics, planner.spread, WHEELS.numpy())
-    outlines = regions.outlines(layers(), plan, prediction)
-    assert len(outlines) == 5
-    begin, freedom = np.logaddexp(0, -2.0) ** 2, 2 + np.logaddexp(0, 1.0)
-    factor = np.sqrt(freedom * (0.2 ** (-2 / freedom) - 1))  # P(r) = 1 - (1 + r² / ν)^(-ν / 2)
-    for second, outline in enumerate(outlines, start=1):
-        steps = np.arange(1, 5 * second + 1)
-        for axis, bias in enumerate((0.0, 1.0)):
-            scale = (0.2 * np.sqrt(begin + 0.2 * np.logaddexp(0, bias) ** 2 * steps)).sum()
-            assert np.ptp(outline[:, axis]) / 2 == pytest.approx(factor * scale, rel=1e-4)
-        assert (outline.max(axis=0) + outline.min(axis=0))[0] / 2 == pytest.approx(1 + 2.0 * second)
-    turned = prediction.state.copy()
-    turned[:, 2] = np.pi / 2
-    sideways = regions.outlines(layers(), plan, Prediction(100.0, turned))
-    assert np.ptp(sideways[4][:, 0]) == pytest.approx(np.ptp(outlines[4][:, 1]))
-    notes = Notes()
-    with showing(tmp_path, notes, regions) as (part, shown):
-        feed(part.session, time.time())
-        shown.update()
-    (_, (_, *outlines)) = lines_of(notes, "plan")[0]
-    assert [outline.places.shape for outline in outlines] == [(25, 3)] * 5
-
-
 def test_a_restarted_viewer_writes_another_file(tmp_path, monkeypatch):
     places = []
 
@@ -198,60 +153,34 @@ def test_a_restarted_viewer_writes_another_file(tmp_path, monkeypatch):
         begun.write_bytes(b"of the killed one")
         with new_session(live_settings(tmp_path, view="writer", view_at=place)) as session:
             session.ring("end").write(b"end")
-            view(session, cameras=False)
+            view(session)
     assert places == [str(tmp_path / "drive-2.rrd"), "", "127.0.0.1:9876"]
     assert begun.read_bytes() == b"of the killed one"
 
 
-class Drive:
-    """The viewer's process, fed with the values of the others."""
-
-    def __init__(self, folder, network, port):
-        settings = live_settings(folder, network=network, view="foxglove", view_at=f"127.0.0.1:{port}")
-        self._new = new_session(settings)
-        self.session = self._new.__enter__()
-        self.supervisor = Supervisor(self.session, network.session(), cameras=False, names=("view",))
-        self.supervisor.start()
-
-    def run(self, seconds):
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
-            feed(self.session, time.time())
-            time.sleep(0.02)
-
-    def state(self):
-        return self.supervisor.look()["view"][1]
-
-    def shows(self):
-        return until(lambda: (self.run(0.1), self.state().startswith("shows it in Foxglove"))[1], 120.0)
-
-    def close(self):
-        self.supervisor.end()
-        self._new.__exit__(None, None, None)
-
-
 def test_the_viewers_process_names_a_taken_port_and_is_restarted_if_it_hangs(tmp_path, network):
-    from live.test_foxglove import App  # skips without its packages
-
+    pytest.importorskip("rerun")
     port = free_port()
-    with closing(socket.create_server(("127.0.0.1", port))) as taken, closing(Drive(tmp_path, network, port)) as drive:
-        said = f"ended with 1 (127.0.0.1:{port}: cannot listen there: Address already in use; "
-        states = []
-        assert until(lambda: (states.append(drive.state()), states[-1].startswith(said))[1], 120), states[-1]
-        assert states[-1].endswith("), and is started again")
-        taken.close()
-        assert drive.shows(), drive.state()
-        app, restarts = App(port), drive.supervisor.restarts["view"]
-        app.subscribe("/plan", "/map")
-        drive.run(1.0)
-        got = app.received(2)
-        assert len(got["/plan"][1].entities[0].lines[0].points) == 50
-        assert got["/map"][1].point_stride > 0
-        app.close()
-        pid = drive.supervisor._processes["view"].pid
-        os.kill(pid, signal.SIGSTOP)
-        drive.run(2.0)
-        assert drive.state() == "gives no sign of life"
-        os.kill(pid, signal.SIGKILL)
-        assert until(lambda: drive.supervisor.look() and drive.supervisor.restarts["view"] == restarts + 1, 10)
-        assert drive.shows(), drive.state()
+    settings = live_settings(tmp_path, network=network, view="rerun", view_at=f"127.0.0.1:{port}")
+    with closing(socket.create_server(("127.0.0.1", port))) as taken, new_session(settings) as session:
+        supervisor, states = Supervisor(session, network.session(), ("view",)), []
+
+        def comes(begin):
+            feed(session, time.time())
+            states.append(supervisor.look()["view"][1])
+            return states[-1].startswith(begin)
+
+        supervisor.start()
+        try:
+            said = f"ended with 1 (127.0.0.1:{port}: cannot listen there: Address already in use; "
+            assert until(lambda: comes(said), 120), states[-1]
+            assert states[-1].endswith("), and is started again")
+            taken.close()
+            assert until(lambda: comes("shows it in Rerun"), 120), states[-1]
+            pid, restarts = supervisor._processes["view"].pid, supervisor.restarts["view"]
+            os.kill(pid, signal.SIGSTOP)
+            assert until(lambda: comes("gives no sign of life"), 10), states[-1]
+            os.kill(pid, signal.SIGKILL)
+            assert until(lambda: comes("shows it in Rerun") and supervisor.restarts["view"] == restarts + 1, 120)
+        finally:
+            supervisor.end()

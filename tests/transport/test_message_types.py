@@ -1,6 +1,5 @@
 """Message types with their hashes and definitions, and counts of refused messages."""
 
-import threading
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +8,6 @@ import pytest
 from offpiste.core.errors import TransportError
 from offpiste.transport.message_types import MessageTypes
 from offpiste.transport.received import MOST, OTHERS, Tally
-from transport.routers import until
 
 STRING = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
 """Hash of std_msgs/msg/String in ROS 2 (`ros2 topic info -v`)."""
@@ -61,28 +59,6 @@ def test_an_unknown_type_has_no_hash():
         MessageTypes().hash_of("my_msgs/msg/Wheels")
     with pytest.raises(TransportError, match="a message definition"):
         MessageTypes([Path("/nowhere/my_msgs/msg/Wheels.msg")])
-
-
-class Slow(int):
-    """Count during whose comparison another thread counts something new."""
-
-    tally: Tally
-
-    def __gt__(self, other):
-        counting = threading.Thread(target=self.tally.add, args=("new",))
-        counting.start()
-        counting.join(0.2)
-        return int(self) > other
-
-
-def test_a_snapshot_is_complete_while_another_thread_counts():
-    tally = Tally()
-    Slow.tally = tally
-    tally["slow"] = Slow(2)
-    tally.add("none", 0)
-    assert tally.snapshot() == {"slow": 2}
-    tally["slow"] = 2
-    assert until(lambda: tally.snapshot() == {"slow": 2, "new": 1})
 
 
 def test_the_number_of_reasons_is_limited():

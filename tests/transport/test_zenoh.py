@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 from contextlib import closing
-from pathlib import Path
 
 import pytest
 
@@ -19,7 +18,6 @@ from transport.routers import Network, free_port, network, until
 
 __all__ = ["network"]
 STRING = "std_msgs/msg/String"
-SHARED = Path("/dev/shm")
 HOSTS = """
 import sys
 from offpiste.transport.zenoh_transport import ZenohSettings
@@ -242,17 +240,3 @@ def test_a_router_outlives_its_parent_and_then_ends(tmp_path):
         assert serves(speaker, listener), "a stop gets through"
         assert until(lambda: listener.routers() == 0, OUTLIVES + 5.0)
     parent.communicate()
-
-
-@pytest.mark.skipif(not SHARED.is_dir(), reason="no /dev/shm here")
-def test_a_killed_session_leaves_no_shared_memory(network):
-    code = f"""
-import os
-from offpiste.transport.zenoh_transport import ZenohSettings, ZenohTransport
-transport = ZenohTransport(ZenohSettings(endpoint="{network.endpoint}"))
-os.kill(os.getpid(), 9)
-"""
-    before = set(SHARED.glob("*.zenoh"))
-    done = subprocess.run([sys.executable, "-c", code], check=False)
-    assert done.returncode == -9
-    assert set(SHARED.glob("*.zenoh")) <= before

@@ -101,12 +101,10 @@ class Live:
     """Size at which recording continues in a new, numbered file [GB]."""
     record_seconds: float = float("inf")
     """Duration after which recording continues in a new, numbered file [s]."""
-    status: Path | None = None
-    """Table (.csv) of the status of all processes, twice a second."""
     view: str = ""
-    """Viewer of the drive: foxglove or rerun (needs the extra `view`)."""
+    """Viewer of the drive: rerun (needs the extra `view`)."""
     view_at: str = ""
-    """HOST:PORT at which the viewer listens, by default on the loopback; for rerun also a file to write (.rrd)."""
+    """HOST:PORT at which the viewer listens, by default on the loopback; or a file to write (.rrd)."""
     robot: Annotated[RobotOptions, tyro.conf.OmitArgPrefixes] = field(default_factory=RobotOptions)
 
     def run(self) -> int:
@@ -135,7 +133,6 @@ class Live:
                 seed=self.seed,
                 seconds=self.seconds,
                 record=None if self.record is None else RecordSettings(self.record, *of_records),
-                status=self.status,
                 view=self.view,
                 view_at=self.view_at,
                 novelty=self.novelty,

@@ -72,56 +72,46 @@ class Simulate:
 
     def run(self) -> int:
         """Record one or several drives, or simulate a live robot."""
-        if self.live:
-            return self._run_live()
         from offpiste.core.errors import OffpisteError
+        from offpiste.core.files import check_folder
+        from offpiste.core.parallel import at_a_time
         from offpiste.core.progress import show
-        from offpiste.simulation.simulate import simulate
+        from offpiste.simulation.simulate import Recording, simulate, simulate_all
 
+        if self.live:
+            self._run_live()
+            return 0
+        if self.drives < 1:
+            raise OffpisteError(f"{self.drives} drives", where="--drives", how="give 1 or more")
         if self.drives == 1:
             seed = self.seed if self.drive_seed is None else self.drive_seed
             simulate(self._settings(self.seed, seed), self.out)
             rig = self._rig(self.out.with_suffix(".rig.toml"))
-            show(next_line("inspect", self.out, "--rig", rig))
-            return 0
-        if self.drives < 1:
-            raise OffpisteError(f"{self.drives} drives", where="--drives", how="give 1 or more")
-        if self.drive_seed is not None:
+        elif self.drive_seed is None:
+            check_folder(self.out, own=("*.mcap",))
+            processes = at_a_time(self.processes)
+            self.out.mkdir(parents=True, exist_ok=True)
+            seeds, name = range(self.seed, self.seed + self.drives), Path(self.world).stem
+            recordings = [Recording(self._settings(seed, seed), self.out / f"{name}-{seed}.mcap") for seed in seeds]
+            simulate_all(recordings, processes, self.cluster)
+            rig = self._rig(self.out / "rig.toml")
+        else:
             raise OffpisteError("--drive-seed cannot be combined with --drives", how="leave out one of them")
-        self._record_all()
+        show(next_line("inspect", self.out, "--rig", rig))
         return 0
 
-    def _run_live(self) -> int:
+    def _run_live(self) -> None:
         from offpiste.core.errors import OffpisteError
         from offpiste.live.simulated_robot import simulate_live
 
-        if ignored := [
-            f"--{name.replace('_', '-')}" for name in _NOT_LIVE if getattr(self, name) != getattr(Simulate, name)
-        ]:
-            raise OffpisteError(f"{' and '.join(ignored)} would do nothing", where="--live", how="leave it out")
-        world = self._settings(self.seed, self.seed).world
-        robot = self.robot.settings()
+        ignored = [name for name in _NOT_LIVE if getattr(self, name) != getattr(Simulate, name)]
+        if ignored:
+            options = " and ".join(f"--{name.replace('_', '-')}" for name in ignored)
+            raise OffpisteError(f"{options} would do nothing", where="--live", how="leave it out")
         simulate_live(
-            world, robot, sensors=self.sensors, seconds=self.seconds, speed=self.speed, vehicle=self.vehicle,
-            pose_noise=self.pose_noise,
+            self._settings(self.seed, self.seed).world, self.robot.settings(), sensors=self.sensors,
+            seconds=self.seconds, speed=self.speed, vehicle=self.vehicle, pose_noise=self.pose_noise,
         )  # fmt: skip
-        return 0
-
-    def _record_all(self) -> None:
-        from offpiste.core.files import check_folder
-        from offpiste.core.parallel import at_a_time
-        from offpiste.core.progress import show
-        from offpiste.simulation.simulate import Recording, simulate_all
-
-        check_folder(self.out, own=("*.mcap",))
-        processes = at_a_time(self.processes)
-        self.out.mkdir(parents=True, exist_ok=True)
-        name = Path(self.world).stem
-        seeds = range(self.seed, self.seed + self.drives)
-        recordings = [Recording(self._settings(seed, seed), self.out / f"{name}-{seed}.mcap") for seed in seeds]
-        simulate_all(recordings, processes, self.cluster)
-        rig = self._rig(self.out / "rig.toml")
-        show(next_line("inspect", self.out, "--rig", rig))
 
     def _rig(self, path: Path) -> str:
         """Return the rig of the drives: a preset, or a file written for another vehicle."""

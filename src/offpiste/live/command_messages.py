@@ -25,19 +25,12 @@ _BEYOND: Final = (100.0, 20.0)
 
 @dataclass(frozen=True)
 class Command:
-    """Command to the vehicle.
+    """Command to the vehicle."""
 
-    Attributes:
-        time: [s].
-        control: throttle, brake, steer.
-        gear: 1 forward, -1 reverse.
-        prediction: of the followed plan; None while stopping, when speed and yaw rate are zero.
-    """
-
-    time: float
-    control: Float[np.ndarray, " 3"]
-    gear: float = 1.0
-    prediction: Prediction | None = None
+    time: float  # [s]
+    control: Float[np.ndarray, " 3"]  # throttle, brake, steer
+    gear: float = 1.0  # 1 forward, -1 reverse
+    prediction: Prediction | None = None  # of the followed plan; None while stopping: speed and yaw rate are zero
 
     def value(self, field: OutputField, limits: CommandLimits) -> float:
         """Return the value of a field in offpiste's unit, with speed and yaw rate limited."""

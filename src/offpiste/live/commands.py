@@ -36,10 +36,9 @@ def run_live(settings: LiveSettings, *, replay: Path | None = None, commands: Pa
     _refuse_ignored(settings, replay, commands)
     device = settings.runtime.device
     rig, planner = load_rig(settings.rig), settings.load_planner("cpu" if replay is None else device)
-    cameras = planner.extractor is not None
     require_device(device, planner.dynamics)
     runtime = keeping_to(replace(settings.runtime, timeouts=rig.live.timeouts), rig.live.limits)
-    settings = replace(settings, runtime=runtime)
+    settings = replace(settings, runtime=runtime, cameras=planner.extractor is not None)
     _refuse_driving(settings, rig)
     types = MessageTypes(rig.live.definitions)
     check_types(rig, types)
@@ -51,10 +50,10 @@ def run_live(settings: LiveSettings, *, replay: Path | None = None, commands: Pa
         _refuse_showing(settings.view, settings.view_at)
     if settings.record is not None:
         _refuse_recording(settings.record)
-    reception = Reception(rig, settings.course, cameras=cameras)
+    reception = Reception(rig, settings.course, cameras=settings.cameras)
     refuse_unmeasured(planner, rig)
     if replay is None:
-        supervise(settings, cameras=cameras)
+        supervise(settings)
     else:
         replay_log(settings, rig, planner, reception, replay, commands)
 
@@ -63,7 +62,6 @@ def _refuse_ignored(settings: LiveSettings, replay: Path | None, commands: Path 
     """Raise `LiveError` for options without effect."""
     in_real_time = {
         "--record": settings.record is not None,
-        "--status": settings.status is not None,
         "--view": settings.view != "",
         f"--clock {settings.clock}": settings.clock != "system",
     }

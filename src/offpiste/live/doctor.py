@@ -54,11 +54,9 @@ class Finding(NamedTuple):
 def examined(
     rig_name: str, run: str, pca: Path | None, robot: ZenohSettings, seconds: float, clock: Source
 ) -> Iterator[Finding]:
-    """Yield findings; checks whose prerequisites failed are left out.
+    """Yield findings, also of listening for some seconds; checks whose prerequisites failed are left out.
 
     Args:
-        run: "" for none.
-        seconds: time to listen to the robot [s].
         clock: as for `offpiste live`; ages are only meaningful with "system".
     """
     require("live", "zenoh")

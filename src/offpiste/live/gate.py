@@ -15,15 +15,10 @@ OTHERS_FOR: Final = 1.0
 
 @dataclass(frozen=True)
 class Checked:
-    """Checked command.
+    """Checked command."""
 
-    Attributes:
-        control: throttle, brake, steer.
-        why: reason for a stop; empty if the command passed.
-    """
-
-    control: Float[np.ndarray, " 3"]
-    why: str = ""
+    control: Float[np.ndarray, " 3"]  # throttle, brake, steer
+    why: str = ""  # reason for a stop; empty if the command passed
 
 
 class Gate:

@@ -199,7 +199,7 @@ class Plans:
         part, now = self._part, self._part.now()
         if self._feed.update(now):
             self._layers = None
-            self._maps.skip()  # maps that were not taken yet are obsolete, too
+            self._maps.newest()  # maps that were not taken yet are obsolete, too
             self._maker.forget()
             if self._follower is not None:
                 self._follower.restart()

@@ -49,14 +49,10 @@ class LogStep(NamedTuple):
 
 
 class RecordedDrive:
-    """Messages of a ROS 2 log.
+    """Messages of a ROS 2 log, of some topics or all.
 
     Args:
         rig: of the vehicle: clouds with point times are played at the time of their last point.
-        topics: to be read; None for all.
-
-    Raises:
-        LogError: the log is missing, or not of ROS 2.
     """
 
     def __init__(self, path: Path, rig: Rig | None = None, topics: Sequence[str] | None = None) -> None:
@@ -162,15 +158,7 @@ class LogPlayer:
         self._clock = transport.publisher(CLOCK, "rosgraph_msgs/msg/Clock")
 
     def play(self, rate: float, seconds: float) -> Played:
-        """Play the log.
-
-        Args:
-            rate: speed relative to the recording.
-            seconds: maximum duration of the log to be played [s].
-
-        Raises:
-            LiveError: the rate is out of range.
-        """
+        """Play at most so many seconds of the log, at a rate relative to the recording."""
         if not 0 < rate <= 100:
             raise LiveError(f"a rate of {rate:g}", where="--rate", how="give a rate above 0, and at most 100")
         began, late, messages, steps = time.monotonic(), 0.0, 0, 0
@@ -198,11 +186,7 @@ def clock_message(nanoseconds: int) -> Any:
 def play_log(
     log: Path, rig: str, robot: ZenohSettings, rate: float, seconds: float, *, without: tuple[str, ...] = ()
 ) -> None:
-    """Play a log.
-
-    Raises:
-        OffpisteError: an option, the log, the rig or the connection is invalid.
-    """
+    """Play a log; raises `OffpisteError` for an invalid option, log, rig or connection."""
     if not seconds > 0:
         raise LiveError(f"{seconds:g} seconds", where="--seconds", how="give more than 0")
     require("live", "zenoh")

@@ -78,9 +78,9 @@ class Backlog:
 class Receiver:
     """Write received values to the rings; images and scans are decoded in a thread of their own."""
 
-    def __init__(self, part: Part, *, cameras: bool) -> None:
+    def __init__(self, part: Part) -> None:
         self.part, self.transport = part, part.connect()
-        self.reception = Reception(part.rig, part.settings.course, cameras=cameras)
+        self.reception = Reception(part.rig, part.settings.course, cameras=part.settings.cameras)
         self._small, self._calibrations = Backlog(_WAITING, part.dropped), Backlog(_WAITING, part.dropped)
         self._newest: dict[str, Received] = {}
         self._stamp, self._heard_at, self._clock_source = -1.0, np.inf, part.settings.clock
@@ -189,10 +189,10 @@ class Receiver:
                 self._handed_over = self.part.ring("sensors").write(pack_sensors(sensors.sensors))
 
 
-def receive(session: Session, *, cameras: bool) -> None:
+def receive(session: Session) -> None:
     """Run the process."""
     part = Part("receive", session)
-    receiver, connected = Receiver(part, cameras=cameras), True
+    receiver, connected = Receiver(part), True
     vehicle, transport = receiver.reception.vehicle, receiver.transport
     freeze_loaded_objects()
     while not part.ended:  # control needs readings until the vehicle is at a standstill

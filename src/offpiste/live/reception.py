@@ -30,19 +30,12 @@ _APART: Final = 0.05
 
 @dataclass(frozen=True)
 class CourseRequest:
-    """Source of the course: one of file, topic and goal.
+    """Source of the course: one of file, topic and goal."""
 
-    Attributes:
-        file: a table.
-        topic: of nav_msgs/Path; a new path replaces the course.
-        goal: x, y [m].
-        speed: used if the source gives none [m/s].
-    """
-
-    file: Path | None = None
-    topic: str = ""
-    goal: tuple[float, float] | None = None
-    speed: float = 3.0
+    file: Path | None = None  # a table
+    topic: str = ""  # of nav_msgs/Path; a new path replaces the course
+    goal: tuple[float, float] | None = None  # x, y [m]
+    speed: float = 3.0  # if the source gives none [m/s]
 
     def check(self) -> None:
         """Raise `LiveError` for none or several sources, and for an invalid speed or goal."""
@@ -57,15 +50,10 @@ class CourseRequest:
 
 @dataclass(frozen=True)
 class Pressed:
-    """Message of the dead man's switch.
+    """Message of the dead man's switch."""
 
-    Attributes:
-        pressed: None if it lacks the field.
-        age: time since its stamp by the robot's clock [s]; 0 without a stamp, not finite if either is invalid.
-    """
-
-    pressed: bool | None
-    age: float = 0.0
+    pressed: bool | None  # None if it lacks the field
+    age: float = 0.0  # by the robot's clock [s]; 0 without a stamp, not finite if either is invalid
 
 
 Taken = VehicleReading | Image | Cloud | Course | Pressed
@@ -183,13 +171,7 @@ class Reception:
 def read_course(path: Path, speed: float, rig: Rig) -> Course:
     """Read a course from a table with columns x, y [m] in the frame of the poses and, optionally, speed [m/s].
 
-    Columns lat and lon [degrees] may replace x and y if the rig's position has an origin.
-
-    Args:
-        speed: used if the table has none [m/s].
-
-    Raises:
-        LiveError: the file is missing, or contains no course.
+    Columns lat and lon [degrees] may replace x and y if the rig's position has an origin. Raises `LiveError`.
     """
     how = "give a .csv with a line 'x,y' or 'x,y,speed' first, in metres of the poses' frame, or 'lat,lon' in degrees"
     try:

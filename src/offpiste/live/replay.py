@@ -73,11 +73,7 @@ class StepDriver:
         self.runtime: Runtime | None = None
 
     def step(self, messages: Iterable[tuple[str, Any]], now: float) -> Step | None:
-        """Take the decoded messages since the last step, by topic, and return the command for the next DT.
-
-        Returns:
-            None while a required message is missing.
-        """
+        """Take the messages since the last step, by topic; return the result, or None while a message is missing."""
         for topic, message in self._in_order(messages, now):
             for taken in self._reception.take(topic, message, now):
                 if isinstance(taken, Pressed):
@@ -145,11 +141,7 @@ def replayed(drive: RecordedDrive, driver: StepDriver, types: MessageTypes) -> I
 def replay_log(
     settings: LiveSettings, rig: Rig, planner: Planner, reception: Reception, log: Path, table: Path | None
 ) -> None:
-    """Replay a log; write all commands to a table (.csv).
-
-    Raises:
-        LiveError: the log lacks what planning requires.
-    """
+    """Replay a log, and write all commands to a table (.csv); raises `LiveError` if planning was never possible."""
     driver = StepDriver(rig, planner, reception, settings.runtime, shadow=not settings.drive, seed=settings.seed)
     drive = RecordedDrive(log, rig, tuple(reception.topics))
     steps = replayed(drive, driver, MessageTypes(rig.live.definitions))

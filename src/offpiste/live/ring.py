@@ -71,15 +71,7 @@ class Ring:
 
     @staticmethod
     def create(path: Path, *, slots: int, size: int) -> "Ring":
-        """Create a ring; the memory of a large one is allocated when it is written.
-
-        Args:
-            slots: number of messages kept.
-            size: maximum message size [bytes].
-
-        Raises:
-            LiveError: memory is insufficient.
-        """
+        """Create a ring of messages of limited size [bytes]; the memory of a large one is allocated when written."""
         length = _bytes(slots, size)
         try:
             with path.open("xb") as file:
@@ -157,10 +149,7 @@ class Ring:
 
 
 class Reader:
-    """New messages of a ring.
-
-    Args:
-        number: of the last message that is not read; None for the newest.
+    """Messages of a ring after a number, by default of the newest one.
 
     Attributes:
         number: of the last message read.
@@ -187,10 +176,6 @@ class Reader:
         self.number = entry.number
         return unpacked(entry.data)
 
-    def skip(self) -> None:
-        """Ignore the messages so far."""
-        self.number = self._ring.written
-
 
 def _words_of(size: int) -> int:
     return -(-size // _WORD)
@@ -211,12 +196,12 @@ Record = TypeVar("Record")
 
 
 def packed(values: Values) -> bytes:
-    """Serialise numbers, strings, lists, mappings and arrays."""
+    """Serialise numbers, strings, lists, mappings, dataclasses and arrays."""
     return msgspec.msgpack.encode(values, enc_hook=_plain)
 
 
 def unpacked(data: bytes) -> dict[str, Any]:
-    """Restore the values of `packed`, with writable arrays."""
+    """Restore the values of `packed`, with writable arrays, and mappings in place of dataclasses."""
     return dict(_with_arrays(msgspec.msgpack.decode(data)))
 
 
@@ -237,14 +222,9 @@ def _with_arrays(value: Any) -> Any:
     return [_with_arrays(one) for one in value] if isinstance(value, list) else value
 
 
-def fields_of(record: Any) -> dict[str, Any]:
-    """Return the fields of a dataclass by name."""
-    return {field.name: getattr(record, field.name) for field in fields(record)}
-
-
 def pack_fields(record: Any, **more: Any) -> bytes:
     """Serialise the fields of a dataclass, and further values."""
-    return packed(fields_of(record) | more)
+    return packed({field.name: getattr(record, field.name) for field in fields(record)} | more)
 
 
 def from_fields(kind: type[Record], values: Values) -> Record:
@@ -255,7 +235,7 @@ def from_fields(kind: type[Record], values: Values) -> Record:
 def pack_sensors(sensors: Sensors) -> bytes:
     """Serialise calibrations and mountings."""
     cameras, lidars = sensors
-    models = {name: fields_of(one.model) | {"mounting": one.body_from_camera} for name, one in cameras.items()}
+    models = {name: {"model": one.model, "mounting": one.body_from_camera} for name, one in cameras.items()}
     return packed({"cameras": models, "lidars": {name: one.body_from_lidar for name, one in lidars.items()}})
 
 
@@ -263,7 +243,7 @@ def sensors_from(values: Values, rig: Rig) -> Sensors:
     """Restore calibrations and mountings, with the rig's entries of these sensors."""
     cameras = {}
     for name, given in values["cameras"].items():
-        model = from_fields(CameraModel, given | {"distortion": tuple(given["distortion"])})
+        model = CameraModel(**given["model"] | {"distortion": tuple(given["model"]["distortion"])})
         cameras[name] = Camera(name, model, given["mounting"], rig.cameras[name])
     lidars = {name: Lidar(name, mounting, rig.lidars[name]) for name, mounting in values["lidars"].items()}
     return cameras, lidars
@@ -271,7 +251,7 @@ def sensors_from(values: Values, rig: Rig) -> Sensors:
 
 def pack_layers(layers: TerrainLayers | None, **more: Any) -> bytes:
     """Serialise the layers of a map, None for an empty one, and further values."""
-    return packed({"layers": None if layers is None else fields_of(layers)} | more)
+    return packed({"layers": layers} | more)
 
 
 def layers_from(values: Values) -> TerrainLayers | None:
@@ -281,7 +261,7 @@ def layers_from(values: Values) -> TerrainLayers | None:
 
 def pack_plan(plan: TimedPlan, prediction: Prediction, **more: Any) -> bytes:
     """Serialise a plan, its prediction, and further values."""
-    return packed(fields_of(plan) | {"controls": plan.controls.numpy(), "states": prediction.state} | more)
+    return pack_fields(plan, **{"controls": plan.controls.numpy(), "states": prediction.state} | more)
 
 
 def plan_from(values: Values) -> tuple[TimedPlan, Prediction]:

@@ -19,7 +19,7 @@ from offpiste.core.channels import (
     registered_actuators,
 )
 from offpiste.core.errors import LogError, PerceptionError, RigError
-from offpiste.core.geometry import local_polynomial, rotation_of_one, yaw_rate_from_body_rates
+from offpiste.core.geometry import local_polynomial, rotation_of_one, yaw_from_quaternion, yaw_rate_from_body_rates
 from offpiste.logs.channel import KEPT_UP, convert, largest, to_z_up
 from offpiste.logs.log import Log, RawCloud, Samples, Topic
 from offpiste.logs.measurements import (
@@ -171,8 +171,11 @@ class VehicleMessages:
             given = self._latest("angular_velocity", time)
             return None if given is None else float(yaw_rate_from_body_rates(orientation[None], given[None])[0])
         name = "yaw" if "yaw" in self._rig.channels else "orientation"
-        samples = self._kept.get(name, ())
-        turn = np.unwrap([value[0] if name == "yaw" else _yaw(value) for _, value in samples])
+        samples = self._kept.get(name)
+        if not samples:
+            return None
+        values = np.stack([value for _, value in samples])
+        turn = np.unwrap(values[:, 0] if name == "yaw" else yaw_from_quaternion(values))
         rate = self._derivative([at for at, _ in samples], turn[:, None], time)
         return None if rate is None else float(rate[0])
 
@@ -218,11 +221,6 @@ class VehicleMessages:
 
 def _in_space(vector: Float[np.ndarray, " k"]) -> Float[np.ndarray, " 3"]:
     return np.append(vector, 0.0) if len(vector) == 2 else vector
-
-
-def _yaw(quaternion: Float[np.ndarray, " 4"]) -> float:
-    forward = rotation_of_one(quaternion)[:, 0]
-    return float(np.arctan2(forward[1], forward[0]))
 
 
 def _refuse(rig: Rig) -> None:

@@ -38,8 +38,17 @@ DIAGNOSTICS: Final = "/diagnostics"
 
 Source = Literal["system", "clock", "stamps"]
 """Clock that stamps are compared with: the computer's, /clock, or the stamps of the readings."""
-PARTS: Final = ("receive", "codes", "map", "plan", "control", "watchdog", "record", "view")
-"""Processes of a drive."""
+PARTS: Final = {
+    "receive": "receive.receive",
+    "codes": "map_and_plan.codes",
+    "map": "map_and_plan.map_ground",
+    "plan": "map_and_plan.plan",
+    "control": "control.control",
+    "watchdog": "control.watchdog",
+    "record": "record.record",
+    "view": "view.view",
+}
+"""Processes of a drive, with the module and function that each runs."""
 _KIB, _MIB = 1 << 10, 1 << 20
 RINGS: Final = {
     "readings": (64, 4 * _KIB),
@@ -68,19 +77,12 @@ ROOM: Final = 0.25
 
 @dataclass(frozen=True)
 class RecordSettings:
-    """Recording of a drive.
+    """Recording of a drive."""
 
-    Attributes:
-        path: of the first file (.mcap); later ones are numbered.
-        free: disk space that must remain free [GB].
-        size: maximum size of a file [GB].
-        seconds: maximum duration of a file [s].
-    """
-
-    path: Path
-    free: float = 2.0
-    size: float = float("inf")
-    seconds: float = float("inf")
+    path: Path  # of the first file (.mcap); later ones are numbered
+    free: float = 2.0  # disk space that must remain free [GB]
+    size: float = float("inf")  # of a file [GB]
+    seconds: float = float("inf")  # duration of a file
 
 
 @dataclass(frozen=True)
@@ -98,7 +100,7 @@ class LiveSettings:
     seed: int = 0
     seconds: float = float("inf")
     record: RecordSettings | None = None
-    status: Path | None = None
+    cameras: bool = False  # whether the model reads images
     view: str = ""
     view_at: str = ""
     novelty: Novelty = "ignored"

@@ -149,11 +149,7 @@ class SimulatedRobot:
         self._sensing.warm_up(sample)
 
     def drive(self, seconds: float) -> Driving:
-        """Drive in real time until the end of the course, a failure, the time limit [s], or Ctrl-C.
-
-        Returns:
-            The drive from the first throttle.
-        """
+        """Drive to the end of the course, a failure, a time limit [s], or Ctrl-C; return it from the first throttle."""
         samples, stands, slow = list[VehicleSample](), 0.0, 0.0
         end, due, steps = self.chosen.course.driven[-1], time.monotonic(), round(seconds / DT)
         run = drive(self.world, self._parameters, self.chosen.start, self.commands, steps=steps)
@@ -204,11 +200,7 @@ def simulate_live(
     world: WorldSettings, robot: ZenohSettings, *,
     sensors: str, seconds: float, speed: float, vehicle: str = "", pose_noise: float = 0.0,
 ) -> None:  # fmt: skip
-    """Simulate a vehicle that is driven over the transport, and log the scores of its drive.
-
-    Raises:
-        OffpisteError: the world, the vehicle, an option or the connection is invalid.
-    """
+    """Simulate a vehicle that is driven over the transport, and log the scores of its drive."""
     require("live", "zenoh")
     if not DT / 2 < seconds < np.inf:
         raise LiveError(f"a drive of {seconds:g} s", where="--seconds", how="give a finite number above 0")

@@ -1,6 +1,5 @@
 """Supervision of the processes of a drive: start, restart, and reports of their states."""
 
-import csv
 import logging
 import multiprocessing
 import os
@@ -9,10 +8,11 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import replace
 from functools import cache
+from importlib import import_module
 from multiprocessing import connection, parent_process
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -23,8 +23,8 @@ import numpy as np
 from offpiste.core.errors import LiveError, OffpisteError
 from offpiste.core.signals import BACKGROUND, ENDING, group_signals_blocked, ignore_group_signals
 from offpiste.live.command_messages import path_message
-from offpiste.live.control import ENDS, control, watchdog
-from offpiste.live.map_and_plan import codes, ground_height, map_ground, plan
+from offpiste.live.control import ENDS
+from offpiste.live.map_and_plan import ground_height
 from offpiste.live.part import AFTER, LOADING, Part
 from offpiste.live.ring import Reader, layers_from, plan_from, unpacked
 from offpiste.live.session import DIAGNOSTICS, MAP, PARTS, PLAN, LiveSettings, Session, new_session
@@ -62,7 +62,7 @@ States = Mapping[str, tuple[int, str, Mapping[str, Any]]]
 """Level, state and numbers of each process."""
 
 
-def run_part(name: str, session: Session, cameras: bool) -> None:
+def run_part(name: str, session: Session) -> None:
     """Run a process to its end; an error becomes its last state, and its exit code 1."""
     ignore_group_signals()  # Ctrl-C, systemd or a lost terminal must not end the stop: the parent ends processes
     if (parent := parent_process()) is not None:
@@ -73,7 +73,8 @@ def run_part(name: str, session: Session, cameras: bool) -> None:
     with suppress(OSError):
         Path("/proc/self/oom_score_adj").write_text(str(_FIRST_KILLED.get(name, 0)))
     try:
-        _run(name, session, cameras)
+        module, _, function = PARTS[name].partition(".")
+        getattr(import_module(f"offpiste.live.{module}"), function)(session)  # control and planning are loaded already
     except Exception as error:
         foreseen = isinstance(error, OffpisteError)
         with suppress(LiveError):  # the session's memory may have been removed
@@ -90,47 +91,25 @@ def _end_after(parent: int) -> None:
     os._exit(1)
 
 
-def _run(name: str, session: Session, cameras: bool) -> None:
-    """Run a process; import modules that only it uses."""
-    if name == "receive":
-        from offpiste.live.receive import receive
-
-        receive(session, cameras=cameras)
-    elif name == "record":
-        from offpiste.live.record import record
-
-        record(session)
-    elif name == "view":
-        from offpiste.live.view import view
-
-        view(session, cameras=cameras)
-    else:
-        processes = {"codes": codes, "map": map_ground, "plan": plan, "control": control, "watchdog": watchdog}
-        processes[name](session)
-
-
 class Supervisor:
     """Start the processes of a session, restart them when needed, and report their states.
 
     Args:
         transport: for the reports.
-        cameras: whether the model reads images.
         names: of the processes to be started if the settings need them.
 
     Attributes:
         restarts: number of restarts of each process.
     """
 
-    def __init__(
-        self, session: Session, transport: ZenohTransport, *, cameras: bool, names: Sequence[str] = PARTS
-    ) -> None:
+    def __init__(self, session: Session, transport: ZenohTransport, names: Iterable[str] = PARTS) -> None:
         settings = session.settings
         # The server imports shared modules once, has no threads, and forks each process.
         self._context = multiprocessing.get_context("forkserver")
         self._context.set_forkserver_preload(["offpiste.live.supervisor"])
-        self._session, self._cameras, self._ring = session, cameras, cache(session.ring)
-        wanted = {"codes": cameras, "watchdog": settings.drive, "record": settings.record, "view": settings.view}
-        self._names = [name for name in names if wanted.get(name, True)]
+        self._session, self._ring = session, cache(session.ring)
+        wanted = {"codes": settings.cameras, "watchdog": settings.drive, "record": settings.record}
+        self._names = [name for name in names if (wanted | {"view": settings.view}).get(name, True)]
         self._processes: dict[str, BaseProcess] = {}
         self._handles: dict[str, int] = {}
         self._started: dict[str, float] = {}
@@ -195,7 +174,7 @@ class Supervisor:
     def _start(self, name: str) -> None:
         self._kill(name)
         process = self._context.Process(
-            target=run_part, args=(name, self._session, self._cameras), name=f"offpiste {name}", daemon=True
+            target=run_part, args=(name, self._session), name=f"offpiste {name}", daemon=True
         )
         with group_signals_blocked():  # inherited by the server that forks processes
             process.start()
@@ -274,110 +253,41 @@ def _texts(numbers: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
             yield key, f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-class StatusTable:
-    """Table (.csv) with a row per process and report: time, name, level, state and numbers.
-
-    Raises:
-        LiveError: the file cannot be written.
-    """
-
-    COLUMNS = (
-        "cpu_s", "rss_mb", "tick_p50_ms", "tick_p99_ms", "map_age_p99_ms", "plan_age_p99_ms", "plan_ms", "map_ms",
-        "extract_ms", "speed_mps", "progress_m", "restarts", "dropped",
-    )  # fmt: skip
-
-    def __init__(self, path: Path) -> None:
-        try:
-            self._file = path.open("w", newline="", encoding="utf-8", buffering=1)
-        except OSError as error:
-            how = "give another name"
-            raise LiveError(f"cannot be written: {error.strerror}", where=path, how=how) from error
-        self._rows = csv.writer(self._file)
-        self._rows.writerow(("time", "part", "level", "state", *self.COLUMNS))
-
-    def add(self, time: float, parts: States) -> None:
-        """Add a row for each process; a full disk ends the table, not the drive."""
-        if self._file.closed:
-            return
-        try:
-            for name, (level, state, numbers) in parts.items():
-                given = dict(numbers) | {"dropped": sum(dict(numbers.get("dropped", {})).values())}
-                cells = [given.get(column, "") for column in self.COLUMNS]
-                rounded = [f"{cell:.3f}" if isinstance(cell, float) else cell for cell in cells]
-                self._rows.writerow((f"{time:.2f}", name, level, state, *rounded))
-        except OSError as error:
-            logger.warning(f"writing {self._file.name} has ended: {error.strerror}")
-            self.close()
-
-    def close(self) -> None:
-        """Close the file."""
-        with suppress(OSError):
-            self._file.close()
+def notify(**state: object) -> None:
+    """Send a state to a service manager (systemd's sd_notify), e.g. `notify(READY=1, STATUS="drives")`; never wait."""
+    if address := os.environ.get("NOTIFY_SOCKET", ""):
+        address = f"\0{address[1:]}" if address.startswith("@") else address
+        lines = "\n".join(f"{name}={' '.join(str(value).split())}" for name, value in state.items())
+        with suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as sender:
+            sender.sendto(lines.encode(), address)
 
 
-class ServiceManager:
-    """Notification socket of a service manager (systemd's sd_notify protocol), if $NOTIFY_SOCKET is set."""
-
-    def __init__(self) -> None:
-        self._failed = False
-        address = os.environ.get("NOTIFY_SOCKET", "")
-        self._address = f"\0{address[1:]}" if address.startswith("@") else address
-
-    def notify(self, **state: object) -> None:
-        """Send a state, e.g. `notify(READY=1, STATUS="drives")`; never wait."""
-        if not self._address:
-            return
-        lines = (f"{name}={' '.join(str(value).split())}" for name, value in state.items())
-        try:
-            with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as sender:
-                sender.sendto("\n".join(lines).encode(), self._address)
-        except OSError as error:
-            if not self._failed:
-                logger.warning(f"the service manager is not notified: {error.strerror or error} ($NOTIFY_SOCKET)")
-            self._failed = True
-
-
-def supervise(settings: LiveSettings, *, cameras: bool) -> None:
-    """Drive, or watch, until the time is over, Ctrl-C, or an ending signal.
-
-    Args:
-        cameras: whether the model reads images.
-
-    Raises:
-        OffpisteError: the connection or the shared memory fails.
-    """
+def supervise(settings: LiveSettings) -> None:
+    """Drive, or watch, until the time is over, Ctrl-C, or an ending signal."""
     with ExitStack() as stack:
         asked = stack.enter_context(end_requested())
         robot = stack.enter_context(settings.robot.hosted())
         transport = stack.enter_context(closing(ZenohTransport(robot, load_rig(settings.rig).live.definitions)))
         session = stack.enter_context(new_session(replace(settings, robot=robot)))
-        table = None if settings.status is None else stack.enter_context(closing(StatusTable(settings.status)))
-        supervisor, manager = Supervisor(session, transport, cameras=cameras), ServiceManager()
+        supervisor = Supervisor(session, transport)
         began = looked = time.monotonic()
         try:
             supervisor.start()
-            manager.notify(READY=1)
+            notify(READY=1)
             while time.monotonic() - began < settings.seconds and not asked.wait(PERIOD):
                 parts = supervisor.look()
                 supervisor.say(parts)
                 if time.monotonic() - looked >= 0.5:
                     looked = time.monotonic()
                     supervisor.report(parts)
-                    if table is not None:
-                        table.add(looked - began, parts)
-                    manager.notify(WATCHDOG=1, STATUS=summary(parts))  # here, because it shows that this loop runs
+                    said = (f"{name}: {one[1]}" for name, one in parts.items() if one[0] != OK or name == "control")
+                    notify(WATCHDOG=1, STATUS="; ".join(said)[:500])  # here, because it shows that this loop runs
         except KeyboardInterrupt:
             logger.info("the vehicle is stopped" if settings.drive else "the drive ends")
         finally:
             signal.signal(signal.SIGINT, signal.SIG_IGN)  # a second Ctrl-C would cut the stop short
-            manager.notify(STOPPING=1, STATUS="ends the drive")
+            notify(STOPPING=1, STATUS="ends the drive")
             supervisor.end()
-
-
-def summary(parts: States) -> str:
-    """Return the states of control and of faulty processes in one line."""
-    said = [f"{name}: {state}" for name, (level, state, _) in parts.items() if level != OK or name == "control"]
-    return "; ".join(said)[:500]
 
 
 @contextmanager

@@ -41,23 +41,15 @@ class Tally(Counter[str]):
 
 @dataclass(frozen=True)
 class Received:
-    """A received message, serialised as CDR.
-
-    Attributes:
-        type: for example `nav_msgs/msg/Odometry`; "" for a message without its data, as the sign of a publisher.
-        received: arrival by this computer's clock [s since 1970].
-        sequence: number given by the publisher; -1 if missing.
-        publisher: identity of the publisher (GID); empty if missing.
-        steady: arrival by the monotonic clock [s].
-    """
+    """A received message, serialised as CDR; without type and data it is the sign of a publisher."""
 
     topic: str
-    type: str
+    type: str  # for example `nav_msgs/msg/Odometry`
     data: bytes
-    received: float
-    sequence: int = -1
-    publisher: bytes = b""
-    steady: float = field(default_factory=time.monotonic)
+    received: float  # arrival by this computer's clock [s since 1970]
+    sequence: int = -1  # given by the publisher; -1 if missing
+    publisher: bytes = b""  # identity of the publisher (GID); empty if missing
+    steady: float = field(default_factory=time.monotonic)  # arrival by the monotonic clock [s]
 
 
 Deliver = Callable[[Received], None]

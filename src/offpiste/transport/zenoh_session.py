@@ -23,12 +23,7 @@ _STARTS: Final = 60.0
 
 
 def opened_session(endpoint: str, mode: Mode, file: str) -> Any:
-    """Open a session (arguments as in `ZenohSettings`).
-
-    Raises:
-        MissingExtra: the extra `live` is not installed.
-        TransportError: no router answers, or the configuration is invalid.
-    """
+    """Open a session (arguments as in `ZenohSettings`; errors as of `ZenohTransport`)."""
     with extra("live"):
         import zenoh
 
@@ -80,10 +75,7 @@ def configuration(endpoint: str, mode: Mode, file: str) -> Any:
 def router_process(endpoint: str, file: str) -> Iterator[str]:
     """Run a router in its own process and yield its endpoint for this computer.
 
-    It ends with the context, or `OUTLIVES` seconds after its parent process.
-
-    Raises:
-        TransportError: the endpoint is taken, or the router did not start.
+    It ends with the context, or `OUTLIVES` seconds after its parent process. Raises `TransportError`.
     """
     context = multiprocessing.get_context("spawn")
     ours, its = context.Pipe()

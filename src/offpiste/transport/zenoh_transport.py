@@ -21,37 +21,23 @@ from offpiste.transport.zenoh_session import Mode, opened_session, router_proces
 
 _GID: Final = 16
 """Length of a publisher's GID [bytes]."""
+_NODE: Final = "offpiste"
 _MIB: Final = 1 << 20
 
 
 @dataclass(frozen=True)
 class ZenohSettings:
-    """Settings of the connection to a robot. They can be pickled: each process of a drive connects by itself.
+    """Settings of the connection to a robot. They can be pickled: each process of a drive connects by itself."""
 
-    Attributes:
-        endpoint: of the router to connect to, or to be.
-        mode: "client", "router" to run the router as well, or "part": a client whatever `config` states.
-        keys: "rmw_zenoh" or "bridge" (zenoh-bridge-ros2dds), whose keys do not state the message type.
-        domain: ROS_DOMAIN_ID in rmw_zenoh's keys.
-        namespace: namespace of the bridge.
-        config: zenoh configuration file (JSON5), e.g. with certificates for TLS. `endpoint` and `mode` override it if
-            they differ from their defaults.
-        largest: maximum message size [MiB].
-        patient: publishers wait while a link is full instead of dropping the message.
-        node: node name shown to others.
-        identity: first 8 bytes of our publishers' GIDs, shared by the processes of a drive.
-    """
-
-    endpoint: str = ""
-    mode: Mode = "client"
-    keys: Literal["rmw_zenoh", "bridge"] = "rmw_zenoh"
-    domain: int = 0
-    namespace: str = ""
-    config: str = ""
-    largest: float = 64.0
-    patient: bool = False
-    node: str = "offpiste"
-    identity: bytes = field(default_factory=lambda: os.urandom(_GID // 2))
+    endpoint: str = ""  # of the router to connect to, or to be
+    mode: Mode = "client"  # or "router" to run the router as well, or "part": a client whatever `config` states
+    keys: Literal["rmw_zenoh", "bridge"] = "rmw_zenoh"  # bridge: zenoh-bridge-ros2dds, whose keys state no types
+    domain: int = 0  # ROS_DOMAIN_ID in rmw_zenoh's keys
+    namespace: str = ""  # of the bridge
+    config: str = ""  # zenoh's configuration (JSON5), e.g. with certificates; a given endpoint and mode override it
+    largest: float = 64.0  # of messages [MiB]
+    patient: bool = False  # whether publishers wait while a link is full instead of dropping the message
+    identity: bytes = field(default_factory=lambda: os.urandom(_GID // 2))  # begin of our publishers' GIDs, of a drive
 
     @contextmanager
     def hosted(self) -> Iterator["ZenohSettings"]:
@@ -220,5 +206,5 @@ class ZenohTransport:
         self.refused.add(f"{topic}: {why}")
 
     def _announce(self, number: int, address: Address, *, publishes: bool, keep: bool = False) -> None:
-        tokens = self.keys.tokens(self._session_id, self.settings.node, number, address, publishes=publishes, keep=keep)
+        tokens = self.keys.tokens(self._session_id, _NODE, number, address, publishes=publishes, keep=keep)
         self._held += [self._session.liveliness().declare_token(token) for token in tokens]

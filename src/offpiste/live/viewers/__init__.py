@@ -49,10 +49,6 @@ class Viewer:
     Attributes:
         package: module that the extra `view` installs for it; "" for none.
         where: instructions for opening it.
-
-    Raises:
-        MissingExtra: the extra is not installed.
-        LiveError: it cannot listen there.
     """
 
     package: ClassVar[str] = ""
@@ -65,7 +61,7 @@ class Viewer:
         """Show the vehicle's pose."""
 
     def lines(self, name: str, time: float, lines: Sequence[Line]) -> None:
-        """Replace the lines of the "course", or of the "plan" and its regions."""
+        """Replace the lines of the "course" or the "plan"."""
 
     def ground(self, ground: Ground) -> None:
         """Replace the shown map."""
@@ -87,11 +83,7 @@ VIEWERS: Final[Registry[type[Viewer]]] = Registry("viewer", package=__name__, er
 
 
 def listening_at(place: str) -> tuple[str, int]:
-    """Return the free host and port of a place; port 0 selects a free one.
-
-    Raises:
-        LiveError: the place is invalid or in use.
-    """
+    """Return the free host and port of a place; port 0 selects a free one. Raises `LiveError`."""
     host, _, port = place.rpartition(":")
     if not host or not port.isdigit() or int(port) > 65535:
         raise LiveError("is no host and port", where=f"--view-at {place}", how="give e.g. 127.0.0.1:8765")
