@@ -38,7 +38,6 @@ from offpiste.uncertainty.calibration import (
     CalibrationRow,
     calibration_rows,
     calibration_table,
-    errors_with_scales,
     kept_or_fitted,
 )
 from offpiste.uncertainty.fit import residuals_on_maps
@@ -189,9 +188,9 @@ def rows_of(
     rows = list[CalibrationRow]()
     for which, index in chosen.items():
         if len(index):
-            errors = errors_with_scales(spread, residuals_on_maps(run, windows, index))
             located = EvaluatedWindows(windows.dataset, windows.drive[index], windows.row_in_drive(index))
-            found = calibration_rows(name, errors, {}, Sampling().on(located))
+            residuals = residuals_on_maps(run, windows, index)
+            found = calibration_rows(name, spread, residuals, {}, Sampling().on(located))
             rows += [msgspec.structs.replace(row, windows=which) for row in found]
     return rows
 

@@ -202,17 +202,9 @@ def test_a_failed_prediction_is_drawn_up_to_the_failure() -> None:
 
 def test_the_report_is_self_contained_and_escapes(evaluation: Evaluation, tmp_path: Path) -> None:
     write_report(evaluation, tmp_path / "report")
-    files = sorted(file.name for file in (tmp_path / "report").iterdir())
-    assert files == [
-        "box.png",
-        "distribution.png",
-        "growth.png",
-        "metrics.json",
-        "report.html",
-        "speed.png",
-        "typical.png",
-        "worst.png",
-    ]
+    pictures = {f"{name}.png" for name in ("box", "distribution", "growth", "speed", "typical", "worst")}
+    files = {file.name for file in (tmp_path / "report").iterdir()}
+    assert files == pictures | {"metrics.json", "report.html"}
     text = (tmp_path / "report" / "report.html").read_text("utf-8")
     without = re.sub(r'(id="plotly">|base64,)[^"<]*', "", text)
     assert not re.search(r"https?://|[^:]//[a-z]+\.|@import|url\(|<link|<iframe|<script[^>]* src", without)
@@ -222,15 +214,7 @@ def test_the_report_is_self_contained_and_escapes(evaluation: Evaluation, tmp_pa
     assert "x < y" not in text
     content = strict(tmp_path / "report" / "metrics.json")
     assert content == strict_json(msgspec.json.encode(evaluation.metrics))
-    assert content["schema"] == 2
-    found = next(row for row in content["results"] if row["minus"])
-    statistics = {"mean", "median", "q1", "q3", "p90", "ci95"}
-    errors = {"distance_error_m", "yaw_error_rad", "vx_error_mps", "vy_error_mps", "yaw_rate_error_radps", "loss"}
-    about = {"model", "variant", "seed", "fold", "start", "feature_set", "lookup", "part", "horizon_s", "n"}
-    assert set(found) == about | errors | {"minus", "n_failed", "levels"}
-    assert all(set(found[name]) == statistics for name in errors)
-    assert set(found["levels"]) == {"drives", "blocks", "seeds"}
-    assert found["distance_error_m"]["ci95"] == [None, None], "too few drives"
+    assert content["results"][0]["distance_error_m"]["ci95"] == [None, None], "too few drives"
 
 
 def strict_json(text: bytes) -> dict:
@@ -373,10 +357,8 @@ def test_runs_of_one_seed_are_named_by_their_folders(runs: dict[str, int], label
     assert [model.label for model in found] == [*labels, "parametric"]
 
 
-def test_a_run_given_twice_keeps_its_name_and_folds_share_one() -> None:
+def test_folds_of_one_cross_validation_share_a_name() -> None:
     dynamics = MODELS["b"](COMMANDED, seed=0)
-    twice = [EvaluatedModel("b", dynamics, seed=0)] * 2
-    assert [model.label for model in named_apart(twice, [Path("b")] * 2)] == ["b", "b"], "refused later"
     folds = [EvaluatedModel("b", dynamics, seed=0, fold=n, split=split) for n, split in enumerate(FOLDS)]
     labels = [model.label for model in named_apart([*folds, *folds], [Path("cv")] * 3 + [Path("cv2")] * 3)]
     assert labels == 3 * ["b (cv)"] + 3 * ["b (cv2)"]

@@ -46,21 +46,16 @@ def made_of(*drives: StoredDrive) -> Dataset:
     return Dataset(Path("nowhere"), parse_rig(RIG, where="test"), SPLIT, drives)
 
 
-def test_a_path_after_training_was_not_driven_in_training() -> None:
-    drive = line({"train": slice(0, 400), "test": slice(600, 1000)})
-    assert share_driven_in_training(made_of(drive)) == 0.0
-
-
 def test_a_path_driven_before_was_driven_in_training_wherever_the_drives_origins_are() -> None:
     trained = line({"train": slice(0, 500)}, shift=(0.0, 0.0))
     again = replace(line({"test": slice(0, 1000)}), name="again")
-    moved = replace(again, rows=replace(again.rows, origin=np.array([10.0, 4.0])))
     # Test runs from x = 10 to 109.9 m, 4 m beside training, which ends at 49.9 m: near until 49.9 + 3 m.
-    assert share_driven_in_training(made_of(trained, moved)) == pytest.approx(0.43, abs=0.005)
-    aside = replace(again, rows=replace(again.rows, origin=np.array([10.0, 6.0])))
-    assert share_driven_in_training(made_of(trained, aside)) == 0.0
-    assert share_driven_in_training(made_of(line({"test": slice(0, 1000)}))) == 0.0
-    assert np.isnan(share_driven_in_training(made_of(line({"train": slice(0, 1000)}))))
+    for shift, share in (((10.0, 4.0), 0.43), ((10.0, 6.0), 0.0)):
+        moved = replace(again, rows=replace(again.rows, origin=np.array(shift)))
+        assert share_driven_in_training(made_of(trained, moved)) == pytest.approx(share, abs=0.005)
+    assert share_driven_in_training(made_of(line({"train": slice(0, 400), "test": slice(600, 1000)}))) == 0.0
+    assert share_driven_in_training(made_of(again)) == 0.0
+    assert np.isnan(share_driven_in_training(made_of(trained)))
 
 
 def test_speed_and_distance_of_windows() -> None:

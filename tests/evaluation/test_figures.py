@@ -19,7 +19,7 @@ from offpiste.evaluation.report_figures.distance_error import binned_plot, distr
 from offpiste.evaluation.report_figures.windows import GREY, PIXELS, ground_pictures, typical_windows, worst_windows
 from offpiste.mapping.terrain_map import TerrainMap
 from offpiste.report.chart import Chart, draw
-from offpiste.report.plotly_charts import LINE_PIXELS, charts_of
+from offpiste.report.plotly_charts import charts_of
 
 VALUES = np.array([0.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 11.0, 30.0])
 """Quartiles 3, 5, 7; IQR 4; whiskers reach to the last values within -3 ... 13: 0 and 11."""
@@ -70,16 +70,6 @@ def test_failed_predictions_are_counted() -> None:
     figure = plotly(chart)
     assert [trace.type for trace in figure.data] == ["box", "scatter"], "one box, and its mean"
     assert [text.replace("<br>", "\n") for text in figure.layout.yaxis.ticktext] == labels
-
-
-@pytest.mark.parametrize("count", [1, 18])
-def test_boxes_do_not_overlap(count: int) -> None:
-    chart = box_chart({f"model-{i} · recorded -20 m": VALUES * (1 + i % 3) for i in range(count)})
-    figure = drawn(chart)
-    axes = figure.axes[0]
-    assert charts_of(chart)[0]["height"] >= LINE_PIXELS * count
-    boxes = [text.get_window_extent(figure.canvas.get_renderer()) for text in axes.get_yticklabels()]
-    assert not any(one.overlaps(other) for i, one in enumerate(boxes) for other in boxes[i + 1 :])
 
 
 def test_grouped_boxes_state_their_whiskers_and_share_an_axis() -> None:

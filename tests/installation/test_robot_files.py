@@ -42,23 +42,14 @@ def test_the_unit_runs_a_command_in_shadow_mode(unit):
     assert (program, words) == (INSTALLED, ["warm-up"])
 
 
-def test_ending_the_unit_lets_the_vehicle_be_stopped(unit):
+def test_the_unit_lets_the_vehicle_be_stopped_and_starts_again(unit):
     service = unit["Service"]
     assert not {"KillSignal", "KillMode"} & set(service), "SIGTERM to all of them ends in a stop"
-    assert float(service["TimeoutStopSec"]) > AFTER + 2, "processes without their command have ended"
-    assert float(service["TimeoutStopSec"]) > ENDS + 3 + 3, "the stop is completed"
-    assert (service["Restart"], service["OOMPolicy"]) == ("on-failure", "continue")
-
-
-def test_the_unit_is_tried_until_the_router_is_there_and_started_again_where_it_hangs(unit):
-    service = unit["Service"]
+    assert float(service["TimeoutStopSec"]) > max(AFTER + 2, ENDS + 3 + 3), "processes end, and the stop"
     assert unit["Unit"]["StartLimitIntervalSec"] == "0", "no number of failures is the last"
-    assert float(service["RestartSec"]) >= 1
-    assert service["Type"] == "notify"
-    assert float(service["WatchdogSec"]) >= 10
+    assert (service["Restart"], service["OOMPolicy"], service["Type"]) == ("on-failure", "continue", "notify")
     assert "WatchdogSignal" not in service, "SIGABRT, which the processes of a drive ignore"
     assert signal.SIGABRT in GROUP_SIGNALS
-    assert service["WorkingDirectory"] == f"/var/lib/{service['StateDirectory']}"
 
 
 def test_each_line_of_the_unit_that_the_page_explains_is_there(unit):

@@ -22,8 +22,10 @@ PAGE = Page(
 )
 
 
-def test_everything_stands_on_the_page_and_is_escaped() -> None:
-    text = render(PAGE)
+def test_everything_stands_on_a_page_that_needs_no_other_file(tmp_path: Path) -> None:
+    assert write_page(PAGE, tmp_path) == [tmp_path / "box.png", tmp_path / "report.html"]
+    assert (tmp_path / "box.png").read_bytes() == b"\x89PNG"
+    text = (tmp_path / "report.html").read_text("utf-8")
     for escaped in (
         "&lt;title&gt;",
         "second &amp; more",
@@ -38,13 +40,6 @@ def test_everything_stands_on_the_page_and_is_escaped() -> None:
     assert "<title>offpiste" in text
     assert text.count('colspan="2"') == 2, "groups span their columns"
     assert "<fact>" not in text
-
-
-def test_a_page_needs_no_other_file(tmp_path: Path) -> None:
-    written = write_page(PAGE, tmp_path)
-    assert written == [tmp_path / "box.png", tmp_path / "report.html"]
-    assert (tmp_path / "box.png").read_bytes() == b"\x89PNG"
-    text = (tmp_path / "report.html").read_text("utf-8")
     assert "data:image/png;base64,iVBORw==" in text
     assert not any(word in text for word in ("<script", "<link", "http", "url(", "@import"))
 
@@ -58,17 +53,13 @@ CHARTS = Page(
 )
 
 
-def test_a_page_with_charts_holds_them_and_what_draws_them_once() -> None:
+def test_a_page_with_charts_holds_cards_and_charts_and_what_draws_them_once() -> None:
     text = render(CHARTS)
     assert text.count('<figure class="charts">') == 1
     assert text.count("data:image/png;base64,") == 2, "a browser without scripts shows all pictures"
     assert text.count('id="plotly"') == 1
     assert text.count("</script>") == text.count("<script") == 3
     assert not any(word in text for word in ("<link", "http:", "https:", 'src="/', "@import"))
-
-
-def test_cards_stand_below_the_headline_and_are_escaped() -> None:
-    text = render(CHARTS)
     assert text.index("first</p>") < text.index("&lt;b&gt;") < text.index("1.2 m")
     assert '<p class="better">3 % below</p>' in text
     assert "--colour: #0072b2" in text

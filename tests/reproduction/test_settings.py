@@ -1,6 +1,7 @@
 """Sizes, drives and models of the paper's figures."""
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -44,7 +45,6 @@ def test_worlds_are_mixed_as_in_the_paper():
             seconds = seconds_of([drive for drive in mine if drive.settings.world.preset == world])
             assert seconds == pytest.approx(max(share * total, size.shortest), abs=0.5)
     assert sum(MIX.values()) == pytest.approx(1.0)
-    assert (size.train.epochs, size.train.stride, size.stride) == (30, 1, 1)
 
 
 @pytest.mark.parametrize("name", ["evening", "day"])
@@ -93,23 +93,17 @@ def test_no_more_features_than_there_are(stored, numbers):
     assert standard_model("cf", stored).pca == min(40, stored)
 
 
-def test_what_a_folder_is_of_does_not_depend_on_figure_or_processes(tmp_path: Path):
+def test_what_a_folder_is_of_does_not_depend_on_figure_processes_or_seeds(tmp_path: Path):
     one = ReproductionSettings("fig3", SIZES["smoke"], tmp_path, processes=1)
-    two = ReproductionSettings("fig4", SIZES["smoke"], tmp_path, processes=2)
-    assert one.described() == two.described()
-    assert one.described() != ReproductionSettings("fig3", SIZES["smoke"], tmp_path, contrast=0.5).described()
-    more_seeds = ReproductionSettings("fig3", sized("smoke", seeds=3), tmp_path)
-    assert one.described() == more_seeds.described()
-    assert one.described() != ReproductionSettings("fig3", sized("smoke", (140.0, 40.0, 90.0)), tmp_path).described()
+    for same in (replace(one, figure="fig4", processes=2), replace(one, size=sized("smoke", seeds=3))):
+        assert one.described() == same.described()
+    for other in (replace(one, contrast=0.5), replace(one, size=sized("smoke", (140.0, 40.0, 90.0)))):
+        assert one.described() != other.described()
 
 
 def test_a_size_with_other_lengths_and_seeds():
     other = sized("laptop", (1000.0, 100.0, 400.0), 1)
     assert (other.seconds, other.seeds, other.train) == ((1000.0, 100.0, 400.0), 1, SIZES["laptop"].train)
-    assert sized("laptop") == SIZES["laptop"]
-    for part, seconds in zip(PARTS, other.seconds, strict=True):
-        driven = seconds_of([drive for drive in planned_drives(other) if drive.part == part])
-        assert seconds - 0.1 < driven < seconds + len(MIX) * other.shortest
     for seconds in ((0.0, 1.0, 1.0), (1.0, float("nan"), 1.0), (1.0, 1.0, float("inf"))):
         with pytest.raises(OffpisteError, match="three above 0"):
             sized("smoke", seconds)

@@ -10,7 +10,7 @@ from offpiste.report.feature_colours import colour_limits, colours
 from offpiste.visualization.images import beside, contact_sheet, times_between, write_image
 
 
-def test_percentiles_span_the_colours():
+def test_percentiles_span_the_colours_of_known_patches():
     values = np.linspace(0.0, 100.0, 101)
     components = np.stack((values, -values, np.zeros(101), values), axis=1).reshape(1, 101, 4)
     picture = colours(components)
@@ -18,30 +18,18 @@ def test_percentiles_span_the_colours():
     assert picture[0, 50].tolist() == [128, 128, 128]  # a constant component is grey
     assert picture[0, 98:, 0].tolist() == [255, 255, 255]
     assert picture[0, 100, 1] == 0
-
-
-def test_limits_by_mask_and_without_nan():
-    components = np.zeros((2, 10, 3))
-    components[0] = np.linspace(0, 1, 10)[:, None]
-    components[1] = 99.0
-    components[0, 4] = np.nan
-    mask = np.zeros((2, 10), dtype=bool)
-    mask[0] = True
-    limits = colour_limits(components, mask)
-    assert (limits[1] <= 1.0).all()
-    picture = colours(components, limits)
-    assert picture[0, 4].tolist() == [0, 0, 0]
-    assert picture[1, 0].tolist() == [255, 255, 255]
+    others = np.concatenate((components, np.full_like(components, 999.0)))
+    others[0, 60] = np.nan
+    ground = np.arange(2)[:, None].repeat(101, axis=1) == 0
+    limited = colours(others, colour_limits(others, ground))
+    np.testing.assert_allclose(limited[0, :50], picture[0, :50], atol=2)
+    assert limited[0, 60].tolist() == [0, 0, 0]
+    assert colours(np.full((2, 2, 2), np.nan)).max() == 0
+    assert (colours(np.arange(8.0).reshape(2, 2, 2))[..., 2] == 128).all(), "a missing component is grey"
 
 
 def test_moments_lie_in_the_middle_of_equal_pieces() -> None:
     assert times_between(10.0, 18.0, 2) == (12.0, 16.0)
-
-
-def test_two_components_and_none_known():
-    assert colours(np.full((2, 2, 2), np.nan)).max() == 0
-    picture = colours(np.arange(8.0).reshape(2, 2, 2))
-    assert (picture[..., 2] == 128).all()
 
 
 def test_patches_lie_beside_the_image_in_their_places():

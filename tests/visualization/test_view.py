@@ -120,15 +120,6 @@ def test_a_dataset_without_visual_features_shows_its_paths(
     assert "no visual features" in (tmp_path / "out" / "report.html").read_text()
 
 
-def test_a_broken_dataset_ends_in_one_line(
-    run: Callable[..., int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    store.create(tmp_path / "empty.zarr", small_rig(), SPLIT)
-    assert run("view", str(tmp_path / "empty.zarr"), "--out", str(tmp_path / "out")) == 1
-    assert "holds no drive" in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
-
-
 def test_many_drives_take_several_pictures(dataset: Path, tmp_path: Path) -> None:
     drive = store.open_dataset(written(tmp_path, [circle_rows(600)], ())).drives[0]
     many = replace(store.open_dataset(dataset), drives=(drive,) * (DRIVES_A_PAGE + 1), features=())

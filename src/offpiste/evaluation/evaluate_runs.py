@@ -4,12 +4,9 @@ import logging
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from shlex import join
 
-import msgspec
 import numpy as np
 
-from offpiste.core.command_line import options
 from offpiste.core.errors import OffpisteError, RunError
 from offpiste.core.files import check_folder, unfinished
 from offpiste.core.shipped import named, run_folder
@@ -22,8 +19,7 @@ from offpiste.evaluation.evaluate import EvaluatedModel, Evaluation, evaluate_mo
 from offpiste.evaluation.intervals import MIN_UNITS, Levels
 from offpiste.evaluation.metrics import Start
 from offpiste.evaluation.report import REPORT_FILES, UNFINISHED, terminal_table, write_report
-from offpiste.training.checkpoint import fold_folders, load_json
-from offpiste.training.config import TrainConfig
+from offpiste.training.checkpoint import fold_folders
 from offpiste.training.prediction import Lookup
 from offpiste.training.run import Run, differing_vehicle, load_run, refuse_seen, refuse_unfit
 
@@ -98,47 +94,21 @@ def evaluate_runs(
         logger.info(f"Results with the lookup 'map' decide: they read the ground under the predicted wheels{nearest}.")
     levels = Levels(evaluation.metrics.windows.drives, evaluation.metrics.windows.blocks)
     if levels.caveat:
-        more = folds_command(folders[0], runs[0].model, dataset, dataset_path) if levels.units < MIN_UNITS else ""
+        whole = all(model.split is None for model in models) and all(d.snapshots is None for d in dataset.drives)
+        more = " Train with --folds 5 to test on all of the driving." if whole and levels.units < MIN_UNITS else ""
         logger.info(levels.caveat + more)
     logger.info(assumptions_block(evaluation.metrics.assumptions))
     logger.info(f"report: {out / 'report.html'}")
     return evaluation
 
 
-def folds_command(folder: Path, model: str, dataset: Dataset, path: Path) -> str:
-    """Return the command that tests a model on all of the driving by cross-validation.
-
-    Empty for folds, shipped models and datasets with snapshots, whose folds are evaluated at recorded places only.
-
-    Args:
-        path: of the dataset, as given.
-    """
-    if not folder.is_dir() or fold_folders(folder) or any(drive.snapshots is not None for drive in dataset.drives):
-        return ""
-    settings = options(_settings(folder), model=model)
-    more = ["--out", f"{folder}-folds", "--folds", "5", *settings]
-    return f" To test on all of the driving: {join(['offpiste', 'train', str(path), *more])}"
-
-
-def _settings(folder: Path) -> TrainConfig:
-    """Return the training settings of a run; the defaults if they are unknown."""
-    path = folder / "config.json"
-    try:
-        return msgspec.convert(load_json(path)["train"], TrainConfig) if path.exists() else TrainConfig()
-    except (KeyError, msgspec.ValidationError) as error:
-        raise RunError(f"holds no training settings ({error})", where=path, how="train again") from error
-
-
 def _warnings(runs: Sequence[Run], models: Sequence[EvaluatedModel], dataset: Dataset) -> list[str]:
     """Log warnings about these models on this dataset; return those that are not stored in the dataset."""
     if (line := warning_line(dataset.findings)) is not None:
         logger.warning(line)
-    others = {named(run.folder): differing_vehicle(run.dynamics.vehicle, dataset.rig.vehicle) for run in runs}
-    warnings = [
-        f"{name} was trained on another vehicle than {dataset.rig.name}: {apart}"
-        for name, apart in others.items()
-        if apart is not None
-    ]
+    apart = {named(run.folder): differing_vehicle(run.dynamics.vehicle, dataset.rig.vehicle) for run in runs}
+    another = f"was trained on another vehicle than {dataset.rig.name}"
+    warnings = [f"{name} {another}: {how}" for name, how in apart.items() if how is not None]
     trained_here = all(model.split is None for model in models) and {run.split for run in runs} == {dataset.split.text}
     if trained_here and (unlike := split_warning(dataset)) is not None:
         warnings.append(unlike)

@@ -10,7 +10,6 @@ from typing import Final
 import msgspec
 import numpy as np
 from jaxtyping import Bool, Float
-from matplotlib.figure import Figure
 from scipy import special, stats
 
 from offpiste.core.errors import RunError
@@ -19,9 +18,10 @@ from offpiste.core.shipped import names_apart, run_folder
 from offpiste.dataset.store import Dataset, open_dataset
 from offpiste.dataset.windows import Windows
 from offpiste.evaluation.evaluated_windows import EvaluatedWindows, members
-from offpiste.evaluation.intervals import Resampling, Sampling
+from offpiste.evaluation.intervals import NO_INTERVAL, Resampling, Sampling
 from offpiste.evaluation.report import REPORT_FILES, UNFINISHED
-from offpiste.report.figure import plain, write_png
+from offpiste.report.chart import Chart, Line, Panel, draw
+from offpiste.report.figure import write_png
 from offpiste.report.text_table import TextTable, interval, number
 from offpiste.training.checkpoint import load_json, load_tensors, save_beside_weights
 from offpiste.training.run import Run, Stretch, load_run, overlap_with, refuse_seen, refuse_unfit, seen_stretches
@@ -64,34 +64,6 @@ ABOUT: Final = (
 )
 
 
-@dataclass(frozen=True)
-class ErrorsWithScales:
-    """Position errors and their predicted scales, at the moments of a spread.
-
-    Attributes:
-        error, scale: along and across the predicted heading [m].
-        freedom: degrees of freedom of the errors.
-        speed: at the start [m/s].
-    """
-
-    error: Float[np.ndarray, "N K 2"]
-    scale: Float[np.ndarray, "N K 2"]
-    freedom: float
-    speed: Float[np.ndarray, " N"]
-
-    @property
-    def within(self) -> Float[np.ndarray, "N H"]:
-        """Probability of the region that ends at each error, at each of `HORIZONS`."""
-        squared = np.square(self.error[:, AT] / self.scale[:, AT]).sum(axis=-1)
-        return probability_within(squared, self.freedom)
-
-
-def errors_with_scales(spread: Spread, residuals: Residuals) -> ErrorsWithScales:
-    """Evaluate a spread on residuals."""
-    scale, speed = spread(residuals.inputs).detach().numpy(), residuals.inputs[:, 0, 0].numpy()
-    return ErrorsWithScales(residuals.error.numpy(), scale, float(spread.freedom.detach()), speed)
-
-
 class CalibrationRow(msgspec.Struct, frozen=True, kw_only=True):
     """Calibration on a group of windows at a horizon.
 
@@ -119,7 +91,11 @@ class CalibrationRow(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def calibration_rows(
-    run: str, errors: ErrorsWithScales, groups: Mapping[str, Bool[np.ndarray, " N"]], drawn: Resampling
+    run: str,
+    spread: Spread,
+    residuals: Residuals,
+    groups: Mapping[str, Bool[np.ndarray, " N"]],
+    drawn: Resampling,
 ) -> list[CalibrationRow]:
     """Return a row for all windows and one for each group, at each horizon.
 
@@ -128,74 +104,70 @@ def calibration_rows(
         groups: windows of each group.
         drawn: resamples of all windows, for the intervals of their row.
     """
-    scale, error, within, rows = errors.scale, errors.error, errors.within, list[CalibrationRow]()
-    for place, (horizon, k) in enumerate(zip(HORIZONS, AT, strict=True)):
-        distance, reach = np.linalg.norm(error[:, k], axis=-1), np.linalg.norm(scale[:, k], axis=-1)
-        score = crps(error[:, k], scale[:, k], errors.freedom).mean(axis=-1)
+    freedom, speed = float(spread.freedom.detach()), residuals.inputs[:, 0, 0].numpy()
+    scale, error = spread(residuals.inputs).detach().numpy()[:, AT], residuals.error.numpy()[:, AT]
+    distance, reach = np.linalg.norm(error, axis=-1), np.linalg.norm(scale, axis=-1)
+    score, within = crps(error, scale, freedom).mean(axis=-1), probabilities(spread, residuals)
+    rows = list[CalibrationRow]()
+    for at, horizon in enumerate(HORIZONS):
         for name, mine in ({ALL: np.ones(len(error), bool)} | dict(groups)).items():
-            worst = distance[mine] >= np.quantile(distance[mine], 1 - WORST)
-            covered = within[mine, place, None] <= np.array(NOMINAL)
+            worst = distance[mine, at] >= np.quantile(distance[mine, at], 1 - WORST)
+            covered = (within[mine, at] <= np.array(NOMINAL)[:, None]).astype(float)
+            intervals = [drawn.interval(drawn.means(each)) if name == ALL else NO_INTERVAL for each in covered]
             rows.append(
                 CalibrationRow(
                     run=run,
                     windows=name,
                     horizon=horizon,
                     n=int(mine.sum()),
-                    error_m=float(distance[mine].mean()),
-                    scale_m=float(reach[mine].mean()),
-                    coverage=tuple(covered.mean(axis=0).tolist()),
-                    ci95=tuple(
-                        drawn.interval(drawn.means(column.astype(float))) if name == ALL else (np.nan, np.nan)
-                        for column in covered.T
-                    ),
-                    crps_m=float(score[mine].mean()),
-                    auroc=area_under_curve(reach[mine], worst),
-                    auroc_by_speed=area_under_curve(errors.speed[mine], worst),
+                    error_m=float(distance[mine, at].mean()),
+                    scale_m=float(reach[mine, at].mean()),
+                    coverage=tuple(covered.mean(axis=1).tolist()),
+                    ci95=tuple(intervals),
+                    crps_m=float(score[mine, at].mean()),
+                    auroc=area_under_curve(reach[mine, at], worst),
+                    auroc_by_speed=area_under_curve(speed[mine], worst),
                 )
             )
     return rows
 
 
-def calibration_table(rows: list[CalibrationRow]) -> TextTable:
+def probabilities(spread: Spread, residuals: Residuals) -> Float[np.ndarray, "N H"]:
+    """Return the probability of the region that ends at each error, at each of `HORIZONS`."""
+    scale = spread(residuals.inputs).detach().numpy()
+    squared = np.square(residuals.error.numpy()[:, AT] / scale[:, AT]).sum(axis=-1)
+    return probability_within(squared, float(spread.freedom.detach()))
+
+
+def calibration_table(rows: Sequence[CalibrationRow]) -> TextTable:
     """Return a table with a line per run, group and horizon."""
+    lines = []
+    for row in rows:
+        shares = zip(row.coverage, row.ci95, strict=True)
+        covered = (f"{number(100 * share, 0)} {interval((100 * low, 100 * high), 0)}" for share, (low, high) in shares)
+        scores = map(number, (row.crps_m, row.auroc, row.auroc_by_speed))
+        where = (row.run, row.windows, f"{row.horizon:g} s")
+        lines.append((*where, f"{row.n}", number(row.error_m), *covered, *scores))
     names = ("run", "windows", "after", "n", "error [m]", "50 %", "80 %", "95 %", "CRPS [m]", "AUROC", "by speed")
-    lines = [
-        (
-            row.run,
-            row.windows,
-            f"{row.horizon:g} s",
-            f"{row.n}",
-            number(row.error_m),
-            *(
-                f"{number(100 * share, 0)} {interval((100 * low, 100 * high), 0)}"
-                for share, (low, high) in zip(row.coverage, row.ci95, strict=True)
-            ),
-            number(row.crps_m),
-            number(row.auroc),
-            number(row.auroc_by_speed),
-        )
-        for row in rows
-    ]
-    return TextTable("Calibration", names, tuple(lines), ABOUT, left=3)
+    return TextTable("Calibration", names, lines, ABOUT, left=3)
 
 
-def draw_calibration(within: Mapping[str, Float[np.ndarray, "N H"]]) -> Figure:
-    """Draw the share of errors within regions against their probability: a panel per run, a line per horizon.
+def calibration_chart(within: Mapping[str, Float[np.ndarray, "N H"]]) -> Chart:
+    """Describe the share of errors within regions against their probability: a panel per run, a line per horizon.
 
     Args:
-        within: by run, the probability of the region that ends at each window's error, at each of `HORIZONS`.
+        within: by run, `probabilities` of its windows.
     """
-    figure = Figure(figsize=(3.6 * len(within), 3.6), layout="constrained")
-    nominal = np.linspace(0, 1, 101)
-    for axes, (run, values) in zip(figure.subplots(1, len(within), squeeze=False)[0], within.items(), strict=True):
-        plain(axes, run)
-        axes.plot([0, 100], [0, 100], color="#999999", linewidth=0.8)
-        for horizon, column, colour in zip(HORIZONS, values.T, ("#56b4e9", "#0072b2", "black"), strict=True):
+    nominal, sides = np.linspace(0, 1, 101), (0.0, 100.0)
+    panels = []
+    for run, values in within.items():
+        lines = [Line("", np.array(sides), np.array(sides), "#999999", width=0.8)]
+        for horizon, column, colour in zip(HORIZONS, values.T, ("#56b4e9", "#0072b2", "#000000"), strict=True):
             share = np.searchsorted(np.sort(column), nominal, side="right") / len(column)
-            axes.plot(100 * nominal, 100 * share, color=colour, label=f"{horizon:g} s")
-        axes.set(xlabel="nominal share of errors [%]", ylabel="observed share [%]", aspect="equal")
-        axes.legend(frameon=False)
-    return figure
+            lines.append(Line(f"{horizon:g} s", 100 * nominal, 100 * share, colour))
+        axes = ("nominal share of errors [%]", "observed share [%]")
+        panels.append(Panel(*axes, lines, title=run, x_range=sides, y_range=sides, equal=True))
+    return Chart(panels)
 
 
 def crps(error: Float[np.ndarray, "*B"], scale: Float[np.ndarray, "*B"], freedom: float) -> Float[np.ndarray, "*B"]:
@@ -214,11 +186,10 @@ def crps(error: Float[np.ndarray, "*B"], scale: Float[np.ndarray, "*B"], freedom
 
 def area_under_curve(score: Float[np.ndarray, " N"], positive: Bool[np.ndarray, " N"]) -> float:
     """Return the probability that a positive scores higher than a negative; ties count half, NaN without both."""
-    positives, others = int(positive.sum()), int((~positive).sum())
-    if not positives or not others:
+    if positive.all() or not positive.any():
         return math.nan
-    ranks = stats.rankdata(score)
-    return float((ranks[positive].sum() - positives * (positives + 1) / 2) / (positives * others))
+    higher = stats.mannwhitneyu(score[positive], score[~positive], method="asymptotic").statistic
+    return float(higher / (positive.sum() * (~positive).sum()))
 
 
 @dataclass
@@ -227,7 +198,7 @@ class SpreadReport:
 
     Attributes:
         rows: of the table.
-        within: by run (`ErrorsWithScales.within`).
+        within: by run (`probabilities`).
     """
 
     rows: list[CalibrationRow] = field(default_factory=list)
@@ -237,17 +208,17 @@ class SpreadReport:
         """Evaluate a run's spread on the windows of the test part that have a map."""
         windows = Windows(dataset, PART)
         index = windows.evaluation_indices(5)
-        errors = errors_with_scales(spread, residuals_on_maps(run, windows, index))
+        residuals = residuals_on_maps(run, windows, index)
         located = EvaluatedWindows(dataset, windows.drive[index], windows.row_in_drive(index))
-        self.rows += calibration_rows(name, errors, members(located), Sampling().on(located))
-        self.within[name] = errors.within
+        self.rows += calibration_rows(name, spread, residuals, members(located), Sampling().on(located))
+        self.within[name] = probabilities(spread, residuals)
 
     def write(self, out: Path) -> Path:
         """Write table, numbers and figure, log the table, and return the path of `calibration.md`."""
         table = calibration_table(self.rows)
         content = {"schema": 1, "part": PART, "rows": self.rows}
         with unfinished(out, UNFINISHED):
-            write_png(out / "calibration.png", draw_calibration(self.within), dpi=110)
+            write_png(out / "calibration.png", draw(calibration_chart(self.within)))
             write_text(out / "calibration.json", msgspec.json.encode(content).decode())
             write_text(out / "calibration.md", table.markdown() + "\n![calibration](calibration.png)\n")
         logger.info(table.text(width=150))
